@@ -221,10 +221,6 @@ class Linearised:
         xr = (np.swapaxes(self.x, 1, 2) @ residual[:, :, None])[:, :, 0]
         return replace(self, jr=scores.sum(axis=0), xr=xr + xi, scores=scores)
 
-    @property
-    def diagonal(self) -> Array:
-        return np.diag(self.jj)
-
     def reduced(self, damping: float) -> Reduced:
         """Eliminate the initial states, their equations damped by ``damping`` times their diagonal."""
         n_x = self.xx.shape[1]
@@ -243,7 +239,7 @@ class Linearised:
 def damped(reduced: Sequence[Reduced], parts: Sequence[Linearised], damping: float, precision: Array) -> Array:
     """Return the Hessian of V / 2 over z with the precision of the prior and the damping."""
     hessian = precision + sum(r.hessian for r in reduced)
-    own = np.diag(precision) + sum(p.diagonal for p in parts)
+    own = np.diag(precision) + sum(np.diag(p.jj) for p in parts)
     hessian[np.diag_indices(len(hessian))] += damping * own
     return hessian
 

@@ -215,7 +215,7 @@ FINER = (0.5, 1.0, 2.0)  # times the best of them
 
 @dataclass(frozen=True, eq=False)
 class NoiseLevel:
-    """A random force of a size and bandwidth (Hz), and each window's products with it and its initial state eliminated."""
+    """A random force of a size and bandwidth (Hz), and window products with it and the initial state eliminated."""
 
     # gram: (n_windows, n, n) over the given columns, the parameters and the errors.
 

@@ -47,7 +47,7 @@ from robustlab.identification.naming.held_out import (
     strained,
     without_effects,
 )
-from robustlab.identification.naming.named_kinds import Kinds, force_share, kinds_of
+from robustlab.identification.naming.named_kinds import Kinds, force_share
 from robustlab.identification.naming.posterior import Alternative, Posterior
 from robustlab.identification.naming.residual_force import (
     LeftOver,
@@ -137,9 +137,9 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
         whole = settled(problem, whole, found.noise, 1)
     matters = stages.run("what matters", lambda: _matters(found, held, whole), {})
     slight = frozenset(key for key, m in matters.items() if not m.material)
-    kinds = kinds_of(problem, posterior, slight)
+    kinds = Kinds(problem, posterior, slight)
     if elsewhere := stages.run("what matters in other sets", lambda: _negligible_elsewhere(found, held, kinds), None):
-        kinds = kinds_of(problem, posterior, slight | elsewhere)
+        kinds = Kinds(problem, posterior, slight | elsewhere)
     fit = whole
     if aside := slight | _doubtful(kinds, whole):
         fit = settled(problem, without_effects(problem, whole, aside), found.noise, 1 if left.remains else None)
@@ -248,7 +248,7 @@ def _matters(found: Found, held: Problem, fit: Fit, keys: Collection[str] | None
 def _negligible_elsewhere(found: Found, held: Problem, kinds: Kinds) -> frozenset[str]:
     """Return effects that are undecided in sets other than the best one and negligible there."""
     slight = set[str]()
-    for candidate in () if kinds.coarse else kinds.open():
+    for candidate in () if kinds.posterior.coarse else kinds.open():
         if candidate.key not in kinds.posterior.best.key:
             entry = next(w for w in kinds.posterior.sets if candidate.key in w.key)
             if not _matters(found, held, entry.fit, {candidate.key})[candidate.key].material:
@@ -262,8 +262,8 @@ def _verdict(found: Found, kinds: Kinds, fit: Fit, remains: bool) -> Verdict:
     if not named:
         return "unknown" if remains else "no missing effect"
     sure = all(kinds.sure_kind(c) for c in named)
-    explained = _explained(found, kinds.posterior.best.fit) if remains or kinds.coarse else 1.0
-    if kinds.coarse and sure and explained >= MOSTLY:
+    explained = _explained(found, kinds.posterior.best.fit) if remains or kinds.posterior.coarse else 1.0
+    if kinds.posterior.coarse and sure and explained >= MOSTLY:
         return "named"  # despite a misfit; undecided effects are part of the residual
     if remains and explained < EXPLAINED:
         return "unknown"
@@ -273,7 +273,7 @@ def _verdict(found: Found, kinds: Kinds, fit: Fit, remains: bool) -> Verdict:
 def _doubtful(kinds: Kinds, fit: Fit) -> frozenset[str]:
     """Return the unsure effects of a best set with a misfit, if other effects of it are sure."""
     own = fit.hypothesis.candidates
-    if not kinds.coarse or not any(kinds.sure_kind(c) for c in own):
+    if not kinds.posterior.coarse or not any(kinds.sure_kind(c) for c in own):
         return frozenset()
     return frozenset(c.key for c in own if c.key not in kinds.ignored and kinds.sure_kind(c) is None)
 

@@ -205,7 +205,54 @@ class Discovery(Tabular, Evidence):
         return headline_of(self)
 
     def numbers(self) -> dict[str, Any]:
-        return _numbers_of(self)
+        # An evaluated effect that is not named has confidence 0 and NaN parameters: a requirement on it is not met,
+        # while a misspelt one is an error.
+        effects, lower, upper, confidence = (_absent(self) for _ in range(4))
+        confidence = dict.fromkeys(confidence, 0.0)
+        for e in self.effects:
+            # A second effect of the same id has its place in the key.
+            key = e.name if e.name not in self.names[: self.effects.index(e)] else f"{e.name}@{e.site}"
+            effects[key] = {p.name: p.value for p in e.parameters}
+            if (amplitude := wave_amplitude(effects[key])) is not None:
+                effects[key]["amplitude"] = amplitude
+            lower[key] = {p.name: p.lower for p in e.parameters}
+            upper[key] = {p.name: p.upper for p in e.parameters}
+            confidence[key] = e.confidence
+        return {
+            **_kinds(self),
+            "verdict": self.verdict,
+            "complete": self.complete,
+            "names": list(self.names),
+            "places": [f"{e.name}@{e.site}" for e in self.effects],
+            "answer": list(self.answer),
+            "kinds": [k.kind for k in self.kinds],
+            "count": len(self.effects),
+            "gap_before": self.gap_before,
+            "gap_refitted": self.gap_refitted,
+            "gap_after": self.gap_after,
+            "gap_ratio": self.gap_before / self.gap_after if self.gap_after > 0 else math.inf,
+            "refitted_ratio": self.gap_refitted / self.gap_after if self.gap_after > 0 else math.inf,
+            "gaps": {name: gap.to_json() for name, gap in self.gaps.items()},
+            "free_run": {
+                "before": overall(self.free_run, "nominal"),
+                "refitted": overall(self.free_run, "refitted"),
+                "after": overall(self.free_run, "updated"),
+                "outputs": {name: gap.to_json() for name, gap in self.free_run.items()},
+            },
+            "effects": effects,
+            "lower": lower,
+            "upper": upper,
+            "confidence": confidence,
+            "nominal": {p.name: p.value for p in self.nominal},
+            "next_experiment": {
+                "name": self.next_experiment.name if self.next_experiment else "none",
+                "separation": self.next_experiment.separation if self.next_experiment else math.nan,
+            },
+            "structure": dict(self.structure),
+            "remaining_lines": [dict(line) for line in self.remaining_lines],
+            "line": {over: _strongest_line(self, over) for over in ("position", "time")},
+            "seconds": self.seconds,
+        }
 
     def facts(self) -> Facts:
         return facts_of(self)
@@ -227,58 +274,6 @@ class Discovery(Tabular, Evidence):
         data: dict[str, object] = {key: value for key, value in vars(self).items() if key not in excluded}
         data.update(names=self.names, answer=self.answer, findings=[vars(f) for f in self.findings])
         return data
-
-
-def _numbers_of(d: Discovery) -> dict[str, Any]:
-    """Return the numbers for requirements (docs/discover.md)."""
-    # An evaluated effect that is not named has confidence 0 and NaN parameters: a requirement on it is not met, while a
-    # misspelt one is an error.
-    effects, lower, upper, confidence = (_absent(d) for _ in range(4))
-    confidence = dict.fromkeys(confidence, 0.0)
-    for e in d.effects:
-        # A second effect of the same id has its place in the key.
-        key = e.name if e.name not in d.names[: d.effects.index(e)] else f"{e.name}@{e.site}"
-        effects[key] = {p.name: p.value for p in e.parameters}
-        if (amplitude := wave_amplitude(effects[key])) is not None:
-            effects[key]["amplitude"] = amplitude
-        lower[key] = {p.name: p.lower for p in e.parameters}
-        upper[key] = {p.name: p.upper for p in e.parameters}
-        confidence[key] = e.confidence
-    return {
-        **_kinds(d),
-        "verdict": d.verdict,
-        "complete": d.complete,
-        "names": list(d.names),
-        "places": [f"{e.name}@{e.site}" for e in d.effects],
-        "answer": list(d.answer),
-        "kinds": [k.kind for k in d.kinds],
-        "count": len(d.effects),
-        "gap_before": d.gap_before,
-        "gap_refitted": d.gap_refitted,
-        "gap_after": d.gap_after,
-        "gap_ratio": d.gap_before / d.gap_after if d.gap_after > 0 else math.inf,
-        "refitted_ratio": d.gap_refitted / d.gap_after if d.gap_after > 0 else math.inf,
-        "gaps": {name: gap.to_json() for name, gap in d.gaps.items()},
-        "free_run": {
-            "before": overall(d.free_run, "nominal"),
-            "refitted": overall(d.free_run, "refitted"),
-            "after": overall(d.free_run, "updated"),
-            "outputs": {name: gap.to_json() for name, gap in d.free_run.items()},
-        },
-        "effects": effects,
-        "lower": lower,
-        "upper": upper,
-        "confidence": confidence,
-        "nominal": {p.name: p.value for p in d.nominal},
-        "next_experiment": {
-            "name": d.next_experiment.name if d.next_experiment else "none",
-            "separation": d.next_experiment.separation if d.next_experiment else math.nan,
-        },
-        "structure": dict(d.structure),
-        "remaining_lines": [dict(line) for line in d.remaining_lines],
-        "line": {over: _strongest_line(d, over) for over in ("position", "time")},
-        "seconds": d.seconds,
-    }
 
 
 def _kinds(d: Discovery) -> dict[str, dict[str, float]]:

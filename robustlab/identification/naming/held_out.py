@@ -71,7 +71,7 @@ def _measured(held: Problem) -> tuple[list[Array], list[Array]]:
     return windows, [unbroken(record).measured for record in held.records]
 
 
-def held_out_gaps(held: Problem, models: Mapping[str, Fit], known: Sequence[PreparedRecord] = ()) -> Gaps:
+def held_out_gaps(held: Problem, models: Mapping[str, Fit], known: Sequence[PreparedRecord]) -> Gaps:
     """Return errors of ``nominal``, ``refitted`` and ``updated`` on the held-out windows and whole records."""
     own = {name: simulated(held, fit, known) for name, fit in models.items()}
     outputs, free = {name: s.windows for name, s in own.items()}, {name: s.runs for name, s in own.items()}

@@ -88,20 +88,14 @@ def _paths(plant: AnyPlant, model: PortModel, joints: Sequence[Port]) -> dict[st
 class Kinds:
     """Probabilities of effect classes at places over the sets of a posterior; ``ignored``: keys of excluded effects."""
 
-    def __init__(
-        self, posterior: Posterior, places: Places, sure: float, ignored: frozenset[str] = frozenset()
-    ) -> None:
-        self.posterior, self.places, self.sure, self.ignored = posterior, places, sure, ignored
+    def __init__(self, problem: Problem, posterior: Posterior, ignored: frozenset[str]) -> None:
+        model = problem.simulators(Hypothesis(()))[0].model({}, [])
+        self.posterior, self.places, self.ignored = posterior, places_of(problem.plant, model), ignored
         self.probability: dict[Place, float] = defaultdict(float)
         for entry in posterior.sets:
             held = {n for c in entry.fit.hypothesis.candidates if c.key not in ignored for n in self.above(c)}
             for node in held:
                 self.probability[node] += entry.probability
-
-    @property
-    def coarse(self) -> bool:
-        """Return whether the best set has a misfit by which log evidence is scaled."""
-        return self.posterior.coarse
 
     def above(self, candidate: Candidate) -> list[Place]:
         """Return the classes of an effect with their places, the narrowest first."""
@@ -113,14 +107,14 @@ class Kinds:
         for kind, place in self.above(candidate):
             if KINDS[kind].wider is None and KIND_OF[candidate.effect.id] != kind:
                 return None  # "a force" is no name
-            if self.probability[kind, place] >= self.sure:
+            if self.probability[kind, place] >= tuning.SURE:
                 return (kind, place) if (kind, place) == self.above(candidate)[0] or self._alone(kind, place) else None
         return None
 
     def _alone(self, kind: str, place: str) -> bool:
         """Return whether no class within this one is sure there."""
         return not any(
-            p >= self.sure and k != kind and at == place and kind in (w.id for w in upwards(k))
+            p >= tuning.SURE and k != kind and at == place and kind in (w.id for w in upwards(k))
             for (k, at), p in self.probability.items()
         )
 
@@ -130,7 +124,7 @@ class Kinds:
         for entry in self.posterior.sets:
             for c in entry.fit.hypothesis.candidates:
                 narrow = self.above(c)[0]
-                if c.key in self.ignored or self.probability[narrow] <= 1.0 - self.sure:
+                if c.key in self.ignored or self.probability[narrow] <= 1.0 - tuning.SURE:
                     continue
                 if self.sure_kind(c) is None:
                     found.setdefault(c.key, c)
@@ -142,7 +136,7 @@ class Kinds:
             node for entry in self.posterior.sets for c in entry.fit.hypothesis.candidates
             if c.key not in self.ignored and (node := self.sure_kind(c)) is not None
         )  # fmt: skip
-        return tuple(replace(self._named(problem, *node), misfit=remains or self.coarse) for node in nodes)
+        return tuple(replace(self._named(problem, *node), misfit=remains or self.posterior.coarse) for node in nodes)
 
     def _named(self, problem: Problem, kind: str, place: str) -> NamedKind:
         holding = [(w, own) for w in self.posterior.sets if (own := self._members(w, kind, place))]
@@ -170,11 +164,6 @@ class Kinds:
         """Return the indices of the set's effects of this class there."""
         own = enumerate(entry.fit.hypothesis.candidates)
         return [k for k, c in own if c.key not in self.ignored and (kind, place) in self.above(c)]
-
-
-def kinds_of(problem: Problem, posterior: Posterior, ignored: frozenset[str] = frozenset()) -> Kinds:
-    model = problem.simulators(Hypothesis(()))[0].model({}, [])
-    return Kinds(posterior, places_of(problem.plant, model), tuning.SURE, ignored)
 
 
 def _mixture(name: Quantity, members: Sequence[tuple[float, Mapping[Quantity, Estimate]]]) -> EffectValue | None:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array, Indices
-from robustlab.dynamics.extended.simulator import Simulator, Windows, rising
+from robustlab.dynamics.extended.simulator import Simulator, rising
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import Port
 from robustlab.errors import NoTrustworthyNumber
@@ -189,7 +189,7 @@ def _at_joints(
     plant, record = problem.plant, problem.records[k]
     assert isinstance(plant, NonlinearPlant)
     assert record.motion is not None
-    windows = Windows(record.windows.starts, record.windows.length)
+    windows = record.windows
     used = (windows.starts[:, None] + np.arange(windows.length)).ravel()
     factors, values, shift = problem.setting(fit.hypothesis, fit.z)
     x0 = problem.starts_seen(k, simulator, values) + record.x0_std * fit.starts[k]
@@ -295,7 +295,7 @@ def _known_inputs(
     shift: Sequence[float] | None,
 ) -> tuple[Array, Array, Array]:
     """Return inputs of the linear model (n, 2 n_u + n_laws), force columns (n_x, n_laws), additions of the sensors."""
-    windows = Windows(record.windows.starts, record.windows.length)
+    windows = record.windows
     motion = simulator.run(factors, values, x0, windows, shift)
     model = simulator.model(factors, values)
     laws = [law for (e, site), v in zip(simulator.effects, values, strict=True) for law in e.laws(site, v)]
