@@ -289,7 +289,7 @@ def nuisance_parameters(plant: AnyPlant, tolerances: Mapping[str, tuple[float, b
             found.append(Nuisance(label, moving, math.log1p(widest) / UNIFORM))
     for name, p in plant.parameters.items():
         tolerance = tolerances[name][0]
-        if name in seen or not tolerance or not _matters(plant, name):
+        if name in seen or not tolerance or not _in_equations(plant, name):
             continue
         if p.value:
             found.append(Nuisance(name, (name,), math.log1p(tolerance) / UNIFORM))
@@ -299,7 +299,7 @@ def nuisance_parameters(plant: AnyPlant, tolerances: Mapping[str, tuple[float, b
     return tuple(found)
 
 
-def _matters(plant: AnyPlant, name: str) -> bool:
+def _in_equations(plant: AnyPlant, name: str) -> bool:
     """Return whether the parameter enters the plant's equations; assumed for a nonlinear plant."""
     if isinstance(plant, NonlinearPlant):
         return True

@@ -21,7 +21,7 @@ from robustlab.dynamics.ports.port_model import AnyPlant
 from robustlab.identification import tuning
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord, averaged
 
-WILD = 1e6  # limit of errors in standard deviations
+CLIP = 1e6  # errors are clipped to this many standard deviations
 FARTHEST = 8.0  # limit of standardised parameters
 RELATIVE = 1e-5  # relative fall of V below which a fit stops
 # Of the diagonal. Changes of resistance and inertia have nearly the same effect: along such a valley J^T J is a
@@ -29,7 +29,7 @@ RELATIVE = 1e-5  # relative fall of V below which a fit stops
 DAMPING = 1e-4
 LEAST_DAMPING = 1e-10
 TRIES = 8  # damped steps before a fit stops
-HOPE = 2.0  # times the expected fall of V: the largest fall that a fit may still reach
+MOST_FALL = 2.0  # times the expected fall of V: the largest fall that a fit may still reach
 LONGEST_STEP = 2.0  # of a standardised parameter
 # Change of a parameter, in standard deviations, up to which a fit reuses the matrices of a nonlinear plant: they
 # multiply only deviations from the motion, and are recomputed at the end of the fit.
@@ -167,7 +167,7 @@ class FitPlan:
     tolerance: float = 0.05  # actual or expected fall of V at which it ends
     fixed: bool = False  # only the initial states are fitted, to predict held-out data
     robust: bool = False  # with the sandwich covariance
-    ceiling: float = np.inf  # the fit stops after its first step if HOPE times the expected fall leaves V above this
+    ceiling: float = np.inf  # the fit stops after a step if MOST_FALL times the expected fall leaves V above this
 
 
 class _Place(NamedTuple):
@@ -256,7 +256,7 @@ def sandwich(parts: Sequence[Linearised], hessian: Array) -> Array:
 class NoiseModel:
     """Noise of the averaged errors: standard deviation (n_y,) and autoregression (order, n_y) of each output."""
 
-    # excess: factor on the variance of the errors because they are correlated (`noise.careful`).
+    # excess: factor on the variance of the errors because they are correlated (`noise.widened`).
 
     std: Array
     ar: Array
@@ -269,8 +269,8 @@ class NoiseModel:
         for lag in range(order):
             e -= self.ar[lag] * errors[:, order - lag - 1 : errors.shape[1] - lag - 1]
         with np.errstate(over="ignore", invalid="ignore"):
-            scaled = np.nan_to_num(e / self.std, copy=False, nan=0.0, posinf=WILD, neginf=-WILD)
-        return np.clip(scaled, -WILD, WILD).reshape(len(e), e.shape[1] * e.shape[2])  # -1 fails without windows
+            scaled = np.nan_to_num(e / self.std, copy=False, nan=0.0, posinf=CLIP, neginf=-CLIP)
+        return np.clip(scaled, -CLIP, CLIP).reshape(len(e), e.shape[1] * e.shape[2])  # -1 fails without windows
 
 
 @dataclass(frozen=True, eq=False)
@@ -503,7 +503,7 @@ class Problem:
                 here = exact(here)
                 parts = [p.with_residual(r, x) for p, r, x in zip(parts, here.residual, here.xi, strict=True)]
                 fall = self._expected(own.gradient(here.z), hessian, parts, fixed)
-            hopeless = rounds < plan.iterations and here.cost - HOPE * fall > plan.ceiling
+            hopeless = rounds < plan.iterations and here.cost - MOST_FALL * fall > plan.ceiling
             if rounds <= 0 or fall < tolerance or hopeless:
                 break
             improved = 0.0

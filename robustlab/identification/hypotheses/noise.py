@@ -44,7 +44,7 @@ def whitening(problem: Problem, fit: Fit, order: int | None = None) -> NoiseMode
     return NoiseModel(std, ar)
 
 
-def careful(problem: Problem, fit: Fit, noise: NoiseModel) -> NoiseModel:
+def widened(problem: Problem, fit: Fit, noise: NoiseModel) -> NoiseModel:
     """Enlarge the variance of the noise model to that of the scatter between windows."""
     # With the Hessian H of half the cost and the covariance J of the windows' gradients, independent errors have J = H
     # - 1; a missing effect makes J larger. Varin, Reid, Firth, composite likelihood (2011), 2.3.

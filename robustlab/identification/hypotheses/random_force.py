@@ -24,7 +24,7 @@ from robustlab.identification.hypotheses.prepared_record import PreparedRecord, 
 SEGMENTS = 60  # of a window, at most: each is a simulation per port
 PULSES = 120  # of a window at all ports together, at most
 PULSE = 0.02  # of the force that moves the port: small against it, large against rounding
-WILD = 1e6
+CLIP = 1e6
 
 
 @law
@@ -135,7 +135,7 @@ def _of_record(
     def points(difference: Array) -> Array:
         with np.errstate(all="ignore"):
             scaled = averaged(difference, record.thin) / single
-        return np.clip(scaled, -WILD, WILD).reshape(len(chosen), -1)
+        return np.clip(scaled, -CLIP, CLIP).reshape(len(chosen), -1)
 
     with np.errstate(all="ignore"):
         here = outputs(fit.z, xi)

@@ -39,12 +39,12 @@ from robustlab.identification.naming.discovery_parts import (
 from robustlab.identification.naming.discovery_result import Discovery
 from robustlab.identification.naming.held_out import (
     Gaps,
-    Matter,
+    Relevance,
+    at_limits,
     held_out_gaps,
     late_clocks,
-    matter_of,
+    relevance_of,
     simulated,
-    strained,
     without_effects,
 )
 from robustlab.identification.naming.named_kinds import Kinds, force_share
@@ -67,7 +67,7 @@ if TYPE_CHECKING:
     from robustlab.identification.experiment import NextExperiment
 
 
-MOSTLY = 0.5  # share of the nominal model's excess cost that sure effects must explain if a misfit remains
+MOST_OF_EXCESS = 0.5  # share of the nominal model's excess cost that sure effects must explain if a misfit remains
 EXPLAINED = 0.9  # share of it below which the named effects are not the missing ones
 REPEATABLE = 1.6  # F of the residual against the noise floor beyond which a repeatable error remains
 REMARK = 0.005  # of the force that moves the port: weaker remaining lines are reported only
@@ -135,16 +135,16 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
     left = _remainder(case, found, posterior, whole, stages)
     if left.remains and best.hypothesis.candidates:
         whole = settled(problem, whole, found.noise, 1)
-    matters = stages.run("what matters", lambda: _matters(found, held, whole), {})
-    slight = frozenset(key for key, m in matters.items() if not m.material)
-    kinds = Kinds(problem, posterior, slight)
+    relevance = stages.run("what matters", lambda: _relevances(found, held, whole), {})
+    negligible = frozenset(key for key, m in relevance.items() if not m.material)
+    kinds = Kinds(problem, posterior, negligible)
     if elsewhere := stages.run("what matters in other sets", lambda: _negligible_elsewhere(found, held, kinds), None):
-        kinds = Kinds(problem, posterior, slight | elsewhere)
+        kinds = Kinds(problem, posterior, negligible | elsewhere)
     fit = whole
-    if aside := slight | _doubtful(kinds, whole):
+    if aside := negligible | _doubtful(kinds, whole):
         fit = settled(problem, without_effects(problem, whole, aside), found.noise, 1 if left.remains else None)
         # The errors without each effect refer to the smaller set.
-        matters |= stages.run("what matters", lambda: _matters(found, held, fit), {})
+        relevance |= stages.run("what matters", lambda: _relevances(found, held, fit), {})
     verdict = _verdict(found, kinds, fit, left.remains)
     named = fit.hypothesis.candidates
     bare = settled(problem, found.empty.fit, found.noise, 1 if named else None)
@@ -153,7 +153,7 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
     judged = _Judgement(verdict, left.complete and verdict != "unknown")
     findings = [*case.findings, *_search_findings(found)]
     if named:
-        judged = _on_held_out(judged, gaps, bool(strained(problem, bare)), tuning.MATERIAL)
+        judged = _on_held_out(judged, gaps, bool(at_limits(problem, bare)), tuning.MATERIAL)
     if refuted := bool(named) and gaps.worse_than_given:
         findings.append(_refuted(fit, gaps))
         fit = bare  # the refuted effects are not reported
@@ -173,7 +173,7 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
 
     def effects(fit: Fit, keys: Collection[str]) -> tuple[NamedEffect, ...]:
         own = [k for k, c in enumerate(fit.hypothesis.candidates) if c.key in keys]
-        return tuple(_named(found, posterior, fit, k, rivals, matters) for k in own)
+        return tuple(_named(found, posterior, fit, k, rivals, relevance) for k in own)
 
     return Discovery(
         status=judged.status(explained),
@@ -181,7 +181,7 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
         complete=judged.complete,
         effects=effects(fit, [c.key for c in fit.hypothesis.candidates]),
         kinds=sure,
-        also_detectable=effects(whole, slight),
+        also_detectable=effects(whole, negligible),
         rivals=tuple(_rival(problem, a) for a in rivals),
         nominal=_nominal(problem, fit, case.stated),
         gap_before=overall(gaps.windows, "nominal"),
@@ -230,30 +230,30 @@ def _remainder(case: Case, found: Found, posterior: Posterior, fit: Fit, stages:
     return _Remainder(bool(remains), complete, force, lines, floor, excess)
 
 
-def _matters(found: Found, held: Problem, fit: Fit, keys: Collection[str] | None = None) -> dict[str, Matter]:
+def _relevances(found: Found, held: Problem, fit: Fit, keys: Collection[str] | None = None) -> dict[str, Relevance]:
     """Return the relevance on held-out data of each effect of the set, or of those in ``keys``."""
     problem, known = found.problem, found.problem.records
     chosen = [(k, c.key) for k, c in enumerate(fit.hypothesis.candidates) if keys is None or c.key in keys]
     if not chosen:
         return {}
-    whole, already = simulated(held, fit, known), strained(problem, fit)
+    whole, already = simulated(held, fit, known), at_limits(problem, fit)
     relevance = {}
     for k, key in chosen:
         less = without_effects(problem, fit, {key})
-        needed = force_share(problem, fit, k) >= tuning.MATERIAL or bool(strained(problem, less) - already)
-        relevance[key] = matter_of(held, whole, simulated(held, less, known), needed)
+        needed = force_share(problem, fit, k) >= tuning.MATERIAL or bool(at_limits(problem, less) - already)
+        relevance[key] = relevance_of(held, whole, simulated(held, less, known), needed)
     return relevance
 
 
 def _negligible_elsewhere(found: Found, held: Problem, kinds: Kinds) -> frozenset[str]:
     """Return effects that are undecided in sets other than the best one and negligible there."""
-    slight = set[str]()
+    negligible = set[str]()
     for candidate in () if kinds.posterior.coarse else kinds.open():
         if candidate.key not in kinds.posterior.best.key:
             entry = next(w for w in kinds.posterior.sets if candidate.key in w.key)
-            if not _matters(found, held, entry.fit, {candidate.key})[candidate.key].material:
-                slight.add(candidate.key)
-    return frozenset(slight)
+            if not _relevances(found, held, entry.fit, {candidate.key})[candidate.key].material:
+                negligible.add(candidate.key)
+    return frozenset(negligible)
 
 
 def _verdict(found: Found, kinds: Kinds, fit: Fit, remains: bool) -> Verdict:
@@ -263,7 +263,7 @@ def _verdict(found: Found, kinds: Kinds, fit: Fit, remains: bool) -> Verdict:
         return "unknown" if remains else "no missing effect"
     sure = all(kinds.sure_kind(c) for c in named)
     explained = _explained(found, kinds.posterior.best.fit) if remains or kinds.posterior.coarse else 1.0
-    if kinds.posterior.coarse and sure and explained >= MOSTLY:
+    if kinds.posterior.coarse and sure and explained >= MOST_OF_EXCESS:
         return "named"  # despite a misfit; undecided effects are part of the residual
     if remains and explained < EXPLAINED:
         return "unknown"
@@ -278,14 +278,14 @@ def _doubtful(kinds: Kinds, fit: Fit) -> frozenset[str]:
     return frozenset(c.key for c in own if c.key not in kinds.ignored and kinds.sure_kind(c) is None)
 
 
-def _on_held_out(judged: _Judgement, gaps: Gaps, strained: bool, material: float) -> _Judgement:
+def _on_held_out(judged: _Judgement, gaps: Gaps, beyond: bool, material: float) -> _Judgement:
     """Revise the judgement by the errors on held-out data."""
-    # A refit beyond its tolerances (strained) imitates the effects by its parameters: it refutes them only if its error
+    # A refit ``beyond`` its tolerances imitates the effects by its parameters: it refutes them only if its error
     # is smaller by the share ``material``.
     if gaps.worse_than_given:
         return _Judgement("unknown", False)
     updated, refitted = (overall(gaps.windows, model) for model in ("updated", "refitted"))
-    if strained and updated <= (1.0 + material) * refitted:
+    if beyond and updated <= (1.0 + material) * refitted:
         return judged
     if gaps.worse:
         return judged._replace(verdict="unknown", complete=False)
@@ -396,7 +396,7 @@ def _effect_values(problem: Problem, fit: Fit, k: int) -> tuple[EffectValue, ...
 
 
 def _named(
-    found: Found, posterior: Posterior, fit: Fit, k: int, rivals: Sequence[Alternative], matters: Mapping[str, Matter]
+    found: Found, posterior: Posterior, fit: Fit, k: int, rivals: Sequence[Alternative], tested: Mapping[str, Relevance]
 ) -> NamedEffect:
     candidate = fit.hypothesis.candidates[k]
     own = [a for a in rivals if a.instead_of is not None and a.instead_of.key == candidate.key]
@@ -407,7 +407,7 @@ def _named(
         _opened_above(found.problem, fit, k, _effect_values(found.problem, fit, k)),
         posterior.of_effect(candidate.key), posterior.best.visited.evidence - less.evidence,
         tuple(dict.fromkeys(a.candidate.effect.id for a in own)),
-        matters[candidate.key].error_without if candidate.key in matters else np.nan,
+        tested[candidate.key].error_without if candidate.key in tested else np.nan,
     )  # fmt: skip
 
 

@@ -140,7 +140,7 @@ def _series(
 
 
 @dataclass(frozen=True)
-class Matter:
+class Relevance:
     """Whether an effect is relevant, and the error of held-out windows without it in percent of the range."""
 
     material: bool
@@ -155,7 +155,7 @@ def without_effects(problem: Problem, fit: Fit, keys: Collection[str]) -> Fit:
     return fit
 
 
-def strained(problem: Problem, fit: Fit) -> frozenset[str]:
+def at_limits(problem: Problem, fit: Fit) -> frozenset[str]:
     """Return labels of the nuisances that a fit moved beyond their limits, and `TOGETHER` if all are improbable."""
     moving = problem.moving(fit.hypothesis)
     own = [(n, float(z)) for n, moves, z in zip(problem.nuisances, moving, fit.z, strict=False) if moves]
@@ -171,23 +171,23 @@ def strained(problem: Problem, fit: Fit) -> frozenset[str]:
 
 def late_clocks(problem: Problem, fit: Fit) -> frozenset[str]:
     """Return labels of the input clocks that a fit moved beyond their limits: they imitate a time delay."""
-    return strained(problem, fit) & {n.label for n in problem.nuisances if n.input}
+    return at_limits(problem, fit) & {n.label for n in problem.nuisances if n.input}
 
 
-def matter_of(held: Problem, whole: Simulated, less: Simulated, needed: bool) -> Matter:
+def relevance_of(held: Problem, whole: Simulated, less: Simulated, needed: bool) -> Relevance:
     """Compare ``whole`` with the set ``less`` an effect; ``needed``: relevant whatever the errors."""
     ranges, (windows, runs) = spans(held.records), _measured(held)
     seen = ranges > 0.0
     share = _rms(windows, windows, less.windows)[seen] / ranges[seen]
     resolution = np.max([r.resolution for r in held.records], axis=0)
     material = needed or any(
-        _matters(y, ours, theirs, resolution)
+        _is_relevant(y, ours, theirs, resolution)
         for y, ours, theirs in ((windows, whole.windows, less.windows), (runs, whole.runs, less.runs))
     )
-    return Matter(material, 100.0 * float(np.sqrt(np.mean(share**2))))
+    return Relevance(material, 100.0 * float(np.sqrt(np.mean(share**2))))
 
 
-def _matters(measured: Sequence[Array], ours: Sequence[Array], theirs: Sequence[Array], resolution: Array) -> bool:
+def _is_relevant(measured: Sequence[Array], ours: Sequence[Array], theirs: Sequence[Array], resolution: Array) -> bool:
     own, other = _rms(measured, measured, ours), _rms(measured, measured, theirs)
     with np.errstate(all="ignore"):
         worse = ~(other - own < tuning.MATERIAL * own)  # true for a diverged model

@@ -17,7 +17,7 @@ from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypot
 
 KEPT = 5  # effects fitted in full on top of a set
 KEPT_GAINS = 2  # further gain effects: at the same cost the prior may prefer one
-HOPE = 2.5  # times its score: the largest expected fall of V
+MOST_FALL = 2.5  # times its score: the largest expected fall of V
 ALIKE, AS_GOOD = 0.99, 0.5  # share of the best start's score: above, a start is the same; below, it is dropped
 MOST_STRETCHED = 0.5  # log factor; friction coefficients change more, without information on a gain
 LATE = 2.0  # standard deviations of a clock, beyond which it may imitate a delay
@@ -45,7 +45,7 @@ def promising(
         scores.append(_score(quick, base, residual, own, start))
         report(done, len(jobs))
     order = sorted(range(len(jobs)), key=lambda k: -scores[k])
-    first = list(dict.fromkeys(jobs[k].candidate.key for k in order if HOPE * scores[k] > wanted))[:KEPT]
+    first = list(dict.fromkeys(jobs[k].candidate.key for k in order if MOST_FALL * scores[k] > wanted))[:KEPT]
     gains = [jobs[k].candidate for k in order if jobs[k].candidate.effect.gain_like]
     further = list(dict.fromkeys(c.key for c in gains if c.key not in first))[:KEPT_GAINS]
     found = []
@@ -92,17 +92,17 @@ def _score(
     return max(fall, 0.0 if len(columns) == 1 and strength[0] > 0.0 else float(g @ strength))
 
 
-def akin(a: Candidate, b: Candidate) -> bool:
+def related(a: Candidate, b: Candidate) -> bool:
     """Return whether both are at one site and are, or refine, the same effect."""
     ids = [{c.effect.id, c.effect.refines} - {"", None} for c in (a, b)]
     return a.site == b.site and bool(ids[0] & ids[1])
 
 
-def may_follow(candidate: Candidate, base: Hypothesis) -> bool:
+def may_be_added(candidate: Candidate, base: Hypothesis) -> bool:
     """Exclude effects of the base, parents of its refinements, and a second coupling."""
     for there in base.candidates:
         refined = candidate.effect.refines == there.effect.id
-        if akin(candidate, there) and not refined:
+        if related(candidate, there) and not refined:
             return False
         if candidate.effect.structural and there.effect.structural:
             return False
@@ -112,8 +112,8 @@ def may_follow(candidate: Candidate, base: Hypothesis) -> bool:
 def without(problem: Problem, fit: Fit, k: int) -> tuple[Hypothesis, Array]:
     """Return the hypothesis without its k-th effect, and its standardised parameters."""
     candidates = fit.hypothesis.candidates
-    gone = problem.slices(fit.hypothesis)[k][1]
-    return Hypothesis(candidates[:k] + candidates[k + 1 :]), np.delete(fit.z, gone)
+    removed = problem.slices(fit.hypothesis)[k][1]
+    return Hypothesis(candidates[:k] + candidates[k + 1 :]), np.delete(fit.z, removed)
 
 
 def extended(

@@ -25,7 +25,7 @@ from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, port_
 from robustlab.identification import tuning
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Problem
 from robustlab.identification.naming.discovery_parts import EffectValue, KindMember, NamedKind, wave_amplitude
-from robustlab.identification.naming.posterior import Posterior, Weighed
+from robustlab.identification.naming.posterior import Posterior, Weighted
 
 MOST_MEMBERS = 4  # that contribute to a class's quantities: smaller shares would change no digit
 OF_JOINT: tuple[Quantity, ...] = ("level", "viscous", "stiffness", "force")
@@ -160,7 +160,7 @@ class Kinds:
             KINDS[kind].form,
         )  # fmt: skip
 
-    def _members(self, entry: Weighed, kind: str, place: str) -> list[int]:
+    def _members(self, entry: Weighted, kind: str, place: str) -> list[int]:
         """Return the indices of the set's effects of this class there."""
         own = enumerate(entry.fit.hypothesis.candidates)
         return [k for k, c in own if c.key not in self.ignored and (kind, place) in self.above(c)]

@@ -34,20 +34,20 @@ from robustlab.identification.hypotheses.unnamed_force import (
     fitted_windows,
     unnamed_force,
 )
-from robustlab.identification.naming.set_search import Found, Key, Visited
+from robustlab.identification.naming.set_search import Found, Key, Scored
 
 TEMPERATURE = 1.0  # smallest divisor of log evidence: above 1, less sure
 MOST_WEIGHED = 5  # sets evaluated under a random force
 MOST_RIVALS = 5  # examined for each named effect
 NO_EVIDENCE = 2.0  # log Bayes factor without significance
-HARDLY = 0.005  # probability below which a set does not change the verdict
+IRRELEVANT = 0.005  # probability below which a set does not change the verdict
 
 
 @dataclass(frozen=True, eq=False)
-class Weighed:
+class Weighted:
     """A set with probability, log evidence, refit distance from the best (NaN: not computed), and residual force."""
 
-    visited: Visited
+    visited: Scored
     probability: float
     evidence: float
     distance: float
@@ -68,7 +68,7 @@ class Alternative:
 
     candidate: Candidate
     instead_of: Candidate | None
-    weighed: Weighed
+    weighed: Weighted
     evidence: float
 
 
@@ -80,8 +80,8 @@ class Posterior:
     # False if every more probable set than the empty one fails on held-out data; left: residual force of the best set
     # by place; coarse: log evidence is divided because of it.
 
-    sets: tuple[Weighed, ...]
-    collection: tuple[Weighed, ...]
+    sets: tuple[Weighted, ...]
+    collection: tuple[Weighted, ...]
     generalises: bool
     left: tuple[Unnamed, ...]
     coarse: bool = False
@@ -97,7 +97,7 @@ class Posterior:
         return max((u.random_share for u in self.left), default=np.nan)
 
     @property
-    def best(self) -> Weighed:
+    def best(self) -> Weighted:
         return self.sets[0]
 
     def of_effect(self, key: str) -> float:
@@ -180,10 +180,10 @@ def weigh(found: Found) -> Posterior:
     share = np.exp(log - log.max())
     share /= share.sum()
     weighed = [
-        Weighed(v, float(p), evidence[v.key], distance.get(v.key, np.nan), forces.get(v.key))
+        Weighted(v, float(p), evidence[v.key], distance.get(v.key, np.nan), forces.get(v.key))
         for v, p in zip(ordered, share, strict=True)
     ]
-    sets, renamed = _misjudged(found, _folded(problem, weighed, evidence, temperature), evidence)
+    sets, renamed = _split(found, _without_undecided(problem, weighed, evidence, temperature), evidence)
     if sets[0].key not in weights and (weight := _weight(found, sets[0].visited)) is not None:
         weights[sets[0].key] = weight
         sets[0] = replace(sets[0], unnamed=weight.force)
@@ -193,7 +193,7 @@ def weigh(found: Found) -> Posterior:
     return Posterior(tuple(sets), collection, generalises, left, temperature > TEMPERATURE)
 
 
-def _temperature(best: Visited, weights: Mapping[Key, _Weight]) -> float:
+def _temperature(best: Scored, weights: Mapping[Key, _Weight]) -> float:
     """Return the divisor of log evidence: that of the residual force over that of a sure effect."""
     # A line over position or time does not count: it cannot come from a wrong form of another effect.
     left = weights[best.key].left if best.key in weights else ()
@@ -209,13 +209,13 @@ def _with_plausible_force(weights: dict[Key, _Weight], most: float) -> dict[Key,
     return own or weights
 
 
-def _lift(problem: Problem, ordered: Sequence[Visited], evidence: dict[Key, float]) -> dict[Key, float]:
+def _lift(problem: Problem, ordered: Sequence[Scored], evidence: dict[Key, float]) -> dict[Key, float]:
     """Raise the evidence of sets indistinguishable from the best one; return refit distances from the best."""
     # A set with one effect less that becomes more probable replaces the best one.
     best = ordered[0]
     while True:
         near = [v for v in ordered if v is not best and best.evidence - v.evidence <= tuning.FAR_BEHIND]
-        less = _lessened(best, near)
+        less = _smaller(best, near)
         distance = {best.key: 0.0} | _raise(problem, best, less, evidence)
         ahead = max([best, *less], key=lambda v: evidence[v.key])
         if ahead is best:
@@ -223,7 +223,7 @@ def _lift(problem: Problem, ordered: Sequence[Visited], evidence: dict[Key, floa
         best = ahead
 
 
-def _raise(problem: Problem, best: Visited, others: Sequence[Visited], evidence: dict[Key, float]) -> dict[Key, float]:
+def _raise(problem: Problem, best: Scored, others: Sequence[Scored], evidence: dict[Key, float]) -> dict[Key, float]:
     """Return distances of sets from the best one; raise the evidence of indistinguishable sets to its bound."""
     distance = {other.key: refit_distance(problem, best.fit, other.fit) for other in others}
     for other in others:
@@ -234,21 +234,21 @@ def _raise(problem: Problem, best: Visited, others: Sequence[Visited], evidence:
     return distance
 
 
-def _folded(
-    problem: Problem, weighed: Sequence[Weighed], evidence: Mapping[Key, float], temperature: float
-) -> list[Weighed]:
+def _without_undecided(
+    problem: Problem, weighed: Sequence[Weighted], evidence: Mapping[Key, float], temperature: float
+) -> list[Weighted]:
     """Drop sets with a further effect for which the records have no evidence either way."""
     # Judged by the evidence without priors, or by the refit distance; the smaller set gets their probability.
-    kept: list[Weighed] = []
+    kept: list[Weighted] = []
     for entry in sorted(weighed, key=lambda w: len(w.key)):
         plain = evidence[entry.key] - entry.visited.prior
 
-        def silent(less: Weighed, entry: Weighed = entry, plain: float = plain) -> bool:
+        def silent(less: Weighted, entry: Weighted = entry, plain: float = plain) -> bool:
             if not less.key < entry.key:
                 return False
             if plain - (evidence[less.key] - less.visited.prior) < NO_EVIDENCE * temperature:
                 return True
-            relevant = entry.probability > HARDLY and less.probability > entry.probability
+            relevant = entry.probability > IRRELEVANT and less.probability > entry.probability
             return relevant and refit_distance(problem, entry.fit, less.fit) < tuning.CANNOT_TELL
 
         within = [k for k, w in enumerate(kept) if silent(w)]
@@ -261,7 +261,7 @@ def _folded(
     return sorted(kept, key=lambda w: order[w.key])
 
 
-def _misjudged(found: Found, sets: Sequence[Weighed], evidence: Mapping[Key, float]) -> tuple[list[Weighed], set[Key]]:
+def _split(found: Found, sets: Sequence[Weighted], evidence: Mapping[Key, float]) -> tuple[list[Weighted], set[Key]]:
     """Split the probability of a set with a parameter beyond tolerance with the set that has it as an effect."""
     # Both predict the same, and the tolerance is the bound between them; together they stay as probable as before. Also
     # returns the keys of sets that lost most of their probability.
@@ -271,7 +271,7 @@ def _misjudged(found: Found, sets: Sequence[Weighed], evidence: Mapping[Key, flo
         entry = own.get(key)
         if entry is None:
             continue
-        within, others = 0.0, dict[Key, Visited]()
+        within, others = 0.0, dict[Key, Scored]()
         for k, nuisance in enumerate(nuisances):
             z, std = float(entry.fit.z[k]), float(entry.fit.std[k])
             low, high = nuisance.ends
@@ -287,26 +287,26 @@ def _misjudged(found: Found, sets: Sequence[Weighed], evidence: Mapping[Key, flo
         total = entry.probability + sum(own[k].probability for k in others.keys() & own.keys())
         own[key] = replace(entry, probability=float(share[0]) * total)
         for part, v in zip(share[1:], others.values(), strict=True):
-            there = own.get(v.key, Weighed(v, 0.0, evidence.get(v.key, v.evidence), np.nan, entry.unnamed))
+            there = own.get(v.key, Weighted(v, 0.0, evidence.get(v.key, v.evidence), np.nan, entry.unnamed))
             own[v.key] = replace(there, probability=float(part) * total)
         if share[0] < 0.5:
             renamed.add(key)
     return sorted(own.values(), key=lambda w: -w.probability), renamed
 
 
-def _misjudges(visited: Visited, key: Key, label: str) -> bool:
+def _misjudges(visited: Scored, key: Key, label: str) -> bool:
     """Return whether a set has this key and one effect more, on the parameters of this label."""
     more = [c.site for c in visited.fit.hypothesis.candidates if c.key not in key]
     return key < visited.key and len(more) == 1 and more[0].kind == "parameter" and more[0].name == label
 
 
-def _contenders(ordered: Sequence[Visited]) -> list[Visited]:
+def _contenders(ordered: Sequence[Scored]) -> list[Scored]:
     """Return the sets to evaluate under a random force: the best ones, and the empty one."""
     near = [v for v in ordered if ordered[0].evidence - v.evidence < tuning.FAR_BEHIND][:MOST_WEIGHED]
     return near + [v for v in ordered if not v.key and v not in near]
 
 
-def _weight(found: Found, visited: Visited) -> _Weight | None:
+def _weight(found: Found, visited: Scored) -> _Weight | None:
     """Evaluate a set under a random force; None with too little motion."""
     held, price = in_phase(found.held, visited.fit, found.problem.records)
     both, fit = _all_windows(found, held, visited.fit)
@@ -333,7 +333,7 @@ def _all_windows(found: Found, held: Problem, fit: Fit) -> tuple[Problem, Fit]:
 
 
 def _forces(
-    ordered: Sequence[Visited], evidence: Mapping[Key, float], weights: Mapping[Key, _Weight]
+    ordered: Sequence[Scored], evidence: Mapping[Key, float], weights: Mapping[Key, _Weight]
 ) -> dict[Key, UnnamedEvidence]:
     """Return the residual force of each set; if the best set has none, only that of the empty one."""
     best = max((v.key for v in ordered), key=evidence.__getitem__)
@@ -348,17 +348,17 @@ def _gain(force: UnnamedEvidence | None) -> float:
     return float(np.logaddexp(np.log1p(-PRIOR), np.log(PRIOR) + min(force.evidence, force.cross_validated)))
 
 
-def _generalising(found: Found) -> tuple[list[Visited], bool]:
+def _generalising(found: Found) -> tuple[list[Scored], bool]:
     """Return the allowed sets that do not fail on held-out data, and whether the best set does not fail."""
     held, plain = found.held, white(found.noise)
 
-    def errors(visited: Visited) -> Array:
+    def errors(visited: Scored) -> Array:
         phased, _ = in_phase(held, visited.fit, found.problem.records)
         return window_errors(phased, held_out_fit(phased, visited.fit, plain))
 
     refitted = errors(found.empty)
-    left: list[Visited] = []
-    failed: list[Visited] = []
+    left: list[Scored] = []
+    failed: list[Scored] = []
     for visited in (v for v in found.sets if v.allowed):
         judged = visited.key and len(left) < MOST_WEIGHED
         (failed if judged and clearly_larger(errors(visited), refitted) else left).append(visited)
@@ -366,36 +366,36 @@ def _generalising(found: Found) -> tuple[list[Visited], bool]:
     return left, not ahead or bool(left[0].key)
 
 
-def _changes(best: Visited, others: Iterable[Visited]) -> Iterator[tuple[Visited, list[Candidate], list[Candidate]]]:
+def _changes(best: Scored, others: Iterable[Scored]) -> Iterator[tuple[Scored, list[Candidate], list[Candidate]]]:
     """Yield each set with the effects that it lacks of the best, and those that the best lacks."""
     for other in others:
-        gone = [c for c in best.fit.hypothesis.candidates if c.key not in other.key]
-        yield other, gone, [c for c in other.fit.hypothesis.candidates if c.key not in best.key]
+        out = [c for c in best.fit.hypothesis.candidates if c.key not in other.key]
+        yield other, out, [c for c in other.fit.hypothesis.candidates if c.key not in best.key]
 
 
-def _lessened(best: Visited, others: Iterable[Visited]) -> list[Visited]:
+def _smaller(best: Scored, others: Iterable[Scored]) -> list[Scored]:
     """Return sets with one effect less, or with the effect that one of them refines in its place."""
     found = []
-    for other, gone, come in _changes(best, others):
-        if len(gone) == 1 and all(c.site == gone[0].site and c.effect.id == gone[0].effect.refines for c in come):
+    for other, out, new in _changes(best, others):
+        if len(out) == 1 and all(c.site == out[0].site and c.effect.id == out[0].effect.refines for c in new):
             found.append(other)
     return found
 
 
-def _exchanged(best: Visited, others: Iterable[Visited]) -> list[Visited]:
+def _exchanged(best: Scored, others: Iterable[Scored]) -> list[Scored]:
     """Return sets with one effect replaced by an unrelated one: neither refines the other or a common effect."""
     found = []
-    for other, gone, come in _changes(best, others):
-        if len(gone) != 1 or len(come) != 1:
+    for other, out, new in _changes(best, others):
+        if len(out) != 1 or len(new) != 1:
             continue
-        of_these = come[0].effect.refines in (gone[0].effect.id, gone[0].effect.refines or "-")
-        plain = come[0].effect.id == gone[0].effect.refines
-        if not ((of_these or plain) and come[0].site == gone[0].site):
+        of_these = new[0].effect.refines in (out[0].effect.id, out[0].effect.refines or "-")
+        plain = new[0].effect.id == out[0].effect.refines
+        if not ((of_these or plain) and new[0].site == out[0].site):
             found.append(other)
     return found
 
 
-def _collected(sets: Sequence[Weighed], sure: float, twins: set[Key]) -> list[Weighed]:
+def _collected(sets: Sequence[Weighted], sure: float, twins: set[Key]) -> list[Weighted]:
     """Return the smallest collection with this probability, and the twins of the best."""
     total, found = 0.0, []
     for entry in sets:

@@ -23,15 +23,15 @@ from robustlab.identification.hypotheses.effect_fit import (
 )
 from robustlab.identification.hypotheses.noise import (
     as_fitted,
-    careful,
     first_noise,
     in_phase,
     least_squares,
     noise_ratio,
     whitening,
+    widened,
 )
 from robustlab.identification.hypotheses.unnamed_force import SINGULAR, UnnamedEvidence, fitted_windows, unnamed_force
-from robustlab.identification.naming.moves import KEPT, extended, may_follow, promising, without
+from robustlab.identification.naming.moves import KEPT, extended, may_be_added, promising, without
 
 BEAM = 4  # sets kept for a new noise model, and expanded
 ROUGH = 6  # iterations before the noise is known, to find the best set only
@@ -40,12 +40,12 @@ CLOCK_SHARE = 0.25  # of a sample: standard deviation of an input's shift
 MOST_STEPS = 4  # per sample: more would resolve stiffer contacts and take more time
 STEP_ERROR = 0.1  # of the noise: largest change of a residual by halved steps
 MOST_EFFECTS = 4
-IN_ONE_PIECE = 3.0  # scatter of the windows over that of independent errors, from which an effect is missing
+CORRELATED = 3.0  # scatter of the windows over that of independent errors, from which an effect is missing
 MOST_EXPANSIONS = 12  # expanded sets of an unfinished search
 MOST_WORK = 240_000_000  # simulation steps of an unfinished search
 PRIOR_EFFECT = 0.02  # of an effect at a place
 PRIOR_REFINEMENT = 0.1  # of a refinement, over that of the refined effect
-LOOKED_ELSEWHERE = 200.0  # number of candidate periods of a ripple
+CANDIDATE_PERIODS = 200.0  # number of candidate periods of a ripple
 
 
 def clock_nuisances(inputs: tuple[str, ...], dt: float) -> tuple[Nuisance, ...]:
@@ -86,7 +86,7 @@ Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Visited:
+class Scored:
     """A fitted set of effects."""
 
     fit: Fit  # under the noise model of the search
@@ -108,8 +108,8 @@ class Visited:
 class Found:
     """Result of the search."""
 
-    sets: tuple[Visited, ...]  # all evaluated ones, the most probable first
-    empty: Visited  # the set without effects: the nominal model within its tolerances
+    sets: tuple[Scored, ...]  # all evaluated ones, the most probable first
+    empty: Scored  # the set without effects: the nominal model within its tolerances
     noise: NoiseModel  # of the best set
     expanded: int  # number of expanded sets
     settled: bool  # False if the work limit ended the search
@@ -119,7 +119,7 @@ class Found:
     held: Problem
 
     @property
-    def best(self) -> Visited:
+    def best(self) -> Scored:
         return self.sets[0]
 
 
@@ -134,7 +134,7 @@ def log_prior(hypothesis: Hypothesis) -> float:
         if candidate.effect.refines:
             total += math.log(PRIOR_REFINEMENT)
         if candidate.effect.spatial and candidate.scales.orders:
-            total -= math.log(LOOKED_ELSEWHERE)
+            total -= math.log(CANDIDATE_PERIODS)
     return total
 
 
@@ -166,23 +166,23 @@ class _Search:
     pool: Sequence[Candidate]
     allowed: Allowed
     progress: Progress
-    visited: dict[Key, Visited] = field(default_factory=dict)
+    visited: dict[Key, Scored] = field(default_factory=dict)
     expanded: set[Key] = field(default_factory=set)
     reduced: set[Fit] = field(default_factory=set)  # fits from which smaller sets were fitted
     examined: set[Key] = field(default_factory=set)  # sets whose residual was searched for lines
     distances: dict[tuple[Fit, Fit], float] = field(default_factory=dict)
     expansions: int = 0
     noise: NoiseModel = field(init=False)
-    sharpened: bool = False
+    noise_known: bool = False
 
     def run(self) -> Found:
         self.noise = first_noise(self.problem)
         z = np.zeros(len(self.problem.nuisances))
-        self._visit(self.problem.fit(Hypothesis(()), self.noise, z, plan=FitPlan(tuning.BASE)))
+        self._keep(self.problem.fit(Hypothesis(()), self.noise, z, plan=FitPlan(tuning.BASE)))
         interrupted = settled = False
         try:
             self._expand(Key())
-            self._sharpen()
+            self._update_noise()
             while self.expansions < MOST_EXPANSIONS and sum(self.problem.work) < MOST_WORK:
                 best = self._confirmed()
                 self._reduce(best.fit)
@@ -193,7 +193,7 @@ class _Search:
                         break
                     self._expand(key)
                 if self._confirmed().key != best.key:
-                    self._sharpen()
+                    self._update_noise()
         except KeyboardInterrupt:
             interrupted = True
         order = tuple(sorted(self.visited.values(), key=lambda v: (v.allowed, v.evidence), reverse=True))
@@ -201,13 +201,13 @@ class _Search:
         return Found(order, empty, self.noise, self.expansions, settled, interrupted, self.problem, self.held)
 
     @property
-    def best(self) -> Visited:
+    def best(self) -> Scored:
         return max((v for v in self.visited.values() if v.allowed), key=lambda v: v.evidence)
 
-    def _confirmed(self) -> Visited:
+    def _confirmed(self) -> Scored:
         """Return the best set without effects whose presence the records cannot confirm."""
         best = self.best
-        while self.sharpened:
+        while self.noise_known:
             less = [v for k, v in self.visited.items() if k < best.key and len(k) == len(best.key) - 1 and v.allowed]
             less = [v for v in less if best.evidence - v.evidence < tuning.FAR_BEHIND and not self._distinct(best, v)]
             if not less:
@@ -215,7 +215,7 @@ class _Search:
             best = max(less, key=lambda v: v.evidence)
         return best
 
-    def _distinct(self, one: Visited, other: Visited) -> bool:
+    def _distinct(self, one: Scored, other: Scored) -> bool:
         """Return whether the records distinguish a set from a smaller one, or outweigh the smaller one's prior."""
         if one.evidence < other.evidence:
             return False
@@ -233,7 +233,7 @@ class _Search:
             order = self._ordered(k for k in self.visited if k < best.key and len(best.key) - len(k) <= 2)
             order.insert(len(order) if len(best.key) > 1 else 0, best.key)
             # If the errors are correlated, an effect is missing and the order of the sets has little weight.
-            if self.noise.excess > IN_ONE_PIECE:
+            if self.noise.excess > CORRELATED:
                 near = (k for k, v in self.visited.items() if v.allowed and len(k) <= len(best.key))
                 order += self._ordered(near)[:BEAM]
             key = next((k for k in order if k not in self.expanded and len(k) < MOST_EFFECTS), None)
@@ -275,13 +275,13 @@ class _Search:
         _, values = self.problem.split(fit.hypothesis, fit.z)
         for k, (there, own) in enumerate(zip(fit.hypothesis.candidates, values, strict=True)):
             rest, z = without(self.problem, fit, k)
-            self._visit(self.problem.fit(rest, self.noise, z, fit.starts, FitPlan(tuning.LAST)))
+            self._keep(self.problem.fit(rest, self.noise, z, fit.starts, FitPlan(tuning.LAST)))
             for plain in self.pool:
                 if plain.effect.id == there.effect.refines and plain.site == there.site:
                     start = {**plain.starts[0], **there.effect.unrefined(own)}
                     start = {name: start[name] for name in plain.starts[0]}
                     simpler = extended(self.problem, rest, z, plain, start)
-                    self._visit(self.problem.fit(simpler[0], self.noise, simpler[1], fit.starts, FitPlan(tuning.FULL)))
+                    self._keep(self.problem.fit(simpler[0], self.noise, simpler[1], fit.starts, FitPlan(tuning.FULL)))
 
     def _expand(self, key: Key) -> None:
         """Fit the most promising effects on top of a set."""
@@ -293,12 +293,12 @@ class _Search:
 
         # A set with a larger V is neither promising nor near the best set.
         ceiling = min(base.cost - 2.0 * PROMISING, best.cost + 2.0 * tuning.FAR_BEHIND)
-        pool = [c for c in self.pool if may_follow(c, base.hypothesis)]
+        pool = [c for c in self.pool if may_be_added(c, base.hypothesis)]
         starts = promising(self.problem, base, pool, base.cost - ceiling, report)
         for done, start in enumerate(starts, 1):
             most = np.inf if start.candidate.effect.gain_like else ceiling
-            plan = FitPlan(tuning.FULL if self.sharpened else ROUGH, 0.05, ceiling=most)
-            self._visit(self.problem.fit(start.hypothesis, self.noise, start.z, base.starts, plan))
+            plan = FitPlan(tuning.FULL if self.noise_known else ROUGH, 0.05, ceiling=most)
+            self._keep(self.problem.fit(start.hypothesis, self.noise, start.z, base.starts, plan))
             self.progress(done, len(starts), f"full fits of what could be added to {text}")
         self.expanded.add(key)
         self.expansions += 1
@@ -306,48 +306,48 @@ class _Search:
         for there in [v for v in self.visited.values() if not v.allowed and v.evidence > self.best.evidence]:
             self._reduce(there.fit)
 
-    def _visit(self, fit: Fit) -> None:
+    def _keep(self, fit: Fit) -> None:
         """Evaluate a fit, and keep it if it is the better one of its set."""
         # One set covers ripples of several periods: an allowed one takes precedence.
         key = key_of(fit.hypothesis)
         there = self.visited.get(key)
         if there is not None and there.allowed and fit.evidence <= there.fit.evidence:
             return
-        judged = self._judged(fit)
+        judged = self._scored(fit)
         same = there is None or set(there.fit.hypothesis.candidates) == set(fit.hypothesis.candidates)
         if there is None or (same or judged.allowed, fit.evidence) > (same or there.allowed, there.fit.evidence):
             self.visited[key] = judged
 
-    def _judged(self, fit: Fit) -> Visited:
+    def _scored(self, fit: Fit) -> Scored:
         held, price = in_phase(self.held, fit, self.problem.records)
         seen = as_fitted(held, fit, self.noise)
-        return Visited(fit, log_prior(fit.hypothesis), seen - price, self.allowed(self.problem, fit))
+        return Scored(fit, log_prior(fit.hypothesis), seen - price, self.allowed(self.problem, fit))
 
     def _white(self, fit: Fit) -> bool:
         """Return whether a fit's errors are as large as its noise model predicts."""
         points = sum(e[np.isfinite(e)].size for e in self.problem.errors(fit.hypothesis, fit.z, fit.starts))
         return 0.8 < fit.cost * fit.noise.excess / points < 1.25
 
-    def _sharpen(self) -> None:
+    def _update_noise(self) -> None:
         """Take the noise from the best set, refit the best sets under it, and drop the rest."""
-        leader = self._freed(self._confirmed().fit)
-        if self.sharpened and leader is self._confirmed().fit and self._white(leader):
+        leader = self._out_of_minimum(self._confirmed().fit)
+        if self.noise_known and leader is self._confirmed().fit and self._white(leader):
             return
         self.progress(0, 0, "the noise that the best set leaves, and the sets that may matter under it")
-        self.sharpened = True
+        self.noise_known = True
         self.noise = self._noise_of(leader)
-        leader, self.problem = held_inputs(self.problem, self._again(leader))
+        leader, self.problem = held_inputs(self.problem, self._refitted_set(leader))
         self.problem = short_steps(self.problem, leader)
         self.held = self.held.under(self.problem.clock)
-        leader = self._again(leader)
+        leader = self._refitted_set(leader)
         self.noise = self._noise_of(leader)
         ordered = sorted(self.visited.values(), key=lambda v: (v.allowed, v.evidence), reverse=True)[:BEAM]
         kept = {v.key: v.fit for v in ordered} | {Key(): self.visited[Key()].fit, key_of(leader.hypothesis): leader}
         # In one assignment, since the user may interrupt the search at any time.
-        self.visited = {key: self._judged(self._again(fit)) for key, fit in kept.items()}
+        self.visited = {key: self._scored(self._refitted_set(fit)) for key, fit in kept.items()}
         self.expanded = set()
 
-    def _freed(self, fit: Fit) -> Fit:
+    def _out_of_minimum(self, fit: Fit) -> Fit:
         """Return the fit, or the least-squares fit from there if the errors exceed noise and it reduces them."""
         # Coloured noise from a wrong minimum keeps a fit there.
         if noise_ratio(self.problem, fit) < tuning.MOST_NOISE:
@@ -358,8 +358,8 @@ class _Search:
     def _noise_of(self, fit: Fit) -> NoiseModel:
         """Return the noise model that whitens a fit's errors, of first order if they are far beyond sensor noise."""
         near = noise_ratio(self.problem, fit) < tuning.BEYOND_NOISE
-        return careful(self.problem, fit, whitening(self.problem, fit, tuning.AR_ORDER if near else 1))
+        return widened(self.problem, fit, whitening(self.problem, fit, tuning.AR_ORDER if near else 1))
 
-    def _again(self, fit: Fit) -> Fit:
+    def _refitted_set(self, fit: Fit) -> Fit:
         """Refit the set under the present noise and clock."""
         return self.problem.fit(fit.hypothesis, self.noise, fit.z, fit.starts, FitPlan(tuning.FULL, 0.05))
