@@ -11,7 +11,7 @@ from scipy.ndimage import median_filter
 
 from robustlab.arrays import Array, Mask
 from robustlab.dynamics.effects.catalogue import catalogue
-from robustlab.dynamics.effects.contract import Effect, Scales, Site
+from robustlab.dynamics.effects.contract import Scales, Site
 from robustlab.dynamics.parameters import tolerance_of
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, parameter_groups
@@ -46,7 +46,8 @@ def candidates(plant: AnyPlant, model: PortModel, records: Sequence[PreparedReco
                 continue
             if site not in known:
                 known[site] = _scales(site, plant, model, records)
-            found.extend(_at(effect, site, known[site]))
+            for scales in effect.variants(known[site]):
+                found.append(Candidate(effect, site, effect.parameters(scales), effect.starts(scales), scales))
     return found
 
 
@@ -67,10 +68,6 @@ def _with_observable_positions(model: PortModel, records: Sequence[PreparedRecor
         seen = q is not None and float(np.linalg.norm(q - span.T @ (span @ q))) < 1e-3 * float(np.linalg.norm(q))
         ports[name] = port if seen else replace(port, position=None, position_unit="")
     return replace(model, ports=ports)
-
-
-def _at(effect: Effect, site: Site, scales: Scales) -> list[Candidate]:
-    return [Candidate(effect, site, effect.parameters(s), effect.starts(s), s) for s in effect.variants(scales)]
 
 
 def _scales(site: Site, plant: AnyPlant, model: PortModel, records: Sequence[PreparedRecord]) -> Scales:

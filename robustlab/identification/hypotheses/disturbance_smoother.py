@@ -121,10 +121,6 @@ class _Task:
     def m(self) -> int:
         return self.ports.shape[1]
 
-    def span(self) -> tuple[float, float]:
-        """Return the logarithms of the lowest and highest bandwidth in Hz that a record of this length determines."""
-        return math.log(0.2 / (self.h * len(self.t))), math.log(HIGHEST / self.h)
-
 
 class _Choice(NamedTuple):
     """Logarithms of the bandwidths, noise of the outputs, and their log-likelihood."""
@@ -278,26 +274,21 @@ def _filter(task: _Task, log_bandwidth: Array, sigma: Array) -> Filter:
     return Filter(task.phi, root, task.forced, task.H, np.array(sigma), np.diag(task.start))
 
 
-def _filtered(task: _Task, log_bandwidth: Array, sigma: Array) -> tuple[float, float, float]:
-    """Return sums of log variance and squared innovation, and their number."""
-    from robustlab.identification.hypotheses.smoother_kernels import Kept, forward
-
-    return forward(_filter(task, log_bandwidth, sigma), task.y, False, Kept.of(0, len(task.phi)))
-
-
 def _maximised(task: _Task, given: Array | None, known: bool, sigma: Array) -> _Choice:
     """Maximise the likelihood over bandwidths and, unless the noise is known, noise ratios and a common factor."""
     from scipy.optimize import minimize
 
+    from robustlab.identification.hypotheses.smoother_kernels import Kept, forward
+
     n_width, n_ratio = task.m if given is None else 0, 0 if known else task.model.n_outputs - 1
-    low, high = task.span()
+    low, high = math.log(0.2 / (task.h * len(task.t))), math.log(HIGHEST / task.h)  # of bandwidths in Hz
     best = _Choice(np.zeros(task.m), sigma, -np.inf)
 
     def cost(point: Array) -> float:
         nonlocal best
         width = np.clip(point[:n_width], low, high) if given is None else given
         noise = sigma * np.exp(np.clip(np.concatenate([[0.0], point[n_width:]]), -12.0, 12.0)) if n_ratio else sigma
-        logs, squares, count = _filtered(task, width, noise)
+        logs, squares, count = forward(_filter(task, width, noise), task.y, False, Kept.of(0, len(task.phi)))
         scale = 1.0 if known else math.sqrt(squares / count)
         value = -0.5 * (logs + (squares if known else count * (2.0 * math.log(scale) + 1.0)))
         if value > best.log_likelihood:

@@ -236,14 +236,6 @@ class Linearised:
         return Reduced(0.5 * (hessian + hessian.T), gradient, offset, slope)
 
 
-def damped(reduced: Sequence[Reduced], parts: Sequence[Linearised], damping: float, precision: Array) -> Array:
-    """Return the Hessian of V / 2 over z with the precision of the prior and the damping."""
-    hessian = precision + sum(r.hessian for r in reduced)
-    own = np.diag(precision) + sum(np.diag(p.jj) for p in parts)
-    hessian[np.diag_indices(len(hessian))] += damping * own
-    return hessian
-
-
 def sandwich(parts: Sequence[Linearised], hessian: Array) -> Array:
     """Return the covariance of z from the scatter of the windows' gradients, valid under any noise."""
     scores = np.concatenate([p.scores - np.einsum("wxz,wx->wz", p.xj, p.reduced(0.0).offset) for p in parts])
@@ -556,8 +548,10 @@ class Problem:
         reduced = [p.reduced(damping) for p in parts]
         dz = np.zeros_like(z)
         if not fixed:
-            equations = damped(reduced, parts, damping, prior.precision)
-            dz = -np.linalg.solve(equations, prior.gradient(z) + sum(r.gradient for r in reduced))
+            hessian = prior.precision + sum(r.hessian for r in reduced)
+            diagonal = np.diag(prior.precision) + sum(np.diag(p.jj) for p in parts)
+            hessian[np.diag_indices(len(hessian))] += damping * diagonal
+            dz = -np.linalg.solve(hessian, prior.gradient(z) + sum(r.gradient for r in reduced))
             dz = self._within(z + np.clip(dz, -LONGEST_STEP, LONGEST_STEP)) - z
         return dz, [-r.offset - r.slope @ dz for r in reduced]
 

@@ -177,7 +177,9 @@ def prepare(
     measured = np.isfinite(y[:, own])
     known, lost = np.asarray(measured.all(axis=1)), np.asarray(~measured.any(axis=1))
     stretches = _between_gaps(lost, LONGEST_GUESS)
-    starts = [s for first, last in stretches for s in range(_lead(first, last, length), last - length + 1, length)]
+    # Remaining samples are skipped at the beginning, where a plant with a delay responds to the time before.
+    leads = [(a + min((b - a) % length, length // 20), b) for a, b in stretches]
+    starts = [s for first, last in leads for s in range(first, last - length + 1, length)]
     usable = [s for s in starts if known[s : s + length].mean() > 0.5]
     if len(usable) < tuning.FEWEST_WINDOWS:
         raise InputError(
@@ -313,12 +315,6 @@ def _smoothed(
     kinds = [(bare, u), (StateSpaceModel(bare.A, b, bare.C, d), inputs)]
     found = [(smooth_disturbance(model, push, t, seen, y), model, seen) for model, seen in kinds]
     return max(found, key=lambda f: f[0].log_likelihood)
-
-
-def _lead(first: int, last: int, length: int) -> int:
-    """Return the first sample of the first window of a stretch."""
-    # The remaining samples are skipped at the beginning, where a plant with a delay responds to the time before.
-    return first + min((last - first) % length, length // 20)
 
 
 def start_std(smoothed: SmoothedRecord, windows: Windows) -> Array:

@@ -175,12 +175,10 @@ def _shifts(problem: Problem, fit: Fit, simulator: Simulator, pulses: int) -> bo
         return False
     values = problem.setting(fit.hypothesis, fit.z).values
     effects = zip(simulator.effects[:-pulses], values, strict=True)
-    return not any(_maps(effect, site, v) or effect.laws(site, v) for (effect, site), v in effects)
-
-
-def _maps(effect: Effect, site: Site, values: Mapping[str, float]) -> bool:
-    """Return whether the effect changes an output."""
-    return site.kind == "output" and not (effect.delay and values[effect.delay] == 0.0)
+    return not any(
+        (site.kind == "output" and not (effect.delay and v[effect.delay] == 0.0)) or effect.laws(site, v)
+        for (effect, site), v in effects
+    )
 
 
 def _motion(problem: Problem, fit: Fit, place: Site, k: int) -> PortMotion:

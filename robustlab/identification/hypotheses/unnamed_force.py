@@ -46,11 +46,6 @@ class Family(NamedTuple):
     wave: float = 0.0
 
 
-def families(windows: FittedWindows) -> list[Family]:
-    """Return all families of residual forces for these windows."""
-    return [*_smooth(windows), *_lines(windows)]
-
-
 def _signed(x: Array) -> Array:
     """Return odd and even functions of x in -1..1, some of them sharp at zero: (n, 10)."""
     sharp, near = np.tanh(x / SHARP), np.exp(-np.abs(x) / 0.1)
@@ -239,7 +234,7 @@ def fitted_windows(problem: Problem, fit: Fit) -> tuple[tuple[FittedWindows, Sit
 
 def unnamed_force(windows: FittedWindows, place: Site) -> Unnamed:
     """Examine the residual of a hypothesis as a force at one place."""
-    kinds = families(windows)
+    kinds = [*_smooth(windows), *_lines(windows)]
     best = [judged(windows, family, len(kinds)) for family in kinds]
     forces = [_evidence(place, f, b) for f, b in zip(kinds, best, strict=True)]
     order = sorted(range(len(forces)), key=lambda k: (not forces[k].wins, -forces[k].evidence))

@@ -405,7 +405,8 @@ def _named(
     return NamedEffect(
         effect.id, effect.title, effect.equation, candidate.site.name,
         _opened_above(found.problem, fit, k, _effect_values(found.problem, fit, k)),
-        posterior.of_effect(candidate.key), posterior.best.visited.evidence - less.evidence,
+        float(min(1.0, sum(w.probability for w in posterior.sets if candidate.key in w.key))),
+        posterior.best.visited.evidence - less.evidence,
         tuple(dict.fromkeys(a.candidate.effect.id for a in own)),
         tested[candidate.key].error_without if candidate.key in tested else np.nan,
     )  # fmt: skip

@@ -310,12 +310,8 @@ def _sure_titles(d: Any) -> list[str]:
 def kind_words(kind: NamedKind) -> str:
     """Return probability, quantities and possible forms of a class whose form is open."""
     values = [f"{v.name} {with_interval(v)}" for v in kind.values]
-    return "; ".join([chance(kind.probability), *values, f"its form is {kind.open_form}: {_shares(kind)}"])
-
-
-def _shares(kind: NamedKind) -> str:
-    shown = [f"{_small_first(m.title)} {chance(m.share)}" for m in kind.members if m.share >= 0.01]
-    return ", ".join(shown[:SHOWN_SETS])
+    shares = [f"{_small_first(m.title)} {chance(m.share)}" for m in kind.members if m.share >= 0.01][:SHOWN_SETS]
+    return "; ".join([chance(kind.probability), *values, f"its form is {kind.open_form}: {', '.join(shares)}"])
 
 
 def _three_errors(gaps: Mapping[str, Gap], named: Iterable[NamedEffect] | None = None) -> str:

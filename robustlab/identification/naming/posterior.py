@@ -100,10 +100,6 @@ class Posterior:
     def best(self) -> Weighted:
         return self.sets[0]
 
-    def of_effect(self, key: str) -> float:
-        """Return the probability of all sets that contain the effect."""
-        return float(min(1.0, sum(w.probability for w in self.sets if key in w.key)))
-
     def alternatives(self) -> list[Alternative]:
         """Return the effects of the collection that the best set lacks, each once."""
         here = {c.key: c for c in self.best.fit.hypothesis.candidates}
@@ -157,9 +153,10 @@ def weigh(found: Found) -> Posterior:
     # If the error is far beyond the sensor noise, a random force predicts the next sample better than any law: then the
     # simulated windows determine the evidence, and the force only shows whether something remains.
     near = noise_ratio(problem, ordered[0].fit) < tuning.BEYOND_NOISE
-    looked = _contenders(ordered) if near else []
+    best = [v for v in ordered if ordered[0].evidence - v.evidence < tuning.FAR_BEHIND][:MOST_WEIGHED] if near else []
+    best += [v for v in ordered if near and not v.key and v not in best]
     weights = _with_plausible_force(
-        {v.key: weight for v in looked if (weight := _weight(found, v)) is not None}, tuning.MOST_RANDOM
+        {v.key: weight for v in best if (weight := _weight(found, v)) is not None}, tuning.MOST_RANDOM
     )
     evidence = {v.key: v.evidence for v in ordered}
     if ordered[0].key in weights:
@@ -298,12 +295,6 @@ def _misjudges(visited: Scored, key: Key, label: str) -> bool:
     """Return whether a set has this key and one effect more, on the parameters of this label."""
     more = [c.site for c in visited.fit.hypothesis.candidates if c.key not in key]
     return key < visited.key and len(more) == 1 and more[0].kind == "parameter" and more[0].name == label
-
-
-def _contenders(ordered: Sequence[Scored]) -> list[Scored]:
-    """Return the sets to evaluate under a random force: the best ones, and the empty one."""
-    near = [v for v in ordered if ordered[0].evidence - v.evidence < tuning.FAR_BEHIND][:MOST_WEIGHED]
-    return near + [v for v in ordered if not v.key and v not in near]
 
 
 def _weight(found: Found, visited: Scored) -> _Weight | None:
