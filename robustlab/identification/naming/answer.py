@@ -153,7 +153,7 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
     judged = _Judgement(verdict, left.complete and verdict != "unknown")
     findings = [*case.findings, *_search_findings(found)]
     if named:
-        judged = _on_held_out(judged, gaps, bool(at_limits(problem, bare)), tuning.MATERIAL)
+        judged = _on_held_out(judged, gaps, bool(at_limits(problem, bare)))
     if refuted := bool(named) and gaps.worse_than_given:
         findings.append(_refuted(fit, gaps))
         fit = bare  # the refuted effects are not reported
@@ -278,14 +278,14 @@ def _doubtful(kinds: Kinds, fit: Fit) -> frozenset[str]:
     return frozenset(c.key for c in own if c.key not in kinds.ignored and kinds.sure_kind(c) is None)
 
 
-def _on_held_out(judged: _Judgement, gaps: Gaps, beyond: bool, material: float) -> _Judgement:
+def _on_held_out(judged: _Judgement, gaps: Gaps, beyond: bool) -> _Judgement:
     """Revise the judgement by the errors on held-out data."""
     # A refit ``beyond`` its tolerances imitates the effects by its parameters: it refutes them only if its error
-    # is smaller by the share ``material``.
+    # is smaller by the share `MATERIAL`.
     if gaps.worse_than_given:
         return _Judgement("unknown", False)
     updated, refitted = (overall(gaps.windows, model) for model in ("updated", "refitted"))
-    if beyond and updated <= (1.0 + material) * refitted:
+    if beyond and updated <= (1.0 + tuning.MATERIAL) * refitted:
         return judged
     if gaps.worse:
         return judged._replace(verdict="unknown", complete=False)

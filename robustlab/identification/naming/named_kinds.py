@@ -7,7 +7,6 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -130,15 +129,15 @@ class Kinds:
                     found.setdefault(c.key, c)
         return list(found.values())
 
-    def named(self, problem: Problem, remains: bool = False) -> tuple[NamedKind, ...]:
+    def named(self, problem: Problem, remains: bool) -> tuple[NamedKind, ...]:
         """Return the sure classes in order of the best set's effects; ``remains``: more than noise is unexplained."""
         nodes = dict.fromkeys(
             node for entry in self.posterior.sets for c in entry.fit.hypothesis.candidates
             if c.key not in self.ignored and (node := self.sure_kind(c)) is not None
         )  # fmt: skip
-        return tuple(replace(self._named(problem, *node), misfit=remains or self.posterior.coarse) for node in nodes)
+        return tuple(self._named(problem, *node, remains or self.posterior.coarse) for node in nodes)
 
-    def _named(self, problem: Problem, kind: str, place: str) -> NamedKind:
+    def _named(self, problem: Problem, kind: str, place: str, misfit: bool) -> NamedKind:
         holding = [(w, own) for w in self.posterior.sets if (own := self._members(w, kind, place))]
         shares: dict[str, float] = defaultdict(float)
         sites: dict[str, Candidate] = {}
@@ -157,7 +156,7 @@ class Kinds:
         values = [v for name in KINDS[kind].quantities if (v := _mixture(name, parts)) is not None]
         return NamedKind(
             kind, KINDS[kind].title, place, min(1.0, self.probability[kind, place]), tuple(values), members,
-            KINDS[kind].form,
+            KINDS[kind].form, misfit,
         )  # fmt: skip
 
     def _members(self, entry: Weighted, kind: str, place: str) -> list[int]:
