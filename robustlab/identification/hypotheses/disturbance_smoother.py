@@ -252,7 +252,6 @@ def _prior(wide: StateSpaceModel, phi: Array, forced: Array, y: Array) -> Array:
 
 
 def _intensities(task: _Task, log_bandwidth: Array, sigma: Array) -> Array:
-    """Return the intensities q_j of bandwidths in Hz."""
     omega = 2 * np.pi * np.exp(log_bandwidth)
     q, n_x = np.empty(task.m), task.model.n_states
     for j in range(task.m):
@@ -307,7 +306,6 @@ def _maximised(task: _Task, given: Array | None, known: bool, sigma: Array) -> _
 
 
 def _smoothed(task: _Task, choice: _Choice) -> tuple[Array, Array]:
-    """Return mean and covariance of states and forces at each sample."""
     from robustlab.identification.hypotheses.smoother_kernels import Kept, backward, forward
 
     n, n_z = len(task.t), len(task.phi)

@@ -111,11 +111,9 @@ class Candidate:
         return f"{self.effect.id} @ {self.site.name}"
 
     def values(self, z: Array) -> dict[str, float]:
-        """Return the parameter values of the standardised z."""
         return {p.name: p.prior.value(float(v)) for p, v in zip(self.parameters, z, strict=True)}
 
     def standardised(self, values: Mapping[str, float]) -> Array:
-        """Return the standardised z of the values."""
         return np.array([p.prior.standardised(values[p.name]) for p in self.parameters])
 
 
@@ -299,11 +297,9 @@ class Problem:
         self.chosen = tuple(chosen) if chosen is not None else tuple(np.arange(r.count) for r in records)
 
     def on(self, records: Sequence[PreparedRecord], chosen: Sequence[Indices] | None = None) -> Problem:
-        """Return the problem over other records or windows."""
         return Problem(self.plant, records, self.nuisances, chosen, self.clock, self.work)
 
     def under(self, clock: Clock) -> Problem:
-        """Return the problem with another clock."""
         return Problem(self.plant, self.records, self.nuisances, self.chosen, clock, self.work)
 
     # --- parameters --------------------------------------------------------------------------------------------------
@@ -351,13 +347,11 @@ class Problem:
         return Setting(factors, left, tuple(s + shared for s in shift))
 
     def size(self, hypothesis: Hypothesis) -> int:
-        """Return the number of standardised parameters."""
         return len(self.nuisances) + sum(len(c.parameters) for c in hypothesis.candidates)
 
     # --- residuals ---------------------------------------------------------------------------------------------------
 
     def simulators(self, hypothesis: Hypothesis) -> list[Simulator]:
-        """Return one simulator per record."""
         effects = [(c.effect, c.site) for c in hypothesis.candidates]
         sub, hold, rough = self.clock.sub, self.clock.hold, self.clock.rough
         return [
@@ -544,7 +538,6 @@ class Problem:
     def _step(
         self, z: Array, prior: Prior, parts: Sequence[Linearised], damping: float, fixed: bool
     ) -> tuple[Array, list[Array]]:
-        """Return the damped step of the parameters and of the initial states."""
         reduced = [p.reduced(damping) for p in parts]
         dz = np.zeros_like(z)
         if not fixed:

@@ -79,7 +79,6 @@ def _smooth(windows: FittedWindows) -> list[Family]:
 
 
 def _all(arrays: list[Array | None]) -> list[Array] | None:
-    """Return the arrays, or None if one is missing."""
     found = [a for a in arrays if a is not None]
     return found if len(found) == len(arrays) else None
 
@@ -107,7 +106,6 @@ def _curve(
 
 
 def _lines(windows: FittedWindows) -> list[Family]:
-    """Return the strongest lines over time and position."""
     records = windows.records
     clocks = [r.mean(windows.dt * np.arange(len(r.record.u))[:, None])[:, :, 0] for r in records]
     families = [

@@ -279,7 +279,6 @@ def _doubtful(kinds: Kinds, fit: Fit) -> frozenset[str]:
 
 
 def _on_held_out(judged: _Judgement, gaps: Gaps, beyond: bool) -> _Judgement:
-    """Revise the judgement by the errors on held-out data."""
     # A refit ``beyond`` its tolerances imitates the effects by its parameters: it refutes them only if its error
     # is smaller by the share `MATERIAL`.
     if gaps.worse_than_given:

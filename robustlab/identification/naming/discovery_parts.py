@@ -192,7 +192,6 @@ class SearchEntry(Evidence):
 
 
 def headline_of(d: Any) -> str:
-    """Return the verdict in one sentence."""
     early = "Interrupted; by then: " if d.interrupted else ""
     change = f"error on held-out data {_three_errors(d.gaps, d.effects)}"
     if d.free_run:
@@ -346,7 +345,6 @@ def _values(e: NamedEffect | Rival) -> list[str]:
 
 
 def _wave(effect: NamedEffect) -> list[str]:
-    """Return amplitude and period of a periodic effect."""
     values = {p.name: p.value for p in effect.parameters}
     amplitude = wave_amplitude(values)
     if amplitude is None or not values.get("k"):

@@ -160,7 +160,6 @@ class Kinds:
         )  # fmt: skip
 
     def _members(self, entry: Weighted, kind: str, place: str) -> list[int]:
-        """Return the indices of the set's effects of this class there."""
         own = enumerate(entry.fit.hypothesis.candidates)
         return [k for k, c in own if c.key not in self.ignored and (kind, place) in self.above(c)]
 

@@ -147,7 +147,6 @@ class _Weight:
 
 
 def weigh(found: Found) -> Posterior:
-    """Return the posterior over the evaluated sets."""
     problem = found.problem
     ordered, generalises = _generalising(found)
     # If the error is far beyond the sensor noise, a random force predicts the next sample better than any law: then the

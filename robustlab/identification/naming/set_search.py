@@ -361,5 +361,4 @@ class _Search:
         return widened(self.problem, fit, whitening(self.problem, fit, tuning.AR_ORDER if near else 1))
 
     def _refitted_set(self, fit: Fit) -> Fit:
-        """Refit the set under the present noise and clock."""
         return self.problem.fit(fit.hypothesis, self.noise, fit.z, fit.starts, FitPlan(tuning.FULL, 0.05))
