@@ -1,27 +1,24 @@
-"""Numbers of the naming of effects that several modules share; those of one stand there."""
+"""Constants that several modules of effect identification share."""
 
-AS_LARGE = 5e-3  # share by which errors differ that are called as large
+AS_LARGE = 5e-3  # relative difference below which two errors count as equal
 SHORTEST_WINDOW = 40  # samples
-FEWEST_WINDOWS = 4  # of a record that is taken at all
-# RMS deviation of a nonlinear plant as given from the recorded motion, over that motion's range, in a window: about
-# the motion it is linear, right to the square of this.
+FEWEST_WINDOWS = 4  # in a usable record
+# RMS deviation of the nominal nonlinear plant from the recorded motion in a window, over that motion's range: the
+# relative error of the linearisation is its square.
 MOST_DEVIATION = 0.03
-STEP = 2e-3  # of a standardised parameter, for differences
-START_STEP = 0.02  # of a window's start, for differences
-# Order of the autoregression that makes errors white where they are noise; where something is still missing, whose
-# small and fast part that would bring out, it is the first.
+STEP = 2e-3  # finite difference of a standardised parameter
+START_STEP = 0.02  # finite difference of a window's initial state
+# Order of the autoregression that whitens errors; 1 while an effect is missing: more would amplify its fast part.
 AR_ORDER = 3
-BEYOND_NOISE = 60.0  # times the sensors' noise: something is missing. A quiet machine's torque noise: < 25
-# Iterations of the fit of the model as given, which must be at its optimum, or whatever is added would seem to gain
-# what it still had to gain itself; of a set from which one effect was taken; of a full fit.
+BEYOND_NOISE = 60.0  # times the sensor noise: an effect is missing. Torque noise of a quiet machine: < 25
+# Iterations of the nominal fit (before its optimum, any addition seems to help), after removing an effect, and in full.
 BASE = 25
 LAST = 8
 FULL = 15
-LEAST_STEPS = 1  # a sample
-SURE = 0.95  # probability of a set from which it is named, and of the sets in an answer together
-CANNOT_TELL = 3.0  # refit distance in noise sigmas below which no test on these records tells two effects
-FAR_BEHIND = 40.0  # log evidence beyond which the distance is not worth its time
-MOST_NOISE = 1.5  # error over noise and random force, beyond which something systematic is missing
-MOST_RANDOM = 0.05  # of the force that moves a port: a random force beyond is no noise of a machine
-# Share of the error it leaves by which the error without a name is larger, or of the force that moves its joint.
-MATERIAL = 0.05
+LEAST_STEPS = 1  # per sample
+SURE = 0.95  # probability at which a set is named, and total probability of the sets in an answer
+CANNOT_TELL = 3.0  # refit distance in noise sigmas below which these records cannot distinguish two effects
+FAR_BEHIND = 40.0  # log evidence beyond which no refit distance is computed
+MOST_NOISE = 1.5  # error over noise and random force, beyond which a systematic error remains
+MOST_RANDOM = 0.05  # random force over the force that moves the port: a machine's noise is smaller
+MATERIAL = 0.05  # relative rise of the error without the effect, or share of its joint's force, that is relevant

@@ -1,1 +1,1 @@
-"""One hypothesis about what is missing: prepared records, admissible effects, the fit, and what it leaves."""
+"""Hypotheses on missing effects: prepared records, candidate effects, fits, and their residual force."""

@@ -1,4 +1,4 @@
-"""Effects that a plant and its records allow, where and at what magnitudes, and the parameters that are refitted."""
+"""Candidate effects of a plant and its records, with sites and magnitudes, and the refitted parameters."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy.ndimage import median_filter
 
 from robustlab.arrays import Array, Mask
 from robustlab.dynamics.effects.catalogue import catalogue
-from robustlab.dynamics.effects.contract import Effect, Scales, Site
+from robustlab.dynamics.effects.contract import Scales, Site
 from robustlab.dynamics.parameters import tolerance_of
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, parameter_groups
@@ -20,22 +20,22 @@ from robustlab.errors import InputError, did_you_mean
 from robustlab.identification.hypotheses.effect_fit import UNIFORM, Candidate, Nuisance
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
 
-SPATIAL_LINES = 3  # tried of a force over the position: more find weaker ripples, each costs fits
-FINEST_LINES = 1500  # per range of the position: finer ripples are not looked for
-LINE_P = 0.01  # probability by which a line of a force over time may be noise
-LINE_NEIGHBOURS = 40  # frequencies on either side of a line over time that say how high the noise is there
-# Independent ones among them that a mean would need to say it as well as their median does: a Hann taper joins one and
-# a half frequencies, and a median of exponential powers has 0.48 times the efficiency of their mean.
+SPATIAL_LINES = 3  # of a force over the position: more would show weaker ripples at the cost of further fits
+FINEST_LINES = 1500  # periods per range of the position, at most
+LINE_P = 0.01  # probability that a line of a force over time is noise
+LINE_NEIGHBOURS = 40  # frequencies on either side of a line over time that determine the noise level
+# Effective number of independent frequencies among them: a Hann taper correlates one and a half frequencies, and the
+# median of exponential powers has 0.48 times the efficiency of their mean.
 LINE_FREEDOM = 0.48 * (2 * LINE_NEIGHBOURS + 1) / 1.5
 FEWEST_PERIODS = 2.0  # of an effect over the position, in one stroke
 HOMING = 0.2  # of half the range of a position: standard deviation of its zero
-ASSUMED = 0.10  # relative tolerance of a parameter whose role no effect has, where the plant states none
+ASSUMED = 0.10  # default relative tolerance of a parameter whose role no effect has
 
 
 def candidates(plant: AnyPlant, model: PortModel, records: Sequence[PreparedRecord]) -> list[Candidate]:
-    """Every nameable effect of the catalogue at each of its sites, at the records' magnitudes."""
-    # An effect with a period over the position or time is given once for each strong line.
-    model = _with_told_positions(model, records)
+    """Return every nameable effect of the catalogue at each of its sites, at the records' magnitudes."""
+    # An effect with a period over the position or time appears once for each strong line.
+    model = _with_observable_positions(model, records)
     found = []
     known: dict[Site, Scales] = {}
     for effect in catalogue().values():
@@ -46,12 +46,13 @@ def candidates(plant: AnyPlant, model: PortModel, records: Sequence[PreparedReco
                 continue
             if site not in known:
                 known[site] = _scales(site, plant, model, records)
-            found.extend(_at(effect, site, known[site]))
+            for scales in effect.variants(known[site]):
+                found.append(Candidate(effect, site, effect.parameters(scales), effect.starts(scales), scales))
     return found
 
 
-def _with_told_positions(model: PortModel, records: Sequence[PreparedRecord]) -> PortModel:
-    """The model without positions that the recorded outputs do not determine: no effect may follow those."""
+def _with_observable_positions(model: PortModel, records: Sequence[PreparedRecord]) -> PortModel:
+    """Remove positions that the recorded outputs do not determine: no effect may depend on them."""
     if model.A.ndim > 2:
         return model
     c = model.C[list(records[0].columns)]
@@ -69,10 +70,6 @@ def _with_told_positions(model: PortModel, records: Sequence[PreparedRecord]) ->
     return replace(model, ports=ports)
 
 
-def _at(effect: Effect, site: Site, scales: Scales) -> list[Candidate]:
-    return [Candidate(effect, site, effect.parameters(s), effect.starts(s), s) for s in effect.variants(scales)]
-
-
 def _scales(site: Site, plant: AnyPlant, model: PortModel, records: Sequence[PreparedRecord]) -> Scales:
     dt, duration = records[0].record.dt, max(r.record.duration for r in records)
     if site.kind == "input":
@@ -84,7 +81,7 @@ def _scales(site: Site, plant: AnyPlant, model: PortModel, records: Sequence[Pre
         half = max(float(np.ptp(r.record.outputs[site.name])) for r in records) / 2.0
         orders, unit = _orders_at_output(plant, model, site, records), plant.outputs[k].unit
         found = Scales(dt=dt, duration=duration, output=half or 1.0, signal_unit=unit, orders=orders)
-        # Where the equations depend on positions, their zeros are found by homing, and a wrong one may be far off.
+        # If the equations depend on positions, their zeros come from homing, and a wrong one may be far off.
         return replace(found, zero=HOMING) if isinstance(plant, NonlinearPlant) and unit in ("rad", "m") else found
     if site.kind == "parameter":
         return Scales(dt=dt, duration=duration)
@@ -122,13 +119,13 @@ def _scales(site: Site, plant: AnyPlant, model: PortModel, records: Sequence[Pre
 
 
 def _port_motion(port: Port, record: PreparedRecord) -> tuple[Array, Array, Array, Array]:
-    """Position, velocity, unknown force and its standard deviation along a record."""
+    """Return position, velocity, unknown force and its standard deviation along a record."""
     s = record.smoothed
     v = s.x @ port.velocity
     q = s.x @ port.position if port.position is not None else np.zeros(len(v))
     # The smoother's forces are those of the joints, in the order of the ports; a current port has none.
     pushed = port.force.reshape(-1, port.force.shape[-1]).mean(axis=0)[: len(record.push)]
-    # Dual directions of the pushes, so that each one is seen by itself alone.
+    # Dual directions of the forces, so that each one responds to itself alone.
     j = int(np.argmax(np.abs(pushed @ np.linalg.pinv(record.push).T))) if record.push.shape[1] else 0
     return q, v, s.d[:, j], s.d_std[:, j]
 
@@ -136,7 +133,7 @@ def _port_motion(port: Port, record: PreparedRecord) -> tuple[Array, Array, Arra
 def _orders_at_output(
     plant: AnyPlant, model: PortModel, site: Site, records: Sequence[PreparedRecord]
 ) -> tuple[float, ...]:
-    """Lines of an encoder's eccentricity: those of the force at the joint whose position the output shows."""
+    """Return lines of an encoder's eccentricity: those of the force at the joint whose position it measures."""
     row = model.C[..., [s.name for s in plant.outputs].index(site.name), :].reshape(-1, model.C.shape[-1])[0]
     for port in model.ports.values():
         if port.position is not None and np.array_equal(row[: model.own] != 0, port.position != 0):
@@ -160,21 +157,21 @@ def _merged_orders(motion: Sequence[tuple[Array, Array, Array, Array]]) -> tuple
 
 
 def periods_seen(k: float, position: Array, records: Sequence[PreparedRecord]) -> float:
-    """Periods of a spatial frequency k in the longest stroke of the records, over the row ``position`` of states."""
-    # Below `FEWEST_PERIODS` a wave is a curve like any other: a spring, a stop or a load makes it as well.
+    """Return the periods of a spatial frequency k in the longest stroke; ``position``: row over the states."""
+    # Below `FEWEST_PERIODS` a spring, a stop or a load can make the same curve.
     return abs(k) * max(float(np.ptp(r.smoothed.x @ position)) for r in records) / (2.0 * np.pi)
 
 
 def spatial_orders(q: Array, d: Array, v: Array, moving: Mask, stroke: float = math.inf) -> tuple[float, ...]:
-    """Strongest spatial frequencies of the force d over the position q, rad per unit of q, strongest first."""
-    # Below two periods in the longest stroke of one record a frequency is a curve and no line.
+    """Return spatial frequencies of the force d over the position q, rad per unit of q, strongest first."""
+    # Fewer than two periods in the longest stroke of one record are a curve and not a line.
     q, d, v = q[moving], d[moving], v[moving]
     span = float(np.ptp(q)) if len(q) else 0.0
     if len(q) < 50 or span == 0.0:
         return ()
     trend = np.column_stack([np.ones_like(v), np.sign(v), v, np.abs(v)])
     rest = d - trend @ np.linalg.lstsq(trend, d, rcond=None)[0]
-    # Force summed in fine bins of the position, and its spectrum with zeros around: the periodogram, by one transform.
+    # Periodogram by one zero-padded transform of the force in fine bins of the position.
     bins = int(min(4 * FINEST_LINES, max(64, len(q) // 2)))
     place = np.minimum(((q - q.min()) / span * bins).astype(int), bins - 1)
     padded = 8 * bins
@@ -183,7 +180,7 @@ def spatial_orders(q: Array, d: Array, v: Array, moving: Mask, stroke: float = m
     keep = (k >= lowest) & (k <= 2.0 * np.pi / span * min(FINEST_LINES, bins / 4))
     k = k[keep]
     found: list[float] = []
-    # A line brings side lobes that stand above weaker lines; each is taken out before the next is looked for.
+    # Side lobes can exceed weaker lines: each line is subtracted before the next is searched.
     for _ in range(SPATIAL_LINES):
         power = np.abs(np.fft.rfft(np.bincount(place, weights=rest, minlength=bins), padded))[keep]
         peaks = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])) + 1
@@ -196,25 +193,25 @@ def spatial_orders(q: Array, d: Array, v: Array, moving: Mask, stroke: float = m
 
 
 def _lines(motion: Sequence[tuple[Array, Array, Array, Array]], records: Sequence[PreparedRecord]) -> tuple[float, ...]:
-    """Lines over time in the longest record, of which every window holds two periods."""
+    """Return lines over time in the longest record, with at least two periods in a window."""
     k = int(np.argmax([r.record.duration for r in records]))
     (_, v, d, _), record = motion[k], records[k]
     return timed_lines(d, v, record.record.dt, 2.0 / (record.windows.length * record.record.dt))
 
 
 def timed_lines(d: Array, v: Array, dt: float, lowest: float) -> tuple[float, ...]:
-    """Significant lines of the force d over time in Hz, from ``lowest`` up, strongest first."""
-    # Of noise with a smooth spectrum the power over the mean m of K neighbours has P(p > x m) = (1 + x/K)^-K; a line
-    # counts where that, times the number of frequencies, is below LINE_P.
+    """Return significant lines of the force d over time in Hz, from ``lowest`` up, strongest first."""
+    # For noise with a smooth spectrum, power over the mean m of K neighbours has P(p > x m) = (1 + x/K)^-K; a line is
+    # significant if that, times the number of frequencies, is below LINE_P.
     trend = np.column_stack([np.ones_like(v), np.sign(v), v, np.abs(v)])
     rest = d - trend @ np.linalg.lstsq(trend, d, rcond=None)[0]
     n = len(rest)
     t, f = dt * np.arange(n), np.fft.rfftfreq(n, dt)
     taper = np.hanning(n)
-    looked = (f >= lowest) & (f <= 0.4 / dt)  # above, two and a half samples a period, the smoother ends
+    allowed = (f >= lowest) & (f <= 0.4 / dt)  # at most 2.5 samples per period: beyond the smoother's bandwidth
     found: list[tuple[float, float]] = []
     for _ in range(SPATIAL_LINES):
-        keep = np.flatnonzero(looked)
+        keep = np.flatnonzero(allowed)
         if len(keep) < 2 * LINE_NEIGHBOURS:
             break
         power = np.abs(np.fft.rfft(rest * taper)) ** 2
@@ -228,12 +225,12 @@ def timed_lines(d: Array, v: Array, dt: float, lowest: float) -> tuple[float, ..
         parts = np.linalg.lstsq(wave, rest, rcond=None)[0]
         found.append((float(parts @ parts), line))
         rest = rest - wave @ parts
-        looked[max(0, best - 2) : best + 3] = False  # what its removal leaves of it is no other line
+        allowed[max(0, best - 2) : best + 3] = False  # its residue is not another line
     return tuple(line for _, line in sorted(found, reverse=True))
 
 
 def _between(power: Array, k: int) -> float:
-    """Place of a peak of a Hann-tapered line's periodogram at k, in bins: from the larger neighbour over the peak."""
+    """Interpolate the peak at k of a Hann-tapered line's periodogram, in bins, by its larger neighbour."""
     if not 0 < k < len(power) - 1:
         return float(k)
     side = 1 if power[k + 1] > power[k - 1] else -1
@@ -242,9 +239,9 @@ def _between(power: Array, k: int) -> float:
 
 
 def stated_tolerances(plant: AnyPlant, given: Mapping[str, float] | None) -> dict[str, tuple[float, bool]]:
-    """Parameter -> (tolerance, whether it was assumed): relative, of the value 0 absolute in its unit."""
-    # ``given``: 0.05, "5%" or "0.2 N s/m" by name, over the plant's own; 0 holds the parameter.
-    asked: dict[str, float] = {}
+    """Return parameter -> (tolerance, whether it is assumed): relative, or absolute in its unit for the value 0."""
+    # ``given``: 0.05, "5%" or "0.2 N s/m" by name, over the plant's own; 0 fixes the parameter.
+    own: dict[str, float] = {}
     for name, value in (given or {}).items():
         if name not in plant.parameters:
             known = tuple(plant.parameters)
@@ -255,31 +252,31 @@ def stated_tolerances(plant: AnyPlant, given: Mapping[str, float] | None) -> dic
                 did_you_mean(name, known),
             )
         p = plant.parameters[name]
-        asked[name] = tolerance_of(f"tolerances: {name}", value, p.value, p.unit)
-        if asked[name] < 0:
-            raise InputError(f"tolerances: {name}", f"{asked[name]}", "a tolerance of 0 or more")
+        own[name] = tolerance_of(f"tolerances: {name}", value, p.value, p.unit)
+        if own[name] < 0:
+            raise InputError(f"tolerances: {name}", f"{own[name]}", "a tolerance of 0 or more")
     result = {}
     for name, parameter in plant.parameters.items():
-        if name in asked:
-            result[name] = (asked[name], False)
+        if name in own:
+            result[name] = (own[name], False)
         elif parameter.tolerance or not parameter.role or not parameter.value:
             result[name] = (parameter.tolerance, False)
         else:
-            effect = catalogue().get(parameter.role)  # roles are named by the effect that misjudges them
+            effect = catalogue().get(parameter.role)  # a role is the id of its parameter effect
             result[name] = (ASSUMED if effect is None else effect.tolerance, True)
     return result
 
 
 def with_absolute_tolerances(plant: AnyPlant, stated: Mapping[str, tuple[float, bool]]) -> AnyPlant:
-    """The plant whose parameters of the value 0 carry the tolerances found by `stated_tolerances`."""
+    """Return the plant with the tolerances of `stated_tolerances` on its parameters of the value 0."""
     zero = {n: (0.0, t) for n, (t, _) in stated.items() if t and not plant.parameters[n].value}
     return plant.with_parameters(**zero) if zero else plant
 
 
 def nuisance_parameters(plant: AnyPlant, tolerances: Mapping[str, tuple[float, bool]]) -> tuple[Nuisance, ...]:
-    """The groups of parameters with a tolerance r, each with a common factor exp(s z), z standard normal."""
-    # s = ln(1 + r) / sqrt(3) has the spread of a factor that lies anywhere within the tolerance. The value 0 moves by s
-    # z with s = r / sqrt(3), a friction never below 0. What no equation has is left out.
+    """Return the groups of parameters with a tolerance r, each with a common factor exp(s z), z standard normal."""
+    # s = ln(1 + r) / sqrt(3) is the standard deviation of a uniform log factor within the tolerance. The value 0 moves
+    # by s z with s = r / sqrt(3), a friction never below 0. Parameters outside the equations are excluded.
     found, seen = [], set[str]()
     for _, label, names in parameter_groups(plant):
         seen.update(names)
@@ -289,7 +286,7 @@ def nuisance_parameters(plant: AnyPlant, tolerances: Mapping[str, tuple[float, b
             found.append(Nuisance(label, moving, math.log1p(widest) / UNIFORM))
     for name, p in plant.parameters.items():
         tolerance = tolerances[name][0]
-        if name in seen or not tolerance or not _matters(plant, name):
+        if name in seen or not tolerance or not _in_equations(plant, name):
             continue
         if p.value:
             found.append(Nuisance(name, (name,), math.log1p(tolerance) / UNIFORM))
@@ -299,8 +296,8 @@ def nuisance_parameters(plant: AnyPlant, tolerances: Mapping[str, tuple[float, b
     return tuple(found)
 
 
-def _matters(plant: AnyPlant, name: str) -> bool:
-    """Whether the parameter stands in the plant's equations; of a nonlinear plant its author says so."""
+def _in_equations(plant: AnyPlant, name: str) -> bool:
+    """Return whether the parameter enters the plant's equations; assumed for a nonlinear plant."""
     if isinstance(plant, NonlinearPlant):
         return True
     values = plant.values

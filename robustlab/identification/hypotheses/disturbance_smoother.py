@@ -1,6 +1,6 @@
-r"""States and the unknown force along a record, from a Kalman smoother: d a random walk at the ports of the model,
-its intensity such that the record shows d below the bandwidth f. Bandwidths and noise maximise the likelihood of the
-innovations (Kailath, Sayed, Hassibi, *Linear Estimation*, 2000).
+r"""Kalman smoother for states and unknown force d along a record: d is a random walk at the ports of the model,
+observable below the bandwidth f by its intensity. Bandwidths and noise maximise the likelihood of the innovations
+(Kailath, Sayed, Hassibi, *Linear Estimation*, 2000).
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 WHERE = "smooth_disturbance"
 
 GRID = 9  # bandwidths tried before the search
-HIGHEST = 0.1  # bandwidth over the sample rate: noise that was filtered before it was stored would ask for more
-START_HORIZON = 30  # samples within which a state at its prior's size would move the outputs by 10 times their range
+HIGHEST = 0.1  # bandwidth over the sample rate: noise that was filtered before storage would need more
+START_HORIZON = 30  # samples in which a state of its prior's size would move the outputs by START_FACTOR ranges
 START_FACTOR = 10.0
-ROUNDING = 1e-13  # of the prior's size: noise in every state and sample, below which no root is followed
+ROUNDING = 1e-13  # of the prior's size: noise in every state and sample
 SMALLEST_NOISE = 1e-12  # of an output's range
 NODES = 8
 
@@ -37,9 +37,8 @@ class SmoothedRecord(Evidence):
     """States and forces given the whole record."""
 
     t: Array  # clock in s, (n,)
-    # x, x_std: states and their standard deviations, (n, n_x); in deviations from the operating point where the model
-    # has one. A state that the outputs do not tell has the std it was given before the record (much more than the
-    # record's range).
+    # x, x_std: states and their standard deviations, (n, n_x), relative to the model's operating point. A state that
+    # the outputs do not determine has its prior std (much larger than the record's range).
     x: Array
     x_std: Array
     covariance: Array  # joint covariance of the states at each sample, (n, n_x, n_x)
@@ -47,7 +46,7 @@ class SmoothedRecord(Evidence):
     d: Array
     d_std: Array
     noise_std: Array  # noise of each output, (n_y,)
-    bandwidth: Array  # frequency in Hz up to which the record tells each force, (m,)
+    bandwidth: Array  # frequency in Hz up to which the record determines each force, (m,)
     log_likelihood: float  # of the innovations after the first n_x + m samples
 
 
@@ -60,7 +59,7 @@ def smooth_disturbance(
     noise_std: ArrayLike | None = None,
     bandwidth: ArrayLike | None = None,
 ) -> SmoothedRecord:
-    """Smoothed states and forces of a record with held inputs u; noise and bandwidth (Hz) estimated where left out."""
+    """Return smoothed states and forces of a record with held inputs u; estimate noise and bandwidth (Hz) if None."""
     # ports (n_x, m): rate of the states per unit of each force. NaN in y is a missing sample.
     task = _prepared(model, ports, t, u, y, noise_std)
     given = None
@@ -84,9 +83,9 @@ def smooth_disturbance(
 def output_shares(
     model: StateSpaceModel, ports: Array, t: Array, u: Array, y: Array, smoothed: SmoothedRecord
 ) -> tuple[Array, Array]:
-    """Share of each output in the smoothed states, (n_measured, n, n_x), and what one unit more of it adds."""
-    # Noise and bandwidth are held: the smoother is linear. Half of an output is taken away, since a larger one would
-    # raise the least noise that it takes for a quantised one.
+    """Return the part of each output in the smoothed states, (n_measured, n, n_x), and that of one unit more."""
+    # Noise and bandwidth are fixed: the smoother is linear. Half of an output is subtracted, since a larger one would
+    # raise the noise floor of a quantised output.
 
     def changed(j: int, output: Array) -> Array:
         other = y.copy()
@@ -102,7 +101,7 @@ def output_shares(
 
 @dataclass(frozen=True)
 class _Task:
-    """The problem in discrete time."""
+    """Problem in discrete time."""
 
     t: Array
     h: float
@@ -122,13 +121,9 @@ class _Task:
     def m(self) -> int:
         return self.ports.shape[1]
 
-    def span(self) -> tuple[float, float]:
-        """Logarithms of the lowest and highest bandwidth in Hz that a record of this length can tell."""
-        return math.log(0.2 / (self.h * len(self.t))), math.log(HIGHEST / self.h)
-
 
 class _Choice(NamedTuple):
-    """Logarithms of the bandwidths, noise of the outputs, and the log-likelihood they reach."""
+    """Logarithms of the bandwidths, noise of the outputs, and their log-likelihood."""
 
     bandwidth: Array
     sigma: Array
@@ -177,7 +172,7 @@ def _prepared(
 
 
 def _with_forces(model: StateSpaceModel, ports: Array) -> StateSpaceModel:
-    """The model with the forces as integrator states after its own."""
+    """Append the forces as integrator states to the model."""
     n_x, m = ports.shape
     a = np.block([[model.A, ports], [np.zeros((m, n_x + m))]])
     return StateSpaceModel(
@@ -189,9 +184,9 @@ def _with_forces(model: StateSpaceModel, ports: Array) -> StateSpaceModel:
 
 
 def _walk_root(wide: StateSpaceModel, h: float, place: int) -> Array:
-    """L with L^T L = int_0^h e^{Fs} b b^T e^{F^T s} ds, b the unit vector of a force."""
-    # Gauss quadrature over a step so short that it is exact to rounding, doubled up to h; squared roots would lose half
-    # the digits of the states that the force reaches last.
+    """Return L with L^T L = int_0^h e^{Fs} b b^T e^{F^T s} ds, b the unit vector of a force."""
+    # Gauss quadrature over a step so short that it is exact to rounding, doubled up to h; the covariance itself would
+    # lose half the digits of the states that the force reaches last.
     fastest = float(np.abs(wide.poles()).max(initial=0.0)) * h
     doublings = max(0, math.ceil(math.log2(fastest))) if fastest > 0 else 0
     short = h / 2.0**doublings
@@ -207,7 +202,7 @@ def _walk_root(wide: StateSpaceModel, h: float, place: int) -> Array:
 
 
 def _compressed(rows: Array) -> Array:
-    """The n x n triangle with the same R^T R."""
+    """Return the n x n triangle with the same R^T R."""
     n = rows.shape[1]
     missing = np.zeros((max(0, n - len(rows)), n))
     return np.asarray(np.linalg.qr(np.vstack([rows, missing]), mode="r"), dtype=np.float64)
@@ -219,7 +214,7 @@ def _size(y: Array) -> Array:
 
 
 def _resolution(y: Array) -> float:
-    """Smallest step between values of an output; next to nothing where it is not quantised."""
+    """Return the smallest step between values of an output; near 0 if it is not quantised."""
     values = np.unique(y[np.isfinite(y)])
     steps = np.diff(values)
     steps = steps[steps > 1e-9 * max(abs(values[0]), abs(values[-1]))]
@@ -227,14 +222,14 @@ def _resolution(y: Array) -> float:
 
 
 def _rough_noise(y: Array) -> float:
-    """Noise from third differences, of which white noise leaves 20 times its variance and smooth motion little."""
+    """Estimate noise from third differences: white noise has 20 times its variance there, smooth motion little."""
     third = np.diff(y, 3)
     third = third[np.isfinite(third)]
     return float(np.sqrt(np.mean(third**2) / 20.0)) if len(third) else 0.0
 
 
 def _prior(wide: StateSpaceModel, phi: Array, forced: Array, y: Array) -> Array:
-    """Prior standard deviations: far more than the record can mean, and finite."""
+    """Return prior standard deviations, much larger than the record's range, and finite."""
     size, n = _size(y), len(y)
     reach, row = np.zeros_like(wide.C), wide.C.copy()
     for _ in range(min(START_HORIZON, n)):
@@ -243,7 +238,7 @@ def _prior(wide: StateSpaceModel, phi: Array, forced: Array, y: Array) -> Array:
     with np.errstate(divide="ignore"):
         start = START_FACTOR * np.where(reach > 0, size[:, None] / reach, np.inf).min(axis=0)
     unseen = ~np.isfinite(start)
-    # A state that no output shows: as large as the states that drive it, over the whole record, can make it.
+    # An unobservable state: bounded by the states that drive it over the whole record.
     for _ in range(len(start)):
         seen = np.where(np.isfinite(start), start, 0.0)
         driven = np.abs(phi - np.eye(len(phi))) @ seen * n
@@ -257,7 +252,6 @@ def _prior(wide: StateSpaceModel, phi: Array, forced: Array, y: Array) -> Array:
 
 
 def _intensities(task: _Task, log_bandwidth: Array, sigma: Array) -> Array:
-    """q_j of bandwidths in Hz."""
     omega = 2 * np.pi * np.exp(log_bandwidth)
     q, n_x = np.empty(task.m), task.model.n_states
     for j in range(task.m):
@@ -279,26 +273,21 @@ def _filter(task: _Task, log_bandwidth: Array, sigma: Array) -> Filter:
     return Filter(task.phi, root, task.forced, task.H, np.array(sigma), np.diag(task.start))
 
 
-def _filtered(task: _Task, log_bandwidth: Array, sigma: Array) -> tuple[float, float, float]:
-    """Sums of log variance and squared innovation, and their number."""
-    from robustlab.identification.hypotheses.smoother_kernels import Kept, forward
-
-    return forward(_filter(task, log_bandwidth, sigma), task.y, False, Kept.of(0, len(task.phi)))
-
-
 def _maximised(task: _Task, given: Array | None, known: bool, sigma: Array) -> _Choice:
-    """Best bandwidths and, unless the noise is known, ratios of the outputs' noise and a common factor."""
+    """Maximise the likelihood over bandwidths and, unless the noise is known, noise ratios and a common factor."""
     from scipy.optimize import minimize
 
+    from robustlab.identification.hypotheses.smoother_kernels import Kept, forward
+
     n_width, n_ratio = task.m if given is None else 0, 0 if known else task.model.n_outputs - 1
-    low, high = task.span()
+    low, high = math.log(0.2 / (task.h * len(task.t))), math.log(HIGHEST / task.h)  # of bandwidths in Hz
     best = _Choice(np.zeros(task.m), sigma, -np.inf)
 
     def cost(point: Array) -> float:
         nonlocal best
         width = np.clip(point[:n_width], low, high) if given is None else given
         noise = sigma * np.exp(np.clip(np.concatenate([[0.0], point[n_width:]]), -12.0, 12.0)) if n_ratio else sigma
-        logs, squares, count = _filtered(task, width, noise)
+        logs, squares, count = forward(_filter(task, width, noise), task.y, False, Kept.of(0, len(task.phi)))
         scale = 1.0 if known else math.sqrt(squares / count)
         value = -0.5 * (logs + (squares if known else count * (2.0 * math.log(scale) + 1.0)))
         if value > best.log_likelihood:
@@ -317,7 +306,6 @@ def _maximised(task: _Task, given: Array | None, known: bool, sigma: Array) -> _
 
 
 def _smoothed(task: _Task, choice: _Choice) -> tuple[Array, Array]:
-    """Mean and covariance of states and forces at each sample."""
     from robustlab.identification.hypotheses.smoother_kernels import Kept, backward, forward
 
     n, n_z = len(task.t), len(task.phi)

@@ -1,6 +1,6 @@
-"""Fit of one hypothesis by windowed simulation: parameters z and window starts xi, both a priori standard normal,
-minimise V = |whitened averaged errors|^2 + |xi|^2 + |z|^2; evidence -V/2 - logdet(H_zz)/2 by Laplace, the starts
-eliminated.
+"""Fit of one hypothesis by windowed simulation: parameters z and initial states xi of the windows, both a priori
+standard normal, minimise V = |whitened averaged errors|^2 + |xi|^2 + |z|^2; Laplace evidence -V/2 - logdet(H_zz)/2
+with the initial states eliminated.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from robustlab.dynamics.ports.port_model import AnyPlant
 from robustlab.identification import tuning
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord, averaged
 
-WILD = 1e6  # errors beyond this many standard deviations count as this
-FARTHEST = 8.0  # standardised parameters are kept within this of their priors
-RELATIVE = 1e-5  # fall of V, over V, below which a fit stops: smaller, more iterations in flat valleys
-# Of the diagonal. A stretched resistance and inertia leave nearly the same errors: along such a valley J^T J is a
-# millionth of its diagonal, and a damping above that creeps.
+CLIP = 1e6  # errors are clipped to this many standard deviations
+FARTHEST = 8.0  # limit of standardised parameters
+RELATIVE = 1e-5  # relative fall of V below which a fit stops
+# Of the diagonal. Changes of resistance and inertia have nearly the same effect: along such a valley J^T J is a
+# millionth of its diagonal, and a larger damping converges slowly.
 DAMPING = 1e-4
 LEAST_DAMPING = 1e-10
-TRIES = 8  # damped steps before a fit gives up
-HOPE = 2.0  # times the expected fall of V that a fit may still fall by: smaller gives up sooner
-LONGEST_STEP = 2.0  # of a standardised parameter in one step
-# Standard deviations of a parameter by which a fit may go on with the matrices of a nonlinear plant: they multiply
-# what deviates from the motion alone, and are made anew where the fit ends.
+TRIES = 8  # damped steps before a fit stops
+MOST_FALL = 2.0  # times the expected fall of V: the largest fall that a fit may still reach
+LONGEST_STEP = 2.0  # of a standardised parameter
+# Change of a parameter, in standard deviations, up to which a fit reuses the matrices of a nonlinear plant: they
+# multiply only deviations from the motion, and are recomputed at the end of the fit.
 NEAR = 0.5
 
 
 Effects = Sequence[tuple[Effect, Site]]
-DIVERGED = 1e100  # an output that is no number any more; only what the record lacks is a missing error
+DIVERGED = 1e100  # replaces diverged outputs; only missing samples are missing errors
 
 
 UNIFORM = 3.0**0.5  # half the width of a uniform distribution, in its standard deviations
@@ -45,26 +45,25 @@ UNIFORM = 3.0**0.5  # half the width of a uniform distribution, in its standard 
 
 @dataclass(frozen=True)
 class Nuisance:
-    """What every hypothesis refits: parameters under a common factor of their references, or an input's clock."""
+    """Parameters with a common factor of their references, or an input's clock, refitted by every hypothesis."""
 
-    # label, names: of the group, and its parameters
     label: str
-    names: tuple[str, ...]
-    # standard deviation of the factor's logarithm; of the factor itself where ``additive``; of a clock's shift in s
+    names: tuple[str, ...]  # of the parameters
+    # standard deviation of the factor's logarithm; of the factor itself if ``additive``; of a clock's shift in s
     spread: float
     additive: bool = False  # the nominal value is 0: the factor is the value in its unit
-    never_negative: bool = False  # physics forbids negative values, as of a friction: an additive factor stops at 0
-    input: str = ""  # input whose clock may be shifted against the outputs'; empty for parameters
+    never_negative: bool = False  # limits an additive factor to values >= 0
+    input: str = ""  # input whose clock may be shifted against the outputs; empty for parameters
 
     def factor(self, z: float) -> float:
-        """Factor of the standardised z: 1 at z = 0, or 0 where additive."""
+        """Return the factor of the standardised z: 1 at z = 0, or 0 if additive."""
         if not self.additive:
             return float(np.exp(self.spread * z))
         return max(0.0, self.spread * z) if self.never_negative else float(self.spread * z)
 
     @property
     def ends(self) -> tuple[float, float]:
-        """The standardised z at the two ends of the tolerance; a clock has none."""
+        """Return the standardised z at the two ends of the tolerance; infinite for a clock."""
         if self.input:
             return -np.inf, np.inf
         if self.additive:
@@ -73,7 +72,7 @@ class Nuisance:
         return float(np.log1p(-tolerance)) / self.spread if tolerance < 1.0 else -np.inf, UNIFORM
 
     def log_within(self, z: float, std: float) -> float:
-        """Log probability that what is known as z, give or take ``std``, lies within the tolerance."""
+        """Return the log probability that a normal variable of mean z and this std lies within the tolerance."""
         low, high = self.ends
         near, far = sorted(((z - high) / std, (low - z) / std), reverse=True)
         inside = float(log_ndtr(-near))
@@ -82,7 +81,7 @@ class Nuisance:
 
 @dataclass(frozen=True)
 class Clock:
-    """How all hypotheses are simulated: steps a sample, each input between its samples, rough or not (`Simulator`)."""
+    """Simulation of all hypotheses: steps per sample, hold of each input, rough or not (`Simulator`)."""
 
     sub: int | None = None
     hold: tuple[Hold, ...] | None = None
@@ -90,7 +89,7 @@ class Clock:
 
 
 class Setting(NamedTuple):
-    """What a simulation is run with: factors of the plant's parameters, values of each effect, shift of each input."""
+    """Arguments of a simulation: factors of the plant's parameters, values of each effect, shift of each input."""
 
     factors: Mapping[str, float]
     values: Sequence[Mapping[str, float]]
@@ -99,7 +98,7 @@ class Setting(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """An effect at a site, with its parameters and starting points for this record."""
+    """An effect at a site, with its parameters and starting points for these records."""
 
     effect: Effect
     site: Site
@@ -109,27 +108,23 @@ class Candidate:
 
     @property
     def key(self) -> str:
-        """Id and site."""
         return f"{self.effect.id} @ {self.site.name}"
 
     def values(self, z: Array) -> dict[str, float]:
-        """Parameter values of the standardised z."""
         return {p.name: p.prior.value(float(v)) for p, v in zip(self.parameters, z, strict=True)}
 
     def standardised(self, values: Mapping[str, float]) -> Array:
-        """Z of the values."""
         return np.array([p.prior.standardised(values[p.name]) for p in self.parameters])
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """The nominal model with these effects."""
+    """Nominal model with these effects."""
 
     candidates: tuple[Candidate, ...]
 
     @property
     def key(self) -> str:
-        """Keys of the effects, "none" without any."""
         return " + ".join(c.key for c in self.candidates) or "none"
 
 
@@ -137,26 +132,25 @@ class Hypothesis:
 class Fit:
     """One fitted hypothesis."""
 
-    hypothesis: Hypothesis  # what was fitted
+    hypothesis: Hypothesis
     z: Array  # standardised parameters: nuisances, then those of each effect
-    starts: tuple[Array, ...]  # standardised shifts of the window starts, one array (n_windows, n_x) a record
-    # V at the solution; ``window_cost`` is the share of each window (residual and start), all records in a row
+    starts: tuple[Array, ...]  # standardised initial states of the windows, (n_windows, n_x) per record
+    # V at the solution; ``window_cost``: contribution of each window (residual and initial state), all records in a row
     cost: float
     window_cost: Array
-    hessian: Array  # of V / 2 over z, starts eliminated, prior included
-    noise: NoiseModel  # the noise model that V was measured with
-    # of z from the scatter of the windows' gradients (sandwich), where it was asked for
-    covariance: Array | None = None
+    hessian: Array  # of V / 2 over z, initial states eliminated, prior included
+    noise: NoiseModel  # of V
+    covariance: Array | None = None  # of z from the scatter of the windows' gradients (sandwich), of a robust fit
 
     @property
     def evidence(self) -> float:
-        """Laplace's log evidence up to a constant common to all hypotheses."""
+        """Return Laplace's log evidence up to a constant common to all hypotheses."""
         sign, logdet = np.linalg.slogdet(self.hessian)
         return -0.5 * self.cost - 0.5 * float(logdet if sign > 0 else 1e6)
 
     @property
     def std(self) -> Array:
-        """Posterior standard deviations of z."""
+        """Return the posterior standard deviations of z."""
         laplace = np.sqrt(np.abs(np.diag(np.linalg.pinv(self.hessian))))
         if self.covariance is None:
             return laplace
@@ -165,19 +159,17 @@ class Fit:
 
 @dataclass(frozen=True)
 class FitPlan:
-    """When a fit ends, and what is wanted of it."""
+    """Termination and options of a fit."""
 
     iterations: int = 12  # at most
-    tolerance: float = 0.05  # fall of V, reached or to be expected, below which it ends
-    # the parameters stay and only the window starts are fitted: a prediction of data that the fit did not see
-    fixed: bool = False
+    tolerance: float = 0.05  # actual or expected fall of V at which it ends
+    fixed: bool = False  # only the initial states are fitted, to predict held-out data
     robust: bool = False  # with the sandwich covariance
-    # it is given up after its first step where twice the fall that can be expected does not bring V below this
-    ceiling: float = np.inf
+    ceiling: float = np.inf  # the fit stops after a step if MOST_FALL times the expected fall leaves V above this
 
 
 class _Place(NamedTuple):
-    """Where a fit stands: z, starts and residuals of each record, V, and of which z its matrices are."""
+    """Iterate of a fit: z, initial states and residuals of each record, V, and the z of its matrices."""
 
     z: Array
     xi: Sequence[Array]
@@ -186,11 +178,11 @@ class _Place(NamedTuple):
     around: Array
 
 
-# --- noise, prior and the normal equations, each window's start eliminated (Björck, 1996, section 9.3) ----------------
+# --- noise, prior and the normal equations, initial states eliminated (Björck, 1996, section 9.3) ---------------------
 
 
 class Reduced(NamedTuple):
-    """Normal equations over z after the starts are eliminated, and the step of the starts: -(offset + slope dz)."""
+    """Normal equations over z with initial states eliminated; the step of the latter is -(offset + slope dz)."""
 
     hessian: Array
     gradient: Array
@@ -200,7 +192,7 @@ class Reduced(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """Products of the derivatives J over z and X over the starts of one record, window by window."""
+    """Products of the derivatives J over z and X over the initial states of one record, window by window."""
 
     jj: Array  # J^T J summed, (n_z, n_z)
     jr: Array  # J^T r summed, (n_z,)
@@ -213,33 +205,28 @@ class Linearised:
 
     @classmethod
     def of(cls, residual: Array, j: Array, x: Array, xi: Array) -> Linearised:
-        """From the residuals (n_windows, n_points) and their derivatives; xi (n_windows, n_x)."""
+        """Form the products from residuals (n_windows, n_points) and their derivatives; xi (n_windows, n_x)."""
         xt = np.swapaxes(x, 1, 2)
-        flat = j.reshape(residual.size, j.shape[2])  # a size of its own: there may be no parameter at all
+        flat = j.reshape(residual.size, j.shape[2])  # -1 fails without parameters
         return cls(
             flat.T @ flat, flat.T @ residual.ravel(), xt @ x + np.eye(x.shape[2]), xt @ j,
             (xt @ residual[:, :, None])[:, :, 0] + xi, np.einsum("wmz,wm->wz", j, residual), j, x,
         )  # fmt: skip
 
     def with_residual(self, residual: Array, xi: Array) -> Linearised:
-        """The same derivatives with other residuals, at the starts xi."""
+        """Replace the residuals, at the initial states xi."""
         scores = np.einsum("wmz,wm->wz", self.j, residual)
         xr = (np.swapaxes(self.x, 1, 2) @ residual[:, :, None])[:, :, 0]
         return replace(self, jr=scores.sum(axis=0), xr=xr + xi, scores=scores)
 
-    @property
-    def diagonal(self) -> Array:
-        """Of J^T J."""
-        return np.diag(self.jj)
-
     def reduced(self, damping: float) -> Reduced:
-        """The starts eliminated, their own equations damped by ``damping`` times their diagonal."""
+        """Eliminate the initial states, their equations damped by ``damping`` times their diagonal."""
         n_x = self.xx.shape[1]
         inner = self.xx + damping * self.xx * np.eye(n_x)
         right = np.concatenate([self.xr[:, :, None], self.xj], axis=2)
         try:
             both = np.asarray(np.linalg.solve(inner, right), dtype=float)
-        except np.linalg.LinAlgError:  # a part of the start that no sample of its window shows: it stays as it is
+        except np.linalg.LinAlgError:  # an unobservable part of an initial state stays unchanged
             both = np.linalg.pinv(inner, hermitian=True) @ right
         offset, slope = both[:, :, 0], both[:, :, 1:]
         hessian = self.jj - np.einsum("wxi,wxj->ij", self.xj, slope)
@@ -247,16 +234,8 @@ class Linearised:
         return Reduced(0.5 * (hessian + hessian.T), gradient, offset, slope)
 
 
-def damped(reduced: Sequence[Reduced], parts: Sequence[Linearised], damping: float, precision: Array) -> Array:
-    """Hessian of V / 2 over z with the precision of the prior and the damping."""
-    hessian = precision + sum(r.hessian for r in reduced)
-    own = np.diag(precision) + sum(p.diagonal for p in parts)
-    hessian[np.diag_indices(len(hessian))] += damping * own
-    return hessian
-
-
 def sandwich(parts: Sequence[Linearised], hessian: Array) -> Array:
-    """Covariance of z from the scatter of the windows' gradients, starts eliminated: it holds under any noise."""
+    """Return the covariance of z from the scatter of the windows' gradients, valid under any noise."""
     scores = np.concatenate([p.scores - np.einsum("wxz,wx->wz", p.xj, p.reduced(0.0).offset) for p in parts])
     inverse = np.linalg.pinv(hessian)
     count = len(scores)
@@ -267,21 +246,21 @@ def sandwich(parts: Sequence[Linearised], hessian: Array) -> Array:
 class NoiseModel:
     """Noise of the averaged errors: standard deviation (n_y,) and autoregression (order, n_y) of each output."""
 
-    # excess: factor of the variance above that of the errors themselves, which hang together (`noise.careful`).
+    # excess: factor on the variance of the errors because they are correlated (`noise.widened`).
 
     std: Array
     ar: Array
     excess: float = 1.0
 
     def whitened(self, errors: Array) -> Array:
-        """Residuals (n_windows, n_points * n_y) of unit variance from averaged errors; missing points are zero."""
+        """Return residuals (n_windows, n_points * n_y) of unit variance from averaged errors; 0 for missing points."""
         order = len(self.ar)
         e = errors[:, order:].copy()
         for lag in range(order):
             e -= self.ar[lag] * errors[:, order - lag - 1 : errors.shape[1] - lag - 1]
         with np.errstate(over="ignore", invalid="ignore"):
-            scaled = np.nan_to_num(e / self.std, copy=False, nan=0.0, posinf=WILD, neginf=-WILD)
-        return np.clip(scaled, -WILD, WILD).reshape(len(e), e.shape[1] * e.shape[2])  # there may be no window at all
+            scaled = np.nan_to_num(e / self.std, copy=False, nan=0.0, posinf=CLIP, neginf=-CLIP)
+        return np.clip(scaled, -CLIP, CLIP).reshape(len(e), e.shape[1] * e.shape[2])  # -1 fails without windows
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,11 +271,9 @@ class Prior:
     precision: Array
 
     def cost(self, z: Array) -> float:
-        """Its share of V."""
         return float((z - self.mean) @ self.precision @ (z - self.mean))
 
     def gradient(self, z: Array) -> Array:
-        """Of its share of V / 2."""
         return self.precision @ (z - self.mean)
 
 
@@ -304,7 +281,7 @@ class Prior:
 
 
 class Problem:
-    """Records, plant and nuisance parameters of one naming; fits hypotheses on chosen windows."""
+    """Plant, records and nuisance parameters; fits hypotheses on chosen windows."""
 
     def __init__(
         self,
@@ -320,17 +297,15 @@ class Problem:
         self.chosen = tuple(chosen) if chosen is not None else tuple(np.arange(r.count) for r in records)
 
     def on(self, records: Sequence[PreparedRecord], chosen: Sequence[Indices] | None = None) -> Problem:
-        """The same plant and nuisances over other records or windows."""
         return Problem(self.plant, records, self.nuisances, chosen, self.clock, self.work)
 
     def under(self, clock: Clock) -> Problem:
-        """The same problem with other steps or holds."""
         return Problem(self.plant, self.records, self.nuisances, self.chosen, clock, self.work)
 
     # --- parameters --------------------------------------------------------------------------------------------------
 
     def split(self, hypothesis: Hypothesis, z: Array) -> tuple[dict[str, float], list[dict[str, float]]]:
-        """Plant factors and effect values of the standardised parameters."""
+        """Return plant factors and effect values of the standardised parameters."""
         factors = {}
         for nuisance, moves, value in zip(self.nuisances, self.moving(hypothesis), z, strict=False):
             if moves:
@@ -338,25 +313,25 @@ class Problem:
         return factors, [c.values(z[own]) for c, own in self.slices(hypothesis)]
 
     def slices(self, hypothesis: Hypothesis) -> list[tuple[Candidate, slice]]:
-        """Each effect with the place of its parameters in z."""
+        """Return each effect with the slice of its parameters in z."""
         ends = list(accumulate((len(c.parameters) for c in hypothesis.candidates), initial=len(self.nuisances)))
         return [(c, slice(a, b)) for c, (a, b) in zip(hypothesis.candidates, pairwise(ends), strict=True)]
 
     def moving(self, hypothesis: Hypothesis) -> list[bool]:
-        """Of each nuisance whether it moves anything: the factor of an effect on its parameters is the whole factor."""
+        """Return whether each nuisance is free: an effect on its parameters replaces it."""
         sites = [c.site.name for c in hypothesis.candidates if c.site.kind == "parameter"]
         wrong = {*sites, *(name for site in sites for name in site.split("+"))}
         return [n.label not in wrong for n in self.nuisances]
 
     def shift(self, z: Array) -> tuple[float, ...] | None:
-        """Shift of each input's clock in s, beside any delay that an effect gives it; None where none has one."""
-        told = {n.input: n.spread * v for n, v in zip(self.nuisances, z, strict=False) if n.input}
-        return tuple(float(told.get(s.name, 0.0)) for s in self.plant.inputs) if told else None
+        """Return the shift of each input's clock in s, without delays of effects; None without clocks."""
+        shifts = {n.input: n.spread * v for n, v in zip(self.nuisances, z, strict=False) if n.input}
+        return tuple(float(shifts.get(s.name, 0.0)) for s in self.plant.inputs) if shifts else None
 
     def setting(self, hypothesis: Hypothesis, z: Array) -> Setting:
-        """What a simulation is run with at the standardised parameters."""
-        # A delay that all sensors of a linear plant share is run as one of all inputs: then both have the same
-        # histories before a window's start, and the same errors to the last bit.
+        """Return the arguments of a simulation at the standardised parameters."""
+        # A delay common to all sensors of a linear plant is simulated as one of all inputs: both then have the same
+        # history before a window, and the same errors to the last bit.
         factors, values = self.split(hypothesis, z)
         delayed = any(c.site.kind == "output" and c.effect.delay for c in hypothesis.candidates)
         if not delayed or isinstance(self.plant, NonlinearPlant):
@@ -372,13 +347,11 @@ class Problem:
         return Setting(factors, left, tuple(s + shared for s in shift))
 
     def size(self, hypothesis: Hypothesis) -> int:
-        """Number of standardised parameters."""
         return len(self.nuisances) + sum(len(c.parameters) for c in hypothesis.candidates)
 
     # --- residuals ---------------------------------------------------------------------------------------------------
 
     def simulators(self, hypothesis: Hypothesis) -> list[Simulator]:
-        """One simulator a record."""
         effects = [(c.effect, c.site) for c in hypothesis.candidates]
         sub, hold, rough = self.clock.sub, self.clock.hold, self.clock.rough
         return [
@@ -387,14 +360,14 @@ class Problem:
         ]
 
     def quick(self, hypothesis: Hypothesis) -> list[Simulator]:
-        """Simulators for derivatives: no step with force laws is repeated in halves."""
+        """Return simulators for derivatives: steps with force laws are not repeated in halves."""
         return self.under(replace(self.clock, rough=True)).simulators(hypothesis)
 
     def errors(
         self, hypothesis: Hypothesis, z: Array, starts: Sequence[Array], simulators: Sequence[Simulator] | None = None,
         near: Array | None = None,
     ) -> list[Array]:  # fmt: skip
-        """Averaged errors of the chosen windows, (n_windows, n_points, n_y) a record; NaN without samples."""
+        """Return averaged errors of the chosen windows, (n_windows, n_points, n_y) per record; NaN without samples."""
         return [
             self._errors_at(k, simulator, hypothesis, [(z, starts[k])], near)
             for k, simulator in enumerate(simulators or self.simulators(hypothesis))
@@ -404,7 +377,7 @@ class Problem:
         self, k: int, simulator: Simulator, hypothesis: Hypothesis, points: Sequence[tuple[Array, Array]],
         near: Array | None = None,
     ) -> Array:  # fmt: skip
-        """Averaged errors of one record's chosen windows at points (z, starts), one copy after the other."""
+        """Return averaged errors of one record's chosen windows at several points (z, xi)."""
         record, measured = self.records[k], self.records[k].measured[self.chosen[k]]
         around = None if near is None else self.split(hypothesis, near)
         with np.errstate(all="ignore"):
@@ -421,9 +394,9 @@ class Problem:
         xi: Array,
         near: tuple[dict[str, float], list[dict[str, float]]] | None = None,
     ) -> Array:
-        """Measured outputs of the chosen windows of one record, (n_windows, length, n_measured)."""
-        # Of several starts of each window, xi (copies, n_windows, n_x), one copy after the other. ``near``: parameters
-        # near by, of which a nonlinear plant's matrices and the motion they are about may be.
+        """Return simulated measured outputs of the chosen windows of one record, (n_windows, length, n_measured)."""
+        # For several initial states, xi (copies, n_windows, n_x), the copies follow each other. ``near``: nearby
+        # parameters for the matrices of a nonlinear plant and their motion.
         factors, values, shift = setting
         record, chosen = self.records[k], self.chosen[k]
         values, about = (
@@ -436,25 +409,23 @@ class Problem:
         x0 = np.tile(own, (len(xi) if xi.ndim == 3 else 1, 1, 1))
         x0[:, at] += record.x0_std[chosen] * xi
         windows = Windows(record.windows.starts[used], record.windows.length)
-        # The motion about which a plant is linear may be that of values near by: what deviates from it is linear, too.
-        simulator = self._about_what_happened(k, simulator, about)
+        simulator = self._about_true_motion(k, simulator, about)
         self.work.append(len(x0) * len(used) * windows.length * simulator.sub * (1 if simulator.rough else 3))
         motion = simulator.run(factors, values, x0.reshape(-1, x0.shape[2]), windows, shift, near)
         outputs = motion.outputs[:, :, list(record.columns)].reshape(*x0.shape[:2], windows.length, -1)[:, at]
         return outputs.reshape(-1, *outputs.shape[2:])
 
-    def _about_what_happened(self, k: int, simulator: Simulator, values: Sequence[Mapping[str, float]]) -> Simulator:
-        """Of a nonlinear plant whose sensors are scaled, biased or late: the simulator about the motion as it was."""
+    def _about_true_motion(self, k: int, simulator: Simulator, values: Sequence[Mapping[str, float]]) -> Simulator:
+        """Correct the motion of a nonlinear plant's simulator for scaled, biased or late sensors."""
         record = self.records[k]
         motion = record.motion_seen(*self.sensors(simulator.effects, values))
         return simulator if motion is record.motion else simulator.about(motion)
 
     def whitened(self, errors: Sequence[Array], noise: NoiseModel) -> list[Array]:
-        """Residuals (n_windows, n_points * n_y) a record; missing points are zero."""
         return [noise.whitened(e) for e in errors]
 
     def starts_seen(self, k: int, simulator: Simulator, values: Sequence[Mapping[str, float]]) -> Array:
-        """States at all window starts of one record, as they are where its sensors have these effects."""
+        """Return the states at all window starts of one record, corrected for the effects of its sensors."""
         shown, biased, late = self.sensors(simulator.effects, values)
         if self.records[k].motion is not None:
             return self.records[k].starts_seen(0.0, shown, biased, late)
@@ -464,7 +435,7 @@ class Problem:
     def sensors(
         self, effects: Effects, values: Sequence[Mapping[str, float]]
     ) -> tuple[dict[int, float], dict[int, float], dict[int, float]]:
-        """Gain, bias and delay in s of each output that the effects scale, bias or delay, by its index."""
+        """Return gain, bias and delay in s by output index, for outputs that the effects scale, bias or delay."""
         names = [s.name for s in self.plant.outputs]
         gains, biases, delays = dict[int, float](), dict[int, float](), dict[int, float]()
         for (effect, site), v in zip(effects, values, strict=True):
@@ -489,9 +460,9 @@ class Problem:
         plan: FitPlan = FitPlan(),
         prior: Prior | None = None,
     ) -> Fit:
-        """Levenberg-Marquardt from z."""
-        # A nonlinear plant's matrices multiply what deviates from its motion: they are made anew where z has gone far,
-        # and where the fit ends.
+        """Minimise V by Levenberg-Marquardt from z."""
+        # A nonlinear plant's matrices multiply deviations from its motion: they are recomputed after large changes of z
+        # and at the end.
         fixed, tolerance = plan.fixed, plan.tolerance
         z = np.array(z, dtype=float)
         own = Prior(np.zeros(len(z)), np.eye(len(z))) if prior is None else prior
@@ -518,7 +489,7 @@ class Problem:
                 here = exact(here)
                 parts = [p.with_residual(r, x) for p, r, x in zip(parts, here.residual, here.xi, strict=True)]
                 fall = self._expected(own.gradient(here.z), hessian, parts, fixed)
-            hopeless = rounds < plan.iterations and here.cost - HOPE * fall > plan.ceiling
+            hopeless = rounds < plan.iterations and here.cost - MOST_FALL * fall > plan.ceiling
             if rounds <= 0 or fall < tolerance or hopeless:
                 break
             improved = 0.0
@@ -543,14 +514,14 @@ class Problem:
         return Fit(hypothesis, here.z, tuple(here.xi), here.cost, window_cost, hessian, noise, covariance)
 
     def _distance(self, there: _Place) -> float:
-        """Of the largest parameter from where a nonlinear plant's matrices were made; a linear one's are its own."""
+        """Return the largest change of a parameter since a nonlinear plant's matrices were computed."""
         if not isinstance(self.plant, NonlinearPlant):
             return 0.0
         return float(np.abs(there.z - there.around).max(initial=0.0))
 
     @staticmethod
     def _expected(slope: Array, hessian: Array, parts: Sequence[Linearised], fixed: bool) -> float:
-        """By how much V would fall in an undamped step, were the errors linear; ``slope`` of the prior."""
+        """Return the fall of V in an undamped step for linear errors; ``slope``: gradient of the prior."""
         reduced = [p.reduced(0.0) for p in parts]
         fall = sum(float(np.sum(p.xr * r.offset)) for p, r in zip(parts, reduced, strict=True))
         if fixed:
@@ -558,7 +529,7 @@ class Problem:
         gradient = slope + sum(r.gradient for r in reduced)
         try:
             return fall + float(gradient @ np.linalg.solve(hessian, gradient))
-        except np.linalg.LinAlgError:  # so little noise that the prior is lost in rounding
+        except np.linalg.LinAlgError:  # the prior is below rounding
             return fall + float(gradient @ np.linalg.pinv(hessian, hermitian=True) @ gradient)
 
     def _within(self, z: Array) -> Array:
@@ -567,19 +538,20 @@ class Problem:
     def _step(
         self, z: Array, prior: Prior, parts: Sequence[Linearised], damping: float, fixed: bool
     ) -> tuple[Array, list[Array]]:
-        """The damped step of the parameters and of the window starts."""
         reduced = [p.reduced(damping) for p in parts]
         dz = np.zeros_like(z)
         if not fixed:
-            equations = damped(reduced, parts, damping, prior.precision)
-            dz = -np.linalg.solve(equations, prior.gradient(z) + sum(r.gradient for r in reduced))
+            hessian = prior.precision + sum(r.hessian for r in reduced)
+            diagonal = np.diag(prior.precision) + sum(np.diag(p.jj) for p in parts)
+            hessian[np.diag_indices(len(hessian))] += damping * diagonal
+            dz = -np.linalg.solve(hessian, prior.gradient(z) + sum(r.gradient for r in reduced))
             dz = self._within(z + np.clip(dz, -LONGEST_STEP, LONGEST_STEP)) - z
         return dz, [-r.offset - r.slope @ dz for r in reduced]
 
     def _linearised(
         self, k: int, hypothesis: Hypothesis, place: _Place, simulator: Simulator, noise: NoiseModel, fixed: bool
     ) -> Linearised:
-        """One record's residuals and their derivatives, over the window starts alone where z is fixed."""
+        """Linearise one record's residuals, over the initial states alone if z is fixed."""
         z, xi, residual = place.z, place.xi[k], place.residual[k]
         known = None if simulator.rough and not self.clock.rough else residual
         count = 0 if fixed else len(z)
@@ -590,8 +562,8 @@ class Problem:
         self, k: int, simulator: Simulator, hypothesis: Hypothesis, at: tuple[Array, Array], around: Array,
         noise: NoiseModel, count: int, known: Array | None = None,
     ) -> tuple[Array, Array]:  # fmt: skip
-        """Derivatives of one record's residuals over the first ``count`` of z, and over the window starts."""
-        # By differences from the residuals there, which may be known; all starts are moved in one simulation.
+        """Return derivatives of one record's residuals over the first ``count`` of z, and over the initial states."""
+        # Finite differences from the residuals, which may be ``known``; one simulation has all changed initial states.
         (z, xi), n_x = at, at[1].shape[1]
         moved = xi + tuning.START_STEP * np.eye(n_x)[:, None, :]
         points = [(z, moved if known is not None else np.concatenate([xi[None], moved]))]
@@ -603,7 +575,7 @@ class Problem:
         return change[:, :, n_x:] / tuning.STEP, change[:, :, :n_x] / tuning.START_STEP
 
     def derivatives(self, fit: Fit, count: int | None = None) -> list[tuple[Array, Array]]:
-        """Derivatives of the residuals over the first ``count`` (or all) parameters and the starts, a pair a record."""
+        """Return derivatives of the residuals over the first ``count`` (or all) parameters and the initial states."""
         count, at = len(fit.z) if count is None else count, fit.z
         return [
             self._sensitivities(k, simulator, fit.hypothesis, (at, fit.starts[k]), at, fit.noise, count)
@@ -616,7 +588,7 @@ def _total(residual: Sequence[Array], xi: Sequence[Array]) -> float:
 
 
 def simulated_outputs(problem: Problem, fit: Fit) -> list[Array]:
-    """Outputs of the chosen windows under a fit, (n_windows, length, n_measured) a record."""
+    """Return outputs of the chosen windows under a fit, (n_windows, length, n_measured) per record."""
     return [
         problem.outputs(k, simulator, problem.setting(fit.hypothesis, fit.z), fit.starts[k])
         for k, simulator in enumerate(problem.simulators(fit.hypothesis))
@@ -624,7 +596,7 @@ def simulated_outputs(problem: Problem, fit: Fit) -> list[Array]:
 
 
 def predicted(problem: Problem, fit: Fit) -> Problem:
-    """The same problem with the measured outputs replaced by what the fit predicts in the chosen windows."""
+    """Return the problem with the measured outputs replaced by the fit's prediction in the chosen windows."""
     records = []
     for record, chosen, outputs in zip(problem.records, problem.chosen, simulated_outputs(problem, fit), strict=True):
         y = record.y.copy()
@@ -637,7 +609,7 @@ def predicted(problem: Problem, fit: Fit) -> Problem:
 
 
 def refit_distance(problem: Problem, true: Fit, rival: Fit) -> float:
-    """D of the rival's hypothesis, refitted from where it stands, to the prediction of the true one."""
+    """Return the distance of the rival's refitted hypothesis from the prediction of the true one."""
     there = predicted(problem, true)
     prior = float(true.z @ true.z) + sum(float((x**2).sum()) for x in true.starts)
     fitted = there.fit(rival.hypothesis, true.noise, rival.z, rival.starts, FitPlan(10))

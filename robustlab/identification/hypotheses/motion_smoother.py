@@ -1,5 +1,5 @@
 """States of a nonlinear plant along a record, joint by joint: q' = v, v' = the plant's acceleration along the motion +
-a, with a random walk a, smoothed from each measured position; the lacking force is M a, M from the plant's pushes.
+a, with a random walk a, smoothed from each measured position; the residual force is M a, M from the plant's pushes.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from robustlab.errors import InputError, NoTrustworthyNumber, RobustlabError
 from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord, output_shares, smooth_disturbance
 from robustlab.statespace import StateSpaceModel
 
-ROUNDS = 2  # of smoothing with known inputs from the motion before
-UNMEASURED_ROUNDS = 4  # of linear runs of the states that no sensor shows
-STATE_SHARE = 0.05  # standard deviation of such a state, of its own size along the record
-POINTS = 60  # of a motion from which the means are taken
-EDGE = 20  # samples at which a motion is asked for its plant's output rows
+ROUNDS = 2  # of smoothing with known inputs from the previous motion
+UNMEASURED_ROUNDS = 4  # of linear simulations of the unmeasured states
+STATE_SHARE = 0.05  # standard deviation of such a state over its size along the record
+POINTS = 60  # of a motion for means
+EDGE = 20  # samples at which the plant's outputs are tested for linearity
 
 
 @dataclass(frozen=True, eq=False)
 class SmoothedMotion:
     """A record's states and forces."""
 
-    # as the smoother of a linear plant gives them; forces ``d`` at the joints, in the order of the plant's places
+    # as of a linear plant; forces ``d`` at the joints, in the order of the plant's places
     smoothed: SmoothedRecord
     # told, constant: as in `robustlab.identification.hypotheses.prepared_record.PreparedRecord`
     told: Array
@@ -37,7 +37,7 @@ class SmoothedMotion:
 
 @dataclass(frozen=True, eq=False)
 class _Chain:
-    """A measured state with the state whose rate it is, the outputs that show them, and the last rate's derivatives."""
+    """A measured state and its rate, the outputs that measure them, and the derivatives of the last rate."""
 
     states: tuple[int, ...]
     outputs: tuple[int, ...]
@@ -45,7 +45,7 @@ class _Chain:
     own: Array
 
     def model(self) -> StateSpaceModel:
-        """Known rates of the last state as input; its own unknown rate is the smoother's force."""
+        """Return the model with known rates of the last state as input; its unknown rate is the smoother's force."""
         n = len(self.states)
         a = np.eye(n, k=1)
         a[-1] = self.own
@@ -53,12 +53,11 @@ class _Chain:
 
     @property
     def push(self) -> Array:
-        """Where the unknown acceleration enters, (n, 1)."""
         return np.eye(len(self.states))[:, -1:]
 
 
 def smooth_motion(plant: NonlinearPlant, t: Array, u: Array, y: Array, columns: Sequence[int]) -> SmoothedMotion:
-    """States along a record on a uniform clock; ``columns``: index of each measured output among the plant's."""
+    """Return states along a uniform record; ``columns``: index of each measured output among the plant's."""
     arrays = (np.ascontiguousarray(a) for a in (t, u, y))
     return _kept(plant, *(a.tobytes() for a in arrays), tuple(columns))
 
@@ -66,8 +65,8 @@ def smooth_motion(plant: NonlinearPlant, t: Array, u: Array, y: Array, columns: 
 def lacking_forces(
     plant: NonlinearPlant, t: Array, u: Array, y: Array, columns: Sequence[int], x: Array, rates: Array, least: float
 ) -> tuple[Array, Array]:
-    """Force at each joint that the plant lacks beside known rates, (n, n_joints), and its standard deviation."""
-    # rates: from each sample to the next, (n, n_x), effects included; least: lowest bandwidth of the forces in Hz.
+    """Return the force at each joint that the plant lacks, (n, n_joints), and its standard deviation."""
+    # rates: known rates from each sample to the next, (n, n_x), effects included; least: lowest bandwidth in Hz.
     chains, offset = _chains(plant, u, y, columns)
     course = Course(plant, x, u, float(t[1] - t[0]))
     middle, _ = course.at(np.minimum(np.arange(len(t)) + 0.5, len(t) - 1.0))
@@ -113,11 +112,11 @@ def _smooth(plant: NonlinearPlant, t: Array, u: Array, y: Array, columns: tuple[
     return _collected(plant, chains, runs, hidden, t, u, y, x, known)
 
 
-# --- what the sensors show -------------------------------------------------------------------------------------------
+# --- sensors ---------------------------------------------------------------------------------------------------------
 
 
 def _chains(plant: NonlinearPlant, u: Array, y: Array, columns: Sequence[int]) -> tuple[list[_Chain], Array]:
-    """The measured states, and what each measured output shows where they are zero, (n_measured,)."""
+    """Return the measured states, and each measured output at zero states, (n_measured,)."""
     names = [s.name for s in plant.states]
     c, offset = _rows(plant, u, y, columns)
     position = {p.position: p.name for p in plant.port_places if p.position}
@@ -143,10 +142,9 @@ def _chains(plant: NonlinearPlant, u: Array, y: Array, columns: Sequence[int]) -
 
 
 def _rows(plant: NonlinearPlant, u: Array, y: Array, columns: Sequence[int]) -> tuple[Array, Array]:
-    """Rows (n_measured, n_x) of C for the measured outputs, each showing one state; and their values at zero states."""
+    """Return rows (n_measured, n_x) of C for the measured outputs, each of one state, and values at zero states."""
     n_x = len(plant.states)
-    # By differences, exact for the linear outputs that are asked for: a plant may have no slopes where its states are
-    # zero (an empty tank).
+    # By differences, exact for linear outputs: a plant may have no derivatives at zero states (an empty tank).
     shown = plant.outputs_along(np.vstack([np.zeros(n_x), np.eye(n_x)]), np.repeat(u[:1], n_x + 1, axis=0))
     c = (shown[1:] - shown[0]).T[list(columns)]
     for j, row in zip(columns, c, strict=True):
@@ -186,7 +184,7 @@ def _assembled(chains: Sequence[_Chain], runs: Sequence[SmoothedRecord], n: int,
 
 
 def _along(chains: Sequence[_Chain], course: Course) -> tuple[list[_Chain], Array]:
-    """The chains with the plant's mean derivatives along the motion, and the known rates between the samples."""
+    """Return the chains with the plant's mean derivatives along the motion, and the known rates between the samples."""
     n = len(course.x)
     x, u = course.at(np.arange(n - 1) + 0.5)
     rates = course.plant.rates_along(x, u)
@@ -202,7 +200,7 @@ def _along(chains: Sequence[_Chain], course: Course) -> tuple[list[_Chain], Arra
 
 
 def _with_hidden(course: Course, hidden: Indices) -> Array:
-    """The motion with the states that no sensor shows as their own equations make them, from rest of their own."""
+    """Simulate the unmeasured states along the motion, from their equilibrium."""
     x = course.x.copy()
     if not len(hidden):
         return x
@@ -230,7 +228,7 @@ def _with_hidden(course: Course, hidden: Indices) -> Array:
 
 
 def _rest(plant: NonlinearPlant) -> Array:
-    """A state at which the plant rests, zero where it has none: where the search for states without a sensor begins."""
+    """Return an equilibrium of the plant as initial guess of unmeasured states, zero without one."""
     try:
         return np.array(plant.equilibrium().x)
     except RobustlabError:
@@ -238,7 +236,7 @@ def _rest(plant: NonlinearPlant) -> Array:
 
 
 def _resting(a: Array, free: Array, otherwise: Array) -> Array:
-    """Where the states would settle at the first sample; as they are where they would not."""
+    """Return the equilibrium of the states at the first sample; ``otherwise`` if they are unstable."""
     if np.linalg.eigvals(a).real.max(initial=-1.0) >= -1e-9:
         return otherwise
     return np.asarray(-np.linalg.solve(a, free))
@@ -253,7 +251,7 @@ def _collected(
 ) -> SmoothedMotion:  # fmt: skip
     n, n_x, n_y = len(t), x.shape[1], y.shape[1]
     std, covariance = np.zeros((n, n_x)), np.zeros((n, n_x, n_x))
-    told, constant, noise = *np.zeros((2, n_y, n, n_x)), np.zeros(n_y)
+    parts, constant, noise = *np.zeros((2, n_y, n, n_x)), np.zeros(n_y)
     lacking, lacking_std = np.zeros((n, n_x)), np.zeros((n, n_x))
     for chain, run in zip(chains, runs, strict=True):
         own, outputs = list(chain.states), list(chain.outputs)
@@ -263,7 +261,7 @@ def _collected(
         lacking[:, own[-1]], lacking_std[:, own[-1]] = run.d[:, 0], run.d_std[:, 0]
         shares = output_shares(chain.model(), chain.push, t, known[:, own[-1:]], y[:, outputs], run)
         for j, share, unit in zip(outputs, *shares, strict=True):
-            told[j][:, own], constant[j][:, own] = share, unit
+            parts[j][:, own], constant[j][:, own] = share, unit
     if len(hidden):
         std[:, hidden] = STATE_SHARE * np.maximum(np.abs(x[:, hidden]).max(axis=0), 1e-12)
         covariance[:, hidden, hidden] = std[:, hidden] ** 2
@@ -273,14 +271,14 @@ def _collected(
         bandwidth=np.concatenate([r.bandwidth for r in runs]),
         log_likelihood=float(sum(r.log_likelihood for r in runs)),
     )  # fmt: skip
-    return SmoothedMotion(whole, told, constant)
+    return SmoothedMotion(whole, parts, constant)
 
 
 def _forces(plant: NonlinearPlant, x: Array, u: Array, lacking: Array, std: Array) -> tuple[Array, Array]:
-    """The force at each joint that brings about the lacking accelerations, (n, n_joints), and its deviation."""
+    """Return the force at each joint for the missing accelerations, (n, n_joints), and its standard deviation."""
     names = [s.name for s in plant.states]
     joints = [k for k, p in enumerate(plant.port_places) if p.kind == "joint"]
-    if not joints:  # told as an addition to the inputs
+    if not joints:  # as an addition to the inputs
         b = plant.local_models(x, u).B
         inverse = np.linalg.pinv(b)
         return np.einsum("npq,nq->np", inverse, lacking), np.sqrt(np.einsum("npq,nq->np", inverse**2, std**2))

@@ -1,4 +1,4 @@
-"""The noise that fits are judged by, and fits under it of data that were kept from them."""
+"""Noise models of fits, and fits of held-out data under them."""
 
 from __future__ import annotations
 
@@ -13,21 +13,19 @@ from robustlab.arrays import Array
 from robustlab.identification import tuning
 from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, NoiseModel, Problem
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord
-from robustlab.identification.tuning import AS_LARGE
 
 SETTLING = 15  # iterations of the reported fits
 
 
 def first_noise(problem: Problem) -> NoiseModel:
-    """White noise of the size the smoother and the resolution of the sensors tell, averaged."""
+    """Return white noise of twice the smoother's estimate or the sensors' resolution, averaged."""
     std = 2.0 * np.max([r.sensor_noise for r in problem.records], axis=0)
     return NoiseModel(std, np.zeros((0, len(std))))
 
 
 def whitening(problem: Problem, fit: Fit, order: int | None = None) -> NoiseModel:
-    """Autoregression and innovation size of a fit's errors, output by output."""
-    # A window shows no correlation longer than itself, and errors that grow along it look unstable: the roots are held
-    # within that of a decay over one window.
+    """Fit an autoregression and innovation size to a fit's errors, output by output."""
+    # Errors that grow along a window look unstable: the roots are limited to a decay over one window.
     order = tuning.AR_ORDER if order is None else order
     errors = problem.errors(fit.hypothesis, fit.z, fit.starts)
     n_y = errors[0].shape[2]
@@ -46,46 +44,46 @@ def whitening(problem: Problem, fit: Fit, order: int | None = None) -> NoiseMode
     return NoiseModel(std, ar)
 
 
-def careful(problem: Problem, fit: Fit, noise: NoiseModel) -> NoiseModel:
-    """The noise model with so large a variance that windows scatter no more than it says."""
+def widened(problem: Problem, fit: Fit, noise: NoiseModel) -> NoiseModel:
+    """Enlarge the variance of the noise model to that of the scatter between windows."""
     # With the Hessian H of half the cost and the covariance J of the windows' gradients, independent errors have J = H
-    # - 1; a lacking effect makes J larger. Varin, Reid, Firth, composite likelihood (2011), 2.3.
+    # - 1; a missing effect makes J larger. Varin, Reid, Firth, composite likelihood (2011), 2.3.
     there = problem.fit(fit.hypothesis, noise, fit.z, fit.starts, FitPlan(tuning.LAST, 0.05, robust=True))
     assert there.covariance is not None
-    told = len(there.z) - float(np.trace(np.linalg.pinv(there.hessian)))
-    excess = max(1.0, float(np.trace(there.covariance @ there.hessian)) / max(told, 1e-9))
+    expected = len(there.z) - float(np.trace(np.linalg.pinv(there.hessian)))
+    excess = max(1.0, float(np.trace(there.covariance @ there.hessian)) / max(expected, 1e-9))
     return NoiseModel(noise.std * np.sqrt(excess), noise.ar, excess)
 
 
 def noise_ratio(problem: Problem, fit: Fit) -> float:
-    """Error of the fitted windows over what the sensors' noise makes of it; the largest over the outputs."""
+    """Return the RMS error of the fitted windows over the sensor noise, the largest over the outputs."""
     return float(np.max(_sizes(problem, fit) / np.max([r.sensor_noise for r in problem.records], axis=0)))
 
 
 def _past(errors: Array, order: int) -> Array:
-    """The ``order`` points before each point of a window, (n, order), latest first."""
+    """Return the ``order`` points before each point of a window, (n, order), latest first."""
     length = errors.shape[1]
     lagged = [errors[:, order - lag - 1 : length - lag - 1].ravel() for lag in range(order)]
     return np.column_stack(lagged) if lagged else np.empty((errors.size, 0))
 
 
 def white(noise: NoiseModel) -> NoiseModel:
-    """White noise of the same innovations: with it the window starts are those of least squares."""
+    """Return white noise of the same innovations, under which initial states are those of least squares."""
     return NoiseModel(noise.std, noise.ar[:0])
 
 
 def held_out_fit(held: Problem, fit: Fit, noise: NoiseModel) -> Fit:
-    """The hypothesis on other windows: parameters as fitted, only the window starts are found anew."""
+    """Fit only the initial states of other windows, at the fitted parameters."""
     return held.fit(fit.hypothesis, noise, fit.z, plan=FitPlan(8, 0.5, fixed=True))
 
 
 def as_fitted(held: Problem, fit: Fit, noise: NoiseModel) -> float:
-    """Log-likelihood of other windows at the fitted parameters, up to a constant common to all hypotheses."""
+    """Return the log-likelihood of other windows at the fitted parameters, up to a common constant."""
     return -0.5 * (held_out_fit(held, fit, noise).cost - float(fit.z @ fit.z))
 
 
 def window_errors(problem: Problem, fit: Fit) -> Array:
-    """Mean square error of each chosen window as a share of the measured ranges, (n_windows,)."""
+    """Return the mean square error of each chosen window relative to the measured ranges, (n_windows,)."""
     errors, ranges = problem.errors(fit.hypothesis, fit.z, fit.starts), spans(problem.records)
     scaled = np.concatenate([e / np.where(ranges > 0, ranges, 1.0) for e in errors])
     squares = np.nansum(scaled**2, axis=(1, 2))
@@ -93,10 +91,10 @@ def window_errors(problem: Problem, fit: Fit) -> Array:
 
 
 def clearly_larger(errors: Array, others: Array) -> bool:
-    """Whether mean square errors of windows exceed others as a whole, and by more than chance (95 %)."""
+    """Return whether mean square errors of windows exceed others in total, and significantly (95 %)."""
     tiny = np.finfo(float).tiny
     ratio = np.log(np.maximum(errors, tiny) / np.maximum(others, tiny))
-    if not errors.sum() > (1.0 + AS_LARGE) ** 2 * others.sum():
+    if not errors.sum() > (1.0 + tuning.AS_LARGE) ** 2 * others.sum():
         return False
     if len(ratio) < 2 or not ratio.std() > 0.0:
         return bool(ratio.mean() > 0.0)
@@ -105,37 +103,37 @@ def clearly_larger(errors: Array, others: Array) -> bool:
 
 
 def spans(records: Sequence[PreparedRecord]) -> Array:
-    """Largest measured range of each output, (n_measured,); 0 of one that no record has."""
+    """Return the largest measured range of each output, (n_measured,); 0 without measurement."""
     known = [[y[np.isfinite(y)] for y in r.y.T] for r in records]
     return np.max([[np.ptp(y) if y.size else 0.0 for y in row] for row in known], axis=0)
 
 
 def least_squares(problem: Problem, fit: Fit, noise: NoiseModel, plan: FitPlan) -> Fit:
-    """The hypothesis from where it stands, under white noise of the size of its errors, ``noise`` at least."""
+    """Refit under white noise of the size of the fit's errors, ``noise`` at least."""
     size = np.maximum(_sizes(problem, fit), noise.std)
     return problem.fit(fit.hypothesis, NoiseModel(size, noise.ar[:0]), fit.z, fit.starts, plan)
 
 
 def restarted(problem: Problem, fit: Fit) -> Fit:
-    """The fit with its starts found anew by least squares under the size of this model's errors."""
-    # Not that of the sensors' noise: errors of 500 times it would drive a start hundreds of deviations away.
+    """Re-estimate the initial states by least squares under the size of the fit's errors."""
+    # Not under the sensor noise: errors of 500 times it would move an initial state by hundreds of deviations.
     start = replace(fit, starts=tuple(np.zeros((len(c), len(problem.plant.states))) for c in problem.chosen))
-    for _ in range(2):  # the size of the errors is itself better known from better starts
+    for _ in range(2):  # better initial states improve the estimate of the errors' size
         start = least_squares(problem, start, first_noise(problem), FitPlan(8, 0.5, fixed=True))
     return start
 
 
 def _sizes(problem: Problem, fit: Fit) -> Array:
-    """Root mean square of a fit's errors, (n_measured,); 0 of an output that none of the windows has."""
+    """Return the root mean square of a fit's errors, (n_measured,); 0 for an output without samples."""
     errors = np.concatenate([e.reshape(-1, e.shape[2]) for e in problem.errors(fit.hypothesis, fit.z, fit.starts)])
     known = np.isfinite(errors).sum(axis=0)
     return np.asarray(np.sqrt(np.nansum(errors**2, axis=0) / np.maximum(known, 1)))
 
 
 def settled(problem: Problem, fit: Fit, noise: NoiseModel, order: int | None = None) -> Fit:
-    """The parameters to report: the hypothesis' own errors made white, covariance from the scatter of the windows."""
-    # Where something is still missing full whitening is wrong: order 1, from a start by least squares, trusts
-    # differences between neighbouring points less, in which a small ripple shows first.
+    """Refit for the report: errors whitened by their own model, covariance from the scatter of the windows."""
+    # While an effect is missing, full whitening is wrong: order 1, from a least-squares fit, gives less weight to
+    # differences between neighbouring points, which are sensitive to a small ripple.
     found = least_squares(problem, fit, noise, FitPlan(SETTLING, 1e-3)) if order == 1 else fit
     for _ in range(2):
         own = whitening(problem, found, order)
@@ -143,13 +141,13 @@ def settled(problem: Problem, fit: Fit, noise: NoiseModel, order: int | None = N
     return found
 
 
-PHASES = 8  # looked at before the best one is made finer
-PRICE = float(np.log(2 * PHASES))  # in log evidence, of a phase that was looked for in data to be judged on
+PHASES = 8  # on the grid before the refinement
+PRICE = float(np.log(2 * PHASES))  # log evidence per phase fitted to held-out data
 
 
 def in_phase(problem: Problem, fit: Fit, known: Sequence[PreparedRecord]) -> tuple[Problem, float]:
-    """The problem with each record begun where the fit's effects over time leave least, and what that costs."""
-    # Records that are ``known`` were fitted and stay; of several such effects the first gives the phase.
+    """Shift the time of each record to the best phase of the fit's effects over time; return problem and log cost."""
+    # Fitted (``known``) records keep their phase; of several such effects the first determines the phase.
     factors = [c.values(fit.z[own])[c.effect.timed] for c, own in problem.slices(fit.hypothesis) if c.effect.timed]
     new = [k for k, r in enumerate(problem.records) if not any(r is other for other in known)]
     if not factors or not new:
@@ -161,7 +159,7 @@ def in_phase(problem: Problem, fit: Fit, known: Sequence[PreparedRecord]) -> tup
 
 
 def _begun(problem: Problem, fit: Fit, k: int, period: float) -> float:
-    """Best time within a period for one record, by the cost of its windows."""
+    """Return the best time within a period for one record, by the cost of its windows."""
     from scipy.optimize import minimize_scalar
 
     def cost(later: float) -> float:

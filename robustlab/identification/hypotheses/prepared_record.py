@@ -1,4 +1,4 @@
-"""A record made ready for the naming of effects: windows, their starting states, the force the nominal model lacks."""
+"""A record prepared for effect identification: windows, their initial states, the nominal model's residual force."""
 
 from __future__ import annotations
 
@@ -22,69 +22,64 @@ from robustlab.identification.response.response import longest_period, slowest_t
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel
 
-WINDOWS_WANTED = 12  # in the shortest record: more and shorter ones drift less and tell slow effects worse
-LONGEST_WINDOW = 480  # samples; the slowest time constant may ask for up to twice that
-POINTS_PER_WINDOW = 80  # into which errors are averaged: more show faster effects and take more time
-LONGEST_GUESS = 2  # samples in a row without any output over which the input is taken as held
-AVERAGED_SHARE = 0.125  # of the period of the fastest motion seen: errors are averaged over no more
-# Of the current that voltage and speed ask for: how well one is known that no sensor tells; with the inflation
-# below a fit may move it by 0.3 of that at a window's start.
+WINDOWS_WANTED = 12  # in the shortest record: shorter windows drift less and are less sensitive to slow effects
+LONGEST_WINDOW = 480  # samples; up to twice that for a slow plant
+POINTS_PER_WINDOW = 80  # of averaged errors: more would resolve faster effects and take more time
+LONGEST_GUESS = 2  # samples in a row without outputs over which the input counts as held
+AVERAGED_SHARE = 0.125  # of the period of the fastest measured motion: longest average of errors
+# Standard deviation of an unmeasured current over its value from voltage and speed; with the inflation below a fit may
+# change an initial current by 0.3 of that value.
 CURRENT_SHARE = 0.01
-# Times the smoother's own std by which a fit may move a window's start. The smoother has seen the window itself, so
-# its start is told by the fit and not by it.
+# Prior standard deviation of a window's initial state over that of the smoother, which has used the window itself.
 START_INFLATION = 30.0
-MOST_GROWTH = 20.0  # of what an unstable nonlinear plant deviates by, over a window
-POINTS = 60  # of a motion that stand for it where a plant's places are asked for
-CONTENT = 0.99  # share of an output's power up to which its frequencies count as seen
+MOST_GROWTH = 20.0  # of the deviation of an unstable nonlinear plant over a window
+POINTS = 60  # of a motion at which ports are computed
+CONTENT = 0.99  # share of an output's power that determines its highest frequency
 
 
 @dataclass(frozen=True, eq=False)
 class PreparedRecord:
     """One record, cut into windows."""
 
-    record: Record  # on a uniform clock
-    # u, y: inputs (n, n_u) and outputs (n, n_measured); NaN where an output has no valid sample
+    record: Record  # on a uniform time base
+    # u, y: inputs (n, n_u) and outputs (n, n_measured); NaN without a valid sample
     u: Array
     y: Array
     columns: tuple[int, ...]  # index of each measured output among the plant's outputs
-    # all windows, in order of time, laid between gaps: where more than two samples in a row are lost, the input is a
-    # guess
-    windows: Windows
-    # x0, x0_std: smoothed states at the window starts and the standard deviation that a fit may move them by,
-    # (n_windows, n_x)
+    windows: Windows  # in order of time, without gaps of more than LONGEST_GUESS samples
+    # x0, x0_std: smoothed states at the window starts and their prior standard deviations, (n_windows, n_x)
     x0: Array
     x0_std: Array
-    smoothed: SmoothedRecord  # what the smoother found along the record
-    # share of each measured output in the smoothed states, (n_measured, n, n_x): they are linear in the records
+    smoothed: SmoothedRecord
+    # told: part of each measured output in the smoothed states, which are linear in the record, (n_measured, n, n_x);
+    # constant: that of one unit more of each output at all samples
     told: Array
-    constant: Array  # what one unit more of each output at all samples is in the smoothed states, (n_measured, n, n_x)
+    constant: Array
     push: Array  # directions of the unknown forces, (n_x, n_forces)
     thin: int  # samples averaged into one point of the error
     resolution: Array  # smallest step of each measured output, (n_measured,); 0 where it has none
-    # of a nonlinear plant: the states about which it is linear, (n, n_x); None for a linear one
-    motion: Array | None = None
-    begun: float = 0.0  # time in s by which it began later than a record whose time an effect counts by (`in_phase`)
+    motion: Array | None = None  # states (n, n_x) about which a nonlinear plant is linear
+    begun: float = 0.0  # offset of its time in s for effects over time (`in_phase`)
 
     @property
     def count(self) -> int:
-        """Number of windows."""
         return len(self.windows.starts)
 
     @cached_property
     def measured(self) -> Array:
-        """Measured outputs in the windows, (n_windows, length, n_measured)."""
+        """Return measured outputs in the windows, (n_windows, length, n_measured)."""
         return self.y[self.windows.starts[:, None] + np.arange(self.windows.length)]
 
     @property
     def sensor_noise(self) -> Array:
-        """Standard deviation of each measured output's noise or resolution in an averaged error."""
+        """Return the standard deviation of each measured output's noise or resolution in an averaged error."""
         return np.maximum(self.smoothed.noise_std, self.resolution / np.sqrt(12.0)) / np.sqrt(self.thin)
 
     def starts_seen(
         self, lag: float, shown: Mapping[int, float], biased: Mapping[int, float] = {}, late: Mapping[int, float] = {}
     ) -> Array:
-        """States at the window starts, (n_windows, n_x), where sensors show them late, scaled or biased."""
-        # lag: seconds by which all sensors are late; shown, biased, late: by index of an output of the plant.
+        """Return states at the window starts, (n_windows, n_x), corrected for late, scaled or biased sensors."""
+        # lag: delay of all sensors in s; shown, biased, late: gain, bias and delay by index of an output of the plant.
         x0 = self._at(self.smoothed.x, lag) if lag else self.x0.copy()
         for j, share, unit in self._corrections(shown, biased):
             x0 += share * self._at(self.told[j], lag) - unit * self._at(self.constant[j], lag)
@@ -96,7 +91,7 @@ class PreparedRecord:
     def motion_seen(
         self, shown: Mapping[int, float], biased: Mapping[int, float], late: Mapping[int, float]
     ) -> Array | None:
-        """The motion of a nonlinear plant, (n, n_x), where sensors show it scaled, biased or late."""
+        """Return the motion of a nonlinear plant, (n, n_x), corrected for scaled, biased or late sensors."""
         if self.motion is None or not (shown or biased or late):
             return self.motion
         x = self.motion.copy()
@@ -105,12 +100,12 @@ class PreparedRecord:
         clock = np.arange(len(x), dtype=float)
         for j, column in enumerate(self.columns):
             for k in np.flatnonzero(self.told[j].any(axis=0)) if column in late else ():
-                told = self.told[j][:, k]
-                x[:, k] += np.interp(clock + late[column] / self.record.dt, clock, told) - told
+                part = self.told[j][:, k]
+                x[:, k] += np.interp(clock + late[column] / self.record.dt, clock, part) - part
         return x
 
     def _corrections(self, shown: Mapping[int, float], biased: Mapping[int, float]) -> list[tuple[int, float, float]]:
-        """Of each measured output, by what factor of its share and of its unit the states are off."""
+        """Return output index, factor of its part and factor of its constant for each scaled or biased output."""
         found = []
         for j, column in enumerate(self.columns):
             gain, bias = shown.get(column, 1.0), biased.get(column, 0.0)
@@ -119,7 +114,7 @@ class PreparedRecord:
         return found
 
     def _at(self, x: Array, lag: float) -> Array:
-        """Samples of x (n, n_x) at the window starts, ``lag`` seconds later."""
+        """Interpolate x (n, n_x) at ``lag`` seconds after the window starts."""
         at = np.minimum(self.windows.starts + lag / self.record.dt, len(x) - 1.001)
         k = at.astype(int)
         part = (at - k)[:, None]
@@ -127,7 +122,7 @@ class PreparedRecord:
 
 
 def ports_of(plant: AnyPlant, record: Record) -> PortModel:
-    """Matrices and ports of a plant; of a nonlinear one about some points of the record's motion."""
+    """Return matrices and ports of a plant; of a nonlinear one about some points of the record's motion."""
     if isinstance(plant, LinearPlant):
         return port_model(plant)
     u, y, columns = _signals(plant, record)
@@ -137,9 +132,9 @@ def ports_of(plant: AnyPlant, record: Record) -> PortModel:
 
 
 def window_length(plant: AnyPlant, records: Sequence[Record], model: PortModel | None = None) -> int:
-    """Samples of a window: a twelfth of the shortest record, or more where the plant is slow."""
-    # At least the slowest time constant and two periods of the slowest resonance, as far as four windows fit. Of a
-    # nonlinear plant the fastest instability grows no more than MOST_GROWTH times over it.
+    """Return the samples of a window: a twelfth of the shortest record, or more for a slow plant."""
+    # At least the slowest time constant and two periods of the slowest resonance, if four windows fit. For a nonlinear
+    # plant the fastest instability grows at most MOST_GROWTH times over a window.
     n, dt = min(r.n for r in records), records[0].dt
     length = min(max(20 * n // (20 * WINDOWS_WANTED + 1), tuning.SHORTEST_WINDOW), LONGEST_WINDOW)
     if isinstance(plant, LinearPlant):
@@ -161,7 +156,7 @@ def prepare(
     outputs: Collection[str] = (),
 ) -> PreparedRecord:
     """Cut a uniform record into windows of ``length`` samples and smooth it."""
-    # valid: output -> mask of the samples that were measured; outputs: those that count, the record's if left out.
+    # valid: output -> mask of the measured samples; outputs: those to use, by default the record's.
     names = [s.name for s in plant.outputs]
     u, y, columns = _signals(plant, record, outputs)
     own = [j for j, k in enumerate(columns) if names[k] in record.outputs]
@@ -178,11 +173,13 @@ def prepare(
     joints = [p for p in model.ports.values() if p.kind == "joint"]
     push = np.stack([p.force for p in joints], axis=-1) if joints else model.B[..., : len(plant.inputs)]
     push = push.reshape(-1, *push.shape[-2:]).mean(axis=0)
-    smoothed, told, constant = _states(plant, record, u, y, columns, own, push)
+    smoothed, parts, constant = _states(plant, record, u, y, columns, own, push)
     measured = np.isfinite(y[:, own])
     known, lost = np.asarray(measured.all(axis=1)), np.asarray(~measured.any(axis=1))
     stretches = _between_gaps(lost, LONGEST_GUESS)
-    starts = [s for first, last in stretches for s in range(_lead(first, last, length), last - length + 1, length)]
+    # Remaining samples are skipped at the beginning, where a plant with a delay responds to the time before.
+    leads = [(a + min((b - a) % length, length // 20), b) for a, b in stretches]
+    starts = [s for first, last in leads for s in range(first, last - length + 1, length)]
     usable = [s for s in starts if known[s : s + length].mean() > 0.5]
     if len(usable) < tuning.FEWEST_WINDOWS:
         raise InputError(
@@ -207,7 +204,7 @@ def prepare(
         smoothed.x[windows.starts].copy(),
         std,
         smoothed,
-        told,
+        parts,
         constant,
         push,
         thin,
@@ -217,7 +214,7 @@ def prepare(
 
 
 def _signals(plant: AnyPlant, record: Record, outputs: Collection[str] = ()) -> tuple[Array, Array, tuple[int, ...]]:
-    """Inputs (n, n_u), measured outputs (n, n_measured) and the index of each among the plant's outputs."""
+    """Return inputs (n, n_u), measured outputs (n, n_measured) and the index of each among the plant's outputs."""
     missing = [s.name for s in plant.inputs if s.name not in record.inputs]
     if missing:
         raise InputError(f"discover {record.name}", f"no input {missing[0]!r}", f"all inputs of {plant.name}")
@@ -236,7 +233,7 @@ def _states(
     plant: AnyPlant, record: Record, u: Array, y: Array, columns: tuple[int, ...], own: list[int],
     push: Array,
 ) -> tuple[SmoothedRecord, Array, Array]:  # fmt: skip
-    """The smoothed record, and of each measured output its share and what a unit of it adds."""
+    """Return the smoothed record, and the part and constant of each measured output (`PreparedRecord`)."""
     seen = y[:, own]
     if isinstance(plant, LinearPlant):
         bare = plant.state_space().select(None, [plant.outputs[columns[j]].name for j in own])
@@ -245,21 +242,21 @@ def _states(
     else:
         moved = smooth_motion(plant, record.t, u, seen, [columns[j] for j in own])
         smoothed, shares = moved.smoothed, (moved.told, moved.constant)
-    told, constant, noise_std = *np.zeros((2, len(columns), *smoothed.x.shape)), np.zeros(len(columns))
-    told[own], constant[own] = shares
+    parts, constant, noise_std = *np.zeros((2, len(columns), *smoothed.x.shape)), np.zeros(len(columns))
+    parts[own], constant[own] = shares
     noise_std[own] = smoothed.noise_std
-    return replace(smoothed, noise_std=noise_std), told, constant
+    return replace(smoothed, noise_std=noise_std), parts, constant
 
 
 def alike(prepared: Sequence[PreparedRecord]) -> list[PreparedRecord]:
-    """The records with their errors averaged over equally many samples, so that one noise model holds for all."""
+    """Average the errors of all records over equally many samples, for one noise model."""
     thin = min(r.thin for r in prepared)
     return [replace(r, thin=thin) for r in prepared]
 
 
 def averaged(error: Array, thin: int) -> Array:
-    """Means over ``thin`` samples, (n_windows, n_points, n_y); NaN where no sample is known."""
-    # The first twentieth of a window is left out: what a late sensor showed then happened before the window.
+    """Return means over ``thin`` samples, (n_windows, n_points, n_y); NaN without samples."""
+    # Without the first twentieth of a window, in which a late sensor measures the time before the window.
     error = error[:, error.shape[1] // 20 :]
     count, length, n_y = error.shape
     points = length // thin
@@ -273,8 +270,8 @@ def averaged(error: Array, thin: int) -> Array:
 
 
 def _with_plausible_currents(smoothed: SmoothedRecord, model: PortModel, seen: Array, u: Array) -> SmoothedRecord:
-    """The smoothed record with currents that no sensor shows where voltage and speed put them."""
-    # Near (u - K omega) / R, with a share of its size as deviation: effects may delay or change the voltage.
+    """Replace unmeasured currents by their values from voltage and speed."""
+    # (u - K omega) / R, with a share of its size as deviation: effects may delay or change the voltage.
     x, std = smoothed.x.copy(), smoothed.x_std.copy()
     for port in model.ports.values():
         if port.kind != "current" or seen[:, port.velocity != 0.0].any():
@@ -289,7 +286,7 @@ def _with_plausible_currents(smoothed: SmoothedRecord, model: PortModel, seen: A
 
 
 def _fastest_seen(model: PortModel, y: Array, dt: float, noise_std: Array) -> float:
-    """Period in samples of the fastest motion that a record shows: of a resonance of the plant, or of the outputs."""
+    """Return the period in samples of the fastest measured motion: of a resonance of the plant, or of the outputs."""
     poles = np.linalg.eigvals(model.A).reshape(-1, model.A.shape[-1])[0]
     swings = np.abs(poles.imag[np.abs(poles.imag) > np.abs(poles.real)])
     periods = [p for p in 2.0 * np.pi / (swings * dt) if p > 2.0]
@@ -309,8 +306,8 @@ def _fastest_seen(model: PortModel, y: Array, dt: float, noise_std: Array) -> fl
 def _smoothed(
     bare: StateSpaceModel, push: Array, t: Array, u: Array, y: Array
 ) -> tuple[SmoothedRecord, StateSpaceModel, Array]:
-    """Smoothed with inputs that are held or, where that is more probable, smooth between their samples."""
-    # A smooth input is given by its means over the samples, and by its rises with columns of their own.
+    """Smooth with inputs that are held or, if more probable, smooth between their samples."""
+    # A smooth input enters by its means over the samples, and by its rises in further columns.
     dt = float(t[1] - t[0])
     halves = np.stack([SampledInput(column, "smooth").steps(1) for column in u.T])  # (n_u, n, 2)
     inputs = np.vstack([halves.mean(axis=2), halves[:, :, 1] - halves[:, :, 0]]).T
@@ -320,19 +317,13 @@ def _smoothed(
     return max(found, key=lambda f: f[0].log_likelihood)
 
 
-def _lead(first: int, last: int, length: int) -> int:
-    """First sample of the first window of a stretch."""
-    # A plant with a delay answers to what was before the record: samples left over are left out at its beginning.
-    return first + min((last - first) % length, length // 20)
-
-
 def start_std(smoothed: SmoothedRecord, windows: Windows) -> Array:
-    """How far a fit may move the window starts, (n_windows, n_x): far beyond what the smoother leaves open."""
+    """Return prior standard deviations of the initial states, (n_windows, n_x), far above those of the smoother."""
     return START_INFLATION * smoothed.x_std[windows.starts]
 
 
 def _between_gaps(lost: Mask, longest_guess: int) -> list[tuple[int, int]]:
-    """First sample and end of each stretch between runs of lost samples that are too long to hold the input over."""
+    """Return first sample and end of each stretch between runs of more than ``longest_guess`` lost samples."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], lost.astype(int), [0]])))
     gaps = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > longest_guess]
     firsts, ends = [0, *(b for _, b in gaps)], [*(a for a, _ in gaps), len(lost)]
@@ -340,7 +331,7 @@ def _between_gaps(lost: Mask, longest_guess: int) -> list[tuple[int, int]]:
 
 
 def _resolution(y: Array) -> float:
-    """Smallest step between the values of a quantised signal; 0 for one that takes nearly every value once."""
+    """Return the smallest step between the values of a quantised signal; 0 if nearly every value is unique."""
     values = np.unique(y)
     if len(values) < 2 or len(values) > 0.98 * len(y):
         return 0.0

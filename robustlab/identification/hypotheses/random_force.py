@@ -1,6 +1,6 @@
-r"""What small forces at ports change in the windows of a fit, and the errors' likelihood under a random force: errors
+r"""Response of a fit's windows to small forces at ports, and likelihood of the errors under a random force: errors
 J delta + X eta + O f + noise, covariance sigma^2 (1 + O s^2 K_f O^T) with K_f = exp(-2 pi f |t_j - t_k|), all else
-eliminated in closed form. Only each window's products G = [O J X e]^T [O J X e] are kept.
+eliminated in closed form. Only each window's products G = [O J X e]^T [O J X e] are stored.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from robustlab.identification import tuning
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Problem
 from robustlab.identification.hypotheses.prepared_record import PreparedRecord, averaged
 
-SEGMENTS = 60  # of a window, at most: finer ones tell faster forces, each is a simulation a port
+SEGMENTS = 60  # of a window, at most: each is a simulation per port
 PULSES = 120  # of a window at all ports together, at most
 PULSE = 0.02  # of the force that moves the port: small against it, large against rounding
-WILD = 1e6
+CLIP = 1e6
 
 
 @law
 def recorded_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
-    """Parameters p = (sample time, number of samples, then the force at each sample of the record)."""
+    """Return the force of p = (sample time, number of samples, force at each sample of the record)."""
     return p[2 + min(int(p[1]) - 1, int(seen[TIME] / p[0] + 1e-6))]
 
 
 class _RecordedForce(Effect):
-    """A force, or an addition to an input, that is given sample by sample; no effect of the catalogue."""
+    """A force, or an addition to an input, given by its samples; not in the catalogue."""
 
     id = "recorded-force"
     title = "Recorded force"
@@ -60,54 +60,50 @@ class _RecordedForce(Effect):
 
 @dataclass(frozen=True, eq=False)
 class PortMotion:
-    """Along one record."""
+    """Motion of a port along one record."""
 
     force: float  # RMS of the force that moves the port
-    # speed, position: of the port, (n,), None where not known
-    speed: Array | None = None
-    position: Array | None = None
+    speed: Array | None = None  # (n,)
+    position: Array | None = None  # (n,)
 
 
 @dataclass(frozen=True, eq=False)
 class ForceResponse:
-    """One record's windows."""
+    """Response of one record's windows to forces at ports."""
 
     gram: Array  # G, (n_windows, n, n) with n = n_pulses + n_z + n_x + 1
     points: Indices  # number of known points of each window, (n_windows,)
     edges: Indices  # first sample of each segment within a window, and the end, (n_segments + 1,)
     samples: Indices  # index of each sample of the windows, (n_windows, length)
-    xi: Array  # starts at the fit, (n_windows, n_x)
+    xi: Array  # initial states of the fit, (n_windows, n_x)
     record: PreparedRecord
-    ports: tuple[PortMotion, ...]  # motion of each port
-    port: int = 0  # the one that curves are drawn at
+    ports: tuple[PortMotion, ...]
+    port: int = 0  # where curves of a force act
 
     @property
     def segments(self) -> int:
-        """Their number in a window, at each port."""
         return len(self.edges) - 1
 
     @property
     def pulses(self) -> int:
-        """Columns of O: the segments of all ports."""
         return len(self.ports) * self.segments
 
     @property
     def own(self) -> slice:
-        """Columns of O of the port that curves are drawn at."""
+        """Return the columns of O of the curves' port."""
         return slice(self.port * self.segments, (self.port + 1) * self.segments)
 
     @property
     def motion(self) -> PortMotion:
-        """Of that port."""
         return self.ports[self.port]
 
     def mean(self, values: Array) -> Array:
-        """Means over the segments of columns (n, k) along the record: (n_windows, n_segments, k)."""
+        """Return means over the segments of columns (n, k) along the record: (n_windows, n_segments, k)."""
         return np.add.reduceat(values[self.samples], self.edges[:-1], axis=1) / np.diff(self.edges)[:, None]
 
 
 def plain_places(problem: Problem, fit: Fit) -> tuple[Site, ...]:
-    """The plant's own joints, or its inputs where it has none."""
+    """Return the plant's own joints, or its inputs without any."""
     simulator = problem.simulators(fit.hypothesis)[0]
     model = simulator.model(*problem.split(fit.hypothesis, fit.z))
     joints = tuple(Site("joint", p.name) for p in model.ports.values() if p.kind == "joint" and "." not in p.name)
@@ -115,7 +111,7 @@ def plain_places(problem: Problem, fit: Fit) -> tuple[Site, ...]:
 
 
 def force_response(problem: Problem, fit: Fit, places: Sequence[Site]) -> list[ForceResponse]:
-    """Responses at a fit to forces at joints, or to additions to inputs, one a record."""
+    """Return responses at a fit to forces at joints, or to additions to inputs, one per record."""
     dt = problem.records[0].record.dt
     pulses = [Candidate(_RecordedForce(dt), place, (), ({},), Scales()) for place in places]
     wider = Hypothesis((*fit.hypothesis.candidates, *pulses))
@@ -139,7 +135,7 @@ def _of_record(
     def points(difference: Array) -> Array:
         with np.errstate(all="ignore"):
             scaled = averaged(difference, record.thin) / single
-        return np.clip(scaled, -WILD, WILD).reshape(len(chosen), -1)
+        return np.clip(scaled, -CLIP, CLIP).reshape(len(chosen), -1)
 
     with np.errstate(all="ignore"):
         here = outputs(fit.z, xi)
@@ -162,7 +158,7 @@ def _of_record(
             if shifts:
                 first = pulse(0, at)
                 ends = [np.pad(first[:, : length - e], ((0, 0), (e, 0), (0, 0))) for e in edges[:-1]]
-                last = (edges[-1] - edges[-2]) / (edges[1] - edges[0])  # a shorter last segment pushes less
+                last = (edges[-1] - edges[-2]) / (edges[1] - edges[0])  # the last segment may be shorter
                 o += [points(r * (last if s == len(ends) - 1 else 1.0)) for s, r in enumerate(ends)]
             else:
                 o += [points(pulse(s, at)) for s in range(len(edges) - 1)]
@@ -174,21 +170,19 @@ def _of_record(
 
 
 def _shifts(problem: Problem, fit: Fit, simulator: Simulator, pulses: int) -> bool:
-    """Whether a later pulse answers like an earlier one: a linear plant, no force law, no map of an output."""
+    """Return whether the response is time-invariant: a linear plant, no force law, no map of an output."""
     if isinstance(problem.plant, NonlinearPlant):
         return False
     values = problem.setting(fit.hypothesis, fit.z).values
     effects = zip(simulator.effects[:-pulses], values, strict=True)
-    return not any(_maps(effect, site, v) or effect.laws(site, v) for (effect, site), v in effects)
-
-
-def _maps(effect: Effect, site: Site, values: Mapping[str, float]) -> bool:
-    """Whether it does something to an output."""
-    return site.kind == "output" and not (effect.delay and values[effect.delay] == 0.0)
+    return not any(
+        (site.kind == "output" and not (effect.delay and v[effect.delay] == 0.0)) or effect.laws(site, v)
+        for (effect, site), v in effects
+    )
 
 
 def _motion(problem: Problem, fit: Fit, place: Site, k: int) -> PortMotion:
-    """RMS force, speed and position of the port along one record as the smoother tells them."""
+    """Return RMS force, speed and position of the port along one record from the smoother."""
     record = problem.records[k]
     if place.kind == "input":
         at = [s.name for s in problem.plant.inputs].index(place.name)
@@ -209,19 +203,19 @@ def _motion(problem: Problem, fit: Fit, place: Site, k: int) -> PortMotion:
 
 
 SIZES = np.concatenate([[0.0], 10.0 ** np.arange(-4.5, 0.1, 0.25)])  # s, of the force that moves the port
-# Precision of a start's prior, of that in the fit: the smoother that told the start knew of no force beyond its own
-# bandwidth, and a ripple moves the start by much more than it thought possible.
+# Precision of the prior of initial states over that in the fit: the smoother assumes no force beyond its bandwidth, and
+# a ripple changes the initial state by much more than its standard deviation.
 START = 1e-4
-LEAST_NOISE = 1e-8  # variance of the noise over that which the smoother told
+LEAST_NOISE = 1e-8  # variance of the noise over the smoother's estimate
 BANDWIDTHS = (1.0, 4.0, 16.0)  # f, per length of a window
-FINER = (0.5, 1.0, 2.0)  # of the best of them
+FINER = (0.5, 1.0, 2.0)  # times the best of them
 
 
 @dataclass(frozen=True, eq=False)
 class NoiseLevel:
-    """A random force of a size and bandwidth (Hz), and each window's products with it and the start eliminated."""
+    """A random force of a size and bandwidth (Hz), and window products with it and the initial state eliminated."""
 
-    # gram: (n_windows, n, n) over the columns asked for, the parameters and the errors.
+    # gram: (n_windows, n, n) over the given columns, the parameters and the errors.
 
     size: float
     bandwidth: float
@@ -232,7 +226,7 @@ class NoiseLevel:
 
 
 class FittedWindows:
-    """The windows of all records, with a random force at one port or at several."""
+    """Windows of all records, with a random force at one port or at several."""
 
     def __init__(self, records: list[ForceResponse], z: Array, problem: Problem) -> None:
         self.records, self.z, self.problem = records, z, problem
@@ -241,8 +235,8 @@ class FittedWindows:
         self.dt = problem.records[0].record.dt
         length = self.dt * records[0].samples.shape[1]
         self.bandwidths = [b / length for b in BANDWIDTHS]
-        # Of the parameters' prior: the noise's variance, from the fit's errors on. From far above it the prior would
-        # hold the parameters that a fit has moved far, and charge it for them.
+        # Weight of the parameters' prior: variance of the noise, from that of the fit's errors down. A larger weight
+        # would penalise parameters that the fit has changed much.
         left = sum(float(r.gram[:, -1, -1].sum()) for r in records)
         self.weight = max(LEAST_NOISE, left / self.points)
         self.roots = {f: [self._roots(r, f) for r in records] for f in self.bandwidths}
@@ -254,31 +248,31 @@ class FittedWindows:
             self._refine(nothing)
 
     def at(self, port: int) -> FittedWindows:
-        """The same windows, for curves at another of their ports."""
+        """Return the windows for curves at another of their ports."""
         other = copy(self)
         other.records = [replace(r, port=port) for r in self.records]
         return other
 
     @property
     def force(self) -> float:
-        """RMS of the force that moves the port that curves are drawn at."""
+        """Return the RMS of the force that moves the curves' port."""
         return float(self.forces[self.records[0].port])
 
     def strongest(self) -> list[int]:
-        """The ports by how much more than the random force is left there, beginning with the one that has most."""
-        left = []
+        """Return the ports by residual force over the expected random force, largest first."""
+        ratio = []
         for port in range(len(self.records[0].ports)):
             there = self.at(port)
-            told = expected = 0.0
+            found = expected = 0.0
             for record, (gram, score) in zip(there.records, there.segment_sums(), strict=True):
                 kernel = self._kernel(record, self.alone.bandwidth)
-                told += float(np.einsum("ws,st,wt->", score, kernel, score))
+                found += float(np.einsum("ws,st,wt->", score, kernel, score))
                 expected += float(np.einsum("wst,ts->", gram, kernel))
-            left.append(told / max(expected, 1e-300))
-        return sorted(range(len(left)), key=lambda port: -left[port])
+            ratio.append(found / max(expected, 1e-300))
+        return sorted(range(len(ratio)), key=lambda port: -ratio[port])
 
     def _refine(self, nothing: Sequence[Array]) -> None:
-        """The random force between the nodes of the grid: what a node misses differs from hypothesis to hypothesis."""
+        """Optimise the random force between the nodes of the grid, whose error differs between hypotheses."""
         from scipy.optimize import minimize_scalar
 
         start = np.log(self.alone.size)
@@ -302,7 +296,7 @@ class FittedWindows:
         self.weight = max(LEAST_NOISE, self.alone.alone_q / self.points)
 
     def _roots(self, record: ForceResponse, bandwidth: float) -> tuple[Array, Array]:
-        """U^T L^T (n_windows, n_pulses, n_pulses) and w with L L^T = K_f and L^T O^T O L = U diag(w) U^T."""
+        """Return U^T L^T (n_windows, n_pulses, n_pulses) and w with L L^T = K_f and L^T O^T O L = U diag(w) U^T."""
         kernel = self._kernel(record, bandwidth)
         root = np.linalg.cholesky(kernel + 1e-9 * np.eye(len(kernel)))
         root = np.kron(np.diag(self.forces), root)
@@ -311,21 +305,21 @@ class FittedWindows:
         return np.swapaxes(u, 1, 2) @ root.T, np.maximum(w, 0.0)
 
     def _kernel(self, record: ForceResponse, bandwidth: float) -> Array:
-        """K_f over the segments of one port, for a force of 1."""
+        """Return K_f over the segments of one port, for a force of 1."""
         middle = 0.5 * self.dt * (record.edges[1:] + record.edges[:-1])
         return np.exp(-2.0 * np.pi * bandwidth * np.abs(middle[:, None] - middle))
 
     @property
     def smaller(self) -> Array:
-        """The sizes up to that of the hypothesis alone: what an unnamed force explains the random one need not."""
+        """Return the sizes up to that of the hypothesis alone: a residual force reduces the random one."""
         known = np.append(SIZES[1:], self.alone.size)
         return np.append(0.0, np.unique(known[known <= 1.8 * self.alone.size]))
 
     @property
     def start_volume(self) -> float:
-        """What twice the log likelihood of the hypothesis alone lacks, of the starts, to be compared with others'."""
-        # The log det of their equations grows with whatever scales the outputs: only what a random force changes of it
-        # counts. Starts have hardly any prior here, so there they have that of the fit.
+        """Return the correction of twice the log likelihood for the initial states, to compare hypotheses."""
+        # The log det of their equations depends on the scale of the outputs: only its change by a random force counts.
+        # Here the initial states have nearly no prior, in the correction that of the fit.
         total = 0.0
         for k, record in enumerate(self.records):
             own = slice(-1 - record.xi.shape[1], -1)
@@ -337,11 +331,11 @@ class FittedWindows:
 
     @property
     def log_likelihood(self) -> float:
-        """Log marginal likelihood of the hypothesis alone under a random force, up to a constant common to all."""
+        """Return the log marginal likelihood of the hypothesis alone under a random force, up to a common constant."""
         return self.alone.alone + 0.5 * len(self.z) * float(np.log(self.weight)) + 0.5 * self.start_volume
 
     def _within_noise(self, k: int, size: float) -> Array:
-        """Products of one record under the noise and a random force of this size, bandwidth as beside nothing."""
+        """Return products of one record under noise and a random force of this size, at the bandwidth of `alone`."""
         record = self.records[k]
         root, w = self.roots[self.alone.bandwidth][k]
         t = root @ record.gram[:, : record.pulses]
@@ -349,14 +343,13 @@ class FittedWindows:
         return record.gram - np.swapaxes(t, 1, 2) @ t
 
     def levels(self, columns: Sequence[Array], sizes: Array = SIZES) -> list[NoiseLevel]:
-        """All random forces, with these columns (n_windows, n_segments, k) a record."""
+        """Return all random forces, with columns (n_windows, n_segments, k) per record."""
         found = []
-        for f in self.bandwidths:  # none has no bandwidth
+        for f in self.bandwidths:  # size 0 has no bandwidth
             found += self._levels_of(f, columns, sizes if f == self.bandwidths[0] else sizes[1:])
         return found
 
     def _levels_of(self, f: float, columns: Sequence[Array], sizes: Sequence[float] | Array) -> list[NoiseLevel]:
-        """Random forces of one bandwidth, with these columns."""
         mixed = [self._mixed(r, c, r.gram) for r, c in zip(self.records, columns, strict=True)]
         turned = [root @ rows for (root, _), (_, rows) in zip(self.roots[f], mixed, strict=True)]
         found = []
@@ -372,16 +365,16 @@ class FittedWindows:
         return found
 
     def _mixed(self, record: ForceResponse, columns: Array, gram: Array) -> tuple[Array, Array]:
-        """Products of the starts, columns, parameters and errors of each window; and those with the segments."""
+        """Return products of initial states, columns, parameters and errors of each window; and with the segments."""
         s, n_x = record.pulses, record.xi.shape[1]
         n = gram.shape[1]
         k = columns.shape[2]
         mix = np.zeros((len(columns), n, k + n - s))
         mix[:, record.own, :k] = columns
-        order = [*range(n - 1 - n_x, n - 1), *range(s, n - 1 - n_x), n - 1]  # starts, parameters, errors
+        order = [*range(n - 1 - n_x, n - 1), *range(s, n - 1 - n_x), n - 1]  # initial states, parameters, errors
         mix[:, order, k + np.arange(n - s)] = 1.0
         rows = gram @ mix
-        # starts go first, so that they are eliminated first
+        # Initial states come first, to be eliminated first.
         gram = np.swapaxes(mix, 1, 2) @ rows
         first = [*range(k, k + n_x), *range(k), *range(k + n_x, gram.shape[1])]
         return gram[:, first][:, :, first], rows[:, :s][:, :, first]
@@ -394,7 +387,7 @@ class FittedWindows:
         return NoiseLevel(size, bandwidth, gram, logdet, q, log_likelihood)
 
     def with_prior(self, gram: Array) -> Array:
-        """Products over (..., parameters, errors) with the parameters' prior."""
+        """Add the parameters' prior to products over (..., parameters, errors)."""
         n_z = len(self.z)
         prior = np.zeros(gram.shape[-2:])
         prior[-n_z - 1 : -1, -n_z - 1 : -1] = np.eye(n_z)
@@ -403,13 +396,13 @@ class FittedWindows:
         return gram + self.weight * prior
 
     def segment_sums(self) -> list[tuple[Array, Array]]:
-        """Products of the port's segments with each other and with the errors, under the noise of the hypothesis."""
+        """Return products of the port's segments with each other and with the errors, under the hypothesis' noise."""
         found = []
         for k, record in enumerate(self.records):
             s, gram = record.segments, self._within_noise(k, self.alone.size)
             g, _ = _without_start(self._mixed(record, np.broadcast_to(np.eye(s), (len(gram), s, s)), gram)[0], record)
             found.append((g, g[:, :s, -1]))
-        # the parameters are eliminated approximately: at their best for the errors, not for each force
+        # Parameters are eliminated approximately: at their optimum for the errors, not for each force.
         n_z = len(self.z)
         total = self.with_prior(np.sum([g.sum(axis=0)[-n_z - 1 :, -n_z - 1 :] for g, _ in found], axis=0))
         dz = np.linalg.solve(total[:-1, :-1], total[:-1, -1]) if n_z else np.zeros(0)
@@ -418,7 +411,7 @@ class FittedWindows:
 
 
 def _without_start(gram: Array, record: ForceResponse) -> tuple[Array, Array]:
-    """The window's start, which comes first, eliminated with its prior; and log det of its equations."""
+    """Eliminate the window's initial state, which comes first, with its prior; return also its log det."""
     n_x = record.xi.shape[1]
     gram = gram.copy()
     gram[:, :n_x, :n_x] += START * np.eye(n_x)
@@ -431,7 +424,7 @@ def _without_start(gram: Array, record: ForceResponse) -> tuple[Array, Array]:
 
 
 def eliminated(gram: Array, count: int) -> tuple[Array, Array]:
-    """V without the last but one ``count`` unknowns, and log det of their equations."""
+    """Eliminate the ``count`` unknowns before the errors; return V and log det of their equations."""
     if count == 0:
         return gram[..., -1, -1], np.zeros(gram.shape[:-2])
     h, b = gram[..., -count - 1 : -1, -count - 1 : -1], gram[..., -count - 1 : -1, -1:]

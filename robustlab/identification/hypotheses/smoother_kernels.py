@@ -1,8 +1,8 @@
 # pyright: reportMissingParameterType=false
-# (the compiler infers the types of the leaves; the entries have their signatures in the decorator)
-r"""Compiled square-root Kalman filter and Rauch-Tung-Striebel smoother: covariances are roots, P = S S^T, outputs enter
-one at a time (Potter), the time update is the QR of [[S^T Phi^T, S^T], [L, 0]] = Q [[S_p^T, W], [0, V]] with the gain
-W^T S_p^-1 and V^T V, the covariance given the next state (Park, Kailath, IEEE TAC 41, 1996).
+# (the compiler infers the types of inner functions; the entries have signatures in the decorator)
+r"""Compiled square-root Kalman filter and Rauch-Tung-Striebel smoother: covariances are roots, P = S S^T, outputs are
+processed one at a time (Potter), the time update is the QR of [[S^T Phi^T, S^T], [L, 0]] = Q [[S_p^T, W], [0, V]] with
+the gain W^T S_p^-1 and the covariance given the next state V^T V (Park, Kailath, IEEE TAC 41, 1996).
 """
 
 from __future__ import annotations
@@ -15,14 +15,13 @@ from numba import njit, types
 
 from robustlab.arrays import Array, Indices
 
-# Roots that change by less than this share of their rows are taken as repeating.
-REPEATS = 1e-12
+REPEATS = 1e-12  # relative change of a root's row below which it counts as stationary
 
 _1, _2, _3 = (types.Array(types.float64, k, "C") for k in (1, 2, 3))
 
 
 class Filter(NamedTuple):
-    """The linear system of the module's header; ``root`` is L."""
+    """Linear system of the filter; ``root`` is L."""
 
     phi: Array
     root: Array
@@ -33,7 +32,7 @@ class Filter(NamedTuple):
 
 
 class Kept(NamedTuple):
-    """What the filter leaves to the smoother; the matrices of sample k stand in place ``slot[k]``."""
+    """Results of the filter for the smoother; the matrices of sample k are at index ``slot[k]``."""
 
     predicted: Array
     filtered: Array
@@ -45,7 +44,7 @@ class Kept(NamedTuple):
 
     @classmethod
     def of(cls, n: int, n_z: int) -> Kept:
-        """Room for n samples of n_z states; for none where nothing but the last root is to be kept."""
+        """Allocate for n samples of n_z states; n = 0 if only the last root is needed."""
         means, matrices = np.empty((n, n_z)), np.empty((n, n_z, n_z))
         return cls(
             means, means.copy(), np.zeros(n, np.int64), matrices, matrices.copy(), matrices.copy(),
@@ -59,7 +58,7 @@ _KEPT = (_2, _2, types.Array(types.int64, 1, "C"), _3, _3, _3, _2)
 
 @njit(nogil=True, error_model="numpy")
 def _triangle(m, columns):
-    """Householder reduction of the first ``columns`` columns of m to an upper triangle with diagonal >= 0."""
+    """Reduce the first ``columns`` columns of m by Householder reflections to an upper triangle with diagonal >= 0."""
     rows, width = m.shape
     for j in range(columns):
         norm = 0.0
@@ -89,7 +88,7 @@ def _triangle(m, columns):
 
 @njit(nogil=True, error_model="numpy")
 def _update(z, S, h, sigma, v, gain, direction):
-    """Potter's update by one output with innovation v: changes z and S, fills ``gain``; the innovation's variance."""
+    """Update z and S by one output with innovation v (Potter), fill ``gain``; return the innovation's variance."""
     n = len(z)
     a = sigma * sigma
     for j in range(n):
@@ -113,7 +112,7 @@ def _update(z, S, h, sigma, v, gain, direction):
 
 @njit(nogil=True, error_model="numpy")
 def _advance(work, phi, S, root, S_new, G, rest):
-    """The QR decomposition of the module's header: predicted root, smoother's gain, and what the smoother adds."""
+    """Apply the time update: predicted root, smoother's gain, and covariance given the next state."""
     n = len(S)
     for i in range(n):
         for j in range(n):
@@ -220,7 +219,7 @@ def forward(model, y, keep, kept):
 
 @njit([(types.NamedTuple(_KEPT, Kept), _2, _3)], cache=True, nogil=True, error_model="numpy")
 def backward(kept, mean, covariance):
-    """Smoothed mean (n, n_z) and covariance (n, n_z, n_z)."""
+    """Fill the smoothed mean (n, n_z) and covariance (n, n_z, n_z)."""
     predicted, filtered, slot, _, G, rest, last = kept
     n, n_z = filtered.shape
     mean[n - 1] = filtered[n - 1]

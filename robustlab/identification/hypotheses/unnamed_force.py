@@ -1,7 +1,6 @@
-"""Evidence that a force without a name acts beside a hypothesis: a Gaussian process over speed, position, time or
-input, or a line, on top of the random force; its gain in nats after what was searched is paid for, and window by
-window from all the others (Rasmussen, Williams, *Gaussian Processes for Machine Learning*, 2006, sections 2.7 and
-5.4).
+"""Evidence for a residual force of a hypothesis: a Gaussian process over speed, position, time or input, or a line, on
+top of the random force. Gains in nats, less the log of the searched possibilities, and by cross-validation over windows
+(Rasmussen, Williams, *Gaussian Processes for Machine Learning*, 2006, sections 2.7 and 5.4).
 """
 
 from __future__ import annotations
@@ -25,50 +24,43 @@ from robustlab.identification.hypotheses.random_force import (
     plain_places,
 )
 
-MOST_PLACES = 2  # at which an unnamed force is looked for
-
-
 Over = Literal["speed", "position", "time", "input", "line over time", "line over position"]
 
+MOST_PLACES = 2  # at which a residual force is searched
 WAVES = 10  # smooth functions over position and time
-LINES = 3  # of each kind looked at
+LINES = 3  # examined over each coordinate
 OVERSAMPLED = 4.0  # wave numbers per turn over the range
 TURNS = 2.0  # of a line over the position within its range, at least; fewer are a curve
 SLOWEST = 5.0  # periods of a line over time in a record, at least: slower ones are drift
 FINEST = 1500.0  # periods within the range, at most
-SHARP = 0.01  # of the largest speed or input, within which a dry force turns round
+SHARP = 0.01  # of the largest speed or input, within which a dry force changes sign
 
 
 class Family(NamedTuple):
-    """One kind of unnamed force: its columns, (n_windows, n_segments, k) a record."""
+    """One family of residual forces: its columns, (n_windows, n_segments, k) per record."""
 
     over: Over
     columns: list[Array]
     dry: bool = False
-    price: float = 0.0  # of what was searched, in nats
+    price: float = 0.0  # log of the number of searched lines
     wave: float = 0.0
 
 
-def families(windows: FittedWindows) -> list[Family]:
-    """All kinds of force that these windows could show."""
-    return [*_smooth(windows), *_lines(windows)]
-
-
 def _signed(x: Array) -> Array:
-    """Odd and even functions of x in -1..1, some of them sharp at zero: (n, 10)."""
+    """Return odd and even functions of x in -1..1, some of them sharp at zero: (n, 10)."""
     sharp, near = np.tanh(x / SHARP), np.exp(-np.abs(x) / 0.1)
     odd = (x, x * np.abs(x), x**3, sharp, np.tanh(x / 0.15), sharp * near)
     return np.column_stack([*odd, np.ones_like(x), np.sqrt(x**2 + SHARP**2), x**2, near])
 
 
 def _cosines(x: Array) -> Array:
-    """Long waves over x in -1..1, weighted by a smooth process' prior: (n, WAVES)."""
+    """Return long waves over x in -1..1, weighted by a smooth process' prior: (n, WAVES)."""
     j = np.arange(WAVES)
     return np.cos(0.5 * np.pi * j * (x[:, None] + 1.0)) / (1.0 + (j / 3.0) ** 2)
 
 
 def _smooth(windows: FittedWindows) -> list[Family]:
-    """Smooth curves over speed, position, time and input, some of them turned round with the motion."""
+    """Return smooth curves over speed, position, time and input, with and without the sign of the speed."""
     records, families = windows.records, []
     sign = None
     if (speeds := _all([r.motion.speed for r in records])) is not None:
@@ -87,7 +79,6 @@ def _smooth(windows: FittedWindows) -> list[Family]:
 
 
 def _all(arrays: list[Array | None]) -> list[Array] | None:
-    """The arrays, None where one is missing."""
     found = [a for a in arrays if a is not None]
     return found if len(found) == len(arrays) else None
 
@@ -99,12 +90,11 @@ def _curve(
     functions: Callable[[Array], Array],
     turn: list[Array] | None,
 ) -> Family | None:
-    """Functions of a coordinate along the records; None where it stays the same."""
+    """Return functions of a coordinate along the records; None if it is constant."""
     low, high = min(float(x.min()) for x in raw), max(float(x.max()) for x in raw)
     if not high > low:
         return None
-    # What is odd or even is so about zero.
-    about_zero = functions is not _cosines
+    about_zero = functions is not _cosines  # odd and even functions
     middle, half = (0.0, max(-low, high)) if about_zero else (0.5 * (low + high), 0.5 * (high - low))
     columns = []
     for k, (record, x) in enumerate(zip(windows.records, raw, strict=True)):
@@ -116,7 +106,6 @@ def _curve(
 
 
 def _lines(windows: FittedWindows) -> list[Family]:
-    """The strongest lines over time and position."""
     records = windows.records
     clocks = [r.mean(windows.dt * np.arange(len(r.record.u))[:, None])[:, :, 0] for r in records]
     families = [
@@ -137,11 +126,11 @@ def _line(
     wave: float,
     count: float,
 ) -> Family:
-    """Cosine and sine with phases of their own in each record, over the position in each direction, too."""
+    """Return cosine and sine with separate phases for each record and, over the position, for each direction."""
     columns = []
     for k, record in enumerate(windows.records):
         step = windows.dt * float(record.edges[1] - record.edges[0])
-        # A staircase at the segments' middles answers weaker than the wave; a segment that sees many waves, their mean.
+        # The response to steps at the segments' middles is weaker than to the wave; over many waves it is the mean.
         fade = 1.0 / np.sinc(wave * step) if v is None else np.sinc(wave * v[k] * step)
         phase = 2.0 * np.pi * wave * x[k]
         pair = np.stack([np.cos(phase) * fade, np.sin(phase) * fade], axis=2)
@@ -156,7 +145,7 @@ def _line(
 def _strongest(
     windows: FittedWindows, x: list[Array], v: list[Array] | None, least: float
 ) -> list[tuple[float, float]]:
-    """Wave numbers (turns per unit) of the strongest lines by the score, and how many were searched."""
+    """Return wave numbers (turns per unit) of the strongest lines by the score, and the number of searched ones."""
     span = max(float(np.ptp(a)) for a in x)
     if not span > 0:
         return []
@@ -186,7 +175,7 @@ def _strongest(
 
 
 def _transformed(x: Array, values: Array, waves: Array) -> ComplexArray:
-    """Sum of the values times exp(2 pi i wave x) at evenly spaced wave numbers, by one transform of fine bins."""
+    """Return the sums of the values times exp(2 pi i wave x) at evenly spaced wave numbers, by a transform of bins."""
     step = float(waves[1] - waves[0])
     width = 1.0 / (step * np.ceil(8.0 * waves[-1] / step))  # an eighth of the shortest wave, and a whole number of them
     padded = round(1.0 / (step * width))
@@ -196,47 +185,44 @@ def _transformed(x: Array, values: Array, waves: Array) -> ComplexArray:
     return np.asarray(spectrum[np.round(waves / step).astype(int)])
 
 
-PRIOR = 0.05  # probability that something acts that is not in the catalogue, before any data
-# What the sums end with where there is hardly any motion, or nothing that tells some parameter.
-UNTOLD = (RobustlabError, np.linalg.LinAlgError, ValueError, ArithmeticError)
+PRIOR = 0.05  # prior probability of an effect outside the catalogue
+# Errors of singular equations: too little motion, or an unobservable parameter.
+SINGULAR = (RobustlabError, np.linalg.LinAlgError, ValueError, ArithmeticError)
 STRENGTHS = 10.0 ** np.arange(-3.5, 0.1, 0.5)  # lambda, of the force that moves the port
 
 
 @dataclass(frozen=True, eq=False)
 class UnnamedEvidence:
-    """An unnamed force on top of a hypothesis, against the hypothesis alone."""
+    """A residual force on top of a hypothesis, against the hypothesis alone."""
 
-    # port, over, dry: where it acts, what it follows, and whether it turns round with the direction of motion
+    # port, over, dry: where it acts, its coordinate, and whether it changes sign with the speed
     port: str
     over: Over
     dry: bool
-    # gain in log evidence, in nats; what was searched is paid for, the prior of an unnamed force is not
-    evidence: float
-    cross_validated: float  # gain in log predictive density, window by window, with the curve from all the others
+    evidence: float  # gain in log evidence in nats, less the log of the searched possibilities, without `PRIOR`
+    cross_validated: float  # gain in log predictive density of each window given all others
     period: float = float("nan")  # of a line, in s or the unit of the position; NaN for a curve
     wave: tuple[float, float] = (0.0, 0.0)  # amplitudes of its cosine and sine
 
     @property
     def wins(self) -> bool:
-        """Whether it is more probable than nothing, its prior included, and helps on data that it was not told."""
+        """Return whether it is more probable than no force, with its prior, and improves held-out windows."""
         return self.evidence > -np.log(PRIOR) and self.cross_validated > 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class Unnamed:
-    """What a hypothesis leaves."""
+    """Residual of a hypothesis."""
 
     forces: tuple[UnnamedEvidence, ...]  # best first
-    # RMS error of the fit, starts and parameters at their best, over what the sensors' noise and the machine's random
-    # force make of it; the random force is what no unnamed force explains
-    noise_ratio: float
+    noise_ratio: float  # RMS error of the fit over that of sensor noise and random force
     random_share: float  # RMS of the random force over that of the force that moves the port
 
 
 def fitted_windows(problem: Problem, fit: Fit) -> tuple[tuple[FittedWindows, Site], ...]:
-    """A hypothesis' windows under a random force, and where curves of a force are looked for."""
-    # Of a linear plant with few joints the force acts at one of them, and each is asked; else at all of them, and those
-    # are asked where more than it is left.
+    """Return a hypothesis' windows under a random force, and the places of curves of a force."""
+    # For a linear plant with few joints the force acts at one of them, and each is examined; else it acts at all of
+    # them, and those with the largest residual are examined.
     places, most = plain_places(problem, fit), MOST_PLACES
     if len(places) <= most and not isinstance(problem.plant, NonlinearPlant):
         return tuple((FittedWindows(force_response(problem, fit, [p]), fit.z, problem), p) for p in places)
@@ -245,20 +231,20 @@ def fitted_windows(problem: Problem, fit: Fit) -> tuple[tuple[FittedWindows, Sit
 
 
 def unnamed_force(windows: FittedWindows, place: Site) -> Unnamed:
-    """What a hypothesis leaves, told as a force at one place."""
-    kinds = families(windows)
+    """Examine the residual of a hypothesis as a force at one place."""
+    kinds = [*_smooth(windows), *_lines(windows)]
     best = [judged(windows, family, len(kinds)) for family in kinds]
-    told = [_told(place, f, b) for f, b in zip(kinds, best, strict=True)]
-    order = sorted(range(len(told)), key=lambda k: (not told[k].wins, -told[k].evidence))
+    forces = [_evidence(place, f, b) for f, b in zip(kinds, best, strict=True)]
+    order = sorted(range(len(forces)), key=lambda k: (not forces[k].wins, -forces[k].evidence))
     first = best[order[0]]
-    level, rest = (first.level, first.q) if told[order[0]].wins else (windows.alone, windows.alone.alone_q)
-    # What is called the sensors' noise was told by the nominal model, and is too large where that is late or scaled.
+    level, rest = (first.level, first.q) if forces[order[0]].wins else (windows.alone, windows.alone.alone_q)
+    # The sensor noise was estimated with the nominal model, and is too large if that is late or scaled.
     ratio = float(np.sqrt(level.alone_q / min(windows.points, rest)))
-    return Unnamed(tuple(told[k] for k in order), ratio, level.size)
+    return Unnamed(tuple(forces[k] for k in order), ratio, level.size)
 
 
 class _Best(NamedTuple):
-    """The best noise and strength of one family, and what comes of them."""
+    """The best noise and strength of one family, with evidence and mean."""
 
     level: NoiseLevel
     strength: float
@@ -269,7 +255,7 @@ class _Best(NamedTuple):
 
 
 def judged(windows: FittedWindows, family: Family, kinds: int) -> _Best:
-    """One of so many kinds at its own best noise and strength."""
+    """Evaluate one of ``kinds`` families at its best noise and strength."""
     n_z, n, count = len(windows.z), windows.points, family.columns[0].shape[2]
     levels = windows.levels(family.columns, windows.smaller)
     alone = max(level.alone for level in [*levels, windows.alone])
@@ -297,7 +283,7 @@ def judged(windows: FittedWindows, family: Family, kinds: int) -> _Best:
 
 
 def _projected(gram: Array, count: int, n_z: int) -> tuple[Array, Array, float]:
-    """Normal equations of the family with the parameters eliminated, and log det of the parameters' equations."""
+    """Return the family's normal equations with the parameters eliminated, and log det of the parameters' ones."""
     if n_z == 0:
         return gram[:count, :count], gram[:count, -1], 0.0
     inner = gram[count:-1, count:-1]
@@ -309,7 +295,7 @@ def _projected(gram: Array, count: int, n_z: int) -> tuple[Array, Array, float]:
 def _cross_validated(
     windows: FittedWindows, gram: Array, count: int, strength: float, alone: NoiseLevel, level: NoiseLevel, q: float
 ) -> float:
-    """Sum over the windows of the log predictive density given the others, with the family less without."""
+    """Return the gain by the family in the log predictive density of each window given the others, summed."""
     n_z, n = len(windows.z), windows.points
     points = np.concatenate([r.points for r in windows.records])
 
@@ -327,12 +313,12 @@ def _cross_validated(
     return predictive(gram, level.logdet, count, q / n) - predictive(without, alone.logdet, 0, alone.alone_q / n)
 
 
-def _told(place: Site, family: Family, best: _Best) -> UnnamedEvidence:
-    """The evidence; of a line with its period and amplitudes in the first record."""
+def _evidence(place: Site, family: Family, best: _Best) -> UnnamedEvidence:
+    """Return the evidence, of a line with its period and amplitudes in the first record."""
     mean, dry = best.mean, family.dry
     if not family.wave:
         return UnnamedEvidence(place.name, family.over, dry, best.evidence, best.cross_validated)
-    # Over the position the part that is the same both ways, or the one that turns round, if larger not by rounding.
+    # Over the position, the part independent of the direction, or the dry one if larger by more than rounding.
     if family.over == "line over position" and np.hypot(*mean[2:4]) > 1.01 * np.hypot(*mean[:2]):
         mean, dry = mean[2:], True
     wave = float(mean[0]), float(mean[1])

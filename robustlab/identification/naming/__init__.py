@@ -1,1 +1,1 @@
-"""`discover`: the search over sets of effects, their probabilities, the answer, and the plant after it."""
+"""`discover`: search over sets of effects, their posterior, the result, and the updated plant."""

@@ -1,4 +1,4 @@
-"""From the posterior of the sets to the answer: verdict, names, intervals, gaps, and what remains."""
+"""Build the result of `discover` from the posterior: verdict, effects, intervals, errors, residual force."""
 
 from __future__ import annotations
 
@@ -39,15 +39,15 @@ from robustlab.identification.naming.discovery_parts import (
 from robustlab.identification.naming.discovery_result import Discovery
 from robustlab.identification.naming.held_out import (
     Gaps,
-    Matter,
+    Relevance,
+    at_limits,
     held_out_gaps,
     late_clocks,
-    matter_of,
+    relevance_of,
     simulated,
-    strained,
     without_effects,
 )
-from robustlab.identification.naming.named_kinds import Kinds, force_share, kinds_of
+from robustlab.identification.naming.named_kinds import Kinds, force_share
 from robustlab.identification.naming.posterior import Alternative, Posterior
 from robustlab.identification.naming.residual_force import (
     LeftOver,
@@ -59,7 +59,6 @@ from robustlab.identification.naming.residual_force import (
 from robustlab.identification.naming.set_search import Found
 from robustlab.identification.naming.updated_plant import updated_plant
 from robustlab.identification.record_check.suitability import Finding
-from robustlab.identification.tuning import AS_LARGE
 from robustlab.record import Record
 from robustlab.result import Status
 
@@ -68,19 +67,18 @@ if TYPE_CHECKING:
     from robustlab.identification.experiment import NextExperiment
 
 
-MOSTLY = 0.5  # of what the bare model lacks, by names that are sure beside a misfit; below, they are not it
-EXPLAINED = 0.9  # of what the bare model lacks; below, what was named is not the effect
-REPEATABLE = 1.6  # F of the residual against the noise floor beyond which something repeatable remains
-REMARK = 0.005  # of the force that moves the port: a weaker line that remains is a remark
+MOST_OF_EXCESS = 0.5  # share of the nominal model's excess cost that sure effects must explain if a misfit remains
+EXPLAINED = 0.9  # share of it below which the named effects are not the missing ones
+REPEATABLE = 1.6  # F of the residual against the noise floor beyond which a repeatable error remains
+REMARK = 0.005  # of the force that moves the port: weaker remaining lines are reported only
 T = TypeVar("T")
-WIDER = 1.25  # times the fitted value, at which the records are asked
-HELD = 1e8  # precision that holds a standardised parameter
-ROUNDS = 8
+WIDER = 1.25  # times the fitted value: a larger value that is tested against the records
+HELD = 1e8  # prior precision that fixes a standardised parameter
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One call of `discover`: what was given, checked and prepared."""
+    """Checked and prepared arguments of one `discover` call."""
 
     plant: AnyPlant
     records: Sequence[Record]
@@ -93,19 +91,19 @@ class Case:
 
 
 class _Judgement(NamedTuple):
-    """The verdict, and whether nothing material remains beyond it."""
+    """Verdict, and whether nothing relevant remains unexplained."""
 
     verdict: Verdict
     complete: bool
 
     def status(self, explained: float) -> Status:
-        """INCONCLUSIVE without a sure name, or where what remains is larger than what the names explain."""
+        """Return INCONCLUSIVE without a sure name, or if more error remains than the names explain."""
         sure = self.verdict == "no missing effect" or (self.verdict == "named" and (self.complete or explained >= 0.5))
         return Status.CONVERGED if sure else Status.INCONCLUSIVE
 
 
-class _Left(NamedTuple):
-    """What the best set leaves: whether it matters, whether all was examined, force, lines, and noise floor."""
+class _Remainder(NamedTuple):
+    """Residual of the best set: whether it is relevant, whether all was examined, force, lines, noise floor."""
 
     remains: bool
     complete: bool
@@ -116,7 +114,7 @@ class _Left(NamedTuple):
 
 
 class _Stages(list[Finding]):
-    """Findings of what comes after the naming: what fails is one of them, and never loses the naming."""
+    """Findings on failed stages after the search: a failure must not lose the named effects."""
 
     def run(self, what: str, work: Callable[[], T], instead: T) -> T:
         try:
@@ -130,23 +128,23 @@ class _Stages(list[Finding]):
 
 
 def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Discovery:
-    """The result of `discover`; gaps are measured on all of the windows that are held out."""
+    """Return the result of `discover`, with errors on all held-out windows."""
     problem, held, stages = found.problem, held.under(found.problem.clock), _Stages()
     best = posterior.best.fit
     whole = settled(problem, best, found.noise)
-    left = _what_is_left(case, found, posterior, whole, stages)
+    left = _remainder(case, found, posterior, whole, stages)
     if left.remains and best.hypothesis.candidates:
         whole = settled(problem, whole, found.noise, 1)
-    matters = stages.run("what matters", lambda: _matters(found, held, whole), {})
-    slight = frozenset(key for key, m in matters.items() if not m.material)
-    kinds = kinds_of(problem, posterior, slight)
-    if elsewhere := stages.run("what matters in other sets", lambda: _slight_elsewhere(found, held, kinds), None):
-        kinds = kinds_of(problem, posterior, slight | elsewhere)
+    relevance = stages.run("what matters", lambda: _relevances(found, held, whole), {})
+    negligible = frozenset(key for key, m in relevance.items() if not m.material)
+    kinds = Kinds(problem, posterior, negligible)
+    if elsewhere := stages.run("what matters in other sets", lambda: _negligible_elsewhere(found, held, kinds), None):
+        kinds = Kinds(problem, posterior, negligible | elsewhere)
     fit = whole
-    if aside := slight | _doubtful(kinds, whole):
+    if aside := negligible | _doubtful(kinds, whole):
         fit = settled(problem, without_effects(problem, whole, aside), found.noise, 1 if left.remains else None)
-        # Beside the error of the smaller set stands that of it without each of its names.
-        matters |= stages.run("what matters", lambda: _matters(found, held, fit), {})
+        # The errors without each effect refer to the smaller set.
+        relevance |= stages.run("what matters", lambda: _relevances(found, held, fit), {})
     verdict = _verdict(found, kinds, fit, left.remains)
     named = fit.hypothesis.candidates
     bare = settled(problem, found.empty.fit, found.noise, 1 if named else None)
@@ -155,35 +153,35 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
     judged = _Judgement(verdict, left.complete and verdict != "unknown")
     findings = [*case.findings, *_search_findings(found)]
     if named:
-        judged = _on_held_out(judged, gaps, bool(strained(problem, bare)), tuning.MATERIAL)
+        judged = _on_held_out(judged, gaps, bool(at_limits(problem, bare)))
     if refuted := bool(named) and gaps.worse_than_given:
         findings.append(_refuted(fit, gaps))
-        fit = bare  # nothing of it is reported as found
+        fit = bare  # the refuted effects are not reported
     rivals = [a for a in posterior.alternatives() if a.candidate.key not in kinds.ignored]
     if judged.verdict == "unknown" and not named:
-        rivals = []  # nothing was named, and nothing is missing no longer stands beside them
+        rivals = []  # rivals of "no missing effect", which is no longer the verdict
     names = tuple(r.name for r in case.records)
     force = left.force
     explained = _explained_on_held_out(gaps, posterior.noise_ratio)
     structure = {"noise_ratio": posterior.noise_ratio, "explained": explained}
     experiment = stages.run("next experiment", lambda: _next_experiment(problem, best, rivals), None)
     curves = stages.run("residual force", lambda: residual_curves(force), None) if force else None
-    missing = stages.run("missing force", lambda: _missing_force(found, bare), None) if named else None
+    missing = stages.run("missing force", lambda: _curves(found, bare), None) if named else None
     sure = stages.run("kinds", lambda: kinds.named(problem, left.remains), ()) if judged.verdict != "unknown" else ()
     source = f"fitted to {', '.join(names)}"
     model = None if refuted else stages.run("updated plant", lambda: updated_plant(problem, fit, source, sure), None)
 
-    def told(fit: Fit, keys: Sequence[str]) -> tuple[NamedEffect, ...]:
+    def effects(fit: Fit, keys: Collection[str]) -> tuple[NamedEffect, ...]:
         own = [k for k, c in enumerate(fit.hypothesis.candidates) if c.key in keys]
-        return tuple(_named(found, posterior, fit, k, rivals, matters) for k in own)
+        return tuple(_named(found, posterior, fit, k, rivals, relevance) for k in own)
 
     return Discovery(
         status=judged.status(explained),
         verdict=judged.verdict,
         complete=judged.complete,
-        effects=told(fit, [c.key for c in fit.hypothesis.candidates]),
+        effects=effects(fit, [c.key for c in fit.hypothesis.candidates]),
         kinds=sure,
-        also_detectable=told(whole, list(slight)),
+        also_detectable=effects(whole, negligible),
         rivals=tuple(_rival(problem, a) for a in rivals),
         nominal=_nominal(problem, fit, case.stated),
         gap_before=overall(gaps.windows, "nominal"),
@@ -216,9 +214,9 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
 # --- the verdict -----------------------------------------------------------------------------------------------------
 
 
-def _what_is_left(case: Case, found: Found, posterior: Posterior, fit: Fit, stages: _Stages) -> _Left:
-    """What the best set leaves; a line too weak to matter is told and leaves the answer complete."""
-    force = stages.run("residual force", lambda: left_over(_everything(found), fit, found.noise), None)
+def _remainder(case: Case, found: Found, posterior: Posterior, fit: Fit, stages: _Stages) -> _Remainder:
+    """Examine the residual of the best set; lines weaker than `REMARK` leave the answer complete."""
+    force = stages.run("residual force", lambda: left_over(_all_records(found), fit, found.noise), None)
     lines = stages.run("lines", lambda: remaining_lines(force) if force else (), ())
     floor, excess = stages.run("noise floor", lambda: _floor_excess(case, found, fit), (None, {}))
     moving = max((c.scales.force for c in case.pool if force and c.site.name == force.port), default=0.0)
@@ -227,84 +225,83 @@ def _what_is_left(case: Case, found: Found, posterior: Posterior, fit: Fit, stag
     remains = remains or posterior.noise_ratio > tuning.MOST_NOISE or posterior.best.unnamed is not None
     remains = remains or posterior.random_share > tuning.MOST_RANDOM or not posterior.generalises
     remains = remains or bool(late_clocks(found.problem, fit))
-    # What was not looked at (no motion, a stage that failed, records in pieces) is not known to be nothing.
+    # Without an examination (no motion, a failed stage, records in pieces) the answer is not complete.
     complete = not remains and force is not None and bool(np.isfinite(posterior.noise_ratio))
-    return _Left(bool(remains), complete, force, lines, floor, excess)
+    return _Remainder(bool(remains), complete, force, lines, floor, excess)
 
 
-def _matters(found: Found, held: Problem, fit: Fit, keys: Collection[str] | None = None) -> dict[str, Matter]:
-    """What each effect of the set brings on held-out data; of those of ``keys`` where they are given."""
+def _relevances(found: Found, held: Problem, fit: Fit, keys: Collection[str] | None = None) -> dict[str, Relevance]:
+    """Return the relevance on held-out data of each effect of the set, or of those in ``keys``."""
     problem, known = found.problem, found.problem.records
-    asked = [(k, c.key) for k, c in enumerate(fit.hypothesis.candidates) if keys is None or c.key in keys]
-    if not asked:
+    chosen = [(k, c.key) for k, c in enumerate(fit.hypothesis.candidates) if keys is None or c.key in keys]
+    if not chosen:
         return {}
-    whole, already = simulated(held, fit, known), strained(problem, fit)
-    told = {}
-    for k, key in asked:
+    whole, already = simulated(held, fit, known), at_limits(problem, fit)
+    relevance = {}
+    for k, key in chosen:
         less = without_effects(problem, fit, {key})
-        needed = force_share(problem, fit, k) >= tuning.MATERIAL or bool(strained(problem, less) - already)
-        told[key] = matter_of(held, whole, simulated(held, less, known), needed)
-    return told
+        needed = force_share(problem, fit, k) >= tuning.MATERIAL or bool(at_limits(problem, less) - already)
+        relevance[key] = relevance_of(held, whole, simulated(held, less, known), needed)
+    return relevance
 
 
-def _slight_elsewhere(found: Found, held: Problem, kinds: Kinds) -> frozenset[str]:
-    """Effects that are open in other sets than the best, and bring nothing there: they decide nothing either."""
-    slight = set[str]()
-    for candidate in () if kinds.coarse else kinds.open():
+def _negligible_elsewhere(found: Found, held: Problem, kinds: Kinds) -> frozenset[str]:
+    """Return effects that are undecided in sets other than the best one and negligible there."""
+    negligible = set[str]()
+    for candidate in () if kinds.posterior.coarse else kinds.open():
         if candidate.key not in kinds.posterior.best.key:
             entry = next(w for w in kinds.posterior.sets if candidate.key in w.key)
-            if not _matters(found, held, entry.fit, {candidate.key})[candidate.key].material:
-                slight.add(candidate.key)
-    return frozenset(slight)
+            if not _relevances(found, held, entry.fit, {candidate.key})[candidate.key].material:
+                negligible.add(candidate.key)
+    return frozenset(negligible)
 
 
 def _verdict(found: Found, kinds: Kinds, fit: Fit, remains: bool) -> Verdict:
-    """Named: the kind of every effect that matters is sure, in whatever form; `fit` holds what is named."""
+    """Return "named" if the class of every relevant effect is sure; ``fit`` holds the named effects."""
     named = fit.hypothesis.candidates
     if not named:
         return "unknown" if remains else "no missing effect"
-    sure = all(kinds.told(c) for c in named)
-    explained = _explained(found, kinds.posterior.best.fit) if remains or kinds.coarse else 1.0
-    if kinds.coarse and sure and explained >= MOSTLY:
-        return "named"  # against a misfit that counts as much as it does; what else is open is part of what remains
+    sure = all(kinds.sure_kind(c) for c in named)
+    explained = _explained(found, kinds.posterior.best.fit) if remains or kinds.posterior.coarse else 1.0
+    if kinds.posterior.coarse and sure and explained >= MOST_OF_EXCESS:
+        return "named"  # despite a misfit; undecided effects are part of the residual
     if remains and explained < EXPLAINED:
         return "unknown"
     return "named" if sure and found.settled and not kinds.open() else "ambiguous"
 
 
 def _doubtful(kinds: Kinds, fit: Fit) -> frozenset[str]:
-    """Effects of a best set that leaves more than noise which are not sure, where others are: no part of the answer."""
+    """Return the unsure effects of a best set with a misfit, if other effects of it are sure."""
     own = fit.hypothesis.candidates
-    if not kinds.coarse or not any(kinds.told(c) for c in own):
+    if not kinds.posterior.coarse or not any(kinds.sure_kind(c) for c in own):
         return frozenset()
-    return frozenset(c.key for c in own if c.key not in kinds.ignored and kinds.told(c) is None)
+    return frozenset(c.key for c in own if c.key not in kinds.ignored and kinds.sure_kind(c) is None)
 
 
-def _on_held_out(judged: _Judgement, gaps: Gaps, strained: bool, material: float) -> _Judgement:
-    """Judge the names on held-out data."""
-    # A refit that has left its tolerances (strained) does by its parameters what the names say: it counts only where
-    # its error is smaller by the share material.
+def _on_held_out(judged: _Judgement, gaps: Gaps, beyond: bool) -> _Judgement:
+    # A refit ``beyond`` its tolerances imitates the effects by its parameters: it refutes them only if its error
+    # is smaller by the share `MATERIAL`.
     if gaps.worse_than_given:
         return _Judgement("unknown", False)
     updated, refitted = (overall(gaps.windows, model) for model in ("updated", "refitted"))
-    if strained and updated <= (1.0 + material) * refitted:
+    if beyond and updated <= (1.0 + tuning.MATERIAL) * refitted:
         return judged
     if gaps.worse:
         return judged._replace(verdict="unknown", complete=False)
-    further = updated > (1.0 + AS_LARGE) * refitted
+    further = updated > (1.0 + tuning.AS_LARGE) * refitted
     return judged._replace(verdict="ambiguous") if further and judged.verdict == "named" else judged
 
 
 def _explained(found: Found, fit: Fit) -> float:
-    """Share of the fall in V from the bare model to noise that the named effects brought about."""
+    """Return the share of the nominal model's excess cost over noise that the effects explain."""
     bare, now = found.empty.fit.cost, fit.cost
     points = float(sum(np.isfinite(e).sum() for e in found.problem.errors(fit.hypothesis, fit.z, fit.starts)))
-    points /= fit.noise.excess  # V of noise alone: the model of it says a larger variance than the errors have
+    points /= fit.noise.excess  # cost of noise alone: its modelled variance exceeds that of the errors
     return 1.0 if bare <= points else (bare - now) / (bare - points)
 
 
 def _refuted(fit: Fit, gaps: Gaps) -> Finding:
-    """The finding that the best set makes the held-out free run worse than the model as given."""
+    """Return the finding that the best set worsens the held-out free run of the given model."""
     given, updated = (overall(gaps.free_run, model) for model in ("nominal", "updated"))
     text = f"free run on held-out data {updated:.3g} % of the range, worse than as given ({given:.3g} %): not named"
     hint = "the records lack what would show the effect, or the catalogue lacks it"
@@ -313,14 +310,14 @@ def _refuted(fit: Fit, gaps: Gaps) -> Finding:
 
 
 def _explained_on_held_out(gaps: Gaps, noise_ratio: float) -> float:
-    """Share of the mean-square error of the model as given that the updated model removes, noise not counted."""
+    """Return the share of the given model's mean-square error above noise that the updated model removes."""
     given, updated = (overall(gaps.windows, model) ** 2 for model in ("nominal", "updated"))
     noise = updated / noise_ratio**2 if noise_ratio > 1.0 else 0.0
     return float(np.clip((given - updated) / (given - noise), 0.0, 1.0)) if given > noise else 1.0
 
 
 def _floor_excess(case: Case, found: Found, fit: Fit) -> tuple[NoiseFloor | None, dict[str, float]]:
-    """Model-free noise floor of the first record, where it repeats, and F of the updated model's errors against it."""
+    """Return the model-free noise floor of a repeating first record, and F of the updated model's errors against it."""
     from robustlab.identification.comparison.repeats import noise_floor
 
     problem, record = found.problem, case.records[0]
@@ -333,7 +330,7 @@ def _floor_excess(case: Case, found: Found, fit: Fit) -> tuple[NoiseFloor | None
         return None, {}
     if floor.source != "periods" or first.record.n != record.n:
         return floor, {}
-    # Windows at the same phases of every period.
+    # Windows at equal phases of every period.
     per_period = max(1, round(floor.samples / first.windows.length))
     length = floor.samples // per_period
     starts = floor.first + (np.arange(floor.count)[:, None] * floor.samples + np.arange(per_period) * length).ravel()
@@ -354,32 +351,30 @@ def _floor_excess(case: Case, found: Found, fit: Fit) -> tuple[NoiseFloor | None
     return floor, excess
 
 
-def _missing_force(found: Found, bare: Fit) -> ResidualForce | None:
-    """The force that the refitted nominal model lacks."""
-    left = left_over(_everything(found), bare, found.noise)
+def _curves(found: Found, fit: Fit) -> ResidualForce | None:
+    left = left_over(_all_records(found), fit, found.noise)
     return residual_curves(left) if left else None
 
 
-def _everything(found: Found) -> Problem:
-    """All records, those held out as well."""
+def _all_records(found: Found) -> Problem:
+    """Return the problem over all records, held-out ones included."""
     problem = found.problem
     return problem.on([*problem.records, *(r for r in found.held.records if r not in problem.records)])
 
 
 def _search_findings(found: Found) -> list[Finding]:
-    told = []
     if found.interrupted:
         text = f"stopped by the user after {found.expanded} sets were looked beyond"
-        told.append(Finding("interrupted", "search", text, "a search that ends by itself", "run it again", False, {}))
-    elif not found.settled:
+        return [Finding("interrupted", "search", text, "a search that ends by itself", "run it again", False, {})]
+    if not found.settled:
         text = f"not settled after {found.expanded} sets were looked beyond"
-        told.append(Finding("search", "search", text, "a set that nothing makes more probable", "", False, {}))
-    return told
+        return [Finding("search", "search", text, "a set that nothing makes more probable", "", False, {})]
+    return []
 
 
 def _next_experiment(problem: Problem, best: Fit, rivals: Sequence[Alternative]) -> NextExperiment | None:
-    """What would separate the named effects from their rivals."""
-    if not rivals or isinstance(problem.plant, NonlinearPlant):  # which moves as its controller asks
+    """Return the experiment that would separate the named effects from their rivals."""
+    if not rivals or isinstance(problem.plant, NonlinearPlant):  # its controller determines the motion
         return None
     from robustlab.identification.experiment import propose_experiment
 
@@ -391,7 +386,6 @@ def _next_experiment(problem: Problem, best: Fit, rivals: Sequence[Alternative])
 
 
 def _effect_values(problem: Problem, fit: Fit, k: int) -> tuple[EffectValue, ...]:
-    """Parameters of the k-th effect with posterior intervals."""
     candidate, own = problem.slices(fit.hypothesis)[k]
     values = []
     for p, centre, spread in zip(candidate.parameters, fit.z[own], fit.std[own], strict=True):
@@ -401,7 +395,7 @@ def _effect_values(problem: Problem, fit: Fit, k: int) -> tuple[EffectValue, ...
 
 
 def _named(
-    found: Found, posterior: Posterior, fit: Fit, k: int, rivals: Sequence[Alternative], matters: Mapping[str, Matter]
+    found: Found, posterior: Posterior, fit: Fit, k: int, rivals: Sequence[Alternative], tested: Mapping[str, Relevance]
 ) -> NamedEffect:
     candidate = fit.hypothesis.candidates[k]
     own = [a for a in rivals if a.instead_of is not None and a.instead_of.key == candidate.key]
@@ -410,16 +404,17 @@ def _named(
     return NamedEffect(
         effect.id, effect.title, effect.equation, candidate.site.name,
         _opened_above(found.problem, fit, k, _effect_values(found.problem, fit, k)),
-        posterior.of_effect(candidate.key), posterior.best.visited.evidence - less.evidence,
+        float(min(1.0, sum(w.probability for w in posterior.sets if candidate.key in w.key))),
+        posterior.best.visited.evidence - less.evidence,
         tuple(dict.fromkeys(a.candidate.effect.id for a in own)),
-        matters[candidate.key].error_without if candidate.key in matters else np.nan,
+        tested[candidate.key].error_without if candidate.key in tested else np.nan,
     )  # fmt: skip
 
 
 def _opened_above(problem: Problem, fit: Fit, k: int, values: Sequence[EffectValue]) -> tuple[EffectValue, ...]:
-    """The values of the k-th effect, with the upper end of its prior where a larger one fits as well."""
-    # The curvature at the fit of a gap whose other flank the load never reaches has no information on its width: a
-    # clearly larger value is held, and everything else fitted again.
+    """Extend the upper end of the k-th effect's interval to that of its prior if a larger value fits as well."""
+    # If the load never reaches the other flank of a gap, the curvature has no information on its width: a clearly
+    # larger value is fixed, and everything else refitted.
     candidate, place = problem.slices(fit.hypothesis)[k]
     name = candidate.effect.told_from_below
     if not name:
@@ -431,7 +426,7 @@ def _opened_above(problem: Problem, fit: Fit, k: int, values: Sequence[EffectVal
     z[at] = prior.standardised(WIDER * values[own].value)
     mean, precision = np.zeros(len(z)), np.eye(len(z))
     mean[at], precision[at, at] = z[at], HELD
-    there = problem.fit(fit.hypothesis, fit.noise, z, fit.starts, FitPlan(ROUNDS), prior=Prior(mean, precision))
+    there = problem.fit(fit.hypothesis, fit.noise, z, fit.starts, FitPlan(tuning.LAST), prior=Prior(mean, precision))
     if there.cost + there.z[at] ** 2 - fit.cost >= tuning.CANNOT_TELL**2:
         return tuple(values)
     upper = max(values[own].upper, prior.value(INTERVAL))
@@ -453,11 +448,11 @@ def _nominal(problem: Problem, fit: Fit, stated: Mapping[str, tuple[float, bool]
     moved: dict[str, list[float]] = {}
     for nuisance, z, std in zip(problem.nuisances, fit.z, fit.std, strict=False):
         for name in nuisance.names:
-            centre = z if name in factors else 0.0  # what is named misplaced has its shift there
+            centre = z if name in factors else 0.0  # a parameter with a named shift has it there
             factor = [nuisance.factor(float(centre + side * INTERVAL * std)) for side in (-1.0, 0.0, 1.0)]
             moved[name] = [problem.plant.parameters[name].reference * f for f in factor]
     for k, candidate in enumerate(fit.hypothesis.candidates):
-        if candidate.site.kind == "parameter" and candidate.effect.scale:  # what is named misjudged has its value here
+        if candidate.site.kind == "parameter" and candidate.effect.scale:  # value of a parameter named as misjudged
             s = _effect_values(problem, fit, k)[0]
             for name in candidate.effect.factors(problem.plant, candidate.site, {s.name: s.value}):
                 moved[name] = [problem.plant.parameters[name].reference * f for f in (s.lower, s.value, s.upper)]

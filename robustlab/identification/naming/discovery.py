@@ -1,4 +1,4 @@
-"""`discover`: name the effects that a model lacks, from measured records."""
+"""`discover`: identify the effects that a model lacks, from measured records."""
 
 from __future__ import annotations
 
@@ -38,23 +38,23 @@ from robustlab.identification.response.response import converted, with_units
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel, as_model
 
-MOST_WINDOWS = 24  # that the search fits: more tell weaker effects and take more time
-MOST_SAMPLES = 2400  # of a nonlinear plant, in the windows that the search fits
-MOST_HELD = 12  # that it judges on
-HELD_OUT_EVERY = 4  # without a held-out record, every so manieth window is kept from the fit
-LONGEST_LAG = 0.1  # of a window: until the lag has passed, nothing of the simulation shows
+MOST_WINDOWS = 24  # fitted by the search: more would show weaker effects and take more time
+MOST_SAMPLES = 2400  # of a nonlinear plant, in the fitted windows
+MOST_HELD = 12  # held-out windows of the search
+HELD_OUT_EVERY = 4  # without a held-out record, one window in this many is held out
+LONGEST_LAG = 0.1  # of a window
 
 
 def admissible(
     plant: AnyPlant, stated: Mapping[str, tuple[float, bool]], fitted: Problem, held: Problem
 ) -> Callable[[Problem, Fit], bool]:
-    """The test that a set has to pass: parameters beyond their tolerances, ripples of which enough is seen."""
+    """Return the test of a set: its parameter effects exceed their tolerances, its ripples have enough periods."""
     limits = {label: max(stated[n][0] for n in names) for _, label, names in parameter_groups(plant)}
     positions = _positions(plant, fitted)
 
     def allowed(problem: Problem, fit: Fit) -> bool:
         _, values = problem.split(fit.hypothesis, fit.z)
-        seen = problem.setting(fit.hypothesis, fit.z).values  # a delay that all sensors share is one of the inputs
+        seen = problem.setting(fit.hypothesis, fit.z).values  # a delay common to all sensors is one of the inputs
         for candidate, own, simulated in zip(fit.hypothesis.candidates, values, seen, strict=True):
             if not beyond_tolerance(problem, fit, candidate, limits):
                 return False
@@ -73,13 +73,13 @@ def admissible(
 
 
 def beyond_tolerance(problem: Problem, fit: Fit, candidate: Candidate, limits: Mapping[str, float]) -> bool:
-    """False for a parameter effect whose factor lies within the parameter's tolerance: nothing is missing then."""
+    """Return False for a parameter effect whose factor lies within the parameter's tolerance."""
     if candidate.site.kind != "parameter":
         return True
     factors, values = problem.split(fit.hypothesis, fit.z)
     k = next(i for i, c in enumerate(fit.hypothesis.candidates) if c.key == candidate.key)
     own = candidate.effect.factors(problem.plant, candidate.site, values[k])
-    if not candidate.effect.scale:  # shifts: a coordinate of the value 0 has its tolerance in its unit
+    if not candidate.effect.scale:  # shifts: the tolerance of a coordinate of value 0 is in its unit
         p = problem.plant.parameters
         return any(abs(p[n].reference * f - p[n].value) > p[n].radius for n, f in own.items())
     name = next(iter(own))
@@ -88,7 +88,7 @@ def beyond_tolerance(problem: Problem, fit: Fit, candidate: Candidate, limits: M
 
 
 def _positions(plant: AnyPlant, problem: Problem) -> dict[str, Array]:
-    """Row of the states that is the position at each joint, and what each output shows."""
+    """Return the row over the states of each joint's position and of each output."""
     model = problem.simulators(Hypothesis(()))[0].model({}, [])
     shown = model.C.reshape(-1, *model.C.shape[-2:])[0]
     rows = {s.name: row for s, row in zip(plant.outputs, shown, strict=True)}
@@ -96,7 +96,7 @@ def _positions(plant: AnyPlant, problem: Problem) -> dict[str, Array]:
 
 
 def _reporter(progress: Callable[[str], None] | None) -> Callable[[float, float, str], None]:
-    """Report work done, work expected and what it is to a listener's ``part``, else each new text to itself."""
+    """Return a reporter to the listener's ``part(done, expected, text)``, else of each new text to the listener."""
     if (part := getattr(progress, "part", None)) is not None:
         return part
     last = ""
@@ -131,22 +131,22 @@ def discover(
     plant
         A linear `Plant`, a continuous `StateSpaceModel` or ``control.StateSpace`` whose velocity, position and current
         states carry their units (rad/s, m/s, A); or a `NonlinearPlant`, of which the position of every joint has to be
-        measured: it is simulated linear about the motion that the sensors tell.
+        measured: it is simulated linear about the measured motion.
     records
         One record or several of the same machine; any subset of the plant's outputs.
     held_out
-        Records that the fit never sees and the gap is judged on; without them every fourth window is held out.
+        Records for the error alone, never fitted; without them every fourth window is held out.
     tolerances
-        Parameter -> relative tolerance, over those that the plant states. A parameter without any is given a usual one
-        (5 %; friction 100 %), which the result says.
+        Parameter -> relative tolerance, over those of the plant. A parameter without one gets a usual one (5 %;
+        friction 100 %), which the result reports.
     window
-        Length of the windows in s (a twelfth of the shortest record where left out).
+        Length of the windows in s (default: a twelfth of the shortest record).
     period, repeats
         Period of the excitation in s, or further records with the same input: for a noise floor without a model.
     exclude
-        Effect ids that are not to be tried.
+        Effect ids to exclude.
     progress
-        Called with a line of text now and then.
+        Called with a line of text about the progress.
 
     Returns
     -------
@@ -159,7 +159,7 @@ def discover(
         Records that do not fit the plant, have other outputs than the first, or are too short; a wrong sign, unit or
         swapped channel; an unknown effect in ``exclude``.
     NoTrustworthyNumber
-        Records that say nothing: no excitation, dead sensors.
+        Records without information: no excitation, dead sensors.
     """
     began = time.perf_counter()
     known = known_plant(plant, "discover")
@@ -177,8 +177,8 @@ def discover(
         for r in (*measured, *kept_out) for name, said in converted(r, signals).items()
     )  # fmt: skip
     measured, kept_out, repeats = ([with_units(r, signals) for r in rows] for rows in (measured, kept_out, repeats))
-    measured, kept_out, told = _from_near(known, measured, kept_out)
-    findings += told
+    measured, kept_out, shifted = _from_datum(known, measured, kept_out)
+    findings += shifted
     stated = stated_tolerances(known, tolerances)
     known = with_absolute_tolerances(known, stated)
     model = ports_of(known, _uniform(measured)[0].record)
@@ -196,7 +196,7 @@ def discover(
 
 
 def known_plant(plant: Any, where: str) -> AnyPlant:
-    """The plant in a form that effects can be attached to."""
+    """Return the plant in a form to which effects can be attached."""
     if isinstance(plant, (LinearPlant, StateSpaceModel)):
         return linear_plant_of(plant, where)
     if isinstance(plant, SteppedPlant):
@@ -206,7 +206,7 @@ def known_plant(plant: Any, where: str) -> AnyPlant:
 
 
 def _checked(plant: AnyPlant, records: Sequence[Record]) -> tuple[Finding, ...]:
-    """Findings on the records; raises where one forbids a naming."""
+    """Return the findings on the records; raise if one makes them unsuitable."""
     findings: list[Finding] = []
     for record in records:
         found = suitability(plant, record)
@@ -215,14 +215,14 @@ def _checked(plant: AnyPlant, records: Sequence[Record]) -> tuple[Finding, ...]:
     return tuple(findings)
 
 
-def _from_near(
+def _from_datum(
     plant: AnyPlant, measured: list[Record], kept_out: list[Record]
 ) -> tuple[list[Record], list[Record], tuple[Finding, ...]]:
-    """The records with positions that are far from zero counted from within the strokes, and a word on it."""
+    """Shift positions far from zero to a datum within the stroke; return the records and a finding on each shift."""
     from robustlab.identification.record_check.resampling import counted_from, position_datum
 
     datum = position_datum(plant, [*measured, *kept_out]) if isinstance(plant, LinearPlant) else {}
-    told = tuple(
+    shifted = tuple(
         Finding(
             "datum", name, f"far from zero: counted from {at:.9g} here, in the updated plant as well", "",
             f"take {at:.9g} off {name} where the updated plant is compared with records", False, {"datum": at},
@@ -231,7 +231,7 @@ def _from_near(
     )  # fmt: skip
     if not datum:
         return measured, kept_out, ()
-    return [counted_from(r, datum) for r in measured], [counted_from(r, datum) for r in kept_out], told
+    return [counted_from(r, datum) for r in measured], [counted_from(r, datum) for r in kept_out], shifted
 
 
 def _problems(
@@ -242,11 +242,11 @@ def _problems(
     stated: Mapping[str, tuple[float, bool]],
     window: float | None,
 ) -> tuple[Problem, Problem, str]:
-    """The windows to fit, those to judge on, and what the latter are."""
+    """Return the windows to fit, those held out, and a description of the latter."""
     uniformed = _uniform([*records, *held_out])
     everything, dt = [u.record for u in uniformed], uniformed[0].record.dt
     length = window_length(plant, everything, model) if window is None else max(8, round(window / dt))
-    # A record may lack a sensor that another has, as the proposed experiments do which add one.
+    # A record may lack a sensor of another one: proposed experiments may add a sensor.
     seen = {name for r in records for name in r.outputs}
 
     def cut(length: int) -> list[PreparedRecord]:
@@ -272,7 +272,7 @@ def _problems(
 
 
 def _deviation(problem: Problem) -> float:
-    """Largest RMS error of the plant as given, in the windows from their smoothed starts, over the output's range."""
+    """Return the largest RMS error over the output's range of the given plant, from the smoothed window starts."""
     alone, found = Hypothesis(()), 0.0
     z, starts = np.zeros(len(problem.nuisances)), [np.zeros_like(r.x0) for r in problem.records]
     errors = problem.errors(alone, z, starts)
@@ -285,13 +285,13 @@ def _deviation(problem: Problem) -> float:
 
 
 def _uniform(records: Sequence[Record]) -> list[UniformRecord]:
-    """The records on uniform clocks."""
+    """Resample the records to uniform time bases."""
     dt = clock_step(records[0].t)  # the mean step of a record with gaps is no sample time
     return [uniform(r, None if r.is_uniform else dt) for r in records]
 
 
 def _most_windows(problem: Problem) -> tuple[int, int]:
-    """Windows that the search fits and judges on; of a nonlinear plant, whose steps are dear, fewer long ones."""
+    """Return the numbers of fitted and held-out windows of the search, fewer for an expensive nonlinear plant."""
     length = problem.records[0].windows.length
     if isinstance(problem.plant, LinearPlant):
         return MOST_WINDOWS, MOST_HELD
@@ -300,7 +300,7 @@ def _most_windows(problem: Problem) -> tuple[int, int]:
 
 
 def _spread(problem: Problem, most: int) -> Problem:
-    """At most so many windows, evenly over all records: more of a long record cost time and tell the same."""
+    """Choose at most ``most`` windows, evenly over all records."""
     count = sum(len(c) for c in problem.chosen)
     if count <= most:
         return problem

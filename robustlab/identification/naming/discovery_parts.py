@@ -1,4 +1,4 @@
-"""What a discovery consists of: values with intervals, named effects, gaps, sets with probabilities; and its words."""
+"""Parts of a discovery: values with intervals, named effects, errors, sets with probabilities; and its texts."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 from robustlab.dynamics.effects.catalogue import catalogue
+from robustlab.identification.tuning import SURE
 from robustlab.result import Evidence
 from robustlab.shown import Facts, Part, listed, number
 
-LINEAR = "linear about the recorded motion"  # said of the records of such runs
+LINEAR = "linear about the recorded motion"
 Verdict = Literal["no missing effect", "named", "ambiguous", "unknown"]
 INTERVAL = 1.96  # standard deviations of a 95 % interval
-SURE = 0.95  # probability of what is named
-WAVES = (("Ac", "As"), ("Pc", "Ps"), ("c", "s"))  # cosine and sine part of what is periodic in the position
+WAVES = (("Ac", "As"), ("Pc", "Ps"), ("c", "s"))  # cosine and sine part of effects periodic in the position
 SHOWN_SETS = 6  # in the facts
 SHOWN_SEARCH = 12  # most probable sets of the search
 MODELS = ("nominal", "refitted", "updated")
@@ -35,9 +35,9 @@ class EffectValue(Evidence):
 
 @dataclass(frozen=True)
 class NominalValue(Evidence):
-    """One refitted nominal parameter with its 95 % interval, and the tolerance it was given (0: held fixed)."""
+    """One refitted nominal parameter with its 95 % interval and its tolerance (0: held fixed)."""
 
-    # assumed: the plant states no tolerance; beyond: the value left it. Absolute where the nominal value is 0.
+    # assumed: the plant has no tolerance; beyond: the value exceeds it. Absolute if the nominal value is 0.
 
     name: str
     nominal: float
@@ -58,38 +58,37 @@ class Rival(Evidence):
     name: str
     title: str
     site: str
-    # id of the named effect whose place it could take; "none" where nothing was named, but this effect is about as
-    # probable as none: the tolerances of other parameters may hide it
+    # id of the named effect that it could replace; "none" if nothing was named, but this effect is about as probable as
+    # none: the tolerances of other parameters may hide it
     instead_of: str
-    # refit distance d in standard deviations of the noise: how far the rival's best fit stays from what the named
-    # effect predicts for these very records. d < 3 cannot be told apart. Of a rival of "none" it is how far the bare
-    # model stays from what the rival predicts.
+    # refit distance d in standard deviations of the noise: between the rival's best fit and the prediction of the named
+    # effect for these records; d < 3 is indistinguishable. Of a rival of "none": between the nominal model's best fit
+    # and the prediction of the rival.
     distance: float
     evidence: float  # log evidence relative to the named effect (negative: behind)
-    probability: float  # of the most probable set that has it in that place
-    parameters: tuple[EffectValue, ...]  # as it was fitted
+    probability: float  # of the most probable set with this replacement
+    parameters: tuple[EffectValue, ...]  # as fitted
 
 
 @dataclass(frozen=True)
 class NamedEffect(Evidence):
-    """One effect that the records show."""
+    """One effect identified from the records."""
 
     name: str  # id in the catalogue
-    # title, equation, site: in words; as a formula; where it sits
     title: str
     equation: str
     site: str
     parameters: tuple[EffectValue, ...]  # fitted values with intervals
-    confidence: float  # its probability: that of all sets of effects that contain it, 0..1
+    confidence: float  # probability of all sets of effects that contain it, 0..1
     evidence: float  # log evidence over the model without it
-    rivals: tuple[str, ...]  # ids that these records cannot separate from it; empty where the name is unique
-    # windowed error on held-out data in percent of the range with all names but this one, refitted; NaN if not known
+    rivals: tuple[str, ...]  # ids that these records cannot separate from it
+    # windowed error on held-out data in percent of the range, refitted without this effect; NaN if not known
     error_without: float = math.nan
 
 
 @dataclass(frozen=True)
 class KindMember(Evidence):
-    """An effect that a kind may be: id, title, site, and its share of the kind's probability, 0..1."""
+    """An effect of a class: id, title, site, and its share of the class's probability, 0..1."""
 
     name: str
     title: str
@@ -99,41 +98,39 @@ class KindMember(Evidence):
 
 @dataclass(frozen=True)
 class NamedKind(Evidence):
-    """What the records are sure of at one place."""
+    """An effect class that is sure at one place."""
 
-    # kind, title, place: id in the tree of kinds (`robustlab.dynamics.effects.kinds`), in words, and where
-    kind: str
+    kind: str  # id in `robustlab.dynamics.effects.kinds`
     title: str
     place: str
-    probability: float  # of all sets that have a member of it there, 0..1
-    values: tuple[EffectValue, ...]  # what every member can be asked for, with 95 % intervals over all members
-    members: tuple[KindMember, ...]  # the effects that it may be, the most probable first
-    form: str  # how to tell the members apart, as an instruction
-    # whether more than noise is left beside it: that may be what its best form differs from the true one by
-    misfit: bool = False
+    probability: float  # of all sets with a member of it there, 0..1
+    values: tuple[EffectValue, ...]  # quantities of every member, with 95 % intervals over all members
+    members: tuple[KindMember, ...]  # its effects, the most probable first
+    form: str  # how to distinguish the members, as an instruction
+    misfit: bool = False  # whether more than noise remains, which may come from a wrong form of the effect
 
     quantities: ClassVar[Mapping[str, Any]] = {"probability": "1"}
 
     @property
     def words(self) -> str:
-        """What and where: ``dry friction at omega``, ``a lateness from u to q``."""
+        """Return class and place: ``dry friction at omega``, ``a lateness from u to q``."""
         return f"{self.title} {'from' if ' to ' in self.place else 'at'} {self.place}"
 
     @property
     def settled(self) -> bool:
-        """Whether one member alone has 95 % of it, and nothing is left that another could be told by."""
+        """Return whether one member alone has 95 % of the probability, without a misfit."""
         return [m.share >= SURE for m in self.members if m.share > 1.0 - SURE] == [True] and not self.misfit
 
     @property
     def open_form(self) -> str:
-        """Why the form is not told: several members at once, a misfit beside it, or records that do not settle it."""
+        """Return why the form is open: several members at once, a misfit, or records that do not determine it."""
         if sum(m.share >= SURE for m in self.members) > 1:
             return "more than one at once"
         return "not settled beside what remains" if self.misfit else "not settled"
 
 
 def wave_amplitude(values: Mapping[str, float]) -> float | None:
-    """Amplitude of an effect that is periodic, from its cosine and sine part; None of any other."""
+    """Return the amplitude of a periodic effect from its cosine and sine part; None for any other."""
     pair = next(((c, s) for c, s in WAVES if c in values and s in values), None)
     return math.hypot(values[pair[0]], values[pair[1]]) if pair else None
 
@@ -142,11 +139,10 @@ def wave_amplitude(values: Mapping[str, float]) -> float | None:
 class Gap(Evidence):
     """Simulation error (RMS) of one output: in windows, or in one run from the record's start."""
 
-    # output, unit, range: the output, its unit, its measured range on that data
     output: str
     unit: str
-    range: float
-    # nominal, refitted, updated: RMS of these models; infinite where the simulation diverges
+    range: float  # measured on that data
+    # nominal, refitted, updated: RMS error of these models; infinite if the simulation diverges
     nominal: float
     refitted: float
     updated: float
@@ -155,27 +151,27 @@ class Gap(Evidence):
 
 
 def overall(gaps: Mapping[str, Gap], model: str) -> float:
-    """RMS over the outputs of the error of ``nominal``, ``refitted`` or ``updated`` in percent of the range."""
+    """Return the RMS error over the outputs of ``nominal``, ``refitted`` or ``updated`` in percent of the range."""
     shares = [getattr(g, model) / (g.range or 1.0) for g in gaps.values()]
     return 100.0 * math.sqrt(sum(share**2 for share in shares) / len(shares)) if shares else math.nan
 
 
 @dataclass(frozen=True)
 class SetProbability(Evidence):
-    """A set of effects and how probable it is among all that the search visited."""
+    """A set of effects and its probability among all that the search evaluated."""
 
-    effects: tuple[str, ...]  # its effects with their places, ``"coulomb-friction@omega"``; empty: nothing is missing
-    names: tuple[str, ...]  # their ids in the catalogue
-    probability: float  # of this set, 0..1; over all visited sets it sums to one
-    evidence: float  # log evidence, prior of the set included, relative to the most probable one
-    # refit distance from the most probable set in standard deviations of the noise (3 tell); NaN where not asked
+    effects: tuple[str, ...]  # effects with their places, ``"coulomb-friction@omega"``
+    names: tuple[str, ...]  # ids in the catalogue
+    probability: float  # 0..1; the sum over all sets is one
+    evidence: float  # log evidence including the set's prior, relative to the most probable set
+    # refit distance from the most probable set in standard deviations of the noise; NaN if not computed
     distance: float = math.nan
-    unnamed: str = ""  # the unnamed force that belongs to it (``"force over speed"``), empty where none does
+    unnamed: str = ""  # the residual force of the set (``"force over speed"``)
 
 
 @dataclass(frozen=True)
 class InputClock(Evidence):
-    """What an input does between its samples, and by how much its clock is late against the outputs', in s."""
+    """Hold of an input between its samples, and its time shift against the outputs in s."""
 
     input: str
     hold: Literal["held", "linear", "smooth"]
@@ -185,28 +181,28 @@ class InputClock(Evidence):
 
 @dataclass(frozen=True)
 class SearchEntry(Evidence):
-    """One set that the search visited, in its order: effects with places, log evidence, what became of it."""
+    """One evaluated set, in order of the search: effects with places, log evidence, decision."""
 
     effects: tuple[str, ...]
     evidence: float
     decision: str
 
 
-# --- words ------------------------------------------------------------------------------------------------------------
+# --- texts ------------------------------------------------------------------------------------------------------------
 
 
 def headline_of(d: Any) -> str:
-    """The verdict in one sentence that a person understands."""
     early = "Interrupted; by then: " if d.interrupted else ""
     change = f"error on held-out data {_three_errors(d.gaps, d.effects)}"
     if d.free_run:
         worse = overall(d.free_run, "updated") > overall(d.free_run, "nominal")
         change += f"; in {d.whole_run} {_three_errors(d.free_run)}{', worse than as given' if worse else ''}"
-    named = _in_a_row(_sure_words(d))
+    named = _in_a_row(_sure_titles(d))
     if d.verdict == "no missing effect":
         error = f"refitted its error on held-out data is {percent(d.gap_after)} of the range"
         hidden = f"; but they do not exclude {_one_of(r.title for r in d.rivals)}" if d.rivals else ""
-        return f"{early}{d.plant} lacks no effect that {_what_shows(d)}: {error}{hidden}"
+        shows = "matters" if d.also_detectable else "these records show"
+        return f"{early}{d.plant} lacks no effect that {shows}: {error}{hidden}"
     also = "" if d.complete else "; incomplete: something else remains"
     if d.verdict == "named":
         return f"{early}{d.plant} lacks {named}: {change}{also}"
@@ -223,7 +219,7 @@ def headline_of(d: Any) -> str:
 
 
 def facts_of(d: Any) -> Facts:
-    """Verdict, effects with intervals, what the records leave open, errors, what remains, what to do next."""
+    """Return verdict, effects with intervals, alternatives, errors, residual force, next step."""
     found = [("verdict", d.verdict if d.complete else f"{d.verdict}, incomplete: structure remains")]
     for kind in d.kinds:
         if not kind.settled:
@@ -233,9 +229,9 @@ def facts_of(d: Any) -> Facts:
         found += [(f"{e.name} or", _rival(r)) for r in d.rivals if r.instead_of == e.name]
     found.append(("error on held-out data", f"{percent(d.gap_before)} -> {percent(d.gap_after)} of the range"))
     for e in d.also_detectable:
-        told = "; ".join([chance(e.confidence), *_values(e)])
+        values = "; ".join([chance(e.confidence), *_values(e)])
         found.append(
-            (f"also seen: {in_words(e)}", f"{told}; next to nothing on held-out data: not in the updated plant")
+            (f"also seen: {in_words(e)}", f"{values}; next to nothing on held-out data: not in the updated plant")
         )
     found += [("not excluded", _rival(r)) for r in d.rivals if r.instead_of == "none"]
     found += [("tried", f.message) for f in d.findings if f.kind == "refuted"]
@@ -258,7 +254,7 @@ def facts_of(d: Any) -> Facts:
 
 
 def details_of(d: Any) -> list[Part]:
-    """Evidence of the effects, refitted parameters, inputs between their samples, next experiment, findings, search."""
+    """Return the evidence, refitted parameters, input holds, next experiment, findings and search as tables."""
     best = sorted(d.search, key=lambda e: -e.evidence)[:SHOWN_SEARCH]
     without = {e.name: percent(e.error_without) if math.isfinite(e.error_without) else "" for e in d.effects}
     structure = [*((key, f"{v:.4g}" if isinstance(v, float) else str(v)) for key, v in d.structure.items()),
@@ -278,12 +274,12 @@ def details_of(d: Any) -> list[Part]:
 
 
 def in_words(e: NamedEffect) -> str:
-    """Title, id and place, for example ``Coulomb (dry) friction, coulomb-friction at omega``."""
+    """Return title, id and place: ``Coulomb (dry) friction, coulomb-friction at omega``."""
     return f"{e.title}, {e.name} at {e.site}"
 
 
 def with_interval(p: EffectValue | NominalValue) -> str:
-    """Value and 95 % interval in the unit, with as many digits as the interval is worth; of no width: held fixed."""
+    """Return value and 95 % interval with significant digits; an interval of no width is "held fixed"."""
     unit = f" {p.unit}" if p.unit and p.unit != "1" else ""
     if p.lower == p.upper:
         return f"{p.value:.4g}{unit} (held fixed)"
@@ -292,14 +288,14 @@ def with_interval(p: EffectValue | NominalValue) -> str:
 
 
 def chance(probability: float) -> str:
-    """A probability in percent; what is as good as sure or impossible is told by a bound."""
+    """Return a probability in percent, near 0 and 1 as a bound."""
     if probability > 0.999:
         return "> 99.9 %"
     return "< 0.1 %" if probability < 0.001 else f"{100 * probability:.3g} %"
 
 
-def _sure_words(d: Any) -> list[str]:
-    """What is sure, in words: a kind by its size where its form is not settled, else the effects; else the best set."""
+def _sure_titles(d: Any) -> list[str]:
+    """Return titles of the sure classes, with their size if the form is open; without any, of the best set."""
     if not d.kinds:
         return [e.title for e in d.effects]
     words: list[str] = []
@@ -311,18 +307,14 @@ def _sure_words(d: Any) -> list[str]:
 
 
 def kind_words(kind: NamedKind) -> str:
-    """Probability and quantities of a kind whose form is not settled, and what it may be."""
+    """Return probability, quantities and possible forms of a class whose form is open."""
     values = [f"{v.name} {with_interval(v)}" for v in kind.values]
-    return "; ".join([chance(kind.probability), *values, f"its form is {kind.open_form}: {_shares(kind)}"])
-
-
-def _shares(kind: NamedKind) -> str:
-    shown = [f"{_small_first(m.title)} {chance(m.share)}" for m in kind.members if m.share >= 0.01]
-    return ", ".join(shown[:SHOWN_SETS])
+    shares = [f"{_small_first(m.title)} {chance(m.share)}" for m in kind.members if m.share >= 0.01][:SHOWN_SETS]
+    return "; ".join([chance(kind.probability), *values, f"its form is {kind.open_form}: {', '.join(shares)}"])
 
 
 def _three_errors(gaps: Mapping[str, Gap], named: Iterable[NamedEffect] | None = None) -> str:
-    """Errors as given, refitted and with the names, of the range; said what they are where the names are given."""
+    """Return the errors of the given, refitted and updated model, in words if the effects are given."""
     given, refitted, updated = (percent(overall(gaps, model)) for model in MODELS)
     if named is None:
         return f"{given} -> {refitted} -> {updated}"
@@ -330,12 +322,8 @@ def _three_errors(gaps: Mapping[str, Gap], named: Iterable[NamedEffect] | None =
     return f"{given} of the range as given, {refitted} refitted, {updated} {them}"
 
 
-def _what_shows(d: Any) -> str:
-    return "matters" if d.also_detectable else "these records show"
-
-
 def _choices(d: Any) -> str:
-    """What all sets of the collection have, then what they differ in: ``A and either B or C``."""
+    """Return common and differing effects of the sets of the collection: ``A and either B or C``."""
     sets = [(*p.effects, p.unnamed) if p.unnamed else p.effects for p in d.collection]
     common = [e for e in (sets[0] if sets else ()) if all(e in other for other in sets)]
     rest = [[_title(e) for e in own if e not in common] for own in sets]
@@ -347,7 +335,7 @@ def _choices(d: Any) -> str:
 
 
 def _title(effect: str) -> str:
-    """Title of ``"coulomb-friction@omega"``; an unnamed force is told as it is."""
+    """Return the title of ``"coulomb-friction@omega"`` or of an unnamed force."""
     name = effect.partition("@")[0]
     return catalogue()[name].title if name in catalogue() else f"an unnamed {name}"
 
@@ -357,7 +345,6 @@ def _values(e: NamedEffect | Rival) -> list[str]:
 
 
 def _wave(effect: NamedEffect) -> list[str]:
-    """Amplitude and period of an effect that is periodic: what a person looks for in its cosine and sine part."""
     values = {p.name: p.value for p in effect.parameters}
     amplitude = wave_amplitude(values)
     if amplitude is None or not values.get("k"):
@@ -370,9 +357,8 @@ def _wave(effect: NamedEffect) -> list[str]:
 
 
 def _rival(r: Rival) -> str:
-    """What may be there instead of an effect, or of none."""
-    told = f"probability {chance(r.probability)}, {_sized(r.distance)} noise sigmas apart (3 tell)"
-    return "; ".join([f"{r.title}, {r.name} at {r.site}", *_values(r), told])
+    apart = f"probability {chance(r.probability)}, {_sized(r.distance)} noise sigmas apart (3 tell)"
+    return "; ".join([f"{r.title}, {r.name} at {r.site}", *_values(r), apart])
 
 
 def _set_words(p: SetProbability) -> str:
@@ -393,19 +379,18 @@ def _sizes(g: Gap) -> str:
 def _remaining(d: Any) -> str:
     if d.complete:
         return "nothing systematic was found"
-    told = "the named effects do not explain everything" if d.effects else "unexplained"
+    text = "the named effects do not explain everything" if d.effects else "unexplained"
     if d.effects and "explained" in d.structure:
         share = percent(100.0 * d.structure["explained"])
-        told = f"the named effects explain {share} of the mean-square error as given"
+        text = f"the named effects explain {share} of the mean-square error as given"
     force = d.residual_force
     if force is None:
-        return told
+        return text
     shares = [f"{100 * c.share:.3g} % follow {c.coordinate}" for c in force.curves.values()]
-    return "; ".join([told, f"a force of {_sized(force.rms, force.unit)} (rms)", *shares])
+    return "; ".join([text, f"a force of {_sized(force.rms, force.unit)} (rms)", *shares])
 
 
 def _line(line: Mapping[str, Any]) -> str:
-    """A periodic line in the force that remains: its amplitude and period with units."""
     size = _sized(line["amplitude"], line["force_unit"])
     return f"{size} over {line['over']}, period {_sized(line['period'], line['unit'])} (p {line['p_value']:.2g})"
 
@@ -416,8 +401,8 @@ def _nominal(p: NominalValue) -> str:
     change = f", {100 * (p.value / p.nominal - 1):+.3g} %" if p.nominal else ""
     size = f"{100 * p.tolerance:.3g} %" if p.nominal else _sized(p.tolerance, p.unit)
     stated = "assumed" if p.assumed else "stated"
-    told = f"{'BEYOND its' if p.beyond else 'within its'} tolerance of {size} ({stated})"
-    return f"{_sized(p.nominal)} -> {with_interval(p)}{change}: {told}"
+    limit = f"{'BEYOND its' if p.beyond else 'within its'} tolerance of {size} ({stated})"
+    return f"{_sized(p.nominal)} -> {with_interval(p)}{change}: {limit}"
 
 
 def _clock(c: InputClock) -> str:
@@ -427,7 +412,6 @@ def _clock(c: InputClock) -> str:
 
 
 def _next(d: Any) -> str:
-    """One line on what to do with the answer."""
     if d.next_experiment is not None:
         return f"measure what tells them apart: {d.next_experiment.description}"
     if not d.complete:
@@ -436,7 +420,7 @@ def _next(d: Any) -> str:
 
 
 def _in_a_row(texts: Iterable[str]) -> str:
-    """``a``, ``a and b``, ``a, b and c``; first letters small where they begin a word, not a symbol."""
+    """Join as ``a``, ``a and b``, ``a, b and c``, first letters in lower case."""
     words = [_small_first(text) for text in texts]
     return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
 
@@ -447,12 +431,12 @@ def _one_of(texts: Iterable[str]) -> str:
 
 
 def _small_first(text: str) -> str:
-    people = tuple(e.person for e in catalogue().values() if e.person)  # they keep their capital
+    people = tuple(e.person for e in catalogue().values() if e.person)
     return text if text.startswith(people) else text[:1].lower() + text[1:]
 
 
 def _digits(value: float, width: float) -> int:
-    """Digits of the value that show two of the interval's width."""
+    """Return the digits of the value that show two of the interval's width."""
     if not (math.isfinite(value) and math.isfinite(width)) or width <= 0.0 or value == 0.0:
         return 4
     return min(max(math.floor(math.log10(abs(value))) - math.floor(math.log10(width)) + 2, 3), 8)
@@ -463,5 +447,4 @@ def _sized(value: float, unit: str = "") -> str:
 
 
 def percent(value: float) -> str:
-    """A share of the range, given in percent."""
     return "diverges" if math.isinf(value) else f"{value:.3g} %"

@@ -1,4 +1,4 @@
-"""What `discover` answers, and the numbers of it that requirements may refer to."""
+"""Result of `discover`, and its numbers for requirements."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from robustlab.dynamics.effects.kinds import KINDS
 from robustlab.dynamics.effects.parameter_effects import GroundedEffect
 from robustlab.identification.naming.discovery_parts import (
     LINEAR,
-    SURE,
     Gap,
     InputClock,
     NamedEffect,
@@ -29,6 +28,7 @@ from robustlab.identification.naming.discovery_parts import (
     overall,
     wave_amplitude,
 )
+from robustlab.identification.tuning import SURE
 from robustlab.result import Evidence, Status
 from robustlab.shown import Each, Facts, Part
 from robustlab.tables import Table, Tabular
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 
 def units_of_effects(exclude: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Effect that may be named, alone and with its place -> its parameters with their units."""
+    """Return effect id, alone and with its place -> parameters with their units."""
     left_out = {effect(name).id for name in exclude}
     effects: dict[str, dict[str, Any]] = {}
     for name, kind in catalogue().items():
@@ -56,11 +56,11 @@ def units_of_effects(exclude: Sequence[str]) -> dict[str, dict[str, Any]]:
     return effects
 
 
-ENDS = {"": "value", "_lower": "lower", "_upper": "upper"}  # of a quantity of a kind
+ENDS = {"": "value", "_lower": "lower", "_upper": "upper"}  # suffix of a quantity -> field
 
 
 def quantities_of(kind: str) -> dict[str, Any]:
-    """What requirements may ask of a kind: each quantity and the ends of its 95 % interval; units go by the place."""
+    """Return the quantities of an effect class and the ends of their 95 % intervals; units depend on the place."""
     return {f"{name}{end}": float for name in KINDS[kind].quantities for end in ENDS}
 
 
@@ -71,39 +71,38 @@ class Discovery(Tabular, Evidence):
     Attributes
     ----------
     status
-        CONVERGED; INCONCLUSIVE where the verdict is ambiguous or unknown, or most of the held-out error remains.
+        CONVERGED; INCONCLUSIVE if the verdict is ambiguous or unknown, or most of the held-out error remains.
     verdict
-        ``"no missing effect"`` (``rivals``: what the records do not exclude all the same), ``"named"``,
-        ``"ambiguous"`` (some name has rivals that these records cannot exclude), ``"unknown"`` (no effect of the
-        catalogue explains what is missing).
+        ``"no missing effect"`` (``rivals``: effects not excluded), ``"named"``, ``"ambiguous"`` (an effect has rivals
+        that these records do not exclude), ``"unknown"`` (no effect of the catalogue explains the error).
     complete
-        False where structure remains beyond the named effects.
+        False if structure remains beyond the named effects.
     effects, rivals, kinds
-        Named effects; what could not be excluded; the narrowest sure kind of effects at each place, its quantities
-        over all its members, and their shares.
+        Named effects; effects not excluded; the narrowest sure class of effects at each place, with its quantities and
+        the shares of its members.
     also_detectable
-        Effects that are seen but bring next to nothing on held-out data: no part of the updated plant.
+        Detected effects that are negligible on held-out data: not in the updated plant.
     nominal, clocks
         Refitted parameters; hold and time shift of each input.
     gap_before, gap_refitted, gap_after, gaps, held_out
         Windowed RMS error on held-out data in percent of the range, over all outputs: as given, refitted, updated; of
-        each output in its unit; and which data these are.
+        each output in its unit; description of the data.
     free_run, free_run_on
-        The same errors of one simulation from the record's start to its end; the records.
+        The same errors of one simulation over the whole record; the records.
     model
-        The updated plant; None where its free run on held-out data is worse than that of the plant as given.
+        The updated plant; None if its free run on held-out data is worse than that of the plant as given.
     next_experiment
-        What to measure next to separate the rivals; None where there are none.
+        Experiment that separates the rivals; None without rivals.
     posterior, search
-        Sets of effects, the most probable first; every set that the search visited.
+        Sets of effects, the most probable first; every evaluated set.
     residual_force, missing_force, remaining_lines
-        The force that the updated and the refitted nominal model lack over speed, position, time and input; lines.
+        Force that the updated and the refitted nominal model lack, over speed, position, time and input; lines in it.
     structure
         ``noise_ratio``: error over noise and random force; ``explained``: share of the mean-square error removed.
     noise_floor, floor_excess
-        Model-free noise floor where the record repeats, and F of the updated model against it (1: nothing left).
+        Model-free noise floor of a repeating record, and F of the updated model against it (1: nothing remains).
     series
-        Signals of held-out data for figures: ``t``, for each output the measured and the models'; ``free_run``.
+        Signals of held-out data for figures: ``t``, measured and simulated outputs; ``free_run``.
     """
 
     status: Status
@@ -167,28 +166,28 @@ class Discovery(Tabular, Evidence):
 
     @property
     def whole_run(self) -> str:
-        """What ``free_run`` is: of a nonlinear plant one run that is linear about the recorded motion."""
+        """Return the name of ``free_run``: of a nonlinear plant one run, linear about the recorded motion."""
         return "one linear run" if LINEAR in self.free_run_on else "free run"
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Ids of the named effects."""
+        """Return the ids of the named effects."""
         return tuple(e.name for e in self.effects)
 
     @property
     def answer(self) -> tuple[str, ...]:
-        """Ids of the named effects and of all their rivals."""
+        """Return the ids of the named effects and of all their rivals."""
         return tuple(dict.fromkeys([*self.names, *(r.name for r in self.rivals)]))
 
     def uncertain_model(self, outputs: Any = None, **options: Any) -> UncertainModel:
-        """What was found and what remains as blocks; see `robustlab.identification.naming.updated_plant`."""
+        """Return effects and residual force as blocks; see `robustlab.identification.naming.updated_plant`."""
         from robustlab.identification.naming.updated_plant import uncertain_from
 
         return uncertain_from(self, outputs, **options).model
 
     @property
     def collection(self) -> tuple[SetProbability, ...]:
-        """The smallest collection of sets that has 95 % of the probability."""
+        """Return the smallest collection of sets with 95 % of the probability."""
         total, found = 0.0, []
         for entry in self.posterior:
             if total >= SURE:
@@ -199,27 +198,70 @@ class Discovery(Tabular, Evidence):
 
     @property
     def interrupted(self) -> bool:
-        """True where the search was stopped by the user: the answer is what was known by then."""
+        """Return whether the user stopped the search."""
         return any(f.kind == "interrupted" for f in self.findings)
 
     def headline(self) -> str:
-        """The verdict in one sentence that a person understands."""
         return headline_of(self)
 
     def numbers(self) -> dict[str, Any]:
-        """What requirements may refer to (docs/discover.md)."""
-        return _numbers_of(self)
+        # An evaluated effect that is not named has confidence 0 and NaN parameters: a requirement on it is not met,
+        # while a misspelt one is an error.
+        effects, lower, upper, confidence = (_absent(self) for _ in range(4))
+        confidence = dict.fromkeys(confidence, 0.0)
+        for e in self.effects:
+            # A second effect of the same id has its place in the key.
+            key = e.name if e.name not in self.names[: self.effects.index(e)] else f"{e.name}@{e.site}"
+            effects[key] = {p.name: p.value for p in e.parameters}
+            if (amplitude := wave_amplitude(effects[key])) is not None:
+                effects[key]["amplitude"] = amplitude
+            lower[key] = {p.name: p.lower for p in e.parameters}
+            upper[key] = {p.name: p.upper for p in e.parameters}
+            confidence[key] = e.confidence
+        return {
+            **_kinds(self),
+            "verdict": self.verdict,
+            "complete": self.complete,
+            "names": list(self.names),
+            "places": [f"{e.name}@{e.site}" for e in self.effects],
+            "answer": list(self.answer),
+            "kinds": [k.kind for k in self.kinds],
+            "count": len(self.effects),
+            "gap_before": self.gap_before,
+            "gap_refitted": self.gap_refitted,
+            "gap_after": self.gap_after,
+            "gap_ratio": self.gap_before / self.gap_after if self.gap_after > 0 else math.inf,
+            "refitted_ratio": self.gap_refitted / self.gap_after if self.gap_after > 0 else math.inf,
+            "gaps": {name: gap.to_json() for name, gap in self.gaps.items()},
+            "free_run": {
+                "before": overall(self.free_run, "nominal"),
+                "refitted": overall(self.free_run, "refitted"),
+                "after": overall(self.free_run, "updated"),
+                "outputs": {name: gap.to_json() for name, gap in self.free_run.items()},
+            },
+            "effects": effects,
+            "lower": lower,
+            "upper": upper,
+            "confidence": confidence,
+            "nominal": {p.name: p.value for p in self.nominal},
+            "next_experiment": {
+                "name": self.next_experiment.name if self.next_experiment else "none",
+                "separation": self.next_experiment.separation if self.next_experiment else math.nan,
+            },
+            "structure": dict(self.structure),
+            "remaining_lines": [dict(line) for line in self.remaining_lines],
+            "line": {over: _strongest_line(self, over) for over in ("position", "time")},
+            "seconds": self.seconds,
+        }
 
     def facts(self) -> Facts:
-        """Verdict, effects with their parameters, what is left open, errors on held-out data, what to do next."""
         return facts_of(self)
 
     def details(self) -> list[Part]:
-        """What the answer rests on."""
         return details_of(self)
 
     def table(self) -> Table:
-        """A row for each parameter of a named effect, with its 95 % interval."""
+        """Return a row for each parameter of a named effect, with its 95 % interval."""
         rows = [(e, p) for e in self.effects for p in e.parameters]
         columns = {"effect": [e.name for e, _ in rows], "site": [e.site for e, _ in rows]}
         values = {key: [getattr(p, key) for _, p in rows] for key in ("value", "lower", "upper", "unit")}
@@ -227,84 +269,32 @@ class Discovery(Tabular, Evidence):
         return Table(("parameter", [p.name for _, p in rows]), {**columns, **values, **probability})
 
     def to_json(self, series: bool = False) -> dict[str, object]:
-        """All fields but the plant object; the time series only on request."""
-        left_out = {"model", "findings"} | (set() if series else {"series"})
-        data: dict[str, object] = {key: value for key, value in vars(self).items() if key not in left_out}
+        """Return all fields but the plant object; the time series only on request."""
+        excluded = {"model", "findings"} | (set() if series else {"series"})
+        data: dict[str, object] = {key: value for key, value in vars(self).items() if key not in excluded}
         data.update(names=self.names, answer=self.answer, findings=[vars(f) for f in self.findings])
         return data
 
 
-def _numbers_of(d: Discovery) -> dict[str, Any]:
-    """What requirements may address (docs/discover.md)."""
-    # An effect that was tried but not named has confidence 0 and NaN parameters: a requirement on it is not met, while
-    # a misspelt one is refused.
-    effects, lower, upper, confidence = (_absent(d) for _ in range(4))
-    confidence = dict.fromkeys(confidence, 0.0)
-    for e in d.effects:
-        # A second effect of the same kind, at another place, is told by that place.
-        key = e.name if e.name not in d.names[: d.effects.index(e)] else f"{e.name}@{e.site}"
-        effects[key] = {p.name: p.value for p in e.parameters}
-        if (amplitude := wave_amplitude(effects[key])) is not None:
-            effects[key]["amplitude"] = amplitude
-        lower[key] = {p.name: p.lower for p in e.parameters}
-        upper[key] = {p.name: p.upper for p in e.parameters}
-        confidence[key] = e.confidence
-    return {
-        **_kinds(d),
-        "verdict": d.verdict,
-        "complete": d.complete,
-        "names": list(d.names),
-        "places": [f"{e.name}@{e.site}" for e in d.effects],
-        "answer": list(d.answer),
-        "kinds": [k.kind for k in d.kinds],
-        "count": len(d.effects),
-        "gap_before": d.gap_before,
-        "gap_refitted": d.gap_refitted,
-        "gap_after": d.gap_after,
-        "gap_ratio": d.gap_before / d.gap_after if d.gap_after > 0 else math.inf,
-        "refitted_ratio": d.gap_refitted / d.gap_after if d.gap_after > 0 else math.inf,
-        "gaps": {name: gap.to_json() for name, gap in d.gaps.items()},
-        "free_run": {
-            "before": overall(d.free_run, "nominal"),
-            "refitted": overall(d.free_run, "refitted"),
-            "after": overall(d.free_run, "updated"),
-            "outputs": {name: gap.to_json() for name, gap in d.free_run.items()},
-        },
-        "effects": effects,
-        "lower": lower,
-        "upper": upper,
-        "confidence": confidence,
-        "nominal": {p.name: p.value for p in d.nominal},
-        "next_experiment": {
-            "name": d.next_experiment.name if d.next_experiment else "none",
-            "separation": d.next_experiment.separation if d.next_experiment else math.nan,
-        },
-        "structure": dict(d.structure),
-        "remaining_lines": [dict(line) for line in d.remaining_lines],
-        "line": {over: _strongest_line(d, over) for over in ("position", "time")},
-        "seconds": d.seconds,
-    }
-
-
 def _kinds(d: Discovery) -> dict[str, dict[str, float]]:
-    """Every kind with its quantities: no number of one that is not sure; of two places the more probable one."""
+    """Return every class with its quantities: NaN if it is not sure; of two places the more probable one."""
     found: dict[str, dict[str, float]] = {
         kind: {"probability": 0.0} | dict.fromkeys(quantities_of(kind), math.nan) for kind in KINDS
     }
     for k in sorted(d.kinds, key=lambda k: k.probability):
-        told = {f"{v.name}{end}": getattr(v, part) for v in k.values for end, part in ENDS.items()}
-        found[k.kind] |= {"probability": k.probability, **told}
+        values = {f"{v.name}{end}": getattr(v, part) for v in k.values for end, part in ENDS.items()}
+        found[k.kind] |= {"probability": k.probability, **values}
     return found
 
 
 def _strongest_line(d: Discovery, over: str) -> dict[str, float]:
-    """Period and amplitude of the strongest line that remains over a coordinate; no numbers where there is none."""
+    """Return period and amplitude of the strongest remaining line over a coordinate; NaN without one."""
     line = next((line for line in d.remaining_lines if line["over"] == over), None)
     return {name: math.nan if line is None else float(line[name]) for name in ("period", "amplitude")}
 
 
 def _absent(d: Discovery) -> dict[str, dict[str, float]]:
-    """Every effect that was tried, with parameters that are no number."""
+    """Return every evaluated effect with NaN parameters."""
     known = catalogue()
     tried = [known[name] for name in d.candidates if name in known]
     found = {effect.id: {p.name: math.nan for p in effect.parameters(Scales())} for effect in tried}

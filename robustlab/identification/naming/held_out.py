@@ -1,7 +1,7 @@
-"""How far models stay from records that no fit saw, in windows and in free run, and what each name contributes there.
+"""Errors of models on held-out records, in windows and in free run, and the relevance of each effect there.
 
-An effect is material where the RMS error without it is larger by a share and by what the sensor resolves, where its
-force is such a share of what moves its joint, or where only parameters beyond tolerances could replace it.
+An effect is relevant if the RMS error without it is larger by the share `MATERIAL` and by the sensor's resolution, if
+its force is such a share of the force at its joint, or if only parameters beyond tolerances could replace it.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from robustlab.identification.naming.discovery_parts import LINEAR, Gap, overall
 from robustlab.identification.naming.moves import without
 
 MOST_CLOCK = 3.0  # standard deviations of an input's clock
-LIKELY = 0.999  # probability within which the parameters lie together; within tolerances they always do
+LIKELY = 0.999  # joint probability of the parameters beyond which they are improbable
 TOGETHER = "all parameters together"
 
 
 @dataclass(frozen=True, eq=False)
 class Gaps:
-    """Errors by output in windows and in free run, whether the updated are clearly worse, and signals."""
+    """Errors by output in windows and in free run, whether the updated model is clearly worse, and signals."""
 
     windows: Mapping[str, Gap]
     free_run: Mapping[str, Gap]
@@ -40,12 +40,12 @@ class Gaps:
 
     @property
     def worse_than_given(self) -> bool:
-        """Whether the updated model's free run has a larger error than that of the model as given."""
+        """Return whether the free run of the updated model has a larger error than that of the given model."""
         return overall(self.free_run, "updated") > overall(self.free_run, "nominal")
 
 
 class Simulated(NamedTuple):
-    """A fit on held-out data: the fit with starts found anew, outputs of the windows and of whole runs, by record."""
+    """A fit on held-out data: with re-estimated initial states, outputs of windows and whole runs by record."""
 
     problem: Problem
     fit: Fit
@@ -54,8 +54,8 @@ class Simulated(NamedTuple):
 
 
 def simulated(held: Problem, fit: Fit, known: Sequence[PreparedRecord]) -> Simulated:
-    """Simulate a fit on held-out windows and, from each record's own start, to its end."""
-    # Parameters stay, window starts are found anew; so are phases of effects over time in records not known.
+    """Simulate a fit on held-out windows and over each record."""
+    # Initial states are re-estimated, and in records not ``known`` the phases of effects over time.
     own = in_phase(held, fit, known)[0]
     placed, runs = restarted(own, fit), [unbroken(record) for record in own.records]
     lengths = [r.windows.length for r in own.records]
@@ -66,17 +66,17 @@ def simulated(held: Problem, fit: Fit, known: Sequence[PreparedRecord]) -> Simul
 
 
 def _measured(held: Problem) -> tuple[list[Array], list[Array]]:
-    """Measured outputs of the held-out windows and of the whole runs."""
+    """Return the measured outputs of the held-out windows and of the whole runs."""
     windows = [r.measured[chosen] for r, chosen in zip(held.records, held.chosen, strict=True)]
     return windows, [unbroken(record).measured for record in held.records]
 
 
-def held_out_gaps(held: Problem, models: Mapping[str, Fit], known: Sequence[PreparedRecord] = ()) -> Gaps:
-    """Errors of ``nominal``, ``refitted`` and ``updated`` on the held-out windows and over their whole records."""
+def held_out_gaps(held: Problem, models: Mapping[str, Fit], known: Sequence[PreparedRecord]) -> Gaps:
+    """Return errors of ``nominal``, ``refitted`` and ``updated`` on the held-out windows and whole records."""
     own = {name: simulated(held, fit, known) for name, fit in models.items()}
     outputs, free = {name: s.windows for name, s in own.items()}, {name: s.runs for name, s in own.items()}
     measured, followed = _measured(held)
-    # The record with most sensors is drawn.
+    # Plot the record with most sensors.
     k = int(np.argmax([np.isfinite(r.y).any(axis=0).sum() for r in held.records]))
     first, windows = held.records[k], held.records[k].windows
     drawn = (windows.starts[held.chosen[k]][:, None] + np.arange(windows.length)).ravel()
@@ -96,7 +96,7 @@ def held_out_gaps(held: Problem, models: Mapping[str, Fit], known: Sequence[Prep
 
 
 def unbroken(record: PreparedRecord) -> PreparedRecord:
-    """The longest stretch of a record whose windows follow each other without a gap, as one window."""
+    """Return the longest stretch of windows without a gap, as one window."""
     starts, length = record.windows.starts, record.windows.length
     groups = np.split(np.arange(len(starts)), np.flatnonzero(np.diff(starts) != length) + 1)
     longest = max(groups, key=len)
@@ -117,7 +117,7 @@ def _gaps(held: Problem, measured: Sequence[Array], outputs: Mapping[str, Sequen
 
 
 def _rms(measured: Sequence[Array], ours: Sequence[Array], theirs: Sequence[Array]) -> Array:
-    """RMS difference of each output where it was measured, (n_measured,); infinite where a model diverges."""
+    """Return the RMS difference of each output where it was measured, (n_measured,); infinite if a model diverges."""
     y, a, b = (np.concatenate([p.reshape(-1, p.shape[-1]) for p in parts]) for parts in (measured, ours, theirs))
     known = np.isfinite(y)
     with np.errstate(all="ignore"):
@@ -129,7 +129,7 @@ def _rms(measured: Sequence[Array], ours: Sequence[Array], theirs: Sequence[Arra
 def _series(
     held: Problem, record: PreparedRecord, samples: Indices, measured: Array, outputs: Mapping[str, Array]
 ) -> dict[str, Any]:
-    """Clock, inputs and outputs of one record at these samples; outputs beyond numbers are NaN."""
+    """Return time, inputs and outputs of one record at these samples; NaN for diverged outputs."""
     signals = {}
     for j, column in enumerate(record.columns):
         if np.isfinite(measured[:, :, j]).any():
@@ -140,23 +140,23 @@ def _series(
 
 
 @dataclass(frozen=True)
-class Matter:
-    """Whether an effect is material, and the held-out error without it: of windows, in percent of the range."""
+class Relevance:
+    """Whether an effect is relevant, and the error of held-out windows without it in percent of the range."""
 
     material: bool
     error_without: float
 
 
 def without_effects(problem: Problem, fit: Fit, keys: Collection[str]) -> Fit:
-    """The set without these effects, refitted from where the whole set stands."""
+    """Refit the set without these effects, from the parameters of the whole set."""
     while (k := next((k for k, c in enumerate(fit.hypothesis.candidates) if c.key in keys), None)) is not None:
         hypothesis, z = without(problem, fit, k)
         fit = problem.fit(hypothesis, fit.noise, z, fit.starts, FitPlan(tuning.FULL))
     return fit
 
 
-def strained(problem: Problem, fit: Fit) -> frozenset[str]:
-    """Labels of the nuisances that a fit has taken beyond what they may be, and `TOGETHER` where all are improbable."""
+def at_limits(problem: Problem, fit: Fit) -> frozenset[str]:
+    """Return labels of the nuisances that a fit moved beyond their limits, and `TOGETHER` if all are improbable."""
     moving = problem.moving(fit.hypothesis)
     own = [(n, float(z)) for n, moves, z in zip(problem.nuisances, moving, fit.z, strict=False) if moves]
     found = set()
@@ -170,26 +170,26 @@ def strained(problem: Problem, fit: Fit) -> frozenset[str]:
 
 
 def late_clocks(problem: Problem, fit: Fit) -> frozenset[str]:
-    """Labels of the clocks that a fit has moved further than clocks are off: they stand for a lateness."""
-    return strained(problem, fit) & {n.label for n in problem.nuisances if n.input}
+    """Return labels of the input clocks that a fit moved beyond their limits: they imitate a time delay."""
+    return at_limits(problem, fit) & {n.label for n in problem.nuisances if n.input}
 
 
-def matter_of(held: Problem, whole: Simulated, less: Simulated, needed: bool) -> Matter:
-    """What is missing in ``less`` brings to ``whole``; ``needed``: it is material whatever the errors say."""
+def relevance_of(held: Problem, whole: Simulated, less: Simulated, needed: bool) -> Relevance:
+    """Compare ``whole`` with the set ``less`` an effect; ``needed``: relevant whatever the errors."""
     ranges, (windows, runs) = spans(held.records), _measured(held)
     seen = ranges > 0.0
     share = _rms(windows, windows, less.windows)[seen] / ranges[seen]
     resolution = np.max([r.resolution for r in held.records], axis=0)
     material = needed or any(
-        _matters(y, ours, theirs, resolution)
+        _is_relevant(y, ours, theirs, resolution)
         for y, ours, theirs in ((windows, whole.windows, less.windows), (runs, whole.runs, less.runs))
     )
-    return Matter(material, 100.0 * float(np.sqrt(np.mean(share**2))))
+    return Relevance(material, 100.0 * float(np.sqrt(np.mean(share**2))))
 
 
-def _matters(measured: Sequence[Array], ours: Sequence[Array], theirs: Sequence[Array], resolution: Array) -> bool:
+def _is_relevant(measured: Sequence[Array], ours: Sequence[Array], theirs: Sequence[Array], resolution: Array) -> bool:
     own, other = _rms(measured, measured, ours), _rms(measured, measured, theirs)
     with np.errstate(all="ignore"):
-        worse = ~(other - own < tuning.MATERIAL * own)  # a model that diverges without it is worse, too
+        worse = ~(other - own < tuning.MATERIAL * own)  # true for a diverged model
         apart = _rms(measured, ours, theirs)
         return bool(np.any(worse & (own < np.inf) & ~(apart < 0.5 * resolution) & ~(other <= own)))

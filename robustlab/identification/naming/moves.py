@@ -1,7 +1,7 @@
-"""The moves of the search from a set of effects: what may be added, replaced or left out, and what each promises.
+"""Additions to and removals from a set of effects, and the score of each addition.
 
-An addition is scored by the fall g^T h^-1 g of V in its linear problem, h = G^T P G and g = G^T P r with the change G
-of the residuals r where its fit would begin and the projection P off all that the set refits; or by the fall there.
+The score is the fall g^T h^-1 g of V in the linearised problem, h = G^T P G and g = G^T P r with the change G of the
+residuals r at the start of its fit and the projection P off all refitted parameters; or the fall at that start.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from robustlab.arrays import Array
 from robustlab.identification import tuning
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Linearised, Problem
 
-KEPT = 5  # effects that are fitted in full on top of a set
-KEPT_GAINS = 2  # wrong gains beside them: at the same cost the prior may prefer one
-HOPE = 2.5  # times its score that an addition may lower V by
-ALIKE, AS_GOOD = 0.99, 0.5  # share of the best start's score: with more a start is the same, with less no other one
-MOST_STRETCHED = 0.5  # log factor; friction coefficients stretch further and say nothing of a gain
-LATE = 2.0  # standard deviations of a clock, beyond which it may stand for a delay
-NEGLIGIBLE = 1e-9  # of a column's own square: what the set refits makes all of it
+KEPT = 5  # effects fitted in full on top of a set
+KEPT_GAINS = 2  # further gain effects: at the same cost the prior may prefer one
+MOST_FALL = 2.5  # times its score: the largest expected fall of V
+ALIKE, AS_GOOD = 0.99, 0.5  # share of the best start's score: above, a start is the same; below, it is dropped
+MOST_STRETCHED = 0.5  # log factor; friction coefficients change more, without information on a gain
+LATE = 2.0  # standard deviations of a clock, beyond which it may imitate a delay
+NEGLIGIBLE = 1e-9  # of a column's own square: the column is a combination of refitted parameters
 
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """An effect on top of a set, and the parameters where a fit of both begins."""
+    """An effect on top of a set, and the initial parameters of their fit."""
 
     candidate: Candidate
     hypothesis: Hypothesis
@@ -34,18 +34,18 @@ class Start:
 
 
 def promising(
-    problem: Problem, base: Fit, pool: Sequence[Candidate], wanted: float, said: Callable[[int, int], None]
+    problem: Problem, base: Fit, pool: Sequence[Candidate], wanted: float, report: Callable[[int, int], None]
 ) -> list[Start]:
-    """Where full fits of the effects that promise most on top of a set begin, if V may fall by what is wanted."""
+    """Return the starts of the effects with the highest scores on top of a set, if V may fall by ``wanted``."""
     quick = problem.under(replace(problem.clock, rough=True))
     residual = quick.whitened(quick.errors(base.hypothesis, base.z, base.starts), base.noise)
     own = quick.derivatives(base)
     jobs, scores = [start for candidate in pool for start in _starts(problem, base, candidate)], list[float]()
     for done, start in enumerate(jobs, start=1):
         scores.append(_score(quick, base, residual, own, start))
-        said(done, len(jobs))
+        report(done, len(jobs))
     order = sorted(range(len(jobs)), key=lambda k: -scores[k])
-    first = list(dict.fromkeys(jobs[k].candidate.key for k in order if HOPE * scores[k] > wanted))[:KEPT]
+    first = list(dict.fromkeys(jobs[k].candidate.key for k in order if MOST_FALL * scores[k] > wanted))[:KEPT]
     gains = [jobs[k].candidate for k in order if jobs[k].candidate.effect.gain_like]
     further = list(dict.fromkeys(c.key for c in gains if c.key not in first))[:KEPT_GAINS]
     found = []
@@ -59,7 +59,7 @@ def promising(
 def _score(
     problem: Problem, base: Fit, residual: Sequence[Array], own: Sequence[tuple[Array, Array]], start: Start
 ) -> float:
-    """Fall of V that an addition promises; of no effect with a negative strength."""
+    """Return the expected fall of V by an addition; a single negative strength does not count."""
     simulators, step, n = problem.simulators(start.hypothesis), tuning.STEP, len(base.z)
 
     def there(z: Array) -> list[Array]:
@@ -92,17 +92,17 @@ def _score(
     return max(fall, 0.0 if len(columns) == 1 and strength[0] > 0.0 else float(g @ strength))
 
 
-def akin(a: Candidate, b: Candidate) -> bool:
-    """Whether they are one effect at one place, or one refines the other or what the other refines."""
+def related(a: Candidate, b: Candidate) -> bool:
+    """Return whether both are at one site and are, or refine, the same effect."""
     ids = [{c.effect.id, c.effect.refines} - {"", None} for c in (a, b)]
     return a.site == b.site and bool(ids[0] & ids[1])
 
 
-def may_follow(candidate: Candidate, base: Hypothesis) -> bool:
-    """An effect already there, the parent of a refinement that is there, or a second coupling, is not looked for."""
+def may_be_added(candidate: Candidate, base: Hypothesis) -> bool:
+    """Exclude effects of the base, parents of its refinements, and a second coupling."""
     for there in base.candidates:
         refined = candidate.effect.refines == there.effect.id
-        if akin(candidate, there) and not refined:
+        if related(candidate, there) and not refined:
             return False
         if candidate.effect.structural and there.effect.structural:
             return False
@@ -110,16 +110,16 @@ def may_follow(candidate: Candidate, base: Hypothesis) -> bool:
 
 
 def without(problem: Problem, fit: Fit, k: int) -> tuple[Hypothesis, Array]:
-    """The hypothesis without its k-th effect, and its standardised parameters."""
+    """Return the hypothesis without its k-th effect, and its standardised parameters."""
     candidates = fit.hypothesis.candidates
-    gone = problem.slices(fit.hypothesis)[k][1]
-    return Hypothesis(candidates[:k] + candidates[k + 1 :]), np.delete(fit.z, gone)
+    removed = problem.slices(fit.hypothesis)[k][1]
+    return Hypothesis(candidates[:k] + candidates[k + 1 :]), np.delete(fit.z, removed)
 
 
 def extended(
     problem: Problem, base: Hypothesis, base_z: Array, candidate: Candidate, start: Mapping[str, float]
 ) -> tuple[Hypothesis, Array]:
-    """The base with the candidate, and the point from which its fit starts; a refinement replaces its parent."""
+    """Return the base with the candidate, and the initial point of its fit; a refinement replaces its parent."""
     kept, z = [], list(base_z[: len(problem.nuisances)])
     for there, own in problem.slices(base):
         if candidate.effect.refines == there.effect.id and candidate.site == there.site:
@@ -133,7 +133,7 @@ def extended(
 
 
 def _starts(problem: Problem, base: Fit, candidate: Candidate) -> list[Start]:
-    """From where a fit of the effect begins: its own starts, or what the set's parameters and clocks stand for."""
+    """Return the starts of the effect: its own, or those that the set's parameters and clocks imitate."""
     effect, site, count = candidate.effect, candidate.site, len(problem.nuisances)
 
     def at(start: Mapping[str, float]) -> Start:
@@ -141,16 +141,16 @@ def _starts(problem: Problem, base: Fit, candidate: Candidate) -> list[Start]:
 
     found = [at(start) for start in candidate.starts]
     pairs = list(zip(problem.nuisances, base.z[:count].tolist(), strict=True))
-    if site.kind == "parameter" and effect.scale:  # the factor that the refit has stretched it to
+    if site.kind == "parameter" and effect.scale:  # the refitted factor
         name = candidate.parameters[0].name
         found += [at({name: n.factor(z)}) for n, z in pairs if n.label == site.name]
-    elif effect.gain_like and site.kind != "joint":  # at what the most stretched parameter had, all at their values
+    elif effect.gain_like and site.kind != "joint":  # the factor of the most changed parameter; all at their values
         stretch = [n.spread * z for n, z in pairs if n.names and not n.additive]
         likely = max(stretch, key=lambda s: abs(s) if abs(s) < MOST_STRETCHED else 0.0, default=0.0)
         for sign in (1.0, -1.0) if pairs else ():
             found.append(at({candidate.parameters[0].name: float(np.exp(sign * likely))}))
             found[-1].z[:count] = 0.0
-    if effect.delay:  # the lateness that was given to an input's clock, which is back at its own time
+    if effect.delay:  # the shift of an input's clock, which is reset
         for k, (clock, z) in enumerate(pairs):
             if clock.input and z > LATE and (site.kind != "input" or clock.input == site.name):
                 found.append(at({effect.delay: clock.spread * z}))

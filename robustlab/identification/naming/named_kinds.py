@@ -1,5 +1,5 @@
-"""The answer at the level at which it is sure: probabilities of kinds of effects at places, summed over all sets that
-have a member of them, their quantities with 95 % intervals over the members, and the shares of the members.
+"""Effect classes at places: probabilities summed over all sets with a member of the class, quantities with 95 %
+intervals over the members, and the shares of the members.
 """
 
 from __future__ import annotations
@@ -7,7 +7,6 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -25,20 +24,20 @@ from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, port_
 from robustlab.identification import tuning
 from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Problem
 from robustlab.identification.naming.discovery_parts import EffectValue, KindMember, NamedKind, wave_amplitude
-from robustlab.identification.naming.posterior import Posterior, Weighed
+from robustlab.identification.naming.posterior import Posterior, Weighted
 
-MOST_MEMBERS = 4  # of a kind that its quantities are asked of: those of the smallest share would move no digit
+MOST_MEMBERS = 4  # that contribute to a class's quantities: smaller shares would change no digit
 OF_JOINT: tuple[Quantity, ...] = ("level", "viscous", "stiffness", "force")
-OF_ONE: tuple[Quantity, ...] = ("amplitude", "period")  # two waves have none in common
-DIVIDES = ("inertia", "resistance")  # factors by whose inverse the path from input to sensor is scaled
-APART = 0.2  # standard deviations by which a parameter is moved for differences
+OF_ONE: tuple[Quantity, ...] = ("amplitude", "period")  # undefined for the sum of two waves
+DIVIDES = ("inertia", "resistance")  # factors whose inverse scales the path from input to sensor
+APART = 0.2  # finite difference of a parameter, in standard deviations
 
-Place = tuple[str, str]  # kind, place
-Places = Callable[[Site, str], str]  # site of an effect, where its kind acts
+Place = tuple[str, str]  # class, place
+Places = Callable[[Site, str], str]  # site of an effect, where its class acts
 
 
 def places_of(plant: AnyPlant, model: PortModel) -> Places:
-    """The place of an effect by its site and where its kind acts: the joint, the path, or the site itself."""
+    """Return the function from an effect's site and where its class acts to the place: joint, path, or site."""
     joints = [p for p in model.ports.values() if p.kind == "joint"]
     paths = {} if len(plant.inputs) == 1 else _paths(plant, model, joints)
 
@@ -65,8 +64,8 @@ def places_of(plant: AnyPlant, model: PortModel) -> Places:
 
 
 def _paths(plant: AnyPlant, model: PortModel, joints: Sequence[Port]) -> dict[str, str]:
-    """Input or output -> the path that it is a part of, of a plant with several inputs."""
-    # An input's path goes to the first sensor of the joint that it moves most, if no other input moves that one most.
+    """Return input or output -> its path, of a plant with several inputs."""
+    # An input's path ends at the first sensor of the joint that it moves most, if no other input moves that joint most.
     a, b, c = (np.abs(m).reshape(-1, *m.shape[-2:]).max(axis=0) for m in (model.A, model.B, model.C))
     moved: dict[str, list[str]] = defaultdict(list)
     for signal, pushed in zip(plant.inputs, b[:, : len(plant.inputs)].T, strict=True):
@@ -86,65 +85,59 @@ def _paths(plant: AnyPlant, model: PortModel, joints: Sequence[Port]) -> dict[st
 
 
 class Kinds:
-    """Probabilities of kinds at places over the sets of a posterior."""
+    """Probabilities of effect classes at places over the sets of a posterior; ``ignored``: keys of excluded effects."""
 
-    def __init__(
-        self, posterior: Posterior, places: Places, sure: float, ignored: frozenset[str] = frozenset()
-    ) -> None:
-        self.posterior, self.places, self.sure, self.ignored = posterior, places, sure, ignored
+    def __init__(self, problem: Problem, posterior: Posterior, ignored: frozenset[str]) -> None:
+        model = problem.simulators(Hypothesis(()))[0].model({}, [])
+        self.posterior, self.places, self.ignored = posterior, places_of(problem.plant, model), ignored
         self.probability: dict[Place, float] = defaultdict(float)
         for entry in posterior.sets:
             held = {n for c in entry.fit.hypothesis.candidates if c.key not in ignored for n in self.above(c)}
             for node in held:
                 self.probability[node] += entry.probability
 
-    @property
-    def coarse(self) -> bool:
-        """Whether the best set leaves more than noise, and evidence counts in units of that."""
-        return self.posterior.coarse
-
     def above(self, candidate: Candidate) -> list[Place]:
-        """The kinds of an effect, the narrowest first, each with its place."""
+        """Return the classes of an effect with their places, the narrowest first."""
         return [(kind.id, self.places(candidate.site, kind.where)) for kind in upwards(KIND_OF[candidate.effect.id])]
 
-    def told(self, candidate: Candidate) -> Place | None:
-        """The narrowest kind of the effect that is sure and informative; None where there is none."""
-        # A wider kind may take the place of an open narrower one where no other kind within it is sure by itself.
+    def sure_kind(self, candidate: Candidate) -> Place | None:
+        """Return the narrowest sure and informative class of the effect, or None."""
+        # A wider class may replace an open narrower one if no other class within it is sure.
         for kind, place in self.above(candidate):
             if KINDS[kind].wider is None and KIND_OF[candidate.effect.id] != kind:
                 return None  # "a force" is no name
-            if self.probability[kind, place] >= self.sure:
+            if self.probability[kind, place] >= tuning.SURE:
                 return (kind, place) if (kind, place) == self.above(candidate)[0] or self._alone(kind, place) else None
         return None
 
     def _alone(self, kind: str, place: str) -> bool:
-        """Whether no kind within this one is sure there."""
+        """Return whether no class within this one is sure there."""
         return not any(
-            p >= self.sure and k != kind and at == place and kind in (w.id for w in upwards(k))
+            p >= tuning.SURE and k != kind and at == place and kind in (w.id for w in upwards(k))
             for (k, at), p in self.probability.items()
         )
 
     def open(self) -> list[Candidate]:
-        """Effects of any set whose kind is neither sure nor excluded."""
+        """Return effects of any set whose class is neither sure nor excluded."""
         found: dict[str, Candidate] = {}
         for entry in self.posterior.sets:
             for c in entry.fit.hypothesis.candidates:
                 narrow = self.above(c)[0]
-                if c.key in self.ignored or self.probability[narrow] <= 1.0 - self.sure:
+                if c.key in self.ignored or self.probability[narrow] <= 1.0 - tuning.SURE:
                     continue
-                if self.told(c) is None:
+                if self.sure_kind(c) is None:
                     found.setdefault(c.key, c)
         return list(found.values())
 
-    def named(self, problem: Problem, remains: bool = False) -> tuple[NamedKind, ...]:
-        """What is sure, in the order of the best set's effects; whether more than noise ``remains`` beside it."""
+    def named(self, problem: Problem, remains: bool) -> tuple[NamedKind, ...]:
+        """Return the sure classes in order of the best set's effects; ``remains``: more than noise is unexplained."""
         nodes = dict.fromkeys(
             node for entry in self.posterior.sets for c in entry.fit.hypothesis.candidates
-            if c.key not in self.ignored and (node := self.told(c)) is not None
+            if c.key not in self.ignored and (node := self.sure_kind(c)) is not None
         )  # fmt: skip
-        return tuple(replace(self._named(problem, *node), misfit=remains or self.coarse) for node in nodes)
+        return tuple(self._named(problem, *node, remains or self.posterior.coarse) for node in nodes)
 
-    def _named(self, problem: Problem, kind: str, place: str) -> NamedKind:
+    def _named(self, problem: Problem, kind: str, place: str, misfit: bool) -> NamedKind:
         holding = [(w, own) for w in self.posterior.sets if (own := self._members(w, kind, place))]
         shares: dict[str, float] = defaultdict(float)
         sites: dict[str, Candidate] = {}
@@ -158,29 +151,22 @@ class Kinds:
             KindMember(c.effect.id, c.effect.title, c.site.name, min(1.0, share))
             for share, c in sorted(((s, sites[key]) for key, s in shares.items()), key=lambda m: -m[0])
         )
-        asked = sorted(holding, key=lambda h: -h[0].probability)[:MOST_MEMBERS]
-        told = [(w.probability, quantities(problem, w.fit, own, KINDS[kind])) for w, own in asked]
-        values = [v for name in KINDS[kind].quantities if (v := _mixture(name, told)) is not None]
+        main = sorted(holding, key=lambda h: -h[0].probability)[:MOST_MEMBERS]
+        parts = [(w.probability, quantities(problem, w.fit, own, KINDS[kind])) for w, own in main]
+        values = [v for name in KINDS[kind].quantities if (v := _mixture(name, parts)) is not None]
         return NamedKind(
             kind, KINDS[kind].title, place, min(1.0, self.probability[kind, place]), tuple(values), members,
-            KINDS[kind].form,
+            KINDS[kind].form, misfit,
         )  # fmt: skip
 
-    def _members(self, entry: Weighed, kind: str, place: str) -> list[int]:
-        """Indices of the set's effects of this kind there."""
+    def _members(self, entry: Weighted, kind: str, place: str) -> list[int]:
         own = enumerate(entry.fit.hypothesis.candidates)
         return [k for k, c in own if c.key not in self.ignored and (kind, place) in self.above(c)]
 
 
-def kinds_of(problem: Problem, posterior: Posterior, ignored: frozenset[str] = frozenset()) -> Kinds:
-    """The kinds of a posterior; ``ignored``: keys of effects that decide nothing."""
-    model = problem.simulators(Hypothesis(()))[0].model({}, [])
-    return Kinds(posterior, places_of(problem.plant, model), tuning.SURE, ignored)
-
-
-def _mixture(name: Quantity, members: Sequence[tuple[float, Mapping[Quantity, Told]]]) -> EffectValue | None:
-    """Mean and 95 % interval of a quantity over its members; those that cannot be asked, or in another unit, aside."""
-    own = [(weight, told[name]) for weight, told in members if name in told]
+def _mixture(name: Quantity, members: Sequence[tuple[float, Mapping[Quantity, Estimate]]]) -> EffectValue | None:
+    """Return mean and 95 % interval of a quantity over the members that have it in the first one's unit."""
+    own = [(weight, values[name]) for weight, values in members if name in values]
     own = [(weight, t) for weight, t in own if t.unit == own[0][1].unit]
     total = sum(weight for weight, _ in own)
     if not own or not total > 0.0:
@@ -191,8 +177,8 @@ def _mixture(name: Quantity, members: Sequence[tuple[float, Mapping[Quantity, To
     return EffectValue(name, mean, parts[0][1].unit, low, high, MEANINGS[name])
 
 
-def _quantile(parts: Sequence[tuple[float, Told]], q: float) -> float:
-    """Of a mixture of normal distributions."""
+def _quantile(parts: Sequence[tuple[float, Estimate]], q: float) -> float:
+    """Return the quantile of a mixture of normal distributions."""
     weight, value = (np.array(x) for x in zip(*((w, t.value) for w, t in parts), strict=True))
     std = np.maximum([t.std for _, t in parts], 1e-12 * np.abs(value) + 1e-300)
     ends = float((value - 9.0 * std).min()), float((value + 9.0 * std).max())
@@ -205,7 +191,7 @@ def _quantile(parts: Sequence[tuple[float, Told]], q: float) -> float:
 #     level -sum(f v) / sum|v|, viscous -sum(f v) / sum(v^2), stiffness -cov(f, q) / var(q), force -mean(f)
 
 
-class Told(NamedTuple):
+class Estimate(NamedTuple):
     """A quantity of one member: value, standard deviation, unit."""
 
     value: float
@@ -213,9 +199,9 @@ class Told(NamedTuple):
     unit: str
 
 
-def quantities(problem: Problem, fit: Fit, members: Sequence[int], kind: Kind) -> dict[Quantity, Told]:
-    """The quantities that the effects of one kind (indices ``members``) in a fitted set have together."""
-    # Forces and times add up, factors multiply; an amplitude and a period are those of one.
+def quantities(problem: Problem, fit: Fit, members: Sequence[int], kind: Kind) -> dict[Quantity, Estimate]:
+    """Return the combined quantities of the effects of one class (indices ``members``) in a fitted set."""
+    # Forces and times add up, factors multiply; amplitude and period are defined for one effect only.
     places = problem.slices(fit.hypothesis)
     own = np.concatenate([np.arange(len(fit.z))[places[k][1]] for k in members])
     middle = _together(problem, fit, fit.z, members, kind)
@@ -232,19 +218,18 @@ def quantities(problem: Problem, fit: Fit, members: Sequence[int], kind: Kind) -
     for name, (value, unit) in middle.items():
         variance = float(slopes[name] @ covariance @ slopes[name])
         if math.isfinite(value) and math.isfinite(variance):
-            found[name] = Told(value, math.sqrt(max(variance, 0.0)), unit)
+            found[name] = Estimate(value, math.sqrt(max(variance, 0.0)), unit)
     return found
 
 
 def _together(
     problem: Problem, fit: Fit, z: Array, members: Sequence[int], kind: Kind
 ) -> dict[Quantity, tuple[float, str]]:
-    """Value and unit of each quantity of all members at these parameters."""
+    """Return value and unit of each combined quantity at the parameters z."""
     found: dict[Quantity, tuple[float, str]] = {}
     for name in kind.quantities:
-        told = [_of_member(problem, fit, z, k, name) for k in members]
-        each = [t for t in told if t is not None]
-        if len(each) < len(told) or len({unit for _, unit in each}) > 1:
+        each = [t for k in members if (t := _of_member(problem, fit, z, k, name)) is not None]
+        if len(each) < len(members) or len({unit for _, unit in each}) > 1:
             continue
         if len(each) == 1:
             found[name] = each[0]
@@ -255,7 +240,7 @@ def _together(
 
 
 def _of_member(problem: Problem, fit: Fit, z: Array, k: int, name: Quantity) -> tuple[float, str] | None:
-    """Value and unit of one effect's; None where it cannot be asked."""
+    """Return value and unit of one effect's quantity; None if it has none."""
     candidate = fit.hypothesis.candidates[k]
     own = problem.split(fit.hypothesis, z)[1][k]
     if name in OF_JOINT:
@@ -266,7 +251,7 @@ def _of_member(problem: Problem, fit: Fit, z: Array, k: int, name: Quantity) -> 
 def _coefficient(
     problem: Problem, candidate: Candidate, values: Mapping[str, float], name: Quantity
 ) -> tuple[float, str] | None:
-    """Of an effect that is a coefficient: at a joint its own, of a parameter what it has more than the plant says."""
+    """Return the coefficient of a linear effect at a joint, or the change of the plant's parameter."""
     effect = candidate.effect
     if not isinstance(effect, GroundedEffect):
         return None
@@ -305,7 +290,7 @@ def _of_parameters(candidate: Candidate, values: Mapping[str, float], name: Quan
 
 
 def force_share(problem: Problem, fit: Fit, k: int) -> float:
-    """RMS of the k-th effect's force over that of the force that moves its joint; 0 of what is no force at a joint."""
+    """Return the RMS of the k-th effect's force over that of the force that moves its joint; 0 without a force."""
     candidate = fit.hypothesis.candidates[k]
     values = problem.split(fit.hypothesis, fit.z)[1][k]
     if isinstance(candidate.effect, GroundedEffect) and candidate.site.kind == "joint":
@@ -319,7 +304,7 @@ def force_share(problem: Problem, fit: Fit, k: int) -> float:
 
 
 class _Motion(NamedTuple):
-    """Along all simulated windows: the effect's force, speed and position (None without one) of its joint, units."""
+    """Over all simulated windows: the effect's force, speed and position (or None) of its joint, units."""
 
     force: Array
     speed: Array
@@ -328,7 +313,7 @@ class _Motion(NamedTuple):
 
 
 def _motion(problem: Problem, fit: Fit, z: Array, k: int) -> _Motion | None:
-    """Of an effect with a force law at a joint; None of any other."""
+    """Simulate the force of an effect with a force law at a joint; None for any other."""
     if fit.hypothesis.candidates[k].site.kind != "joint":
         return None
     forces, speeds, places, units = [], [], [], ("", "", "")
@@ -348,7 +333,7 @@ def _motion(problem: Problem, fit: Fit, z: Array, k: int) -> _Motion | None:
         x = motion.states if record.motion is None else record.motion[used]
         n = x.shape[-1]
         v = x @ port.velocity[:n]
-        # The force noted at a sample is that of the step before it.
+        # The force stored at a sample is that of the step before it.
         forces.append(motion.forces[:, 1:, laws.index(k)].ravel())
         speeds.append((0.5 * (v[:, 1:] + v[:, :-1])).ravel())
         if port.position is not None:
@@ -360,7 +345,7 @@ def _motion(problem: Problem, fit: Fit, z: Array, k: int) -> _Motion | None:
 
 
 def _along(problem: Problem, fit: Fit, z: Array, k: int, name: Quantity) -> tuple[float, str] | None:
-    """Of an effect with a force law: from its force along the simulated windows."""
+    """Return the quantity of an effect with a force law from its force over the simulated windows."""
     motion = _motion(problem, fit, z, k)
     if motion is None:
         return None

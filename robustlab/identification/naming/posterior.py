@@ -1,8 +1,8 @@
-"""How probable each set of effects is: P(S) ~ exp(E(S) / T) with the log evidence E under sensor noise and a random
+"""Posterior of the sets of effects: P(S) ~ exp(E(S) / T) with the log evidence E under sensor noise and a random
 force.
 
-T is 1, or more where an unnamed force beside the best set has evidence (coarsened posterior: Miller, Dunson, JASA 114,
-2019). Evidence of an effect that the refit distance does not support (below 3) is not counted.
+T is 1, or more if a residual force of the best set has evidence (coarsened posterior: Miller, Dunson, JASA 114, 2019).
+Evidence of an effect that the refit distance does not support (below 3) does not count.
 """
 
 from __future__ import annotations
@@ -28,26 +28,26 @@ from robustlab.identification.hypotheses.noise import (
 from robustlab.identification.hypotheses.random_force import FittedWindows
 from robustlab.identification.hypotheses.unnamed_force import (
     PRIOR,
-    UNTOLD,
+    SINGULAR,
     Unnamed,
     UnnamedEvidence,
     fitted_windows,
     unnamed_force,
 )
-from robustlab.identification.naming.set_search import Found, Key, Visited
+from robustlab.identification.naming.set_search import Found, Key, Scored
 
-TEMPERATURE = 1.0  # by which log evidence is divided at least: above 1, less sure
-MOST_WEIGHED = 5  # sets that are weighed again under a random force
-MOST_RIVALS = 5  # looked at for each named effect
-NO_EVIDENCE = 2.0  # log of a Bayes factor that is none
-HARDLY = 0.005  # probability below which a set changes no verdict
+TEMPERATURE = 1.0  # smallest divisor of log evidence: above 1, less sure
+MOST_WEIGHED = 5  # sets evaluated under a random force
+MOST_RIVALS = 5  # examined for each named effect
+NO_EVIDENCE = 2.0  # log Bayes factor without significance
+IRRELEVANT = 0.005  # probability below which a set does not change the verdict
 
 
 @dataclass(frozen=True, eq=False)
-class Weighed:
-    """A set with its probability, log evidence, refit distance from the best (NaN: not computed), and unnamed force."""
+class Weighted:
+    """A set with probability, log evidence, refit distance from the best (NaN: not computed), and residual force."""
 
-    visited: Visited
+    visited: Scored
     probability: float
     evidence: float
     distance: float
@@ -55,22 +55,20 @@ class Weighed:
 
     @property
     def fit(self) -> Fit:
-        """Of the set."""
         return self.visited.fit
 
     @property
     def key(self) -> Key:
-        """Keys of its effects."""
         return self.visited.key
 
 
 @dataclass(frozen=True, eq=False)
 class Alternative:
-    """An effect of another set of the answer, in the place of one of the best set (None: beside all of them)."""
+    """An effect of another set of the answer that replaces one of the best set (None: added to it)."""
 
     candidate: Candidate
     instead_of: Candidate | None
-    weighed: Weighed
+    weighed: Weighted
     evidence: float
 
 
@@ -78,37 +76,32 @@ class Alternative:
 class Posterior:
     """Sets of effects, the most probable first."""
 
-    # collection: the smallest with an answer's probability, and what no test separates from the best; generalises:
-    # False where every more probable set than the empty one fails on held-out data; left: what the best set leaves, by
-    # place; coarse: log evidence is divided because something is left.
+    # collection: the smallest with probability `tuning.SURE`, and sets indistinguishable from the best; generalises:
+    # False if every more probable set than the empty one fails on held-out data; left: residual force of the best set
+    # by place; coarse: log evidence is divided because of it.
 
-    sets: tuple[Weighed, ...]
-    collection: tuple[Weighed, ...]
+    sets: tuple[Weighted, ...]
+    collection: tuple[Weighted, ...]
     generalises: bool
     left: tuple[Unnamed, ...]
     coarse: bool = False
 
     @property
     def noise_ratio(self) -> float:
-        """Error of the best set over noise and random force; the largest over the places, NaN where not known."""
+        """Return the error of the best set over noise and random force, the largest over the places; NaN if unknown."""
         return max((u.noise_ratio for u in self.left), default=np.nan)
 
     @property
     def random_share(self) -> float:
-        """Random force beside the best set over the force that moves the port, the largest over the places."""
+        """Return the best set's random force over the force that moves the port, the largest over the places."""
         return max((u.random_share for u in self.left), default=np.nan)
 
     @property
-    def best(self) -> Weighed:
-        """The most probable set."""
+    def best(self) -> Weighted:
         return self.sets[0]
 
-    def of_effect(self, key: str) -> float:
-        """Probability of all sets that contain the effect."""
-        return float(min(1.0, sum(w.probability for w in self.sets if key in w.key)))
-
     def alternatives(self) -> list[Alternative]:
-        """What the other sets of the collection have and the best has not, each effect once."""
+        """Return the effects of the collection that the best set lacks, each once."""
         here = {c.key: c for c in self.best.fit.hypothesis.candidates}
         found: dict[str, Alternative] = {}
         for other in self.collection[1:]:
@@ -123,52 +116,52 @@ class Posterior:
 
 @dataclass(frozen=True, eq=False)
 class _Weight:
-    """A set over all windows under a random force, at each place where one may act; less the price of phases."""
+    """A set over all windows under a random force at each possible place; ``price``: log cost of fitted phases."""
 
     places: tuple[tuple[FittedWindows, Site], ...]
     price: float
 
     @property
     def log_likelihood(self) -> float:
-        """At the place that makes the set most probable."""
+        """Return the log likelihood at the most probable place of the random force."""
         return max(windows.log_likelihood for windows, _ in self.places) - self.price
 
     @property
     def random_share(self) -> float:
-        """Random force that it takes, of the force that moves the port; the largest over the places."""
+        """Return the random force over the force that moves the port, the largest over the places."""
         return max(windows.alone.size for windows, _ in self.places)
 
     @cached_property
     def left(self) -> tuple[Unnamed, ...]:
-        """What it leaves, place by place; nothing where its equations are singular."""
+        """Return the residual force by place; nothing if its equations are singular."""
         try:
             with np.errstate(all="ignore"):
                 return tuple(unnamed_force(windows, place) for windows, place in self.places)
-        except UNTOLD:
+        except SINGULAR:
             return ()
 
     @property
     def force(self) -> UnnamedEvidence | None:
-        """The most probable unnamed force of those that beat nothing."""
+        """Return the most probable of the significant residual forces."""
         return max((f for u in self.left for f in u.forces if f.wins), key=_gain, default=None)
 
 
 def weigh(found: Found) -> Posterior:
-    """The posterior of what the search found."""
     problem = found.problem
     ordered, generalises = _generalising(found)
-    # Of a machine far beyond its sensors' noise a random force follows the next sample better than any law does: there
-    # the simulated windows have the say, and a force only tells whether something remains.
+    # If the error is far beyond the sensor noise, a random force predicts the next sample better than any law: then the
+    # simulated windows determine the evidence, and the force only shows whether something remains.
     near = noise_ratio(problem, ordered[0].fit) < tuning.BEYOND_NOISE
-    looked = _contenders(ordered) if near else []
-    weights = _as_machines_have(
-        {v.key: weight for v in looked if (weight := _weight(found, v)) is not None}, tuning.MOST_RANDOM
+    best = [v for v in ordered if ordered[0].evidence - v.evidence < tuning.FAR_BEHIND][:MOST_WEIGHED] if near else []
+    best += [v for v in ordered if near and not v.key and v not in best]
+    weights = _with_plausible_force(
+        {v.key: weight for v in best if (weight := _weight(found, v)) is not None}, tuning.MOST_RANDOM
     )
     evidence = {v.key: v.evidence for v in ordered}
     if ordered[0].key in weights:
         level = max(v.evidence for v in ordered if v.key in weights)
         again = max(w.log_likelihood + v.prior for v in ordered if (w := weights.get(v.key)) is not None)
-        # What was too far behind to be weighed again stays as far behind.
+        # Sets too far behind for a second evaluation keep their distance.
         evidence = {key: value - level + again for key, value in evidence.items()}
         for v in ordered:
             if v.key in weights:
@@ -183,10 +176,10 @@ def weigh(found: Found) -> Posterior:
     share = np.exp(log - log.max())
     share /= share.sum()
     weighed = [
-        Weighed(v, float(p), evidence[v.key], distance.get(v.key, np.nan), forces.get(v.key))
+        Weighted(v, float(p), evidence[v.key], distance.get(v.key, np.nan), forces.get(v.key))
         for v, p in zip(ordered, share, strict=True)
     ]
-    sets, renamed = _misjudged(found, _folded(problem, weighed, evidence, temperature), evidence)
+    sets, renamed = _split(found, _without_undecided(problem, weighed, evidence, temperature), evidence)
     if sets[0].key not in weights and (weight := _weight(found, sets[0].visited)) is not None:
         weights[sets[0].key] = weight
         sets[0] = replace(sets[0], unnamed=weight.force)
@@ -196,29 +189,29 @@ def weigh(found: Found) -> Posterior:
     return Posterior(tuple(sets), collection, generalises, left, temperature > TEMPERATURE)
 
 
-def _temperature(best: Visited, weights: Mapping[Key, _Weight]) -> float:
-    """What log evidence is divided by: that of what the best set leaves, over that of a name that is sure."""
-    # A line over position or time does not count: another name than one of its period would be no misfit.
+def _temperature(best: Scored, weights: Mapping[Key, _Weight]) -> float:
+    """Return the divisor of log evidence: that of the residual force over that of a sure effect."""
+    # A line over position or time does not count: it cannot come from a wrong form of another effect.
     left = weights[best.key].left if best.key in weights else ()
     smooth = [f for u in left for f in u.forces if f.wins and not np.isfinite(f.period)]
     gain = max((_gain(f) for f in smooth), default=0.0)
     return max(TEMPERATURE, gain / float(np.log(tuning.SURE / (1.0 - tuning.SURE))))
 
 
-def _as_machines_have(weights: dict[Key, _Weight], most: float) -> dict[Key, _Weight]:
-    """The weights of sets whose random force is no larger than that of a machine, where there are such sets."""
-    # A larger one is no noise: it stands for what is missing, and predicts the next sample better than any law.
+def _with_plausible_force(weights: dict[Key, _Weight], most: float) -> dict[Key, _Weight]:
+    """Return the sets whose random force is not larger than ``most``, or all if there are none."""
+    # A larger one is not noise: it replaces a missing effect, and predicts the next sample better than any law.
     own = {key: weight for key, weight in weights.items() if weight.random_share < most}
     return own or weights
 
 
-def _lift(problem: Problem, ordered: Sequence[Visited], evidence: dict[Key, float]) -> dict[Key, float]:
-    """Raise the evidence of sets that the records do not separate from the best one; refit distances from the best."""
-    # A set with one effect less that becomes the more probable one by it takes the place of the best.
+def _lift(problem: Problem, ordered: Sequence[Scored], evidence: dict[Key, float]) -> dict[Key, float]:
+    """Raise the evidence of sets indistinguishable from the best one; return refit distances from the best."""
+    # A set with one effect less that becomes more probable replaces the best one.
     best = ordered[0]
     while True:
         near = [v for v in ordered if v is not best and best.evidence - v.evidence <= tuning.FAR_BEHIND]
-        less = _lessened(best, near)
+        less = _smaller(best, near)
         distance = {best.key: 0.0} | _raise(problem, best, less, evidence)
         ahead = max([best, *less], key=lambda v: evidence[v.key])
         if ahead is best:
@@ -226,8 +219,8 @@ def _lift(problem: Problem, ordered: Sequence[Visited], evidence: dict[Key, floa
         best = ahead
 
 
-def _raise(problem: Problem, best: Visited, others: Sequence[Visited], evidence: dict[Key, float]) -> dict[Key, float]:
-    """Distances of sets from the best one; where that is not told, their evidence becomes what it allows, at least."""
+def _raise(problem: Problem, best: Scored, others: Sequence[Scored], evidence: dict[Key, float]) -> dict[Key, float]:
+    """Return distances of sets from the best one; raise the evidence of indistinguishable sets to its bound."""
     distance = {other.key: refit_distance(problem, best.fit, other.fit) for other in others}
     for other in others:
         d = distance[other.key]
@@ -237,22 +230,22 @@ def _raise(problem: Problem, best: Visited, others: Sequence[Visited], evidence:
     return distance
 
 
-def _folded(
-    problem: Problem, weighed: Sequence[Weighed], evidence: Mapping[Key, float], temperature: float
-) -> list[Weighed]:
-    """Sets without those that have one effect more for which the records have no evidence either way."""
-    # Their probability goes to the smaller set: by the evidence without priors, or by the refit distance.
-    kept: list[Weighed] = []
+def _without_undecided(
+    problem: Problem, weighed: Sequence[Weighted], evidence: Mapping[Key, float], temperature: float
+) -> list[Weighted]:
+    """Drop sets with a further effect for which the records have no evidence either way."""
+    # Judged by the evidence without priors, or by the refit distance; the smaller set gets their probability.
+    kept: list[Weighted] = []
     for entry in sorted(weighed, key=lambda w: len(w.key)):
         plain = evidence[entry.key] - entry.visited.prior
 
-        def silent(less: Weighed, entry: Weighed = entry, plain: float = plain) -> bool:
+        def silent(less: Weighted, entry: Weighted = entry, plain: float = plain) -> bool:
             if not less.key < entry.key:
                 return False
             if plain - (evidence[less.key] - less.visited.prior) < NO_EVIDENCE * temperature:
                 return True
-            asked = entry.probability > HARDLY and less.probability > entry.probability
-            return asked and refit_distance(problem, entry.fit, less.fit) < tuning.CANNOT_TELL
+            relevant = entry.probability > IRRELEVANT and less.probability > entry.probability
+            return relevant and refit_distance(problem, entry.fit, less.fit) < tuning.CANNOT_TELL
 
         within = [k for k, w in enumerate(kept) if silent(w)]
         if within:
@@ -264,65 +257,59 @@ def _folded(
     return sorted(kept, key=lambda w: order[w.key])
 
 
-def _misjudged(found: Found, sets: Sequence[Weighed], evidence: Mapping[Key, float]) -> tuple[list[Weighed], set[Key]]:
-    """The sets, each under the name that its parameters ask for, and which have another name now."""
-    # A set whose refit takes a parameter beyond its tolerance predicts the same as the one that calls it misjudged. The
-    # tolerance is a bound between the two; together they stay as probable as before.
+def _split(found: Found, sets: Sequence[Weighted], evidence: Mapping[Key, float]) -> tuple[list[Weighted], set[Key]]:
+    """Split the probability of a set with a parameter beyond tolerance with the set that has it as an effect."""
+    # Both predict the same, and the tolerance is the bound between them; together they stay as probable as before. Also
+    # returns the keys of sets that lost most of their probability.
     nuisances, renamed = found.problem.nuisances, set[Key]()
     own = {w.key: w for w in sets}
     for key in sorted({v.key for v in found.sets}, key=len):
         entry = own.get(key)
         if entry is None:
             continue
-        within, saying = 0.0, dict[Key, Visited]()
+        within, others = 0.0, dict[Key, Scored]()
         for k, nuisance in enumerate(nuisances):
             z, std = float(entry.fit.z[k]), float(entry.fit.std[k])
             low, high = nuisance.ends
             misjudged = [v for v in found.sets if v.allowed and _misjudges(v, key, nuisance.label)]
             if misjudged and not low <= z <= high:
                 within = min(within, nuisance.log_within(z, std))
-                saying |= {v.key: v for v in misjudged[:1]}
-        if not saying:
+                others |= {v.key: v for v in misjudged[:1]}
+        if not others:
             continue
-        ahead = [evidence.get(v.key, v.evidence) - evidence[key] for v in saying.values()]
+        ahead = [evidence.get(v.key, v.evidence) - evidence[key] for v in others.values()]
         log = np.array([within, *ahead])
         share = np.exp(log - log.max()) / np.exp(log - log.max()).sum()
-        total = entry.probability + sum(own[k].probability for k in saying.keys() & own.keys())
+        total = entry.probability + sum(own[k].probability for k in others.keys() & own.keys())
         own[key] = replace(entry, probability=float(share[0]) * total)
-        for part, v in zip(share[1:], saying.values(), strict=True):
-            there = own.get(v.key, Weighed(v, 0.0, evidence.get(v.key, v.evidence), np.nan, entry.unnamed))
+        for part, v in zip(share[1:], others.values(), strict=True):
+            there = own.get(v.key, Weighted(v, 0.0, evidence.get(v.key, v.evidence), np.nan, entry.unnamed))
             own[v.key] = replace(there, probability=float(part) * total)
         if share[0] < 0.5:
             renamed.add(key)
     return sorted(own.values(), key=lambda w: -w.probability), renamed
 
 
-def _misjudges(visited: Visited, key: Key, label: str) -> bool:
-    """Whether a set is that of this key and one effect more, that the parameters of this label are misjudged."""
+def _misjudges(visited: Scored, key: Key, label: str) -> bool:
+    """Return whether a set has this key and one effect more, on the parameters of this label."""
     more = [c.site for c in visited.fit.hypothesis.candidates if c.key not in key]
     return key < visited.key and len(more) == 1 and more[0].kind == "parameter" and more[0].name == label
 
 
-def _contenders(ordered: Sequence[Visited]) -> list[Visited]:
-    """The sets that are weighed again: the best ones, and the empty one."""
-    near = [v for v in ordered if ordered[0].evidence - v.evidence < tuning.FAR_BEHIND][:MOST_WEIGHED]
-    return near + [v for v in ordered if not v.key and v not in near]
-
-
-def _weight(found: Found, visited: Visited) -> _Weight | None:
-    """A set weighed; None where there is hardly any motion."""
+def _weight(found: Found, visited: Scored) -> _Weight | None:
+    """Evaluate a set under a random force; None with too little motion."""
     held, price = in_phase(found.held, visited.fit, found.problem.records)
     both, fit = _all_windows(found, held, visited.fit)
     try:
         with np.errstate(all="ignore"):
             weight = _Weight(fitted_windows(both, fit), price)
-    except UNTOLD:
+    except SINGULAR:
         return None
     return weight if np.isfinite(weight.log_likelihood) else None
 
 
 def _all_windows(found: Found, held: Problem, fit: Fit) -> tuple[Problem, Fit]:
-    """What was fitted and what was held out, windows of one record together and in order of time; and the fit there."""
+    """Join fitted and held-out windows by record in order of time; return the problem and its fit."""
     problem = found.problem
     records, chosen, starts = list(problem.records), list(problem.chosen), list(fit.starts)
     placed = held_out_fit(held, fit, found.noise).starts
@@ -336,33 +323,32 @@ def _all_windows(found: Found, held: Problem, fit: Fit) -> tuple[Problem, Fit]:
 
 
 def _forces(
-    ordered: Sequence[Visited], evidence: Mapping[Key, float], weights: Mapping[Key, _Weight]
+    ordered: Sequence[Scored], evidence: Mapping[Key, float], weights: Mapping[Key, _Weight]
 ) -> dict[Key, UnnamedEvidence]:
-    """The unnamed force beside each set: where the best has none, only that beside the empty one."""
+    """Return the residual force of each set; if the best set has none, only that of the empty one."""
     best = max((v.key for v in ordered), key=evidence.__getitem__)
-    asked = weights if best in weights and weights[best].force is not None else {Key(), best} & weights.keys()
-    return {key: force for key in asked if (force := weights[key].force) is not None}
+    keys = weights if best in weights and weights[best].force is not None else {Key(), best} & weights.keys()
+    return {key: force for key in keys if (force := weights[key].force) is not None}
 
 
 def _gain(force: UnnamedEvidence | None) -> float:
-    """Log evidence that it brings, its prior paid: by the more careful one of its two judges."""
+    """Return its gain in log evidence including the prior, by the smaller of evidence and cross-validation."""
     if force is None:
         return 0.0
-    told = min(force.evidence, force.cross_validated)
-    return float(np.logaddexp(np.log1p(-PRIOR), np.log(PRIOR) + told))
+    return float(np.logaddexp(np.log1p(-PRIOR), np.log(PRIOR) + min(force.evidence, force.cross_validated)))
 
 
-def _generalising(found: Found) -> tuple[list[Visited], bool]:
-    """Sets that may be the answer, without those that fail on held-out data, and whether the best does not fail."""
+def _generalising(found: Found) -> tuple[list[Scored], bool]:
+    """Return the allowed sets that do not fail on held-out data, and whether the best set does not fail."""
     held, plain = found.held, white(found.noise)
 
-    def errors(visited: Visited) -> Array:
+    def errors(visited: Scored) -> Array:
         phased, _ = in_phase(held, visited.fit, found.problem.records)
         return window_errors(phased, held_out_fit(phased, visited.fit, plain))
 
     refitted = errors(found.empty)
-    left: list[Visited] = []
-    failed: list[Visited] = []
+    left: list[Scored] = []
+    failed: list[Scored] = []
     for visited in (v for v in found.sets if v.allowed):
         judged = visited.key and len(left) < MOST_WEIGHED
         (failed if judged and clearly_larger(errors(visited), refitted) else left).append(visited)
@@ -370,37 +356,37 @@ def _generalising(found: Found) -> tuple[list[Visited], bool]:
     return left, not ahead or bool(left[0].key)
 
 
-def _changes(best: Visited, others: Iterable[Visited]) -> Iterator[tuple[Visited, list[Candidate], list[Candidate]]]:
-    """Each set with the effects of the best that it lacks, and those that the best lacks."""
+def _changes(best: Scored, others: Iterable[Scored]) -> Iterator[tuple[Scored, list[Candidate], list[Candidate]]]:
+    """Yield each set with the effects that it lacks of the best, and those that the best lacks."""
     for other in others:
-        gone = [c for c in best.fit.hypothesis.candidates if c.key not in other.key]
-        yield other, gone, [c for c in other.fit.hypothesis.candidates if c.key not in best.key]
+        out = [c for c in best.fit.hypothesis.candidates if c.key not in other.key]
+        yield other, out, [c for c in other.fit.hypothesis.candidates if c.key not in best.key]
 
 
-def _lessened(best: Visited, others: Iterable[Visited]) -> list[Visited]:
-    """Sets with one effect less, or with what one of them refines in its place."""
+def _smaller(best: Scored, others: Iterable[Scored]) -> list[Scored]:
+    """Return sets with one effect less, or with the effect that one of them refines in its place."""
     found = []
-    for other, gone, come in _changes(best, others):
-        if len(gone) == 1 and all(c.site == gone[0].site and c.effect.id == gone[0].effect.refines for c in come):
+    for other, out, new in _changes(best, others):
+        if len(out) == 1 and all(c.site == out[0].site and c.effect.id == out[0].effect.refines for c in new):
             found.append(other)
     return found
 
 
-def _exchanged(best: Visited, others: Iterable[Visited]) -> list[Visited]:
-    """Sets with one effect in the place of another that neither refines, nor refines what the other does."""
+def _exchanged(best: Scored, others: Iterable[Scored]) -> list[Scored]:
+    """Return sets with one effect replaced by an unrelated one: neither refines the other or a common effect."""
     found = []
-    for other, gone, come in _changes(best, others):
-        if len(gone) != 1 or len(come) != 1:
+    for other, out, new in _changes(best, others):
+        if len(out) != 1 or len(new) != 1:
             continue
-        of_these = come[0].effect.refines in (gone[0].effect.id, gone[0].effect.refines or "-")
-        plain = come[0].effect.id == gone[0].effect.refines
-        if not ((of_these or plain) and come[0].site == gone[0].site):
+        of_these = new[0].effect.refines in (out[0].effect.id, out[0].effect.refines or "-")
+        plain = new[0].effect.id == out[0].effect.refines
+        if not ((of_these or plain) and new[0].site == out[0].site):
             found.append(other)
     return found
 
 
-def _collected(sets: Sequence[Weighed], sure: float, twins: set[Key]) -> list[Weighed]:
-    """The smallest collection with this probability, and the twins of the best."""
+def _collected(sets: Sequence[Weighted], sure: float, twins: set[Key]) -> list[Weighted]:
+    """Return the smallest collection with this probability, and the twins of the best."""
     total, found = 0.0, []
     for entry in sets:
         if total < sure or entry.key in twins:

@@ -1,10 +1,8 @@
-"""The force that is left along the records once the named effects are in the model: its curves over speed, position,
-time and input, and the periodic lines in it.
+"""Residual force of a model with its named effects: curves over speed, position, time and input, and periodic lines.
 
-With the effects' simulated forces as known inputs the model is linear again, and the smoother finds the force that is
-still lacking; a nonlinear plant's is smoothed joint by joint beside the rates of plant and effects along its motion.
-The force is correlated in time: bands come from a bootstrap over blocks, shares of the variance from blocks not fitted
-to.
+With the effects' simulated forces as known inputs the model is linear, and the smoother estimates the residual force;
+that of a nonlinear plant is smoothed joint by joint, given the rates of plant and effects along its motion. The force
+is correlated in time: bands come from a bootstrap over blocks, shares of the variance from blocks not fitted.
 """
 
 from __future__ import annotations
@@ -17,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array, Indices
-from robustlab.dynamics.extended.simulator import Simulator, Windows, rising
+from robustlab.dynamics.extended.simulator import Simulator, rising
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import Port
 from robustlab.errors import NoTrustworthyNumber
@@ -29,27 +27,27 @@ from robustlab.result import Evidence
 from robustlab.statespace import StateSpaceModel
 
 RESIDUAL_BLOCKS = 32  # of time, over all records
-RESIDUAL_SAMPLES = 6000  # over all records; the force is smooth, so every so manieth sample tells it
+RESIDUAL_SAMPLES = 6000  # over all records: the force is smooth
 FEWEST_BLOCKS = 8
-POINTS = 4000  # samples looked at: the force is smooth, and a denser grid shows nothing more
-REST = 0.01  # of the largest speed: slower counts as standing still, where a dry joint takes up any force
+POINTS = 4000  # samples used: the force is smooth
+REST = 0.01  # of the largest speed: slower counts as rest, where dry friction balances any force
 FOLDS = 8  # of cross-validation
-STIFFNESS = 10.0 ** np.arange(-5.0, 3.0)  # penalty over the data's own weight
+STIFFNESS = 10.0 ** np.arange(-5.0, 3.0)  # penalty over the weight of the data
 RIDGE = 1e-7
 SIDE, WIDE, SLOW = 8, 14, 2  # spline coefficients on a side of zero speed and over other coordinates; degree over time
 BINS = 24
 REPEATS = 400  # of the bootstrap
 
-LINE_ALARM = 0.01  # p-value of a line worth telling
+LINE_ALARM = 0.01  # largest p-value of a reported line
 MOST_LINES = 4
-LINE_WORTH = 0.02  # of the mean square of the force: a weaker line is certain and of no use
-FEWEST_TURNS = 8.0  # over the range of the position: fewer are a curve, which the splines have taken
-TURNS_PER_BLOCK = 3.0  # of a line over time: slower ones cannot be told from drift between blocks
-MOST_WAVES = 3000  # wave numbers tried over a coordinate
-OVERSAMPLING = 2.0  # wave numbers tried per turn over the range
-WAVES_AT_ONCE = 300  # bounds the memory
-FINER_WAVES = 41  # of the last search, between the neighbours of the best one
-CURVE_STIFFNESS = 1e-4  # of the smooth curves that are taken off first
+LINE_WORTH = 0.02  # of the mean square of the force: weaker lines are not reported
+FEWEST_TURNS = 8.0  # over the range of the position: fewer are part of the smooth curve
+TURNS_PER_BLOCK = 3.0  # of a line over time: slower ones are indistinguishable from drift between blocks
+MOST_WAVES = 3000  # wave numbers over a coordinate
+OVERSAMPLING = 2.0  # wave numbers per turn over the range
+WAVES_AT_ONCE = 300  # limits the memory
+FINER_WAVES = 41  # of the final search between the neighbours of the best one
+CURVE_STIFFNESS = 1e-4  # of the smooth curves that are subtracted first
 FLIPS = 400  # random signs
 
 
@@ -57,26 +55,24 @@ FLIPS = 400  # random signs
 class ForceCurve(Evidence):
     """Residual force over one coordinate."""
 
-    # coordinate, unit: name and unit of the coordinate
     coordinate: str
     unit: str
-    # x, value, low, high: middle of each bin, mean force in it, and its 95 % band; shape (n_bins,), in order of x
+    # x, value, low, high: middle of each bin, mean force in it, and its 95 % band, (n_bins,), in order of x
     x: Array
     value: Array
     low: Array
     high: Array
     count: NDArray[np.int_]  # samples in each bin
-    # share of the variance that a curve over this coordinate explains in blocks it was not fitted to, 0..1
-    share: float
+    share: float  # of the variance explained by a curve over this coordinate in blocks not fitted, 0..1
 
 
 @dataclass(frozen=True)
 class ResidualForce(Evidence):
     """The residual force over each coordinate."""
 
-    unit: str  # unit of the force
-    rms: float  # of the force
-    noise_share: float  # share of its variance that the estimate's own std accounts for
+    unit: str  # of the force
+    rms: float
+    noise_share: float  # of its variance, by the estimate's own std
     curves: Mapping[str, ForceCurve]  # coordinate -> curve
     blocks: int  # number of blocks
 
@@ -95,13 +91,13 @@ class MovingSamples:
     sign: Array
 
     def per_block(self, value: Array) -> Array:
-        """Weighted sums over each block: (n, ...) -> (n_blocks, ...)."""
+        """Return weighted sums over each block: (n, ...) -> (n_blocks, ...)."""
         belongs = (np.arange(self.n_blocks)[:, None] == self.block) * self.weight
         return (belongs @ value.reshape(len(value), -1)).reshape(self.n_blocks, *value.shape[1:])
 
 
 def moving_samples(force: Array, std: Array, x: Mapping[str, Array], label: NDArray[np.int_]) -> MovingSamples | None:
-    """The samples in motion of a force (n,) along records, with the label of each one's block; None of hardly any."""
+    """Select the samples in motion of a force (n,) with the block label of each; None if too few."""
     speed = next((name for name in x if role(name) == "speed"), None)
     chosen = np.arange(0, len(force), max(1, len(force) // POINTS))
     if speed is not None:
@@ -121,7 +117,7 @@ def moving_samples(force: Array, std: Array, x: Mapping[str, Array], label: NDAr
 
 
 def role(name: str) -> str:
-    """First word of a coordinate's name: "speed", "position", "time" or another."""
+    """Return the first word of a coordinate's name: "speed", "position", "time" or another."""
     return name.split(maxsplit=1)[0].lower() if name.split() else ""
 
 
@@ -130,7 +126,7 @@ def role(name: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class LeftOver:
-    """The force that is left at one joint (or the first input), its unit, and those of the coordinates."""
+    """Residual force at one joint (or the first input), its unit, and those of the coordinates."""
 
     port: str
     unit: str
@@ -139,7 +135,7 @@ class LeftOver:
 
 
 class _Part(NamedTuple):
-    """Along one record."""
+    """Residual force along one record."""
 
     port: str
     unit: str
@@ -150,7 +146,7 @@ class _Part(NamedTuple):
 
 
 def left_over(problem: Problem, fit: Fit, noise: NoiseModel) -> LeftOver | None:
-    """The residual force over the given records; None where there is hardly any motion."""
+    """Return the residual force over all records of the problem; None with too little motion."""
     everything = problem.on(problem.records)
     placed = everything.fit(fit.hypothesis, noise, fit.z, plan=FitPlan(8, 0.5, fixed=True))
     simulators = everything.simulators(fit.hypothesis)
@@ -175,7 +171,7 @@ def left_over(problem: Problem, fit: Fit, noise: NoiseModel) -> LeftOver | None:
 def _coordinates(
     problem: Problem, record: PreparedRecord, used: Indices, x: Array, port: Port | None
 ) -> tuple[dict[str, Array], dict[str, str]]:
-    """Time, speed and position of a joint, and the inputs, with their units."""
+    """Return time, speed and position of a joint, and the inputs, with their units."""
     found, units = {"time": record.record.t[used]}, {"time": "s"}
     if port is not None:
         found["speed"], units["speed"] = x @ port.velocity[: x.shape[1]], port.speed_unit
@@ -189,11 +185,11 @@ def _coordinates(
 def _at_joints(
     problem: Problem, fit: Fit, k: int, simulator: Simulator
 ) -> tuple[list[Port], Array, Array, Array, Indices] | None:
-    """Joints, forces (n, n_joints), deviations, motion and samples of a nonlinear plant's record; None in pieces."""
+    """Return joints, forces (n, n_joints), deviations, motion and samples of a nonlinear plant's unbroken record."""
     plant, record = problem.plant, problem.records[k]
     assert isinstance(plant, NonlinearPlant)
     assert record.motion is not None
-    windows = Windows(record.windows.starts, record.windows.length)
+    windows = record.windows
     used = (windows.starts[:, None] + np.arange(windows.length)).ravel()
     factors, values, shift = problem.setting(fit.hypothesis, fit.z)
     x0 = problem.starts_seen(k, simulator, values) + record.x0_std * fit.starts[k]
@@ -212,7 +208,7 @@ def _at_joints(
     rates, point = about.rates[::steps], about.points
     total = (model.A[point, :own] @ np.hstack([middle, z])[..., None])[..., 0]
     total += (model.B[point, :own] @ np.hstack([mean, rates])[..., None])[..., 0]
-    # The force noted at a sample is that of the step before it; held over a sample it belongs one sample earlier.
+    # The force stored at a sample is that of the step before it: held over a sample, it belongs one sample earlier.
     forces = motion.forces.reshape(n, -1)
     forces = np.vstack([forces[1:], forces[-1:]])
     for j, law in enumerate(simulator.laws(values)):
@@ -231,7 +227,7 @@ def _at_joints(
 
 
 def _at_worst_joint(problem: Problem, fit: Fit, simulators: Sequence[Simulator]) -> list[_Part]:
-    """Of a nonlinear plant: at the joint where most is left, in standard deviations."""
+    """Return the residual of a nonlinear plant at its worst joint, in standard deviations."""
     found = [(problem.records[k], _at_joints(problem, fit, k, s)) for k, s in enumerate(simulators)]
     known = [(record, *part) for record, part in found if part is not None]
     if not known:
@@ -244,20 +240,19 @@ def _at_worst_joint(problem: Problem, fit: Fit, simulators: Sequence[Simulator])
 
 
 def _least(problem: Problem, k: int) -> float:
-    """Lowest bandwidth in Hz of the force in one record."""
-    # The test flips the signs of whole blocks: a smoother's memory longer than a block would make chance look like
-    # structure.
+    """Return the lowest bandwidth in Hz of the force in one record."""
+    # The test flips the signs of whole blocks: a smoother with a longer memory would make noise look like structure.
     windows, dt = problem.records[k].windows, problem.records[k].record.dt
     return max(4, RESIDUAL_BLOCKS // len(problem.records)) / (len(windows.starts) * windows.length * dt)
 
 
 def _of_record(problem: Problem, fit: Fit, k: int, simulator: Simulator) -> _Part | None:
-    """Port, unit, force, std, coordinates and their units along one record."""
+    """Estimate the residual force of a linear plant along one record; None in pieces or without an estimate."""
     record = problem.records[k]
     factors, values, shift = problem.setting(fit.hypothesis, fit.z)
     model = simulator.model(factors, values)
     joint = next((p for p in model.ports.values() if p.kind == "joint"), None)
-    # A plant without a joint: what it lacks is told as an addition to its first input.
+    # Without a joint the residual force is an addition to the first input.
     first = problem.plant.inputs[0]
     push, name, unit = (joint.force, joint.name, joint.unit) if joint else (model.B[:, 0], first.name, first.unit)
     windows = record.windows
@@ -267,7 +262,7 @@ def _of_record(problem: Problem, fit: Fit, k: int, simulator: Simulator) -> _Par
     y = record.y[used] - added
     seen = np.isfinite(y).any(axis=0)
     rows, y = np.array(record.columns)[seen], y[:, seen]
-    d = model.D[rows]  # at the samples themselves, where the line begins
+    d = model.D[rows]  # acts on the input at the sample itself
     linear = StateSpaceModel(
         model.A, np.hstack([model.B, rising(model.A, model.B, record.record.dt), columns]), model.C[rows],
         np.hstack([d, -d, np.zeros((len(rows), columns.shape[1]))]),
@@ -299,15 +294,15 @@ def _known_inputs(
     x0: Array,
     shift: Sequence[float] | None,
 ) -> tuple[Array, Array, Array]:
-    """Inputs of the linear model (n, 2 n_u + n_laws), columns of the laws' forces (n_x, n_laws), what sensors add."""
-    windows = Windows(record.windows.starts, record.windows.length)
+    """Return inputs of the linear model (n, 2 n_u + n_laws), force columns (n_x, n_laws), additions of the sensors."""
+    windows = record.windows
     motion = simulator.run(factors, values, x0, windows, shift)
     model = simulator.model(factors, values)
     laws = [law for (e, site), v in zip(simulator.effects, values, strict=True) for law in e.laws(site, v)]
     columns = np.zeros((len(model.A), len(laws)))
     for j, law in enumerate(laws):
         columns[:, j] = model.ports[law.port].force
-    # The force noted at a sample is that of the step before it; held over a sample it belongs one sample earlier.
+    # The force stored at a sample is that of the step before it: held over a sample, it belongs one sample earlier.
     used = (windows.starts[:, None] + np.arange(windows.length)).ravel()
     forces = motion.forces.reshape(len(used), len(laws))
     forces = np.vstack([forces[1:], forces[-1:]])
@@ -323,7 +318,7 @@ def _known_inputs(
 
 
 def residual_curves(left: LeftOver, seed: int = 0) -> ResidualForce:
-    """The force over each coordinate, with bands and held-out shares."""
+    """Return the force over each coordinate, with bands and held-out shares."""
     data, rng = left.samples, np.random.default_rng(seed)
     force = data.d - np.average(data.d, weights=data.weight)
     curves: dict[str, ForceCurve] = {}
@@ -337,24 +332,24 @@ def residual_curves(left: LeftOver, seed: int = 0) -> ResidualForce:
 
 
 def _bases(data: MovingSamples) -> dict[str, tuple[Array, Array]]:
-    """Of each coordinate that varies the columns (n, p) of a curve over it, and their roughness penalty (p, p)."""
+    """Return for each varying coordinate the columns (n, p) of a curve, and their roughness penalty (p, p)."""
     return {name: _basis(name, x) for name, x in data.x.items() if np.ptp(x) > 0}
 
 
 def _basis(name: str, x: Array) -> tuple[Array, Array]:
     low, high = float(x.min()), float(x.max())
-    if role(name) == "speed":  # over sqrt|v|, a set below zero and one above: the curve may jump and bend at zero
+    if role(name) == "speed":  # over sqrt|v|, one set below zero and one above: the curve may jump at zero
         side = _spline(np.sqrt(np.abs(x) / (float(np.abs(x).max()) or 1.0)), 0.0, 1.0, SIDE)
         columns = np.hstack([side * (x < 0)[:, None], side * (x > 0)[:, None]])
         return columns, np.asarray(np.kron(np.eye(2), _roughness(SIDE)))
-    if role(name) == "time":  # held-out blocks at the record's ends ask for extrapolation: a polynomial stays tame
+    if role(name) == "time":  # a low-degree polynomial extrapolates well to held-out blocks at the ends
         columns = np.vander((x - low) / ((high - low) or 1.0) - 0.5, SLOW + 1, increasing=True)
         return columns, np.diag([0.0, *[1.0] * SLOW])
     return _spline(x, low, high, WIDE), _roughness(WIDE)
 
 
 def _spline(x: Array, low: float, high: float, size: int) -> Array:
-    """Cubic B-splines on an even grid from low to high, (n, size); constant outside."""
+    """Return cubic B-splines on an even grid from low to high, (n, size); constant outside."""
     from scipy.interpolate import BSpline
 
     inner = np.linspace(low, high, size - 2)
@@ -369,7 +364,7 @@ def _roughness(size: int) -> Array:
 
 
 def _without_curves(data: MovingSamples) -> Array:
-    """The force less a sum of smooth curves over all coordinates, and of dry ones, sgn(v) f(x)."""
+    """Subtract from the force smooth curves f(x) and sgn(v) f(x) over all coordinates."""
     from scipy.linalg import block_diag
 
     bases = []
@@ -386,13 +381,13 @@ def _without_curves(data: MovingSamples) -> Array:
 
 
 def _solved(gram: Array, moment: Array, stiffness: float, penalty: Array, whole: Array) -> Array:
-    """Coefficients; the same stiffness means the same smoothing for any unit, length and number of columns."""
+    """Return coefficients of a ridge regression whose stiffness is independent of units, length and columns."""
     size = float(np.trace(whole)) / len(whole)
     return np.linalg.solve(gram + size * (stiffness * penalty + RIDGE * np.eye(len(whole))), moment)
 
 
 def _held_out_share(data: MovingSamples, force: Array, columns: Array, penalty: Array) -> float:
-    """Share of the variance that a curve explains in runs of blocks it was not fitted to, at the best stiffness."""
+    """Return the share of the variance that a curve explains in held-out runs of blocks, at the best stiffness."""
     folds = data.block * min(FOLDS, data.n_blocks) // data.n_blocks
     parts = [(columns[folds == k], data.weight[folds == k], force[folds == k]) for k in np.unique(folds)]
     grams = [(c.T * w) @ c for c, w, _ in parts]
@@ -410,7 +405,7 @@ def _held_out_share(data: MovingSamples, force: Array, columns: Array, penalty: 
 def _binned(
     data: MovingSamples, x: Array, split: bool, rng: np.random.Generator
 ) -> tuple[Array, Array, Array, Array, NDArray[np.int_]]:
-    """Means of the force in bins of x with as many samples each, and bands from a bootstrap over blocks."""
+    """Return means of the force in bins of x with equal counts, and bands from a bootstrap over blocks."""
     if split:
         sides = [side for side in (x[x < 0], x[x > 0]) if len(side)]
         edges = np.unique(np.concatenate([_quantiles(s, max(2, round(BINS * len(s) / len(x)))) for s in sides]))
@@ -428,7 +423,7 @@ def _binned(
     total = times @ weight
     drawn = np.where(total > 0, (times @ force) / np.where(total > 0, total, 1.0), np.nan)
     spread = np.sqrt(np.nanmean((drawn - value) ** 2, axis=0))
-    # A bin that few blocks visit has no spread between blocks to speak of: then the spread within it counts as one.
+    # In a bin with few blocks the spread between blocks is unreliable: the spread within the bin counts as well.
     visits = (weight > 0).sum(axis=0)
     inside = np.sqrt(np.maximum((one * (data.d[:, None] - value) ** 2).sum(0) / np.maximum(count, 1), 0.0))
     own = np.sqrt((one * data.std[:, None] ** 2).sum(0) / np.maximum(count, 1))
@@ -446,7 +441,7 @@ def _quantiles(x: Array, n: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Place:
-    """Wave numbers (turns per unit) that are tried over one coordinate; samples of one group share a phase."""
+    """Wave numbers (turns per unit) over one coordinate; samples of one group share a phase."""
 
     name: str
     x: Array
@@ -455,9 +450,9 @@ class _Place:
 
 
 def remaining_lines(left: LeftOver) -> tuple[dict[str, float | str], ...]:
-    """Lines over position and time in the residual force that chance does not explain (p < 0.01), strongest first."""
-    # Each wave number's power, a phase for each record and direction, is judged against the largest of all of them
-    # under random signs of the blocks. Smooth curves are taken off before, and found lines one by one.
+    """Return significant lines (p < 0.01) over position and time in the residual force, strongest first."""
+    # Each wave number's power, with a phase for each record and direction, is compared with the largest one under
+    # random signs of the blocks. Smooth curves are subtracted before, and lines one by one.
     data = left.samples
     chance = np.random.default_rng(0).choice([-1.0, 1.0], size=(FLIPS, data.n_blocks))
     signs = np.vstack([np.ones(data.n_blocks), chance])
@@ -483,9 +478,9 @@ def remaining_lines(left: LeftOver) -> tuple[dict[str, float | str], ...]:
 
 
 def _places(data: MovingSamples) -> Iterator[_Place]:
-    """Position and time, each with the wave numbers that its samples can show."""
+    """Yield position and time, each with the wave numbers that its samples resolve."""
     time = next((x for name, x in data.x.items() if role(name) == "time"), np.zeros(len(data.d)))
-    record = np.concatenate([[0], np.cumsum(np.diff(time) < 0)])  # a clock that goes back begins a new one
+    record = np.concatenate([[0], np.cumsum(np.diff(time) < 0)])  # time restarts with each record
     for name, x in data.x.items():
         span = float(np.ptp(x))
         if role(name) not in ("position", "time") or not span > 0:
@@ -504,7 +499,7 @@ def _places(data: MovingSamples) -> Iterator[_Place]:
 def _strongest(
     data: MovingSamples, place: _Place, signs: Array, places: int
 ) -> tuple[float, float, _Place, int] | None:
-    """Of the waves that chance does not explain the one with the most power: power, p, place, index."""
+    """Return power, p, place and index of the strongest significant wave, or None."""
     power = _power(data, place, signs)
     mean = power[1:].mean(axis=0)
     level = power / np.where(mean > 0, mean, 1.0)
@@ -518,19 +513,19 @@ def _strongest(
 
 
 def _power(data: MovingSamples, place: _Place, signs: Array) -> Array:
-    """Explained power of every wave number under every set of the blocks' signs, (n_signs, n_waves)."""
+    """Return the explained power of every wave number under every set of the blocks' signs, (n_signs, n_waves)."""
     power, waves = np.zeros((len(signs), len(place.waves))), place.waves
     for g in np.unique(place.group):
         own = place.group == g
         x, weight = place.x[own] - place.x.min(), data.weight[own]
         by_block = (np.arange(data.n_blocks)[:, None] == data.block[own]) * (weight * data.d[own])
-        # The wave numbers are evenly spaced: each chunk only turns on.
+        # The wave numbers are evenly spaced: the table serves every chunk.
         table = np.exp(2j * np.pi * np.outer(x, waves[:WAVES_AT_ONCE] - waves[0]))
         for first in range(0, len(waves), WAVES_AT_ONCE):
             chunk = slice(first, first + WAVES_AT_ONCE)
             turned = np.exp(2j * np.pi * waves[first] * x)[:, None] * table[:, : len(waves[chunk])]
             double, total = weight @ turned**2, float(weight.sum())
-            # Turned so that cosine and sine are orthogonal (Lomb); the ridge is for samples that miss one of them.
+            # Rotated so that cosine and sine are orthogonal (Lomb); the ridge is for samples that miss one of them.
             sums = (by_block @ turned) * np.exp(-0.5j * np.angle(double))
             for part, side in ((sums.real, 1.0), (sums.imag, -1.0)):
                 norm = 0.5 * (total + side * np.abs(double)) + 1e-6 * total
@@ -539,7 +534,7 @@ def _power(data: MovingSamples, place: _Place, signs: Array) -> Array:
 
 
 def _line(data: MovingSamples, place: _Place, wave: float) -> tuple[Array, float]:
-    """The fitted line along the samples, and its amplitude: RMS over the samples of each group's own."""
+    """Return the fitted line along the samples, and its amplitude: RMS over the samples of the groups' amplitudes."""
     phase = 2.0 * np.pi * wave * (place.x - place.x.min())
     columns, root = np.column_stack([np.cos(phase), np.sin(phase)]), np.sqrt(data.weight)
     fitted, square = np.empty(len(phase)), 0.0

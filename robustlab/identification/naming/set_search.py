@@ -1,5 +1,5 @@
-"""The search over sets of effects: log p(S | y) = Laplace's evidence of the fitted windows + the likelihood of those
-held out given them + a prior for each effect. All sets are judged under the noise and the clock of the best one.
+"""Search over sets of effects: log p(S | y) = Laplace evidence of the fitted windows + likelihood of the held-out
+windows given them + a prior for each effect. All sets are evaluated under the noise and clock of the best one.
 """
 
 from __future__ import annotations
@@ -23,38 +23,38 @@ from robustlab.identification.hypotheses.effect_fit import (
 )
 from robustlab.identification.hypotheses.noise import (
     as_fitted,
-    careful,
     first_noise,
     in_phase,
     least_squares,
     noise_ratio,
     whitening,
+    widened,
 )
-from robustlab.identification.hypotheses.unnamed_force import UNTOLD, UnnamedEvidence, fitted_windows, unnamed_force
-from robustlab.identification.naming.moves import KEPT, extended, may_follow, promising, without
+from robustlab.identification.hypotheses.unnamed_force import SINGULAR, UnnamedEvidence, fitted_windows, unnamed_force
+from robustlab.identification.naming.moves import KEPT, extended, may_be_added, promising, without
 
-BEAM = 4  # sets that are carried over to a new noise model, and expanded
-ROUGH = 6  # iterations before the noise is known: they only have to find a leader
-PROMISING = 3.0  # log-likelihood that an addition must gain
+BEAM = 4  # sets kept for a new noise model, and expanded
+ROUGH = 6  # iterations before the noise is known, to find the best set only
+PROMISING = 3.0  # least gain in log-likelihood by an addition
 CLOCK_SHARE = 0.25  # of a sample: standard deviation of an input's shift
-MOST_STEPS = 4  # a sample: more follow stiffer contacts and take more time
-STEP_ERROR = 0.1  # of the noise, by which half as long steps may change a residual
+MOST_STEPS = 4  # per sample: more would resolve stiffer contacts and take more time
+STEP_ERROR = 0.1  # of the noise: largest change of a residual by halved steps
 MOST_EFFECTS = 4
-IN_ONE_PIECE = 3.0  # scatter of the windows, over that of independent errors, from which something is missing
-MOST_EXPANSIONS = 12  # sets to which effects are added before the search is called unfinished
-MOST_WORK = 240_000_000  # steps of simulation, after which no further set is expanded
+CORRELATED = 3.0  # scatter of the windows over that of independent errors, from which an effect is missing
+MOST_EXPANSIONS = 12  # limit of expanded sets
+MOST_WORK = 240_000_000  # limit of simulation steps
 PRIOR_EFFECT = 0.02  # of an effect at a place
-PRIOR_REFINEMENT = 0.1  # of a refinement, over that of the effect it refines
-LOOKED_ELSEWHERE = 200.0  # periods among which the one of a ripple was found
+PRIOR_REFINEMENT = 0.1  # of a refinement, over that of the refined effect
+CANDIDATE_PERIODS = 200.0  # number of candidate periods of a ripple
 
 
 def clock_nuisances(inputs: tuple[str, ...], dt: float) -> tuple[Nuisance, ...]:
-    """A shift of each input against the outputs, a part of a sample: clocks are not told more exactly than that."""
+    """Return a shift of each input against the outputs by a part of a sample."""
     return tuple(Nuisance(f"clock of {name}", (), CLOCK_SHARE * dt, input=name) for name in inputs)
 
 
 def held_inputs(problem: Problem, fit: Fit) -> tuple[Fit, Problem]:
-    """The fit and its problem under the hold of each input that explains the records best: held, or smooth."""
+    """Return the fit and its problem with the hold of each input, zero-order or smooth, that fits best."""
     hold = list(problem.clock.hold or ["zoh"] * len(problem.plant.inputs))
     for k in range(len(hold)):
         other = hold.copy()
@@ -67,7 +67,7 @@ def held_inputs(problem: Problem, fit: Fit) -> tuple[Fit, Problem]:
 
 
 def short_steps(problem: Problem, fit: Fit) -> Problem:
-    """The problem with steps so short that halving them changes no residual by more than a tenth of the noise."""
+    """Shorten the steps until halving them changes no residual by more than a tenth of the noise."""
     while (sub := problem.clock.sub or 1) < MOST_STEPS:
         halved = problem.under(replace(problem.clock, sub=2 * sub))
         whole, fine = (
@@ -86,66 +86,61 @@ Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Visited:
-    """A set of effects as it was fitted."""
+class Scored:
+    """A fitted set of effects."""
 
     fit: Fit  # under the noise model of the search
     prior: float  # log prior of the set
     held_out: float  # log-likelihood of the held-out windows given the fitted ones, up to a constant common to all sets
-    # false where it may not be the answer: a parameter within its tolerance, a ripple of which too little is seen
-    allowed: bool
+    allowed: bool  # False for a parameter effect within its tolerance, or a ripple with too few periods
 
     @property
     def key(self) -> Key:
-        """Keys of its effects."""
         return key_of(self.fit.hypothesis)
 
     @property
     def evidence(self) -> float:
-        """Log of the posterior probability, up to a constant common to all sets."""
+        """Return the log of the posterior probability, up to a constant common to all sets."""
         return self.fit.evidence + self.held_out + self.prior
 
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What the search ended with."""
+    """Result of the search."""
 
-    sets: tuple[Visited, ...]  # all that were judged, the most probable first
-    empty: Visited  # the set without any effect, the nominal model within its tolerances
-    noise: NoiseModel  # the noise model under which all were judged
-    expanded: int  # number of sets that were expanded; ``settled`` is False where the budget of them ended the search
-    settled: bool
-    interrupted: bool  # true where the user ended it
-    # problem, held: as they were given, with the clock under which all was simulated
+    sets: tuple[Scored, ...]  # all evaluated ones, the most probable first
+    empty: Scored  # the set without effects: the nominal model within its tolerances
+    noise: NoiseModel  # of the best set
+    expanded: int  # number of expanded sets
+    settled: bool  # False if the work limit ended the search
+    interrupted: bool  # by the user
+    # problem, held: as given, with the clock of the best set
     problem: Problem
     held: Problem
 
     @property
-    def best(self) -> Visited:
-        """The most probable set."""
+    def best(self) -> Scored:
         return self.sets[0]
 
 
 def key_of(hypothesis: Hypothesis) -> Key:
-    """Keys of the effects of a set, in no order."""
     return frozenset(c.key for c in hypothesis.candidates)
 
 
 def log_prior(hypothesis: Hypothesis) -> float:
-    """Log prior of a set."""
     total = 0.0
     for candidate in hypothesis.candidates:
         total += math.log(PRIOR_EFFECT)
         if candidate.effect.refines:
             total += math.log(PRIOR_REFINEMENT)
         if candidate.effect.spatial and candidate.scales.orders:
-            total -= math.log(LOOKED_ELSEWHERE)
+            total -= math.log(CANDIDATE_PERIODS)
     return total
 
 
 def _at_line(candidate: Candidate, line: UnnamedEvidence) -> Candidate:
-    """An effect that makes a line, begun at that line; of a wave with its phase, too."""
-    # Where the motion follows the wave a fit that begins without any comes to another period.
+    """Return an effect that can make a line, with starts at that line and, of a wave, at its phase."""
+    # If the motion follows the wave, a fit from zero amplitude would converge to another period.
     effect = candidate.effect
     at = {"orders": (2.0 * np.pi / line.period,)} if effect.spatial else {"lines": (1.0 / line.period,)}
     scales = replace(candidate.scales, **at)
@@ -158,47 +153,47 @@ def _at_line(candidate: Candidate, line: UnnamedEvidence) -> Candidate:
 def search_sets(
     problem: Problem, held: Problem, pool: Sequence[Candidate], allowed: Allowed, progress: Progress
 ) -> Found:
-    """Search the sets of effects of ``pool``; ``allowed``: whether a fitted set may be the answer."""
+    """Search the sets of effects of ``pool``; ``allowed``: tests whether a fitted set may be the answer."""
     return _Search(problem, held, pool, allowed, progress).run()
 
 
 @dataclass(eq=False)
 class _Search:
-    """State of a search: sets visited under the present noise, and which of them were expanded under it."""
+    """State of a search: sets evaluated under the present noise, and which of them were expanded under it."""
 
     problem: Problem
     held: Problem
     pool: Sequence[Candidate]
     allowed: Allowed
     progress: Progress
-    visited: dict[Key, Visited] = field(default_factory=dict)
+    visited: dict[Key, Scored] = field(default_factory=dict)
     expanded: set[Key] = field(default_factory=set)
-    lessened: set[Fit] = field(default_factory=set)  # fits from which smaller sets were fitted
-    asked: set[Key] = field(default_factory=set)  # sets that were asked for lines
+    reduced: set[Fit] = field(default_factory=set)  # fits from which smaller sets were fitted
+    examined: set[Key] = field(default_factory=set)  # sets whose residual was searched for lines
     distances: dict[tuple[Fit, Fit], float] = field(default_factory=dict)
     expansions: int = 0
     noise: NoiseModel = field(init=False)
-    sharpened: bool = False
+    noise_known: bool = False
 
     def run(self) -> Found:
         self.noise = first_noise(self.problem)
         z = np.zeros(len(self.problem.nuisances))
-        self._visit(self.problem.fit(Hypothesis(()), self.noise, z, plan=FitPlan(tuning.BASE)))
+        self._keep(self.problem.fit(Hypothesis(()), self.noise, z, plan=FitPlan(tuning.BASE)))
         interrupted = settled = False
         try:
             self._expand(Key())
-            self._sharpen()
+            self._update_noise()
             while self.expansions < MOST_EXPANSIONS and sum(self.problem.work) < MOST_WORK:
-                best = self._told()
-                self._lessen(best.fit)
-                if self._told().key == best.key:
+                best = self._confirmed()
+                self._reduce(best.fit)
+                if self._confirmed().key == best.key:
                     key = self._next()
                     if key is None:
                         settled = True
                         break
                     self._expand(key)
-                if self._told().key != best.key:
-                    self._sharpen()
+                if self._confirmed().key != best.key:
+                    self._update_noise()
         except KeyboardInterrupt:
             interrupted = True
         order = tuple(sorted(self.visited.values(), key=lambda v: (v.allowed, v.evidence), reverse=True))
@@ -206,22 +201,22 @@ class _Search:
         return Found(order, empty, self.noise, self.expansions, settled, interrupted, self.problem, self.held)
 
     @property
-    def best(self) -> Visited:
+    def best(self) -> Scored:
         return max((v for v in self.visited.values() if v.allowed), key=lambda v: v.evidence)
 
-    def _told(self) -> Visited:
-        """The best set, without effects that these records do not tell from none: nothing is built on those."""
-        told = self.best
-        while self.sharpened:
-            less = [v for k, v in self.visited.items() if k < told.key and len(k) == len(told.key) - 1 and v.allowed]
-            less = [v for v in less if told.evidence - v.evidence < tuning.FAR_BEHIND and not self._tells(told, v)]
+    def _confirmed(self) -> Scored:
+        """Return the best set without effects whose presence the records cannot confirm."""
+        best = self.best
+        while self.noise_known:
+            less = [v for k, v in self.visited.items() if k < best.key and len(k) == len(best.key) - 1 and v.allowed]
+            less = [v for v in less if best.evidence - v.evidence < tuning.FAR_BEHIND and not self._distinct(best, v)]
             if not less:
                 break
-            told = max(less, key=lambda v: v.evidence)
-        return told
+            best = max(less, key=lambda v: v.evidence)
+        return best
 
-    def _tells(self, one: Visited, other: Visited) -> bool:
-        """Whether the records tell a set from a smaller one by more than the smaller one's prior is ahead."""
+    def _distinct(self, one: Scored, other: Scored) -> bool:
+        """Return whether the records distinguish a set from a smaller one, or outweigh the smaller one's prior."""
         if one.evidence < other.evidence:
             return False
         pair = one.fit, other.fit
@@ -231,15 +226,15 @@ class _Search:
         return d >= tuning.CANNOT_TELL or 0.5 * d**2 > other.prior - one.prior
 
     def _next(self) -> Key | None:
-        """The set to expand next: the best one, what remains of it without one or two of its effects, or near it."""
-        told = self._told()
+        """Return the set to expand next: the best one, it without one or two of its effects, or one near it."""
+        best = self._confirmed()
         while True:
-            # Before anything is added to several effects, others in their place.
-            order = self._ordered(k for k in self.visited if k < told.key and len(told.key) - len(k) <= 2)
-            order.insert(len(order) if len(told.key) > 1 else 0, told.key)
-            # Where the errors hang together something is missing, and which effect came first has little weight.
-            if self.noise.excess > IN_ONE_PIECE:
-                near = (k for k, v in self.visited.items() if v.allowed and len(k) <= len(told.key))
+            # Smaller sets are expanded before a set of several effects.
+            order = self._ordered(k for k in self.visited if k < best.key and len(best.key) - len(k) <= 2)
+            order.insert(len(order) if len(best.key) > 1 else 0, best.key)
+            # If the errors are correlated, an effect is missing and the order of the sets has little weight.
+            if self.noise.excess > CORRELATED:
+                near = (k for k, v in self.visited.items() if v.allowed and len(k) <= len(best.key))
                 order += self._ordered(near)[:BEAM]
             key = next((k for k in order if k not in self.expanded and len(k) < MOST_EFFECTS), None)
             if key is not None or not self._lines():
@@ -249,20 +244,20 @@ class _Search:
         return sorted(keys, key=lambda k: -self.visited[k].evidence)
 
     def _lines(self) -> bool:
-        """Whether the best set leaves lines; effects that make such lines are then tried there."""
-        # Beside what is far stronger a line does not show in the force that the nominal model lacks.
+        """Add effects at the lines in the residual of the best set to the pool; return whether there are any."""
+        # In the residual of the nominal model far stronger effects can hide a line.
         best = self.best
-        if best.key in self.asked:
+        if best.key in self.examined:
             return False
-        self.asked.add(best.key)
+        self.examined.add(best.key)
         try:
             with np.errstate(all="ignore"):
                 left = [unnamed_force(*there) for there in fitted_windows(self.problem, best.fit)]
-        except UNTOLD:
+        except SINGULAR:
             return False
-        told = {(f.port, f.over, f.period): f for u in left for f in u.forces if f.wins and np.isfinite(f.period)}
+        lines = {(f.port, f.over, f.period): f for u in left for f in u.forces if f.wins and np.isfinite(f.period)}
         found = {}
-        for (port, over, period), force in told.items():
+        for (port, over, period), force in lines.items():
             for c in self.pool:
                 if c.site.name == port and (c.effect.spatial if over == "line over position" else c.effect.timed):
                     found[c.key, period] = _at_line(c, force)
@@ -271,101 +266,99 @@ class _Search:
             self.expanded = self.expanded - {best.key}
         return bool(found)
 
-    def _lessen(self, fit: Fit) -> None:
-        """Fit from where a set stands the sets without one of its effects, and with what one refines in its place."""
-        # A fit may rest in a poor minimum: an effect that only leads out of it would seem to explain something.
-        if fit in self.lessened:
+    def _reduce(self, fit: Fit) -> None:
+        """Fit, from a set's parameters, the sets without one of its effects or with the effect that it refines."""
+        # A fit may be in a poor minimum: an effect that only leads out of it would seem to explain something.
+        if fit in self.reduced:
             return
-        self.lessened.add(fit)
+        self.reduced.add(fit)
         _, values = self.problem.split(fit.hypothesis, fit.z)
         for k, (there, own) in enumerate(zip(fit.hypothesis.candidates, values, strict=True)):
             rest, z = without(self.problem, fit, k)
-            self._visit(self.problem.fit(rest, self.noise, z, fit.starts, FitPlan(tuning.LAST)))
+            self._keep(self.problem.fit(rest, self.noise, z, fit.starts, FitPlan(tuning.LAST)))
             for plain in self.pool:
                 if plain.effect.id == there.effect.refines and plain.site == there.site:
                     start = {**plain.starts[0], **there.effect.unrefined(own)}
                     start = {name: start[name] for name in plain.starts[0]}
                     simpler = extended(self.problem, rest, z, plain, start)
-                    self._visit(self.problem.fit(simpler[0], self.noise, simpler[1], fit.starts, FitPlan(tuning.FULL)))
+                    self._keep(self.problem.fit(simpler[0], self.noise, simpler[1], fit.starts, FitPlan(tuning.FULL)))
 
     def _expand(self, key: Key) -> None:
         """Fit the most promising effects on top of a set."""
         base, best = self.visited[key].fit, self.best.fit
         text = " + ".join(sorted(key)) or "the nominal model"
 
-        def said(done: int, expected: int) -> None:
+        def report(done: int, expected: int) -> None:
             self.progress(done, expected + KEPT, f"what could be added to {text}")
 
-        # V that it must come to, or it is neither promising nor near the best set.
+        # A set with a larger V is neither promising nor near the best set.
         ceiling = min(base.cost - 2.0 * PROMISING, best.cost + 2.0 * tuning.FAR_BEHIND)
-        pool = [c for c in self.pool if may_follow(c, base.hypothesis)]
-        starts = promising(self.problem, base, pool, base.cost - ceiling, said)
+        pool = [c for c in self.pool if may_be_added(c, base.hypothesis)]
+        starts = promising(self.problem, base, pool, base.cost - ceiling, report)
         for done, start in enumerate(starts, 1):
             most = np.inf if start.candidate.effect.gain_like else ceiling
-            plan = FitPlan(tuning.FULL if self.sharpened else ROUGH, 0.05, ceiling=most)
-            self._visit(self.problem.fit(start.hypothesis, self.noise, start.z, base.starts, plan))
+            plan = FitPlan(tuning.FULL if self.noise_known else ROUGH, 0.05, ceiling=most)
+            self._keep(self.problem.fit(start.hypothesis, self.noise, start.z, base.starts, plan))
             self.progress(done, len(starts), f"full fits of what could be added to {text}")
         self.expanded.add(key)
         self.expansions += 1
-        # Beside dry friction a misjudged viscous one that stood for it goes back to its nominal value.
+        # With dry friction in the model, a misjudged viscous friction that imitated it returns to its nominal value.
         for there in [v for v in self.visited.values() if not v.allowed and v.evidence > self.best.evidence]:
-            self._lessen(there.fit)
+            self._reduce(there.fit)
 
-    def _visit(self, fit: Fit) -> None:
-        """Judge a fit, and keep it where it is the better one of its set."""
-        # One set covers ripples of several periods: one that may be the answer is not lost to one that may not.
+    def _keep(self, fit: Fit) -> None:
+        """Evaluate a fit, and keep it if it is the better one of its set."""
+        # One set covers ripples of several periods: an allowed one takes precedence.
         key = key_of(fit.hypothesis)
         there = self.visited.get(key)
         if there is not None and there.allowed and fit.evidence <= there.fit.evidence:
             return
-        judged = self._judged(fit)
+        judged = self._scored(fit)
         same = there is None or set(there.fit.hypothesis.candidates) == set(fit.hypothesis.candidates)
         if there is None or (same or judged.allowed, fit.evidence) > (same or there.allowed, there.fit.evidence):
             self.visited[key] = judged
 
-    def _judged(self, fit: Fit) -> Visited:
-        """What a set is worth."""
+    def _scored(self, fit: Fit) -> Scored:
         held, price = in_phase(self.held, fit, self.problem.records)
         seen = as_fitted(held, fit, self.noise)
-        return Visited(fit, log_prior(fit.hypothesis), seen - price, self.allowed(self.problem, fit))
+        return Scored(fit, log_prior(fit.hypothesis), seen - price, self.allowed(self.problem, fit))
 
     def _white(self, fit: Fit) -> bool:
-        """Whether a fit's errors are as large as its noise model says."""
+        """Return whether a fit's errors are as large as its noise model predicts."""
         points = sum(e[np.isfinite(e)].size for e in self.problem.errors(fit.hypothesis, fit.z, fit.starts))
         return 0.8 < fit.cost * fit.noise.excess / points < 1.25
 
-    def _sharpen(self) -> None:
-        """Take the noise from the best set, fit again all that may still matter under it, and forget the rest."""
-        leader = self._freed(self._told().fit)
-        if self.sharpened and leader is self._told().fit and self._white(leader):
+    def _update_noise(self) -> None:
+        """Take the noise from the best set, refit the best sets under it, and drop the rest."""
+        leader = self._out_of_minimum(self._confirmed().fit)
+        if self.noise_known and leader is self._confirmed().fit and self._white(leader):
             return
         self.progress(0, 0, "the noise that the best set leaves, and the sets that may matter under it")
-        self.sharpened = True
+        self.noise_known = True
         self.noise = self._noise_of(leader)
-        leader, self.problem = held_inputs(self.problem, self._again(leader))
+        leader, self.problem = held_inputs(self.problem, self._refitted_set(leader))
         self.problem = short_steps(self.problem, leader)
         self.held = self.held.under(self.problem.clock)
-        leader = self._again(leader)
+        leader = self._refitted_set(leader)
         self.noise = self._noise_of(leader)
         ordered = sorted(self.visited.values(), key=lambda v: (v.allowed, v.evidence), reverse=True)[:BEAM]
         kept = {v.key: v.fit for v in ordered} | {Key(): self.visited[Key()].fit, key_of(leader.hypothesis): leader}
-        # At once, for the user may end the search at any time.
-        self.visited = {key: self._judged(self._again(fit)) for key, fit in kept.items()}
+        # In one assignment, since the user may interrupt the search at any time.
+        self.visited = {key: self._scored(self._refitted_set(fit)) for key, fit in kept.items()}
         self.expanded = set()
 
-    def _freed(self, fit: Fit) -> Fit:
-        """The fit, or the least-squares fit from there if the errors are beyond noise and that leaves less."""
-        # Coloured noise that was taken from a wrong minimum holds a fit there.
+    def _out_of_minimum(self, fit: Fit) -> Fit:
+        """Return the fit, or the least-squares fit from there if the errors exceed noise and it reduces them."""
+        # Coloured noise from a wrong minimum keeps a fit there.
         if noise_ratio(self.problem, fit) < tuning.MOST_NOISE:
             return fit
         plain = least_squares(self.problem, fit, self.noise, FitPlan(tuning.FULL, 0.05))
         return min((fit, plain), key=lambda f: float(np.log(whitening(self.problem, f).std).sum()))
 
     def _noise_of(self, fit: Fit) -> NoiseModel:
-        """What makes a fit's errors white; of first order only where they are far beyond the sensors' noise."""
+        """Return the noise model that whitens a fit's errors, of first order if they are far beyond sensor noise."""
         near = noise_ratio(self.problem, fit) < tuning.BEYOND_NOISE
-        return careful(self.problem, fit, whitening(self.problem, fit, tuning.AR_ORDER if near else 1))
+        return widened(self.problem, fit, whitening(self.problem, fit, tuning.AR_ORDER if near else 1))
 
-    def _again(self, fit: Fit) -> Fit:
-        """The set fitted under the present noise and clock, from where it is."""
+    def _refitted_set(self, fit: Fit) -> Fit:
         return self.problem.fit(fit.hypothesis, self.noise, fit.z, fit.starts, FitPlan(tuning.FULL, 0.05))

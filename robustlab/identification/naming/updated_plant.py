@@ -1,4 +1,4 @@
-"""The plant after naming: parameters as refitted, named effects attached; and the uncertain model of what remains."""
+"""The updated plant: refitted parameters, named effects attached; and its uncertain model with the residual force."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Probl
 from robustlab.identification.naming.discovery_parts import INTERVAL, NamedKind
 
 ONE_FACTOR = "scaled by one factor"
-SIGMAS = 2.0  # standard deviations that a refitted parameter's tolerance covers
-MOST = 0.99  # a tolerance stays below the value itself
-TIMES_RMS = 3.0  # of a force of which nothing is known but its mean square: nearly all of a normal one lies within
+SIGMAS = 2.0  # standard deviations in a refitted parameter's tolerance
+MOST = 0.99  # largest relative tolerance
+TIMES_RMS = 3.0  # bound of the residual force: nearly all of a normal distribution
 
 
 def updated_plant(problem: Problem, fit: Fit, source: str, kinds: Sequence[NamedKind] = ()) -> Any:
-    """The plant with the fitted factors in its parameters, tolerances from the fit, and every other effect attached."""
-    # Where the form of a kind is not settled, its member's size is as wide as that of the kind.
+    """Return the plant with fitted parameters and tolerances, and every other effect attached."""
+    # The size of an effect whose form is open has the interval of its class.
     plant = problem.plant
     factors, values = problem.split(fit.hypothesis, fit.z)
     spread = _spreads(problem, fit)
@@ -47,7 +47,7 @@ def updated_plant(problem: Problem, fit: Fit, source: str, kinds: Sequence[Named
 
 
 def _spread_of(kinds: Sequence[NamedKind], candidate: Candidate) -> float:
-    """Relative standard deviation over all members of an open kind of its size, where that is the effect's own."""
+    """Return the relative standard deviation of an open class's size, if it is that of the effect's first parameter."""
     for kind in kinds:
         own = any((m.name, m.site) == (candidate.effect.id, candidate.site.name) for m in kind.members)
         if own and not kind.settled and kind.values and kind.values[0].unit == candidate.parameters[0].unit:
@@ -57,7 +57,7 @@ def _spread_of(kinds: Sequence[NamedKind], candidate: Candidate) -> float:
 
 
 def _spreads(problem: Problem, fit: Fit) -> dict[str, float]:
-    """Standard deviation of each refitted parameter: relative, of a nominal value of 0 in its unit."""
+    """Return the standard deviation of each refitted parameter: relative, or in its unit for a nominal value of 0."""
     found = {}
     for nuisance, s in zip(problem.nuisances, fit.std, strict=False):
         found.update(dict.fromkeys(nuisance.names, nuisance.spread * float(s)))
@@ -78,15 +78,15 @@ def _refitted(plant: AnyPlant, factors: dict[str, float], spread: dict[str, floa
         if name not in getattr(plant, "exact", ())
     }
     made = plant.with_parameters(**changes)
-    told = {n: replace(p, source=source) if n in changes else p for n, p in made.parameters.items()}
+    parameters = {n: replace(p, source=source) if n in changes else p for n, p in made.parameters.items()}
     for names in _together(plant, changes):
         words = f"{', '.join(names)} {ONE_FACTOR}; {source}"
-        told |= {n: replace(told[n], source=words) for n in names}
-    return replace(made, parameters=told)
+        parameters |= {n: replace(parameters[n], source=words) for n in names}
+    return replace(made, parameters=parameters)
 
 
 def _new_value(nominal: Parameter, factor: float, width: float) -> tuple[float, float]:
-    """Value and tolerance, as `Parameter` reads them, of a parameter at a factor of its reference."""
+    """Return value and tolerance, as `Parameter` reads them, of a parameter at a factor of its reference."""
     value = nominal.reference * factor
     if not value:
         return 0.0, width
@@ -100,7 +100,7 @@ def _together(plant: AnyPlant, changed: Iterable[str]) -> list[tuple[str, ...]]:
 
 
 def fitted_together(plant: Any) -> list[tuple[str, tuple[str, ...]]]:
-    """Groups of an updated plant's parameters that the fit scaled by one factor: (label, names)."""
+    """Return the groups of an updated plant's parameters that the fit scaled by one factor: (label, names)."""
     base = getattr(plant, "plant", plant)
     if not isinstance(base, (LinearPlant, NonlinearPlant)):
         return []
@@ -126,8 +126,7 @@ def uncertain_from(
     """The uncertain model of what a discovery found and of what it left unexplained, each block with its origin.
 
     The updated plant's parameters have the ranges of the fit (those that it scaled together: one range in common), its
-    effects become blocks and bounded inputs, and the force that nothing explains becomes an input of three times its
-    root mean square.
+    effects become blocks and bounded inputs, and the residual force an input of three times its root mean square.
 
     Parameters
     ----------
@@ -135,20 +134,19 @@ def uncertain_from(
         `Discovery`, or a plant with or without effects (its updated plant from a file).
     outputs, sigmas, amplitude, dry, pade
         See `robustlab.dynamics.extended.effect_blocks.effect_blocks`. Without amplitudes dry friction is a bounded
-        force; a force that grows with the speed is then described up to the largest speed of the residual force that
-        the discovery knows.
+        force; a force that grows with the speed is then described up to the largest speed of the residual force.
 
     Returns
     -------
     EffectBlocks
-        ``.model`` is the `UncertainModel`; beside it the origin of each block and the bounded inputs, in their units.
+        ``.model`` is the `UncertainModel`, with the origin of each block and the bounded inputs in their units.
 
     Raises
     ------
     InputError
         A discovery without an updated plant, an effect with a sector at a place without an amplitude.
     NoTrustworthyNumber
-        The blocks do not give back the plant's own linear model.
+        The blocks do not reproduce the plant's linear model.
 
     Examples
     --------
@@ -181,7 +179,7 @@ def uncertain_from(
 
 
 def _speeds(found: Any) -> dict[str, Amplitude]:
-    """Largest speed along the records, for the only joint that has effects."""
+    """Return the largest speed along the records, if only one joint has effects."""
     curve = None if found.residual_force is None else found.residual_force.curves.get("speed")
     joints = {e.site.name for e in getattr(found.model, "effects", ()) if e.site.kind == "joint"}
     if curve is None or len(joints) != 1:

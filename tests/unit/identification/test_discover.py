@@ -1,4 +1,4 @@
-"""`discover` on small simulated records whose missing effect is known: names, values, probabilities, gaps, refusals."""
+"""`discover` on small simulated records with a known missing effect: names, values, probabilities, errors."""
 
 from functools import cache
 
@@ -17,18 +17,18 @@ N = len(T)
 LOST = np.ones(N, dtype=bool)
 LOST[330:350] = LOST[700:703] = False
 
-# --- what is found ---------------------------------------------------------------------------------------------------
+# --- effects ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("seed", [3, 5])
-def test_nothing_is_named_where_nothing_is_missing(seed):
+def test_no_effect_is_named_for_a_complete_model(seed):
     found = discovered(machine(seed=seed))
     assert (found.verdict, found.complete) == ("no missing effect", True)
     assert found.effects == found.rivals == ()
     assert found.gap_after == pytest.approx(0.1, rel=0.25)  # the noise, in percent of the range
 
 
-def test_friction_is_named_and_the_plant_has_it():
+def test_friction_is_named_and_part_of_the_updated_plant():
     found = discovered(machine(friction=20.0))
     assert (found.verdict, found.complete, found.status) == ("named", True, rl.Status.CONVERGED)
     assert found.names == ("coulomb-friction",)
@@ -69,10 +69,10 @@ def test_two_effects_are_named_and_probabilities_sum_to_one():
         (1.08, 1e-3, True),
         pytest.param(0.92, 1e-3, True, marks=pytest.mark.slow),
         (1.045, 1e-3, False),
-        (1.08, 0.3, False),  # with so much noise that 1.04 does as well
+        (1.08, 0.3, False),  # within the noise of 1.04
     ],
 )
-def test_a_parameter_known_to_lie_beyond_its_tolerance_is_named_misjudged(mass, size, named):
+def test_a_parameter_beyond_its_tolerance_is_named(mass, size, named):
     found = discovered(machine(mass=mass, seed=3, size=size), ("inertia", "coulomb-friction"))
     assert found.names == (("inertia",) if named else ())
     assert found.posterior[0].probability > 0.9
@@ -81,8 +81,8 @@ def test_a_parameter_known_to_lie_beyond_its_tolerance_is_named_misjudged(mass, 
         assert found.effects[0].parameters[0].value == pytest.approx(mass, rel=0.01)
 
 
-def test_what_only_a_parameter_beyond_its_tolerance_can_replace_matters():
-    """A gain a tenth off: the mass, 9 % off, does the same, and may be 5 % off."""
+def test_an_effect_that_only_a_parameter_beyond_its_tolerance_can_replace_is_relevant():
+    """A change of the gain by 10 % has the effect of one of the mass by 9 %, whose tolerance is 5 %."""
     run = rl.simulate(AXIS.with_parameters(gain=1.1 * AXIS.values["gain"]), T, U)
     record = rl.Record(T, {"u": U}, noisy({k: run[k] for k in ("q", "v")}, 0), name="strong")
     few = all_but("input-gain", "coulomb-friction")
@@ -95,8 +95,8 @@ def test_what_only_a_parameter_beyond_its_tolerance_can_replace_matters():
 
 
 @pytest.mark.slow
-def test_bristles_are_dry_friction_of_their_level_in_whatever_form():
-    """Dahl's friction of 20 N that gives 0.2 mm, by small explicit steps."""
+def test_bristle_friction_is_dry_friction_of_its_level():
+    """Dahl friction of 20 N over 0.2 mm, by small explicit steps."""
     p, h, q, v, z = AXIS.values, DT / 20, 0.0, 0.0, 0.0
     seen = np.empty((N, 2))
     for k, now in enumerate(U):
@@ -112,15 +112,15 @@ def test_bristles_are_dry_friction_of_their_level_in_whatever_form():
     assert (kind.kind, kind.place) == ("dry-friction", "v")
     (level,) = kind.values
     assert level.lower < level.value < level.upper
-    assert level.value == pytest.approx(20.0, rel=0.05)  # less what the bristles give back at reversals
+    assert level.value == pytest.approx(20.0, rel=0.05)  # without the stored energy of the bristles
     assert sum(m.share for m in kind.members) == pytest.approx(1.0, abs=1e-6)
 
 
-# --- what cannot be told apart ---------------------------------------------------------------------------------------
+# --- indistinguishable effects ---------------------------------------------------------------------------------------
 
 
 def path(rng):
-    """A mass on a spring and a damper, three seconds, and steps of its force."""
+    """Return a mass on a spring and a damper, and steps of its force over three seconds."""
     m, c, k = rng.uniform(0.5, 5.0), rng.uniform(1.0, 30.0), rng.uniform(60.0, 400.0)
     plant = rl.StateSpaceModel(
         [[0.0, 1.0], [-k / m, -c / m]], [[0.0], [1.0 / m]], [[1.0, 0.0]], [[0.0]],
@@ -134,8 +134,8 @@ def path(rng):
 @pytest.mark.slow
 @settings(max_examples=6, phases=[Phase.explicit, Phase.reuse, Phase.generate])
 @given(seed=st.integers(0, 10_000), late=st.floats(2.5, 9.4))
-def test_a_late_sensor_and_a_late_input_of_one_path_are_equally_probable(seed, late):
-    """Random masses, dampings, springs; any delay, in parts of a sample too."""
+def test_sensor_and_input_delays_of_one_path_are_equally_probable(seed, late):
+    """Random masses, dampings, springs and delays."""
     rng = np.random.default_rng(seed)
     plant, t, u = path(rng)
     shifted = np.concatenate([np.full(round(10 * late), u[0]), np.repeat(u, 10)])[:6000]
@@ -148,7 +148,7 @@ def test_a_late_sensor_and_a_late_input_of_one_path_are_equally_probable(seed, l
     assert [k.kind for k in found.kinds] == ["lateness"]
     assert found.verdict == "named"
     (delay,) = found.kinds[0].values
-    assert delay.value == pytest.approx(late * 5e-3, abs=3e-3)  # half a sample is what lies between the samples
+    assert delay.value == pytest.approx(late * 5e-3, abs=3e-3)  # half a sample
     assert "a lateness of" in found.headline()
 
 
@@ -160,8 +160,8 @@ def test_a_late_sensor_and_a_late_input_of_one_path_are_equally_probable(seed, l
         (("constant-load", "sensor-bias"), 1.0, 2e-3, 0.3, []),
     ],
 )
-def test_gains_and_zeros_of_one_path_are_equally_probable(seed, pair, gain, bias, apart, kinds):
-    """What a gain does before a linear plant it does behind it; a bias of a spring's end is a load on it."""
+def test_gains_and_biases_of_one_path_are_equally_probable(seed, pair, gain, bias, apart, kinds):
+    """A gain before a linear plant equals one after it; a bias of a spring's end is a load on it."""
     rng = np.random.default_rng(seed)
     plant, t, u = path(rng)
     clean = rl.simulate(plant, t, {"u": gain * u})["q"] + bias
@@ -178,19 +178,19 @@ def test_gains_and_zeros_of_one_path_are_equally_probable(seed, pair, gain, bias
         assert found.next_experiment is not None
 
 
-# --- what is not sure ------------------------------------------------------------------------------------------------
+# --- inconclusive answers --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
-def test_a_set_that_fails_on_held_out_data_is_never_the_answer():
-    """Fitted to a machine that rubs, judged on one that does not."""
+def test_a_set_that_fails_on_held_out_data_is_not_the_answer():
+    """The held-out record has no friction."""
     found = discovered(machine(friction=20.0), ("coulomb-friction", "constant-load"), held_out=machine(seed=3))
     assert "coulomb-friction" not in found.names
     assert all("coulomb-friction" not in s.names for s in found.collection)
 
 
 @pytest.mark.parametrize("budget", ["MOST_EXPANSIONS", "MOST_WORK"])
-def test_a_search_whose_budget_ends_is_not_sure(monkeypatch, budget):
+def test_a_search_beyond_its_budget_is_inconclusive(monkeypatch, budget):
     monkeypatch.setattr(f"robustlab.identification.naming.set_search.{budget}", 1)
     found = rl.discover(AXIS, machine(friction=20.0, seed=3), exclude=all_but("coulomb-friction", "constant-load"))
     assert "search" in [f.kind for f in found.findings]
@@ -199,13 +199,13 @@ def test_a_search_whose_budget_ends_is_not_sure(monkeypatch, budget):
 
 
 class StopAfter:
-    """A listener that stops the search at the given number of reports."""
+    """Listener that stops the search at the given number of reports."""
 
     def __init__(self, count):
         self.left = count
 
     def __call__(self, text):
-        """Not asked: it counts."""
+        """Ignore the texts."""
 
     def part(self, done, expected, text):
         self.left -= 1
@@ -214,7 +214,7 @@ class StopAfter:
 
 
 @pytest.mark.parametrize("after", [1, 25])
-def test_an_interrupted_search_says_so_and_is_not_sure(after):
+def test_an_interrupted_search_is_reported_and_inconclusive(after):
     few = all_but("coulomb-friction", "constant-load", "sensor-delay", "input-delay")
     found = rl.discover(AXIS, machine(friction=20.0, seed=3), exclude=few, progress=StopAfter(after))
     assert "interrupted" in [f.kind for f in found.findings]
@@ -222,7 +222,7 @@ def test_an_interrupted_search_says_so_and_is_not_sure(after):
     assert found.status is rl.Status.INCONCLUSIVE
 
 
-def test_a_stage_that_fails_after_the_naming_does_not_lose_it(monkeypatch):
+def test_a_failed_stage_after_the_search_keeps_the_effects(monkeypatch):
     def fails(*_):
         raise NoTrustworthyNumber("the model", "u[552,1] is infinite", "a number")
 
@@ -230,11 +230,11 @@ def test_a_stage_that_fails_after_the_naming_does_not_lose_it(monkeypatch):
     found = rl.discover(AXIS, machine(friction=20.0, seed=3), exclude=all_but("coulomb-friction"))
     assert found.names == ("coulomb-friction",)
     assert any("not computed" in f.found for f in found.findings if f.kind == "stage")
-    assert not found.complete  # what was not looked at is not known to be nothing
+    assert not found.complete  # the residual was not examined
 
 
-def test_a_ripple_over_time_forbids_that_all_is_well():
-    """50 Hz in the force, one per cent of what the motor gives, and no effect that could have it."""
+def test_a_ripple_over_time_makes_the_answer_incomplete():
+    """A force of 50 Hz and 1 % of the motor's force, without a candidate effect."""
     t = np.arange(4000) * 1e-3
     u = 1.5 * np.sin(2 * np.pi * 1.3 * t) + np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 40), 100)
     run = rl.simulate(AXIS, t, u + 0.05 * np.sin(2 * np.pi * 50.0 * (t + 5e-4)))
@@ -250,7 +250,7 @@ def test_a_ripple_over_time_forbids_that_all_is_well():
 
 
 @pytest.mark.slow
-def test_records_are_named_together_and_judged_on_others():
+def test_records_are_fitted_together_and_evaluated_on_others():
     other = machine(friction=20.0, seed=9, sign=-1.0)
     one, both = (
         discovered(machine(friction=20.0)),
@@ -266,7 +266,7 @@ def test_records_are_named_together_and_judged_on_others():
 
 
 @pytest.mark.slow
-def test_a_bare_model_serves_as_plant():
+def test_a_state_space_model_is_accepted_as_plant():
     m = AXIS.state_space()
     model = rl.StateSpaceModel(m.A, m.B, m.C, m.D, inputs=AXIS.inputs, outputs=AXIS.outputs, states=AXIS.states)
     found = discovered(machine(friction=20.0), plant=model)
@@ -287,7 +287,7 @@ def one_sensor():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("record", "options"), [(with_gaps, {"window": 0.16}), (one_sensor, {})])
-def test_gaps_and_missing_sensors_do_not_hinder(record, options):
+def test_gaps_and_missing_sensors_are_accepted(record, options):
     found = discovered(record(), **options)
     assert found.names == ("coulomb-friction",)
     assert found.effects[0].parameters[0].value == pytest.approx(20.0, rel=0.03)
@@ -296,7 +296,7 @@ def test_gaps_and_missing_sensors_do_not_hinder(record, options):
 
 @cache
 def oscillation(kind):
-    """A lightly damped oscillator by DOP853; its force held over each sample, smooth, or smooth and late."""
+    """Simulate a lightly damped oscillator by DOP853; its force held over each sample, smooth, or smooth and late."""
     dt, count = 2 * np.pi / 20.0 / 9, 1200
     rng = np.random.default_rng(4)
     omega, phase = rng.uniform(1.0, 40.0, 12), rng.uniform(0.0, 2 * np.pi, 12)
@@ -320,11 +320,11 @@ def oscillation(kind):
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "hold", "shift"), [("held", "held", 0.0), ("smooth", "smooth", 0.0),
                                                      ("late", "smooth", 0.3)])  # fmt: skip
-def test_what_an_input_does_between_its_samples_and_its_clock_are_found(kind, hold, shift):
+def test_hold_and_time_shift_of_an_input_are_found(kind, hold, shift):
     plant = rl.plant("mass-spring-damper", m=1.0, c=0.4, k=400.0)
     few = all_but("coulomb-friction", "constant-load")
     found = rl.discover(plant, oscillation(kind), exclude=few, tolerances={"m": 0.05, "c": 0.5, "k": 0.05})
-    assert found.verdict == "no missing effect"  # what is left is estimated under the same clock
+    assert found.verdict == "no missing effect"  # the residual is estimated under the same clock
     (clock,) = found.clocks
     assert (clock.input, clock.hold) == ("f", hold)
     dt = float(oscillation(kind).dt)
@@ -332,11 +332,11 @@ def test_what_an_input_does_between_its_samples_and_its_clock_are_found(kind, ho
     assert clock.shift == pytest.approx(shift * dt, abs=max(5 * clock.std, 0.02 * dt))
 
 
-# --- gaps and the updated plant --------------------------------------------------------------------------------------
+# --- errors and the updated plant ------------------------------------------------------------------------------------
 
 
 def stepped(x0, u):
-    """q and v of the axis with a held input, by scipy."""
+    """Simulate q and v of the axis with a held input, by scipy."""
     p = AXIS.values
     a, b = np.array([[0.0, 1.0], [0.0, -p["Fv"] / p["M"]]]), np.array([[0.0], [p["gain"] / p["M"]]])
     a_d, b_d, *_ = cont2discrete((a, b, np.eye(2), np.zeros((2, 1))), DT)
@@ -347,7 +347,7 @@ def stepped(x0, u):
     return x
 
 
-def test_free_runs_are_simulations_from_start_to_end_and_the_updated_plant_makes_its_own(tmp_path):
+def test_free_runs_are_simulations_of_whole_records(tmp_path):
     found = discovered(machine(mass=1.25, seed=4), ("inertia",))
     run = found.series["free_run"]
     measured, given, updated = (
@@ -361,13 +361,13 @@ def test_free_runs_are_simulations_from_start_to_end_and_the_updated_plant_makes
         assert found.free_run[name].nominal == pytest.approx(rms, rel=1e-6)
         assert found.free_run[name].nominal > 10 * found.free_run[name].updated
         assert found.gaps[name].updated < 1.2e-3 * found.gaps[name].range
-    assert found.free_run["q"].nominal > found.gaps["q"].nominal  # windows start anew
+    assert found.free_run["q"].nominal > found.gaps["q"].nominal
     # The updated plant has the fitted value, two standard deviations as tolerance, and the same response from a file.
     mass, row = found.model.parameters["M"], next(p for p in found.nominal if p.name == "M")
     assert mass.value == pytest.approx(1.25 * AXIS.values["M"], rel=5e-3)
     assert mass.value == pytest.approx(row.value)
     assert mass.tolerance == pytest.approx((row.upper - row.lower) / 1.96 / row.value, rel=0.05)
-    assert found.model.parameters["gain"] == AXIS.parameters["gain"]  # held
+    assert found.model.parameters["gain"] == AXIS.parameters["gain"]  # fixed
     rl.save(tmp_path / "axis.h5", found.model)
     again = rl.load(tmp_path / "axis.h5")
     one, other = (rl.simulate(m, run["t"], u, updated[0]) for m in (found.model, again))
@@ -376,7 +376,7 @@ def test_free_runs_are_simulations_from_start_to_end_and_the_updated_plant_makes
         assert one[name] == pytest.approx(updated[:, j], abs=2e-3 * np.ptp(updated[:, j]))
 
 
-# --- what is refused -------------------------------------------------------------------------------------------------
+# --- errors of the user ----------------------------------------------------------------------------------------------
 
 
 def plain():
@@ -384,7 +384,7 @@ def plain():
 
 
 def with_holes():
-    """Ten samples lost of every eighty."""
+    """Return a record without ten of every eighty samples."""
     run, kept = machine(friction=20.0), np.arange(N) % 80 < 70
     return rl.Record(run.t[kept], {"u": run["u"][kept]}, {"q": run["q"][kept]}, {"u": "V", "q": "m"}, "holes")
 
@@ -412,6 +412,6 @@ def only(inputs, outputs, n=N):
         (AXIS, lambda: only({"u": 0 * U}, {"q": 1e-6 * np.random.default_rng(1).normal(size=N)}), {}, "run 8"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_named_is_refused(plant, records, options, said):
+def test_unsuitable_input_is_an_error(plant, records, options, said):
     with pytest.raises((InputError, NoTrustworthyNumber), match=said):
         rl.discover(plant, records(), **options)

@@ -1,4 +1,4 @@
-"""Text and numbers of a discovery, from results written by hand."""
+"""Text and numbers of a discovery, from constructed results."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def sentence(d):
 
 
 def series():
-    """Five windows of 40 samples, and a free run in which each model drifts away."""
+    """Return five windows of 40 samples, and a free run in which each model drifts."""
     t, run = DT * np.arange(WINDOWS * LENGTH), DT * np.arange(400)
     y, true = np.sin(3.0 * t), np.sin(3.0 * run)
     windows = {"measured": y, "nominal": y + 0.02, "refitted": y + 0.01, "updated": y + 1e-3 * np.cos(90 * t)}
@@ -112,7 +112,7 @@ def test_the_first_line_is_the_verdict_in_a_sentence():
     assert sentence(made(complete=False)).endswith("; incomplete: something else remains.")
 
 
-def test_the_facts_have_verdict_names_gaps_and_what_to_do():
+def test_the_facts_have_verdict_effects_errors_and_next_step():
     facts = dict(made().facts())
     found = facts["Coulomb (dry) friction, coulomb-friction at v"]
     assert found == "probability 98.5 %; Fc = 20.39 N (95 %: 20.31 to 20.47)"
@@ -123,7 +123,7 @@ def test_the_facts_have_verdict_names_gaps_and_what_to_do():
     assert "f = -Fc" in made().report()
 
 
-def test_what_is_periodic_is_told_by_amplitude_and_period():
+def test_periodic_effects_have_amplitude_and_period():
     values = {"Ac": (3.0, "N m"), "As": (-4.0, "N m"), "k": (7.0, "1/rad")}
     parts = tuple(EffectValue(name, x, unit, x - 0.1, x + 0.1, "") for name, (x, unit) in values.items())
     ripple = NamedEffect("cogging", "Cogging", "f = ...", "omega", parts, 1.0, 9.0, ())
@@ -134,7 +134,7 @@ def test_what_is_periodic_is_told_by_amplitude_and_period():
     assert made(candidates=("cogging",)).numbers()["effects"]["cogging"]["amplitude"] == 0.0
 
 
-def test_what_diverges_is_told_as_such():
+def test_divergence_is_reported():
     gap = Gap("q", "m", 2.0, math.inf, math.inf, 0.01)
     found = made(free_run={"q": gap})
     assert dict(found.facts())["q: free run"] == "rms diverges -> diverges -> 0.01 m (0.5 %)"
@@ -146,7 +146,7 @@ def test_what_diverges_is_told_as_such():
 # --- numbers for requirements ----------------------------------------------------------------------------------------
 
 
-def test_requirements_may_address_names_and_numbers():
+def test_numbers_for_requirements():
     numbers = made().numbers()
     assert (numbers["verdict"], numbers["names"], numbers["count"]) == ("named", ["coulomb-friction"], 1)
     assert "presliding" in ambiguous().numbers()["answer"]
@@ -155,6 +155,6 @@ def test_requirements_may_address_names_and_numbers():
     assert (numbers["gap_ratio"], numbers["refitted_ratio"]) == (pytest.approx(30.0), pytest.approx(9.0))
     assert numbers["gaps"]["q"]["updated"] == 0.002
     assert numbers["nominal"]["M"] == 96.0
-    # What was tried and not named has no probability and no numbers: no requirement on it is met.
+    # An evaluated effect that is not named has probability 0 and NaN parameters: no requirement on it is met.
     assert numbers["confidence"] == {"coulomb-friction": 0.985, "presliding": 0.0, "backlash": 0.0}
     assert math.isnan(numbers["effects"]["backlash"]["gap"])

@@ -1,4 +1,4 @@
-"""The smoother against a dense Gaussian estimate written independently, and against known torques."""
+"""The smoother against an independent dense Gaussian estimate, and against known torques."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ H = 1e-3
 
 
 def motor(outputs=("phi",)):
-    """Motor with an electrical state of 0.3 ms and an integrator."""
+    """Return a motor with an electrical time constant of 0.3 ms and an integrator."""
     a = [[0, 1, 0], [0, -FRICTION / J, K / J], [0, -K / L, -R / L]]
     rows = {"phi": [1, 0, 0], "omega": [0, 1, 0], "i": [0, 0, 1]}
     return StateSpaceModel(
@@ -30,7 +30,7 @@ PORT = np.array([[0.0], [1 / J], [0.0]])
 
 
 def record(model, t, u, torque, noise, seed=0):
-    """Outputs of the model with the torque at its port, and its states."""
+    """Simulate outputs and states of the model with the torque at its port."""
     wide = StateSpaceModel(
         model.A,
         np.hstack([model.B, PORT]),
@@ -44,13 +44,13 @@ def record(model, t, u, torque, noise, seed=0):
 
 
 def intensities(model, ports, h, sigma, f):
-    """Of forces that the record shows below the frequency f: (2 pi f)^2 over the squared gain in noise."""
+    """Return the intensities of forces observable below the frequency f: (2 pi f)^2 over the squared gain in noise."""
     gain = model.C @ np.linalg.solve(2j * np.pi * f * np.eye(model.n_states) - model.A, ports)
     return (2 * np.pi * f) ** 2 / (np.abs(gain) ** 2 / (sigma[:, None] ** 2 * h)).sum(axis=0)
 
 
 def dense(model, ports, h, u, y, sigma, q, start, rounding):
-    """Posterior of all states and forces at once: the joint Gaussian of the whole record, one solve."""
+    """Return the posterior of all states and forces by one solve of the joint Gaussian of the record."""
     n, n_x, m = len(u), model.n_states, ports.shape[1]
     n_z = n_x + m
     f = np.zeros((n_z, n_z))
@@ -88,7 +88,7 @@ def dense(model, ports, h, u, y, sigma, q, start, rounding):
 
 @pytest.mark.parametrize("m", [1, 2])
 def test_equals_the_dense_gaussian_posterior(m, monkeypatch):
-    # A prior so wide that it does not count, and the dense solve keeps its digits.
+    # A prior wide enough to be negligible, and narrow enough for the digits of the dense solve.
     monkeypatch.setattr("robustlab.identification.hypotheses.disturbance_smoother.START_FACTOR", 1e3)
     rng = np.random.default_rng(3)
     a = np.array([[0.0, 1.0, 0.0], [-2.0, -0.4, 0.3], [0.5, 0.0, -3.0]])
@@ -113,7 +113,7 @@ def test_equals_the_dense_gaussian_posterior(m, monkeypatch):
     np.testing.assert_allclose(found.covariance, cov[:, :3, :3], atol=1e-5 * cov[:, :3, :3].max())
 
 
-def test_a_linear_plant_without_disturbance_leaves_no_force():
+def test_a_linear_plant_without_disturbance_has_no_residual_force():
     t = H * np.arange(4000)
     u = np.repeat(np.random.default_rng(5).uniform(-3, 3, 80), 50)
     inside = []
@@ -138,7 +138,7 @@ def test_a_sinusoidal_load_and_the_unmeasured_states_are_recovered():
     assert np.mean(np.abs(found.x - x) < 3 * found.x_std) > 0.98
 
 
-def test_an_unobservable_state_is_told_by_its_std():
+def test_an_unobservable_state_has_its_prior_std():
     t = H * np.arange(2000)
     y, _ = record(motor(("omega",)), t, np.ones(2000), np.zeros(2000), 0.01)
     found = smooth_disturbance(motor(("omega",)), PORT, t, np.ones((2000, 1)), y)
@@ -164,7 +164,7 @@ def test_gaps_are_bridged_with_wider_bands():
         ({"y": np.full((100, 1), np.nan)}, "0 samples"),
     ],
 )
-def test_bad_input_is_named(change, message):
+def test_bad_input_is_an_error(change, message):
     usual = {"model": motor(), "ports": PORT, "t": H * np.arange(100), "u": np.zeros((100, 1)), "y": np.ones((100, 1))}
     with pytest.raises(InputError, match=message):
         smooth_disturbance(**(usual | change))

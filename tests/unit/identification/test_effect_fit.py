@@ -16,19 +16,19 @@ NONE = Hypothesis(())
 
 
 def cost(problem, hypothesis, noise, z, starts):
-    """V at a point."""
+    """Return V at a point."""
     parts = [*problem.whitened(problem.errors(hypothesis, z, starts), noise), *starts, z]
     return sum(float((part**2).sum()) for part in parts)
 
 
 def recorded(run, seed=0):
-    """With white noise of a thousandth of the range."""
+    """Add white noise of a thousandth of the range."""
     return rl.Record(T, {"u": U}, noisy(run.outputs, seed))
 
 
 @cache
 def exact():
-    """A noisy record of the plant itself; its parameters are known without error."""
+    """Return the problem of a noisy record of the exact plant."""
     return problem_of(recorded(rl.simulate(AXIS, T, U)), tolerances={"M": 0.0, "Fv": 0.0})
 
 
@@ -39,7 +39,7 @@ WHITE = NoiseModel(np.array([2e-4, 2e-3]), np.zeros((0, 2)))
 
 
 def dense_parts(problem: Problem, hypothesis: Hypothesis, noise: NoiseModel):
-    """Residuals at z = 0 without a shift of the starts, and their exact slopes for a problem linear in both."""
+    """Return residuals at z = 0 and xi = 0, and their exact derivatives for a linear problem."""
     n_z, starts = problem.size(hypothesis), np.zeros((len(problem.chosen[0]), len(problem.plant.states)))
 
     def residual(z, xi):
@@ -53,7 +53,7 @@ def dense_parts(problem: Problem, hypothesis: Hypothesis, noise: NoiseModel):
 
 
 def linear_hypotheses() -> dict[str, Hypothesis]:
-    """The records depend linearly on a constant load and on a bias of the speed sensor; their priors are normal."""
+    """Return hypotheses with linear effects of normal prior: a constant load and a bias of the speed sensor."""
     load, bias = exact()[1]["constant-load @ v"], exact()[1]["sensor-bias @ v"]
     return {"none": NONE, "load": Hypothesis((load,)), "bias": Hypothesis((bias,)), "both": Hypothesis((load, bias))}
 
@@ -75,7 +75,7 @@ def test_a_linear_problem_is_solved_as_by_dense_least_squares(name):
 
 
 def marginal(r, j, x) -> dict:
-    """Posterior mean of z, V there, and log p(y), all with every window's start integrated out: S = 1 + X X^T."""
+    """Return posterior mean of z, V there, and log p(y), with initial states integrated out: S = 1 + X X^T."""
     n_z = j.shape[2]
     hessian, gradient, quadratic, logdet = np.eye(n_z), np.zeros(n_z), 0.0, 0.0
     for rw, jw, xw in zip(r, j, x, strict=True):
@@ -94,14 +94,14 @@ def marginal(r, j, x) -> dict:
 
 
 def test_the_evidence_is_the_marginal_likelihood_with_the_starts_integrated_out():
-    # Up to -1/2 log det(1 + X^T X) of the starts, which is the same for hypotheses whose starts act alike.
+    # Up to -1/2 log det(1 + X^T X) of the initial states, which is the same for these hypotheses.
     ours, theirs = {}, {}
     for name, hypothesis in linear_hypotheses().items():
         ours[name] = fitted(hypothesis).evidence
         theirs[name] = marginal(*dense_parts(exact()[0], hypothesis, WHITE))["evidence"]
     for name in ("load", "bias", "both"):
         assert ours[name] - ours["none"] == pytest.approx(theirs[name] - theirs["none"], abs=1e-4)
-    assert len({round(v, 2) for v in theirs.values()}) == 4  # they differ at all
+    assert len({round(v, 2) for v in theirs.values()}) == 4  # they differ
 
 
 def test_the_robust_covariance_is_the_sandwich_over_windows():
@@ -124,7 +124,7 @@ def test_the_robust_covariance_is_the_sandwich_over_windows():
 
 
 def test_a_parameter_of_the_value_zero_is_found_within_its_absolute_tolerance():
-    """Recorded with a viscosity of 30 N s/m, of which the model says 0 +- 50."""
+    """The viscosity is 30 N s/m, in the model 0 +- 50."""
     true = rl.simulate(rl.plant("servo-axis", Fv=30.0), T, U)
     problem, _ = problem_of(recorded(true), rl.plant("servo-axis", Fv=(0.0, 50.0)), tolerances={"M": 0.0})
     fit = problem.fit(NONE, WHITE, np.zeros(1))
@@ -133,7 +133,7 @@ def test_a_parameter_of_the_value_zero_is_found_within_its_absolute_tolerance():
 
 
 @pytest.mark.parametrize("value", [np.inf, -np.inf, np.nan])
-def test_a_simulation_that_diverges_is_no_missing_sample(monkeypatch, value):
+def test_a_diverged_simulation_is_not_a_missing_sample(monkeypatch, value):
     problem = exact()[0]
     starts = [np.zeros((problem.records[0].count, 2))]
     right = cost(problem, Hypothesis(()), WHITE, np.zeros(0), starts)
@@ -173,7 +173,7 @@ def test_records_of_different_sensors_are_fitted_together():
     both = [prepare(AXIS, model, r, 100, outputs={"q", "v"}) for r in (run, encoder)]
     problem = exact()[0].on(both)
     fit = problem.fit(load, WHITE, np.zeros(1), plan=FitPlan(tolerance=1e-9))
-    # One by one: the encoder's record alone, its noise alone.
+    # Each record alone with its noise.
     alone = exact()[0].on([prepare(AXIS, model, encoder, 100)])
     parts = cost(exact()[0], load, WHITE, fit.z, fit.starts[:1])
     parts += cost(alone, load, NoiseModel(WHITE.std[:1], WHITE.ar[:, :1]), fit.z, fit.starts[1:])
@@ -181,7 +181,7 @@ def test_records_of_different_sensors_are_fitted_together():
     assert np.isfinite(fit.std).all()
 
 
-# --- known parameters are found again --------------------------------------------------------------------------------
+# --- known parameters ------------------------------------------------------------------------------------------------
 
 
 @cache

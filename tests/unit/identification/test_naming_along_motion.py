@@ -27,7 +27,7 @@ def arm(**given):
 
 @cache
 def swing():
-    """Torques and states of the arm under a controller, exact."""
+    """Simulate torques and states of the arm under a controller."""
     plant = arm()
 
     def control(t, x):
@@ -52,7 +52,7 @@ def true_windows(x):
 # --- simulation about a motion ---------------------------------------------------------------------------------------
 
 
-def test_about_its_own_motion_the_simulation_is_the_plants():
+def test_the_simulation_about_the_plants_motion_is_that_motion():
     _, x = swing()
     assert np.abs(simulated(arm(), x) - true_windows(x)).max() < 2e-6 * np.ptp(x)
 
@@ -76,7 +76,7 @@ def test_the_error_of_a_simulation_that_leaves_the_motion_is_of_second_order():
 # --- states from the sensors -----------------------------------------------------------------------------------------
 
 
-def test_states_and_the_lacking_force_come_from_the_sensors():
+def test_states_and_residual_force_are_estimated_from_the_sensors():
     record = arm_record(5, seconds=2.0)
     u, y = np.column_stack(list(record.inputs.values())), np.column_stack(list(record.outputs.values()))
     heavier = arm_record(5, seconds=2.0, b_2=NOMINAL["b_2"] + 1.0)
@@ -92,7 +92,7 @@ def test_states_and_the_lacking_force_come_from_the_sensors():
     assert slope == pytest.approx(-1.0, rel=0.05)  # the force of a damper that the plant lacks
 
 
-def test_a_state_without_a_sensor_follows_its_own_equations_though_the_plant_has_no_slopes_at_zero():
+def test_an_unmeasured_state_follows_its_equations_without_derivatives_at_zero():
     tank = runpy.run_path(str(MODELS / "water_tank.py"))["water_tank"]()
     t = np.arange(0.0, 600.0)
     u = np.repeat(np.random.default_rng(1).uniform(2.5, 6.0, 12), 50)[:, None]
@@ -103,14 +103,14 @@ def test_a_state_without_a_sensor_follows_its_own_equations_though_the_plant_has
     for k in range(len(t) - 1):
         rate = lambda _, x, k=k: tank.rates_along(x[None], u[k : k + 1])[0]  # noqa: E731
         levels[k + 1] = solve_ivp(rate, (0.0, 1.0), levels[k], rtol=1e-8, atol=1e-12).y[:, -1]
-    # The upper tank's level at the start is a guess, forgotten with A/a sqrt(2 h/g) = 80 s.
+    # The initial level of the upper tank is a guess whose effect decays with A/a sqrt(2 h/g) = 80 s.
     settled = slice(450, None)
     assert np.abs(moved.x[settled] - levels[settled]).max() < 0.01 * np.ptp(levels)
     found = rl.compare(tank, rl.Record(t, {"u": u[:, 0]}, {"level": noisy}, {"u": "V", "level": "V"}))
     assert found.outputs["level"].windowed_rms < 0.02
 
 
-# --- whole ----------------------------------------------------------------------------------------------------------
+# --- discover --------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
@@ -128,7 +128,7 @@ def test_friction_of_one_joint_is_named_at_that_joint():
 
 
 @pytest.mark.slow
-def test_nothing_missing_is_said_of_an_arm_within_its_tolerances():
+def test_no_effect_is_named_for_an_arm_within_its_tolerances():
     perturbed = {"m_1": 0.98 * NOMINAL["m_1"], "b_2": 0.8 * NOMINAL["b_2"]}
     runs = [arm_record(seed, **perturbed) for seed in (21, 22)]
     found = rl.discover(arm(), runs[0], held_out=runs[1], exclude=all_but(*FEW))

@@ -11,7 +11,7 @@ UNITS = {"speed": "rad/s", "position": "rad", "time": "s", "input u": "V"}
 
 
 def slow_noise(rng, n, bandwidth=5.0):
-    """Noise of unit variance behind a first-order low pass."""
+    """Return noise of unit variance behind a first-order low pass."""
     pole = np.exp(-2 * np.pi * bandwidth * H)
     x = lfilter([1.0], [1.0, -pole], rng.standard_normal(n + 3000))[3000:]
     return x / x.std()
@@ -51,8 +51,8 @@ def test_curve_over_speed_has_the_friction_in_its_band_and_other_coordinates_no_
     assert np.mean(inside) > 0.85
 
 
-def test_shares_are_of_blocks_never_seen():
-    # A spline follows noise in the samples it is fitted to; held-out, it explains nothing.
+def test_shares_are_of_held_out_blocks():
+    # A spline fits noise in its own samples; in held-out blocks it explains no variance.
     x, rng = motion(3), np.random.default_rng(0)
     for name, curve in curves_of(slow_noise(rng, 5000), np.ones(5000), x).curves.items():
         assert curve.share < 0.1, name
@@ -92,14 +92,14 @@ def test_a_line_over_the_position_is_found_with_its_period_and_size():
     assert line["p_value"] < 0.01
 
 
-def test_each_record_may_count_from_its_own_zero():
+def test_each_record_may_have_its_own_zero():
     made = left_over(lambda t, q, v: 0.5 * np.cos(2 * np.pi * q / 0.004), 2, zeros=(0.0, 0.0123))
     (line,) = remaining_lines(made)
     assert line["period"] == pytest.approx(0.004, rel=2e-3)
     assert line["amplitude"] == pytest.approx(0.5, rel=0.1)
 
 
-def test_a_line_over_time_is_told_from_one_over_the_position():
+def test_a_line_over_time_is_distinguished_from_one_over_the_position():
     made = left_over(lambda t, q, v: 0.5 * np.sin(2 * np.pi * 7.3 * t) + 0.4 * np.cos(2 * np.pi * q / 0.0025), 4)
     lines = {line["over"]: line for line in remaining_lines(made)}
     assert set(lines) == {"time", "position"}
@@ -112,6 +112,6 @@ def smooth(t, q, v):
 
 
 @pytest.mark.parametrize("seeds", [(100, 101), pytest.param(range(102, 112), marks=pytest.mark.slow)])
-def test_noise_and_smooth_curves_are_no_lines(seeds):
-    """Twelve records of coloured noise and smooth, at a false alarm rate of one in a hundred."""
+def test_noise_and_smooth_curves_are_not_lines(seeds):
+    """Twelve records of coloured noise and smooth curves, at a false alarm rate of 1 %."""
     assert sum(bool(remaining_lines(left_over(smooth, seed))) for seed in seeds) <= 1

@@ -1,4 +1,4 @@
-"""Evidence of an unnamed force: against dense Gaussian densities, closed forms, and records of a known ripple."""
+"""Evidence of a residual force: against dense Gaussian densities, closed forms, and records of a known ripple."""
 
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -25,17 +25,17 @@ from robustlab.identification import (
     unnamed_force,
 )
 
-START = 1e-4  # precision of the starts' prior, over that in the fit
+START = 1e-4  # precision of the initial states' prior, over that in the fit
 DT = 2e-3
 M, FV, GAIN = 95.1089, 203.5034, 35.15065
 
 
-# --- the sums, against dense densities -------------------------------------------------------------------------------
+# --- against dense densities -----------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Dense:
-    """Random windows: segments O port after port, parameters J, starts X, errors e; the force that moves each port."""
+    """Random windows: segments O by port, parameters J, initial states X, errors e; the force that moves each port."""
 
     o: np.ndarray
     j: np.ndarray
@@ -94,7 +94,7 @@ def dense(request) -> Dense:
 
 
 def profiled(e: np.ndarray, covariance: np.ndarray, mean: np.ndarray) -> float:
-    """Log density at the best scale of the noise, without what depends on the number of points alone."""
+    """Return the log density at the best scale of the noise, without terms of the number of points alone."""
     scale = (e - mean) @ np.linalg.solve(covariance, e - mean) / len(e)
     density = multivariate_normal(mean, scale * covariance, allow_singular=False)
     return float(density.logpdf(e)) + 0.5 * len(e) * (1.0 + np.log(2.0 * np.pi))
@@ -106,7 +106,7 @@ def test_the_likelihood_of_a_random_force_is_that_of_the_dense_gaussian(dense):
     assert len(levels) == 1 + len(windows.bandwidths) * 2
     for level in levels:
         covariance, mean = dense.covariance(level.size, level.bandwidth, windows.weight)
-        free = 4 * np.log(1.0 / START)  # of the starts' prior, common to all; that of the parameters as well
+        free = 4 * np.log(1.0 / START)  # of the initial states' prior, common to all; that of the parameters as well
         free -= 0.5 * len(dense.z) * np.log(windows.weight)
         assert level.alone == pytest.approx(profiled(dense.e.ravel(), covariance, mean) + free, rel=1e-8, abs=1e-8)
 
@@ -140,7 +140,7 @@ def test_evidence_and_cross_validation_are_those_of_the_dense_gaussian(dense):
     assert best.cross_validated == pytest.approx(expected, abs=1e-7)
 
 
-def test_forces_at_several_ports_are_told_apart_and_none_is_missed_for_another():
+def test_forces_at_several_ports_are_distinguished():
     rng = np.random.default_rng(9)
     o, j, x = rng.normal(size=(30, 40, 18)), np.zeros((30, 40, 0)), rng.normal(size=(30, 40, 2))
     xi, z, forces, noise = np.zeros((30, 2)), np.zeros(0), (1.0, 1.0, 1.0), rng.normal(size=(30, 40))
@@ -158,7 +158,7 @@ def test_forces_at_several_ports_are_told_apart_and_none_is_missed_for_another()
 
 
 def measured(extra, noise=2e-5, seconds=6.0, seed=0) -> rl.Record:
-    """The axis with an extra force ``extra(t, q, v)`` in N, by Runge-Kutta's method; position with noise."""
+    """Simulate the axis with a force ``extra(t, q, v)`` in N by a Runge-Kutta method; position with noise."""
     rng = np.random.default_rng(seed)
     t = np.arange(round(seconds / DT)) * DT
     u = 1.5 * np.sin(2 * np.pi * 0.9 * t) + np.repeat(rng.choice([-1.0, 1.0], len(t) // 100), 100)
@@ -182,7 +182,7 @@ def fitted(record: rl.Record):
     return problem, problem.fit(Hypothesis(()), first_noise(problem), zero, plan=FitPlan(10))
 
 
-def test_a_pulse_moves_a_mass_as_the_closed_form_says():
+def test_the_response_of_a_mass_to_a_pulse_is_the_closed_form():
     problem, fit = fitted(measured(lambda t, q, v: 0.0))
     response = force_response(problem, fit, plain_places(problem, fit))[0]
     record = problem.records[0]
@@ -210,7 +210,7 @@ def left_by(problem, fit):
     return unnamed_force(*fitted_windows(problem, fit)[0])
 
 
-def test_nothing_wins_where_nothing_is_missing():
+def test_no_force_is_significant_for_a_complete_model():
     problem, fit = fitted(measured(lambda t, q, v: 0.0))
     left = left_by(problem, fit)
     assert not any(force.wins for force in left.forces)
