@@ -91,7 +91,7 @@ def test_the_right_plant_misses_by_the_noise_alone():
         assert found.residual[name].whiteness.p_value > 1e-3
         assert max(found.linearisation.share.values()) < 0.01
     assert not [w for w in found.warnings if "linear" in w]
-    assert any("the windows tell more" in w for w in found.warnings)  # an arm in gravity falls from above
+    assert any("the windows are more informative" in w for w in found.warnings)  # an arm in gravity falls from above
 
 
 def test_friction_at_one_joint_shows_there():
