@@ -95,8 +95,8 @@ class DataCover(Evidence):
     @property
     def notes(self) -> tuple[str, ...]:
         """Validity of the radius."""
-        text = "The radius is sought at nominal parameters, with a Δ that may vary with time; their tolerances come on top."
-        return (text,)
+        text = "The radius is sought at nominal parameters, with a Δ that may vary with time;"
+        return (f"{text} their tolerances come on top.",)
 
     def to_json(self, series: bool = True) -> dict[str, object]:
         """Return all fields but the model; without ``series`` no time series of the validations."""
