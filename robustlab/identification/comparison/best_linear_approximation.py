@@ -24,7 +24,7 @@ EXCITED = 1e-10  # of the strongest line's power: weaker lines are rounding
 SIGNAL_TO_NOISE = 10.0  # power of a line's average input over that of its noise
 LOCAL_LINES = 7  # through which the parabola goes
 PARABOLA = 3  # its coefficients
-MISSED = 0.05  # of the lines of a right model lie outside their circle
+MISSED = 0.05  # of the lines of a right model are outside their circle
 
 
 @dataclass(frozen=True)

@@ -97,7 +97,7 @@ def compare(
         the recorded motion; its free run is nonlinear and may end early (``free_run``). A co-simulation unit runs from
         its own initial state only, and takes none of the options.
     record
-        The measurement; it may hold any subset of the outputs, and signals that the model does not know.
+        The measurement; it may hold any subset of the outputs, and further signals.
     window
         Length of the windows in s. Default: the model's slowest time constant, but at most a quarter of the record; a
         fiftieth of the record for a model of integrators only. For an unstable nonlinear plant, at most the time in

@@ -100,7 +100,7 @@ def whiteness(residual: ArrayLike, lags: int) -> Whiteness:
 def input_correlation(u: ArrayLike, residual: ArrayLike, lags: int) -> InputCorrelation:
     """Compute the cross-correlation of an input (n,) with a residual (n,) over lags -``lags``..``lags``.
 
-    NaN samples of the residual are left out.
+    NaN samples of the residual are excluded.
     """
     from scipy.stats import chi2
 

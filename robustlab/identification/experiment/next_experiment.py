@@ -342,7 +342,7 @@ class _Entry:
 def _preference(entry: _Entry) -> tuple[int, int, float]:
     """Sort key: safe ones first, then those that are safe if the named candidate is right, then by d; few new sensors.
 
-    A rival may be so weak that no experiment shows it: that must not justify a sensor.
+    A rival may be too weak for any experiment: that must not justify a sensor.
     """
     if entry.separation >= SAFE:
         return 0, len(entry.added), -entry.separation

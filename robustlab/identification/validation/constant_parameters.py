@@ -15,7 +15,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.validation.cone_programme import SLACK, Rows, Search, solved_cones, sparse_matrices
-from robustlab.identification.validation.sampled_problem import Recorded, held, observable_directions, states
+from robustlab.identification.validation.sampled_problem import Recorded, observable_directions, states, zero_order_hold
 
 WIDEST = 1e3  # parameters beyond this many times their range are not tried
 MOVES = 40  # of a descent
@@ -114,7 +114,7 @@ def _windows(recorded: Recorded, delta: Array, search: Search) -> _Windows | Non
     uncertain = recorded.uncertain
     try:
         model = uncertain.evaluate(dict(zip([b.name for b in uncertain.blocks], delta.tolist(), strict=True)))
-        A, B = held(model, recorded.dt)
+        A, B = zero_order_hold(model, recorded.dt)
     except NoTrustworthyNumber:
         return None
     C, sparse = model.C / recorded.bound[:, None], sparse_matrices()

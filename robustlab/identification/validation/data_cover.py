@@ -42,7 +42,7 @@ class DataCover(Evidence):
     needed, needed_lower
         The smallest radius that explains all records, from above and from below.
     held_out
-        The smallest radius for the records that were held out, from above; NaN without such.
+        The smallest radius for the held-out records, from above; NaN without such.
     held_out_loads
         Largest load along those records, over its bound; NaN without such, 0 without loads. Above one the loads of the
         set are too small for them: the bound of a force without its own is that along ``records``, times ``margin``.
@@ -68,7 +68,7 @@ class DataCover(Evidence):
 
     @property
     def passes(self) -> bool:
-        """Whether the set explains the records that were held out, with loads within their bounds."""
+        """Whether the set explains the held-out records, with loads within their bounds."""
         return self.held_out <= self.radius and self.held_out_loads <= 1 + LOAD_ACCURACY
 
     def facts(self) -> Facts:

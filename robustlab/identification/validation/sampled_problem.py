@@ -182,7 +182,7 @@ def sampled(recorded: Recorded, M: StateSpaceModel, blocks: Sequence[Block]) -> 
     model, so the states that act on such a block are free as well.
     """
     q, p = sum(b.rows for b in blocks), sum(b.cols for b in blocks)
-    (A, B), C, D = held(M, recorded.dt), M.C, M.D
+    (A, B), C, D = zero_order_hold(M, recorded.dt), M.C, M.D
     x = states(A, recorded.u @ B[:, q:].T, np.zeros(len(A)))
     forced = x @ C.T + recorded.u @ D[:, q:].T
     if not np.isfinite(forced).all():
@@ -218,7 +218,7 @@ def sampled(recorded: Recorded, M: StateSpaceModel, blocks: Sequence[Block]) -> 
     )
 
 
-def held(M: StateSpaceModel, dt: float) -> tuple[Array, Array]:
+def zero_order_hold(M: StateSpaceModel, dt: float) -> tuple[Array, Array]:
     """Discretise A and B at the record's sample time with zero-order hold."""
     if M.dt:
         return M.A, M.B

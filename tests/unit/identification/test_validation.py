@@ -115,7 +115,7 @@ def small():
     return gain_set, rl.Record(np.arange(8) * 0.1, {"u": np.ones(8)}, {"y": np.full(8, 2.5)})
 
 
-def test_what_is_refused():
+def test_invalid_input_is_refused():
     model, record = small()
     t = record.t.copy()
     t[5:] += 0.05
