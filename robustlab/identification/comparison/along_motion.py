@@ -20,7 +20,7 @@ from robustlab.identification.comparison.comparison_result import POSE, Comparis
 from robustlab.identification.comparison.error_analysis import FreeRun, Linearisation, Motion
 from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord
 from robustlab.identification.hypotheses.motion_smoother import smooth_motion
-from robustlab.identification.record_check.resampling import clock_step, uniform
+from robustlab.identification.record_check.resampling import clock_step, refuse_gaps, uniform
 from robustlab.identification.response.linear_response import LinearResponse
 from robustlab.identification.response.motion_response import MotionResponse
 from robustlab.identification.response.response import Stretch, matched, stretch_of, with_units
@@ -60,14 +60,7 @@ def matching_along(plant: NonlinearPlant, record: Record) -> Matching:
         raise InputError(where, f"{record.n} samples", f"at least {SHORTEST_RECORD}")
     if not record.is_uniform:
         level = uniform(record, clock_step(record.t))
-        if level.gaps:
-            gap = level.gaps[0]
-            raise InputError(
-                where,
-                f"{gap.missing} samples missing from {gap.start:.9g} s to {gap.stop:.9g} s",
-                "a clock without gaps",
-                "compare the stretches between the gaps: record.between(start, stop)",
-            )
+        refuse_gaps(where, level.gaps, "compare")
         record = level.record
         warnings = (*warnings, f"the clock is not uniform: resampled in steps of {record.dt:.6g} s")
     record = with_units(record, (*plant.inputs, *outputs))

@@ -163,14 +163,12 @@ def compare(
     else:
         run, free = _free_run(model.response, whole, record, initial)
     motions, of_joints = _motions(matching, speed, position, length)
-    found = localised(
-        whole, matching.outputs, free if run.whole else None, windows, motions, _sizes(matching),
-        min(lags, record.n // 4),
-    )  # fmt: skip
+    whole_run, lags = free if run.whole else None, min(lags, record.n // 4)
+    found = localised(whole, matching.outputs, whole_run, windows, motions, _sizes(matching), lags)
     others = [_matching(plant, other) for other in repeats]
     noise, noise_reason = noise_of(record, tuple(other.record for other in others), outputs, period)
     rms = {name: (gap.rms, gap.windowed_rms) for name, gap in found["outputs"].items()}
-    errors = [_windowed_error(*repeat, length) for repeat in _repeated(noise, matching, others)] if noise else []
+    errors = _errors_of_repeats(noise, matching, others, length) if noise else None
     linear, linear_reason = {}, "not defined for a nonlinear plant"
     if not isinstance(model, MotionResponse):
         linear, linear_reason = _linear(record, model.response, whole, noise)
@@ -195,7 +193,7 @@ def compare(
         ),
         noise=noise,
         noise_reason=noise_reason,
-        against_noise=noise_gaps(outputs, np.stack(errors), noise, rms) if noise else {},
+        against_noise=noise_gaps(outputs, errors, noise, rms) if noise and errors is not None else {},
         linear=linear,
         linear_reason=linear_reason,
         nonlinearity=even_odd_test(record, inputs, outputs, noise),
@@ -255,17 +253,16 @@ def _sizes(matching: Matching) -> dict[str, Array]:
     return {name: np.abs(x - offset.get(name, 0.0)) for name, x in moving.items()}
 
 
-def _repeated(floor: NoiseFloor, matching: Matching, others: Sequence[Matching]) -> list[tuple[Matching, int, int]]:
-    """Return the repeats behind a noise floor, at equal phases, with first sample and length."""
+def _errors_of_repeats(floor: NoiseFloor, matching: Matching, others: Sequence[Matching], length: int) -> Array:
+    """Compute measured minus windowed simulation of the repeats of a noise floor at equal phases, (count, n, n_y)."""
+    n, errors = floor.samples, []
+    parts = [(one, 0) for one in (matching, *others)]
     if floor.source == "periods":
-        return [(matching, floor.first + k * floor.samples, floor.samples) for k in range(floor.count)]
-    return [(one, 0, floor.samples) for one in (matching, *others)]
-
-
-def _windowed_error(matching: Matching, first: int, n: int, length: int) -> Array:
-    """Compute measured minus windowed simulation of a part of a record, (n, n_y)."""
-    windows = windowed_simulation(matching.model, first + window_edges(n, length))
-    return (matching.model.whole.y - windows.y)[first : first + n]
+        parts = [(matching, floor.first + k * n) for k in range(floor.count)]
+    for one, first in parts:
+        windows = windowed_simulation(one.model, first + window_edges(n, length))
+        errors.append((one.model.whole.y - windows.y)[first : first + n])
+    return np.stack(errors)
 
 
 def _linear(

@@ -221,9 +221,25 @@ def _coverage(
         return 100.0 * value / size if size else np.nan
 
     return SignalCoverage(
-        name, unit, size, float(np.mean(outside == 0)), miss, percent(miss), float(t[worst]) if miss else np.nan, side,
-        gap, percent(gap), reach, percent(reach), allowance, t, measured, nominal, lower, upper,
-    )  # fmt: skip
+        name=name,
+        unit=unit,
+        size=size,
+        share=float(np.mean(outside == 0)),
+        miss=miss,
+        miss_percent=percent(miss),
+        miss_time=float(t[worst]) if miss else np.nan,
+        miss_side=side,
+        gap=gap,
+        gap_percent=percent(gap),
+        reach=reach,
+        reach_percent=percent(reach),
+        allowance=allowance,
+        t=t,
+        measured=measured,
+        nominal=nominal,
+        lower=lower,
+        upper=upper,
+    )
 
 
 def deviations(record: Record, uncertain: UncertainModel, names: tuple[str, ...]) -> tuple[Record, Array]:

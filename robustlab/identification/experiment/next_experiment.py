@@ -124,12 +124,22 @@ def propose_experiment(problem: Problem, named: Fit, rivals: Sequence[Fit]) -> N
         Tried(e.trial.name, tuple(outputs[k] for k in e.sensors), duration, e.separation, e.refitted) for e in menu
     ]
     return NextExperiment(
-        chosen.trial.name, text, _advice(chosen, [labels[k] for k in close], labels, fits, limits, units),
-        dt * np.arange(len(u), dtype=float), {s.name: u[:, k].copy() for k, s in enumerate(plant.inputs)},
-        {s.name: s.unit for s in plant.inputs}, duration, sensors, added, {name: assumed[name] for name in added},
-        chosen.separation, chosen.named,
-        min(refit_distance(problem, fits[a], fits[b]) for a, b in _ordered(fits) if 0 in (a, b)), labels, tuple(tried),
-    )  # fmt: skip
+        chosen.trial.name,
+        text,
+        _advice(chosen, [labels[k] for k in close], labels, fits, limits, units),
+        dt * np.arange(len(u), dtype=float),
+        {s.name: u[:, k].copy() for k, s in enumerate(plant.inputs)},
+        {s.name: s.unit for s in plant.inputs},
+        duration,
+        sensors,
+        added,
+        {name: assumed[name] for name in added},
+        chosen.separation,
+        chosen.named,
+        min(refit_distance(problem, fits[a], fits[b]) for a, b in _ordered(fits) if 0 in (a, b)),
+        labels,
+        tuple(tried),
+    )
 
 
 # --- limits ----------------------------------------------------------------------------------------------------------

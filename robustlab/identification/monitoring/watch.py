@@ -230,7 +230,8 @@ def watch(
     for word, value in (("every", every), ("window", window)):
         if value is not None:
             checks.number(f"watch: {word}", value, "a length in s above 0", above=0.0)
-    plant, attached = _parts_of(model)
+    extended = isinstance(model, ExtendedEquations)
+    plant, attached = (model.plant, tuple(model.effects)) if extended else (known_plant(model, "watch"), ())
     stated = stated_tolerances(plant, tolerances)
     plant = with_absolute_tolerances(plant, stated)
     left_out = tuple(effect(name).id for name in exclude)
@@ -273,13 +274,6 @@ def watch(
         result, verdict="changed", alarm=over.stop, since=since, since_lower=since_lower, since_upper=since_upper,
         found=found,
     )  # fmt: skip
-
-
-def _parts_of(model: Any) -> tuple[AnyPlant, tuple[AttachedEffect, ...]]:
-    """Return the plant without effects, and its effects."""
-    if isinstance(model, ExtendedEquations):
-        return model.plant, tuple(model.effects)
-    return known_plant(model, "watch"), ()
 
 
 def _pieces(records: Iterable[Record], every: float | None) -> Iterator[Record]:

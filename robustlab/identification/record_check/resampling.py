@@ -94,14 +94,7 @@ def join_clocks(first: Record, second: Record, dt: float | None = None) -> Recor
         raise InputError(where, f"signal {twice[0]!r} is in both", "each signal once")
     steps = {id(r): clock_step(r.t) for r in (first, second)}
     for r in (first, second):
-        holes = _gaps(r.t, steps[id(r)])
-        if holes:
-            raise InputError(
-                r.name,
-                f"{holes[0].missing} samples missing from {holes[0].start:.9g} s to {holes[0].stop:.9g} s",
-                "a clock without gaps",
-                "join the stretches between the gaps: record.between(start, stop)",
-            )
+        refuse_gaps(r.name, _gaps(r.t, steps[id(r)]), "join")
     equal = abs(steps[id(first)] - steps[id(second)]) <= SAME_TIME * steps[id(first)]
     ordered = sorted((first, second), key=lambda r: len(r.outputs) if equal else 0, reverse=True)
     clock, _ = common_clock(where, {f"{k}": r.t for k, r in enumerate(ordered)}, dt)
@@ -116,6 +109,15 @@ def join_clocks(first: Record, second: Record, dt: float | None = None) -> Recor
     clocks = [f"{r.name}: {summarise_clock(r.t).text()}" for r in (first, second)]
     meaning["t"] = "\n".join([*(r.meaning["t"] for r in (first, second) if "t" in r.meaning), done, *clocks])
     return Record(clock, inputs, outputs, units, f"{first.name} + {second.name}", meaning)
+
+
+def refuse_gaps(where: str, gaps: Sequence[Gap], action: str) -> None:
+    """Refuse a record with missing samples."""
+    if gaps:
+        gap = gaps[0]
+        found = f"{gap.missing} samples missing from {gap.start:.9g} s to {gap.stop:.9g} s"
+        hint = f"{action} the stretches between the gaps: record.between(start, stop)"
+        raise InputError(where, found, "a clock without gaps", hint)
 
 
 def _gaps(t: Array, step: float) -> tuple[Gap, ...]:

@@ -445,13 +445,10 @@ def _moves(y: Array, share: float) -> bool:
         return False
     t = np.linspace(-1.0, 1.0, len(y))
     rest = y - np.polyval(np.polyfit(t, y, 1), t)
-    return float(rest.std()) > WHITE * min(_noise(y), _unpredicted(rest))
-
-
-def _unpredicted(y: Array) -> float:
-    """Compute the rms of y (n,) about its prediction from two samples: near zero even for fast oscillations."""
-    before = np.column_stack([y[1:-1], y[:-2]])
-    return float(np.std(y[2:] - before @ np.linalg.lstsq(before, y[2:], rcond=None)[0]))
+    before = np.column_stack([rest[1:-1], rest[:-2]])
+    # The error of a prediction from two samples is near zero even for fast oscillations.
+    unpredicted = float(np.std(rest[2:] - before @ np.linalg.lstsq(before, rest[2:], rcond=None)[0]))
+    return float(rest.std()) > WHITE * min(_noise(y), unpredicted)
 
 
 # --- wrong channels --------------------------------------------------------------------------------------------------

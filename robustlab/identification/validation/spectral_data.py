@@ -245,7 +245,8 @@ def spectrum_of_record(
     if M.dt == 0:
         assumptions.append(f"u and w are held between samples of {dt:.6g} s")
     kept = lines
-    if _integrates(M.A, M.dt):
+    poles = np.linalg.eigvals(M.A) if len(M.A) else np.zeros(0)
+    if (np.abs(poles - (1.0 if M.dt else 0.0)) <= 1e-9 * max(float(np.abs(poles).max(initial=0.0)), 1.0)).any():
         kept = lines[1:]
         assumptions.append("the mean over a period is not judged: the model integrates")
     f = kept / (n * dt)
@@ -321,12 +322,6 @@ def _layout(uncertain: UncertainModel) -> dict[str, Any]:
     """Return the block fields of an unscaled problem."""
     names = tuple(b.name for b in uncertain.blocks)
     return {"blocks": tuple(block_slices(uncertain.blocks)), "names": names, "scale": np.ones(len(names))}
-
-
-def _integrates(A: Array, dt: float) -> bool:
-    poles = np.linalg.eigvals(A) if len(A) else np.zeros(0)
-    largest = max(float(np.abs(poles).max(initial=0.0)), 1.0)
-    return bool((np.abs(poles - (1.0 if dt else 0.0)) <= 1e-9 * largest).any())
 
 
 def _refused_blocks(uncertain: UncertainModel, where: str) -> None:
