@@ -68,7 +68,7 @@ def matching_along(plant: NonlinearPlant, record: Record) -> Matching:
     for name in names:
         if not np.ptp(record[name]):
             found = f"{name} stands at {record[name][0]:.6g} {record.unit(name)}".rstrip() + " throughout"
-            raise InputError(where, found, "outputs that move: they tell where the plant is", "leave out a dead sensor")
+            raise InputError(where, found, "outputs that move", "remove a dead sensor from the record")
     columns = tuple(k for k, s in enumerate(plant.outputs) if s.name in names)
     u = np.column_stack([record.inputs[name] for name in inputs])
     whole = stretch_of(record, inputs, names)

@@ -170,7 +170,7 @@ def arbitrary_bla(
     coherence = np.clip(np.einsum("fi,fi->f", G, Syu.conj()).real / Syy, 0.0, 1.0)
     at = held_response(model.select(inputs=names), f, dt)[:, 0, :]
     notes = (
-        "noise and nonlinear distortion are not told apart: the record does not repeat",
+        "noise and nonlinear distortion are not separated: the record does not repeat",
         "biased where the input was computed from the output (closed loop)",
     )
     spare = averages - len(names)

@@ -303,7 +303,7 @@ def _warnings(
     record, model, texts = matching.record, matching.model, []
     along = isinstance(model, MotionResponse)
     if initial.rank < len(model.state_names):
-        rest = "the rest was taken from the motion" if along else "the rest was taken as the smallest that fits"
+        rest = "the others are those of the smoothed motion" if along else "the others are the smallest that fit"
         texts.append(
             f"the recorded outputs determine {initial.rank} of {len(model.state_names)} states at the start; {rest}"
         )

@@ -180,7 +180,7 @@ def cover(
     u = {name: shifted.inputs[name] for name in nominal.model.input_names}
     found = drawn.respond(record.t, u, start.x0)
     if not found.status.trustworthy:
-        raise NoTrustworthyNumber(f"cover {record.name}", "a member outgrows every number", None, "a shorter record")
+        raise NoTrustworthyNumber(f"cover {record.name}", "a member exceeds double precision", None, "a shorter record")
     signals: dict[str, SignalCoverage] = {}
     for k, (name, unit) in enumerate(response.outputs):
         measured, centre, members = record.outputs[name], found.nominal[:, k] + offset[k], found.y[:, :, k] + offset[k]

@@ -337,7 +337,7 @@ def _floor(
     drifting = [name for name in outputs if found[name][1]]
     if drifting:
         notes.append(
-            f"{', '.join(drifting)} drifts from repeat to repeat: its level was taken off, noise slower than a repeat "
+            f"{', '.join(drifting)} drifts from repeat to repeat: its level was removed, noise slower than a repeat "
             "is not in the floor"
         )
     fed_back = {name: _spread(stacked[name])[0] for name in inputs if np.ptp(stacked[name])}

@@ -81,7 +81,7 @@ class NextExperiment(Evidence):
 
     def facts(self) -> Facts:
         size = f"{self.separation:.3g} noise sigmas of {', '.join(self.hypotheses)}"
-        now = f"present records: {self.now:.3g}; 3 tell, {SAFE:.0f} are safe"
+        now = f"present records: {self.now:.3g}; {tuning.CANNOT_TELL:.0f} distinguish, {SAFE:.0f} are safe"
         return [("signal", self.description), ("predicted separation", f"{size} ({now})"), ("or", self.advice)]
 
     def save(self, path: str | Path) -> Path:

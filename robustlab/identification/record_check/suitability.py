@@ -145,7 +145,7 @@ def channel_warnings(record: Record, inputs: tuple[str, ...], outputs: tuple[str
         if runs := _clipped(record, name):
             count = sum(last - first for first, last in runs)
             warnings.append(
-                f"{name} looks clipped: {count} of {record.n} samples stand at the end of its range, reached at full "
+                f"{name} looks clipped: {count} of {record.n} samples are at the end of its range, reached at full "
                 f"slope (first: samples {runs[0][0]} to {runs[0][1] - 1})"
             )
     return warnings
@@ -359,7 +359,7 @@ def _samples(record: Record, outputs: tuple[str, ...]) -> list[Finding]:
         y, unit = record[name], record.unit(name)
         if runs := _clipped(record, name):
             count = sum(last - first for first, last in runs)
-            text = f"clipped: {count} of {record.n} samples stand at the end of its range, reached at full slope"
+            text = f"clipped: {count} of {record.n} samples are at the end of its range, reached at full slope"
             evidence: dict[str, object] = {"samples": count, "runs": runs, "range": [float(y.min()), float(y.max())]}
             hint = "choose a larger range of the sensor, or cut these stretches out: record.between(start, stop)"
             found.append(Finding("clipped", name, text, "a sensor within its range", hint, False, evidence))
@@ -414,10 +414,11 @@ def _unexcited(
     if inputs and len(constant) == len(inputs):
         what = ", ".join(f"{name} = {record[name][0]:.6g} {record.unit(name)}".rstrip() for name in constant)
         free = not any(record[name].any() for name in constant)
-        reason = (
-            "free motion alone, which tells no gain of an input" if free else "a constant load cannot be told from it"
-        )
-        reason = "no output leaves its noise either" if nothing else reason
+        reason = "a constant load cannot be distinguished from it"
+        if nothing:
+            reason = "no output leaves its noise either"
+        elif free:
+            reason = "free motion alone, which tells no gain of an input"
         text = f"constant: {what}; {reason}"
         hint = "move the machine: steps in both directions, at two levels at least, and slow ramps through zero"
         evidence: dict[str, object] = {"constant": constant, "outputs_in_noise": still}
@@ -464,11 +465,11 @@ def _along_motion(plant: NonlinearPlant, level: UniformRecord) -> list[Finding]:
         return [Finding("motion", positions, wrong.found, wrong.expected or "", wrong.hint or "", True, {})]
     except NoTrustworthyNumber as none:
         hint = "check signs, units and zeros of the outputs"
-        text = f"tells a motion that {plant.name} cannot have: {none.found}"
+        text = f"show a motion that {plant.name} cannot have: {none.found}"
         return [Finding("motion", positions, text, "positions within its reach", hint, True, {})]
     found = []
     for name, share in turned.items():
-        text = f"seems to be measured with the other sign (turned, it leaves {100 * share:.2g} % of the squared error)"
+        text = f"seems to be measured with the other sign (inverted, {100 * share:.2g} % of the squared error remains)"
         hint = f"check the wiring and the counting direction; if it is so, turn the sign of {name} in the record"
         found.append(Finding("sign", name, text, "the model's sign", hint, True, {"error_left": share}))
     return found

@@ -81,7 +81,7 @@ def solved_cones(cost: Array, rows: Sequence[Rows], budget: Budget) -> ConeSolut
     seconds = max(budget.seconds_left, 1.0) if budget.seconds_left < 1e6 else None
     found = solve(cost, A, np.concatenate(offsets), cones, steps=most, seconds=seconds)
     if found is None:
-        raise NoTrustworthyNumber("validate", "the solver broke down")
+        raise NoTrustworthyNumber("validate", "the solver failed")
     budget.spend(200 + BUILDING_WORK * A.nnz + found.iterations * each)
     status = str(found.status)
     if status == "MaxTime":

@@ -64,7 +64,7 @@ def fits_frequency_domain(
                          'noise_norm="rms"; a transform keeps the energy of the noise, not its peak')  # fmt: skip
     if norm == "rms" and isinstance(data, FrequencyData):
         raise InputError(where, "an rms bound on a frequency response", "a bound at each line")
-    for name, given in (("windows", window), ("a start at rest", at_rest)):
+    for name, given in (("windows", window), ("at_rest", at_rest)):
         if given:
             raise InputError(where, f"{name} in the frequency domain", "whole periods in steady state", 'domain="time"')
     if noise is None and isinstance(data, FrequencyData):
@@ -82,7 +82,7 @@ def validate_by_lines(
 ) -> Validation:
     """Compute bounds of the smallest gamma over the lines; see `robustlab.identification.validation.validate`."""
     if not uncertain.blocks:
-        hint = 'domain="time" tells whether noise alone explains a record'
+        hint = 'domain="time" tests whether noise alone explains a record'
         raise InputError(f"validate {data.name}", "a set without blocks in the frequency domain", "a block", hint)
     if isinstance(data, Record):
         spectrum = spectrum_of_record(uncertain, data, {k: float(np.asarray(v)) for k, v in noise.items()}, period)

@@ -160,7 +160,7 @@ def _estimated(uncertain: UncertainModel, record: Record, norm: NoiseNorm, confi
     try:
         floor = noise_floor(record, outputs=names)
     except NoTrustworthyNumber as error:
-        hint = "noise={'" + (names[0] if names else "y") + "': ...}, in its unit: what the sensor may be off"
+        hint = "noise={'" + (names[0] if names else "y") + "': ...}, in its unit: the error bound of the sensor"
         raise NoTrustworthyNumber(
             f"validate {record.name}", f"no noise bound was given, and none can be estimated: {error.found}", None, hint
         ) from None

@@ -186,7 +186,7 @@ def sampled(recorded: Recorded, M: StateSpaceModel, blocks: Sequence[Block]) -> 
     x = states(A, recorded.u @ B[:, q:].T, np.zeros(len(A)))
     forced = x @ C.T + recorded.u @ D[:, q:].T
     if not np.isfinite(forced).all():
-        raise NoTrustworthyNumber("validate", "the nominal response outgrows every number", None, "use windows")
+        raise NoTrustworthyNumber("validate", "the nominal response exceeds double precision", None, "use windows")
     z0, y0 = forced[:, :p], forced[:, p:]
     scale_w, scale_z, scales = np.ones(q), np.ones(p), []
     layout: list[tuple[slice, slice, bool]] = []
@@ -262,7 +262,7 @@ def noise_bounds(noise: Mapping[str, float], names: tuple[str, ...], norm: str, 
             raise unknown_name(f"{where}: noise of {name!r}", "no such compared output", name, names)
     for name in names:
         if name not in noise:
-            hint = f"noise={{{name!r}: ...}} in its unit: what the sensor may be off"
+            hint = f"noise={{{name!r}: ...}} in its unit: the error bound of the sensor"
             raise InputError(f"{where}: output {name!r}", "has no noise bound", "one for each compared output", hint)
         value = noise[name]
         number(f"{where}: noise of {name!r}", value, "a positive number", at_least=0)

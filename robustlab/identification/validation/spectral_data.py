@@ -218,11 +218,11 @@ def spectrum_of_record(
     try:
         floor = noise_floor(record, period=period, outputs=[s.name for s in recorded.outputs])
     except NoTrustworthyNumber as error:
-        hint = 'domain="time" takes any record on a uniform clock'
+        hint = 'domain="time" accepts any uniformly sampled record'
         raise NoTrustworthyNumber(where, f"no steady periods: {error.found}", "whole periods", hint) from None
     if floor.input_std:
         name = next(iter(floor.input_std))
-        hint = 'domain="time" takes any input'
+        hint = 'domain="time" accepts any input'
         raise InputError(where, f"input {name!r} does not repeat exactly", "a periodic input: others leak", hint)
     n, dt = floor.samples, recorded.dt
     stacked = np.stack([floor.repeats(column) for column in recorded.y.T], axis=2)
@@ -248,7 +248,7 @@ def spectrum_of_record(
     poles = np.linalg.eigvals(M.A) if len(M.A) else np.zeros(0)
     if (np.abs(poles - (1.0 if M.dt else 0.0)) <= 1e-9 * max(float(np.abs(poles).max(initial=0.0)), 1.0)).any():
         kept = lines[1:]
-        assumptions.append("the mean over a period is not judged: the model integrates")
+        assumptions.append("the mean over a period is excluded: the model integrates")
     f = kept / (n * dt)
     response = held_response(M, f, dt)
     U, Y = np.fft.rfft(u, axis=0)[kept] / n, np.fft.rfft(y, axis=0)[kept] / n

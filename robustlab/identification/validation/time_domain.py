@@ -209,14 +209,14 @@ def _assumptions(recorded: Recorded, estimated: bool) -> tuple[str, ...]:
     if estimated:
         texts.append("the noise bound was estimated from the record's own periods")
     if dynamic:
-        texts.append("complex and full blocks are causal time-varying systems at rest before the record")
+        texts.append("complex and full blocks are causal time-varying systems with zero initial state")
     if recorded.uncertain.dt == 0:
         held = "u and w are" if dynamic else "u is"
         texts.append(f"{held} held between samples of {recorded.dt:.6g} s")
     if recorded.at_rest:
-        texts.append("the model is at rest before the record")
+        texts.append("the model starts at equilibrium")
     else:
-        texts.append("states that the outputs show are free at the start, the others at rest")
+        texts.append("observable states are free at the start, the others zero")
     if len(recorded.starts) > 1:
         texts.append(f"{len(recorded.starts)} windows, each with a free start; Delta is one over all of them")
     return tuple(texts)

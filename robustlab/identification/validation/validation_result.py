@@ -122,7 +122,7 @@ class Validation(Tabular, Evidence):
         if self.upper <= 1:
             return f"not invalidated at gamma = {self.upper:.4g}"
         if np.isinf(self.upper) and not self.lower:
-            return f"undecided: nothing was found that leaves less than {self.excess:.4g} times the noise bound"
+            return f"undecided: the smallest noise found is {self.excess:.4g} times its bound"
         return f"undecided: the smallest gamma is between {self.lower:.4g} and {self.upper:.4g}"
 
     @property

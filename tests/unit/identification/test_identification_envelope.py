@@ -106,7 +106,7 @@ def test_a_member_that_exceeds_double_precision():
     M = rl.StateSpaceModel(
         [[400.0]], [[0.2, 1.0]], [[0.0], [1.0]], [[0.0, 1.0], [0.0, 0.0]], 0.0, ["w", "u"], ["z", "y"]
     )
-    with pytest.raises(NoTrustworthyNumber, match="outgrows"):
+    with pytest.raises(NoTrustworthyNumber, match="exceeds double precision"):
         cover(UncertainModel(M, [RealScalar("gain")]), record(1.0), n=2)
 
 
