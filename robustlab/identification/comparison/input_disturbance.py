@@ -163,7 +163,7 @@ def _disturbance(
     place: str, unit: str, smoothed: SmoothedRecord, j: int, motion: Motion, names: Sequence[str], error: Array,
     left: Array,
 ) -> InputDisturbance:  # fmt: skip
-    """``error``, ``left``: of the windows without and with the disturbance, in multiples of each sensor's noise."""
+    """Summarise a disturbance; ``error``, ``left``: without and with it, in multiples of each sensor's noise."""
     d, std, dt = smoothed.d[:, j], smoothed.d_std[:, j], float(smoothed.t[1] - smoothed.t[0])
     # Samples closer than half a period of the bandwidth are dependent.
     independent = min(1.0, 2.0 * float(smoothed.bandwidth.min()) * dt)

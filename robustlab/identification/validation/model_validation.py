@@ -45,7 +45,7 @@ def validate(
     progress: Callable[[str], None] | None = None,
     effort: float = 1.0,
 ) -> Validation:
-    """Smallest scaling of Delta with which an uncertain model could have produced a record.
+    """Compute the smallest scaling of Delta with which an uncertain model could have produced a record.
 
     Parameters
     ----------
