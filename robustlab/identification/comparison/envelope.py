@@ -107,7 +107,7 @@ class EnvelopeCoverage(Evidence):
             miss = f"; misses by {number(s.miss, s.unit, 3)} ({s.miss_percent:.3g} %), {where}" if s.miss else ""
             found += [
                 (f"{s.name}: inside the envelope", f"{100 * s.share:.3g} % of the time{miss}"),
-                (f"{s.name}: gap of the nominal model", f"{number(s.gap, s.unit, 3)} ({s.gap_percent:.3g} %)"),
+                (f"{s.name}: error of the nominal model", f"{number(s.gap, s.unit, 3)} ({s.gap_percent:.3g} %)"),
                 (f"{s.name}: how far the set reaches", f"{number(s.reach, s.unit, 3)} ({s.reach_percent:.3g} %)"),
             ]
         return found

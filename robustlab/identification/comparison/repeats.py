@@ -86,7 +86,7 @@ class NoiseFloor(Evidence):
         return x - level - ramp + level.mean()
 
     def excess(self, residual: ArrayLike) -> Excess:
-        """Test whether anything repeats in a residual: (n,) on the record's clock, or (count, samples).
+        """Test whether anything repeats in a residual: (n,) as the record, or (count, samples).
 
         Windows of a windowed simulation must be at the same phases of every period. Phases with NaN in any repeat are
         excluded.

@@ -196,7 +196,7 @@ class Finding(Evidence):
     # too-short, unexcited, constant-output, sign, unit, swapped-outputs, motion: may be fatal; clipped, gaps, jitter,
     # quantisation: never
     kind: str
-    channel: str  # signal, or ``"t"`` for the clock; two signals are separated by a comma
+    channel: str  # signal, or ``"t"`` for the time base; two signals are separated by a comma
     found: str
     expected: str
     hint: str
@@ -348,7 +348,7 @@ def _clock(record: Record, level: UniformRecord) -> list[Finding]:
     if spread > 1e-3:
         text = f"steps of {near.min():.6g} s to {near.max():.6g} s around a sample time of {dt:.6g} s"
         evidence = {"dt": dt, "rms": float(np.sqrt(np.mean((near - dt) ** 2)))}
-        hint = "resampled on a uniform clock where that is needed"
+        hint = "resampled on a uniform clock where required"
         found.append(Finding("jitter", "t", text, "", hint, False, evidence))
     return found
 

@@ -136,7 +136,7 @@ def response_of(plant_or_model: Any, record: Record) -> Response:
             f"compare {record.name}",
             f"the nonlinear plant {plant_or_model.name}",
             "a linear plant or model",
-            "discover shows the gap of a plant with effects; rl.simulate runs it",
+            "discover compares a plant with effects; rl.simulate simulates it",
         )
     model = as_model(plant_or_model, "compare")
     outputs, warnings = matched(model.inputs, model.outputs, record)

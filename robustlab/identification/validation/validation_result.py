@@ -156,7 +156,7 @@ class Validation(Tabular, Evidence):
             ("verdict", self.verdict),
             ("smallest gamma", f"{number(self.lower)} .. {number(self.upper)}"),
             ("noise left", f"{number(self.excess)} of its {self.noise_norm} bound"),
-            ("said", self.label),
+            ("bounds", self.label),
             *((f"{b.name} ({b.kind})", b.in_words) for b in self.blocks.values()),
             *(
                 (f"{name}: noise bound ({self.noise_norm})", number(bound, units[name], 3))
