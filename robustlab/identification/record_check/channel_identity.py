@@ -21,7 +21,7 @@ from robustlab.dynamics.simulation import transition
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.hypotheses.motion_smoother import smooth_motion
 from robustlab.identification.response.motion_response import MotionResponse
-from robustlab.identification.response.response import Stretch, stretch_of
+from robustlab.identification.response.response import Stretch, rates, stretch_of
 from robustlab.identification.response.windowed_simulation import fit_windows
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel
@@ -319,10 +319,7 @@ def response_factors(
     at_u = dict(zip(model.input_names, point.u, strict=True)) if point else {}
     u = np.column_stack([record.inputs[name] - at_u.get(name, 0.0) for name in model.input_names])
     y = np.column_stack([record.outputs[name] - at_y.get(name, 0.0) for name in outputs])
-    poles = model.poles()
-    if model.is_discrete:
-        poles = np.log(np.where(np.abs(poles) > 0, poles, 1e-300)) / model.dt
-    growth, shortest = float(poles.real.max(initial=0.0)), max(40, 8 * (2 * model.n_states + 1))
+    growth, shortest = float(rates(model).real.max(initial=0.0)), max(40, 8 * (2 * model.n_states + 1))
     lengths = [n for n in (record.n // parts for parts in (1, 6, 30))
                if n >= shortest and growth * n * record.dt < math.log(GROWTH)]  # fmt: skip
     found = [each for n in lengths if (each := _factors(model, outputs, record.dt, u, y, good, n))]

@@ -97,11 +97,10 @@ class Response:
         return slowest_time_constant(self.model)
 
 
-def _rates(model: StateSpaceModel) -> NDArray[np.complex128]:
+def rates(model: StateSpaceModel) -> NDArray[np.complex128]:
     """Return the poles in 1/s, also of a discrete model."""
     poles = model.poles()
-    rates = np.log(poles[np.abs(poles) > 0]) / model.dt if model.is_discrete else poles
-    return np.asarray(rates, dtype=np.complex128)
+    return np.log(poles[np.abs(poles) > 0]) / model.dt if model.is_discrete else poles
 
 
 def longest_period(model: StateSpaceModel) -> float:
@@ -113,7 +112,7 @@ def longest_period(model: StateSpaceModel) -> float:
     >>> round(longest_period(plant("mass-spring-damper", m=1.0, c=0.1, k=4.0).state_space()), 3)
     3.143
     """
-    poles = _rates(model)
+    poles = rates(model)
     omega = np.abs(poles.imag[np.abs(poles.imag) > np.abs(poles.real)])
     # Rounding moves a double integrator's poles by the root of its size.
     omega = omega[omega > math.sqrt(INTEGRATOR) * max(np.abs(poles).max(initial=0.0), 1e-300)]
@@ -122,7 +121,7 @@ def longest_period(model: StateSpaceModel) -> float:
 
 def slowest_time_constant(model: StateSpaceModel) -> float:
     """Return the slowest time constant in s over the poles that are no integrators; 0 without any."""
-    poles = _rates(model)
+    poles = rates(model)
     rate = np.abs(poles.real)
     rate = rate[rate > INTEGRATOR * max(np.abs(poles).max(initial=0.0), 1e-300)]
     return float(1.0 / rate.min()) if len(rate) else 0.0

@@ -334,12 +334,8 @@ class _Programme:
         cost[-1] = 1.0
         return solved_cones(cost, [r for r in (self._dynamics, *rows) if r.matrix.shape[0]], self.search.budget)
 
-    def g(self, solved: ConeSolution) -> float:
-        """Return g: gamma squared, or the factor on the noise bound."""
-        return float(solved.x[-1])
-
     def gamma(self, solved: ConeSolution) -> float:
-        return float(np.sqrt(max(self.g(solved), 0.0)))
+        return float(np.sqrt(max(float(solved.x[-1]), 0.0)))
 
     def signals(self, x: Array) -> tuple[Array, dict[int, Array]]:
         """Return w (n, q), and the jumps at the free starts."""
@@ -354,10 +350,10 @@ class _Programme:
     def multipliers(self, solved: ConeSolution) -> Multipliers:
         """Derive the multipliers of the quadratic certificate from those of the cone programme."""
         p = self.problem
-        noise, D = np.zeros(p.e.shape), np.zeros((p.n, len(p.blocks)))
+        noise, D, g = np.zeros(p.e.shape), np.zeros((p.n, len(p.blocks))), max(float(solved.x[-1]), 1e-300)
         for (kind, k), part in solved.dual.items():
             if kind == "energy":
-                D[:, k] = np.cumsum(np.pad(part[0], (p.n - part.size, 0))[::-1])[::-1] / max(self.g(solved), 1e-300)
+                D[:, k] = np.cumsum(np.pad(part[0], (p.n - part.size, 0))[::-1])[::-1] / g
             elif p.norm == "peak":  # at n = +-1 the slope of 1 - n^2 is twice that of 1 -+ n
                 noise[:, k] = 0.5 * np.abs(part[0, : p.n] - part[0, p.n :])
             else:
