@@ -61,11 +61,11 @@ def axis():
     return rl.with_effects(bare(), {"coulomb-friction": {"Fc": FC}})
 
 
-def others(*kept):
+def others():
     """Ids of the catalogue but those: a short list is searched quickly."""
     from robustlab.dynamics import catalogue
 
-    return sorted(set(catalogue()) - {*FEW, *kept})
+    return sorted(set(catalogue()) - set(FEW))
 
 
 def wear(t):
