@@ -1,4 +1,4 @@
-"""Measurement against model: how large the gap is, where it lives, what is missing at an input, what is noise."""
+"""Comparison of a model with a measurement: error, its distribution, equivalent input disturbance, noise floor."""
 
 from robustlab.lazily import lazily
 

@@ -1,7 +1,7 @@
-"""A nonlinear plant beside a record: linear about the motion that the sensors tell, a free run as far as it is.
+"""Comparison of a nonlinear plant with a record: linear about the measured motion, and a free run.
 
-What the linearisation is worth is told by the plant itself, simulated from the same starts. By place the errors are
-sorted along the motion of the joint that each output belongs to.
+The nonlinear plant simulated from the same initial states measures the linearisation error. Errors are sorted along the
+motion of the joint that each output belongs to.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from robustlab.identification.comparison.comparison_result import POSE, Comparis
 from robustlab.identification.comparison.error_analysis import FreeRun, Linearisation, Motion
 from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord
 from robustlab.identification.hypotheses.motion_smoother import smooth_motion
-from robustlab.identification.record_check.resampling import clock_step, uniform
+from robustlab.identification.record_check.resampling import clock_step, refuse_gaps, uniform
 from robustlab.identification.response.linear_response import LinearResponse
 from robustlab.identification.response.motion_response import MotionResponse
 from robustlab.identification.response.response import Stretch, matched, stretch_of, with_units
@@ -28,46 +28,39 @@ from robustlab.identification.response.windowed_simulation import WindowedSimula
 from robustlab.record import Record
 from robustlab.statespace import Signal
 
-MOSTLY = 10.0  # times what ties it to any other joint: then it belongs to this one
-POINTS = 60  # of the motion: they tell the ties between signals and joints, and how unstable the plant is
+MOSTLY = 10.0  # times the coupling to any other joint: then an output belongs to this one
+POINTS = 60  # of the motion, at which the couplings of signals and joints and the instability are evaluated
 NO_MOTION = Motion(None, None, "", "", "", "")
 SHORTEST_RECORD = 40  # samples
-CHECKED = 6  # windows that the nonlinear plant goes through, too
-LEAST_NOISE = 1e-6  # of an output's range: a record without noise is not weighed by its rounding
-DIVERGED = 10.0  # times the recorded range from the record: the free run says nothing beyond
-SECTION = 100  # samples that the free run goes at once
+CHECKED = 6  # windows that are also simulated with the nonlinear plant
+LEAST_NOISE = 1e-6  # of an output's range: rounding does not set the weight of a record without noise
+DIVERGED = 10.0  # times the recorded range from the record: the free run ends there
+SECTION = 100  # samples that the free run simulates at once
 RTOL = 1e-9
-GROWN = 20.0  # times: an error of the start that grows more is warned of
+GROWN = 20.0  # times: a larger growth of an initial error gives a warning
 
 
 @dataclass(frozen=True, eq=False)
-class Beside:
-    """A plant or model beside a record, at the signals that both have."""
+class Matching:
+    """A plant or model matched with a record, at the signals that both have."""
 
     model: LinearResponse | MotionResponse
-    record: Record  # as it is taken
+    record: Record  # as used: resampled, in the model's units
     inputs: list[str]
     outputs: tuple[Signal, ...]
     warnings: tuple[str, ...]
-    smoothed: SmoothedRecord | None = None  # of a nonlinear plant the motion that the sensors tell
+    smoothed: SmoothedRecord | None = None  # the motion of a nonlinear plant
 
 
-def beside_along(plant: NonlinearPlant, record: Record) -> Beside:
-    """A nonlinear plant about the record's motion."""
+def matching_along(plant: NonlinearPlant, record: Record) -> Matching:
+    """Match a nonlinear plant with a record, linear about the record's motion."""
     outputs, warnings = matched(plant.inputs, plant.outputs, record)
     where = f"compare {record.name}"
     if record.n < SHORTEST_RECORD:
         raise InputError(where, f"{record.n} samples", f"at least {SHORTEST_RECORD}")
     if not record.is_uniform:
         level = uniform(record, clock_step(record.t))
-        if level.gaps:
-            gap = level.gaps[0]
-            raise InputError(
-                where,
-                f"{gap.missing} samples missing from {gap.start:.9g} s to {gap.stop:.9g} s",
-                "a clock without gaps",
-                "compare the stretches between the gaps: record.between(start, stop)",
-            )
+        refuse_gaps(where, level.gaps, "compare")
         record = level.record
         warnings = (*warnings, f"the clock is not uniform: resampled in steps of {record.dt:.6g} s")
     record = with_units(record, (*plant.inputs, *outputs))
@@ -75,27 +68,27 @@ def beside_along(plant: NonlinearPlant, record: Record) -> Beside:
     for name in names:
         if not np.ptp(record[name]):
             found = f"{name} stands at {record[name][0]:.6g} {record.unit(name)}".rstrip() + " throughout"
-            raise InputError(where, found, "outputs that move: they tell where the plant is", "leave out a dead sensor")
+            raise InputError(where, found, "outputs that move", "remove a dead sensor from the record")
     columns = tuple(k for k, s in enumerate(plant.outputs) if s.name in names)
     u = np.column_stack([record.inputs[name] for name in inputs])
     whole = stretch_of(record, inputs, names)
     try:
         smoothed = smooth_motion(plant, record.t, u, whole.y, columns).smoothed
-    except InputError as wrong:  # it speaks of naming
+    except InputError as wrong:  # its message refers to effect identification
         raise InputError(where, wrong.found, wrong.expected, wrong.hint) from None
     noise = np.maximum(smoothed.noise_std, LEAST_NOISE / whole.weight)
     whole = Stretch(whole.t, whole.u, whole.y, 1.0 / noise)
     model = MotionResponse(Course(plant, smoothed.x, u, record.dt), columns, whole)
-    return Beside(model, record, inputs, outputs, warnings, smoothed)
+    return Matching(model, record, inputs, outputs, warnings, smoothed)
 
 
 # --- the motion of joints ---------------------------------------------------------------------------------------------
 
 
 def motions_of_outputs(model: MotionResponse, record: Record) -> dict[str, Motion]:
-    """Output name -> motion of its joint; a `Motion` of nothing where it has no one joint.
+    """Return output name -> motion of its joint, or `NO_MOTION` for an output without a unique joint.
 
-    An output that shows no position or speed (a current) belongs to the joint whose speed acts on it most.
+    An output that measures no position or speed (a current) belongs to the joint whose speed acts on it most.
     """
     plant, x, local = model.plant, model.course.x, _about(model)
     joints = _joints(plant)
@@ -113,7 +106,7 @@ def motions_of_outputs(model: MotionResponse, record: Record) -> dict[str, Motio
 
 
 def motions_of_joints(model: MotionResponse, record: Record) -> list[Motion]:
-    """Motion of each joint; nothing for each input of a plant without joints."""
+    """Return the motion of each joint, or `NO_MOTION` for each input of a plant without joints."""
     plant = model.plant
     found = [_motion(plant, joint, model.course.x, record) for joint in _joints(plant)]
     return found or [NO_MOTION] * len(plant.inputs)
@@ -126,7 +119,7 @@ def _about(model: MotionResponse) -> LocalModels:
 
 
 def _joints(plant: NonlinearPlant) -> list[tuple[int, int]]:
-    """Index of position (-1 without one) and velocity of each joint."""
+    """Return the indices of position (-1 without one) and velocity of each joint."""
     names = [s.name for s in plant.states]
     joints = [p for p in plant.port_places if p.kind == "joint"]
     return [(names.index(p.position) if p.position else -1, names.index(p.name)) for p in joints]
@@ -144,8 +137,8 @@ def _motion(plant: NonlinearPlant, joint: tuple[int, int], x: Array, record: Rec
 
 
 def pose_of(plant: NonlinearPlant, found: Comparison) -> dict[str, float]:
-    """Of a machine with poses the one in the middle of the worst window; empty where none can be proved."""
-    machine = getattr(plant, "plant", plant)  # beneath its effects
+    """Return the pose of a machine in the middle of the worst window; empty where none can be proved."""
+    machine = getattr(plant, "plant", plant)  # without its effects
     angles = [s.name for s in machine.outputs[:6]]
     poses: Any = getattr(machine, "poses", None)
     if poses is None or not all(name in found.measured.outputs for name in angles):
@@ -153,7 +146,7 @@ def pose_of(plant: NonlinearPlant, found: Comparison) -> dict[str, float]:
     k = int(np.argmin(np.abs(found.measured.t - 0.5 * (found.worst["start"] + found.worst["stop"]))))
     try:
         pose = poses(np.array([found.measured[name][k] for name in angles]))
-    except NoTrustworthyNumber:  # the comparison does not rest on it
+    except NoTrustworthyNumber:  # the comparison does not depend on it
         return {}
     return dict(zip(POSE, pose.tolist(), strict=True))
 
@@ -162,7 +155,7 @@ def pose_of(plant: NonlinearPlant, found: Comparison) -> dict[str, float]:
 
 
 def free_run(model: MotionResponse, x0: Array, names: Sequence[str]) -> tuple[FreeRun, Array]:
-    """The nonlinear plant from the start of the record, (m, n_y), as far as it goes."""
+    """Simulate the nonlinear plant from the start of the record, (m, n_y), until it diverges."""
     t, y, plant = model.whole.t, model.whole.y, model.plant
     spread = np.ptp(y, axis=0)
     limit = np.where(spread > 0, DIVERGED * spread, np.inf)
@@ -183,7 +176,7 @@ def free_run(model: MotionResponse, x0: Array, names: Sequence[str]) -> tuple[Fr
 
 
 def _onward(model: MotionResponse, x: Array, first: int, last: int) -> tuple[Array, str]:
-    """States after sample ``first`` up to ``last``, or as far as the plant goes and why no further."""
+    """Return the states after sample ``first`` up to ``last``, or to the last valid one with the reason."""
     t, u, plant = model.whole.t, model.course.u, model.plant
 
     def run(x: Array, a: int, b: int) -> Array:
@@ -197,7 +190,7 @@ def _onward(model: MotionResponse, x: Array, first: int, last: int) -> tuple[Arr
     try:
         return run(x, first, last), ""
     except NoTrustworthyNumber:
-        pass  # where in it, and why, is found sample by sample
+        pass  # the sample and the reason are found sample by sample below
     states: list[Array] = []
     for k in range(first, last):
         try:
@@ -208,7 +201,7 @@ def _onward(model: MotionResponse, x: Array, first: int, last: int) -> tuple[Arr
 
 
 def linearisation(model: MotionResponse, windows: WindowedSimulation, names: Sequence[str]) -> Linearisation:
-    """Some windows and the worst one, by the nonlinear plant from the fitted starts."""
+    """Simulate some windows and the worst one with the nonlinear plant from the fitted initial states."""
     whole, plant, edges, u = model.whole, model.plant, windows.edges, model.course.u
     error = ((whole.y - windows.y) * whole.weight) ** 2
     worst = int((np.add.reduceat(error.sum(axis=1), edges[:-1]) / np.diff(edges)).argmax())
@@ -232,10 +225,10 @@ def linearisation(model: MotionResponse, windows: WindowedSimulation, names: Seq
 
 
 def unstable(model: MotionResponse, run: FreeRun) -> list[str]:
-    """A word where the free run is whole, and yet shows the error of its start rather than the plant's."""
+    """Return a warning if the free run is complete but dominated by the growth of its initial error."""
     t, rates = model.whole.t, np.linalg.eigvals(_about(model).A).real.max(axis=1)
     growth = float(np.maximum(rates, 0.0).mean() * (t[-1] - t[0]))
     if not run.whole or growth < np.log(GROWN):
         return []
-    told = f"an error of its start grows about {np.exp(min(growth, 700.0)):.2g} times over the free run"
-    return [f"the plant is unstable along the record: {told}, so the windows tell more"]
+    size = f"an error of its start grows about {np.exp(min(growth, 700.0)):.2g} times over the free run"
+    return [f"the plant is unstable along the record: {size}, so the windows are more informative"]

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import InputError
-from robustlab.identification.comparison.error_analysis import log_bands, uniform_samples, welch_segments
+from robustlab.identification.comparison.error_analysis import bin_index, log_bands, uniform_samples, welch_segments
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.result import Evidence
 from robustlab.statespace import StateSpaceModel
@@ -24,7 +24,7 @@ EXCITED = 1e-10  # of the strongest line's power: weaker lines are rounding
 SIGNAL_TO_NOISE = 10.0  # power of a line's average input over that of its noise
 LOCAL_LINES = 7  # through which the parabola goes
 PARABOLA = 3  # its coefficients
-MISSED = 0.05  # of the lines of a right model lie outside their circle
+MISSED = 0.05  # of the lines of a right model are outside their circle
 
 
 @dataclass(frozen=True)
@@ -35,32 +35,31 @@ class BestLinearApproximation(Evidence):
     frequency: Array  # in Hz; the excited lines only where the data are periodic
     response: ComplexArray  # the estimate, complex, in units of output per input
     std: Array  # standard deviation of ``response``: \sqrt{E|\hat G - G|^2}, everything included
-    # noise_std, nonlinear_std: the parts due to noise and to nonlinear distortions; None where the data cannot tell
-    # them apart
+    # noise_std, nonlinear_std: the parts due to noise and to nonlinear distortions; None where the data cannot separate
+    # them
     noise_std: Array | None
     nonlinear_std: Array | None
     coherence: Array  # share of the measured output's power (of one period, one segment) that is linear in the inputs
     model: ComplexArray  # the model's response for an input held between samples, complex
     bands: Array  # edges of bands in Hz, shape (n_bands + 1,)
-    # per band: RMS of model minus response over RMS of the response, shape (n_bands,); None where no line lies
+    # per band: RMS of model minus response over RMS of the response, shape (n_bands,); None without a line
     relative_error: tuple[float | None, ...]
-    # per band: share of the lines at which the model lies outside the 95 % circle; about 0.05 for a right model
+    # per band: share of the lines at which the model is outside the 95 % circle; about 0.05 for a right model
     outside: tuple[float | None, ...]
-    notes: tuple[str, ...]  # what a reader must know
+    notes: tuple[str, ...]  # limits of the estimate
 
     def band_coherence(self) -> list[float | None]:
-        """Median coherence of each band; None where no line lies."""
+        """Return the median coherence of each band; None for a band without a line."""
         return self._medians(self.coherence)
 
     def _medians(self, values: Array) -> list[float | None]:
-        part = _band_index(self.frequency, self.bands)
+        part = bin_index(self.frequency, self.bands)
         return [float(np.median(values[part == k])) if (part == k).any() else None for k in range(len(self.bands) - 1)]
 
     def band_table(self) -> dict[str, object]:
-        """The bands only: error of the model, and the medians of coherence, noise and distortion over the response."""
-        part = _band_index(self.frequency, self.bands)
+        """Return the model error per band, and the medians of coherence, noise and distortion over the response."""
+        part = bin_index(self.frequency, self.bands)
         size = np.abs(self.response)
-
         relative = {
             name: None if s is None else self._medians(np.divide(s, size, out=np.zeros_like(s), where=size > 0))
             for name, s in (("noise", self.noise_std), ("nonlinear", self.nonlinear_std), ("std", self.std))
@@ -79,7 +78,7 @@ class BestLinearApproximation(Evidence):
         }
 
     def to_json(self) -> dict[str, object]:
-        """The bands, and all series as real numbers: magnitude and phase (degrees) of the responses."""
+        """Return the bands, and all series as real numbers: magnitude and phase (degrees) of the responses."""
         return self.band_table() | {
             "frequency": self.frequency,
             "magnitude": np.abs(self.response),
@@ -96,7 +95,7 @@ class BestLinearApproximation(Evidence):
 def periodic_bla(
     u: ArrayLike, y: ArrayLike, dt: float, model: StateSpaceModel | None = None, lines: NDArray[np.int_] | None = None
 ) -> BestLinearApproximation | None:
-    """Best linear approximation from whole periods in steady state, u and y (count, n)."""
+    """Estimate the best linear approximation from whole periods in steady state, u and y (count, n)."""
     u, y = (np.asarray(x, dtype=np.float64) for x in (u, y))
     if u.shape != y.shape or u.ndim != 2 or len(u) < 2:
         raise InputError("periodic_bla", f"shapes {u.shape} and {y.shape}", "equal, at least two periods")
@@ -122,20 +121,20 @@ def periodic_bla(
     rest = noise * count + (0.0 if nonlinear is None else nonlinear**2)
     coherence = np.divide(linear, linear + rest, out=np.zeros_like(linear), where=linear > 0)
     few = f"fewer than {LOCAL_LINES} lines: distortions are not separated from the linear response"
-    return _Estimate(
+    return _with_bands(
         "periods", f, response, noise if total is None else np.maximum(total, noise),
         count - 1 if total is None else LOCAL_LINES - PARABOLA, coherence, at, (few,) if total is None else (),
         np.sqrt(noise), nonlinear,
-    ).judged()  # fmt: skip
+    )  # fmt: skip
 
 
 def arbitrary_bla(
     t: Array, inputs: Mapping[str, Array], y: Array, model: StateSpaceModel
 ) -> dict[str, BestLinearApproximation]:
-    """H1 estimate from each input to one output by Welch's method (Hann window, half overlap).
+    """Estimate the response from each input to one output by Welch's H1 (Hann window, half overlap).
 
     var G_j = (1 - coherence^2) / (m - n_u) S_yy (S_uu^-1)_jj with m effective averages. ``model``: from these inputs.
-    A clock that is not uniform is interpolated to its mean step.
+    Signals on a nonuniform time base are interpolated to its mean step.
     """
     from scipy.signal import csd
 
@@ -157,7 +156,7 @@ def arbitrary_bla(
         return np.asarray(f, dtype=np.float64), np.asarray(s, dtype=np.complex128)
 
     f, of_y = cross(y, y)
-    use = slice(1, None)  # the means are taken off: frequency 0 says nothing
+    use = slice(1, None)  # the means are removed: no information at frequency 0
     Suu = np.array([[cross(b, a)[1][use] for b in columns] for a in columns]).transpose(2, 0, 1)
     Syu = np.array([cross(b, y)[1][use] for b in columns]).T
     f, Syy = f[use], of_y.real[use]
@@ -171,19 +170,19 @@ def arbitrary_bla(
     coherence = np.clip(np.einsum("fi,fi->f", G, Syu.conj()).real / Syy, 0.0, 1.0)
     at = held_response(model.select(inputs=names), f, dt)[:, 0, :]
     notes = (
-        "noise and nonlinear distortion are not told apart: the record does not repeat",
+        "noise and nonlinear distortion are not separated: the record does not repeat",
         "biased where the input was computed from the output (closed loop)",
     )
     spare = averages - len(names)
     result: dict[str, BestLinearApproximation] = {}
     for j, name in enumerate(names):
         variance = (1.0 - coherence) * Syy * inverse[:, j, j].real / spare
-        result[name] = _Estimate("Welch H1", f, G[:, j], variance, spare, coherence, at[:, j], notes).judged()
+        result[name] = _with_bands("Welch H1", f, G[:, j], variance, spare, coherence, at[:, j], notes)
     return result
 
 
 def held_response(model: StateSpaceModel, f: Array, dt: float) -> ComplexArray:
-    """Response (n_f, n_y, n_u) at f in Hz of a model with an input held between samples and a sampled output."""
+    """Compute the response (n_f, n_y, n_u) at f in Hz of a model with zero-order-hold inputs and sampled outputs."""
     omega = 2.0 * np.pi * np.asarray(f, dtype=np.float64)
     if model.is_discrete or not model.n_states:
         return frequency_response(model, omega)
@@ -198,9 +197,9 @@ def held_response(model: StateSpaceModel, f: Array, dt: float) -> ComplexArray:
 
 
 def _local_scatter(lines: NDArray[np.int_], response: ComplexArray, model: ComplexArray) -> Array | None:
-    """Variance of the response about a parabola through the nearest lines; None where there are too few.
+    """Estimate the variance of the response about a parabola through the nearest lines; None if these are too few.
 
-    The parabola goes through response / model, which is smoother than the response.
+    The parabola is fitted to response / model, which is smoother than the response.
     """
     n = len(lines)
     if n < LOCAL_LINES:
@@ -219,42 +218,26 @@ def _local_scatter(lines: NDArray[np.int_], response: ComplexArray, model: Compl
     return scatter * np.abs(scale) ** 2
 
 
-def _band_index(f: Array, bands: Array) -> NDArray[np.int_]:
-    return np.clip(np.searchsorted(bands, f, side="right") - 1, 0, len(bands) - 2)
-
-
-@dataclass(frozen=True)
-class _Estimate:
-    """A frequency response with its variance, estimated with so many complex degrees, and the model's beside it."""
-
-    method: str
-    f: Array
-    response: ComplexArray
-    variance: Array
-    degrees: float
-    coherence: Array
-    model: ComplexArray
-    notes: tuple[str, ...]
-    noise_std: Array | None = None
-    nonlinear_std: Array | None = None
-
-    def judged(self) -> BestLinearApproximation:
-        """The estimate with the model's error band by band."""
-        # |e|² / s² of a complex normal e exceeds x with the probability (1 + x / d)^-d.
-        circle = self.degrees * (MISSED ** (-1.0 / self.degrees) - 1.0)
-        bands = log_bands(self.f[0], self.f[-1])
-        part = _band_index(self.f, bands)
-        error = np.abs(self.model - self.response) ** 2
-        relative: list[float | None] = []
-        outside: list[float | None] = []
-        for k in range(len(bands) - 1):
-            inside = part == k
-            size = float((np.abs(self.response[inside]) ** 2).sum())
-            relative.append(float(np.sqrt(error[inside].sum() / size)) if size else None)
-            # Rounding is no disagreement.
-            limit = circle * self.variance[inside] + (1e-9 * np.abs(self.response[inside])) ** 2
-            outside.append(float(np.mean(error[inside] > limit)) if inside.any() else None)
-        return BestLinearApproximation(
-            self.method, self.f, self.response, np.sqrt(self.variance), self.noise_std, self.nonlinear_std,
-            self.coherence, self.model, bands, tuple(relative), tuple(outside), self.notes,
-        )  # fmt: skip
+def _with_bands(
+    method: str, f: Array, response: ComplexArray, variance: Array, degrees: float, coherence: Array,
+    model: ComplexArray, notes: tuple[str, ...], noise_std: Array | None = None, nonlinear_std: Array | None = None,
+) -> BestLinearApproximation:  # fmt: skip
+    """Add the model error per band to an estimate whose variance has so many complex degrees of freedom."""
+    # |e|² / s² of a complex normal e exceeds x with the probability (1 + x / d)^-d.
+    circle = degrees * (MISSED ** (-1.0 / degrees) - 1.0)
+    bands = log_bands(f[0], f[-1])
+    part = bin_index(f, bands)
+    error = np.abs(model - response) ** 2
+    relative: list[float | None] = []
+    outside: list[float | None] = []
+    for k in range(len(bands) - 1):
+        inside = part == k
+        size = float((np.abs(response[inside]) ** 2).sum())
+        relative.append(float(np.sqrt(error[inside].sum() / size)) if size else None)
+        # Rounding is no disagreement.
+        limit = circle * variance[inside] + (1e-9 * np.abs(response[inside])) ** 2
+        outside.append(float(np.mean(error[inside] > limit)) if inside.any() else None)
+    return BestLinearApproximation(
+        method, f, response, np.sqrt(variance), noise_std, nonlinear_std, coherence, model, bands,
+        tuple(relative), tuple(outside), notes,
+    )  # fmt: skip

@@ -1,4 +1,4 @@
-"""`compare`: how well a plant or model reproduces a record in free run and in windows, and where it does not."""
+"""`compare`: errors of a plant or model against a record, in free run and in windows."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from robustlab.dynamics.fmu import FreeRun as RunOfUnit
 from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
 from robustlab.errors import NoTrustworthyNumber, UsageError, told_as
 from robustlab.identification.comparison.along_motion import (
-    Beside,
-    beside_along,
+    Matching,
     free_run,
     linearisation,
+    matching_along,
     motions_of_joints,
     motions_of_outputs,
     pose_of,
@@ -43,7 +43,6 @@ from robustlab.identification.comparison.error_analysis import (
     noise_gaps,
     noise_of,
     samples_of,
-    title,
 )
 from robustlab.identification.comparison.input_disturbance import (
     InputDisturbance,
@@ -69,7 +68,7 @@ from robustlab.result import Status
 
 LAGS = 25
 SHORTEST_WINDOW = 20  # samples
-WINDOWS_AT_LEAST = 4  # that a window chosen by us leaves in the record
+WINDOWS_AT_LEAST = 4  # in the record, for a default window
 WINDOWS_WITHOUT_TIME_CONSTANT = 50
 LARGEST_OUTPUT = 1e100  # squares of larger numbers overflow
 
@@ -95,32 +94,32 @@ def compare(
     plant
         A `Plant`, a `StateSpaceModel` or a ``control.StateSpace``; all its inputs must be in the record. Inputs are
         held between samples. A nonlinear plant, whose positions must all be recorded, is linear in each window about
-        the recorded motion; its free run is its own, and may end early (``free_run``). A co-simulation unit runs from
+        the recorded motion; its free run is nonlinear and may end early (``free_run``). A co-simulation unit runs from
         its own initial state only, and takes none of the options.
     record
-        The measurement; it may hold any subset of the outputs, and signals that the model does not know.
+        The measurement; it may hold any subset of the outputs, and further signals.
     window
-        Length of the windows in s. Left out: the model's slowest time constant, but at most a quarter of the record; a
-        fiftieth of the record for a model of integrators only. Of a nonlinear plant that is unstable, no longer than
-        what it deviates by grows twentyfold.
+        Length of the windows in s. Default: the model's slowest time constant, but at most a quarter of the record; a
+        fiftieth of the record for a model of integrators only. For an unstable nonlinear plant, at most the time in
+        which a deviation grows twentyfold.
     start
-        Longest opening stretch in s to which the initial state of the free run is fitted; ``window`` where left out
+        Longest opening stretch in s to which the initial state of the free run is fitted; default ``window``
         (see `robustlab.identification.response.windowed_simulation.starting_state`).
     lags
         Number of lags of the residual tests.
     speed, position
-        Recorded outputs over which the error is sorted; chosen by their units where left out. Of a nonlinear plant
-        each output's error is sorted over the motion of its own joint.
+        Recorded outputs over which the error is sorted; by default chosen by their units. For a nonlinear plant the
+        error of each output is sorted over the motion of its own joint.
     period
-        Period of the record in s. Left out: found where an input, or a recorded signal that the model does not know
-        (the controller's reference), repeats exactly; in closed loop without a recorded reference it must be stated.
+        Period of the record in s. Default: that with which an input, or a recorded signal that is not in the model
+        (the controller's reference), repeats exactly; required in closed loop without a recorded reference.
     repeats
         Further records with the same input, for the noise floor.
 
     Returns
     -------
     Comparison
-        A large gap is a result, not an error. Of a co-simulation unit what `FmuPlant.compare` gives.
+        A large model error is a result, not an exception. For a co-simulation unit the result of `FmuPlant.compare`.
 
     Raises
     ------
@@ -128,7 +127,7 @@ def compare(
         Options for windows, period or repeats with a co-simulation unit.
     InputError
         An input of the model or every output is missing, a wrong sample time, a window that does not fit; a stated
-        period or repeat that the inputs contradict; a plant with effects; of a nonlinear plant a position that is not
+        period or repeat that the inputs contradict; a plant with effects; a position of a nonlinear plant that is not
         recorded.
     UnitMismatch
         Model and record state different units of a signal.
@@ -152,32 +151,32 @@ def compare(
             expected = "none: a co-simulation unit runs from its own initial state"
             raise UsageError(f"compare {record.name}", found, expected)
         return plant.compare(record)
-    beside = _beside(plant, record)
-    model, record, inputs, outputs = beside.model, beside.record, beside.inputs, [s.name for s in beside.outputs]
+    matching = _matching(plant, record)
+    model, record, inputs = matching.model, matching.record, matching.inputs
+    outputs = [s.name for s in matching.outputs]
     whole, along = model.whole, model if isinstance(model, MotionResponse) else None
-    length = _window_length(plant, beside, window)
+    length = _window_length(plant, matching, window)
     initial = starting_state(model, length if start is None else samples_of("start", start, record))
     windows = windowed_simulation(model, window_edges(record.n, length))
     if isinstance(model, MotionResponse):
         run, free = free_run(model, initial.x0, outputs)
     else:
         run, free = _free_run(model.response, whole, record, initial)
-    motions, of_joints = _motions(beside, speed, position, length)
-    found = localised(
-        whole, beside.outputs, free if run.whole else None, windows, motions, _sizes(beside), min(lags, record.n // 4)
-    )
-    others = [_beside(plant, other) for other in repeats]
+    motions, of_joints = _motions(matching, speed, position, length)
+    whole_run, lags = free if run.whole else None, min(lags, record.n // 4)
+    found = localised(whole, matching.outputs, whole_run, windows, motions, _sizes(matching), lags)
+    others = [_matching(plant, other) for other in repeats]
     noise, noise_reason = noise_of(record, tuple(other.record for other in others), outputs, period)
     rms = {name: (gap.rms, gap.windowed_rms) for name, gap in found["outputs"].items()}
-    errors = [_windowed_error(*repeat, length) for repeat in _repeated(noise, beside, others)] if noise else []
-    linear, linear_reason = {}, "a nonlinear plant has no one frequency response"
+    errors = _errors_of_repeats(noise, matching, others, length) if noise else None
+    linear, linear_reason = {}, "not defined for a nonlinear plant"
     if not isinstance(model, MotionResponse):
         linear, linear_reason = _linear(record, model.response, whole, noise)
     error = whole.y - windows.y
     checked = linearisation(along, windows, outputs) if along else None
     compared = Comparison(
         status=Status.CONVERGED,
-        model=title(plant),
+        model=str(getattr(plant, "name", None) or repr(plant)),
         record=record.name,
         motions=motions,
         initial_state=initial,
@@ -186,15 +185,15 @@ def compare(
         simulated=kept(record, inputs, outputs, free, f"{record.name} (free run)") if len(free) > 1 else None,
         windowed=kept(record, inputs, outputs, windows.y, f"{record.name} (windowed simulation)"),
         recursive={name: windows.residual[:, k] for k, name in enumerate(outputs)},
-        disturbance=_disturbances(plant, beside, error, windows, of_joints),
+        disturbance=_disturbances(plant, matching, error, windows, of_joints),
         warnings=(
-            *beside.warnings,
+            *matching.warnings,
             *channel_warnings(record, tuple(inputs), tuple(outputs)),
-            *_warnings(beside, initial, motions, checked, run),
+            *_warnings(matching, initial, motions, checked, run),
         ),
         noise=noise,
         noise_reason=noise_reason,
-        against_noise=noise_gaps(outputs, np.stack(errors), noise, rms) if noise else {},
+        against_noise=noise_gaps(outputs, errors, noise, rms) if noise and errors is not None else {},
         linear=linear,
         linear_reason=linear_reason,
         nonlinearity=even_odd_test(record, inputs, outputs, noise),
@@ -207,14 +206,14 @@ def compare(
     return replace(compared, pose=pose_of(plant, compared)) if along else compared
 
 
-def _beside(plant: Any, record: Record) -> Beside:
-    """The plant or model beside a record: linear, or linear about the recorded motion."""
+def _matching(plant: Any, record: Record) -> Matching:
+    """Match a plant or model with a record: linear, or linear about the recorded motion."""
     if isinstance(plant, NonlinearPlant) and not isinstance(plant, SteppedPlant):
-        return beside_along(plant, record)
+        return matching_along(plant, record)
     response = response_of(plant, record)
     record = response.with_units(record)
     model = LinearResponse(response, response.stretch(record))
-    return Beside(model, record, list(response.model.input_names), response.outputs, response.warnings)
+    return Matching(model, record, list(response.model.input_names), response.outputs, response.warnings)
 
 
 def _free_run(response: Response, whole: Stretch, record: Record, initial: InitialState) -> tuple[FreeRun, Array]:
@@ -226,51 +225,50 @@ def _free_run(response: Response, whole: Stretch, record: Record, initial: Initi
 
 
 def _motions(
-    beside: Beside, speed: str | None, position: str | None, length: int
+    matching: Matching, speed: str | None, position: str | None, length: int
 ) -> tuple[dict[str, Motion], list[Motion]]:
-    """Motion by output, and by joint (the one of the record where all share it)."""
-    if isinstance(beside.model, MotionResponse) and not (speed or position):
-        return motions_of_outputs(beside.model, beside.record), motions_of_joints(beside.model, beside.record)
-    motion = motion_of(beside.record, speed, position, length)
-    return dict.fromkeys((s.name for s in beside.outputs), motion), [motion]
+    """Return the motion by output, and by joint (one for all where they share it)."""
+    if isinstance(matching.model, MotionResponse) and not (speed or position):
+        return motions_of_outputs(matching.model, matching.record), motions_of_joints(matching.model, matching.record)
+    motion = motion_of(matching.record, speed, position, length)
+    return dict.fromkeys((s.name for s in matching.outputs), motion), [motion]
 
 
 def _disturbances(
-    plant: Any, beside: Beside, error: Array, windows: WindowedSimulation, motions: Sequence[Motion]
+    plant: Any, matching: Matching, error: Array, windows: WindowedSimulation, motions: Sequence[Motion]
 ) -> dict[str, InputDisturbance]:
-    model = beside.model
+    model = matching.model
     if isinstance(model, LinearResponse):
         return input_disturbances(plant, model, error, windows.edges, motions[0])
-    return joint_disturbances(model, beside.smoothed, error, windows.edges, motions) if beside.smoothed else {}
+    return joint_disturbances(model, matching.smoothed, error, windows.edges, motions) if matching.smoothed else {}
 
 
-def _sizes(beside: Beside) -> dict[str, Array]:
-    """Input name -> its deviation (n,) from the operating point, of those that move; of one input along a motion."""
-    moving = {name: x for name, x in beside.model.whole.u.items() if np.ptp(x)}
-    if isinstance(beside.model, MotionResponse):
-        return {name: np.abs(x) for name, x in moving.items()} if len(beside.inputs) == 1 else {}
-    point = beside.model.response.model.operating_point
-    offset = dict(zip(beside.inputs, point.u, strict=True)) if point else {}
+def _sizes(matching: Matching) -> dict[str, Array]:
+    """Return |deviation from the operating point| (n,) of each moving input; for a nonlinear plant of a single one."""
+    moving = {name: x for name, x in matching.model.whole.u.items() if np.ptp(x)}
+    if isinstance(matching.model, MotionResponse):
+        return {name: np.abs(x) for name, x in moving.items()} if len(matching.inputs) == 1 else {}
+    point = matching.model.response.model.operating_point
+    offset = dict(zip(matching.inputs, point.u, strict=True)) if point else {}
     return {name: np.abs(x - offset.get(name, 0.0)) for name, x in moving.items()}
 
 
-def _repeated(floor: NoiseFloor, beside: Beside, others: Sequence[Beside]) -> list[tuple[Beside, int, int]]:
-    """The repeats that a floor is of, at equal phases, with first sample and length."""
+def _errors_of_repeats(floor: NoiseFloor, matching: Matching, others: Sequence[Matching], length: int) -> Array:
+    """Compute measured minus windowed simulation of the repeats of a noise floor at equal phases, (count, n, n_y)."""
+    n, errors = floor.samples, []
+    parts = [(one, 0) for one in (matching, *others)]
     if floor.source == "periods":
-        return [(beside, floor.first + k * floor.samples, floor.samples) for k in range(floor.count)]
-    return [(one, 0, floor.samples) for one in (beside, *others)]
-
-
-def _windowed_error(beside: Beside, first: int, n: int, length: int) -> Array:
-    """Measured minus windowed simulation of a part of a record, (n, n_y)."""
-    windows = windowed_simulation(beside.model, first + window_edges(n, length))
-    return (beside.model.whole.y - windows.y)[first : first + n]
+        parts = [(matching, floor.first + k * n) for k in range(floor.count)]
+    for one, first in parts:
+        windows = windowed_simulation(one.model, first + window_edges(n, length))
+        errors.append((one.model.whole.y - windows.y)[first : first + n])
+    return np.stack(errors)
 
 
 def _linear(
     record: Record, response: Response, whole: Stretch, noise: NoiseFloor | None
 ) -> tuple[dict[str, dict[str, BestLinearApproximation]], str]:
-    """Best linear approximation of every output from every input that moves, or why there is none."""
+    """Estimate the best linear approximation of every output from every moving input, or the reason for none."""
     moving = [name for name, u in whole.u.items() if np.ptp(u)]
     if not moving:
         return {}, "no input moves"
@@ -288,9 +286,8 @@ def _linear(
     return result, "" if all(result.values()) else "too few samples, or no line excited above the noise"
 
 
-def _window_length(plant: Any, beside: Beside, window: float | None) -> int:
-    """Samples per window."""
-    record, model = beside.record, beside.model
+def _window_length(plant: Any, matching: Matching, window: float | None) -> int:
+    record, model = matching.record, matching.model
     if window is not None:
         return samples_of("window", window, record)
     if isinstance(model, MotionResponse):
@@ -301,38 +298,38 @@ def _window_length(plant: Any, beside: Beside, window: float | None) -> int:
 
 
 def _warnings(
-    beside: Beside, initial: InitialState, motions: dict[str, Motion], checked: Linearisation | None, run: FreeRun
+    matching: Matching, initial: InitialState, motions: dict[str, Motion], checked: Linearisation | None, run: FreeRun
 ) -> list[str]:
-    record, model, told = beside.record, beside.model, []
+    record, model, texts = matching.record, matching.model, []
     along = isinstance(model, MotionResponse)
     if initial.rank < len(model.state_names):
-        rest = "the rest was taken from the motion" if along else "the rest was taken as the smallest that fits"
-        told.append(
+        rest = "the others are those of the smoothed motion" if along else "the others are the smallest that fit"
+        texts.append(
             f"the recorded outputs determine {initial.rank} of {len(model.state_names)} states at the start; {rest}"
         )
     if along:
-        return [*told, *(checked.warnings() if checked else []), *unstable(model, run)]
+        return [*texts, *(checked.warnings() if checked else []), *unstable(model, run)]
     slowest = model.response.slowest_time_constant()
     if record.duration < slowest:
-        told.append(
+        texts.append(
             f"the record lasts {record.duration:.3g} s, the slowest time constant of the model is {slowest:.3g} s: "
             "slow behaviour is not tested"
         )
     if not record.is_uniform:
-        told.append("the clock is not uniform: spectra are of interpolated signals, lags count samples")
+        texts.append("the clock is not uniform: spectra are of interpolated signals, lags count samples")
     if next(iter(motions.values())).speed is None:
-        told.append(
+        texts.append(
             "no output in a unit of speed, length or angle: the error is not sorted by speed (name one with speed=)"
         )
-    return told
+    return texts
 
 
 def _left_out(run: FreeRun, motions: dict[str, Motion], inputs: Sequence[str]) -> tuple[str, ...]:
-    told = ["frequency response: a nonlinear plant has no one"]
+    texts = ["frequency response: not defined for a nonlinear plant"]
     if not run.whole:
-        told.append("places in frequency: they are told of the free run")
+        texts.append("places in frequency: the free run does not reach the end of the record")
     if len(inputs) > 1:
-        told.append("error over the size of an input: it is told of a plant with one input")
+        texts.append("error over the size of an input: several inputs")
     if loose := [name for name, motion in motions.items() if motion.speed is None]:
-        told.append(f"speed, direction and position of {', '.join(loose)}: no one joint is behind it")
-    return tuple(told)
+        texts.append(f"speed, direction and position of {', '.join(loose)}: not the motion of one joint")
+    return tuple(texts)

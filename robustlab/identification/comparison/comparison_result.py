@@ -1,4 +1,4 @@
-"""What `compare` answers: the gap at every output, where it lives, what the residual still contains."""
+"""Result of `compare`: the model error at every output, its distribution, and the tests of the residual."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ NOT_AS_IT_IS = frozenset((
     "noise_reason", "against_noise", "linear_reason", "pose",
 ))  # fmt: skip
 POSE = ("tx", "ty", "tz", "ax", "ay", "az")
-LINEAR = 0.5  # bands whose coherence is lower say nothing about a linear model
-ROUNDING = 1e-9  # a residual below this share of the range is rounding, and no test of it means anything
+LINEAR = 0.5  # bands with a lower coherence do not allow a judgement of a linear model
+ROUNDING = 1e-9  # a residual below this share of the range is rounding and is not tested
 
 REFERENCE = (
     "output-error model y = G(u) + e with white e independent of u; tested on the recursive residual of the windows "
@@ -54,7 +54,7 @@ class Comparison(Tabular, Evidence):
     status
         CONVERGED: both simulations are finite and every number follows from the series kept here.
     model, record
-        What was compared.
+        Names of the compared model and record.
     outputs
         Output name -> `OutputGap`.
     windows
@@ -62,47 +62,47 @@ class Comparison(Tabular, Evidence):
     speed, position
         Output name -> bins of the windowed error over the measured speed and position; empty where neither is recorded.
     motions
-        Output name -> the speed and position signals used for that: one for all, or of several joints each its own.
+        Output name -> the speed and position signals used for that: one for all, or one per joint.
     frequency
         Output name -> `Spectrum`; empty where the free run does not reach the end of the record.
     residual
         Output name -> `ResidualTests`.
     initial_state
-        Where the free run starts.
+        Initial state of the free run.
     window
         Length of the windows in s.
     measured, simulated, windowed, recursive
-        The compared signals: measured, free run (as far as it goes; None where that is nowhere), windowed simulation,
-        and the recursive residual (n,) by output, NaN where a sample only fixes the state of its window.
+        The compared signals: measured, free run (None if it ends at once), windowed simulation, and the recursive
+        residual (n,) by output, NaN where a sample only fixes the state of its window.
     disturbance
-        Input name, or a joint as ``torque at omega`` -> the `InputDisturbance` there, and nowhere else, with which the
-        model follows the record best. Joints alone of a nonlinear plant; empty for a discrete model and an uneven
-        clock.
+        Input name, or a joint as ``torque at omega`` -> the single `InputDisturbance` there with which the model
+        reproduces the record best. Joints only for a nonlinear plant; empty for a discrete model and a nonuniform time
+        base.
     warnings
-        What a reader must know before trusting the numbers.
+        Limits of the numbers.
     direction
-        Output name -> windowed error moving backward, at rest, moving forward; empty where no speed is known.
+        Output name -> windowed error moving backward, at standstill, moving forward; empty without a known speed.
     amplitude
         Output name -> input name -> bins of the windowed error over the magnitude of the input (its deviation from the
-        operating point); inputs that are constant are left out.
+        operating point); without constant inputs.
     noise, noise_reason
         Noise floor where the record repeats, else None and the reason why there is none.
     against_noise
         Output name -> `NoiseGap`; empty without a noise floor.
     linear, linear_reason
-        Output name -> input name -> `BestLinearApproximation` beside the model's response; the reason where one is
+        Output name -> input name -> `BestLinearApproximation` and the model's response; the reason where one is
         missing.
     nonlinearity
-        Even/odd test; its ``reason`` says why it could not be made, or not wholly.
+        Even/odd test; its ``reason`` states why it is missing or incomplete.
     free_run
-        How far the free run goes.
+        Extent of the free run.
     linearisation
-        Of a nonlinear plant, what the windows' linearisation is worth; None of a linear one.
+        Linearisation error of the windows of a nonlinear plant; None for a linear one.
     sensor_noise
-        Of a nonlinear plant: output name -> standard deviation of its samples about the smooth motion that they tell,
-        in its unit. Empty of a linear one.
+        For a nonlinear plant: output name -> standard deviation of its samples about the smoothed motion, in its unit.
+        Empty for a linear one.
     left_out
-        What is not told, and why.
+        Missing parts, and why.
     pose
         Of a machine with poses: its pose in the middle of the `worst` window, m and rad; else empty.
     """
@@ -164,23 +164,23 @@ class Comparison(Tabular, Evidence):
 
     @property
     def worst_window(self) -> dict[str, tuple[float, float]]:
-        """Output name -> first and last time in s of the window with its largest error."""
+        """Return output name -> first and last time in s of the window with its largest error."""
         return {name: (float(w.start[w.worst]), float(w.stop[w.worst])) for name, w in self.windows.items()}
 
     @property
     def worst(self) -> dict[str, Any]:
-        """The output with the largest windowed error of its range, its worst window in s, and the pose amid that."""
+        """Return the output with the largest windowed error over its range, its worst window in s, and the pose."""
         name = max(self.outputs.values(), key=lambda gap: gap.windowed_rms_percent).name
         start, stop = self.worst_window[name]
         return {"output": name, "start": start, "stop": stop, **({"pose": self.pose} if self.pose else {})}
 
     @property
     def located(self) -> tuple[InputDisturbance, ...]:
-        """Disturbances that explain half of the error as well as the best one does; inputs first."""
+        """Return the best disturbances that explain half of the error; inputs first."""
         return located(self.disturbance)
 
     def headline(self) -> str:
-        """The output that is furthest off, in free run where that is whole, else in windows."""
+        """Report the output with the largest error, in free run where that is complete, else in windows."""
         if self.free_run.whole:
             most = max(self.outputs.values(), key=lambda gap: gap.rms_percent)
             size, how = most.rms_percent, "in free run"
@@ -192,7 +192,6 @@ class Comparison(Tabular, Evidence):
         return f"against {self.record}: {how} {most.name} is off by {size:.3g} % of its range (rms); {when}"
 
     def facts(self) -> Facts:
-        """What was compared, the error of each output in windows, then in free run, and where it is largest."""
         gaps = [
             (f"{name}: in windows", _errors(
                 g.unit, g.windowed_peak, g.windowed_peak_percent, g.windowed_rms, g.windowed_rms_percent, g.windowed_fit
@@ -221,7 +220,6 @@ class Comparison(Tabular, Evidence):
         ]
 
     def _more(self, name: str) -> Facts:
-        """The error of an output in free run and in windows, and where the windowed error is largest."""
         g, motion = self.outputs[name], self.motions[name]
         free = _errors(g.unit, g.peak, g.peak_percent, g.rms, g.rms_percent, g.fit) if self.free_run.whole else ""
         places = ["{:.3g} to {:.3g} s".format(*self.worst_window[name])]
@@ -240,7 +238,7 @@ class Comparison(Tabular, Evidence):
         ]
 
     def _noise_in_words(self, name: str) -> str:
-        """The windowed error in multiples of the noise: of the repeats, else of the sensor's scatter."""
+        """Report the windowed error in multiples of the noise: of the repeats, else of the sensor's scatter."""
         g, gap, scatter = self.outputs[name], self.against_noise.get(name), self.sensor_noise.get(name)
         if gap is None:
             return (
@@ -256,7 +254,6 @@ class Comparison(Tabular, Evidence):
         return f"{size}; {verdict} (F {e.F:.4g}, p {_p(e.p_value or 0.0)})"
 
     def _residual_in_words(self, name: str) -> str:
-        """Whether the residual is white, and which inputs are still in it."""
         r, unit = self.residual[name], self.outputs[name].unit
         if r.rms <= ROUNDING * self.outputs[name].range:
             return f"zero to rounding (rms {number(r.rms, unit, 1)})"
@@ -268,7 +265,6 @@ class Comparison(Tabular, Evidence):
         )
 
     def _linear_in_words(self) -> str:
-        """Of a nonlinear plant, what the linearisation of the windows is worth."""
         found = self.linearisation
         if found is None or not len(found.windows):
             return ""
@@ -286,7 +282,6 @@ class Comparison(Tabular, Evidence):
         return "; ".join([f"from {what}", *([f"fed back by a controller: {fed_back}"] if fed_back else []), *n.notes])
 
     def _missing(self) -> Facts:
-        """The disturbances that explain the error, with the means that are sure to differ from zero."""
         if not self.disturbance:
             return []
         if not self.located:
@@ -296,13 +291,12 @@ class Comparison(Tabular, Evidence):
         found: Facts = []
         for d in self.located:
             means = [f"{mean:+.3g} +- {number(std, d.unit, 2)} {way}" for way, (mean, std) in d.sure_means.items()]
-            told = ", ".join(means) or "no mean that differs from zero"
+            mean_text = ", ".join(means) or "no mean that differs from zero"
             share = f"{100 * d.explained_share:.0f} % of the squared error goes"
-            found.append((f"missing: {d.place}", f"rms {number(d.rms, d.unit, 3)}; {told}; {share}"))
+            found.append((f"missing: {d.place}", f"rms {number(d.rms, d.unit, 3)}; {mean_text}; {share}"))
         return found
 
     def details(self) -> list[Part]:
-        """Tests of the residuals against the inputs, and errors of the frequency responses."""
         tests = [
             (name, u, _p(t.p_value), f"{100 * t.explained_share:.1f} %",
              f"{np.abs(t.correlation).max():.3f}", f"{t.band:.3f}")
@@ -328,17 +322,17 @@ class Comparison(Tabular, Evidence):
         return f"{text}, at the pose {', '.join(axes)}" if axes else text
 
     def numbers(self) -> dict[str, Any]:
-        """All but the time series, and the `worst`."""
+        """Return all but the time series, and the `worst`."""
         return {**self.to_json(series=False), "worst": self.worst}
 
     def table(self) -> Table:
-        """A row for each output: sizes of its error in its unit."""
+        """Return a row for each output: sizes of its error in its unit."""
         names = ("range", "rms", "peak", "fit", "windowed_rms", "windowed_peak", "windowed_fit", "unit")
         columns = {key: [getattr(gap, key) for gap in self.outputs.values()] for key in names}
         return Table(("output", list(self.outputs)), columns, {"fit": "%", "windowed_fit": "%"})
 
     def to_json(self, series: bool = True) -> dict[str, object]:
-        """All fields; without ``series`` the time series and the densities over frequency are left out."""
+        """Return all fields; without ``series`` no time series and no densities over frequency."""
         data: dict[str, object] = {
             **{key: value for key, value in vars(self).items() if key not in NOT_AS_IT_IS},
             "percent_of": self.percent_of,
@@ -367,10 +361,10 @@ class Comparison(Tabular, Evidence):
         return data
 
     def _of_motions(self, **fields: str) -> dict[str, object]:
-        """These fields of the motion, or of each output's own by its name."""
+        """Return these fields of the motion, by output name where the motions differ."""
         alike = all(m is next(iter(self.motions.values())) for m in self.motions.values())
-        told = {key: {y: getattr(m, name) for y, m in self.motions.items()} for key, name in fields.items()}
-        return {key: next(iter(by.values())) if alike else by for key, by in told.items()}
+        by_output = {key: {y: getattr(m, name) for y, m in self.motions.items()} for key, name in fields.items()}
+        return {key: next(iter(by.values())) if alike else by for key, by in by_output.items()}
 
 
 def _errors(unit: str, peak: float, peak_percent: float, rms: float, rms_percent: float, fit: float) -> str:

@@ -1,4 +1,4 @@
-r"""Does an uncertain model cover a record? The envelope of its members under the recorded input, against the record.
+r"""Envelope of the members of an uncertain model under the recorded input, compared with the record.
 
 Covered is not explained: a set that is wide enough covers anything.
 """
@@ -27,27 +27,26 @@ from robustlab.worst_case_analysis.sampling import LABEL, sample
 
 @dataclass(frozen=True)
 class SignalCoverage(Evidence):
-    """Where one signal of a record lies with respect to the envelope; percent is of `size`."""
+    """Position of one signal of a record relative to the envelope; percent is of `size`."""
 
     # name, unit: the output, or ``"phi-rate"`` for the mean rate of the output phi
     name: str
     unit: str
     size: float  # largest measured distance from the first measured value, in `unit`
-    share: float  # share of the samples that lie inside the envelope, 0..1
-    # miss, miss_percent: largest distance of a sample from the envelope; 0 where all lie inside
+    share: float  # of the samples inside the envelope, 0..1
+    # miss, miss_percent: largest distance of a sample from the envelope; 0 if all are inside
     miss: float
     miss_percent: float
-    # miss_time, miss_side: when that is [s], and whether the record is ``"above"`` or ``"below"`` the envelope; NaN and
-    # ``""`` where none
+    # miss_time, miss_side: its time [s], and whether the record is ``"above"`` or ``"below"``; NaN and ``""`` for none
     miss_time: float
     miss_side: Literal["", "above", "below"]
     # gap, gap_percent: largest ``|measured - nominal|``
     gap: float
     gap_percent: float
-    # reach, reach_percent: largest ``|member - nominal|``: how far the set goes
+    # reach, reach_percent: largest ``|member - nominal|``
     reach: float
     reach_percent: float
-    allowance: float  # how far outside the envelope a sample may lie and count as inside
+    allowance: float  # distance outside the envelope at which a sample still counts as inside
     # t, measured, nominal, lower, upper: the series, each of shape (n,)
     t: Array
     measured: Array
@@ -63,7 +62,7 @@ class SignalCoverage(Evidence):
     }
 
     def to_json(self, series: bool = True) -> dict[str, object]:
-        """All fields; without ``series`` those of shape (n,) are left out."""
+        """Return all fields; without ``series`` none of shape (n,)."""
         data = super().to_json()
         return data if series else {k: v for k, v in data.items() if not isinstance(v, np.ndarray)}
 
@@ -72,13 +71,12 @@ class SignalCoverage(Evidence):
 class EnvelopeCoverage(Evidence):
     """Result of `cover`."""
 
-    status: Status  # CONVERGED: every response is finite, and every number follows from the series kept here
+    status: Status  # CONVERGED: every response is finite, and every number follows from the series stored here
     record: str  # name of the record
     signals: Mapping[str, SignalCoverage]  # output name -> `SignalCoverage`; with a rate also ``"<output>-rate"``
-    # members, seed: how many members were simulated besides the nominal one, and the seed they were drawn with
-    members: int
+    members: int  # number of sampled models besides the nominal one
     seed: int
-    label: str = LABEL  # what the envelope is, and is not
+    label: str = LABEL  # validity of the envelope
 
     notes: ClassVar[tuple[str, ...]] = (
         "Sampled, not proved: members that were not drawn may reach further.",
@@ -95,33 +93,30 @@ class EnvelopeCoverage(Evidence):
 
     @property
     def covered(self) -> bool:
-        """Whether every sample of every signal lies inside."""
+        """Whether every sample of every signal is inside."""
         return all(s.share == 1.0 for s in self.signals.values())
 
     def headline(self) -> str:
-        """Whether the record lies among the members."""
         verdict = "lies in the envelope" if self.covered else "is not covered"
         return f"{self.record} {verdict} of {self.members} members (seed {self.seed})"
 
     def facts(self) -> Facts:
-        """Of each signal how much lies inside, the nominal gap, and how far the set reaches."""
         found: Facts = []
         for s in self.signals.values():
             where = f"{s.miss_side} at {number(s.miss_time, 's')}"
             miss = f"; misses by {number(s.miss, s.unit, 3)} ({s.miss_percent:.3g} %), {where}" if s.miss else ""
             found += [
                 (f"{s.name}: inside the envelope", f"{100 * s.share:.3g} % of the time{miss}"),
-                (f"{s.name}: gap of the nominal model", f"{number(s.gap, s.unit, 3)} ({s.gap_percent:.3g} %)"),
+                (f"{s.name}: error of the nominal model", f"{number(s.gap, s.unit, 3)} ({s.gap_percent:.3g} %)"),
                 (f"{s.name}: how far the set reaches", f"{number(s.reach, s.unit, 3)} ({s.reach_percent:.3g} %)"),
             ]
         return found
 
     def numbers(self) -> dict[str, Any]:
-        """All but the time series."""
         return self.to_json(series=False)
 
     def to_json(self, series: bool = True) -> dict[str, object]:
-        """All fields, and `covered`; without ``series`` the time series are left out."""
+        """Return all fields and `covered`; without ``series`` no time series."""
         signals = {name: s.to_json(series) for name, s in self.signals.items()}
         return {**vars(self), "signals": signals, "covered": self.covered}
 
@@ -136,23 +131,23 @@ def cover(
     rate: float | None = None,
     allowance: Mapping[str, float] | None = None,
 ) -> EnvelopeCoverage:
-    """Simulate members of an uncertain model with the inputs of a record, and see whether the record lies among them.
+    """Simulate members of an uncertain model with the inputs of a record, and check whether they enclose the record.
 
     Parameters
     ----------
     uncertain
         The set; all its inputs must be recorded, at least one of its outputs, and its Delta must be real.
     record
-        The measurement, on a uniform clock. The initial state of all members is fitted to its first 20
+        The measurement, on a uniform time base. The initial state of all members is fitted to its first 20
         samples with the nominal model.
     n, vertices, seed
         Members, as in `robustlab.sample`.
     rate
-        Where given, each output's mean rate over that many seconds is judged as well: the speed that an encoder shows.
-        An angle adds up what a speed lacks, and comes back after a reversal although the speed is wrong.
+        If given, the mean rate of each output over that many seconds is compared as well: the speed from an encoder.
+        An angle integrates a speed error, and returns after a reversal although the speed is wrong.
     allowance
-        Output name -> what its sensor may be off (noise, resolution), in the output's unit; 0 where left out. A rate is
-        allowed twice that over ``rate``.
+        Output name -> error bound of its sensor (noise, resolution), in the output's unit; default 0. For a rate it is
+        twice that over ``rate``.
 
     Returns
     -------
@@ -162,22 +157,16 @@ def cover(
     Raises
     ------
     InputError
-        Signals that do not fit, complex blocks, a clock that is not uniform, an allowance for an unknown output or
+        Signals that do not fit, complex blocks, a nonuniform time base, an allowance for an unknown output or
         below 0, a rate over less than a sample or more than a quarter of the record.
     NoTrustworthyNumber
-        A member outgrows double precision.
+        A member exceeds double precision.
 
     References
     ----------
-    Březina 2010, sections 11.1-11.3, which judges its jig so.
+    Březina 2010, sections 11.1-11.3.
     """
-    if isinstance(uncertain, NonlinearPlant):
-        hint = "plant.uncertain(at=...) makes one, for the record's deviations from that trim"
-        raise InputError(
-            "cover", f"the nonlinear plant {uncertain.name}", "an uncertain linear model about a trim", hint
-        )
-    if not isinstance(uncertain, UncertainModel):
-        raise InputError("cover", type(uncertain).__name__, "an UncertainModel", "plant.uncertain() makes one")
+    require_linear_set("cover", uncertain)
     response = response_of(uncertain.nominal, record)
     names = response.output_names
     allowed = _allowances(allowance or {}, names, record.name)
@@ -185,30 +174,39 @@ def cover(
     shifted, offset = deviations(response.with_units(record), uncertain, names)
     chosen = uncertain.select(outputs=names)
     nominal = response_of(chosen.nominal, shifted)
-    # Over the shortest stretch: a longer one would let the initial state take over a part of the gap.
+    # Over the shortest stretch: in a longer one the initial state would absorb a part of the model error.
     start = starting_state(LinearResponse(nominal, nominal.stretch(shifted)), SHORTEST_START)
     drawn = sample(chosen, n, seed, vertices)
     u = {name: shifted.inputs[name] for name in nominal.model.input_names}
     found = drawn.respond(record.t, u, start.x0)
     if not found.status.trustworthy:
-        raise NoTrustworthyNumber(f"cover {record.name}", "a member outgrows every number", None, "a shorter record")
+        raise NoTrustworthyNumber(f"cover {record.name}", "a member exceeds double precision", None, "a shorter record")
     signals: dict[str, SignalCoverage] = {}
     for k, (name, unit) in enumerate(response.outputs):
         measured, centre, members = record.outputs[name], found.nominal[:, k] + offset[k], found.y[:, :, k] + offset[k]
-        signals[name] = _judged(name, unit, record.t, measured, centre, members, allowed[name])
+        signals[name] = _coverage(name, unit, record.t, measured, centre, members, allowed[name])
         if lag is not None:
             seconds = lag * record.dt
             middle = 0.5 * (record.t[lag:] + record.t[:-lag])
             rate_y, rate_0, rate_k = ((y[..., lag:] - y[..., :-lag]) / seconds for y in (measured, centre, members))
             label, slack = f"{name}-rate", 2 * allowed[name] / seconds
-            signals[label] = _judged(label, f"{unit}/s" if unit else "", middle, rate_y, rate_0, rate_k, slack)
+            signals[label] = _coverage(label, f"{unit}/s" if unit else "", middle, rate_y, rate_0, rate_k, slack)
     return EnvelopeCoverage(Status.CONVERGED, record.name, signals, len(drawn), drawn.seed)
 
 
-def _judged(
+def require_linear_set(where: str, uncertain: Any) -> None:
+    """Refuse anything but an uncertain linear model."""
+    if isinstance(uncertain, NonlinearPlant):
+        hint = "plant.uncertain(at=...) makes one, for the record's deviations from that trim"
+        raise InputError(where, f"the nonlinear plant {uncertain.name}", "an uncertain linear model about a trim", hint)
+    if not isinstance(uncertain, UncertainModel):
+        raise InputError(where, type(uncertain).__name__, "an UncertainModel", "plant.uncertain() makes one")
+
+
+def _coverage(
     name: str, unit: str, t: Array, measured: Array, nominal: Array, members: Array, allowance: float
 ) -> SignalCoverage:
-    """One signal against the envelope of its members (k, n) and its nominal response (n,)."""
+    """Compare one signal with the envelope of its members (k, n) and its nominal response (n,)."""
     lower = np.minimum(members.min(axis=0), nominal)
     upper = np.maximum(members.max(axis=0), nominal)
     outside = np.maximum(np.maximum(lower - measured, measured - upper) - allowance, 0.0)
@@ -245,7 +243,7 @@ def _judged(
 
 
 def deviations(record: Record, uncertain: UncertainModel, names: tuple[str, ...]) -> tuple[Record, Array]:
-    """The record in deviations from the operating point of the set, and that point's outputs (n_y,)."""
+    """Return the record in deviations from the operating point of the set, and the outputs there (n_y,)."""
     point = uncertain.operating_point
     if point is None:
         return record, np.zeros(len(names))

@@ -1,4 +1,4 @@
-"""The parts of a comparison that linear and nonlinear plants share: sizes, places and tests of the two errors."""
+"""Sizes, places and tests of free-run and windowed errors, common to linear and nonlinear plants."""
 
 from __future__ import annotations
 
@@ -32,8 +32,9 @@ POLYNOMIAL = 3  # order of the Savitzky-Golay polynomial
 SEGMENTS = 8  # Welch segments that fit into the record side by side
 LONGEST_SEGMENT = 8192
 CONFIDENCE = 0.99
-LINEAR_SHARE = 0.1  # of the error; a larger difference from the nonlinear plant is warned of
-REST = 0.02  # speeds below this share of the largest count as rest
+LINEAR_SHARE = 0.1  # of the error; a larger difference from the nonlinear plant gives a warning
+REST = 0.02  # speeds below this share of the largest count as standstill
+PER_DIRECTION, POSITION_BINS, AMPLITUDE_BINS = 5, 10, 6  # numbers of bins
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,6 @@ class Motion(Evidence):
     # speed, position: samples (n,), or None where the record has no such signal
     speed: Array | None
     position: Array | None
-    # speed_unit, position_unit: their units
     speed_unit: str
     position_unit: str
     speed_source: str  # ``"v"``, or ``"derivative of q (Savitzky-Golay, order 3, 49 samples)"``
@@ -52,16 +52,15 @@ class Motion(Evidence):
 
 @dataclass(frozen=True)
 class Bin(Evidence):
-    """Error of one output over the samples whose speed (or position) lies in ``[low, high)``."""
+    """Error of one output over the samples whose speed (or position) is in ``[low, high)``."""
 
-    # low, high: Edges
     low: float
     high: float
-    samples: int  # how many samples lie within
+    samples: int  # number of samples within
     # mean, rms: mean and RMS of the error in units of the output (0 where there is no sample)
     mean: float
     rms: float
-    share: float  # share of the record's squared error, 0..1; the shares of all bins sum to 1
+    share: float  # of the record's squared error, 0..1; the shares of all bins sum to 1
 
 
 @dataclass(frozen=True)
@@ -72,16 +71,15 @@ class Spectrum(Evidence):
     """
 
     frequency: Array  # frequencies in Hz, shape (n_f,)
-    # measured, simulated, error: One-sided densities of the measured output, the free run, and its error in unit²/Hz,
-    # shape (n_f,). The windowed error has none: it starts anew in every window, so its frequencies are those of the
-    # windows.
+    # measured, simulated, error: one-sided densities of the measured output, the free run, and its error in unit²/Hz,
+    # shape (n_f,). The windowed error has none: it restarts in every window, which sets its frequencies.
     measured: Array
     simulated: Array
     error: Array
     # input name -> magnitude-squared coherence with the error, shape (n_f,): the share of the error at that frequency
     # that is linear in this input
     coherence: Mapping[str, Array]
-    coherence_level: float  # 99 % of the coherences of independent signals lie below this
+    coherence_level: float  # 99 % of the coherences of independent signals are below this
     bands: Array  # edges of the bands in Hz, shape (n_bands + 1,)
     error_share: Array  # share of the squared error per band, shape (n_bands,), sum 1
     # RMS of the free run's error over RMS of the measured output within each band, shape (n_bands,); 0 where nothing
@@ -89,14 +87,13 @@ class Spectrum(Evidence):
     relative_error: Array
 
     def band_table(self) -> dict[str, object]:
-        """The bands only."""
         return {"bands": self.bands, "error_share": self.error_share, "relative_error": self.relative_error}
 
 
 def motion_of(record: Record, speed: str | None, position: str | None, window: int) -> Motion:
-    """Speed and position of a record: as named, else the first outputs in such units.
+    """Return speed and position of a record: the named outputs, else the first ones in such units.
 
-    Failing that the speed is the derivative of the position by a Savitzky-Golay filter over a tenth of the window.
+    Without a speed it is the derivative of the position by a Savitzky-Golay filter over a tenth of the window.
     """
     position = position or _first_in(record, POSITION_UNITS)
     speed = speed or _first_in(record, SPEED_UNITS)
@@ -119,25 +116,21 @@ def _first_in(record: Record, units: tuple[str, ...]) -> str | None:
     return next((name for name in record.outputs if record.unit(name) in units), None)
 
 
-def speed_edges(speed: Array, per_direction: int = 5) -> Array:
-    """Edges of speed bins, symmetric about a bin of rest, shape (2 per_direction + 2,).
-
-    Rest is below 2 % of the largest speed.
-    """
+def speed_edges(speed: Array) -> Array:
+    """Return edges of speed bins, symmetric about a bin of standstill."""
     top = float(np.abs(speed).max()) or 1.0
-    forward = np.linspace(REST * top, top, per_direction + 1)
+    forward = np.linspace(REST * top, top, PER_DIRECTION + 1)
     return np.concatenate([-forward[::-1], forward])
 
 
-def position_edges(position: Array, count: int = 10) -> Array:
-    """Edges of ``count`` bins of equal width over the measured range."""
-    low, high = float(position.min()), float(position.max())
-    return np.linspace(low, high if high > low else low + 1.0, count + 1)
+def bin_index(value: Array, edges: Array) -> NDArray[np.int_]:
+    """Return the bin of each value; values outside all edges belong to the outermost bins."""
+    return np.clip(np.searchsorted(edges, value, side="right") - 1, 0, len(edges) - 2)
 
 
 def bins(value: Array, error: Array, edges: Array) -> tuple[Bin, ...]:
-    """Sort an error (n,) by ``value`` (n,) into bins; values outside all edges go to the outermost bins."""
-    index = np.clip(np.searchsorted(edges, value, side="right") - 1, 0, len(edges) - 2)
+    """Sort an error (n,) by ``value`` (n,) into bins."""
+    index = bin_index(value, edges)
     total = float((error**2).sum()) or 1.0
     result: list[Bin] = []
     for k in range(len(edges) - 1):
@@ -148,22 +141,15 @@ def bins(value: Array, error: Array, edges: Array) -> tuple[Bin, ...]:
     return tuple(result)
 
 
-def amplitude_edges(value: Array, count: int = 6) -> Array:
-    """Edges of ``count`` bins of equal width from 0 to the largest magnitude."""
-    return np.linspace(0.0, float(np.abs(value).max()) or 1.0, count + 1)
-
-
 def directions(speed: Array, error: Array) -> dict[str, Bin]:
-    """Sort an error (n,) by the direction of the speed (n,): ``"backward"``, ``"rest"`` (below 2 % of the largest
-    speed), ``"forward"``.
-    """
+    """Sort an error (n,) by the direction of the speed (n,): ``"backward"``, ``"rest"``, ``"forward"``."""
     top = float(np.abs(speed).max())
     return dict(zip(("backward", "rest", "forward"), bins(speed, error, top * np.array([-1.0, -REST, REST, 1.0])),
                     strict=True))  # fmt: skip
 
 
 def uniform_samples(t: Array, *signals: Array) -> tuple[float, list[Array]]:
-    """Mean sample time and the signals (n,); on an uneven clock they are interpolated linearly to its mean step."""
+    """Return the mean sample time and the signals (n,), from a nonuniform time base interpolated to its mean step."""
     dt = float(t[-1] - t[0]) / (len(t) - 1)
     grid = t[0] + dt * np.arange(len(t))
     if np.abs(t - grid).max() <= 1e-3 * dt:
@@ -172,7 +158,7 @@ def uniform_samples(t: Array, *signals: Array) -> tuple[float, list[Array]]:
 
 
 def welch_segments(n: int) -> tuple[int, float]:
-    """Length of the half-overlapping segments of Welch's method for n samples, and their effective number."""
+    """Return the length of half-overlapping Welch segments for n samples, and their effective number."""
     segment = min(n, max(16, min(2 * n // (SEGMENTS + 1), LONGEST_SEGMENT)))
     count = 1 + (n - segment) // (segment - segment // 2)
     # Periodograms of half-overlapping Hann windows are correlated by 1/36: as good as so many independent ones.
@@ -180,7 +166,7 @@ def welch_segments(n: int) -> tuple[int, float]:
 
 
 def spectrum(t: Array, inputs: Mapping[str, Array], measured: Array, simulated: Array) -> Spectrum:
-    """Spectra of one output; see `Spectrum`. A clock that is not uniform is interpolated linearly to its mean step."""
+    """Compute the spectra of one output; see `Spectrum`."""
     from scipy.signal import coherence, welch
 
     dt, (measured, simulated, *columns) = uniform_samples(t, measured, simulated, *inputs.values())
@@ -197,13 +183,17 @@ def spectrum(t: Array, inputs: Mapping[str, Array], measured: Array, simulated: 
         }
     level = 1.0 - (1.0 - CONFIDENCE) ** (1.0 / (averages - 1.0)) if averages > 1 else 1.0
     edges = np.array([0.0, *log_bands(1.5 * f[1], f[-1])[1:-1], f[-1]])
-    of_measured, of_error = (_band_power(f, p, edges) for p in (p_measured, p_error))
+    of_measured, of_error = (
+        np.bincount(bin_index(f, edges), weights=p, minlength=len(edges) - 1) * (f[1] - f[0])
+        for p in (p_measured, p_error)
+    )
     relative = np.sqrt(np.divide(of_error, of_measured, out=np.zeros_like(of_error), where=of_measured > 0))
-    return Spectrum(f, p_measured, p_simulated, p_error, shared, level, edges, _shares(of_error), relative)
+    share = of_error / (of_error.sum() or 1.0)
+    return Spectrum(f, p_measured, p_simulated, p_error, shared, level, edges, share, relative)
 
 
 def log_bands(lowest: float, highest: float) -> Array:
-    """Edges from ``lowest`` to ``highest``, between them two bands a decade on round numbers (1, 3, 10, 30, ...)."""
+    """Return edges from ``lowest`` to ``highest`` with two bands a decade on round numbers (1, 3, 10, 30, ...)."""
     if not highest > lowest:
         return np.array([lowest, lowest * (1.0 + 1e-9)])
     decades = 10.0 ** np.arange(np.floor(np.log10(lowest)) - 1, np.ceil(np.log10(highest)) + 1)
@@ -212,34 +202,24 @@ def log_bands(lowest: float, highest: float) -> Array:
     return np.concatenate([[lowest], inner, [highest]])
 
 
-def _band_power(f: Array, density: Array, edges: Array) -> Array:
-    index = np.clip(np.searchsorted(edges, f, side="right") - 1, 0, len(edges) - 2)
-    return np.bincount(index, weights=density, minlength=len(edges) - 1) * (f[1] - f[0])
-
-
-def _shares(power: Array) -> Array:
-    total = power.sum()
-    return power / total if total else power
-
-
 @dataclass(frozen=True)
 class NoiseGap(Evidence):
-    """Gap of one output in multiples of its noise."""
+    """Model error of one output in multiples of its noise."""
 
     std: float  # noise of a single sample of the output, in its unit (`NoiseFloor.std`)
-    # rms_percent, windowed_rms_percent: RMS of the free run's and of the windowed error in percent of ``std``: 100 is a
-    # model as good as the noise allows. None where the repeats are equal to the last bit.
+    # rms_percent, windowed_rms_percent: RMS of the free run's and of the windowed error in percent of ``std``: 100 is
+    # the best that the noise allows. None where the repeats are equal to the last bit.
     rms_percent: float | None
     windowed_rms_percent: float | None
     # `Excess` of the windowed error, with windows at the same phases of every repeat. Its ``noise`` is the floor of the
-    # windowed error itself: in closed loop it is larger than ``std``, as the noise enters at the input too.
+    # windowed error itself: larger than ``std`` in closed loop, where the noise also enters at the input.
     excess: Excess
 
 
 def noise_gaps(
     outputs: Sequence[str], errors: Array, floor: NoiseFloor, rms: Mapping[str, tuple[float, float]]
 ) -> dict[str, NoiseGap]:
-    """Gap against the floor for every output.
+    """Compare the errors of every output with the noise floor.
 
     ``errors``: measured minus windowed simulation of every repeat, cut at the same phases, (count, samples, n_y).
     ``rms``: output name -> RMS of the free run's error (NaN where there is none) and of the windowed error.
@@ -260,20 +240,17 @@ class OutputGap(Evidence):
     :math:`100 (1 - \|y - \hat y\| / \|y - \bar y\|)` percent: 100 is perfect, 0 as good as the mean, negative worse.
     """
 
-    # name, unit, range: the output and its measured range
     name: str
     unit: str
     range: float
-    # peak, rms, peak_percent, rms_percent, fit: free run; NaN where it does not reach the end of the record.
-    # ``peak_time`` is when its peak error occurs [s].
+    # peak, ..., peak_time: of the free run, peak_time in s; NaN where it does not reach the end of the record
     peak: float
     rms: float
     peak_percent: float
     rms_percent: float
     fit: float
     peak_time: float
-    # windowed_peak, windowed_rms, windowed_peak_percent, windowed_rms_percent, windowed_fit: the same of the windowed
-    # simulation
+    # windowed_*: of the windowed simulation
     windowed_peak: float
     windowed_rms: float
     windowed_peak_percent: float
@@ -306,20 +283,20 @@ class ResidualTests(Evidence):
     """Tests of one output's recursive residual (see `robustlab.identification.response.windowed_simulation`)."""
 
     rms: float  # RMS of the residual in the unit of the output
-    whiteness: Whiteness  # autocorrelation and Ljung-Box test
-    inputs: Mapping[str, InputCorrelation]  # input name -> correlation with the residual
+    whiteness: Whiteness
+    inputs: Mapping[str, InputCorrelation]
 
 
 @dataclass(frozen=True)
 class FreeRun(Evidence):
-    """How far the free run goes."""
+    """Extent of the free run."""
 
     end: float  # time of its last sample in s
-    reason: str  # why it ends there; empty where it reaches the end of the record
+    reason: str  # why it ends there; empty at the end of the record
 
     @property
     def whole(self) -> bool:
-        """Whether it reaches the end of the record."""
+        """Whether the free run reaches the end of the record."""
         return not self.reason
 
 
@@ -330,33 +307,33 @@ class Linearisation(Evidence):
     windows: Array  # times in s at which the checked windows start
     # output name -> RMS of nonlinear minus linear simulation over these windows, in its unit
     difference: Mapping[str, float]
-    # output name -> the same over the RMS of the error in these windows: far below 1, the error is the model's and not
-    # of the linearisation
+    # output name -> the same over the RMS of the error in these windows: if far below 1, the error is due to the model,
+    # not to the linearisation
     share: Mapping[str, float]
-    # times at which those windows start whose nonlinear simulation does not reach their end; they count nowhere
+    # start times of the windows whose nonlinear simulation does not reach their end; these are not counted
     broken: Array
 
     def warnings(self) -> list[str]:
-        """What a reader must know before trusting the windows."""
-        told = []
+        """Return warnings about the accuracy of the windows."""
+        texts = []
         worst = max(self.share, key=lambda name: self.share[name], default="")
         if worst and self.share[worst] > LINEAR_SHARE:
-            told.append(
+            texts.append(
                 f"the windows are linear about the recorded motion, and that makes {100 * self.share[worst]:.0f} % of "
                 f"the error of {worst}: take shorter windows"
             )
         if len(self.broken):
-            told.append(
+            texts.append(
                 "from the fitted start the nonlinear plant does not reach the end of the window at "
                 f"{self.broken[0]:.4g} s"
             )
-        return told
+        return texts
 
 
 def noise_of(
     record: Record, others: tuple[Record, ...], outputs: Sequence[str], period: float | None
 ) -> tuple[NoiseFloor | None, str]:
-    """Noise floor, or why there is none."""
+    """Return the noise floor, or the reason why there is none."""
     try:
         return noise_floor(record, period=period, repeats=others, outputs=outputs), ""
     except NoTrustworthyNumber as none:
@@ -364,7 +341,7 @@ def noise_of(
 
 
 def excitation(inputs: Sequence[str], noise: NoiseFloor | None) -> str | None:
-    """The one signal whose periods excite the system: the reference that repeats, else the model's input."""
+    """Return the one signal whose periods excite the system: the repeating reference, else the model's input."""
     if noise is None or noise.source != "periods":
         return None
     sources = noise.signal.split(", ") if noise.signal else list(inputs)
@@ -372,7 +349,7 @@ def excitation(inputs: Sequence[str], noise: NoiseFloor | None) -> str | None:
 
 
 def even_odd_test(record: Record, inputs: Sequence[str], outputs: Sequence[str], noise: NoiseFloor | None) -> EvenOdd:
-    """Even/odd test of the outputs, and of the inputs that a controller corrects."""
+    """Apply the even/odd test to the outputs and to the inputs that a controller corrects."""
     source = excitation(inputs, noise)
     if noise is None or source is None:
         several = noise is not None and noise.source == "periods"
@@ -391,7 +368,7 @@ def localised(
     size: Mapping[str, Array],
     lags: int,
 ) -> dict[str, Any]:
-    """Gap, windows, speed, direction, position, amplitude, frequency and residual tests of every output.
+    """Compute errors over windows, speed, direction, position, amplitude and frequency, and residual tests.
 
     ``free``: the free run (n, n_y); None where it does not reach the end of the record. ``size``: input name ->
     magnitude (n,) over which the error is sorted.
@@ -410,8 +387,13 @@ def localised(
             result["speed"][name] = bins(motion.speed, local, speed_edges(motion.speed))
             result["direction"][name] = directions(motion.speed, local)
         if motion.position is not None:
-            result["position"][name] = bins(motion.position, local, position_edges(motion.position))
-        result["amplitude"][name] = {key: bins(value, local, amplitude_edges(value)) for key, value in size.items()}
+            low, high = float(motion.position.min()), float(motion.position.max())
+            edges = np.linspace(low, high if high > low else low + 1.0, POSITION_BINS + 1)
+            result["position"][name] = bins(motion.position, local, edges)
+        result["amplitude"][name] = {
+            key: bins(value, local, np.linspace(0.0, float(np.abs(value).max()) or 1.0, AMPLITUDE_BINS + 1))
+            for key, value in size.items()
+        }
         if free is not None:
             result["frequency"][name] = spectrum(t, u, y[:, k], free[:, k])
         residual = windows.residual[:, k]
@@ -425,17 +407,17 @@ def localised(
 def _gap(signal: Signal, t: Array, y: Array, error: Array | None, local: Array) -> OutputGap:
     spread, spread_rms = float(np.ptp(y)), float(np.sqrt(np.mean((y - y.mean()) ** 2)))
 
-    def judged(e: Array) -> tuple[float, float, float, float, float]:
+    def sizes(e: Array) -> tuple[float, float, float, float, float]:
         peak, rms = float(np.abs(e).max()), float(np.sqrt(np.mean(e**2)))
-        # A signal whose spread or its square vanishes in floating point has nothing to be compared with.
+        # Percentages are undefined if the spread or its square vanishes in floating point.
         percent = 100.0 / spread if spread_rms else np.nan
         fit = 100.0 * (1.0 - rms / spread_rms) if spread_rms else np.nan
         return peak, rms, peak * percent, rms * percent, fit
 
     none = (np.nan, np.nan, np.nan, np.nan, np.nan)
-    free = none if error is None else judged(error)
+    free = none if error is None else sizes(error)
     at = np.nan if error is None else float(t[np.abs(error).argmax()])
-    return OutputGap(signal.name, signal.unit, spread, *free, at, *judged(local))
+    return OutputGap(signal.name, signal.unit, spread, *free, at, *sizes(local))
 
 
 def _window_errors(t: Array, error: Array | None, local: Array, edges: NDArray[np.int_]) -> WindowErrors:
@@ -447,7 +429,7 @@ def _window_errors(t: Array, error: Array | None, local: Array, edges: NDArray[n
 
 
 def samples_of(what: str, seconds: float, record: Record) -> int:
-    """Samples of a stated length of time."""
+    """Convert a stated length of time to samples."""
     if not np.isfinite(seconds) or not 2 * record.dt <= seconds <= record.duration + record.dt:
         raise InputError(
             f"compare {record.name}: {what}", f"{seconds:g} s", f"{2 * record.dt:g} s to {record.duration:g} s"
@@ -456,13 +438,8 @@ def samples_of(what: str, seconds: float, record: Record) -> int:
 
 
 def kept(record: Record, inputs: Sequence[str], outputs: Sequence[str], y: Array, title: str) -> Record:
-    """The compared signals alone, with ``y`` (m, n_y) as outputs; of m samples, where it has fewer than the record."""
+    """Return a record of the compared signals with ``y`` (m, n_y) as outputs, over the first m samples."""
     n = len(y)
     seen = {name: record.inputs[name][:n] for name in inputs}
     made = {name: y[:, k] for k, name in enumerate(outputs)}
     return Record(record.t[:n], seen, made, {name: record.unit(name) for name in (*seen, *made)}, title)
-
-
-def title(plant_or_model: Any) -> str:
-    """What a plant or model is called."""
-    return str(getattr(plant_or_model, "name", None) or repr(plant_or_model))

@@ -1,6 +1,6 @@
-"""Equivalent disturbance: the random walk at one input or joint with which the model follows the record best.
+"""Equivalent disturbance: the random walk at one input or joint with which the model reproduces the record best.
 
-Over the speed it shows a friction that the model lacks as a friction curve with its sign turned round.
+Plotted over the speed, a friction that the model lacks appears as a friction curve with the opposite sign.
 """
 
 from __future__ import annotations
@@ -24,27 +24,26 @@ from robustlab.result import Evidence
 from robustlab.shown import Each
 from robustlab.statespace import StateSpaceModel
 
-EXPLAINS = 0.5  # share of the squared error that a disturbance has to take away to be located
-TIE = 2.0  # times the best: what another place may leave of the squared error to be as good
-SURE = 3.0  # standard errors from zero, from which a mean is sure
+EXPLAINS = 0.5  # share of the squared error that a located disturbance removes at least
+TIE = 2.0  # times the best: squared error that remains with another place that is as good
+SURE = 3.0  # standard errors from zero, from which a mean is significant
 LEAST_NOISE = 1e-7  # of a sensor, as a share of its range
-SHORTEST = 8  # samples that tell the noise of a sensor
+SHORTEST = 8  # samples to estimate the noise of a sensor
 
 
 @dataclass(frozen=True)
 class InputDisturbance(Evidence):
-    """Disturbance at one place, and nowhere else, that makes the model follow the record best."""
+    """Disturbance at a single place with which the model reproduces the record best."""
 
     place: str  # ``input u``, or ``torque at omega``
     unit: str
-    # value, std: at each sample, and its standard deviation, (n,)
-    value: Array
-    std: Array
-    speed: Array | None  # measured speed at each sample, (n,), or None where there is no speed
+    value: Array  # at each sample, (n,)
+    std: Array  # its standard deviation, (n,)
+    speed: Array | None  # measured speed at each sample, (n,), or None without one
     speed_source: str
     over_speed: tuple[Bin, ...]  # the disturbance over bins of speed
     rms: float
-    # mean, forward, backward: over all samples, and those that move in one direction (NaN where there are none), with
+    # mean, forward, backward: over all samples and over those that move in one direction (NaN without any), with
     # standard errors
     mean: float
     mean_std: float
@@ -52,8 +51,8 @@ class InputDisturbance(Evidence):
     forward_std: float
     backward: float
     backward_std: float
-    shares: Mapping[str, float]  # output -> share of its squared windowed error that goes; negative where it grows
-    explained_share: float  # the same of all outputs, 0..1, each in multiples of its noise
+    shares: Mapping[str, float]  # output -> removed share of its squared windowed error; negative where it grows
+    explained_share: float  # the same over all outputs, 0..1, each in multiples of its noise
 
     quantities: ClassVar[Mapping[str, Any]] = {
         **dict.fromkeys(("rms", "mean", "mean_std", "forward", "forward_std", "backward", "backward_std"), "*"),
@@ -63,19 +62,18 @@ class InputDisturbance(Evidence):
 
     @property
     def sure_means(self) -> dict[str, tuple[float, float]]:
-        """The means by direction, or that of all samples, that are sure to differ from zero, with standard errors."""
+        """Return the means, by direction or of all, that differ significantly from zero, with standard errors."""
         ways = {"moving forward": (self.forward, self.forward_std), "backward": (self.backward, self.backward_std)}
         if not np.isfinite([self.forward, self.backward]).any():
             ways = {"over all": (self.mean, self.mean_std)}
         return {way: (mean, std) for way, (mean, std) in ways.items() if abs(mean) > SURE * std}
 
     def to_json(self) -> dict[str, object]:
-        """All but the samples."""
         return {key: v for key, v in vars(self).items() if key not in ("value", "std", "speed")}
 
 
 def located(found: Mapping[str, InputDisturbance]) -> tuple[InputDisturbance, ...]:
-    """The disturbances that explain half of the error, the best first, with those that do it as well; inputs first."""
+    """Return the best disturbances that explain half of the error, and equally good ones; inputs first."""
     left = min((1.0 - d.explained_share for d in found.values()), default=1.0)
     good = [d for d in found.values() if d.explained_share >= EXPLAINS and 1.0 - d.explained_share <= TIE * left]
     return tuple(sorted(good, key=lambda d: (not d.place.startswith("input "), -d.explained_share)))
@@ -84,10 +82,10 @@ def located(found: Mapping[str, InputDisturbance]) -> tuple[InputDisturbance, ..
 def input_disturbances(
     plant: Any, response: LinearResponse, error: Array, edges: Indices, motion: Motion
 ) -> dict[str, InputDisturbance]:
-    """One at each input and each joint that no input drives directly, by the input's name or ``torque at omega``.
+    """Estimate a disturbance at each input (by name) and each joint without a direct input (``torque at omega``).
 
-    ``error``: of the windows between ``edges``, (n, n_y). Empty for a discrete model, an uneven clock and a few
-    samples.
+    ``error``: of the windows between ``edges``, (n, n_y). Empty for a discrete model, a nonuniform time base and too
+    few samples.
     """
     model, whole, names = response.response.model, response.whole, response.response.output_names
     if model.is_discrete or not whole.is_uniform or len(whole.t) < SHORTEST:
@@ -101,7 +99,7 @@ def input_disturbances(
             smoothed = smooth_disturbance(model, push[:, None], whole.t, u, whole.y, noise)
         except (InputError, NoTrustworthyNumber):  # no output responds to it, or the record is too short
             continue
-        left = _left(replace(response, pushes=push[:, None]), smoothed.d, error, edges)[0] / whole.weight
+        left = _remaining(replace(response, pushes=push[:, None]), smoothed.d, error, edges)[0] / whole.weight
         errors = [e / smoothed.noise_std for e in (error, left)]
         found[key] = _disturbance(place, unit, smoothed, 0, motion, names, *errors)
     return found
@@ -110,16 +108,16 @@ def input_disturbances(
 def joint_disturbances(
     response: MotionResponse, smoothed: SmoothedRecord, error: Array, edges: Indices, motions: Sequence[Motion]
 ) -> dict[str, InputDisturbance]:
-    """One at each joint of a nonlinear plant, or at each input of one without joints.
+    """Estimate a disturbance at each joint of a nonlinear plant, or at each input of one without joints.
 
-    ``error``: of the windows between ``edges``, (n, n_y). ``motions``: of each joint or input, or the one of all.
+    ``error``: of the windows between ``edges``, (n, n_y). ``motions``: of each joint or input, or a single one.
     """
     plant = response.plant
     joints = [(_force_at(p.name, next(s.unit for s in plant.states if s.name == p.name)), p.unit)
               for p in plant.port_places if p.kind == "joint"]  # fmt: skip
     places = joints or [(f"input {s.name}", s.unit) for s in plant.inputs]
     motions = motions if len(motions) == len(places) else [motions[0]] * len(places)
-    left, before = _left(response, smoothed.d, error, edges), error * response.whole.weight
+    left, before = _remaining(response, smoothed.d, error, edges), error * response.whole.weight
     names = [plant.outputs[k].name for k in response.columns]
     return {
         place.removeprefix("input "): _disturbance(place, unit, smoothed, j, motions[j], names, before, left[j])
@@ -127,8 +125,8 @@ def joint_disturbances(
     }
 
 
-def _left(model: Windowed, d: Array, error: Array, edges: Indices) -> Array:
-    """What each force of d (n, n_forces) leaves of the error, starts fitted anew, weighted: (n_forces, n, n_y)."""
+def _remaining(model: Windowed, d: Array, error: Array, edges: Indices) -> Array:
+    """Return the weighted error with each force of d (n, n_forces), starts refitted: (n_forces, n, n_y)."""
     left, sizes = np.empty((d.shape[1], *error.shape)), np.diff(edges)
     for size in np.unique(sizes):
         for windows in model.responses(edges[:-1][sizes == size], int(size), d):
@@ -139,7 +137,7 @@ def _left(model: Windowed, d: Array, error: Array, edges: Indices) -> Array:
 
 
 def _places(plant: Any, model: StateSpaceModel) -> Iterable[tuple[str, str, str, Array]]:
-    """Key, text, unit and direction of each place; an input that acts on an output at once is left out."""
+    """Yield key, text, unit and direction of each place, without inputs that have a direct feedthrough."""
     inputs = [k for k in range(model.n_inputs) if not model.D[:, k].any()]
     for k in inputs:
         yield model.input_names[k], f"input {model.input_names[k]}", model.inputs[k].unit, model.B[:, k]
@@ -165,9 +163,9 @@ def _disturbance(
     place: str, unit: str, smoothed: SmoothedRecord, j: int, motion: Motion, names: Sequence[str], error: Array,
     left: Array,
 ) -> InputDisturbance:  # fmt: skip
-    """``error``, ``left``: of the windows without and with the disturbance, in multiples of each sensor's noise."""
+    """Summarise a disturbance; ``error``, ``left``: without and with it, in multiples of each sensor's noise."""
     d, std, dt = smoothed.d[:, j], smoothed.d_std[:, j], float(smoothed.t[1] - smoothed.t[0])
-    # Samples closer than half a period of the bandwidth say the same.
+    # Samples closer than half a period of the bandwidth are dependent.
     independent = min(1.0, 2.0 * float(smoothed.bandwidth.min()) * dt)
 
     def mean(chosen: Mask) -> tuple[float, float]:
@@ -194,7 +192,7 @@ def _disturbance(
 
 
 def _sensor_noise(y: Array) -> Array:
-    """Noise of each sensor from third differences, of which white noise leaves 20 times its variance."""
+    """Estimate the noise of each sensor from third differences, whose variance is 20 times that of white noise."""
     spread, level = np.ptp(y, axis=0), np.abs(y).max(axis=0)
     spread = np.where(spread > 0, spread, np.where(level > 0, level, 1.0))
     third = np.median(np.abs(np.diff(y, 3, axis=0)), axis=0) / 0.6745 / np.sqrt(20.0)

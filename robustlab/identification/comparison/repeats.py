@@ -1,6 +1,6 @@
-r"""Noise floor without a model, where a record repeats: the scatter of the repeats, and an F test of a residual.
+r"""Noise floor of a record that repeats, without a model: the scatter of the repeats, and an F test of a residual.
 
-Noise is coloured and changes along the period: the effective number of samples is by Satterthwaite's rule.
+Noise is coloured and changes along the period: Satterthwaite's rule gives the effective number of samples.
 """
 
 from __future__ import annotations
@@ -18,27 +18,27 @@ from robustlab.record import Record
 from robustlab.result import Evidence
 
 SHORTEST_PERIOD = 8  # samples
-EXACT = 1e-9  # of the range: differences below are rounding
-FINEST_LEVELS = 200  # a signal with fewer levels than this over its range must repeat exactly
-ROUGHLY = 0.1  # an input whose repeats differ by less than this share of its standard deviation is driven alike
-LEVEL = 3.0  # a level that moves by more than this many standard deviations of a sample is drift
-TRANSIENT_P, TRANSIENT_F = 1e-3, 2.0  # a first period is a transient beyond both
+EXACT = 1e-9  # of the range: smaller differences are rounding
+FINEST_LEVELS = 200  # a signal with fewer levels over its range must repeat exactly
+ROUGHLY = 0.1  # of its standard deviation, by which the repeats of an input may differ
+LEVEL = 3.0  # standard deviations of a sample: a larger change of the level is drift
+TRANSIENT_P, TRANSIENT_F = 1e-3, 2.0  # a first period beyond both is a transient
 BLOCKS = 20  # of the period, over which the local variance is taken
 
 
 @dataclass(frozen=True)
 class Excess(Evidence):
-    """What of a residual repeats, against what noise alone would leave in the average of the repeats."""
+    """Repeating part of a residual against the noise in the average of the repeats."""
 
-    # mean square of the averaged residual over the mean square that noise leaves in it: 1 if nothing is left to
-    # explain. None where the repeats are equal to the last bit: there is no noise to compare with.
+    # mean square of the averaged residual over that of the noise in it: 1 if noise explains it. None where the repeats
+    # are equal to the last bit (no noise).
     F: float | None
     # probability of a larger F if the residual were (Gaussian, coloured) noise alone; None as for F
     p_value: float | None
-    dof: tuple[float, float]  # effective degrees of freedom of numerator and denominator, after the colour of the noise
-    # RMS of the repeating part in the unit of the output, noise taken off (0 where noise explains all of it)
+    dof: tuple[float, float]  # effective degrees of freedom of numerator and denominator for coloured noise
+    # RMS of the repeating part in the unit of the output, noise removed (0 where noise explains all of it)
     repeatable: float
-    noise: float  # standard deviation of the residual's noise in a single sample: no model can get below it
+    noise: float  # standard deviation of the residual's noise in a single sample: the limit of any model
 
 
 @dataclass(frozen=True)
@@ -46,25 +46,23 @@ class NoiseFloor(Evidence):
     """Noise of the outputs of a record that repeats; see `noise_floor`."""
 
     source: str  # ``"periods"`` of one record, or ``"repeated records"``
-    signal: str  # the signal that repeats; empty where the period was stated and no recorded signal repeats exactly
+    signal: str  # the signal that repeats; empty for a stated period without a recorded signal that repeats exactly
     period: float | None  # its period in s; None for repeated records
-    # samples, count: samples of one repeat, and the number of repeats
-    samples: int
-    count: int
-    # sample of the record at which the first whole period that is used starts. The last whole periods are used, and a
-    # first one that is still a start-up transient is left out.
+    samples: int  # of one repeat
+    count: int  # number of repeats
+    # sample of the record at which the first period used starts: the last whole periods, without a start-up transient
     first: int
     # output name -> standard deviation of the noise in a single sample, in the unit of the output
     std: Mapping[str, float]
-    # output name -> standard deviation of the level of the repeats, where it was taken off because the output drifts
-    # (an integrator in open loop); 0 where it was not. Then ``std`` holds no noise slower than a period.
+    # output name -> standard deviation of the level of the repeats where a drift (an integrator in open loop) was
+    # removed, else 0. ``std`` then holds no noise slower than a period.
     level: Mapping[str, float]
-    # input name -> the same as ``std`` for inputs that do not repeat exactly: noise that a controller feeds back
+    # input name -> as ``std`` for inputs that do not repeat exactly: noise that a controller feeds back
     input_std: Mapping[str, float]
-    notes: tuple[str, ...]  # what a reader must know
+    notes: tuple[str, ...]  # limits of the estimate
 
     def repeats(self, samples: ArrayLike) -> Array:
-        """Samples (n,) on the clock of the record as repeats, shape (count, samples); repeats stay as they are."""
+        """Cut samples (n,) of the record into repeats, shape (count, samples); repeats are returned unchanged."""
         x = np.asarray(samples, dtype=np.float64)
         if x.ndim == 2 and x.shape == (self.count, self.samples):
             return x
@@ -75,9 +73,9 @@ class NoiseFloor(Evidence):
         return x[self.first : last].reshape(self.count, self.samples)
 
     def periodic(self, samples: ArrayLike) -> Array:
-        """As `repeats`, but with a drift from period to period taken off: (count, samples).
+        """Return `repeats` without a drift from period to period: (count, samples).
 
-        A drifting output is a ramp plus a periodic part; the ramp has the mean step of the levels of the periods.
+        A drifting output is a ramp plus a periodic part; the slope is the mean step of the levels of the periods.
         """
         x = self.repeats(samples)
         if not _drifts(x):
@@ -88,10 +86,10 @@ class NoiseFloor(Evidence):
         return x - level - ramp + level.mean()
 
     def excess(self, residual: ArrayLike) -> Excess:
-        """Test whether anything repeats in a residual: (n,) on the record's clock, or (count, samples).
+        """Test whether anything repeats in a residual: (n,) as the record, or (count, samples).
 
-        The residual must be made alike in every repeat: windows of a windowed simulation must fall on the same phases
-        of every period. Phases with NaN in any repeat are left out.
+        Windows of a windowed simulation must be at the same phases of every period. Phases with NaN in any repeat are
+        excluded.
         """
         from scipy.stats import f as fisher
 
@@ -102,7 +100,7 @@ class NoiseFloor(Evidence):
         mean = r.mean(axis=0)
         deviation = r - mean
         power, variance = float(np.mean(mean**2)), float((deviation**2).sum() / ((self.count - 1) * r.shape[1]))
-        # Residuals are differences of larger numbers: a spread at the level of their rounding is no noise.
+        # Residuals are differences of larger numbers: a spread at their rounding is no noise.
         if variance <= (1e-14 * float(np.abs(r).max())) ** 2:
             return Excess(None, None, (0.0, 0.0), float(np.sqrt(power)), 0.0)
         above = effective_dof(deviation)
@@ -117,7 +115,7 @@ class NoiseFloor(Evidence):
 def noise_floor(
     record: Record, *, period: float | None = None, repeats: Sequence[Record] = (), outputs: Sequence[str] | None = None
 ) -> NoiseFloor:
-    """Noise of the outputs of a record, from its own periods or from further records with the same input."""
+    """Estimate the noise of the outputs of a record from its periods or from further records with the same input."""
     names = list(record.outputs) if outputs is None else list(outputs)
     for name in names:
         record[name]
@@ -148,9 +146,9 @@ def noise_floor(
 
 
 def period_of(samples: ArrayLike, tolerance: float | None = None) -> int | None:
-    """Shortest period in samples with which a signal (n,) repeats throughout, or None.
+    """Return the shortest period in samples with which a signal (n,) repeats throughout, or None.
 
-    ``tolerance``: largest difference between repeats of one phase; else a fine quantisation's step, or rounding.
+    ``tolerance``: largest difference between repeats of one phase; default: a fine quantisation step, or rounding.
 
     Examples
     --------
@@ -163,7 +161,7 @@ def period_of(samples: ArrayLike, tolerance: float | None = None) -> int | None:
         return None
     tolerance = max(EXACT * spread, _step(x, spread) if tolerance is None else tolerance)
     difference = _lag_differences(x)
-    # The sums behind it are exact to about 1e-12 of the energy; the check below is exact.
+    # The sums are exact to about 1e-12 of the energy; the check below is exact.
     bound = tolerance**2 + 1e-9 * spread**2
     lags = np.arange(SHORTEST_PERIOD, len(difference) - 1)
     hollow = (difference[lags] <= difference[lags - 1]) & (difference[lags] <= difference[lags + 1])
@@ -173,7 +171,7 @@ def period_of(samples: ArrayLike, tolerance: float | None = None) -> int | None:
 
 
 def effective_dof(deviation: Array) -> float:
-    """Effective number of independent samples in the mean square of one repeat, from deviations (P, N) of the repeats.
+    """Estimate the effective number of independent samples in the mean square of one repeat from deviations (P, N).
 
     (sum S)^2 / sum S^2 of their spectrum, with P / (P - 1) for its own scatter, and the variances of 20 blocks.
     """
@@ -186,7 +184,7 @@ def effective_dof(deviation: Array) -> float:
 
 
 def _lag_differences(x: Array) -> Array:
-    """Mean square of x[k + p] - x[k] for the lags p = 0..n // 2."""
+    """Compute the mean square of x[k + p] - x[k] for the lags p = 0..n // 2."""
     n = len(x)
     x = x - x.mean()
     size = 1 << (2 * n - 1).bit_length()
@@ -198,7 +196,7 @@ def _lag_differences(x: Array) -> Array:
 
 
 def _step(x: Array, spread: float) -> float:
-    """One step of the quantisation; 0 where there is none or where it is coarse."""
+    """Return the quantisation step; 0 without or with a coarse quantisation."""
     gaps = np.diff(np.unique(x))
     gaps = gaps[gaps > EXACT * spread]
     if not len(gaps):
@@ -210,7 +208,7 @@ def _step(x: Array, spread: float) -> float:
 
 
 def _repeats(x: Array, period: int, tolerance: float) -> bool:
-    """Do all repeats of every phase lie within the tolerance?"""
+    """Check that all repeats of every phase are within the tolerance."""
     count = len(x) // period
     first = len(x) - count * period
     whole = x[first:].reshape(count, period)
@@ -222,7 +220,7 @@ def _repeats(x: Array, period: int, tolerance: float) -> bool:
 
 
 def _found_period(record: Record, names: list[str]) -> tuple[int, str]:
-    """Common period of all signals that repeat, and their names."""
+    """Return the common period of all signals that repeat, and their names."""
     where = f"noise floor of {record.name}"
     periods = {name: period_of(x) for name, x in record.inputs.items()}
     periods |= {name: period_of(x, 0.0) for name, x in record.outputs.items() if name not in names}
@@ -267,7 +265,7 @@ def _stated_period(record: Record, period: float) -> int:
 
 
 def _alike(stacked: Array) -> bool:
-    """Do the repeats of an input differ by less than 10 % of its standard deviation (or is it constant)?"""
+    """Check that the repeats of an input differ by less than 10 % of its standard deviation, or that it is constant."""
     spread = float(np.sqrt(np.mean((stacked - stacked.mean(axis=0)) ** 2)))
     return spread <= ROUGHLY * float(stacked.std())
 
@@ -283,14 +281,14 @@ def _require_alike(record: Record, inputs: Mapping[str, Array], what: str) -> No
 
 
 def _transient(outputs: Sequence[Array]) -> int:
-    """Number of first periods that differ from the later ones by more than these differ among themselves."""
+    """Count the first periods that differ from the later ones by more than these differ among themselves."""
     from scipy.stats import f as fisher
 
     skipped = 0
     count = min((len(x) for x in outputs), default=0)
     while count - skipped >= 3:
         for x in (x[skipped:] for x in outputs):
-            if _drifts(x):  # a drift's level is no transient, what its shape does is
+            if _drifts(x):  # the level of a drift is no transient
                 x = x - x.mean(axis=1, keepdims=True)
             later = x[1:]
             deviation = later - later.mean(axis=0)
@@ -315,7 +313,7 @@ def _drifts(x: Array) -> bool:
 
 
 def _spread(x: Array) -> tuple[float, float]:
-    """Standard deviation of the noise in a sample, and of the level where that was taken off."""
+    """Estimate the standard deviation of the noise in a sample, and of the level of a drifting output."""
     count, n = x.shape
     deviation = x - x.mean(axis=0)
     if not _drifts(x):
@@ -339,7 +337,7 @@ def _floor(
     drifting = [name for name in outputs if found[name][1]]
     if drifting:
         notes.append(
-            f"{', '.join(drifting)} drifts from repeat to repeat: its level was taken off, noise slower than a repeat "
+            f"{', '.join(drifting)} drifts from repeat to repeat: its level was removed, noise slower than a repeat "
             "is not in the floor"
         )
     fed_back = {name: _spread(stacked[name])[0] for name in inputs if np.ptp(stacked[name])}
@@ -351,7 +349,7 @@ def _floor(
 
 
 def _from_records(record: Record, repeats: Sequence[Record], outputs: list[str]) -> NoiseFloor:
-    """Noise floor from records with the same input; they are cut to the shortest."""
+    """Estimate the noise floor from records with the same input, cut to the shortest."""
     n = min(r.n for r in (record, *repeats))
     stacked: dict[str, Array] = {}
     for number, other in enumerate(repeats, start=1):

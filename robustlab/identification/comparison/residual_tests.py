@@ -1,6 +1,6 @@
-"""Is a residual white, and independent of the input? Is an output even or odd in its excitation?
+"""Tests of a residual for whiteness and independence of the input; even and odd nonlinearity of an output.
 
-The odd share is a lower bound, line 0 is left out, and in closed loop the harmonics of the reference count (Pintelon,
+The odd share is a lower bound, line 0 is excluded, and in closed loop the harmonics of the reference count (Pintelon,
 Schoukens, *System Identification*, 2012, section 4.3).
 """
 
@@ -16,7 +16,7 @@ from robustlab.arrays import Array
 from robustlab.identification.comparison.repeats import NoiseFloor
 from robustlab.result import Evidence
 
-BAND_99 = 2.5758293035489004  # the 99.5 % point of the normal distribution: 99 % of white samples lie within
+BAND_99 = 2.5758293035489004  # the 99.5 % point of the normal distribution: 99 % of white samples are within
 # Directions of the lagged input below this share of its largest eigenvalue are not excited.
 NOT_EXCITED = 1e-10
 
@@ -28,13 +28,13 @@ class Whiteness(Evidence):
     .. math:: Q = N (N + 2) \sum_{k=1}^{m} \frac{r_k^2}{N_k}, \qquad Q \sim \chi^2_m \text{ for a white residual}
 
     with :math:`N_k` the number of pairs at lag k (N - k without gaps). The residual is not centred: a constant offset
-    is an error. No degree of freedom is taken off, as no parameter was fitted.
+    is an error. Degrees of freedom are not reduced, as no parameter was fitted.
     """
 
     # lags, autocorrelation: lags 0..m in samples, and r_k with r_0 = 1, shape (m + 1,)
     lags: NDArray[np.int_]
     autocorrelation: Array
-    band: float  # 99 % of the r_k of a white residual lie within ± this
+    band: float  # 99 % of the r_k of a white residual are within ± this
     # statistic, dof, p_value: Q, m, and the probability of a larger Q for a white residual
     statistic: float
     dof: int
@@ -55,15 +55,12 @@ class InputCorrelation(Evidence):
     """
 
     # lags, correlation: lags -m..m in samples (positive: the residual after the input), and r_k, shape (2 m + 1,).
-    # Correlation at negative lags means that the input was computed from the output: the record was taken in closed
-    # loop.
+    # Correlation at negative lags means that the input was computed from the output (closed loop).
     lags: NDArray[np.int_]
     correlation: Array
-    # 99 % band of r_k, corrected for the residual's and the input's own correlation; as wide as 2.58 / sqrt(N) for
-    # white ones
+    # 99 % band of r_k, corrected for the colour of the residual and the input; 2.58 / sqrt(N) for white ones
     band: float
-    # statistic, dof, p_value: Q, the number of excited directions among the m + 1 lags, and the probability of a larger
-    # Q
+    # Q, the number of excited directions among the m + 1 lags, and the probability of a larger Q
     statistic: float
     dof: int
     p_value: float
@@ -72,10 +69,7 @@ class InputCorrelation(Evidence):
 
 
 def autocorrelation(residual: ArrayLike, lags: int) -> tuple[Array, NDArray[np.int_]]:
-    """Autocorrelation r_0..r_lags of a residual (n,) that is not centred, and the number of pairs at each lag.
-
-    Samples that are NaN are left out. A residual of zeros has r_k = 0 for k > 0.
-    """
+    """Compute r_0..r_lags of a residual (n,), not centred, without NaN samples, and the number of pairs at each lag."""
     e = np.asarray(residual, dtype=float)
     there = np.isfinite(e)
     filled = np.where(there, e, 0.0)
@@ -88,7 +82,7 @@ def autocorrelation(residual: ArrayLike, lags: int) -> tuple[Array, NDArray[np.i
 
 
 def whiteness(residual: ArrayLike, lags: int) -> Whiteness:
-    """Ljung-Box test over the first ``lags`` autocorrelations of a residual (n,); NaN samples are left out."""
+    """Apply the Ljung-Box test to the first ``lags`` autocorrelations of a residual (n,) without its NaN samples."""
     from scipy.linalg import toeplitz
     from scipy.stats import chi2
 
@@ -104,9 +98,9 @@ def whiteness(residual: ArrayLike, lags: int) -> Whiteness:
 
 
 def input_correlation(u: ArrayLike, residual: ArrayLike, lags: int) -> InputCorrelation:
-    """Cross-correlation of an input (n,) with a residual (n,) over lags -``lags``..``lags``.
+    """Compute the cross-correlation of an input (n,) with a residual (n,) over lags -``lags``..``lags``.
 
-    NaN samples of the residual are left out.
+    NaN samples of the residual are excluded.
     """
     from scipy.stats import chi2
 
@@ -131,7 +125,7 @@ def input_correlation(u: ArrayLike, residual: ArrayLike, lags: int) -> InputCorr
 
 
 def _explained(v: Array, e: Array, lags: int) -> tuple[float, int, int]:
-    """R² of the regression of ``e`` on ``v`` at lags 0..``lags``, excited directions, and samples that went in."""
+    """Return R² of the regression of ``e`` on ``v`` at lags 0..``lags``, excited directions, and samples used."""
     rows = np.flatnonzero(np.isfinite(e))
     rows = rows[rows >= lags]
     target = e[rows]
@@ -149,30 +143,30 @@ def _explained(v: Array, e: Array, lags: int) -> tuple[float, int, int]:
 EXCITED = 1e-6  # of the strongest line's power: excited
 QUIET_BETWEEN = 1e-9  # not excited, among excited lines
 QUIET_BEYOND = 1e-22  # not excited, above the highest excited line: a controller may amplify there by 1e4 and more
-NOTHING = 1e-6  # a smaller share is not worth a number
-DETECTED = 0.01  # p-value below which a share is more than noise
+NOTHING = 1e-6  # smaller shares are negligible
+DETECTED = 0.01  # p-value below which a share exceeds the noise
 
 
 @dataclass(frozen=True)
 class HarmonicShares(Evidence):
-    """Where in the harmonics the repeating part of one signal lies."""
+    """Distribution of the repeating part of one signal over the harmonics."""
 
     rms: float  # RMS of the signal's repeating part at all judged lines, in its unit
-    # even, odd: share of its power at even lines, and at odd lines, that are not excited, 0..1, noise taken off; None
-    # where there is no such line
+    # even, odd: share of its power at even and at odd lines that are not excited, 0..1, noise removed; None without
+    # such lines
     even: float | None
     odd: float | None
-    # even_p, odd_p: probability of that much power from noise alone; None without such lines or without noise
+    # even_p, odd_p: probability of that power from noise alone; None without such lines or without noise
     even_p: float | None
     odd_p: float | None
-    # frequency, amplitude: the judged lines in Hz, and the amplitude of each (peak of the sine), shape (n_lines,)
+    # frequency, amplitude: the lines in Hz, and the amplitude of each (peak of the sine), shape (n_lines,)
     frequency: Array
     amplitude: Array
     kind: NDArray[np.int_]  # 0 excited, 1 even and not excited, 2 odd and not excited, for each line, shape (n_lines,)
-    noise: Array  # amplitude that noise alone leaves at each line, shape (n_lines,)
+    noise: Array  # amplitude of the noise at each line, shape (n_lines,)
 
     def words(self) -> str:
-        """``even 0.13 %, odd not beyond noise`` (of the power)."""
+        """Return for example ``even 0.13 %, odd not beyond noise`` (of the power)."""
         parts: list[str] = []
         for name, share, p in (("even", self.even, self.even_p), ("odd", self.odd, self.odd_p)):
             if share is None:
@@ -182,7 +176,7 @@ class HarmonicShares(Evidence):
         return ", ".join(parts)
 
     def to_json(self) -> dict[str, object]:
-        """The shares; the lines are left to the figure."""
+        """Return the shares without the lines."""
         return {"rms": self.rms, "even": self.even, "odd": self.odd, "even_p": self.even_p, "odd_p": self.odd_p}
 
 
@@ -190,17 +184,16 @@ class HarmonicShares(Evidence):
 class EvenOdd(Evidence):
     """Even/odd test of all signals."""
 
-    # output (and, in closed loop, input) name -> `HarmonicShares`; empty where the excitation allows no test
+    # output (and, in closed loop, input) name -> `HarmonicShares`; empty if the excitation allows no test
     signals: Mapping[str, HarmonicShares]
-    excitation: str  # what is excited, in words; empty where nothing repeats
-    reason: str  # why there is no test, or why one half of it is missing; empty where both can be made
+    excitation: str  # the excited lines, in words; empty if nothing repeats
+    reason: str  # why the test, or one half of it, is missing; empty otherwise
 
 
 def even_odd(floor: NoiseFloor, excitation: Array, signals: Mapping[str, Array], dt: float) -> EvenOdd:
-    """Even/odd test of ``signals`` (n,) by name for a periodic ``excitation`` (n,) on the same clock.
+    """Apply the even/odd test to ``signals`` (n,) by name for a periodic ``excitation`` (n,) on the same time base.
 
-    ``floor``: says which samples form the periods. ``excitation``: the reference, or in open loop the input.
-    ``signals``: name -> samples. ``dt``: sample time in s.
+    ``floor`` defines the periods. ``excitation``: the reference, or in open loop the input. ``dt``: sample time in s.
     """
     lines, kind = judged_lines(floor.periodic(excitation))
     if not len(lines):
@@ -222,7 +215,7 @@ def even_odd(floor: NoiseFloor, excitation: Array, signals: Mapping[str, Array],
 
 
 def harmonic_shares(periods: ArrayLike, lines: NDArray[np.int_], kind: NDArray[np.int_], dt: float) -> HarmonicShares:
-    """Shares of the power of ``periods`` (count, n) over lines of kind 0 excited, 1 even, 2 odd."""
+    """Compute the shares of the power of ``periods`` (count, n) over lines of kind 0 excited, 1 even, 2 odd."""
     from scipy.stats import f as fisher
 
     x = np.asarray(periods, dtype=np.float64)
@@ -253,7 +246,7 @@ def harmonic_shares(periods: ArrayLike, lines: NDArray[np.int_], kind: NDArray[n
 
 
 def judged_lines(excitation: ArrayLike) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
-    """Lines of a periodic excitation (count, n) that are excited or quiet, and their kind as in `HarmonicShares`.
+    """Return the excited and the quiet lines of a periodic excitation (count, n), and their kind (`HarmonicShares`).
 
     Excited: within 60 dB of the strongest line. Quiet: 90 dB below it, above the highest excited line 220 dB.
     """

@@ -1,4 +1,4 @@
-"""What to measure next: the experiment that separates the named effects from their rivals best."""
+"""Design of the next experiment: the one that separates the named effects from their rivals best."""
 
 from robustlab.identification.experiment.next_experiment import NextExperiment, propose_experiment
 

@@ -1,7 +1,7 @@
-r"""What to measure next, so that hypotheses that the present records leave open can be told apart (T-optimality).
+r"""Design of the next experiment to distinguish candidate models that the present records do not (T-optimality).
 
-Proposed is the signal whose smallest refit distance over all pairs is largest (Atkinson, Fedorov, Biometrika 62, 1975);
-where B contains A only the richer one is taken for the truth.
+The proposed signal has the largest smallest refit distance over all pairs (Atkinson, Fedorov, Biometrika 62, 1975); if
+B contains A, only the richer one is assumed true.
 """
 
 from __future__ import annotations
@@ -26,25 +26,24 @@ from robustlab.record import Record
 from robustlab.result import Evidence
 from robustlab.shown import Facts
 
-MOST_OPPONENTS = 3  # rivals that it is to tell from the named effect
+MOST_OPPONENTS = 3  # rivals to be distinguished from the named effect
 LONGEST_EXPERIMENT = 5000  # samples
-TIME_CONSTANTS_SEEN = 20.0  # slowest time constants of the plant in an experiment, at least
+TIME_CONSTANTS = 20.0  # slowest time constants of the plant in an experiment, at least
 TIME_CONSTANTS_A_BEAT = 8.0  # the same in a beat of the signals
 MOST_BEATS = 16  # in an experiment
 FEWEST_BEATS = 4
-CANNOT_TELL = 3.0  # noise sigmas
-SAFE = 10.0  # the same, from which an experiment is safe to separate
-SHORTER_BEATS = (1.0, 0.5, 0.25, 0.125)  # tried where the plant would run out of its travel
-REFITTED_ENTRIES = 5  # of the menu, properly: more find better experiments, each costs fits of all pairs
+SAFE = 10.0  # noise sigmas from which an experiment separates safely
+SHORTER_BEATS = (1.0, 0.5, 0.25, 0.125)  # tried if the plant would exceed its travel
+REFITTED_ENTRIES = 5  # of the menu: more find better experiments, each costs fits of all pairs
 SIGNALS_EACH = 2  # of these with the same sensors
-REFIT_ITERATIONS = 12  # valleys of two parameters that nearly do the same are long
-ASSUMED_NOISE = 1e-3  # of the range, of a sensor that was not recorded so far
+REFIT_ITERATIONS = 12  # two nearly equivalent parameters form long valleys
+ASSUMED_NOISE = 1e-3  # of the range, of a new sensor
 SENSOR_WORTH = 0.25  # share of d that a new sensor must bring
 SHORTEST_PERIOD = 4.0  # samples of the fastest sine
 
 
 class Tried(NamedTuple):
-    """One entry of the menu: signal, sensors, duration in s, smallest d; refitted, or from the linearised refit."""
+    """One entry of the menu: signal, sensors, duration in s, smallest d by a full or by the linearised refit."""
 
     name: str
     sensors: tuple[str, ...]
@@ -55,42 +54,38 @@ class Tried(NamedTuple):
 
 @dataclass(frozen=True)
 class NextExperiment(Evidence):
-    """The experiment to make next."""
+    """Proposed experiment."""
 
     name: str  # entry of the menu
     description: str  # signal, duration and sensors in words
-    advice: str  # where the experiment is not safe to separate the hypotheses: what else would
-    t: Array  # clock in s, (n,)
-    # inputs, units: input -> samples (n,), each held until the next; input -> unit. Of a platform under control the
-    # references of its nut angles, for the controller, and the poses that they belong to
-    inputs: Mapping[str, Array]
+    advice: str  # alternatives if the experiment does not separate the candidates safely
+    t: Array  # time in s, (n,)
+    inputs: Mapping[str, Array]  # input -> samples (n,), each held until the next
     units: Mapping[str, str]
     duration: float  # in s
-    # sensors, added: outputs to record; those of them that were not recorded so far
-    sensors: tuple[str, ...]
-    added: tuple[str, ...]
-    assumed_noise: Mapping[str, float]  # added sensor -> standard deviation that was assumed for it, in its unit
-    # smallest predicted refit distance d over all pairs of open hypotheses, in noise sigmas: below 3 nothing will be
-    # told, beyond 10 it is safe
+    sensors: tuple[str, ...]  # outputs to record
+    added: tuple[str, ...]  # those of them that were not recorded so far
+    assumed_noise: Mapping[str, float]  # added sensor -> assumed standard deviation, in its unit
+    # smallest predicted refit distance d over all pairs of candidates, in noise sigmas: below 3 indistinguishable, from
+    # 10 on safe
     separation: float
-    if_named: float  # the same over the pairs with the named hypothesis as the truth
-    now: float  # smallest refit distance of the named hypothesis and a rival for the present records (`refit_distance`)
-    hypotheses: tuple[str, ...]  # what is to be separated, the named one first
-    menu: tuple[Tried, ...]  # all that was tried
+    if_named: float  # the same over the pairs with the named candidate as the truth
+    now: float  # smallest refit distance of the named candidate and a rival for the present records (`refit_distance`)
+    hypotheses: tuple[str, ...]  # candidates to be separated, the named one first
+    menu: tuple[Tried, ...]  # all tried entries
 
     @property
     def separates(self) -> bool:
-        """True where the choice will be safe (d of 10 or more)."""
+        """Whether the choice will be safe (d of 10 or more)."""
         return self.separation >= SAFE
 
     def facts(self) -> Facts:
-        """Description, predicted separation, and what else would help."""
-        told = f"{self.separation:.3g} noise sigmas of {', '.join(self.hypotheses)}"
-        now = f"present records: {self.now:.3g}; 3 tell, {SAFE:.0f} are safe"
-        return [("signal", self.description), ("predicted separation", f"{told} ({now})"), ("or", self.advice)]
+        size = f"{self.separation:.3g} noise sigmas of {', '.join(self.hypotheses)}"
+        now = f"present records: {self.now:.3g}; {tuning.CANNOT_TELL:.0f} distinguish, {SAFE:.0f} are safe"
+        return [("signal", self.description), ("predicted separation", f"{size} ({now})"), ("or", self.advice)]
 
     def save(self, path: str | Path) -> Path:
-        """Write the signal as a text table: a head of names, then the clock in s and each input, sample by sample."""
+        """Write the signal as a text table: a row of names, then time in s and each input, sample by sample."""
         from robustlab.files.atomic import atomic_write
 
         table = np.column_stack([self.t, *self.inputs.values()])
@@ -100,7 +95,7 @@ class NextExperiment(Evidence):
 
 
 def propose_experiment(problem: Problem, named: Fit, rivals: Sequence[Fit]) -> NextExperiment | None:
-    """The experiment of the menu that separates the named hypothesis and its rivals best; None where none can.
+    """Select the experiment of the menu that separates the named candidate and its rivals best; None if none can.
 
     Inputs stay within the recorded sizes, positions in m within their recorded range; the experiment is as long as the
     longest record, or twenty slowest time constants.
@@ -125,6 +120,9 @@ def propose_experiment(problem: Problem, named: Fit, rivals: Sequence[Fit]) -> N
     text += ", ".join(sensors)
     for name in added:
         text += f" ({name} is new: a noise of {assumed[name]:.2g} {units[name]} a sample is assumed)"
+    tried = [
+        Tried(e.trial.name, tuple(outputs[k] for k in e.sensors), duration, e.separation, e.refitted) for e in menu
+    ]
     return NextExperiment(
         chosen.trial.name,
         text,
@@ -140,9 +138,7 @@ def propose_experiment(problem: Problem, named: Fit, rivals: Sequence[Fit]) -> N
         chosen.named,
         min(refit_distance(problem, fits[a], fits[b]) for a, b in _ordered(fits) if 0 in (a, b)),
         labels,
-        tuple(
-            Tried(e.trial.name, tuple(outputs[k] for k in e.sensors), duration, e.separation, e.refitted) for e in menu
-        ),
+        tuple(tried),
     )
 
 
@@ -164,7 +160,7 @@ def _limits(problem: Problem) -> _Limits:
     plant, records, first = problem.plant, problem.records, problem.records[0]
     assert isinstance(plant, LinearPlant)
     dt, slowest = first.record.dt, slowest_time_constant(plant.state_space())
-    wanted = max(round(TIME_CONSTANTS_SEEN * slowest / dt), *(r.record.n for r in records))
+    wanted = max(round(TIME_CONSTANTS * slowest / dt), *(r.record.n for r in records))
     samples = max(min(wanted, LONGEST_EXPERIMENT), tuning.FEWEST_WINDOWS * first.windows.length)
     samples -= samples % first.windows.length
     beat = min(max(TIME_CONSTANTS_A_BEAT * slowest, samples * dt / MOST_BEATS), samples * dt / FEWEST_BEATS)
@@ -183,7 +179,7 @@ def _limits(problem: Problem) -> _Limits:
 
 
 def _menu(lowest: float, highest: float, samples: int, dt: float, beat: float) -> dict[str, Array]:
-    """Test signals of one input within a range by name, (samples,); ``beat``: unit of all periods in s."""
+    """Return test signals of one input within a range by name, (samples,); ``beat``: unit of all periods in s."""
     middle, half = 0.5 * (lowest + highest), 0.5 * (highest - lowest)
     t = dt * np.arange(samples, dtype=float)
     fastest = max(SHORTEST_PERIOD * dt, beat / 40.0)
@@ -191,29 +187,20 @@ def _menu(lowest: float, highest: float, samples: int, dt: float, beat: float) -
     cycle = min(8.0 * beat, samples * dt)
 
     def held(beats: float, *shares: float) -> Array:
-        # Half a sample more: a change that falls on a sample must not depend on rounding.
+        # Half a sample more: a change at a sample must not depend on rounding.
         index = np.floor((t + 0.5 * dt) / _rounded(beats * beat, dt)).astype(int)
         return np.array(shares)[index % len(shares)]
-
-    def square(beats: float) -> Array:
-        return held(0.5 * beats, 1.0, -1.0)
-
-    def triangle(beats: float) -> Array:
-        return np.arcsin(np.sin(2.0 * np.pi * t / _rounded(beats * beat, dt))) * 2.0 / np.pi
 
     def sine(beats: float) -> Array:
         return np.sin(2.0 * np.pi * t / _rounded(beats * beat, dt))
 
-    def swept() -> Array:
-        rate = np.log(sweep[0] / sweep[1]) / cycle
-        return np.sin(2.0 * np.pi * np.expm1(rate * (t % cycle)) / (rate * sweep[0]))
+    def triangle(beats: float) -> Array:
+        return np.arcsin(sine(beats)) * 2.0 / np.pi
 
-    def multisine() -> Array:
-        order = np.arange(1, max(2, int(cycle / fastest) + 1), 2)
-        phase = -np.pi * np.arange(len(order)) ** 2 / len(order)
-        waves = np.cos(2.0 * np.pi * np.outer(t / cycle, order) + phase).sum(axis=1)
-        return waves / np.abs(waves).max()
-
+    rate = np.log(sweep[0] / sweep[1]) / cycle
+    order = np.arange(1, max(2, int(cycle / fastest) + 1), 2)
+    phase = -np.pi * np.arange(len(order)) ** 2 / len(order)
+    multisine = np.cos(2.0 * np.pi * np.outer(t / cycle, order) + phase).sum(axis=1)
     block = round(8.0 * beat / dt)
     parts = (held(0.5, 1, -1, 0.5, -0.5, 0.1, -0.1), 0.3 * triangle(2), 0.08 * triangle(2), 0.03 * sine(0.25))
     lengths = [round(share * block) for share in (0.375, 0.25, 0.25, 0.125)]
@@ -221,20 +208,20 @@ def _menu(lowest: float, highest: float, samples: int, dt: float, beat: float) -
     shapes = {
         "one-way steps": held(1, 0.25, 0.6, 1, 0.4, 0.8),
         "levels both ways": held(1, 1, -1, 0.6, -0.6, 0.3, -0.3, 0.15, -0.15),
-        "square wave": square(1),
-        "small fast reversals": 0.15 * square(0.25),
+        "square wave": held(0.5, 1, -1),
+        "small fast reversals": 0.15 * held(0.125, 1, -1),
         "slow triangle through zero": 0.15 * triangle(8),
         "slow triangle through zero, small": 0.06 * triangle(8),
         "small sine": 0.06 * sine(0.5),
-        "sine sweep": 0.5 * swept(),
-        "odd multisine": multisine(),
+        "sine sweep": 0.5 * np.sin(2.0 * np.pi * np.expm1(rate * (t % cycle)) / (rate * sweep[0])),
+        "odd multisine": multisine / np.abs(multisine).max(),
         "rich": np.resize(rich, samples),
     }
     return {name: np.clip(middle + half * shape, lowest, highest) for name, shape in shapes.items()}
 
 
 def _rounded(seconds: float, dt: float) -> float:
-    """Two digits, in whole pairs of samples."""
+    """Round a time to two digits and to whole pairs of samples."""
     return max(2, 2 * round(float(f"{seconds:.2g}") / dt / 2.0)) * dt
 
 
@@ -243,17 +230,17 @@ def _rounded(seconds: float, dt: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """A signal of the menu: its name, the inputs (n, n_u), and the states of each hypothesis from rest, (n, n_x)."""
+    """A signal of the menu with the simulated candidates."""
 
     name: str
     text: str
-    u: Array
-    states: tuple[Array, ...]
-    outputs: Array  # (n, n_y) of the named hypothesis
+    u: Array  # (n, n_u)
+    states: tuple[Array, ...]  # of each candidate from zero, (n, n_x)
+    outputs: Array  # (n, n_y) of the named candidate
 
 
 def _trials(problem: Problem, fits: Sequence[Fit], limits: _Limits) -> list[_Trial]:
-    """All signals that the plant can take, with shorter beats where the travel asks for them."""
+    """Return all signals within the travel of the plant, with shorter beats where needed."""
     dt, found = problem.records[0].record.dt, dict[str, _Trial]()
     for k, signal in enumerate(problem.plant.inputs):
         lowest, highest = limits.ranges[signal.name]
@@ -274,7 +261,7 @@ def _trials(problem: Problem, fits: Sequence[Fit], limits: _Limits) -> list[_Tri
 
 
 def _tried_out(problem: Problem, fits: Sequence[Fit], name: str, text: str, u: Array, limits: _Limits) -> _Trial | None:
-    """The signal as each hypothesis answers it; None where one runs away or beyond the travel."""
+    """Simulate each candidate with a signal; None if one diverges or exceeds the travel."""
     dt, n_x = problem.records[0].record.dt, len(problem.plant.states)
     states, outputs = [], []
     for fit in fits:
@@ -292,7 +279,7 @@ def _tried_out(problem: Problem, fits: Sequence[Fit], name: str, text: str, u: A
 
 
 def _noise(problem: Problem, present: NoiseModel, trials: Sequence[_Trial]) -> tuple[NoiseModel, dict[str, float]]:
-    """Noise of all outputs of the plant, averaged: as found where recorded, else assumed, and what it is per sample."""
+    """Return the averaged noise of all outputs, estimated where recorded, else assumed; and the assumed per sample."""
     spans = np.max([np.ptp(t.outputs, axis=0) for t in trials], axis=0)
     std = ASSUMED_NOISE * np.where(spans > 0.0, spans, 1.0)
     assumed = {s.name: float(v) for s, v in zip(problem.plant.outputs, std, strict=True)}
@@ -307,17 +294,17 @@ def _noise(problem: Problem, present: NoiseModel, trials: Sequence[_Trial]) -> t
 def _predicted(
     problem: Problem, fits: Sequence[Fit], trial: _Trial, truth: int, columns: Sequence[int], noise: NoiseModel
 ) -> Problem:
-    """The experiment as a problem whose measured outputs are those of the hypothesis ``truth``."""
+    """Set up the experiment as a problem whose measured outputs are those of the candidate ``truth``."""
     first, fit, x = problem.records[0], fits[truth], trial.states[truth]
     length, n, t = first.windows.length, len(x), first.record.dt * np.arange(len(x), dtype=float)
     _, values = problem.split(fit.hypothesis, fit.z)
     shown, _, _ = problem.sensors([(c.effect, c.site) for c in fit.hypothesis.candidates], values)
     starts = np.arange(n // length, dtype=np.int64) * length
     record = Record(t, {s.name: trial.u[:, k] for k, s in enumerate(problem.plant.inputs)}, name=trial.name)
-    # What a smoother would know of it: the predicted motion, as well as it knew the present one.
-    share = _told_by_output(problem)
-    told = np.array([x @ share.get(c, np.zeros((x.shape[1],) * 2)) for c in columns])
-    x = x + sum((shown.get(c, 1.0) - 1.0) * part for c, part in zip(columns, told, strict=True))
+    # Result of a smoother: the predicted motion with the accuracy of the present one.
+    share = _shares_of_outputs(problem)
+    parts = np.array([x @ share.get(c, np.zeros((x.shape[1],) * 2)) for c in columns])
+    x = x + sum((shown.get(c, 1.0) - 1.0) * part for c, part in zip(columns, parts, strict=True))
     start_std = np.median(np.concatenate([r.x0_std for r in problem.records]), axis=0)
     known = [r.smoothed for r in problem.records]
     std = np.median(np.concatenate([s.x_std for s in known]), axis=0)
@@ -329,21 +316,21 @@ def _predicted(
     )  # fmt: skip
     made = PreparedRecord(
         record, trial.u, np.zeros((n, len(columns))), tuple(columns), Windows(starts, length), x[starts].copy(),
-        np.tile(start_std, (len(starts), 1)), smoothed, told, np.zeros_like(told), first.push, first.thin,
+        np.tile(start_std, (len(starts), 1)), smoothed, parts, np.zeros_like(parts), first.push, first.thin,
         np.zeros(len(columns)),
     )  # fmt: skip
     there = problem.on([made])
     return predicted(there, _from_rest(fit, there, noise))
 
 
-def _told_by_output(problem: Problem) -> dict[int, Array]:
-    """For each measured output the matrix M with which x M is its share in the smoothed states x of the records."""
+def _shares_of_outputs(problem: Problem) -> dict[int, Array]:
+    """Fit for each measured output the matrix M with which x M is its share in the smoothed states x."""
     found = {}
     for j, column in enumerate(problem.records[0].columns):
         own = [r for r in problem.records if r.told[j].any()]  # those that have this sensor
-        x, told = (np.concatenate(part) for part in zip(*((r.smoothed.x, r.told[j]) for r in own), strict=True))
+        x, share = (np.concatenate(part) for part in zip(*((r.smoothed.x, r.told[j]) for r in own), strict=True))
         size = np.maximum(np.abs(x).max(axis=0), 1e-300)
-        found[column] = np.linalg.lstsq(x / size, told, rcond=None)[0] / size[:, None]
+        found[column] = np.linalg.lstsq(x / size, share, rcond=None)[0] / size[:, None]
     return found
 
 
@@ -352,24 +339,20 @@ def _told_by_output(problem: Problem) -> dict[int, Array]:
 
 @dataclass(frozen=True, eq=False)
 class _Entry:
-    """An experiment with all these sensors, those ``added`` of which are new, and its d.
-
-    ``named`` is the smallest d with the named hypothesis as the truth, ``separation`` that of all pairs.
-    """
+    """An experiment with its sensors and its smallest d."""
 
     trial: _Trial
     sensors: tuple[int, ...]
-    added: tuple[int, ...]
-    named: float
-    separation: float
+    added: tuple[int, ...]  # new sensors
+    named: float  # d with the named candidate as the truth
+    separation: float  # d of all pairs
     refitted: bool = False
 
 
 def _preference(entry: _Entry) -> tuple[int, int, float]:
-    """Sorts the safe ones first, of these the ones without a new sensor.
+    """Sort key: safe ones first, then those that are safe if the named candidate is right, then by d; few new sensors.
 
-    Next come those that are safe if the named hypothesis is right, and then the others, by d. A rival may have come
-    out so weak that no experiment could show it: that must not buy a sensor.
+    A rival may be too weak for any experiment: that must not justify a sensor.
     """
     if entry.separation >= SAFE:
         return 0, len(entry.added), -entry.separation
@@ -379,9 +362,9 @@ def _preference(entry: _Entry) -> tuple[int, int, float]:
 
 
 def _screened(problem: Problem, fits: Sequence[Fit], noise: NoiseModel, trial: _Trial, limits: _Limits) -> list[_Entry]:
-    """The experiment with the present sensors and with each new one, linearised.
+    """Evaluate the experiment with the present sensors and with each new one, linearised.
 
-    Among several rivals, those with the named one decide; the others are looked at in the refits.
+    Only pairs with the named candidate decide; the refits consider all.
     """
     present = problem.records[0].columns
     choices = [(present, ()), *((tuple(sorted((*present, k))), (k,)) for k in limits.addable)]
@@ -399,16 +382,16 @@ def _screened(problem: Problem, fits: Sequence[Fit], noise: NoiseModel, trial: _
             d = _linearised_distance(columns[:, :, list(sensors)].reshape(len(left), -1, columns.shape[3]), rival.z)
             smallest[i] = min(smallest[i], d)
             named[i] = min(named[i], d if a == 0 else np.inf)
-    named = np.where(np.isfinite(named), named, smallest)  # all rivals contain it
+    named = np.where(np.isfinite(named), named, smallest)  # if all rivals contain it
     return [_Entry(trial, *choices[i], float(named[i]), float(smallest[i])) for i in range(len(choices))]
 
 
 def _refitted_best(
     problem: Problem, fits: Sequence[Fit], noise: NoiseModel, screened: Sequence[_Entry]
 ) -> list[tuple[_Entry, set[int]]]:
-    """Entries refitted properly, up to the first that is safe, with the hypotheses that each leaves close.
+    """Refit entries up to the first that is safe, and return them with the candidates that each does not separate.
 
-    The linearised refit may be far off where hypotheses are curved; so not all tries have the same sensors.
+    The linearised refit may be wrong for curved candidates; so not all trials have the same sensors.
     """
     done: list[tuple[_Entry, set[int]]] = []
     for entry in screened:
@@ -428,7 +411,7 @@ def _refitted_best(
 def _refitted(
     problem: Problem, fits: Sequence[Fit], noise: NoiseModel, entry: _Entry, best: float
 ) -> dict[tuple[int, int], float]:
-    """Distances of the pairs (truth, rival); given up once one is smaller than that of the best entry so far."""
+    """Compute the distances of the pairs (truth, rival) until one is smaller than that of the best entry so far."""
     sensors, found, problems = list(entry.sensors), dict[tuple[int, int], float](), {}
     own = NoiseModel(noise.std[sensors], noise.ar[:, sensors])
 
@@ -444,7 +427,7 @@ def _refitted(
         found[a, b] = distance(a, b, fits[b].z)
         if a and found[a, b] < min(best, SAFE):
             return found
-    # A refit may have ended in a side valley; the pair that decides is tried again from elsewhere.
+    # A refit may end in a local minimum; the decisive pair is refitted from another start.
     a, b = min(found, key=lambda pair: found[pair])
     known = len(problem.nuisances)
     again = distance(a, b, np.concatenate([fits[a].z[:known], fits[b].z[known:]]))
@@ -452,19 +435,19 @@ def _refitted(
 
 
 def _from_rest(fit: Fit, there: Problem, noise: NoiseModel) -> Fit:
-    """The fit with unmoved window starts on the windows of another problem."""
+    """Return the fit with unchanged window starts on the windows of another problem."""
     n_x = len(there.plant.states)
     return replace(fit, starts=tuple(np.zeros((len(c), n_x)) for c in there.chosen), noise=noise)
 
 
 def _ordered(fits: Sequence[Fit]) -> list[tuple[int, int]]:
-    """Truth and rival of all pairs, the named hypothesis as truth first, then as rival; no rival contains its truth."""
+    """Return truth and rival of all pairs, first those with the named one; no rival contains its truth."""
     pairs = [(a, b) for a, b in permutations(range(len(fits)), 2) if not _contains(fits[b], fits[a])]
     return sorted(pairs, key=lambda pair: (pair[0] > 0, pair[1] > 0))
 
 
 def _contains(rich: Fit, poor: Fit) -> bool:
-    """True where the rich hypothesis has all effects of the poor one, or refinements of them, and something more."""
+    """Check that the rich candidate has all effects of the poor one, or refinements of them."""
 
     def has(effect: str, site: object) -> bool:
         own = rich.hypothesis.candidates
@@ -474,7 +457,7 @@ def _contains(rich: Fit, poor: Fit) -> bool:
 
 
 def _linearised_distance(columns: Array, z: Array) -> float:
-    """D after one Gauss-Newton step of the rival, window starts eliminated; columns (n_windows, points, z starts r)."""
+    """Compute d after one Gauss-Newton step of the rival, starts eliminated; columns (windows, points, z starts r)."""
     n_z, products = len(z), np.swapaxes(columns, 1, 2) @ columns
     inner = products[:, n_z:-1, n_z:-1] + np.eye(products.shape[1] - n_z - 1)
     rest = np.concatenate([products[:, :n_z], products[:, -1:]], axis=1)
@@ -486,11 +469,11 @@ def _linearised_distance(columns: Array, z: Array) -> float:
     return float(np.sqrt(max(0.0, gained)))
 
 
-# --- the answer ------------------------------------------------------------------------------------------------------
+# --- the result ------------------------------------------------------------------------------------------------------
 
 
 def _labels(fits: Sequence[Fit]) -> tuple[str, ...]:
-    """What each hypothesis has that not all have: effect ids, with their sites where the ids alone say too little."""
+    """Label each candidate by the effects that not all have: ids, with their sites if the ids are ambiguous."""
     keys = [[c.key for c in f.hypothesis.candidates] for f in fits]
     common = set(keys[0]).intersection(*keys[1:])
     own = [[c for c in f.hypothesis.candidates if c.key not in common] for f in fits]
@@ -516,7 +499,7 @@ def _advice(
     )
     ways = [f"{effect.id}: {effect.independently}" for effect in effects if effect.independently]
     word = "this may, but need not, separate"
-    if entry.separation < CANNOT_TELL:
+    if entry.separation < tuning.CANNOT_TELL:
         word = "nothing on the menu separates"
     if entry.named >= SAFE:
         word = f"if {labels[0]} is right, this will show it ({entry.named:.3g} noise sigmas); else it may not separate"

@@ -1,4 +1,4 @@
-"""Watching a machine: does its model go on explaining a running log, and what changes where it does not.
+"""Monitoring of a machine: detects when its model stops explaining a running log, and identifies the change.
 
 change_test    the sequential test, and its rate of false alarms
 watch          `watch`: a log in pieces from beginning to end, and its result

@@ -45,13 +45,13 @@ from robustlab.result import Evidence, Status
 from robustlab.shown import Facts, listed, number
 from robustlab.tables import Table, Tabular
 
-FAR = 2.0  # standard deviations, as the first piece tells the parameters, within which a window has to be linear
+FAR = 2.0  # standard deviations of the parameters after the first piece, within which a window must be linear
 CLEAR = 10.0  # log evidence beyond an alarm, at which the onset is estimated; a later change may not be linear
-MOST_DISCOVERED = 8  # pieces at the end that `discover` gets
+MOST_DISCOVERED = 8  # pieces at the end for `discover`
 MOST_BENT = 1.0  # square of the change of a window's residuals, over the noise of one point
-STEPS = 4  # a sample
-SLOW = 6  # cosines in a window, over which unnamed errors are looked for
-OWN_SPREAD = 0.3  # relative: how well a model's effect is known before its first piece, where it does not say
+STEPS = 4  # per sample
+SLOW = 6  # cosines in a window, for errors that are not a parameter
+OWN_SPREAD = 0.3  # relative: prior of a model's effect before its first piece, if not given
 
 
 @dataclass(frozen=True)
@@ -61,8 +61,8 @@ class WatchedPiece(Evidence):
     # start, stop: its time in the log, s
     start: float
     stop: float
-    evidence: float  # log of E after it; the alarm comes at ``-log(false_alarm)``
-    misfit: float  # root mean square of its errors under the model as learned, over the noise
+    evidence: float  # log of E after it; the alarm threshold is ``-log(false_alarm)``
+    misfit: float  # root mean square of its errors with the learned model, over the noise
 
 
 @dataclass(frozen=True)
@@ -72,19 +72,19 @@ class Watch(Tabular, Evidence):
     Attributes
     ----------
     status
-        CONVERGED: the alarm, or its absence, holds at the stated rate. INCONCLUSIVE: no alarm, but the test could use
-        less than half of the windows.
+        CONVERGED: the alarm, or its absence, is valid at the stated rate. INCONCLUSIVE: no alarm, but the test could
+        use less than half of the windows.
     verdict
         ``"explained"``: no alarm; ``"changed"``: an alarm.
     false_alarm
-        Probability of an alarm in the whole log while the model explains it, as asked for.
+        Requested probability of an alarm in the whole log while the model explains it.
     alarm
         Time of the alarm in the log in s, the end of its piece; NaN without one.
     since, since_lower, since_upper
-        When the change began to show, s, and a 95 % interval for its beginning: beginnings of pieces.
+        Estimated onset of the change, s, and its 95 % interval: beginnings of pieces.
     found
-        What the plant without its effects lacks in the pieces since the change (`discover`): compare it with the
-        effects and parameters of the model. None without an alarm, and where those pieces are too poor.
+        Effects that the plant without its own lacks in the pieces since the change (`discover`): compare them with the
+        effects and parameters of the model. None without an alarm, and if those pieces are too poor.
     pieces
         The pieces in their order.
     noise
@@ -92,8 +92,8 @@ class Watch(Tabular, Evidence):
     plant, window
         The model; the length of the windows in s.
     tested
-        Share of the windows that the test used, 0..1; in the others the model is not linear in what the first piece
-        leaves open of its parameters (a contact about to break away).
+        Share of the windows that the test used, 0..1; in the others the model is not linear within the uncertainty of
+        its parameters after the first piece (a contact about to break away).
     """
 
     status: Status
@@ -125,11 +125,10 @@ class Watch(Tabular, Evidence):
 
     @property
     def evidence(self) -> float:
-        """Largest log of E so far: E is at least 1 / x with probability x at most while the model explains the log."""
+        """Largest log E: E is at least 1 / x with probability x at most while the model explains the log."""
         return max(p.evidence for p in self.pieces)
 
     def headline(self) -> str:
-        """What was found, in one sentence."""
         if self.met:
             return f"{self.plant} explains all of the log, {len(self.pieces)} pieces"
         since = f"since {span_of(self.since)} ({span_of(self.since_lower)} .. {span_of(self.since_upper)})"
@@ -139,7 +138,6 @@ class Watch(Tabular, Evidence):
         return f"{self.plant} no longer explains the log {since}{lacks}"
 
     def facts(self) -> Facts:
-        """The verdict, the alarm, what the plant lacks since, and the noise of the test."""
         return [
             ("verdict", self.verdict),
             ("", self.headline()),
@@ -152,7 +150,7 @@ class Watch(Tabular, Evidence):
         ]
 
     def table(self) -> Table:
-        """A row for each piece."""
+        """Return a row for each piece."""
         names = ("stop", "evidence", "misfit")
         return Table(
             ("start", [p.start for p in self.pieces]), {n: [getattr(p, n) for p in self.pieces] for n in names}
@@ -160,7 +158,7 @@ class Watch(Tabular, Evidence):
 
 
 def span_of(seconds: float) -> str:
-    """A time of a log: ``38.5 s``, ``41.2 min``, ``3.1 h``."""
+    """Format a time of a log: ``38.5 s``, ``41.2 min``, ``3.1 h``."""
     for unit, size in (("h", 3600.0), ("min", 60.0)):
         if abs(seconds) >= 2.0 * size:
             return f"{seconds / size:.1f} {unit}"
@@ -184,31 +182,31 @@ def watch(
     r"""Detect when a model stops explaining a running log, and report what it lacks since then.
 
     While the model explains the log, :math:`P(\exists t: E_t \ge 1/\alpha) \le \alpha` for the test's E (Ville's
-    inequality), however long the log is and whenever one looks; see `robustlab.identification.monitoring.change_test`.
+    inequality), for any length of the log and at any time; see `robustlab.identification.monitoring.change_test`.
 
     ASSUMPTIONS: the sensors' noise is white and Gaussian of the standard deviation ``noise``. The parameters are
-    constant, and the model is linear in what the first piece does not determine of them; windows in which it is not are
-    left out. A drift of the state that is slower than a window is no change.
+    constant, and the model is linear within their uncertainty after the first piece; windows in which it is not are
+    excluded. A drift of the state that is slower than a window is no change.
 
     Parameters
     ----------
     model
         A plant, a plant with effects (what `discover` updated), or a continuous model as `discover` takes it.
     records
-        The log in pieces, in their order, or one record; an iterator is asked for the next piece when the last one has
-        been judged. All have the sample time and the outputs of the first.
+        The log in pieces, in their order, or one record; an iterator yields the next piece after the last one has
+        been evaluated. All have the sample time and the outputs of the first.
     every
-        Cut each record into pieces of so many seconds.
+        Cut each record into pieces of this length in s.
     noise
-        Output -> standard deviation of its noise in one sample, in its unit; of each recorded output.
+        Output -> standard deviation of its noise in one sample, in its unit; for each recorded output.
     false_alarm
         Probability, at most, of an alarm in the whole log while the model explains it.
     tolerances
-        Parameter -> relative tolerance within which the first piece may refit it, as of `discover`.
+        Parameter -> relative tolerance within which the first piece may refit it, as in `discover`.
     exclude
-        Effect ids that `discover` is not to try.
+        Effect ids that `discover` does not try.
     window
-        Length of the windows in s, as `discover` chooses it where left out.
+        Length of the windows in s; default as in `discover`.
     progress
         Called with a line of text for each piece.
 
@@ -232,19 +230,20 @@ def watch(
     for word, value in (("every", every), ("window", window)):
         if value is not None:
             checks.number(f"watch: {word}", value, "a length in s above 0", above=0.0)
-    plant, attached = _parts_of(model)
+    extended = isinstance(model, ExtendedEquations)
+    plant, attached = (model.plant, tuple(model.effects)) if extended else (known_plant(model, "watch"), ())
     stated = stated_tolerances(plant, tolerances)
     plant = with_absolute_tolerances(plant, stated)
     left_out = tuple(effect(name).id for name in exclude)
     given = [records] if isinstance(records, Record) else records
     watched: _Watched | None = None
     alarm, highest = -np.log(false_alarm), -np.inf
-    told: Array | None = None  # evidence of each beginning once an alarm is clear
+    onsets: Array | None = None  # evidence of each onset once an alarm is clear
     for piece in _pieces(given, every):
         watched = watched or _Watched(plant, attached, stated, noise, window, piece)
         evidence = watched.add(piece)
         if max(alarm, highest) <= evidence and highest < alarm + CLEAR:
-            highest, told = evidence, watched.test.evidence()
+            highest, onsets = evidence, watched.test.evidence()
         if progress is not None:
             word = "ALARM: " if evidence >= alarm else ""
             count = len(watched.pieces)
@@ -256,13 +255,13 @@ def watch(
         )  # fmt: skip
     pieces, used = tuple(watched.pieces), watched.windows[0] / watched.windows[1]
     result = Watch(
-        Status.INCONCLUSIVE if told is None and used < 0.5 else Status.CONVERGED, "explained", false_alarm,
+        Status.INCONCLUSIVE if onsets is None and used < 0.5 else Status.CONVERGED, "explained", false_alarm,
         np.nan, np.nan, np.nan, np.nan, None, pieces, watched.sizes, plant.name, watched.length * watched.dt, used,
     )  # fmt: skip
-    if told is None:
+    if onsets is None:
         return result
-    began, lower, upper = onset(told)
-    # A change may begin within a piece, and too late in it to show there.
+    began, lower, upper = onset(onsets)
+    # A change may begin too late within a piece to be visible there.
     since, since_lower, since_upper = (pieces[k].start for k in (began, max(lower - 1, 0), upper))
     known = {name: tolerance for name, (tolerance, assumed) in stated.items() if not assumed}
     try:
@@ -277,18 +276,11 @@ def watch(
     )  # fmt: skip
 
 
-def _parts_of(model: Any) -> tuple[AnyPlant, tuple[AttachedEffect, ...]]:
-    """The plant without effects, and its effects."""
-    if isinstance(model, ExtendedEquations):
-        return model.plant, tuple(model.effects)
-    return known_plant(model, "watch"), ()
-
-
 def _pieces(records: Iterable[Record], every: float | None) -> Iterator[Record]:
-    """The pieces on the clock of the log.
+    """Yield the pieces on the time base of the log.
 
-    A rest of less than half a piece belongs to the last one of its record; a record that does not begin after the end
-    of the last follows it at once.
+    A remainder of less than half a piece joins the last one of its record; a record that does not begin after the end
+    of the last is appended to it.
     """
     end: float | None = None
     for record in records:
@@ -307,7 +299,7 @@ def _pieces(records: Iterable[Record], every: float | None) -> Iterator[Record]:
 
 
 class _Watched:
-    """The log so far: the model as learned from its first piece, the test, and the pieces."""
+    """The log so far: the model learned from its first piece, the test, and the pieces."""
 
     def __init__(
         self,
@@ -319,7 +311,7 @@ class _Watched:
         first: Record,
     ) -> None:
         self.plant, self.dt = plant, clock_step(first.t)
-        self.seen = {s.name for s in plant.outputs} & set(first.outputs)
+        self.outputs = {s.name for s in plant.outputs} & set(first.outputs)
         least = tuning.FEWEST_WINDOWS * tuning.SHORTEST_WINDOW // 2
         if window is None and first.n < least:
             raise InputError(f"watch {first.name}", f"{first.n} samples", f"at least {least} in a piece")
@@ -345,23 +337,23 @@ class _Watched:
         self.spread = FAR * directions * np.sqrt(np.maximum(sizes, 0.0))
         self.test = ChangeTest(_usual_changes(self.problem, self.hypothesis))
         self.records: list[Record] = []
-        self.windows = [0, 0]  # that the test has seen, and all
+        self.windows = [0, 0]  # used by the test, and all
         self.pieces: list[WatchedPiece] = []
 
     def add(self, piece: Record) -> float:
-        """Place the model in one more piece, and hand what it tells to the test; log of E."""
+        """Fit the initial states of one more piece and update the test; return log E."""
         if abs(clock_step(piece.t) - self.dt) > 1e-3 * self.dt:
             found = f"a sample time of {clock_step(piece.t):.6g} s"
             raise InputError(f"watch {piece.name}", found, f"{self.dt:.6g} s, that of the first piece")
-        if missing := sorted(self.seen - set(piece.outputs)):
+        if missing := sorted(self.outputs - set(piece.outputs)):
             raise InputError(f"watch {piece.name}", f"no output {missing[0]!r}", "the outputs of the first piece")
         there = self.problem.on([replace(self._prepared(piece), thin=self.thin)])
         fit = there.fit(self.hypothesis, self.noise, self.z, plan=FitPlan(tuning.LAST, 0.5, fixed=True))
-        told, used = _equations(there, fit, self.spread)
-        misfit = float(np.sqrt(told.whole[-1, -1] / max(told.points, 1)))
+        equations, used = _equations(there, fit, self.spread)
+        misfit = float(np.sqrt(equations.whole[-1, -1] / max(equations.points, 1)))
         self.records.append(piece)
         self.windows = [self.windows[0] + used, self.windows[1] + there.records[0].count]
-        self.pieces.append(WatchedPiece(float(piece.t[0]), float(piece.t[-1]), self.test.add(told), misfit))
+        self.pieces.append(WatchedPiece(float(piece.t[0]), float(piece.t[-1]), self.test.add(equations), misfit))
         return self.pieces[-1].evidence
 
     def _uniform(self, piece: Record) -> tuple[Record, dict[str, Mask]]:
@@ -370,11 +362,11 @@ class _Watched:
 
     def _prepared(self, piece: Record) -> PreparedRecord:
         record, valid = self._uniform(piece)
-        return prepare(self.plant, self.model, record, self.length, valid, self.seen)
+        return prepare(self.plant, self.model, record, self.length, valid, self.outputs)
 
 
 def _noise_of(names: Sequence[str], stated: Mapping[str, float]) -> dict[str, float]:
-    """The stated noise of each recorded output."""
+    """Return the stated noise of each recorded output."""
     for name in stated:
         if name not in names:
             raise unknown_name("watch: noise", f"{name!r}", name, names)
@@ -386,14 +378,14 @@ def _noise_of(names: Sequence[str], stated: Mapping[str, float]) -> dict[str, fl
 
 
 def _usual_changes(problem: Problem, hypothesis: Hypothesis) -> Array:
-    """A usual change of each standardised parameter, (k,): a log factor of one where it scales; 0 of clocks."""
+    """Return a usual change of each standardised parameter, (k,): a log factor of one if it scales; 0 for clocks."""
     plant = [0.0 if n.input else 1.0 if n.additive else 1.0 / n.spread for n in problem.nuisances]
     own = [1.0 / p.prior.spread if p.prior.kind == "log" else 1.0 for c in hypothesis.candidates for p in c.parameters]
     return np.array([*plant, *own])
 
 
 def _own(there: AttachedEffect, pool: Sequence[Candidate]) -> Candidate:
-    """An effect of the model as one to be refitted: its priors about the values that the model has."""
+    """Make an effect of the model a candidate to be refitted, with priors about its present values."""
     known = next((c for c in pool if (c.effect, c.site) == (there.effect, there.site)), None)
     parameters = there.parameters if known is None else known.parameters  # with the units of its joint
     parameters = tuple(_about(p, there.values[p.name], there.std.get(p.name, 0.0)) for p in parameters)
@@ -413,10 +405,10 @@ def _about(parameter: EffectParameter, value: float, std: float) -> EffectParame
 
 
 def _equations(problem: Problem, fit: Fit, spread: Array) -> tuple[PieceEquations, int]:
-    """The piece's equations for the parameters at the model that was placed in it, and how many windows they are of.
+    """Set up a piece's equations for the parameters about its fit, and count the windows used.
 
-    Left out: windows in which what is even in the steps ``spread`` (k, m) of the parameters, or halved time steps,
-    change the residuals, starts free, by more than `MOST_BENT`: a contact about to break away.
+    Excluded: windows in which the even part of the parameter steps ``spread`` (k, m), or halved time steps, change the
+    residuals, with free initial states, by more than `MOST_BENT` (a contact about to break away).
     """
 
     def residual(z: Array, problem: Problem = problem) -> Array:
@@ -424,7 +416,7 @@ def _equations(problem: Problem, fit: Fit, spread: Array) -> tuple[PieceEquation
 
     here = residual(fit.z)
     ((over_z, over_x),) = problem.derivatives(fit)
-    free = np.linalg.qr(over_x)[0]  # what the starts do
+    free = np.linalg.qr(over_x)[0]  # response to the initial states
     halved = problem.under(replace(problem.clock, sub=2 * (problem.clock.sub or 1)))
     steps = [residual(fit.z, halved), *(0.5 * (residual(fit.z + step) + residual(fit.z - step)) for step in spread.T)]
     changes = np.stack([step - here for step in steps], axis=2)

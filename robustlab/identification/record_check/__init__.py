@@ -1,4 +1,4 @@
-"""Is a record what it is taken for: its channels, columns, clock, and is it fit for naming?"""
+"""Data checks of a record: channels, columns, time base, and fitness for effect identification."""
 
 from robustlab.identification.record_check.channel_identity import derivative_pairs
 from robustlab.identification.record_check.resampling import counted_from, join_clocks, position_datum, uniform

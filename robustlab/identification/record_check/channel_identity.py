@@ -1,8 +1,9 @@
-r"""Is every recorded channel what the model takes it for: its sign, its unit, its name?
+r"""Checks of the sign, unit and name of every recorded channel against the model.
 
-Outputs that are derivatives of one another must show it. All else is judged by the factors s of the inputs' responses,
-:math:`y_j \approx \sum_i s_{ji} G_{ji} u_i`, in windows with free start, constant disturbance and sensor error, beside
-what springs, damping and dry friction would add: s near -1 or the factor of a unit, where the inputs' part is needed.
+Outputs that are derivatives of one another are compared directly. All others are checked by the factors s of the
+inputs' responses, :math:`y_j \approx \sum_i s_{ji} G_{ji} u_i`, in windows with free initial state, constant
+disturbance and sensor error, and the responses to springs, damping and dry friction: wrong is an s near -1 or near the
+factor of a unit, if the response to the inputs is needed.
 """
 
 from __future__ import annotations
@@ -20,23 +21,23 @@ from robustlab.dynamics.simulation import transition
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.hypotheses.motion_smoother import smooth_motion
 from robustlab.identification.response.motion_response import MotionResponse
-from robustlab.identification.response.response import Stretch, stretch_of
+from robustlab.identification.response.response import Stretch, rates, stretch_of
 from robustlab.identification.response.windowed_simulation import fit_windows
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel
 from robustlab.units import unit_family
 
-LONGEST = 600  # samples that are looked at
+LONGEST = 600  # samples used
 WINDOW = 100  # samples
-SUSPECT = 10.0  # times the sensors' scatter: a smaller error is no channel's
-LEFT = 0.1  # share of the squared error that a turned channel may leave
+SUSPECT = 10.0  # times the sensors' scatter: a smaller error is not due to a channel
+LEFT = 0.1  # share of the squared error that may remain with an inverted channel
 
 
 def turned_channels(plant: NonlinearPlant, record: Record) -> dict[str, float]:
-    """The channel whose sign is wrong, with the share of the squared error that it leaves when turned; empty for none.
+    """Return the channel with a wrong sign -> share of the squared error that remains when inverted; empty for none.
 
-    The record is on a uniform clock, with all inputs of the plant; an InputError says that the position of a joint is
-    not in it, a NoTrustworthyNumber that the plant cannot have such a motion, whichever channel is turned.
+    The record has a uniform time base and all inputs of the plant. Raises InputError if the position of a joint is
+    missing, NoTrustworthyNumber if the plant cannot have such a motion with any channel inverted.
     """
     names = [s.name for s in plant.outputs if s.name in record.outputs]
     first = max(0, (record.n - LONGEST) // 2)
@@ -67,7 +68,7 @@ def turned_channels(plant: NonlinearPlant, record: Record) -> dict[str, float]:
 
 
 def _error(plant: NonlinearPlant, whole: Stretch, u: Array, y: Array, columns: Sequence[int]) -> float:
-    """Mean square of the windowed error in units of the sensors' scatter."""
+    """Compute the mean square of the windowed error in units of the sensors' scatter."""
     smoothed = smooth_motion(plant, whole.t, u, y, columns).smoothed
     noise = np.maximum(smoothed.noise_std, 1e-6 / whole.weight)
     judged = Stretch(whole.t, whole.u, y, 1.0 / noise)
@@ -78,36 +79,36 @@ def _error(plant: NonlinearPlant, whole: Stretch, u: Array, y: Array, columns: S
     return float(np.mean(np.concatenate(left) ** 2))
 
 
-# Of a channel in no known unit: thousands, hundreds, degrees, turns, turns a minute.
+# For a channel in no known unit: thousands, hundreds, degrees, turns, turns per minute.
 ANY_FACTORS = tuple(both for f in (1e3, 1e2, 180 / math.pi, 2 * math.pi, 30 / math.pi) for both in (f, 1.0 / f))
 MOST_PORTS = 6
 RANK = 1e-8
 GROWTH = 1e6  # windows over which an unstable model grows by more are not simulated
 EXPLAINED = 0.8  # share of an output that must be explained
 NEEDED = 0.25  # share of the error without an input that may remain with it
-NEAR, NEAR_SMALL, SMALL = 2.5, 1.45, 20.0  # how far a factor may be off -1 or a unit; of units that differ by less
-ALONE = 0.99  # the same of a response alone, beside which no effect is looked for
-LIKELY = 0.3  # the same, that says which of two channels is wrong
-RAW_SHARE = 0.5  # share of the raw response that tells a sign
-SLOPE_FIT = 0.9  # R² from which the slope of a derivative relation is taken at its word
-SLOPE_RANGE = (0.6, 1.6)  # what sensor gains and filters may make of a slope of 1
+NEAR, NEAR_SMALL, SMALL = 2.5, 1.45, 20.0  # tolerance of a factor about -1 or a unit; of units that differ by less
+ALONE = 0.99  # share explained by the inputs alone, above which effects are not considered
+LIKELY = 0.3  # share explained by the inputs alone, with which one of two channels is blamed
+RAW_SHARE = 0.5  # share of the raw response that determines a sign
+SLOPE_FIT = 0.9  # R² from which the slope of a derivative relation is used
+SLOPE_RANGE = (0.6, 1.6)  # of a correct slope with sensor gains and filters
 SLOPE_MATCH = 1.3
 
 
 @dataclass(frozen=True)
 class Contradiction:
-    """A channel that is not what the model takes it for."""
+    """A channel that contradicts the model."""
 
     kind: str  # "sign", "unit" or "swapped-outputs"
-    # the channel; two where they are swapped, or where one of two is wrong and the record cannot say which
+    # the channel; two if they are swapped, or if one of two is wrong and the record does not determine which
     channels: tuple[str, ...]
-    factor: float  # the recorded values are this many times those the model expects (NaN for swapped channels)
-    unit: str  # unit in which a channel of kind "unit" seems to be recorded; empty where not known
-    evidence: dict[str, object]  # the figures behind it
+    factor: float  # recorded values over expected ones (NaN for swapped channels)
+    unit: str  # unit in which a channel of kind "unit" seems to be recorded; empty if unknown
+    evidence: dict[str, object]
 
 
 def unit_factors(unit: str) -> dict[float, str]:
-    """Factor -> unit in which a channel may have been recorded instead of ``unit``.
+    """Return factor -> unit in which a channel may have been recorded instead of ``unit``.
 
     Examples
     --------
@@ -124,12 +125,12 @@ def unit_factors(unit: str) -> dict[float, str]:
 def contradictions(
     model: StateSpaceModel, outputs: tuple[str, ...], record: Record, good: Mask, factors: Sequence[Factors]
 ) -> list[Contradiction]:
-    """Channels of a record on a uniform clock that contradict the model, the surest test first.
+    """Find the channels of a uniformly sampled record that contradict the model, the most reliable test first.
 
-    ``good``: samples that were measured, (n,). ``factors``: of each output.
+    ``good``: measured samples, (n,). ``factors``: of each output.
     """
-    seen = (*model.inputs, *(s for s in model.outputs if s.name in outputs))
-    units = {s.name: record.unit(s.name) or s.unit for s in seen}
+    signals = (*model.inputs, *(s for s in model.outputs if s.name in outputs))
+    units = {s.name: record.unit(s.name) or s.unit for s in signals}
     found = _from_derivatives(model, outputs, record, good, units, factors)
     taken = {name for one in found for name in one.channels}
     return found + _from_responses(model, outputs, units, factors, taken)
@@ -139,7 +140,7 @@ def contradictions(
 
 
 def derivative_pairs(model: StateSpaceModel) -> list[tuple[str, str, float]]:
-    """Outputs (a, b, kappa) of a continuous model with ``dy_a/dt = kappa y_b`` whatever the input does.
+    """Return the outputs (a, b, kappa) of a continuous model with ``dy_a/dt = kappa y_b`` for any input.
 
     Examples
     --------
@@ -165,7 +166,7 @@ def derivative_pairs(model: StateSpaceModel) -> list[tuple[str, str, float]]:
 
 
 def derivative_slope(y_a: Array, y_b: Array, dt: float, good: Mask) -> tuple[float, float]:
-    """Slope s of ``y_a`` over the integral of ``y_b`` and its R², over the windows that show it best."""
+    """Fit the slope of ``y_a`` over the integral of ``y_b``, with its R², in the windows with the best fit."""
     integral = np.concatenate([[0.0], np.cumsum((y_b[1:] + y_b[:-1]) / 2) * dt])
     best = (0.0, 0.0)
     for parts in (1, 5, 20):
@@ -206,10 +207,10 @@ def _from_derivatives(
             continue
         own = [factors[outputs.index(n)] for n in (a, b)]
         (s_a, sure_a), (s_b, sure_b) = ((f.plain[0], f.plain_share) for f in own)
-        if slope < 0:  # the one that moves against the model's response; both where the record cannot say
-            told = s_a * s_b < 0 and max(sure_a, sure_b) >= 0.5
-            who = (a, b) if not told else (a,) if s_a < 0 else (b,)
-            found.append(Contradiction("sign", who, -1.0, "", evidence))
+        if slope < 0:  # the one that moves against the model's response; both if the record does not determine it
+            known = s_a * s_b < 0 and max(sure_a, sure_b) >= 0.5
+            wrong = (a, b) if not known else (a,) if s_a < 0 else (b,)
+            found.append(Contradiction("sign", wrong, -1.0, "", evidence))
         size = abs(slope)
         if SLOPE_RANGE[0] <= size <= SLOPE_RANGE[1]:
             continue
@@ -233,7 +234,7 @@ def _from_derivatives(
 def _from_responses(
     model: StateSpaceModel, outputs: tuple[str, ...], units: dict[str, str], factors: Sequence[Factors], taken: set[str]
 ) -> list[Contradiction]:
-    """An input whose factor is off in every output that tells it, then outputs whose every factor is off."""
+    """Find inputs whose factor is wrong in every output that determines it, else outputs with only wrong factors."""
     free = [j for j, name in enumerate(outputs) if name not in taken]
     sure, likely = np.full((2, len(free), model.n_inputs), np.nan)
     for k, j in enumerate(free):
@@ -245,7 +246,7 @@ def _from_responses(
         own = likely[:, i][np.isfinite(likely[:, i])]
         if len(wrong) and np.allclose(own, own[0]) and (len(own) > 1 or (sure[wrong[0]] == 1.0).any()):
             figures = factors[free[wrong[0]]].evidence(i)
-            found += _named((name,), 1.0 / sure[wrong[0], i], unit_factors(units[name]), figures)
+            found += _sign_or_unit((name,), 1.0 / sure[wrong[0], i], unit_factors(units[name]), figures)
     if found:
         return found
     for row, j in zip(sure, free, strict=True):
@@ -253,14 +254,14 @@ def _from_responses(
         if len(wrong) and np.allclose(row[np.isfinite(row)], row[wrong[0]]):
             channels = (outputs[j], *model.input_names) if np.isfinite(likely).sum() == 1 else (outputs[j],)
             figures = factors[j].evidence(int(wrong[0]))
-            found += _named(channels, row[wrong[0]], unit_factors(units[outputs[j]]), figures)
+            found += _sign_or_unit(channels, row[wrong[0]], unit_factors(units[outputs[j]]), figures)
     return found
 
 
-def _named(
+def _sign_or_unit(
     channels: tuple[str, ...], factor: float, units: dict[float, str], evidence: dict[str, object]
 ) -> list[Contradiction]:
-    """A factor as a wrong sign, a wrong unit, or both."""
+    """Interpret a factor as a wrong sign, a wrong unit, or both."""
     found = [Contradiction("sign", channels, -1.0, "", evidence)] if factor < 0 else []
     size = abs(factor)
     if not math.isclose(size, 1.0):
@@ -271,26 +272,25 @@ def _named(
 
 @dataclass(frozen=True)
 class Factors:
-    """Factors s (n_u,) of the inputs' responses in one output, in the windows of ``window`` s that show them best."""
+    """Factors s (n_u,) of the inputs' responses in one output, in the windows of ``window`` s with the best fit."""
 
     s: Array
     share: float  # of the output that these and effects explain
-    left: Array  # what remains of the squared error without each input when it is there, (n_u,)
+    left: Array  # squared error with each input over that without it, (n_u,)
     plain: Array  # factors without effects, (n_u,), and the share that they explain
     plain_share: float
-    raw: Array  # signs of the raw responses, 0 where they tell none, (n_u,)
+    raw: Array  # signs of the raw responses, 0 if undetermined, (n_u,)
     window: float
-    responds: float = 0.0  # the share without effects in the windows that show that best
+    responds: float = 0.0  # the largest share without effects over all window lengths
 
     def evidence(self, i: int) -> dict[str, object]:
-        """The figures behind the factor of input i."""
         return {"test": "response in windows", "found": float(self.s[i]), "r2": self.share, "window": self.window}
 
 
 def _snapped(found: Factors, i: int, output_unit: str, input_unit: str) -> tuple[float, float]:
-    """1, -1 or the factor of a unit that the factor of input i surely stands for, and likely; NaN where it tells none.
+    """Round the factor of input i to 1, -1 or the factor of a unit: the certain value and the likely one, else NaN.
 
-    Likely is what the response shows without effects, good enough to say which of two channels is wrong.
+    The likely one is from the response without effects; it decides which of two channels is wrong.
     """
     sizes = [1.0, *unit_factors(output_unit), *(1.0 / f for f in unit_factors(input_unit))]
 
@@ -310,19 +310,16 @@ def _snapped(found: Factors, i: int, output_unit: str, input_unit: str) -> tuple
 def response_factors(
     model: StateSpaceModel, outputs: tuple[str, ...], record: Record, good: Mask
 ) -> tuple[Factors, ...]:
-    """Factors of each output, in windows of the whole record, a sixth or a thirtieth, whichever shows them best.
+    """Fit the factors of each output in windows of the whole record, a sixth or a thirtieth, whichever fits best.
 
-    ``record``: on a uniform clock; windows with samples that are not ``good`` (n,) are left out.
+    ``record``: uniformly sampled; windows with samples that are not ``good`` (n,) are excluded.
     """
     point = model.operating_point
     at_y = dict(zip(model.output_names, point.y, strict=True)) if point else {}
     at_u = dict(zip(model.input_names, point.u, strict=True)) if point else {}
     u = np.column_stack([record.inputs[name] - at_u.get(name, 0.0) for name in model.input_names])
     y = np.column_stack([record.outputs[name] - at_y.get(name, 0.0) for name in outputs])
-    poles = model.poles()
-    if model.is_discrete:
-        poles = np.log(np.where(np.abs(poles) > 0, poles, 1e-300)) / model.dt
-    growth, shortest = float(poles.real.max(initial=0.0)), max(40, 8 * (2 * model.n_states + 1))
+    growth, shortest = float(rates(model).real.max(initial=0.0)), max(40, 8 * (2 * model.n_states + 1))
     lengths = [n for n in (record.n // parts for parts in (1, 6, 30))
                if n >= shortest and growth * n * record.dt < math.log(GROWTH)]  # fmt: skip
     found = [each for n in lengths if (each := _factors(model, outputs, record.dt, u, y, good, n))]
@@ -338,7 +335,7 @@ def response_factors(
 def _factors(
     model: StateSpaceModel, outputs: tuple[str, ...], dt: float, u: Array, y: Array, good: Mask, length: int
 ) -> list[Factors]:
-    """Factors of each output in windows of one length, beside springs, damping and friction; none without windows."""
+    """Fit the factors of each output, with springs, damping and friction, in windows of one length."""
     from scipy.signal import savgol_filter
 
     kept = [k for k in range(0, len(u) - length + 1, length) if good[k : k + length].all()]
@@ -347,8 +344,8 @@ def _factors(
     u, y = (np.stack([x[k : k + length] for k in kept]) for x in (u, y))
     n_u, n_x, ports, (phi, gamma) = model.n_inputs, model.n_states, _ports(model), _with_state_inputs(model, dt)
 
-    def answers(signals: Array, columns: Sequence[int]) -> list[Array]:
-        """Outputs (windows, n, n_y_of_model) to each signal (windows, n, columns) from rest, one at a time.
+    def responses(signals: Array, columns: Sequence[int]) -> list[Array]:
+        """Simulate outputs (windows, n, n_y_of_model) for each signal (windows, n, columns) from zero state.
 
         Column k < n_u of the inputs is input k; column n_u + i drives the equation of state i.
         """
@@ -362,7 +359,7 @@ def _factors(
             for c, column in enumerate(columns)
         ]
 
-    forced, found = answers(u, range(n_u)), []
+    forced, found = responses(u, range(n_u)), []
     for row, y_j in zip([model.output_names.index(name) for name in outputs], np.moveaxis(y, 2, 0), strict=True):
         free = np.empty((length, n_x))  # output over a window from a unit of each state at its start
         line = model.C[row]
@@ -375,28 +372,28 @@ def _factors(
         width = min(length - 1 + length % 2, max(5, (length // 40) | 1))
         rate = np.asarray(savgol_filter(y_j, width, min(3, width - 1), deriv=1, delta=dt, axis=1), dtype=np.float64)
         drives = np.stack([y_j - y_j.mean(axis=1, keepdims=True), rate, np.sign(y_j), np.sign(rate)], axis=2)
-        moved = answers(np.tile(drives, len(ports)), np.repeat(ports, drives.shape[2]).tolist()) if ports else []
+        moved = responses(np.tile(drives, len(ports)), np.repeat(ports, drives.shape[2]).tolist()) if ports else []
         effects = np.column_stack([target[:, None][:, :0], *(_projected(a[..., row], constant) for a in moved)])
         s, share = _fit(target, np.hstack([inputs, effects]))
         without = [_fit(target, np.hstack([np.delete(inputs, i, axis=1), effects]))[1] for i in range(n_u)]
         left = np.array([(1.0 - share) / max(1.0 - part, 1e-300) for part in without])
-        start = _orthonormal(free)  # what a steady input does counts here, too
-        signs, told = _fit(_projected(y_j, start), np.column_stack([_projected(f[..., row], start) for f in forced]))
-        raw = np.sign(signs) if told >= RAW_SHARE else np.zeros(n_u)
+        start = _orthonormal(free)  # includes the response to a steady input
+        signs, fit = _fit(_projected(y_j, start), np.column_stack([_projected(f[..., row], start) for f in forced]))
+        raw = np.sign(signs) if fit >= RAW_SHARE else np.zeros(n_u)
         plain, plain_share = _fit(target, inputs)
-        alone = (left > NEEDED) & (plain_share >= ALONE)  # in closed loop effects stand for the input as well
+        alone = (left > NEEDED) & (plain_share >= ALONE)  # in closed loop effects can replace the input
         s, left = np.where(alone, plain, s[:n_u]), np.where(alone, 0.0, left)
         found.append(Factors(s, share, left, plain, plain_share, raw, length * dt))
     return found
 
 
 def _projected(x: Array, basis: Array) -> Array:
-    """What a basis (n, r) leaves of each window of x (windows, n), as one vector."""
+    """Project each window of x (windows, n) onto the complement of a basis (n, r), as one vector."""
     return (x - (x @ basis) @ basis.T).ravel()
 
 
 def _fit(target: Array, columns: Array) -> tuple[Array, float]:
-    """Least-squares factors of the columns, and the share of the target's square that they explain."""
+    """Fit factors of the columns by least squares, with the share of the target's square that they explain."""
     size = np.linalg.norm(columns, axis=0)
     use = size > 1e-12 * max(float(size.max(initial=0.0)), 1e-300)
     found, total = np.zeros(columns.shape[1]), float(target @ target)
@@ -409,7 +406,7 @@ def _fit(target: Array, columns: Array) -> tuple[Array, float]:
 
 
 def _orthonormal(columns: Array) -> Array:
-    """Orthonormal basis (n, r) of what the columns span."""
+    """Return an orthonormal basis (n, r) of the span of the columns."""
     size = np.linalg.norm(columns, axis=0)
     if not size.any():
         return np.zeros((len(columns), 0))
@@ -418,7 +415,7 @@ def _orthonormal(columns: Array) -> Array:
 
 
 def _with_state_inputs(model: StateSpaceModel, dt: float) -> tuple[Array, Array]:
-    """Transition over a sample, with a further input on the equation of every state."""
+    """Compute the transition over a sample, with a further input on the equation of every state."""
     wide = np.hstack([model.B, np.eye(model.n_states)])
     if model.is_discrete:
         return model.A, wide
@@ -429,7 +426,7 @@ def _with_state_inputs(model: StateSpaceModel, dt: float) -> tuple[Array, Array]
 
 
 def _ports(model: StateSpaceModel) -> list[int]:
-    """Where effects act: equations of states that are no plain integrals of others; in large models the inputs."""
+    """Return where effects act: states that are not integrals of single others; in large models the inputs."""
     n_u = model.n_inputs
     states = [
         n_u + k for k in range(model.n_states)

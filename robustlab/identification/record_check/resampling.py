@@ -1,6 +1,6 @@
-"""Records with missing samples, a jittering clock, or two clocks, brought on one uniform clock; datum of positions.
+"""Resampling of records with missing samples, jitter or two time bases; datum of positions.
 
-Positions far from zero are counted from a point within the strokes: else an effect over them has a phase no fit finds.
+Positions far from zero are measured from a point within the strokes: otherwise no fit finds the phase of an effect.
 """
 
 from __future__ import annotations
@@ -35,18 +35,17 @@ class Gap(NamedTuple):
 
 
 class UniformRecord(NamedTuple):
-    """A record on a uniform clock, and what of it was measured."""
+    """A record on a uniform time base, and its measured samples."""
 
-    record: Record  # the resampled record
+    record: Record
     valid: Mapping[str, Mask]  # output name -> True where samples on both sides are near, shape (n,)
-    gaps: tuple[Gap, ...]  # where samples are missing, in order; the inputs are held over them, which is a guess
+    gaps: tuple[Gap, ...]  # missing samples, in order; the inputs are assumed constant over them
 
 
 def uniform(record: Record, dt: float | None = None) -> UniformRecord:
-    """Bring a record on a uniform clock that begins at its first stamp.
+    """Resample a record on a uniform time base from its first sample, unless it is uniform and ``dt`` is None.
 
-    ``record``: any record; one that is uniform already, and ``dt`` left out, comes back as it is. ``dt``: sample time
-    in s; the record's own (`clock_step`) where left out.
+    ``dt``: sample time in s; default that of the record (`clock_step`).
 
     Examples
     --------
@@ -75,11 +74,11 @@ def uniform(record: Record, dt: float | None = None) -> UniformRecord:
 
 
 def join_clocks(first: Record, second: Record, dt: float | None = None) -> Record:
-    """One record from the signals of two loggers whose clocks show the same time at different sample times.
+    """Join the signals of two loggers with synchronous clocks and different sample times in one record.
 
-    Without ``dt`` the joint clock is the coarser of the two, over what both cover; of equal ones that of the one with
-    more outputs. Inputs are held, outputs interpolated; a shift between the clocks is a delay, which naming finds. What
-    was done stands in the meaning of ``t``.
+    Without ``dt`` the joint time base is the coarser of the two, over their common span; of equal ones that of the
+    record with more outputs. Inputs are held, outputs interpolated; a shift between the clocks is a delay, which effect
+    identification finds. The meaning of ``t`` documents the resampling.
 
     Examples
     --------
@@ -95,14 +94,7 @@ def join_clocks(first: Record, second: Record, dt: float | None = None) -> Recor
         raise InputError(where, f"signal {twice[0]!r} is in both", "each signal once")
     steps = {id(r): clock_step(r.t) for r in (first, second)}
     for r in (first, second):
-        holes = _gaps(r.t, steps[id(r)])
-        if holes:
-            raise InputError(
-                r.name,
-                f"{holes[0].missing} samples missing from {holes[0].start:.9g} s to {holes[0].stop:.9g} s",
-                "a clock without gaps",
-                "join the stretches between the gaps: record.between(start, stop)",
-            )
+        refuse_gaps(r.name, _gaps(r.t, steps[id(r)]), "join")
     equal = abs(steps[id(first)] - steps[id(second)]) <= SAME_TIME * steps[id(first)]
     ordered = sorted((first, second), key=lambda r: len(r.outputs) if equal else 0, reverse=True)
     clock, _ = common_clock(where, {f"{k}": r.t for k, r in enumerate(ordered)}, dt)
@@ -119,6 +111,15 @@ def join_clocks(first: Record, second: Record, dt: float | None = None) -> Recor
     return Record(clock, inputs, outputs, units, f"{first.name} + {second.name}", meaning)
 
 
+def refuse_gaps(where: str, gaps: Sequence[Gap], action: str) -> None:
+    """Refuse a record with missing samples."""
+    if gaps:
+        gap = gaps[0]
+        found = f"{gap.missing} samples missing from {gap.start:.9g} s to {gap.stop:.9g} s"
+        hint = f"{action} the stretches between the gaps: record.between(start, stop)"
+        raise InputError(where, found, "a clock without gaps", hint)
+
+
 def _gaps(t: Array, step: float) -> tuple[Gap, ...]:
     steps = np.diff(t)
     holes = np.flatnonzero(steps > NEAR * step)
@@ -130,9 +131,9 @@ RANK = 1e-9
 
 
 def position_datum(plant: LinearPlant, records: Sequence[Record]) -> dict[str, float]:
-    """Output -> what is to be taken off it in all of the records; empty where no position is far from zero.
+    """Return output -> datum to subtract in all of the records; empty if no position is far from zero.
 
-    A datum is free where the equations are the same at every place: along the one null vector of A that moves outputs.
+    A datum is free along a single null vector of A that moves outputs: the equations are the same at every position.
     """
     model = plant.state_space()
     _, sigma, right = np.linalg.svd(model.A)
@@ -155,6 +156,6 @@ def position_datum(plant: LinearPlant, records: Sequence[Record]) -> dict[str, f
 
 
 def counted_from(record: Record, datum: dict[str, float]) -> Record:
-    """The record with its positions counted from there."""
+    """Subtract the datum from the positions of a record."""
     outputs = {name: y - datum.get(name, 0.0) for name, y in record.outputs.items()}
     return Record(record.t, record.inputs, outputs, record.units, record.name, record.meaning)

@@ -1,7 +1,7 @@
-"""Is a record fit for naming a missing effect? Everything that is not, by name, before an effect is fitted.
+"""Checks of a record before effect identification.
 
-A record that shows too little, or a channel with the wrong sign, unit or name, would still be "explained" by some
-effect of the catalogue: an invented one. What the samples say of themselves `check_record` tells of any record.
+A record with too little information, or a channel with the wrong sign, unit or name, would still be "explained" by some
+effect of the catalogue: an invented one. `check_record` reports on the samples of any record.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from robustlab.record import Record
 from robustlab.result import Evidence, Status
 from robustlab.shown import Facts, Part
 
-SHORTEST_CLIP = 5  # samples that must stand still at the end of the range
-FEWEST_LEVELS = 20  # a signal with fewer levels (a switch, a coarse sensor) cannot be judged
+SHORTEST_CLIP = 5  # constant samples at the end of the range
+FEWEST_LEVELS = 20  # a signal with fewer levels (a switch, a coarse sensor) is not checked for clipping
 CLIPPED_SHARE = 1e-3
 
 
@@ -47,7 +47,7 @@ class ChannelSummary:
 
 @dataclass(frozen=True)
 class RecordCheck(Evidence):
-    """What is in a record and what is odd about it; with a model, whether it is fit for naming what that lacks."""
+    """Content and peculiarities of a record; with a model, its fitness for effect identification."""
 
     record: Record
     channels: tuple[ChannelSummary, ...]
@@ -64,11 +64,10 @@ class RecordCheck(Evidence):
 
     @property
     def status(self) -> Status:
-        """CONVERGED: there is a record; whether it is fit for naming `require` says."""
+        """CONVERGED, also for an unfit record (see `require`)."""
         return Status.CONVERGED
 
     def headline(self) -> str:
-        """How many samples, and how many remarks."""
         fit = "" if self.suitability is None else ", fit for naming" if self.suitability.fit else ", not fit for naming"
         return f"{self.clock}; {len(self.remarks)} remarks{fit}"
 
@@ -80,14 +79,12 @@ class RecordCheck(Evidence):
         return f"{r.n} samples, {r.duration:.6g} s, dt {r.dt:.6g} s, {even}"
 
     def facts(self) -> Facts:
-        """The clock, the remarks, and what the model says."""
         fit = () if self.suitability is None else self.suitability.facts()
         remarks = [("remark", text) for text in self.remarks]
-        told = [("for naming", f"{kind}: {text}" if kind else text) for kind, text in fit]
-        return [(self.record.name, self.clock), *remarks, *told]
+        findings = [("for naming", f"{kind}: {text}" if kind else text) for kind, text in fit]
+        return [(self.record.name, self.clock), *remarks, *findings]
 
     def details(self) -> list[Part]:
-        """The channels with their ranges."""
         rows = [
             (c.name, c.side, c.unit or "?", f"{c.least:.6g}", f"{c.greatest:.6g}", f"{c.rms:.6g}")
             for c in self.channels
@@ -95,18 +92,18 @@ class RecordCheck(Evidence):
         return [Part("", ("signal", "side", "unit", "least", "greatest", "rms"), rows)]
 
     def require(self) -> None:
-        """Go on only with a record that is fit for naming, where that was asked; see `Suitability.require`."""
+        """Raise if a requested check against a model found the record unfit; see `Suitability.require`."""
         if self.suitability is not None:
             self.suitability.require()
 
     def numbers(self) -> dict[str, Any]:
-        """The clock, the remarks, and the range of each channel by its name."""
+        """Return the time base, the remarks, and the range of each channel by name."""
         found = self.to_json()
         clock = {name: found[name] for name in ("n", "duration", "dt", "is_uniform")}
         return {"record": clock, "remarks": self.remarks, "channels": {c.name: vars(c) for c in self.channels}}
 
     def to_json(self) -> dict[str, object]:
-        """All but the samples."""
+        """Return all but the samples."""
         r = self.record
         clock = {"n": r.n, "duration": r.duration, "dt": r.dt, "is_uniform": r.is_uniform}
         channels: dict[str, object] = {"channels": [vars(c) for c in self.channels], "remarks": self.remarks}
@@ -115,10 +112,7 @@ class RecordCheck(Evidence):
 
 
 def check_record(record: Record, plant: Any = None) -> RecordCheck:
-    """Summarise ``record``; what makes a record unusable (NaN, a clock that runs backwards) never gets here.
-
-    ``plant``: a plant or model beside which the record is judged, too; see `suitability`.
-    """
+    """Summarise ``record``; with a plant or model, also check it against that (see `suitability`)."""
     channels, remarks = [], []
     if not record.is_uniform:
         steps = np.diff(record.t)
@@ -128,7 +122,7 @@ def check_record(record: Record, plant: Any = None) -> RecordCheck:
             f"t: steps of {steps.min():.6g} to {steps.max():.6g} s, the oddest after sample {k}; "
             f"jitter {jitter:.3g} s rms beside gaps"
         )
-    remarks += [f"t: {line}" for line in record.meaning.get("t", "").splitlines()]  # what reading did to the clock
+    remarks += [f"t: {line}" for line in record.meaning.get("t", "").splitlines()]  # resampling while reading
     for side, group in (("input", record.inputs), ("output", record.outputs)):
         for name, x in group.items():
             rms = float(np.sqrt(np.mean(x**2)))
@@ -141,34 +135,34 @@ def check_record(record: Record, plant: Any = None) -> RecordCheck:
 
 
 def channel_warnings(record: Record, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> list[str]:
-    """One line for each constant or clipped channel among the named ones.
+    """Return one line for each constant channel and each clipped output.
 
-    Inputs are not judged for clipping: a step or a square wave stands at its extremes rightly.
+    Inputs are not checked for clipping: a step or a square wave is correctly at its extremes.
     """
-    standing = [name for name in (*inputs, *outputs) if not np.ptp(record[name])]
-    warnings = [f"{name} is constant: {record[name][0]:.6g} {record.unit(name)}".rstrip() for name in standing]
+    constant = [name for name in (*inputs, *outputs) if not np.ptp(record[name])]
+    warnings = [f"{name} is constant: {record[name][0]:.6g} {record.unit(name)}".rstrip() for name in constant]
     for name in outputs:
         if runs := _clipped(record, name):
             count = sum(last - first for first, last in runs)
             warnings.append(
-                f"{name} looks clipped: {count} of {record.n} samples stand at the end of its range, reached at full "
+                f"{name} looks clipped: {count} of {record.n} samples are at the end of its range, reached at full "
                 f"slope (first: samples {runs[0][0]} to {runs[0][1] - 1})"
             )
     return warnings
 
 
 def _clipped(record: Record, name: str) -> list[tuple[int, int]]:
-    """`clipped_runs` of a channel; none where they hold next to nothing of the record."""
+    """Return `clipped_runs` of a channel, or none if they are a negligible part of the record."""
     runs = clipped_runs(record[name])
     return runs if sum(last - first for first, last in runs) > CLIPPED_SHARE * record.n else []
 
 
 def clipped_runs(y: Array) -> list[tuple[int, int]]:
-    """Runs ``(first, last + 1)`` of samples that stand still at the largest or smallest value, reached with a jump.
+    """Return runs ``(first, last + 1)`` of constant samples at the largest or smallest value, reached at full slope.
 
-    A sensor at its limit stops from full slope; a machine that comes to rest slows down first, and one that has not
-    been started yet stands at the beginning of the record. A stand counts from 5 samples on, where one of the two steps
-    before it (the last is cut short by the limit) is at least half the signal's median step.
+    A sensor at its limit stops from full slope; a machine that comes to a stop slows down first. A run has 5 samples or
+    more, and one of the two steps before it (the last is cut short by the limit) is at least half the signal's median
+    step.
     """
     if len(y) < SHORTEST_CLIP + 2 or len(np.unique(y)) < FEWEST_LEVELS:
         return []
@@ -185,30 +179,29 @@ def clipped_runs(y: Array) -> list[tuple[int, int]]:
     return sorted(runs)
 
 
-# Kinds whose cure is another record, not a correction of this one: exit code 4 instead of 3.
+# Kinds that require another record, not a correction of this one: exit code 4 instead of 3.
 TOO_POOR = ("too-short", "unexcited")
 WHITE = 1.5  # an output whose spread is below this many times its sample-to-sample noise does not move
-FEWEST_STEPS = 4  # quantisation steps that an output must cross to have moved
-RESPONDS = 0.3  # share of an output that the input explains from which it is no noise
+FEWEST_STEPS = 4  # quantisation steps that a moving output crosses
+RESPONDS = 0.3  # share of an output explained by the input, from which it is not noise
 MULTIPLE = 0.02  # distance from a whole multiple that rounding may cause
-STEPS_APART = 1000.0  # differences further apart than this many steps say nothing about the step
+STEPS_APART = 1000.0  # differences of more steps do not determine the step
 FEWEST_DIFFERENCES = 10
 
 
 @dataclass(frozen=True)
 class Finding(Evidence):
-    """One thing about a record that matters for naming."""
+    """A property of a record that is relevant for effect identification."""
 
     # too-short, unexcited, constant-output, sign, unit, swapped-outputs, motion: may be fatal; clipped, gaps, jitter,
     # quantisation: never
     kind: str
-    channel: str  # signal, or ``"t"`` for the clock; two signals are separated by a comma
-    # found, expected, hint: in words: what was found, what would have been right, what to do
+    channel: str  # signal, or ``"t"`` for the time base; two signals are separated by a comma
     found: str
     expected: str
     hint: str
-    fatal: bool  # naming must not go on
-    evidence: dict[str, object]  # the figures behind it
+    fatal: bool  # effects must not be identified from this record
+    evidence: dict[str, object]
 
     @property
     def message(self) -> str:
@@ -217,33 +210,29 @@ class Finding(Evidence):
         return f"{text}, expected {self.expected}" if self.expected else text
 
     def to_json(self) -> dict[str, object]:
-        """All fields, and the message."""
         return {**vars(self), "message": self.message}
 
 
 @dataclass(frozen=True)
 class Suitability(Evidence):
-    """What `suitability` found."""
+    """Result of `suitability`."""
 
     record: str  # name of the record
     findings: tuple[Finding, ...]  # fatal ones first
 
     @property
     def fatal(self) -> tuple[Finding, ...]:
-        """The findings that forbid naming."""
         return tuple(finding for finding in self.findings if finding.fatal)
 
     @property
     def fit(self) -> bool:
-        """True where nothing forbids naming."""
         return not self.fatal
 
     def of(self, kind: str) -> tuple[Finding, ...]:
-        """The findings of one kind."""
         return tuple(finding for finding in self.findings if finding.kind == kind)
 
     def require(self) -> None:
-        """Go on only with a record that is fit."""
+        """Raise for an unfit record."""
         if self.fit:
             return
         wrong = sorted(self.fatal, key=lambda finding: finding.kind in TOO_POOR)
@@ -252,23 +241,21 @@ class Suitability(Evidence):
         raise error(f"{self.record}: {first.channel}", first.found, first.expected or None, first.hint or None, more)
 
     def facts(self) -> Facts:
-        """The findings; of fatal ones also what to do."""
-        told = [
+        findings = [
             ("FATAL" if f.fatal else "note", f"{f.message}; {f.hint}" if f.hint and f.fatal else f.message)
             for f in self.findings
         ]
-        return told or [("", f"{self.record}: fit for naming")]
+        return findings or [("", f"{self.record}: fit for naming")]
 
     def to_json(self) -> dict[str, object]:
-        """All findings."""
         return {"record": self.record, "fit": self.fit, "findings": [finding.to_json() for finding in self.findings]}
 
 
 def suitability(plant: Any, record: Record) -> Suitability:
-    """Judge a record before naming; ``require()`` of the answer stops at fatal findings.
+    """Check a record before effect identification; ``require()`` of the result raises for fatal findings.
 
-    ``plant``: a plant or linear model, with all of its inputs in the record; of a nonlinear plant the positions of all
-    joints, too. What the two state of signals and units has to fit.
+    ``plant``: a plant or linear model with all of its inputs in the record; for a nonlinear plant also the positions of
+    all joints. Signals and units must match.
 
     Examples
     --------
@@ -285,7 +272,7 @@ def suitability(plant: Any, record: Record) -> Suitability:
         record = with_units(record, (*plant.inputs, *shared))
         level = uniform(record)
         inputs, outputs = tuple(s.name for s in plant.inputs), tuple(s.name for s in shared)
-        # A dead sensor would tell of a joint that it stands still.
+        # A dead sensor would indicate a joint at standstill.
         dead = [replace(f, fatal=True) for f in _dead(record, outputs)]
         findings = [*_clock(record, level), *_samples(record, outputs), *dead]
         findings += _unexcited(record, inputs, outputs, {})
@@ -311,9 +298,9 @@ def suitability(plant: Any, record: Record) -> Suitability:
 
 
 def quantisation_step(y: Array) -> float | None:
-    """Step of an encoder or converter found from its samples (n,), or None where they are not quantised.
+    """Estimate the step of an encoder or converter from its samples (n,), or None if they are not quantised.
 
-    The smallest difference between any two samples, where nearly all other small differences are whole multiples of it.
+    The smallest difference between any two samples, if nearly all other small differences are whole multiples of it.
 
     Examples
     --------
@@ -324,7 +311,7 @@ def quantisation_step(y: Array) -> float | None:
     levels = np.unique(y)
     if len(levels) < 3:
         return None
-    # Single precision has a grid of its own; steps must stand out from it.
+    # Single precision has its own grid; steps must be much larger.
     kind = np.float32 if (y.astype(np.float32) == y).all() else np.float64
     rounding = 16 * float(np.finfo(kind).eps) * float(np.abs(levels).max())
     apart = np.diff(levels)
@@ -337,11 +324,11 @@ def quantisation_step(y: Array) -> float | None:
     multiple = near / step
     if not enough or step < 10 * rounding or (np.abs(multiple - np.round(multiple)) > MULTIPLE).mean() > 0.01:
         return None
-    # The mean over all differences is free of the rounding of one; snap away what only that rounding leaves.
+    # The mean over all differences reduces the rounding of one; 9 digits remove the rest.
     return float(np.format_float_scientific(near.sum() / np.round(multiple).sum(), precision=9))
 
 
-# --- the clock and the samples ---------------------------------------------------------------------------------------
+# --- time base and samples -------------------------------------------------------------------------------------------
 
 
 def _clock(record: Record, level: UniformRecord) -> list[Finding]:
@@ -361,7 +348,7 @@ def _clock(record: Record, level: UniformRecord) -> list[Finding]:
     if spread > 1e-3:
         text = f"steps of {near.min():.6g} s to {near.max():.6g} s around a sample time of {dt:.6g} s"
         evidence = {"dt": dt, "rms": float(np.sqrt(np.mean((near - dt) ** 2)))}
-        hint = "resampled on a uniform clock where that is needed"
+        hint = "resampled on a uniform clock where required"
         found.append(Finding("jitter", "t", text, "", hint, False, evidence))
     return found
 
@@ -372,7 +359,7 @@ def _samples(record: Record, outputs: tuple[str, ...]) -> list[Finding]:
         y, unit = record[name], record.unit(name)
         if runs := _clipped(record, name):
             count = sum(last - first for first, last in runs)
-            text = f"clipped: {count} of {record.n} samples stand at the end of its range, reached at full slope"
+            text = f"clipped: {count} of {record.n} samples are at the end of its range, reached at full slope"
             evidence: dict[str, object] = {"samples": count, "runs": runs, "range": [float(y.min()), float(y.max())]}
             hint = "choose a larger range of the sensor, or cut these stretches out: record.between(start, stop)"
             found.append(Finding("clipped", name, text, "a sensor within its range", hint, False, evidence))
@@ -395,13 +382,13 @@ def _dead(record: Record, outputs: tuple[str, ...]) -> list[Finding]:
     return found
 
 
-# --- what the record can show ----------------------------------------------------------------------------------------
+# --- information in the record ---------------------------------------------------------------------------------------
 
 
 def _too_short(response: Response, record: Record) -> list[Finding]:
-    """A record within one period of an oscillation shows no oscillation; how fast one decays is no matter.
+    """Check that the record covers one period of the slowest oscillation; its decay does not matter.
 
-    A mode that decays more slowly than the record lasts moves within it as an integrator would: it is told, no more.
+    A mode that decays more slowly than the record lasts behaves as an integrator within it: reported, not fatal.
     """
     slowest, period = response.slowest_time_constant(), longest_period(response.model)
     text = f"lasts {record.duration:.6g} s"
@@ -427,11 +414,12 @@ def _unexcited(
     if inputs and len(constant) == len(inputs):
         what = ", ".join(f"{name} = {record[name][0]:.6g} {record.unit(name)}".rstrip() for name in constant)
         free = not any(record[name].any() for name in constant)
-        told = (
-            "free motion alone, which tells no gain of an input" if free else "a constant load cannot be told from it"
-        )
-        told = "no output leaves its noise either" if nothing else told
-        text = f"constant: {what}; {told}"
+        reason = "a constant load cannot be distinguished from it"
+        if nothing:
+            reason = "no output leaves its noise either"
+        elif free:
+            reason = "free motion alone, which tells no gain of an input"
+        text = f"constant: {what}; {reason}"
         hint = "move the machine: steps in both directions, at two levels at least, and slow ramps through zero"
         evidence: dict[str, object] = {"constant": constant, "outputs_in_noise": still}
         found.append(Finding("unexcited", ", ".join(inputs), text, "an input that moves", hint, nothing, evidence))
@@ -446,7 +434,7 @@ def _unexcited(
 
 
 def _noise(y: Array) -> float:
-    """Sample-to-sample noise of y (n,): rms of its third difference over sqrt(20)."""
+    """Estimate the sample-to-sample noise of y (n,): rms of its third difference over sqrt(20)."""
     return float(np.sqrt(np.mean(np.diff(y, 3) ** 2) / 20.0)) if len(y) > 3 else 0.0
 
 
@@ -458,20 +446,17 @@ def _moves(y: Array, share: float) -> bool:
         return False
     t = np.linspace(-1.0, 1.0, len(y))
     rest = y - np.polyval(np.polyfit(t, y, 1), t)
-    return float(rest.std()) > WHITE * min(_noise(y), _unpredicted(rest))
+    before = np.column_stack([rest[1:-1], rest[:-2]])
+    # The error of a prediction from two samples is near zero even for fast oscillations.
+    unpredicted = float(np.std(rest[2:] - before @ np.linalg.lstsq(before, rest[2:], rcond=None)[0]))
+    return float(rest.std()) > WHITE * min(_noise(y), unpredicted)
 
 
-def _unpredicted(y: Array) -> float:
-    """RMS of what the two samples before do not tell of y (n,): next to nothing of a swing of few samples a period."""
-    before = np.column_stack([y[1:-1], y[:-2]])
-    return float(np.std(y[2:] - before @ np.linalg.lstsq(before, y[2:], rcond=None)[0]))
-
-
-# --- channels that are not what they are called ----------------------------------------------------------------------
+# --- wrong channels --------------------------------------------------------------------------------------------------
 
 
 def _along_motion(plant: NonlinearPlant, level: UniformRecord) -> list[Finding]:
-    """Whether the sensors tell a motion that a nonlinear plant can have, and which channels have the other sign."""
+    """Check that a nonlinear plant can have the measured motion, and find channels with a wrong sign."""
     record = level.record
     positions = ", ".join(s.name for s in plant.outputs if s.name in record.outputs)
     try:
@@ -480,11 +465,11 @@ def _along_motion(plant: NonlinearPlant, level: UniformRecord) -> list[Finding]:
         return [Finding("motion", positions, wrong.found, wrong.expected or "", wrong.hint or "", True, {})]
     except NoTrustworthyNumber as none:
         hint = "check signs, units and zeros of the outputs"
-        text = f"tells a motion that {plant.name} cannot have: {none.found}"
+        text = f"show a motion that {plant.name} cannot have: {none.found}"
         return [Finding("motion", positions, text, "positions within its reach", hint, True, {})]
     found = []
     for name, share in turned.items():
-        text = f"seems to be measured with the other sign (turned, it leaves {100 * share:.2g} % of the squared error)"
+        text = f"seems to be measured with the other sign (inverted, {100 * share:.2g} % of the squared error remains)"
         hint = f"check the wiring and the counting direction; if it is so, turn the sign of {name} in the record"
         found.append(Finding("sign", name, text, "the model's sign", hint, True, {"error_left": share}))
     return found

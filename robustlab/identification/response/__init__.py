@@ -1,1 +1,1 @@
-"""A model's response to a record, matched by names and units, whole or in windows with their own starts."""
+"""A model's response to a record, matched by names and units, whole or in windows with free initial states."""

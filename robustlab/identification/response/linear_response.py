@@ -10,15 +10,13 @@ import numpy as np
 
 from robustlab.arrays import Array, Indices
 from robustlab.identification.response.response import Response, Stretch
-from robustlab.identification.response.windowed_simulation import WindowResponses
+from robustlab.identification.response.windowed_simulation import AT_ONCE, WindowResponses
 from robustlab.statespace import StateSpaceModel
-
-AT_ONCE = 4_000_000  # numbers in the responses of the windows that go side by side: bounds the memory
 
 
 @dataclass(frozen=True, eq=False)
 class LinearResponse:
-    """A linear model beside one record; its weight is one over the range of each output."""
+    """A linear model matched with one record; its weight is one over the range of each output."""
 
     response: Response
     whole: Stretch
@@ -27,18 +25,14 @@ class LinearResponse:
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """Names of the states."""
         return self.response.model.state_names
 
     def responses(
         self, starts: Sequence[int] | Indices, length: int, added: Array | None = None
     ) -> Iterator[WindowResponses]:
-        """Windows of ``length`` samples, as many side by side as the memory takes.
-
-        ``added``: the forces of ``pushes``, (n, n_forces).
-        """
+        """Simulate windows of ``length`` samples in batches; ``added``: the forces of ``pushes``, (n, n_forces)."""
         whole, response, n_x = self.whole, self.response, self.response.n_states
-        # The free response is the same in all windows where the clock is uniform.
+        # The free response is the same in all windows of a uniform time base.
         shared = response.free_response(whole.t[:length]) if whole.is_uniform else None
         count = max(1, AT_ONCE // (length * whole.y.shape[1] * (1 + n_x)))
         for k in range(0, len(starts), count):
@@ -53,7 +47,7 @@ class LinearResponse:
             yield WindowResponses(chosen, y, np.zeros((len(chosen), n_x)), free, pushed)
 
     def _pushed(self, t: Array, forces: Array) -> Array:
-        """Outputs by each force alone, (n, n_y, n_forces)."""
+        """Simulate the response to each force alone, (n, n_y, n_forces)."""
         model, found = self.response.model.select(outputs=self.response.output_names), []
         for push, d in zip((self.pushes if self.pushes is not None else forces[:0]).T, forces.T, strict=True):
             through = np.zeros((model.n_outputs, 1))

@@ -1,4 +1,4 @@
-r"""A nonlinear plant's response to a record in windows, linear about the recorded motion; all windows side by side."""
+r"""A nonlinear plant's response to a record in windows, linear about the recorded motion."""
 
 from __future__ import annotations
 
@@ -13,10 +13,9 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.motion_model import Course, exponentials, motion_model
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.response.response import Stretch
-from robustlab.identification.response.windowed_simulation import WindowResponses
+from robustlab.identification.response.windowed_simulation import AT_ONCE, WindowResponses
 
-STEPS = 2  # a sample: the motion's curvature within a sample is then far below what deviates from it
-AT_ONCE = 4_000_000  # numbers in the responses of the windows that go side by side: bounds the memory
+STEPS = 2  # per sample: the motion's curvature within a sample is then far below the deviations from it
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,18 +30,16 @@ class MotionResponse:
 
     @property
     def plant(self) -> NonlinearPlant:
-        """The plant."""
         return self.course.plant
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """Names of the states."""
         return tuple(s.name for s in self.plant.states)
 
     def responses(
         self, starts: Sequence[int] | Indices, length: int, added: Array | None = None
     ) -> Iterator[WindowResponses]:
-        """Windows of ``length`` samples, as many side by side as the memory takes.
+        """Simulate windows of ``length`` samples in batches.
 
         ``added``: forces at the joints, or at the inputs of a plant without joints, (n, n_forces).
         """

@@ -1,5 +1,5 @@
 # pyright: reportMissingParameterType=false
-"""Compiled recursion of least squares: each row is predicted from those before it, by Givens rotations."""
+"""Compiled recursive least squares by Givens rotations: each row is predicted from those before it."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ _1, _2 = (types.Array(types.float64, k, "C") for k in (1, 2))
 
 @njit(types.void(_2, _2, _1), cache=True)
 def predict(rows, values, floor):
-    """Turn the values (n, m) of rows (n, n_x) into their recursive residuals, in place; rows are used up.
+    """Turn the values (n, m) of rows (n, n_x) into their recursive residuals, in place; rows are overwritten.
 
-    Entries of a row below ``floor`` (n_x,) say nothing. A row that fixes a direction which was free leaves NaN.
+    Entries of a row below ``floor`` (n_x,) are ignored. A row that fixes a free direction gives NaN.
     """
     n, n_x = rows.shape
     m = values.shape[1]

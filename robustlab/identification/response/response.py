@@ -1,4 +1,4 @@
-"""A linear model and a record matched by names and units, and the model's responses at what the record holds."""
+"""A linear model and a record matched by names and units, and the model's responses at the recorded signals."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ INTEGRATOR = 1e-9
 class Stretch:
     """A stretch of a record at the compared signals."""
 
-    t: Array  # clock in s, shape (n,)
+    t: Array  # time in s, shape (n,)
     u: Mapping[str, Array]  # input name -> samples (n,)
     y: Array  # measured outputs, shape (n, n_y)
     # factor of each output's error in least squares, shape (n_y,): one over the measured range of the whole record
@@ -34,46 +34,43 @@ class Stretch:
 
     @property
     def is_uniform(self) -> bool:
-        """Whether all steps of the clock are alike."""
+        """Whether all time steps are equal."""
         step = np.diff(self.t)
         return bool(np.abs(step - step.mean()).max() <= UNIFORM_TOLERANCE * step.mean())
 
     def cut(self, first: int, last: int) -> Stretch:
-        """Samples ``first .. last - 1``."""
+        """Return samples ``first .. last - 1``."""
         part = slice(first, last)
         return Stretch(self.t[part], {name: v[part] for name, v in self.u.items()}, self.y[part], self.weight)
 
 
 @dataclass(frozen=True)
 class Response:
-    """Response of one linear model at the outputs that a record holds."""
+    """Response of one linear model at the recorded outputs."""
 
-    model: StateSpaceModel  # the model; its other outputs are not compared
+    model: StateSpaceModel  # only its recorded outputs are compared
     outputs: tuple[Signal, ...]  # the compared outputs, with their unit as recorded or else as in the model
-    warnings: tuple[str, ...]  # what was noticed while model and record were matched
+    warnings: tuple[str, ...]  # from matching model and record
 
     @property
     def n_states(self) -> int:
-        """Number of states n_x."""
         return self.model.n_states
 
     @property
     def output_names(self) -> tuple[str, ...]:
-        """Names of the compared outputs."""
         return tuple(s.name for s in self.outputs)
 
     def with_units(self, record: Record) -> Record:
-        """The record, with the model's unit for every shared signal whose own is not stated."""
         return with_units(record, (*self.model.inputs, *self.outputs))
 
     def stretch(self, record: Record) -> Stretch:
-        """The compared signals of the whole record."""
+        """Return the compared signals of the whole record."""
         return stretch_of(record, self.model.input_names, self.output_names)
 
     def simulate(self, t: Array, u: Mapping[str, Array], x0: Array) -> Array:
-        """Outputs (n, n_y) for the inputs ``u`` held between samples, from the state ``x0`` (n_x,).
+        """Simulate outputs (n, n_y) for the inputs ``u`` held between samples, from the state ``x0`` (n_x,).
 
-        Inputs and outputs are as measured; ``x0`` is in deviations from the operating point where the model has one.
+        Inputs and outputs are as measured; ``x0`` is in deviations from the operating point, if the model has one.
         """
         point = self.model.operating_point
         if point is None:
@@ -83,33 +80,31 @@ class Response:
         return self._run(t, deviation, x0) + np.array([offset[name] for name in self.output_names])
 
     def free_response(self, t: Array) -> Array:
-        """``C e^{A (t - t_0)}``: response to a unit of each initial state without input, shape (n, n_y, n_x)."""
-        at_rest = {name: np.zeros(len(t)) for name in self.model.input_names}
-        columns = [self._run(t, at_rest, unit) for unit in np.eye(self.n_states)]
+        """Compute ``C e^{A (t - t_0)}``: response to a unit of each initial state without input, (n, n_y, n_x)."""
+        zero = {name: np.zeros(len(t)) for name in self.model.input_names}
+        columns = [self._run(t, zero, unit) for unit in np.eye(self.n_states)]
         return np.stack(columns, axis=2) if columns else np.zeros((len(t), len(self.outputs), 0))
 
     def _run(self, t: Array, u: Mapping[str, Array], x0: Array) -> Array:
         from robustlab.dynamics import simulate
 
-        # A discrete model counts samples; a recorded clock carries rounding and jitter.
+        # A discrete model counts samples; a recorded time base has rounding and jitter.
         clock = self.model.dt * np.arange(len(t)) if self.model.is_discrete else t
         record = simulate(self.model, clock, dict(u), x0)
         return np.column_stack([record.outputs[name] for name in self.output_names])
 
     def slowest_time_constant(self) -> float:
-        """That of the model."""
         return slowest_time_constant(self.model)
 
 
-def _rates(model: StateSpaceModel) -> NDArray[np.complex128]:
-    """The poles in 1/s, of a discrete model too."""
+def rates(model: StateSpaceModel) -> NDArray[np.complex128]:
+    """Return the poles in 1/s, also of a discrete model."""
     poles = model.poles()
-    rates = np.log(poles[np.abs(poles) > 0]) / model.dt if model.is_discrete else poles
-    return np.asarray(rates, dtype=np.complex128)
+    return np.log(poles[np.abs(poles) > 0]) / model.dt if model.is_discrete else poles
 
 
 def longest_period(model: StateSpaceModel) -> float:
-    """Period in s of the slowest oscillation; 0 where the model has none: poles damped beyond 1/sqrt(2) count as none.
+    """Return the period in s of the slowest oscillation, 0 without one: poles damped beyond 1/sqrt(2) are none.
 
     Examples
     --------
@@ -117,16 +112,16 @@ def longest_period(model: StateSpaceModel) -> float:
     >>> round(longest_period(plant("mass-spring-damper", m=1.0, c=0.1, k=4.0).state_space()), 3)
     3.143
     """
-    poles = _rates(model)
-    swings = np.abs(poles.imag[np.abs(poles.imag) > np.abs(poles.real)])
+    poles = rates(model)
+    omega = np.abs(poles.imag[np.abs(poles.imag) > np.abs(poles.real)])
     # Rounding moves a double integrator's poles by the root of its size.
-    swings = swings[swings > math.sqrt(INTEGRATOR) * max(np.abs(poles).max(initial=0.0), 1e-300)]
-    return float(2 * np.pi / swings.min()) if len(swings) else 0.0
+    omega = omega[omega > math.sqrt(INTEGRATOR) * max(np.abs(poles).max(initial=0.0), 1e-300)]
+    return float(2 * np.pi / omega.min()) if len(omega) else 0.0
 
 
 def slowest_time_constant(model: StateSpaceModel) -> float:
-    """Slowest time constant in s over the poles that are no integrators; 0 where there is none."""
-    poles = _rates(model)
+    """Return the slowest time constant in s over the poles that are no integrators; 0 without any."""
+    poles = rates(model)
     rate = np.abs(poles.real)
     rate = rate[rate > INTEGRATOR * max(np.abs(poles).max(initial=0.0), 1e-300)]
     return float(1.0 / rate.min()) if len(rate) else 0.0
@@ -135,12 +130,12 @@ def slowest_time_constant(model: StateSpaceModel) -> float:
 def response_of(plant_or_model: Any, record: Record) -> Response:
     """Match a linear plant or model with a record by signal names, and check units and sample time."""
     if isinstance(plant_or_model, NonlinearPlant):
-        # Its linear model would be compared silently, without the effects that were put in.
+        # Its linear model would be compared silently, without its effects.
         raise InputError(
             f"compare {record.name}",
             f"the nonlinear plant {plant_or_model.name}",
             "a linear plant or model",
-            "discover shows the gap of a plant with effects; rl.simulate runs it",
+            "discover compares a plant with effects; rl.simulate simulates it",
         )
     model = as_model(plant_or_model, "compare")
     outputs, warnings = matched(model.inputs, model.outputs, record)
@@ -157,7 +152,7 @@ def response_of(plant_or_model: Any, record: Record) -> Response:
 def matched(
     inputs: Sequence[Signal], outputs: Sequence[Signal], record: Record
 ) -> tuple[tuple[Signal, ...], tuple[str, ...]]:
-    """The outputs that a record shares with a model, with their unit as recorded or else as in the model; warnings."""
+    """Return the outputs common to a record and a model, with units as recorded or in the model, and warnings."""
     where = f"compare {record.name}"
     for signal in inputs:
         if signal.name in record.inputs:
@@ -181,7 +176,7 @@ def matched(
 
 
 def with_units(record: Record, signals: Sequence[Signal]) -> Record:
-    """The record in the units of the signals: converted where it states another of the same measure, or none."""
+    """Convert a record to the units of the signals, where it states none or another one of the same measure."""
     signals = [s for s in signals if s.name in record.inputs or s.name in record.outputs]
     units = {name: unit for name, unit in signals if not record.unit(name)}
     factors = _conversions(record, signals)
@@ -194,7 +189,7 @@ def with_units(record: Record, signals: Sequence[Signal]) -> Record:
 
 
 def converted(record: Record, signals: Sequence[Signal]) -> dict[str, str]:
-    """Signal -> what `with_units` does to its values, in words."""
+    """Return signal -> conversion by `with_units`, in words."""
     return {
         name: f"recorded in {record.unit(name)}, converted to {unit} (times {factor:.6g})"
         for name, unit in signals if (factor := _conversions(record, [Signal(name, unit)]).get(name)) is not None
@@ -202,7 +197,7 @@ def converted(record: Record, signals: Sequence[Signal]) -> dict[str, str]:
 
 
 def _conversions(record: Record, signals: Sequence[Signal]) -> dict[str, float]:
-    """Signal -> factor, where the record states another unit of the same measure."""
+    """Return signal -> factor, where the record states another unit of the same measure."""
     found: dict[str, float] = {}
     for name, unit in signals:
         stated = record.unit(name) if name in record.inputs or name in record.outputs else ""
@@ -213,7 +208,7 @@ def _conversions(record: Record, signals: Sequence[Signal]) -> dict[str, float]:
 
 
 def stretch_of(record: Record, inputs: Sequence[str], outputs: Sequence[str]) -> Stretch:
-    """These signals of a whole record; errors are weighed by the ranges of the outputs."""
+    """Select signals of a whole record; errors are weighted by the ranges of the outputs."""
     y = np.column_stack([record.outputs[name] for name in outputs])
     spread = np.ptp(y, axis=0)
     return Stretch(record.t, {name: record.inputs[name] for name in inputs}, y, 1.0 / np.where(spread > 0, spread, 1.0))

@@ -1,7 +1,7 @@
-r"""Simulation in windows, each from its own least-squares initial state, and the residual that such windows leave.
+r"""Simulation in windows, each from its own least-squares initial state, and its recursive residual.
 
-The recursive residual predicts each sample from the state fitted to those before it in its window; it is white with the
-variance of the noise where the model is right (Brown, Durbin, Evans 1975).
+The recursive residual predicts each sample from the state fitted to those before it in its window; for a right model it
+is white with the variance of the noise (Brown, Durbin, Evans 1975).
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from robustlab.identification.response.response import Stretch
 from robustlab.result import Evidence
 
 SHORTEST_START = 20  # samples
+AT_ONCE = 4_000_000  # numbers in the responses of a batch of windows: bounds the memory
 # Singular values of the column-scaled sensitivity below this share of the largest are not observed.
 RANK_TOLERANCE = 1e-10
 # Entries of the free response below this share of its largest column carry no information on the state.
@@ -41,17 +42,15 @@ class WindowResponses:
 
 
 class Windowed(Protocol):
-    """A model beside a record, which answers in windows."""
+    """A model matched with a record, simulated in windows."""
 
     @property
     def whole(self) -> Stretch:
-        """The compared signals; the weight is that of least squares."""
+        """The compared signals with the weights of least squares."""
         ...
 
     @property
-    def state_names(self) -> tuple[str, ...]:
-        """Names of the states."""
-        ...
+    def state_names(self) -> tuple[str, ...]: ...
 
     # Whether the weight is that of the noise: then one output's residual is predicted from all outputs.
     together: ClassVar[bool]
@@ -59,35 +58,32 @@ class Windowed(Protocol):
     def responses(
         self, starts: Sequence[int] | Indices, length: int, added: Array | None = None
     ) -> Iterator[WindowResponses]:
-        """Windows of ``length`` samples, as many side by side as the memory takes; ``added``: forces (n, n_forces)."""
+        """Simulate windows of ``length`` samples in batches; ``added``: forces (n, n_forces)."""
         ...
 
 
 @dataclass(frozen=True)
 class InitialState(Evidence):
-    """The state from which the whole record is simulated."""
+    """Initial state of the free run."""
 
-    # x0, std: estimate and its standard deviation, shape (n_x,), in the units of ``names``
+    # x0, std: estimate and its standard deviation, shape (n_x,)
     x0: Array
     std: Array
-    names: tuple[str, ...]  # names of the states
-    # samples, seconds: length of the stretch it was fitted to
+    names: tuple[str, ...]  # of the states
+    # samples, seconds: length of the fitted stretch
     samples: int
     seconds: float
-    # number of state directions that the recorded outputs determine; less than n_x means part of the start is unknown
-    rank: int
+    rank: int  # number of state directions that the recorded outputs determine, at most n_x
 
     def to_json(self) -> dict[str, object]:
-        """All fields."""
         return {"states" if key == "names" else key: value for key, value in vars(self).items()}
 
 
 def starting_state(model: Windowed, longest: int) -> InitialState:
-    """State at the start of a record, from the longest opening stretch over which the estimate stays consistent.
+    """Estimate the state at the start of a record from the longest opening stretch with a consistent estimate.
 
-    A short stretch suffers from noise, a long one from the faults of the model. The stretch is doubled from 20 samples
-    (at least 4 n_x numbers) up to ``longest``, as long as the 3-sigma intervals of all estimates so far have a common
-    point (intersection of confidence intervals).
+    A short stretch suffers from noise, a long one from model errors. The stretch is doubled from 20 samples (at least
+    4 n_x numbers) up to ``longest``, while the 3-sigma intervals of all estimates so far have a common point.
     """
     t, names = model.whole.t, model.state_names
     longest = min(longest, len(t))
@@ -111,18 +107,18 @@ def starting_state(model: Windowed, longest: int) -> InitialState:
 class FitOfWindows:
     """Least-squares fits of the states at the starts of windows."""
 
-    # x0, std, rank: states (n_windows, n_x), their standard deviations for white errors, and how many directions of
-    # each are told
+    # x0, std, rank: states (n_windows, n_x), their standard deviations for white errors, and the number of determined
+    # directions of each
     x0: Array
     std: Array
     rank: Indices
-    left: Array  # what they leave of the weighted errors, (n_windows, length, n_y)
+    left: Array  # remaining weighted errors, (n_windows, length, n_y)
 
 
 def fit_windows(model: Windowed, windows: WindowResponses, error: Array | None = None) -> FitOfWindows:
-    """States at the starts of windows side by side, by weighted least squares.
+    """Fit the initial states of windows by weighted least squares.
 
-    ``error``: (n_windows, length, n_y); measured less simulated outputs where left out.
+    ``error``: (n_windows, length, n_y); default measured minus simulated outputs.
     """
     weight = model.whole.weight
     error = model.whole.y[windows.samples] - windows.y if error is None else error
@@ -150,13 +146,11 @@ class WindowedSimulation:
     edges: NDArray[np.int_]  # first sample of each window, and the end of the last one, shape (n_windows + 1,)
     y: Array  # simulated outputs, shape (n, n_y)
     x0: Array  # fitted initial states, shape (n_windows, n_x)
-    # recursive residual in units of the outputs, shape (n, n_y); NaN at the samples that only fix the state of their
-    # window
-    residual: Array
+    residual: Array  # recursive residual in units of the outputs, (n, n_y); NaN where a sample only fixes the state
 
 
 def window_edges(n: int, length: int) -> NDArray[np.int_]:
-    """Edges of windows of ``length`` samples; a rest shorter than half a window belongs to the last one.
+    """Return edges of windows of ``length`` samples; a remainder shorter than half a window joins the last one.
 
     Examples
     --------
@@ -170,10 +164,9 @@ def window_edges(n: int, length: int) -> NDArray[np.int_]:
 
 
 def windowed_simulation(model: Windowed, edges: NDArray[np.int_]) -> WindowedSimulation:
-    """Simulate every window between the edges from its own least-squares initial state; NaN outside of all.
+    """Simulate every window between the edges from its own least-squares initial state; NaN outside.
 
-    Where the outputs are not taken together, each sample of the residual is predicted from the samples of the same
-    output.
+    Without ``together`` each sample of the residual is predicted from samples of the same output only.
     """
     y, weight, n_x = model.whole.y, model.whole.weight, len(model.state_names)
     simulated, residual = np.full((2, *y.shape), np.nan)
@@ -186,13 +179,14 @@ def windowed_simulation(model: Windowed, edges: NDArray[np.int_]) -> WindowedSim
             states[np.searchsorted(edges, windows.starts)] = fit.x0
             for free, left, place in zip(windows.free * weight[:, None], fit.left, at, strict=True):
                 for group in groups:
-                    told = _recursive(free[:, group].reshape(left[:, group].size, n_x), left[:, group].reshape(-1, 1))
-                    residual[place, group] = told.reshape(size, -1) / weight[group]
+                    rows = free[:, group].reshape(left[:, group].size, n_x)
+                    predicted = _recursive(rows, left[:, group].reshape(-1, 1))
+                    residual[place, group] = predicted.reshape(size, -1) / weight[group]
     return WindowedSimulation(edges, simulated, states, residual)
 
 
 def _recursive(rows: Array, values: Array) -> Array:
-    """Recursive residual (n, 1) of the values of rows (n, n_x), which are errors from any one initial state."""
+    """Compute the recursive residual (n, 1) of the errors of rows (n, n_x), from any one initial state."""
     from robustlab.identification.response.recursion_kernel import predict
 
     size = np.linalg.norm(rows, axis=0)

@@ -1,4 +1,4 @@
-"""Cone programmes within a budget, and what a certificate disproves: shared by both domains."""
+"""Cone programmes within a budget, and the largest gamma that a certificate disproves, for both domains."""
 
 from __future__ import annotations
 
@@ -16,24 +16,25 @@ from robustlab.conic import Cone, solve
 from robustlab.errors import NoTrustworthyNumber
 
 MOST_ITERATIONS = 200
-FEWEST_ITERATIONS = 20  # that any programme gets, however little of the budget is left
-BUILDING_WORK = 2.0  # of setting a programme up, per stored entry, as measured
+FEWEST_ITERATIONS = 20  # of any programme, independent of the remaining budget
+BUILDING_WORK = 2.0  # to set up a programme, per stored entry, as measured
 ITERATION_WORK = 0.5  # of an iteration, per stored entry, as measured
-HALVINGS = 24  # of the interval in which a disproved gamma is looked for
+HALVINGS = 24  # of the interval in which a disproved gamma is searched
+SLACK = 1e-9  # rounding in the noise of an explanation, over its bound
 
 INFEASIBLE = ("PrimalInfeasible", "AlmostPrimalInfeasible")
 
 
 @cache
 def sparse_matrices() -> Any:
-    """The module scipy.sparse, untyped: its types take a minute to infer."""
+    """Import scipy.sparse untyped: its types take a minute to infer."""
     return import_module("scipy.sparse")
 
 
 class Rows(NamedTuple):
-    """Rows ``offset - matrix x`` in cones of one kind: zero, not negative, or ``|(s_2 .. s_height)| <= s_1``.
+    """Rows ``offset - matrix x`` in cones of one kind: zero, nonnegative, or ``|(s_2 .. s_height)| <= s_1``.
 
-    Of several second-order cones the first rows of all come first, then the second ones of all, and so on.
+    Several second-order cones are stored with the first rows of all first, then the second rows of all, and so on.
     """
 
     matrix: Any
@@ -44,7 +45,7 @@ class Rows(NamedTuple):
 
 
 class Search(NamedTuple):
-    """Relative width of the bounds to be reached, and the work that it may take."""
+    """Required relative width of the bounds, and the work budget."""
 
     precision: float
     budget: Budget
@@ -52,17 +53,17 @@ class Search(NamedTuple):
 
 @dataclass(frozen=True)
 class ConeSolution:
-    """The point x, and the multipliers (height, cones) of each part of the rows that has a label."""
+    """The point x, and the multipliers (height, cones) of each labelled part of the rows."""
 
     x: Array
     dual: dict[tuple[str, int], Array]
 
 
 def solved_cones(cost: Array, rows: Sequence[Rows], budget: Budget) -> ConeSolution | None:
-    """Least ``cost x`` over all x whose rows lie in their cones; None where there is no such x.
+    """Minimise ``cost x`` over all x whose rows are in their cones; None if infeasible.
 
-    The budget limits the iterations; a time limit, where there is one, is the solver's too, which needs a second.
-    Whatever the solver says of its accuracy, an answer counts only as far as its replay and its certificate go.
+    The budget limits the iterations, and a time limit also the solver, which needs a second. The accuracy reported by
+    the solver is not used: only the replay and the certificate of an answer count.
     """
     matrices, offsets, turns = [], [], []
     cones: list[Cone] = []
@@ -80,7 +81,7 @@ def solved_cones(cost: Array, rows: Sequence[Rows], budget: Budget) -> ConeSolut
     seconds = max(budget.seconds_left, 1.0) if budget.seconds_left < 1e6 else None
     found = solve(cost, A, np.concatenate(offsets), cones, steps=most, seconds=seconds)
     if found is None:
-        raise NoTrustworthyNumber("validate", "the solver broke down")
+        raise NoTrustworthyNumber("validate", "the solver failed")
     budget.spend(200 + BUILDING_WORK * A.nnz + found.iterations * each)
     status = str(found.status)
     if status == "MaxTime":
@@ -96,9 +97,9 @@ def solved_cones(cost: Array, rows: Sequence[Rows], budget: Budget) -> ConeSolut
 
 
 def largest_disproved(disproved: Callable[[float], bool], start: float, finest: float) -> float:
-    """Largest gamma below ``start`` that is disproved, to the relative width ``finest``; 0 where none is.
+    """Find the largest gamma below ``start`` that is disproved, to the relative width ``finest``; 0 for none.
 
-    What disproves a gamma disproves every smaller one: looked for close to the start first, then by halving.
+    A certificate that disproves a gamma disproves every smaller one: the search begins close to the start, then halves.
     """
     high = start
     for share in (*(finest * 2.0**k for k in range(64) if finest * 2.0**k < 1), 1.0):

@@ -1,7 +1,7 @@
 r"""Smallest constant real parameters that explain a record, by descent: an upper bound of the smallest size.
 
-For fixed parameters the noise is affine in the free states; successive cone programmes move both at once, first into
-the noise bound, then to the smallest size.
+For fixed parameters the noise is affine in the free states; successive cone programmes change both at once, first to
+meet the noise bound, then to minimise the size.
 """
 
 from __future__ import annotations
@@ -14,33 +14,31 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.identification.validation.cone_programme import Rows, Search, solved_cones, sparse_matrices
-from robustlab.identification.validation.sampled_problem import Recorded, held, shown, states
+from robustlab.identification.validation.cone_programme import SLACK, Rows, Search, solved_cones, sparse_matrices
+from robustlab.identification.validation.sampled_problem import Recorded, observable_directions, states, zero_order_hold
 
 WIDEST = 1e3  # parameters beyond this many times their range are not tried
 MOVES = 40  # of a descent
-# After so many moves in a row that leave more than this share of what is beyond the noise bound no more is tried.
-CREEP, CREEPS = 0.995, 3
+CREEP, CREEPS = 0.995, 3  # stop after so many moves that leave more than this share of the noise beyond its bound
 PRICE = 1e4  # of the noise beyond its bound, in units of the size of the parameters
-STARTS = 3  # at random, besides the nominal one
+STARTS = 3  # random ones besides the nominal one
 SIMULATION_WORK = 500.0  # of a simulation, besides its samples
-MARGIN = 1e-7  # by which the programmes aim inside the noise bound
-SLACK = 1e-9  # rounding in the noise of an explanation, over its bound
+MARGIN = 1e-7  # distance of the programmes' target from the noise bound
 
 
 @dataclass(frozen=True)
 class Parameters:
-    """What `smallest_parameters` found."""
+    """Result of `smallest_parameters`."""
 
-    upper: float  # largest ``|delta|`` of the best delta; inf where none explains the record
+    upper: float  # largest ``|delta|`` of the best delta; inf if none explains the record
     delta: Array  # normalised values of the real blocks, in order
-    noise: Array  # noise that is left (n, n_y), over its bound
-    excess: float  # smallest noise over its bound that was found anywhere
+    noise: Array  # remaining noise (n, n_y), over its bound
+    excess: float  # smallest noise over its bound over all trials
 
 
 @dataclass(frozen=True)
 class _Windows:
-    """Noise (n, n_y) that delta leaves in windows from rest, and what the free states add to -noise, (n n_y, k)."""
+    """Noise (n, n_y) with delta in windows from zero state, and the response of -noise to free states (n n_y, k)."""
 
     delta: Array
     e: Array
@@ -51,7 +49,7 @@ class _Windows:
 
 
 def smallest_parameters(recorded: Recorded, search: Search) -> Parameters:
-    """Smallest known ``|delta|``, all blocks real."""
+    """Search the smallest ``|delta|`` that explains the record, all blocks real."""
     m = len(recorded.uncertain.blocks)
     rng = np.random.default_rng(0)
     starts = [np.zeros(m), *(rng.uniform(-1, 1, m) for _ in range(STARTS if m > 1 else 1))]
@@ -68,18 +66,18 @@ def smallest_parameters(recorded: Recorded, search: Search) -> Parameters:
 
 
 def _descend(recorded: Recorded, start: Array, search: Search) -> Parameters:
-    """Successive programmes with a trust region."""
+    """Solve successive programmes with a trust region."""
     m, radius, creeps = len(start), 0.5, 0
     at = _windows(recorded, start, search)
     fitted = None if at is None else _move(recorded, at, np.zeros((at.e.size, m)), search, 0.0)
     if at is None or fitted is None:
         return Parameters(np.inf, start, np.zeros(recorded.y.shape), np.inf)
     x = fitted[1]
-    best = _judged(recorded, at, x)
+    best = _sized(recorded, at, x)
     for _ in range(MOVES):
         if creeps >= CREEPS or search.budget.over or not best.upper:
             break
-        here = _judged(recorded, at, x)
+        here = _sized(recorded, at, x)
         step = 1e-5 * max(1.0, float(np.abs(at.delta).max()))
         sides = [_windows(recorded, at.delta + s * step * unit, search) for unit in np.eye(m) for s in (1, -1)]
         known = [side.noise(x).ravel() for side in sides if side is not None]
@@ -93,7 +91,7 @@ def _descend(recorded: Recorded, start: Array, search: Search) -> Parameters:
         if new is None:
             radius /= 4
             continue
-        there = _judged(recorded, new, moved[1])
+        there = _sized(recorded, new, moved[1])
         was, now = max(here.excess - 1, 0.0) * PRICE, max(there.excess - 1, 0.0) * PRICE
         creeps = creeps + 1 if now > CREEP * was > 0 else 0
         if (there.upper, there.excess) < (best.upper, best.excess):
@@ -111,18 +109,18 @@ def _descend(recorded: Recorded, start: Array, search: Search) -> Parameters:
 
 
 def _windows(recorded: Recorded, delta: Array, search: Search) -> _Windows | None:
-    """The windows at delta; None where it is ill-posed or its responses outgrow every number."""
+    """Simulate the windows at delta; None if it is ill-posed or overflows."""
     search.budget.spend(SIMULATION_WORK + 0.3 * recorded.y.size)
     uncertain = recorded.uncertain
     try:
         model = uncertain.evaluate(dict(zip([b.name for b in uncertain.blocks], delta.tolist(), strict=True)))
-        A, B = held(model, recorded.dt)
+        A, B = zero_order_hold(model, recorded.dt)
     except NoTrustworthyNumber:
         return None
     C, sparse = model.C / recorded.bound[:, None], sparse_matrices()
     cuts = list(pairwise([*recorded.starts, len(recorded.t)]))
     longest = max(b - a for a, b in cuts)
-    moved = [states(A, np.zeros((longest, len(A))), x0) @ C.T for x0 in shown(A, C).T]
+    moved = [states(A, np.zeros((longest, len(A))), x0) @ C.T for x0 in observable_directions(A, C).T]
     columns = np.stack(moved, axis=2) if moved else np.zeros((longest, recorded.y.shape[1], 0))
     e, free = np.empty_like(recorded.y), []
     for a, b in cuts:
@@ -135,8 +133,8 @@ def _windows(recorded: Recorded, delta: Array, search: Search) -> _Windows | Non
     return _Windows(delta, e, together) if np.isfinite(e).all() and np.isfinite(together.data).all() else None
 
 
-def _judged(recorded: Recorded, at: _Windows, x: Array) -> Parameters:
-    """Delta with these free states, by the noise that they leave."""
+def _sized(recorded: Recorded, at: _Windows, x: Array) -> Parameters:
+    """Return the size of delta and the noise that remains with these free states."""
     noise = at.noise(x)
     if recorded.norm == "peak":
         excess = float(np.abs(noise).max())
@@ -147,7 +145,7 @@ def _judged(recorded: Recorded, at: _Windows, x: Array) -> Parameters:
 
 
 def _move(recorded: Recorded, at: _Windows, slope: Array, search: Search, radius: float) -> tuple[Array, Array] | None:
-    """Change of delta and the free states that the linearised problem asks for; None without an answer.
+    """Solve the linearised problem for the change of delta and the free states; None without an answer.
 
     Variables: change of delta, size of delta, excess of the noise, free states of each window.
     """

@@ -1,4 +1,4 @@
-r"""The smallest unmodelled dynamics r Delta at the inputs with which a plant could have produced its records."""
+r"""Smallest unmodelled dynamics r Delta at the inputs with which a plant could have produced its records."""
 
 from __future__ import annotations
 
@@ -23,35 +23,35 @@ from robustlab.uncertainty.lft import UncertainModel, product
 
 LEAST_RADIUS = 0.02  # of `data_cover`: no plant is known better than this at every frequency
 
-# Loads along a record are means over its samples, known to this share of their bounds.
-LOADS_TOLD = 1e-3
+# Accuracy of loads along a record (means over its samples), over their bounds.
+LOAD_ACCURACY = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
 class DataCover(Evidence):
-    """A set of models that holds its records.
+    """A set of models that explains its records.
 
     Attributes
     ----------
     status
-        The worst of the validations', those of the records held out included.
+        The worst of all validations, also of the held-out records.
     model
-        The set; its inputs are the loads, each at most one, then the plant's. None where no radius explains a record.
+        The set; its inputs are the loads, each at most one, then the plant's. None if no radius explains a record.
     radius
         Of the unmodelled dynamics in ``model``: ``margin`` times the smallest, at least ``least``.
     needed, needed_lower
         The smallest radius that explains all records, from above and from below.
     held_out
-        The smallest radius for the records that were held out, from above; NaN without such.
+        The smallest radius for the held-out records, from above; NaN without such.
     held_out_loads
-        Largest load along those records, over its bound; NaN without such, 0 without loads. Above one the set's loads
-        are too small for them: a force without a bound of its own takes that of ``records``, times ``margin``.
+        Largest load along those records, over its bound; NaN without such, 0 without loads. Above one the loads of the
+        set are too small for them: the bound of a force without its own is that along ``records``, times ``margin``.
     margin, least
         As given.
     loads
         Name, bound, unit and origin of each load.
     validations
-        Name of record -> how it was explained; its gamma is the radius.
+        Name of record -> its `Validation`; gamma is the radius.
     """
 
     status: Status
@@ -68,11 +68,10 @@ class DataCover(Evidence):
 
     @property
     def passes(self) -> bool:
-        """Whether the set explains the records that were held out, with loads within their bounds."""
-        return self.held_out <= self.radius and self.held_out_loads <= 1 + LOADS_TOLD
+        """Whether the set explains the held-out records, with loads within their bounds."""
+        return self.held_out <= self.radius and self.held_out_loads <= 1 + LOAD_ACCURACY
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         held = (
             "none"
             if np.isnan(self.held_out)
@@ -89,18 +88,18 @@ class DataCover(Evidence):
         ]
 
     def numbers(self) -> dict[str, Any]:
-        """All fields but the validations and the model; of loads their bounds."""
-        told = {k: x for k, x in self.to_json(series=False).items() if k not in ("validations", "loads", "status")}
-        return {**told, "loads": {x.name: x.bound for x in self.loads}}
+        """Return all fields but the validations and the model; of loads their bounds."""
+        data = {k: x for k, x in self.to_json(series=False).items() if k not in ("validations", "loads", "status")}
+        return {**data, "loads": {x.name: x.bound for x in self.loads}}
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the radius is of."""
-        what = "The radius is sought at nominal parameters, with a Δ that may vary with time;"
-        return (f"{what} their tolerances come on top.",)
+        """Validity of the radius."""
+        text = "The radius is sought at nominal parameters, with a Δ that may vary with time;"
+        return (f"{text} their tolerances come on top.",)
 
     def to_json(self, series: bool = True) -> dict[str, object]:
-        """All fields but the model; without ``series`` also without the time series of the validations."""
+        """Return all fields but the model; without ``series`` no time series of the validations."""
         data: dict[str, object] = {k: v for k, v in vars(self).items() if k not in ("model", "validations")}
         return {
             **data,
@@ -128,31 +127,31 @@ def data_cover(
     progress: Callable[[str], None] | None = None,
     effort: float = 1.0,
 ) -> DataCover:
-    """The set of models around a plant, with or without effects, that explains its records.
+    """Construct the set of models around a plant, with or without effects, that explains its records.
 
     Parameters
     ----------
     plant
         `LinearPlant` or `ExtendedPlant` with bounded effects; a load is known along a record (`EffectLoads.along`).
     records
-        Records that the set is to hold.
+        Records that the set must explain.
     noise
         Output name -> bound of its noise; the outputs that are compared.
     held_out
         Records on which the set is checked; they do not change it.
     margin, least
-        The radius is ``margin`` times the smallest that explains the records, and at least ``least``; a load without a
-        bound of its own is ``margin`` times the largest along the records.
+        The radius is ``margin`` times the smallest that explains the records, and at least ``least``; the bound of a
+        load without its own is ``margin`` times the largest along the records.
     sigmas
         Half width of the range of a fitted value in its standard deviations.
     noise_norm, window, at_rest, precision, time_limit, progress, effort
-        As in `validate`; time limit and effort are those of each record. Delta may vary with time: friction does.
+        As in `validate`; time limit and effort are per record. Delta may vary with time, as friction does.
 
     Returns
     -------
     DataCover
-        ``.model`` is the set, ``.radius`` the share of the input that its unmodelled dynamics take, ``.passes`` whether
-        it explains the records held out.
+        ``.model`` is the set, ``.radius`` the size of its unmodelled dynamics over the input, ``.passes`` whether it
+        explains the held-out records.
 
     Raises
     ------
@@ -208,7 +207,7 @@ def data_cover(
 
 
 def _unmodelled(whole: UncertainModel, made: EffectLoads, radius: float) -> UncertainModel:
-    """The set behind ``(I + radius Delta)`` at the plant's own inputs; a block of its own for each."""
+    """Add ``(I + radius Delta)`` at the plant's own inputs, one block for each."""
     inputs, k = whole.inputs, len(made.loads)
     n, n_u = len(inputs), len(inputs) - k
     own = np.eye(n)[k:]

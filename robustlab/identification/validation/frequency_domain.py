@@ -1,7 +1,7 @@
 r"""Validation line by line: cone programmes with tangents of |z|^2 from above, multipliers from below.
 
 At every explanation L = sum D (gamma^2 |z|^2 - |w|^2) + sum Lambda (r^2 - |n|^2) >= 0, so max_w L < 0, one small
-Hermitian system a line, disproves gamma (Smith, Doyle 1992; Huang, Zhang 2007, theorem 2.1).
+Hermitian system per line, disproves gamma (Smith, Doyle 1992; Huang, Zhang 2007, theorem 2.1).
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.validation.cone_programme import (
+    SLACK,
     ConeSolution,
     Rows,
     Search,
@@ -41,13 +42,9 @@ from robustlab.record import Record
 from robustlab.uncertainty.lft import UncertainModel
 
 LINE_ROUNDS = 30  # convex-concave steps at most
-LINE_MARGIN = 1e-9  # by which the programmes aim inside the noise bound
+LINE_MARGIN = 1e-9  # distance of the programmes' target from the noise bound
 FINEST = 1e-7  # relative, of a disproved gamma
-
-# Rounding in the noise of an explanation, over its bound.
-SLACK = 1e-9
-# A multiplier of this share of the largest keeps the Lagrangian of a line strictly concave.
-FLOOR = 1e-9
+FLOOR = 1e-9  # a multiplier of this share of the largest makes the Lagrangian of a line strictly concave
 
 
 def fits_frequency_domain(
@@ -58,7 +55,7 @@ def fits_frequency_domain(
     at_rest: bool,
     noise: Mapping[str, ArrayLike] | None,
 ) -> None:
-    """Refuse what has no meaning there."""
+    """Refuse options without a meaning in the frequency domain."""
     where = f"validate {data.name}"
     if domain == "time":
         raise InputError(where, "a frequency response in the time domain", 'domain="frequency"')
@@ -67,7 +64,7 @@ def fits_frequency_domain(
                          'noise_norm="rms"; a transform keeps the energy of the noise, not its peak')  # fmt: skip
     if norm == "rms" and isinstance(data, FrequencyData):
         raise InputError(where, "an rms bound on a frequency response", "a bound at each line")
-    for name, given in (("windows", window), ("a start at rest", at_rest)):
+    for name, given in (("windows", window), ("at_rest", at_rest)):
         if given:
             raise InputError(where, f"{name} in the frequency domain", "whole periods in steady state", 'domain="time"')
     if noise is None and isinstance(data, FrequencyData):
@@ -83,9 +80,9 @@ def validate_by_lines(
     progress: Callable[[str], None],
     estimated: bool,
 ) -> Validation:
-    """Bounds of the smallest gamma over the lines; see `robustlab.identification.validation.validate`."""
+    """Compute bounds of the smallest gamma over the lines; see `robustlab.identification.validation.validate`."""
     if not uncertain.blocks:
-        hint = 'domain="time" tells whether noise alone explains a record'
+        hint = 'domain="time" tests whether noise alone explains a record'
         raise InputError(f"validate {data.name}", "a set without blocks in the frequency domain", "a block", hint)
     if isinstance(data, Record):
         spectrum = spectrum_of_record(uncertain, data, {k: float(np.asarray(v)) for k, v in noise.items()}, period)
@@ -117,7 +114,7 @@ def validate_by_lines(
         excess=found.least_noise if np.isinf(found.upper) else problem.excess(problem.noise(found.w)),
         replay_error=error,
         assumptions=(
-            *spectrum.said,
+            *spectrum.assumptions,
             *(("the noise bound was estimated from the record's own periods",) if estimated else ()),
             "complex and full blocks are causal stable time-invariant systems",
         ),
@@ -137,7 +134,7 @@ def validate_by_lines(
 
 
 def _replay_error(problem: SpectralProblem, w: ComplexArray) -> float:
-    """The loop closed at each line with ``Delta = w z' / |z|^2``, against the explanation, over the noise bound."""
+    """Close the loop at each line with ``Delta = w z' / |z|^2`` and compare it with the explanation, over the bound."""
     n, q, p = problem.n, w.shape[1], problem.z0.shape[1]
     z = problem.z(w)
     delta = np.zeros((n, q, p), dtype=complex)
@@ -147,7 +144,7 @@ def _replay_error(problem: SpectralProblem, w: ComplexArray) -> float:
         delta[:, rows, cols] = w[:, rows, None] * back[:, None, :]
     try:
         closed = np.linalg.solve(np.eye(q) - delta @ problem.M11, np.einsum("kij,kj->ki", delta, problem.z0)[..., None])
-    except np.linalg.LinAlgError:  # a Delta that makes the loop ill-posed is no explanation
+    except np.linalg.LinAlgError:  # an ill-posed loop is no explanation
         return np.inf
     difference = np.einsum("kij,kj->ki", problem.M21, closed[..., 0] - w)
     if problem.total:
@@ -156,7 +153,7 @@ def _replay_error(problem: SpectralProblem, w: ComplexArray) -> float:
 
 
 def _explained(spectrum: Spectrum, w: ComplexArray) -> Array:
-    """Outputs of the explanation: a period, or magnitudes."""
+    """Compute the outputs of the explanation: a period, or magnitudes."""
     problem = spectrum.problem
     moved = np.einsum("kij,kj->ki", problem.M21, w) * spectrum.unit_noise
     if not problem.total:
@@ -179,16 +176,15 @@ class LineMultipliers:
 
 
 class _Sizes(NamedTuple):
-    """Bounds of gamma; both inf where no Delta of any size explains the data."""
+    """Bounds of gamma; both inf if no Delta of any size explains the data."""
 
     lower: float
     upper: float
-    w: ComplexArray  # (n, q); zeros where nothing was found
-    multipliers: LineMultipliers  # those of the lower bound
-    # by what factor the noise bound would have to grow for any Delta at all to explain the data; at most 1: none
-    least_noise: float
+    w: ComplexArray  # (n, q); zeros if nothing was found
+    multipliers: LineMultipliers  # of the lower bound
+    least_noise: float  # factor on the noise bound with which some Delta explains the data; at most 1: no increase
     known: bool  # whether z is known, and the test thereby convex
-    recheck: Callable[[], float] | None  # the lower bound once more, from the multipliers alone
+    recheck: Callable[[], float] | None  # recomputes the lower bound from the multipliers alone
 
 
 def _smallest(problem: SpectralProblem, search: Search) -> _Sizes:
@@ -215,7 +211,7 @@ def _smallest(problem: SpectralProblem, search: Search) -> _Sizes:
         gamma, w, solved = _descend(programme, start, known)
         if solved is not None:
             trial = programme.multipliers(solved)
-            # With several programmes in one the multipliers of a line are those of its own gamma: the worst decides.
+            # With one programme per line the multipliers of a line belong to its own gamma: the worst decides.
             top = gamma if np.isfinite(gamma) else float(np.sqrt(solved.g.max(initial=0.0)))
             found = disproved(trial, top)
             lower, multipliers = (found, trial) if found > lower else (lower, multipliers)
@@ -228,7 +224,7 @@ def _smallest(problem: SpectralProblem, search: Search) -> _Sizes:
 
 
 def _descend(programme: _Programme, z: ComplexArray, known: bool) -> tuple[float, ComplexArray, _Solved | None]:
-    """Best gamma that its own w shows, that w, and the last programme solved."""
+    """Return the best gamma attained by its w, that w, and the last programme solved."""
     problem, search = programme.problem, programme.search
     best, at, last, before = np.inf, np.zeros_like(problem.e[:, :0]), None, np.inf
     for _ in range(1 if known else LINE_ROUNDS):
@@ -250,9 +246,9 @@ def _descend(programme: _Programme, z: ComplexArray, known: bool) -> tuple[float
 
 
 def line_lagrangian(problem: SpectralProblem, multipliers: LineMultipliers, gamma: float) -> float:
-    """Largest value of L over all w: for a total bound of the sum over lines, else of the line where it is smallest.
+    """Maximise L over all w: for a total bound the sum over lines, else the line with the smallest maximum.
 
-    +inf where L is not bounded above. Negative is a proof.
+    +inf if L is not bounded above. A negative value is a proof.
     """
     n, p = problem.z0.shape
     q = problem.M21.shape[2]
@@ -293,25 +289,25 @@ class _Solved(NamedTuple):
 
 
 class _Programme:
-    """Cone programmes in the real and imaginary parts of w, and g: one, or one for each line where they are apart."""
+    """Cone programmes in the real and imaginary parts of w, and g: one over all lines, or one for each."""
 
     def __init__(self, problem: SpectralProblem, search: Search) -> None:
         self.problem, self.search = problem, search
         sparse, n, many = sparse_matrices(), problem.n, problem.n * problem.M21.shape[2]
         every = sparse.identity(2 * many + (1 if problem.total else n), format="csr")
-        # Rows that are one variable each; of g one for each line.
+        # Rows of one variable each; one row of g for each line.
         self.re, self.im, own = every[:many], every[many : 2 * many], every[2 * many :]
         self.g = sparse.csr_matrix(np.ones((n, 1))) @ own if problem.total else own
 
     def _affine(self, gains: ComplexArray) -> tuple[Any, Any]:
-        """Rows for the real and the imaginary part of ``gains_k w_k`` (n, q) at each line."""
+        """Return rows for the real and the imaginary part of ``gains_k w_k`` (n, q) at each line."""
         n, q = gains.shape
         at = np.repeat(np.arange(n), q), np.arange(n * q)
         re, im = (sparse_matrices().csr_matrix((part.ravel(), at), (n, n * q)) for part in (gains.real, gains.imag))
         return re @ self.re - im @ self.im, im @ self.re + re @ self.im
 
     def _noise(self, free: bool) -> list[Rows]:
-        """Noise within its bound, or within g times its bound."""
+        """Constrain the noise by its bound, or by g times its bound."""
         sparse, p, found = sparse_matrices(), self.problem, []
         head, inside = (self.g, 0.0) if free else (0.0 * self.g, 1 - LINE_MARGIN)
         for j, e in enumerate(p.e.T):
@@ -327,7 +323,7 @@ class _Programme:
         return found
 
     def _blocks(self, z: ComplexArray) -> list[Rows]:
-        """``(g + eps, g - eps, 2 w)`` in the cone, with the tangents eps at z."""
+        """Constrain ``(g + eps, g - eps, 2 w)`` to the cone, with the tangents eps at z."""
         sparse, p, found = sparse_matrices(), self.problem, []
         q = p.M21.shape[2]
         for i, (rows, cols) in enumerate(p.blocks):
@@ -341,18 +337,18 @@ class _Programme:
         return found
 
     def smallest(self, z: ComplexArray) -> _Solved | None:
-        """Smallest g with the tangents at z; None where there is none."""
+        """Minimise g with the tangents at z; None if infeasible."""
         return self._solved([*self._noise(False), *self._blocks(z)])
 
     def least_noise(self) -> _Solved:
-        """Smallest factor on the noise bound with any w."""
+        """Minimise the factor on the noise bound over any w."""
         found = self._solved(self._noise(True))
         if found is None:
             raise NoTrustworthyNumber("validate", "the solver gave no answer for the least noise")
         return found
 
     def _solved(self, rows: list[Rows]) -> _Solved | None:
-        """The answer of least g, where w is real as every spectrum is."""
+        """Minimise g, with w real where every spectrum is."""
         p, many = self.problem, self.re.shape[0]
         still = self.im[np.repeat(p.real, many // p.n)]
         if still.shape[0]:
@@ -366,7 +362,7 @@ class _Programme:
         return _Solved(w.reshape(p.n, -1), np.maximum(self.g @ found.x, 0.0), found)
 
     def multipliers(self, solved: _Solved) -> LineMultipliers:
-        """Multipliers of the quadratic certificate from those of the cone programme."""
+        """Derive the multipliers of the quadratic certificate from those of the cone programme."""
         p = self.problem
         noise, D = np.zeros(p.e.shape), np.zeros((p.n, len(p.blocks)))
         g = np.maximum(solved.g, 1e-6 * float(solved.g.max(initial=0.0)) + 1e-12)

@@ -1,4 +1,4 @@
-r"""Could this uncertain model have produced this record? The smallest scaling of Delta for which it could.
+r"""Smallest scaling of Delta with which an uncertain model could have produced a record.
 
 In time: Poolla et al., IEEE TAC 39 (1994) 951-959. Over frequency: Smith, Doyle, IEEE TAC 37 (1992) 942-952.
 """
@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.budget import MILLION, one_thread, search_budget
-from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.identification.comparison.envelope import require_linear_set
+from robustlab.identification.comparison.repeats import noise_floor
 from robustlab.identification.validation.cone_programme import Search
 from robustlab.identification.validation.frequency_domain import fits_frequency_domain, validate_by_lines
 from robustlab.identification.validation.sampled_problem import NoiseNorm, prepared
@@ -23,9 +24,9 @@ from robustlab.identification.validation.validation_result import Validation
 from robustlab.record import Record
 from robustlab.uncertainty.lft import UncertainModel
 
-# What a validation may cost, in units of `robustlab.budget`: about two minutes. More work, tighter bounds.
+# Budget of a validation in units of `robustlab.budget`: about two minutes. More work gives tighter bounds.
 WORK = 120 * MILLION
-CONFIDENCE = 0.99  # that noise stays within a bound taken from repeats: larger, wider bounds
+CONFIDENCE = 0.99  # that noise is within a bound estimated from repeats
 
 
 @told_as("validate")
@@ -44,39 +45,40 @@ def validate(
     progress: Callable[[str], None] | None = None,
     effort: float = 1.0,
 ) -> Validation:
-    """Smallest scaling of Delta with which an uncertain model could have produced a record.
+    """Compute the smallest scaling of Delta with which an uncertain model could have produced a record.
 
     Parameters
     ----------
     uncertain
         The set. Real blocks are constants; complex and full blocks are causal systems: in the time domain they may vary
         in time, in the frequency domain they are time-invariant. A continuous model is sampled
-        with all inputs, also w, held between samples. Without any block noise alone has to explain the record: gamma is
-        0, or there is none.
+        with all inputs, also w, held between samples. Without a block noise alone must explain the record: gamma is 0,
+        or there is none.
     record
-        The measurement, on a uniform clock; all inputs of the set must be recorded, and some of its outputs. In the
+        The measurement, on a uniform time base; all inputs of the set must be recorded, and some of its outputs. In the
         frequency domain also a measured frequency response (`FrequencyData`).
     noise
-        Output name -> bound of its noise, in its unit. Where left out it is estimated from the record's own periods
-        (99 % confidence for white Gaussian noise), which asks for a record that repeats.
+        Output name -> bound of its noise, in its unit. By default it is estimated from the periods of the record
+        (99 % confidence for white Gaussian noise), which must repeat.
     domain
         ``"time"``: sample by sample (Poolla et al.). ``"frequency"``: line by line (Smith and Doyle), for blocks that
         are time-invariant systems, from whole periods of a record in steady state or from a `FrequencyData`.
     noise_norm
-        ``"peak"``: no sample is off by more; ``"rms"``: the root mean square over the record is not larger. Where left
-        out ``"peak"`` in the time domain. In the frequency domain it is ``"rms"`` for a record (over the periods used),
-        and each line's own bound for a frequency response, of which ``noise`` may hold one for each line.
+        ``"peak"``: bound of every sample; ``"rms"``: bound of the root mean square over the record. Default ``"peak"``
+        in the time domain. In the frequency domain it is ``"rms"`` for a record (over the periods used), and a bound at
+        each line for a frequency response, for which ``noise`` may hold one value for each line.
     at_rest
-        The record starts at rest. Otherwise the states that the outputs show are free at the start. Delta is at rest.
+        The record starts at equilibrium. Otherwise the observable states are free at the start. Delta starts at zero
+        state.
     window
-        Cut the record into windows of that many seconds, each with a free start; Delta keeps its memory and its
-        values. A weaker test, for records over which an open-loop response drifts.
+        Cut the record into windows of that many seconds, each with a free initial state; the state of Delta continues.
+        A weaker test, for records over which an open-loop response drifts.
     period
-        Frequency domain: the period in s, where no recorded signal tells it.
+        Frequency domain: the period in s, if no recorded signal determines it.
     precision
         Relative width of the bounds to be reached.
     time_limit
-        In s; what was found by then is returned with status TIMEOUT, and cannot be repeated. None: no limit.
+        In s. If it is reached, the result has status TIMEOUT and depends on the machine. None: no limit.
     progress
         Called with one line at each step.
     effort
@@ -116,13 +118,7 @@ def validate(
     (0.4, False, 'certified')
     """
     budget, estimated = search_budget("validate", WORK, effort, time_limit), noise is None
-    if isinstance(uncertain, NonlinearPlant):
-        hint = "plant.uncertain(at=...) makes one, for the record's deviations from that trim"
-        raise InputError(
-            "validate", f"the nonlinear plant {uncertain.name}", "an uncertain linear model about a trim", hint
-        )
-    if not isinstance(uncertain, UncertainModel):
-        raise InputError("validate", type(uncertain).__name__, "an UncertainModel", "plant.uncertain() makes one")
+    require_linear_set("validate", uncertain)
     for block in uncertain.blocks:
         if block.is_real and not block.interval:
             found = f"a {type(block).__name__}"
@@ -131,21 +127,21 @@ def validate(
         raise InputError("validate", f"precision {precision:g}", "between 1e-4 and 0.2")
     if domain not in ("time", "frequency"):
         raise InputError("validate", f"domain {domain!r}", "'time' or 'frequency'")
-    say = progress or (lambda _line: None)
+    report = progress or (lambda _line: None)
     search = Search(precision, budget)
     if domain == "frequency" or isinstance(record, FrequencyData):
         fits_frequency_domain(record, domain, noise_norm, window, at_rest, noise)
         with one_thread():
             if isinstance(record, Record):
                 noise = noise if noise is not None else _estimated(uncertain, record, "rms", CONFIDENCE)
-            return validate_by_lines(uncertain, record, noise or {}, search, period, say, estimated)
+            return validate_by_lines(uncertain, record, noise or {}, search, period, report, estimated)
     if period is not None:
         raise InputError("validate", f"period {period:g} s", "a period only in the frequency domain")
     norm: NoiseNorm = noise_norm or "peak"
     with one_thread():
         bounds = _numbers(noise) if noise is not None else _estimated(uncertain, record, norm, CONFIDENCE)
         recorded = prepared(uncertain, record, bounds, norm=norm, window=window, at_rest=at_rest)
-        return validate_by_samples(record, recorded, search, say, estimated)
+        return validate_by_samples(record, recorded, search, report, estimated)
 
 
 def _numbers(noise: Mapping[str, ArrayLike]) -> dict[str, float]:
@@ -157,16 +153,14 @@ def _numbers(noise: Mapping[str, ArrayLike]) -> dict[str, float]:
 
 
 def _estimated(uncertain: UncertainModel, record: Record, norm: NoiseNorm, confidence: float) -> dict[str, float]:
-    """Noise bounds from the record's own periods."""
+    """Estimate noise bounds from the periods of the record."""
     from scipy import stats
-
-    from robustlab.identification.comparison.repeats import noise_floor
 
     names = [s.name for s in uncertain.outputs if s.name in record.outputs]
     try:
         floor = noise_floor(record, outputs=names)
     except NoTrustworthyNumber as error:
-        hint = "noise={'" + (names[0] if names else "y") + "': ...}, in its unit: what the sensor may be off"
+        hint = "noise={'" + (names[0] if names else "y") + "': ...}, in its unit: the error bound of the sensor"
         raise NoTrustworthyNumber(
             f"validate {record.name}", f"no noise bound was given, and none can be estimated: {error.found}", None, hint
         ) from None

@@ -1,7 +1,7 @@
-r"""Model and record as a validation sees them: sampled, matched by names, in units of the noise bounds.
+r"""Model and record for a validation: sampled, matched by names, in units of the noise bounds.
 
-With w = Delta z unknown, states, z and noise are affine in w and in the starts. At the start of a window the state may
-jump within what the outputs show; states that they do not show start at rest: a free one could make any w allowed.
+With w = Delta z unknown, states, z and noise are affine in w and in the initial states. At the start of a window the
+observable state may jump; unobservable states start at zero, since a free one could make any w feasible.
 """
 
 from __future__ import annotations
@@ -25,10 +25,8 @@ from robustlab.uncertainty.lft import UncertainModel
 
 NoiseNorm = Literal["peak", "rms"]
 
-# Responses below this share of the largest one are rounding.
-ROUNDING = 1e-12
-# A state direction counts as shown by the outputs above this share of the best shown one.
-SHOWN = 1e-9
+ROUNDING = 1e-12  # responses below this share of the largest one are rounding
+OBSERVABLE = 1e-9  # state directions count as observable above this share of the most observable one
 
 
 @dataclass(frozen=True)
@@ -36,18 +34,18 @@ class Recorded:
     """A record matched with an uncertain model."""
 
     uncertain: UncertainModel  # the set, with the compared outputs only
-    t: Array  # clock in s, shape (n,)
+    t: Array  # time in s, shape (n,)
     # u, y: inputs (n, n_u) and outputs (n, n_y) in the order of the model, in deviations from its operating point
     u: Array
     y: Array
     outputs: tuple[Signal, ...]  # compared outputs with their units
     bound: Array  # noise bound of each output, shape (n_y,): largest value, or root mean square
-    norm: NoiseNorm  # which of the two
-    # samples over which a root mean square is bounded: those of the whole record, in a part of it, too. The noise of a
-    # part may be larger than that of the whole.
+    norm: NoiseNorm
+    # samples over which a root mean square is bounded: those of the whole record, also for a part of it, as the noise
+    # of a part may be larger than that of the whole
     count: int
     starts: tuple[int, ...]  # first sample of each window
-    at_rest: bool  # whether the first window starts at the state zero; all others have a free state
+    at_rest: bool  # whether the first window starts at zero state; all others have a free state
 
     @property
     def dt(self) -> float:
@@ -55,7 +53,7 @@ class Recorded:
         return float(self.t[-1] - self.t[0]) / (len(self.t) - 1)
 
     def first(self, n: int) -> Recorded:
-        """The first n samples."""
+        """Return the first n samples."""
         starts = tuple(s for s in self.starts if s < n)
         return replace(self, t=self.t[:n], u=self.u[:n], y=self.y[:n], starts=starts)
 
@@ -69,7 +67,7 @@ def prepared(
     window: float | None = None,
     at_rest: bool = False,
 ) -> Recorded:
-    """Match model and record; refuse what cannot be judged."""
+    """Match model and record."""
     where = f"validate {record.name}"
     if not record.is_uniform:
         step = np.diff(record.t)
@@ -91,7 +89,7 @@ def prepared(
 
 @dataclass(frozen=True)
 class SampledProblem:
-    """The affine maps of this module for one choice of the real parameters."""
+    """Affine maps of this module for one choice of the real parameters."""
 
     # A, B, C1, D11, C2, D21: sampled model from w to z and to the noise, in scaled signals
     A: Array
@@ -108,17 +106,14 @@ class SampledProblem:
     # starts, at_rest: as in `Recorded`
     starts: tuple[int, ...]
     at_rest: bool
-    # orthonormal basis of the state directions that the outputs show, shape (n_x, k): there the state of a window is
-    # free
-    free: Array
+    free: Array  # orthonormal basis of the observable (free) state directions, shape (n_x, k)
     # for each dynamic block its slices of w and z, and whether it is one system repeated
     blocks: tuple[tuple[slice, slice, bool], ...]
-    names: tuple[str, ...]  # their names
-    scale: Array  # signals w and z of each block are divided by this
+    names: tuple[str, ...]  # of the blocks
+    scale: Array  # divisor of the signals w and z of each block
 
     @property
     def n(self) -> int:
-        """Number of samples."""
         return len(self.e)
 
     @property
@@ -127,7 +122,7 @@ class SampledProblem:
         return self.starts[1:] if self.at_rest else self.starts
 
     def respond(self, w: Array, states_at: Mapping[int, Array]) -> tuple[Array, Array]:
-        """Z (n, p) and noise (n, n_y) for w (n, q) and a jump (k,) of the state at free starts; 0 where left out."""
+        """Compute z (n, p) and noise (n, n_y) for w (n, q) and jumps (k,) of the state at free starts; default 0."""
         drive = w @ self.B.T
         first = np.zeros(len(self.A))
         for t, jump in states_at.items():
@@ -139,7 +134,7 @@ class SampledProblem:
         return self.z0 + x @ self.C1.T + w @ self.D11.T, self.e - x @ self.C2.T - w @ self.D21.T
 
     def free_response(self) -> Array:
-        """What the jumps add to -noise, (n, n_y, k m), for the m free starts in turn."""
+        """Compute the response of -noise to the jumps, (n, n_y, k m), for the m free starts in turn."""
         k, starts = self.free.shape[1], self.free_starts
         found = np.zeros((*self.e.shape, k * len(starts)))
         rest = np.zeros((self.n, len(self.A)))
@@ -150,7 +145,7 @@ class SampledProblem:
         return found
 
     def z_is_known(self) -> bool:
-        """Whether z depends neither on w nor on a free state: then the test is convex."""
+        """Check that z depends neither on w nor on a free state: then the test is convex."""
         largest = float(np.abs(self.z0).max(initial=0.0))
         state = np.hstack([self.B, self.free]) if self.free_starts else self.B
         moved = float(np.abs(self.D11).max(initial=0.0))
@@ -160,13 +155,13 @@ class SampledProblem:
         return moved <= ROUNDING * max(largest, 1e-300)
 
     def excess(self, noise: Array) -> float:
-        """Largest noise over its bound: at most 1 where the noise is explained."""
+        """Return the largest noise over its bound: at most 1 if explained."""
         if self.norm == "peak":
             return float(np.abs(noise).max(initial=0.0))
         return float(np.linalg.norm(noise, axis=0).max(initial=0.0) / self.radius)
 
     def sizes(self, w: Array, z: Array) -> Array:
-        r"""For each block the smallest gain of a causal time-varying system that maps z to w.
+        r"""Compute for each block the smallest gain of a causal time-varying system that maps z to w.
 
         .. math:: \max_T \left(\sum_{t \le T} |w_t|^2 / \sum_{t \le T} |z_t|^2\right)^{1/2}
         """
@@ -181,28 +176,28 @@ class SampledProblem:
 
 
 def sampled(recorded: Recorded, M: StateSpaceModel, blocks: Sequence[Block]) -> SampledProblem:
-    """The problem for a model whose Delta channels belong to the given blocks; zero-order hold on u and w.
+    """Set up the problem for a model with Delta channels of the given blocks; zero-order hold on u and w.
 
-    Real blocks among them count as systems (a relaxation). A constant may show states at the outputs that the nominal
-    model hides, so that what such a block sees is free as well.
+    Real blocks count as systems (a relaxation). A constant may make states observable that are not so in the nominal
+    model, so the states that act on such a block are free as well.
     """
     q, p = sum(b.rows for b in blocks), sum(b.cols for b in blocks)
-    (A, B), C, D = held(M, recorded.dt), M.C, M.D
+    (A, B), C, D = zero_order_hold(M, recorded.dt), M.C, M.D
     x = states(A, recorded.u @ B[:, q:].T, np.zeros(len(A)))
     forced = x @ C.T + recorded.u @ D[:, q:].T
     if not np.isfinite(forced).all():
-        raise NoTrustworthyNumber("validate", "the nominal response outgrows every number", None, "use windows")
+        raise NoTrustworthyNumber("validate", "the nominal response exceeds double precision", None, "use windows")
     z0, y0 = forced[:, :p], forced[:, p:]
     scale_w, scale_z, scales = np.ones(q), np.ones(p), []
     layout: list[tuple[slice, slice, bool]] = []
-    seen: list[Array] = [C[p:] / recorded.bound[:, None]]
+    observed: list[Array] = [C[p:] / recorded.bound[:, None]]
     for block, (rows, cols) in zip(blocks, block_slices(blocks), strict=True):
         size = float(np.sqrt(np.mean(z0[:, cols] ** 2))) or 1.0
         scale_w[rows], scale_z[cols] = size, size
         scales.append(size)
         layout.append((rows, cols, not (block.is_ball or block.interval)))
         if block.interval:
-            seen.append(C[cols] / size)
+            observed.append(C[cols] / size)
     return SampledProblem(
         A,
         B[:, :q] * scale_w,
@@ -216,15 +211,15 @@ def sampled(recorded: Recorded, M: StateSpaceModel, blocks: Sequence[Block]) -> 
         1.0 if recorded.norm == "peak" else float(np.sqrt(recorded.count)),
         recorded.starts,
         recorded.at_rest,
-        shown(A, np.vstack(seen)),
+        observable_directions(A, np.vstack(observed)),
         tuple(layout),
         tuple(b.name for b in blocks),
         np.array(scales),
     )
 
 
-def held(M: StateSpaceModel, dt: float) -> tuple[Array, Array]:
-    """A and B at the record's sample time with all inputs held between samples."""
+def zero_order_hold(M: StateSpaceModel, dt: float) -> tuple[Array, Array]:
+    """Discretise A and B at the record's sample time with zero-order hold."""
     if M.dt:
         return M.A, M.B
     A, B, _ = transition(M, dt)
@@ -234,7 +229,7 @@ def held(M: StateSpaceModel, dt: float) -> tuple[Array, Array]:
 
 
 def at_nominal(uncertain: UncertainModel) -> tuple[StateSpaceModel, tuple[Block, ...]]:
-    """M without the channels of its real blocks, and the other blocks."""
+    """Remove the channels of the real blocks from M, and return the other blocks."""
     M, (q, p) = uncertain.M, uncertain.delta_shape
     kept = [(b, at) for b, at in zip(uncertain.blocks, block_slices(uncertain.blocks), strict=True) if not b.interval]
     inputs = [*(name for _, (rows, _) in kept for name in M.input_names[rows]), *M.input_names[q:]]
@@ -242,8 +237,8 @@ def at_nominal(uncertain: UncertainModel) -> tuple[StateSpaceModel, tuple[Block,
     return M.select(inputs, outputs), tuple(b for b, _ in kept)
 
 
-def shown(A: Array, C: Array) -> Array:
-    """Orthonormal basis of the state directions that C shows: the row space of the observability matrix."""
+def observable_directions(A: Array, C: Array) -> Array:
+    """Return an orthonormal basis of the observable state directions: the row space of the observability matrix."""
     rows, found = C, [C]
     for _ in range(1, len(A)):
         rows = rows @ A
@@ -254,12 +249,12 @@ def shown(A: Array, C: Array) -> Array:
     stacked = np.vstack(found)
     stacked = stacked / np.maximum(np.linalg.norm(stacked, axis=1, keepdims=True), 1e-300)
     _, sigma, right = np.linalg.svd(stacked)
-    rank = int((sigma > SHOWN * sigma[0]).sum()) if sigma[0] > 0 else 0
+    rank = int((sigma > OBSERVABLE * sigma[0]).sum()) if sigma[0] > 0 else 0
     return right[:rank].T
 
 
 def noise_bounds(noise: Mapping[str, float], names: tuple[str, ...], norm: str, where: str) -> Array:
-    """Noise bounds (n_y,) in the order of ``names``; a bound of zero is a singular noise model."""
+    """Return noise bounds (n_y,) in the order of ``names``; a bound of zero is a singular noise model."""
     if norm not in ("peak", "rms"):
         raise InputError(where, f"noise norm {norm!r}", "'peak' or 'rms'")
     for name in noise:
@@ -267,7 +262,7 @@ def noise_bounds(noise: Mapping[str, float], names: tuple[str, ...], norm: str, 
             raise unknown_name(f"{where}: noise of {name!r}", "no such compared output", name, names)
     for name in names:
         if name not in noise:
-            hint = f"noise={{{name!r}: ...}} in its unit: what the sensor may be off"
+            hint = f"noise={{{name!r}: ...}} in its unit: the error bound of the sensor"
             raise InputError(f"{where}: output {name!r}", "has no noise bound", "one for each compared output", hint)
         value = noise[name]
         number(f"{where}: noise of {name!r}", value, "a positive number", at_least=0)
@@ -292,9 +287,9 @@ def _starts(window: float | None, record: Record, n_states: int, where: str) -> 
 
 
 def states(A: Array, drive: Array, first: Array) -> Array:
-    """``x_{t+1} = A x_t + drive_t`` from ``x_0 = first``, shape (n, n_x); the last drive is not used.
+    """Simulate ``x_{t+1} = A x_t + drive_t`` from ``x_0 = first``, shape (n, n_x); the last drive is not used.
 
-    In chunks side by side: as many steps in Python as twice the root of the samples.
+    Chunks run in parallel, so that about 2 sqrt(n) steps run in Python.
     """
     n, n_x = drive.shape
     size = max(1, int(np.sqrt(n)))

@@ -1,4 +1,4 @@
-"""What a validation over frequency judges: the lines of a record's mean period, or of a measured response."""
+"""Data of a validation over frequency: the lines of a record's mean period, or of a measured response."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from robustlab.uncertainty.blocks import block_slices
 from robustlab.uncertainty.frequency_responses import UncertainFrequencyData, frequency_data
 from robustlab.uncertainty.lft import UncertainModel
 
-# Below this share of the largest one z is rounding: Delta cannot act there.
+# z below this share of the largest is rounding: Delta cannot act there.
 SILENT = 1e-10
 
 
@@ -41,7 +41,7 @@ class FrequencyData(Tabular, Evidence):
     input, outputs
         The driven input, and the measured outputs, by the names of the model.
     name
-        What messages call it.
+        Name in messages.
 
     Raises
     ------
@@ -94,7 +94,6 @@ class FrequencyData(Tabular, Evidence):
         self.__post_init__()
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         return [
             ("name", self.name),
             ("from", self.input),
@@ -106,14 +105,14 @@ class FrequencyData(Tabular, Evidence):
         ]
 
     def uncertain(self, radius: ArrayLike) -> UncertainFrequencyData:
-        """The response with what is not known of it, (n,) or (n, n_y); see `robustlab.frequency_data`."""
+        """Return the response with an uncertainty radius, (n,) or (n, n_y); see `robustlab.frequency_data`."""
         r = np.asarray(radius, dtype=np.float64)
         r = r[:, :, None] if r.ndim == 2 else r
         whole, ins = self.response[:, :, None], [self.input]
         return frequency_data(whole, self.omega, radius=r, name=self.name, inputs=ins, outputs=self.outputs)
 
     def table(self) -> Table:
-        """The response of every output."""
+        """Return the response of every output."""
         columns = {name: self.response[:, k] for k, name in enumerate(self.outputs)}
         return Table(("omega", self.omega), columns, {"omega": "rad/s"})
 
@@ -128,37 +127,36 @@ class SpectralProblem:
     M21: ComplexArray
     z0: ComplexArray
     e: ComplexArray
-    # how often a line counts in the energy of a real signal (n,): 2, and 1 at zero and at the Nyquist frequency
+    # weight of a line in the energy of a real signal (n,): 2, and 1 at zero and at the Nyquist frequency
     weight: Array
     real: NDArray[np.bool_]  # lines at which every spectrum of a real signal is real (n,)
     total: bool  # true: ``sum_k weight_k |n_kj|^2 <= radius_j^2`` for each output. False: ``|n_kj| <= 1`` at each line.
     radius: Array  # (n_y,)
-    # blocks, names, scale: slices of w and z of each block, names, and what w and z of the block are divided by
+    # blocks, names, scale: slices of w and z of each block, names, and the divisor of w and z of the block
     blocks: tuple[tuple[slice, slice], ...]
     names: tuple[str, ...]
     scale: Array
 
     @property
     def n(self) -> int:
-        """Number of lines."""
         return len(self.omega)
 
     def z(self, w: ComplexArray) -> ComplexArray:
-        """Inputs of Delta (n, p)."""
+        """Compute the inputs of Delta (n, p)."""
         return self.z0 + np.einsum("kij,kj->ki", self.M11, w)
 
     def noise(self, w: ComplexArray) -> ComplexArray:
-        """Noise that is left (n, n_y), over its bound."""
+        """Compute the remaining noise (n, n_y), over its bound."""
         return self.e - np.einsum("kij,kj->ki", self.M21, w)
 
     def excess(self, noise: ComplexArray) -> float:
-        """Noise over its bound: at most 1 where it is explained."""
+        """Return the noise over its bound: at most 1 if explained."""
         if not self.total:
             return float(np.abs(noise).max(initial=0.0))
         return float(np.sqrt((self.weight @ np.abs(noise) ** 2) / self.radius**2).max(initial=0.0))
 
     def sizes(self, w: ComplexArray) -> Array:
-        """``|w| / |z|`` of each block at each line (n, blocks); inf where z is zero and w is not."""
+        """Compute ``|w| / |z|`` of each block at each line (n, blocks); inf where z is zero and w is not."""
         z, found = self.z(w), np.zeros((self.n, len(self.blocks)))
         for i, (rows, cols) in enumerate(self.blocks):
             top, under = np.linalg.norm(w[:, rows], axis=1), np.linalg.norm(z[:, cols], axis=1)
@@ -167,7 +165,7 @@ class SpectralProblem:
         return found
 
     def scaled(self) -> SpectralProblem:
-        """W and z of each block in units of its nominal z, and every block taken out where nothing can reach it."""
+        """Scale w and z of each block by its nominal z, and remove every block where its z is zero."""
         M11, M21, z0 = self.M11.copy(), self.M21.copy(), self.z0.copy()
         scales = []
         for rows, cols in self.blocks:
@@ -183,7 +181,7 @@ class SpectralProblem:
             size = np.linalg.norm(z0[:, cols], axis=1)
             silent.append(size <= SILENT * max(float(size.max(initial=0.0)), 1e-300))
             z0[np.ix_(silent[-1], range(cols.start, cols.stop))] = 0.0
-        # With nothing to start it a well-posed loop is at rest: (I - M11 Delta) z = 0.
+        # An undriven well-posed loop is at zero: (I - M11 Delta) z = 0.
         undriven = np.all(silent, axis=0)
         for (rows, cols), quiet in zip(self.blocks, silent, strict=True):
             alone = np.abs(M11[:, cols]).max(initial=0.0) <= SILENT * max(loop, 1e-3)  # no w can make this z move
@@ -195,37 +193,36 @@ class SpectralProblem:
 
 @dataclass(frozen=True)
 class Spectrum:
-    """A `SpectralProblem` and what stands behind it."""
+    """A `SpectralProblem` with its data."""
 
-    problem: SpectralProblem  # the maps
-    # outputs, bound: judged outputs with units, and the noise bound of each
-    outputs: tuple[Signal, ...]
-    bound: Mapping[str, float]
-    # t, y, nominal: one mean period of the record, the outputs (n_t, n_y), and the nominal steady state; for a
+    problem: SpectralProblem
+    outputs: tuple[Signal, ...]  # compared outputs with units
+    bound: Mapping[str, float]  # noise bound of each
+    # t, y, nominal: one mean period of the record, its outputs (n_t, n_y), and the nominal steady state; for a
     # frequency response its frequencies and the magnitudes
     t: Array
     y: Array
     nominal: Array
     complex_y: ComplexArray  # the measured spectrum (n, n_y), in the units of the outputs
-    unit_noise: Array  # what ``e`` was divided by, shape (n, n_y) or (1, n_y)
-    said: tuple[str, ...]  # what is taken for granted
+    unit_noise: Array  # divisor of ``e``, shape (n, n_y) or (1, n_y)
+    assumptions: tuple[str, ...]
 
 
 def spectrum_of_record(
     uncertain: UncertainModel, record: Record, noise: Mapping[str, float], period: float | None
 ) -> Spectrum:
-    """The lines of a record's mean period; the noise bound is the root mean square over the periods used."""
+    """Compute the lines of a record's mean period; the noise bound is the root mean square over the periods used."""
     where = f"validate {record.name}"
     _refused_blocks(uncertain, where)
     recorded = prepared(uncertain, record, noise, norm="rms", at_rest=True)
     try:
         floor = noise_floor(record, period=period, outputs=[s.name for s in recorded.outputs])
     except NoTrustworthyNumber as error:
-        hint = 'domain="time" takes any record on a uniform clock'
+        hint = 'domain="time" accepts any uniformly sampled record'
         raise NoTrustworthyNumber(where, f"no steady periods: {error.found}", "whole periods", hint) from None
     if floor.input_std:
         name = next(iter(floor.input_std))
-        hint = 'domain="time" takes any input'
+        hint = 'domain="time" accepts any input'
         raise InputError(where, f"input {name!r} does not repeat exactly", "a periodic input: others leak", hint)
     n, dt = floor.samples, recorded.dt
     stacked = np.stack([floor.repeats(column) for column in recorded.y.T], axis=2)
@@ -241,16 +238,17 @@ def spectrum_of_record(
     edge = (lines == 0) | (2 * lines == n)
     M, (q, p) = recorded.uncertain.M, uncertain.delta_shape
     changed = f"what changes between them is {100 * np.sqrt(changing.max()):.3g} % of the noise bound"
-    said = [
+    assumptions = [
         f"steady state over {floor.count} periods of {floor.period:.6g} s from sample {floor.first} on; {changed}",
         "the root mean square of the noise over these periods is within its bound",
     ]
     if M.dt == 0:
-        said.append(f"u and w are held between samples of {dt:.6g} s")
+        assumptions.append(f"u and w are held between samples of {dt:.6g} s")
     kept = lines
-    if _integrates(M.A, M.dt):
+    poles = np.linalg.eigvals(M.A) if len(M.A) else np.zeros(0)
+    if (np.abs(poles - (1.0 if M.dt else 0.0)) <= 1e-9 * max(float(np.abs(poles).max(initial=0.0)), 1.0)).any():
         kept = lines[1:]
-        said.append("the mean over a period is not judged: the model integrates")
+        assumptions.append("the mean over a period is excluded: the model integrates")
     f = kept / (n * dt)
     response = held_response(M, f, dt)
     U, Y = np.fft.rfft(u, axis=0)[kept] / n, np.fft.rfft(y, axis=0)[kept] / n
@@ -276,12 +274,12 @@ def spectrum_of_record(
         np.asarray(nominal, dtype=np.float64),
         Y,
         recorded.bound[None],
-        tuple(said),
+        tuple(assumptions),
     )
 
 
 def spectrum_of_response(uncertain: UncertainModel, data: FrequencyData, noise: Mapping[str, ArrayLike]) -> Spectrum:
-    """The lines of a measured frequency response; a noise bound is one number or one for each line (n,)."""
+    """Return the lines of a measured frequency response; a noise bound is one number or one for each line (n,)."""
     where = f"validate {data.name}"
     _refused_blocks(uncertain, where)
     names = [s.name for s in uncertain.inputs]
@@ -314,22 +312,16 @@ def spectrum_of_response(uncertain: UncertainModel, data: FrequencyData, noise: 
         data.omega, response[:, :p, :q], response[:, p:, :q] / bound[:, :, None], forced[:, :p], e,
         weight=np.ones(n), real=data.omega == 0, total=False, radius=np.ones(len(data.outputs)), **_layout(uncertain),
     ).scaled()  # fmt: skip
-    said = ("at each frequency the noise of an output is within its bound",)
+    assumptions = ("at each frequency the noise of an output is within its bound",)
     largest = {name: float(bound[:, j].max()) for j, name in enumerate(data.outputs)}
     sizes = np.abs(data.response), np.abs(forced[:, p:])
-    return Spectrum(problem, chosen.outputs, largest, data.omega, *sizes, data.response, bound, said)
+    return Spectrum(problem, chosen.outputs, largest, data.omega, *sizes, data.response, bound, assumptions)
 
 
 def _layout(uncertain: UncertainModel) -> dict[str, Any]:
-    """The blocks' part of a problem that is not scaled yet."""
+    """Return the block fields of an unscaled problem."""
     names = tuple(b.name for b in uncertain.blocks)
     return {"blocks": tuple(block_slices(uncertain.blocks)), "names": names, "scale": np.ones(len(names))}
-
-
-def _integrates(A: Array, dt: float) -> bool:
-    poles = np.linalg.eigvals(A) if len(A) else np.zeros(0)
-    largest = max(float(np.abs(poles).max(initial=0.0)), 1.0)
-    return bool((np.abs(poles - (1.0 if dt else 0.0)) <= 1e-9 * largest).any())
 
 
 def _refused_blocks(uncertain: UncertainModel, where: str) -> None:

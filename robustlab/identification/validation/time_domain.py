@@ -1,6 +1,6 @@
-"""Validation over the samples: which solver bounds gamma, the replay of its explanation, and the result.
+"""Validation over the samples: bounds of gamma, the replay of the explanation, and the result.
 
-A constant of a discrete model counts as a time-varying system of the same size, a larger set.
+The lower bound of a constant of a discrete model is that of a time-varying system of the same size, a larger set.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from robustlab.identification.validation.constant_parameters import smallest_par
 from robustlab.identification.validation.sampled_problem import Recorded, SampledProblem, at_nominal, sampled
 from robustlab.identification.validation.time_varying import Contractions, disproved_by, smallest_contractions
 from robustlab.identification.validation.validation_result import (
+    SMALLEST,
     BlockSize,
     Validation,
     concluded,
@@ -27,9 +28,8 @@ from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block
 
-# Sizes below this count as zero, and between a lower and an upper bound that meet.
-SMALLEST, MEET = 1e-6, 1e-4
-# Samples of a cone programme over all of them, and of a relaxation: longer records are judged by their beginning.
+MEET = 1e-4  # relative distance by which a lower bound may exceed the upper one
+# Samples of a cone programme over all of them, and of a relaxation: only the beginning of longer records is used.
 LONGEST_PROGRAMME, LONGEST_RELAXED = 8000, 4000
 RELAXED_SHARE = 0.5  # of the work, for the lower bound of constants
 RELAXATION = "lower bound with all blocks time-varying (relaxation)"
@@ -42,7 +42,7 @@ def _nothing() -> Array:
 
 @dataclass(frozen=True)
 class _Found:
-    """Bounds of gamma with what explains the record."""
+    """Bounds of gamma with the explanation of the record."""
 
     lower: float
     upper: float
@@ -51,7 +51,7 @@ class _Found:
     noise: Array
     excess: float
     values: Mapping[str, float] = field(default_factory=dict)  # of the constants
-    problem: SampledProblem | None = None  # of the systems, whose signals and states follow
+    problem: SampledProblem | None = None  # of the dynamic blocks, with their signals and states:
     w: Array = field(default_factory=_nothing)
     z: Array = field(default_factory=_nothing)
     states: Mapping[int, Array] = field(default_factory=dict)
@@ -62,7 +62,7 @@ class _Found:
 def validate_by_samples(
     record: Record, recorded: Recorded, search: Search, progress: Callable[[str], None], estimated: bool
 ) -> Validation:
-    """Bounds of the smallest gamma over the samples; see `robustlab.identification.validation.validate`."""
+    """Compute bounds of the smallest gamma over the samples; see `robustlab.identification.validation.validate`."""
     found = _bounds(recorded, search)
     progress(f"gamma {found.lower:.4g} .. {found.upper:.4g}")
     if np.isfinite(found.upper) and found.lower > found.upper * (1 + MEET) + SMALLEST:
@@ -92,7 +92,7 @@ def validate_by_samples(
         assumptions=_assumptions(recorded, estimated),
         t=record.t,
         measured=measured,
-        nominal=measured - _judged(recorded, recorded.uncertain.nominal) * recorded.bound,
+        nominal=measured - _without_starts(recorded, recorded.uncertain.nominal) * recorded.bound,
         explained=explained,
         outputs=tuple((s.name, s.unit) for s in recorded.outputs),
         w=w,
@@ -104,17 +104,15 @@ def validate_by_samples(
 
 
 def _bounds(recorded: Recorded, search: Search) -> _Found:
-    """Systems by their signals, constants by their values; both together with the constants at nominal."""
+    """Bound gamma: systems by their signals, constants by their values, both together with nominal constants."""
     blocks = recorded.uncertain.blocks
     if not any(b.interval for b in blocks):
         return _dynamic(recorded, search)
     if all(b.interval for b in blocks):
         best = smallest_parameters(recorded, search)
         values = {b.name: float(v) for b, v in zip(blocks, best.delta, strict=True)} if np.isfinite(best.upper) else {}
-        what, found = (
-            "constants; upper bound by descent, replayed",
-            _Found(0.0, best.upper, "", not best.upper, best.noise, best.excess, values),
-        )
+        what = "constants; upper bound by descent, replayed"
+        found = _Found(0.0, best.upper, "", not best.upper, best.noise, best.excess, values)
     else:
         found = _dynamic(recorded, search)
         values = {b.name: 0.0 for b in blocks if b.interval} if np.isfinite(found.upper) else {}
@@ -128,9 +126,9 @@ def _bounds(recorded: Recorded, search: Search) -> _Found:
 
 
 def _relaxed(recorded: Recorded, search: Search) -> tuple[float, Mapping[str, Array]]:
-    """Lower bound with every block a system that may vary in time, and its multipliers.
+    """Compute the lower bound with every block a time-varying system, and its multipliers.
 
-    Of constants in discrete time only: in continuous time a constant's w = delta z is not held between samples.
+    Valid for constants in discrete time only: in continuous time w = delta z is not held between samples.
     """
     problem = sampled(recorded.first(LONGEST_RELAXED), recorded.uncertain.M, recorded.uncertain.blocks)
     found = smallest_contractions(problem, search._replace(budget=search.budget.share(RELAXED_SHARE)))
@@ -142,7 +140,7 @@ def _certificate(found: Contractions) -> dict[str, Array]:
 
 
 def _dynamic(recorded: Recorded, search: Search) -> _Found:
-    """The real blocks at nominal, the others systems; without a block noise alone has to explain the record."""
+    """Bound gamma with real blocks at nominal; without a block noise alone must explain the record."""
     M, blocks = at_nominal(recorded.uncertain)
     long = len(recorded.t) > LONGEST_PROGRAMME and bool(blocks)
     problem = sampled(recorded.first(LONGEST_PROGRAMME) if long else recorded, M, blocks)
@@ -178,7 +176,7 @@ def _block(block: Block, found: _Found, sizes: Mapping[str, float]) -> BlockSize
 
 
 def _replay_error(recorded: Recorded, found: _Found) -> float:
-    """The explanation once more on another way, against its noise, over the bound."""
+    """Recompute the explanation independently and compare its noise, over the bound."""
     if found.problem is not None:
         _, noise = found.problem.respond(found.w, found.states)
         return float(np.abs(noise - found.noise).max(initial=0.0))
@@ -189,36 +187,36 @@ def _replay_error(recorded: Recorded, found: _Found) -> float:
     t = member.dt * np.arange(len(t)) if member.is_discrete else t
     run = simulate(member, t, dict(zip(member.input_names, recorded.u.T, strict=True)))
     y = np.column_stack([run.outputs[s.name] for s in recorded.outputs])
-    return float(np.abs(_judged(recorded, member, (recorded.y - y) / recorded.bound - found.noise)).max())
+    return float(np.abs(_without_starts(recorded, member, (recorded.y - y) / recorded.bound - found.noise)).max())
 
 
-def _judged(recorded: Recorded, M: StateSpaceModel, left: Array | None = None) -> Array:
-    """What the free states of a model without Delta leave of its errors, or of ``left``, (n, n_y)."""
+def _without_starts(recorded: Recorded, M: StateSpaceModel, error: Array | None = None) -> Array:
+    """Remove the response of free initial states from the error of a model without Delta, or ``error``, (n, n_y)."""
     problem = sampled(recorded, M, ())
-    left = problem.e if left is None else left
-    free = problem.free_response().reshape(left.size, -1)
-    x = np.linalg.lstsq(free, left.ravel())[0] if free.shape[1] else np.zeros(0)
-    return left - (free @ x).reshape(left.shape)
+    error = problem.e if error is None else error
+    free = problem.free_response().reshape(error.size, -1)
+    x = np.linalg.lstsq(free, error.ravel())[0] if free.shape[1] else np.zeros(0)
+    return error - (free @ x).reshape(error.shape)
 
 
 def _assumptions(recorded: Recorded, estimated: bool) -> tuple[str, ...]:
     dynamic = not all(b.interval for b in recorded.uncertain.blocks)
-    said = []
+    texts = []
     if recorded.norm == "peak":
-        said.append("no sample of the noise is beyond its bound")
+        texts.append("no sample of the noise is beyond its bound")
     else:
-        said.append("the root mean square of the noise over the record is within its bound")
+        texts.append("the root mean square of the noise over the record is within its bound")
     if estimated:
-        said.append("the noise bound was estimated from the record's own periods")
+        texts.append("the noise bound was estimated from the record's own periods")
     if dynamic:
-        said.append("complex and full blocks are causal time-varying systems at rest before the record")
+        texts.append("complex and full blocks are causal time-varying systems with zero initial state")
     if recorded.uncertain.dt == 0:
         held = "u and w are" if dynamic else "u is"
-        said.append(f"{held} held between samples of {recorded.dt:.6g} s")
+        texts.append(f"{held} held between samples of {recorded.dt:.6g} s")
     if recorded.at_rest:
-        said.append("the model is at rest before the record")
+        texts.append("the model starts at equilibrium")
     else:
-        said.append("states that the outputs show are free at the start, the others at rest")
+        texts.append("observable states are free at the start, the others zero")
     if len(recorded.starts) > 1:
-        said.append(f"{len(recorded.starts)} windows, each with a free start; Delta is one over all of them")
-    return tuple(said)
+        texts.append(f"{len(recorded.starts)} windows, each with a free start; Delta is one over all of them")
+    return tuple(texts)

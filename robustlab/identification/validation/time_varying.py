@@ -1,7 +1,8 @@
 r"""Smallest causal time-varying contractions that explain a record (Poolla et al., IEEE TAC 39, 1994, theorem 3.3).
 
 Cone programmes bound gamma from above, convex-concave where z depends on w; multipliers D, lambda >= 0 from below: the
-maximum of L = sum D (gamma^2 |z|^2 - |w|^2) + Lambda(n) over w and starts is one backward sweep, and negative a proof.
+maximum of L = sum D (gamma^2 |z|^2 - |w|^2) + Lambda(n) over w and starts takes one backward sweep; negative, it is a
+proof.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 from robustlab.arrays import Array, Mask
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.validation.cone_programme import (
+    SLACK,
     ConeSolution,
     Rows,
     Search,
@@ -24,21 +26,14 @@ from robustlab.identification.validation.cone_programme import (
 )
 from robustlab.identification.validation.sampled_problem import SampledProblem
 
-NOISE_MARGIN = 1e-7  # by which the solver aims inside the noise bound: larger replays surely, costs gamma
+NOISE_MARGIN = 1e-7  # distance of the solver's target from the noise bound: larger is safer to replay, costs gamma
 VARYING_ROUNDS = 25  # convex-concave steps at most
-SWEEP_WORK = 250.0  # a sample, of finding what multipliers disprove: some 15 sweeps over the record
-AHEAD = 3.0  # energy of z that the first guess has in advance: larger, and no early sample decides
-
-# A multiplier of this share of the largest, everywhere, keeps every sweep strictly concave and is as valid.
-FLOOR = 1e-7
-# Curvatures below this share of the largest are rounding: they count as zero, and what is linear there must vanish.
-FLAT = 1e-11
-# Rounding in the noise of an explanation, over its bound.
-SLACK = 1e-9
-# Multiplier of a signal that is zero anyhow, over those of the noise.
-UNBOUNDED = 1e9
-# An energy of z below this share of its final one forces w to zero: no finite gain would let it move.
-NO_ENERGY = 1e-18
+SWEEP_WORK = 250.0  # per sample, to find the gamma that multipliers disprove: some 15 sweeps over the record
+AHEAD = 3.0  # initial energy of z in the first guess: larger, and no early sample decides
+FLOOR = 1e-7  # a multiplier of this share of the largest makes every sweep strictly concave, and is as valid
+FLAT = 1e-11  # curvatures below this share of the largest count as zero, and the linear term there must vanish
+UNBOUNDED = 1e9  # multiplier of a signal that is zero anyhow, over those of the noise
+NO_ENERGY = 1e-18  # an energy of z below this share of its final one forces w to zero for any finite gain
 
 
 # --- the certificate -------------------------------------------------------------------------------------------------
@@ -46,14 +41,14 @@ NO_ENERGY = 1e-18
 
 @dataclass(frozen=True)
 class Multipliers:
-    """Multipliers of a certificate: D (n, blocks), not increasing along a column; noise (n, n_y), both not negative."""
+    """Multipliers of a certificate: D (n, blocks), nonincreasing along a column; noise (n, n_y); both nonnegative."""
 
     D: Array
     noise: Array
 
     @classmethod
     def cleaned(cls, D: Array, noise: Array) -> Multipliers:
-        """Any numbers made valid multipliers, scaled to a largest noise multiplier of one."""
+        """Make any numbers valid multipliers, scaled to a largest noise multiplier of one."""
         scale = float(np.abs(noise).max(initial=0.0)) or 1.0
         noise = np.maximum(noise, 0.0) / scale
         D = np.maximum(D, 0.0) / scale
@@ -62,7 +57,7 @@ class Multipliers:
 
 
 def lagrangian_maximum(problem: SampledProblem, multipliers: Multipliers, gamma: float) -> float:
-    """Largest value of L over all w and free states; +inf where L is not bounded above. Negative is a proof."""
+    """Maximise L over all w and free states; +inf if L is not bounded above. A negative value is a proof."""
     n_x, q = problem.B.shape
     D, noise = multipliers.D, multipliers.noise
     if problem.norm == "rms":  # one multiplier for an output
@@ -102,7 +97,7 @@ def lagrangian_maximum(problem: SampledProblem, multipliers: Multipliers, gamma:
 
 
 def _maximised(H: Array, keep: list[int], move: list[int]) -> Array | None:
-    """The quadratic form left when the variables ``move`` are chosen for its maximum; None where there is none."""
+    """Maximise a quadratic form over the variables ``move`` and return the form in ``keep``; None if unbounded."""
     if not move:
         return H[np.ix_(keep, keep)]
     inner, cross = H[np.ix_(move, move)], H[np.ix_(move, keep)]
@@ -120,9 +115,9 @@ def _maximised(H: Array, keep: list[int], move: list[int]) -> Array | None:
 
 
 def disproved_by(problem: SampledProblem, multipliers: Multipliers, search: Search, start: float) -> float:
-    """Largest gamma below ``start`` that the multipliers disprove; 0 where they disprove none.
+    """Find the largest gamma below ``start`` that the multipliers disprove; 0 for none.
 
-    An infinite ``start`` is of multipliers D that are zero where w is free: they disprove every gamma or none.
+    An infinite ``start`` belongs to multipliers D that are zero where w is free: they disprove every gamma or none.
     """
     search.budget.spend(SWEEP_WORK * problem.n)
 
@@ -139,31 +134,30 @@ def disproved_by(problem: SampledProblem, multipliers: Multipliers, search: Sear
 
 @dataclass(frozen=True)
 class Contractions:
-    """What `smallest_contractions` found; signals in the scaled units of the problem."""
+    """Result of `smallest_contractions`; signals in the scaled units of the problem."""
 
-    # lower, upper: bounds of gamma; the upper one is that of w and z below, recomputed by simulation (inf where none
-    # was found)
+    # lower, upper: bounds of gamma; the upper one is that of w and z below, recomputed by simulation (inf for none)
     lower: float
     upper: float
-    multipliers: Multipliers  # those of the lower bound
-    # noise, excess: what the explanation leaves (n, n_y), and its largest part over the bound; where there is none, the
-    # excess is what any w leaves
+    multipliers: Multipliers  # of the lower bound
+    # noise, excess: remaining noise (n, n_y), and its largest part over the bound; without an explanation, the smallest
+    # excess over all w
     noise: Array
     excess: float
-    # w, z: shapes (n, q), (n, p); empty where nothing explains the record
+    # w, z: shapes (n, q), (n, p); empty if nothing explains the record
     w: Array
     z: Array
     states: Mapping[int, Array]  # start of window -> jump of its state
 
 
 def smallest_contractions(problem: SampledProblem, search: Search) -> Contractions:
-    """Bounds of the smallest gamma over all blocks."""
+    """Compute bounds of the smallest gamma over all blocks."""
     programme = _Programme(problem, search)
     if not problem.blocks:
         return _by_noise(programme)
     z = problem.z0
     if not programme.convex:
-        # As if the nominal z acted, with some energy ahead so that no early sample decides.
+        # As if the nominal z acted, with some initial energy so that no early sample decides.
         guess = programme.smallest(z, known=True, ahead=AHEAD) or programme.least_noise()
         z = problem.respond(*programme.signals(guess.x))[0]
     solution, before = None, np.inf
@@ -196,9 +190,9 @@ def smallest_contractions(problem: SampledProblem, search: Search) -> Contractio
 
 
 def _silent(problem: SampledProblem, z: Array, cols: slice) -> Mask:
-    """First samples at which z has had no energy: there w must be zero, no finite gain would let it move.
+    """Return the first samples at which z has no energy: w must be zero there for any finite gain.
 
-    From rest that is so until the nominal z moves, although a w of its own could make z move.
+    From equilibrium that is so until the nominal z moves, even where w could move z.
     """
     energy = np.cumsum((z[:, cols] ** 2).sum(axis=1))
     silent = energy <= NO_ENERGY * max(energy[-1], 1e-300)
@@ -209,9 +203,9 @@ def _silent(problem: SampledProblem, z: Array, cols: slice) -> Mask:
 
 
 def _by_noise(programme: _Programme) -> Contractions:
-    """Without regard to gamma: the least noise that any w leaves, and whether its multipliers disprove every gamma.
+    """Minimise the noise over any w, and test whether its multipliers disprove every gamma.
 
-    Where z is known, no Delta answers before it has moved: multipliers as large as one likes on w there.
+    Where z is known, w is zero before z moves: its multipliers there are unbounded.
     """
     problem = programme.problem
     silent = np.zeros((problem.n, len(problem.blocks)), dtype=bool)
@@ -226,7 +220,7 @@ def _by_noise(programme: _Programme) -> Contractions:
     excess = problem.excess(noise)
     if not problem.blocks and excess <= 1 + SLACK:
         return Contractions(0.0, 0.0, multipliers, noise, excess, w, z, jumps)
-    # Where D is zero w is free, and where it is not z is zero: the same L for every gamma.
+    # w is free where D is zero, and z is zero elsewhere: L is the same for every gamma.
     return _unexplained(disproved_by(problem, multipliers, programme.search, np.inf), multipliers, excess)
 
 
@@ -252,13 +246,13 @@ class _Programme:
         self._dynamics = self._motion()
 
     def _affine(self, on_x: Array, on_w: Array) -> Any:
-        """Rows of matrices on x_t and w_t, for all t in turn."""
+        """Return the rows of matrices on x_t and w_t, for all t in turn."""
         sparse = sparse_matrices()
         eye = sparse.identity(self.problem.n, format="csr")
         return (sparse.kron(eye, on_x) @ self.x + sparse.kron(eye, on_w) @ self.w).tocsr()
 
     def _motion(self) -> Rows:
-        """Equations of motion; at free starts only across the directions in which the state may jump."""
+        """Return the equations of motion; at free starts only across the directions in which the state may jump."""
         from scipy import linalg
 
         sparse, p = sparse_matrices(), self.problem
@@ -272,7 +266,7 @@ class _Programme:
         return Rows(motion, np.zeros(motion.shape[0]), "zero")
 
     def _noise(self, radius: float | None) -> list[Rows]:
-        """Noise within ``radius`` times its bound; None: within the variable g times its bound."""
+        """Constrain the noise by ``radius`` times its bound; None: by the variable g times its bound."""
         sparse, p = sparse_matrices(), self.problem
         outputs, found = self._affine(p.C2, p.D21), []
         head = self.last * (0.0 if radius is not None else 1.0)
@@ -288,13 +282,13 @@ class _Programme:
         return found
 
     def _energies(self, z: Array, known: bool, ahead: float) -> list[Rows]:
-        """Cumulative energies of w / g below those of z (or below their tangents at z, where z is not known).
+        """Constrain the cumulative energies of w / g by those of z (or by their tangents at z, if z is not known).
 
-        With ``ahead`` that many mean samples of energy are there before the first one: for a first guess.
+        ``ahead``: initial energy of z in mean samples, for a first guess.
         """
         sparse, p = sparse_matrices(), self.problem
         n, q, n_z = p.n, p.B.shape[1], len(p.C1)
-        new = sparse.identity(n, format="csr") - self.before  # of a sum, what each sample adds
+        new = sparse.identity(n, format="csr") - self.before  # increments of a cumulative sum
         to_z, found = self._affine(p.C1, p.D11), []
         for k, (rows, cols, _) in enumerate(p.blocks):
             each = (z[:, cols] ** 2).sum(axis=1)
@@ -318,11 +312,11 @@ class _Programme:
         return found
 
     def smallest(self, z: Array, known: bool, ahead: float = 0.0) -> ConeSolution | None:
-        """Smallest g = gamma^2 with the energies of z, or their tangents at z; None where there is none."""
+        """Minimise g = gamma^2 with the energies of z, or their tangents at z; None if infeasible."""
         return self._solved([*self._noise(1 - NOISE_MARGIN), *self._energies(z, known, ahead)])
 
     def least_noise(self, silent: Mask | None = None) -> ConeSolution:
-        """Smallest factor on the noise bound with which any w explains the record; w is zero where it is ``silent``."""
+        """Minimise the factor on the noise bound with which some w explains the record; w is zero where ``silent``."""
         p = self.problem
         held = np.zeros((p.n, p.B.shape[1]), dtype=bool)
         if silent is not None:
@@ -335,21 +329,16 @@ class _Programme:
         return found
 
     def _solved(self, rows: list[Rows]) -> ConeSolution | None:
-        """The answer of least g under the equations of motion."""
+        """Minimise g under the equations of motion."""
         cost = np.zeros(self.last.shape[1])
         cost[-1] = 1.0
         return solved_cones(cost, [r for r in (self._dynamics, *rows) if r.matrix.shape[0]], self.search.budget)
 
-    def g(self, solved: ConeSolution) -> float:
-        """The variable g: gamma squared, or the factor on the noise bound."""
-        return float(solved.x[-1])
-
     def gamma(self, solved: ConeSolution) -> float:
-        """Root of g."""
-        return float(np.sqrt(max(self.g(solved), 0.0)))
+        return float(np.sqrt(max(float(solved.x[-1]), 0.0)))
 
     def signals(self, x: Array) -> tuple[Array, dict[int, Array]]:
-        """W (n, q), and the jumps at the free starts."""
+        """Return w (n, q), and the jumps at the free starts."""
         p = self.problem
         state, w = (self.x @ x).reshape(p.n, -1), (self.w @ x).reshape(p.n, -1)
         jumps = {}
@@ -359,12 +348,12 @@ class _Programme:
         return w, jumps
 
     def multipliers(self, solved: ConeSolution) -> Multipliers:
-        """Multipliers of the quadratic certificate from those of the cone programme."""
+        """Derive the multipliers of the quadratic certificate from those of the cone programme."""
         p = self.problem
-        noise, D = np.zeros(p.e.shape), np.zeros((p.n, len(p.blocks)))
+        noise, D, g = np.zeros(p.e.shape), np.zeros((p.n, len(p.blocks))), max(float(solved.x[-1]), 1e-300)
         for (kind, k), part in solved.dual.items():
             if kind == "energy":
-                D[:, k] = np.cumsum(np.pad(part[0], (p.n - part.size, 0))[::-1])[::-1] / max(self.g(solved), 1e-300)
+                D[:, k] = np.cumsum(np.pad(part[0], (p.n - part.size, 0))[::-1])[::-1] / g
             elif p.norm == "peak":  # at n = +-1 the slope of 1 - n^2 is twice that of 1 -+ n
                 noise[:, k] = 0.5 * np.abs(part[0, : p.n] - part[0, p.n :])
             else:

@@ -1,4 +1,4 @@
-"""What `validate` returns: bounds of the smallest Delta, its explanation replayed, and the evidence for both."""
+"""Result of `validate`: bounds of the smallest Delta, its replayed explanation, and the evidence for both."""
 
 from __future__ import annotations
 
@@ -15,28 +15,23 @@ from robustlab.result import Evidence, Status
 from robustlab.shown import Each, Facts, number
 from robustlab.tables import Table, Tabular
 
-# Sizes below this count as zero.
-SMALLEST = 1e-6
-# Largest difference between an explanation and its replay, over the noise bound.
-REPLAYED = 1e-3
+SMALLEST = 1e-6  # smaller sizes count as zero
+REPLAYED = 1e-3  # largest difference between an explanation and its replay, over the noise bound
 
 
 @dataclass(frozen=True)
 class BlockSize(Evidence):
     """One block of Delta."""
 
-    # name, kind: its name, and ``"constant"``, ``"time-invariant"`` or ``"time-varying"``
     name: str
     kind: Literal["constant", "time-invariant", "time-varying"]
-    size: float  # how large it is in the explanation; NaN where nothing explains the record
-    # the number of a constant; a system is given by its signals w and z, which exist by the theorem
-    value: Any = None
-    physical: tuple[float, str] | None = None  # value and unit of the parameter that a constant stands for
-    impossible: str = ""  # what physics asks of that parameter and the value does not meet; empty where it may exist
+    size: float  # in the explanation; NaN if nothing explains the record
+    value: Any = None  # of a constant; a system is given by its signals w and z, which exist by the theorem
+    physical: tuple[float, str] | None = None  # value and unit of the parameter that a constant represents
+    impossible: str = ""  # physical condition that the parameter violates; empty for none
 
     @property
     def in_words(self) -> str:
-        """Its size in the explanation, and the parameter's value."""
         texts = [f"size {self.size:.4g} in the explanation"] if np.isfinite(self.size) else []
         texts += [number(*self.physical, 6)] if self.physical is not None else []
         texts += [f"physically impossible ({self.impossible})"] if self.impossible else []
@@ -50,45 +45,45 @@ class Validation(Tabular, Evidence):
     Attributes
     ----------
     status
-        CERTIFIED: both bounds were re-derived from their evidence and are within the precision asked for. CONVERGED:
+        CERTIFIED: both bounds were re-derived from their evidence and are within the requested precision. CONVERGED:
         each bound holds as labelled, and either they are that close or they decide about gamma = 1. INCONCLUSIVE: they
-        decide nothing. INFEASIBLE: no Delta of any size explains the record. TIMEOUT: the time limit ended the
-        search first.
+        do not decide. INFEASIBLE: no Delta of any size explains the record. TIMEOUT: the time limit ended the
+        search.
     record
         Name of the record.
     lower, upper
-        No Delta with all blocks smaller than ``lower`` explains the record; one of size ``upper`` does. inf where none
+        No Delta with all blocks smaller than ``lower`` explains the record; one of size ``upper`` does. inf if none
         was found.
     label
-        How the bounds were obtained, and for what they are exact.
+        Methods behind the bounds, and when they are exact.
     blocks
         Block name -> `BlockSize`.
     noise_bound, noise_norm
         Bound of each output, in its unit, and its norm.
     excess
-        Noise that the explanation leaves over its bound: at most 1. Where no Delta explains the record, by what factor
-        the noise bound would have to grow.
+        Remaining noise over its bound: at most 1. If no Delta explains the record, the factor by which the noise bound
+        would have to grow.
     replay_error
         Largest difference between two ways to compute the explained outputs, over the noise bound.
     assumptions
-        What is taken for granted.
+        Assumptions of the bounds.
     t, measured, nominal, explained, outputs
-        Clock (n,), outputs (n, n_y) as recorded, of the nominal model, and of the explanation (NaN where there is
-        none); names and units.
+        Time (n,), outputs (n, n_y) as recorded, of the nominal model, and of the explanation (NaN for none); names and
+        units.
     w, z
         Signals of the dynamic blocks in the explanation, in their own units: w = Delta z.
     multipliers
         The certificate of the lower bound: arrays by name.
     recheck
-        Computes the lower bound once more from the certificate, without a solver.
+        Recomputes the lower bound from the certificate, without a solver.
     domain
         ``"time"`` or ``"frequency"``. In the frequency domain t is one mean period of the record, or holds the
         frequencies of a measured response (then the outputs are magnitudes); w and z are complex, one row for a line.
     omega, line_sizes
-        Frequencies of the lines in rad/s (n_lines,), and how large each block is there in the explanation
+        Frequencies of the lines in rad/s (n_lines,), and the size of each block there in the explanation
         (n_lines, blocks); empty in the time domain.
     notes
-        What ended the search before its precision was reached: its work, or the time limit.
+        Reason why the search ended before its precision was reached: its work, or the time limit.
     """
 
     status: Status
@@ -118,7 +113,7 @@ class Validation(Tabular, Evidence):
 
     @property
     def verdict(self) -> str:
-        """``"not invalidated at gamma = ..."``, ``"invalidated: gamma is at least ..."``, or why neither."""
+        """``"not invalidated at gamma = ..."``, ``"invalidated: gamma is at least ..."``, or why it is undecided."""
         if self.status is Status.INFEASIBLE:
             return "invalidated at every gamma"
         if self.invalidated:
@@ -127,7 +122,7 @@ class Validation(Tabular, Evidence):
         if self.upper <= 1:
             return f"not invalidated at gamma = {self.upper:.4g}"
         if np.isinf(self.upper) and not self.lower:
-            return f"undecided: nothing was found that leaves less than {self.excess:.4g} times the noise bound"
+            return f"undecided: the smallest noise found is {self.excess:.4g} times its bound"
         return f"undecided: the smallest gamma is between {self.lower:.4g} and {self.upper:.4g}"
 
     @property
@@ -148,22 +143,20 @@ class Validation(Tabular, Evidence):
 
     @property
     def gamma(self) -> float:
-        """The smallest scaling that is known to explain the record: ``upper``."""
+        """Smallest known scaling that explains the record: ``upper``."""
         return self.upper
 
     def headline(self) -> str:
-        """The verdict on the record."""
         return f"{self.record} as its record: {self.verdict}"
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         units = dict(self.outputs)
         return [
             ("record", self.record),
             ("verdict", self.verdict),
             ("smallest gamma", f"{number(self.lower)} .. {number(self.upper)}"),
             ("noise left", f"{number(self.excess)} of its {self.noise_norm} bound"),
-            ("said", self.label),
+            ("bounds", self.label),
             *((f"{b.name} ({b.kind})", b.in_words) for b in self.blocks.values()),
             *(
                 (f"{name}: noise bound ({self.noise_norm})", number(bound, units[name], 3))
@@ -174,16 +167,15 @@ class Validation(Tabular, Evidence):
         ]
 
     def numbers(self) -> dict[str, Any]:
-        """All but the time series."""
         return {**self.to_json(series=False), "gamma": self.gamma}
 
     def table(self) -> Table:
-        """A row for each block: its size in the explanation."""
+        """Return a row for each block: its size in the explanation."""
         columns = {key: [getattr(b, key) for b in self.blocks.values()] for key in ("kind", "size")}
         return Table(("block", list(self.blocks)), columns)
 
     def to_json(self, series: bool = True) -> dict[str, object]:
-        """All fields but the re-check; without ``series`` also without time series, pulse responses and multipliers."""
+        """Return all fields but the re-check; without ``series`` no time series and no multipliers."""
         data = {k: v for k, v in vars(self).items() if k != "recheck"}
         if not series:
             long = ("t", "measured", "nominal", "explained", "w", "z", "multipliers", "omega", "line_sizes")
@@ -191,11 +183,11 @@ class Validation(Tabular, Evidence):
         return {**data, "verdict": self.verdict, "invalidated": self.invalidated}
 
 
-# --- what both domains end with --------------------------------------------------------------------------------------
+# --- conclusions of both domains -------------------------------------------------------------------------------------
 
 
 def concluded(lower: float, upper: float, search: Search, *, certified: bool = True) -> Status:
-    """What two bounds amount to; ``certified`` where both were re-derived from their evidence."""
+    """Return the status of two bounds; ``certified`` if both were re-derived from their evidence."""
     if np.isinf(lower):
         return Status.INFEASIBLE
     if search.budget.struck:
@@ -210,7 +202,7 @@ def concluded(lower: float, upper: float, search: Search, *, certified: bool = T
 def in_own_units(
     w: AnyArray, z: AnyArray, blocks: Sequence[tuple[slice, slice, bool] | tuple[slice, slice]], scale: Array
 ) -> tuple[AnyArray, AnyArray]:
-    """W and z of every block times what they were divided by."""
+    """Undo the scaling of w and z of every block."""
     w, z = w.copy(), z.copy()
     for block, size in zip(blocks, scale, strict=True):
         w[:, block[0]] *= size

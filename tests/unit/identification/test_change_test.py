@@ -1,4 +1,4 @@
-"""The sequential test by itself: against densities of scipy, and by counting its alarms."""
+"""The sequential test against densities of scipy, and its detection of changes."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from scipy.stats import multivariate_normal
 
 from robustlab.identification.monitoring import ChangeTest, PieceEquations, onset
 
-# Precision of a parameter, sizes of a change, pieces in which it grows, variances of random errors, their share: the
-# test's priors, as docs/watch.md states them.
+# Priors of docs/watch.md: precision of a parameter, sizes of a change, pieces in which it grows, variances of random
+# errors, their share.
 DIFFUSE, SIZES, GROWING, SCATTERS, UNNAMED = 1e-4, (0.05, 0.5), 5.0, (1.0, 100.0), 0.5
 SIZE = np.full(2, 0.4)
 
@@ -29,7 +29,7 @@ def noise_only(rng, zeta, m=12):
     return J, rng.normal(size=m) - J @ zeta, np.linalg.qr(rng.normal(size=(m, 3)))[0]
 
 
-def test_e_is_the_mixture_of_densities_that_it_is_said_to_be():
+def test_e_is_the_documented_mixture_of_densities():
     rng = np.random.default_rng(3)
     pieces = [noise_only(rng, np.array([0.3, -0.2])) for _ in range(3)]
     test = ChangeTest(SIZE)
@@ -42,7 +42,7 @@ def test_e_is_the_mixture_of_densities_that_it_is_said_to_be():
     def density(covariance):
         return multivariate_normal.logpdf(r, np.zeros(36), covariance)
 
-    base, logs = density(flat), [-np.log(4.0)]  # what is left of the prior: changes that are still to come
+    base, logs = density(flat), [-np.log(4.0)]  # remaining prior: later changes
     for tau in range(3):
         prior = -np.log((tau + 1.0) * (tau + 2.0))
         after, U = number >= tau, np.zeros((36, 9))

@@ -1,4 +1,4 @@
-"""compare for nonlinear plants: truth is the same plant's own integrator, sample by sample under a controller."""
+"""compare for nonlinear plants: the truth is the plant's own integrator, sample by sample with a controller."""
 
 import json
 import sys
@@ -33,7 +33,7 @@ def cart_pole(**given):
 
 @cache
 def arm_record(seed=2, n=1500, noise=NOISE, **given):
-    """The arm on a PD controller that knows its nominal gravity."""
+    """The arm with a PD controller and feedforward of its nominal gravity."""
     rest = arm().equilibrium(q_1=0.0, q_2=0.5)
 
     def control(t, x):
@@ -47,7 +47,7 @@ def arm_record(seed=2, n=1500, noise=NOISE, **given):
 
 @cache
 def cart_record(**given):
-    """The pole upright on state feedback; without it theta doubles every 0.13 s."""
+    """The upright pole with state feedback; without it theta doubles every 0.13 s."""
     model = rl.linearise(cart_pole())
     gain = model.B.T @ solve_continuous_are(model.A, model.B, np.diag([10.0, 1.0, 10.0, 1.0]), np.eye(1))
 
@@ -65,7 +65,7 @@ def platform(**given):
 
 @cache
 def platform_record(n=600, noise=3e-4, **given):
-    """The platform's nuts on a PD controller; trimmed torques are fed forward."""
+    """The platform's nuts with a PD controller and feedforward of trimmed torques."""
     rest = platform().equilibrium()
     stiff = np.linalg.inv(rl.linearise(platform()).B[6:12])
 
@@ -82,7 +82,7 @@ def compared_arm():
     return rl.compare(arm(), arm_record()[0])
 
 
-def test_the_right_plant_misses_by_the_noise_alone():
+def test_the_error_of_the_right_plant_is_the_noise():
     found = compared_arm()
     for name in ("q_1", "q_2"):
         assert found.outputs[name].windowed_rms == pytest.approx(NOISE, rel=0.05)
@@ -91,10 +91,10 @@ def test_the_right_plant_misses_by_the_noise_alone():
         assert found.residual[name].whiteness.p_value > 1e-3
         assert max(found.linearisation.share.values()) < 0.01
     assert not [w for w in found.warnings if "linear" in w]
-    assert any("the windows tell more" in w for w in found.warnings)  # an arm in gravity falls from above
+    assert any("the windows are more informative" in w for w in found.warnings)  # an arm in gravity falls from above
 
 
-def test_friction_at_one_joint_shows_there():
+def test_friction_at_one_joint_is_located_there():
     """Viscous friction of 0.6 instead of 0.3 N m s/rad at joint 2 is an addition of -0.3 w_2 to torque_2."""
     found = rl.compare(arm(), arm_record(b_2=0.6)[0], window=0.3)
     assert found.outputs["q_2"].windowed_rms > 20 * NOISE
@@ -109,7 +109,7 @@ def test_friction_at_one_joint_shows_there():
     assert found.residual["q_2"].whiteness.p_value < 1e-6
 
 
-def test_an_unstable_plant_is_held_in_windows_and_its_free_run_ends():
+def test_an_unstable_plant_is_compared_in_windows_and_its_free_run_ends():
     found = rl.compare(cart_pole(), cart_record()[0])
     for name in ("x", "theta"):
         gap = found.outputs[name]
@@ -148,7 +148,7 @@ def test_a_free_run_that_leaves_the_workspace_ends_there():
     assert np.isnan(found.outputs["phi_1"].rms)
 
 
-def test_repeats_give_the_gap_in_multiples_of_the_noise():
+def test_repeats_give_the_error_in_multiples_of_the_noise():
     first, second = (arm_record(seed=seed)[0] for seed in (2, 3))
     second = rl.Record(second.t, first.inputs, second.outputs, second.units, "again")
     found = rl.compare(arm(), first, repeats=[second])
@@ -169,7 +169,7 @@ def changed(inputs=None, outputs=None, units=None, gap=False):
 
 
 @pytest.mark.parametrize(
-    ("record", "options", "said"),
+    ("record", "options", "message"),
     [
         (lambda r: changed(outputs={"q_1": r["q_1"]}), {}, "compare run: no measured output shows q_2"),
         (lambda r: changed(inputs={"torque_1": r["torque_1"]}), {}, "no input 'torque_2'"),
@@ -181,13 +181,13 @@ def changed(inputs=None, outputs=None, units=None, gap=False):
         (lambda r: changed(outputs={"q_1": r["q_1"], "q_2": 0 * r["q_2"] + 0.5}), {}, "q_2 stands at 0.5 rad"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_compared_is_refused(record, options, said):
-    with pytest.raises(rl.InputError, match=said):
+def test_invalid_comparisons_are_refused(record, options, message):
+    with pytest.raises(rl.InputError, match=message):
         rl.compare(arm(), record(arm_record()[0]), **options)
 
 
 @pytest.mark.parametrize("name", ["torque_2", "q_1"])
-def test_a_record_check_tells_a_turned_channel(name):
+def test_a_record_check_finds_an_inverted_channel(name):
     from robustlab.identification import suitability
 
     record, _ = arm_record()
@@ -197,7 +197,7 @@ def test_a_record_check_tells_a_turned_channel(name):
     assert [(f.kind, f.channel) for f in found.fatal] == [("sign", name)]
 
 
-def test_validate_and_cover_ask_for_a_linear_set():
+def test_validate_and_cover_require_a_linear_set():
     from robustlab.identification import cover
 
     for call in (rl.validate, cover):

@@ -23,7 +23,7 @@ def record(plant, name="run"):
     return rl.Record(T, {"u": PUSH}, {"q": run["q"]}, {"u": "V", "q": "m"}, name)
 
 
-def test_the_linear_part_under_the_loads_goes_where_the_plant_with_effects_goes():
+def test_the_linear_part_with_the_loads_reproduces_the_plant_with_effects():
     rough = axis(**{"coulomb-friction": {"Fc": 20.0}, "input-dead-zone": {"d": 0.3}})
     loads = effect_loads(rough)
     seen = loads.along(record(rough))
@@ -39,7 +39,7 @@ def test_the_linear_part_under_the_loads_goes_where_the_plant_with_effects_goes(
     assert again["q"] == pytest.approx(seen["q"], abs=20.0 * 5e-3**2 / 95.0)  # a reversal within a sample
 
 
-def test_forces_at_one_joint_are_told_apart_by_their_laws():
+def test_forces_at_one_joint_are_separated_by_their_laws():
     both = axis(**{"coulomb-friction": {"Fc": 20.0}, "quadratic-drag": {"c": 400.0}})
     run = record(both)
     loads = effect_loads(both, records=[run])
@@ -61,7 +61,7 @@ def test_forces_at_one_joint_are_told_apart_by_their_laws():
     ("effect", "values", "times"),
     [("quadratic-drag", {"c": (400.0, 20.0)}, 1.1), ("gear-efficiency", {"eta": (0.9, 0.01)}, 1.2)],
 )
-def test_the_range_of_a_fitted_value_is_on_top_of_what_a_record_shows(effect, values, times):
+def test_the_range_of_a_fitted_value_adds_to_the_bound_along_a_record(effect, values, times):
     known = {name: value for name, (value, _) in values.items()}
     run = record(axis(**{effect: known}))
     bare, ranged = (effect_loads(axis(**{effect: v}), records=[run]).loads[0].bound for v in (known, values))
@@ -112,7 +112,7 @@ def test_a_named_friction_needs_no_unmodelled_dynamics():
 
 
 @pytest.mark.parametrize(
-    ("options", "says"),
+    ("options", "message"),
     [
         ({"records": []}, "no record"),
         ({"margin": 0.9}, "margin"),
@@ -120,10 +120,10 @@ def test_a_named_friction_needs_no_unmodelled_dynamics():
         ({"held_out": "same"}, "two records of one name"),
     ],
 )
-def test_bad_inputs(options, says):
+def test_bad_inputs(options, message):
     run = record(axis())
     given = {"records": [run], "held_out": (), **options}
     if given["held_out"] == "same":
         given["held_out"] = [run]
-    with pytest.raises(InputError, match=says):
+    with pytest.raises(InputError, match=message):
         rl.data_cover(axis(), given.pop("records"), {"q": 1e-6}, **given)

@@ -105,7 +105,7 @@ def _without_clock(path):
     return path
 
 
-def test_row_36_nan_is_named_with_channel_and_sample(tmp_path):
+def test_row_36_nan_is_reported_with_channel_and_sample(tmp_path):
     q = T.copy()
     q[[4, 9]] = np.nan
     with pytest.raises(InputError, match=r"q\[4\]: is NaN \(2 of 20 samples\)"):

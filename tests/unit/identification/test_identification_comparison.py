@@ -77,7 +77,7 @@ def test_a_subset_of_the_outputs_is_enough():
         found = compare(axis(), part)
         assert list(found.outputs) == [name]
         assert found.outputs[name].peak_percent < 1e-6
-    # From v alone nobody can know the position.
+    # The position is not observable from v alone.
     assert any("determine 1 of 2 states" in text for text in found.warnings)
 
 
@@ -98,7 +98,7 @@ def test_the_start_is_estimated_from_noise_with_the_stated_spread():
     np.testing.assert_allclose(np.sqrt(np.mean(np.square(errors), axis=0)), np.mean(stds, axis=0), rtol=0.4)
 
 
-def test_dry_friction_shows_as_its_own_size_at_the_input():
+def test_dry_friction_has_its_own_size_at_the_input():
     h, friction, offset = 2e-3, 20.0, -3.0
     t = np.arange(6000) * h
     u = 3.0 * np.sign(np.sin(2 * np.pi * t / 3.0)) + 0.5 * np.sin(2 * np.pi * t / 0.7)
@@ -114,7 +114,7 @@ def test_dry_friction_shows_as_its_own_size_at_the_input():
     assert "moving forward" in found.summary()
 
 
-def test_an_unstable_model_is_judged_in_windows():
+def test_an_unstable_model_is_compared_in_windows():
     unstable = StateSpaceModel([[3.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["y"])
     t = np.arange(1000) * 0.01
     rng = np.random.default_rng(0)
@@ -142,7 +142,7 @@ def test_static_gain_and_discrete_model():
     assert gap.peak_percent < 1e-8
 
 
-def test_operating_point_is_taken_off_and_put_back():
+def test_operating_point_is_subtracted_and_added_back():
     point = OperatingPoint(np.array([5.0]), np.array([2.0]), np.array([10.0]))
     model = StateSpaceModel([[-1.0]], [[1.0]], [[2.0]], [[0.0]], inputs=["u"], outputs=["y"], operating_point=point)
     t = np.arange(300) * 0.02

@@ -29,7 +29,7 @@ def record(size: float) -> rl.Record:
     return rl.Record(T, {"u": STEP}, {"y": size * RISE}, {"u": "V", "y": "m"}, "lag")
 
 
-def test_a_member_is_covered_and_its_gap_is_known():
+def test_a_member_is_covered_and_its_error_is_known():
     found = cover(gain(0.2), record(1.15), n=0, vertices=2)
     y = found.signals["y"]
     assert found.status is Status.CONVERGED
@@ -52,7 +52,7 @@ def test_a_miss_has_size_side_and_time(size, side):
     assert f"{side} at 5 s" in found.summary()
 
 
-def test_the_allowance_is_what_the_sensor_may_be_off():
+def test_the_allowance_is_the_error_bound_of_the_sensor():
     bare, allowed = (cover(gain(0.2), record(1.3), n=0, vertices=2, allowance=a) for a in (None, {"y": 0.0501}))
     assert allowed.signals["y"].miss == pytest.approx(bare.signals["y"].miss - 0.0501, abs=1e-9)
     # inside while 0.1 (1 - exp(-(t - 0.5))) <= 0.0501
@@ -94,7 +94,7 @@ def test_bad_options(options, message):
         cover(gain(0.2), record(1.0), **options)
 
 
-def test_what_is_no_set_or_has_no_response_in_time():
+def test_a_plant_and_a_complex_set_are_refused():
     with pytest.raises(InputError, match="expected an UncertainModel"):
         cover(rl.plant("dc-motor"), record(1.0))
     complex_set = UncertainModel(gain(0.2).M, [ComplexScalar("gain")])
@@ -102,11 +102,11 @@ def test_what_is_no_set_or_has_no_response_in_time():
         cover(complex_set, record(1.0))
 
 
-def test_a_member_that_outgrows_double_precision():
+def test_a_member_that_exceeds_double_precision():
     M = rl.StateSpaceModel(
         [[400.0]], [[0.2, 1.0]], [[0.0], [1.0]], [[0.0, 1.0], [0.0, 0.0]], 0.0, ["w", "u"], ["z", "y"]
     )
-    with pytest.raises(NoTrustworthyNumber, match="outgrows"):
+    with pytest.raises(NoTrustworthyNumber, match="exceeds double precision"):
         cover(UncertainModel(M, [RealScalar("gain")]), record(1.0), n=2)
 
 

@@ -96,7 +96,7 @@ def test_cubic_in_front_of_a_filter_has_the_published_gain_and_distortion():
     h = np.array([response(k) for k in lines])
     # Every combination of three tones that ends at a line and holds no tone with its own negative is a distortion.
     expected = distortion_of_a_cube(lines, amplitude) * np.abs(h) ** 2 / (amplitude / 2) ** 2
-    # The scatter from line to line says it; a single realisation to 0.9, so 300 to 0.05.
+    # The scatter from line to line estimates it: a single realisation to 0.9, 300 of them to 0.05.
     inner, single, responses = slice(4, -4), [], []
     for seed in range(1000, 1300):
         x = multisine(lines, amplitude, seed)

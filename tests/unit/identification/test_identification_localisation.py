@@ -1,13 +1,9 @@
-"""Localisation: shares against Parseval and known bands, bins against direct sums."""
+"""Localisation of errors: shares against Parseval and known bands, clipping against known signals."""
 
 import numpy as np
 import pytest
-from hypothesis import strategies as st
 
-from robustlab.identification.comparison import (
-    motion_of,
-    spectrum,
-)
+from robustlab.identification.comparison import motion_of, spectrum
 from robustlab.identification.record_check import clipped_runs
 from robustlab.record import Record
 
@@ -42,9 +38,6 @@ def test_coherence_is_one_for_an_error_made_by_the_input_and_low_otherwise():
     assert np.mean(s.coherence["w"] <= s.coherence_level) == pytest.approx(0.99, abs=0.01)
 
 
-samples = st.lists(st.floats(-1e3, 1e3).filter(lambda x: x == 0 or abs(x) > 1e-3), min_size=4, max_size=60)
-
-
 def test_speed_is_the_measured_one_else_the_derivative_of_the_position():
     t = np.arange(500) * 0.01
     q = Record(t, outputs={"q": np.sin(t), "c": t}, units={"q": "m"})
@@ -59,13 +52,13 @@ def test_speed_is_the_measured_one_else_the_derivative_of_the_position():
     assert motion_of(Record(t[:3], outputs={"q": t[:3]}, units={"q": "m"}), None, None, 3).speed is None
 
 
-def test_clipping_is_told_from_rest_and_from_two_levels():
+def test_clipping_is_distinguished_from_standstill_and_from_two_levels():
     t = np.arange(2000) * 0.01
     clipped = clipped_runs(np.clip(np.sin(t), -2, 0.8))
     assert sum(last - first for first, last in clipped) == (np.sin(t) >= 0.8).sum()
     assert clipped_runs(np.sin(t)) == []
-    smooth = np.where(t < 5, 0.5 - 0.5 * np.cos(np.pi * np.minimum(t, 5) / 5), 1.0)  # comes to rest and stays
+    smooth = np.where(t < 5, 0.5 - 0.5 * np.cos(np.pi * np.minimum(t, 5) / 5), 1.0)  # stops
     assert clipped_runs(np.round(smooth, 6)) == []
     assert clipped_runs(np.sign(np.sin(t))) == []
-    waits = np.maximum(np.arange(2000) - 500, 0) * 0.01  # stands before it starts at full slope
+    waits = np.maximum(np.arange(2000) - 500, 0) * 0.01  # constant before it starts at full slope
     assert clipped_runs(waits) == []

@@ -99,7 +99,7 @@ def test_excess_is_the_known_ratio_where_a_part_repeats():
     assert pytest.approx(e.F, rel=0.02) == floor.excess(residual).F
 
 
-def test_in_closed_loop_the_reference_tells_the_period():
+def test_in_closed_loop_the_reference_determines_the_period():
     rng = np.random.default_rng(0)
     ref = periodic(1000, 4)
     y, v, u = np.zeros(4000), 0.0, np.zeros(4000)
@@ -117,7 +117,7 @@ def test_in_closed_loop_the_reference_tells_the_period():
     assert caught.value.exit_code == 4
 
 
-def test_repeats_that_are_no_repeats():
+def test_records_that_do_not_repeat_are_refused():
     u = periodic(1000, 1)
     r = record(u)
     with pytest.raises(InputError, match="does not repeat"):
@@ -150,7 +150,7 @@ def test_a_perfect_model_leaves_nothing_to_explain_and_a_wrong_one_does():
 
 
 @pytest.mark.parametrize(
-    ("period", "says"),
+    ("period", "message"),
     [
         (7.0, "does not repeat with a period of 7 s"),
         (0.0, "half the record"),
@@ -160,6 +160,6 @@ def test_a_perfect_model_leaves_nothing_to_explain_and_a_wrong_one_does():
         (9.9975, "whole number of samples"),
     ],
 )
-def test_stated_periods_that_are_wrong(period, says):
-    with pytest.raises(InputError, match=says):
+def test_wrong_stated_periods(period, message):
+    with pytest.raises(InputError, match=message):
         noise_floor(record(periodic(1000, 4)), period=period)

@@ -1,4 +1,4 @@
-"""What an error would be as a disturbance at an input or a joint: the truth is a hidden force that the test knows.
+"""Errors as an equivalent disturbance at an input or a joint: the truth is a known hidden force.
 
 The machines are the textbook equations written out here, integrated by Runge-Kutta steps; nothing of robustlab makes
 the records. The hidden force is dry friction, smooth over a narrow range of speed.
@@ -55,7 +55,7 @@ def motor(names, level=0.0, drop=0.0, gain=1.0, off=0.005):
 
 
 @pytest.mark.parametrize(("names", "places"), [
-    (["phi"], ["input u", "torque at omega"]),  # without a current a voltage would do as well
+    (["phi"], ["input u", "torque at omega"]),  # without a current a voltage explains it as well
     (["phi", "i"], ["torque at omega"]),
     (["phi", "omega", "i"], ["torque at omega"]),
 ])  # fmt: skip
@@ -79,14 +79,14 @@ def test_a_drop_and_a_wrong_gain_of_the_voltage_are_at_the_input():
         assert d.forward == pytest.approx(-lost, rel=0.15)
 
 
-def test_where_nothing_is_missing_nothing_is_located():
+def test_without_a_missing_effect_nothing_is_located():
     found = motor(["phi", "i"], off=0.0)
     assert found.located == ()
     assert not any(d.sure_means for d in found.disturbance.values())
     assert "no disturbance at one place explains half of the error" in found.summary()
 
 
-def test_friction_at_a_load_is_not_where_the_motor_pushes():
+def test_friction_at_a_load_is_located_at_the_load():
     rng, t = np.random.default_rng(1), np.arange(4000) * 1e-3
     J1, J2, c, k = np.array([1e-3, 2e-3, 2e-3, 10.0]) * (1 + rng.uniform(-0.02, 0.02, 4))
     u = steps(t, 0.3, 1.0)

@@ -1,4 +1,4 @@
-"""Positions far from zero are counted from within their strokes, where nothing depends on it."""
+"""Positions far from zero are measured from within their strokes if the plant does not depend on them."""
 
 import numpy as np
 import pytest
@@ -25,11 +25,11 @@ def test_an_angle_is_shifted_by_whole_turns_and_its_speed_not_at_all():
     assert np.cos(7 * near["phi"]) == pytest.approx(np.cos(7 * far[0]["phi"]), abs=1e-9)
 
 
-def test_what_is_near_zero_stays():
+def test_positions_near_zero_are_unchanged():
     assert position_datum(rl.plant("dc-motor"), [record(phi=1.0 + np.sin(9 * T))]) == {}
 
 
-def test_a_spring_to_ground_has_a_zero_of_its_own():
+def test_a_spring_to_ground_has_its_own_zero():
     far = rl.Record(T, {"f": 0 * T}, {"q": 3000.0 + np.sin(T)})
     assert position_datum(rl.plant("mass-spring-damper"), [far]) == {}
 
@@ -40,5 +40,5 @@ def test_two_masses_are_shifted_together():
     assert datum["phi1"] == pytest.approx(datum["phi2"]) == pytest.approx(3000, abs=4)
 
 
-def test_an_unmeasured_position_is_no_matter():
+def test_an_unmeasured_position_is_ignored():
     assert position_datum(rl.plant("dc-motor"), [record(omega=np.cos(9 * T))]) == {}

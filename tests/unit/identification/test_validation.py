@@ -115,26 +115,23 @@ def small():
     return gain_set, rl.Record(np.arange(8) * 0.1, {"u": np.ones(8)}, {"y": np.full(8, 2.5)})
 
 
-def test_what_is_refused():
+def test_invalid_input_is_refused():
     model, record = small()
     t = record.t.copy()
     t[5:] += 0.05
-    with pytest.raises(rl.NoTrustworthyNumber, match="irregular sampling"):
-        rl.validate(model, rl.Record(t, record.inputs, record.outputs), {"y": 0.1})
-    with pytest.raises(rl.NoTrustworthyNumber, match="singular noise model"):
-        rl.validate(model, record, {"y": 0.0})
-    with pytest.raises(rl.InputError, match="no noise bound"):
-        rl.validate(model, record, {})
-    with pytest.raises(rl.InputError, match="no such compared output"):
-        rl.validate(model, record, {"y": 0.1, "x": 0.1})
-    with pytest.raises(rl.InputError, match="positive number"):
-        rl.validate(model, record, {"y": -1.0})
-    with pytest.raises(rl.NoTrustworthyNumber, match="no noise bound was given"):
-        rl.validate(model, record)
-    with pytest.raises(rl.InputError, match="windows of"):
-        rl.validate(model, record, {"y": 0.1}, window=0.1)
-    with pytest.raises(rl.InputError, match="precision"):
-        rl.validate(model, record, {"y": 0.1}, precision=0.0)
+    uneven = rl.Record(t, record.inputs, record.outputs)
+    for measured, noise, options, error, message in [
+        (uneven, {"y": 0.1}, {}, rl.NoTrustworthyNumber, "irregular sampling"),
+        (record, {"y": 0.0}, {}, rl.NoTrustworthyNumber, "singular noise model"),
+        (record, None, {}, rl.NoTrustworthyNumber, "no noise bound was given"),
+        (record, {}, {}, rl.InputError, "no noise bound"),
+        (record, {"y": 0.1, "x": 0.1}, {}, rl.InputError, "no such compared output"),
+        (record, {"y": -1.0}, {}, rl.InputError, "positive number"),
+        (record, {"y": 0.1}, {"window": 0.1}, rl.InputError, "windows of"),
+        (record, {"y": 0.1}, {"precision": 0.0}, rl.InputError, "precision"),
+    ]:
+        with pytest.raises(error, match=message):
+            rl.validate(model, measured, noise, **options)
 
 
 @pytest.fixture

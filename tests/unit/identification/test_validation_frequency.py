@@ -124,7 +124,7 @@ def test_a_true_model_is_never_invalidated(seed):
     assert not rl.validate(model, record, {"y": 0.013}, domain="frequency").invalidated
 
 
-def test_what_delta_cannot_reach_is_invalidated_at_every_gamma():
+def test_an_unreachable_harmonic_is_invalidated_at_every_gamma():
     model = rl.unstructured(LAG, 0.3)
     record = steady(model, {"unmodelled": 0.5})
     harmonic = 0.3 * np.tile(np.cos(2 * np.pi * np.arange(64) * 5 / 64), 3)
@@ -138,7 +138,7 @@ def test_what_delta_cannot_reach_is_invalidated_at_every_gamma():
 
 
 @pytest.mark.parametrize("form", ["inverse-output-multiplicative", "inverse-additive"])
-def test_a_loop_that_nothing_drives_is_at_rest(form):
+def test_an_undriven_loop_is_at_zero(form):
     """A harmonic that the input does not hold is not explained by a Delta that makes the loop singular."""
     model, t = rl.unstructured(LAG, 0.4, form), np.arange(192) * 0.2
     u = np.tile(np.sin(2 * np.pi * np.arange(64) / 64), 3)
@@ -160,7 +160,7 @@ def test_an_integrator_is_judged_without_its_mean():
     assert any("integrates" in text for text in found.assumptions)
 
 
-def test_what_is_refused():
+def test_invalid_input_is_refused():
     model = rl.unstructured(LAG, 0.3)
     record = steady(model, {"unmodelled": 0.5})
     data = rl.FrequencyData(OMEGA, response("additive"), "u", ["y"])

@@ -1,4 +1,4 @@
-"""Watching a log: an axis with dry friction, simulated here exactly between its switches, whose friction rises."""
+"""Watching a log of an axis whose dry friction rises, simulated exactly between its switches."""
 
 from __future__ import annotations
 
@@ -61,11 +61,11 @@ def axis():
     return rl.with_effects(bare(), {"coulomb-friction": {"Fc": FC}})
 
 
-def others(*kept):
-    """Ids of the catalogue but those: a short list is quickly looked through."""
+def others():
+    """Ids of the catalogue but those: a short list is searched quickly."""
     from robustlab.dynamics import catalogue
 
-    return sorted(set(catalogue()) - {*FEW, *kept})
+    return sorted(set(catalogue()) - set(FEW))
 
 
 def wear(t):
@@ -90,7 +90,7 @@ def test_wear_raises_an_alarm_and_the_pieces_since_have_the_larger_friction(worn
 
 
 @pytest.mark.slow
-def test_what_is_in_no_catalogue_raises_an_alarm():
+def test_an_unknown_effect_raises_an_alarm():
     wave = lambda t: 4e-3 * math.sin(14.0 * t + 3.0 * math.sin(5.0 * t)) if t >= 6.0 else 0.0  # noqa: E731
     found = rl.watch(axis(), log(3, push=wave, fine=10), every=2.0, noise={"q": NOISE}, exclude=others())
     assert (found.verdict, found.alarm > 6.0) == ("changed", True)
@@ -98,7 +98,7 @@ def test_what_is_in_no_catalogue_raises_an_alarm():
 
 
 @pytest.mark.slow
-def test_an_effect_that_the_model_never_had_comes_in():
+def test_an_effect_that_the_model_lacks_is_identified():
     load = lambda t: -4e-3 if t >= 8.0 else 0.0  # noqa: E731
     found = rl.watch(axis(), log(5, push=load), every=2.0, noise={"q": NOISE}, exclude=others())
     assert found.verdict == "changed"
@@ -118,7 +118,7 @@ def test_alarms_where_nothing_changes_are_as_rare_as_stated():
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "message"),
     [
         ({}, "at least two"),
         ({"every": 0.0}, "every"),
@@ -130,8 +130,8 @@ def test_alarms_where_nothing_changes_are_as_rare_as_stated():
         ({"every": 0.1}, "at least"),
     ],
 )
-def test_what_cannot_be_is_refused(given, said):
-    with pytest.raises(rl.InputError, match=said):
+def test_invalid_options_are_refused(given, message):
+    with pytest.raises(rl.InputError, match=message):
         rl.watch(axis(), log(1, 6.0), **{"noise": {"q": NOISE}, **given})
 
 
@@ -139,8 +139,8 @@ def test_pieces_of_another_kind_are_refused():
     short = log(1, 2.0)
     fast = rl.Record(0.5 * short.t + 10.0, short.inputs, short.outputs, UNITS)
     blind = rl.Record(short.t + 10.0, {"u": short["u"], "v": short["q"]}, {"x": short["q"]}, {"u": "N m"})
-    for other, said in ((fast, "sample time"), (blind, "no output 'q'"), ("log", "records")):
-        with pytest.raises(rl.InputError, match=said):
+    for other, message in ((fast, "sample time"), (blind, "no output 'q'"), ("log", "records")):
+        with pytest.raises(rl.InputError, match=message):
             rl.watch(axis(), [short, other], noise={"q": NOISE}, exclude=others())
 
 
@@ -159,9 +159,9 @@ def run(tmp_path, record, capsys, *more):
 @pytest.mark.slow
 def test_the_command_ends_in_1_with_an_alarm_and_in_0_without(tmp_path, capsys):
     code, printed = run(tmp_path, log(2, friction=wear), capsys, "--json")
-    told = json.loads(printed.out)
-    assert (code, told["verdict"], "coulomb-friction" in told["found"]["names"]) == (1, "changed", True)
-    assert len(told["pieces"]) == 8
+    result = json.loads(printed.out)
+    assert (code, result["verdict"], "coulomb-friction" in result["found"]["names"]) == (1, "changed", True)
+    assert len(result["pieces"]) == 8
     assert "ALARM: piece" in printed.err
     code, printed = run(tmp_path, log(1, 6.0), capsys)
     assert code == 0
