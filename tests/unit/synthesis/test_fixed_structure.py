@@ -207,7 +207,7 @@ def test_limits_that_nothing_keeps_are_named():
     ("options", "text"),
     [
         ({"objective": "h1"}, "objective is 'h1'"),
-        ({"starts": -1}, "starts is -1"),
+        ({"starts": -1}, "starts: -1"),
         ({"time_limit": 0.0}, "time_limit is 0"),
         ({"time_limit": float("nan")}, "time_limit is nan"),
         ({"limits": ["fast"]}, "limits: 'fast'"),
