@@ -26,7 +26,7 @@ from robustlab.synthesis.hinf.mixed_sensitivity import weight_on_channels
 from robustlab.synthesis.laws.controller_laws import Law
 from robustlab.synthesis.nonsmooth.design_limits import Limit
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
-from robustlab.synthesis.nonsmooth.parameter_search import BARRIER_CLOSER, central_path, multi_start, polished
+from robustlab.synthesis.nonsmooth.parameter_search import BARRIER_CLOSER, central_path, multi_start, refined
 from robustlab.synthesis.problem.design import Synthesis, design_budget, told
 from robustlab.synthesis.problem.gamma_bounds import gamma_bound
 from robustlab.synthesis.problem.partition import GeneralizedPlant, signal_positions
@@ -387,7 +387,7 @@ def _plants(G: Any) -> list[StateSpaceModel]:
 def _refined(problem: DesignProblem, p: AnyArray) -> AnyArray:
     """Return parameters of a smaller norm found from p, or p."""
     v, _ = central_path(problem, problem.variables(p), BARRIER_CLOSER)
-    q, value = polished(problem, problem.parameters(v)[0])
+    q, value = refined(problem, problem.parameters(v)[0])
     return q if value < problem.norm(problem.variables(p))[0] else p
 
 

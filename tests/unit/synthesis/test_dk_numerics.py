@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -53,10 +55,12 @@ def test_a_level_found_over_ten_decades_of_poles_is_proved() -> None:
         "J": (22.6, ((-0.1, 2.9, -8.3, 4.6), (-6.7, -9.4))),
     }
     plant, blocks = actuator()
-    scalings = unit_scalings([block.as_complex() for block in blocks])
-    for i, block in enumerate(blocks):
-        if block.name in sections:
-            scalings = scalings.with_part(i, BlockScaling((Factor(*sections[block.name]),)))
+    unit = unit_scalings([block.as_complex() for block in blocks])
+    parts = (
+        BlockScaling((Factor(*sections[block.name]),)) if block.name in sections else part
+        for block, part in zip(blocks, unit.parts, strict=True)
+    )
+    scalings = replace(unit, parts=tuple(parts))
     problem = RobustProblem(plant, Budget())
     level = problem.search(scalings).smallest(scalings.parameters(), 1.5, 1e-5)
     found = problem.solve(scalings, 1.5)
