@@ -137,9 +137,7 @@ class FixedSynthesis(ParametricDesign):
         The uncertain plant of ``worst`` without K, for `robustlab.verify`.
     """
 
-    quantities: ClassVar[Mapping[str, Any]] = {
-        **Synthesis.quantities, **dict.fromkeys(("peak_frequency",), float),
-    }  # fmt: skip
+    quantities: ClassVar[Mapping[str, Any]] = {**Synthesis.quantities, "peak_frequency": float}
     saved = (
         *Synthesis.saved, "objective", "parameters", "gammas", "peak_frequency", "limits", "active", "starts",
         "scenarios", "norms", "worst_case_gain",

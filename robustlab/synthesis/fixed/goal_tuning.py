@@ -358,7 +358,10 @@ def tune(
             ended = soft <= 0 if met else k == len(GOAL_SHARES)
             if budget.over or ended or not any(goal.hard for goal in wanted):
                 break
-            q = _refined(problem(1 / soft if met else GOAL_SHARES[k], budget), p)
+            trial = problem(1 / soft if met else GOAL_SHARES[k], budget)
+            v, _ = central_path(trial, trial.variables(p), BARRIER_CLOSER)
+            q, value = refined(trial, trial.parameters(v)[0])
+            q = q if value < trial.norm(trial.variables(p))[0] else p
             now, lower = reached(q)
             if met and not (now <= 1 and lower < soft):
                 break
@@ -382,13 +385,6 @@ def _plants(G: Any) -> list[StateSpaceModel]:
             expected = f"those of plant 1: {', '.join(first.input_names + first.output_names)}"
             raise InputError("synth tune", f"plant {i} has other signals or another sample time", expected)
     return models
-
-
-def _refined(problem: DesignProblem, p: AnyArray) -> AnyArray:
-    """Return parameters of a smaller norm found from p, or p."""
-    v, _ = central_path(problem, problem.variables(p), BARRIER_CLOSER)
-    q, value = refined(problem, problem.parameters(v)[0])
-    return q if value < problem.norm(problem.variables(p))[0] else p
 
 
 def _verified(

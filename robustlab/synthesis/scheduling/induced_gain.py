@@ -302,14 +302,15 @@ class _GainLMIs:
             models = [(self.left @ (self.model.matrices[v] + shift) @ self.right, w) for v, w in pairs]
             out = np.mean([m[n:] for m, _ in models], axis=0)
 
-            def lhs(
-                P: Any, level: Any, models: Any = models, slopes: Any = slopes, out: Array = out
-            ) -> Any:  # L_c for P at its vertices
+            # L_c for P at its vertices.
+            def lhs(P: Any, level: Any, models: Any = models, slopes: Any = slopes, out: Array = out) -> Any:
                 top: Any = sum(P[w] @ m[:n] / len(models) for m, w in models)
                 drift = top[:, :n] + top[:, :n].T + sum(f / s.rate * (P[a] - P[b]) for f, a, b in slopes)
                 return bounded_real(cp.hstack([drift, top[:, n:]]), out[:, :n], out[:, n:], level)
 
-            a, b, o, d = _norms(np.abs(self.left) @ rest @ np.abs(self.right), n)
+            rest = np.abs(self.left) @ rest @ np.abs(self.right)
+            parts = rest[:n, :n], rest[:n, n:], rest[n:, :n], rest[n:, n:]
+            a, b, o, d = (float(np.linalg.norm(part, 2)) for part in parts)
             slack = (2 * a + b) * size + o + d if robust else 0.0
             # The margin of the inequality with equally scaled rows, as in the check.
             unit = np.diag(equal_rows(lhs(ones, 1.0).value))
@@ -320,11 +321,8 @@ class _GainLMIs:
             return None, None, failed
         found = np.array([X.value for X in P.values()]).reshape(*self.shape, n, n)
         found = self.back.T @ found @ self.back * (s.w / (s.z * s.rate))
-        return (
-            float(np.asarray(gamma.value)) / s.gain if level is None else level,
-            0.5 * (found + np.swapaxes(found, -1, -2)),
-            "",
-        )
+        level = float(np.asarray(gamma.value)) / s.gain if level is None else level
+        return level, 0.5 * (found + np.swapaxes(found, -1, -2)), ""
 
 
 def _coefficients(model: LPVModel, varies: list[bool]) -> list[tuple[Any, Any, Array, Array]]:
@@ -363,10 +361,3 @@ def _coefficients(model: LPVModel, varies: list[bool]) -> list[tuple[Any, Any, A
                 for shift in shifts:
                     found[pairs, slopes, shift.tobytes(), rest.tobytes()] = pairs, slopes, shift, rest
     return list(found.values())
-
-
-def _norms(deviation: Array, n: int) -> tuple[float, float, float, float]:
-    """Return the 2-norms of the bounds for A, B, C and D."""
-    parts = deviation[:n, :n], deviation[:n, n:], deviation[n:, :n], deviation[n:, n:]
-    a, b, c, d = (float(np.linalg.norm(part, 2)) if part.size else 0.0 for part in parts)
-    return a, b, c, d

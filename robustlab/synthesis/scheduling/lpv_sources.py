@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -184,7 +185,9 @@ def _of_function(
     if not points or any(isinstance(v, (int, np.integer)) for v in points.values()):
         raise InputError("lpv_model: points", f"{dict(points)!r}", "the values of each parameter of the function")
     values = {name: real_array(f"points of {name!r}", v, 1, "lpv_model") for name, v in points.items()}
-    models = [_called(source, dict(zip(values, at, strict=True))) for at in _every(list(values.values()))]
+    models = [
+        _called(source, dict(zip(values, at, strict=True))) for at in product(*(v.tolist() for v in values.values()))
+    ]
     plain = LPVModel(values, models, rates, units)
     cells, deviation = list(plain.cells()), np.array(plain.deviation)
     rng = np.random.default_rng(seed)
@@ -197,10 +200,6 @@ def _of_function(
         found[found <= 16 * EPS * np.abs(plain.matrix_at(at))] = 0.0  # rounding
         deviation[cell] = np.maximum(deviation[cell], found)
     return LPVModel(values, models, rates, units, deviation, SAMPLED)
-
-
-def _every(values: Sequence[Array]) -> list[list[float]]:
-    return [[float(v[i]) for v, i in zip(values, at, strict=True)] for at in np.ndindex(*(len(v) for v in values))]
 
 
 def _called(source: Callable[..., Any], values: Mapping[str, float]) -> StateSpaceModel:
