@@ -324,7 +324,7 @@ def tune(
             raise InputError("synth tune: goals", f"{goal!r}", "TrackingGoal, MarginGoal, ..., Damping, Decay, ...")
     wanted, limits = [g for g in goals if isinstance(g, Goal)], [g for g in goals if isinstance(g, Limit)]
     if not wanted:
-        raise InputError("synth tune: goals", "none", "at least one goal beside the limits")
+        raise InputError("synth tune: goals", "none", "at least one goal in addition to limits")
     whole("synth tune: starts", starts, 0, fixed.MOST_STARTS)
     budget = design_budget("synth tune", fixed.WORK, effort, time_limit)
     loops = [_loop(g) for g in _plants(G)]

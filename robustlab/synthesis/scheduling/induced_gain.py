@@ -88,7 +88,7 @@ class LPVGain(PeakGain, Traced):
             return ""
         known = {
             EXACT: "certified between the grid points: the model is multi-linear there",
-            SAMPLED: "certified between the grid points for what samples saw of the family there",
+            SAMPLED: "certified between the grid points for the deviation at samples of the family",
         }.get(self.model.known, "certified between the grid points: the deviation there is proved and allowed for")
         names = [f"|d{p.name}/dt| <= {number(p.rate)}" for p in self.model.parameters if np.isfinite(p.rate)]
         free = self.lyapunov == "constant" or not names

@@ -98,7 +98,7 @@ def _of_uncertain(
     blocks: list[Any] = []
     for b in source.blocks:
         if not (b.is_real and b.is_scalar):
-            hint = "what cannot be measured is no scheduling parameter: evaluate the set at a value of that block"
+            hint = "scheduling parameters must be measured: evaluate the set at a value of that block"
             raise InputError(f"lpv_model: block {b.name!r}", type(b).__name__, "real parameters only", hint)
         blocks.append(b)
     for name in points:
@@ -185,9 +185,8 @@ def _of_function(
     if not points or any(isinstance(v, (int, np.integer)) for v in points.values()):
         raise InputError("lpv_model: points", f"{dict(points)!r}", "the values of each parameter of the function")
     values = {name: real_array(f"points of {name!r}", v, 1, "lpv_model") for name, v in points.items()}
-    models = [
-        _called(source, dict(zip(values, at, strict=True))) for at in product(*(v.tolist() for v in values.values()))
-    ]
+    grid = product(*(v.tolist() for v in values.values()))
+    models = [_called(source, dict(zip(values, at, strict=True))) for at in grid]
     plain = LPVModel(values, models, rates, units)
     cells, deviation = list(plain.cells()), np.array(plain.deviation)
     rng = np.random.default_rng(seed)

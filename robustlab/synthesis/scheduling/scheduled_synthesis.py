@@ -368,7 +368,7 @@ def _performance(plant: LPVModel, n_meas: int, n_con: int, where: str) -> tuple[
     for word, count, left in (("n_meas", n_meas, n_z), ("n_con", n_con, n_w)):
         if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1 or left < 1:
             found = f"{word} = {count!r} of a plant with {len(plant.inputs)} inputs and {len(plant.outputs)} outputs"
-            raise InputError(where, found, "at least one, and at least one w and z beside them")
+            raise InputError(where, found, "at least one, and at least one w and z in addition")
     return n_z, n_w
 
 

@@ -125,11 +125,11 @@ def loop_functions(G: Any, K: Any = None, *, sign: Literal[-1, 1] | None = None)
     """
     if isinstance(G, Synthesis):
         if K is not None or sign is not None:
-            found = "a design with a controller or a sign beside it"
+            found = "a design with a controller or a sign"
             raise InputError("loop functions", found, "a design alone, or a plant and a controller")
         return _of_design(G)
     if K is None:
-        raise InputError("loop functions: K", "none", "a controller beside the plant, or a design alone")
+        raise InputError("loop functions: K", "none", "a controller of the plant, or a design alone")
     g, k = as_model(G, "loop functions: G"), as_model(K, "loop functions: K")
     found = closing(g, k, sign, "loop functions")
     g, k, sign = found.plant, found.K, found.sign

@@ -111,7 +111,7 @@ def test_a_sampled_plant() -> None:
     ("goals", "error", "text"),
     [
         ([], InputError, "at least one goal"),
-        ([Damping(0.5)], InputError, "at least one goal beside the limits"),
+        ([Damping(0.5)], InputError, "at least one goal in addition to limits"),
         (["tracking"], InputError, "'tracking'"),
         ([TrackingGoal(0.0)], InputError, "response_time"),
         ([MarginGoal(1.0, "middle")], InputError, "middle"),
