@@ -229,8 +229,9 @@ class _Search:
         channels alone (see `nominal_start`) if that has a clearly smaller mu.
         """
         scalings = unit_scalings(self.blocks)
-        K = synthesize(self.plant, "hinf", 1.0, self.search.share(START_SHARE)).K if K0 is None else None
-        if K is None:
+        if K0 is None:
+            K = synthesize(self.plant, "hinf", 1.0, self.search.share(START_SHARE)).K
+        else:
             K = _controller(K0, self.plant)
         found = self.problem.proved(K, scalings, 1.0)
         if found is None and K0 is not None:

@@ -201,7 +201,7 @@ class GoalValue:
 
     @property
     def met(self) -> bool:
-        """At most 1."""
+        """True where every value is at most 1."""
         return self.value <= 1
 
     def to_json(self) -> dict[str, Any]:
