@@ -1,4 +1,4 @@
-"""Cone programmes handed to Clarabel: directly where small ones are solved often, else matrix inequalities by cvxpy."""
+"""Cone programs for Clarabel: directly for small problems solved often, by cvxpy for matrix inequalities."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ import numpy as np
 from robustlab.arrays import AnyArray, Array
 from robustlab.budget import Budget
 
-# Endings whose numbers are worth a look; whoever asked checks them outside of the solver.
+# Statuses whose solution is usable; callers verify it independently of the solver.
 ACCEPTED = ("Solved", "AlmostSolved", "InsufficientProgress", "MaxIterations")
-MATRIX_STEPS = 200  # of a problem in cvxpy: three times what one ever needed
-# A kind of cone and its size: how many numbers, or how many rows a symmetric matrix has.
+MATRIX_STEPS = 200  # most steps for a problem in cvxpy: three times the largest number observed
+# A kind of cone and its size: number of entries, or of rows of a symmetric matrix.
 Cone = tuple[Literal["zero", "positive", "second-order", "semidefinite"], int]
 
 
 def triangle(matrix: AnyArray) -> AnyArray:
-    """Upper triangles of a stack (..., n, n) by columns, off the diagonal times the root of two: Clarabel's way."""
+    """Return the upper triangles of a stack (..., n, n) by columns, off-diagonal entries times sqrt(2) (Clarabel)."""
     columns, rows = np.tril_indices(matrix.shape[-1])
     scale = np.where(rows == columns, 1.0, np.sqrt(2.0))
     return scale * 0.5 * (matrix[..., rows, columns] + matrix[..., columns, rows])
@@ -37,9 +37,9 @@ def solve(
 ) -> Any:
     r"""Minimise ``cost x`` with ``right - rows x`` in the cones; None where the solver panics.
 
-    ``rows``: dense or sparse, those of matrices by triangles (`triangle`).
-    ``steps``, ``seconds``: the most that the solver may take; None is without a limit.
-    ``threads``: of the solver; 0 takes all that there are, and rounds as many ways.
+    ``rows``: dense or sparse; symmetric matrices as `triangle`.
+    ``steps``, ``seconds``: limits of the solver; None: no limit.
+    ``threads``: of the solver; 0: all cores, with results that depend on their number.
     """
     import clarabel
     from scipy import sparse
@@ -61,14 +61,14 @@ def solve(
     try:
         return solver.DefaultSolver(quadratic, cost, sparse.csc_matrix(rows), right, parts, settings).solve()
     except BaseException as error:
-        # Clarabel's own panics derive from BaseException, past every except clause for errors.
+        # Panics of Clarabel derive from BaseException, not from Exception.
         if isinstance(error, (Exception, KeyboardInterrupt, SystemExit)):
             raise
         return None
 
 
 def least(cost: Any, conditions: Sequence[Any], budget: Budget) -> str:
-    """Solve a problem in cvxpy, whose variables have values then; empty, or why they have none."""
+    """Solve a problem in cvxpy and set the values of its variables; return the reason of a failure, or ""."""
     import cvxpy as cp
     from cvxpy.error import SolverError
 
@@ -93,7 +93,7 @@ def least(cost: Any, conditions: Sequence[Any], budget: Budget) -> str:
 
 
 def bounded_real(top: Any, C: Any, D: Any, gamma: Any) -> Any:
-    """``[top_A, top_B, C^T; ., -gamma I, D^T; ., ., -gamma I]`` with ``top = [top_A, top_B]``, top_A symmetric."""
+    """Return ``[top_A, top_B, C^T; ., -gamma I, D^T; ., ., -gamma I]``, ``top = [top_A, top_B]``, symmetric top_A."""
     import cvxpy as cp
 
     n, (q, m) = C.shape[1], D.shape
@@ -101,8 +101,8 @@ def bounded_real(top: Any, C: Any, D: Any, gamma: Any) -> Any:
 
 
 def equal_rows(matrix: AnyArray) -> AnyArray:
-    """Factors d with which the largest entry of each row of ``d_i m_ij d_j`` is about one (Ruiz 2001)."""
-    # The rows of fast states drown those of slow ones otherwise.
+    """Return factors d for which the largest entry of each row of ``d_i m_ij d_j`` is about one (Ruiz 2001)."""
+    # Without them the rows of fast states dominate those of slow ones.
     size, d = np.abs(matrix), np.ones(len(matrix))
     for _ in range(10):
         largest = (d[:, None] * size * d).max(axis=1, initial=0.0)

@@ -1,4 +1,4 @@
-"""Direct minimisation of the smallest level over the parameters of the scalings, of growing order.
+"""Direct minimisation of the smallest level over the parameters of scalings of growing order.
 
 K is eliminated by the two Riccati equations (`riccati_level`). Minimax by sequential quadratic programming: Fletcher,
 *Practical Methods of Optimization* (1987), section 14.4.
@@ -15,25 +15,25 @@ from robustlab.synthesis.dk.dynamic_scalings import DynamicScalings
 from robustlab.synthesis.dk.riccati_level import Branches
 from robustlab.synthesis.dk.robust_problem import RobustProblem
 
-DECREASE = 1e-3  # share of the promised decrease that a step has to bring (Armijo)
+DECREASE = 1e-3  # share of the predicted decrease that a step must reach (Armijo)
 LINE_STEPS = 10  # trials of one line search
-FIRST_SCALE = 1.0  # of the inverse Hessian before the first update
+FIRST_SCALE = 1.0  # inverse Hessian before the first update
 STEPS = 60  # of one minimisation
 STEP_PROGRESS = 2e-5  # relative progress in ...
-PATIENCE = 5  # ... so many steps below which a minimisation ends
-LARGEST_MOVE = 1.0  # of a logarithmic parameter in one step
-LARGEST_RANGE = 16.0  # logarithmic parameters further from the start are refused: they would run away
-PLACES = 9  # places of a new section over frequency
-SHORT = 10  # steps by which a candidate for a new section is followed ...
-PURSUED = 4  # ... and so many of the steepest candidates
+PATIENCE = 5  # ... this number of steps below which a minimisation ends
+LARGEST_MOVE = 1.0  # largest change of a logarithmic parameter in one step
+LARGEST_RANGE = 16.0  # largest distance of a logarithmic parameter from the start: they may diverge
+PLACES = 9  # frequencies tried for a new section
+SHORT = 10  # minimisation steps for a candidate for a new section ...
+PURSUED = 4  # ... and number of steepest candidates that are minimised
 
 
 def minimised(
     problem: RobustProblem, scalings: DynamicScalings, guess: float, steps: int = STEPS
 ) -> tuple[DynamicScalings, float] | None:
-    """Scalings of the same form with a smaller level, and that level; None where the start has none."""
+    """Return scalings of the same form with a smaller level, and that level; None where the start has none."""
     # min_d max_i (values_i + slopes_i^T d) + d^T H^-1 d / 2, with H by BFGS updates of the Lagrangian: where two
-    # eigenvalues of X Y meet the level has a kink, and a descent that knows one of them only gets stuck.
+    # eigenvalues of X Y meet the level has a kink, at which a descent on one of them stops early.
     search, centre = problem.search(scalings), scalings.parameters()
     x, level = centre, search.smallest(centre, guess)
     if level is None:
@@ -48,7 +48,7 @@ def minimised(
         direction = -H @ (multipliers @ local.slopes)
         shrink = min(1.0, LARGEST_MOVE / max(float(np.abs(direction).max()), 1e-300))
         step, found = shrink, None
-        for _ in range(LINE_STEPS):  # the longest of a falling sequence that reaches a share of the promised decrease
+        for _ in range(LINE_STEPS):  # backtracking to a share of the predicted decrease
             if problem.budget.over:
                 break
             s = step * direction
@@ -75,7 +75,7 @@ def minimised(
 
 
 def _multipliers(branches: Branches, H: AnyArray) -> tuple[AnyArray, float]:
-    """Weights of the branches in the best step, shape (m,), and the change of log beta that it promises (<= 0)."""
+    """Return the weights of the branches in the best step, shape (m,), and the predicted change of log beta (<= 0)."""
     values, Q = branches.values - branches.values[0], branches.slopes @ H @ branches.slopes.T
     m = len(values)
     best, best_value = np.eye(m)[0], values[0] - 0.5 * Q[0, 0]
@@ -93,12 +93,12 @@ def _multipliers(branches: Branches, H: AnyArray) -> tuple[AnyArray, float]:
             if value > best_value or size == 1 == m:
                 best, best_value = np.zeros(m), value
                 best[a] = weights
-    # The dual is the smallest of the model; -lambda^T Q lambda / 2 of it is the quadratic term.
+    # The dual value is the minimum of the model, of which -lambda^T Q lambda / 2 is the quadratic term.
     return best, float(best_value)
 
 
 def _change(before: Branches, after: Branches, multipliers: AnyArray) -> AnyArray:
-    """Change of the slope of the Lagrangian; branches are recognised by their slopes."""
+    """Return the change of the slope of the Lagrangian; branches are matched by their slopes."""
     result = np.zeros(before.slopes.shape[1])
     for weight, slope in zip(multipliers, before.slopes, strict=True):
         if weight > 0:
@@ -108,12 +108,12 @@ def _change(before: Branches, after: Branches, multipliers: AnyArray) -> AnyArra
 
 
 def _updated(H: AnyArray, s: AnyArray, y: AnyArray, first: bool) -> AnyArray:
-    """BFGS update of the inverse Hessian, damped so that it stays positive definite."""
+    """Return the BFGS update of the inverse Hessian, damped (Powell) so that it stays positive definite."""
     if first and s @ y > 0:
         H = np.eye(len(s)) * float(s @ y) / float(y @ y)
     B_s = np.linalg.solve(H, s)
     curvature = float(s @ B_s)
-    if s @ y < 0.1 * curvature:  # Powell
+    if s @ y < 0.1 * curvature:
         share = 0.9 * curvature / (curvature - float(s @ y))
         y = share * y + (1 - share) * B_s
     rho = 1 / float(s @ y)
@@ -124,8 +124,8 @@ def _updated(H: AnyArray, s: AnyArray, y: AnyArray, first: bool) -> AnyArray:
 def grown(
     problem: RobustProblem, scalings: DynamicScalings, level: float, omega: tuple[float, float], max_states: int
 ) -> tuple[DynamicScalings, float] | None:
-    """Scalings one section of D or G larger; None where no place for it lowers the level."""
-    # Sections with zero = pole, and sections of G with p = q, leave the level as it is.
+    """Return scalings with one section of D or G more; None where no place for it lowers the level."""
+    # Sections start with zero = pole (of G: p = q), which does not change the level.
     candidates: list[tuple[float, DynamicScalings]] = []
     places = np.linspace(np.log(omega[0]), np.log(omega[1]), PLACES).tolist()
     for trial in scalings.enlarged(places):
@@ -137,8 +137,8 @@ def grown(
         reached = search.smallest(x, level)
         local = None if reached is None else search.branches(x, reached)
         if local is not None:
-            _, promised = _multipliers(local, np.eye(len(x)) * FIRST_SCALE)
-            candidates.append((promised / (trial.n_states - scalings.n_states), trial))
+            _, predicted = _multipliers(local, np.eye(len(x)) * FIRST_SCALE)
+            candidates.append((predicted / (trial.n_states - scalings.n_states), trial))
     candidates.sort(key=lambda pair: pair[0])
     best: tuple[DynamicScalings, float] | None = None
     for _, trial in candidates[:PURSUED]:

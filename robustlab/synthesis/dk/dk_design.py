@@ -1,4 +1,4 @@
-"""A finished robust-performance design with its scalings, the proof of its mu bound, and its history."""
+"""A robust-performance design with its scalings, the proof of its mu bound, and its history."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ class DKStep:
     """One iterate of the search."""
 
     stage: str  # `"start"`, `"nominal start"`, `"D-K"`, `"direct"` or `"D-G-K"`
-    gamma: float  # what the scalings of the iterate prove for mu at all frequencies
-    mu: float  # largest upper bound of mu at single frequencies, complex blocks; NaN where it was not computed
+    gamma: float  # bound of mu at all frequencies proved by the scalings of the iterate
+    mu: float  # largest upper bound of mu at single frequencies, complex blocks; NaN where not computed
     order: int  # states of the controller
     scaling_orders: tuple[int, ...]  # orders of D (and G) of each block
-    work: float  # work done since the start, in units of about a microsecond; see `robustlab.budget`
+    work: float  # work since the start in the units of `robustlab.budget`
 
     def to_json(self) -> dict[str, object]:
         return vars(self).copy()
@@ -40,7 +40,7 @@ class DKSynthesis(Tabular, Synthesis):
     Attributes
     ----------
     blocks
-        The structure that mu is about, the performance block included.
+        The structure of mu, performance block included.
     lower
         Lower bound of the peak of mu, attained by ``delta`` at ``frequency``; 0 where none was found.
     frequency
@@ -48,21 +48,21 @@ class DKSynthesis(Tabular, Synthesis):
     delta
         The critical perturbation there, one value per block name, of size ``1 / lower``; empty where none was found.
     scalings
-        D(s), G(s) that the controller was made with; for a discrete plant in ``s = (2/dt) (z - 1)/(z + 1)``.
+        D(s), G(s) of the controller's design; for a discrete plant in ``s = (2/dt) (z - 1)/(z + 1)``.
     scaled_level
-        What these prove alone, by the norm of the scaled loop; `proved_again` repeats it.
+        Bound proved by ``scalings`` through the norm of the scaled loop; `proved_again` repeats the proof.
     pieces
         Proof by constant D, G on frequency intervals that together cover the axis; empty where ``scaled_level`` is the
-        smaller bound. Frequencies are those of the loop mapped to continuous time where it is discrete.
+        smaller bound. For a discrete loop, frequencies are those of its image in continuous time.
     history
         Every iterate.
     start_mu
         Largest mu, at single frequencies, of the first controller: that of H-infinity synthesis, or K0.
     lower_bound
-        What mu no stabilising controller gets below, and how that is known; see `robustlab.synthesis.dk.mu_floor`.
+        Lower bound of mu for every stabilising controller with its origin; see `robustlab.synthesis.dk.mu_floor`.
     why
-        One sentence: what was gained over ``start_mu``, and what ends the way down: the limit of every controller, a
-        structure that leaves D nothing to change, or nothing that is proved.
+        One sentence: the decrease from ``start_mu``, and the reason why mu is not smaller, if it is known: the limit
+        of every controller, or a structure in which D changes nothing.
     """
 
     quantities: ClassVar[Mapping[str, Any]] = {
@@ -86,7 +86,7 @@ class DKSynthesis(Tabular, Synthesis):
     why: str
 
     def proved_again(self) -> float:
-        """What the scalings prove for mu of the loop rebuilt from plant and K, computed anew; inf: nothing."""
+        """Return the bound of mu that the scalings prove for the loop rebuilt from plant and K; inf: none."""
         from robustlab.norms import bilinear_to_continuous
 
         loop: StateSpaceModel = self.plant.close(self.K)
@@ -114,7 +114,7 @@ class DKSynthesis(Tabular, Synthesis):
         ]
 
     def table(self) -> Table:
-        """A row for each iterate."""
+        """Return a row for each iterate."""
         columns = {key: [getattr(step, key) for step in self.history] for key in ("stage", "gamma", "mu", "order")}
         return Table(("iterate", range(1, len(self.history) + 1)), columns)
 

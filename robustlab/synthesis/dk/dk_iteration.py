@@ -32,24 +32,24 @@ from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generaliz
 from robustlab.uncertainty.blocks import Block, FullBlock, as_blocks, delta_values, structure_size
 
 WORK = 120 * MILLION  # the usual work at effort 1
-START_SHARE = 0.25  # for the H-infinity start; larger: a better first controller, less time for the rest
-CLASSICAL_END = 0.5  # where D-K iteration has to end when direct minimisation follows
-SEARCH_END = 0.8  # where the whole search has to end; the rest is for the proof
-SOFTENING_END = 0.85  # where the search for slower controllers has to end
-LEAST_SEARCH = 0.3  # the search keeps this much even where the last curve of mu would need more
-ITERATIONS = 60  # of D-K; it usually settles long before
-FIT_LOSS = 0.002  # loss at single frequencies that a fit of D may have; smaller: higher orders
-FIRST_LOSS = 0.2  # the same where direct minimisation starts: a rough D of few states
+START_SHARE = 0.25  # share for the H-infinity start; larger: a better first controller, less time for the rest
+CLASSICAL_END = 0.5  # share of the work at which D-K iteration ends when direct minimisation follows
+SEARCH_END = 0.8  # share at which the whole search ends; the rest is for the proof
+RELAXATION_END = 0.85  # share at which the search for slower controllers ends
+LEAST_SEARCH = 0.3  # least share for the search even where the last curve of mu would need more
+ITERATIONS = 60  # most D-K iterations
+FIT_LOSS = 0.002  # loss of a fit of D at single frequencies; smaller: higher orders
+FIRST_LOSS = 0.2  # the same for the start of direct minimisation: a rough D of few states
 PROGRESS = 5e-4  # relative progress below which a stage ends; smaller: longer, hardly better
 ROUGH_PROGRESS = 2e-2  # the same for D-K iteration where direct minimisation follows
-FALLS = 2  # enlargements of the scalings in a row below `progress` that end the search
-CLEARLY = 0.9  # share of the peak of mu at which the nominal start is preferred
-FEW_BLOCKS = 6  # above this many the direct search starts at constants fitted: from D = I the way is long
-MANY_BLOCKS = 30  # from this many on the lower bound is sought at one frequency instead of four
+FALLS = 2  # consecutive enlargements of the scalings below `PROGRESS` that end the search
+CLEARLY = 0.9  # share of the peak of mu below which the nominal start is preferred
+FEW_BLOCKS = 6  # with more blocks the direct search starts at fitted constants instead of D = I
+MANY_BLOCKS = 30  # from this number on the lower bound is computed at one frequency instead of four
 BAND_LEVEL = 0.3  # new sections are placed where mu is above this share of its peak ...
-BEYOND = 30.0  # ... and so many times beyond; larger: slower and faster sections
-LAST_CURVES = 1.5  # work kept for the end, in curves of mu ...
-CURVE_POINTS = 112  # ... of so many frequencies
+BEYOND = 30.0  # ... and up to this factor beyond; larger: slower and faster sections
+LAST_CURVES = 1.5  # work reserved for the end, in curves of mu ...
+CURVE_POINTS = 112  # ... of this number of frequencies
 PROOF_ACCURACY = 1e-3  # of the proof by intervals; smaller: more intervals
 START_POINTS = 16  # frequencies of the first loop at which mu of real blocks is computed
 ROUGH = 0.1  # share of the loop's gain that regularisation may cost while iterating; smaller: stiffer
@@ -72,15 +72,15 @@ def dk(
     effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
 ) -> DKSynthesis:
-    r"""Controller ``u = K y`` (positive feedback) that makes the peak of mu of the closed loop small.
+    r"""Compute a controller ``u = K y`` (positive feedback) with a small peak of mu of the closed loop.
 
     .. math:: \min_K \sup_\omega \mu_\Delta (F_l(P, K)(j \omega)) \le
         \min_{K, D, G} \; \beta: \; \| D_z F_l(P, K) D_w^{-1} G_M / \beta - G_N \|_\infty \le 1
 
-    Three stages, each starting from the best of the one before. *D-K iteration*: H-infinity synthesis for the scaled
-    plant in turn with fits of the scalings that are optimal at single frequencies. *Direct*: gamma as a function of the
-    scalings' own parameters is minimised, in growing order. *D-G-K*: the same with G for real blocks. Every controller
-    is judged by the loop rebuilt from it, which has to be stable, and by what its scalings prove at all frequencies.
+    Three stages, each starting from the best of the one before. *D-K iteration* alternates H-infinity synthesis for the
+    scaled plant with fits of the scalings that are optimal at single frequencies. *Direct* minimises gamma over the
+    parameters of the scalings, in growing order. *D-G-K* adds G for real blocks. Every controller is evaluated on the
+    loop rebuilt from it, which must be stable, and by the bound that its scalings prove at all frequencies.
 
     Parameters
     ----------
@@ -88,37 +88,37 @@ def dk(
         Generalised plant with inputs [w_Delta; w; u] and outputs [z_Delta; z; y]: `GeneralizedPlant`,
         StateSpaceModel, UncertainModel, or python-control object; continuous or discrete.
     blocks
-        Blocks of Delta, or rows in the notation of mussv. Where they leave some w *and* some z over, these get a full
-        complex block ``"performance"``; where they cover all w and z, they are the whole structure. None: the blocks of
-        P, an UncertainModel or a `GeneralizedPlant` made from one. A repeated scalar gets a diagonal rational D times a
-        constant triangular matrix.
+        Blocks of Delta, or rows in the notation of mussv. Where some w *and* some z belong to no block, these get a
+        full complex block ``"performance"``; where blocks cover all w and z, they are the whole structure. None: the
+        blocks of P, an UncertainModel or a `GeneralizedPlant` made from one. A repeated scalar gets a diagonal rational
+        D times a constant triangular matrix.
     n_meas, n_con
-        Numbers of measurements and controls; left out for a `GeneralizedPlant`.
+        Numbers of measurements and controls; not needed for a `GeneralizedPlant`.
     K0
-        Stabilising controller to start from (StateSpaceModel, Controller, any Synthesis); H-infinity synthesis where
-        left out.
+        Stabilising controller to start from (StateSpaceModel, Controller, any Synthesis); default: H-infinity
+        synthesis.
     direct
-        Whether to go on with direct minimisation after D-K iteration.
+        Whether direct minimisation follows D-K iteration.
     mixed
-        Whether to use that real blocks are real; False treats them as complex ones.
+        Whether to use that real blocks are real; False treats them as complex.
     max_order
-        Largest order of the controller; three times the states of P, and no less than 24 more, where left out.
+        Largest order of the controller; default: three times the states of P, at least 24 more.
     order_rel
-        The level may be so much larger (relative) than the smallest one for a controller of lower order, and then for
-        one with slower poles. 0 asks for the smallest level, whose controller is often absurdly fast.
+        Relative increase over the smallest level that is accepted for a controller of lower order, and then for one
+        with slower poles. 0 requires the smallest level, whose controller is often extremely fast.
     time_limit
-        Time in s for everything; none where left out. Where it ends the search the status is TIMEOUT.
+        Time limit in s for everything (default: none). Where it ends the search the status is TIMEOUT.
     effort
-        Multiple of the usual work (one to two minutes of one core at most). The search counts what it does, so that it
-        ends the same way everywhere; ``reason`` says where it might have gone on.
+        Multiple of the usual work (one to two minutes of one core at most). The search counts its work, so that the
+        result is the same on any machine; ``reason`` reports a search that ended early.
     progress
         Called with one line at each iterate.
 
     Returns
     -------
     DKSynthesis
-        ``gamma`` is an upper bound of mu at all frequencies: by the norm of the scaled loop, or by proved intervals
-        where these are tighter.
+        The design; ``gamma`` is an upper bound of mu at all frequencies, by the norm of the scaled loop or, where these
+        are tighter, by proved intervals.
 
     Raises
     ------
@@ -151,7 +151,7 @@ def dk(
         max_order = max(3 * n, n + 24)
     elif isinstance(max_order, bool) or not isinstance(max_order, (int, np.integer)) or max_order < n:
         raise InputError("synth dk", f"max_order is {max_order!r}", f"at least {n}, the number of states of P")
-    with one_thread(), np.errstate(over="ignore", invalid="ignore"):  # what is found is verified on its own
+    with one_thread(), np.errstate(over="ignore", invalid="ignore"):  # results are verified independently
         compile_kernels()
         search = _Search(plant, all_blocks, budget, int(max_order), mixed, progress or (lambda _: None))
         search.start(K0)
@@ -164,7 +164,7 @@ def dk(
 def structure_with_performance(
     P: Any, blocks: Any, n_meas: int | None, n_con: int | None
 ) -> tuple[GeneralizedPlant, tuple[Block, ...]]:
-    """The plant, and the structure on all of its w and z; see `dk` for the rule of the performance block."""
+    """Return the plant and the structure on all of its w and z; see `dk` for the rule of the performance block."""
     where = "synth dk"
     plant = as_generalized_plant(P, n_meas, n_con, where)
     if blocks is None:
@@ -190,7 +190,7 @@ def structure_with_performance(
 
 
 class _Search:
-    """All iterates so far; every stage adds to them."""
+    """The iterates of the search; every stage adds to them."""
 
     def __init__(
         self, plant: GeneralizedPlant, blocks: tuple[Block, ...], budget: Budget, max_order: int, mixed: bool,
@@ -202,36 +202,36 @@ class _Search:
         self.curve_work = points_work(self.real if self.mixed else self.blocks, CURVE_POINTS)
         self.search = self._until(SEARCH_END)
         self.problem = RobustProblem(plant, self.search)
-        self.max_states = max_order - plant.model.n_states  # that the scalings may have
+        self.max_states = max_order - plant.model.n_states  # of the scalings
         self.iterates: list[Iterate] = []
         self.history: list[DKStep] = []
         self.curve: MuCurve | None = None
-        self.curved: Iterate | None = None  # whose curve that is
+        self.curved: Iterate | None = None  # the iterate of that curve
         self.start_mu = float("nan")  # largest mu at single frequencies of the first iterate
 
     def _until(self, end: float) -> Budget:
-        """A budget that is over when this share of the whole is spent, and enough for a last curve of mu is left."""
+        """Return a budget up to this share of the whole, with enough work reserved for a last curve of mu."""
         end = min(end, max(1 - LAST_CURVES * self.curve_work / self.whole, LEAST_SEARCH))
         left = self.budget.left
         return self.budget.share(max(1 - (1 - end) * self.whole / left, 0.0) if left > 0 else 0.0)
 
     @property
     def late(self) -> bool:
-        """Whether the budget of this stage is over."""
         return self.problem.budget.over
 
     @property
     def best(self) -> Iterate:
-        """The iterate of smallest proved level."""
+        """Iterate of smallest proved level."""
         return min(self.iterates, key=lambda iterate: iterate.level)
 
     def start(self, K0: Any) -> None:
-        """The controller given; else that of H-infinity synthesis for the plant without scalings, or of its performance
-        channels alone (see `nominal_start`) where that one has a clearly smaller mu.
+        """Keep K0, or else the H-infinity controller of the plant without scalings, or the one of its performance
+        channels alone (see `nominal_start`) if that has a clearly smaller mu.
         """
         scalings = unit_scalings(self.blocks)
-        K = synthesize(self.plant, "hinf", 1.0, self.search.share(START_SHARE)).K if K0 is None else None
-        if K is None:
+        if K0 is None:
+            K = synthesize(self.plant, "hinf", 1.0, self.search.share(START_SHARE)).K
+        else:
             K = _controller(K0, self.plant)
         found = self.problem.proved(K, scalings, 1.0)
         if found is None and K0 is not None:
@@ -246,14 +246,14 @@ class _Search:
         other = None if K is None else self.problem.proved(K, scalings, 1.0)
         if other is None:
             return
-        before = self._followed(found)
-        if self._followed(other).peak < CLEARLY * before.peak:
+        before = self._curve(found)
+        if self._curve(other).peak < CLEARLY * before.peak:
             self._keep(other, "nominal start")
         else:
             self.curve, self.curved = before, found
 
     def alternate(self, rough: bool) -> None:
-        """D-K iteration until two in a row gain little; ``rough``: direct minimisation goes on from there."""
+        """Iterate D-K until two iterations in a row gain little; ``rough``: direct minimisation follows."""
         progress = ROUGH_PROGRESS if rough else PROGRESS
         if rough:
             self.problem.budget = self._until(CLASSICAL_END)
@@ -261,7 +261,7 @@ class _Search:
         for _ in range(ITERATIONS):
             if self.late or stuck == 2:
                 break
-            curve, before = self._followed(now), self.best.level
+            curve, before = self._curve(now), self.best.level
             scalings = self._fitted(curve, FIT_LOSS, self.problem.budget)
             refitted = self.problem.proved(now.K, scalings, now.level)
             if refitted is not None and refitted.level < before:
@@ -276,13 +276,13 @@ class _Search:
         self.problem.budget = self.search
 
     def descend(self) -> None:
-        """Direct minimisation over D in growing order, from D = I (of many blocks: the best constants) and from a fit
-        of low order; where blocks are real, then over D and G from a D of low order.
+        """Minimise directly over D in growing order, from D = I (many blocks: the best constants) and from a fit of low
+        order; for real blocks then over D and G from a D of low order.
         """
         self.problem.regularise(self.best, FINE)
         starts = [unit_scalings(self.blocks)]
         if self.curve is not None:
-            if len(self.blocks) > FEW_BLOCKS:  # the way from D = I is long then
+            if len(self.blocks) > FEW_BLOCKS:
                 starts = [self._fitted(self.curve, np.inf, self.search)]
             fitted = self._fitted(self.curve, FIRST_LOSS, self.search)
             starts += [fitted] if fitted.n_states and not self.mixed else []
@@ -292,17 +292,17 @@ class _Search:
             self._grow(scalings, "direct")
         self.problem.budget = self.search
         if self.mixed and not self.late:
-            # A rough D: that of the iterate of lowest order, or a fit to the best loop where that has fewer states.
-            fitted = self._fitted(self._followed(self.best), FIRST_LOSS, self.search)
+            # A rough D: that of the iterate of lowest order, or a fit to the best loop if that has fewer states.
+            fitted = self._fitted(self._curve(self.best), FIRST_LOSS, self.search)
             first = min(self._chosen(FIRST_LOSS).scalings, fitted, key=lambda scalings: scalings.n_states)
             self._grow(_with_g(first, self.real), "D-G-K")
 
     def _grow(self, scalings: DynamicScalings, stage: str) -> None:
-        """Minimise, enlarge the scalings, and so on, until that brings nothing."""
+        """Minimise and enlarge the scalings in turn until this gains little."""
         if self.late:
             return
         found = minimised(self.problem, scalings, self.best.level)
-        curve = self.curve or self._followed(self.best)
+        curve = self.curve or self._curve(self.best)
         # Sections are placed at frequencies (rad/s) at which mu is of the order of its peak.
         high = curve.omega[curve.levels >= BAND_LEVEL * curve.peak]
         band = float(high[0] / BEYOND), float(high[-1] * BEYOND)
@@ -311,7 +311,7 @@ class _Search:
             scalings, level = found
             if self.late and level >= self.best.level:
                 break
-            # What a minimisation reached by the end of its work is not thrown away.
+            # The result of a minimisation that ends with the budget is still used.
             iterate = (self.problem.at_level if self.late else self.problem.solve)(scalings, level)
             if iterate is not None:
                 self._keep(iterate, stage)
@@ -325,14 +325,14 @@ class _Search:
     def _fitted(self, curve: MuCurve, loss: float, budget: Budget) -> DynamicScalings:
         return fitted_scalings(curve, self.blocks, loss, self.max_states, budget)
 
-    def _followed(self, iterate: Iterate) -> MuCurve:
-        """The curve of complex mu of an iterate; it is not computed again for the same one."""
+    def _curve(self, iterate: Iterate) -> MuCurve:
+        """Return the curve of complex mu of an iterate; the last one is cached."""
         if self.curve is None or self.curved is not iterate:
             self.curve = mu_curve(iterate.loop, self.blocks, self.problem.budget)
             self.curved = iterate
             if iterate is self.iterates[0]:
                 self.start_mu = self.curve.peak
-                if self.mixed:  # the mu of real blocks where complex mu is largest
+                if self.mixed:  # mu of real blocks where complex mu is largest
                     top = np.sort(self.curve.omega[np.argsort(-self.curve.levels)[:START_POINTS]])
                     self.start_mu = mu_curve(iterate.loop, self.real, Budget(0.0), top).peak
         return self.curve
@@ -344,17 +344,17 @@ class _Search:
         self.say(f"iteration {len(self.history)} ({stage}): mu <= {iterate.level:.4f}, {iterate.K.n_states} states")
 
     def _chosen(self, order_rel: float) -> Iterate:
-        """The iterate of lowest order whose level is at most ``order_rel`` above the smallest."""
+        """Return the iterate of lowest order whose level is at most ``order_rel`` above the smallest."""
         fitting = [i for i in self.iterates if i.K.n_states <= self.max_order] or self.iterates
         limit = min(i.level for i in fitting) * (1 + order_rel)
         return min((i for i in fitting if i.level <= limit), key=lambda i: (i.K.n_states, i.level))
 
     def finished(self, order_rel: float) -> DKSynthesis:
-        """The iterate of lowest order close to the best, proved once more by intervals where these are tighter."""
-        self.problem.budget, best = self._until(SOFTENING_END), self.best
-        chosen = self.problem.softened(self._chosen(order_rel), best.level * (1 + order_rel))
+        """Return the design of the iterate of lowest order close to the best, with the tighter of two proofs."""
+        self.problem.budget, best = self._until(RELAXATION_END), self.best
+        chosen = self.problem.relaxed(self._chosen(order_rel), best.level * (1 + order_rel))
         blocks = self.real if self.mixed else self.blocks
-        # All that costs work comes before the proof by intervals, which takes whatever is left.
+        # The proof by intervals comes last: it takes the remaining budget.
         curve = self._last_curve(chosen, blocks)
         lower, delta, omega = _lower(curve, blocks, 4 if len(blocks) < MANY_BLOCKS else 1)
         loop, cover = self.plant.close(chosen.K), AxisCover()
@@ -386,7 +386,7 @@ class _Search:
         )  # fmt: skip
 
     def _last_curve(self, chosen: Iterate, blocks: tuple[Block, ...]) -> MuCurve:
-        """The curve of mu, or, where little work is left, around the peak of the scaled loop alone."""
+        """Return the curve of mu, with little work remaining only around the peak of the scaled loop."""
         peak = proved_level(chosen.loop, chosen.scalings, chosen.level)[1].frequency
         around = peak * np.geomspace(0.8, 1.25, 5) if 0 < peak < np.inf else np.array([1e-6, 1e-3, 1.0])
         if self.budget.left < 0.6 * LAST_CURVES * self.curve_work or self.budget.over:
@@ -396,7 +396,7 @@ class _Search:
 
 
 def _with_g(scalings: DynamicScalings, blocks: tuple[Block, ...]) -> DynamicScalings:
-    """The same D, with room for G at blocks that are real."""
+    """Return the same D, with a G at real blocks."""
     parts = tuple(
         replace(part, g=(part.g or (CoprimePair(),) * block.rows) if block.g_basis() else ())
         for block, part in zip(blocks, scalings.parts, strict=True)
@@ -405,7 +405,7 @@ def _with_g(scalings: DynamicScalings, blocks: tuple[Block, ...]) -> DynamicScal
 
 
 def _lower(curve: MuCurve, blocks: tuple[Block, ...], most: int) -> tuple[float, dict[str, Any], float]:
-    """Largest attained lower bound at the frequencies of the highest upper ones."""
+    """Return the largest attained lower bound at the frequencies of the largest upper bounds."""
     top = np.argsort(-curve.levels)[:most]
     found = lower_bounds(curve.response[top], blocks, restarts=4, steps=24)
     best = max(range(len(found)), key=lambda k: found[k][0])

@@ -26,13 +26,13 @@ Sections = tuple[tuple[float, ...], ...]
 
 @dataclass(frozen=True)
 class Factor:
-    """One scalar factor d(s), stable as its inverse is, by its logarithms, which are free parameters.
+    """A scalar factor d(s), stable with a stable inverse, by its logarithms, which are free parameters.
 
     ``k (s/z + 1)/(s/p + 1) prod (s^2/w_z^2 + 2 zeta_z s/w_z + 1)/(s^2/w_p^2 + 2 zeta_p s/w_p + 1)``.
     """
 
     log_gain: float = 0.0  # `log d(0)`
-    # `(log z, log p)` at most once, behind `(log w_z, log 2 zeta_z, log w_p, log 2 zeta_p)`; frequencies in rad/s.
+    # `(log w_z, log 2 zeta_z, log w_p, log 2 zeta_p)`, then at most one `(log z, log p)`; frequencies in rad/s.
     sections: Sections = ()
 
     @property
@@ -41,25 +41,25 @@ class Factor:
         return sum(map(len, self.sections)) // 2
 
     def parameters(self) -> list[float]:
-        """All logarithms in a row."""
+        """Return all logarithms in a list."""
         return [self.log_gain, *chain(*self.sections)]
 
     @property
     def inverse(self) -> Factor:
-        """1 / d(s)."""
+        """The factor 1 / d(s)."""
         swapped = tuple((*s[len(s) // 2 :], *s[: len(s) // 2]) for s in self.sections)
         return Factor(-self.log_gain, swapped)
 
     def with_parameters(self, values: Iterator[float]) -> Factor:
-        """The same form with the next numbers of ``values``."""
+        """Return a factor of the same form with the next numbers of ``values``."""
         return Factor(float(next(values)), _taken(self.sections, values))
 
     def with_section(self, log_zero: float, log_pole: float) -> Factor:
-        """One order higher: times ``(s/z + 1) / (s/p + 1)``; two sections of first order become one of second."""
+        """Multiply by ``(s/z + 1) / (s/p + 1)``; two sections of first order become one of second."""
         return replace(self, sections=_extended(self.sections, log_zero, log_pole))
 
     def log_modulus(self, omega: AnyArray) -> AnyArray:
-        """``log |d(j omega)|``, shape (n_omega,)."""
+        """Return ``log |d(j omega)|``, shape (n_omega,)."""
         result = np.full(len(omega), self.log_gain)
         for section in self.sections:
             half = len(section) // 2
@@ -77,7 +77,7 @@ def _taken(sections: Sections, values: Iterator[float]) -> Sections:
 
 @lru_cache(maxsize=4096)
 def _realised(factor: Factor) -> Realisation:
-    """States, input, output and direct term of d(s), sections in series."""
+    """Return a realisation of d(s), sections in series."""
     n = factor.order
     A, B, C, D = np.zeros((n, n)), np.zeros((n, 1)), np.zeros((1, n)), np.array([[np.exp(factor.log_gain)]])
     at = 0
@@ -114,7 +114,7 @@ def _log_modulus(values: tuple[float, ...], omega: AnyArray) -> AnyArray:
 
 @dataclass(frozen=True)
 class CoprimePair:
-    """G_M and G_N of one real channel: half the sum and the difference of two all-pass functions U and V.
+    """G_M and G_N of a real channel: half the sum and half the difference of two all-pass functions U and V.
 
     ``|G_M|^2 + |G_N|^2 = 1``, and G = G_N / G_M is imaginary on the axis; it vanishes where U = V.
     """
@@ -128,12 +128,12 @@ class CoprimePair:
         return sum(map(len, self.sections))
 
     def with_section(self, log_p: float, log_q: float) -> CoprimePair:
-        """One order higher; where p = q it leaves G as it is."""
+        """Increase the order by one; for p = q, G does not change."""
         return CoprimePair(_extended(self.sections, log_p, log_q))
 
 
 def _extended(sections: Sections, one: float, two: float) -> Sections:
-    """Sections with a pair of first-order numbers more; a pair that is there already is merged with it."""
+    """Return sections with a first-order pair more, merged with an existing first-order pair."""
     last = sections[-1] if sections else ()
     if len(last) != 2:
         return (*sections, (one, two))
@@ -148,19 +148,19 @@ def _extended(sections: Sections, one: float, two: float) -> Sections:
 class BlockScaling:
     """Scalings of one block."""
 
-    # One for a full block, one a channel for a repeated scalar, none for the block whose D is one.
+    # One for a full block, one per channel for a repeated scalar, none for the block with D = 1.
     factors: tuple[Factor, ...]
     mixing: tuple[float, ...] = ()  # of a repeated scalar D = diag(d) T: entries of the unit triangular T, row by row
-    g: tuple[CoprimePair, ...] = ()  # for each channel of a real scalar its G
+    g: tuple[CoprimePair, ...] = ()  # G for each channel of a real scalar
 
     @property
     def order(self) -> int:
-        """Orders of all factors."""
+        """Sum of the orders of all factors."""
         return sum(factor.order for factor in self.factors)
 
     @property
     def g_states(self) -> int:
-        """States of all G."""
+        """Number of states of all G."""
         return sum(pair.n_states for pair in self.g)
 
 
@@ -173,12 +173,12 @@ class DynamicScalings:
 
     @property
     def orders(self) -> tuple[int, ...]:
-        """Order of D, and of G, that each block brings."""
+        """Order of D and G of each block."""
         return tuple(part.order + part.g_states for part in self.parts)
 
     @property
     def n_states(self) -> int:
-        """Number of states that a plant gets when it is scaled."""
+        """Number of states that scaling adds to a plant."""
         return sum(
             part.order * (block.rows + block.cols if block.d_order == 1 else 2) + part.g_states
             for block, part in zip(self.blocks, self.parts, strict=True)
@@ -186,11 +186,11 @@ class DynamicScalings:
 
     @property
     def mixed(self) -> bool:
-        """Whether there is a G."""
+        """True where a G has states."""
         return any(part.g_states for part in self.parts)
 
     def parameters(self) -> AnyArray:
-        """All free parameters, shape (n_theta,)."""
+        """Return all free parameters, shape (n_theta,)."""
         values: list[float] = []
         for part in self.parts:
             values += chain(*(factor.parameters() for factor in part.factors), part.mixing)
@@ -198,7 +198,7 @@ class DynamicScalings:
         return np.array(values)
 
     def with_parameters(self, theta: AnyArray) -> DynamicScalings:
-        """The same form with other parameters."""
+        """Return scalings of the same form with other parameters."""
         values, parts = iter(theta), list[BlockScaling]()
         for part in self.parts:
             factors = tuple(factor.with_parameters(values) for factor in part.factors)
@@ -207,19 +207,15 @@ class DynamicScalings:
             parts.append(BlockScaling(factors, mixing, g))
         return replace(self, parts=tuple(parts))
 
-    def with_part(self, index: int, part: BlockScaling) -> DynamicScalings:
-        """With the scalings of one block replaced."""
-        return replace(self, parts=_put(self.parts, index, part))
-
     def enlarged(self, places: Sequence[float]) -> Iterator[DynamicScalings]:
-        """With one section more, of a factor or of a G, at each of these places."""
+        """Yield scalings with one section more, of a factor or of a G, at each of these places."""
         for i, part in enumerate(self.parts):
-            for k, factor in enumerate(part.factors):
-                for at in places:
-                    yield self.with_part(i, replace(part, factors=_put(part.factors, k, factor.with_section(at, at))))
-            for k, pair in enumerate(part.g):
-                for at in places:
-                    yield self.with_part(i, replace(part, g=_put(part.g, k, pair.with_section(at, at))))
+            for name in ("factors", "g"):
+                items = getattr(part, name)
+                for k, item in enumerate(items):
+                    for at in places:
+                        larger = replace(part, **{name: _put(items, k, item.with_section(at, at))})
+                        yield replace(self, parts=_put(self.parts, i, larger))
 
     def to_json(self) -> list[dict[str, object]]:
         return [
@@ -233,17 +229,17 @@ class DynamicScalings:
         ]
 
     def on_outputs(self) -> Realisation:
-        """``D_z(s)``, shape (p, p)."""
+        """Return ``D_z(s)``, shape (p, p)."""
         (A, B, C, D), T = self._diagonal(1), self._mixing(1)
         return Realisation(A, B @ T, C, D @ T)
 
     def on_inputs(self) -> Realisation:
-        """``D_w(s)^{-1}``, shape (q, q)."""
+        """Return ``D_w(s)^{-1}``, shape (q, q)."""
         (A, B, C, D), back = self._diagonal(0), np.linalg.inv(self._mixing(0))
         return Realisation(A, B, back @ C, back @ D)
 
     def coprime(self) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
-        """``(A, B, F, C)`` with ``G_M = I + F (sI - A)^-1 B`` (q x q) and ``G_N = C (sI - A)^-1 B`` (p x q)."""
+        """Return ``(A, B, F, C)``, ``G_M = I + F (sI - A)^-1 B`` (q x q), ``G_N = C (sI - A)^-1 B`` (p x q)."""
         q, p = structure_size(self.blocks)
         n, at = sum(part.g_states for part in self.parts), 0
         A, B, F, C = np.zeros((n, n)), np.zeros((n, q)), np.zeros((q, n)), np.zeros((p, n))
@@ -255,7 +251,7 @@ class DynamicScalings:
         return A, B, F, C
 
     def _diagonal(self, side: int) -> Realisation:
-        """The factors (on the inputs: their inverses) on their channels; one on those of blocks whose D is one."""
+        """Return the factors (on the inputs: their inverses) on their channels, 1 for blocks with D = 1."""
         size, pieces = structure_size(self.blocks)[side], list[tuple[Realisation, int]]()
         D = np.zeros((size, size))
         for block, part, where in zip(self.blocks, self.parts, block_slices(self.blocks), strict=True):
@@ -263,7 +259,7 @@ class DynamicScalings:
             if not part.factors:
                 D[channels, channels] = 1.0
                 continue
-            # The one factor of a full block comes once for every channel.
+            # The factor of a full block is repeated for every channel.
             factors = part.factors * len(channels) if block.d_order == 1 else part.factors
             made = [_realised(factor if side else factor.inverse) for factor in factors]
             pieces += zip(made, channels, strict=True)
@@ -286,7 +282,7 @@ class DynamicScalings:
 
 @lru_cache(maxsize=4096)
 def _coprime(pair: CoprimePair) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
-    """``(A, B, F, C)`` with ``G_M = 1 + F (sI - A)^-1 B`` and ``G_N = C (sI - A)^-1 B``."""
+    """Return ``(A, B, F, C)`` with ``G_M = 1 + F (sI - A)^-1 B`` and ``G_N = C (sI - A)^-1 B``."""
     halves = [[section[: len(section) // 2] for section in pair.sections]]
     halves.append([section[len(section) // 2 :] for section in pair.sections])
     (A_v, B_v, C_v), (A_u, B_u, C_u) = (_all_pass(half) for half in halves)
@@ -297,7 +293,7 @@ def _coprime(pair: CoprimePair) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]
 
 
 def _all_pass(sections: list[tuple[float, ...]]) -> tuple[AnyArray, AnyArray, AnyArray]:
-    """States, input, output of the product of ``(s - a)/(s + a)``, ``(s^2 - e s + w^2)/(s^2 + e s + w^2)``; D = 1."""
+    """Return A, B, C of the product of ``(s - a)/(s + a)``, ``(s^2 - e s + w^2)/(s^2 + e s + w^2)``; D = 1."""
     n, at = sum(map(len, sections)), 0
     A, B, C = np.zeros((n, n)), np.zeros((n, 1)), np.zeros((1, n))
     for section in sections:
@@ -312,13 +308,13 @@ def _all_pass(sections: list[tuple[float, ...]]) -> tuple[AnyArray, AnyArray, An
 
 
 def reference_block(blocks: Sequence[Block]) -> int | None:
-    """The block whose D is one: of those with a scalar D the one whose D would cost most states; None: none has one."""
+    """Return the block with D = 1: of those with a scalar D the one whose D would cost most states; None: no such."""
     scalar = [(block.rows + block.cols, i) for i, block in enumerate(blocks) if block.d_order == 1]
     return max(scalar)[1] if scalar else None
 
 
 def unit_scalings(blocks: Sequence[Block]) -> DynamicScalings:
-    """D = I, G = 0."""
+    """Return the scalings D = I, G = 0."""
     one, parts = reference_block(blocks), list[BlockScaling]()
     for i, block in enumerate(blocks):
         r = block.d_order
@@ -328,7 +324,7 @@ def unit_scalings(blocks: Sequence[Block]) -> DynamicScalings:
 
 
 def plant_at_level(p: PlantMatrices, scalings: DynamicScalings, beta: float) -> PlantMatrices:
-    """The plant with these scalings at a level; channels beyond the blocks (regularisation) get beta alone."""
+    """Return the plant with these scalings at a level; channels beyond the blocks (regularisation) get beta alone."""
     _, n_w, n_u, n_z, n_y = p.sizes
     q, r = structure_size(scalings.blocks)
     Az, Bz, Cz, Dz = _padded(scalings.on_outputs(), n_z - r)
@@ -355,7 +351,7 @@ def plant_at_level(p: PlantMatrices, scalings: DynamicScalings, beta: float) -> 
 
 
 def _padded(system: Realisation, extra: int) -> Realisation:
-    """With ``extra`` channels more that go straight through."""
+    """Return the system with ``extra`` further channels of gain 1."""
     A, B, C, D = system
     if not extra:
         return system
@@ -366,7 +362,7 @@ def _padded(system: Realisation, extra: int) -> Realisation:
 
 
 def loop_at_level(loop: StateSpaceModel, scalings: DynamicScalings, beta: float = 1.0) -> StateSpaceModel:
-    """A continuous loop, whose inputs and outputs are those of the blocks, with these scalings at a level."""
+    """Return a continuous loop on the blocks' channels with these scalings at a level."""
     none_in, none_out = np.zeros((loop.n_states, 0)), np.zeros((0, loop.n_states))
     bare = PlantMatrices(
         loop.A, loop.B, none_in, loop.C, none_out, loop.D, np.zeros((loop.n_outputs, 0)), np.zeros((0, loop.n_inputs))
@@ -378,7 +374,7 @@ def loop_at_level(loop: StateSpaceModel, scalings: DynamicScalings, beta: float 
 def proved_level(
     loop: StateSpaceModel, scalings: DynamicScalings, guess: float = 1.0, rtol: float = 1e-6
 ) -> tuple[float, HinfNorm]:
-    """Smallest beta that these scalings prove for mu of a stable continuous loop at all frequencies; inf where none."""
+    """Return the smallest bound of mu of a stable continuous loop that these scalings prove; inf: none."""
     norm = hinf_norm(loop_at_level(loop, scalings), rtol)
     if not scalings.mixed:
         return norm.upper, norm

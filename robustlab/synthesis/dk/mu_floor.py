@@ -1,4 +1,4 @@
-r"""What mu no controller can get below, and why a search ended where it did.
+r"""A lower bound of the peak of mu for every controller, and the reason why a search ended.
 
 For every full block i and constant values of the real blocks of size at most 1 / beta_0, the peak of mu is at least
 :math:`\min(\beta_0, \| T_{ii} \|_\infty)` of that member; Parrott's bound of that norm holds for every controller.
@@ -19,13 +19,13 @@ from robustlab.synthesis.problem.partition import PlantMatrices
 from robustlab.synthesis.problem.scaling import equilibrated, paths_first
 from robustlab.uncertainty.blocks import Block, block_slices
 
-NEAR = 0.01  # closer than this to a limit, or to what the search began with, counts as there
+NEAR = 0.01  # relative distance to a limit, or to the start of the search, that counts as none
 
 
 def mu_floor(
     plant: PlantMatrices, blocks: Sequence[Block], gamma: float, delta: Mapping[str, Any], dt: float = 0.0
 ) -> GammaBound:
-    """A lower bound, at most ``gamma``, of the peak of mu under every stabilising controller."""
+    """Return a lower bound, at most ``gamma``, of the peak of mu under every stabilising controller."""
     real = np.array([b.interval is not None for b in blocks])
     start = np.array([float(delta.get(b.name, 0.0)) if r else 0.0 for b, r in zip(blocks, real, strict=True)])
     best = _of_member(plant, blocks, np.zeros(len(blocks)), dt)
@@ -34,7 +34,7 @@ def mu_floor(
     largest = float(np.abs(start).max(initial=0.0))
     member = start / (gamma * largest) if largest else start
     found = _of_member(plant, blocks, member, dt)
-    for k in np.flatnonzero(real):  # one sweep over the corners next to it
+    for k in np.flatnonzero(real):  # one sweep over neighbouring corners
         for value in (1 / gamma, -1 / gamma):
             other = member.copy()
             other[k] = value
@@ -48,14 +48,14 @@ def mu_floor(
 
 
 def _of_member(plant: PlantMatrices, blocks: Sequence[Block], values: Array, dt: float) -> GammaBound:
-    """The largest bound of the blocks' own channels, the real blocks having these values."""
+    """Return the largest bound of the blocks' own channels for these values of the real blocks."""
     best = GammaBound(0.0, "no block's own channels keep mu from zero", True)
     p = _closed(plant, centre_matrix(blocks, values)) if values.any() else plant
     if p is None:
         return best
     for block, (w, z) in zip(blocks, block_slices(blocks), strict=True):
         if block.interval or (block.d_order > 1 and block.rows > 1):
-            continue  # their own mu is no norm
+            continue  # mu of these blocks is not a norm
         part = replace(p, B1=p.B1[:, w], D21=p.D21[:, w], C1=p.C1[z], D12=p.D12[z], D11=p.D11[z, w])
         bound = pointwise_bound(part, [paths_first(part), equilibrated(part)], dt)
         if bound.value > best.value:
@@ -64,7 +64,7 @@ def _of_member(plant: PlantMatrices, blocks: Sequence[Block], values: Array, dt:
 
 
 def _closed(p: PlantMatrices, delta: Array) -> PlantMatrices | None:
-    """The plant with w + delta z in place of w, without the D22 that this brings; None: ill-posed."""
+    """Return the plant with w + delta z in place of w, without the resulting D22; None: ill-posed."""
     loop = np.eye(len(p.C1)) - p.D11 @ delta
     if np.linalg.cond(loop) > 1e10:
         return None
@@ -83,13 +83,13 @@ def _closed(p: PlantMatrices, delta: Array) -> PlantMatrices | None:
 
 
 def why_not_less(smallest: float, start_mu: float, floor: float, blocks: Sequence[Block]) -> str:
-    """One sentence: what was gained over the first controller, and what ends the way down."""
+    """Return one sentence with the decrease from the first controller and the reason why mu is not smaller."""
     gained = 1 - smallest / start_mu if start_mu > 0 else 0.0
-    come = f"mu of the first controller is {start_mu:.4g}, the smallest proved {smallest:.4g}"
-    come += f" ({gained:.1%} less)" if gained > NEAR else ": D-K gains nothing over it"
+    text = f"mu of the first controller is {start_mu:.4g}, the smallest proved {smallest:.4g}"
+    text += f" ({gained:.1%} less)" if gained > NEAR else ": D-K gains nothing over it"
     if smallest <= floor * (1 + NEAR):
-        return f"{come}; it is at the limit of every controller"
+        return f"{text}; it is at the limit of every controller"
     rest = f"any controller has at least {floor:.4g}"
     if len(blocks) == 1 and not blocks[0].interval and blocks[0].d_order == 1:
-        return f"{come}; one full block: mu is the norm that H-infinity makes smallest, D has nothing to change; {rest}"
-    return f"{come}; {rest}, and what lies between is not decided: the search is local"
+        return f"{text}; one full block: mu is the norm that H-infinity makes smallest, D has nothing to change; {rest}"
+    return f"{text}; {rest}, and what lies between is not decided: the search is local"

@@ -21,23 +21,23 @@ from robustlab.synthesis.hinf.two_riccati import RiccatiPair, TwoRiccatiProblem
 from robustlab.synthesis.problem.partition import PlantMatrices, dual
 from robustlab.synthesis.problem.scaling import Scaling
 
-RESIDUAL = 1e-7  # of a solution after Newton's steps; at 1e-3 levels passed that nothing could prove
+RESIDUAL = 1e-7  # of a solution after Newton's steps; 1e-3 accepts levels without a proof
 STEP = 1e-5  # of logarithmic parameters in derivatives of the frozen forms, which are smooth
 NEGLIGIBLE = 1e-6  # eigenvalues of X Y below this share of the largest are noise
 STEEPEST = 1e6  # logarithmic derivatives beyond this are rounding
 LEVEL_RTOL = 1e-7  # of the smallest level
 MAX_TESTS = 40  # pairs of Riccati equations to bracket and find a level
-WITHIN = 0.5  # branches so far (log beta) below the level belong to the model of a step ...
-MOST = 5  # ... and at most so many; more: kinks are seen earlier, each step costs more
+WITHIN = 0.5  # distance (log beta) below the level of the branches in the model of a step ...
+MOST = 5  # ... and their largest number; more: kinks are detected earlier, each step costs more
 
-# Work of a test and of a pair of frozen forms beside that of their factorisations, as measured.
+# Measured work of a test and of a pair of frozen forms, without that of their factorisations.
 TEST_WORK, FORM_WORK = 300, 250
 
 
 @dataclass(frozen=True, eq=False)
 class _Pair:
-    """Solutions of both equations at one beta, in scaled units, with the eigenvalues of X Y over gamma^2, falling, and
-    for each the direction ``S q`` where ``Y = S S^T`` and q is a unit eigenvector of ``S^T X S``.
+    """Solutions of both equations at one beta, in scaled units, with the eigenvalues of X Y over gamma^2, descending,
+    and their directions ``S q`` where ``Y = S S^T`` and q is a unit eigenvector of ``S^T X S``.
     """
 
     X: AnyArray
@@ -65,9 +65,9 @@ class Branches:
 class Level:
     """Smallest level of given scalings."""
 
-    beta: float  # the level
-    smooth: bool  # whether it is where `rho(X Y) = 1`; else a Riccati equation loses its solution there
-    pair: _Pair  # the solutions at a level a little above
+    beta: float
+    smooth: bool  # True where `rho(X Y) = 1` there; else a Riccati equation loses its solution
+    pair: _Pair  # the solutions slightly above the level
 
 
 class LevelSearch:
@@ -77,8 +77,8 @@ class LevelSearch:
         self._plant, self.scaling, self.budget = plant, scaling, budget
 
     def smallest(self, theta: AnyArray, start: float, rtol: float = LEVEL_RTOL) -> Level | None:
-        """The smallest level near ``start``; None where none is found."""
-        high = low = None  # (log beta, log rho) with rho < 1; with rho > 1, or rho None where the test fails
+        """Return the smallest level near ``start``; None where none is found."""
+        high = low = None  # (log beta, log rho): rho < 1; rho > 1, or None where the test fails
         best: tuple[float, _Pair] | None = None
         log_beta, step = float(np.log(max(start, 1e-300))), 1e-4
         side = 0
@@ -107,7 +107,7 @@ class LevelSearch:
         return Level(best[0], low[1] is not None, best[1])
 
     def branches(self, theta: AnyArray, level: Level) -> Branches | None:
-        """The largest eigenvalues of X Y, at and little below the level, by theta; None: no smooth level."""
+        """Return the largest eigenvalues of X Y at and slightly below the level by theta; None: no smooth level."""
         if not level.smooth:
             return None
         n, step = len(self.scaling.states), STEP
@@ -128,18 +128,17 @@ class LevelSearch:
             e[i] = step
             slopes[:, i] = (forms(theta + e, log_beta) - forms(theta - e, log_beta)) / (2 * step)
         relative = slopes[kept] / -slope[kept, None]
-        # An eigenvalue at the level of rounding has no derivative worth the name.
         sound = np.abs(relative).max(axis=1, initial=0.0) < STEEPEST
         found = Branches(log_beta + below[kept][sound] - below[0], relative[sound])
         return found if len(sound) and sound[0] else None
 
     def controller(self, theta: AnyArray, beta: float) -> StateSpaceModel | None:
-        """The central controller at this level, for the plant without D22; None where there is none."""
+        """Return the central controller at this level for the plant without D22; None where there is none."""
         try:
             pair = self._test(theta, beta)
             if pair is None or pair.coupling >= 1:
                 return None
-            # X and Y belong to the states alone, whatever the coordinates of w, z, u, y.
+            # X and Y do not depend on the coordinates of w, z, u, y.
             solved = RiccatiPair(self.scaling.gain, pair.X, pair.Y, pair.coupling)
             K = TwoRiccatiProblem(self._scaled(theta, beta), False, self.budget).central_controller(solved)
             return StateSpaceModel(*self.scaling.controller_to_plant(K))
@@ -166,7 +165,7 @@ class LevelSearch:
         return _Pair(X, F, Y, L, np.maximum(values, 1e-300), root @ vectors)
 
     def _solution(self, p: PlantMatrices) -> tuple[AnyArray, AnyArray] | None:
-        """Stabilising positive semidefinite solution and its gain; None where R or X has the wrong signs."""
+        """Return the stabilising positive semidefinite solution and its gain; None where R or X has wrong signs."""
         A, B, Q, R, S, n_w = _quadratic(p, self.scaling.gain)
         if int((np.linalg.eigvalsh(R) < 0).sum()) != n_w:
             return None
@@ -181,15 +180,15 @@ class LevelSearch:
         return found.X, found.gain
 
     def _frozen(self, theta: AnyArray, level: Level) -> Callable[[AnyArray, float], AnyArray]:
-        """``tr(V_X M_X) + tr(V_Y M_Y)`` of each eigenvalue with X, Y, V fixed: its derivatives are those of rho."""
+        """Return ``tr(V_X M_X) + tr(V_Y M_Y)`` of each eigenvalue for fixed X, Y, V, which has the slopes of rho."""
         pair, gain = level.pair, self.scaling.gain
         p = self._scaled(theta, level.beta)
         A_X, A_Y = p.A + np.hstack([p.B1, p.B2]) @ pair.F, p.A.T + np.vstack([p.C1, p.C2]).T @ pair.L
         weights = []
         for rho, direction in zip(pair.eigenvalues[:MOST], pair.directions.T, strict=False):
             # With Y = S S^T and q an eigenvector of S^T X S: u = X S q, Y u = rho S q, u^T Y u = rho^2.
-            seen = pair.X @ direction / np.sqrt(rho * gain**2)
-            weights.append((_adjoint(A_X, pair.F, direction), _adjoint(A_Y, pair.L, seen)))
+            dual_direction = pair.X @ direction / np.sqrt(rho * gain**2)
+            weights.append((_adjoint(A_X, pair.F, direction), _adjoint(A_Y, pair.L, dual_direction)))
 
         def value(at: AnyArray, log_beta: float) -> AnyArray:
             q = self._scaled(at, float(np.exp(log_beta)))
@@ -200,7 +199,7 @@ class LevelSearch:
 
 
 def _root(Y: AnyArray) -> AnyArray:
-    """S with ``Y = S S^T``, by way of a unit diagonal: entries of Y of very different size keep their digits."""
+    """Return S with ``Y = S S^T``, through a unit diagonal so that entries of any size keep their digits."""
     size = np.sqrt(np.maximum(np.diag(Y), 0.0))
     back = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
     values, vectors = np.linalg.eigh(back[:, None] * Y * back)
@@ -208,7 +207,7 @@ def _root(Y: AnyArray) -> AnyArray:
 
 
 def _quadratic(p: PlantMatrices, gamma: float) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray, AnyArray, int]:
-    """A, B, Q, R, S of the state-feedback Riccati equation at gamma, and the number of disturbances."""
+    """Return A, B, Q, R, S of the state-feedback Riccati equation at gamma, and the number of disturbances."""
     B, row = np.hstack([p.B1, p.B2]), np.hstack([p.D11, p.D12])
     n_w = p.B1.shape[1]
     R = row.T @ row
@@ -217,11 +216,11 @@ def _quadratic(p: PlantMatrices, gamma: float) -> tuple[AnyArray, AnyArray, AnyA
 
 
 def _adjoint(closed: AnyArray, gain: AnyArray, direction: AnyArray) -> AnyArray:
-    """``[I; F] Lambda [I F^T]`` with ``A_X Lambda + Lambda A_X^T + d d^T = 0``."""
+    """Return ``[I; F] Lambda [I F^T]`` with ``A_X Lambda + Lambda A_X^T + d d^T = 0``."""
     from scipy.linalg import solve_continuous_lyapunov
 
     with warnings.catch_warnings():
-        # Eigenvalues that nearly mirror each other: slopes that are rounding are left out by their size.
+        # For eigenvalues close to mirror images; slopes dominated by rounding are removed by their size.
         warnings.simplefilter("ignore", RuntimeWarning)
         weight = solve_continuous_lyapunov(closed, -np.outer(direction, direction))
     tall = np.vstack([np.eye(len(closed)), gain])
@@ -229,19 +228,19 @@ def _adjoint(closed: AnyArray, gain: AnyArray, direction: AnyArray) -> AnyArray:
 
 
 def _form(p: PlantMatrices, X: AnyArray, gamma: float) -> AnyArray:
-    """``[A^T X + X A + Q, X B + S; ., R]``, symmetric."""
+    """Return the symmetric ``[A^T X + X A + Q, X B + S; ., R]``."""
     A, B, Q, R, S, _ = _quadratic(p, gamma)
     drift, cross = X @ A, X @ B + S
     return np.block([[drift + drift.T + Q, cross], [cross.T, R]])
 
 
 def _halved(end: tuple[float, float | None], again: bool) -> tuple[float, float | None]:
-    """Illinois: the end that was kept twice counts half."""
+    """Return an end of the bracket, its value halved where it is kept again (Illinois rule)."""
     return (end[0], 0.5 * end[1]) if again and end[1] is not None else end
 
 
 def _next(low: tuple[float, float | None], high: tuple[float, float | None], rtol: float) -> float:
-    """False position between a level that is too small and one that is not; the middle where rho is not known."""
+    """Return the false position between a level that is too small and one that is not; the middle for unknown rho."""
     (a, f), (b, g) = low, high
     if f is None or g is None or f <= 0:
         return 0.5 * (a + b)

@@ -1,4 +1,4 @@
-"""A robust-performance problem: its first controller, and controllers solved for given scalings, closed and proved."""
+"""A robust-performance problem: its first controller, and controllers for given scalings with their proofs."""
 
 from __future__ import annotations
 
@@ -28,26 +28,26 @@ from robustlab.uncertainty.blocks import Block
 from robustlab.verification.checker import check
 from robustlab.verification.claim import Outcome
 
-# A central controller at the smallest level itself is ill-conditioned: the level is backed off by these shares
-# until the proof agrees. The last ones are for plants of such spread that digits are lost in the controller.
+# The central controller at the smallest level is ill-conditioned: the level is increased by these shares until the
+# proof succeeds. The last ones are for badly scaled plants, where the controller loses digits.
 BACKOFF = (1e-4, 1e-3, 1e-2, 5e-2, 0.1, 0.2, 0.3, 0.4, 0.6, 1.0)
 ACCEPTED = 1e-2  # loss against the Riccati level above which the other numerical scaling is tried as well
-SOFTER = (0.999, 0.8, 0.5)  # shares (of a logarithm) of the slack for slower controllers
-CALMEST = 4  # so many of the slowest controllers found are tried
+SLACK_SHARES = (0.999, 0.8, 0.5)  # shares (of a logarithm) of the slack for slower controllers
+SLOWEST = 4  # number of the slowest controllers that are tried
 REGULAR = 1e-6  # D12, D21 below this size in scaled units need regularisation
-STATE_SHARE = 0.3  # of it for penalties and noises on the states
-NOMINAL_SHARE = 0.03  # disturbance on the control of the nominal start, of what the control does without it
-NOMINAL_GAMMA_REL = 1.1  # factor above the smallest gamma that the nominal start's controllers may cost
-AXIS_EFFORT = 1500  # of the checker for mu by intervals: some seconds
-BELOW_ONE = 1 - 2e-6  # a level that is claimed to a millionth, so that it is below one
+STATE_SHARE = 0.3  # share of the regularisation for penalties and noises on the states
+NOMINAL_SHARE = 0.03  # disturbance on the control of the nominal start, relative to the control without it
+NOMINAL_GAMMA_REL = 1.1  # gamma of the nominal start's controllers relative to the smallest
+AXIS_EFFORT = 1500  # effort of the checker for mu by intervals: some seconds
+BELOW_ONE = 1 - 2e-6  # a level claimed to a millionth, below one
 NOMINAL_POINTS = 80  # frequencies for the size of that control
 
 
 def nominal_start(plant: GeneralizedPlant, n_w: int, n_z: int, budget: Budget) -> StateSpaceModel | None:
-    """H-infinity controller of the last ``n_w`` w and ``n_z`` z with a small disturbance on every control.
+    """Return an H-infinity controller of the last ``n_w`` w and ``n_z`` z with a small disturbance on every control.
 
-    The nominal problem has the units of the specifications, but where nothing in it disturbs the plant its best
-    controller is little more than a feedforward. None where no controller was verified, or the control does nothing.
+    The nominal problem has the units of the specifications, but without a disturbance of the plant its optimal
+    controller is almost a feedforward. None where no controller was verified, or the control is zero.
     """
     m, n_u, n_y = plant.model, plant.n_con, plant.n_meas
     into = np.arange(m.n_inputs - n_u - n_w, m.n_inputs)
@@ -58,8 +58,8 @@ def nominal_start(plant: GeneralizedPlant, n_w: int, n_z: int, budget: Budget) -
         K = synthesize(bare, "hinf", NOMINAL_GAMMA_REL, budget.share(0.5)).K
         # From all w to the controls.
         rows, direct = np.vstack([np.zeros((n_u, len(m.A))), C[n_z:]]), np.eye(n_u, n_w + n_u, n_w)
-        seen = StateSpaceModel(m.A, B, rows, np.vstack([direct, D[n_z:]]), m.dt)
-        loop = lower_lft(seen, StateSpaceModel(K.A, K.B, K.C, K.D, K.dt))
+        control = StateSpaceModel(m.A, B, rows, np.vstack([direct, D[n_z:]]), m.dt)
+        loop = lower_lft(control, StateSpaceModel(K.A, K.B, K.C, K.D, K.dt))
         gains = np.linalg.norm(frequency_response(loop, default_grid(loop, NOMINAL_POINTS)), axis=2)
         size = NOMINAL_SHARE * gains.max(axis=0)
         if not (np.isfinite(size).all() and size.any()):
@@ -67,18 +67,18 @@ def nominal_start(plant: GeneralizedPlant, n_w: int, n_z: int, budget: Budget) -
         wide, direct = np.hstack([B[:, n_w:] * size, B]), np.hstack([D[:, n_w:] * size, D])
         disturbed = GeneralizedPlant(StateSpaceModel(m.A, wide, C, direct, m.dt), n_y, n_u)
         return synthesize(disturbed, "hinf", NOMINAL_GAMMA_REL, budget).K
-    except (InputError, NoTrustworthyNumber, np.linalg.LinAlgError):  # entries overflow, or nothing was verified
+    except (InputError, NoTrustworthyNumber, np.linalg.LinAlgError):  # overflow, or no verified design
         return None
 
 
 @dataclass(frozen=True, eq=False)
 class Iterate:
-    """A controller with what its scalings prove."""
+    """A controller with the level that its scalings prove."""
 
-    K: StateSpaceModel  # in the units and the time domain of the plant as given, D22 included
-    loop: StateSpaceModel  # the closed loop rebuilt with it, mapped to continuous time where the plant is discrete
+    K: StateSpaceModel  # for the given plant, D22 included
+    loop: StateSpaceModel  # the closed loop rebuilt from it, mapped to continuous time where the plant is discrete
     scalings: DynamicScalings  # D, G whose scaled loop proves `level`
-    level: float  # mu of the loop is at most this, at all frequencies
+    level: float  # upper bound of mu at all frequencies
 
     @property
     def pace(self) -> float:
@@ -87,7 +87,7 @@ class Iterate:
 
 
 class DKProof(NamedTuple):
-    """A level of mu, the intervals that prove it (none: the scaled loop's norm), and why it is not proved."""
+    """A level of mu, the intervals that prove it (none: the scaled loop's norm), and the reason of a failed proof."""
 
     gamma: float
     pieces: tuple[Piece, ...]
@@ -110,7 +110,7 @@ class RobustProblem:
         self._regular = bool(min(u_size, y_size) > REGULAR)
 
     def search(self, scalings: DynamicScalings, alternative: bool = False) -> LevelSearch:
-        """Search for the smallest level of scalings of this form; ``alternative``: with another numerical scaling."""
+        """Return the level search of scalings of this form; ``alternative``: with the other numerical scaling."""
 
         def at(theta: AnyArray, beta: float) -> PlantMatrices:
             return plant_at_level(self.matrices, scalings.with_parameters(theta), beta)
@@ -120,7 +120,7 @@ class RobustProblem:
         return LevelSearch(at, units, self.budget)
 
     def solve(self, scalings: DynamicScalings, start: float) -> Iterate | None:
-        """The controller of smallest proved level for given scalings; None where none was found."""
+        """Return the controller of smallest proved level for given scalings; None where none was found."""
         best: Iterate | None = None
         for alternative in (False, True):
             search = self.search(scalings, alternative)
@@ -135,17 +135,17 @@ class RobustProblem:
         return best
 
     def at_level(self, scalings: DynamicScalings, beta: float) -> Iterate | None:
-        """The controller at a level that is known to be the smallest one of these scalings; does not ask the budget."""
+        """Return the controller at the known smallest level of these scalings, whatever the budget."""
         return self._backed_off(self.search(scalings), scalings, beta, 3)
 
     def _backed_off(
         self, search: LevelSearch, scalings: DynamicScalings, beta: float, most: int | None = None
     ) -> Iterate | None:
-        """The controller of smallest proved level among those a little above the level ``beta``."""
+        """Return the controller of smallest proved level among those a little above the level ``beta``."""
         best: Iterate | None = None
         for share in BACKOFF[:most]:
             if best is not None and best.level <= beta * (1 + share):
-                break  # a higher level promises nothing better
+                break
             K = search.controller(scalings.parameters(), beta * (1 + share))
             found = None if K is None else self.closed(K, scalings, beta)
             if found is not None and (best is None or found.level < best.level):
@@ -154,14 +154,14 @@ class RobustProblem:
                 break
         return best
 
-    def softened(self, iterate: Iterate, limit: float) -> Iterate:
-        """The same scalings with the controller of slowest poles whose proved level is at most ``limit``."""
-        if not iterate.level:  # a static loop that lets nothing through
+    def relaxed(self, iterate: Iterate, limit: float) -> Iterate:
+        """Return the same scalings with the controller of slowest poles whose proved level is at most ``limit``."""
+        if not iterate.level:  # the loop is zero
             return iterate
         search = self.search(iterate.scalings)
         theta = iterate.scalings.parameters()
         best, middle = iterate, None
-        for share in SOFTER:
+        for share in SLACK_SHARES:
             K = search.controller(theta, iterate.level * (limit / iterate.level) ** share)
             middle = K if K is not None else middle
             best = self._slower(K, best, limit)
@@ -172,18 +172,18 @@ class RobustProblem:
         start = trials.adopt(Realisation(middle.A, middle.B, middle.C, middle.D))
         if start is not None:
             soften(trials, start, 1.0)
-        calm = sorted((c for c in trials.candidates if c.gamma <= 1.0), key=lambda c: c.pace)
-        for candidate in calm[:CALMEST]:
+        slow = sorted((c for c in trials.candidates if c.gamma <= 1.0), key=lambda c: c.pace)
+        for candidate in slow[:SLOWEST]:
             best = self._slower(StateSpaceModel(*candidate.K), best, limit)
         return best
 
     def _slower(self, K: StateSpaceModel | None, best: Iterate, limit: float) -> Iterate:
-        """The controller in place of the best one where it is slower and proves the limit."""
+        """Return the iterate of K if it is slower than the best one and proves the limit, else the best one."""
         found = None if K is None or self.budget.over else self.closed(K, best.scalings, best.level)
         return found if found is not None and found.level <= limit and found.pace < best.pace else best
 
     def closed(self, K: StateSpaceModel, scalings: DynamicScalings, guess: float) -> Iterate | None:
-        """A controller for the continuous plant without D22 as an iterate; None where its loop is not stable."""
+        """Return the iterate of a controller for the continuous plant without D22; None where it is unstable."""
         try:
             full = with_direct_term(K, self._continuous.D22)
             if self.plant.model.is_discrete:
@@ -193,7 +193,7 @@ class RobustProblem:
         return self.proved(full, scalings, guess)
 
     def proved(self, K: StateSpaceModel, scalings: DynamicScalings, guess: float) -> Iterate | None:
-        """A controller for the plant as given as an iterate; None where its loop is not stable or nothing is proved."""
+        """Return the iterate of a controller for the given plant; None where it is unstable or proves no level."""
         try:
             K = named_controller(K, self.plant.measurements, self.plant.controls, K.dt)
             loop = self.plant.close(K)
@@ -207,7 +207,7 @@ class RobustProblem:
         return Iterate(K, loop, scalings, level) if np.isfinite(level) else None
 
     def certified(self, iterate: Iterate, blocks: tuple[Block, ...], cover: AxisCover) -> DKProof:
-        """What the checker proves of mu: the level of the cover's intervals, or else that of the iterate's scalings."""
+        """Prove mu by the checker: the level of the cover's intervals, or else that of the iterate's scalings."""
         plant, K, doubt, best = self.plant, iterate.K, "", iterate.level
         if cover.pieces and not cover.open and cover.beta < iterate.level:
             best, doubt = cover.beta, "pieces of the proof could not be joined"
@@ -216,27 +216,27 @@ class RobustProblem:
                 if found.outcome is Outcome.PROVED:
                     return DKProof(cover.beta, tuple(cover.pieces), "")
                 doubt = f"not proved in ball arithmetic of P and K as they are: {found.where}"
-        # The norm of the scaled loop: with G at a level a little higher, where it is below one, without it at one.
+        # The norm of the scaled loop: with G at a slightly higher level, where it is below one; without G at level one.
         mixed = iterate.scalings.mixed
         beta = iterate.level * (1 + SHARES[0]) if mixed else 1.0
         scaled, mapped = self._scaled(iterate.scalings, beta), _mapped(K)
         proof = certified(scaled, mapped, hinf_norm(scaled.close(mapped)), BELOW_ONE if mixed else None)
-        left = proof.doubt
-        if plant.model.is_discrete:  # the image of K is another one by the rounding of the map
-            left = left or certified(plant, K, hinf_norm(plant.close(K))).doubt
-        if not left:
+        open_doubt = proof.doubt
+        if plant.model.is_discrete:  # the image of K differs from K by the rounding of the map
+            open_doubt = open_doubt or certified(plant, K, hinf_norm(plant.close(K))).doubt
+        if not open_doubt:
             return DKProof(beta * max(proof.gamma, 1.0) if mixed else proof.gamma, (), "")
-        return DKProof(max(best, beta * proof.gamma), (), left or doubt)
+        return DKProof(max(best, beta * proof.gamma), (), open_doubt or doubt)
 
     def _scaled(self, scalings: DynamicScalings, beta: float) -> GeneralizedPlant:
-        """The scaled plant, D22 included."""
+        """Return the scaled plant, D22 included."""
         model = plant_at_level(self.bare, scalings, beta).model()
         D, D22 = model.D.copy(), self._continuous.D22
         D[D.shape[0] - D22.shape[0] :, D.shape[1] - D22.shape[1] :] = D22
         return GeneralizedPlant(StateSpaceModel(model.A, model.B, model.C, D), self.plant.n_meas, self.plant.n_con)
 
     def regularise(self, iterate: Iterate, share: float) -> None:
-        """Add weak penalties on u and x and noises on y and x where the plant is singular for the Riccati equations."""
+        """Add weak penalties on u and x and noises on y and x if the plant is singular for the Riccati equations."""
         if self._regular:
             return
         self.budget.spend(dense(iterate.loop.n_states + iterate.scalings.n_states, 4))
@@ -244,20 +244,19 @@ class RobustProblem:
         out, into = 1 / self.scale.states, self.scale.states * self.scale.rate
         try:
             wide = plant_at_level(self.bare.with_channels(1.0, 1.0, out, into), iterate.scalings, 1.0)
-            K = with_direct_term(_mapped(iterate.K), -self._continuous.D22)  # taken out again
+            K = with_direct_term(_mapped(iterate.K), -self._continuous.D22)
         except (InputError, NoTrustworthyNumber):
             return
         gains = channel_gains(trial_loop(wide, Realisation.of(K)), self.bare.sizes)
         if gains is None:
             return
-        # Each channel gets about this share of the gain of the scaled loop: the smallest level rises by its square.
+        # Each channel gets about this share of the gain of the scaled loop; the smallest level rises by its square.
         level = share * iterate.level
-        u, y, x_out, x_in = (level / np.maximum(g, level) for g in gains)  # none heavier than one in these units
+        u, y, x_out, x_in = (level / np.maximum(g, level) for g in gains)  # at most one
         self.matrices = self.bare.with_channels(
             u / np.sqrt(n_u), y / np.sqrt(n_y), STATE_SHARE * x_out * out, STATE_SHARE * x_in * into
         )
 
 
 def _mapped(model: StateSpaceModel) -> StateSpaceModel:
-    """In continuous time."""
     return bilinear_to_continuous(model) if model.is_discrete else model

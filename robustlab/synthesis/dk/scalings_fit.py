@@ -1,4 +1,4 @@
-"""Optimal scalings of a closed loop at single frequencies, and rational ones of low order that come close to them."""
+"""Optimal scalings of a closed loop at single frequencies, and fits of them by rational ones of low order."""
 
 from __future__ import annotations
 
@@ -22,29 +22,29 @@ from robustlab.synthesis.dk.dynamic_scalings import (
 )
 from robustlab.uncertainty.blocks import Block, block_slices
 
-FIRST_POINTS = 40  # frequencies before any is added
+FIRST_POINTS = 40  # frequencies of the first grid
 ROUNDS = 3  # rounds of refinement ...
 ADDED = 24  # ... and frequencies added in each; more: fewer peaks missed, more work
-CHUNK = 8  # frequencies between two looks at the budget
+CHUNK = 8  # frequencies between two checks of the budget
 MU_TOLERANCE = 1e-4  # of the upper bounds
 MAX_FACTOR_ORDER = 5  # of one factor of D
-SHARPNESS = 24  # exponent of the mean that stands for the peak: smaller rewards lowering other peaks too
-ROOM = 0.1  # error of log d at the peak that counts as one where mu is lower by e; larger: even weights
-TRIED = 6  # factors tried in a round, those whose fit is worst
-COUNTED = 0.04  # zeros and poles lie where the weight is above this share of the largest one ...
-REACH = 2.3  # ... and so far (logarithm) beyond: farther ones cost the synthesis digits, bring nothing
+SHARPNESS = 24  # exponent of the power mean that approximates the peak; smaller: other peaks count more
+LOG_ERROR = 0.1  # error of log d at the peak that counts as one where mu is lower by e; larger: even weights
+TRIED = 6  # worst-fitted factors tried in a round
+COUNTED = 0.04  # zeros and poles are placed where the weight is above this share of the largest ...
+REACH = 2.3  # ... and up to this logarithmic distance beyond: others cost the synthesis digits without gain
 FIT_EVALUATIONS = 60  # of one least-squares fit
 
-FIT_WORK = 6000  # of a fit of first order, as measured; it rises with the square of the order
+FIT_WORK = 6000  # measured, of a fit of first order; it rises with the square of the order
 
 
 @dataclass(frozen=True, eq=False)
 class MuCurve:
     """Upper bounds of mu with their D, G at frequencies in rad/s."""
 
-    omega: AnyArray  # frequencies, shape (n_omega,), rising
-    response: AnyArray  # the loop there, shape (n_omega, p, q)
-    bounds: tuple[UpperBound, ...]  # the bounds there
+    omega: AnyArray  # ascending frequencies, shape (n_omega,)
+    response: AnyArray  # frequency response of the loop, shape (n_omega, p, q)
+    bounds: tuple[UpperBound, ...]
 
     @property
     def levels(self) -> AnyArray:
@@ -53,20 +53,20 @@ class MuCurve:
 
     @property
     def peak(self) -> float:
-        """The largest of them: not a bound between the frequencies."""
+        """The largest upper bound; not a bound between the frequencies."""
         return float(self.levels.max(initial=0.0))
 
 
 def as_complex(blocks: Sequence[Block]) -> tuple[Block, ...]:
-    """The same structure with complex instead of real scalars: what D alone can prove."""
+    """Return the structure with complex instead of real scalars, as for scalings without G."""
     return tuple(b.as_complex() for b in blocks)
 
 
 def mu_curve(loop: StateSpaceModel, blocks: Sequence[Block], budget: Budget, first: AnyArray | None = None) -> MuCurve:
-    """The curve of a stable continuous loop on frequencies that follow it."""
-    # Round by round the middles of the intervals in which mu is close to its peak or D changes most.
+    """Return the curve of a stable continuous loop on adaptive frequencies."""
+    # Each round adds the middles of the intervals in which mu is close to its peak or D changes most.
     grid = default_grid(loop, FIRST_POINTS, 1.0) if first is None else first
-    # Every so-many-th frequency first, as far as the budget goes.
+    # Interleaved, so that a small budget covers the whole axis.
     stride = max(1, len(grid) // CHUNK)
     order = np.concatenate([np.arange(start, len(grid), stride) for start in range(stride)])
     curve = _extended(None, loop, blocks, grid[order], budget)
@@ -90,7 +90,7 @@ def mu_curve(loop: StateSpaceModel, blocks: Sequence[Block], budget: Budget, fir
 def _extended(
     curve: MuCurve | None, loop: StateSpaceModel, blocks: Sequence[Block], omega: AnyArray, budget: Budget
 ) -> MuCurve:
-    """With the first of these frequencies, as far as the budget goes; some of them always."""
+    """Return the curve extended by these frequencies as far as the budget allows, at least by the first ones."""
     responses, bounds = ([], []) if curve is None else ([curve.response], list(curve.bounds))
     known = np.zeros(0) if curve is None else curve.omega
     done = 0
@@ -108,9 +108,9 @@ def _extended(
 def fitted_scalings(
     curve: MuCurve, blocks: Sequence[Block], loss: float, max_states: int, budget: Budget
 ) -> DynamicScalings:
-    """D(s) whose scaled peak on the curve's frequencies is at most ``1 + loss`` times the largest mu, if it can be."""
-    # A factor may be off by as much (in logarithms) as mu lies below its peak.
-    weights = ROOM / (ROOM + np.log(max(curve.peak, 1e-300) / np.maximum(curve.levels, 1e-300)))
+    """Return D(s) with a scaled peak on the curve of at most ``1 + loss`` times the largest mu, if possible."""
+    # The allowed logarithmic error of a factor grows with the distance of mu from its peak.
+    weights = LOG_ERROR / (LOG_ERROR + np.log(max(curve.peak, 1e-300) / np.maximum(curve.levels, 1e-300)))
     targets, mixings = _targets(curve, blocks)
     unit, slots = unit_scalings(blocks), [(i, k) for i, some in enumerate(targets) for k in range(len(some))]
 
@@ -136,7 +136,7 @@ def fitted_scalings(
     while peak > curve.peak * (1 + loss) and not budget.over:
         worst = sorted(range(len(slots)), key=error, reverse=True)[:TRIED]
         single = [tuple(order + (j == k) for k, order in enumerate(orders)) for j in worst]
-        # One order more where that lowers the peaks most for its states; where none does, of every factor.
+        # Raise the order where this lowers the peaks most per state; if no factor does, raise all orders.
         for trials in (single, [tuple(order + 1 for order in orders)]):
             best: tuple[float, float, float, tuple[int, ...], DynamicScalings] | None = None
             for more in trials:
@@ -157,7 +157,7 @@ def fitted_scalings(
 
 
 def _score(curve: MuCurve, scalings: DynamicScalings) -> tuple[float, float]:
-    """Logarithm of a power mean of the peaks ``sigma_max(D_z M D_w^{-1})`` over frequency, and the largest peak."""
+    """Return the log power mean of the peaks ``sigma_max(D_z M D_w^{-1})`` over frequency, and the largest peak."""
     left = frequency_response(StateSpaceModel(*scalings.on_outputs()), curve.omega)
     right = frequency_response(StateSpaceModel(*scalings.on_inputs()), curve.omega)
     peaks = np.linalg.svd(left @ curve.response @ right, compute_uv=False)[:, 0]
@@ -166,14 +166,14 @@ def _score(curve: MuCurve, scalings: DynamicScalings) -> tuple[float, float]:
 
 
 def _fit_factor(omega: AnyArray, log_d: AnyArray, weights: AnyArray, before: Factor | None) -> Factor:
-    """Factor with ``log |d(j omega)|`` close to the given values, by weighted least squares."""
+    """Fit a factor to ``log |d(j omega)|`` by weighted least squares."""
     from scipy.optimize import least_squares
 
     if before is None:
         return Factor(float(np.average(log_d, weights=weights)))
     log_omega = np.log(omega)
-    heard = log_omega[weights > COUNTED * weights.max()]
-    low, high = heard[0] - REACH, heard[-1] + REACH
+    relevant = log_omega[weights > COUNTED * weights.max()]
+    low, high = relevant[0] - REACH, relevant[-1] + REACH
     error = weights * (log_d - before.log_modulus(omega))
     best: tuple[float, Factor] | None = None
     for at in (float(log_omega[np.argmax(np.abs(error))]), float(log_omega.mean())):
@@ -192,7 +192,7 @@ def _fit_factor(omega: AnyArray, log_d: AnyArray, weights: AnyArray, before: Fac
 
 
 def _bounds(factor: Factor, low: float, high: float) -> tuple[AnyArray, AnyArray]:
-    """Frequencies within reach of the data, damping between 0.02 and 50."""
+    """Return bounds of a factor's parameters: frequencies near the data, damping between 0.02 and 50."""
     bottom, top = [-60.0], [60.0]
     for section in factor.sections:
         half = [low, -3.2][: len(section) // 2], [high, 4.6][: len(section) // 2]
@@ -202,7 +202,7 @@ def _bounds(factor: Factor, low: float, high: float) -> tuple[AnyArray, AnyArray
 
 
 def _targets(curve: MuCurve, blocks: Sequence[Block]) -> tuple[list[list[AnyArray]], list[tuple[float, ...]]]:
-    """For each block its ``log d(omega)`` a factor, and the constant mixing of a repeated scalar."""
+    """Return ``log d(omega)`` of each block's factors, and the constant mixing of a repeated scalar."""
     one = reference_block(blocks)
     slices = block_slices(blocks)
     D = np.stack([bound.Dw for bound in curve.bounds])

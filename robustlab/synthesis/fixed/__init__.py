@@ -1,1 +1,1 @@
-"""Controllers of fixed structure or order, for one plant, several, an uncertain set, or goals."""
+"""Controllers of fixed structure or order, for one plant, several plants, an uncertain set, or goals."""

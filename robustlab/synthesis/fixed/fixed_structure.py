@@ -1,6 +1,6 @@
 """Controllers of a fixed structure or order: the parameters of smallest verified norm.
 
-For one plant, for several at once, or for the worst member of an uncertain one: scenarios are added where that is.
+For one plant, several at once, or the worst member of an uncertain plant, by adding scenarios at worst cases.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, one_thread
+from robustlab.checks import whole
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
 from robustlab.mu_analysis.axis.margin import WorstCaseGain
 from robustlab.mu_analysis.axis.robustness import gain_within
@@ -37,16 +38,17 @@ from robustlab.uncertainty.realised_delta import realise_delta
 
 WHERE = "synth fixed"
 WORK = 60 * MILLION  # of a design at effort 1
-VERIFIED = 4  # candidates, best first; the optimiser's own norm is not a proof. More: slower, seldom better
-ROUNDS = 12  # scenarios, at most
-ENOUGH = 1.01  # worst-case gain over the scenarios' gain at which these count as enough. Smaller: more rounds
-DESIGN_SHARE, SEARCH_SHARE = 0.5, 0.3  # of the work that remains: for one design, for one worst member with its proof
-KEPT = 1e-9  # share up to which a limit counts as kept: the search stays strictly inside
+VERIFIED = 4  # best candidates that are verified: the norm of the search is not a proof. More: slower, seldom better
+ROUNDS = 12  # most scenarios
+ENOUGH = 1.01  # ratio of the worst-case gain to the scenarios' gain that ends the rounds. Smaller: more rounds
+DESIGN_SHARE, SEARCH_SHARE = 0.5, 0.3  # of the remaining work: for one design, for one worst member with its proof
+KEPT = 1e-9  # largest value at which a limit counts as kept: the search stays strictly inside
+MOST_STARTS = 10000  # largest number of random starts
 
 
 @dataclass(frozen=True)
 class ParameterValue:
-    """A parameter of the controller: name, value, unit, bounds, and whether it lies at one of them."""
+    """A parameter of the controller with its value and bounds."""
 
     name: str
     value: float
@@ -56,7 +58,7 @@ class ParameterValue:
 
     @property
     def at_bound(self) -> bool:
-        """True within 0.2 % of the range (of its own size, with one bound) from a bound."""
+        """True within 0.2 % of the range (with one bound: of its own size) from a bound."""
         if self.low == self.high:
             return False
         width = self.high - self.low if abs(self.low) + abs(self.high) < float("inf") else max(abs(self.value), 1e-300)
@@ -68,14 +70,14 @@ class ParameterValue:
 
 @dataclass(frozen=True)
 class LimitValue:
-    """A limit of the design in words, and its value: negative or zero where it is kept, -1 far inside."""
+    """A limit of the design and its value: at most zero where it is kept, -1 far inside."""
 
     text: str
     value: float
 
     @property
     def active(self) -> bool:
-        """True where the design lies at the limit (within 1 %)."""
+        """True where the design is at the limit (within 1 %)."""
         return self.value > -1e-2
 
     def to_json(self) -> dict[str, Any]:
@@ -84,18 +86,18 @@ class LimitValue:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ParametricDesign(Tabular, Synthesis):
-    """What designs of a given structure have: limits and parameters with their values."""
+    """Base of designs of a given structure, with the values of their parameters and limits."""
 
     parameters: tuple[ParameterValue, ...]
     limits: tuple[LimitValue, ...]
 
     @property
     def values(self) -> dict[str, float]:
-        """The parameters' values by name; a start for another design."""
+        """The parameters' values by name, usable as the start of another design."""
         return {p.name: p.value for p in self.parameters}
 
     def parameter_facts(self) -> Facts:
-        """A row for each limit and each of the first parameters."""
+        """Return a row for each limit and each of the first parameters."""
         rows = [("limit", f"{limit.text}{' (active)' if limit.active else ''}") for limit in self.limits]
         shown = self.parameters[:40]
         rows += [(p.name, f"{p.value:.6g} {p.unit}{' (at its bound)' if p.at_bound else ''}".rstrip()) for p in shown]
@@ -107,7 +109,7 @@ class ParametricDesign(Tabular, Synthesis):
 class FixedSynthesis(ParametricDesign):
     """A controller of a given structure; ``gamma`` bounds the largest norm over all models.
 
-    Of an uncertain plant, ``gamma`` is the proved upper bound of the worst-case gain where that proof succeeded.
+    For an uncertain plant, ``gamma`` is the proved upper bound of the worst-case gain where that proof succeeded.
 
     Attributes
     ----------
@@ -116,7 +118,7 @@ class FixedSynthesis(ParametricDesign):
     parameters
         The controller's parameters.
     gammas
-        Verified norm (H-infinity: upper bound) of every model's loop; of an uncertain plant, of every scenario.
+        Verified norm (H-infinity: upper bound) of every model's loop; for an uncertain plant, of every scenario.
     norms
         Their evidence.
     peak_frequency
@@ -124,20 +126,18 @@ class FixedSynthesis(ParametricDesign):
     limits
         The limits with their values.
     starts
-        What became of every start, best first: its history is ``values``.
+        The result of every start, best first; ``values`` is its history.
     scenarios
-        Of an uncertain plant: the Delta of every scenario.
+        For an uncertain plant: the Delta of every scenario.
     worst
-        Of an uncertain plant: the worst-case gain over the whole set.
+        For an uncertain plant: the worst-case gain over the whole set.
     plants
         The plant of every loop, for `robustlab.verify`.
     uncertain
-        The uncertain plant that ``worst`` is about, without K, for the same.
+        The uncertain plant of ``worst`` without K, for `robustlab.verify`.
     """
 
-    quantities: ClassVar[Mapping[str, Any]] = {
-        **Synthesis.quantities, **dict.fromkeys(("peak_frequency",), float),
-    }  # fmt: skip
+    quantities: ClassVar[Mapping[str, Any]] = {**Synthesis.quantities, "peak_frequency": float}
     saved = (
         *Synthesis.saved, "objective", "parameters", "gammas", "peak_frequency", "limits", "active", "starts",
         "scenarios", "norms", "worst_case_gain",
@@ -160,7 +160,7 @@ class FixedSynthesis(ParametricDesign):
 
     @property
     def active(self) -> tuple[str, ...]:
-        """What the design pushes against: limits and bounds."""
+        """Active limits and parameters at their bounds."""
         bounds = tuple(f"{p.name} at its bound" for p in self.parameters if p.at_bound)
         return (*(limit.text for limit in self.limits if limit.active), *bounds)
 
@@ -181,7 +181,7 @@ class FixedSynthesis(ParametricDesign):
         return [*rows, *self.parameter_facts()]
 
     def table(self) -> Table:
-        """A row for each parameter of the controller; a column says its unit."""
+        """Return a row for each parameter of the controller."""
         columns = {key: [getattr(p, key) for p in self.parameters] for key in ("value", "low", "high", "unit")}
         return Table(("parameter", [p.name for p in self.parameters]), columns)
 
@@ -203,60 +203,60 @@ def fixed_structure(
     effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
 ) -> FixedSynthesis:
-    r"""Controller of a given structure with the smallest norm of the closed loop, ``u = K(p) y``.
+    r"""Compute a controller of given structure with the smallest norm of the closed loop, ``u = K(p) y``.
 
     .. math:: \min_p \max_i \|F_l(P_i, K(p))\|, \qquad K(p) \text{ stabilises every } P_i
 
-    From every start: BFGS on the spectral abscissa of all loops until they are stable and keep the limits, then some
-    steps of BFGS on the norm. The best go on along minimisers of :math:`\ln\gamma + \mu \sum \varphi` for falling mu,
-    with the entropy of the loops as a smooth barrier of their norms (the structure's own start and all starts with
-    limits do so from the beginning), and end with linear programs over all active peaks.
-    Gradients are analytic.
-    The problem is not convex: what is returned is a local optimum, verified on the loops rebuilt from K.
+    From every start, BFGS minimises the spectral abscissa of all loops until they are stable and keep the limits, then
+    takes some steps on the norm. The best starts continue along minimisers of :math:`\ln\gamma + \mu \sum \varphi` for
+    decreasing mu, with the entropy of the loops as a smooth barrier of their norms (the structure's own start and all
+    starts with limits do so from the beginning), and end with linear programs over all active peaks. Gradients are
+    analytic. The problem is not convex: the result is a local optimum, verified on the loops rebuilt from K.
 
     Parameters
     ----------
     P
-        Generalised plant, or a list of them (one controller for all); see `hinf` for what counts as one. Of an
-        uncertain model the gain from w to z is made small for its worst member: scenarios are added where the
-        worst-case gain shows them, and the bound that is proved for the whole set is reported.
+        Generalised plant in any form that `hinf` accepts, or a list of them (one controller for all). For an uncertain
+        model the worst-case gain from w to z is minimised by adding scenarios, and the bound proved for the whole set
+        is reported.
     structure
         A structure of `robustlab.synthesis.laws.controller_structures`, or ``"static"``, ``"p"``, ``"pi"``, ``"pid"``,
         an order, a mask of a static gain, a list of structures (one per channel).
     n_meas, n_con
-        Numbers of measurements and controls; left out for `GeneralizedPlant`.
+        Numbers of measurements and controls; not needed for a `GeneralizedPlant`.
     objective
         ``"hinf"`` or ``"h2"``.
     limits
-        What the design must keep: `Decay`, `Damping`, `Bandwidth`, `StableController`, `RollOff`.
+        Limits of the design: `Decay`, `Damping`, `Bandwidth`, `StableController`, `RollOff`.
     bounds
         ``(low, high)`` by parameter name.
     start
-        Parameters by name to start from as well (or a list of such mappings, or an earlier result).
+        Further start: parameters by name, a list of such mappings, or an earlier result.
     starts
-        Number of random starts, after the given ones, for a `FixedOrder` the full-order design reduced to the order,
-        and the structure's own.
+        Number of random starts, in addition to the given ones, the structure's own and, for a `FixedOrder`, the
+        full-order design reduced to the order.
     seed
         Seed of the random starts.
     time_limit
-        Time in s, asked between steps; none where left out. What is verified by then is returned with status TIMEOUT.
+        Time limit in s, checked between steps (default: none). The best verified design is returned with status
+        TIMEOUT.
     effort
-        Multiple of the usual work. The search counts its evaluations, so that it ends the same way everywhere.
+        Multiple of the usual work. The search counts its evaluations, so that the result is the same on any machine.
     progress
         Called with a short line after every start.
 
     Returns
     -------
     FixedSynthesis
-        Always with a stabilising, verified K that keeps the limits.
+        The design, with a stabilising, verified K that keeps the limits.
 
     Raises
     ------
     InputError
         Plants that do not fit together, an unknown structure or parameter, an H2 norm that is infinite by structure.
     NoTrustworthyNumber
-        A mode that no controller can stabilise, or no start that stabilised all plants: which of them, and its pole.
-        The latter is no proof that there is none.
+        A mode that no controller can stabilise, or no start that stabilised all plants (with the plant and its pole);
+        the latter does not prove that no controller does.
 
     References
     ----------
@@ -272,7 +272,7 @@ def fixed_structure(
     """
     if objective not in ("hinf", "h2"):
         raise InputError(WHERE, f"objective is {objective!r}", '"hinf" or "h2"')
-    check_starts(WHERE, starts)
+    whole(f"{WHERE}: starts", starts, 0, MOST_STARTS)
     for limit in limits:
         if not isinstance(limit, Limit):
             raise InputError(f"{WHERE}: limits", f"{limit!r}", "Decay, Damping, Bandwidth, StableController, RollOff")
@@ -299,15 +299,9 @@ def fixed_structure(
 
 
 def law_of(plant: GeneralizedPlant, structure: Any, bounds: Mapping[str, tuple[float, float]] | None) -> Law:
-    """The law of a structure in its friendly forms on the plant's signals, with these bounds by name."""
+    """Return the law of a structure, in any accepted form, on the plant's signals with these bounds by name."""
     law = as_structure(structure, common_scaling([plant])[0].rate)
-    return bounded_law(law.law(plant.measurements, plant.controls, plant.model.dt), bounds or {})
-
-
-def check_starts(where: str, starts: int) -> None:
-    """Whether that many random starts can be taken."""
-    if isinstance(starts, bool) or not isinstance(starts, (int, np.integer)) or not 0 <= starts <= 10000:
-        raise InputError(where, f"starts is {starts!r}", "a whole number from 0 to 10000")
+    return _bounded(law.law(plant.measurements, plant.controls, plant.model.dt), bounds or {})
 
 
 def _plants(P: Any, n_meas: int | None, n_con: int | None) -> list[GeneralizedPlant]:
@@ -336,8 +330,8 @@ def _plants(P: Any, n_meas: int | None, n_con: int | None) -> list[GeneralizedPl
 # --- parameters -------------------------------------------------------------------------------------------------------
 
 
-def bounded_law(law: Law, bounds: Mapping[str, tuple[float, float]]) -> Law:
-    """The law with these bounds of its parameters, by name."""
+def _bounded(law: Law, bounds: Mapping[str, tuple[float, float]]) -> Law:
+    """Return the law with these bounds of its parameters, by name."""
     parameters = list(law.parameters)
     for name, pair in bounds.items():
         j = _place(name, law)
@@ -352,7 +346,7 @@ def bounded_law(law: Law, bounds: Mapping[str, tuple[float, float]]) -> Law:
 
 
 def parameter_values(law: Law, p: AnyArray) -> tuple[ParameterValue, ...]:
-    """The parameters of a law with their values."""
+    """Return the parameters of a law with their values."""
     return tuple(
         ParameterValue(q.name, x, q.unit, q.low, q.high) for q, x in zip(law.parameters, p.tolist(), strict=True)
     )
@@ -367,7 +361,7 @@ def _place(name: str, law: Law) -> int:
 
 
 def given_starts(law: Law, start: Any) -> list[AnyArray]:
-    """Starts that were given, as parameters; what a start leaves out is the structure's own."""
+    """Return the given starts as parameter vectors; missing parameters have the structure's own start."""
     if isinstance(start, Mapping) or not isinstance(start, Iterable):
         start = [] if start is None else [start]
     found: list[AnyArray] = []
@@ -389,7 +383,7 @@ def given_starts(law: Law, start: Any) -> list[AnyArray]:
 
 
 def _best_verified(problem: DesignProblem, found: Sequence[Start]) -> FixedSynthesis:
-    """The best verified design of some starts, best first."""
+    """Return the best verified design of some starts, best first."""
     kept: list[FixedSynthesis] = []
     for start in found[:VERIFIED]:
         design = _verified(problem, start) if np.isfinite(start.gamma) else None
@@ -413,7 +407,7 @@ def _for_worst_member(
     design: Callable[[DesignProblem, Sequence[tuple[str, AnyArray]]], FixedSynthesis],
     say: Callable[[str], None],
 ) -> FixedSynthesis:
-    """Design on scenarios, find the worst Delta of the loop, add it, and repeat; the best by its proved bound."""
+    """Design on scenarios, add the worst Delta of the loop, and repeat; return the design of smallest worst case."""
     uncertain = UncertainModel(plant.model, plant.blocks)
     deltas: list[Mapping[str, Any]] = [{}]
     members = [GeneralizedPlant(uncertain.nominal, plant.n_meas, plant.n_con)]
@@ -456,7 +450,7 @@ def _for_worst_member(
 
 
 def _member(uncertain: UncertainModel, worst: WorstCaseGain) -> StateSpaceModel | None:
-    """The member at the worst Delta as a model; complex values are realised as stable systems."""
+    """Return the member at the worst Delta as a model; complex values are realised as stable systems."""
     try:
         if any(np.iscomplexobj(value) and np.abs(np.imag(value)).max() > 0 for value in worst.delta.values()):
             if worst.frequency is None:
@@ -473,21 +467,21 @@ def _member(uncertain: UncertainModel, worst: WorstCaseGain) -> StateSpaceModel 
 def kept_limits(
     limits: Sequence[Limit], loops: Sequence[StateSpaceModel], K: StateSpaceModel
 ) -> tuple[LimitValue, ...]:
-    """The largest value of every limit over the loops rebuilt from K."""
+    """Return the largest value of every limit over the loops rebuilt from K."""
     return tuple(LimitValue(limit.text, max(limit.value(loop, K) for loop in loops)) for limit in limits)
 
 
 def certified_norm(
     plant: GeneralizedPlant, K: StateSpaceModel, objective: str
 ) -> tuple[HinfNorm | H2Norm, Certificate]:
-    """The norm of the loop rebuilt from K, and what ball arithmetic proves of it."""
+    """Return the norm of the loop rebuilt from K and its certificate in ball arithmetic."""
     loop = plant.close(K)
     norm = hinf_norm(loop) if objective == "hinf" else h2_by_gramians(loop)
     return norm, certified(plant, K, norm)
 
 
 def _verified(problem: DesignProblem, start: Start) -> FixedSynthesis | None:
-    """The design of a start with the norms of its rebuilt loops; None where one is unstable or a limit broken."""
+    """Return the design of a start with the norms of its rebuilt loops; None if unstable or a limit is violated."""
     plants, law, first = problem.plants, problem.law, problem.plants[0]
     try:
         K = law.model(start.p, first.model.dt, first.measurements, first.controls)
@@ -502,10 +496,10 @@ def _verified(problem: DesignProblem, start: Start) -> FixedSynthesis | None:
     if not np.isfinite(gammas).all():
         return None
     worst = int(np.argmax(gammas))
-    doubt, shown = next((proof.doubt for proof in proofs if proof.doubt), ""), norms[worst]
+    doubt, largest = next((proof.doubt for proof in proofs if proof.doubt), ""), norms[worst]
     proved = all(isinstance(norm, HinfNorm) or norm.status is Status.CERTIFIED for norm in norms)
     many = "loop" if len(norms) == 1 else f"{len(norms)} loops"
-    peak = float(shown.frequency) if isinstance(shown, HinfNorm) else np.nan
+    peak = float(largest.frequency) if isinstance(largest, HinfNorm) else np.nan
     return FixedSynthesis(
         K=K, gamma=max(gammas), closed_loop=loops[worst],
         status=Status.INACCURATE if doubt else Status.CERTIFIED if proved else Status.CONVERGED,
@@ -518,7 +512,7 @@ def _verified(problem: DesignProblem, start: Start) -> FixedSynthesis | None:
 
 
 def require_finite_h2(problem: DesignProblem) -> None:
-    """A continuous loop with a direct term has no H2 norm: say so before searching."""
+    """Raise where a continuous loop has a direct term and thus no H2 norm."""
     if problem.dt:
         return
     rng = np.random.default_rng(0)
@@ -537,7 +531,7 @@ def require_finite_h2(problem: DesignProblem) -> None:
 
 
 def not_found(problem: DesignProblem, found: Sequence[Start]) -> NoTrustworthyNumber:
-    """What stayed unstable in the start that came nearest."""
+    """Return the error that names the unstable pole or the violated limits of the start that came nearest."""
     nearest = min(found, key=lambda s: s.instability)
     theta = problem.theta(nearest.p)
     worst: tuple[float, int, complex] = (-np.inf, 0, complex(np.nan))

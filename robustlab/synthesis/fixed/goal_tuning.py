@@ -1,7 +1,7 @@
 r"""Controllers of a given structure for goals and several plants: hard goals met, the others made small.
 
-Every goal is the norm of a weighted loop of ``u = K (r - y)``, met where it is at most one. The search makes
-:math:`\max(g, \alpha f)` of hard goals g and soft goals f small, again and again for alpha = 1 / (the f reached).
+A goal is the norm of a weighted loop of ``u = K (r - y)`` and is met where it is at most one. The search minimises
+:math:`\max(g, \alpha f)` of hard goals g and soft goals f, repeatedly with alpha = 1 / (the f reached).
 """
 
 from __future__ import annotations
@@ -14,32 +14,19 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, one_thread
-from robustlab.checks import number
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
+from robustlab.checks import choice, number, whole
+from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.norms import bilinear_to_discrete
 from robustlab.result import Status
 from robustlab.shown import Facts
 from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel, append, as_model, series
-from robustlab.synthesis.fixed.fixed_structure import (
-    KEPT,
-    VERIFIED,
-    WORK,
-    ParametricDesign,
-    certified_norm,
-    check_starts,
-    given_starts,
-    kept_limits,
-    law_of,
-    not_found,
-    parameter_values,
-    require_finite_h2,
-)  # fmt: skip
+from robustlab.synthesis.fixed import fixed_structure as fixed
 from robustlab.synthesis.hinf.mixed_sensitivity import weight_on_channels
 from robustlab.synthesis.laws.controller_laws import Law
 from robustlab.synthesis.nonsmooth.design_limits import Limit
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
-from robustlab.synthesis.nonsmooth.parameter_search import BARRIER_CLOSER, central_path, multi_start, polished
+from robustlab.synthesis.nonsmooth.parameter_search import BARRIER_CLOSER, central_path, multi_start, refined
 from robustlab.synthesis.problem.design import Synthesis, design_budget, told
 from robustlab.synthesis.problem.gamma_bounds import gamma_bound
 from robustlab.synthesis.problem.partition import GeneralizedPlant, signal_positions
@@ -48,17 +35,17 @@ from robustlab.tables import Table
 
 INPUTS = ("reference", "disturbance", "noise")
 OUTPUTS = ("output", "control", "total", "error")
-CUTS = {"output": ("reference", "error"), "input": ("disturbance", "total")}  # between which a sensitivity lies
-HARDER = 1 + 1e-5  # factor of hard goals in the search, so that they hold after it
+CUTS = {"output": ("reference", "error"), "input": ("disturbance", "total")}  # inputs, outputs of a sensitivity
+HARDER = 1 + 1e-5  # factor of hard goals in the search, so that they hold in the verification
 GOAL_SHARES = (0.5, 0.2, 0.05, 0.01, 0.0)  # weights of the soft goals, in turn, until the hard ones are met
-GOAL_ROUNDS = 12  # for smaller soft goals ...
-GOAL_PROGRESS = 1e-3  # ... and the gain that is worth another
+GOAL_ROUNDS = 12  # most rounds
+GOAL_PROGRESS = 1e-3  # relative decrease of the soft goals below which the rounds end
 GOAL_START = 0.6  # share of the work for the first search, from many starts
 
 
 @dataclass(frozen=True, kw_only=True)
 class Goal:
-    """What all goals have; ``hard`` ones must be met before the others are made small."""
+    """Base of all goals; ``hard`` ones must be met before the others are minimised."""
 
     hard: bool = False
     norm: ClassVar[str] = "hinf"
@@ -70,19 +57,18 @@ class Goal:
         words = [f"{n} {v:g}" if isinstance(v, float) else f"{n} {v}" for n, v in named.items() if v is not None]
         return f"{type(self).__name__.removesuffix('Goal').lower()}: {', '.join(words)}"
 
-    def asked(self) -> tuple[str, str, Any]:
-        """Groups of inputs and of outputs, and the weight of what is between them."""
+    def requirement(self) -> tuple[str, str, Any]:
+        """Return the groups of inputs and of outputs, and the weight of their transfer function."""
         raise NotImplementedError
 
     def positive(self, name: str) -> float:
-        """An attribute that has to be a positive number."""
-        number(f"goal: {name}", getattr(self, name), "a positive number", above=0)
-        return float(getattr(self, name))
+        """Return an attribute that must be a positive number."""
+        return number(f"goal: {name}", getattr(self, name), "a positive number", above=0)
 
     def channel(self, loop: GeneralizedPlant, share: float = 1.0) -> GeneralizedPlant:
-        """The generalised plant whose norm is at most one where the goal is met; z times ``share``."""
+        """Return the generalised plant whose norm is at most one where the goal is met; z times ``share``."""
         model, n_z, n_w = loop.model, loop.n_z, loop.n_w
-        into, out, weight = self.asked()
+        into, out, weight = self.requirement()
         only = self.outputs if isinstance(self, TrackingGoal) else None
         ins = _signals(model.input_names[:n_w], into, INPUTS, only)
         outs = _signals(model.output_names[:n_z], out, OUTPUTS, only)
@@ -101,7 +87,7 @@ class Goal:
 
 @dataclass(frozen=True)
 class TrackingGoal(Goal):
-    """The named outputs (all where left out) follow their references: ``|W S| <= 1`` with the weight of
+    """Tracking of references by the named outputs (default: all): ``|W S| <= 1`` with the weight of
     `robustlab.performance_weight` at the bandwidth 2 / response_time, with this steady-state error and peak.
     """
 
@@ -110,14 +96,14 @@ class TrackingGoal(Goal):
     peak: float = 2.0
     outputs: Sequence[str] | None = None
 
-    def asked(self) -> tuple[str, str, Any]:
+    def requirement(self) -> tuple[str, str, Any]:
         return "reference", "error", performance_weight(2 / self.positive("response_time"), self.error, self.peak)
 
 
 @dataclass(frozen=True)
 class SensitivityGoal(Goal):
-    """The sensitivity at the plant's outputs (or inputs) stays below ``peak``, and, with a ``bandwidth`` in rad/s,
-    below ``error`` at low frequency: disturbances there are rejected.
+    """Sensitivity at the plant's outputs (or inputs) below ``peak``, and, with a ``bandwidth`` in rad/s, below
+    ``error`` at low frequency (disturbance rejection).
     """
 
     peak: float = 2.0
@@ -125,15 +111,16 @@ class SensitivityGoal(Goal):
     bandwidth: float | None = None
     error: float = 1e-2
 
-    def asked(self) -> tuple[str, str, Any]:
-        peak, w_b = self.positive("peak"), self.bandwidth
-        return *_cut(self.at), 1 / peak if w_b is None else performance_weight(w_b, self.error, peak)
+    def requirement(self) -> tuple[str, str, Any]:
+        cut, peak, w_b = CUTS[choice("goal: at", self.at, CUTS)], self.positive("peak"), self.bandwidth
+        return *cut, 1 / peak if w_b is None else performance_weight(w_b, self.error, peak)
 
 
 @dataclass(frozen=True)
 class GainGoal(Goal):
-    """The gain from one group of signals to another, times ``weight`` where given, is at most ``bound``; from
-    disturbances to outputs: rejection; from references to outputs: a bound of the resonance, and so of the overshoot.
+    """Weighted gain from one group of signals to another of at most ``bound``.
+
+    From disturbances to outputs: rejection; from references to outputs: a bound of the resonance and the overshoot.
     """
 
     bound: float = 1.0
@@ -141,7 +128,7 @@ class GainGoal(Goal):
     outputs: str = "output"
     weight: Any = 1.0
 
-    def asked(self) -> tuple[str, str, Any]:
+    def requirement(self) -> tuple[str, str, Any]:
         share, weight = 1 / self.positive("bound"), self.weight
         numbers = isinstance(weight, (int, float, list, np.ndarray))
         return self.inputs, self.outputs, share * (np.array(weight) if numbers else as_model(weight, "goal: weight"))
@@ -149,50 +136,40 @@ class GainGoal(Goal):
 
 @dataclass(frozen=True)
 class VarianceGoal(Goal):
-    """The root of the summed variances of a group of signals, for white noise of unit intensity in another, is at most
-    ``bound``: an H2 norm.
-    """
+    """H2 norm of at most ``bound``: the root of the summed output variances for white noise of unit intensity."""
 
     bound: float = 1.0
     inputs: str = "disturbance"
     outputs: str = "output"
     norm: ClassVar[str] = "h2"
 
-    def asked(self) -> tuple[str, str, Any]:
+    def requirement(self) -> tuple[str, str, Any]:
         return self.inputs, self.outputs, 1 / self.positive("bound")
 
 
 @dataclass(frozen=True)
 class MarginGoal(Goal):
-    r"""A disk margin of at least ``disk`` at the plant's outputs, inputs: :math:`\|S - I/2\|_\infty \le 1/\alpha`.
+    r"""Disk margin of at least ``disk`` at the plant's outputs or inputs: :math:`\|S - I/2\|_\infty \le 1/\alpha`.
 
-    With several loops the norm takes them as one full block, which asks for more than a margin of all loops at once.
+    The norm treats several loops as one full block, which requires more than the simultaneous margin of all loops.
     """
 
     disk: float
     at: str = "output"
 
-    def asked(self) -> tuple[str, str, Any]:
-        return *_cut(self.at), self.positive("disk")
-
-
-def _cut(at: str) -> tuple[str, str]:
-    if at not in CUTS:
-        raise InputError("goal: at", f"{at!r}", '"output" or "input"')
-    return CUTS[at]
+    def requirement(self) -> tuple[str, str, Any]:
+        return *CUTS[choice("goal: at", self.at, CUTS)], self.positive("disk")
 
 
 def _signals(names: Sequence[str], group: str, groups: Sequence[str], only: Sequence[str] | None) -> list[str]:
-    """The signals of a group among the names; ``only`` those of the named outputs of the plant."""
-    if group not in groups:
-        where = f"goal: {'inputs' if groups is INPUTS else 'outputs'}"
-        raise InputError(where, f"{group!r}", f"one of {', '.join(groups)}", did_you_mean(group, list(groups)))
+    """Return the signals of a group among the names; ``only``: those of the named outputs of the plant."""
+    choice(f"goal: {'inputs' if groups is INPUTS else 'outputs'}", group, groups)
     known = [name.removeprefix(f"{group} ") for name in names if name.startswith(f"{group} ")]
     return [f"{group} {known[i]}" for i in signal_positions(known if only is None else only, known, f"goal: {group}")]
 
 
 def _loop(g: StateSpaceModel) -> GeneralizedPlant:
-    """From (r, d, n, u) to (y, u, u + d, r - y, and what K takes, r - y - n), before K closes it."""
+    """Return the open loop from (r, d, n, u) to (y, u, u + d, r - y, and the measured error r - y - n)."""
     n, m, p = g.n_states, g.n_inputs, g.n_outputs
     r, d, noise, u = np.split(np.eye(p + m + p + m), np.cumsum([p, m, p]))
     through, none = g.D @ (u + d), np.zeros((m, n))
@@ -208,16 +185,14 @@ def _loop(g: StateSpaceModel) -> GeneralizedPlant:
 
 @dataclass(frozen=True)
 class GoalValue:
-    """A goal, and what the design reaches of it."""
+    """A goal with its verified values."""
 
     text: str
     hard: bool
     norm: str  # "hinf" or "h2"
-    # Verified norm of its weighted loop for every plant (H-infinity: upper bound): met where at most 1.
-    values: tuple[float, ...]
-    # Proved for every controller of any structure: no value is below it; NaN where it was not asked for.
-    floor: float
-    plants: tuple[GeneralizedPlant, ...]  # whose loops with K have these norms, for `robustlab.verify`
+    values: tuple[float, ...]  # verified norm of its weighted loop for every plant (H-infinity: upper bound)
+    floor: float  # proved lower bound of the value for every controller of any structure; NaN where not computed
+    plants: tuple[GeneralizedPlant, ...]  # plants whose loops with K have these norms, for `robustlab.verify`
 
     @property
     def value(self) -> float:
@@ -226,7 +201,7 @@ class GoalValue:
 
     @property
     def met(self) -> bool:
-        """At most 1."""
+        """True where every value is at most 1."""
         return self.value <= 1
 
     def to_json(self) -> dict[str, Any]:
@@ -234,18 +209,17 @@ class GoalValue:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class TunedSynthesis(ParametricDesign):
+class TunedSynthesis(fixed.ParametricDesign):
     """A controller of given structure for goals, ``u = K (r - y)``.
 
     ``gamma`` is the largest value of the soft goals (of all goals where every one is hard); ``closed_loop`` is the loop
-    of the first plant with all of its signals. CERTIFIED (CONVERGED with a variance among the goals) where every hard
-    goal is met; INFEASIBLE where a hard one is proved to be out of reach of any controller; INCONCLUSIVE where one is
-    missed and that is not known.
+    of the first plant with all of its signals. Status: CERTIFIED (CONVERGED with a variance among the goals) if every
+    hard goal is met; INFEASIBLE if a hard goal is proved to be infeasible for any controller; else INCONCLUSIVE.
 
     Attributes
     ----------
     goals
-        What was reached of every goal.
+        The goals with their verified values.
     limits
         The limits with their values, the largest over all plants.
     parameters
@@ -259,7 +233,7 @@ class TunedSynthesis(ParametricDesign):
 
     @property
     def missed(self) -> tuple[GoalValue, ...]:
-        """The hard goals that are not met."""
+        """Hard goals that are not met."""
         return tuple(goal for goal in self.goals if goal.hard and not goal.met)
 
     def numbers(self) -> dict[str, Any]:
@@ -299,19 +273,19 @@ def tune(
     effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
 ) -> TunedSynthesis:
-    r"""Controller of a given structure that meets hard goals and makes the soft ones small, for one plant or several.
+    r"""Tune a controller of given structure for one plant or several: meet the hard goals, minimise the soft ones.
 
     .. math:: \min_p \max_{soft} f_i(p) \quad\text{such that}\quad f_j(p) \le 1 \text{ for hard goals}, \qquad
         u = K(p) (r - y)
 
-    Every goal is a norm of a weighted closed loop, met where it is at most 1: tracking, sensitivity, gains, variances,
-    disk margins. Limits of poles and of the controller are always kept.
+    A goal is a norm of a weighted closed loop and is met where it is at most 1: tracking, sensitivity, gains,
+    variances, disk margins. Limits of poles and of the controller always hold.
 
     Parameters
     ----------
     G
-        Plant from controls to measurements, or a list of plants with the same signals and sample time; one controller
-        for all of them.
+        Plant from controls to measurements, or a list of plants with the same signals and sample time for one
+        controller.
     structure
         As for `robustlab.fixed_structure`; its measurements are the errors r - y.
     goals
@@ -323,15 +297,14 @@ def tune(
     Returns
     -------
     TunedSynthesis
-        With what was reached of every goal, verified on loops rebuilt from K, and the hard goals that were missed.
+        The goals with their values, verified on loops rebuilt from K, and the hard goals that were missed.
 
     Raises
     ------
     InputError
-        No goal but limits, plants that do not fit together, an unknown signal, a variance that is infinite by
-        structure.
+        No goal, plants that do not fit together, an unknown signal, a variance that is infinite by structure.
     NoTrustworthyNumber
-        No start stabilised all plants and kept the limits; that is no proof that nothing does.
+        No start stabilised all plants and kept the limits; this does not prove that no controller does.
 
     References
     ----------
@@ -351,50 +324,52 @@ def tune(
             raise InputError("synth tune: goals", f"{goal!r}", "TrackingGoal, MarginGoal, ..., Damping, Decay, ...")
     wanted, limits = [g for g in goals if isinstance(g, Goal)], [g for g in goals if isinstance(g, Limit)]
     if not wanted:
-        raise InputError("synth tune: goals", "none", "at least one goal beside the limits")
-    check_starts("synth tune", starts)
-    budget = design_budget("synth tune", WORK, effort, time_limit)
+        raise InputError("synth tune: goals", "none", "at least one goal in addition to limits")
+    whole("synth tune: starts", starts, 0, fixed.MOST_STARTS)
+    budget = design_budget("synth tune", fixed.WORK, effort, time_limit)
     loops = [_loop(g) for g in _plants(G)]
     with one_thread():
-        law = law_of(loops[0], structure, bounds)
-        given = [("given", p) for p in given_starts(law, start)]
+        law = fixed.law_of(loops[0], structure, bounds)
+        given = [("given", p) for p in fixed.given_starts(law, start)]
 
         def problem(alpha: float, budget: Budget) -> DesignProblem:
-            """``max(g, alpha f)`` over all plants, hard goals a little harder; the hard goals alone for alpha = 0."""
-            asked = [goal for goal in wanted if goal.hard or alpha]
-            plants = [goal.channel(loop, HARDER if goal.hard else alpha) for goal in asked for loop in loops]
-            kinds = [goal.norm for goal in asked for _ in loops]
+            """Minimise ``max(g, alpha f)`` over all plants; for alpha = 0 the hard goals alone."""
+            active = [goal for goal in wanted if goal.hard or alpha]
+            plants = [goal.channel(loop, HARDER if goal.hard else alpha) for goal in active for loop in loops]
+            kinds = [goal.norm for goal in active for _ in loops]
             return DesignProblem(plants, law, kinds, limits, budget, limited=loops if limits else [])
 
         first = problem(1.0, budget.share(GOAL_START))
-        require_finite_h2(first)
+        fixed.require_finite_h2(first)
         ends = multi_start(first, given, starts, seed, progress or (lambda _: None))
 
         def reached(p: AnyArray) -> tuple[float, float]:
-            """Largest hard and largest soft goal."""
+            """Return the largest hard and the largest soft goal."""
             values = np.array(first.norms(p)).reshape(len(wanted), len(loops)).max(axis=1)
             hard = np.array([goal.hard for goal in wanted])
             return float(values[hard].max(initial=0.0)), float(values[~hard].max(initial=0.0))
 
-        stable = [(reached(end.p), end.p) for end in ends[:VERIFIED] if np.isfinite(end.gamma)]
+        stable = [(reached(end.p), end.p) for end in ends[: fixed.VERIFIED] if np.isfinite(end.gamma)]
         if not stable:
-            raise not_found(first, ends)
+            raise fixed.not_found(first, ends)
         (hard, soft), p = min(stable, key=lambda pair: (max(pair[0][0], 1.0), pair[0][1]))
         for k in range(GOAL_ROUNDS):
             met = hard <= 1
-            if budget.over or not any(goal.hard for goal in wanted) or (met and soft <= 0):
+            ended = soft <= 0 if met else k == len(GOAL_SHARES)
+            if budget.over or ended or not any(goal.hard for goal in wanted):
                 break
-            if not met and k == len(GOAL_SHARES):
-                break
-            q = _improved(problem(1 / soft if met else GOAL_SHARES[k], budget), p)
+            trial = problem(1 / soft if met else GOAL_SHARES[k], budget)
+            v, _ = central_path(trial, trial.variables(p), BARRIER_CLOSER)
+            q, value = refined(trial, trial.parameters(v)[0])
+            q = q if value < trial.norm(trial.variables(p))[0] else p
             now, lower = reached(q)
             if met and not (now <= 1 and lower < soft):
                 break
-            settled = met and lower > soft * (1 - GOAL_PROGRESS)
+            converged = met and lower > soft * (1 - GOAL_PROGRESS)
             p, hard, soft = q, now, lower
-            if settled:
+            if converged:
                 break
-        return _judged(p, law, loops, wanted, limits, budget)
+        return _verified(p, law, loops, wanted, limits, budget)
 
 
 def _plants(G: Any) -> list[StateSpaceModel]:
@@ -412,32 +387,25 @@ def _plants(G: Any) -> list[StateSpaceModel]:
     return models
 
 
-def _improved(problem: DesignProblem, p: AnyArray) -> AnyArray:
-    """Parameters of a smaller norm from p on, or p."""
-    v, _ = central_path(problem, problem.variables(p), BARRIER_CLOSER)
-    q, value = polished(problem, problem.parameters(v)[0])
-    return q if value < problem.norm(problem.variables(p))[0] else p
-
-
-def _judged(
+def _verified(
     p: AnyArray, law: Law, loops: Sequence[GeneralizedPlant], wanted: Sequence[Goal], limits: Sequence[Limit],
     budget: Budget,
 ) -> TunedSynthesis:  # fmt: skip
-    """The design with every goal verified on loops rebuilt from K."""
+    """Return the design with every goal verified on loops rebuilt from K."""
     first = loops[0]
     K = law.model(p, first.model.dt, first.measurements, first.controls)
-    whole = [loop.close(K) for loop in loops]
-    kept = kept_limits(limits, whole, K)
-    if any(limit.value > KEPT for limit in kept):
+    closed = [loop.close(K) for loop in loops]
+    kept = fixed.kept_limits(limits, closed, K)
+    if any(limit.value > fixed.KEPT for limit in kept):
         raise NoTrustworthyNumber("synth tune", "the limits do not hold for the loop rebuilt from K")
     goals, doubts = list[GoalValue](), list[str]()
     for goal in wanted:
         plants = tuple(goal.channel(loop) for loop in loops)
-        proofs = [certified_norm(plant, K, goal.norm)[1] for plant in plants]
+        proofs = [fixed.certified_norm(plant, K, goal.norm)[1] for plant in plants]
         doubts += [f"{goal.text}: {proof.doubt}" for proof in proofs if proof.doubt]
         values = tuple(proof.gamma for proof in proofs)
-        asked = goal.hard and goal.norm == "hinf" and max(values) > 1
-        floor = max(gamma_bound(plant).value for plant in plants) if asked else float("nan")
+        unmet = goal.hard and goal.norm == "hinf" and max(values) > 1
+        floor = max(gamma_bound(plant).value for plant in plants) if unmet else float("nan")
         goals.append(GoalValue(goal.text, goal.hard, goal.norm, values, floor, plants))
     soft = [goal.value for goal in goals if not goal.hard] or [goal.value for goal in goals]
     missed = [goal for goal in goals if goal.hard and not goal.met]
@@ -455,6 +423,6 @@ def _judged(
         parts = [f"{hard}; loops rebuilt from K: stable, norms verified", "a local optimum"]
     status, reason = told(status, parts, budget)
     return TunedSynthesis(
-        K=K, gamma=max(soft), closed_loop=whole[0], status=status, reason=reason, limit="", plant=first, method="tune",
-        goals=tuple(goals), limits=kept, parameters=parameter_values(law, p),
+        K=K, gamma=max(soft), closed_loop=closed[0], status=status, reason=reason, limit="", plant=first, method="tune",
+        goals=tuple(goals), limits=kept, parameters=fixed.parameter_values(law, p),
     )  # fmt: skip

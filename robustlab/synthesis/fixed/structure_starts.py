@@ -1,6 +1,6 @@
-"""A start for controllers of a given order: the full-order design brought to that order.
+"""A start for controllers of a given order: the full-order design reduced to that order.
 
-With B_K = C_K = 0 a search stands still: here B_K is made nonzero, so that C_K has a slope.
+At B_K = C_K = 0 the gradient vanishes: further states get a nonzero B_K, so that the gradient by C_K does not.
 """
 
 from __future__ import annotations
@@ -19,17 +19,13 @@ from robustlab.synthesis.nonsmooth.parameter_search import law_around
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.reduction.model_reduction import reduce_model
 
-FULL_SHARE, FULL_WORK = 0.2, 10 * MILLION  # of the work left for the full-order design, and most for it
-# The full-order design may be so much worse than the best one: it is calmer then, and easier to reduce.
-FULL_HINF_REL = 1.05
-FULL_H2_REL = 1.0005
-# First and last pole of further states, in units of the plant's rate (discrete: in the z-plane).
-POLES = (0.3, 3.0)
-DISCRETE_POLES = (0.2, 0.8)
+FULL_SHARE, FULL_WORK = 0.2, 10 * MILLION  # share of the remaining work for the full-order design, and most for it
+FULL_HINF_REL, FULL_H2_REL = 1.05, 1.0005  # its norm over the optimum: a lower bandwidth is easier to reduce
+POLES, DISCRETE_POLES = (0.3, 3.0), (0.2, 0.8)  # first and last pole of further states, in plant rates; z-plane
 
 
 def informed_starts(problem: DesignProblem, seed: int) -> list[tuple[str, AnyArray]]:
-    """``("reduced", p)``: a start of a law whose B_K and C_K are free, from the first plant; none for other laws."""
+    """Return ``("reduced", p)`` for a law with free B_K and C_K, from the first plant; nothing for other laws."""
     law, budget = problem.law, problem.budget
     if not law.sizes[0] or len(law.entries) != len(law.parameters):
         return []
@@ -44,11 +40,11 @@ def informed_starts(problem: DesignProblem, seed: int) -> list[tuple[str, AnyArr
     if K is None:
         return []
     around, q = law_around(K)
-    return [("reduced", _held(problem, law, around.packed(q), K.n_states, seed))]
+    return [("reduced", _extended(problem, law, around.packed(q), K.n_states, seed))]
 
 
-def _held(problem: DesignProblem, law: Law, theta: AnyArray, order: int, seed: int) -> AnyArray:
-    """Parameters of a controller of a lower order with further stable states that act on nothing yet, in bounds."""
+def _extended(problem: DesignProblem, law: Law, theta: AnyArray, order: int, seed: int) -> AnyArray:
+    """Return parameters, within bounds, of a lower-order controller with further stable unobservable states."""
     k, n_u, n_y = law.sizes
     more, rng = k - order, np.random.default_rng(seed)
     poles = np.linspace(*DISCRETE_POLES, more) if problem.dt else -problem.scaling.rate * np.geomspace(*POLES, more)
@@ -63,14 +59,12 @@ def _held(problem: DesignProblem, law: Law, theta: AnyArray, order: int, seed: i
 
 
 def _reduced(plant: GeneralizedPlant, order: int, objective: str, budget: Budget) -> StateSpaceModel | None:
-    """The full-order controller for the objective reduced to this order; None where either fails."""
+    """Return the full-order controller for the objective reduced to this order; None where either fails."""
     if budget.over:
         return None
+    full, rel = (synthesize, FULL_HINF_REL) if objective == "hinf" else (synthesize_h2, FULL_H2_REL)
     try:
-        if objective == "hinf":
-            K = synthesize(plant, objective, FULL_HINF_REL, budget).K
-        else:
-            K = synthesize_h2(plant, objective, FULL_H2_REL, budget).K
+        K = full(plant, objective, rel, budget).K
     except (InputError, NoTrustworthyNumber):
         return None
     if K.n_states <= order:

@@ -1,1 +1,1 @@
-"""What a controller may look like."""
+"""Controller structures and parameterised controller laws."""

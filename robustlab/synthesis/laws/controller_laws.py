@@ -21,15 +21,15 @@ class Parameter:
     low: float = -np.inf
     high: float = np.inf
     start: float = 0.0  # where a search starts
-    size: float = 0.0  # how much it may sensibly change; 0: found from the plant's scaling
-    centre: float = 0.0  # where random starts are centred, in units of its size and relative to `start`
+    size: float = 0.0  # typical change; 0: from the plant's scaling
+    centre: float = 0.0  # centre of random starts, in units of its size and relative to `start`
 
 
 @dataclass(frozen=True, eq=False)
 class Law:
     """``Theta(p) = base + sum of entries``; an entry at (row, column) is ``weight * p[top] / (p[below] + dt)``.
 
-    ``top``, ``below`` -1: one stands in place of that factor.
+    ``top``, ``below`` -1: that factor is one.
     """
 
     parameters: tuple[Parameter, ...]
@@ -53,34 +53,34 @@ class Law:
         return np.append(p, 1.0)[self.top], 1 / np.append(p + self.dt, 1.0)[self.below]
 
     def packed(self, p: AnyArray) -> AnyArray:
-        """``[A_K, B_K; C_K, D_K]``, shape (n_states + n_controls, n_states + n_measurements)."""
+        """Return ``[A_K, B_K; C_K, D_K]``, shape (n_states + n_controls, n_states + n_measurements)."""
         top, share = self._factors(p)
         theta = self.base.astype(np.result_type(self.base, p))
         np.add.at(theta, (self.row, self.column), self.weight * top * share)
         return theta
 
     def pullback(self, p: AnyArray, G: AnyArray) -> AnyArray:
-        """``sum(G * dTheta/dp_j)`` for every parameter."""
+        """Return ``sum(G * dTheta/dp_j)`` for every parameter."""
         n, (top, share) = len(p), self._factors(p)
         by = self.weight * G[self.row, self.column] * share
         above = np.bincount(self.top % (n + 1), by, n + 1)
         return (above - np.bincount(self.below % (n + 1), by * top * share, n + 1))[:n]
 
     def model(self, p: AnyArray, dt: float, inputs: Any = None, outputs: Any = None) -> StateSpaceModel:
-        """The controller as a model."""
+        """Return the controller as a model."""
         k = self.sizes[0]
         return StateSpaceModel(*unpacked(self.packed(p), k), dt, inputs, outputs, [f"k{i + 1}" for i in range(k)])
 
 
 def unpacked(theta: AnyArray, n_states: int) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
-    """``(A_K, B_K, C_K, D_K)`` of packed matrices."""
+    """Return ``(A_K, B_K, C_K, D_K)`` of packed matrices."""
     k = n_states
     return theta[:k, :k], theta[:k, k:], theta[k:, :k], theta[k:, k:]
 
 
 @dataclass
 class LawBuilder:
-    """Collects parameters and the entries of the packed matrices that they fill."""
+    """Builder of a law from its parameters and the entries of the packed matrices that they fill."""
 
     n_states: int
     n_controls: int
@@ -92,12 +92,12 @@ class LawBuilder:
         self.base = np.zeros((self.n_states + self.n_controls, self.n_states + self.n_measurements))
 
     def parameter(self, parameter: Parameter, *entries: tuple[int, int, float], below: int = -1) -> None:
-        """A parameter with its entries ``(row, column, weight)``, over that of number ``below``."""
+        """Add a parameter with its entries ``(row, column, weight)``, divided by that of number ``below``."""
         self.entries += [(len(self.parameters), row, column, weight, below) for row, column, weight in entries]
         self.parameters.append(parameter)
 
     def law(self, dt: float = 0.0) -> Law:
-        """The finished law."""
+        """Return the finished law."""
         sizes = self.n_states, self.n_controls, self.n_measurements
         return Law(tuple(self.parameters), sizes, self.base, np.array(self.entries, dtype=float).reshape(-1, 5), dt)
 
@@ -105,9 +105,9 @@ class LawBuilder:
 def side_by_side(
     parts: Sequence[Law], controls: Sequence[Sequence[int]], measurements: Sequence[Sequence[int]], n_u: int, n_y: int
 ) -> Law:
-    """Part i sees the measurements ``measurements[i]`` and drives the controls ``controls[i]``; shared controls add up.
+    """Return the law of parts from ``measurements[i]`` to ``controls[i]``, whose shared controls add up.
 
-    The parameters are those of the parts, one after the other.
+    The parameters are those of the parts in order.
     """
     made = LawBuilder(sum(part.sizes[0] for part in parts), n_u, n_y)
     k, state = made.n_states, 0

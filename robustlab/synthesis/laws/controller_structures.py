@@ -1,6 +1,6 @@
-"""Structures of controllers: small objects that say what a controller may look like, and combine.
+"""Controller structures, which can be combined.
 
-They have short forms for Python (an order, a mask, a name) and words for commands and recipes (``pid``, ``order:3``).
+They have short forms in Python (an order, a mask, a name) and words in commands and recipes (``pid``, ``order:3``).
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ WHERE = "fixed structure"
 
 
 class Structure(ABC):
-    """What a controller from measurements to controls may look like."""
+    """A structure of controllers from measurements to controls."""
 
     @abstractmethod
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
-        """The controller as a function of parameters, for these signals and this sample time (s; 0: continuous)."""
+        """Return the controller as a function of parameters for these signals and sample time (s; 0: continuous)."""
 
     def __add__(self, other: Structure) -> Structure:
         return Sum(self, other)
 
 
 def _unit(out: Signal, into: Signal, suffix: str = "") -> str:
-    """Unit of a gain from ``into`` to ``out``; empty where neither is stated."""
+    """Return the unit of a gain from ``into`` to ``out``; empty where neither has a unit."""
     if not out.unit and not into.unit:
         return f"1{suffix}" if suffix else ""
     below = f"({into.unit or '1'}{suffix.replace('/', ' ')})" if suffix else into.unit or "1"
@@ -46,7 +46,7 @@ def _unit(out: Signal, into: Signal, suffix: str = "") -> str:
 class StaticGain(Structure):
     """``u = K y`` with a constant gain."""
 
-    mask: Any = None  # which entries of K are free, shape (n_con, n_meas); the others are zero. All where left out.
+    mask: Any = None  # free entries of K, shape (n_con, n_meas), default: all; the others are zero
 
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
         free = _mask(self.mask, len(controls), len(measurements))
@@ -73,7 +73,7 @@ class FixedOrder(Structure):
     """A controller of a given number of states."""
 
     order: int  # number of states
-    strictly_proper: bool = False  # True for D_K = 0: the gain falls off at high frequencies
+    strictly_proper: bool = False  # True for D_K = 0
     form: str = "tridiagonal"  # `"tridiagonal"` (any A_K with simple poles has this form; few parameters) or `"full"`
 
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
@@ -103,7 +103,7 @@ class FixedOrder(Structure):
 
 
 def _add_direct_term(builder: LawBuilder, k: int, measurements: Signals, controls: Signals) -> None:
-    """All of D_K as parameters, behind k states."""
+    """Add all entries of D_K, behind k states, as parameters."""
     for i, u in enumerate(controls):
         for j, y in enumerate(measurements):
             builder.parameter(Parameter(f"D[{u.name},{y.name}]", _unit(u, y)), (k + i, k + j, 1.0))
@@ -119,21 +119,21 @@ class MultichannelPID(Structure):
     ``layout="ipd"``: n controls m, measurements r, phi, phidot (n each):
     :math:`m = K_i \int (r - \varphi)\,dt - K_p \varphi - K_d \dot\varphi`.
 
-    ``layout="two-layer"``: the I-PD gives reference torques, and below it one torque loop per axis gives the controls;
-    measurements r, phi, phidot, torque: :math:`u = \sigma - k_d m,\ \dot\sigma = k_i \xi - k_p m,\ \dot\xi = m_{ref} -
-    m`. Exactly `robustlab.dynamics.control.platform.two_layer`; continuous time.
+    ``layout="two-layer"``: the I-PD gives reference torques for one inner torque loop per axis, which gives the
+    controls; measurements r, phi, phidot, torque: :math:`u = \sigma - k_d m,\ \dot\sigma = k_i \xi - k_p m,\ \dot\xi =
+    m_{ref} - m`, as `robustlab.dynamics.control.platform.two_layer`; continuous time.
 
     Attributes
     ----------
     layout
         See above.
     gains
-        Form of Kp, Ki, Kd: ``"full"``, ``"diagonal"``, or ``"scalar"`` (the same for all channels). A boolean mask
-        (n_con, n_meas of one group) is possible too.
+        Form of Kp, Ki, Kd: ``"full"``, ``"diagonal"``, ``"scalar"`` (the same for all channels), or a boolean mask
+        (n_con, n_meas of one group).
     terms
-        Of ``layout="pid"``: which of P, I, D there are.
+        Of ``layout="pid"``: the terms among P, I, D.
     tau
-        Time constant of the derivative filters in s: a number, or ``(low, high)`` to have it found; needed with D.
+        Time constant of the derivative filters in s: a number, or ``(low, high)`` to optimise it; required with D.
     limit
         Largest modulus of every gain.
     start
@@ -174,7 +174,7 @@ class MultichannelPID(Structure):
             builder.base[j, j] = 1.0 if dt else 0.0
             builder.base[j, k + j] = dt or 1.0
         terms = [t for t in "PID" if t in self.terms]
-        tau = len(terms) * len(groups)  # the number of that parameter, behind all gains
+        tau = len(terms) * len(groups)  # index of that parameter, after all gains
         for term in terms:
             for name, places in groups:
                 u, y = controls[places[0][0]], measurements[places[0][1]]
@@ -198,7 +198,7 @@ class MultichannelPID(Structure):
         return builder.law(dt)
 
     def _filter(self) -> Parameter:
-        """The time constant of the derivative filters."""
+        """Return the time constant of the derivative filters."""
         if self.tau is None:
             expected = "the derivative filter's time constant in s, or (low, high) for one to be found"
             raise InputError(f"{WHERE}: tau", "missing", expected)
@@ -209,7 +209,7 @@ class MultichannelPID(Structure):
         return Parameter("tau", "s", low, high, float(np.sqrt(low * high)))
 
     def _groups(self, n_u: int, n_y: int) -> list[tuple[str, list[tuple[int, int]]]]:
-        """Every free gain's index text and the entries of the gain matrix that it fills."""
+        """Return the index text of every free gain and the entries of the gain matrix that it fills."""
         if isinstance(self.gains, str):
             if self.gains == "full":
                 return [(f"[{i + 1},{j + 1}]", [(i, j)]) for i in range(n_u) for j in range(n_y)]
@@ -231,7 +231,7 @@ class MultichannelPID(Structure):
             raise InputError(f"{WHERE}: limit", f"{bound:g}", "a positive number")
         return Parameter(matrix + index, unit, -bound, bound, float(np.clip(value, -bound, bound)), abs(value))
 
-    # --- the thesis' layers ------------------------------------------------------------------------------------------
+    # --- I-PD and two-layer ------------------------------------------------------------------------------------------
 
     def _layers(self, measurements: Signals, controls: Signals, dt: float) -> Law:
         n, two = len(controls), self.layout == "two-layer"
@@ -250,7 +250,7 @@ class MultichannelPID(Structure):
             if two:  # xi' = m_ref - m, u = sigma - kd m
                 builder.base[n + j, torque + j] = -1.0
                 builder.base[k + j, 2 * n + j] = 1.0
-        row = n if two else k  # where m_ref enters
+        row = n if two else k  # of m_ref
         out = Signal("torque", measurements[3 * n].unit) if two else controls[0]
         groups = self._groups(n, n)
         for matrix, column, sign, signal, power in (
@@ -273,7 +273,7 @@ class MultichannelPID(Structure):
 
 
 def PID(terms: str = "PID", tau: Any = None, limit: float = np.inf, start: Any = None) -> MultichannelPID:
-    """One PID per channel: channel i of the measurements to control i; see `MultichannelPID`."""
+    """Return one PID per channel, from measurement i to control i; see `MultichannelPID`."""
     return MultichannelPID("pid", "diagonal", terms, tau, limit, start)
 
 
@@ -281,8 +281,8 @@ def PID(terms: str = "PID", tau: Any = None, limit: float = np.inf, start: Any =
 class FixedPoles(Structure):
     r"""Given poles, free residues and free direct term: :math:`K = D + \sum_i R_i/(s - p_i)`."""
 
-    # Poles in rad/s (of a sampled controller: in the z-plane); complex ones in conjugate pairs. Each is used once per
-    # measurement, so that the residues have full rank.
+    # Poles in rad/s (of a sampled controller: in the z-plane), complex ones in conjugate pairs, each used once per
+    # measurement so that the residues have full rank.
     poles: Sequence[complex]
     strictly_proper: bool = False  # True for no direct term
 
@@ -317,7 +317,7 @@ class FixedPoles(Structure):
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A structure on named channels, as a part of `Decentralised`."""
+    """A structure on named channels, for `Decentralised`."""
 
     structure: Structure
     measurements: Sequence[str]
@@ -328,7 +328,7 @@ class Part:
 class Decentralised(Structure):
     """Controllers side by side, each on its own channels."""
 
-    # `Part` objects with the names of their channels; or structures alone, one per channel in order.
+    # `Part` objects, or structures alone, one per channel in order.
     parts: Sequence[Part | Structure]
 
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
@@ -351,7 +351,7 @@ class Decentralised(Structure):
 
 @dataclass(frozen=True, eq=False)
 class Sum(Structure):
-    """Two structures in parallel; ``a + b`` makes one."""
+    """Two structures in parallel: ``a + b``."""
 
     first: Structure
     second: Structure
@@ -366,12 +366,12 @@ class Sum(Structure):
 
 
 def _prefixed(law: Law, prefix: str) -> Law:
-    """The law with a prefix to the names of its parameters, so that they stay unique."""
+    """Return the law with a prefix to the names of its parameters, which makes them unique."""
     return replace(law, parameters=tuple(replace(p, name=prefix + p.name) for p in law.parameters))
 
 
 def as_structure(structure: Any, rate: float) -> Structure:
-    """A structure from its friendly forms: ``"static"``, ``"pid"``, an order, a mask, or a list (decentralised)."""
+    """Return a structure from ``"static"``, ``"pid"``, an order, a mask, or a list (decentralised)."""
     if isinstance(structure, Structure):
         return structure
     if isinstance(structure, str):
@@ -396,7 +396,7 @@ GAINS = ("full", "diagonal", "scalar")
 
 
 def structure_in_words(text: str, plant: GeneralizedPlant) -> Any:
-    """A structure for the channels of a plant, as `robustlab.fixed_structure` takes it."""
+    """Return the structure of a word of a command or recipe for the channels of a plant."""
     where = f"structure {text!r}"
     word, _, rest = text.strip().lower().partition(":")
     if word not in WORDS:

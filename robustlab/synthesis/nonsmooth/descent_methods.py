@@ -1,7 +1,7 @@
 """Two descent methods for functions that are smooth almost everywhere, such as norms of loops.
 
-BFGS with a weak Wolfe line search; where several peaks have the same height it creeps, and sequential linear programs,
-in which every peak near the top is a function of its own, end the descent.
+BFGS with a weak Wolfe line search is slow where several peaks have the same height; sequential linear programs with
+one function for every peak near the maximum end the descent.
 """
 
 from __future__ import annotations
@@ -13,21 +13,13 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 
-# Weak Wolfe conditions: share of the predicted decrease that is enough, and of the slope that must have risen.
-DECREASE = 1e-4
-CURVATURE = 0.5
-# Most trials of a line search.
-LINE_STEPS = 25
-# Steps of next to no decrease in a row that end a descent. More: slower ends, rarely a little lower.
-STALL_STEPS = 8
-# Trust region at first, where it ends, and at most, relative to the parameters.
-RADIUS = 3e-2
-SMALLEST_RADIUS = 1e-8
-LARGEST_RADIUS = 0.5
-# Predicted decreases below this share of the value end the search. Smaller: more programs for less.
-WORTHWHILE = 1e-8
+DECREASE, CURVATURE = 1e-4, 0.5  # weak Wolfe conditions: shares of the predicted decrease and of the slope
+LINE_STEPS = 25  # most trials of a line search
+STALL_STEPS = 8  # consecutive steps of almost no decrease that end a descent. More: slower, rarely lower
+RADIUS, SMALLEST_RADIUS, LARGEST_RADIUS = 3e-2, 1e-8, 0.5  # first, last, largest trust region, relative to parameters
+WORTHWHILE = 1e-8  # predicted decrease, as a share of the value, that ends the search. Smaller: more programs for less
 
-# ``function(x, give_up_above)``: value and gradient; where the value is above that level neither need be exact.
+# ``function(x, give_up_above)``: value and gradient, which need not be exact where the value is above that level.
 Function = Callable[[AnyArray, float], tuple[float, AnyArray | None]]
 
 
@@ -40,7 +32,7 @@ def bfgs(
     stop_below: float = -np.inf,
     late: Callable[[], bool] = lambda: False,
 ) -> tuple[AnyArray, float] | None:
-    """Where a descent from x ends, and the value there; None where the function has no finite value at x."""
+    """Return the end of a descent from x and its value; None where the function has no finite value at x."""
     value, gradient = function(x, np.inf)
     if gradient is None or not np.isfinite(value) or not np.isfinite(gradient).all():
         return None
@@ -68,7 +60,7 @@ def _steepest(gradient: AnyArray, length: float) -> AnyArray:
 
 def _updated(inverse: AnyArray, s: AnyArray, y: AnyArray, fresh: bool) -> tuple[AnyArray, bool]:
     sy = float(s @ y)
-    # y^T y vanishes where the entries of y are smaller than the root of the smallest number.
+    # y^T y can underflow to zero.
     if not sy > 1e-14 * float(np.linalg.norm(s) * np.linalg.norm(y)) or not y @ y > 0:
         return inverse, fresh
     if fresh:
@@ -88,9 +80,7 @@ def _line_search(
     stop_below: float,
     late: Callable[[], bool],
 ) -> tuple[AnyArray, float, AnyArray] | None:
-    """Algorithm 2.6 of Lewis, Overton: a point of sufficient decrease, and, where one is found, of a slope that has
-    risen; None without decrease.
-    """
+    """Return a point that meets the weak Wolfe conditions, or sufficient decrease alone (Lewis, Overton, alg. 2.6)."""
     step, low, high = 1.0, 0.0, np.inf
     best: tuple[AnyArray, float, AnyArray] | None = None
     for _ in range(LINE_STEPS):
@@ -112,7 +102,7 @@ def _line_search(
 
 @dataclass(frozen=True)
 class Piece:
-    """A function that is active: its value and its gradient with respect to the parameters."""
+    """An active function: its value and its gradient with respect to the parameters."""
 
     value: float
     gradient: AnyArray
@@ -129,7 +119,7 @@ def sequential_linear(
     max_steps: int = 60,
     late: Callable[[], bool] = lambda: False,
 ) -> tuple[AnyArray, float]:
-    """The best point found from x within the bounds, and its value, by linear programs over all active pieces."""
+    """Return the best point found from x within the bounds, and its value, by linear programs over active pieces."""
     value, radius = value_of(x), RADIUS
     for _ in range(max_steps):
         if late() or radius < SMALLEST_RADIUS or not np.isfinite(value):

@@ -1,6 +1,6 @@
-"""Limits that a design must keep: poles of the loop, poles and gain of the controller.
+"""Limits of a design: poles of the loop, poles and gain of the controller.
 
-Each is a function c that must be negative, without unit: ``c = -1`` is far inside, ``c = 0`` the limit.
+Each is a dimensionless function c that must be negative: ``c = -1`` is far inside, ``c = 0`` the limit.
 """
 
 from __future__ import annotations
@@ -19,16 +19,14 @@ from robustlab.synthesis.nonsmooth.objectives import bilinear, crossings, extrem
 from robustlab.synthesis.problem.partition import Realisation
 from robustlab.synthesis.problem.scaling import Scaling
 
-# The c of a limit for a packed controller, with its gradient.
-LimitAt = tuple[float, AnyArray]
+LimitAt = tuple[float, AnyArray]  # the c of a limit for a packed controller, with its gradient
 
 
 @dataclass(frozen=True)
 class Limit:
-    """What all limits have; poles s are in rad/s, of a sampled loop ``log(z)/dt``."""
+    """Base of all limits; poles s are in rad/s, of a sampled loop ``log(z)/dt``."""
 
-    # Whether it is about the controller alone, so that it has one value whatever the number of plants.
-    of_controller: ClassVar[bool] = False
+    of_controller: ClassVar[bool] = False  # True for a limit of the controller alone, with one value for all plants
     words: ClassVar[str]
 
     def __post_init__(self) -> None:
@@ -44,16 +42,16 @@ class Limit:
         return self.words.format(**vars(self))
 
     def value(self, plant_loop: StateSpaceModel, K: StateSpaceModel) -> float:
-        """The c of a finished design; negative or zero where the limit is kept."""
+        """Return the c of a finished design; negative or zero where the limit is kept."""
         raise NotImplementedError
 
     def evaluate(self, family: LoopFamily, theta: AnyArray, scaling: Scaling, dt: float) -> LimitAt:
-        """The c and its gradient by the packed controller of the scaled plant; an infinite c without a value."""
+        """Return the c and its gradient by the packed controller of the scaled plant; infinite without a value."""
         raise NotImplementedError
 
 
 def _continuous_poles(poles: AnyArray, dt: float) -> AnyArray:
-    """Poles in rad/s: ``log(z)/dt`` of those of a sampled loop."""
+    """Return poles in rad/s, ``log(z)/dt`` for a sampled loop."""
     return np.log(np.where(poles == 0, 1e-300, poles).astype(complex)) / dt if dt else poles
 
 
@@ -62,7 +60,7 @@ class _PoleLimit(Limit):
     """A limit of every pole of the loop."""
 
     def measure(self, s: AnyArray, size: AnyArray) -> tuple[AnyArray, AnyArray | float]:
-        """The c of poles s of these moduli, and the w with ``dc = Re(w ds)``."""
+        """Return the c of poles s of these moduli, and the w with ``dc = Re(w ds)``."""
         raise NotImplementedError
 
     def _at(self, s: AnyArray) -> tuple[AnyArray, AnyArray]:
@@ -151,7 +149,7 @@ class RollOff(Limit):
         return self._peak(Realisation.of(K), self.frequency, K.dt)[0] / self.gain - 1
 
     def _peak(self, K: Realisation, frequency: float, dt: float) -> tuple[float, float]:
-        """Largest gain from this frequency on, and where (frequencies of the continuous or `bilinear` controller)."""
+        """Return the largest gain from this frequency on and its frequency, of the continuous or `bilinear` K."""
         if not len(K.A):
             return float(np.linalg.norm(K.D, 2)), np.inf
         mapped = bilinear(K) if dt else K
@@ -167,7 +165,7 @@ class RollOff(Limit):
             k = int(values.argmax())
             if not values[k] > best * (1 + 1e-9):
                 break
-            # Between all frequencies at which the gain crosses the largest value met.
+            # Next: the middles between all frequencies at which the gain crosses the largest value found.
             best, at = float(values[k]), float(omega[k])
             cross = crossings(mapped, best * (1 + 1e-9))
             cross = np.unique(np.append(cross[cross > low], low))
@@ -175,7 +173,7 @@ class RollOff(Limit):
         return best, at
 
     def evaluate(self, family: LoopFamily, theta: AnyArray, scaling: Scaling, dt: float) -> LimitAt:
-        # In the plant's own signals, but in the scaled plant's time.
+        # In the units of the plant's signals, but in the scaled plant's time.
         k, ones = family.order, np.ones(family.order)
         back = np.append(ones, scaling.u)[:, None] * np.append(ones, scaling.y)
         K = Realisation(*unpacked(theta * back, k))

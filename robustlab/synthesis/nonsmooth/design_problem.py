@@ -1,4 +1,4 @@
-"""A controller law on one plant or several, as functions of a vector without units: what the search makes small."""
+"""Norms and limits of a controller law on one or several plants as functions of a dimensionless vector."""
 
 from __future__ import annotations
 
@@ -16,20 +16,19 @@ from robustlab.synthesis.nonsmooth.loop_family import LoopFamily
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.problem.scaling import common_scaling
 
-# Share of the range between two bounds that a start keeps away from them.
-INSIDE = 1e-3
+INSIDE = 1e-3  # least distance of a start from its bounds, as a share of their range
 
 
 @dataclass(frozen=True)
 class _Coordinate:
-    """How a free parameter follows from a search variable: linearly, or so that it stays within its bounds."""
+    """Map from a search variable to a free parameter within its bounds."""
 
     parameter: Parameter
     size: float
     logarithmic: bool
 
     def _range(self) -> tuple[float, float, float]:
-        """Of two bounds, in logarithms where it is searched in these: the lower one, half the range, the unit of v."""
+        """Return the lower bound, half the range (logarithmic where so searched), and the unit of v."""
         low, high = self.parameter.low, self.parameter.high
         if self.logarithmic:
             low, high = np.log(low), np.log(high)
@@ -37,7 +36,7 @@ class _Coordinate:
         return low, half, 1.0 if self.logarithmic else min(self.size / half, 1.0)
 
     def value(self, v: float) -> tuple[float, float]:
-        """The parameter and its derivative."""
+        """Return the parameter and its derivative."""
         q = self.parameter
         if np.isfinite(q.low) and np.isfinite(q.high):
             low, half, scale = self._range()
@@ -50,7 +49,7 @@ class _Coordinate:
         return self.size * v, self.size
 
     def variable(self, p: float) -> float:
-        """The search variable of a parameter value."""
+        """Return the search variable of a parameter value."""
         q = self.parameter
         if np.isfinite(q.low) and np.isfinite(q.high):
             low, half, scale = self._range()
@@ -93,11 +92,10 @@ class DesignProblem:
         self.families = families[: len(self.plants)]
         self.limited = families[len(self.plants) :] or self.families
         self._set_coordinates()
-        # Of one evaluation, as measured: of the law, and of every loop its poles and a norm with its gradient.
+        # Measured work of one evaluation: the law, and for every loop its poles and a norm with its gradient.
         self._work = 300 + sum(dense(len(family.A), 2) for family in self.families)
 
     def late(self) -> bool:
-        """Whether the budget is over."""
         return self.budget.over
 
     @property
@@ -107,7 +105,7 @@ class DesignProblem:
         return factor if "hinf" in self.kinds else factor / np.sqrt(self.scaling.rate)
 
     def norms(self, p: AnyArray) -> list[float]:
-        """The norm of every plant's loop in the plants' units; inf where it is not stable."""
+        """Return the norm of every plant's loop in the plants' units; inf where unstable."""
         theta = self.theta(p)
         return [self._one(family, kind, theta, np.inf)[0] / self.gain for family, kind in self._each()]
 
@@ -117,7 +115,7 @@ class DesignProblem:
     def _one(
         self, family: LoopFamily, kind: str, theta: AnyArray, give_up_above: float
     ) -> tuple[float, AnyArray | None]:
-        """A norm with its gradient. Beside H-infinity norms an H2 norm counts in the same unit of time."""
+        """Return a norm with its gradient; an H2 norm next to H-infinity norms is in their unit of time."""
         if kind == "hinf":
             return family.norm(theta, give_up_above)
         value, G = family.h2_norm(theta)
@@ -138,7 +136,7 @@ class DesignProblem:
         self.centre = self.start + np.array([everything[j].centre for j in self.free])
 
     def _natural_sizes(self, p: AnyArray) -> AnyArray:
-        """Changes of the parameters that change the scaled controller by one."""
+        """Return the changes of the parameters that change the scaled controller by one."""
         base = self.law.packed(p)
         sizes = np.ones(len(p))
         for j in self.free:
@@ -151,28 +149,28 @@ class DesignProblem:
     # --- variables, parameters, controllers --------------------------------------------------------------------------
 
     def parameters(self, v: AnyArray) -> tuple[AnyArray, AnyArray]:
-        """All parameters, and the derivatives of the free ones with respect to v."""
+        """Return all parameters, and the derivatives of the free ones with respect to v."""
         pairs = np.array([c.value(x) for c, x in zip(self.coordinates, v, strict=True)]).reshape(-1, 2)
         p = self.fixed.copy()
         p[self.free] = pairs[:, 0]
         return p, pairs[:, 1]
 
     def variables(self, p: AnyArray) -> AnyArray:
-        """Search variables of given parameters."""
+        """Return the search variables of given parameters."""
         return np.array([c.variable(float(p[j])) for c, j in zip(self.coordinates, self.free, strict=True)])
 
     def theta(self, p: AnyArray) -> AnyArray:
-        """The packed controller of the scaled plant."""
+        """Return the packed controller of the scaled plant."""
         return self.law.packed(p) * self._rows * self._columns
 
     def by_parameters(self, p: AnyArray, G: AnyArray) -> AnyArray:
-        """Gradient with respect to the free parameters from that with respect to the scaled packed controller."""
+        """Return the gradient by the free parameters from that by the scaled packed controller."""
         return self.law.pullback(p, G * self._rows * self._columns)[self.free]
 
-    # --- what is made small ------------------------------------------------------------------------------------------
+    # --- objectives --------------------------------------------------------------------------------------------------
 
     def instability(self, v: AnyArray) -> tuple[float, AnyArray | None]:
-        """Largest spectral abscissa of all loops (discrete: modulus minus one) with its gradient."""
+        """Return the largest spectral abscissa of all loops (discrete: modulus minus one) with its gradient."""
         self.budget.spend(self._work)
         p, slopes = self.parameters(v)
         theta = self.theta(p)
@@ -185,7 +183,7 @@ class DesignProblem:
         return worst, self.by_parameters(p, at) * slopes
 
     def violation(self, v: AnyArray) -> tuple[float, AnyArray | None]:
-        """Largest of the limits' values with its gradient; infinite where a loop is not stable, -1 without limits."""
+        """Return the largest limit value with its gradient; infinite for an unstable loop, -1 without limits."""
         self.budget.spend(self._work)
         p, slopes = self.parameters(v)
         theta = self.theta(p)
@@ -195,11 +193,11 @@ class DesignProblem:
         return worst, self.by_parameters(p, G) * slopes if np.isfinite(worst) else None
 
     def limit_values(self, theta: AnyArray) -> list[tuple[float, AnyArray]]:
-        """The c and the gradient of every limit and plant; an infinite c where there is no value."""
+        """Return the c and the gradient of every limit and plant; an infinite c where there is no value."""
         return [limit.evaluate(family, theta, self.scaling, self.dt) for limit, family in self._limited()]
 
     def broken_limits(self, theta: AnyArray) -> list[Limit]:
-        """The limits that are not kept, one for each plant."""
+        """Return the violated limits, one for each plant."""
         values = zip(self._limited(), self.limit_values(theta), strict=True)
         return [limit for (limit, _), (c, _) in values if c >= 0]
 
@@ -211,7 +209,7 @@ class DesignProblem:
         ]
 
     def norm(self, v: AnyArray, give_up_above: float = np.inf) -> tuple[float, AnyArray | None]:
-        """Largest norm of the scaled loops with its gradient; infinite where a limit is not kept."""
+        """Return the largest norm of the scaled loops with its gradient; infinite where a limit is violated."""
         p, slopes = self.parameters(v)
         value, G = self._norm_at(p, give_up_above)
         return value, None if G is None else self.by_parameters(p, G) * slopes
@@ -231,13 +229,13 @@ class DesignProblem:
         return worst
 
     def value_at(self, q: AnyArray) -> float:
-        """The norm at given free parameters."""
+        """Return the norm at given free parameters."""
         p = self.fixed.copy()
         p[self.free] = q
         return self._norm_at(p, np.inf)[0]
 
     def pieces(self, q: AnyArray, value: float, radius: float) -> list[Piece]:
-        """All peaks near the top as functions of the free parameters; a limit near its end counts as one."""
+        """Return all peaks near the maximum and all limits near zero as functions of the free parameters."""
         p = self.fixed.copy()
         p[self.free] = q
         self.budget.spend(2 * self._work)
@@ -257,7 +255,7 @@ class DesignProblem:
         return pieces
 
     def barrier(self, z: AnyArray, mu: float) -> tuple[float, AnyArray | None]:
-        r"""``ln gamma + mu * (entropies and logarithmic barriers)`` at ``z = (v, ln gamma)``, with its gradient."""
+        r"""Return ``ln gamma + mu * (entropies and log barriers)`` at ``z = (v, ln gamma)``, with its gradient."""
         v, log_gamma = z[:-1], float(z[-1])
         if not -300 < log_gamma < 300:
             return np.inf, None
@@ -284,9 +282,9 @@ class DesignProblem:
 
 
 def _h2_barrier(found: tuple[float, AnyArray | None], gamma: float) -> tuple[float, AnyArray, float] | None:
-    """``-ln(1 - h^2/gamma^2)`` of an H2 norm h with its gradients; None where h is not below gamma."""
+    """Return ``-ln(1 - h^2/gamma^2)`` of an H2 norm h with its gradients; None where h is not below gamma."""
     norm, G = found
     if G is None or not norm < gamma:
         return None
-    room = (gamma - norm) * (gamma + norm)
-    return -np.log(room / gamma**2), G * (2 * norm / room), -2 * norm**2 / (room * gamma)
+    slack = (gamma - norm) * (gamma + norm)
+    return -np.log(slack / gamma**2), G * (2 * norm / slack), -2 * norm**2 / (slack * gamma)

@@ -1,6 +1,6 @@
-"""Closed loops of one plant with every packed controller Theta = [A_K, B_K; C_K, D_K], and their derivatives by Theta.
+"""Closed loops of a plant with a packed controller Theta = [A_K, B_K; C_K, D_K], and their derivatives by Theta.
 
-With the plant extended by integrators the loop is affine in Theta, or in Theta (I - D22 Theta)^-1.
+For the plant extended by integrators the loop is affine in Theta, or in Theta (I - D22 Theta)^-1.
 """
 
 from __future__ import annotations
@@ -22,13 +22,12 @@ from robustlab.synthesis.nonsmooth.objectives import (
 )
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 
-# An I - D22 Theta with a larger condition number is no loop to look at.
-ILL_POSED = 1e10
+ILL_POSED = 1e10  # condition number of I - D22 Theta above which a loop counts as ill-posed
 
 
 @dataclass(frozen=True)
 class Pole:
-    """A pole of the loop with ``G``: a change dTheta moves it by the sum of ``G * dTheta`` (complex)."""
+    """A pole of the loop with its complex gradient ``G`` with respect to Theta."""
 
     value: complex
     G: AnyArray
@@ -36,14 +35,14 @@ class Pole:
 
 @dataclass(frozen=True, eq=False)
 class _Member:
-    """The loop with one controller, and how a change of Theta comes into it: as ``left dTheta right``."""
+    """The loop with one controller, in which a change of Theta acts as ``left dTheta right``."""
 
     loop: Realisation
     left: AnyArray | None
     right: AnyArray | None
 
     def by_theta(self, G: AnyArray) -> AnyArray:
-        """Gradient with respect to Theta from that with respect to what comes into the loop."""
+        """Return the gradient with respect to Theta from that with respect to ``left Theta right``."""
         return G if self.left is None or self.right is None else self.left.T @ G @ self.right.T
 
 
@@ -70,7 +69,7 @@ class LoopFamily:
     # --- the loop ----------------------------------------------------------------------------------------------------
 
     def _member(self, theta: AnyArray) -> _Member | None:
-        """The loop with ``Theta (I - D22 Theta)^-1``; None where that is not well posed."""
+        """Return the loop with ``Theta (I - D22 Theta)^-1``; None where it is ill-posed."""
         if self.D22 is None:
             return _Member(self._loop(theta), None, None)
         right = np.eye(self.D22.shape[0]) - self.D22 @ theta
@@ -81,7 +80,7 @@ class LoopFamily:
         return _Member(self._loop(theta @ right), left, right)
 
     def loop(self, theta: AnyArray) -> Realisation | None:
-        """The loop's matrices; None where it is not well posed."""
+        """Return the loop's matrices; None where it is ill-posed."""
         member = self._member(theta)
         return None if member is None else member.loop
 
@@ -97,14 +96,14 @@ class LoopFamily:
     # --- poles -------------------------------------------------------------------------------------------------------
 
     def poles(self, theta: AnyArray) -> AnyArray | None:
-        """Poles of the loop; None where it is not well posed or not finite."""
+        """Return the poles of the loop; None where it is ill-posed or not finite."""
         loop = self.loop(theta)
         if loop is None or not np.isfinite(loop.A).all():
             return None
         return np.linalg.eigvals(loop.A) if len(loop.A) else np.zeros(0, complex)
 
     def pole(self, theta: AnyArray, measure: Any) -> Pole | None:
-        """The pole with the largest ``measure(poles)`` and its derivative; None where there is none."""
+        """Return the pole with the largest ``measure(poles)`` and its derivative; None where there is none."""
         member = self._member(theta) if len(self.A) else None
         if member is None or not np.isfinite(member.loop.A).all():
             return None
@@ -112,7 +111,7 @@ class LoopFamily:
         return Pole(value, member.by_theta(np.outer(u @ self.B, self.C @ v)))
 
     def abscissa(self, theta: AnyArray) -> tuple[float, AnyArray | None]:
-        """Spectral abscissa (discrete: largest modulus minus one) and its gradient with respect to Theta."""
+        """Return the spectral abscissa (discrete: largest modulus minus one) and its gradient by Theta."""
         if not len(self.A):
             return -np.inf, np.zeros_like(theta)
         found = self.pole(theta, np.abs if self.discrete else np.real)
@@ -126,7 +125,7 @@ class LoopFamily:
     # --- norms -------------------------------------------------------------------------------------------------------
 
     def norm(self, theta: AnyArray, give_up_above: float = np.inf) -> tuple[float, AnyArray | None]:
-        """H-infinity norm and its gradient; ``(inf, None)`` for a loop that is not stable."""
+        """Return the H-infinity norm and its gradient; ``(inf, None)`` for an unstable loop."""
         member = self._member(theta)
         continuous = None if member is None else self._continuous(member)
         if member is None or continuous is None:
@@ -138,7 +137,7 @@ class LoopFamily:
         return (max(value, found[0][0]), found[0][1]) if found else (np.inf, None)
 
     def active(self, theta: AnyArray, value: float, share: float, band: float) -> list[tuple[float, AnyArray]]:
-        """Singular values near the norm ``value``, each with its gradient: all peaks above ``(1 - share) value``."""
+        """Return the singular values at all peaks above ``(1 - share) value``, each with its gradient."""
         member = self._member(theta)
         continuous = None if member is None else self._continuous(member)
         if member is None or continuous is None:
@@ -148,7 +147,7 @@ class LoopFamily:
         )
 
     def _gradients(self, member: _Member, omegas: AnyArray, least: float) -> list[tuple[float, AnyArray]]:
-        """Singular values above ``least`` near the largest of each frequency, with their gradients."""
+        """Return singular values above ``least`` near the largest of each frequency, with their gradients."""
         a, b, c, d = member.loop
         m, found = b.shape[1], list[tuple[float, AnyArray]]()
         dynamic = (np.isfinite(omegas) | self.discrete) & bool(len(a))
@@ -173,7 +172,7 @@ class LoopFamily:
         return found
 
     def h2_norm(self, theta: AnyArray) -> tuple[float, AnyArray | None]:
-        """H2 norm and its gradient; ``(inf, None)`` for a loop that is not stable."""
+        """Return the H2 norm and its gradient; ``(inf, None)`` for an unstable loop."""
         from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
 
         member = self._member(theta)
@@ -201,7 +200,7 @@ class LoopFamily:
         return norm, member.by_theta(G / max(norm, 1e-300))
 
     def entropy(self, theta: AnyArray, gamma: float) -> tuple[float, AnyArray, float] | None:
-        """Entropy at this level with its gradients with respect to Theta and to gamma; None at or below the norm."""
+        """Return the entropy at this level with its gradients by Theta and by gamma; None at or below the norm."""
         member = self._member(theta)
         if member is None or not all(np.isfinite(part).all() for part in member.loop):
             return None

@@ -1,7 +1,7 @@
-"""What a search makes small: the H-infinity norm of a loop, and its entropy as a smooth barrier of that norm.
+"""Objectives of a search: the H-infinity norm of a loop, and its entropy as a smooth barrier of that norm.
 
-The norm is quick and warm-started; it is no proof. The entropy at a level is finite exactly where the norm is below it.
-Frequencies are those of a continuous loop; a discrete loop is mapped by the bilinear rule first.
+The norm is fast, warm-started and unproved. The entropy at a level is finite exactly where the norm is below it.
+Frequencies are those of a continuous loop; a discrete loop is first mapped by the bilinear rule.
 """
 
 from __future__ import annotations
@@ -16,26 +16,18 @@ from robustlab.linear_analysis.matrix_equations import hamiltonian_riccati, lapa
 from robustlab.linear_analysis.slicot import lyapunov_solution
 from robustlab.synthesis.problem.partition import Realisation
 
-# Relative height above the largest value met at which the Hamiltonian is asked for crossings, and how often.
-PEAK_LEVEL = 1e-8
-PEAK_LEVELS = 12
-# Frequencies of the first look, beside those of the poles.
-PEAK_GRID = 28
-# Steps of the secant method at a peak.
-PEAK_REFINEMENTS = 8
-# Eigenvalues of the Hamiltonian count as crossings up to this ratio of real part to modulus; sigma decides.
-NEAR_AXIS = 1e-3
-# Residual of the entropy's Riccati equation, relative to its terms, above which a solution counts as none.
-ENTROPY_RESIDUAL = 1e-7
-
-# Real parts of poles above this share of the norm of A cannot be told from zero.
-BLUR = 1e-13
-# Eigenvectors whose product is below this share get their derivatives from a perturbed A.
-DEFECTIVE = 1e-14
+PEAK_LEVEL = 1e-8  # relative height above the largest value found at which the Hamiltonian is tested for crossings ...
+PEAK_LEVELS = 12  # ... and most such tests
+PEAK_GRID = 28  # frequencies of the first grid, without those of the poles
+PEAK_REFINEMENTS = 8  # steps of the secant method at a peak
+NEAR_AXIS = 1e-3  # ratio of real part to modulus up to which eigenvalues of the Hamiltonian are crossing candidates
+ENTROPY_RESIDUAL = 1e-7  # largest residual of the entropy's Riccati equation, relative to its terms
+BLUR = 1e-13  # share of the norm of A below which real parts of poles are indistinguishable from zero
+DEFECTIVE = 1e-14  # least product of left and right eigenvectors in a derivative
 
 
 def bilinear(loop: Realisation) -> Realisation | None:
-    """The continuous loop of a discrete one under ``s = (z - 1)/(z + 1)``; None where a pole lies at z = -1."""
+    """Return the continuous loop of a discrete one under ``s = (z - 1)/(z + 1)``; None for a pole at z = -1."""
     a, b, c, d = loop
     n = a.shape[0]
     if not n:
@@ -49,7 +41,7 @@ def bilinear(loop: Realisation) -> Realisation | None:
 
 
 def bilinear_pullback(loop: Realisation, by: Realisation) -> Realisation:
-    """Gradients with respect to a discrete loop from those with respect to its `bilinear` image."""
+    """Return the gradients by a discrete loop from those by its `bilinear` image."""
     a, b, c, _ = loop
     e = np.linalg.inv(np.eye(len(a)) + a)
     eb, ce, root = e @ b, c @ e, np.sqrt(2.0)
@@ -58,14 +50,14 @@ def bilinear_pullback(loop: Realisation, by: Realisation) -> Realisation:
 
 
 def resolvent_point(omega: float, discrete: bool) -> complex:
-    """The s (or z, of a loop that was mapped by `bilinear`) that belongs to a continuous frequency; inf allowed."""
+    """Return the s (or z, of a loop mapped by `bilinear`) of a continuous frequency; inf allowed."""
     if not discrete:
         return 1j * omega
     return -1.0 + 0j if np.isinf(omega) else (1 + 1j * omega) / (1 - 1j * omega)
 
 
 def extreme_pole(A: AnyArray, measure: Callable[[AnyArray], AnyArray]) -> tuple[complex, AnyArray, AnyArray]:
-    """The pole with the largest ``measure(poles)``, and u, v with ``d pole = u^T dA v``."""
+    """Return the pole with the largest ``measure(poles)``, and u, v with ``d pole = u^T dA v``."""
     from scipy.linalg import eig
 
     values, left, right = (np.asarray(x) for x in eig(A, left=True, check_finite=False))
@@ -76,13 +68,13 @@ def extreme_pole(A: AnyArray, measure: Callable[[AnyArray], AnyArray]) -> tuple[
 
 
 class PeakFinder:
-    """Finds the peaks of one loop after the other; the frequencies of the last ones are tried first."""
+    """Search for the peaks of successive loops, warm-started by the frequencies of the last ones."""
 
     def __init__(self) -> None:
         self._warm: list[float] = []
 
     def largest(self, loop: Realisation, give_up_above: float = np.inf) -> tuple[float, float]:
-        """``(norm, frequency)``; infinite for a loop that is not stable."""
+        """Return ``(norm, frequency)``; infinite for an unstable loop."""
         n = loop.A.shape[0]
         direct = float(np.linalg.norm(loop.D, 2)) if loop.D.any() else 0.0
         if not n or not loop.B.size or not loop.C.size:
@@ -111,7 +103,7 @@ class PeakFinder:
         return value, at
 
     def _above(self, loop: Realisation, modal: ModalLoop, value: float, at: float) -> tuple[float, float]:
-        """Raise the value until the Hamiltonian shows no crossing above it."""
+        """Raise the value until the Hamiltonian has no crossing above it."""
         for _ in range(PEAK_LEVELS):
             level = value * (1 + PEAK_LEVEL)
             crossing = crossings(loop, level)
@@ -130,7 +122,7 @@ class PeakFinder:
         return value, at
 
     def peaks(self, loop: Realisation, value: float, share: float, band: float) -> list[float]:
-        """Frequencies of all local maxima above ``(1 - share) * value``, and of grid points above ``(1 - band)``."""
+        """Return frequencies of local maxima above ``(1 - share) * value`` and of grid points above ``(1 - band)``."""
         if not loop.A.shape[0]:
             return [0.0]
         modal = ModalLoop(loop)
@@ -149,7 +141,7 @@ class PeakFinder:
 
 
 class ModalLoop:
-    """A loop in modal coordinates: the gain at many frequencies costs little; good for searching, not for the value."""
+    """A loop in modal coordinates, for a fast gain at many frequencies with the accuracy of a search."""
 
     def __init__(self, loop: Realisation) -> None:
         a, b, c, self.d = loop
@@ -163,7 +155,7 @@ class ModalLoop:
         for j in np.flatnonzero(imag > 0):
             vectors[:, j] = right[:, j] + 1j * right[:, j + 1]
             vectors[:, j + 1] = vectors[:, j].conj()
-        # Modes that almost coincide make the vectors almost dependent; a little accuracy is lost in the search only.
+        # Almost equal modes have almost dependent vectors; this loses accuracy in the search only.
         try:
             self.b = np.linalg.solve(vectors, b.astype(complex))
         except np.linalg.LinAlgError:
@@ -171,7 +163,7 @@ class ModalLoop:
         self.c = c @ vectors
 
     def frequencies(self, grid: int = PEAK_GRID, more: Sequence[float] = ()) -> AnyArray:
-        """Zero, the poles' frequencies and resonances, and a coarse grid around them."""
+        """Return zero, the poles' frequencies and resonances, and a coarse grid around them."""
         poles = self.poles[self.poles.imag >= 0]
         size = np.abs(poles)
         resonance = np.sqrt(np.maximum(poles.imag**2 - poles.real**2, 0.0))
@@ -179,33 +171,33 @@ class ModalLoop:
         return np.unique(np.concatenate([[0.0], size, poles.imag, resonance, wide, more]))
 
     def response(self, omega: AnyArray) -> AnyArray:
-        """Gain matrices at finite frequencies, shape (n_omega, n_z, n_w)."""
+        """Return the gain matrices at finite frequencies, shape (n_omega, n_z, n_w)."""
         return (self.c[None] / (1j * omega[:, None, None] - self.poles)) @ self.b + self.d
 
     def sigma(self, omega: AnyArray, above: float = 0.0) -> AnyArray:
-        """Largest singular values; where the Frobenius norm shows that it is at most ``above``, that norm."""
+        """Return the largest singular values; the Frobenius norm where that is at most ``above``."""
         gain = self.response(omega)
         size = np.linalg.norm(gain, axis=(1, 2))
         if min(gain.shape[1:]) > 1:
-            ask = size > above
-            if above == 0.0:  # the largest value met bounds what is worth a decomposition
+            large = size > above
+            if above == 0.0:  # only gains above the largest value found need a decomposition
                 first = int(size.argmax())
                 top = np.linalg.svd(gain[first], compute_uv=False)[0]
-                ask = size > top
-                size[first], ask[first] = top, False
-            if ask.any():
-                size[ask] = np.linalg.svd(gain[ask], compute_uv=False)[:, 0]
+                large = size > top
+                size[first], large[first] = top, False
+            if large.any():
+                size[large] = np.linalg.svd(gain[large], compute_uv=False)[:, 0]
         return size
 
     def slope(self, omega: float) -> tuple[float, float]:
-        """``sigma_max`` and its derivative with respect to the frequency."""
+        """Return ``sigma_max`` and its derivative with respect to the frequency."""
         shift = 1j * omega - self.poles
         left, s, right = np.linalg.svd((self.c / shift) @ self.b + self.d, full_matrices=False)
         u, v = left[:, 0].conj(), right[0].conj()
         return float(s[0]), float(np.real(((u @ self.c) / shift**2) @ (self.b @ v) * -1j))
 
     def refined(self, omega: float, low: float, high: float) -> float:
-        """The maximiser of sigma near omega inside [low, high], by a safeguarded secant method on the slope."""
+        """Return the maximiser of sigma near omega inside [low, high] by a safeguarded secant method on the slope."""
         _, g = self.slope(omega)
         if g == 0 or omega == 0.0:
             return omega
@@ -226,7 +218,7 @@ class ModalLoop:
 
 
 def crossings(loop: Realisation, level: float) -> AnyArray:
-    """Frequencies >= 0 at which a singular value of the loop may have this level, in order."""
+    """Return the ascending frequencies >= 0 at which a singular value of the loop may have this level."""
     a, b, c, d = loop
     root = np.sqrt(level)
     b, c = b / root, c / root
@@ -253,7 +245,7 @@ def crossings(loop: Realisation, level: float) -> AnyArray:
 
 
 def _sigma_at(loop: Realisation, omega: float) -> float:
-    """``sigma_max`` by a direct solve."""
+    """Return ``sigma_max`` by a direct solve."""
     if not np.isfinite(omega):
         return float(np.linalg.norm(loop.D, 2))
     a, b, c, d = loop
@@ -268,7 +260,7 @@ def _sigma_at(loop: Realisation, omega: float) -> float:
 
 
 def entropy(loop: Realisation, gamma: float) -> tuple[float, float, Realisation] | None:
-    """The entropy, its derivative by gamma and its gradients by the loop; None where the norm is not below gamma."""
+    """Return the entropy and its derivatives by gamma and by the loop; None where the norm is not below gamma."""
     a, b, c, d = loop
     n, m = b.shape
     r = gamma**2 * np.eye(m) - d.T @ d

@@ -1,4 +1,4 @@
-"""Search for the parameters of a controller law: stabilise, follow the central path, descend on the norm, polish."""
+"""Search for the parameters of a controller law: stabilise, central path, descent on the norm, refinement."""
 
 from __future__ import annotations
 
@@ -17,51 +17,44 @@ from robustlab.synthesis.nonsmooth.descent_methods import Function, bfgs, sequen
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 
-# The abscissa (scaled time) at which a start counts as stable, most steps to it, and those that go further inside.
-STABLE = -1e-6
-STABILISE_STEPS = 300
-DEEPER_STEPS = 15
-DEEP = -0.5
-ENTRY_STEPS = 24  # down the norm that every start takes ...
-FOLLOWED = 3  # ... and how many of different ends go on to the end of the path ...
-POLISHED = 2  # ... of which so many are polished. More: slower, seldom better
-POLISH_ROUNDS = 8
-POLISH_STEPS = 40
-SAME = 1e-4  # ends whose norms differ by less than this share count as the same optimum
-# Weights of the barrier: the first finds the middle of the feasible set, the last ends within about a percent.
-BARRIER = (3.0, 1.0, 0.3)
-# Those for a start that has come down the norm already, and for a controller that is known to be good.
-BARRIER_CLOSER = (0.1, 0.03)
-BARRIER_KNOWN = (0.3, 0.1, 0.03)
+STABLE = -1e-6  # abscissa (scaled time) at which a start counts as stable
+STABILISE_STEPS = 300  # most steps to it
+DEEPER_STEPS, DEEP = 15, -0.5  # further steps inside, and the abscissa at which they end
+ENTRY_STEPS = 24  # steps on the norm of every start ...
+FOLLOWED = 3  # ... number of distinct starts that continue to the end of the path ...
+REFINED = 2  # ... and of those that are refined. More: slower, seldom better
+REFINE_ROUNDS = 8
+REFINE_STEPS = 40
+SAME = 1e-4  # relative difference of norms below which ends count as the same optimum
+BARRIER = (3.0, 1.0, 0.3)  # barrier weights, from the middle of the feasible set to within about 1 % of the optimum
+BARRIER_CLOSER = (0.1, 0.03)  # weights for a start after a descent on the norm ...
+BARRIER_KNOWN = (0.3, 0.1, 0.03)  # ... and for a known good controller
 BARRIER_STEPS = 60
 BARRIER_RTOL = 1e-5
-# Level over the norm at which the path begins.
-HEADROOM = 1.5
-DESCENT_STEPS = 100  # of a descent on the norm itself
-POLISH_DESCENT = 40  # of those between linear programs
+HEADROOM = 1.5  # first level of the path over the norm
+DESCENT_STEPS = 100  # of a descent on the norm
+REFINE_DESCENT = 40  # of those between linear programs
 DESCENT_RTOL = 1e-6
-# Condition number of the modes of A_K up to which they are taken as coordinates.
-MODES_WELL_APART = 1e6
-# Dense quasi-Newton steps are quick up to this number of parameters; of larger controllers A_K stays as it is.
-MANY = 700
+MODES_WELL_APART = 1e6  # condition number of the modes of A_K up to which they are taken as coordinates
+MANY = 700  # number of parameters above which A_K is fixed: dense quasi-Newton steps become slow
 
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """What became of one start."""
+    """The result of one start."""
 
     kind: str  # `"given"`, `"reduced"`, `"structure"` (its own start) or `"random"`
-    # Spectral abscissa (in the plant's scaled time) or violated limit where stabilisation ended; negative: feasible.
+    # Spectral abscissa (in the plant's scaled time) or violated limit at the end of stabilisation; negative: feasible.
     instability: float
     gamma: float  # norm at its end, in the plant's units, before verification; inf where it was never stable
     p: AnyArray  # its parameters
-    values: tuple[float, ...]  # norms on the way
+    values: tuple[float, ...]  # history of the norm
 
     def to_json(self) -> dict[str, Any]:
         return {k: getattr(self, k) for k in ("kind", "instability", "gamma", "values")}
 
     def moved(self, problem: DesignProblem, p: AnyArray, norms: Sequence[float]) -> Start:
-        """Moved to these parameters on the way of these scaled norms, where it ends lower; else itself."""
+        """Return the start moved to these parameters with these scaled norms if it ends lower, else itself."""
         values = tuple(x / problem.gain for x in norms)
         if not values[-1] < self.gamma:
             return self
@@ -75,7 +68,7 @@ def multi_start(
     seed: int,
     progress: Callable[[str], None],
 ) -> list[Start]:
-    """All starts, the best ones polished; best first."""
+    """Return the results of all starts, the best ones refined; best first."""
     field: list[Start] = []
     total = len(given) + 1 + starts
     for i in range(total):
@@ -92,14 +85,14 @@ def multi_start(
         best = min(start.gamma for start in field)
         text = f"best norm {best:.6g}" if np.isfinite(best) else "none stabilises yet"
         progress(f"start {i + 1} of {total}: norm {field[-1].gamma:.6g}, {text}")
-    for improved, most in ((_followed, FOLLOWED), (_polished, POLISHED)):
+    for improved, most in ((_followed, FOLLOWED), (_refined, REFINED)):
         field = _distinct_first(field)
         field = [improved(problem, s) if i < most and 0 < s.gamma < np.inf else s for i, s in enumerate(field)]
     return sorted(field, key=lambda s: s.gamma)
 
 
 def _random(problem: DesignProblem, rng: np.random.Generator, uneven: bool) -> AnyArray:
-    """A random start; ``uneven`` ones spread their parameters over decades, because channels differ that much."""
+    """Return a random start; ``uneven``: parameters over decades, as channels can differ that much."""
     count = len(problem.free)
     spread = 10 ** (rng.uniform(-2.0, 2.0, count) if uneven else np.full(count, rng.uniform(-1.0, 1.0)))
     draw = rng.standard_normal(count)
@@ -109,7 +102,7 @@ def _random(problem: DesignProblem, rng: np.random.Generator, uneven: bool) -> A
 
 
 def _entered(problem: DesignProblem, kind: str, v: AnyArray) -> Start:
-    """A start made stable, and some steps down; with limits, or where it is not a random one, by the central path."""
+    """Stabilise a start and descend some steps; with limits, or where it is not random, along the central path."""
     v, instability = stabilised(problem, v)
     start = Start(kind, instability, np.inf, problem.parameters(v)[0], ())
     if instability >= STABLE:
@@ -123,7 +116,7 @@ def _entered(problem: DesignProblem, kind: str, v: AnyArray) -> Start:
 
 
 def _distinct_first(field: list[Start]) -> list[Start]:
-    """By norm, but those that ended where a better one has ended come last."""
+    """Sort by norm, with those that end at the same optimum as a better one last."""
     first: list[Start] = []
     again: list[Start] = []
     for start in sorted(field, key=lambda s: s.gamma):
@@ -133,7 +126,7 @@ def _distinct_first(field: list[Start]) -> list[Start]:
 
 
 def _followed(problem: DesignProblem, start: Start) -> Start:
-    """A start taken along the path from where it is, and down the norm itself."""
+    """Continue a start along the central path and by descent on the norm."""
     if problem.late():
         return start
     v, values = central_path(problem, problem.variables(start.p), BARRIER_CLOSER)
@@ -141,11 +134,10 @@ def _followed(problem: DesignProblem, start: Start) -> Start:
     return start.moved(problem, problem.parameters(v)[0], [*values[1:], value])
 
 
-def _polished(problem: DesignProblem, start: Start) -> Start:
-    """A start improved by `polished`."""
+def _refined(problem: DesignProblem, start: Start) -> Start:
     if problem.late():
         return start
-    p, value = polished(problem, start.p)
+    p, value = refined(problem, start.p)
     return start.moved(problem, p, [value])
 
 
@@ -154,7 +146,7 @@ def _bfgs(problem: DesignProblem, function: Function, v: AnyArray, **steps: Any)
 
 
 def stabilised(problem: DesignProblem, v: AnyArray) -> tuple[AnyArray, float]:
-    """Variables from v on that stabilise all loops and keep the limits, or the best found, and what is violated."""
+    """Return variables that stabilise all loops and keep the limits, or the best found, and the violation."""
     v, value = _below_zero(problem, lambda x, _: problem.instability(x), v)
     if value >= STABLE or not problem.limits:
         return v, value
@@ -162,7 +154,7 @@ def stabilised(problem: DesignProblem, v: AnyArray) -> tuple[AnyArray, float]:
 
 
 def _below_zero(problem: DesignProblem, function: Function, v: AnyArray) -> tuple[AnyArray, float]:
-    """Descent until the function is negative, and a few steps further."""
+    """Descend until the function is negative, and a few steps further."""
     value = function(v, np.inf)[0]
     if value < STABLE:
         return v, value
@@ -175,7 +167,7 @@ def _below_zero(problem: DesignProblem, function: Function, v: AnyArray) -> tupl
 def central_path(
     problem: DesignProblem, v: AnyArray, weights: Sequence[float] = BARRIER
 ) -> tuple[AnyArray, list[float]]:
-    """Minimisers of ``ln gamma + mu * barrier`` for falling mu, from feasible variables; norms on the way."""
+    """Return the best minimiser of ``ln gamma + mu * barrier`` for decreasing mu, and the history of the norm."""
     best, at = problem.norm(v)[0], v
     values = [best]
     if not np.isfinite(best) or best <= 0:
@@ -200,22 +192,22 @@ def _descended(problem: DesignProblem, v: AnyArray, steps: int) -> tuple[AnyArra
     return found or (v, problem.norm(v)[0])
 
 
-def polished(problem: DesignProblem, p: AnyArray) -> tuple[AnyArray, float]:
-    """Parameters improved by sequential linear programs and descents in turn."""
+def refined(problem: DesignProblem, p: AnyArray) -> tuple[AnyArray, float]:
+    """Return parameters improved by sequential linear programs and descents in turn, and their norm."""
     free = problem.free
     low = np.array([c.parameter.low for c in problem.coordinates])
     high = np.array([c.parameter.high for c in problem.coordinates])
     p = p.copy()
     value = problem.value_at(p[free])
-    for _ in range(POLISH_ROUNDS):
+    for _ in range(REFINE_ROUNDS):
         if problem.late():
             break
         q, reached = sequential_linear(
-            problem.value_at, problem.pieces, p[free], low, high, max_steps=POLISH_STEPS, late=problem.late
+            problem.value_at, problem.pieces, p[free], low, high, max_steps=REFINE_STEPS, late=problem.late
         )
         full = p.copy()
         full[free] = q
-        v, descended = _descended(problem, problem.variables(full), POLISH_DESCENT)
+        v, descended = _descended(problem, problem.variables(full), REFINE_DESCENT)
         if descended < reached:
             full, reached = problem.parameters(v)[0], descended
         gained = reached < value * (1 - 3e-4)
@@ -226,11 +218,11 @@ def polished(problem: DesignProblem, p: AnyArray) -> tuple[AnyArray, float]:
     return p, value
 
 
-# --- from a controller that is known ----------------------------------------------------------------------------------
+# --- from a known controller ------------------------------------------------------------------------------------------
 
 
 def descend(plant: GeneralizedPlant, K0: StateSpaceModel, budget: Budget) -> StateSpaceModel:
-    """A controller of the order of K0 with a norm that is at most K0's, by descent from K0."""
+    """Return a controller of the order of K0 with at most the norm of K0, by descent from K0."""
     if (K0.n_inputs, K0.n_outputs) != (plant.n_meas, plant.n_con):
         found = f"K0 has {K0.n_inputs} inputs and {K0.n_outputs} outputs"
         raise InputError("descend", found, f"{plant.n_meas} and {plant.n_con}")
@@ -241,14 +233,14 @@ def descend(plant: GeneralizedPlant, K0: StateSpaceModel, budget: Budget) -> Sta
     if not np.isfinite(before) or budget.over:
         return K0
     v, _ = central_path(problem, v, BARRIER_KNOWN)
-    q, after = polished(problem, problem.parameters(v)[0])
+    q, after = refined(problem, problem.parameters(v)[0])
     if not after < before:
         return K0
     return law.model(q, K0.dt, K0.inputs, K0.outputs)
 
 
 def law_around(K: StateSpaceModel) -> tuple[Law, AnyArray]:
-    """A law that contains K, in coordinates with few parameters, and its parameters for K."""
+    """Return a law that contains K, in coordinates with few parameters, and its parameters for K."""
     A, B, C = _modal(K)
     k, n_u, n_y = K.n_states, K.n_outputs, K.n_inputs
     builder, theta = LawBuilder(k, n_u, n_y), np.block([[A, B], [C, K.D]])
@@ -263,7 +255,7 @@ def law_around(K: StateSpaceModel) -> tuple[Law, AnyArray]:
 
 
 def _modal(K: StateSpaceModel) -> tuple[AnyArray, AnyArray, AnyArray]:
-    """A, B, C with A in real modal form, or as given where the modes are not well apart."""
+    """Return A, B, C with A in real modal form, or as given where the modes are not well separated."""
     if not K.n_states:
         return K.A, K.B, K.C
     values, vectors = np.linalg.eig(K.A)

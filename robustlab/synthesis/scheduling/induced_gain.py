@@ -1,7 +1,7 @@
 """`lpv_gain`: a proved bound of the induced L2 gain of an LPV model, for all trajectories of its parameters.
 
-A solver looks for P at the points of the grid (Wu, Yang, Packard, Becker 1996), and ball arithmetic proves what it
-found: `robustlab.verification.parameters` has the theorem and its Bernstein coefficients.
+A solver computes P at the points of the grid (Wu, Yang, Packard, Becker 1996), and ball arithmetic proves it:
+`robustlab.verification.parameters` has the theorem and its Bernstein coefficients.
 """
 
 from __future__ import annotations
@@ -28,14 +28,13 @@ from robustlab.verification.checker import check
 from robustlab.verification.claim import Claim, Outcome
 
 WORK = 4e8  # at effort 1, in the units of `robustlab.budget`
-NEAR = 0.02  # a loop this close (relative) to the LMIs' optimum ends the search over back-offs
-# Back-offs from the optimum of the LMIs at which the largest margin is looked for. Smaller: tighter bounds, more of
-# which rounding leaves unproved.
+NEAR = 0.02  # relative distance of a loop from the LMIs' optimum that ends the search over back-offs
+# Back-offs from the optimum of the LMIs at which the margin is maximised. Smaller: tighter bounds, more failed proofs.
 GAIN_BACKOFFS = (1e-4, 1e-3, 1e-2, 0.1)
-SMALLEST = 1e-5  # scaled gain that is told from zero
-GAIN_BISECTIONS = 5  # for the smallest gamma that a Lyapunov matrix still proves
-INEQUALITIES = 4000  # of one problem, at most: beyond it they outlast any patience
-SIGNED = 3  # deviating entries up to which every choice of signs is asked for: exact, but 2^n inequalities
+SMALLEST = 1e-5  # smallest scaled gain that is distinguishable from zero
+GAIN_BISECTIONS = 5  # for the smallest gamma that a Lyapunov matrix proves
+INEQUALITIES = 4000  # most inequalities of one problem
+SIGNED = 3  # most deviating entries for which all signs are used: exact, but 2^n inequalities
 
 Index = tuple[int, ...]
 Lyapunov = Literal["constant", "varying"]
@@ -48,8 +47,8 @@ class LPVGain(PeakGain, Traced):
     Attributes
     ----------
     lower
-        Largest H-infinity norm of a frozen model that was looked at; attained, because a parameter may stand still.
-        Infinite where a frozen model is not stable.
+        Largest H-infinity norm of the frozen models at the points; attained, as parameters may be constant. Infinite
+        where a frozen model is not stable.
     upper
         Proved bound of the gain; infinite where none was found.
     at
@@ -57,19 +56,19 @@ class LPVGain(PeakGain, Traced):
     frequency
         Frequency in rad/s at which that frozen model attains it; of its pole where it is not stable.
     P
-        Lyapunov matrix, or those at the points of the grid, shape (n_1, ..., n_k, n_x, n_x) with 1 along a parameter
-        with which it does not vary; empty where nothing was proved.
+        Lyapunov matrix, or those at the points of the grid, shape (n_1, ..., n_k, n_x, n_x) with 1 along parameters on
+        which it does not depend; empty where nothing was proved.
     lyapunov
         ``"constant"``: proved for trajectories of any rate; ``"varying"``: for those within the bounds of the rates.
     model
-        The model that it is about, so that it can be checked again.
+        The model, for verification.
     status
-        CERTIFIED: proved in ball arithmetic from P and the model. CONVERGED: proved likewise, but how far the
-        family is from its interpolation was only sampled. INFEASIBLE: no such Lyapunov function,
-        because the frozen model at ``at`` is not stable (``lower`` is infinite), or as the solver says, which proves no
-        instability. INCONCLUSIVE: nothing was proved, or a pole cannot be told from the stability boundary.
+        CERTIFIED: proved in ball arithmetic from P and the model. CONVERGED: proved likewise, but the distance of the
+        family from its interpolation was only sampled. INFEASIBLE: no such Lyapunov function, because the frozen model
+        at ``at`` is not stable (``lower`` is infinite), or by the solver, which does not prove instability.
+        INCONCLUSIVE: nothing was proved, or a pole is indistinguishable from the stability boundary.
     reason
-        How it was found, and what it holds for.
+        Method of the proof, or reason of its failure.
     """
 
     frequency: float
@@ -84,40 +83,40 @@ class LPVGain(PeakGain, Traced):
 
     @property
     def scope(self) -> str:
-        """What the bound holds for."""
+        """Parameter trajectories and models for which the bound holds."""
         if not self.P.size:
             return ""
         known = {
             EXACT: "certified between the grid points: the model is multi-linear there",
-            SAMPLED: "certified between the grid points for what samples saw of the family there",
+            SAMPLED: "certified between the grid points for the deviation at samples of the family",
         }.get(self.model.known, "certified between the grid points: the deviation there is proved and allowed for")
         names = [f"|d{p.name}/dt| <= {number(p.rate)}" for p in self.model.parameters if np.isfinite(p.rate)]
         free = self.lyapunov == "constant" or not names
         return f"{known}; {'any rate of change' if free else ', '.join(names)}"
 
     def recheck(self) -> bool:
-        """Whether ``P`` still proves ``upper`` for ``model``, in ball arithmetic."""
+        """Return whether ``P`` proves ``upper`` for ``model`` in ball arithmetic."""
         return bool(self.P.size) and holds(gain_claim(self.model, self.P, self.upper))
 
     def claims(self) -> list[Claim]:
-        """That the gain is at most ``upper``; nothing where the model between the points was only sampled."""
+        """Return the claim that the gain is at most ``upper``; none where the model was only sampled."""
         proved = self.status is Status.CERTIFIED and self.P.size and np.isfinite(self.upper)
         return [gain_claim(self.model, self.P, self.upper)] if proved else []
 
     def bounds(self) -> str:
-        """The bracket, with what each side rests on."""
+        """Return the bracket with the origin of each side."""
         if np.isinf(self.lower):
             return self.unstable
         upper = f"{number(self.upper, digits=6)} (proved)" if np.isfinite(self.upper) else "no bound proved"
         return f"{number(self.lower, digits=6)} (frozen, attained) .. {upper}"
 
     def place(self) -> str:
-        """Which frozen model attains ``lower``, and where."""
+        """Return the parameters and the frequency at which ``lower`` is attained."""
         values = ", ".join(f"{name} = {number(value)}" for name, value in self.at.items())
         return f"{values}, {number(self.frequency, 'rad/s')}" if np.isfinite(self.lower) else ""
 
     def evidence(self) -> Facts:
-        """What it holds for, and how it was proved."""
+        """Return the scope and the method of the proof."""
         return [("holds", self.scope), ("Lyapunov function", self.lyapunov), ("how", self.reason)]
 
     def to_json(self) -> dict[str, Any]:
@@ -155,43 +154,43 @@ def lpv_gain(
 def gain_from(
     model: LPVModel, lyapunov: Lyapunov | None, budget: Budget, say: Callable[[str], None], guess: Array | None = None
 ) -> LPVGain:
-    """`lpv_gain` on a budget; ``guess`` is a constant P to try first, and in whose states the LMIs are posed."""
+    """Compute `lpv_gain` on a budget; ``guess``: a constant P to try first and to scale the states of the LMIs."""
     bounded = any(np.isfinite(p.rate) for p in model.parameters)
     varying = bounded if lyapunov is None else lyapunov == "varying" and bounded
     lower, at, frequency, doubt = _frozen(model)
     word = "varying" if varying else "constant"
 
-    def told(upper: float, P: Array, status: Status, reason: str) -> LPVGain:
+    def result(upper: float, P: Array, status: Status, reason: str) -> LPVGain:
         P.setflags(write=False)
         return LPVGain(lower, upper, frequency, status, at, P, word, model, reason)
 
     nothing = np.zeros((0, 0))
     if doubt:
-        return told(np.inf, nothing, Status.INCONCLUSIVE if np.isfinite(lower) else Status.INFEASIBLE, doubt)
+        return result(np.inf, nothing, Status.INCONCLUSIVE if np.isfinite(lower) else Status.INFEASIBLE, doubt)
     varies = [varying and np.isfinite(p.rate) for p in model.parameters]
     count = int(np.prod([(size - 1) * (6 if v else 2) for size, v in zip(model.grid, varies, strict=True)]))
     if count > INEQUALITIES:
         expected, hint = f"at most {INEQUALITIES}", "fewer points, or lyapunov='constant'"
         raise InputError("lpv_gain", f"{count} inequalities", expected, hint)
-    posed = _Posed(model, varies, lower, guess)
-    start = max(lower, SMALLEST / posed.scaling.gain)
+    lmis = _GainLMIs(model, varies, lower, guess)
+    start = max(lower, SMALLEST / lmis.scaling.gain)
     found, how = None, "by the Lyapunov matrix of the synthesis"
     if guess is not None:
-        P = np.array(np.broadcast_to(0.5 * (guess + guess.T), (*posed.shape, *guess.shape)))
+        P = np.array(np.broadcast_to(0.5 * (guess + guess.T), (*lmis.shape, *guess.shape)))
         found = _smallest(model, P, start)
-    # Only where that is far from the frozen norms is the solver worth its time.
+    # The solver is needed only if that is far from the frozen norms.
     if found is None or found[0] > (1 + NEAR) * lower:
-        solved, text = _solved(posed, start, budget, say)
+        solved, text = _by_lmis(lmis, start, budget, say)
         if solved is not None and (found is None or solved[0] < found[0]):
             found, how = solved, text
         elif found is None:
             status = Status.INFEASIBLE if "says infeasible" in text else Status.INCONCLUSIVE
-            return told(np.inf, nothing, Status.TIMEOUT if budget.struck else status, f"no bound was proved: {text}")
-    return told(*found, Status.CONVERGED if model.known == SAMPLED else Status.CERTIFIED, how)
+            return result(np.inf, nothing, Status.TIMEOUT if budget.struck else status, f"no bound was proved: {text}")
+    return result(*found, Status.CONVERGED if model.known == SAMPLED else Status.CERTIFIED, how)
 
 
 def _frozen(model: LPVModel) -> tuple[float, dict[str, float], float, str]:
-    """Largest attained norm of the models at the points, where, at which frequency; and the member without a norm."""
+    """Return the largest norm of the models at the points, its place and frequency, and a model without a norm."""
     lower, at, frequency, doubt = 0.0, {}, float("nan"), ""
     for values, one in model.nodes():
         norm = hinf_norm(one)
@@ -207,12 +206,12 @@ def _frozen(model: LPVModel) -> tuple[float, dict[str, float], float, str]:
 
 
 def gain_claim(model: LPVModel, P: Array, gamma: float) -> Claim:
-    """That the gain of the model, what it deviates included, is at most ``gamma``."""
+    """Return the claim that the gain of the model, deviation included, is at most ``gamma``."""
     return Claim("lpv-gain", {**model_numbers(model), "P": P, "gamma": np.array(gamma)})
 
 
 def model_numbers(model: LPVModel) -> dict[str, Any]:
-    """Grid, matrices at its points, rates, and the deviation between them where there is any."""
+    """Return the grid, the matrices at its points, the rates, and any deviation between the points."""
     numbers = {f"points{i}": np.array(p.points) for i, p in enumerate(model.parameters)}
     numbers |= {"M": model.matrices, "n": np.array(model.n_states)}
     numbers["rate"] = np.array([p.rate for p in model.parameters])
@@ -220,12 +219,12 @@ def model_numbers(model: LPVModel) -> dict[str, Any]:
 
 
 def holds(claim: Claim) -> bool:
-    """Whether ball arithmetic proves it."""
+    """Return whether ball arithmetic proves the claim."""
     return check(claim).outcome is Outcome.PROVED
 
 
 def _smallest(model: LPVModel, P: Array, low: float) -> tuple[float, Array] | None:
-    """The smallest level that P proves, from just above ``low`` on, and P; None where not even 100 times it is."""
+    """Return the smallest level above ``low`` that P proves, and P; None where 100 times ``low`` is not proved."""
     if not np.isfinite(P).all():
         return None
 
@@ -241,25 +240,25 @@ def _smallest(model: LPVModel, P: Array, low: float) -> tuple[float, Array] | No
     return high, P
 
 
-def _solved(
-    posed: _Posed, start: float, budget: Budget, say: Callable[[str], None]
+def _by_lmis(
+    lmis: _GainLMIs, start: float, budget: Budget, say: Callable[[str], None]
 ) -> tuple[tuple[float, Array] | None, str]:
-    """The smallest proved level and its P by the LMIs, or None; and how or why not."""
-    optimum, _, text = posed.solved(None, budget)
+    """Return the smallest proved level and its P by the LMIs, or None, and the method or the reason of failure."""
+    optimum, _, text = lmis.solve(None, budget)
     if optimum is None:
         return None, text
-    say(f"LMIs: {len(posed.inequalities)} inequalities, optimum {optimum:.6g}")
+    say(f"LMIs: {len(lmis.inequalities)} inequalities, optimum {optimum:.6g}")
     start = max(optimum, start)
     for backoff in GAIN_BACKOFFS:
-        _, P, text = posed.solved(start * (1 + backoff), budget)
-        found = None if P is None else _smallest(posed.model, P, start)
+        _, P, text = lmis.solve(start * (1 + backoff), budget)
+        found = None if P is None else _smallest(lmis.model, P, start)
         if found is not None:
-            return found, f"LMIs; {len(posed.inequalities)} inequalities, proved in ball arithmetic"
+            return found, f"LMIs; {len(lmis.inequalities)} inequalities, proved in ball arithmetic"
     return None, f"an optimum of {optimum:.6g} could not be proved ({text})"
 
 
-class _Posed:
-    """The inequality over whole cells for a solver: scaled, and in states in which a guess of P is the identity."""
+class _GainLMIs:
+    """The LMIs over whole cells, scaled and in states in which a guess of P is the identity."""
 
     def __init__(self, model: LPVModel, varies: list[bool], size: float, guess: Array | None) -> None:
         self.model, self.varies, n = model, varies, model.n_states
@@ -282,19 +281,19 @@ class _Posed:
 
     @property
     def shape(self) -> Index:
-        """Of the stack of P: the grid along the parameters with which it varies, 1 along the others."""
+        """Shape of the stack of P: the grid along the parameters on which it depends, 1 along the others."""
         return tuple(size if v else 1 for size, v in zip(self.model.grid, self.varies, strict=True))
 
-    def solved(self, level: float | None, budget: Budget) -> tuple[float | None, Array | None, str]:
-        """Smallest level (None), or P of the largest margin at a level, and why there is none; unchecked."""
+    def solve(self, level: float | None, budget: Budget) -> tuple[float | None, Array | None, str]:
+        """Minimise the level (None), or maximise the margin of P at a level; return both, and the reason of failure."""
         import cvxpy as cp
 
         n, s = self.model.n_states, self.scaling
         P = {w: cp.Variable((n, n), symmetric=True) for w in np.ndindex(*self.shape)}
         ones = dict.fromkeys(P, np.eye(n))
-        # A bound of P's size, with which what the model deviates counts.
+        # A bound of P's size for the terms of the deviation.
         gamma, margin, size = (cp.Variable(nonneg=True) for _ in range(3))
-        asked = gamma if level is None else level * s.gain
+        bound = gamma if level is None else level * s.gain
         robust = any(rest.any() for *_, rest in self.inequalities)
         conditions = [margin <= 1, *(X >> 0 for X in P.values())]
         if robust or level is not None:
@@ -303,34 +302,32 @@ class _Posed:
             models = [(self.left @ (self.model.matrices[v] + shift) @ self.right, w) for v, w in pairs]
             out = np.mean([m[n:] for m, _ in models], axis=0)
 
-            def held(
-                P: Any, level: Any, models: Any = models, slopes: Any = slopes, out: Array = out
-            ) -> Any:  # L_c for P at its vertices
+            # L_c for P at its vertices.
+            def lhs(P: Any, level: Any, models: Any = models, slopes: Any = slopes, out: Array = out) -> Any:
                 top: Any = sum(P[w] @ m[:n] / len(models) for m, w in models)
                 drift = top[:, :n] + top[:, :n].T + sum(f / s.rate * (P[a] - P[b]) for f, a, b in slopes)
                 return bounded_real(cp.hstack([drift, top[:, n:]]), out[:, :n], out[:, n:], level)
 
-            a, b, o, d = _norms(np.abs(self.left) @ rest @ np.abs(self.right), n)
+            rest = np.abs(self.left) @ rest @ np.abs(self.right)
+            parts = rest[:n, :n], rest[:n, n:], rest[n:, :n], rest[n:, n:]
+            a, b, o, d = (float(np.linalg.norm(part, 2)) for part in parts)
             slack = (2 * a + b) * size + o + d if robust else 0.0
-            # The margin is that of the inequality in rows of one size, as it counts in the check.
-            unit = np.diag(equal_rows(held(ones, 1.0).value))
-            scaled = unit @ (held(P, asked) + slack * np.eye(len(unit))) @ unit
+            # The margin of the inequality with equally scaled rows, as in the check.
+            unit = np.diag(equal_rows(lhs(ones, 1.0).value))
+            scaled = unit @ (lhs(P, bound) + slack * np.eye(len(unit))) @ unit
             conditions.append(-scaled - (0.0 if level is None else margin) * np.eye(len(unit)) >> 0)
         failed = least(gamma if level is None else 1e-6 * size - margin, conditions, budget)
         if failed:
             return None, None, failed
         found = np.array([X.value for X in P.values()]).reshape(*self.shape, n, n)
         found = self.back.T @ found @ self.back * (s.w / (s.z * s.rate))
-        return (
-            float(np.asarray(gamma.value)) / s.gain if level is None else level,
-            0.5 * (found + np.swapaxes(found, -1, -2)),
-            "",
-        )
+        level = float(np.asarray(gamma.value)) / s.gain if level is None else level
+        return level, 0.5 * (found + np.swapaxes(found, -1, -2)), ""
 
 
 def _coefficients(model: LPVModel, varies: list[bool]) -> list[tuple[Any, Any, Array, Array]]:
-    """Every L_c, those that neighbouring cells share once: pairs of vertices of the model and of P whose mean it is,
-    differences of P with factors that are its derivative, and the deviation: with signs, and as a bound.
+    """Return every L_c, those shared by neighbouring cells once: pairs of vertices of the model and of P whose mean it
+    is, differences of P with factors that give its derivative, and the deviation: with signs, and as a bound.
     """
     found: dict[Any, tuple[Any, Any, Array, Array]] = {}
     for cell in model.cells():
@@ -364,10 +361,3 @@ def _coefficients(model: LPVModel, varies: list[bool]) -> list[tuple[Any, Any, A
                 for shift in shifts:
                     found[pairs, slopes, shift.tobytes(), rest.tobytes()] = pairs, slopes, shift, rest
     return list(found.values())
-
-
-def _norms(deviation: Array, n: int) -> tuple[float, float, float, float]:
-    """2-norms of the bounds for A, B, C and D."""
-    parts = deviation[:n, :n], deviation[:n, n:], deviation[n:, :n], deviation[n:, n:]
-    a, b, c, d = (float(np.linalg.norm(part, 2)) if part.size else 0.0 for part in parts)
-    return a, b, c, d

@@ -1,8 +1,9 @@
-"""LPV models of uncertain sets, with a proved error between the points, and of functions, with a sampled one."""
+"""LPV models of uncertain sets (proved interpolation error) and of functions (sampled error)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -30,45 +31,45 @@ def lpv_model(
     samples: int = 200,
     seed: int = 0,
 ) -> LPVModel:
-    r"""LPV model of an uncertain set whose parameters are measured, or of a function of the parameters.
+    r"""Return the LPV model of an uncertain set with measured parameters, or of a function of the parameters.
 
     Parameters
     ----------
     source
-        An `UncertainModel` with real scalar blocks only: each becomes a scheduling parameter of its name, in its unit
-        where it stands for a physical parameter, else normalised. Or a function of keywords that returns the model at
-        these values, for example ``lambda tz: rl.linearise(platform, at=[0, 0, tz, 0, 0, 0])``: its states must be the
-        same physical ones everywhere, as those of linearised plants are.
+        An `UncertainModel` with real scalar blocks only: each becomes a scheduling parameter of its name, in the unit
+        of its physical parameter or else normalised. Or a function of keywords that returns the model at these values,
+        for example ``lambda tz: rl.linearise(platform, at=[0, 0, tz, 0, 0, 0])``: its states must be the same physical
+        ones everywhere, as for linearised plants.
     points
-        Name -> values, ascending, or a number of equal steps' ends (2 are the ends alone). Of an uncertain model those
-        left out have 2; of a function all are needed, as values.
+        Name -> ascending values, or a number of equidistant values (2: the ends). Default for an uncertain model: 2; a
+        function requires values for all parameters.
     rates
-        Name -> bound of ``|d rho/dt|`` in the parameter's unit per second; infinite where left out.
+        Name -> bound of ``|d rho/dt|`` in the parameter's unit per second (default: infinite).
     units
-        Name -> unit; of an uncertain model those of its parameters where left out.
+        Name -> unit (default for an uncertain model: those of its parameters).
     samples
-        Of a function: places, the middles of the cells beside random ones, at which the distance from the interpolation
-        is looked for.
+        For a function: number of points, the middles of the cells and random ones, at which the interpolation error is
+        computed.
     seed
-        Of the random places.
+        Seed of the random points.
 
     Returns
     -------
     LPVModel
-        Of an uncertain model ``known`` is ``"exact"`` (the dependence is multi-affine) or ``"proved"``; of a function
-        ``"sampled"``: the largest distance seen in each cell.
+        The model; for an uncertain model ``known`` is ``"exact"`` (multi-affine dependence) or ``"proved"``, for a
+        function ``"sampled"``: the largest error computed in each cell.
 
     Raises
     ------
     InputError
-        Blocks that are no real parameters, unknown names, values outside the ranges, a discrete model.
+        Blocks other than real parameters, unknown names, values outside the ranges, a discrete model.
     NoTrustworthyNumber
-        Cells so wide that no error can be proved in them: more points are needed.
+        Cells too wide for a proved error: more points are required.
 
     Notes
     -----
-    Models linearised at equilibria tell how deviations from a resting point evolve. That the resting point itself
-    moves, ``- dx0/drho rho'`` in the equations, is no part of them.
+    Models linearised at equilibria describe deviations from an equilibrium x0. They do not contain the motion of the
+    equilibrium itself, ``- dx0/drho rho'``.
 
     Examples
     --------
@@ -97,7 +98,7 @@ def _of_uncertain(
     blocks: list[Any] = []
     for b in source.blocks:
         if not (b.is_real and b.is_scalar):
-            hint = "what cannot be measured is no scheduling parameter: evaluate the set at a value of that block"
+            hint = "scheduling parameters must be measured: evaluate the set at a value of that block"
             raise InputError(f"lpv_model: block {b.name!r}", type(b).__name__, "real parameters only", hint)
         blocks.append(b)
     for name in points:
@@ -119,7 +120,7 @@ def _of_uncertain(
 
 
 def _values(block: Any, given: int | Sequence[float]) -> Array:
-    """Values of a parameter, within its range."""
+    """Return the values of a parameter within its range."""
     p = block.parameter
     low, high = block.interval if p is None else (p.low, p.high)
     if isinstance(given, (int, np.integer)) and not isinstance(given, bool):
@@ -134,13 +135,13 @@ def _values(block: Any, given: int | Sequence[float]) -> Array:
 
 
 def _entries(block: Any, values: Array) -> Array:
-    """The numbers that stand in Delta for values of a parameter: one affine law."""
+    """Return the entries of Delta for values of a parameter."""
     p = block.parameter
     return values if p is None else (values - p.nominal) / p.radius
 
 
 def _proved_deviation(source: UncertainModel, entries: Sequence[Array]) -> Array:
-    """Bound of the error of interpolation in each cell, entry by entry."""
+    """Return a bound of the interpolation error in each cell, entry by entry."""
     (q, p), m, n = source.delta_shape, source.M, source.M.n_states
     inner, size = m.D[:p, :q], np.abs(m.D[:p, :q])
     left = np.abs(np.vstack([m.B[:, :q], m.D[p:, :q]]))
@@ -154,7 +155,7 @@ def _proved_deviation(source: UncertainModel, entries: Sequence[Array]) -> Array
         ends = [(e[i], e[i + 1]) for e, i in zip(entries, cell, strict=True)]
         middle = np.sum([0.5 * (a + b) * s for s, (a, b) in zip(shares, ends, strict=True)], axis=0)
         radius = np.sum([0.5 * (b - a) * s for s, (a, b) in zip(shares, ends, strict=True)], axis=0)
-        # |W| and |V| over the cell, with D before them: only what returns to its own parameter counts.
+        # |W| and |V| over the cell; only the terms that return to their own parameter contribute.
         at = np.abs(np.linalg.inv(np.eye(p) - inner @ middle))
         loop = size @ radius @ at
         if loop.size and not np.abs(np.linalg.eigvals(loop)).max() < 1 - 1e-6:
@@ -184,7 +185,8 @@ def _of_function(
     if not points or any(isinstance(v, (int, np.integer)) for v in points.values()):
         raise InputError("lpv_model: points", f"{dict(points)!r}", "the values of each parameter of the function")
     values = {name: real_array(f"points of {name!r}", v, 1, "lpv_model") for name, v in points.items()}
-    models = [_called(source, dict(zip(values, at, strict=True))) for at in _every(list(values.values()))]
+    grid = product(*(v.tolist() for v in values.values()))
+    models = [_called(source, dict(zip(values, at, strict=True))) for at in grid]
     plain = LPVModel(values, models, rates, units)
     cells, deviation = list(plain.cells()), np.array(plain.deviation)
     rng = np.random.default_rng(seed)
@@ -199,10 +201,6 @@ def _of_function(
     return LPVModel(values, models, rates, units, deviation, SAMPLED)
 
 
-def _every(values: Sequence[Array]) -> list[list[float]]:
-    return [[float(v[i]) for v, i in zip(values, at, strict=True)] for at in np.ndindex(*(len(v) for v in values))]
-
-
 def _called(source: Callable[..., Any], values: Mapping[str, float]) -> StateSpaceModel:
-    said = ", ".join(f"{name} = {value:g}" for name, value in values.items())
-    return as_model(source(**values), f"lpv_model: at {said}")
+    at = ", ".join(f"{name} = {value:g}" for name, value in values.items())
+    return as_model(source(**values), f"lpv_model: at {at}")

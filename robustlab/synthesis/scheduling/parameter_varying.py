@@ -18,14 +18,13 @@ from robustlab.shown import Facts, Shown, listed, number, short, with_units
 from robustlab.signals import Signal, law, real_array
 from robustlab.statespace import StateSpaceModel, as_model
 
-EXACT, PROVED, SAMPLED = "exact", "proved", "sampled"
-# How the deviation between the points of the grid is known.
-KNOWN = (EXACT, PROVED, SAMPLED)
+# Origin of the bound of the deviation between the points of the grid.
+KNOWN = EXACT, PROVED, SAMPLED = "exact", "proved", "sampled"
 
 
 @dataclass(frozen=True)
 class SchedulingParameter:
-    """A measured parameter: values at which the model is given, from one end of its range to the other."""
+    """A measured parameter with the ascending values over its range at which the model is given."""
 
     name: str
     points: tuple[float, ...]
@@ -44,7 +43,7 @@ class SchedulingParameter:
 
     @property
     def words(self) -> str:
-        """Range, points and rate for a person."""
+        """Range, points and rate as text."""
         low, high = number(self.points[0]), number(self.points[-1], self.unit)
         rate = "any rate" if np.isinf(self.rate) else f"rate <= {number(self.rate, f'{self.unit or 1}/s')}"
         return f"{self.name} = {low} .. {high} ({len(self.points)} points, {rate})"
@@ -56,30 +55,30 @@ class LPVModel(Behaviour, Shown, Traced):
 
     .. math:: M(\rho) = \sum_v \alpha_v(\rho) M_v + E(\rho), \qquad M = \begin{bmatrix} A & B \\ C & D \end{bmatrix}
 
-    with multi-linear weights within each cell of the grid. The states must mean the same at all points: equal names are
-    asked for, and equal coordinates are the user's matter (models of one plant in its physical states have them;
-    balanced or reduced models have not).
+    with multi-linear weights within each cell of the grid. The states must be in the same coordinates at all points.
+    Their names are checked, their coordinates are not: physical states have equal coordinates, states of balanced or
+    reduced models do not.
 
     Parameters
     ----------
     points
-        Name of each parameter -> its values, ascending. Two values each make a polytopic model.
+        Name of each parameter -> its values, ascending. Two values each give a polytopic model.
     models
-        Models at the points, the last parameter first to change: a list of all of them, or nested lists.
+        Models at the points, the last parameter varying fastest: a list of all of them, or nested lists.
     rates
-        Name -> bound of ``|d rho/dt|``; infinite where left out.
+        Name -> bound of ``|d rho/dt|`` (default: infinite).
     units
         Name -> unit of the parameter.
     deviation
-        Bound of ``|M(rho) - interpolation|`` for each cell, shape (n_1 - 1, ..., n_k - 1, n_x + n_y, n_x + n_u); zero
-        where left out.
+        Bound of ``|M(rho) - interpolation|`` for each cell, shape (n_1 - 1, ..., n_k - 1, n_x + n_y, n_x + n_u)
+        (default: zero).
     known
-        How that bound is known: ``"exact"`` (the model is its interpolation), ``"proved"`` or ``"sampled"``.
+        Origin of that bound: ``"exact"`` (the model is its interpolation), ``"proved"`` or ``"sampled"``.
 
     Raises
     ------
     InputError
-        Points that do not ascend, a wrong number of models, models of different sizes, names or units, a discrete one.
+        Points that do not ascend, a wrong number of models, unequal sizes, names or units, a discrete model.
 
     Examples
     --------
@@ -142,7 +141,7 @@ class LPVModel(Behaviour, Shown, Traced):
         cls, parameters: Sequence[SchedulingParameter], matrices: Array, n_states: int, inputs: Sequence[Signal],
         outputs: Sequence[Signal], states: Sequence[Signal], deviation: ArrayLike | None = None, known: str = EXACT,
     ) -> LPVModel:  # fmt: skip
-        """From the stacked matrices ``[A B; C D]``, shape (n_1, ..., n_k, n_x + n_y, n_x + n_u), of sizes that fit."""
+        """Return the model of stacked matrices ``[A B; C D]``, shape (n_1, ..., n_k, n_x + n_y, n_x + n_u)."""
         if not isinstance(known, str) or known not in KNOWN:
             hint = did_you_mean(str(known), KNOWN)
             raise InputError("LPVModel: known", f"{known!r}", f"one of {', '.join(KNOWN)}", hint)
@@ -162,7 +161,7 @@ class LPVModel(Behaviour, Shown, Traced):
         return made
 
     def changed(self, **fields: Any) -> LPVModel:
-        """The same but for these fields, of sizes that fit."""
+        """Return the model with these fields replaced."""
         return LPVModel.of(**({name: getattr(self, name) for name in type(self).__dataclass_fields__} | fields))
 
     @property
@@ -176,27 +175,27 @@ class LPVModel(Behaviour, Shown, Traced):
         return tuple(p.name for p in self.parameters)
 
     def model_of(self, matrix: Array) -> StateSpaceModel:
-        """A matrix ``[A B; C D]`` as a model with the names of this one."""
+        """Return a matrix ``[A B; C D]`` as a model with the names of this one."""
         n = self.n_states
         parts = matrix[:n, :n], matrix[:n, n:], matrix[n:, :n], matrix[n:, n:]
         return StateSpaceModel(*parts, 0.0, self.inputs, self.outputs, self.states, where="LPVModel")
 
     def nodes(self) -> Iterator[tuple[dict[str, float], StateSpaceModel]]:
-        """The values of the parameters and the model at each point of the grid."""
+        """Yield the values of the parameters and the model at each point of the grid."""
         for index in np.ndindex(self.grid):
             values = {p.name: p.points[i] for p, i in zip(self.parameters, index, strict=True)}
             yield values, self.model_of(self.matrices[index])
 
     def cells(self) -> Iterator[tuple[int, ...]]:
-        """Index of the lowest vertex of each cell."""
+        """Yield the index of the lowest vertex of each cell."""
         return iter(np.ndindex(*(n - 1 for n in self.grid)))
 
     def at(self, rho: Mapping[str, float] | Sequence[float] | None = None, **values: float) -> StateSpaceModel:
-        """The model at one value of every parameter: a mapping, a sequence in their order, or by name."""
+        """Return the model at one value of every parameter: a mapping, a sequence in their order, or by name."""
         return self.model_of(self.matrix_at(self.place(rho, **values)))
 
     def place(self, rho: Mapping[str, float] | Sequence[float] | None = None, **values: float) -> Array:
-        """The values of the parameters in their order, checked, shape (k,)."""
+        """Return the checked values of the parameters in their order, shape (k,)."""
         if rho is not None and not isinstance(rho, Mapping):
             array = real_array("rho", rho, 1, "LPVModel.at")
             if len(array) != len(self.names):
@@ -215,19 +214,17 @@ class LPVModel(Behaviour, Shown, Traced):
         return np.array([float(given[name]) for name in self.names])
 
     def matrix_at(self, rho: Array) -> Array:
-        """``[A B; C D]`` at the values rho (k,), held at the ends of the ranges; unchecked."""
+        """Return ``[A B; C D]`` at the unchecked values rho (k,), clipped to the ranges."""
         found = self.matrices
         for p, value in zip(self.parameters, rho, strict=True):
             i = min(max(int(np.searchsorted(p.points, value)) - 1, 0), len(p.points) - 2)
             share = (value - p.points[i]) / (p.points[i + 1] - p.points[i])
             share = min(max(share, 0.0), 1.0)
-            found = found[i] + share * (found[i + 1] - found[i])  # constant entries stay exactly so
+            found = found[i] + share * (found[i + 1] - found[i])  # keeps constant entries exactly
         return found
 
     def refined(self, pieces: int | Mapping[str, int] = 2) -> LPVModel:
-        """The same model with every cell cut into ``pieces`` along each parameter, or those named: a finer grid for
-        Lyapunov functions and controllers.
-        """
+        """Return the model on a grid with every cell cut into ``pieces`` along each parameter, or those named."""
         cuts = dict.fromkeys(self.names, pieces) if isinstance(pieces, int) else dict(pieces)
         matrices, deviation, parameters = self.matrices, self.deviation, []
         for axis, p in enumerate(self.parameters):
@@ -247,14 +244,14 @@ class LPVModel(Behaviour, Shown, Traced):
         return self.changed(parameters=parameters, matrices=matrices, deviation=deviation)
 
     def with_rates(self, **rates: float) -> LPVModel:
-        """The same model with other bounds of the rates of the named parameters."""
+        """Return the model with other bounds of the rates of the named parameters."""
         for name in rates:
             _require_name("with_rates", name, self.names)
         return self.changed(parameters=[replace(p, rate=rates.get(p.name, p.rate)) for p in self.parameters])
 
     @property
     def between(self) -> str:
-        """What is known between the points of the grid, in words."""
+        """The model error between the points of the grid as text."""
         if self.known == EXACT:
             return "the model is multi-linear there"
         size = number(float(self.deviation.max(initial=0.0)))
@@ -281,9 +278,9 @@ class LPVModel(Behaviour, Shown, Traced):
         return f"LPVModel({size} over {', '.join(self.names)}, {self.n_states} states, [{ins}] -> [{outs}])"
 
     def to_json(self) -> dict[str, object]:
-        told: dict[str, object] = {"parameters": [vars(p) for p in self.parameters], "matrices": self.matrices}
+        found: dict[str, object] = {"parameters": [vars(p) for p in self.parameters], "matrices": self.matrices}
         sides = {side: [list(s) for s in getattr(self, side)] for side in ("inputs", "outputs", "states")}
-        return told | sides | {"deviation": self.deviation, "known": self.known}
+        return found | sides | {"deviation": self.deviation, "known": self.known}
 
 
 def _require_name(where: str, name: str, known: tuple[str, ...]) -> None:
@@ -292,14 +289,14 @@ def _require_name(where: str, name: str, known: tuple[str, ...]) -> None:
 
 
 def _flat(models: Any) -> list[StateSpaceModel]:
-    """All models of nested lists, the last level first to change."""
+    """Return all models of nested lists, the last level varying fastest."""
     if isinstance(models, (list, tuple, np.ndarray)):
         return [m for part in models for m in _flat(part)]
     return [as_model(models, "LPVModel: models")]
 
 
 def _check_alike(k: int, first: StateSpaceModel, other: StateSpaceModel) -> None:
-    """Sizes, names and units of the first; continuous."""
+    """Require a continuous model with the sizes, names and units of the first."""
     where = f"LPVModel: model {k}"
     if other.is_discrete:
         raise InputError(where, f"discrete, dt = {other.dt:g} s", "a continuous model")
@@ -323,11 +320,11 @@ class LPVController(Shown, Traced):
     K
         The controllers at the points of the grid, interpolated between them.
     gamma
-        Induced gain that `lpv_gain` proved of the loop it was designed on; None where none was.
+        Induced gain of the design's loop proved by `lpv_gain`; None where none was.
     status
-        How much ``gamma`` can be trusted.
+        Status of ``gamma``.
     method
-        What made it.
+        Design method.
     """
 
     K: LPVModel
@@ -340,12 +337,12 @@ class LPVController(Shown, Traced):
             raise InputError("LPVController: K", type(self.K).__name__, "an LPVModel")
 
     def at(self, rho: Any = None, **values: float) -> StateSpaceModel:
-        """The controller at one value of every parameter; see `LPVModel.at`."""
+        """Return the controller at one value of every parameter; see `LPVModel.at`."""
         return self.K.at(rho, **values)
 
     def facts(self) -> Facts:
-        said = [("gamma", number(self.gamma, digits=6)), ("method", self.method), ("loop", law(self.K.inputs))]
-        return [*said, *self.K.facts()]
+        own = [("gamma", number(self.gamma, digits=6)), ("method", self.method), ("loop", law(self.K.inputs))]
+        return [*own, *self.K.facts()]
 
     def to_json(self) -> dict[str, object]:
         return {"K": self.K, "gamma": self.gamma, "status": self.status, "method": self.method}

@@ -1,7 +1,7 @@
 """`hinf` of an LPV model: controllers scheduled by measured parameters, their loops verified by `lpv_gain`.
 
-The projection LMIs with shared R and S, a controller for each grid point, interpolated between them (Apkarian, Gahinet,
-Becker 1995). Whatever the LMIs say, what is returned is proved of the loop rebuilt from plant and controller.
+Projection LMIs with shared R and S give a controller for each grid point, interpolated between them (Apkarian, Gahinet,
+Becker 1995). The result is proved for the loop rebuilt from plant and controller, independently of the LMIs.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ from robustlab.synthesis.scheduling.induced_gain import NEAR, WORK, LPVGain, gai
 from robustlab.synthesis.scheduling.parameter_varying import EXACT, KNOWN, PROVED, LPVController, LPVModel
 from robustlab.verification.claim import Claim
 
-BALANCINGS = 8  # rounds in which states are balanced by what the LMIs gave in the last
+BALANCINGS = 8  # rounds in which states are balanced by the last R and S
 SYNTHESIS_BACKOFFS = (0.005, 0.02, 0.1, 0.3)  # larger: better conditioned controllers, worse gamma
-# Couplings t of [R tI; tI S] >= 0 beside one that follows the back-off. Larger: better conditioned, sooner infeasible.
+# Couplings t of [R tI; tI S] >= 0; another one depends on the back-off. Larger: better conditioned, sooner infeasible.
 COUPLINGS = (1.5, 1.05)
-LARGEST = 1e5  # eigenvalue of R and S in the coordinates of the solver: without it many optima are not attained
-NULL = 1e-10  # singular values below it, relative to the largest, span a null space
-# Channels added to the frozen plant whose Riccati equations give the first states: sizes in turn, from large to small,
-# and how many times its smallest gamma they may cost.
+LARGEST = 1e5  # bound of the eigenvalues of R and S in the solver: without it many optima are not attained
+NULL = 1e-10  # relative tolerance of singular values of a null space
+# Sizes of channels added to the frozen plant whose Riccati equations give the first states, and the largest increase
+# of its smallest gamma that they may cause.
 ADDED = tuple(10.0 ** (-0.5 * k) for k in range(17))
 COST = 30.0
-SWEEPS = 10  # over the states of a controller until their units stand
+SWEEPS = 10  # over the states of a controller to scale their units
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -56,13 +56,13 @@ class LPVSynthesis(Design):
     closed_loop
         The loop rebuilt from plant and controller, from w to z.
     gain
-        What `lpv_gain` says of it; ``gain.upper`` is ``gamma``.
+        Result of `lpv_gain`; ``gain.upper`` is ``gamma``.
     lmi_gamma
-        Optimum of the LMIs at the grid points: what no controller of this method gets below.
+        Optimum of the LMIs at the grid points: a lower bound for this method.
     status
-        That of ``gain``.
+        Status of ``gain``.
     reason
-        How it was found.
+        Back-off and verification of the design.
     """
 
     quantities: ClassVar[Mapping[str, Any]] = dict.fromkeys(("gamma", "lmi_gamma"), float)
@@ -76,11 +76,11 @@ class LPVSynthesis(Design):
 
     @property
     def controller(self) -> LPVController:
-        """K with what was verified about it, as it is stored."""
+        """K with its verified gain, as stored."""
         return LPVController(self.K, self.gamma, self.status, "lpv-hinf")
 
     def claims(self) -> list[Claim]:
-        """That plant and controller, as they are stored, make a loop with that gain."""
+        """Return the claim that plant and controller, as stored, form a loop with that gain."""
         plant, K, n = self.plant, self.K, self.plant.n_states
         z, w = len(plant.outputs) - len(K.inputs), len(plant.inputs) - len(K.outputs)
         M, E = (X.reshape(-1, *X.shape[-2:]) for X in (plant.matrices, plant.deviation))
@@ -89,7 +89,7 @@ class LPVSynthesis(Design):
             return []
         sizes = {"n_K": K.n_states, "n_meas": len(K.inputs), "n_con": len(K.outputs)}
         numbers = {**model_numbers(plant), **{name: np.array(size) for name, size in sizes.items()}, "K": K.matrices}
-        # The loop that was proved was rounded.
+        # The proof was for a rounded loop.
         return [Claim("lpv-gain", {**numbers, "P": self.gain.P, "gamma": np.array(self.gamma * (1 + 1e-6))})]
 
     def _gamma_text(self) -> str:
@@ -114,7 +114,7 @@ def scheduled_hinf(
     time_limit: float | None,
     progress: Callable[[str], None] | None,
 ) -> LPVSynthesis:
-    """`hinf` of an LPV model; see there."""
+    """Compute `hinf` of an LPV model."""
     if n_meas is None or n_con is None:
         raise InputError("hinf", "n_meas or n_con is missing", "the numbers of measurements and of controls")
     matrices = plant_matrices(plant, n_meas, n_con, "hinf")
@@ -127,7 +127,7 @@ def scheduled_hinf(
 
 @dataclass(frozen=True, eq=False)
 class _Conditioned:
-    """The plants of the grid points scaled, and in states ``x_scaled = turn x'``; gamma is the LMIs' optimum there."""
+    """The scaled plants of the grid points in states ``x_scaled = turn x'``, with the LMIs' optimum gamma."""
 
     plants: list[PlantMatrices]
     scaling: Scaling
@@ -135,7 +135,7 @@ class _Conditioned:
     gamma: float
 
     def in_given_states(self, X: Array, units: Array) -> Array:
-        """The closed loop's Lyapunov matrix for the plant's own states, and the controller's in units of their own."""
+        """Return the closed loop's Lyapunov matrix for the plant's states and the controller's in given units."""
         n, s = len(self.turn), self.scaling
         back = np.diag(np.append(np.ones(n), units))
         back[:n, :n] = np.linalg.inv(self.turn) / s.states
@@ -145,7 +145,7 @@ class _Conditioned:
 def _designed(
     plant: LPVModel, matrices: list[PlantMatrices], budget: Budget, say: Callable[[str], None]
 ) -> LPVSynthesis:
-    """The best verified loop a little above the LMIs' optimum."""
+    """Return the best verified design slightly above the LMIs' optimum."""
     hint = "other weights, smaller ranges or rates, or a finer grid (LPVModel.refined)"
     problem, text = _conditioned(matrices, budget, say)
     if problem is None:
@@ -160,7 +160,7 @@ def _designed(
             made = None if X is None else _controller(plant, problem, X, level * (1 + 0.5 * backoff), budget)
             if made is None or X is None:
                 continue
-            # Whatever the LMIs say: the loop is rebuilt from plant and controller, and its gain proved.
+            # The loop is rebuilt from plant and controller, and its gain proved independently of the LMIs.
             K, units = made
             loop, how = closed_loop(plant, K, "hinf"), f"{backoff:.1%} above the LMIs' optimum"
             gain = gain_from(loop, None, budget, say, problem.in_given_states(X, units))
@@ -172,7 +172,7 @@ def _designed(
                     status=gain.status, reason=f"{how}; loop rebuilt from plant and controller",
                 )  # fmt: skip
             break
-        # A larger back-off is for those that rounding, or the loop between the points, spoils.
+        # A larger back-off is needed only where rounding or the loop between the points increases the gain.
         if best is not None and best.gamma <= optimum * (1 + backoff + NEAR):
             break
     if best is None:
@@ -183,7 +183,7 @@ def _designed(
 def _conditioned(
     matrices: list[PlantMatrices], budget: Budget, say: Callable[[str], None]
 ) -> tuple[_Conditioned | None, str]:
-    """The plants in states in which R and S of the last optimum are equal and diagonal, until it stands; or why not."""
+    """Return the plants in states in which R and S are equal and diagonal, or None and the reason."""
     middle = matrices[len(matrices) // 2]
     scaling = paths_first(middle)
     turn, size = _frozen_states(scaling.apply(middle), budget)
@@ -201,18 +201,18 @@ def _conditioned(
         best = np.inf if found is None else found.gamma
         if gamma < best:
             found = _Conditioned(plants, scaling, turn, gamma)
-        # The first rounds may go up: R and S of a bad start say little.
+        # The optimum may rise in the first rounds after a bad start.
         waited = 0 if gamma < best * (1 - 0.5 * NEAR) else waited + 1
         if waited == 2 or abs(gamma / best - 1) < 0.5 * NEAR:
             break
-        # Above the optimum R and S are moderate; where the solver has none there, those at the optimum serve.
-        _, softer, _ = _projection(plants, 1.05 * gamma + 1e-9, 1.5, budget)
-        turn = turn @ _balancing(*(outer if softer is None else softer))
+        # R and S are moderate above the optimum; if the solver finds none there, those at the optimum are used.
+        _, relaxed, _ = _projection(plants, 1.05 * gamma + 1e-9, 1.5, budget)
+        turn = turn @ _balancing(*(outer if relaxed is None else relaxed))
     return found, text
 
 
 def _frozen_states(p: PlantMatrices, budget: Budget) -> tuple[Array | None, float]:
-    """States in which ``X^-1`` and ``Y^-1`` of a frozen plant are equal and diagonal, and its smallest gamma."""
+    """Return states in which ``X^-1`` and ``Y^-1`` of a frozen plant are equal and diagonal, and its least gamma."""
     found: list[tuple[float, TwoRiccatiProblem]] = []
     for size in ADDED:
         try:
@@ -231,13 +231,13 @@ def _frozen_states(p: PlantMatrices, budget: Budget) -> tuple[Array | None, floa
 
 
 def _turned(p: PlantMatrices, T: Array) -> PlantMatrices:
-    """The plant in states ``x = T x'``."""
+    """Return the plant in states ``x = T x'``."""
     back = np.linalg.inv(T)
     return replace(p, A=back @ p.A @ T, B1=back @ p.B1, B2=back @ p.B2, C1=p.C1 @ T, C2=p.C2 @ T)
 
 
 def _balancing(R: Array, S: Array) -> Array:
-    """T with ``T^-1 R T^-T = T^T S T`` diagonal: states in which both are equal."""
+    """Return T with ``T^-1 R T^-T = T^T S T`` diagonal."""
     values, vectors = np.linalg.eigh(R)
     root = vectors * np.sqrt(np.maximum(values, 1e-14 * values[-1]))
     squares, turn = np.linalg.eigh(root.T @ S @ root)
@@ -247,15 +247,15 @@ def _balancing(R: Array, S: Array) -> Array:
 def _projection(
     plants: Sequence[PlantMatrices], level: float | None, coupling: float, budget: Budget
 ) -> tuple[float | None, tuple[Array, Array] | None, str]:
-    """Smallest gamma (``level`` None), or R and S of small trace at a level, with ``[R t I; t I S] >= 0``."""
+    """Minimise gamma (``level`` None), or the trace of R and S at a level, with ``[R t I; t I S] >= 0``."""
     import cvxpy as cp
 
     n = plants[0].sizes[0]
     R, S, gamma = cp.Variable((n, n), symmetric=True), cp.Variable((n, n), symmetric=True), cp.Variable()
     conditions = [cp.bmat([[R, coupling * np.eye(n)], [coupling * np.eye(n), S]]) >> 0]
     conditions += [LARGEST * np.eye(n) - X >> 0 for X in (R, S)]
-    asked = gamma if level is None else level
-    conditions += [_outer(q, X, asked) for p in plants for q, X in ((dual(p), R), (p, S))]
+    bound = gamma if level is None else level
+    conditions += [_outer(q, X, bound) for p in plants for q, X in ((dual(p), R), (p, S))]
     failed = least(gamma if level is None else cp.trace(R) + cp.trace(S), conditions, budget)
     if failed:
         return None, None, failed
@@ -264,7 +264,7 @@ def _projection(
 
 
 def _outer(p: PlantMatrices, S: Any, gamma: Any) -> Any:
-    """The second inequality of a plant, in an orthonormal basis of its null space and rows of one size."""
+    """Return the second inequality of a plant in an orthonormal basis of its null space, with equally scaled rows."""
     import cvxpy as cp
     from scipy.linalg import block_diag, null_space
 
@@ -278,7 +278,7 @@ def _outer(p: PlantMatrices, S: Any, gamma: Any) -> Any:
 
 
 def _shared(R: Array, S: Array) -> Array | None:
-    """The closed loop's Lyapunov matrix of one R and S, with ``M N^T = I - R S`` split evenly; None where singular."""
+    """Return the closed loop's Lyapunov matrix of R and S with balanced ``M N^T = I - R S``; None where singular."""
     U, s, Vt = np.linalg.svd(np.eye(len(R)) - R @ S)
     M, N = U * np.sqrt(s), Vt.T * np.sqrt(s)
     zero, eye = np.zeros_like(R), np.eye(len(R))
@@ -292,7 +292,7 @@ def _shared(R: Array, S: Array) -> Array | None:
 def _controller(
     plant: LPVModel, problem: _Conditioned, X: Array, level: float, budget: Budget
 ) -> tuple[LPVModel, Array] | None:
-    """The controllers of the grid points for a given X, in the units of the plant, and the units of their states."""
+    """Return the controllers of the grid points for a given X in the plant's units, and the units of their states."""
     made: list[Array] = []
     for p in problem.plants:
         K = _reconstructed(p, X, level, budget)
@@ -303,7 +303,7 @@ def _controller(
     n, whole = len(X) // 2, np.array(made)
     size, units = np.abs(whole).sum(axis=0), np.ones(n)
     size[range(n), range(n)] = 0.0
-    for i in [*range(n)] * SWEEPS:  # rows and columns of a state alike in size, all points as one (Osborne 1960)
+    for i in [*range(n)] * SWEEPS:  # balance rows and columns of all points together (Osborne 1960)
         row, column = size[i].sum(), size[:, i].sum()
         if row > 0 and column > 0:
             unit = 2.0 ** np.round(0.5 * np.log2(row / column))
@@ -318,7 +318,7 @@ def _controller(
 
 
 def _reconstructed(p: PlantMatrices, X: Array, gamma: float, budget: Budget) -> Realisation | None:
-    """Controller of full order for a given X: the bounded real LMI, linear in it, at the largest margin."""
+    """Return the full-order controller for a given X that maximises the margin of the bounded real LMI."""
     import cvxpy as cp
 
     n, m, n_u, q, n_y = p.sizes
@@ -326,7 +326,7 @@ def _reconstructed(p: PlantMatrices, X: Array, gamma: float, budget: Budget) -> 
     if values[0] <= 1e-12 * values[-1]:
         return None
     T, T_inv = vectors / np.sqrt(values), (vectors * np.sqrt(values)).T  # in these coordinates X is the identity
-    # The closed loop's [A B; C D] is that without a controller and left K right.
+    # The closed loop's [A B; C D] is open_loop + left K right.
     zero, eye = np.zeros, np.eye(n)
     left = np.block([[zero((n, n)), p.B2], [eye, zero((n, n_u))], [zero((q, n)), p.D12]])
     right = np.block([[zero((n, n)), eye, zero((n, m))], [p.C2, zero((n_y, n)), p.D21]])
@@ -351,7 +351,7 @@ def _reconstructed(p: PlantMatrices, X: Array, gamma: float, budget: Budget) -> 
 
 
 def plant_matrices(plant: LPVModel, n_meas: int, n_con: int, where: str) -> list[PlantMatrices]:
-    """The generalised plants at the points of the grid."""
+    """Return the generalised plants at the points of the grid."""
     n, (n_z, n_w) = plant.n_states, _performance(plant, n_meas, n_con, where)
     m = plant.matrices.reshape(-1, *plant.matrices.shape[-2:])
     if m[:, n + n_z :, n + n_w :].any() or plant.deviation[..., n + n_z :, n + n_w :].any():
@@ -368,12 +368,12 @@ def _performance(plant: LPVModel, n_meas: int, n_con: int, where: str) -> tuple[
     for word, count, left in (("n_meas", n_meas, n_z), ("n_con", n_con, n_w)):
         if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1 or left < 1:
             found = f"{word} = {count!r} of a plant with {len(plant.inputs)} inputs and {len(plant.outputs)} outputs"
-            raise InputError(where, found, "at least one, and at least one w and z beside them")
+            raise InputError(where, found, "at least one, and at least one w and z in addition")
     return n_z, n_w
 
 
 def closed_loop(plant: LPVModel, law: LPVModel, where: str) -> LPVModel:
-    """The loop from w to z of ``u = K(rho) y``, law and plant on one grid, with the error between the points proved."""
+    """Return the loop from w to z of ``u = K(rho) y`` on a common grid, with a proved error between the points."""
     # M = P + U K V with multi-linear P, U, K, V: where U or V vary, interpolation errs by at most a quarter of the sum
     # over the parameters of |dU| |dK| |V| + |dU| |K| |dV| + |U| |dK| |dV|, with the largest changes over the cell.
     n_meas, n_con = len(law.inputs), len(law.outputs)
@@ -381,7 +381,7 @@ def closed_loop(plant: LPVModel, law: LPVModel, where: str) -> LPVModel:
     n, n_k = plant.n_states, law.n_states
 
     def parts(m: Array) -> tuple[Array, Array, Array]:
-        """P, U and V of stacked plants (or of bounds of their entries), states (x, x_k)."""
+        """Return P, U and V of stacked plants (or of bounds of their entries), states (x, x_k)."""
         lead = m.shape[:-2]
         P = np.zeros((*lead, n + n_k + n_z, n + n_k + n_w))
         U, V = np.zeros((*lead, n + n_k + n_z, n_k + n_con)), np.zeros((*lead, n_k + n_meas, n + n_k + n_w))
@@ -413,7 +413,7 @@ def closed_loop(plant: LPVModel, law: LPVModel, where: str) -> LPVModel:
 
 
 def _largest(m: Array, cell: tuple[int, ...]) -> tuple[Array, list[Array]]:
-    """Largest absolute entries over the vertices of a cell, and of the changes along each parameter."""
+    """Return the largest absolute entries over the vertices of a cell, and of the changes along each parameter."""
     k = len(cell)
     corner = m[tuple(slice(i, i + 2) for i in cell)]
     changes = [np.abs(np.diff(corner, axis=axis)).reshape(-1, *m.shape[-2:]).max(axis=0) for axis in range(k)]

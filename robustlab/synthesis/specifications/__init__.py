@@ -1,1 +1,1 @@
-"""From what is wanted to a problem (weights, tracking problems), and what a designer looks at in a loop."""
+"""Specifications as problems (weights, tracking problems), and the closed-loop functions of a design."""

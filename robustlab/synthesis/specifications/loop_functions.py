@@ -1,4 +1,4 @@
-"""What a designer looks at in a loop: S, T, K S, S G with their bounds, and the curves of a finished design."""
+"""Closed-loop functions S, T, K S, S G with their bounds, and the curves of a design."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
 from robustlab.synthesis.problem.design import Synthesis
 
-POINTS, SPAN = 400, 1e3  # of a picture: frequencies, and how far from the middle pole others still stretch it
-# Which weight of a mixed-sensitivity problem bounds which function.
+POINTS, SPAN = 400, 1e3  # of a figure: number of frequencies, and largest ratio of a pole in it to the median pole
+# The weight of a mixed-sensitivity problem that bounds each function.
 FUNCTIONS = {"S": "W1", "KS": "W2", "T": "W3", "SG": ""}
 
 
@@ -51,22 +51,22 @@ class LoopFunctions(Shown):
     gamma: float = float("nan")
 
     def model(self, name: str) -> StateSpaceModel:
-        """One function by its name, ``"S"``, ``"T"``, ``"KS"`` or ``"SG"``."""
+        """Return one function by its name, ``"S"``, ``"T"``, ``"KS"`` or ``"SG"``."""
         if name not in FUNCTIONS:
             raise InputError("loop functions", f"{name!r}", f"one of {', '.join(FUNCTIONS)}")
         found: StateSpaceModel = getattr(self, name)
         return found
 
     def singular_values(self, name: str, omega: ArrayLike) -> AnyArray:
-        """Singular values of one function at ``omega`` in rad/s, largest first, shape (n_omega, k)."""
+        """Return the singular values of one function at ``omega`` in rad/s, largest first, shape (n_omega, k)."""
         return np.linalg.svd(frequency_response(self.model(name), omega), compute_uv=False)
 
     def gain(self, name: str, omega: ArrayLike) -> AnyArray:
-        """Largest singular value of one function at ``omega`` in rad/s, shape (n_omega,)."""
+        """Return the largest singular value of one function at ``omega`` in rad/s, shape (n_omega,)."""
         return self.singular_values(name, omega)[:, 0]
 
     def bound(self, name: str, omega: ArrayLike) -> AnyArray | None:
-        """What the weight and gamma prove for the largest singular value, shape (n_omega,); None without a weight."""
+        """Return the bound of the largest singular value by weight and gamma, (n_omega,); None without a weight."""
         self.model(name)
         weight = self.weights.get(FUNCTIONS[name])
         if weight is None:
@@ -76,7 +76,7 @@ class LoopFunctions(Shown):
             return self.gamma / (sigma if weight.n_outputs >= weight.n_inputs else 0.0 * sigma)
 
     def is_stable(self) -> bool:
-        """True where the loop is internally stable."""
+        """Return whether the loop is internally stable."""
         return self.S.is_stable()
 
     def facts(self) -> Facts:
@@ -91,32 +91,30 @@ class LoopFunctions(Shown):
 
 @told_as("loop_functions")
 def loop_functions(G: Any, K: Any = None, *, sign: Literal[-1, 1] | None = None) -> LoopFunctions:
-    r"""S, T, K S and S G of plant G and controller K, or of a finished design.
+    r"""Return S, T, K S and S G of plant G and controller K, or of a design.
 
     .. math:: S = (I - s\, G K)^{-1}, \qquad T = I - S, \qquad r \to u: -s K S, \qquad d \to y: S G
 
-    Of a design they are those at the outputs that its controller measures: the plant is what leads from the controls to
-    the signals that are measured in its generalised plant. A controller that takes the error is ``u = K (r - y)``; into
-    one that takes y a reference enters as ``u = K (y - r)``.
+    For a design the plant is the transfer from the controls to the measured signals of its generalised plant. A
+    controller of the error is ``u = K (r - y)``; a controller of y with a reference is ``u = K (y - r)``.
 
     Parameters
     ----------
     G, K
         Plant (n_y outputs, n_u inputs) and controller (n_u, n_y); or a design (`Synthesis`) alone.
     sign
-        s: -1 for a controller of the error, ``u = K (r - y)``; 1 for positive feedback, ``u = K (y - r)``. Left out: as
-        the controller says, -1 where it says nothing.
+        s: -1 for a controller of the error, ``u = K (r - y)``; 1 for positive feedback, ``u = K (y - r)``. Default: the
+        sign stored with the controller, else -1.
 
     Returns
     -------
     LoopFunctions
-        Each function with all states of the loop; with the weights and gamma of a mixed-sensitivity design, else
-        without.
+        Each function with all states of the loop; with weights and gamma for a mixed-sensitivity design.
 
     Raises
     ------
     InputError
-        Sizes or sample times that do not fit, or an algebraic loop; a plant without controller, a design with one.
+        Sizes or sample times that do not fit, an algebraic loop, a plant without or a design with a controller.
 
     Examples
     --------
@@ -127,11 +125,11 @@ def loop_functions(G: Any, K: Any = None, *, sign: Literal[-1, 1] | None = None)
     """
     if isinstance(G, Synthesis):
         if K is not None or sign is not None:
-            found = "a design with a controller or a sign beside it"
+            found = "a design with a controller or a sign"
             raise InputError("loop functions", found, "a design alone, or a plant and a controller")
         return _of_design(G)
     if K is None:
-        raise InputError("loop functions: K", "none", "a controller beside the plant, or a design alone")
+        raise InputError("loop functions: K", "none", "a controller of the plant, or a design alone")
     g, k = as_model(G, "loop functions: G"), as_model(K, "loop functions: K")
     found = closing(g, k, sign, "loop functions")
     g, k, sign = found.plant, found.K, found.sign
@@ -165,9 +163,9 @@ def loop_functions(G: Any, K: Any = None, *, sign: Literal[-1, 1] | None = None)
 def _of_design(design: Synthesis) -> LoopFunctions:
     weights = dict(getattr(design, "weights", {}))
     plant = design.plant
-    measured = [s for s in plant.measurements if isinstance(s, Taken) and s.sign]  # references are no part of the loop
+    measured = [s for s in plant.measurements if isinstance(s, Taken) and s.sign]  # without references
     inner = drop_unconnected(plant.model.select([s.name for s in plant.controls], [s.name for s in measured]))
-    signs = np.diag([float(s.sign) for s in measured])  # what is measured is r - y, or y
+    signs = np.diag([float(s.sign) for s in measured])  # r - y or y is measured
     found = loop_functions((signs @ inner).renamed(inner.inputs, [(s.of, s.unit) for s in measured]), design.K)
     return LoopFunctions(found.S, found.T, found.KS, found.SG, weights, design.gamma)
 
@@ -178,24 +176,22 @@ class LoopCurves:
 
     omega: Array  # frequencies in rad/s, (n,)
     closed_loop: Array  # singular values of the weighted loop, largest first, (n, k)
-    # Frequency in rad/s and height of the highest point: gamma, where that bounds the norm of the loop.
-    peak: tuple[float, float]
-    # Norm of the controller's column of each measurement, (n, n_y), in control units per unit of the measurement.
-    controller: Array
-    measurements: tuple[str, ...]  # names of the measurements
-    level: str  # what that height is
+    peak: tuple[float, float]  # frequency in rad/s and height of the maximum: gamma if that bounds the loop's norm
+    controller: Array  # norm of the controller's column of each measurement, (n, n_y), in control per measurement units
+    measurements: tuple[str, ...]
+    level: str  # description of the height of `peak`
 
 
 def frequencies(model: StateSpaceModel, points: int = POINTS, around: float | None = None) -> Array:
-    """Frequencies in rad/s for a picture of a loop, (points,): a decade beyond its poles, and beyond ``around``."""
+    """Return frequencies in rad/s for a figure, (points,): to a decade beyond the loop's poles and ``around``."""
     poles = model.poles()
     if model.is_discrete:
         poles = np.log(poles[np.abs(poles) > 1e-12].astype(complex)) / model.dt
     size = np.abs(poles)
     size = size[size > 1e-12 * size.max(initial=0.0)]
     middle = float(np.median(size)) if len(size) else 1.0
-    seen = size[(size <= SPAN * middle) & (size >= middle / SPAN)] if len(size) else np.array([1.0])
-    low, high = float(seen.min()) / 10, float(seen.max()) * 10
+    near = size[(size <= SPAN * middle) & (size >= middle / SPAN)] if len(size) else np.array([1.0])
+    low, high = float(near.min()) / 10, float(near.max()) * 10
     if around is not None and np.isfinite(around) and around > 0:
         low, high = min(low, around / 10), max(high, around * 10)
     if model.is_discrete:
@@ -205,12 +201,12 @@ def frequencies(model: StateSpaceModel, points: int = POINTS, around: float | No
 
 
 def loop_curves(design: Synthesis) -> LoopCurves:
-    """Singular values of the weighted closed loop and gains of the controller, for figures."""
+    """Return singular values of the weighted closed loop and gains of the controller for figures."""
     omega = frequencies(design.closed_loop, around=getattr(design, "peak_frequency", None))
     sigma = np.linalg.svd(frequency_response(design.closed_loop, omega), compute_uv=False).astype(np.float64)
     at = float(getattr(design, "peak_frequency", np.nan))
     peak, level = (at, float(design.gamma)), "γ, verified"
-    if not np.isfinite(at):  # gamma is another norm, or that of another loop
+    if not np.isfinite(at):  # gamma is another norm or of another loop
         highest = int(sigma[:, 0].argmax())
         peak, level = (float(omega[highest]), float(sigma[highest, 0])), "highest of the curve"
     gains = np.linalg.norm(frequency_response(design.K, omega), axis=1)

@@ -1,4 +1,4 @@
-"""The loop of a controller with references around a model: reference in, the controlled outputs out."""
+"""The closed loop of a model and a controller with references."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from robustlab.signals import Signal, Taken
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.uncertainty.lft import UncertainModel
 
-TAKES = {-1: "r - y", 1: "y"}  # of a controller that says nothing, by the sign that closes its loop
+TAKES = {-1: "r - y", 1: "y"}  # input of a controller without a stored sign, by the sign of the feedback
 REFERRED = {-1: "u = K (r - y)", 1: "u = K (y - r)"}  # the same with references
 
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoop(Shown):
-    """The tracking loop of a controller around a model.
+    """The tracking loop of a model and a controller.
 
     Attributes
     ----------
     model
-        The loop, an uncertain model, of which a certain one has no blocks.
+        The loop as an uncertain model, without blocks for a certain model.
     loop
-        The law that closes it, and who says so.
+        The control law and its source.
     """
 
     model: UncertainModel
@@ -40,7 +40,7 @@ class ClosedLoop(Shown):
 
     @property
     def spectral_abscissa(self) -> float:
-        """That of the nominal loop; negative where it is stable."""
+        """Spectral abscissa of the nominal loop; negative where it is stable."""
         return self.model.nominal.spectral_abscissa()
 
     def numbers(self) -> dict[str, Any]:
@@ -63,7 +63,7 @@ class ClosedLoop(Shown):
 
 
 def with_law(system: Any, controller: Any, sign: Sign | None = None) -> tuple[Any, str]:
-    """A controller each of whose inputs knows what it takes of a model, and the loop in words."""
+    """Return the controller with the measured signal of each input, and the control law in words."""
     base = system if isinstance(system, UncertainModel) else as_model(system)
     K = as_model(controller, "controller")
     names = [s.name for s in base.outputs]
@@ -87,19 +87,19 @@ def with_law(system: Any, controller: Any, sign: Sign | None = None) -> tuple[An
         Taken(s.name, s.unit, word.get(s.name, getattr(s, "takes", "")), of[s.name]) if s.name in of else s
         for s in K.inputs
     ]
-    said = loop.said.replace(SIGNS[loop.sign], REFERRED[loop.sign], 1) if not own else loop.said
-    return K.renamed(inputs=takes), said
+    control_law = loop.said if own else loop.said.replace(SIGNS[loop.sign], REFERRED[loop.sign], 1)
+    return K.renamed(inputs=takes), control_law
 
 
 def tracking_loop(system: Any, controller: Any) -> Any:
-    """The loop of a controller with references around a model or an uncertain model, as an uncertain model."""
+    """Return the closed loop of a model or an uncertain model and a controller with references, as an uncertain one."""
     base = system if isinstance(system, UncertainModel) else UncertainModel(as_model(system), [])
     K, _ = with_law(base, controller)
     takes: list[Any] = list(K.inputs)
     names = [s.name for s in base.outputs]
     m, (q, p) = base.M, base.delta_shape
     n_u, n_y = m.n_inputs - q, m.n_outputs - p
-    # v = F r + S y is what K takes; one with inputs for references gets those there, and y as it is.
+    # K acts on v = F r + S y; with its own inputs for references, S y is y.
     F, S = np.zeros((len(takes), n_y)), np.zeros((len(takes), n_y))
     referred = {s.of for s in takes if not s.sign}
     order = iter(range(n_y))

@@ -1,11 +1,11 @@
-r"""Tracking problems: a plant, what its outputs are to do, and what disturbs it, as one weighted generalised plant.
+r"""Tracking problems: plant, requirements and disturbances as one weighted generalised plant.
 
 .. math:: e = \frac{r - y_c}{\bar r}, \quad y = G\,(u + d), \quad
     z = \begin{bmatrix} W_1 e \\ W_2 u \\ W_3 y_c / \bar r \end{bmatrix}, \quad
     v = \begin{bmatrix} r \\ y_m + n \end{bmatrix}, \quad u = K v
 
-with :math:`r = \bar r F \tilde r`, :math:`F = 1 / (s / \omega_r + 1)`. The gain to z is at most one where every
-requirement holds. Skogestad, Postlethwaite 2005, section 9.3; Březina 2010, eq. 10.15.
+with :math:`r = \bar r F \tilde r`, :math:`F = 1 / (s / \omega_r + 1)`. A gain to z of at most one meets every
+requirement. Skogestad, Postlethwaite 2005, section 9.3; Březina 2010, eq. 10.15.
 """
 
 from __future__ import annotations
@@ -35,20 +35,13 @@ Sizes = float | Mapping[str, float]
 class TrackingProblem(Shown):
     """A weighted tracking problem."""
 
-    # From [w of Delta; r; d; n; u] to [z of Delta; z; v]; the controls come last, and so do the signals v that the
-    # controller sees.
-    uncertain: UncertainModel
-    # The same without weights and without F: [w; r; d; n; u] of their full sizes to [z; e; u; y_c; v].
-    signals: UncertainModel
-    # controlled, measured: outputs that are to follow the references, and those that the controller sees beside the
-    # references
-    controlled: tuple[Signal, ...]
-    measured: tuple[Signal, ...]
-    # Weight of one channel, by name `"W1"`, `"W2"`, `"W3"`; those that were given.
-    weights: Mapping[str, StateSpaceModel]
-    shape: StateSpaceModel  # F, what the references do over frequency; 1 where they have no bandwidth
-    # reference, disturbance, noise, loads: sizes of these signals, by name of the output or input they belong to;
-    # empty where there is none. Loads are inputs of the plant that are no controls.
+    uncertain: UncertainModel  # from [w of Delta; r; d; n; u] to [z of Delta; z; v], v: inputs of the controller
+    signals: UncertainModel  # the same without weights and F: [w; r; d; n; u] of their full sizes to [z; e; u; y_c; v]
+    controlled: tuple[Signal, ...]  # outputs with references
+    measured: tuple[Signal, ...]  # outputs measured by the controller, in addition to the references
+    weights: Mapping[str, StateSpaceModel]  # given weights of one channel by name `"W1"`, `"W2"`, `"W3"`
+    shape: StateSpaceModel  # F, the spectrum of the references; 1 where they have no bandwidth
+    # Sizes of these signals by name of their output or input; empty for none. Loads are inputs that are not controls.
     reference: Mapping[str, float]
     disturbance: Mapping[str, float]
     noise: Mapping[str, float]
@@ -82,7 +75,7 @@ class TrackingProblem(Shown):
 
     @property
     def n_meas(self) -> int:
-        """Number of signals that the controller sees."""
+        """Number of inputs of the controller."""
         return len(self.controlled) + len(self.measured)
 
     @property
@@ -102,11 +95,11 @@ class TrackingProblem(Shown):
         return GeneralizedPlant(self.uncertain.nominal, self.n_meas, self.n_con)
 
     def to_uncertain(self) -> UncertainModel:
-        """`uncertain`."""
+        """Return `uncertain`."""
         return self.uncertain
 
     def on(self, G: Any) -> TrackingProblem:
-        """The same requirement for another plant or set with the same signals; loads that it lacks are left out."""
+        """Return the same problem for another plant or set with the same signals, without loads that it lacks."""
         bandwidth = -float(self.shape.A[0, 0]) if self.shape.n_states else None
         inputs = [s.name for s in (G if isinstance(G, UncertainModel) else as_model(G, "tracking problem: G")).inputs]
         loads = {name: size for name, size in self.loads.items() if name in inputs}
@@ -117,11 +110,11 @@ class TrackingProblem(Shown):
         )  # fmt: skip
 
     def close(self, K: Any) -> UncertainModel:
-        """The weighted loop under ``u = K v`` as an uncertain model from (r, d, n) to z."""
+        """Return the weighted loop under ``u = K v`` as an uncertain model from (r, d, n) to z."""
         return UncertainModel(lower_lft(self.uncertain.M, self._checked(K)), self.uncertain.blocks)
 
     def gains(self, K: Any, omega: ArrayLike) -> dict[str, Array]:
-        """Largest singular values of S, K S and T of the nominal loop at ``omega`` in rad/s, each (n_omega,)."""
+        """Return the largest singular values of S, K S, T of the nominal loop at ``omega`` in rad/s, (n_omega,)."""
         closed = lower_lft(self.signals.nominal, self._checked(K))
         n_r = len(self.controlled)
         response = frequency_response(closed, omega)[:, :, :n_r]
@@ -129,7 +122,7 @@ class TrackingProblem(Shown):
         return {name: np.linalg.norm(response[:, part], 2, axis=(1, 2)) for name, part in rows.items()}
 
     def bounds(self, omega: ArrayLike) -> dict[str, Array]:
-        """What the weights allow the functions of `gains` to be, for those that have a weight: ``1 / |W F|``."""
+        """Return the bounds ``1 / |W F|`` of the functions of `gains` that have a weight."""
         shape = np.abs(frequency_response(self.shape, omega)[:, 0, 0])
         found: dict[str, Array] = {}
         for name, weight in (("S", "W1"), ("KS", "W2"), ("T", "W3")):
@@ -150,16 +143,16 @@ class TrackingProblem(Shown):
 
 @dataclass(frozen=True, eq=False)
 class TrackingLoop(Shown):
-    """The nominal loop of a tracking problem under a design, to be drawn against what the weights ask for.
+    """The nominal loop of a tracking problem under a design, for a figure with the bounds by its weights.
 
     Attributes
     ----------
     problem
-        What was asked for.
+        The tracking problem.
     design
         The design, a `Synthesis`.
     gamma
-        Verified gamma of the nominal loop, where that is what the design proves; else None.
+        Verified gamma of the nominal loop if the design proves it; else None.
     """
 
     problem: TrackingProblem
@@ -185,21 +178,19 @@ def tracking_problem(
     noise: Sizes | None = None,
     loads: Mapping[str, float] | None = None,
 ) -> TrackingProblem:
-    """The weighted tracking problem of a plant; see this module for the signals.
+    """Return the weighted tracking problem of a plant; see this module for the signals.
 
-    ``G``: plant whose inputs are all controls but for the loads: StateSpaceModel, UncertainModel (its blocks stay) or
+    ``G``: plant, whose inputs other than the loads are controls: StateSpaceModel, UncertainModel (its blocks stay) or
     python-control object.
     ``controlled``, ``measured``: names of outputs of G.
-    ``W1``, ``W2``, ``W3``: stable weights of one input and one output, used on every channel, or numbers: on the
-    relative error, on the control in its own unit, on the relative output. At least one.
+    ``W1``, ``W2``, ``W3``: stable weights of one channel, or numbers, on every channel of the relative error, of the
+    control in its own unit, of the relative output. At least one.
     ``reference``: size of the references: a number, or one for each controlled output.
-    ``reference_bandwidth``: omega_r in rad/s, above which the references fall with 1 / omega; they do not where left
-    out.
-    ``disturbance``: size of what is added to the controls, in their unit: a number, or one for some controls; none
-    where left out.
-    ``noise``: size of the noise on what the controller sees: a number for all of it, or sizes by name (a reference is
-    called ``<name>_ref``); none where left out.
-    ``loads``: inputs of G that are no controls, with their sizes: forces that act on the plant.
+    ``reference_bandwidth``: omega_r in rad/s above which the references fall with 1 / omega (default: none).
+    ``disturbance``: size of disturbances added to the controls, in their unit: a number, or one for some controls.
+    ``noise``: size of the noise on the controller's inputs: a number for all, or sizes by name (a reference is called
+    ``<name>_ref``).
+    ``loads``: inputs of G that are not controls with their sizes: forces on the plant.
     Raises InputError: unknown names, sizes that are not positive, no weight, a weight that is not stable or has several
     channels.
 
@@ -250,17 +241,17 @@ def _signals(
     noise: Mapping[str, float],
     controls: list[str],
 ) -> StateSpaceModel:
-    """From [w; r; d; n; u] to [z; e; u; y_c; v], all without weights."""
+    """Return the model from [w; r; d; n; u] to [z; e; u; y_c; v], all without weights."""
     M, (q, p), n_r = base.M, base.delta_shape, len(reference)
-    follow, seen = [p + i for i in c], [p + i for i in m]
+    follow, measured = [p + i for i in c], [p + i for i in m]
     names_v = [*(f"{base.outputs[i].name}_ref" for i in c), *(base.outputs[i].name for i in m)]
     size_r, size_d, size_n = (np.array(list(s.values())) for s in (reference, disturbance, noise))
     counts = (q, n_r, len(disturbance), len(noise), len(controls))
     w, r, d, n, u = np.split(np.eye(sum(counts)), np.cumsum(counts)[:-1])
-    # What acts on M: its own w, the controls u + d, and the loads.
+    # Inputs of M: its own w, the controls u + d, and the loads.
     names_u = [s.name for s in base.inputs]
     acting = _placed(controls, names_u) @ u + _placed(disturbance, names_u) @ (size_d[:, None] * d)
-    heard = _placed(noise, names_v) @ (size_n[:, None] * n)
+    noisy = _placed(noise, names_v) @ (size_n[:, None] * n)
     into = np.vstack([w, acting])
     C, T, share = M.C, M.D @ into, np.diag(1 / size_r)
     rows = [
@@ -268,15 +259,15 @@ def _signals(
         (-share @ C[follow], r - share @ T[follow]),
         (np.zeros((len(u), M.n_states)), u),
         (share @ C[follow], share @ T[follow]),
-        (np.zeros((n_r, M.n_states)), size_r[:, None] * r + heard[:n_r]),
-        (C[seen], T[seen] + heard[n_r:]),
+        (np.zeros((n_r, M.n_states)), size_r[:, None] * r + noisy[:n_r]),
+        (C[measured], T[measured] + noisy[n_r:]),
     ]
     out, direct = (np.vstack(part) for part in zip(*rows, strict=True))
     return StateSpaceModel(M.A, M.B @ into, out, direct, M.dt, states=M.states)
 
 
 def _placed(some: Iterable[str], names: Sequence[str]) -> Array:
-    """Ones where each of some signals stands among these names, shape (n_names, n_some)."""
+    """Return the selection matrix of some signals among these names, shape (n_names, n_some)."""
     some = list(some)
     return np.array([[float(name == one) for one in some] for name in names]).reshape(len(names), len(some))
 
@@ -291,7 +282,7 @@ def _weighted(
     shape: StateSpaceModel,
     others: list[Signal],
 ) -> StateSpaceModel:
-    """``signals`` with the weights behind e, u, y_c, F before r, and the names of all signals."""
+    """Return ``signals`` with the weights on e, u, y_c, F on r, and the names of all signals."""
     (q, p), controls = base.delta_shape, [Signal(s.name, s.unit) for s in inputs]
     n_r, n_u = len(follow), len(controls)
     words = {"W1": ("error", p, follow), "W2": ("control", p + n_r, controls), "W3": ("output", p + n_r + n_u, follow)}
@@ -320,7 +311,7 @@ def _weighted(
 
 
 def _shape(bandwidth: float | None, dt: float) -> StateSpaceModel:
-    """F as a model of one channel."""
+    """Return F as a model of one channel."""
     if bandwidth is None:
         return _through(1, "r", dt)
     where = "tracking problem: reference_bandwidth"
@@ -332,13 +323,13 @@ def _shape(bandwidth: float | None, dt: float) -> StateSpaceModel:
 
 
 def _through(n: int, name: str, dt: float) -> StateSpaceModel:
-    """Signals that no weight touches."""
+    """Return the identity of n channels."""
     names = [f"{name}{i}" for i in range(n)]
     return StateSpaceModel(np.zeros((0, 0)), np.zeros((0, n)), np.zeros((n, 0)), np.eye(n), dt, names, names)
 
 
 def _positions(names: Sequence[str], known: Sequence[Signal], what: str) -> list[int]:
-    """Where the named outputs stand; each once."""
+    """Return the positions of the named outputs, each once."""
     names, where = [names] if isinstance(names, str) else list(names), f"tracking problem: {what}"
     if not names:
         raise InputError(where, "no output", f"some of {', '.join(s.name for s in known)}")
@@ -349,7 +340,7 @@ def _positions(names: Sequence[str], known: Sequence[Signal], what: str) -> list
 
 
 def _sizes(what: str, given: Sizes | None, known: Sequence[Signal], whole: bool = False) -> dict[str, float]:
-    """Name -> positive size; ``whole``: one is needed for every signal."""
+    """Return name -> positive size; ``whole``: one is required for every signal."""
     where, names = f"tracking problem: {what}", [s.name for s in known]
     if given is None:
         return {}
@@ -366,7 +357,7 @@ def _sizes(what: str, given: Sizes | None, known: Sequence[Signal], whole: bool 
 
 
 def _weight(given: Any, where: str, dt: float) -> StateSpaceModel:
-    """A stable weight of one channel in the plant's time."""
+    """Return a stable weight of one channel in the plant's time."""
     if isinstance(given, (int, float)) and not isinstance(given, bool):
         return StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[given]], dt, where=where)
     w = as_model(given, where)
@@ -383,6 +374,6 @@ def _weight(given: Any, where: str, dt: float) -> StateSpaceModel:
 
 
 def _in_words(sizes: Mapping[str, float], signals: Sequence[Signal]) -> str:
-    """Sizes of signals with their units, in words."""
+    """Return the sizes of signals with their units as text."""
     units = {s.name: s.unit for s in signals}
     return ", ".join(f"{name} {number(float(size), units.get(name, ''), 5)}" for name, size in sizes.items()) or "none"

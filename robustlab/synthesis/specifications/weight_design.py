@@ -11,15 +11,14 @@ from robustlab.statespace import StateSpaceModel, series
 
 @told_as("performance_weight")
 def performance_weight(bandwidth: float, error: float = 1e-3, peak: float = 2.0, order: int = 1) -> StateSpaceModel:
-    r"""Weight on the sensitivity S: ``|W1 S| <= 1`` keeps S below ``error`` at low frequency and below ``peak``
-    everywhere.
+    r"""Return a weight on the sensitivity S: ``|W1 S| <= 1`` bounds S by ``peak``, at low frequency by ``error``.
 
     .. math:: W_1(s) = \left(\frac{s / M^{1/k} + \omega_B}{s + \omega_B A^{1/k}}\right)^k
 
     Parameters
     ----------
     bandwidth
-        omega_B in rad/s: where the asymptote of ``1/|W1|`` crosses one.
+        omega_B in rad/s, at which the asymptote of ``1/|W1|`` crosses one.
     error
         A: largest steady-state error (0 < A < 1). An exact integrator (A = 0) has no stabilising controller in this
         problem.
@@ -57,11 +56,11 @@ def performance_weight(bandwidth: float, error: float = 1e-3, peak: float = 2.0,
 
 
 def error_weight(error: float, corner: float, steady: float = 1e-3) -> StateSpaceModel:
-    r"""Weight on the error that shaped references leave: ``error`` above the corner, ever less below it.
+    r"""Return a weight on the error of shaped references: ``error`` above the corner, decreasing below it.
 
     .. math:: W_1(s) = \frac{1}{\varepsilon} \frac{s + \omega_c}{s + \omega_c \varepsilon_0 / \varepsilon}
 
-    epsilon: the largest error above the corner omega_c, as a share of the reference; below it the error falls with the
+    epsilon: the largest error above the corner omega_c, relative to the reference; below it the error falls with the
     frequency to the largest steady-state error epsilon_0.
     """
     where = "error weight"
@@ -73,8 +72,7 @@ def error_weight(error: float, corner: float, steady: float = 1e-3) -> StateSpac
 
 @told_as("control_weight")
 def control_weight(limit: float, bandwidth: float | None = None, roll_off: float = 100.0) -> StateSpaceModel:
-    r"""Weight on the control effort K S: ``|W2 K S| <= 1`` keeps K S below ``limit``, and ever lower above
-    ``bandwidth``.
+    r"""Return a weight on the control effort K S: ``|W2 K S| <= 1`` bounds K S by ``limit``, less above ``bandwidth``.
 
     .. math:: W_2(s) = \frac{1}{L} \qquad\text{or}\qquad W_2(s) = \frac{1}{L} \frac{s/\omega_c + 1}{s/(r \omega_c) + 1}
 
@@ -83,9 +81,9 @@ def control_weight(limit: float, bandwidth: float | None = None, roll_off: float
     limit
         L: largest gain from reference to control, in control units per output unit.
     bandwidth
-        omega_c in rad/s above which the control has to fall by 20 dB a decade; a constant weight where left out.
+        omega_c in rad/s above which the control falls by 20 dB a decade (default: a constant weight).
     roll_off
-        r: by how much in the end (> 1).
+        r: total reduction at high frequency (> 1).
 
     Returns
     -------
@@ -111,19 +109,18 @@ def control_weight(limit: float, bandwidth: float | None = None, roll_off: float
 def complementary_weight(
     bandwidth: float, peak: float = 2.0, roll_off: float = 1e-3, order: int = 1
 ) -> StateSpaceModel:
-    r"""Weight on the complementary sensitivity T: ``|W3 T| <= 1`` keeps T below ``peak`` and makes it fall above
-    ``bandwidth``.
+    r"""Return a weight on the complementary sensitivity T: ``|W3 T| <= 1`` bounds T by ``peak``, less above bandwidth.
 
     .. math:: W_3(s) = \left(\frac{s + \omega_T / M^{1/k}}{A^{1/k} s + \omega_T}\right)^k
 
     Parameters
     ----------
     bandwidth
-        omega_T in rad/s: where the asymptote of ``1/|W3|`` crosses one.
+        omega_T in rad/s, at which the asymptote of ``1/|W3|`` crosses one.
     peak
         M: largest T at low frequency (> 1).
     roll_off
-        A: smallest T demanded at high frequency (0 < A < 1); keeps the weight proper.
+        A: bound of T at high frequency (0 < A < 1), which makes the weight proper.
     order
         k: slope above the bandwidth in units of -20 dB a decade.
 
@@ -154,7 +151,7 @@ def complementary_weight(
 def makeweight(
     low_gain: float, through: float | tuple[float, float], high_gain: float, dt: float = 0.0, order: int = 1
 ) -> StateSpaceModel:
-    r"""Weight with given gains at zero and infinite frequency and at one frequency between, as MATLAB's makeweight.
+    r"""Return a weight with given gains at zero, infinite and one intermediate frequency, as MATLAB's makeweight.
 
     .. math:: W(s) = \left(\frac{h^{1/k} s + l^{1/k} p}{s + p}\right)^k, \qquad |W(j\omega_c)| = c
 
@@ -168,12 +165,12 @@ def makeweight(
     dt
         Sample time in s of a discrete weight (Tustin's rule, exact at omega_c); 0 for a continuous one.
     order
-        k: how steep.
+        k: slope of the weight in units of 20 dB a decade.
 
     Returns
     -------
     StateSpaceModel
-        Of one channel with ``order`` states.
+        W of one channel with ``order`` states.
 
     Raises
     ------
@@ -212,12 +209,12 @@ def makeweight(
 
 
 def _lead(gain: float, zero: float, pole: float) -> StateSpaceModel:
-    """``(gain s + zero) / (s + pole)``."""
+    """Return ``(gain s + zero) / (s + pole)``."""
     return _lag(gain, zero - gain * pole, pole)
 
 
 def _lag(gain: float, residue: float, pole: float) -> StateSpaceModel:
-    """``gain + residue / (s + pole)`` with input and output gains of equal size."""
+    """Return ``gain + residue / (s + pole)`` with input and output gains of equal size."""
     root = np.sqrt(abs(residue))
     return StateSpaceModel([[-pole]], [[root]], [[np.sign(residue) * root]], [[gain]])
 

@@ -41,7 +41,7 @@ CASES = [
 
 @pytest.mark.parametrize(("structure", "n_y", "n_u", "dt"), CASES)
 def test_the_pullback_is_the_derivative(structure, n_y, n_u, dt):
-    """Against complex steps, which have no cancellation."""
+    """Against complex steps."""
     law = law_of(structure, n_y, n_u, dt)
     rng = np.random.default_rng(0)
     p = rng.uniform(0.2, 1.0, len(law.parameters))
@@ -135,6 +135,6 @@ def test_decentralised_parts_take_named_channels():
         (Decentralised([Part(StaticGain(), ["z1"], ["u1"])]), 1, 1, "'z1': no such signal"),
     ],
 )
-def test_bad_structures_are_named(structure, n_y, n_u, text):
+def test_bad_structures_are_reported(structure, n_y, n_u, text):
     with pytest.raises(InputError, match=text):
         law_of(structure, n_y, n_u)

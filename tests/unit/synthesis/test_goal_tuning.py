@@ -1,4 +1,4 @@
-"""Goals for structured controllers: closed forms, loops recomputed from frequency responses, margins by another way."""
+"""Goals for structured controllers against closed forms, frequency responses and independent margins."""
 
 from __future__ import annotations
 
@@ -75,8 +75,8 @@ def test_the_margin_is_that_of_disk_margin() -> None:
     assert margin.lower >= 1.2 * (1 - 1e-4)
 
 
-def test_a_goal_beyond_a_zero_is_proved_to_be_out_of_reach() -> None:
-    """(1 - s)/(1 + s): S(1) = 1, so that |W S| >= |W(1)| = (1/1.5 + 5)/(1 + 0.5) for every controller."""
+def test_a_goal_beyond_a_zero_is_proved_infeasible() -> None:
+    """(1 - s)/(1 + s): S(1) = 1 and |W S| >= |W(1)| = (1/1.5 + 5)/(1 + 0.5) for every controller."""
     plant = rl.StateSpaceModel([[-1.0]], [[1.0]], [[2.0]], [[-1.0]])
     found = rl.tune(plant, "pi", [SensitivityGoal(1.5, bandwidth=5.0, error=0.1, hard=True)], starts=1)
     assert found.status is rl.Status.INFEASIBLE
@@ -111,7 +111,7 @@ def test_a_sampled_plant() -> None:
     ("goals", "error", "text"),
     [
         ([], InputError, "at least one goal"),
-        ([Damping(0.5)], InputError, "at least one goal beside the limits"),
+        ([Damping(0.5)], InputError, "at least one goal in addition to limits"),
         (["tracking"], InputError, "'tracking'"),
         ([TrackingGoal(0.0)], InputError, "response_time"),
         ([MarginGoal(1.0, "middle")], InputError, "middle"),
@@ -119,12 +119,12 @@ def test_a_sampled_plant() -> None:
         ([VarianceGoal(1.0, "noise", "control")], InputError, "H2 norm is infinite"),
     ],
 )
-def test_what_is_no_goal_is_named(goals: Any, error: Any, text: str) -> None:
+def test_bad_goals_are_reported(goals: Any, error: Any, text: str) -> None:
     with pytest.raises(error, match=text):
         rl.tune(LAG, "p", goals, starts=0)
 
 
-def test_plants_that_do_not_fit_and_a_structure_that_cannot() -> None:
+def test_incompatible_plants_and_an_insufficient_structure_are_reported() -> None:
     with pytest.raises(InputError, match="other signals"):
         rl.tune([LAG, LAG.renamed(["v"], ["y"])], "p", [TrackingGoal(1.0)])
     double = rl.StateSpaceModel([[0, 1], [0, 0]], [[0], [1]], [[1, 0]], [[0]])

@@ -1,4 +1,4 @@
-"""What the search makes small: values and gradients of closed loops against independent ones."""
+"""Norms of closed loops and their gradients against independent ones."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ def test_gradients_are_those_of_differences(order, discrete):
     for function in (family.abscissa, family.norm, family.h2_norm):
         _, G = function(theta)
         expected = slope(lambda x, f=function: f(x)[0], theta, direction)
-        # The gradient of the norm is taken at the peak's frequency, which is found to about 1e-6.
+        # The gradient of the norm is that at the peak's frequency, accurate to about 1e-6.
         assert (G * direction).sum() == pytest.approx(expected, rel=1e-5)
 
 
 def test_a_narrow_peak_is_not_missed():
-    """Damping 1e-5 between the points of any grid, beside a broad and lower hill."""
+    """A resonance of damping 1e-5 and a lower, broad maximum."""
     A = np.array([[0, 1, 0], [-9.0, -6e-5, 0], [0, 0, -1.0]])
     plant = PlantMatrices(
         A, np.array([[0], [1e-3], [1.0]]), np.zeros((3, 1)), np.array([[1.0, 0, 1.0]]), np.zeros((1, 3)),

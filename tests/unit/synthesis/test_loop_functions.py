@@ -35,19 +35,19 @@ def test_functions_equal_their_definitions(sign, dt):
     omega = OMEGA[OMEGA < 300]
     g, k = frequency_response(G, omega), frequency_response(K, omega)
     s = np.linalg.inv(np.eye(2) - sign * g @ k)
-    for name, wanted in (("S", s), ("T", -sign * g @ k @ s), ("KS", -sign * k @ s), ("SG", s @ g)):
-        np.testing.assert_allclose(frequency_response(loop.model(name), omega), wanted, atol=1e-9)
+    for name, expected in (("S", s), ("T", -sign * g @ k @ s), ("KS", -sign * k @ s), ("SG", s @ g)):
+        np.testing.assert_allclose(frequency_response(loop.model(name), omega), expected, atol=1e-9)
     np.testing.assert_allclose(loop.singular_values("SG", omega), np.linalg.svd(s @ g, compute_uv=False), atol=1e-9)
 
 
-def test_a_mixed_sensitivity_design_keeps_below_its_bounds():
+def test_a_mixed_sensitivity_design_is_within_its_bounds():
     rng = np.random.default_rng(5)
     G = random_model(rng, 4, 2, 3)
     weights = performance_weight(1.0), control_weight(10.0, 50.0), complementary_weight(20.0)
     design = mixsyn(G, *weights, gamma_rel=1.0)
     loop = loop_functions(design)
     assert loop.is_stable()
-    assert loop.S.n_states == G.n_states + design.K.n_states  # no weight's states
+    assert loop.S.n_states == G.n_states + design.K.n_states  # without states of the weights
     g, k = frequency_response(G, OMEGA), frequency_response(design.K, OMEGA)
     s = np.linalg.inv(np.eye(2) + g @ k)
     np.testing.assert_allclose(frequency_response(loop.S, OMEGA), s, atol=1e-8)
@@ -60,7 +60,7 @@ def test_a_mixed_sensitivity_design_keeps_below_its_bounds():
     assert bound[0] == pytest.approx(design.gamma / abs(frequency_response(weights[0], [2.0])[0, 0, 0]), rel=1e-12)
 
 
-def test_refusals():
+def test_bad_arguments_are_reported():
     lag = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
     with pytest.raises(InputError, match="K is 1 x 2"):
         loop_functions(lag, StateSpaceModel([], [], [], [[1.0, 2.0]]))

@@ -1,4 +1,4 @@
-"""Gain scheduling against closed forms, frozen norms, and trajectories that try to exceed what is proved."""
+"""Gain scheduling against closed forms, frozen norms, and trajectories against proved bounds."""
 
 from __future__ import annotations
 
@@ -37,9 +37,7 @@ def springs() -> rl.UncertainModel:
 
 
 def finite_gain(model: rl.LPVModel, places: np.ndarray, step: float) -> float:
-    """Gain of the model along parameters that are held in each step, from held inputs over all steps to the energy of
-    the output between them too: what the induced gain cannot be below, by a power iteration of forward and adjoint.
-    """
+    """Lower bound of the induced gain: gain for parameters and inputs constant in each step by a power iteration."""
     n, m = model.n_states, len(model.inputs)
     maps = []
     for rho in places:
@@ -72,7 +70,7 @@ def finite_gain(model: rl.LPVModel, places: np.ndarray, step: float) -> float:
 # --- models ----------------------------------------------------------------------------------------------------------
 
 
-def test_an_affine_set_is_exact_and_a_rational_one_within_what_is_proved():
+def test_an_affine_set_is_exact_and_a_rational_one_within_its_bound():
     affine = rl.parametric([[0, 1], ["-k", "-c"]], [[0], [1]], [["k", 0]], [[0]], {"k": (2.0, 0.5), "c": (1.0, 0.2)})
     assert rl.lpv_model(affine).known == "exact"
     rational, rng = springs(), np.random.default_rng(0)
@@ -88,10 +86,10 @@ def test_an_affine_set_is_exact_and_a_rational_one_within_what_is_proved():
         bound = model.deviation[cell]
         assert (error <= bound + 1e-14).all()
         ratio = max(ratio, float((error / np.where(bound > 0, bound, np.inf)).max()))
-    assert ratio > 0.5  # the bound is no empty one
+    assert ratio > 0.5  # the bound is tight
 
 
-def test_a_function_is_sampled_and_a_linearised_plant_keeps_its_states():
+def test_a_linearised_plant_is_sampled_with_its_states():
     plant = rl.plant("stewart-platform")
     home = plant.geometry.home
     model = rl.lpv_model(
@@ -102,7 +100,7 @@ def test_a_function_is_sampled_and_a_linearised_plant_keeps_its_states():
     assert 0 < model.deviation.max() < 1e-2 * np.abs(model.matrices).max()
 
 
-def test_the_loop_between_the_points_is_within_what_is_proved():
+def test_the_loop_between_the_points_is_within_its_bound():
     rng = np.random.default_rng(0)
 
     def drawn(n, m, p, zero):
@@ -128,24 +126,21 @@ def test_the_loop_between_the_points_is_within_what_is_proved():
 # --- the induced gain ------------------------------------------------------------------------------------------------
 
 
-def test_of_a_lag_that_jumps_the_gain_is_five_quarters():
-    """V = p x^2: p^2 a^2 <= gamma^2 (2 p a - 1) at a = 1 and 4 gives p = 5/8, gamma = 5/4; V is the exact value
-    function of a scalar system, so nothing smaller is true.
-    """
+def test_the_gain_of_a_switching_lag_is_five_quarters():
+    """V = p x^2: p^2 a^2 <= gamma^2 (2 p a - 1) at a = 1 and 4 gives p = 5/8, gamma = 5/4 (exact: scalar)."""
     found = rl.peak_gain(lags())
     assert found.status is Status.CERTIFIED
     assert found.recheck()
     assert 1.25 <= found.upper < 1.25 * (1 + 2e-4)
     assert found.P[0].item() == pytest.approx(0.625 / found.upper, rel=0.05)
     assert found.lower == pytest.approx(1.0)
-    # A parameter that switches with the motion comes near to it, and never above.
+    # A switching parameter comes close to the bound.
     best = max(
-        finite_gain(lags(), np.concatenate([np.full(n, 4.0), np.full(60 - n, 1.0)]), 0.1) for n in (10, 20, 30, 40)
+        finite_gain(lags(), np.repeat(values, [n, 60 - n]), 0.1)
+        for values in ([4.0, 1.0], [1.0, 4.0])
+        for n in (10, 20, 30, 40, 50)
     )
-    other = max(
-        finite_gain(lags(), np.concatenate([np.full(n, 1.0), np.full(60 - n, 4.0)]), 0.1) for n in (10, 20, 30, 40, 50)
-    )
-    assert 1.1 < max(best, other) <= found.upper
+    assert 1.1 < best <= found.upper
 
 
 def scheduled_pi_loop(p: float) -> rl.StateSpaceModel:
@@ -178,7 +173,7 @@ def test_a_published_gain_of_a_scheduled_loop():
     assert 1.2968 < slow.upper < 1.8925
 
 
-def test_quadratic_stability_ends_where_the_circle_criterion_says():
+def test_quadratic_stability_ends_as_by_the_circle_criterion():
     """x'' + x' + (2 + k(t)) x = w, 0 <= k <= kmax: one Lyapunov matrix exists up to kmax = 1 + 2 sqrt(2) exactly."""
     for k, proved in ((3.82, True), (3.83, False)):
         found = rl.peak_gain(rl.LPVModel({"k": [0.0, k]}, [oscillator(0.0), oscillator(k)]))
@@ -187,7 +182,7 @@ def test_quadratic_stability_ends_where_the_circle_criterion_says():
         assert (found.P.size > 0) == proved
 
 
-def test_a_model_that_does_not_vary_has_its_hinf_norm():
+def test_the_gain_of_a_constant_model_is_its_hinf_norm():
     rng = np.random.default_rng(0)
     A = rng.normal(size=(6, 6)) - 4 * np.eye(6)
     one = rl.StateSpaceModel(A, rng.normal(size=(6, 2)), rng.normal(size=(2, 6)), rng.normal(size=(2, 2)))
@@ -196,8 +191,8 @@ def test_a_model_that_does_not_vary_has_its_hinf_norm():
     assert found.upper >= rl.peak_gain(one).lower
 
 
-def test_what_was_only_sampled_is_not_called_certified():
-    """1 / a is no polynomial: between the points a linear model is 0.05 off at most."""
+def test_a_sampled_model_is_not_certified():
+    """The interpolation error of 1 / a is at most 0.05."""
     family = rl.lpv_model(lambda a: lag(1.0 / a), {"a": [0.5, 0.75, 1.0]}, samples=20)
     found = rl.peak_gain(family)
     assert found.status is Status.CONVERGED
@@ -206,7 +201,7 @@ def test_what_was_only_sampled_is_not_called_certified():
     assert max(rl.peak_gain(lag(1.0 / a)).upper for a in (0.6, 0.9)) <= found.upper
 
 
-def test_a_certificate_that_is_wrong_is_refused():
+def test_a_wrong_certificate_is_rejected():
     found = rl.peak_gain(lags())
     assert found.recheck()
     assert not replace(found, upper=1.2499).recheck()
@@ -215,8 +210,8 @@ def test_a_certificate_that_is_wrong_is_refused():
     assert not replace(found, model=deviating).recheck()
 
 
-def test_an_unstable_frozen_model_is_named_with_its_pole_and_certifies_nothing():
-    """Poles ``a +- 2j`` at a = -1 and 1: no trajectory that rests at a = 1 has a finite gain."""
+def test_an_unstable_frozen_model_is_reported_with_its_pole():
+    """Poles ``a +- 2j`` at a = -1 and 1: the gain at constant a = 1 is infinite."""
     turning = {a: rl.StateSpaceModel([[a, 2.0], [-2.0, a]], [[1.0], [0.0]], [[1.0, 0.0]], [[0.0]]) for a in (-1.0, 1.0)}
     found = rl.peak_gain(rl.LPVModel({"a": [-1.0, 1.0]}, list(turning.values())))
     assert (found.status, found.lower, found.upper) == (Status.INFEASIBLE, np.inf, np.inf)
@@ -226,8 +221,8 @@ def test_an_unstable_frozen_model_is_named_with_its_pole_and_certifies_nothing()
     assert "attained" not in str(found)
 
 
-def test_a_frozen_model_whose_stability_rounding_hides_leaves_the_gain_open():
-    """-1e-17 and -1 in mixed states: rounding of A alone moves the slow pole over the axis."""
+def test_a_frozen_model_of_undecided_stability_has_no_bound():
+    """-1e-17 and -1 in mixed states: the rounding of A moves the slow pole across the axis."""
     T = np.array([[1.0, 0.3], [0.7, 1.0]])
     slow = rl.StateSpaceModel(T @ np.diag([-1e-17, -1.0]) @ np.linalg.inv(T), [[1.0], [1.0]], [[1.0, 1.0]], [[0.0]])
     quick = rl.StateSpaceModel(-np.eye(2), [[1.0], [1.0]], [[1.0, 1.0]], [[0.0]])
@@ -237,7 +232,7 @@ def test_a_frozen_model_whose_stability_rounding_hides_leaves_the_gain_open():
     assert "a = 0: pole" in found.reason
 
 
-def test_a_model_whose_output_nothing_moves_has_a_gain_of_zero():
+def test_a_model_without_effect_on_its_output_has_gain_zero():
     still = rl.StateSpaceModel([[-1.0]], [[0.0]], [[1.0]], [[0.0]])
     found = rl.peak_gain(rl.LPVModel({"a": [0, 1]}, [still, still]))
     assert found.status is Status.CERTIFIED
@@ -253,7 +248,7 @@ def vertex(a: float) -> rl.StateSpaceModel:
     return rl.StateSpaceModel([[a]], [[1, 0, 1]], [[1], [0], [1]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
 
 
-def test_of_a_plant_that_does_not_vary_it_is_hinf():
+def test_the_design_of_a_constant_plant_is_hinf():
     design = rl.hinf(rl.LPVModel({"a": [0, 1]}, [vertex(0.0), vertex(0.0)]), 1, 1)
     exact = np.sqrt(2.0)  # 1/s with unit weights
     assert design.status is Status.CERTIFIED
@@ -261,7 +256,7 @@ def test_of_a_plant_that_does_not_vary_it_is_hinf():
     assert exact * (1 - 1e-6) <= design.gamma < 1.02 * exact
 
 
-def test_a_scheduled_loop_keeps_what_is_proved_along_its_parameters():
+def test_a_scheduled_loop_keeps_its_bound_along_trajectories():
     design = shown_objects.scheduled()
     plant, rng = shown_objects.scheduled_plant(), np.random.default_rng(0)
     worst = max(rl.hinf(vertex(a), 1, 1, gamma_rel=1.0).gamma for a in (-2.0, 0.0))
@@ -274,7 +269,7 @@ def test_a_scheduled_loop_keeps_what_is_proved_along_its_parameters():
         assert finite_gain(design.closed_loop, places, 0.1) <= design.gamma
 
 
-def test_a_control_matrix_that_varies_is_bounded_between_the_points():
+def test_a_varying_control_matrix_is_bounded_between_the_points():
     def gained(b: float) -> rl.StateSpaceModel:
         m = vertex(-1.0)
         return rl.StateSpaceModel(m.A, [[1, 0, b]], m.C, m.D)
@@ -293,7 +288,7 @@ def disks_plant() -> rl.LPVModel:
     r1'' = (rho_1 - 200) r1 - 200 r2 - r1' + a + 0.1 d1, r2'' = 2 (-200 r1 - 200 r2 - r2' + 0.1 d2) + rho_2 r2, the
     actuator a' = 100 (u - a); z = (Wu u, 1e-5 a, We (r2 - reference)), y = (reference, r2 + Wn n) with We = (0.3 s +
     1.2) / (s + 0.04), Wu = (s + 0.1) / (0.01 s + 125), Wn = (s + 0.4) / (0.01 s + 400): the example of Wu's thesis
-    (Berkeley 1995) as the manual of LPVTools states it ("Modeling and Control of a LFT-based LPV System", Balas,
+    (Berkeley 1995) as in the manual of LPVTools ("Modeling and Control of a LFT-based LPV System", Balas,
     Hjartarson, Packard, Seiler 2015), gamma 1.3361 there.
     """
 
@@ -315,9 +310,9 @@ def disks_plant() -> rl.LPVModel:
 
 
 @pytest.mark.slow
-def test_the_published_spinning_disks_are_beaten_and_a_simulation_stays_below():
-    """Wu 1995, in LPVTools' manual: 1.3361, of which up to a fifth is given away for conditioning; no frozen loop gets
-    below 0.8150. Weights with poles at 0.04 and 40000 rad/s."""
+def test_the_spinning_disks_improve_on_the_published_gain():
+    """Wu 1995, in LPVTools' manual: 1.3361, of which up to a fifth is for conditioning; lower bound of the frozen loops
+    0.8150. Weights with poles at 0.04 and 40000 rad/s."""
     plant = disks_plant()
     design = rl.hinf(plant, 2, 1)
     assert design.status is Status.CERTIFIED
@@ -331,8 +326,8 @@ def test_the_published_spinning_disks_are_beaten_and_a_simulation_stays_below():
     assert all(np.abs(K.poles()).max() < 2e3 for _, K in design.K.nodes())
 
 
-def test_controllers_come_in_states_of_moderate_entries():
-    # A weak actuator, a sensor in small units: entries are 7.6e7 in the states of the LMIs, and the loop is the same.
+def test_controllers_have_moderate_entries():
+    # A weak actuator and a sensor in small units: entries are 7.6e7 in the states of the LMIs, for the same loop.
     def vertex(a):
         B, C, D = [[1, 0, 1e-3]], [[1], [0], [1e3]], [[0, 0, 0], [0, 0, 1], [0, 1e-3, 0]]
         return rl.StateSpaceModel([[a]], B, C, D)
@@ -341,15 +336,15 @@ def test_controllers_come_in_states_of_moderate_entries():
     design = rl.hinf(plant, 1, 1)
     assert design.status is Status.CERTIFIED
     assert np.abs(design.K.matrices).max() < 2e5
-    # No unit of the state makes its row and column smaller, and the units are the same at both points.
+    # Row and column of the state are balanced, with the same units at both points.
     size = np.abs(design.K.matrices).sum(axis=0)
     assert 0.2 < size[0, 1] / size[1, 0] < 5
-    # What was proved is of the controller returned: its frozen loops are below.
+    # The bound holds for the frozen loops of the returned controller.
     for a in (-2.0, -1.0, 0.0):
         assert rl.peak_gain(lower_lft(plant.at(a=a), design.K.at(a=a))).lower <= design.gamma * (1 + 1e-9)
 
 
-def test_a_mode_that_no_controller_reaches_gives_no_controller():
+def test_an_uncontrollable_mode_gives_no_controller():
     def hopeless(a: float) -> rl.StateSpaceModel:
         m = vertex(a)
         return rl.StateSpaceModel(
@@ -363,7 +358,7 @@ def test_a_mode_that_no_controller_reaches_gives_no_controller():
 # --- files and errors ------------------------------------------------------------------------------------------------
 
 
-def test_models_and_controllers_come_back_from_files(tmp_path):
+def test_models_and_controllers_are_saved_and_loaded(tmp_path):
     model = rl.lpv_model(springs(), {"m": 3}, {"m": 0.5}, {"m": "kg"})
     rl.save(tmp_path / "m.h5", model)
     back = rl.load(tmp_path / "m.h5")
@@ -381,7 +376,7 @@ def test_models_and_controllers_come_back_from_files(tmp_path):
     assert rl.load(tmp_path / "g.h5").type == "LPVGain"
 
 
-def test_a_damaged_file_is_refused_by_name(tmp_path):
+def test_a_damaged_file_is_rejected(tmp_path):
     rl.save(tmp_path / "m.h5", lags())
     with h5py.File(tmp_path / "m.h5", "a") as file:
         del file.attrs["content_sha256"]
@@ -417,7 +412,7 @@ def test_a_damaged_file_is_refused_by_name(tmp_path):
         (lambda: rl.peak_gain(lags(), lyapunov="quadratic"), "'constant' or 'varying'"),
     ],
 )  # fmt: skip
-def test_what_does_not_fit_is_said_in_one_line(make, text):
+def test_bad_arguments_are_reported_in_one_line(make, text):
     with pytest.raises(InputError, match=text.replace("(", r"\(")) as error:
         make()
     assert "\n" not in error.value.line

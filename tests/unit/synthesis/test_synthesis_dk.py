@@ -15,7 +15,7 @@ OMEGA = np.concatenate([[0.0], np.geomspace(1e-5, 1e5, 1500)])
 
 
 def oscillator(spread: float = 0.5) -> StateSpaceModel:
-    """x'' = -(1 + spread delta) x - 0.02 x' + u + 0.1 d, y = x + 0.1 n, z = [x; u]: the real stiffness matters."""
+    """x'' = -(1 + spread delta) x - 0.02 x' + u + 0.1 d, y = x + 0.1 n, z = [x; u]."""
     D = np.zeros((4, 4))
     D[2, 3], D[3, 2] = 1.0, 0.1
     return StateSpaceModel(
@@ -34,7 +34,7 @@ def distillation() -> StateSpaceModel:
 
 
 def by_hand(design: DKSynthesis, omega: np.ndarray) -> np.ndarray:
-    """Largest singular value of the scaled loop from the numbers in to_json alone, without any realisation."""
+    """Largest singular value of the scaled loop from the numbers in to_json, without a realisation."""
     M = frequency_response(design.plant.close(design.K), omega)
     s, left, right = 1j * omega, [], []
     for block, data in zip(design.blocks, design.to_json()["scalings"], strict=True):
@@ -79,7 +79,7 @@ def test_the_column_reaches_its_level_with_few_states(column: DKSynthesis) -> No
     assert column.K.n_states <= 10
     assert column.gamma <= 1.04
     best = min(step.gamma for step in column.history if step.order <= 10)
-    assert 0.999 * best <= column.gamma <= best  # the calmer controller of the end may lie a hair below every iterate
+    assert 0.999 * best <= column.gamma <= best  # the slower final controller may be slightly below every iterate
     assert column.lower <= column.gamma
 
 
@@ -115,7 +115,7 @@ def test_a_real_stiffness_gives_a_smaller_mu(pair: tuple[DKSynthesis, DKSynthesi
     complex_, real = pair
     assert real.gamma <= 0.85 * complex_.gamma
     assert real.scalings.mixed
-    # The mixed mu of the complex design is no smaller: the gain comes from the synthesis.
+    # The mixed mu of the complex design is not smaller: the improvement is due to the synthesis.
     for design, blocks in ((complex_, real.blocks), (real, real.blocks)):
         margin = rl.robust_stability(rl.UncertainModel(design.closed_loop, blocks))
         assert 1 / margin.upper <= design.gamma * (1 + 1e-4)
@@ -124,7 +124,7 @@ def test_a_real_stiffness_gives_a_smaller_mu(pair: tuple[DKSynthesis, DKSynthesi
 
 
 def test_a_singular_plant_with_a_closed_form() -> None:
-    # mu of [[0, 4], [1, 0]] is 2 for two scalars, whatever K does with its own stable mode; D12 = D21 = 0.
+    # mu of [[0, 4], [1, 0]] is 2 for two scalars and every K of the stable mode; D12 = D21 = 0.
     D = np.zeros((3, 3))
     D[0, 1], D[1, 0] = 4.0, 1.0
     plant = StateSpaceModel([[-1.0]], [[0, 0, 1]], [[0], [0], [1]], D)
@@ -165,26 +165,25 @@ def test_a_discrete_plant_is_verified_in_discrete_time() -> None:
 
 
 def test_slower_controllers_within_the_allowed_loss() -> None:
-    best, soft = (
+    best, slow = (
         rl.dk(oscillator(), [RealScalar("k")], 1, 1, direct=False, mixed=False, order_rel=share) for share in (0, 0.05)
     )
-    assert soft.gamma <= best.gamma * 1.05
-    assert soft.fastest_controller_pole < 0.2 * best.fastest_controller_pole
+    assert slow.gamma <= best.gamma * 1.05
+    assert slow.fastest_controller_pole < 0.2 * best.fastest_controller_pole
 
 
-def test_blocks_that_cover_everything_and_those_of_an_uncertain_model() -> None:
+def test_blocks_of_all_channels_and_of_an_uncertain_model() -> None:
     whole = [ComplexScalar("k"), FullBlock("p", 2, 2)]
     assert structure_with_performance(oscillator(), whole, 1, 1)[1] == tuple(whole)
     uncertain = rl.UncertainModel(oscillator(), [RealScalar("k")])
     assert structure_with_performance(uncertain, None, 1, 1)[1] == (RealScalar("k"), FullBlock("performance", 2, 2))
 
 
-def test_bad_inputs_are_named() -> None:
+def test_bad_inputs_are_reported() -> None:
     plant = oscillator()
     cases = [
         ({"blocks": []}, "use hinf"),
         ({"blocks": None}, "no uncertainty"),
-        ({"blocks": [ComplexScalar("a", 3)]}, "3 w and 3 z|cover all|blocks of"),
         ({"blocks": [FullBlock("a", 3, 1)]}, "blocks of 3 inputs w and 1 outputs z"),
         ({"blocks": [ComplexScalar("performance")]}, "another name"),
         ({"blocks": [RealScalar("k", 1, ParameterRange(1.0, 0.5, below=0.25))]}, "centred"),
@@ -195,14 +194,11 @@ def test_bad_inputs_are_named() -> None:
         ({"blocks": [[1, 0]], "K0": StateSpaceModel([], [], [], [[5.0]])}, "not stable"),
     ]
     for options, text in cases:
-        if text.startswith("3 w"):
-            assert structure_with_performance(plant, options["blocks"], 1, 1)  # covers all: allowed
-            continue
         with pytest.raises(InputError, match=text):
             rl.dk(plant, n_meas=1, n_con=1, **options)
 
 
-def test_a_mode_that_cannot_be_stabilised_is_named() -> None:
+def test_a_mode_that_cannot_be_stabilised_is_reported() -> None:
     plant = StateSpaceModel(
         [[0.5, 0], [0, -1]], [[1, 1, 0], [1, 1, 1]], [[1, 1], [1, 0], [1, 1]], np.zeros((3, 3)), states=["tank", "lag"]
     )

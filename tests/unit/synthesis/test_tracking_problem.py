@@ -26,14 +26,14 @@ def plant() -> StateSpaceModel:
 
 
 def controller() -> StateSpaceModel:
-    """Small gains, so that the loop of the stable plant stays stable; four signals in, two out."""
+    """A controller of four inputs and two outputs with small gains, for a stable loop with the stable plant."""
     rng = np.random.default_rng(12)
     A = rng.standard_normal((3, 3)) - 3 * np.eye(3)
     B, C, D = (0.2 * rng.standard_normal(s) for s in ((3, 4), (2, 3), (2, 4)))
     return StateSpaceModel(A, B, C, D)
 
 
-def posed(G=None, **changes):
+def problem_of(G=None, **changes):
     weights = {"W1": error_weight(0.04, 1.0), "W2": control_weight(4.0, 50.0), "W3": complementary_weight(20.0)}
     return tracking_problem(
         G or plant(), ["q", "v"], ["v", "x"], **{**weights, **SIZES, "reference_bandwidth": 3.0, **changes}
@@ -58,12 +58,12 @@ def expected_response(G, K, omega):
     u = loop @ np.hstack([k_r @ r, k_y @ pick @ g @ d, noise])
     y = g @ (u + np.hstack([np.zeros((2, 2)), d, np.zeros((2, 2))]))
     e = np.linalg.inv(size) @ (np.hstack([r, np.zeros((2, 3))]) - y[:2])
-    w = posed().weights
+    w = problem_of().weights
     return np.vstack([of(w["W1"]) * e, of(w["W2"]) * u, of(w["W3"]) * np.linalg.inv(size) @ y[:2]])
 
 
-def test_the_weighted_loop_is_the_algebra_of_the_loop():
-    loop = posed().close(controller()).nominal
+def test_the_weighted_loop_equals_loop_algebra():
+    loop = problem_of().close(controller()).nominal
     assert loop.is_stable()
     found = frequency_response(loop, OMEGA)
     for k, omega in enumerate(OMEGA):
@@ -75,20 +75,20 @@ def test_members_of_the_set_are_those_of_the_plant():
     signals = (other.inputs, other.outputs, other.states)
     faster = StateSpaceModel(1.2 * other.A, other.B, other.C, other.D, 0.0, *signals)
     set_ = rl.elementwise(other, faster, "single")
-    problem = posed(set_)
+    problem = problem_of(set_)
     assert [b.name for b in problem.uncertain.blocks] == ["single"]
     member = problem.close(controller()).evaluate({"single": 0.6})
-    again = posed(set_.evaluate({"single": 0.6})).close(controller()).nominal
+    again = problem_of(set_.evaluate({"single": 0.6})).close(controller()).nominal
     np.testing.assert_allclose(
         frequency_response(member, OMEGA), frequency_response(again, OMEGA), rtol=1e-8, atol=1e-12
     )
-    on = posed().on(set_)
+    on = problem_of().on(set_)
     np.testing.assert_array_equal(on.uncertain.M.A, problem.uncertain.M.A)
     np.testing.assert_array_equal(on.uncertain.M.D, problem.uncertain.M.D)
 
 
 def test_the_thesis_cascade_has_the_thesis_error():
-    """THESIS item 20: 5 mm |1 - (p / (j pi + p))^3| = 0.1996 mm; the torque loop below adds next to nothing."""
+    """THESIS item 20: 5 mm |1 - (p / (j pi + p))^3| = 0.1996 mm; the torque loop is negligible."""
     actuator = rl.plant("linear-actuator")
     problem = tracking_problem(actuator, ["phi"], ["phi", "omega", "i"], W1=25.0, reference=73.603)
     share = problem.gains(actuator_cascade(actuator), [np.pi])["S"][0]
@@ -110,16 +110,16 @@ def test_the_thesis_cascade_has_the_thesis_error():
         ({"reference_bandwidth": 0.0}, "a positive number in rad/s"),
     ],
 )
-def test_bad_requirements(changes, message):
+def test_bad_requirements_are_reported(changes, message):
     with pytest.raises(InputError) as caught:
-        posed(**changes)
+        problem_of(**changes)
     assert message in str(caught.value)
 
 
 @pytest.mark.parametrize(("controlled", "measured", "message"), [
     ([], ["q"], "no output"), (["q"], ["qq"], "did you mean q"), (["q", "q"], ["q"], "named twice"),
 ])  # fmt: skip
-def test_bad_signals(controlled, measured, message):
+def test_bad_signals_are_reported(controlled, measured, message):
     with pytest.raises(InputError) as caught:
         tracking_problem(plant(), controlled, measured, W1=1.0)
     assert message in str(caught.value)

@@ -1,4 +1,4 @@
-"""Weights from specifications and from noise, and contradictions among them, against designs."""
+"""Weights from specifications."""
 
 from __future__ import annotations
 
@@ -59,6 +59,6 @@ def test_makeweight_as_in_matlab(arguments, dt, gains):
         (lambda: makeweight(2.0, 1.0, 1.5), "between"),
     ],
 )
-def test_senseless_numbers_are_named(call, text):
+def test_bad_numbers_are_reported(call, text):
     with pytest.raises(InputError, match=text):
         call()
