@@ -1,4 +1,4 @@
-"""How large can the gain be? One question of a model, one with delays, an uncertain or a scheduled one, of data."""
+"""Peak gain of a model, one with delays, an uncertain or a scheduled one, a plant with effects, or data."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Natures = Mapping[Any, Any]  # name of a block, or (output, input) -> `Varying` 
 Norm = Literal["hinf", "linf"]
 Lyapunov = Literal["constant", "varying"]
 
-# What is asked -> the options that it has; another one is refused, with those that have it.
+# Type of problem -> its options; the error for another one lists the types that have it.
 OPTIONS: Mapping[str, tuple[str, ...]] = {
     "a model": ("norm", "band", "inputs", "outputs", "tolerance"),
     "a model with delays": ("inputs", "outputs", "tolerance", "order", "effort"),
@@ -34,7 +34,7 @@ OPTIONS: Mapping[str, tuple[str, ...]] = {
         "controller", "outputs", "amplitude", "stick_speed", "sign", "order", "effort", "time_limit"
     ),
 }  # fmt: skip
-# Options for which there is another way.
+# Hints for options that a type does not have.
 WAYS = {
     "controller": "close the loop first: G.feedback(K)",
     "band": "frequency= asks at points; a band-pass weight, weight @ G, asks about a band",
@@ -215,9 +215,9 @@ Method = Callable[..., PeakGain]
 
 
 def _kind(system: Any, given: Mapping[str, Any]) -> tuple[str, Method]:
-    """What is asked, a key of `OPTIONS`, and who answers it."""
+    """Return the type of problem, a key of `OPTIONS`, and its method."""
     if not isinstance(system, (StateSpaceModel, UncertainModel, DelayedModel, UncertainFrequencyData)):
-        # Packages that take a while to load: what is none of these is rarely a model of theirs.
+        # These packages load slowly and are rarely needed.
         from robustlab.dynamics.extended.extended_plant import ExtendedPlant
         from robustlab.synthesis.scheduling.parameter_varying import LPVModel
 

@@ -1,4 +1,4 @@
-r"""Margins of a loop, whatever kind of models make it: disk margins, and classical ones.
+r"""Disk margins and classical margins of a loop of any type of models.
 
 Each loop is multiplied by a complex factor of the disk
 

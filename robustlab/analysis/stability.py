@@ -1,4 +1,4 @@
-r"""Robust stability, whatever kind of system: how far its set may grow before a member is unstable.
+r"""Robust stability of any type of system: how far its set may grow before a member is unstable.
 
 .. math:: k = 1 / \sup_\omega \mu(M_{11}(j \omega))
 

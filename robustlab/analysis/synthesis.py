@@ -1,4 +1,4 @@
-"""Controllers for any kind of plant: `hinf` looks at what it is given."""
+"""H-infinity synthesis for any type of plant."""
 
 from __future__ import annotations
 
