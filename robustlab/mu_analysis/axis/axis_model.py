@@ -135,7 +135,7 @@ def typical_speed(model: StateSpaceModel) -> float:
 
 
 def acting(model: StateSpaceModel, blocks: Sequence[Block]) -> Mask:
-    """Return which states, then blocks, act directly on which, by the zero pattern of A, B, C, D: ``[i, j]``, j on i."""
+    """Return which states, then blocks, act directly on which, by the zeros of A, B, C, D: ``[i, j]``, j on i."""
     into, out = np.zeros((model.n_inputs, len(blocks))), np.zeros((len(blocks), model.n_outputs))
     for i, (w, z) in enumerate(block_slices(blocks)):
         into[w, i] = out[i, z] = 1

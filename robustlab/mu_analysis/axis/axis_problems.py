@@ -99,7 +99,7 @@ class MarginProblem(_AxisProblem):
         return Region(root_box(self.blocks, 1 / level), [(0.0, float("inf"))], self.hot)
 
     def attack(self, region: Region, level: float, budget: Budget) -> Improved | None:
-        """Ascend from the centre along the mode next to the missed frequency, in a box smaller than the known member."""
+        """Ascend from the centre along the mode next to the missed frequency, in a smaller box."""
         values, blocks, aim = region.box.centre, self.blocks, 1j * (region.hot or 0.0)
         if is_stable_member(self.model, blocks, values):
             found = ascended(self.model, blocks, values, ASCENT_REACH / level, aim)

@@ -116,7 +116,7 @@ class AxisCover:
     def reported(
         self, uncertain: UncertainModel, level: float
     ) -> tuple[tuple[tuple[float, float, float], ...], tuple[tuple[float, float], ...]]:
-        """Return pieces as ``(low, high, bound)``, at most ``level``, and open intervals, in rad/s of the given model."""
+        """Return pieces as ``(low, high, bound)``, at most ``level``, and open intervals, in the model's rad/s."""
         at = partial(model_frequency, uncertain)
         pieces = tuple((at(p.low), at(p.high), min(p.beta, level)) for p in self.pieces)
         return pieces, tuple((at(low), at(high)) for low, high in self.open)
@@ -212,7 +212,7 @@ def extend_work(model: StateSpaceModel) -> int:
 
 
 def extend(model: StateSpaceModel, bound: UpperBound, beta: float, omega: float) -> Piece | None:
-    """Return the interval around ``omega`` on which D and G of ``bound`` prove beta; None if they do not at ``omega``."""
+    """Return the interval around ``omega`` on which D and G of ``bound`` prove beta; None if not at ``omega``."""
     if not bound.beta < beta:
         return None
     stricter = max(beta * (1 - SLACK), (bound.beta + beta) / 2)

@@ -1,7 +1,7 @@
 """Destabilising perturbations: the smallest Delta that brings a pole of a state-space model to the axis."""
 
 # Real mu is nonzero at isolated frequencies only, so a frequency grid finds nothing. Instead one pole of A + B Delta
-# (I - D Delta)^-1 C is moved to the axis in small steps, each the linearised move of least max |delta_i|, and then along
+# (I - D Delta)^-1 C is moved to the axis in small steps, each the linearised move of least max |delta_i|, then along
 # the axis to a smaller Delta. A real pole that meets another and crosses at zero is found by the static problem
 # det(I - M(0) Delta) = 0, a loop that becomes ill-posed by det(I - D Delta) = 0. At the end the model at Delta, or at a
 # part of it, must have a pole on or beyond the axis.
