@@ -1,6 +1,6 @@
-"""Search for the worst member: centre, vertices, Sobol points, then climbs along difference quotients or by compass.
+"""Search for the worst member: centre, vertices, Sobol points, then ascents by difference quotients or compass.
 
-A search attains what it reports; it proves no bound. Guaranteed bounds are `robustlab.mu_analysis`' business.
+The reported value is attained, not a proved bound; for bounds see `robustlab.mu_analysis`.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ LABEL = "sampled: a lower bound of the true worst case"
 LABEL_SMALLEST = "sampled: an upper bound of the true worst case, which is the smallest value"
 UNBOUNDED = "attained: this member has no bounded value"
 WORK = 60 * MILLION  # the usual work at effort 1, in units of about a microsecond
-CLIMBING = 0.5  # share of it that the climbs may take, each an equal part
-VERTICES = 1024  # at most, beside the Sobol points
-CLIMBS = 8  # local searches along gradients; more: more local maxima seen
+CLIMBING = 0.5  # share of it for the ascents, in equal parts
+VERTICES = 1024  # at most, in addition to the Sobol points
+CLIMBS = 8  # local searches along gradients; more: more local maxima found
 STARTS = 4  # compass searches where there are no gradients
-JUMPS = 6  # to the vertex that a gradient points to, at the beginning of a climb
+JUMPS = 6  # towards the vertex of the gradient's signs, at the beginning of an ascent
 CLIMB_STEPS = 40  # of the quasi-Newton method after them
 SMALLEST_STEP = 1e-7  # of a compass search
-APART = 0.2  # starting points of climbs differ by this in one coordinate at least
+APART = 0.2  # smallest distance of starting points, in the maximum norm
 STEP = 1e-6  # of the difference quotients, in the box [-1, 1]
-ROUNDING = 1e-11  # relative change of a score that rounding may make
+ROUNDING = 1e-11  # largest relative change of a score by rounding
 
 
 @dataclass(frozen=True)
@@ -73,28 +73,28 @@ class WorstCase(Shown, AllFields):
     Attributes
     ----------
     value
-        The metric at ``delta``, re-evaluated through another path than the search's; infinite where it is unbounded.
+        The metric at ``delta``, re-evaluated by another method than the search's; infinite where it is unbounded.
     delta
         Block name -> value.
     metric
         Which metric.
     nominal_value
-        The metric at Delta = 0, by the same path as ``value``.
+        The metric at Delta = 0, by the same method as ``value``.
     status
         CONVERGED; INACCURATE where search and re-evaluation disagree or digits were lost; INCONCLUSIVE where the work
         budget ended the search, TIMEOUT where the time limit did.
     label
-        What the value is, and is not, and what ended the search early.
+        Meaning of the value, and the reason for an early end of the search.
     evaluations
         Number of members that were evaluated.
     physical
-        Block name -> (parameter value, unit), for blocks that stand for a physical parameter.
+        Block name -> (parameter value, unit), for blocks of a physical parameter.
     at
         Time in s or frequency in rad/s at which the value is attained; NaN where there is none.
     location
-        What ``at`` is.
+        Quantity of ``at``.
     search_value
-        What the search had computed for ``delta``.
+        Value of the search at ``delta``.
     unit
         Unit of the value.
     input, output
@@ -104,10 +104,9 @@ class WorstCase(Shown, AllFields):
     seed
         Seed of the search.
     gradients
-        How many gradients it used.
+        Number of gradients.
     response
-        Of the output that is judged, nominal and at ``delta``; None for metrics that are not those of a response, and
-        where it outgrows every number.
+        Response of the metric's output, nominal and at ``delta``; None for other metrics, and where it overflows.
     """
 
     quantities: ClassVar[Mapping[str, Any]] = {
@@ -139,15 +138,12 @@ class WorstCase(Shown, AllFields):
         return None if self.response is None else self.response.percent
 
     def headline(self) -> str:
-        """What is worst, and by how much."""
         return f"worst {self.metric} found: {number(self.value, self.unit)}"
 
     def details(self) -> list[Part]:
-        """The worst member."""
         return [member_rows(self.delta, self.physical)]
 
     def facts(self) -> Facts:
-        """The worst value with its unit, the member that has it, and what the value is."""
         name, _, unit = self.location.partition(" [")
         return [
             (self.metric, number(self.value, self.unit, 6)),
@@ -294,11 +290,11 @@ def _response(judge: Metric, delta: Mapping[str, Any]) -> WorstResponse | None:
 
 
 class _Ended(Exception):
-    """The work of a climb is used up, or it met a member without a bounded value."""
+    """The work of an ascent is used up, or a member without a bounded value was found."""
 
 
 class _Search:
-    """Scores are ``sense * value``: the larger the worse."""
+    """The search; scores are ``sense * value``: the larger the worse."""
 
     def __init__(self, judge: Metric, budget: Budget) -> None:
         self.judge, self.budget = judge, budget
@@ -315,7 +311,7 @@ class _Search:
         if not self.judge.set.size or np.isposinf(self.top) or self.ended:
             return self.best, self.top
         if self.judge.set.all_real and self.judge.smooth:
-            starts = _apart(points[order], CLIMBS, APART)
+            starts = _spaced(points[order], CLIMBS, APART)
             share = CLIMBING * self.budget.left / len(starts)
             for start in starts:
                 self._climb(start, share)
@@ -348,7 +344,7 @@ class _Search:
         return self.judge.sense * self.judge.of(self.judge.set.members(theta))
 
     def _scores(self, theta: Array) -> Array:
-        """Return the scores at vectors (k, d); -inf for those that the budget leaves no work for."""
+        """Return the scores at vectors (k, d); -inf beyond the budget."""
         scores = np.full(len(theta), -np.inf)
         m = self.judge.uncertain.M
         for part in chunks(len(theta), 64 * (m.A.size + m.D.size + 1)):
@@ -358,10 +354,10 @@ class _Search:
             scores[part] = self._measure(theta[part])
         return scores
 
-    # -- climbing along gradients --
+    # -- ascent along gradients --
 
     def _climb(self, start: Array, work: float) -> None:
-        """Jump towards the vertex that the gradient points to, then L-BFGS-B; the best point seen is kept."""
+        """Jump towards the vertex of the gradient's signs, then use L-BFGS-B; the best point is kept."""
         from scipy.optimize import minimize
 
         last = self.budget.left - work
@@ -455,19 +451,19 @@ class _Search:
 
 
 def _sobol(n: int, d: int, seed: int) -> Array:
-    """The first n points of a scrambled Sobol sequence in [0, 1)^d; independent ones beyond its tables."""
+    """Return n points of a scrambled Sobol sequence in [0, 1)^d; independent ones beyond its tables."""
     from scipy.stats import qmc
 
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0, 3)))
     if d > qmc.Sobol.MAXDIM:
         return rng.random((n, d))
-    # "seed" is what the oldest scipy that we take calls it, "rng" the newest.
+    # The oldest supported scipy has the argument "seed", the newest "rng".
     settings: dict[str, Any] = {"seed": rng}
     return qmc.Sobol(d, scramble=True, **settings).random_base2(max(0, int(np.ceil(np.log2(n)))))[:n]
 
 
-def _apart(points: Array, count: int, distance: float) -> Array:
-    """The first of the points that are not within ``distance`` of one taken before, at most ``count``."""
+def _spaced(points: Array, count: int, distance: float) -> Array:
+    """Return at most ``count`` first points with at least ``distance`` between each other."""
     taken: list[Array] = []
     for point in points:
         if all(np.abs(point - other).max() >= distance for other in taken):

@@ -372,7 +372,7 @@ class _Stability(_Search):
             size = min(float(np.sqrt(size * failed)), size * near if before else np.inf)
 
     def better_member(self) -> None:
-        # The gap may be due to the search: modes that take_member inside the box may give a smaller Delta.
+        # The gap may be due to the search: modes that meet inside the box may give a smaller Delta.
         if self.worst is not None and all(b.interval for b in self.blocks):
             better = smaller_destabilising(
                 self.model, self.blocks, self.worst, self.budget.share(ASCENT_SHARE), self.seed
@@ -609,7 +609,7 @@ class _Gain(_Search):
         return best
 
     def _member(self, delta: ComplexArray, omega: float) -> tuple[float, Mapping[str, Any], float]:
-        """Return the gain of a member: its H-infinity norm where Delta is real, else its largest gain near ``omega``."""
+        """Return a member's gain: its H-infinity norm where Delta is real, else its largest gain near ``omega``."""
         uncertain = self.uncertain
         values = delta_values(uncertain.blocks, delta)
         if all(b.interval for b in uncertain.blocks):

@@ -89,7 +89,7 @@ class ClassicalMargin(Shown):
         CONVERGED: all crossings, to the last digits. Of loops with delays: CERTIFIED, or INACCURATE where it is not
         decided whether a crossing is only touched.
     reason
-        Why it is inaccurate, or that the closed loop is unstable and which of its modes no feedback changes; else empty.
+        Why it is inaccurate, or that the closed loop is unstable, with the modes no feedback changes; else empty.
     """
 
     stable: bool
@@ -349,7 +349,7 @@ class LoopFraction:
         )
 
     def _crossed(self, f: fmpz_poly, height: Callable[[Point], Fraction]) -> list[Fraction]:
-        """Return the positive roots of f, rising, with those where a height is so near zero that it counts as touched."""
+        """Return the positive roots of f, rising, and the points where a height counts as touched."""
         found = list[Fraction]()
         for root in roots(f):
             if root.re <= 0 or not 0 <= root.im < NEIGHBOURHOOD * root.re:

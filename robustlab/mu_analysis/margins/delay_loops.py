@@ -267,8 +267,8 @@ def _margin(
 
 # --- variation of a response about a point of the axis ---------------------------------------------------------------
 #
-# With the states and the outputs of the delays as unknowns G(s) = D + C F(s)^-1 B, and |F(j w) - F(j c)| <= h N entry by
-# entry for |w - c| <= h, N = diag(I, tau): only the diagonal moves. With m = |T F(jc)^-1 N T^-1| for any diagonal T,
+# With states and outputs of delays as unknowns G(s) = D + C F(s)^-1 B, and |F(j w) - F(j c)| <= h N entry by
+# entry for |w - c| <= h, N = diag(I, tau): only the diagonal changes. With m = |T F(jc)^-1 N T^-1| for any diagonal T,
 # l = |C F(jc)^-1 N T^-1|, r = |T F(jc)^-1 B| and h m < 1, Neumann's series gives |G(jw) - G(jc)| <= h l r / (1 - h m)
 # and |G''| <= l r / (1 - h m)^2 (2 m / (1 - h m) + tau_max). Beyond the bandwidth |(jwI - A)^-1| <= 1 / (w - |A|)
 # bounds every entry of the rest, and a nonnegative matrix of spectral radius below one the echoes. Horn, Johnson,

@@ -1,7 +1,7 @@
 """Boxes of perturbations: each real delta in an interval, each complex block in a ball, as one normalised model."""
 
-# With centre c and half width h of each block Delta = C + H Delta', |Delta'| <= 1, and M' = (I - M C)^-1 M H is the model
-# for Delta'. Asymmetric ranges and branch and bound are boxes whose centre is not the nominal point.
+# With centre c and half width h of each block Delta = C + H Delta', |Delta'| <= 1, and M' = (I - M C)^-1 M H is the
+# model for Delta'. Asymmetric ranges and branch and bound are boxes whose centre is not the nominal point.
 
 from __future__ import annotations
 
