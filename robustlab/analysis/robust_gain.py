@@ -85,11 +85,11 @@ def robust_gain(
     Parameters
     ----------
     uncertain
-        Uncertain model; a range that is wider on one side grows in proportion on both.
+        Uncertain model; an asymmetric range grows in proportion on both sides.
     level
         :math:`\gamma`, positive, in the unit of the outputs over that of the inputs.
     tolerance
-        Relative gap between the bounds that is aimed at.
+        Target of the relative gap between the bounds.
     seed, effort
         As in `robustlab.peak_gain`, of each worst-case gain.
 

@@ -19,13 +19,12 @@ from robustlab.shown import Facts, Part, Shown, member, member_rows, number
 from robustlab.tables import Table, Tabular
 from robustlab.worst_case_analysis.members import decoded
 from robustlab.worst_case_analysis.statistics import clopper_pearson
+from robustlab.worst_case_analysis.worst_case_search import LABEL, LABEL_SMALLEST, UNBOUNDED
 
 CONFIDENCE = 0.95
 SHARES = (0.5, 0.9, 0.99, 0.999)
 SHOWN_LOST = 100
 LISTED_LOST = 10  # of these in a text
-LABEL = "sampled: a lower bound of the true worst case"
-LABEL_SMALLEST = "sampled: an upper bound of the true worst case, which is the smallest value"
 
 
 class Quantile(NamedTuple):
@@ -316,7 +315,7 @@ def _one(kind: str) -> str:
 
 def _label(worst: Sample | None, sense: int) -> str:
     if worst is not None and not math.isfinite(worst.value):
-        return "attained: this member has no bounded value"
+        return UNBOUNDED
     return LABEL if sense > 0 else LABEL_SMALLEST
 
 

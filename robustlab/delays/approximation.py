@@ -115,7 +115,7 @@ def pade(delay: float, order: int) -> StateSpaceModel:
     r"""The Padé approximation of :math:`e^{-s d}` with equal degrees; an all-pass with the gain 1.
 
     A lossless ladder: :math:`A + A^T = -B B^T` and :math:`C = \mp B^T`. Both Gramians are the identity, so it is
-    balanced, and its modulus is one at every frequency by its structure, whatever the order.
+    balanced, and its modulus is one at every frequency for any order.
 
     ``delay``: in s, positive.
     ``order``: 1 to 40; 0 is the gain 1.

@@ -158,7 +158,7 @@ class DelayedModel(TransferMatrix, Shown, Traced):
         InputError
             A frequency that is not finite: a delay has no limit there.
         NoTrustworthyNumber
-            A pole lies at a frequency.
+            A pole is at a frequency.
         """
         w = real_array("omega", np.atleast_1d(omega), 1, "frequency_response")
         if not len(self.delays):
@@ -245,8 +245,8 @@ class DelayedModel(TransferMatrix, Shown, Traced):
            \text{ for all } \omega
 
         That is proved for all frequencies, not on a grid: see `robustlab.delays.approximation`. :math:`\Delta` is
-        stable, because the error is, and has all zeros of the weight, which are at s = 0. So whatever is proved of the
-        set (`robust_stability`, `worst_case_gain`, `disk_margin`) is proved of the model with its delays.
+        stable, because the error is, and has all zeros of the weight, which are at s = 0. A proof for the
+        set (`robust_stability`, `worst_case_gain`, `disk_margin`) therefore holds for the model with its delays.
         Delays of one length share one repeated block. A delay that is not known exactly gets a block of its own in each
         channel, :math:`|e^{-j\omega(\tau + \delta)} - R_n(j\omega\tau)| \le |W(j\omega)|` for all :math:`|\delta|` up
         to its spread.
@@ -254,16 +254,16 @@ class DelayedModel(TransferMatrix, Shown, Traced):
         Parameters
         ----------
         order
-            Order n of the approximations, 0 to 40. Each more covers the delay further up in frequency: the weight
+            Order n of the approximations, 0 to 40. Higher orders cover the delay to higher frequencies: the weight
             passes 1 near :math:`\omega \tau = 2, 5, 6, 8, 10` for n = 1, 2, 3, 4, 6.
         spread
-            How far each delay may be off, in s; one number, or one for each of ``delays``. Not above the delay itself.
+            Largest error of each delay in s; one number, or one for each of ``delays``. Not above the delay itself.
         weight_order
             Slope of the weight, 1 to 2n + 1, and its number of states; of more than 2n + 1 that many are used. With a
             spread the weight has the slope one at low frequencies, and needs 2 of them at least where n > 0.
         name
-            Put before the names of the spreads' blocks. Equal names are one uncertainty: two sets whose delays vary
-            each on its own need two.
+            Prefix of the names of the spreads' blocks. Equal names are one uncertainty: two sets whose delays vary
+            independently need two.
 
         Returns
         -------
@@ -345,7 +345,7 @@ class DelayedModel(TransferMatrix, Shown, Traced):
         InputError
             Not square.
         NoTrustworthyNumber
-            What passes without delay has no inverse: that of the whole would look ahead.
+            The part without delay has no inverse: the inverse would not be causal.
         """
         return self.carried(inverse, self)
 

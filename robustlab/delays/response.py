@@ -88,10 +88,8 @@ def delayed_response(
 
 def _moving(model: DelayedModel) -> Indices:
     """Return the delays whose output enters a state or another delay."""
-    n, k = len(model.delays), model.H.n_states
-    enters = np.vstack([model.H.B, model.H.D[:n]])[:, :n]
-    assert enters.shape[0] == k + n
-    return np.flatnonzero(enters.any(axis=0))
+    n = len(model.delays)
+    return np.flatnonzero(np.vstack([model.H.B, model.H.D[:n]])[:, :n].any(axis=0))
 
 
 def _inside(model: DelayedModel) -> Mask:
@@ -103,7 +101,7 @@ def _inside(model: DelayedModel) -> Mask:
 
 
 def _mesh(model: DelayedModel, t: Array, inside: Mask) -> Array:
-    """Return all samples, their delayed times, and for each sample the earlier times seen by delayed outputs."""
+    """Return all samples, their delayed times, and for each sample the earlier times of delayed outputs."""
     moving, end = _moving(model), t[-1]
     points = new = t
     echoes = bool(model.H.D[moving][:, moving].any())  # jumps that no state smooths recur without end

@@ -71,8 +71,8 @@ def with_delays(
 ) -> DelayedModel | StateSpaceModel | UncertainModel:
     r"""The model with exact delays of some of its inputs and outputs; with delays within ranges, a set that holds it.
 
-    What is proved of the set is proved of the model with every such delay; see `DelayedModel.uncertain`. Delays in a
-    range vary each on its own.
+    A proof for the set holds for the model with every such delay; see `DelayedModel.uncertain`. Delays in a range vary
+    independently.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def with_delays(
     inputs, outputs
         Name or number of a signal -> its delay in s, 0 or more, or its shortest and its longest delay.
     order, weight_order
-        Of a set: of the approximations and of the weights of their error, 3 where left out; see
+        Of a set: orders of the approximations and of the weights of their error, 3 by default; see
         `DelayedModel.uncertain`.
 
     Returns

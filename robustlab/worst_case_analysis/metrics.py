@@ -560,8 +560,8 @@ def make_metric(uncertain: UncertainModel, request: MetricRequest, where: str = 
 class MetricBatch:
     """Values of a metric at samples ``first .. first + count - 1``; can be pickled and sent to another process.
 
-    Sample i is that of ``sample(uncertain, n, seed)``, and its value is the same to the last bit in whatever batch
-    it is computed.
+    Sample i is that of ``sample(uncertain, n, seed)``, and its value is the same to the last bit in every
+    batch.
     """
 
     uncertain: UncertainModel

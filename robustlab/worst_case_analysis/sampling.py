@@ -81,17 +81,17 @@ class Samples(Tabular, Shown):
         x0: ArrayLike | None = None,
         hold: Literal["zoh", "foh", "spline"] = "zoh",
     ) -> Responses:
-        """Time responses of all samples and of the nominal model to one input; of plants stability is not judged.
+        """Time responses of all samples and of the nominal model to one input; stability of plants is not checked.
 
         Parameters
         ----------
         t
             Times in s, shape (n_t,), with one step; for a discrete model its ``dt``.
         u
-            Name -> number or samples (n_t,), inputs left out are zero; or an array (n_t,) for a single input, or
+            Name -> number or samples (n_t,), other inputs are zero; or an array (n_t,) for a single input, or
             (n_t, n_u). None is a unit step on the only input.
         x0
-            Initial state of every member, shape (n_x,); zero where left out.
+            Initial state of every member, shape (n_x,); zero by default.
         hold
             As of `robustlab.dynamics.simulation.simulate`.
 
@@ -264,20 +264,20 @@ def sample(uncertain: UncertainModel | Plant, n: int, seed: int = 0, vertices: i
     n
         Number of random samples.
     seed
-        Same seed, same answer; sample i is the same for every n.
+        Seed of the random numbers; sample i is the same for every n.
     vertices
         Number of vertices to add: all ``2^k`` of k real deltas where the number allows it, else a seeded selection;
-        ``"all"`` asks for every one. Complex and full blocks are put on their boundary there, at random.
+        ``"all"`` for every one. Complex and full blocks are at random on their boundary there.
 
     Returns
     -------
     Samples
-        The random samples first, then the vertices; their models and responses are made when they are asked for.
+        The random samples first, then the vertices; models and responses are computed on access.
 
     Raises
     ------
     InputError
-        Nothing is asked for, or all vertices of more than 16 real deltas; a linear plant, which has an exact set
+        No samples, or all vertices of more than 16 real deltas; a linear plant, which has an exact set
         (``plant.uncertain()``), or one without tolerances.
 
     Examples

@@ -415,29 +415,29 @@ def violation_probability(
     Parameters
     ----------
     uncertain
-        The set; its parameters are taken as uniform in their ranges and independent.
+        The set; its parameters are assumed independent and uniform in their ranges.
     metric, output, input, t, u, hold, band
         As in `worst_case`.
     limit
         A number in the metric's unit, or a text with its unit such as ``"0.5 rad"``.
     probability
-        What is to be shown: P(violation) at most so large.
+        Required upper bound of P(violation).
     confidence
         Between 0 and 1.
     n
-        Samples; left out: as many as show ``probability`` without a violation, or 1000.
+        Samples; by default as many as confirm ``probability`` without a violation, or 1000.
     quantiles
         Shares of the metric's quantiles, between 0 and 1.
     seed
-        Same seed, same answer.
+        Seed of the random numbers.
     workers
-        Threads; the answer does not depend on their number.
+        Threads; the result does not depend on their number.
 
     Returns
     -------
     ViolationProbability
         The share of samples that violate with its bounds, quantiles of the metric, its ``values (n,)``, the worst
-        sample, and which parameters matter.
+        sample, and the influence of the parameters.
 
     Raises
     ------

@@ -190,22 +190,20 @@ def worst_case(
         spectral-abscissa, damping    of the poles; the smallest damping is the worst
         ============================  ==============================================================================
     output, input
-        Signals to look at. An output is needed for a response where there are several; norms are taken between all
-        signals where none is named.
+        Signals of the metric. A response needs an output if there are several; norms are of all signals by default.
     t, u, hold
-        Times and inputs for a response, as in `Samples.respond`. Left out: eight time constants of the nominal
+        Times and inputs for a response, as in `Samples.respond`. By default eight time constants of the nominal
         model, and a unit step on ``input`` or on the only input.
     band
         Share of the final value that counts as settled.
     n
-        Sobol points, besides the centre and up to 1024 vertices.
+        Sobol points, in addition to the centre and up to 1024 vertices.
     seed
-        Same seed, same answer.
+        Seed of the random numbers.
     time_limit
-        In s; what was found by then comes back with status TIMEOUT, and cannot be repeated. None: no limit.
+        Time limit in s. If it is reached, the status is TIMEOUT and the result depends on the machine.
     effort
-        Work that the search may take, as a multiple of the usual (about a minute); counted, not timed. Most searches
-        end long before.
+        Work of the search as a multiple of the usual (about a minute); counted, not timed. Most searches end earlier.
 
     Returns
     -------

@@ -33,7 +33,7 @@ PERFORMANCE = "performance"  # the block that robust_performance adds; no range 
 
 @dataclass(frozen=True, eq=False)
 class StabilityMargin(Bracket):
-    """How far a set may grow before a member of it is unstable, for any type of system.
+    """Largest size of a set without an unstable member, for any type of system.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class Margin(Tabular, StabilityMargin):
     physical
         The critical values and units of the physical parameters.
     pole
-        The pole of the model perturbed by ``delta`` that lies on or beyond the stability boundary.
+        The pole on or beyond the stability boundary of the model perturbed by ``delta``.
     status
         CERTIFIED: ``lower`` proved on the whole axis. INCONCLUSIVE: ``open`` intervals are left, ``mu_upper`` holds on
         the grid only. TIMEOUT: the time limit ended the proof; ``lower`` and ``open`` give the part that was proved.

@@ -104,7 +104,7 @@ def _closed(model: StateSpaceModel, delta: ComplexArray) -> tuple[NDArray[Any], 
 
 
 def _eigen(a: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """Eigenvalues and right eigenvectors; stored as real numbers where all of them are real."""
+    """Return eigenvalues and right eigenvectors."""
     values, right = np.linalg.eig(a)
     return values, right
 

@@ -231,17 +231,16 @@ def cover(
 
         The first two need models with the same states.
     nominal
-        Nominal model for all forms but ``pca``; where left out the middle of the hull, or for a full
-        block the candidate of least radius.
+        Nominal model for all forms but ``pca``; by default the middle of the hull, or for a full block the candidate of
+        least radius.
     tolerance
-        Relative size of an entry's error that counts as none; ``pca`` keeps as many directions as are needed for it.
+        Largest relative error of an entry; ``pca`` keeps the number of directions that it needs.
     directions
-        Number of directions of ``pca``, instead.
+        Number of directions of ``pca``, in place of ``tolerance``.
     order, excess
         Largest order of the weight; how far above the bound a weight of lower order may be.
     loop
-        What is made of a model before its gain is taken, for example ``lambda g: g.feedback(K)``; nothing where left
-        out.
+        Function applied to a model before its gain is computed, for example ``lambda g: g.feedback(K)``.
     gain
         False: no conservatism.
     time_limit
@@ -254,7 +253,7 @@ def cover(
     Returns
     -------
     Cover
-        The uncertain model, each model's delta in it, how far a weight is above the bound, and the conservatism.
+        The uncertain model, each model's delta in it, the excess of a weight over the bound, and the conservatism.
 
     Raises
     ------

@@ -275,7 +275,7 @@ def _margin(
 # *Matrix Analysis* (2013), section 5.8; Michiels, Niculescu (2014), chapter 1.
 
 SWEEPS = 6  # of the balancing by T
-FASTEST = 60  # doublings of the frequency in which the far end is sought
+FASTEST = 60  # doublings of the frequency in the search for the end
 CHUNK = 2_000_000  # complex numbers of one batch
 
 

@@ -162,8 +162,7 @@ def _orders(g: DelayedModel, least: int, highest: int) -> list[int]:
 
 def _undelayed_pole(g: DelayedModel) -> complex | None:
     """Return a pole on or right of the axis of a part of the model whose loops hold no delay; None if there is none."""
-    # A strongly connected component of the graph of states and delays: its eigenvalues are poles whatever the delays
-    # are.
+    # A strongly connected component of the graph of states and delays: its eigenvalues are poles for all delays.
     from scipy.sparse.csgraph import connected_components
 
     h, n, k = g.H, g.H.n_states, len(g.delays)

@@ -120,10 +120,9 @@ def mu(
     and 0 where no Delta makes the determinant vanish.
 
     The upper bound is that of the D-G scalings, certified with its rounding errors; the lower one is attained by an
-    explicit Delta. What lies between them is not known; with ``tolerance`` branch and bound over the real parameters
-    closes it.
+    explicit Delta. With ``tolerance`` branch and bound over the real parameters closes the gap.
 
-    With ``fixed`` these blocks keep size one, and the size of the others is sought:
+    With ``fixed`` these blocks keep size one, and the smallest size of the others is computed:
 
     .. math:: \nu(M) = 1 / \min \{ \|\Delta_v\| : \|\Delta_f\| \le 1, \; \det(I - M \, diag(\Delta_f, \Delta_v)) = 0 \}
 
@@ -137,24 +136,23 @@ def mu(
     seed
         Seed of the starting points of the lower bound.
     tolerance
-        Relative gap between the bounds that branch and bound over the real scalars aims at; none where left out. It
-        needs a Delta to start from: where ``lower`` is zero, nothing is cut.
+        Relative gap between the bounds that branch and bound over the real scalars aims at; none by default. It needs
+        a Delta to start from: where ``lower`` is zero, nothing is cut.
     time_limit
-        Time in s from the call after which branch and bound stops. Where it strikes, the status is TIMEOUT:
-        the answer cannot be repeated. None: no limit.
+        Time limit in s of branch and bound. If it is reached, the status is TIMEOUT and the result depends on the
+        machine.
     effort
-        Work that branch and bound may take, as a multiple of the usual (about a minute for all matrices together);
-        counted, not timed.
+        Work of branch and bound as a multiple of the usual (about a minute for all matrices); counted, not timed.
     fixed
-        Names or indices of the blocks that stay at size one; ``tolerance`` does not go with it.
+        Names or indices of the blocks that keep size one; not with ``tolerance``.
 
     Returns
     -------
     MuBounds
-        Both bounds with what proves them: ``delta`` (q, p), ``D`` (q, q), ``D_z`` (p, p), ``G`` (q, p), each with a
+        Both bounds with their evidence: ``delta`` (q, p), ``D`` (q, q), ``D_z`` (p, p), ``G`` (q, p), each with a
         leading axis k for a stack. With ``fixed``, ``lower`` is attained by ``delta`` (fixed blocks within one, the
         others of size ``1 / lower``); ``D``, ``G`` prove level one of M with the inputs of the varying blocks divided
-        by ``upper``, which is inf where the fixed blocks alone could not be shown to leave ``I - M Delta`` regular.
+        by ``upper``, which is inf if ``I - M Delta`` is not proved regular for the fixed blocks alone.
 
     Raises
     ------

@@ -114,7 +114,7 @@ def inner(W, x, y):
 
 @nb.njit(**INSIDE)
 def raise_small(W, out, a, x, orders):
-    """The smaller blocks of X, times a, where they stand in a matrix of order q."""
+    """Put the smaller blocks of X, times a, at their positions in a matrix of order q."""
     q, low = W.shape[2], 0
     for m in orders[1:]:
         for i in range(m):
@@ -125,7 +125,7 @@ def raise_small(W, out, a, x, orders):
 
 @nb.njit(**INSIDE)
 def lower_large(W, out, a, x, orders):
-    """The adjoint: to the smaller blocks what stands in their places in the first block of X, times a, is added."""
+    """Add to the smaller blocks their positions in the first block of X, times a (the adjoint of `raise_small`)."""
     q, low = W.shape[2], 0
     for m in orders[1:]:
         for i in range(m):
@@ -290,7 +290,7 @@ def shift(V, x, a, y):
 
 @nb.njit(**INSIDE)
 def newton_factor(H, V, short):
-    """Cholesky factor of H in diagonal scaling, in place; directions without curvature stay put."""
+    """Factor H by Cholesky in diagonal scaling, in place; directions without curvature are fixed."""
     n, largest = len(H), 0.0
     for i in range(n):
         H[i, i] += short * V[SHORT, i]
@@ -370,7 +370,7 @@ def evaluate(W, J, V, M, c, entries, orders, t):
 
 @nb.njit(**INSIDE)
 def allowance(W, V, M, c, entries, orders):
-    """How far rounding can blur t, with D scaled to a unit diagonal (an estimate: it picks the best iterate)."""
+    """Estimate the rounding error of t, with D scaled to a unit diagonal (to select the best iterate)."""
     p, q = M.shape
     low, widest, largest = 0, 0.0, 0.0
     for m in orders[1:]:
@@ -446,7 +446,7 @@ def direction(W, J, H, V, M, c, entries, orders, nu, tt, bent):
 
 @nb.njit(**PART)
 def second_order(W, J, V, M, c, entries, orders, dt):
-    """Products of two steps, which a Newton step leaves out and the corrector puts back; returns that in t."""
+    """Compute the products of two steps for the corrector; return that in t."""
     raise_small(W, BEND, 1.0, DX, orders)
     bent = inner(W, DZ, BEND)
     product(W, A, BEND, Z, orders)
@@ -473,7 +473,7 @@ def tangent(W, J, V, M, c, entries, down):
 
 @nb.njit(**INSIDE)
 def beyond(W, down, gap, orders):
-    """Whether Z and Y show a t smaller by ``down`` out of reach."""
+    """Return whether Z and Y exclude a t smaller by ``down``."""
     q, low = W.shape[2], 0
     combine(W, A, 1.0, Z, 0.0, Z)
     lower_large(W, A, down, Z, orders)
@@ -486,7 +486,7 @@ def beyond(W, down, gap, orders):
 
 @nb.njit(**INSIDE)
 def ended(W, t, best_t, gap, left, blur, tol, goal, careful, sure, orders):
-    """Whether the way down ends: at its goal, which may be shown out of reach, at the optimum, or with its digits."""
+    """Return whether the descent ends: goal reached or excluded, optimum, or no digits left."""
     if best_t <= goal or best_t <= 0 or (careful and blur > gap):
         return True
     if goal > 0 and t - 2 * gap - left > goal and (not sure or beyond(W, t - goal, gap, orders)):
@@ -513,7 +513,7 @@ def follow(W, J, V, M, c, entries, orders, t, gap):
 
 @nb.njit(cache=True, **ENTRY)
 def descend(W, J, H, V, M, c, entries, orders, t, tol, goal, max_steps, sure):
-    """Leave the best x down the central path from x, t in V; whether its t is the optimum within ``tol``."""
+    """Follow the central path from x, t, with the best x in V; return whether its t is optimal within ``tol``."""
     best_t, last, left, gap = np.inf, np.inf, np.inf, 0.0
     dt = ap = ad = 0.0
     steps, careful, centred, settled = 0, False, False, False

@@ -136,7 +136,7 @@ def _largest_gain(
     last_w, last_z = block_slices(sorted_blocks)[-1]
     whole = np.zeros(structure_size(blocks), dtype=complex)
     whole[: last_w.start, : last_z.start] = gain.delta
-    whole[last_w, last_z] = gain.closing_block()
+    whole[last_w, last_z] = np.outer(gain.v, np.conj(gain.u)) / gain.value  # makes the loop singular
     back = np.zeros_like(whole)
     back[w[:, None], z] = whole
     return 1 / float(np.linalg.norm(whole[last_w, last_z], 2)), back
@@ -198,10 +198,6 @@ class Gain:
     right: ComplexArray
     u: ComplexArray
     v: ComplexArray
-
-    def closing_block(self) -> ComplexArray:
-        """Return the performance block of size ``1 / value`` that makes the whole loop singular."""
-        return np.outer(self.v, np.conj(self.u)) / self.value
 
 
 def gain_at(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArray) -> Gain | None:
