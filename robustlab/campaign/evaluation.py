@@ -24,7 +24,7 @@ from robustlab.worst_case_analysis.worst_case_search import worst_case
 DONE, LOST = 0, 1
 TILE = 64  # samples in a tile; it affects the last digits of a value
 TILE_WORK = 2e9  # approximate operations in a tile: a large model has smaller tiles, so that a kill loses little
-TO_THE_END = 1e9  # effort with which a search ends only when nothing improves
+UNLIMITED_EFFORT = 1e9  # effort with which a search ends only when nothing improves
 
 
 @dataclass(frozen=True)
@@ -63,23 +63,23 @@ class Evaluator:
 
     def __init__(self, uncertain: UncertainModel, settings: CampaignSettings) -> None:
         self.uncertain, self.settings = uncertain, settings
-        self._judge = make_metric(uncertain, _request(uncertain, settings), "campaign")
-        self.tile = _tile_size(self._judge.uncertain.M.n_states, settings)
+        self._metric = make_metric(uncertain, _request(uncertain, settings), "campaign")
+        self.tile = _tile_size(self._metric.uncertain.M.n_states, settings)
         self._reals = [block.name for block in uncertain.blocks if block.interval]
 
     @property
     def unit(self) -> str:
-        return self._judge.unit
+        return self._metric.unit
 
     @property
     def sense(self) -> int:
         """1 where the largest value of the metric is the worst, -1 where the smallest is."""
-        return 1 if self._judge.sense > 0 else -1
+        return 1 if self._metric.sense > 0 else -1
 
     @property
     def location(self) -> str:
         """Quantity and unit of the place where a value is attained, for example ``"t [s]"``."""
-        return self._judge.location
+        return self._metric.location
 
     def delta(self, index: int) -> dict[str, Any]:
         """Return the normalised Delta of a sample or vertex by block name; zero for a search."""
@@ -89,7 +89,7 @@ class Evaluator:
         """Return the coordinates of samples (k, width)."""
         blocks, seed = self.uncertain.blocks, self.settings.seed
         if self.settings.kind == "search":
-            return np.zeros((last - first, self._judge.set.size))
+            return np.zeros((last - first, self._metric.set.size))
         if self.settings.kind == "samples":
             return Deltas(blocks, last, seed, np.zeros((0, 0))).numbers(slice(first, last))
         corners = [
@@ -113,11 +113,11 @@ class Evaluator:
 
     def agrees(self, value: float, again: Evaluation) -> bool:
         """Return whether a re-evaluation confirms a value."""
-        return again.accurate and self._judge.agrees(value, again.value)
+        return again.accurate and self._metric.agrees(value, again.value)
 
     def evaluate(self, delta: Mapping[str, Any]) -> Evaluation:
         """Evaluate the metric at one Delta by the second method."""
-        return self._judge.evaluate(delta)
+        return self._metric.evaluate(delta)
 
     def _tile(self, first: int) -> Rows:
         if self.tile == 1:
@@ -149,13 +149,13 @@ class Evaluator:
         return Rows(index, np.array([value]), theta, seconds, {index: reason} if reason else {})
 
     def _values(self, theta: Array) -> Array:
-        return self._judge.of(self._judge.set.members(theta))
+        return self._metric.of(self._metric.set.members(theta))
 
     def _search(self, index: int) -> tuple[float, dict[str, Any]]:
         s = self.settings
         own = np.random.SeedSequence(s.seed, spawn_key=(index, 3)).generate_state(2)
         request = vars(_request(self.uncertain, s))
-        found = worst_case(self.uncertain, **request, n=s.starts, seed=int(own[0]), effort=TO_THE_END)
+        found = worst_case(self.uncertain, **request, n=s.starts, seed=int(own[0]), effort=UNLIMITED_EFFORT)
         if not found.status.trustworthy:
             raise NoTrustworthyNumber(
                 "search", f"{found.status}: {found.search_value:.9g} found, {found.value:.9g} when evaluated again"

@@ -22,7 +22,7 @@ from robustlab.campaign.settings import (
     model_from_bytes,
 )
 from robustlab.campaign.store import Store, locked
-from robustlab.campaign.workers import Crew, Workers, hired
+from robustlab.campaign.workers import Crew, Workers, started_workers
 from robustlab.errors import EnvironmentFault, InputError, NoTrustworthyNumber
 from robustlab.result import Status
 from robustlab.shown import AllFields, Facts, Part, Shown, member_rows, number
@@ -30,7 +30,7 @@ from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.members import decoded
 
 Existing = Literal["resume", "restart", "fork"]
-EVERYONE = Crew()
+ALL_PROCESSORS = Crew()
 MAX_LOST_SHARE = 0.01  # largest share of samples without a value
 # Sizes of pieces of work; the samples do not depend on them.
 PIECE_SECONDS = 0.7  # long compared with sending and storing a piece, short compared with the loss by a kill
@@ -44,7 +44,7 @@ def run_campaign(
     settings: CampaignSettings,
     store: str | Path,
     *,
-    crew: Crew = EVERYONE,
+    crew: Crew = ALL_PROCESSORS,
     existing: Existing = "resume",
     limit: float | None = None,
     progress: Callable[[int], None] = lambda _: None,
@@ -60,12 +60,12 @@ def run_campaign(
     """
     evaluator = Evaluator(uncertain, settings)
     identity, path = Identity.of(uncertain, settings), Path(store)
-    if existing == "fork" and Store.is_there(path):
+    if existing == "fork" and Store.exists(path):
         path = _free_name(path)
     with locked(path):
         if existing == "restart":
             Store.delete(path)
-        if Store.is_there(path):
+        if Store.exists(path):
             opened = Store.open(path, write=True)
             _same_campaign(opened, identity)
         else:
@@ -77,7 +77,7 @@ def run_campaign(
 def resume_campaign(
     store: str | Path,
     *,
-    crew: Crew = EVERYONE,
+    crew: Crew = ALL_PROCESSORS,
     limit: float | None = None,
     progress: Callable[[int], None] = lambda _: None,
 ) -> CampaignResult:
@@ -215,7 +215,7 @@ def _work(
         if before < n or not store.facts():
             try:
                 if before < n:
-                    with hired(crew, n - before) as workers:
+                    with started_workers(crew, n - before) as workers:
                         compute_missing(store, evaluator, workers, progress)
                 _note_end(store, evaluator)
             except EnvironmentFault as fault:
@@ -292,7 +292,7 @@ class _Pieces:
                 self._gaps.append((end, last))
             yield first, min(end, -(-last // self._tile) * self._tile)
 
-    def learn(self, rows: Rows) -> None:
+    def resize(self, rows: Rows) -> None:
         """Update the size of pieces from the time of a finished one."""
         each = float(rows.seconds.mean())
         self._seconds = each if not self._seconds else 0.7 * self._seconds + 0.3 * each
@@ -323,7 +323,7 @@ def compute_missing(store: Store, evaluator: Evaluator, workers: Workers, progre
             except Exception as error:
                 found = f"a worker failed ({type(error).__name__}: {error})"[:500]
                 raise EnvironmentFault("campaign", found, None, "give it more memory, or fewer --workers") from error
-            todo.learn(rows)
+            todo.resize(rows)
             rows = rows.up_to(n)
             store.save(rows)
             progress(len(rows))

@@ -75,7 +75,7 @@ class Store:
     # --- opening and closing -----------------------------------------------------------------------------------------
 
     @staticmethod
-    def is_there(path: Path) -> bool:
+    def exists(path: Path) -> bool:
         """Return True for a file with content; a process killed at its start leaves 0 bytes."""
         return path.is_file() and path.stat().st_size > 0
 
@@ -85,7 +85,7 @@ class Store:
 
         Raises InputError: the file is no campaign; EnvironmentFault: it cannot be deleted.
         """
-        if cls.is_there(path):
+        if cls.exists(path):
             _check_file(path)
         try:
             for suffix in ("", "-wal", "-shm", "-journal"):

@@ -44,7 +44,7 @@ class Workers:
 
 
 @contextmanager
-def hired(crew: Crew, samples: int) -> Iterator[Workers]:
+def started_workers(crew: Crew, samples: int) -> Iterator[Workers]:
     """Provide the workers of a crew and end them on exit.
 
     Raises DependencyMissing: dask.distributed is not installed. EnvironmentFault: no scheduler or worker answers.

@@ -100,7 +100,7 @@ class DelayedModel(TransferMatrix, Shown, Traced):
                 "DelayedModel", f"a delay of {extreme[0]:g} s", f"0, or {SHORTEST:g} to {1 / SHORTEST:g} s"
             )
         put = object.__setattr__
-        model, lengths = in_order(*chained(*closed(model, lengths)))
+        model, lengths = sorted_by_delay(*merged_chains(*without_zero_delays(model, lengths)))
         lengths.setflags(write=False)
         put(self, "H", model)
         put(self, "delays", lengths)
@@ -181,16 +181,16 @@ class DelayedModel(TransferMatrix, Shown, Traced):
 
     def _solved(self, s: ComplexArray) -> ComplexArray:
         """Return the transfer matrix at s; raises numpy's LinAlgError at a pole."""
-        inner, B, C, D = self.at_once()
+        inner, B, C, D = self.balanced_unknowns()
         found = np.empty((len(s), *D.shape), dtype=complex)
         step = max(1, CHUNK // max(len(inner), 1) ** 2)
         for first in range(0, len(s), step):
             part = s[first : first + step]
-            solved = np.linalg.solve(self.turned(-inner, part), np.broadcast_to(B, (len(part), *B.shape)))
+            solved = np.linalg.solve(self.with_diagonal(-inner, part), np.broadcast_to(B, (len(part), *B.shape)))
             found[first : first + step] = D + C @ solved
         return found
 
-    def at_once(self) -> tuple[Array, Array, Array, Array]:
+    def balanced_unknowns(self) -> tuple[Array, Array, Array, Array]:
         """``[A B1; C1 D11]``, ``[B2; D12]``, ``[C2 D21]``, D22 in balanced unknowns: states, outputs of delays."""
         from scipy.linalg import matrix_balance
 
@@ -203,8 +203,8 @@ class DelayedModel(TransferMatrix, Shown, Traced):
         B, C = np.vstack([H.B, H.D[:k]])[:, k:], np.hstack([H.C, H.D[:, :k]])[k:]
         return inner / scale[:, None] * scale, B / scale[:, None], C * scale, H.D[k:, k:]
 
-    def turned(self, matrix: Array, s: ComplexArray) -> ComplexArray:
-        """A matrix over the unknowns of `at_once`, plus s and ``exp(s tau)`` on its diagonal, for each s (n,)."""
+    def with_diagonal(self, matrix: Array, s: ComplexArray) -> ComplexArray:
+        """Add s and ``exp(s tau)`` to the diagonal of a matrix over the `balanced_unknowns`, for each s (n,)."""
         column, place = s[:, None], np.arange(len(matrix))
         found = np.broadcast_to(matrix, (len(s), *matrix.shape)).astype(np.complex128)
         found[:, place, place] += np.hstack([np.repeat(column, self.H.n_states, axis=1), np.exp(column * self.delays)])
@@ -234,7 +234,9 @@ class DelayedModel(TransferMatrix, Shown, Traced):
             A loop through the approximations is not well posed.
         """
         checked_order(order, "pade")
-        return self._closed_by([as_uncertain(named(pade(t, order), i)) for i, t in enumerate(self.delays)], "pade").M
+        return self._closed_by(
+            [as_uncertain(with_delay_states(pade(t, order), i)) for i, t in enumerate(self.delays)], "pade"
+        ).M
 
     def uncertain(
         self, order: int = 3, spread: float | Sequence[float] = 0.0, weight_order: int = 3, name: str = ""
@@ -433,7 +435,7 @@ def rearranged(model: StateSpaceModel, ins: Iterable[int], outs: Iterable[int]) 
     )  # fmt: skip
 
 
-def closed(model: StateSpaceModel, lengths: Array) -> tuple[StateSpaceModel, Array]:
+def without_zero_delays(model: StateSpaceModel, lengths: Array) -> tuple[StateSpaceModel, Array]:
     """Close the channels whose delay is zero."""
     none = np.flatnonzero(lengths == 0).tolist()
     if not len(none):
@@ -447,7 +449,7 @@ def closed(model: StateSpaceModel, lengths: Array) -> tuple[StateSpaceModel, Arr
     return found, lengths[lengths > 0]
 
 
-def chained(model: StateSpaceModel, lengths: Array) -> tuple[StateSpaceModel, Array]:
+def merged_chains(model: StateSpaceModel, lengths: Array) -> tuple[StateSpaceModel, Array]:
     """Replace two delays of which one feeds only the other by one of their sum."""
     while True:
         n = len(lengths)
@@ -476,7 +478,7 @@ def chained(model: StateSpaceModel, lengths: Array) -> tuple[StateSpaceModel, Ar
         model, lengths = rearranged(merged, keep_in, keep_out), np.delete(total, j)
 
 
-def in_order(model: StateSpaceModel, lengths: Array) -> tuple[StateSpaceModel, Array]:
+def sorted_by_delay(model: StateSpaceModel, lengths: Array) -> tuple[StateSpaceModel, Array]:
     """Sort the channels by the lengths of their delays."""
     order = np.argsort(lengths, kind="stable").tolist()
     n = len(order)
@@ -486,7 +488,7 @@ def in_order(model: StateSpaceModel, lengths: Array) -> tuple[StateSpaceModel, A
     return rearranged(model, ins, outs), lengths[order]
 
 
-def named(model: StateSpaceModel, index: int) -> StateSpaceModel:
+def with_delay_states(model: StateSpaceModel, index: int) -> StateSpaceModel:
     """Return the replacement of the delay with this index, its states named after it."""
     states = [f"delay{index + 1}.{k + 1}" for k in range(model.n_states)]
     return StateSpaceModel(model.A, model.B, model.C, model.D, 0.0, [f"z{index}"], [f"w{index}"], states)

@@ -235,53 +235,53 @@ def worst_case(
     with one_thread():
         search = _Search(make_metric(uncertain, request), budget)
         theta, score = search.run(int(n), int(seed))
-        return _result(uncertain, request, search, theta, search.judge.sense * score, int(seed))
+        return _result(uncertain, request, search, theta, search.metric.sense * score, int(seed))
 
 
 def _result(
     uncertain: UncertainModel, request: MetricRequest, search: _Search, theta: Array, found: float, seed: int
 ) -> WorstCase:
-    judge = search.judge
-    delta = delta_values(uncertain.blocks, judge.set.deltas(theta[None])[0])
-    evaluation = judge.evaluate(delta)
+    metric = search.metric
+    delta = delta_values(uncertain.blocks, metric.set.deltas(theta[None])[0])
+    evaluation = metric.evaluate(delta)
     value = evaluation.value
-    status = Status.CONVERGED if evaluation.accurate and judge.agrees(found, value) else Status.INACCURATE
+    status = Status.CONVERGED if evaluation.accurate and metric.agrees(found, value) else Status.INACCURATE
     if search.ended:
         status = Status.TIMEOUT if search.budget.struck else Status.INCONCLUSIVE
     why = f": {evaluation.reason}" if evaluation.reason else ""
-    label = LABEL_SMALLEST if judge.sense < 0 else LABEL
+    label = LABEL_SMALLEST if metric.sense < 0 else LABEL
     label = label if np.isfinite(value) else f"{UNBOUNDED}{why}"
     remark = [search.budget.remark] if search.ended and search.budget.remark else []
     return WorstCase(
         value,
         delta,
         request.name,
-        judge.evaluate({}).value,
+        metric.evaluate({}).value,
         status,
         "; ".join([label, *remark, *uncertain.remarks]),
         search.evaluations,
         uncertain.physical(delta),
         evaluation.at,
-        judge.location,
+        metric.location,
         found,
-        judge.unit,
+        metric.unit,
         request.input,
         request.output,
         float(MemberSet(uncertain).members(theta[None]).spectral_abscissa()[0]),
         seed,
         search.gradients,
-        _response(judge, delta),
+        _response(metric, delta),
     )
 
 
-def _response(judge: Metric, delta: Mapping[str, Any]) -> WorstResponse | None:
-    if not isinstance(judge, TimeMetric):
+def _response(metric: Metric, delta: Mapping[str, Any]) -> WorstResponse | None:
+    if not isinstance(metric, TimeMetric):
         return None
     try:
-        nominal, worst = (judge.response(values) for values in ({}, delta))
+        nominal, worst = (metric.response(values) for values in ({}, delta))
     except NoTrustworthyNumber:
         return None
-    return WorstResponse(judge.clock, nominal, worst, *judge.uncertain.outputs[0])
+    return WorstResponse(metric.clock, nominal, worst, *metric.uncertain.outputs[0])
 
 
 # --- the search ------------------------------------------------------------------------------------------------------
@@ -294,11 +294,11 @@ class _Ended(Exception):
 class _Search:
     """The search; scores are ``sense * value``: the larger the worse."""
 
-    def __init__(self, judge: Metric, budget: Budget) -> None:
-        self.judge, self.budget = judge, budget
+    def __init__(self, metric: Metric, budget: Budget) -> None:
+        self.metric, self.budget = metric, budget
         self.evaluations = self.gradients = 0
         self.ended = False  # early, by the budget
-        self.best, self.top = np.zeros(judge.set.size), -np.inf
+        self.best, self.top = np.zeros(metric.set.size), -np.inf
 
     def run(self, n: int, seed: int) -> tuple[Array, float]:
         """Return the worst vector and its score."""
@@ -306,9 +306,9 @@ class _Search:
         scores = self._scores(points)
         order = np.argsort(-scores, kind="stable")
         self._keep(points[order[0]], float(scores[order[0]]))
-        if not self.judge.set.size or np.isposinf(self.top) or self.ended:
+        if not self.metric.set.size or np.isposinf(self.top) or self.ended:
             return self.best, self.top
-        if self.judge.set.all_real and self.judge.smooth:
+        if self.metric.set.all_real and self.metric.smooth:
             starts = _spaced(points[order], CLIMBS, APART)
             share = CLIMBING * self.budget.left / len(starts)
             for start in starts:
@@ -325,7 +325,7 @@ class _Search:
 
     def _start_points(self, n: int, seed: int) -> Array:
         """Return the centre, vertices and Sobol points (k, d)."""
-        d, blocks = self.judge.set.size, self.judge.set.blocks
+        d, blocks = self.metric.set.size, self.metric.set.blocks
         if d == 0:
             return np.zeros((1, 0))
         ends = np.cumsum([0, *(b.n_coordinates for b in blocks)])
@@ -337,14 +337,14 @@ class _Search:
 
     def _measure(self, theta: Array) -> Array:
         """Return the scores at vectors (k, d) and count their work."""
-        self.budget.spend(self.judge.work(len(theta)))
+        self.budget.spend(self.metric.work(len(theta)))
         self.evaluations += len(theta)
-        return self.judge.sense * self.judge.of(self.judge.set.members(theta))
+        return self.metric.sense * self.metric.of(self.metric.set.members(theta))
 
     def _scores(self, theta: Array) -> Array:
         """Return the scores at vectors (k, d); -inf beyond the budget."""
         scores = np.full(len(theta), -np.inf)
-        m = self.judge.uncertain.M
+        m = self.metric.uncertain.M
         for part in chunks(len(theta), 64 * (m.A.size + m.D.size + 1)):
             if self.evaluations and self.budget.over:
                 self.ended = True
@@ -367,7 +367,7 @@ class _Search:
                 score, slope = self._score_and_slope(theta, last)
                 return -score / size, -slope / size
 
-            bounds = [(-1.0, 1.0)] * self.judge.set.size
+            bounds = [(-1.0, 1.0)] * self.metric.set.size
             options = {"maxiter": CLIMB_STEPS}
             minimize(falling, theta, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
         except _Ended:

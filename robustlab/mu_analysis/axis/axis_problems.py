@@ -25,7 +25,7 @@ from robustlab.uncertainty.blocks import Block
 INSIDE = 0.98  # level aimed at in a region; smaller: wider intervals, more cuts
 PROVED = 0.9999  # a level below this proves the point
 MISSES = 3  # consecutive unproved frequencies after which a region is cut; more: fewer repeated, more useless proofs
-LOOK = 200  # measured work of a step of an ascent without its eigenvalues
+ASCENT_WORK = 200  # measured work of a step of an ascent without its eigenvalues
 CORNERS = 4  # steps of the ascent of a gain from the centre of a region
 NEAR_MISS = 0.01  # log width around a missed frequency in which no other is tried before the cut
 
@@ -104,7 +104,7 @@ class MarginProblem(_AxisProblem):
         if is_stable_member(self.model, blocks, values):
             found = ascended(self.model, blocks, values, ASCENT_REACH / level, aim)
             looks = 1 if found is None else found.looks
-            budget.spend(looks * LOOK + member_work(self.model, looks))
+            budget.spend(looks * ASCENT_WORK + member_work(self.model, looks))
             if found is None or found.pole.real <= 0:
                 return None
             values = found.values

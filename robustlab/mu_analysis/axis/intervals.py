@@ -29,8 +29,8 @@ from robustlab.uncertainty.lft import UncertainModel
 
 FREQUENCIES = 8  # at which D, G are computed together
 SLACK = 1e-5  # relative reduction of beta in the Hamiltonian: separates double roots
-CREEPING = 0.97  # share of the open axis that a round may leave open before the level is raised
-HOPELESS = 64.0  # accuracy at which the cover ends: no scaling could prove anything there
+SLOW_PROGRESS = 0.97  # share of the open axis that a round may leave open before the level is raised
+COARSEST = 64.0  # accuracy at which the cover ends: no scaling could prove anything there
 IDLE = 8  # rounds in which points stay above a level that is not raised
 SKEWED = 4  # bounds of mu that one skewed bound costs: counts work only
 PROBES = 12  # frequencies at which a sign is tested to find an end, or a change missed by the eigenvalues
@@ -152,7 +152,7 @@ def cover_axis(
     cover, scale, step, idle = AxisCover(), typical_speed(model), accuracy, 0
     level *= 1 + accuracy
     pending = list(np.unique(np.concatenate([[0.0, np.inf], first])))
-    while cover.open and not budget.over and step < HOPELESS:
+    while cover.open and not budget.over and step < COARSEST:
         fresh, before = not pending, cover.open_share(scale)
         omega = cover.take_points(pending, scale, FREQUENCIES)
         response = frequency_response(model, omega)
@@ -183,7 +183,7 @@ def cover_axis(
             grown = cover.grow(StateSpaceModel(model.A, B, model.C, D), omega, bounds, 1.0, budget, level)
         if not grown:
             break
-        if fresh and cover.open_share(scale) > CREEPING * before:
+        if fresh and cover.open_share(scale) > SLOW_PROGRESS * before:
             step *= 2
             level *= 1 + step
     return cover

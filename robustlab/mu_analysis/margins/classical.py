@@ -261,7 +261,8 @@ def _phase_crossings(L: LoopFraction) -> Iterator[PhaseCrossing]:
     """Yield the crossings where L is negative, including the ends of the axis, where it is always real."""
     points = [(L.frequency(x), L.at(x)) for x in (Fraction(0), *L.with_real_response())]
     real = [(omega, at.real) for omega, at in points if at is not None]
-    for omega, response in (*real, (L.last_frequency, L.at_infinity())):
+    last = math.pi / L.dt if L.dt else math.inf
+    for omega, response in (*real, (last, L.at_infinity())):
         if -POLE < response < -LEAST:
             yield PhaseCrossing(omega, float(-1 / response))
 
@@ -303,11 +304,6 @@ class LoopFraction:
     N: fmpz_poly
     D: fmpz_poly
     dt: float
-
-    @property
-    def last_frequency(self) -> float:
-        """The end of the axis in rad/s."""
-        return math.pi / self.dt if self.dt else math.inf
 
     def frequency(self, x: Fraction) -> float:
         """Return the frequency in rad/s."""

@@ -90,13 +90,13 @@ def delay_disk_margins(
     where = "delay_disk_margins"
     if not FINEST <= tolerance < 1:
         raise InputError(f"{where}: tolerance", f"{tolerance!r}", f"a number from {FINEST:g} to 1")
-    seen, names, law = _closed(plant, K, at, skew, sign, where)
-    known = delay_stability(seen, highest_order, effort)
+    system, names, law = _closed(plant, K, at, skew, sign, where)
+    known = delay_stability(system, highest_order, effort)
     if not _stability(known, highest_order, where):
         raise NoTrustworthyNumber(where, "the closed loop is unstable", "a stable one")
     options = skew, tolerance, known, highest_order, seed, effort
-    channels = {name: _margin(seen[i, i], [name], *options) for i, name in enumerate(names)}
-    whole = channels[names[0]] if len(names) == 1 else _margin(seen, names, *options)
+    channels = {name: _margin(system[i, i], [name], *options) for i, name in enumerate(names)}
+    whole = channels[names[0]] if len(names) == 1 else _margin(system, names, *options)
     return DiskMargins.of(whole, channels, at, law)
 
 
@@ -188,15 +188,15 @@ def _zeros(
             text = f"more than {MOST} intervals of frequency, the next from {begin[0]:.3g} rad/s"
             raise NoTrustworthyNumber("delay_classical_margins", text, None, "rl.disk_margin")
         half, middle = 0.5 * (stop - begin), 0.5 * (begin + stop)
-        seen = axis.seen(middle)
-        value, slope = height(seen.value[:, 0, 0]), rate(seen.slope[:, 0, 0])
-        curve = axis.curvature(seen, half)
+        local = axis.local_response(middle)
+        value, slope = height(local.value[:, 0, 0]), rate(local.slope[:, 0, 0])
+        curve = axis.curvature(local, half)
         with np.errstate(invalid="ignore", over="ignore"):
             reach = half * (np.abs(slope) + 0.5 * half * curve)
-            none = np.abs(value) > reach + ROUNDING * (1.0 + np.abs(seen.value[:, 0, 0]))
+            none = np.abs(value) > reach + ROUNDING * (1.0 + np.abs(local.value[:, 0, 0]))
             if ignored is not None:
-                spread = half * (np.abs(seen.slope[:, 0, 0]) + 0.5 * half * curve)
-                none |= ignored(seen.value[:, 0, 0], np.minimum(seen.spread(half), spread))
+                spread = half * (np.abs(local.slope[:, 0, 0]) + 0.5 * half * curve)
+                none |= ignored(local.value[:, 0, 0], np.minimum(local.spread(half), spread))
             single = ~none & (np.abs(slope) > half * curve)
         for a, b in zip(begin[single].tolist(), stop[single].tolist(), strict=True):
             found += _root(axis, height, a, b)
@@ -247,22 +247,22 @@ def _phase_crossings(axis: DelayAxis, places: list[float]) -> tuple[PhaseCrossin
 
 
 def _margin(
-    seen: DelayedModel, names: Sequence[str], skew: float, tolerance: float, known: DelayStability, order: int,
+    system: DelayedModel, names: Sequence[str], skew: float, tolerance: float, known: DelayStability, order: int,
     seed: int, effort: float,
 ) -> DiskMargin:  # fmt: skip
     """Return the margin of these channels at once: the peak of mu with its Delta, and a proof."""
     blocks = [ComplexScalar(name) for name in names]
     if len(names) == 1:
-        _, frequency = highest(seen, lambda M: np.abs(M[:, 0, 0]))
+        _, frequency = highest(system, lambda M: np.abs(M[:, 0, 0]))
     else:
-        _, frequency = highest(seen, lambda M: np.array([b.beta for b in upper_bounds(M, blocks, 1e-3)]), MU_POINTS)
-    found = mu(frequency_response(seen, [frequency]), blocks, seed)
+        _, frequency = highest(system, lambda M: np.array([b.beta for b in upper_bounds(M, blocks, 1e-3)]), MU_POINTS)
+    found = mu(frequency_response(system, [frequency]), blocks, seed)
     value = float(found.lower[0])
-    upper, proof = proved_level(seen, blocks, value or TINY, tolerance, order, effort, known.order)
+    upper, proof = proved_level(system, blocks, value or TINY, tolerance, order, effort, known.order)
     delta = delta_values(blocks, found.delta[0]) if value else {}
     status = Status.CERTIFIED if upper <= value * (1.0 + tolerance) else Status.INACCURATE
     bounds = 1.0 / upper, 1.0 / value if value else np.inf
-    return with_factors(bounds, frequency, status, blocks, delta, skew, system=seen, proof=proof)
+    return with_factors(bounds, frequency, status, blocks, delta, skew, system=system, proof=proof)
 
 
 # --- variation of a response about a point of the axis ---------------------------------------------------------------
@@ -279,7 +279,7 @@ FASTEST = 60  # doublings of the frequency in the search for the end
 CHUNK = 2_000_000  # complex numbers of one batch
 
 
-class Seen(NamedTuple):
+class LocalResponse(NamedTuple):
     """At the middles of intervals, (k,): the response (k, n_y, n_u), its derivative, and m, l, r as above."""
 
     value: ComplexArray
@@ -300,7 +300,7 @@ class DelayAxis:
 
     def __init__(self, model: DelayedModel, outputs: Sequence[int], inputs: Sequence[int]) -> None:
         self.model, self.delays, self.n = model, model.delays, model.H.n_states
-        self.inner, B, C, D = model.at_once()
+        self.inner, B, C, D = model.balanced_unknowns()
         self.B, self.C, self.D = B[:, list(inputs)], C[list(outputs)], D[np.ix_(outputs, inputs)]
         self.weight = np.concatenate([np.ones(self.n), self.delays])
 
@@ -309,13 +309,13 @@ class DelayAxis:
         held = np.broadcast_to(self.B, (len(omega), *self.B.shape))
         return self.D + self.C @ np.linalg.solve(self.characteristic(omega), held)
 
-    def seen(self, middle: Array) -> Seen:
+    def local_response(self, middle: Array) -> LocalResponse:
         """Return the data of the bounds about these frequencies."""
         size = max(1, CHUNK // max(len(self.weight) ** 2, 1))
-        parts = [self._seen(middle[k : k + size]) for k in range(0, len(middle), size)]
-        return Seen(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+        parts = [self._local_response(middle[k : k + size]) for k in range(0, len(middle), size)]
+        return LocalResponse(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
-    def _seen(self, omega: Array) -> Seen:
+    def _local_response(self, omega: Array) -> LocalResponse:
         try:
             inverse = np.linalg.inv(self.characteristic(omega))
         except np.linalg.LinAlgError:
@@ -332,14 +332,14 @@ class DelayAxis:
             return np.linalg.norm(stack, axis=(1, 2)) if 0 in stack.shape[1:] else np.linalg.norm(stack, 2, axis=(1, 2))
 
         m = norm(weighted * T[:, :, None] / T[:, None, :])
-        return Seen(value, slope, m, norm(left / T[:, None, :]), norm(right * T[:, :, None]))
+        return LocalResponse(value, slope, m, norm(left / T[:, None, :]), norm(right * T[:, :, None]))
 
-    def curvature(self, seen: Seen, half: Array) -> Array:
+    def curvature(self, local: LocalResponse, half: Array) -> Array:
         """Bound the second derivative within ``half`` of the middles; inf where there is no bound."""
-        near = half * seen.m
+        near = half * local.m
         with np.errstate(divide="ignore", invalid="ignore"):
-            bound = seen.left * seen.right / (1.0 - near) ** 2
-            bound = bound * (2.0 * seen.m / (1.0 - near) + self.delays.max(initial=0.0))
+            bound = local.left * local.right / (1.0 - near) ** 2
+            bound = bound * (2.0 * local.m / (1.0 - near) + self.delays.max(initial=0.0))
         return np.where(near < 1.0, bound, np.inf)
 
     def far(self, omega: float, about: Array) -> float:
@@ -373,7 +373,7 @@ class DelayAxis:
 
     def characteristic(self, omega: Array) -> ComplexArray:
         """Return F on the axis, (k, n, n), in balanced unknowns."""
-        return self.model.turned(-self.inner, 1j * omega)
+        return self.model.with_diagonal(-self.inner, 1j * omega)
 
 
 def _balancing(size: Array) -> Array:

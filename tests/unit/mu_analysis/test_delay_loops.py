@@ -107,15 +107,15 @@ def test_the_bounds_of_the_axis_hold_at_random_points(seed):
     G = rl.DelayedModel(H, [0.4, 1.3])
     axis = DelayAxis(G, [0, 1], [0, 1])
     middle, half = rng.uniform(0.0, 10.0, 200), 10.0 ** rng.uniform(-4, -0.5, 200)
-    seen = axis.seen(middle)
-    spread, curve = seen.spread(half), axis.curvature(seen, half)
+    local = axis.local_response(middle)
+    spread, curve = local.spread(half), axis.curvature(local, half)
     tight = 0.0
     for _ in range(20):
         step = rng.uniform(-1.0, 1.0, 200) * half
         there = rl.frequency_response(G, middle + step)
-        away = np.linalg.norm(there - seen.value, 2, axis=(1, 2))
+        away = np.linalg.norm(there - local.value, 2, axis=(1, 2))
         assert (away <= spread + 1e-12).all()
-        rest = np.linalg.norm(there - seen.value - step[:, None, None] * seen.slope, 2, axis=(1, 2))
+        rest = np.linalg.norm(there - local.value - step[:, None, None] * local.slope, 2, axis=(1, 2))
         assert (rest <= 0.5 * step**2 * curve + 1e-11).all()
         tight = max(tight, float((away / spread).max()))
     assert tight > 0.05  # the bounds are not loose
