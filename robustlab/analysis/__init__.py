@@ -1,7 +1,7 @@
-"""Questions asked of any system: one function a question, which looks at the kind of system it is given.
+"""Analysis functions that dispatch on the type of system.
 
-A plain model, one with delays, an uncertain or a scheduled one, frequency data, a plant with named effects: each kind's
-method stays in its own package, and is imported when a system of that kind comes.
+The method for each type (model, delays, uncertain, scheduled, frequency data, plant with effects) is in its own package
+and is imported on first use.
 """
 
 from robustlab.lazily import lazily

@@ -1,4 +1,4 @@
-"""How large can the gain be? One question of a model, one with delays, an uncertain or a scheduled one, of data."""
+"""Peak gain of a model, one with delays, an uncertain or a scheduled one, a plant with effects, or data."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Natures = Mapping[Any, Any]  # name of a block, or (output, input) -> `Varying` 
 Norm = Literal["hinf", "linf"]
 Lyapunov = Literal["constant", "varying"]
 
-# What is asked -> the options that it has; another one is refused, with those that have it.
+# Type of problem -> its options; the error for another one lists the types that have it.
 OPTIONS: Mapping[str, tuple[str, ...]] = {
     "a model": ("norm", "band", "inputs", "outputs", "tolerance"),
     "a model with delays": ("inputs", "outputs", "tolerance", "order", "effort"),
@@ -34,7 +34,7 @@ OPTIONS: Mapping[str, tuple[str, ...]] = {
         "controller", "outputs", "amplitude", "stick_speed", "sign", "order", "effort", "time_limit"
     ),
 }  # fmt: skip
-# Options for which there is another way.
+# Hints for options that a type does not have.
 WAYS = {
     "controller": "close the loop first: G.feedback(K)",
     "band": "frequency= asks at points; a band-pass weight, weight @ G, asks about a band",
@@ -75,26 +75,26 @@ def peak_gain(
        \text{where the system is uncertain, varies with time or is not linear}
 
     ==============================  ==================================================================================
-    system                          what is bounded
+    system                          bounded quantity
     ==============================  ==================================================================================
     model                           H-infinity norm, infinite where it is unstable; with ``band`` or ``norm="linf"`` the
                                     peak over the frequency axis (L-infinity norm), which bounds no signals of an
                                     unstable model
     DelayedModel                    the same with its exact delays
     UncertainModel                  worst case over all :math:`|\Delta| \le 1`
-    any of these, ``frequency``;    largest gain at these frequencies; nothing is claimed between them, and a stable
-    UncertainFrequencyData          nominal system is taken for granted
+    any of these, ``frequency``;    largest gain at these frequencies, without any claim between them; a stable nominal
+    UncertainFrequencyData          system is assumed
     UncertainModel or model,        worst L2 gain with blocks that vary with time or are not linear, by integral
     ``natures``                     quadratic constraints
     LPVModel                        induced L2 gain over all trajectories of the parameters
     plant with effects              worst L2 gain of ``e = d + sign K y, y = G(e)`` from disturbances d at its inputs to
-    (`with_effects`), `controller`  its outputs y, each effect taken for what it is
+    (`with_effects`), `controller`  its outputs y, each effect with its own type
     ==============================  ==================================================================================
 
     Parameters
     ----------
     system
-        What is asked about, continuous or discrete (with natures and effects continuous), of any size.
+        System, continuous or discrete (with natures and effects continuous), of any size.
     controller
         K of a plant with effects: a model, a `Controller`, a matrix or a number. Close the loop of any other system
         first.
@@ -106,52 +106,51 @@ def peak_gain(
         Frequencies in rad/s, shape (N,). Data have their own.
     natures
         Name of a block -> `Varying` or `Nonlinearity`; or (output, input) -> `Nonlinearity`, which drives that input
-        with a law of that output. A block that is not named is what it is in the uncertain model. A `Nonlinearity` of a
-        real block needs the sector that the range of the block is.
+        with a law of that output. Other blocks are as in the uncertain model. The sector of a `Nonlinearity` of a real
+        block must be the range of the block.
     inputs, outputs
-        Names of the channels; all where left out, with natures those that no block drives. ``outputs`` of a plant with
-        effects are those that K sees, in its order.
+        Names of the channels; all by default, with natures those that no block drives. ``outputs`` of a plant with
+        effects are the inputs of K, in its order.
     omega
         Of an uncertain model: frequencies in rad/s for the curves of a figure.
     tolerance
-        Relative gap of the bounds that is aimed at: 1e-6 of a model, 0.01 with delays or uncertainty, where inf means
-        no branch and bound.
+        Target of the relative gap of the bounds: 1e-6 of a model, 0.01 with delays or uncertainty, where inf means no
+        branch and bound.
     seed
-        Of the search for the worst member; 0 where left out.
+        Seed of the search for the worst member; 0 by default.
     effort
-        Work that the proof may take, as a multiple of the usual; counted, not timed.
+        Work of the proof as a multiple of the usual; counted, not timed.
     time_limit
-        Time in s after which the proof stops where it is; where it strikes, the status is TIMEOUT and the answer cannot
-        be repeated.
+        Time limit in s of the proof. If it is reached, the status is TIMEOUT and the result depends on the machine.
     order
-        With natures and effects: highest power of the multipliers' filters ``a / (s + a)``, 0..8, 2 where left out; 0:
-        static multipliers. With delays: highest order of Padé's approximations that prove stability, 16 where left out.
+        With natures and effects: highest power of the multipliers' filters ``a / (s + a)``, 0..8, 2 by default; 0:
+        static multipliers. With delays: highest order of Padé's approximations that prove stability, 16 by default.
     pole
-        With natures: a in rad/s; several, by the poles of the model, are tried where left out.
+        With natures: a in rad/s; several, by the poles of the model, are tried by default.
     lyapunov
         Of an LPV model: ``"constant"``, one P for parameters of any rate, or ``"varying"``, P multi-linear along the
-        parameters whose rates are bounded; where left out varying where a rate is bounded.
+        parameters whose rates are bounded; by default varying where a rate is bounded.
     amplitude
         Of a plant with effects: place -> bound of its signal. A sector that is local holds while the signal stays
         within it.
     stick_speed
         Of a plant with effects: joint -> speed below which its dry friction grows in proportion to the speed.
     sign
-        Of a plant with effects: -1 for negative feedback, 1 for positive; as the controller says where left out,
-        negative where it says nothing.
+        Of a plant with effects: -1 for negative feedback, 1 for positive; by default as stated by the controller, else
+        negative.
 
     Returns
     -------
     PeakGain
-        ``lower``, ``upper``, ``frequency``, ``status``, and the evidence of the kind of system: `HinfNorm`,
+        ``lower``, ``upper``, ``frequency``, ``status``, and the evidence of the type of system: `HinfNorm`,
         `DelayGain`, `WorstCaseGain`, `GainAt`, `IqcGain`, `LPVGain`, `EffectGain`.
 
     Raises
     ------
     InputError
-        No system of these kinds, an option that such a system has not, a value out of range, no such signal or block.
+        No system of these types, an option that it does not have, a value out of range, no such signal or block.
     NoTrustworthyNumber
-        The nominal model of a set is unstable, a pole lies at a frequency, or the norm is larger than the largest
+        The nominal model of a set is unstable, a pole is at a frequency, or the norm is larger than the largest
         floating-point number.
 
     References
@@ -215,9 +214,9 @@ Method = Callable[..., PeakGain]
 
 
 def _kind(system: Any, given: Mapping[str, Any]) -> tuple[str, Method]:
-    """What is asked, a key of `OPTIONS`, and who answers it."""
+    """Return the type of problem, a key of `OPTIONS`, and its method."""
     if not isinstance(system, (StateSpaceModel, UncertainModel, DelayedModel, UncertainFrequencyData)):
-        # Packages that take a while to load: what is none of these is rarely a model of theirs.
+        # These packages load slowly and are rarely needed.
         from robustlab.dynamics.extended.extended_plant import ExtendedPlant
         from robustlab.synthesis.scheduling.parameter_varying import LPVModel
 

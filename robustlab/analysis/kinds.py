@@ -1,4 +1,4 @@
-"""Options of a question that only some kinds of systems know."""
+"""Options that only some types of systems have."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from robustlab.errors import InputError
 def options_of(
     question: str, kind: str, given: Mapping[str, Any], names: Mapping[str, str], hint: str | None = None
 ) -> dict[str, Any]:
-    """What was given, under the names that the kind's own method has for it; None is what was left out."""
+    """Return the given options (not None) under the names of the type's own method; reject others."""
     chosen = {name: value for name, value in given.items() if value is not None}
     for name, value in chosen.items():
         if name not in names:

@@ -1,4 +1,4 @@
-r"""Margins of a loop, whatever kind of models make it: disk margins, and classical ones.
+r"""Disk margins and classical margins of a loop of any type of models.
 
 Each loop is multiplied by a complex factor of the disk
 
@@ -44,46 +44,46 @@ def disk_margin(
 
     .. math:: \alpha = 1 / \sup_\omega \mu\left( S(j\omega) + \tfrac{\sigma - 1}{2} I \right), \qquad S = (I + L)^{-1}
 
-    Of a plain loop, of one with exact delays, of frequency-response data, or at given frequencies.
+    For a rational loop, one with exact delays, frequency-response data, or given frequencies.
 
     Parameters
     ----------
     plant
-        Plant P (p outputs, m inputs), or the whole open loop L, square, where K is left out: a model, a
+        Plant P (p outputs, m inputs), or the whole open loop L, square, if K is omitted: a model, a
         DelayedModel, or UncertainFrequencyData without blocks.
     K
         Controller (m outputs, p inputs), or one whose signals have names that the plant has too. It may be delayed.
     at
         Where the factors act: on the plant's outputs, its inputs, or both at once.
     frequency
-        Frequencies in rad/s: the margins there, and nothing is claimed between them. Data have their own.
+        Frequencies in rad/s of the margins, without any claim between them. Data have their own.
     skew
-        sigma: 0 balanced, positive where the gain is more likely to rise, negative where it is more likely to fall.
+        sigma: 0 balanced, positive if the gain is more likely to rise, negative if it is more likely to fall.
     sign
-        -1 for negative feedback, 1 for positive feedback. Left out: what the controller says of itself, as every
-        designed one does; negative for one that says nothing.
+        -1 for negative feedback, 1 for positive feedback. By default as stated by the controller, as for every designed
+        one, else negative.
     accuracy
-        Of a loop with delays: relative distance of the bounds at which the search ends, 0.01 where left out.
+        Of a loop with delays: relative distance of the bounds at which the search ends, 0.01 by default.
     order
         Of a loop with delays: up to which order of Padé's approximations its stability is tried, 1 to 16.
     seed, effort
-        Of the searches: seed, and work as a multiple of the usual, which is counted, not timed.
+        Seed of the searches, and their work as a multiple of the usual, counted, not timed.
     time_limit
-        Time in s for all searches over the axis; what is proved by then is returned, and cannot be repeated.
+        Time limit in s of all searches over the axis. If it is reached, the result depends on the machine.
 
     Returns
     -------
     DiskMargins
         ``lower`` proved and ``upper`` attained, of all loops at once; ``channels`` by the name of the plant's signal.
-        `DiskMarginsAt` is such an answer with more evidence.
+        `DiskMarginsAt` has more evidence.
 
     Raises
     ------
     InputError
         Sizes, names or sample times that do not fit; a skew that is not finite; a sign that contradicts the controller;
-        an option that this kind of loop does not know.
+        an option that this type of loop does not have.
     NoTrustworthyNumber
-        The nominal loop is unstable, or cannot be shown to be stable; a pole lies at a frequency that was given.
+        The nominal loop is unstable, or not proved stable; a pole is at a given frequency.
 
     References
     ----------
@@ -141,19 +141,19 @@ def classical_margins(
 
     .. math:: |L(j\omega)| = 1, \qquad L(j\omega) < 0
 
-    Each loop is opened alone, the others stay closed. Crossings are computed in whole numbers from the matrices as
-    given, or enclosed in intervals where there are delays; none is searched on a grid.
+    Each loop is opened alone, with the others closed. Crossings are computed in whole numbers from the matrices as
+    given, or enclosed in intervals with delays, without a grid.
 
     Parameters
     ----------
     plant
-        Plant P (p outputs, m inputs), or the whole open loop L, square, where K is left out: a model or a DelayedModel.
+        Plant P (p outputs, m inputs), or the whole open loop L, square, if K is omitted: a model or a DelayedModel.
     K
         Controller (m outputs, p inputs), or one whose signals have names that the plant has too. It may be delayed.
     at
         Where the loops are opened: at the plant's outputs, its inputs, or both in turn.
     sign
-        -1 for negative feedback, 1 for positive feedback; left out: as in `disk_margin`.
+        -1 for negative feedback, 1 for positive feedback; by default as in `disk_margin`.
     order
         Of a loop with delays: up to which order of Padé's approximations its stability is tried, 1 to 16.
 
@@ -161,8 +161,8 @@ def classical_margins(
     -------
     ClassicalMargins
         One `ClassicalMargin` per channel by the name of the plant's signal. With delays CERTIFIED: no crossing is
-        missing; those of a gain that falls to zero have no end, and are listed up to the one that bounds the gain
-        margin, factors from 1e-6 to 1000. INACCURATE: at a frequency a crossing may only be a touch.
+        missing; if the gain falls to zero, they are infinitely many and are listed up to the one that bounds the
+        gain margin, factors from 1e-6 to 1000. INACCURATE: at a frequency a crossing may only be a touch.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""One requirement under several controllers: proved mu of robust performance and worst-case gain, side by side."""
+"""Proved mu of robust performance and worst-case gain of one requirement under several controllers."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from robustlab.uncertainty.lft import UncertainModel
 
 
 class Performance(NamedTuple):
-    """Of one controller: its order, the gain of the nominal loop, the margin, and the worst-case gain if asked for."""
+    """Order, nominal gain, margin and, if requested, worst-case gain of one controller."""
 
     order: int
     nominal_gain: float
@@ -44,7 +44,7 @@ class PerformanceComparison(Shown):
     Attributes
     ----------
     controllers
-        Controller -> what was found.
+        Controller -> its performance.
     """
 
     controllers: Mapping[str, Performance]
@@ -56,18 +56,18 @@ class PerformanceComparison(Shown):
 
     @property
     def status(self) -> Status:
-        """That of the proof that says least."""
+        """Least trusted status of all proofs."""
         return least_trusted([part.status for _, part in self._proofs()])
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the numbers mean, and the remarks of the proofs."""
+        """Meaning of the numbers, and the remarks of the proofs."""
         what = "μ at most 1: for every Δ of the set the weighted gain is at most 1."
         first = f"{what} The worst-case gain is over that set."
         return (first, *(f"{of}: {text}." for of, part in self._proofs() for text in part.notes))
 
     def _proofs(self) -> list[tuple[str, Any]]:
-        """Every margin and gain, with the controller and what it is."""
+        """Every margin and gain, labelled with its controller."""
         found: list[tuple[str, Any]] = []
         for name, one in self.controllers.items():
             found.append((f"{name}, μ", one.margin))

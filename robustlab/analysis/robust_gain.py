@@ -1,4 +1,4 @@
-"""How much of an uncertainty leaves the gain of every member below a level."""
+"""Largest size of a set for which every member's gain is below a level."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from robustlab.shown import Facts, Part, bracket, member, number
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.lft import UncertainModel
 
-LARGEST = 2.0**20  # sets more than this many times as large as given are not looked at
-CLOSE = 1e-3  # a level less than this share above the nominal gain asks for no closer proof
+LARGEST = 2.0**20  # largest size of the set that is tried, relative to the given one
+CLOSE = 1e-3  # a level nearer than this to the nominal gain, relative, needs no closer proof
 STEPS = 20  # worst-case gains at most; 1 % takes about 5
 INNER = 0.25  # each of them is proved to this share of the tolerance, less where the level is next to the nominal gain
 
@@ -31,7 +31,7 @@ class RobustGain(Bracket):
     lower, upper
         Every member of the set ``lower`` times as large has a gain below ``level``, proved; the member ``delta`` of the
         set ``upper`` times as large reaches it. Both are 0 where the nominal model reaches it; ``upper`` is inf where
-        no member of the sets that were looked at does. Above 1 the set as given keeps the level.
+        no member of the largest set does. Above 1 the set as given stays below the level.
     frequency
         Frequency in rad/s at which the member ``delta`` reaches the level.
     level
@@ -41,7 +41,7 @@ class RobustGain(Bracket):
     proof
         The worst-case gain of the set ``lower`` times as large; None where ``lower`` is 0.
     status
-        CERTIFIED where the ends are as close as was asked; else INCONCLUSIVE.
+        CERTIFIED where the bounds are as close as requested; else INCONCLUSIVE.
     """
 
     level: float
@@ -79,24 +79,24 @@ def robust_gain(
 
     .. math:: k^* = \sup \{ k : \; \sup_{|\Delta| \le k} \|F_u(M, \Delta)\|_\infty < \gamma \}
 
-    The level stays where it is while the set grows; in `robust_performance` both grow. The worst-case gain grows with
+    The level is fixed while the set grows; in `robust_performance` both grow. The worst-case gain grows with
     k, so k is searched, each time with a proved upper bound and a member that attains the lower one.
 
     Parameters
     ----------
     uncertain
-        Uncertain model; a range that is wider on one side grows in proportion on both.
+        Uncertain model; an asymmetric range grows in proportion on both sides.
     level
         :math:`\gamma`, positive, in the unit of the outputs over that of the inputs.
     tolerance
-        Relative gap between the bounds that is aimed at.
+        Target of the relative gap between the bounds.
     seed, effort
         As in `robustlab.peak_gain`, of each worst-case gain.
 
     Returns
     -------
     RobustGain
-        Both bounds, the member that reaches the level, and what proves ``lower``.
+        Both bounds, the member that reaches the level, and the proof of ``lower``.
 
     Raises
     ------
@@ -125,8 +125,8 @@ def robust_gain(
     nominal = worst_case_gain(UncertainModel(uncertain.nominal, []))
     if nominal.lower >= level:
         return RobustGain(0.0, 0.0, nominal.frequency, Status.CERTIFIED, level, {}, {}, None)
-    room = level / nominal.upper - 1 if nominal.upper else 1.0
-    inner = INNER * tolerance * min(max(room, CLOSE), 1.0)
+    distance = level / nominal.upper - 1 if nominal.upper else 1.0
+    inner = INNER * tolerance * min(max(distance, CLOSE), 1.0)
     lower, upper, proof, attained = 0.0, np.inf, None, None
     below, above = 1 / nominal.upper if nominal.upper else np.inf, 0.0  # 1 / gain at both ends
     size, aside = 1.0, tolerance / 3
@@ -136,7 +136,7 @@ def robust_gain(
             lower, proof, below = size, found, 1 / found.upper if found.upper else np.inf
         elif found.lower >= level:
             upper, attained, above = size, found, 1 / found.lower
-        else:  # the bounds of the gain lie on both sides of the level: aim further away from it
+        else:  # the level is between the bounds of the gain: aim further away from it
             aside *= 2
         if upper <= lower * (1 + tolerance) or not 1 / LARGEST < lower + size < LARGEST:
             break
@@ -155,7 +155,7 @@ def robust_gain(
 
 
 def _grown(uncertain: UncertainModel, size: float) -> UncertainModel:
-    """The set ``size`` times as large: its Delta is multiplied where it enters."""
+    """Return the set ``size`` times as large: the inputs of its Delta are scaled."""
     M = uncertain.M
     grown = np.ones(M.n_inputs)
     grown[: M.n_inputs - len(uncertain.inputs)] = size

@@ -1,4 +1,4 @@
-r"""Robust stability, whatever kind of system: how far its set may grow before a member is unstable.
+r"""Robust stability of any type of system: how far its set may grow before a member is unstable.
 
 .. math:: k = 1 / \sup_\omega \mu(M_{11}(j \omega))
 
@@ -48,8 +48,8 @@ def robust_stability(
     one side grows in proportion on both. The proof is carried out in floating point with a slack of 5e-6 in mu.
 
     With ``natures``: for blocks that vary or are nonlinear, by integral quadratic constraints. With ``frequency``, and
-    of data: at these frequencies; a stable nominal system is then taken for granted. With exact delays: whether the
-    system is stable at all, by a set that holds it.
+    of data: at these frequencies; a stable nominal system is then assumed. With exact delays: whether the system is
+    stable, by a set that holds it.
 
     Parameters
     ----------
@@ -57,24 +57,24 @@ def robust_stability(
         An UncertainModel, with ``natures`` also a model, a DelayedModel, or UncertainFrequencyData.
     natures
         Name of a block -> `Varying` or `Nonlinearity`; or (output, input) -> `Nonlinearity`, which drives that input
-        with a law of that output. Other blocks are what they are in the set. Empty: the same proof of constant blocks.
+        with a law of that output. Other blocks are as in the set. Empty: the same proof of constant blocks.
     frequency
-        Frequencies in rad/s: the margin there, and nothing is claimed between them. Data have their own.
+        Frequencies in rad/s of the margin, without any claim between them. Data have their own.
     omega
         Of an uncertain model: frequencies in rad/s for ``mu_lower`` and ``mu_upper``, the curves of a figure.
     tolerance
-        Of an uncertain model: relative gap that branch and bound aims at, 0.01 where left out; inf: none.
+        Of an uncertain model: relative gap that branch and bound aims at, 0.01 by default; inf: none.
     accuracy
-        Of an uncertain model: relative distance to the best margin that D, G can prove, 3e-5 where left out.
+        Of an uncertain model: relative distance to the best margin that D, G can prove, 3e-5 by default.
     order
         With delays: up to which order of Padé's approximations stability is tried, 1 to 16. With natures: highest power
-        of the multipliers' filters ``a / (s + a)``, 0 to 8, 2 where left out.
+        of the multipliers' filters ``a / (s + a)``, 0 to 8, 2 by default.
     pole
-        With natures: a in rad/s; several, by the poles of the model, are tried where left out.
+        With natures: a in rad/s; several, by the poles of the model, are tried by default.
     seed, effort
-        Of the searches: seed, and work as a multiple of the usual, which is counted, not timed.
+        Seed of the searches, and their work as a multiple of the usual, counted, not timed.
     time_limit
-        Time in s after which a proof over the axis is given up; where it strikes the answer cannot be repeated.
+        Time limit in s of a proof over the axis. If it is reached, the result depends on the machine.
 
     Returns
     -------
@@ -85,9 +85,9 @@ def robust_stability(
     Raises
     ------
     InputError
-        No uncertainty at frequencies, no such block, an option that this kind of system does not know.
+        No uncertainty at frequencies, no such block, an option that this type of system does not have.
     NoTrustworthyNumber
-        The nominal model is unstable; a pole lies at a frequency that was given.
+        The nominal model is unstable; a pole is at a given frequency.
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""Controllers for any kind of plant: `hinf` looks at what it is given."""
+"""H-infinity synthesis for any type of plant."""
 
 from __future__ import annotations
 
@@ -56,8 +56,8 @@ def hinf(
     A discrete P is mapped by the bilinear rule and verified in discrete time.
 
     The controller ``u = K(rho) y`` of a scheduled plant (`LPVModel`) is scheduled by the same measured parameters and
-    needs no rates of theirs; gamma bounds the induced gain over all their trajectories, as far as a quadratic Lyapunov
-    function can tell:
+    does not need their rates; gamma bounds the induced gain over all their trajectories, by a quadratic Lyapunov
+    function:
 
     .. math:: \min_{K(\cdot)} \; \sup_{\rho(\cdot)} \sup_{w \ne 0} \|z\|_2 / \|w\|_2
 
@@ -67,21 +67,21 @@ def hinf(
         Generalised plant: `GeneralizedPlant`, StateSpaceModel, UncertainModel (with its perturbation channels as w and
         z), `LPVModel`, or python-control object; inputs [w; u], outputs [z; y], the ``n_con`` controls
         and ``n_meas`` measurements last. An LPV model has no direct term from u to y; where B2, C2, D12 and D21 do not
-        depend on the parameters the loop is multi-linear between the points, where they do its bend is bounded and a
-        finer grid (`LPVModel.refined`) lowers what it costs: a lag before u or behind y makes them constant.
+        depend on the parameters the loop is multi-linear between the points, where they do its curvature is
+        bounded and a finer grid (`LPVModel.refined`) reduces the loss. A lag before u or after y makes them constant.
     n_meas, n_con
-        Numbers of measurements and controls; left out for a `GeneralizedPlant`.
+        Numbers of measurements and controls; omitted for a `GeneralizedPlant`.
     gamma_rel
-        How much larger than the smallest gamma found the returned controller's may be (>= 1); within it the one with
-        the slowest poles is taken. 1 asks for the smallest gamma, whose controller is often absurdly fast.
+        Largest ratio of gamma of the returned controller to the smallest gamma found (>= 1); within it the controller
+        with the slowest poles is returned. 1 gives the smallest gamma, whose controller often is too fast.
     bandwidth
-        Where given, all controller poles must lie below it (modulus, rad/s; of a discrete controller those of its
-        bilinear map); of the controllers allowed by ``gamma_rel`` the one of smallest gamma that obeys is taken.
+        If given, all controller poles must be below it (modulus, rad/s; of a discrete controller those of its
+        bilinear map); of the controllers allowed by ``gamma_rel`` the one of smallest gamma is returned.
     time_limit
-        Time in s, asked between trials; none where left out. A controller verified by then is returned, but another
-        run may find another one: the status is TIMEOUT, and ``reason`` says so.
+        Time limit in s, checked between trials; none by default. If it is reached, the controller verified by then is
+        returned with status TIMEOUT and a ``reason``, and the result depends on the machine.
     effort
-        Multiple of the usual work. The search counts what it does, so that it ends the same way everywhere.
+        Multiple of the usual work, counted, not timed: the search ends the same way on every machine.
     progress
         Called with one short line after every stage.
 
@@ -89,12 +89,12 @@ def hinf(
     -------
     HinfSynthesis or LPVSynthesis
         Always with a stabilising, verified K: ``K``, ``gamma``, ``closed_loop``, ``status`` and ``reason`` of `Design`,
-        and of an LPV model ``gain``, what `lpv_gain` proved.
+        and of an LPV model ``gain``, the result of `lpv_gain`.
 
     Raises
     ------
     InputError
-        Numbers of channels that P does not have, ``gamma_rel`` below 1, an option that P's kind does not have.
+        Numbers of channels that P does not have, ``gamma_rel`` below 1, an option that P's type does not have.
     NoTrustworthyNumber
         An unstable or marginal mode that no controller can stabilise (named), no controller could be verified, or none
         has its poles below ``bandwidth``; the LMIs of an LPV model have no solution, or no loop of theirs could be

@@ -1,6 +1,6 @@
-"""Campaigns: samples and worst-case searches of any size, in worker processes here or on many machines.
+"""Campaigns: samples and worst-case searches of any size, in worker processes on one or many machines.
 
-Each sample is stored as it comes; a run that was interrupted or killed goes on where it was, to the same result.
+Each sample is stored when computed; an interrupted or killed run can be resumed, with the same result.
 """
 
 from robustlab.campaign.campaign_result import CampaignResult

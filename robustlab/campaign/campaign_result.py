@@ -1,4 +1,4 @@
-"""What a store says about its campaign; samples are streamed, and lost ones count as the worst."""
+"""Summary of a campaign's store; samples are streamed, and lost ones count as the worst."""
 
 from __future__ import annotations
 
@@ -19,17 +19,16 @@ from robustlab.shown import Facts, Part, Shown, member, member_rows, number
 from robustlab.tables import Table, Tabular
 from robustlab.worst_case_analysis.members import decoded
 from robustlab.worst_case_analysis.statistics import clopper_pearson
+from robustlab.worst_case_analysis.worst_case_search import LABEL, LABEL_SMALLEST, UNBOUNDED
 
 CONFIDENCE = 0.95
 SHARES = (0.5, 0.9, 0.99, 0.999)
 SHOWN_LOST = 100
 LISTED_LOST = 10  # of these in a text
-LABEL = "sampled: a lower bound of the true worst case"
-LABEL_SMALLEST = "sampled: an upper bound of the true worst case, which is the smallest value"
 
 
 class Quantile(NamedTuple):
-    """A share, the value that is not worse, and what the set's own quantile is not worse than at CONFIDENCE."""
+    """A share, the sample quantile, and a bound of the set's quantile at CONFIDENCE."""
 
     share: float
     value: float  # the order statistic with number `ceil(share n)`, counted from the best
@@ -38,10 +37,10 @@ class Quantile(NamedTuple):
 
 @dataclass(frozen=True)
 class Violation:
-    """How often the metric is worse than a limit; a lost sample counts as worse.
+    """Number of samples worse than a limit; a lost sample counts as worse.
 
     ``lower`` and ``upper`` are Clopper-Pearson bounds of the probability, each one-sided at CONFIDENCE; lost samples
-    count for neither side's favour.
+    count as not worse for ``lower`` and as worse for ``upper``.
     """
 
     limit: float
@@ -53,7 +52,7 @@ class Violation:
 
 @dataclass(frozen=True)
 class LostSample:
-    """A sample without a value: its index, why, and its Delta."""
+    """A sample without a value: its index, the reason, and its Delta."""
 
     index: int
     reason: str
@@ -61,24 +60,24 @@ class LostSample:
 
 
 def _probability_bounds(k: int, n: int) -> tuple[float, float]:
-    """Clopper-Pearson bounds of a probability from k successes in n trials, each one-sided at CONFIDENCE."""
+    """Return Clopper-Pearson bounds of a probability from k successes in n trials, each one-sided at CONFIDENCE."""
     return clopper_pearson(k, n, 2.0 * CONFIDENCE - 1.0)
 
 
 def _quantiles(store: Store, sense: int, n: int) -> tuple[Quantile, ...]:
-    """Quantiles of all samples, lost ones as worse than any value, where the samples allow them."""
+    """Return the quantiles that the number of samples allows; lost samples count as worst."""
     from scipy.stats import binom
 
-    # Where fewer than one sample is expected above a share, the worst sample says as much.
+    # Where fewer than one sample is expected above a share, the worst sample has the same information.
     shares = [share for share in SHARES if n * (1.0 - share) >= 1.0 or share <= 0.5]
-    # A rank bounds a quantile from above from the smallest r on with P(Binomial(n, share) < r) >= CONFIDENCE.
+    # The smallest rank r with P(Binomial(n, share) < r) >= CONFIDENCE bounds a quantile from above.
     plan = [(s, max(1, math.ceil(s * n)), int(binom.ppf(CONFIDENCE, n, s)) + 1) for s in shares]
     values = _at_ranks(store.sorted_values(sense), [rank for _, *both in plan for rank in both], sense)
     return tuple(Quantile(share, values[rank], values[upper]) for share, rank, upper in plan)
 
 
 def _at_ranks(values: Iterable[float], ranks: Iterable[int], sense: int) -> dict[int, float]:
-    """Order statistics, counted from 1, of values from the best to the worst; infinite beyond the last."""
+    """Return order statistics, counted from 1, of values from the best to the worst; infinite beyond the last."""
     found = dict.fromkeys(sorted(set(ranks)), sense * math.inf)
     for i, value in enumerate(values, 1):
         if i in found:
@@ -87,10 +86,9 @@ def _at_ranks(values: Iterable[float], ranks: Iterable[int], sense: int) -> dict
 
 
 def exceedance_curve(store: Store, sense: int, done: int, lost: int, points: int = 200) -> tuple[Array, Array, Array]:
-    """Share of the samples worse than a value, for drawing: values (m,), shares (m,), upper confidence bounds (m,).
+    """Return for a figure values (m,), the share of worse samples (m,), and its upper confidence bounds (m,).
 
-    Ranks are spaced so that the tail is resolved; lost samples count as worse, samples without a bounded value are
-    left out of the values.
+    Ranks are spaced to resolve the tail; lost samples count as worse, samples without a bounded value are omitted.
     """
     from scipy.special import betaincinv
 
@@ -107,19 +105,19 @@ def exceedance_curve(store: Store, sense: int, done: int, lost: int, points: int
 
 @dataclass(frozen=True)
 class CampaignResult(Tabular, Shown):
-    """A campaign as its store has it.
+    """The results of a campaign's store.
 
     Attributes
     ----------
     status
-        CONVERGED: all samples are there, and the worst one was confirmed through a second path. INACCURATE: it was
-        not. INCONCLUSIVE: samples are missing yet.
+        CONVERGED: all samples are stored, and the worst one is confirmed by a second method. INACCURATE: it is not.
+        INCONCLUSIVE: samples are missing.
     store
         The file.
     kind, metric, unit
-        What was computed.
+        Type of samples, metric and unit.
     n, done, lost
-        Samples asked for, with a value, and without one.
+        Samples requested, with a value, and without one.
     unbounded
         Samples whose value is infinite (unstable members).
     sense
@@ -127,27 +125,27 @@ class CampaignResult(Tabular, Shown):
     worst, worst_index, delta, physical
         Worst value, the sample that has it, its normalised Delta, and its parameters as (value, unit).
     at, location
-        Where the worst value is attained, from the second path.
+        Where the worst value is attained, from the second method.
     again
-        The worst value through the second path.
+        The worst value by the second method.
     nominal
         The metric at Delta = 0.
     quantiles
-        For samples only, and only where all of them are there.
+        For samples only, once all are stored.
     unseen
         Largest probability, at 95 % confidence, of a member worse than the worst sample; NaN where not sampled.
     violation
-        How often the metric was worse than a limit, where one was given.
+        Number of samples worse than a limit, where one was given.
     lost_samples
         The first hundred of them.
     digest
-        SHA-256 over all rows; equal for equal results, however often the run was interrupted.
+        SHA-256 over all rows; equal for equal results, independent of interruptions.
     seconds
         Time of all samples together.
     seed
         Seed of the random numbers.
     label
-        What the worst value is, and is not.
+        Meaning of the worst value.
     """
 
     status: Status
@@ -179,30 +177,28 @@ class CampaignResult(Tabular, Shown):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is lost or unbounded, and what samples do not say."""
-        told = ["Sampled, not proved: members that were not drawn may be worse."]
+        """Lost and unbounded samples, and the limits of sampling."""
+        notes = ["Sampled, not proved: members that were not drawn may be worse."]
         if self.unbounded:
-            told.insert(0, f"{self.unbounded} of the members have no bounded value.")
+            notes.insert(0, f"{self.unbounded} of the members have no bounded value.")
         if self.lost:
             first = f"the first one number {self.lost_samples[0].index}: {self.lost_samples[0].reason}"
-            told.insert(0, f"{self.lost} were lost, {first}. Bounds count them as worst.")
-        return tuple(told)
+            notes.insert(0, f"{self.lost} were lost, {first}. Bounds count them as worst.")
+        return tuple(notes)
 
     def numbers(self) -> dict[str, Any]:
-        """The worst value and its member, counts, quantiles by ``q50`` ..., how often a limit was passed."""
-        told = ("worst", "worst_index", "nominal", "done", "lost", "unbounded", "unseen", "delta", "digest")
-        found = {name: getattr(self, name) for name in told}
+        """The worst value and its member, counts, quantiles by ``q50`` ..., violations of a limit."""
+        names = ("worst", "worst_index", "nominal", "done", "lost", "unbounded", "unseen", "delta", "digest")
+        found = {name: getattr(self, name) for name in names}
         found["quantiles"] = {f"q{q.share * 100:g}".replace(".", "_"): q.value for q in self.quantiles}
         if self.violation is not None:
             found["violation"] = {name: getattr(self.violation, name) for name in ("count", "of", "lower", "upper")}
         return found
 
     def headline(self) -> str:
-        """The worst value among how many."""
         return f"worst {self.metric} {number(self.worst, self.unit, 9)} of {self.done} {_counted(self.kind)}"
 
     def facts(self) -> Facts:
-        """The worst value, its member, how many samples there are, what they say of the rest."""
         what, _, unit = self.location.partition(" ")
         place = f", at {what} = {number(self.at, unit.strip('[]'), 6)}" if what and not math.isnan(self.at) else ""
         worst = (
@@ -233,7 +229,6 @@ class CampaignResult(Tabular, Shown):
         ]
 
     def details(self) -> list[Part]:
-        """Quantiles, the worst member, and what was lost."""
         rows = [(f"{100 * q.share:g} %", f"{q.value:.9g}", f"{q.bound:.9g}") for q in self.quantiles]
         lost = [(str(sample.index), sample.reason) for sample in self.lost_samples[:LISTED_LOST]]
         return [
@@ -256,7 +251,6 @@ class CampaignResult(Tabular, Shown):
         return Table(("sample", [index for index, *_ in rows]), columns, {self.metric: self.unit})
 
     def to_json(self) -> dict[str, Any]:
-        """All fields as plain types."""
         return {
             **vars(self),
             "quantiles": [q._asdict() for q in self.quantiles],
@@ -266,7 +260,7 @@ class CampaignResult(Tabular, Shown):
 
 
 def result_of(store: Store, evaluator: Evaluator, limit: float | None = None) -> CampaignResult:
-    """Read a store once through; an InputError says that the rows of a finished campaign were changed."""
+    """Read a store. Raises InputError: the rows of a finished campaign were changed."""
     settings, blocks = evaluator.settings, evaluator.uncertain.blocks
     counts, facts, worst = store.counts(), store.facts(), store.worst(evaluator.sense)
     complete = counts.done + counts.lost >= settings.n
@@ -321,7 +315,7 @@ def _one(kind: str) -> str:
 
 def _label(worst: Sample | None, sense: int) -> str:
     if worst is not None and not math.isfinite(worst.value):
-        return "attained: this member has no bounded value"
+        return UNBOUNDED
     return LABEL if sense > 0 else LABEL_SMALLEST
 
 

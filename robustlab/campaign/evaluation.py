@@ -1,6 +1,6 @@
 """The value of sample i: a pure function of uncertain model, settings and i.
 
-Samples are computed in tiles of fixed borders: members that are computed together share their scaling.
+Samples are computed in fixed tiles: members of a tile share their scaling.
 """
 
 from __future__ import annotations
@@ -22,34 +22,32 @@ from robustlab.worst_case_analysis.metrics import Evaluation, MetricRequest, mak
 from robustlab.worst_case_analysis.worst_case_search import worst_case
 
 DONE, LOST = 0, 1
-# Samples in a tile. It decides the last digits of a value, so it is no matter of taste.
-TILE = 64
-TILE_WORK = 2e9  # operations in a tile, roughly: one of a large model is smaller, so that little is lost by a kill
-# A search ends by itself, where nothing improves it any more.
-TO_THE_END = 1e9
+TILE = 64  # samples in a tile; it affects the last digits of a value
+TILE_WORK = 2e9  # approximate operations in a tile: a large model has smaller tiles, so that a kill loses little
+UNLIMITED_EFFORT = 1e9  # effort with which a search ends only when nothing improves
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Consecutive samples, as they come from a worker."""
+    """Consecutive samples from a worker."""
 
     first: int  # index of the first one
     values: Array  # the metric, shape (k,); NaN where a sample is lost
     deltas: Array  # normalised Deltas as numbers, shape (k, width); see `robustlab.worst_case_analysis.members.encoded`
     seconds: Array  # time each one took, shape (k,); samples computed together share their time evenly
-    lost: Mapping[int, str] = field(default_factory=dict)  # index -> reason, for samples that gave no value
+    lost: Mapping[int, str] = field(default_factory=dict)  # index -> reason, for samples without a value
 
     def __len__(self) -> int:
         return len(self.values)
 
     def up_to(self, n: int) -> Rows:
-        """The samples with an index below ``n``."""
+        """Return the samples with an index below ``n``."""
         count = max(0, min(len(self), n - self.first))
         lost = {index: reason for index, reason in self.lost.items() if index < n}
         return Rows(self.first, self.values[:count], self.deltas[:count], self.seconds[:count], lost)
 
     def followed_by(self, others: Sequence[Rows]) -> Rows:
-        """These samples and those that come next, in one piece."""
+        """Concatenate these samples and the next ones."""
         parts = [self, *others]
         return Rows(
             self.first,
@@ -65,34 +63,33 @@ class Evaluator:
 
     def __init__(self, uncertain: UncertainModel, settings: CampaignSettings) -> None:
         self.uncertain, self.settings = uncertain, settings
-        self._judge = make_metric(uncertain, _request(uncertain, settings), "campaign")
-        self.tile = _tile_size(self._judge.uncertain.M.n_states, settings)
+        self._metric = make_metric(uncertain, _request(uncertain, settings), "campaign")
+        self.tile = _tile_size(self._metric.uncertain.M.n_states, settings)
         self._reals = [block.name for block in uncertain.blocks if block.interval]
 
     @property
     def unit(self) -> str:
-        """Unit of the values."""
-        return self._judge.unit
+        return self._metric.unit
 
     @property
     def sense(self) -> int:
         """1 where the largest value of the metric is the worst, -1 where the smallest is."""
-        return 1 if self._judge.sense > 0 else -1
+        return 1 if self._metric.sense > 0 else -1
 
     @property
     def location(self) -> str:
-        """What the place is at which a value is attained, for example ``"t [s]"``."""
-        return self._judge.location
+        """Quantity and unit of the place where a value is attained, for example ``"t [s]"``."""
+        return self._metric.location
 
     def delta(self, index: int) -> dict[str, Any]:
-        """Delta of a sample or a vertex: block name -> normalised value. A search finds its own: zero here."""
+        """Return the normalised Delta of a sample or vertex by block name; zero for a search."""
         return decoded(self.uncertain.blocks, self._theta(index, index + 1)[0])
 
     def _theta(self, first: int, last: int) -> Array:
-        """Coordinates of samples (k, width)."""
+        """Return the coordinates of samples (k, width)."""
         blocks, seed = self.uncertain.blocks, self.settings.seed
         if self.settings.kind == "search":
-            return np.zeros((last - first, self._judge.set.size))
+            return np.zeros((last - first, self._metric.set.size))
         if self.settings.kind == "samples":
             return Deltas(blocks, last, seed, np.zeros((0, 0))).numbers(slice(first, last))
         corners = [
@@ -102,7 +99,7 @@ class Evaluator:
         return np.array([encoded(blocks, corner) for corner in corners])
 
     def _signs(self, index: int) -> list[float]:
-        """Vertex of the real deltas: the binary digits of the index, or random where not all of them are asked for."""
+        """Return the vertex of the real deltas: the binary digits of the index, or random if not all are requested."""
         k = len(self._reals)
         if 2**k <= self.settings.n:
             return [float(2 * (index >> (k - 1 - j) & 1) - 1) for j in range(k)]
@@ -110,17 +107,17 @@ class Evaluator:
         return (2.0 * rng.integers(0, 2, k) - 1.0).tolist()
 
     def rows(self, first: int, last: int) -> Rows:
-        """Samples ``first .. last - 1``, both multiples of the tile; one that raises is computed sample by sample."""
+        """Compute samples ``first .. last - 1``, multiples of the tile; a failed tile is computed sample by sample."""
         parts = [self._tile(start) for start in range(first, last, self.tile)]
         return parts[0].followed_by(parts[1:])
 
     def agrees(self, value: float, again: Evaluation) -> bool:
-        """Whether a value and its re-evaluation are the same number."""
-        return again.accurate and self._judge.agrees(value, again.value)
+        """Return whether a re-evaluation confirms a value."""
+        return again.accurate and self._metric.agrees(value, again.value)
 
     def evaluate(self, delta: Mapping[str, Any]) -> Evaluation:
-        """The metric at one Delta through the second path, with which a worst sample is checked."""
-        return self._judge.evaluate(delta)
+        """Evaluate the metric at one Delta by the second method."""
+        return self._metric.evaluate(delta)
 
     def _tile(self, first: int) -> Rows:
         if self.tile == 1:
@@ -128,7 +125,7 @@ class Evaluator:
         started, theta = time.perf_counter(), self._theta(first, first + self.tile)
         try:
             values = self._values(theta)
-        except Exception:  # noqa: BLE001  one sample spoils the tile; which one, and how, is found out below
+        except Exception:  # noqa: BLE001  one sample fails the tile; it is found below
             values = np.full(len(theta), np.nan)
         if np.isnan(values).any():
             parts = [self.alone(index) for index in range(first, first + self.tile)]
@@ -136,7 +133,7 @@ class Evaluator:
         return Rows(first, values, theta, np.full(len(theta), (time.perf_counter() - started) / len(theta)))
 
     def alone(self, index: int) -> Rows:
-        """One sample; what it raises becomes the reason why it is lost."""
+        """Compute one sample; its exception becomes the reason of a lost sample."""
         started, theta, value, reason = time.perf_counter(), self._theta(index, index + 1), np.nan, ""
         try:
             if self.settings.kind == "search":
@@ -144,7 +141,7 @@ class Evaluator:
                 theta = encoded(self.uncertain.blocks, delta)[None]
             else:
                 value = float(self._values(theta)[0])
-        except Exception as error:  # noqa: BLE001  whatever a sample raises concerns this sample alone
+        except Exception as error:  # noqa: BLE001  any failure concerns this sample alone
             reason = plain_text(f"{type(error).__name__}: {error}")[:500]
         if not reason and np.isnan(value):
             reason = "the metric is not a number"
@@ -152,13 +149,13 @@ class Evaluator:
         return Rows(index, np.array([value]), theta, seconds, {index: reason} if reason else {})
 
     def _values(self, theta: Array) -> Array:
-        return self._judge.of(self._judge.set.members(theta))
+        return self._metric.of(self._metric.set.members(theta))
 
     def _search(self, index: int) -> tuple[float, dict[str, Any]]:
         s = self.settings
         own = np.random.SeedSequence(s.seed, spawn_key=(index, 3)).generate_state(2)
-        asked = vars(_request(self.uncertain, s))
-        found = worst_case(self.uncertain, **asked, n=s.starts, seed=int(own[0]), effort=TO_THE_END)
+        request = vars(_request(self.uncertain, s))
+        found = worst_case(self.uncertain, **request, n=s.starts, seed=int(own[0]), effort=UNLIMITED_EFFORT)
         if not found.status.trustworthy:
             raise NoTrustworthyNumber(
                 "search", f"{found.status}: {found.search_value:.9g} found, {found.value:.9g} when evaluated again"
@@ -175,18 +172,18 @@ def _request(uncertain: UncertainModel, s: CampaignSettings) -> MetricRequest:
 
 
 def _tile_size(n_states: int, settings: CampaignSettings) -> int:
-    """Samples per tile; it depends on the campaign alone, and never on how fast a machine is."""
+    """Return the samples per tile, which depend on the campaign alone, not on the machine."""
     if settings.kind == "search":
         return 1
     work = (n_states + 1) ** 2 * (settings.points + 100 + 30 * n_states)
     return max(1, min(TILE, int(TILE_WORK / work)))
 
 
-_evaluators: dict[str, Evaluator] = {}  # of this process: that of the campaign it worked for last
+_evaluators: dict[str, Evaluator] = {}  # of this process: that of its last campaign
 
 
 def compute(identity: Identity, model: bytes, first: int, last: int) -> Rows:
-    """Samples ``first .. last - 1``, in a worker.
+    """Compute samples ``first .. last - 1`` in a worker.
 
     Raises EnvironmentFault: the worker runs other code than the campaign.
     """

@@ -22,7 +22,7 @@ from robustlab.campaign.settings import (
     model_from_bytes,
 )
 from robustlab.campaign.store import Store, locked
-from robustlab.campaign.workers import Crew, Workers, hired
+from robustlab.campaign.workers import Crew, Workers, started_workers
 from robustlab.errors import EnvironmentFault, InputError, NoTrustworthyNumber
 from robustlab.result import Status
 from robustlab.shown import AllFields, Facts, Part, Shown, member_rows, number
@@ -30,12 +30,12 @@ from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.members import decoded
 
 Existing = Literal["resume", "restart", "fork"]
-EVERYONE = Crew()
-MAX_LOST_SHARE = 0.01  # of the samples that may have no value
-# How the work is cut; the samples do not depend on it.
-PIECE_SECONDS = 0.7  # of work in a piece: long against sending and storing it, short against what a kill may lose
-GROWTH = 4  # factor by which a piece grows at most, until its speed is known
-LONGEST_PIECE = 100_000  # samples: its rows are held in memory and written in one transaction
+ALL_PROCESSORS = Crew()
+MAX_LOST_SHARE = 0.01  # largest share of samples without a value
+# Sizes of pieces of work; the samples do not depend on them.
+PIECE_SECONDS = 0.7  # long compared with sending and storing a piece, short compared with the loss by a kill
+GROWTH = 4  # largest factor by which a piece grows
+LONGEST_PIECE = 100_000  # samples: the rows are held in memory and written in one transaction
 POLL_SECONDS = 1.0
 
 
@@ -44,28 +44,28 @@ def run_campaign(
     settings: CampaignSettings,
     store: str | Path,
     *,
-    crew: Crew = EVERYONE,
+    crew: Crew = ALL_PROCESSORS,
     existing: Existing = "resume",
     limit: float | None = None,
     progress: Callable[[int], None] = lambda _: None,
 ) -> CampaignResult:
-    """Compute all samples of a campaign in worker processes, each stored as it comes; or go on with one.
+    """Compute all samples of a campaign in worker processes and store each when computed; or resume a campaign.
 
-    The same model, settings and code give the same samples, whatever the workers and however often a run is killed. A
-    sample that raises is lost alone; where a worker process ends, the run ends, and a later one goes on with the store.
+    The same model, settings and code give the same samples, independent of workers and interruptions. A sample that
+    raises is lost alone; if a worker process ends, the run ends, and a later one resumes the store.
 
-    ``existing``: what to do where ``store`` holds another campaign: ``"resume"`` refuses, ``"restart"`` deletes it,
-    ``"fork"`` leaves it and writes to ``NAME-2.sqlite``, ... ``limit``: count how often the metric is worse than it.
-    ``progress``: called with the number of samples that were just stored, once at the start with those that were there.
+    ``existing``: if ``store`` holds another campaign, ``"resume"`` rejects it, ``"restart"`` deletes it, ``"fork"``
+    keeps it and writes to ``NAME-2.sqlite``, ... ``limit``: count the samples that are worse. ``progress``: called with
+    the number of newly stored samples, first with that of the samples already stored.
     """
     evaluator = Evaluator(uncertain, settings)
     identity, path = Identity.of(uncertain, settings), Path(store)
-    if existing == "fork" and Store.is_there(path):
+    if existing == "fork" and Store.exists(path):
         path = _free_name(path)
     with locked(path):
         if existing == "restart":
             Store.delete(path)
-        if Store.is_there(path):
+        if Store.exists(path):
             opened = Store.open(path, write=True)
             _same_campaign(opened, identity)
         else:
@@ -77,13 +77,13 @@ def run_campaign(
 def resume_campaign(
     store: str | Path,
     *,
-    crew: Crew = EVERYONE,
+    crew: Crew = ALL_PROCESSORS,
     limit: float | None = None,
     progress: Callable[[int], None] = lambda _: None,
 ) -> CampaignResult:
-    """Go on with a campaign from its store alone, which holds model and settings; see `run_campaign`."""
+    """Resume a campaign from its store, which holds model and settings; see `run_campaign`."""
     path = Path(store)
-    Store.open(path).close()  # says what is wrong with the file before a lock is laid beside it
+    Store.open(path).close()  # checks the file before a lock file is created
     with locked(path):
         opened = Store.open(path, write=True)
         old = opened.identity
@@ -93,7 +93,7 @@ def resume_campaign(
 
 
 def read_campaign(store: str | Path, limit: float | None = None) -> CampaignResult:
-    """What a store holds, also while a run writes it; see `CampaignResult`."""
+    """Read a store, also while a run writes it; see `CampaignResult`."""
     opened = Store.open(Path(store))
     try:
         return result_of(opened, _evaluator(opened), limit)
@@ -102,7 +102,7 @@ def read_campaign(store: str | Path, limit: float | None = None) -> CampaignResu
 
 
 def saved_samples(store: str | Path) -> tuple[int, int]:
-    """How many samples a store holds, and of how many."""
+    """Return the numbers of stored and of requested samples."""
     opened = Store.open(Path(store))
     try:
         return sum(opened.counts()), opened.identity.settings.n
@@ -120,11 +120,11 @@ class Replay(AllFields, Shown):
     kind: str
     metric: str
     unit: str
-    # stored, reason: its value in the store (NaN where lost or not there yet), and why it was lost
+    # stored, reason: its value in the store (NaN where lost or missing), and why it was lost
     stored: float
     reason: str
-    value: float  # its value now, computed as the campaign does it
-    # again, at, location: its value through the second path, and where it is attained
+    value: float  # its value now, computed as in the campaign
+    # again, at, location: its value by the second method, and where it is attained
     again: float
     at: float
     location: str
@@ -135,7 +135,6 @@ class Replay(AllFields, Shown):
     seconds: float  # time it took
 
     def facts(self) -> Facts:
-        """The value now beside those of the store and of the second path."""
         what, _, unit = self.location.partition(" ")
         place = f" at {what} = {number(self.at, unit.strip('[]'), 6)}" if what and not math.isnan(self.at) else ""
         stored = number(self.stored, self.unit, 9) or "no value"
@@ -148,7 +147,6 @@ class Replay(AllFields, Shown):
         ]
 
     def details(self) -> list[Part]:
-        """The member."""
         return [member_rows(self.delta, self.physical)]
 
 
@@ -209,7 +207,7 @@ def _work(
     limit: float | None,
     progress: Callable[[int], None],
 ) -> CampaignResult:
-    """Fill an open, locked store, check its worst sample, read it, close it."""
+    """Complete an open, locked store, check its worst sample, read and close it."""
     finished = False
     try:
         n, before = evaluator.settings.n, sum(store.counts())
@@ -217,7 +215,7 @@ def _work(
         if before < n or not store.facts():
             try:
                 if before < n:
-                    with hired(crew, n - before) as workers:
+                    with started_workers(crew, n - before) as workers:
                         compute_missing(store, evaluator, workers, progress)
                 _note_end(store, evaluator)
             except EnvironmentFault as fault:
@@ -231,7 +229,7 @@ def _work(
 
 
 def _note_end(store: Store, evaluator: Evaluator) -> None:
-    """Evaluate the worst sample and the nominal model through the second path; note this and the digest."""
+    """Evaluate the worst sample and the nominal model by the second method; store this and the digest."""
     worst = store.worst(evaluator.sense)
     facts: dict[str, Any] = {"digest": store.digest(), "agrees": False}
     if worst is not None:
@@ -252,7 +250,7 @@ def _evaluator(store: Store) -> Evaluator:
 
 
 def _same_campaign(store: Store, identity: Identity) -> None:
-    """Refuse a store that belongs to another campaign."""
+    """Reject a store of another campaign."""
     changes = differences(store.identity, identity)
     if not changes:
         return
@@ -268,7 +266,7 @@ def _same_campaign(store: Store, identity: Identity) -> None:
 
 
 def _free_name(path: Path) -> Path:
-    """``NAME-2.sqlite`` or the next number that is free."""
+    """Return ``NAME-2.sqlite`` or the next free name."""
     for k in range(2, 10_000):
         candidate = path.with_name(f"{path.stem}-{k}{path.suffix}")
         if not candidate.exists():
@@ -276,11 +274,11 @@ def _free_name(path: Path) -> Path:
     raise EnvironmentFault(str(path), "has more than 9998 forks already")
 
 
-# --- pieces of what the store lacks go to the workers, what comes back goes to the store -----------------------------
+# --- work of the missing samples -------------------------------------------------------------------------------------
 
 
 class _Pieces:
-    """What is missing in the store, cut at the borders of tiles into pieces of about PIECE_SECONDS."""
+    """The missing samples, cut at the borders of tiles into pieces of about PIECE_SECONDS."""
 
     def __init__(self, gaps: list[tuple[int, int]], tile: int) -> None:
         self._gaps, self._tile, self._tiles, self._seconds = gaps[::-1], tile, 1, 0.0
@@ -288,14 +286,14 @@ class _Pieces:
     def __iter__(self) -> Iterator[tuple[int, int]]:
         while self._gaps:
             first, last = self._gaps.pop()
-            first -= first % self._tile  # a tile is computed whole, whatever of it is stored
+            first -= first % self._tile  # a tile is always computed as a whole
             end = first + self._tiles * self._tile
             if end < last:
                 self._gaps.append((end, last))
             yield first, min(end, -(-last // self._tile) * self._tile)
 
-    def learn(self, rows: Rows) -> None:
-        """Take the time of a finished piece into account."""
+    def resize(self, rows: Rows) -> None:
+        """Update the size of pieces from the time of a finished one."""
         each = float(rows.seconds.mean())
         self._seconds = each if not self._seconds else 0.7 * self._seconds + 0.3 * each
         wanted = int(PIECE_SECONDS / max(self._seconds, 1e-9) / self._tile)
@@ -303,7 +301,7 @@ class _Pieces:
 
 
 def compute_missing(store: Store, evaluator: Evaluator, workers: Workers, progress: Callable[[int], None]) -> None:
-    """Compute what the store lacks; ``progress`` is called with the number of samples that were just stored.
+    """Compute the missing samples; ``progress`` is called with the number of newly stored samples.
 
     Raises NoTrustworthyNumber: more than 1 % of the samples have no value. EnvironmentFault: a worker ended.
     """
@@ -325,7 +323,7 @@ def compute_missing(store: Store, evaluator: Evaluator, workers: Workers, progre
             except Exception as error:
                 found = f"a worker failed ({type(error).__name__}: {error})"[:500]
                 raise EnvironmentFault("campaign", found, None, "give it more memory, or fewer --workers") from error
-            todo.learn(rows)
+            todo.resize(rows)
             rows = rows.up_to(n)
             store.save(rows)
             progress(len(rows))

@@ -1,4 +1,4 @@
-"""What a campaign computes, and the identity by which a store belongs to it: model, settings, code."""
+"""Settings of a campaign, and its identity: model, settings, code."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from robustlab.uncertainty.lft import UncertainModel
 KINDS = ("samples", "vertices", "search")
 MAX_SAMPLES = 10**12
 
-# What decides the value of a sample; a change elsewhere (reports, commands) leaves stored samples as good as they were.
+# Sources that determine a sample's value; changes elsewhere (reports, commands) keep stored samples valid.
 _CODE = (
     "campaign/evaluation.py",
     "dynamics/simulation.py",
@@ -37,9 +37,9 @@ _CODE = (
 
 @dataclass(frozen=True)
 class CampaignSettings:
-    """What is computed for each index 0 .. n - 1.
+    """Settings of the samples 0 .. n - 1.
 
-    Raises UsageError, InputError: an unknown kind; numbers that are not what they must be.
+    Raises UsageError, InputError: an unknown kind; numbers out of range.
     """
 
     metric: str  # a metric of `robustlab.worst_case_analysis.worst_case`
@@ -49,16 +49,16 @@ class CampaignSettings:
     # `"search"`: index i is one whole worst-case search from starting points of its own.
     kind: Literal["samples", "vertices", "search"] = "samples"
     seed: int = 0  # seed of the random numbers; index i draws from `SeedSequence(seed, spawn_key=(i,))`
-    # output, input: signals that the metric looks at
+    # output, input: signals of the metric
     output: str | None = None
     input: str | None = None
-    # Input name -> number, or samples on the times; a unit step where left out.
+    # Input name -> number, or samples on the times; a unit step where omitted.
     u: Mapping[str, float | Sequence[float]] | None = None
-    # t_end, points: end time in s and number of times; from the nominal poles where `t_end` is left out
+    # t_end, points: end time in s and number of times; from the nominal poles where `t_end` is omitted
     t_end: float | None = None
     points: int = 401
-    hold: Literal["zoh", "foh"] = "zoh"  # what the input does between samples
-    starts: int = 64  # for searches: Sobol points from which each one starts
+    hold: Literal["zoh", "foh"] = "zoh"  # input between samples
+    starts: int = 64  # for searches: number of first Sobol points
     band: float = 0.02  # share of the final value that counts as settled
 
     def __post_init__(self) -> None:
@@ -74,7 +74,6 @@ class CampaignSettings:
             raise InputError("campaign", f"t_end is {self.t_end!r}", "a positive number of seconds")
 
     def to_json(self) -> dict[str, Any]:
-        """All fields as plain types."""
         data = asdict(self)
         if self.u is not None:
             data["u"] = {
@@ -92,15 +91,15 @@ class CampaignSettings:
 
 @dataclass(frozen=True)
 class Identity:
-    """What the samples of a store belong to; two campaigns with equal identities have equal samples."""
+    """Identity of a campaign; two campaigns with equal identities have equal samples."""
 
     model: str  # SHA-256 of the uncertain model's content
-    settings: CampaignSettings  # what is computed
-    code: Mapping[str, str]  # versions and source hash of the code that computes it; see `code_identity`
+    settings: CampaignSettings
+    code: Mapping[str, str]  # versions and source hash of the code; see `code_identity`
 
     @classmethod
     def of(cls, uncertain: UncertainModel, settings: CampaignSettings) -> Identity:
-        """The identity of a campaign with the installed code."""
+        """Return the identity of a campaign with the installed code."""
         return cls(content_sha256(_tree(uncertain)), settings, code_identity())
 
     @property
@@ -109,7 +108,6 @@ class Identity:
         return hashlib.sha256(json.dumps(self.to_json(), sort_keys=True).encode()).hexdigest()
 
     def to_json(self) -> dict[str, Any]:
-        """The three parts as plain types."""
         return {"model": self.model, "settings": self.settings.to_json(), "code": dict(self.code)}
 
     @classmethod
@@ -120,7 +118,7 @@ class Identity:
 
 
 def differences(old: Identity, new: Identity) -> list[str]:
-    """What changed from ``old`` to ``new``, one line each; empty where nothing did.
+    """Return the changes from ``old`` to ``new``, one line each.
 
     Examples
     --------
@@ -146,7 +144,7 @@ def _short(value: Any) -> str:
 
 @cache
 def code_identity() -> dict[str, str]:
-    """Versions of robustlab, numpy and scipy, and a hash over the sources that decide a sample's value."""
+    """Return versions of robustlab, numpy and scipy, and a hash over the sources that determine a sample's value."""
     root = Path(__file__).resolve().parents[1]
     digest = hashlib.sha256()
     for name in _CODE:
@@ -158,7 +156,7 @@ def code_identity() -> dict[str, str]:
 
 
 def model_to_bytes(uncertain: UncertainModel) -> bytes:
-    """The model by value, for the store and for workers: a JSON header and plain arrays, no pickle."""
+    """Serialise the model for the store and for workers: a JSON header and plain arrays, no pickle."""
     stream = BytesIO()
     send_tree(stream, _tree(uncertain))
     return stream.getvalue()

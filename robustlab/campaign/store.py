@@ -1,6 +1,6 @@
-"""The store of a campaign: one SQLite file, a row a sample, each piece of work written in one transaction.
+"""The store of a campaign: one SQLite file, one row per sample, each piece of work written in one transaction.
 
-Only the process that holds the operating system's lock writes; anyone may read meanwhile.
+Only the process that holds the operating system's lock writes; others may read at the same time.
 """
 
 from __future__ import annotations
@@ -54,12 +54,12 @@ class Sample:
 
     @property
     def numbers(self) -> Array:
-        """Delta as `robustlab.worst_case_analysis.members.decoded` takes it."""
+        """Delta as coordinates for `robustlab.worst_case_analysis.members.decoded`."""
         return np.frombuffer(self.delta, dtype="<f8").astype(np.float64)
 
 
 class Counts(NamedTuple):
-    """How many samples have a value, and how many are lost."""
+    """Numbers of samples with a value, and lost ones."""
 
     done: int
     lost: int
@@ -75,17 +75,17 @@ class Store:
     # --- opening and closing -----------------------------------------------------------------------------------------
 
     @staticmethod
-    def is_there(path: Path) -> bool:
-        """True for a file with content; one of 0 bytes is what a process leaves that was killed before it began."""
+    def exists(path: Path) -> bool:
+        """Return True for a file with content; a process killed at its start leaves 0 bytes."""
         return path.is_file() and path.stat().st_size > 0
 
     @classmethod
     def delete(cls, path: Path) -> None:
-        """Delete a store and what SQLite lays beside it; a damaged one too, but never a file of another kind.
+        """Delete a store and its SQLite side files, also if damaged, but never another type of file.
 
         Raises InputError: the file is no campaign; EnvironmentFault: it cannot be deleted.
         """
-        if cls.is_there(path):
+        if cls.exists(path):
             _check_file(path)
         try:
             for suffix in ("", "-wal", "-shm", "-journal"):
@@ -95,7 +95,7 @@ class Store:
 
     @classmethod
     def create(cls, path: Path, uncertain: UncertainModel, settings: CampaignSettings) -> Store:
-        """A new store for a campaign; everything or nothing of it is on disk.
+        """Create the store of a campaign atomically.
 
         Raises EnvironmentFault: the file cannot be written.
         """
@@ -156,16 +156,16 @@ class Store:
             raise _damaged(self.where, "its settings do not match their hash")
 
     def close(self, *, finished: bool = False) -> None:
-        """Close it; a finished campaign becomes one plain file, which a read-only folder can hold too."""
+        """Close the store; a finished one becomes a single file that can be read from a read-only folder."""
         try:
             if finished:
                 self._db.execute("PRAGMA journal_mode=DELETE")
         except sqlite3.Error:
-            pass  # someone is reading it: the write-ahead file stays beside it, and nothing is lost
+            pass  # another process reads it: the write-ahead file remains, and nothing is lost
         finally:
             self._db.close()
 
-    # --- what the campaign is ----------------------------------------------------------------------------------------
+    # --- campaign ----------------------------------------------------------------------------------------------------
 
     def put(self, name: str, value: str | bytes) -> None:
         """Write one entry of the campaign's own table."""
@@ -173,14 +173,14 @@ class Store:
             self._db.execute("INSERT OR REPLACE INTO campaign VALUES (?, ?)", (name, value))
 
     def get(self, name: str) -> Any:
-        """An entry of the campaign's own table, or None."""
+        """Return an entry of the campaign's own table, or None."""
         with _named(self.path):
             found = self._db.execute("SELECT value FROM campaign WHERE name = ?", (name,)).fetchone()
         return found[0] if found else None
 
     @property
     def identity(self) -> Identity:
-        """What the samples in it belong to."""
+        """Identity of the campaign."""
         return Identity.from_json(json.loads(self.get("identity")))
 
     @property
@@ -192,12 +192,12 @@ class Store:
         return content
 
     def facts(self) -> dict[str, Any]:
-        """What was noted when the campaign ended: digest, check of the worst sample; empty before."""
+        """Return the facts stored at the end of the campaign: digest, check of the worst sample; empty before."""
         text = self.get("finished")
         return json.loads(text) if text else {}
 
     def note_facts(self, facts: Mapping[str, Any]) -> None:
-        """Note what is known of the finished campaign."""
+        """Store the facts of the finished campaign."""
         self.put("finished", json.dumps(dict(facts)))
 
     # --- samples -----------------------------------------------------------------------------------------------------
@@ -222,7 +222,7 @@ class Store:
                 raise
 
     def missing(self, n: int) -> list[tuple[int, int]]:
-        """Gaps ``(first, last)`` in 0 .. n - 1, each without its last index; a few, however many samples there are."""
+        """Return gaps ``(first, last)`` in 0 .. n - 1, each without its last index."""
         gaps, expected = [], 0
         with _named(self.path):
             for (index,) in self._db.execute("SELECT idx FROM sample WHERE idx BETWEEN 0 AND ? ORDER BY idx", (n - 1,)):
@@ -232,55 +232,55 @@ class Store:
         return [*gaps, (expected, n)] if expected < n else gaps
 
     def counts(self) -> Counts:
-        """How many samples are there."""
+        """Count the samples."""
         with _named(self.path):
             found = dict(self._db.execute("SELECT status, COUNT(*) FROM sample GROUP BY status"))
         return Counts(found.get(DONE, 0), found.get(LOST, 0))
 
     def sample(self, index: int) -> Sample | None:
-        """One row, or None where it is not there yet."""
+        """Return one row, or None where it is missing."""
         return next(self._samples("WHERE idx = ?", (index,)), None)
 
     def samples(self) -> Iterator[Sample]:
-        """All rows in the order of their indices, streamed."""
+        """Stream all rows by index."""
         return self._samples("ORDER BY idx")
 
     def lost(self, most: int) -> list[Sample]:
-        """The first lost samples."""
+        """Return the first lost samples."""
         return list(self._samples("WHERE status = ? ORDER BY idx LIMIT ?", (LOST, most)))
 
     def worst(self, sense: int) -> Sample | None:
-        """The sample with the largest ``sense * value``; the first of them where several have it."""
+        """Return the first sample with the largest ``sense * value``."""
         return next(self._samples("WHERE status = ? ORDER BY value * ? DESC, idx LIMIT 1", (DONE, sense)), None)
 
     def unbounded(self) -> int:
-        """How many samples have an infinite value."""
+        """Count samples with an infinite value."""
         with _named(self.path):
             found = self._db.execute("SELECT COUNT(*) FROM sample WHERE status = ? AND abs(value) = ?", (DONE, np.inf))
             return int(found.fetchone()[0])
 
     def beyond(self, sense: int, limit: float) -> int:
-        """How many samples have a value worse than ``limit``."""
+        """Count samples with a value worse than ``limit``."""
         with _named(self.path):
             question = "SELECT COUNT(*) FROM sample WHERE status = ? AND value * ? > ?"
             return int(self._db.execute(question, (DONE, sense, sense * limit)).fetchone()[0])
 
     def sorted_values(self, sense: int) -> Iterator[float]:
-        """Values from the best to the worst, streamed; SQLite sorts on disk where they are many."""
+        """Stream the values from the best to the worst; SQLite sorts many of them on disk."""
         with _named(self.path):
             question = "SELECT value FROM sample WHERE status = ? ORDER BY value * ?"
             for (value,) in self._db.execute(question, (DONE, sense)):
                 yield value
 
     def seconds(self) -> float:
-        """Time that all samples took together."""
+        """Return the total time of all samples in s."""
         with _named(self.path):
             return float(self._db.execute("SELECT TOTAL(seconds) FROM sample").fetchone()[0])
 
     def digest(self) -> str:
-        """SHA-256 over index, status, value, Delta and reason of all rows by index: equal results, equal digests.
+        """Return SHA-256 over index, status, value, Delta and reason of all rows by index.
 
-        Times and the order in which rows were written do not count.
+        Times and the order of writing do not affect it.
         """
         digest = hashlib.sha256()
         for row in self.samples():
@@ -304,17 +304,17 @@ def _check_file(path: Path) -> None:
     head = require_file(path)
     if not head.startswith(MAGIC):
         raise InputError(str(path), f"not a campaign store (first bytes {head[:4].hex(' ')})", "an SQLite file", NEW)
-    if head[68:72] != APPLICATION_ID.to_bytes(4, "big"):  # where SQLite's header has the application's number
+    if head[68:72] != APPLICATION_ID.to_bytes(4, "big"):  # application ID in SQLite's header
         raise InputError(str(path), "an SQLite file, but no campaign of robustlab", "a campaign store", NEW)
 
 
 @contextmanager
 def _named(path: Path) -> Iterator[None]:
-    """Say which file an error of SQLite is about, and whose fault it is."""
+    """Convert errors of SQLite to errors with the file's name."""
     try:
         yield
     except sqlite3.Error as error:
-        # "no such table" is an OperationalError too, but of a damaged file.
+        # "no such table" is also an OperationalError, but of a damaged file.
         if isinstance(error, sqlite3.OperationalError) and "no such" not in str(error):
             raise EnvironmentFault(str(path), f"{error}; the samples saved before are kept") from error
         raise _damaged(str(path), str(error)) from error
@@ -328,14 +328,14 @@ def _damaged(where: str, what: str) -> InputError:
 
 @contextmanager
 def locked(path: Path) -> Iterator[None]:
-    """Hold the lock of a store; it lies beside it as ``NAME.lock`` and vanishes with the process that holds it.
+    """Hold the lock ``NAME.lock`` of a store; it ends with its process.
 
     Raises EnvironmentFault: another process holds it; the folder cannot be written.
     """
     from filelock import FileLock, Timeout
 
     folder = path.absolute().parent
-    if not folder.is_dir():  # the lock would make it
+    if not folder.is_dir():  # the lock would create it
         raise EnvironmentFault(str(path), f"no such folder {folder}", "a folder that can be written")
     lock = FileLock(f"{path}.lock", timeout=0)
     try:

@@ -15,17 +15,17 @@ from typing import Any
 from robustlab.errors import DependencyMissing, EnvironmentFault, InputError
 
 CONNECT_SECONDS = 10.0
-EMPTY_SECONDS = 60.0  # that a cluster without a single worker has to get one
+EMPTY_SECONDS = 60.0  # to wait for the first worker of a cluster
 
 
 @dataclass(frozen=True)
 class Crew:
-    """Who computes a campaign; the samples do not depend on it.
+    """Workers of a campaign; the samples do not depend on them.
 
     Raises InputError: no worker at all.
     """
 
-    workers: int | None = None  # processes on this machine; one per processor where left out
+    workers: int | None = None  # processes on this machine; one per processor where omitted
     cluster: str | None = None  # instead: address of a Dask scheduler, whose workers are used
 
     def __post_init__(self) -> None:
@@ -36,7 +36,7 @@ class Crew:
 
 @dataclass(frozen=True)
 class Workers:
-    """An executor, how many pieces of work it computes at a time, and a function that raises where it is gone."""
+    """An executor, its number of parallel pieces of work, and a function that raises if it has ended."""
 
     executor: Executor
     count: int
@@ -44,8 +44,8 @@ class Workers:
 
 
 @contextmanager
-def hired(crew: Crew, samples: int) -> Iterator[Workers]:
-    """The workers of a crew, ended on exit whatever they do.
+def started_workers(crew: Crew, samples: int) -> Iterator[Workers]:
+    """Provide the workers of a crew and end them on exit.
 
     Raises DependencyMissing: dask.distributed is not installed. EnvironmentFault: no scheduler or worker answers.
     """
@@ -60,7 +60,7 @@ def _on_this_machine(wanted: int | None, samples: int) -> Iterator[Workers]:
     executor = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _end_with_parent)
     try:
         with _ctrl_c_ignored():
-            executor.submit(int)  # starts all processes, which inherit that Ctrl-C is for the parent
+            executor.submit(int)  # starts all processes, which inherit that Ctrl-C is ignored
         yield Workers(executor, count, lambda: None)
     finally:
         executor.shutdown(wait=False, cancel_futures=True)
@@ -70,7 +70,7 @@ def _on_this_machine(wanted: int | None, samples: int) -> Iterator[Workers]:
 
 @contextmanager
 def _ctrl_c_ignored() -> Iterator[None]:
-    if threading.current_thread() is not threading.main_thread():  # where signals cannot be set
+    if threading.current_thread() is not threading.main_thread():  # signals cannot be set here
         yield
         return
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -81,7 +81,7 @@ def _ctrl_c_ignored() -> Iterator[None]:
 
 
 def _end_with_parent() -> None:
-    """Begin a worker process: without a parent it ends."""
+    """Make a worker process end with its parent."""
     parent: Any = multiprocessing.parent_process()
 
     def wait() -> None:

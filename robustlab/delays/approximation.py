@@ -43,14 +43,14 @@ SHORTEST = 1e-100
 HIGHEST_ORDER = 40
 # Gain of the weight at high frequencies; the error itself reaches 2. Nearer to 2, the weight is larger below.
 HIGH_GAIN = 2.2
-# Cells of the proof, the phase at which they begin, and what they leave for rounding.
+# Cells of the proof, the phase at which they begin, and their allowance for rounding.
 CELLS, FIRST_PHASE, ROUNDING = 4000, 1e-4, 1e-9
-# Below the first cell the approximation may miss this share of what the delay is off.
+# Below the first cell the approximation error is at most this share of the spread's.
 FIRST_SHARE = 0.02
 
 
 def _polynomial(order: int) -> fmpz_poly:
-    """:math:`P_n = (2n)!/n! Q_n`: ``P_k = (4k - 2) P_(k-1) + s^2 P_(k-2)``."""
+    """Return :math:`P_n = (2n)!/n! Q_n`: ``P_k = (4k - 2) P_(k-1) + s^2 P_(k-2)``."""
     from flint import fmpz_poly
 
     before, last = fmpz_poly([1]), fmpz_poly([2, 1])
@@ -68,7 +68,7 @@ class PhaseBound(NamedTuple):
 
 @cache
 def phase_bound(order: int) -> PhaseBound:
-    r"""The bound :math:`\theta_n(x) \le c_n x^{2n+1}`, with its two conditions checked in whole numbers."""
+    r"""Return the bound :math:`\theta_n(x) \le c_n x^{2n+1}`; check its two conditions in whole numbers."""
     from flint import fmpz_poly
 
     p, minus = _polynomial(order), fmpz_poly([0, -1])
@@ -115,7 +115,7 @@ def pade(delay: float, order: int) -> StateSpaceModel:
     r"""The Padé approximation of :math:`e^{-s d}` with equal degrees; an all-pass with the gain 1.
 
     A lossless ladder: :math:`A + A^T = -B B^T` and :math:`C = \mp B^T`. Both Gramians are the identity, so it is
-    balanced, and its modulus is one at every frequency by its structure, whatever the order.
+    balanced, and its modulus is one at every frequency for any order.
 
     ``delay``: in s, positive.
     ``order``: 1 to 40; 0 is the gain 1.
@@ -136,18 +136,18 @@ def pade(delay: float, order: int) -> StateSpaceModel:
 
 
 def checked_order(order: int, where: str, least: int = 0) -> int:
-    """The order; refuses what is no order of a Padé approximation."""
+    """Return the order; reject one that no Padé approximation has."""
     if isinstance(order, bool) or not isinstance(order, (int, np.integer)) or not least <= order <= HIGHEST_ORDER:
         raise InputError(f"{where}: order", f"{order!r}", f"a whole number from {least} to {HIGHEST_ORDER}")
     return order
 
 
-# --- the weight that covers -------------------------------------------------------------------------------------------
+# --- weight of the error ----------------------------------------------------------------------------------------------
 
 
 class ErrorWeight(NamedTuple):
     r"""A high-pass above the error for a delay of 1 s: :math:`|W|^2 = \frac{g^2 x^{2k} + r^2 a^{2k} x^2}{x^{2k} +
-    a^{2k}}`, of slope r for what the delay may be off, and k above.
+    a^{2k}}`, of slope r for the spread of the delay, and k above.
     """
 
     gain: float
@@ -163,15 +163,15 @@ class ErrorWeight(NamedTuple):
 
 @lru_cache(maxsize=256)
 def error_weight(order: int, weight_order: int, spread: float = 0.0) -> ErrorWeight:
-    r"""The weight with the highest corner for which the proof below goes through; for all delays of 1 +- ``spread``.
+    r"""Return the weight with the highest corner that the proof below allows; for all delays of 1 +- ``spread``.
 
     With :math:`\theta_n \ge 0` the phase of :math:`e^{-jx(1+\delta)}` is off by at most :math:`\theta_n + s x`, s the
-    spread, which rises as the error does, up to 2. Below the first cell the bound :math:`c_n x^{2n+1}` is used. Without
+    spread; the error rises with it, up to 2. Below the first cell the bound :math:`c_n x^{2n+1}` is used. Without
     a spread :math:`x^{2k} (g^2 / (c_n x^{2n+1})^2 - 1)` falls with x there, as k is at most 2n + 1, and so the end of
-    that interval decides; with one, the slope r is what the error has there at most, and 2 is where that is less: W
-    lies above the smaller of r x and g everywhere. Each cell after it uses that the error rises: with x at its
+    that interval decides; with one, r is the largest slope of the error there, and W
+    is above the smaller of r x and g everywhere. Each cell after it uses that the error rises: with x at its
     beginning and E at its end :math:`a^{2k} (r^2 x^2 - E^2) + x^{2k} (g^2 - E^2) \ge 0`. Where the phase has reached
-    :math:`\pi` the error is bounded by 2, and the left side goes on rising.
+    :math:`\pi` the error is bounded by 2, and the left side still rises.
     """
     bound, s = phase_bound(order), spread
     if s and not order:  # no approximation: the error is that of the longest delay
@@ -186,7 +186,7 @@ def error_weight(order: int, weight_order: int, spread: float = 0.0) -> ErrorWei
         first = min(first, (FIRST_SHARE * s / c) ** (1.0 / (power - 1)))
         slope = (s + c * first ** (power - 1)) * (1.0 + ROUNDING)
     last = 2.0 * (np.pi / c) ** (1.0 / power) + 2.0 * np.pi
-    spaced = np.geomspace if s else np.linspace  # a slope is tightest far below the rest
+    spaced = np.geomspace if s else np.linspace  # a slope is tightest at low frequencies
     x = spaced(first, last, CELLS + 1)  # cells shorter than a half turn: the phase can be followed
     theta = np.unwrap(phase_error(x, order))
     theta += 2.0 * np.pi * np.round((FIRST_PHASE - theta[0]) / (2.0 * np.pi))
@@ -194,7 +194,7 @@ def error_weight(order: int, weight_order: int, spread: float = 0.0) -> ErrorWei
     error = np.minimum(np.maximum.accumulate(rising), (c * x**power + s * x) * (1.0 + ROUNDING))
     error = np.minimum(error, 2.0)
     if theta[-1] + s * x[-1] < np.pi:
-        error[-1] = 2.0  # nothing is known beyond
+        error[-1] = 2.0  # no bound is known beyond
     begin = np.concatenate([[first], x[:-1]])
     until_first = min((c * first**power + s * first) * (1.0 + ROUNDING), 2.0)
     end = np.concatenate([[until_first], error[1:]])
@@ -208,9 +208,9 @@ def error_weight(order: int, weight_order: int, spread: float = 0.0) -> ErrorWei
 def high_pass(gain: float, corner: float, order: int, zero: float = 0.0) -> StateSpaceModel:
     r"""High-pass :math:`g s \prod_i (s - q_i) / \prod_i (s - p_i)`, poles and zeros on the circles of the given radii.
 
-    They lie there, in rad/s, as Butterworth's poles do, so that the products have the squares :math:`\omega^{2k} +
-    a^{2k}` and :math:`\omega^{2k-2} + z^{2k-2}`. A chain of sections of first and second order, of which the first, and
-    with zeros at 0 all, block a constant exactly: their product is small at low frequencies with all its digits.
+    They are placed as Butterworth's poles, in rad/s, so that the squared moduli are :math:`\omega^{2k} + a^{2k}` and
+    :math:`\omega^{2k-2} + z^{2k-2}`. The sections of first and second order that have zeros at 0 block a constant
+    exactly, so that the product is small at low frequencies with all its digits.
     """
     whole = StateSpaceModel([], [], [], [[gain]])
     pairs = _circle(zero, order - 1) if zero else [(0.0, 0.0)] * (order // 2)
@@ -226,5 +226,5 @@ def high_pass(gain: float, corner: float, order: int, zero: float = 0.0) -> Stat
 
 
 def _circle(radius: float, order: int) -> list[tuple[float, float]]:
-    """The factors ``s^2 + d s + e`` of Butterworth's polynomial; an odd order has ``s + radius`` beside them."""
+    """Return the factors ``s^2 + d s + e`` of Butterworth's polynomial; an odd order also has ``s + radius``."""
     return [(2.0 * np.sin(np.pi * (2 * i + 1) / (2 * order)) * radius, radius * radius) for i in range(order // 2)]

@@ -2,9 +2,8 @@ r"""Models with exact delays: a linear model whose first channels are closed by 
 
 .. math:: G(s) = H_{22} + H_{21} E(s) (I - H_{11} E(s))^{-1} H_{12}, \qquad E(s) = \mathrm{diag}(e^{-s \tau_i})
 
-Every interconnection of such models is one. Delays of one length are one and the same operator, so that they behave as
-a repeated block of an uncertain model does: `robustlab.uncertainty` carries the interconnections out, and takes away
-what repetitions do not show.
+Every interconnection of such models is one. Delays of equal length are the same operator and behave as a repeated block
+of an uncertain model: `robustlab.uncertainty` computes the interconnections and removes redundant repetitions.
 
 References
 ----------
@@ -101,7 +100,7 @@ class DelayedModel(TransferMatrix, Shown, Traced):
                 "DelayedModel", f"a delay of {extreme[0]:g} s", f"0, or {SHORTEST:g} to {1 / SHORTEST:g} s"
             )
         put = object.__setattr__
-        model, lengths = in_order(*chained(*closed(model, lengths)))
+        model, lengths = sorted_by_delay(*merged_chains(*without_zero_delays(model, lengths)))
         lengths.setflags(write=False)
         put(self, "H", model)
         put(self, "delays", lengths)
@@ -151,15 +150,15 @@ class DelayedModel(TransferMatrix, Shown, Traced):
     # --- behaviour ---------------------------------------------------------------------------------------------------
 
     def response_at(self, omega: ArrayLike) -> ComplexArray:
-        """Exact frequency response, shape (n_omega, n_y, n_u): states and delays are solved for at once, so that a pole
-        of the parts that the loop has moved, an integrator's for example, is no pole here.
+        """Exact frequency response, shape (n_omega, n_y, n_u). States and delays are solved for together, so that poles
+        of open-loop parts, such as integrators, are no poles here.
 
         Raises
         ------
         InputError
             A frequency that is not finite: a delay has no limit there.
         NoTrustworthyNumber
-            A pole lies at a frequency.
+            A pole is at a frequency.
         """
         w = real_array("omega", np.atleast_1d(omega), 1, "frequency_response")
         if not len(self.delays):
@@ -170,7 +169,7 @@ class DelayedModel(TransferMatrix, Shown, Traced):
             raise NoTrustworthyNumber("frequency_response", *at_pole(w, 1j * w, self._solved)) from None
 
     def values_at(self, s: ComplexArray) -> ComplexArray:
-        """The transfer matrix at complex numbers (n,), shape (n, n_y, n_u): what ``G(s)`` answers."""
+        """Return the transfer matrix ``G(s)`` at complex numbers (n,), shape (n, n_y, n_u)."""
         try:
             with np.errstate(over="ignore", invalid="ignore"):
                 found = self._solved(s)
@@ -181,41 +180,41 @@ class DelayedModel(TransferMatrix, Shown, Traced):
         return found
 
     def _solved(self, s: ComplexArray) -> ComplexArray:
-        """The same; numpy's LinAlgError at a pole."""
-        inner, B, C, D = self.at_once()
+        """Return the transfer matrix at s; raises numpy's LinAlgError at a pole."""
+        inner, B, C, D = self.balanced_unknowns()
         found = np.empty((len(s), *D.shape), dtype=complex)
         step = max(1, CHUNK // max(len(inner), 1) ** 2)
         for first in range(0, len(s), step):
             part = s[first : first + step]
-            solved = np.linalg.solve(self.turned(-inner, part), np.broadcast_to(B, (len(part), *B.shape)))
+            solved = np.linalg.solve(self.with_diagonal(-inner, part), np.broadcast_to(B, (len(part), *B.shape)))
             found[first : first + step] = D + C @ solved
         return found
 
-    def at_once(self) -> tuple[Array, Array, Array, Array]:
-        """``[A B1; C1 D11]``, ``[B2; D12]``, ``[C2 D21]``, D22 in balanced unknowns: states, what leaves delays."""
+    def balanced_unknowns(self) -> tuple[Array, Array, Array, Array]:
+        """``[A B1; C1 D11]``, ``[B2; D12]``, ``[C2 D21]``, D22 in balanced unknowns: states, outputs of delays."""
         from scipy.linalg import matrix_balance
 
         H, k = self.H, len(self.delays)
         inner, scale = np.block([[H.A, H.B[:, :k]], [H.C[:k], H.D[:k, :k]]]), np.ones(H.n_states + k)
         if len(scale):
-            with np.errstate(invalid="ignore"):  # scipy casts the scales to a permutation that nobody asked for
+            with np.errstate(invalid="ignore"):  # scipy casts the scales to an unused permutation
                 balanced: Any = matrix_balance(inner, permute=False, separate=True)
             scale = np.asarray(balanced[1][0], dtype=float)
         B, C = np.vstack([H.B, H.D[:k]])[:, k:], np.hstack([H.C, H.D[:, :k]])[k:]
         return inner / scale[:, None] * scale, B / scale[:, None], C * scale, H.D[k:, k:]
 
-    def turned(self, matrix: Array, s: ComplexArray) -> ComplexArray:
-        """A matrix over the unknowns of `at_once`, plus s and the delays' leads on its diagonal, for each s (n,)."""
+    def with_diagonal(self, matrix: Array, s: ComplexArray) -> ComplexArray:
+        """Add s and ``exp(s tau)`` to the diagonal of a matrix over the `balanced_unknowns`, for each s (n,)."""
         column, place = s[:, None], np.arange(len(matrix))
         found = np.broadcast_to(matrix, (len(s), *matrix.shape)).astype(np.complex128)
         found[:, place, place] += np.hstack([np.repeat(column, self.H.n_states, axis=1), np.exp(column * self.delays)])
         return found
 
     def pade(self, order: int) -> StateSpaceModel:
-        r"""The model with a rational approximation in the place of each delay: Padé's, of equal degrees.
+        r"""The model with each delay replaced by its Padé approximation of equal degrees.
 
-        The error of one delay is proved: :math:`|e^{-j\omega\tau} - R_n| \le \min(2, c_n (\omega \tau)^{2n+1})`; what
-        it does to a loop is what `uncertain` answers.
+        The error of one delay is proved: :math:`|e^{-j\omega\tau} - R_n| \le \min(2, c_n (\omega \tau)^{2n+1})`.
+        `uncertain` bounds its effect on a loop.
 
         Parameters
         ----------
@@ -235,19 +234,21 @@ class DelayedModel(TransferMatrix, Shown, Traced):
             A loop through the approximations is not well posed.
         """
         checked_order(order, "pade")
-        return self._closed_by([as_uncertain(named(pade(t, order), i)) for i, t in enumerate(self.delays)], "pade").M
+        return self._closed_by(
+            [as_uncertain(with_delay_states(pade(t, order), i)) for i, t in enumerate(self.delays)], "pade"
+        ).M
 
     def uncertain(
         self, order: int = 3, spread: float | Sequence[float] = 0.0, weight_order: int = 3, name: str = ""
     ) -> UncertainModel:
-        r"""A set that holds the model with its exact delays: Padé's approximation, and a block for what it misses.
+        r"""A set that holds the model with its exact delays: Padé's approximation, and a block for its error.
 
         .. math:: e^{-s \tau} = R_n(s) + W(s) \Delta(s), \qquad |e^{-j\omega\tau} - R_n(j\omega\tau)| \le |W(j\omega)|
            \text{ for all } \omega
 
         That is proved for all frequencies, not on a grid: see `robustlab.delays.approximation`. :math:`\Delta` is
-        stable: the error is, and the weight has its zeros at s = 0 only, where the error has as many. So whatever is
-        proved of the set (`robust_stability`, `worst_case_gain`, `disk_margin`) is proved of the model with its delays.
+        stable, because the error is, and has all zeros of the weight, which are at s = 0. A proof for the
+        set (`robust_stability`, `worst_case_gain`, `disk_margin`) therefore holds for the model with its delays.
         Delays of one length share one repeated block. A delay that is not known exactly gets a block of its own in each
         channel, :math:`|e^{-j\omega(\tau + \delta)} - R_n(j\omega\tau)| \le |W(j\omega)|` for all :math:`|\delta|` up
         to its spread.
@@ -255,16 +256,16 @@ class DelayedModel(TransferMatrix, Shown, Traced):
         Parameters
         ----------
         order
-            Order n of the approximations, 0 to 40. Each more covers the delay further up in frequency: the weight
+            Order n of the approximations, 0 to 40. Higher orders cover the delay to higher frequencies: the weight
             passes 1 near :math:`\omega \tau = 2, 5, 6, 8, 10` for n = 1, 2, 3, 4, 6.
         spread
-            How far each delay may be off, in s; one number, or one for each of ``delays``. Not above the delay itself.
+            Largest error of each delay in s; one number, or one for each of ``delays``. Not above the delay itself.
         weight_order
             Slope of the weight, 1 to 2n + 1, and its number of states; of more than 2n + 1 that many are used. With a
             spread the weight has the slope one at low frequencies, and needs 2 of them at least where n > 0.
         name
-            Put before the names of the spreads' blocks. Equal names are one uncertainty: two sets whose delays vary
-            each on its own need two.
+            Prefix of the names of the spreads' blocks. Equal names are one uncertainty: two sets whose delays vary
+            independently need two.
 
         Returns
         -------
@@ -291,23 +292,23 @@ class DelayedModel(TransferMatrix, Shown, Traced):
         return self._closed_by(parts, "uncertain")
 
     def _closed_by(self, parts: list[UncertainModel], where: str) -> UncertainModel:
-        """H with a model or set of one input and output in the place of each delay."""
+        """Return H with each delay replaced by a model or set of one input and output."""
         n, n_u, n_y = len(self.delays), self.n_inputs, self.n_outputs
         K, E, F = np.zeros((2 * n + n_u, 2 * n + n_y)), np.zeros((2 * n + n_u, n_u)), np.zeros((n_y, 2 * n + n_y))
         K[:n, n : 2 * n] = np.eye(n)  # z of H into the parts
-        K[n : 2 * n, :n] = np.eye(n)  # and what leaves them into w of H
+        K[n : 2 * n, :n] = np.eye(n)  # their outputs into w of H
         E[2 * n :] = np.eye(n_u)
         F[:, 2 * n :] = np.eye(n_y)
         return interconnected([*parts, as_uncertain(self.H)], Wiring(K, E, F), self.inputs, self.outputs, where)
 
-    # --- parts and algebra: carried out on sets with a repeated block for each length of delay -----------------------
+    # --- parts and algebra, computed on sets with a repeated block for each length of delay --------------------------
 
     operator_rank = 2  # a delayed model and a model make a delayed model
     for_control = "G.pade(3).to_control() is G as a control.StateSpace, its delays approximated to order 3"
     no_model = "exact delays have no state-space model: take .pade(order), or .uncertain(order) for what is proved"
 
     def carried(self, function: Callable[..., UncertainModel], *operands: Any, **options: Any) -> DelayedModel:
-        """An interconnection that is written for sets, of delayed models and what can be made one."""
+        """Apply an interconnection of sets to delayed models and to operands that can be converted to one."""
         made = [as_delayed(operand, function.__name__) if not is_constant(operand) else operand for operand in operands]
         lengths = {_name(t): float(t) for m in made if isinstance(m, DelayedModel) for t in m.delays}
         sets = [m.as_set() if isinstance(m, DelayedModel) else m for m in made]
@@ -319,7 +320,7 @@ class DelayedModel(TransferMatrix, Shown, Traced):
         return DelayedModel(found.M, [lengths[b.name] for b in found.blocks for _ in range(b.rows)])
 
     def as_set(self) -> UncertainModel:
-        """H with one repeated block for each length of delay, named by it; the block stands for the exact delay."""
+        """H with one repeated block for each length of delay, named by it; the block represents the exact delay."""
         found, counts = np.unique(self.delays, return_counts=True)
         return UncertainModel(self.H, [ComplexScalar(_name(t), int(k)) for t, k in zip(found, counts, strict=True)])
 
@@ -346,7 +347,7 @@ class DelayedModel(TransferMatrix, Shown, Traced):
         InputError
             Not square.
         NoTrustworthyNumber
-            What passes without delay has no inverse: that of the whole would look ahead.
+            The part without delay has no inverse: the inverse would not be causal.
         """
         return self.carried(inverse, self)
 
@@ -366,7 +367,7 @@ class DelayedModel(TransferMatrix, Shown, Traced):
         """The closed loop ``u = K y``, its delays exact: y are the last ``K.n_inputs`` outputs, u the last inputs.
 
         ``rl.robust_stability`` and ``rl.peak_gain`` prove its stability and its gain. Signals of K and plant meet
-        by name where they can, and by what K says it takes (`robustlab.closing`); K may have delays itself.
+        by name where they can, else by the names that K states (`robustlab.closing`); K may have delays.
         """
         given = getattr(K, "K", K)
         k = given if isinstance(given, DelayedModel) else as_model(given, "close: K")
@@ -396,21 +397,20 @@ class DelayedModel(TransferMatrix, Shown, Traced):
         ]
 
     def _numbers(self) -> list[str]:
-        told = [
-            f"delays: {', '.join(number(float(t)) for t in self.delays)} s, from the first outputs to the first inputs"
-        ]
-        return [*(told if len(self.delays) else []), *self.H._numbers()]
+        lengths = ", ".join(number(float(t)) for t in self.delays)
+        line = f"delays: {lengths} s, from the first outputs to the first inputs"
+        return [*([line] if lengths else []), *self.H._numbers()]
 
     def __repr__(self) -> str:
         n = self.H.n_states
         lengths = listed(number(float(t)) for t in self.delays)
-        told = f"delays of {lengths} s" if lengths else "no delays"
+        delays = f"delays of {lengths} s" if lengths else "no delays"
         ins, outs = short(self.input_names), short(self.output_names)
-        return f"DelayedModel({n} state{'s' * (n != 1)}, {told}, [{ins}] -> [{outs}])"
+        return f"DelayedModel({n} state{'s' * (n != 1)}, {delays}, [{ins}] -> [{outs}])"
 
 
 def as_delayed(system: Any, where: str = "as_delayed") -> DelayedModel:
-    """A delayed model as it is; a model or a matrix as one without delays."""
+    """Return a delayed model unchanged, a model or a matrix as one without delays."""
     if isinstance(system, DelayedModel):
         return system
     if isinstance(system, UncertainModel) and system.blocks:
@@ -423,11 +423,11 @@ def _name(length: float) -> str:
     return f"{float(length)!r} s"
 
 
-# --- the channels of delays: their order, chains of them, and what stands in the place of one -------------------------
+# --- channels of delays: order, chains, replacements ------------------------------------------------------------------
 
 
 def rearranged(model: StateSpaceModel, ins: Iterable[int], outs: Iterable[int]) -> StateSpaceModel:
-    """The model with these of its inputs and outputs, by number."""
+    """Return the model with these inputs and outputs, by number."""
     i, o = list(ins), list(outs)
     return StateSpaceModel(
         model.A, model.B[:, i], model.C[o], model.D[np.ix_(o, i)], 0.0,
@@ -435,8 +435,8 @@ def rearranged(model: StateSpaceModel, ins: Iterable[int], outs: Iterable[int]) 
     )  # fmt: skip
 
 
-def closed(model: StateSpaceModel, lengths: Array) -> tuple[StateSpaceModel, Array]:
-    """Without the channels whose delay is zero."""
+def without_zero_delays(model: StateSpaceModel, lengths: Array) -> tuple[StateSpaceModel, Array]:
+    """Close the channels whose delay is zero."""
     none = np.flatnonzero(lengths == 0).tolist()
     if not len(none):
         return model, lengths
@@ -449,8 +449,8 @@ def closed(model: StateSpaceModel, lengths: Array) -> tuple[StateSpaceModel, Arr
     return found, lengths[lengths > 0]
 
 
-def chained(model: StateSpaceModel, lengths: Array) -> tuple[StateSpaceModel, Array]:
-    """Two delays of which one feeds the other and nothing else become one, of their sum."""
+def merged_chains(model: StateSpaceModel, lengths: Array) -> tuple[StateSpaceModel, Array]:
+    """Replace two delays of which one feeds only the other by one of their sum."""
     while True:
         n = len(lengths)
         feeds = np.vstack([model.B, model.D])[:, :n] != 0
@@ -468,7 +468,7 @@ def chained(model: StateSpaceModel, lengths: Array) -> tuple[StateSpaceModel, Ar
             return model, lengths
         i, j = pair
         gain = model.D[j, i]
-        # what enters delay i leaves delay j: the channel keeps z_i and w_j
+        # the merged channel keeps the input z_i and the output w_j
         B, D = model.B.copy(), model.D.copy()
         B[:, i], D[:, i] = gain * B[:, j], gain * D[:, j]
         merged = StateSpaceModel(model.A, B, model.C, D, 0.0, model.inputs, model.outputs, model.states)
@@ -478,8 +478,8 @@ def chained(model: StateSpaceModel, lengths: Array) -> tuple[StateSpaceModel, Ar
         model, lengths = rearranged(merged, keep_in, keep_out), np.delete(total, j)
 
 
-def in_order(model: StateSpaceModel, lengths: Array) -> tuple[StateSpaceModel, Array]:
-    """The channels sorted by the lengths of their delays."""
+def sorted_by_delay(model: StateSpaceModel, lengths: Array) -> tuple[StateSpaceModel, Array]:
+    """Sort the channels by the lengths of their delays."""
     order = np.argsort(lengths, kind="stable").tolist()
     n = len(order)
     if np.array_equal(order, np.arange(n)):
@@ -488,8 +488,8 @@ def in_order(model: StateSpaceModel, lengths: Array) -> tuple[StateSpaceModel, A
     return rearranged(model, ins, outs), lengths[order]
 
 
-def named(model: StateSpaceModel, index: int) -> StateSpaceModel:
-    """The model in the place of the delay of this number, its states named by it."""
+def with_delay_states(model: StateSpaceModel, index: int) -> StateSpaceModel:
+    """Return the replacement of the delay with this index, its states named after it."""
     states = [f"delay{index + 1}.{k + 1}" for k in range(model.n_states)]
     return StateSpaceModel(model.A, model.B, model.C, model.D, 0.0, [f"z{index}"], [f"w{index}"], states)
 
@@ -497,8 +497,8 @@ def named(model: StateSpaceModel, index: int) -> StateSpaceModel:
 def covering(tau: float, spread: float, order: int, weight_order: int, i: int = 0, name: str = "") -> UncertainModel:
     """``R + W Delta``: all delays within ``spread`` of ``tau``, as a set with one input and one output.
 
-    A block's name is what its Delta depends on, so that equal names are one uncertainty: the length of the delay and
-    both orders; of a spread its channel, and the name that the user gives.
+    Equal names of blocks are one uncertainty, so a name states what its Delta depends on: the length of the delay and
+    both orders; with a spread its channel and the user's name.
     """
     rational = pade(tau, order)
     weight = error_weight(order, weight_order, spread / tau).scaled(tau)

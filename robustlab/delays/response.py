@@ -1,15 +1,15 @@
 r"""Responses of models with exact delays over time, by the method of steps.
 
-On a mesh that holds every sample, and every time to which a delay takes one, all signals are smooth between the points:
-the input is a polynomial, and so is, to interpolation, what the delays hold. Between two points
+On a mesh of all samples and all their delayed times, signals are smooth between the points: the input is a polynomial,
+and the signals in the delays are interpolated by polynomials. Between two points
 
 .. math:: x(a + h) = e^{A h} x(a) + \int_0^h e^{A (h - s)} \bigl(B_1 w(a + s) + B_2 u(a + s)\bigr) ds, \qquad w_i(t) =
    z_i(t - \tau_i)
 
-is evaluated by matrix exponentials for these polynomials, without error. Delays of inputs and of outputs hold what the
-mesh has already: then the whole response is exact. A delay inside a loop, or between two dynamic parts, holds a signal
-that is no polynomial. It is kept by its values at Chebyshev points of each cell. Cells that do not resolve it are
-halved, and at the end all of them, until the response at the samples no longer changes.
+is evaluated by matrix exponentials for these polynomials, without error. With delays of
+inputs and outputs only, the whole response is exact. The signal in a delay inside a loop, or between two dynamic parts,
+is no polynomial: it is stored at Chebyshev points of each cell. Cells that do not resolve it are halved, and at the end
+all of them, until the response at the samples no longer changes.
 
 References
 ----------
@@ -31,13 +31,13 @@ from robustlab.delays.model import DelayedModel
 from robustlab.errors import NoTrustworthyNumber
 
 DEGREE = 7  # of the polynomials in a cell
-PASSES = 7  # through delays after which a jump is smoother than what a polynomial of that degree sees
+PASSES = 7  # through delays after which a jump is smoother than a polynomial of that degree resolves
 MOST_CELLS = 60_000
 # Runs on finer and finer meshes. A cell is halved where its last coefficients exceed this share of rtol.
 REFINEMENTS, SHARE, SMALLEST = 60, 0.1, 1e-12
 # Points of the mesh nearer than this share of the whole time are one.
 SAME_TIME = 1e-11
-# Where a node lies on a jump, the side towards the middle of its cell is meant.
+# At a node on a jump the limit from inside its cell is taken.
 INWARDS = 1e-7
 
 
@@ -66,7 +66,7 @@ def delayed_response(
         if not np.isfinite(y).all():
             break
         rough = run.rough(max(SHARE * rtol, SMALLEST))
-        if not rough.any():  # nothing more to see in the cells: every one halved must give the same
+        if not rough.any():  # all cells are resolved: halving each must not change the response
             mesh = _halved(mesh, np.ones(run.cells, dtype=bool))
             finer = _Run(model, t, u, hold, mesh, DEGREE)
             again = finer.outputs(x0)
@@ -87,15 +87,13 @@ def delayed_response(
 
 
 def _moving(model: DelayedModel) -> Indices:
-    """Delays whose output enters a state or another delay, and not only the model's outputs."""
-    n, k = len(model.delays), model.H.n_states
-    enters = np.vstack([model.H.B, model.H.D[:n]])[:, :n]
-    assert enters.shape[0] == k + n
-    return np.flatnonzero(enters.any(axis=0))
+    """Return the delays whose output enters a state or another delay."""
+    n = len(model.delays)
+    return np.flatnonzero(np.vstack([model.H.B, model.H.D[:n]])[:, :n].any(axis=0))
 
 
 def _inside(model: DelayedModel) -> Mask:
-    """Which delays hold a signal that is no polynomial and hand it on to states or other delays, shape (n,)."""
+    """Return which delays pass a signal that is no polynomial on to states or other delays, shape (n,)."""
     n = len(model.delays)
     found = np.zeros(n, dtype=bool)
     found[_moving(model)] = True
@@ -103,10 +101,10 @@ def _inside(model: DelayedModel) -> Mask:
 
 
 def _mesh(model: DelayedModel, t: Array, inside: Mask) -> Array:
-    """All samples, all times to which delays take them, and for each sample the times that delayed outputs show."""
+    """Return all samples, their delayed times, and for each sample the earlier times of delayed outputs."""
     moving, end = _moving(model), t[-1]
     points = new = t
-    echoes = bool(model.H.D[moving][:, moving].any())  # jumps that no state smooths go on for ever
+    echoes = bool(model.H.D[moving][:, moving].any())  # jumps that no state smooths recur without end
     passes = 0
     while len(new) and (passes < (PASSES if inside.any() else 1) or echoes):
         passes += 1
@@ -115,13 +113,13 @@ def _mesh(model: DelayedModel, t: Array, inside: Mask) -> Array:
         points = _merged(np.concatenate([points, new]), t)
         if len(points) > MOST_CELLS:
             raise _too_many(len(points))
-    shown = np.setdiff1d(np.arange(len(model.delays)), moving)
-    earlier = np.concatenate([points, *(t - tau for tau in np.unique(model.delays[shown]))])
+    outer = np.setdiff1d(np.arange(len(model.delays)), moving)
+    earlier = np.concatenate([points, *(t - tau for tau in np.unique(model.delays[outer]))])
     return _merged(earlier[earlier >= t[0]], t)
 
 
 def _merged(points: Array, t: Array) -> Array:
-    """Sorted, with what rounding alone tells apart as one; the samples themselves stay as they are."""
+    """Sort the points and merge those that differ by rounding; samples are unchanged."""
     same = SAME_TIME * (t[-1] - t[0])
     nearest = t[np.clip(np.searchsorted(t, points - same), 0, len(t) - 1)]
     points = np.sort(np.where(np.abs(nearest - points) <= same, nearest, points))
@@ -129,7 +127,7 @@ def _merged(points: Array, t: Array) -> Array:
 
 
 def _cut(points: Array, longest: float) -> Array:
-    """The mesh with steps of at most ``longest``, so that every delay looks back to a cell that is done."""
+    """Return the mesh with steps of at most ``longest``, so that every delay refers to a finished cell."""
     pieces = np.maximum(1, np.ceil(np.diff(points) / longest * (1.0 - 1e-9))).astype(int)
     if pieces.sum() > MOST_CELLS:
         raise _too_many(int(pieces.sum()))
@@ -138,7 +136,7 @@ def _cut(points: Array, longest: float) -> Array:
 
 
 def _halved(mesh: Array, which: Mask) -> Array:
-    """The mesh with a point in the middle of some of its cells."""
+    """Halve some cells of the mesh."""
     if len(mesh) + int(which.sum()) > MOST_CELLS:
         raise _too_many(len(mesh) + int(which.sum()))
     return np.sort(np.concatenate([mesh, (0.5 * (mesh[:-1] + mesh[1:]))[which]]))
@@ -153,7 +151,7 @@ def _too_many(cells: int) -> NoTrustworthyNumber:
 
 
 class _Run:
-    """A simulation on one mesh: what does not depend on the signals is computed for all cells at once."""
+    """A simulation on one mesh; quantities that do not depend on the signals are computed for all cells at once."""
 
     def __init__(self, model: DelayedModel, t: Array, u: Array, hold: str, mesh: Array, degree: int) -> None:
         self.model, self.t, self.u, self.mesh = model, t, u, mesh
@@ -175,7 +173,7 @@ class _Run:
         return held + share[:, :, None] * (self.u[k + 1] - self.u[k])[:, None]
 
     def _lookup(self, times: Array, middle: Array) -> tuple[Indices, Array]:
-        """For each time (cells, nodes) and delay: the cell that it looks back to (-1: none), and its weights there."""
+        """For each time (cells, nodes) and delay: the cell of the delayed time (-1: none), and its weights there."""
         back = times[:, :, None] - self.model.delays
         inner = back + INWARDS * (middle[:, None] - times)[:, :, None]
         source = np.searchsorted(self.mesh, inner, side="right") - 1
@@ -184,18 +182,18 @@ class _Run:
         return np.where(source < 0, -1, known), _chebyshev(place, len(self.nodes) - 1) @ self.series
 
     def outputs(self, x0: Array) -> Array:
-        """Outputs at the samples: what holds just after each of them."""
+        """Return the outputs just after each sample."""
         H, n = self.model.H, len(self.model.delays)
         C1, D11, D12 = H.C[:n], H.D[:n, :n], H.D[:n, n:]
         maps, kind = _maps(H.A, H.B, self.steps, self.nodes, float(np.abs(self.mesh).max()))
         held = np.zeros((self.cells + 1, len(self.nodes), n))  # z at the nodes; the last row: before the first sample
-        held[:-1] = self.force @ D12.T  # a delay of inputs alone may look back into the cell that is at work
+        held[:-1] = self.force @ D12.T  # a delay of inputs alone may refer to the current cell
         states, late = np.zeros((self.cells + 1, H.n_states)), np.zeros((self.cells + 1, n))
         states[0] = x0
         came = np.zeros((self.cells, len(self.nodes), n))  # w at the nodes
         delay = np.arange(n)
         for c in range(self.cells):
-            # (nodes, n, nodes of the cell looked back to)
+            # (nodes, n, nodes of the delayed cell)
             w = np.einsum("jil,jil->ji", held[self.source[c], :, delay], self.weights[c])
             free, forced = maps[kind[c]]
             inputs = np.hstack([w, self.force[c]])
@@ -210,7 +208,7 @@ class _Run:
         return states[at] @ H.C[n:].T + late[at] @ H.D[n:, :n].T + self.u @ H.D[n:, n:].T
 
     def rough(self, tolerance: float) -> Mask:
-        """Cells in which what enters or leaves a delay is not resolved: its last coefficients are not small."""
+        """Return the cells in which the last coefficients of a signal into or out of a delay are not small."""
         size = np.abs(self.signals).max(axis=(0, 1), initial=0.0)
         tail = np.abs(np.einsum("kj,cji->cki", self.series[-2:], self.signals)).max(axis=1, initial=0.0)
         return (tail > tolerance * size).any(axis=1)
@@ -222,13 +220,13 @@ def _chebyshev(place: Array, degree: int) -> Array:
 
 
 def _maps(A: Array, B: Array, steps: Array, nodes: Array, end: float) -> tuple[list[tuple[Array, Array]], Indices]:
-    """States at the nodes from that at the beginning and from the inputs there; of each length of step, and which."""
+    """Return for each length of step the maps from the first state and the inputs to the states at the nodes."""
     from scipy.linalg import expm
 
-    same = 8.0 * np.finfo(float).eps * end  # steps of a clock differ by its rounding
+    same = 8.0 * np.finfo(float).eps * end  # steps of one period differ by rounding
     _, first, kind = np.unique(np.round(steps / same), return_index=True, return_inverse=True)
     n, m, count = len(A), B.shape[1], len(nodes)
-    # The input's derivatives are carried along as states.
+    # The input's derivatives are additional states.
     factorials = np.array([factorial(k) for k in range(count)], dtype=float)
     derivatives = factorials[:, None] * np.linalg.inv(np.vander(nodes, increasing=True))
     made = []

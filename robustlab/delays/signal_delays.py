@@ -71,8 +71,8 @@ def with_delays(
 ) -> DelayedModel | StateSpaceModel | UncertainModel:
     r"""The model with exact delays of some of its inputs and outputs; with delays within ranges, a set that holds it.
 
-    What is proved of the set is proved of the model with every such delay; see `DelayedModel.uncertain`. Delays in a
-    range vary each on its own.
+    A proof for the set holds for the model with every such delay; see `DelayedModel.uncertain`. Delays in a range vary
+    independently.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def with_delays(
     inputs, outputs
         Name or number of a signal -> its delay in s, 0 or more, or its shortest and its longest delay.
     order, weight_order
-        Of a set: of the approximations and of the weights of their error, 3 where left out; see
+        Of a set: orders of the approximations and of the weights of their error, 3 by default; see
         `DelayedModel.uncertain`.
 
     Returns
@@ -121,7 +121,8 @@ def with_delays(
     n = len(whole.delays)
     ins = [*whole.H.input_names[:n], *model.inputs]
     return DelayedModel(
-        whole.H.renamed(_apart(ins, n), _apart([*whole.H.output_names[:n], *model.outputs], n)), whole.delays
+        whole.H.renamed(_distinct_names(ins, n), _distinct_names([*whole.H.output_names[:n], *model.outputs], n)),
+        whole.delays,
     )
 
 
@@ -142,7 +143,7 @@ def uncertain_delays(
     for side, given, signals in (("input", inputs, model.inputs), ("output", outputs, model.outputs)):
         low, high = _ranges(side, given, tuple(s.name for s in signals))
         parts = [
-            _bank([_short(0.5 * (a + b))]).uncertain(order, _short(0.5 * (b - a)), weight_order, f"{s.name}: ")
+            _bank([_rounded(0.5 * (a + b))]).uncertain(order, _rounded(0.5 * (b - a)), weight_order, f"{s.name}: ")
             if b
             else as_uncertain(1.0)
             for a, b, s in zip(low, high, signals, strict=True)
@@ -157,8 +158,8 @@ def uncertain_delays(
 # --- ranges and banks -------------------------------------------------------------------------------------------------
 
 
-def _apart(names: Sequence[Any], n: int) -> list[Any]:
-    """Names of the delays' channels that none of the other signals has."""
+def _distinct_names(names: Sequence[Any], n: int) -> list[Any]:
+    """Make the names of the delays' channels differ from all others."""
     taken = {s if isinstance(s, str) else s[0] for s in names[n:]}
     made: list[Any] = []
     for name in names[:n]:
@@ -187,20 +188,20 @@ def _ranges(
     return low, high
 
 
-def _short(length: float) -> float:
-    """Without the rounding of its last digits, which the weights cover."""
+def _rounded(length: float) -> float:
+    """Round to 12 digits, which the weights cover."""
     return float(f"{length:.12g}")
 
 
 def _bank(lengths: list[float]) -> DelayedModel:
-    """Delays side by side, one for each channel."""
+    """Return a diagonal model of delays, one for each channel."""
     n, eye = len(lengths), np.eye(len(lengths))
     model = StateSpaceModel([], [], [], np.block([[np.zeros((n, n)), eye], [eye, np.zeros((n, n))]]))
     return DelayedModel(model, lengths)
 
 
 def _shifts(lengths: list[float], dt: float) -> StateSpaceModel:
-    """Rows of states z^-1 side by side, one for each channel."""
+    """Return a diagonal model of chains of z^-1, one for each channel."""
     parts: list[StateSpaceModel] = []
     for i, length in enumerate(lengths):
         if not length / dt < 2.0**53:

@@ -1,6 +1,6 @@
 """Sampling of uncertain models and the search for their worst case.
 
-Whatever this package finds is attained by a Delta that it returns; none of it proves that nothing is worse.
+Every result is attained by the returned Delta; none is a proved bound.
 """
 
 from robustlab.worst_case_analysis.metrics import METRICS, MetricBatch, MetricRequest

@@ -1,6 +1,6 @@
-r"""Members of an uncertain model, many at once: random Deltas and vertices, matrices, poles, responses and gains.
+r"""Many members of an uncertain model at once: random Deltas and vertices, matrices, poles, responses and gains.
 
-Sample i depends on the seed and on i alone. A Delta is given by its coordinates: one number for a real scalar, real and
+Sample i depends only on the seed and i. A Delta is given by its coordinates: one number for a real scalar, real and
 imaginary parts of the entries of other blocks.
 """
 
@@ -28,20 +28,20 @@ CHUNK = 2_000_000  # numbers of an intermediate array: memory, not the answer
 ZOOM_POINTS = 7  # of each round of the zoom on the highest grid point ...
 ZOOM_ROUNDS = 8  # ... each of which narrows its bracket by a factor of 4
 
-# "all" vertices are listed up to this many real deltas; subsets are drawn from a full list up to the same number.
+# "all" vertices are listed up to this number of real deltas; so are the lists from which subsets are drawn.
 MAX_LISTED = 16
-# Members are computed in blocks that begin at its multiples: a sample's value must not depend on how many are drawn.
+# Members are computed in blocks that begin at its multiples: a sample's value must not depend on the number of samples.
 BLOCK = 512
-BLOCK_NUMBERS = 2_000_000  # of large models, which take smaller blocks
-TABLE = 4_000_000  # numbers of all L_k R_k up to which they are kept
+BLOCK_NUMBERS = 2_000_000  # limit that gives large models smaller blocks
+TABLE = 4_000_000  # largest size of the stored products L_k R_k
 
 Hold = Literal["zoh", "foh"]
 
-# A discrete model's clock may differ from its sample time by this share.
+# Largest relative difference of the step of t from a discrete model's sample time.
 SAMPLE_TIME_TOLERANCE = 1e-6
 
 
-# --- what drives a response -------------------------------------------------------------------------------------------
+# --- excitation -------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -56,9 +56,9 @@ class Excitation:
 def excitation(
     inputs: Sequence[Signal], dt: float, t: ArrayLike, u: Mapping[str, ArrayLike] | ArrayLike | None, where: str
 ) -> Excitation:
-    """The clock (uniform, of the models' ``dt``) and the inputs as arrays.
+    """Return the time base (uniform, of the models' ``dt``) and the inputs as arrays.
 
-    ``u``: name -> number or samples (n_t,), inputs left out are zero; or an array (n_t,), or (n_t, n_u);
+    ``u``: name -> number or samples (n_t,), other inputs are zero; or an array (n_t,), or (n_t, n_u);
     None for a unit step on the only input.
     """
     clock = real_array("t", t, 1, where)
@@ -92,14 +92,14 @@ def _samples(inputs: Sequence[Signal], n: int, u: Mapping[str, ArrayLike] | Arra
 
 
 def is_count(value: Any, least: int) -> bool:
-    """Whether a number of samples, vertices or threads, or a seed, is a whole number, at least ``least``."""
+    """Return whether a number of samples, vertices or threads, or a seed, is an integer >= ``least``."""
     return not isinstance(value, bool) and isinstance(value, (int, np.integer)) and int(value) >= least
 
 
 class Deltas(Sequence[Mapping[str, Any]]):
-    """The Deltas of n random samples and of vertices after them, as a sequence of mappings; none of them is kept.
+    """The Deltas of n random samples, then of vertices, as a sequence of mappings computed on access.
 
-    ``signs``: vertices (n_v, k) of the k real scalars; complex and full blocks are on their boundary there, at random.
+    ``signs``: vertices (n_v, k) of the k real scalars; complex and full blocks are at random on their boundary there.
     """
 
     def __init__(self, blocks: Sequence[Block], n: int, seed: int, signs: Array) -> None:
@@ -127,7 +127,7 @@ class Deltas(Sequence[Mapping[str, Any]]):
         return {**values, **{name: float(s) for name, s in zip(self._reals, row, strict=True)}}
 
     def numbers(self, part: slice) -> Array:
-        """Coordinates of some samples, shape (k, d)."""
+        """Return the coordinates of some samples, shape (k, d)."""
         if len(self._reals) < len(self.blocks):
             rows = [encoded(self.blocks, values) for values in self[part]]
             return np.array(rows).reshape(len(rows), sum(b.n_coordinates for b in self.blocks))
@@ -140,12 +140,11 @@ class Deltas(Sequence[Mapping[str, Any]]):
         return np.concatenate([drawn, corners]) if len(corners) else drawn
 
     def to_json(self) -> list[Mapping[str, Any]]:
-        """All of them."""
         return list(self)
 
 
 def encoded(blocks: Sequence[Block], values: Mapping[str, Any]) -> Array:
-    """Coordinates (d,) of a Delta: one for a real scalar, real and imaginary parts of all entries else."""
+    """Return the coordinates (d,) of a Delta: one for a real scalar, else real and imaginary parts of all entries."""
     parts = [block.coordinates(values[block.name]) for block in blocks]
     return np.concatenate([np.zeros(0), *parts], dtype=np.float64)
 
@@ -165,9 +164,9 @@ def decoded(blocks: Sequence[Block], numbers: Array) -> dict[str, Any]:
 
 
 def delta_of_sample(blocks: Sequence[Block], seed: int, index: int, *, boundary: bool = False) -> dict[str, Any]:
-    """Delta of one sample: it depends on the blocks, the seed and the sample's index, and on nothing else.
+    """Return the Delta of one sample, which depends only on the blocks, the seed and the sample's index.
 
-    ``boundary``: complex scalars and full blocks on their boundary, as at vertices (drawn apart from those inside).
+    ``boundary``: complex scalars and full blocks on their boundary, as at vertices (from a separate random sequence).
     """
     key = (index, 1) if boundary else (index,)
     rng = _generator(seed, *key)
@@ -179,7 +178,7 @@ def _generator(seed: int, *key: int) -> np.random.Generator:
 
 
 def vertex_signs(k: int, count: int | Literal["all"], seed: int) -> Array:
-    """Vertices of the box [-1, 1]^k, shape (n, k): all where ``count`` allows it, else so many seeded ones."""
+    """Return vertices of the box [-1, 1]^k, shape (n, k): all where ``count`` allows it, else a seeded selection."""
     if count == "all" and k > MAX_LISTED:
         hint = "ask for a number of vertices"
         raise InputError("sample", f"all vertices of {k} real deltas (2^{k})", f"at most 2^{MAX_LISTED}", hint)
@@ -188,7 +187,7 @@ def vertex_signs(k: int, count: int | Literal["all"], seed: int) -> Array:
         return np.zeros((0, k))
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0, 2)))
     if k > MAX_LISTED:
-        # Equal draws are rare among so many vertices; where they happen, fewer different ones come back.
+        # Equal draws are rare among so many vertices; duplicates are dropped.
         drawn = rng.integers(0, 2, (number, k))
         bits = drawn[np.sort(np.unique(drawn, axis=0, return_index=True)[1])]
         return real_array("vertices", 2 * bits - 1, 2)
@@ -219,12 +218,11 @@ class Ensemble:
         return len(self.A)
 
     def part(self, which: slice | NDArray[np.intp]) -> Ensemble:
-        """Some of the members."""
         a, b, c, d = (matrix[which] for matrix in (self.A, self.B, self.C, self.D))
         return Ensemble(a, b, c, d, self.dt, self.ill_posed[which], self.scale)
 
     def spectral_abscissa(self) -> Array:
-        """As `StateSpaceModel.spectral_abscissa`, for every member; shape (k,). ``inf`` where ill-posed."""
+        """Return `StateSpaceModel.spectral_abscissa` of every member, shape (k,); ``inf`` where ill-posed."""
         if not self.A.shape[1]:
             return np.where(self.ill_posed, np.inf, -np.inf)
         poles = np.linalg.eigvals(self.A)
@@ -232,11 +230,11 @@ class Ensemble:
         return np.where(self.ill_posed, np.inf, value)
 
     def is_stable(self) -> Mask:
-        """Which members are asymptotically stable and well-posed, (k,); all well-posed ones without states."""
+        """Return which members are asymptotically stable and well-posed, (k,); all well-posed ones without states."""
         return ~self.ill_posed & (self.spectral_abscissa() < 0)
 
     def is_unstable(self, margin: float) -> Mask:
-        """Whether a pole lies beyond the stability boundary by more than ``margin`` times the member's largest pole."""
+        """Return whether a pole is unstable by more than ``margin`` times the member's largest pole."""
         if not self.A.shape[1]:
             return self.ill_posed
         poles = np.linalg.eigvals(self.A)
@@ -245,14 +243,14 @@ class Ensemble:
 
 
 def chunks(count: int, numbers_each: int) -> Iterator[slice]:
-    """Slices of ``range(count)``, each of which needs about ``CHUNK`` numbers."""
+    """Yield slices of ``range(count)``, each of which needs about ``CHUNK`` numbers."""
     step = max(1, CHUNK // max(1, numbers_each))
     for first in range(0, count, step):
         yield slice(first, min(first + step, count))
 
 
 class MemberSet:
-    """A set, prepared for the evaluation of many members; `block` is how many belong in one call."""
+    """A set prepared for the evaluation of many members; `block` is the number for one call."""
 
     def __init__(self, uncertain: UncertainModel) -> None:
         m, (q, p), self.blocks = uncertain.M, uncertain.delta_shape, uncertain.blocks
@@ -267,15 +265,13 @@ class MemberSet:
         self._table: Array | None = None
         if self.all_real and not self._d11.any() and self.block == BLOCK and self.size * self._nominal.size <= TABLE:
             self.below = np.array([-b.interval[0] for b in self.blocks if b.interval])
-            products, table = (
-                self._left.T[:, :, None] * self._right[:, None, :],
-                np.zeros((self.size, *self._nominal.shape)),
-            )
+            products = self._left.T[:, :, None] * self._right[:, None, :]
+            table = np.zeros((self.size, *self._nominal.shape))
             np.add.at(table, np.repeat(np.arange(self.size), [b.rows for b in self.blocks]), products)
             self._table = table.reshape(self.size, self._nominal.size)
 
     def drawn(self, deltas: Deltas, part: slice, where: str) -> Ensemble:
-        """The members at some of the samples. Raises NoTrustworthyNumber: one of them is ill-posed."""
+        """Return the members at some of the samples. Raises NoTrustworthyNumber: one of them is ill-posed."""
         ensemble = self.members(deltas.numbers(part))
         if ensemble.ill_posed.any():
             index = part.start + int(np.argmax(ensemble.ill_posed))
@@ -284,7 +280,7 @@ class MemberSet:
         return ensemble
 
     def deltas(self, theta: Array) -> NDArray[Any]:
-        """Deltas (k, q, p) at coordinates (k, d); what lies outside its ball is drawn back onto it."""
+        """Return Deltas (k, q, p) at coordinates (k, d); blocks outside their ball are projected onto it."""
         dtype = float if all(b.is_real for b in self.blocks) else complex
         delta = np.zeros((len(theta), *structure_size(self.blocks)), dtype=dtype)
         for block, part, (rows, cols) in zip(self.blocks, self._parts, block_slices(self.blocks), strict=True):
@@ -292,11 +288,11 @@ class MemberSet:
         return delta
 
     def members(self, theta: Array) -> Ensemble:
-        """The members at coordinates (k, d)."""
+        """Return the members at coordinates (k, d)."""
         k = len(theta)
         ill_posed = np.zeros(k, dtype=bool)
         if self._table is not None:
-            # Filled up to whole blocks: a product of another shape may round differently.
+            # Padded to whole blocks: a product of another shape may round differently.
             numbers = np.zeros((-(-k // BLOCK) * BLOCK, self.size))
             numbers[:k] = np.where(theta < 0, theta * self.below, theta)
             change = np.concatenate([numbers[i : i + BLOCK] @ self._table for i in range(0, len(numbers), BLOCK)])
@@ -317,12 +313,12 @@ class MemberSet:
 
 
 def blocks_of(count: int, size: int) -> list[slice]:
-    """The blocks of ``range(count)``."""
+    """Split ``range(count)`` into blocks."""
     return [slice(first, min(first + size, count)) for first in range(0, count, size)]
 
 
 def state_scale(a: Array) -> Array:
-    """Powers of two that balance A (n_x, n_x), shape (n_x,)."""
+    """Return powers of two that balance A (n_x, n_x), shape (n_x,)."""
     from scipy.linalg import matrix_balance
 
     if not len(a):
@@ -334,9 +330,9 @@ def state_scale(a: Array) -> Array:
 
 
 def time_responses(ensemble: Ensemble, drive: Excitation, x0: Array, hold: Hold = "zoh") -> Array:
-    """Outputs (k, n_t, n_y) of all (real) members for one input on a uniform clock, exact for a held or a linear input.
+    """Return the exact outputs (k, n_t, n_y) of all (real) members for one held or linear input on a uniform grid.
 
-    A member that outgrows double precision gives infinite or NaN samples. ``x0``: initial state, shape (n_x,).
+    A member that overflows gives infinite or NaN samples. ``x0``: initial state, shape (n_x,).
     """
     h, u = drive.h, drive.u
     k, n_t = len(ensemble), len(u)
@@ -354,10 +350,9 @@ def time_responses(ensemble: Ensemble, drive: Excitation, x0: Array, hold: Hold 
 
 
 def _recursion(phi: Array, forced: Array, x0: Array) -> Array:
-    """``x[j+1] = phi x[j] + forced[j]`` for every member, shape (k, n_t, n_x).
+    """Compute ``x[j+1] = phi x[j] + forced[j]`` for every member, shape (k, n_t, n_x).
 
-    A scan by doubling: after the pass with stride s every x[j] holds the last 2 s terms of its sum. That is log2(n_t)
-    passes over all times instead of n_t steps.
+    A scan by doubling in log2(n_t) passes: after that with stride s every x[j] has the last 2 s terms of its sum.
     """
     k, steps, n = forced.shape
     x = np.concatenate([np.broadcast_to(x0, (k, 1, n)), forced], axis=1)
@@ -371,9 +366,9 @@ def _recursion(phi: Array, forced: Array, x0: Array) -> Array:
 def transitions(
     ensemble: Ensemble, h: float, hold: Hold, used: NDArray[np.intp] | slice = slice(None)
 ) -> tuple[Array, Array, Array]:
-    """Phi (k, n_x, n_x), Gamma and Gamma_1 (k, n_x, n_u): x_{j+1} = Phi x_j + Gamma u_j + Gamma_1 (u_{j+1} - u_j).
+    """Return Phi, Gamma, Gamma_1 of every member: x_{j+1} = Phi x_j + Gamma u_j + Gamma_1 (u_{j+1} - u_j).
 
-    Gamma_1 is zero for ``hold = "zoh"``; ``used``: the inputs that are wanted.
+    Gamma_1 is zero for ``hold = "zoh"``; ``used``: the inputs of Gamma and Gamma_1.
     """
     from scipy.linalg import expm
 
@@ -381,7 +376,7 @@ def transitions(
     k, n, m = b.shape
     if ensemble.dt or n == 0:
         return a, b, np.zeros((k, n, m))
-    # Van Loan's block matrix; powers of two take bad scaling out before the exponential's squarings amplify rounding.
+    # Van Loan's block matrix, scaled by powers of two before the exponential's squarings amplify rounding.
     scale = ensemble.scale
     size = np.abs(b / scale[:, None]).max(axis=1, keepdims=True, initial=0.0)
     column = np.exp2(np.rint(np.log2(np.maximum(size, 1e-300))))
@@ -402,10 +397,10 @@ def transitions(
 
 
 def peak_gains(ensemble: Ensemble, grid: Array) -> tuple[Array, Array]:
-    """Largest singular value over frequency and where it was found, both of shape (k,); ``inf`` where unstable.
+    """Return the largest singular value over frequency and its frequency, both (k,); ``inf`` where unstable.
 
-    A grid with each member's own resonances and a zoom on its highest point: never above the H-infinity norm. Mirrored
-    for complex members, whose gain is not even in frequency.
+    A grid with each member's own resonances, refined around its highest point: never above the H-infinity norm.
+    Negative frequencies are included for complex members, whose gain is not even in frequency.
     """
     k, n, n_u = ensemble.B.shape
     if n == 0:
@@ -440,7 +435,7 @@ def peak_gains(ensemble: Ensemble, grid: Array) -> tuple[Array, Array]:
 
 
 def _gains(ensemble: Ensemble, index: NDArray[np.intp], omega: Array) -> Array:
-    """Largest singular values of the members ``index`` at their own frequencies ``omega (k, n_omega)``."""
+    """Return the largest singular values of the members ``index`` at their own frequencies ``omega (k, n_omega)``."""
     a, b, c, d = (getattr(ensemble, name)[index][:, None] for name in "ABCD")
     point = np.exp(1j * omega * ensemble.dt) if ensemble.dt else 1j * omega
     n = a.shape[-1]

@@ -1,7 +1,7 @@
-"""Metrics: what "worst" may mean, each with two ways to its value, and its values at seeded samples.
+"""Metrics for the worst case, each with two methods of evaluation, and their values at seeded samples.
 
-``of`` gives the value of many members at once, for searches and samples; ``evaluate`` that of one Delta through
-`UncertainModel.evaluate` and the routines that a user would call: what was found is re-evaluated with it. The control
+``of`` gives the value of many members at once, for searches and samples; ``evaluate`` re-evaluates one Delta through
+`UncertainModel.evaluate` and the public routines. The control
 effort of a closed loop is the peak or the RMS of its control signal, which is an output of the loop.
 """
 
@@ -42,11 +42,11 @@ from robustlab.worst_case_analysis.members import (
 
 MOST_SAMPLES = 10_000_000
 UserFunction = Callable[[StateSpaceModel], float]
-DOUBLINGS = 46  # of the Smith iteration; a pole at 1e-12 of its size from the boundary has converged by then
-GRID_POINTS = 48  # frequencies at which the gain of every member is computed, besides those of its own poles
+DOUBLINGS = 46  # of the Smith iteration; converges for poles down to 1e-12 of their size from the boundary
+GRID_POINTS = 48  # frequencies for the gain of every member, in addition to those of its own poles
 NO_FINAL_VALUE = 1e-9  # share of a response's size below which a final value is zero
 
-# Name -> what it is. The largest value is the worst but where the text says otherwise.
+# Name -> description. The largest value is the worst unless stated otherwise.
 METRICS: dict[str, str] = {
     "peak-deviation": "largest |y - nominal y| of an output over the given times",
     "peak": "largest |y| of an output over the given times; of a control signal its effort",
@@ -65,31 +65,31 @@ class Evaluation(NamedTuple):
 
     value: float  # the metric; infinite where there is no bounded value
     at: float = np.nan  # time in s or frequency in rad/s where it is attained; NaN where there is none
-    accurate: bool = True  # False where the routine behind it lost digits
+    accurate: bool = True  # False where digits were lost
     reason: str = ""  # why there is no bounded value; else empty
 
 
 class Metric:
     """A number for each member of a set."""
 
-    uncertain: UncertainModel  # the set, without what does not matter for the metric
+    uncertain: UncertainModel  # the set, without parts that do not affect the metric
     unit: str = ""  # unit of the value; empty where not stated
-    location: str = ""  # what `at` is: `"t [s]"`, `"omega [rad/s]"`, or empty
+    location: str = ""  # quantity of `at`: `"t [s]"`, `"omega [rad/s]"`, or empty
     # 1 where the largest value is the worst, -1 where the smallest is. A member without a bounded value has `sense *
     # inf`.
     sense: float = 1.0
     tolerance: float = 1e-6  # search and re-evaluation must agree to this share of the value
     smooth: bool = True  # False where the value jumps with the parameters
-    # True where re-evaluation may find a worse value than the search saw (a peak between its grid points).
+    # True where re-evaluation may find a worse value than the search (a peak between its grid points).
     one_sided: bool = False
 
     @property
     def unbounded(self) -> float:
-        """The value of a member that has none."""
+        """Value of a member without a bounded one."""
         return self.sense * np.inf
 
     def of(self, ensemble: Ensemble) -> Array:
-        """The metric of each member, shape (k,)."""
+        """Return the metric of each member, shape (k,)."""
         raise NotImplementedError
 
     @cached_property
@@ -98,7 +98,7 @@ class Metric:
         return MemberSet(self.uncertain)
 
     def evaluate(self, delta: Mapping[str, Any]) -> Evaluation:
-        """The metric at one Delta, by a second way."""
+        """Re-evaluate the metric at one Delta by the second method."""
         try:
             model = self.uncertain.evaluate(delta)
         except NoTrustworthyNumber as error:  # ill-posed
@@ -106,38 +106,38 @@ class Metric:
         return self.of_model(model)
 
     def of_model(self, model: StateSpaceModel) -> Evaluation:
-        """The metric of one model, by a second way."""
+        """Evaluate the metric of one model by the second method."""
         raise NotImplementedError
 
     def work(self, count: int) -> float:
-        """Work of measuring so many members at once, roughly."""
+        """Estimate the work for this number of members at once."""
         n = self.uncertain.M.n_states
         return 300 + count * (20 + n**2 + n**3 / 30)
 
     def slack(self, value: float) -> float:
-        """How far re-evaluation may be off ``value``."""
+        """Return the tolerated difference of a re-evaluation from ``value``."""
         return self.tolerance * abs(value)
 
     def agrees(self, found: float, again: float) -> bool:
-        """Whether re-evaluation confirms what was found."""
+        """Return whether re-evaluation confirms the found value."""
         if not np.isfinite(found) or not np.isfinite(again):
             return bool(found == again)
         slack = max(self.slack(found), self.slack(again))
-        # A second path that may look between the search's points can find a worse value: that is no fault.
+        # A second method that evaluates between the search's points may find a worse value.
         beyond = self.sense * (again - found)
         return bool(-slack <= beyond and (self.one_sided or beyond <= slack))
 
 
-# --- what metrics share ----------------------------------------------------------------------------------------------
+# --- shared checks ---------------------------------------------------------------------------------------------------
 
 
 def connected(uncertain: UncertainModel) -> UncertainModel:
-    """The same set without states that no input reaches or no output sees, whatever Delta is."""
+    """Remove states that are structurally unreachable or unobservable for every Delta."""
     return UncertainModel(drop_unconnected(uncertain.M), uncertain.blocks)
 
 
 def selected(uncertain: UncertainModel, input: str | None, output: str | None) -> UncertainModel:
-    """The set with the named input and output only; None keeps all."""
+    """Return the set with the named input and output only; None keeps all."""
     for kind, name, known in (("input", input, uncertain.inputs), ("output", output, uncertain.outputs)):
         names = [s.name for s in known]
         if name is not None and name not in names:
@@ -151,7 +151,7 @@ def selected(uncertain: UncertainModel, input: str | None, output: str | None) -
 
 
 def need_real(uncertain: UncertainModel, what: str) -> None:
-    """Refuse complex blocks."""
+    """Reject complex blocks."""
     for block in uncertain.blocks:
         if not block.is_real:
             hint = "a complex Delta has a metric 'hinf' only"
@@ -159,7 +159,7 @@ def need_real(uncertain: UncertainModel, what: str) -> None:
 
 
 def need_stable(nominal: StateSpaceModel, what: str) -> None:
-    """Refuse a nominal model that is not asymptotically stable; one without states is."""
+    """Reject a nominal model that is not asymptotically stable; one without states is."""
     if nominal.n_states and not nominal.is_stable():
         poles = nominal.poles()
         worst = poles[np.argmax(np.abs(poles) if nominal.is_discrete else poles.real)]
@@ -171,11 +171,11 @@ def need_stable(nominal: StateSpaceModel, what: str) -> None:
         )
 
 
-# --- of a model ------------------------------------------------------------------------------------------------------
+# --- metrics of a model ----------------------------------------------------------------------------------------------
 
 
 def _gramians(ensemble: Ensemble) -> Array:
-    """Controllability Gramians of stable members, (k, n_x, n_x), by doubling (Smith, SIAM J. Appl. Math. 16, 1968).
+    """Return controllability Gramians (k, n_x, n_x) of stable members by doubling (Smith, SIAM J. Appl. Math., 1968).
 
     A continuous equation is made discrete by the Cayley map, A_d = (p I + A)(p I - A)^-1.
     """
@@ -192,7 +192,7 @@ def _gramians(ensemble: Ensemble) -> Array:
         for _ in range(DOUBLINGS):
             total = total + power @ total @ power.transpose(0, 2, 1)
             power = power @ power
-            # Powers that shrink below the smallest normal numbers would slow down everything.
+            # Subnormal numbers are slow.
             power = np.where(np.abs(power) < 1e-150, 0.0, power)
     return 0.5 * (total + total.transpose(0, 2, 1))
 
@@ -213,7 +213,6 @@ class HinfGain(Metric):
         return peak_gains(ensemble, self._grid)[0]
 
     def of_model(self, model: StateSpaceModel) -> Evaluation:
-        """See `Metric.of_model`; `robustlab.norms.hinf_norm` is the second way."""
         from robustlab.norms import hinf_norm
 
         norm = hinf_norm(model)
@@ -225,7 +224,7 @@ class HinfGain(Metric):
         return super().evaluate(delta)
 
     def _complex_gain(self, delta: Mapping[str, Any]) -> Evaluation:
-        """Gain at the frequency that the search found, from `UncertainModel.response`; stability from the poles."""
+        """Return the gain at the search's frequency, from `UncertainModel.response`; stability from the poles."""
         ensemble = self.set.members(encoded(self.uncertain.blocks, delta)[None])
         if not ensemble.spectral_abscissa()[0] < 0 and self.uncertain.M.n_states:
             return Evaluation(np.inf)
@@ -262,7 +261,6 @@ class H2Gain(Metric):
         return value
 
     def of_model(self, model: StateSpaceModel) -> Evaluation:
-        """See `Metric.of_model`; `robustlab.norms.h2_norm` is the second way."""
         from robustlab.norms import h2_by_gramians
 
         norm = h2_by_gramians(model)
@@ -299,7 +297,7 @@ class PoleMetric(Metric):
         return Evaluation(float(self._worst(model.poles())))
 
     def evaluate(self, delta: Mapping[str, Any]) -> Evaluation:
-        """Complex Deltas have poles too."""
+        """As `Metric.evaluate`, also for complex Deltas."""
         d = delta_matrix(self.uncertain.blocks, delta)
         if not np.iscomplexobj(d):
             return super().evaluate(delta)
@@ -308,7 +306,7 @@ class PoleMetric(Metric):
         return Evaluation(float(self._worst(np.linalg.eigvals(a))))
 
     def slack(self, value: float) -> float:
-        """Poles are as accurate as the largest of them; a damping ratio is at most one."""
+        """Return the tolerance relative to the largest pole, or to 1 for damping ratios."""
         largest = float(np.abs(self.uncertain.nominal.poles()).max())
         return self.tolerance * (1.0 if self._damping else max(abs(value), largest))
 
@@ -332,11 +330,10 @@ class UserMetric(Metric):
         return value
 
     def work(self, count: int) -> float:
-        """What the function does is not known: taken for a few milliseconds."""
+        """Assume a few milliseconds per call."""
         return 3000.0 * count
 
     def of_model(self, model: StateSpaceModel) -> Evaluation:
-        """The function once more, at the model of `UncertainModel.evaluate`."""
         return Evaluation(self._number(model))
 
     def _number(self, model: StateSpaceModel) -> float:
@@ -350,12 +347,12 @@ class UserMetric(Metric):
         return value
 
 
-# --- of a response ---------------------------------------------------------------------------------------------------
+# --- metrics of a response -------------------------------------------------------------------------------------------
 
 
 class Measure(NamedTuple):
-    """What is measured of responses: (times (n_t,), responses (k, n_t), final values (k,), band) -> values (k,), and
-    the samples at which they are attained, where there are such.
+    """Measure of responses: (times (n_t,), responses (k, n_t), final values (k,), band) -> values (k,), and the samples
+    at which they are attained, if any.
     """
 
     of: Callable[[Array, Array, Array, float], tuple[Array, NDArray[np.intp] | None]]
@@ -363,7 +360,7 @@ class Measure(NamedTuple):
     deviation: bool = False  # from the nominal response
     settled: bool = False  # relative to the final value of a step
     smooth: bool = True
-    # Beside the value: what search and re-evaluation agree to a share of, and whether a time step counts there.
+    # Tolerance of re-evaluation: size added to the value, and whether a time step is added.
     size: float = 0.0
     steps: bool = False
 
@@ -379,7 +376,7 @@ def _overshoot(t: Array, y: Array, final: Array, band: float) -> tuple[Array, ND
 
 
 def settling_times(t: Array, y: Array, final: Array, band: float) -> Array:
-    """When responses y (k, n_t) come to stay within ``band * |final|`` of their final values (k,), shape (k,).
+    """Return the times (k,) from which responses y (k, n_t) stay within ``band * |final|`` of their final values (k,).
 
     Interpolated between samples; infinite where a response is still outside at the end.
     """
@@ -410,7 +407,7 @@ MEASURES = {
 class TimeMetric(Metric):
     """A measure of the response of one output from zero initial state; infinite where that grows without bound.
 
-    ``drive``, ``hold``: times, input, and what the input does between samples.
+    ``drive``, ``hold``: times, input, and the input between samples.
     """
 
     location = "t [s]"
@@ -451,9 +448,9 @@ class TimeMetric(Metric):
         return self._drive.t
 
     def response(self, delta: Mapping[str, Any]) -> Array:
-        """The output of a member, (n_t,), by the second way.
+        """Return the output of a member, (n_t,), by the second method.
 
-        Raises NoTrustworthyNumber: it outgrows double precision.
+        Raises NoTrustworthyNumber: it overflows.
         """
         return self._simulated(self.uncertain.evaluate(delta))
 
@@ -462,7 +459,7 @@ class TimeMetric(Metric):
         return time_responses(ensemble, self._drive, start, self._hold)[:, :, 0]
 
     def _finals(self, ensemble: Ensemble) -> Array:
-        """Final values of all members (k,) where they are asked for; infinite where a member does not settle."""
+        """Return the final values of all members (k,) if the measure needs them; infinite for unstable members."""
         final = np.full(len(ensemble), np.inf)
         if self._measure.settled:
             stable, n, u = ensemble.is_stable(), ensemble.A.shape[1], self._drive.u[0]
@@ -483,7 +480,6 @@ class TimeMetric(Metric):
         return np.asarray(simulate(model, self._drive.t, self._drive.u, hold=self._hold)[model.output_names[0]])
 
     def of_model(self, model: StateSpaceModel) -> Evaluation:
-        """See `Metric.of_model`; `robustlab.dynamics.simulation.simulate` is the second way."""
         t, final = self._drive.t, np.full(1, np.inf)
         try:
             y = self._simulated(model)
@@ -502,21 +498,21 @@ class TimeMetric(Metric):
         return Evaluation(float(values[0]), np.nan if at is None else float(t[at[0]]), reason=reason)
 
     def slack(self, value: float) -> float:
-        """Percent of a final value that both ways know to the tolerance; a crossing is known to a share of the step."""
+        """Return the tolerance, including that of the final value and of a time step."""
         return self.tolerance * (abs(value) + self._measure.size + self._drive.h * self._measure.steps)
 
     def work(self, count: int) -> float:
-        """Members side by side share most of the steps."""
+        """Estimate the work; members computed together share most of the steps."""
         n, steps = self.uncertain.M.n_states, len(self._drive.t)
         return 300 + steps * (0.1 + n**2 / 160) + count * (20 + n**3 / 50 + steps * (0.05 + n**2 / 6000))
 
 
-# --- by name, and at samples -----------------------------------------------------------------------------------------
+# --- metrics by name, and at samples ---------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class MetricRequest:
-    """A metric as asked for; see `robustlab.worst_case_analysis.worst_case` for the fields."""
+    """A requested metric; see `robustlab.worst_case_analysis.worst_case` for the fields."""
 
     metric: str | UserFunction = "peak-deviation"
     output: str | None = None
@@ -533,7 +529,7 @@ class MetricRequest:
 
 
 def make_metric(uncertain: UncertainModel, request: MetricRequest, where: str = "worst_case") -> Metric:
-    """The metric that a request names, made for a set.
+    """Build the requested metric for a set.
 
     Raises UsageError: unknown metric, or several outputs and none named; InputError, NoTrustworthyNumber: signals,
     times or models that the metric cannot work with.
@@ -565,8 +561,8 @@ def make_metric(uncertain: UncertainModel, request: MetricRequest, where: str = 
 class MetricBatch:
     """Values of a metric at samples ``first .. first + count - 1``; can be pickled and sent to another process.
 
-    Sample i is that of ``sample(uncertain, n, seed)``, and its value is the same to the last bit in whatever batch
-    it is computed.
+    Sample i is that of ``sample(uncertain, n, seed)``, and its value is the same to the last bit in every
+    batch.
     """
 
     uncertain: UncertainModel
@@ -578,21 +574,20 @@ class MetricBatch:
             raise InputError("seed", f"{self.seed!r}", "a whole number, not negative")
 
     def __getstate__(self) -> dict[str, Any]:
-        # What was prepared is made again where it is needed: a request and a model travel, nothing else.
+        # Cached properties are rebuilt in the other process.
         return {"uncertain": self.uncertain, "request": self.request, "seed": self.seed}
 
     @cached_property
     def judge(self) -> Metric:
-        """The metric."""
         return make_metric(self.uncertain, self.request)
 
     def _deltas(self, n: int) -> Deltas:
         return Deltas(self.uncertain.blocks, n, self.seed, np.zeros((0, 0)))
 
     def __call__(self, first: int, count: int) -> Array:
-        """Values of ``count`` samples, shape (count,)."""
+        """Return the values of ``count`` samples, shape (count,)."""
         deltas = self._deltas(first + count)
-        # Products are rounded the same for the same place in a block only: begin where a block begins.
+        # Rounding of products depends on the position in a block: begin at the start of a block.
         start = first - first % BLOCK
         values = np.empty(first + count - start)
         for part in blocks_of(len(values), self.judge.set.block):
@@ -601,20 +596,20 @@ class MetricBatch:
         return values[first - start :]
 
     def theta(self, n: int) -> Array:
-        """Coordinates of the first n samples (n, d)."""
+        """Return the coordinates of the first n samples (n, d)."""
         return self._deltas(n).numbers(slice(0, n))
 
     def delta(self, index: int) -> dict[str, Any]:
-        """Delta of one sample."""
+        """Return the Delta of one sample."""
         return dict(self._deltas(index + 1)[index])
 
     def all_values(self, n: int, workers: int = 1) -> Array:
-        """Values of the first n samples (n,), by so many threads."""
+        """Return the values of the first n samples (n,), computed by ``workers`` threads."""
         if not is_count(n, 1) or n > MOST_SAMPLES:
             raise InputError("n", f"{n!r}", f"a whole number of samples from 1 to {MOST_SAMPLES}")
         if not is_count(workers, 1):
             raise InputError("workers", f"{workers!r}", "a whole number, at least 1")
-        self.judge.set  # noqa: B018  made before threads ask for it
+        self.judge.set  # noqa: B018  built before the threads start
         parts = blocks_of(int(n), BLOCK)
         with ThreadPoolExecutor(workers) as pool:
             return np.concatenate(list(pool.map(lambda part: self(part.start, part.stop - part.start), parts)))

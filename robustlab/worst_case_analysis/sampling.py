@@ -32,7 +32,7 @@ from robustlab.worst_case_analysis.members import (
     vertex_signs,
 )
 
-# A response is kept whole: samples x times x outputs.
+# Largest stored response: samples x times x outputs.
 MAX_NUMBERS = 64_000_000
 MARGINAL = 1e-9  # share of the largest pole beyond the stability boundary that counts as unstable
 LABEL = "sampled: the true envelope may be wider"
@@ -47,11 +47,11 @@ class Samples(Tabular, Shown):
     uncertain
         The model or plant that was sampled; of a plant a parameter with a tolerance is a block.
     deltas
-        One mapping of block names to values for each sample, made when it is asked for.
+        One mapping of block names to values for each sample, computed on access.
     seed
-        Sample i was drawn from ``SeedSequence(seed, spawn_key=(i,))``: it does not depend on how many are drawn.
+        Sample i was drawn from ``SeedSequence(seed, spawn_key=(i,))``: it does not depend on the number of samples.
     vertices
-        How many of the last samples are vertices: every real delta is -1 or +1.
+        Number of vertices (every real delta is -1 or +1), which are the last samples.
     """
 
     uncertain: UncertainModel | NonlinearPlant
@@ -63,7 +63,7 @@ class Samples(Tabular, Shown):
         return len(self.deltas)
 
     def models(self) -> list[Any]:
-        """The sampled models (real Deltas only), or plants."""
+        """Return the sampled models (real Deltas only), or plants."""
         plant: Any = self.uncertain
         if isinstance(plant, UncertainModel):
             return [plant.evaluate(delta) for delta in self.deltas]
@@ -81,17 +81,17 @@ class Samples(Tabular, Shown):
         x0: ArrayLike | None = None,
         hold: Literal["zoh", "foh", "spline"] = "zoh",
     ) -> Responses:
-        """Time responses of all samples and of the nominal model to one input; of plants stability is not judged.
+        """Time responses of all samples and of the nominal model to one input; stability of plants is not checked.
 
         Parameters
         ----------
         t
             Times in s, shape (n_t,), with one step; for a discrete model its ``dt``.
         u
-            Name -> number or samples (n_t,), inputs left out are zero; or an array (n_t,) for a single input, or
+            Name -> number or samples (n_t,), other inputs are zero; or an array (n_t,) for a single input, or
             (n_t, n_u). None is a unit step on the only input.
         x0
-            Initial state of every member, shape (n_x,); zero where left out.
+            Initial state of every member, shape (n_x,); zero by default.
         hold
             As of `robustlab.dynamics.simulation.simulate`.
 
@@ -154,7 +154,6 @@ class Samples(Tabular, Shown):
         return y, time_responses(members.members(np.zeros((1, members.size))), drive, start, hold)[0], unstable
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         return [
             ("members", f"{len(self)}, of which {self.vertices} vertices; seed {self.seed}"),
             ("of", repr(self.uncertain) if isinstance(self.uncertain, UncertainModel) else self.uncertain.name),
@@ -162,7 +161,7 @@ class Samples(Tabular, Shown):
         ]
 
     def table(self) -> Table:
-        """A row for each sample: parameters in their units where they are known, else normalised values.
+        """A row for each sample: parameters in their units where known, else normalised values.
 
         A block that is a matrix has a column for each entry, ``NAME[row,column]`` counted from 1.
         """
@@ -182,7 +181,6 @@ class Samples(Tabular, Shown):
         return Table(("sample", np.arange(len(rows))), {**columns, **values}, units)
 
     def to_json(self) -> dict[str, object]:
-        """Deltas, seed and number of vertices."""
         return {"deltas": list(self.deltas), "seed": self.seed, "vertices": self.vertices}
 
 
@@ -201,8 +199,7 @@ class Responses(Shown):
     nominal
         Outputs of the nominal model, shape (n_t, n_y).
     lower, upper
-        Envelope over the samples and the nominal model, shape (n_t, n_y); infinite where a response outgrew double
-        precision.
+        Envelope over the samples and the nominal model, shape (n_t, n_y); infinite where a response overflows.
     worst
         For each output the sample with the largest ``|y - nominal|`` at any time.
     deltas
@@ -212,9 +209,9 @@ class Responses(Shown):
     unstable
         Samples with a pole beyond the stability boundary (an integrator is none): they grow with the horizon.
     status
-        CONVERGED, or INACCURATE where a response outgrew double precision.
+        CONVERGED, or INACCURATE where a response overflows.
     label
-        What the envelope is, and is not.
+        Meaning of the envelope.
     """
 
     t: Array
@@ -237,7 +234,6 @@ class Responses(Shown):
         return np.maximum(self.upper - self.nominal, self.nominal - self.lower).max(axis=0)
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         deviations = zip(self.outputs, self.peak_deviation, strict=True)
         return [
             ("members", f"{len(self.deltas)}, {len(self.t)} times to {number(float(self.t[-1]), 's')}"),
@@ -248,7 +244,7 @@ class Responses(Shown):
         ]
 
     def to_json(self) -> dict[str, object]:
-        """All fields; the single responses ``y`` are left out, they follow from the Deltas."""
+        """All fields except the single responses ``y``, which follow from the Deltas."""
         data = {key: value for key, value in vars(self).items() if key != "y"}
         data["inputs"], data["outputs"] = [list(s) for s in self.inputs], [list(s) for s in self.outputs]
         return {**data, "peak_deviation": self.peak_deviation}
@@ -268,20 +264,20 @@ def sample(uncertain: UncertainModel | Plant, n: int, seed: int = 0, vertices: i
     n
         Number of random samples.
     seed
-        Same seed, same answer; sample i is the same for every n.
+        Seed of the random numbers; sample i is the same for every n.
     vertices
         Number of vertices to add: all ``2^k`` of k real deltas where the number allows it, else a seeded selection;
-        ``"all"`` asks for every one. Complex and full blocks are put on their boundary there, at random.
+        ``"all"`` for every one. Complex and full blocks are at random on their boundary there.
 
     Returns
     -------
     Samples
-        The random samples first, then the vertices; their models and responses are made when they are asked for.
+        The random samples first, then the vertices; models and responses are computed on access.
 
     Raises
     ------
     InputError
-        Nothing is asked for, or all vertices of more than 16 real deltas; a linear plant, which has an exact set
+        No samples, or all vertices of more than 16 real deltas; a linear plant, which has an exact set
         (``plant.uncertain()``), or one without tolerances.
 
     Examples
@@ -304,13 +300,13 @@ def sample(uncertain: UncertainModel | Plant, n: int, seed: int = 0, vertices: i
             raise InputError("sample", f"{name} is {count!r}", "a whole number, not negative")
     if n == 0 and vertices == 0:
         raise InputError("sample", "no samples and no vertices", "at least one of n and vertices")
-    blocks = uncertain.blocks if isinstance(uncertain, UncertainModel) else tuple(_varied(uncertain))
+    blocks = uncertain.blocks if isinstance(uncertain, UncertainModel) else tuple(_uncertain_parameters(uncertain))
     signs = vertex_signs(sum(b.interval is not None for b in blocks), vertices, seed)
     return Samples(uncertain, Deltas(blocks, int(n), int(seed), signs), int(seed), len(signs))
 
 
-def _varied(plant: NonlinearPlant) -> Iterator[RealScalar]:
-    """A scalar for every parameter with a tolerance."""
+def _uncertain_parameters(plant: NonlinearPlant) -> Iterator[RealScalar]:
+    """Yield a scalar for every parameter with a tolerance."""
     for name, p in plant.parameters.items():
         if p.radius:
             yield RealScalar(name, 1, p.range)
@@ -320,7 +316,7 @@ def _varied(plant: NonlinearPlant) -> Iterator[RealScalar]:
 
 
 def _envelope(y: Array, nominal: Array) -> tuple[Array, Array, Array, bool]:
-    """Lower, upper (n_t, n_y), each sample's peak deviation (k, n_y), and whether every number is finite."""
+    """Return lower, upper (n_t, n_y), each sample's peak deviation (k, n_y), and whether all numbers are finite."""
     lower, upper = nominal.copy(), nominal.copy()
     deviation, finite = np.zeros((len(y), nominal.shape[1])), bool(np.isfinite(nominal).all())
     for part in blocks_of(len(y), max(1, MAX_NUMBERS // 32 // max(1, nominal.size))):
@@ -332,7 +328,7 @@ def _envelope(y: Array, nominal: Array) -> tuple[Array, Array, Array, bool]:
             upper = np.maximum(upper, np.where(lost, np.inf, some).max(axis=0))
         else:
             lower, upper = np.minimum(lower, some.min(axis=0)), np.maximum(upper, some.max(axis=0))
-        with np.errstate(invalid="ignore"):  # inf - inf, where member and nominal model outgrow double precision
+        with np.errstate(invalid="ignore"):  # inf - inf, where member and nominal model overflow
             gap = np.abs(some - nominal)
         deviation[part] = np.nan_to_num(gap, nan=np.inf, posinf=np.inf).max(axis=1)
     nowhere = np.isnan(nominal)

@@ -1,6 +1,6 @@
-r"""Statistics of samples: Clopper-Pearson bounds of a probability, how many samples show it, quantiles.
+r"""Statistics of samples: Clopper-Pearson bounds of a probability, required number of samples, quantiles.
 
-They hold for parameters uniform in their ranges and independent, and say nothing about the worst case (Clopper, Pearson
+They hold for independent parameters uniform in their ranges, and do not bound the worst case (Clopper, Pearson
 1934; Tempo, Bai, Dabbene 1997; David, Nagaraja, *Order Statistics*, 2003, 7.1).
 """
 
@@ -26,7 +26,7 @@ from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.metrics import MetricBatch, MetricRequest
 
-SMALLEST_SHARE = 1e-14  # shown by some 10^15 samples
+SMALLEST_SHARE = 1e-14  # needs some 10^15 samples
 MOST_BINS = 32  # along each parameter, for the share of the variance that it explains
 
 
@@ -39,21 +39,21 @@ class Influence(Tabular, Shown):
     names
         The parameters (blocks).
     first_order
-        Share of the variance that each explains by itself, (d,); not negative, rounded up to 0 from noise.
+        Share of the variance that each explains by itself, (d,); at least 0.
     noise
-        What ``first_order`` may show by chance for a parameter without any influence (95 % of the time it is less).
+        95 % quantile of ``first_order`` for a parameter without influence.
     rank_coefficients
         Standardised rank regression coefficients, (d,): positive where a larger delta means a larger value. NaN for
         fewer samples than parameters.
     rank_fit
-        R^2 of that regression: how much of the ranks it explains. Coefficients of a poor fit say little.
+        R^2 of that regression. Coefficients of a poor fit are of little use.
     of_ranks
-        True where members without a bounded value made ranks stand for values.
+        True where ranks replace values because members have no bounded value.
     worst_value
         The metric at the worst sample.
     restored
-        The metric with that sample's delta k put back to nominal and all others kept, (d,): what a perfectly known
-        parameter k would save.
+        The metric with that sample's delta k at nominal and all others kept, (d,): the effect of knowing parameter k
+        exactly.
     alone
         The metric with delta k of that sample and all others nominal, (d,).
     nominal_value
@@ -79,29 +79,29 @@ class Influence(Tabular, Shown):
 
     @property
     def savings(self) -> Array:
-        """How far the worst value moves where one parameter alone is put back to nominal, (d,); 0 where unbounded."""
+        """Change of the worst value if one parameter alone is nominal, (d,); 0 where unbounded."""
         with np.errstate(invalid="ignore"):
             return np.nan_to_num(np.abs(self.worst_value - self.restored), nan=0.0, posinf=0.0)
 
     @property
     def order(self) -> tuple[int, ...]:
-        """From the most to the least influential: by ``first_order`` where it is no chance, then by ``savings``."""
+        """Parameters ranked by influence: by ``first_order`` above the noise, then by ``savings``."""
         shares = np.where(self.first_order > self.noise, self.first_order, 0.0)
         return tuple(int(k) for k in np.lexsort((-self.savings, -shares)))
 
     @property
     def matters(self) -> NDArray[np.bool_]:
-        """Which parameters show in either way, (d,)."""
+        """Which parameters are relevant by either measure, (d,)."""
         return (self.first_order > self.noise) | (self.savings > 1e-3 * self.savings.max(initial=0.0))
 
     @property
     def directions(self) -> NDArray[np.int_]:
-        """1 where the metric grows with a parameter, -1 where it falls, 0 where neither can be told from chance."""
+        """1 where the metric grows with a parameter, -1 where it falls, 0 where neither is significant."""
         clear = np.abs(self.rank_coefficients) > 3.0 / np.sqrt(self.n)
         return np.where(clear, np.sign(self.rank_coefficients), 0).astype(int)
 
     def rows(self, most: int = 12) -> list[tuple[str, ...]]:
-        """The parameters that matter: name, share of the spread, direction, the worst sample with it nominal."""
+        """Return the relevant parameters: name, share of the spread, direction, the worst sample with it nominal."""
         ways = {1: "grows with it", -1: "falls with it", 0: "-"}
         return [
             (
@@ -115,7 +115,6 @@ class Influence(Tabular, Shown):
         ]
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         shares = [f"{self.names[k]} {100 * self.first_order[k]:.0f} %" for k in self.order]
         return [
             ("share of the spread", listed(shares)),
@@ -126,20 +125,18 @@ class Influence(Tabular, Shown):
         ]
 
     def table(self) -> Table:
-        """A row for each parameter: its share of the spread, the metric without its change, and with it alone."""
+        """A row for each parameter: share of the spread, the metric without its change, and with it alone."""
         columns = {"first_order": self.first_order, "restored": self.restored, "alone": self.alone}
         return Table(("parameter", self.names), columns, {"restored": self.unit, "alone": self.unit})
 
     def to_json(self) -> dict[str, object]:
-        """All fields, and the order."""
         return {**vars(self), "order": [self.names[k] for k in self.order]}
 
 
 def influence_of(batch: MetricBatch, values: Array, worst: int) -> Influence:
-    """Influence of the parameters of a set of real scalars on a metric at its first samples.
+    """Compute the influence of the parameters of a set of real scalars on a metric at its first samples.
 
-    ``values``: what ``batch`` gave for its first n samples, (n,).
-    ``worst``: index of the worst of them.
+    ``values``: those of ``batch`` for its first n samples, (n,); ``worst``: index of the worst.
     """
     theta = batch.theta(len(values))
     finite = bool(np.isfinite(values).all())
@@ -170,20 +167,20 @@ def influence_of(batch: MetricBatch, values: Array, worst: int) -> Influence:
 
 
 def _between_bins(x: Array, y: Array, bins: int) -> float:
-    """Omega squared of y in bins of x of equal count: an estimate of Var(E[y|x]) / Var(y) that is 0 for noise."""
+    """Return omega squared of y in bins of x of equal count, an estimate of Var(E[y|x]) / Var(y)."""
     ordered = y[np.argsort(x, kind="stable")] - y.mean()
     parts = np.array_split(ordered, bins)
     total = float((ordered**2).sum())
     between = sum(len(part) * float(part.mean()) ** 2 for part in parts)
     within = (total - between) / (len(y) - bins)
-    # Rounding of equal values is no variance.
+    # Ignore the rounding of equal values.
     if total <= len(y) * (1e-12 * float(np.abs(y).max())) ** 2:
         return 0.0
     return float(np.clip((between - (bins - 1) * within) / (total + within), 0.0, 1.0))
 
 
 def _noise(n: int, bins: int) -> float:
-    """95 % quantile of omega squared for a parameter without influence: from that of Fisher's F."""
+    """Return the 95 % quantile of omega squared without influence, from that of Fisher's F."""
     from scipy.stats import f
 
     ratio = float(f.ppf(0.95, bins - 1, n - bins))
@@ -216,7 +213,7 @@ DEFAULT_SAMPLES = 1000
 
 
 def clopper_pearson(violations: int, n: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Both bounds of a probability of which ``violations`` of n samples are known; see the module.
+    """Return both bounds of a probability from ``violations`` in n samples; see the module.
 
     Examples
     --------
@@ -231,9 +228,9 @@ def clopper_pearson(violations: int, n: int, confidence: float = 0.95) -> tuple[
 
 
 class Quantile(NamedTuple):
-    """Value below which a share of the samples lies, and bounds of the distribution's quantile at the confidence.
+    """Quantile of the samples, and bounds of the distribution's quantile at the confidence.
 
-    The bounds are order statistics, whatever the distribution; infinite where there are too few samples.
+    The bounds are order statistics, valid for any distribution; infinite with too few samples.
     """
 
     share: float
@@ -243,7 +240,7 @@ class Quantile(NamedTuple):
 
 
 def quantile_bounds(values: ArrayLike, share: float, confidence: float = 0.95) -> Quantile:
-    """Distribution-free bounds of a quantile from independent samples (n,), infinite values included.
+    """Return distribution-free bounds of a quantile from independent samples (n,), infinite values included.
 
     Examples
     --------
@@ -266,12 +263,12 @@ def quantile_bounds(values: ArrayLike, share: float, confidence: float = 0.95) -
 
 @dataclass(frozen=True)
 class ViolationProbability(Tabular, Shown):
-    """How probable it is that a sampled member violates a limit.
+    """Probability that a sampled member violates a limit.
 
     Attributes
     ----------
     metric, unit
-        What is limited.
+        The metric and its unit.
     limit, sense
         Values above (sense 1) or below (sense -1) it violate.
     n, violations
@@ -283,25 +280,25 @@ class ViolationProbability(Tabular, Shown):
     at_most
         One-sided bound at ``confidence``.
     wanted, shown
-        The probability that was to be shown, and whether ``at_most`` shows it; None where none was stated.
+        The required probability, and whether ``at_most`` confirms it; None where none was stated.
     samples_needed
-        Samples that would show it without a violation; None where none was stated.
+        Samples without a violation that would confirm it; None where none was stated.
     quantiles
         Of the metric, with distribution-free bounds.
     worst_value, worst_index, worst_delta
-        Of the worst sample, re-evaluated by another path.
+        Of the worst sample, re-evaluated by another method.
     values
         The metric of each sample, (n,).
     influence
-        Which parameters matter; None for fewer than 32 samples or blocks that are not real scalars.
+        Influence of the parameters; None for fewer than 32 samples or blocks that are not real scalars.
     seed
         Sample i was drawn from ``SeedSequence(seed, spawn_key=(i,))``.
     status
         CONVERGED, or INACCURATE where the worst sample's re-evaluation disagrees.
     notes
-        What the reader must know.
+        Remarks for the reader.
     label
-        What the probability is of, and is not.
+        Meaning of the probability.
     """
 
     metric: str
@@ -346,17 +343,15 @@ class ViolationProbability(Tabular, Shown):
 
     @property
     def met(self) -> bool | None:
-        """Whether it was shown that the probability is as small as wanted; None where nothing was wanted."""
+        """Whether the required probability is confirmed; None where none was stated."""
         return self.shown
 
     def headline(self) -> str:
-        """What violates the limit how often."""
         beyond = "above" if self.sense > 0 else "below"
         limit = number(self.limit, self.unit)
         return f"{self.metric} {beyond} {limit} in {self.violations} of {self.n} random members"
 
     def details(self) -> list[Part]:
-        """Quantiles with their bounds, and the parameters that matter."""
         value = f"value [{self.unit}]" if self.unit else "value"
         header = ("quantile", value, f"bounds at {100 * self.confidence:g} %")
         rows = [(f"{100 * q.share:g} %", f"{q.value:.6g}", f"{q.lower:.6g} .. {q.upper:.6g}") for q in self.quantiles]
@@ -365,7 +360,6 @@ class ViolationProbability(Tabular, Shown):
         return [Part("", header, rows), Part("", header_of_rows, matter)]
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text)."""
         beyond = "above" if self.sense > 0 else "below"
         sure = f"{100 * self.confidence:g} %"
         span = f"{number(self.lower)} .. {number(self.upper)} at {sure} confidence (Clopper-Pearson)"
@@ -387,11 +381,10 @@ class ViolationProbability(Tabular, Shown):
         ]
 
     def table(self) -> Table:
-        """The metric of every sample."""
         return Table(("sample", np.arange(self.n)), {self.metric: self.values}, {self.metric: self.unit})
 
     def to_json(self) -> dict[str, object]:
-        """All fields but the single values, which follow from the seed; quantiles as mappings."""
+        """All fields except the single values, which follow from the seed; quantiles as mappings."""
         data = {key: value for key, value in vars(self).items() if key != "values"}
         data["quantiles"] = [q._asdict() for q in self.quantiles]
         return data
@@ -422,29 +415,29 @@ def violation_probability(
     Parameters
     ----------
     uncertain
-        The set; its parameters are taken as uniform in their ranges and independent.
+        The set; its parameters are assumed independent and uniform in their ranges.
     metric, output, input, t, u, hold, band
         As in `worst_case`.
     limit
         A number in the metric's unit, or a text with its unit such as ``"0.5 rad"``.
     probability
-        What is to be shown: P(violation) at most so large.
+        Required upper bound of P(violation).
     confidence
         Between 0 and 1.
     n
-        Samples; left out: as many as show ``probability`` without a violation, or 1000.
+        Samples; by default as many as confirm ``probability`` without a violation, or 1000.
     quantiles
         Shares of the metric's quantiles, between 0 and 1.
     seed
-        Same seed, same answer.
+        Seed of the random numbers.
     workers
-        Threads; the answer does not depend on their number.
+        Threads; the result does not depend on their number.
 
     Returns
     -------
     ViolationProbability
         The share of samples that violate with its bounds, quantiles of the metric, its ``values (n,)``, the worst
-        sample, and which parameters matter.
+        sample, and the influence of the parameters.
 
     Raises
     ------
@@ -515,7 +508,7 @@ def violation_probability(
 
 
 def _limit(limit: float | str, unit: str, where: str) -> tuple[float, tuple[str, ...]]:
-    """The limit's number, and a note where it came without the unit that the metric has."""
+    """Return the limit's number, and a note if it has no unit but the metric has."""
     match = re.fullmatch(r"\s*(\S+)\s*(.*?)\s*", limit) if isinstance(limit, str) else None
     text, given = match.groups() if match else (str(limit), "")
     try:

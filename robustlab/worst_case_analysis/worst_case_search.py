@@ -1,6 +1,6 @@
-"""Search for the worst member: centre, vertices, Sobol points, then climbs along difference quotients or by compass.
+"""Search for the worst member: centre, vertices, Sobol points, then ascents by difference quotients or compass.
 
-A search attains what it reports; it proves no bound. Guaranteed bounds are `robustlab.mu_analysis`' business.
+The reported value is attained, not a proved bound; for bounds see `robustlab.mu_analysis`.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ LABEL = "sampled: a lower bound of the true worst case"
 LABEL_SMALLEST = "sampled: an upper bound of the true worst case, which is the smallest value"
 UNBOUNDED = "attained: this member has no bounded value"
 WORK = 60 * MILLION  # the usual work at effort 1, in units of about a microsecond
-CLIMBING = 0.5  # share of it that the climbs may take, each an equal part
-VERTICES = 1024  # at most, beside the Sobol points
-CLIMBS = 8  # local searches along gradients; more: more local maxima seen
+CLIMBING = 0.5  # share of it for the ascents, in equal parts
+VERTICES = 1024  # at most, in addition to the Sobol points
+CLIMBS = 8  # local searches along gradients; more: more local maxima found
 STARTS = 4  # compass searches where there are no gradients
-JUMPS = 6  # to the vertex that a gradient points to, at the beginning of a climb
+JUMPS = 6  # towards the vertex of the gradient's signs, at the beginning of an ascent
 CLIMB_STEPS = 40  # of the quasi-Newton method after them
 SMALLEST_STEP = 1e-7  # of a compass search
-APART = 0.2  # starting points of climbs differ by this in one coordinate at least
+APART = 0.2  # smallest distance of starting points, in the maximum norm
 STEP = 1e-6  # of the difference quotients, in the box [-1, 1]
-ROUNDING = 1e-11  # relative change of a score that rounding may make
+ROUNDING = 1e-11  # largest relative change of a score by rounding
 
 
 @dataclass(frozen=True)
@@ -73,28 +73,28 @@ class WorstCase(Shown, AllFields):
     Attributes
     ----------
     value
-        The metric at ``delta``, re-evaluated through another path than the search's; infinite where it is unbounded.
+        The metric at ``delta``, re-evaluated by another method than the search's; infinite where it is unbounded.
     delta
         Block name -> value.
     metric
         Which metric.
     nominal_value
-        The metric at Delta = 0, by the same path as ``value``.
+        The metric at Delta = 0, by the same method as ``value``.
     status
         CONVERGED; INACCURATE where search and re-evaluation disagree or digits were lost; INCONCLUSIVE where the work
         budget ended the search, TIMEOUT where the time limit did.
     label
-        What the value is, and is not, and what ended the search early.
+        Meaning of the value, and the reason for an early end of the search.
     evaluations
         Number of members that were evaluated.
     physical
-        Block name -> (parameter value, unit), for blocks that stand for a physical parameter.
+        Block name -> (parameter value, unit), for blocks of a physical parameter.
     at
         Time in s or frequency in rad/s at which the value is attained; NaN where there is none.
     location
-        What ``at`` is.
+        Quantity of ``at``.
     search_value
-        What the search had computed for ``delta``.
+        Value of the search at ``delta``.
     unit
         Unit of the value.
     input, output
@@ -104,10 +104,9 @@ class WorstCase(Shown, AllFields):
     seed
         Seed of the search.
     gradients
-        How many gradients it used.
+        Number of gradients.
     response
-        Of the output that is judged, nominal and at ``delta``; None for metrics that are not those of a response, and
-        where it outgrows every number.
+        Response of the metric's output, nominal and at ``delta``; None for other metrics, and where it overflows.
     """
 
     quantities: ClassVar[Mapping[str, Any]] = {
@@ -139,15 +138,12 @@ class WorstCase(Shown, AllFields):
         return None if self.response is None else self.response.percent
 
     def headline(self) -> str:
-        """What is worst, and by how much."""
         return f"worst {self.metric} found: {number(self.value, self.unit)}"
 
     def details(self) -> list[Part]:
-        """The worst member."""
         return [member_rows(self.delta, self.physical)]
 
     def facts(self) -> Facts:
-        """The worst value with its unit, the member that has it, and what the value is."""
         name, _, unit = self.location.partition(" [")
         return [
             (self.metric, number(self.value, self.unit, 6)),
@@ -194,22 +190,20 @@ def worst_case(
         spectral-abscissa, damping    of the poles; the smallest damping is the worst
         ============================  ==============================================================================
     output, input
-        Signals to look at. An output is needed for a response where there are several; norms are taken between all
-        signals where none is named.
+        Signals of the metric. A response needs an output if there are several; norms are of all signals by default.
     t, u, hold
-        Times and inputs for a response, as in `Samples.respond`. Left out: eight time constants of the nominal
+        Times and inputs for a response, as in `Samples.respond`. By default eight time constants of the nominal
         model, and a unit step on ``input`` or on the only input.
     band
         Share of the final value that counts as settled.
     n
-        Sobol points, besides the centre and up to 1024 vertices.
+        Sobol points, in addition to the centre and up to 1024 vertices.
     seed
-        Same seed, same answer.
+        Seed of the random numbers.
     time_limit
-        In s; what was found by then comes back with status TIMEOUT, and cannot be repeated. None: no limit.
+        Time limit in s. If it is reached, the status is TIMEOUT and the result depends on the machine.
     effort
-        Work that the search may take, as a multiple of the usual (about a minute); counted, not timed. Most searches
-        end long before.
+        Work of the search as a multiple of the usual (about a minute); counted, not timed. Most searches end earlier.
 
     Returns
     -------
@@ -241,70 +235,70 @@ def worst_case(
     with one_thread():
         search = _Search(make_metric(uncertain, request), budget)
         theta, score = search.run(int(n), int(seed))
-        return _result(uncertain, request, search, theta, search.judge.sense * score, int(seed))
+        return _result(uncertain, request, search, theta, search.metric.sense * score, int(seed))
 
 
 def _result(
     uncertain: UncertainModel, request: MetricRequest, search: _Search, theta: Array, found: float, seed: int
 ) -> WorstCase:
-    judge = search.judge
-    delta = delta_values(uncertain.blocks, judge.set.deltas(theta[None])[0])
-    evaluation = judge.evaluate(delta)
+    metric = search.metric
+    delta = delta_values(uncertain.blocks, metric.set.deltas(theta[None])[0])
+    evaluation = metric.evaluate(delta)
     value = evaluation.value
-    status = Status.CONVERGED if evaluation.accurate and judge.agrees(found, value) else Status.INACCURATE
+    status = Status.CONVERGED if evaluation.accurate and metric.agrees(found, value) else Status.INACCURATE
     if search.ended:
         status = Status.TIMEOUT if search.budget.struck else Status.INCONCLUSIVE
     why = f": {evaluation.reason}" if evaluation.reason else ""
-    label = LABEL_SMALLEST if judge.sense < 0 else LABEL
+    label = LABEL_SMALLEST if metric.sense < 0 else LABEL
     label = label if np.isfinite(value) else f"{UNBOUNDED}{why}"
     remark = [search.budget.remark] if search.ended and search.budget.remark else []
     return WorstCase(
         value,
         delta,
         request.name,
-        judge.evaluate({}).value,
+        metric.evaluate({}).value,
         status,
         "; ".join([label, *remark, *uncertain.remarks]),
         search.evaluations,
         uncertain.physical(delta),
         evaluation.at,
-        judge.location,
+        metric.location,
         found,
-        judge.unit,
+        metric.unit,
         request.input,
         request.output,
         float(MemberSet(uncertain).members(theta[None]).spectral_abscissa()[0]),
         seed,
         search.gradients,
-        _response(judge, delta),
+        _response(metric, delta),
     )
 
 
-def _response(judge: Metric, delta: Mapping[str, Any]) -> WorstResponse | None:
-    if not isinstance(judge, TimeMetric):
+def _response(metric: Metric, delta: Mapping[str, Any]) -> WorstResponse | None:
+    if not isinstance(metric, TimeMetric):
         return None
     try:
-        nominal, worst = (judge.response(values) for values in ({}, delta))
+        nominal, worst = (metric.response(values) for values in ({}, delta))
     except NoTrustworthyNumber:
         return None
-    return WorstResponse(judge.clock, nominal, worst, *judge.uncertain.outputs[0])
+    return WorstResponse(metric.clock, nominal, worst, *metric.uncertain.outputs[0])
 
 
 # --- the search ------------------------------------------------------------------------------------------------------
 
 
 class _Ended(Exception):
-    """The work of a climb is used up, or it met a member without a bounded value."""
+    """The work of an ascent is used up, or a member without a bounded value was found."""
 
 
 class _Search:
-    """Scores are ``sense * value``: the larger the worse."""
+    """The search; scores are ``sense * value``: the larger the worse."""
 
-    def __init__(self, judge: Metric, budget: Budget) -> None:
-        self.judge, self.budget = judge, budget
+    def __init__(self, metric: Metric, budget: Budget) -> None:
+        self.metric, self.budget = metric, budget
         self.evaluations = self.gradients = 0
         self.ended = False  # early, by the budget
-        self.best, self.top = np.zeros(judge.set.size), -np.inf
+        self.best, self.top = np.zeros(metric.set.size), -np.inf
 
     def run(self, n: int, seed: int) -> tuple[Array, float]:
         """Return the worst vector and its score."""
@@ -312,10 +306,10 @@ class _Search:
         scores = self._scores(points)
         order = np.argsort(-scores, kind="stable")
         self._keep(points[order[0]], float(scores[order[0]]))
-        if not self.judge.set.size or np.isposinf(self.top) or self.ended:
+        if not self.metric.set.size or np.isposinf(self.top) or self.ended:
             return self.best, self.top
-        if self.judge.set.all_real and self.judge.smooth:
-            starts = _apart(points[order], CLIMBS, APART)
+        if self.metric.set.all_real and self.metric.smooth:
+            starts = _spaced(points[order], CLIMBS, APART)
             share = CLIMBING * self.budget.left / len(starts)
             for start in starts:
                 self._climb(start, share)
@@ -331,7 +325,7 @@ class _Search:
 
     def _start_points(self, n: int, seed: int) -> Array:
         """Return the centre, vertices and Sobol points (k, d)."""
-        d, blocks = self.judge.set.size, self.judge.set.blocks
+        d, blocks = self.metric.set.size, self.metric.set.blocks
         if d == 0:
             return np.zeros((1, 0))
         ends = np.cumsum([0, *(b.n_coordinates for b in blocks)])
@@ -343,14 +337,14 @@ class _Search:
 
     def _measure(self, theta: Array) -> Array:
         """Return the scores at vectors (k, d) and count their work."""
-        self.budget.spend(self.judge.work(len(theta)))
+        self.budget.spend(self.metric.work(len(theta)))
         self.evaluations += len(theta)
-        return self.judge.sense * self.judge.of(self.judge.set.members(theta))
+        return self.metric.sense * self.metric.of(self.metric.set.members(theta))
 
     def _scores(self, theta: Array) -> Array:
-        """Return the scores at vectors (k, d); -inf for those that the budget leaves no work for."""
+        """Return the scores at vectors (k, d); -inf beyond the budget."""
         scores = np.full(len(theta), -np.inf)
-        m = self.judge.uncertain.M
+        m = self.metric.uncertain.M
         for part in chunks(len(theta), 64 * (m.A.size + m.D.size + 1)):
             if self.evaluations and self.budget.over:
                 self.ended = True
@@ -358,10 +352,10 @@ class _Search:
             scores[part] = self._measure(theta[part])
         return scores
 
-    # -- climbing along gradients --
+    # -- ascent along gradients --
 
     def _climb(self, start: Array, work: float) -> None:
-        """Jump towards the vertex that the gradient points to, then L-BFGS-B; the best point seen is kept."""
+        """Jump towards the vertex of the gradient's signs, then use L-BFGS-B; the best point is kept."""
         from scipy.optimize import minimize
 
         last = self.budget.left - work
@@ -373,7 +367,7 @@ class _Search:
                 score, slope = self._score_and_slope(theta, last)
                 return -score / size, -slope / size
 
-            bounds = [(-1.0, 1.0)] * self.judge.set.size
+            bounds = [(-1.0, 1.0)] * self.metric.set.size
             options = {"maxiter": CLIMB_STEPS}
             minimize(falling, theta, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
         except _Ended:
@@ -455,19 +449,19 @@ class _Search:
 
 
 def _sobol(n: int, d: int, seed: int) -> Array:
-    """The first n points of a scrambled Sobol sequence in [0, 1)^d; independent ones beyond its tables."""
+    """Return n points of a scrambled Sobol sequence in [0, 1)^d; independent ones beyond its tables."""
     from scipy.stats import qmc
 
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0, 3)))
     if d > qmc.Sobol.MAXDIM:
         return rng.random((n, d))
-    # "seed" is what the oldest scipy that we take calls it, "rng" the newest.
+    # The oldest supported scipy has the argument "seed", the newest "rng".
     settings: dict[str, Any] = {"seed": rng}
     return qmc.Sobol(d, scramble=True, **settings).random_base2(max(0, int(np.ceil(np.log2(n)))))[:n]
 
 
-def _apart(points: Array, count: int, distance: float) -> Array:
-    """The first of the points that are not within ``distance`` of one taken before, at most ``count``."""
+def _spaced(points: Array, count: int, distance: float) -> Array:
+    """Return at most ``count`` first points with at least ``distance`` between each other."""
     taken: list[Array] = []
     for point in points:
         if all(np.abs(point - other).max() >= distance for other in taken):

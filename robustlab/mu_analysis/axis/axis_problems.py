@@ -1,7 +1,7 @@
-"""What branch and bound cuts over the whole frequency axis: regions of parameters and frequency."""
+"""Branch-and-bound problems over the whole frequency axis: regions of parameters and frequency."""
 
-# A region is proved where intervals with constant D, G cover the frequencies that are open in it; what its ancestors
-# have proved there holds in it, too.
+# A region is proved where intervals with constant D, G cover its open frequencies; a proof for an ancestor also holds
+# in it.
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from robustlab.uncertainty.blocks import Block
 
 INSIDE = 0.98  # level aimed at in a region; smaller: wider intervals, more cuts
 PROVED = 0.9999  # a level below this proves the point
-MISSES = 3  # frequencies in a row that cannot be proved cut a region; more: less is proved twice, more in vain
-LOOK = 200  # work of a step of an ascent beside its eigenvalues, as measured
+MISSES = 3  # consecutive unproved frequencies after which a region is cut; more: fewer repeated, more useless proofs
+ASCENT_WORK = 200  # measured work of a step of an ascent without its eigenvalues
 CORNERS = 4  # steps of the ascent of a gain from the centre of a region
 NEAR_MISS = 0.01  # log width around a missed frequency in which no other is tried before the cut
 
@@ -38,16 +38,16 @@ class _AxisProblem:
     def __init__(self, model: StateSpaceModel, blocks: Sequence[Block], hot: float | None) -> None:
         self.model, self.blocks, self.hot = model, tuple(blocks), hot
         self.scale = typical_speed(model)
-        # Each box with an interval that was proved in it: what the proof of all of them rests on.
+        # Each box with an interval proved in it: the evidence of the whole proof.
         self.proved: list[tuple[Box, Piece]] = []
 
     def work(self, count: int) -> int:
-        """A D-G bound and an interval of each region, and the eigenvalues of a few members."""
+        """Return the work of a D-G bound and an interval of each region, and the eigenvalues of a few members."""
         each = dense(self.model.n_states) // 2 + extend_work(self.model)
         return points_work(self.blocks, count) // 4 + count * each
 
     def examine(self, regions: list[Region]) -> list[Array | None]:
-        """One frequency of each region: proved with an interval around it, or missed."""
+        """Try to prove an interval around one frequency of each region."""
         models = [box_model(self.model, self.blocks, r.box) for r in regions]
         places = [self._frequency(r) for r in regions]
         sound = {k: m for k, m in enumerate(models) if m is not None}
@@ -67,12 +67,12 @@ class _AxisProblem:
             else:
                 region.missed.append((bound.beta, places[k], block_weights(M, bound, self.blocks)))
                 region.in_a_row += 1
-            if region.open and (region.in_a_row == MISSES or not self._worth_a_look(region)):
+            if region.open and (region.in_a_row == MISSES or not self._open_parts(region)):
                 _, region.hot, result[k] = max(region.missed, key=lambda miss: miss[0])
         return result
 
-    def _worth_a_look(self, region: Region) -> list[tuple[float, float]]:
-        """What is open between the frequencies that were missed, where that is wide enough."""
+    def _open_parts(self, region: Region) -> list[tuple[float, float]]:
+        """Return the open frequencies that are not next to a missed one."""
         cover = AxisCover(open=region.open)
         for _, omega, _ in region.missed:
             near = np.exp(NEAR_MISS)
@@ -85,10 +85,10 @@ class _AxisProblem:
         return cover.open
 
     def _frequency(self, region: Region) -> float:
-        """Where the parent was missed, to begin with; then the middle of the widest part."""
+        """Return the frequency missed in the parent first, then the middle of the widest part."""
         if not region.missed and region.hot is not None and any(a <= region.hot <= b for a, b in region.open):
             return region.hot
-        return float(AxisCover(open=self._worth_a_look(region)).next_points(self.scale, 1)[0])
+        return float(AxisCover(open=self._open_parts(region)).next_points(self.scale, 1)[0])
 
 
 class MarginProblem(_AxisProblem):
@@ -99,12 +99,12 @@ class MarginProblem(_AxisProblem):
         return Region(root_box(self.blocks, 1 / level), [(0.0, float("inf"))], self.hot)
 
     def attack(self, region: Region, level: float, budget: Budget) -> Improved | None:
-        """From the centre along the mode next to where the region was missed, inside a box below the size known."""
+        """Ascend from the centre along the mode next to the missed frequency, in a smaller box."""
         values, blocks, aim = region.box.centre, self.blocks, 1j * (region.hot or 0.0)
         if is_stable_member(self.model, blocks, values):
             found = ascended(self.model, blocks, values, ASCENT_REACH / level, aim)
             looks = 1 if found is None else found.looks
-            budget.spend(looks * LOOK + member_work(self.model, looks))
+            budget.spend(looks * ASCENT_WORK + member_work(self.model, looks))
             if found is None or found.pole.real <= 0:
                 return None
             values = found.values
@@ -114,7 +114,7 @@ class MarginProblem(_AxisProblem):
 
 
 class GainProblem(_AxisProblem):
-    """The largest gain over the axis and the unit set: levels are gains; the last block stands for the performance."""
+    """The largest gain over the axis and the unit set: levels are gains; the last block is the performance block."""
 
     def root(self, level: float) -> Region:
         """The unit set, and a performance block of size ``1 / level``."""
@@ -124,7 +124,7 @@ class GainProblem(_AxisProblem):
         return Region(Box(whole.centre, half), [(0.0, float("inf"))], self.hot)
 
     def attack(self, region: Region, level: float, budget: Budget) -> Improved | None:
-        """From the centre to what raises the gain at the frequency in question; the Delta met, and that frequency."""
+        """Ascend from the centre to a larger gain at the missed frequency; return the Delta and that frequency."""
         omega = region.hot if region.hot is not None else self.scale
         M, centre = frequency_response(self.model, np.array([omega]))[0], region.box.centre[:-1]
         best = ascend(M, self.blocks, centre_matrix(self.blocks[:-1], centre) + 0j, region.box, CORNERS)

@@ -1,4 +1,4 @@
-"""What the critical Delta means on the machine: a replay in time."""
+"""Time response of the critical Delta."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from robustlab.uncertainty.realised_delta import realise_delta
 __all__ = ["CriticalResponse", "replay"]
 
 
-INSIDE = 0.95  # share of the critical Delta that is shown as just inside the margin
+INSIDE = 0.95  # share of the critical Delta of the response just inside the margin
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,8 +2,8 @@
 
 # Phi(omega) = M^* D_z M + j (G M - M^* G^*) - beta^2 D_w is singular where j omega is an eigenvalue of H. Rounding
 # moves eigenvalues off the axis, so *every* imaginary part counts as a possible change of sign, and the sign is
-# tested between and at these candidates, outwards from a frequency at which Phi < 0 is known. A version that asked
-# "is this eigenvalue imaginary?" with a tolerance certified wrong intervals.
+# tested between and at these candidates, outwards from a frequency at which Phi < 0 is known. A test of whether an
+# eigenvalue is imaginary, with a tolerance, certified wrong intervals.
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import UncertainModel
 
-FREQUENCIES = 8  # at which D, G are sought together
-SLACK = 1e-5  # the Hamiltonian is that of a beta smaller by this: a blurred double root costs far less
-CREEPING = 0.97  # share of what is open that a round may leave open before the level is raised
-HOPELESS = 64.0  # accuracy at which creeping ends the cover: no scaling could prove anything there
+FREQUENCIES = 8  # at which D, G are computed together
+SLACK = 1e-5  # relative reduction of beta in the Hamiltonian: separates double roots
+SLOW_PROGRESS = 0.97  # share of the open axis that a round may leave open before the level is raised
+COARSEST = 64.0  # accuracy at which the cover ends: no scaling could prove anything there
 IDLE = 8  # rounds in which points stay above a level that is not raised
 SKEWED = 4  # bounds of mu that one skewed bound costs: counts work only
-PROBES = 12  # frequencies at which a sign is tested to find an end, or what the eigenvalues have missed
+PROBES = 12  # frequencies at which a sign is tested to find an end, or a change missed by the eigenvalues
 
 __all__ = ["AxisCover", "Piece", "cover_axis", "cover_parts", "extend", "extend_work"]
 
@@ -49,13 +49,13 @@ class Piece(Shown):
     members: tuple[int, ...] | None = None
 
     def facts(self) -> Facts:
-        told = [("proved", f"mu <= {number(self.beta)} for {number(self.low)} .. {number(self.high, 'rad/s')}")]
-        return told if self.members is None else [*told, ("blocks", in_words(self.members))]
+        facts = [("proved", f"mu <= {number(self.beta)} for {number(self.low)} .. {number(self.high, 'rad/s')}")]
+        return facts if self.members is None else [*facts, ("blocks", in_words(self.members))]
 
 
 @dataclass
 class AxisCover:
-    """What is proved of the axis [0, inf], and what is still open."""
+    """Proved and open intervals of the axis [0, inf]."""
 
     pieces: list[Piece] = field(default_factory=list)
     open: list[tuple[float, float]] = field(default_factory=lambda: [(0.0, float("inf"))])
@@ -63,7 +63,7 @@ class AxisCover:
     points: int = 0
 
     def add(self, piece: Piece) -> None:
-        """Take the inside of a proved interval off the open ones."""
+        """Remove the inside of a proved interval from the open ones."""
         self.pieces.append(piece)
         self.beta = max(self.beta, piece.beta)
         rest: list[tuple[float, float]] = []
@@ -86,10 +86,10 @@ class AxisCover:
         budget: Budget,
         level: float | None = None,
     ) -> bool:
-        """Extend the bound found at each frequency to an interval and add it; False where the budget ended that."""
+        """Extend the bound at each frequency to an interval and add it; return False if the budget is used up."""
         self.points += len(omega)
         for w, bound in zip(omega, bounds, strict=True):
-            if budget.over:  # of 70 blocks an interval takes seconds
+            if budget.over:  # an interval with 70 blocks takes seconds
                 return False
             piece = extend(model, bound, beta, float(w))
             budget.spend(extend_work(model))
@@ -98,14 +98,14 @@ class AxisCover:
         return True
 
     def open_share(self, scale: float) -> float:
-        """How much of the axis is open, as the angle that it spans seen from ``scale``."""
+        """Return the open part of the axis as an angle: the sum of differences of ``atan(omega / scale)``."""
         low, high = np.array(self.open).reshape(-1, 2).T / scale
         with np.errstate(divide="ignore", invalid="ignore"):
             spans = np.arctan2(np.where(high < np.inf, high - low, 1.0), np.where(high < np.inf, 1 + low * high, low))
         return float(spans.sum())
 
     def take_points(self, pending: list[float], scale: float, count: int) -> Array:
-        """The next of the pending frequencies that are still open (they are taken off the list), else new ones."""
+        """Remove and return the next pending frequencies that are still open, else new ones."""
         while pending:
             chosen = [w for w in pending[:count] if any(low <= w <= high for low, high in self.open)]
             del pending[:count]
@@ -116,13 +116,13 @@ class AxisCover:
     def reported(
         self, uncertain: UncertainModel, level: float
     ) -> tuple[tuple[tuple[float, float, float], ...], tuple[tuple[float, float], ...]]:
-        """Pieces as ``(low, high, bound)``, at most ``level``, and open intervals, in rad/s of the model itself."""
+        """Return pieces as ``(low, high, bound)``, at most ``level``, and open intervals, in the model's rad/s."""
         at = partial(model_frequency, uncertain)
         pieces = tuple((at(p.low), at(p.high), min(p.beta, level)) for p in self.pieces)
         return pieces, tuple((at(low), at(high)) for low, high in self.open)
 
     def next_points(self, scale: float, count: int) -> Array:
-        """A frequency inside each open interval, the widest (in decades) first, at most ``count``."""
+        """Return a frequency inside each open interval, the widest (in decades) first, at most ``count``."""
         found = []
         for low, high in self.open:
             if low <= 0 and high == np.inf:
@@ -147,21 +147,21 @@ def cover_axis(
     accuracy: float,
     varying: Mask | None = None,
 ) -> AxisCover:
-    """Prove a level on [0, inf] of a stable continuous model, as close above its D-G peak as ``accuracy`` says."""
+    """Prove a level on [0, inf] of a stable continuous model, within ``accuracy`` above its D-G peak."""
     # The level is mu; where inputs vary it is skewed mu: the size of their blocks is one over it, of the others one.
     cover, scale, step, idle = AxisCover(), typical_speed(model), accuracy, 0
     level *= 1 + accuracy
     pending = list(np.unique(np.concatenate([[0.0, np.inf], first])))
-    while cover.open and not budget.over and step < HOPELESS:
+    while cover.open and not budget.over and step < COARSEST:
         fresh, before = not pending, cover.open_share(scale)
         omega = cover.take_points(pending, scale, FREQUENCIES)
         response = frequency_response(model, omega)
-        least = 1e-9 * float(np.linalg.norm(response, axis=(1, 2)).max(initial=1e-290))  # what zero is small against
+        least = 1e-9 * float(np.linalg.norm(response, axis=(1, 2)).max(initial=1e-290))  # level that counts as zero
         budget.spend(points_work(blocks, len(omega)))
         if varying is None:
             target = level / (1 + step / 2)
             bounds = points_below(response, blocks, target)
-            # A bound below its target may be any: it was stopped there, and says nothing of the level.
+            # A bound below its target was stopped early and does not limit the level.
             missed = [b.beta for b in bounds if target < b.beta < np.inf]
             level = max(level, max(missed, default=0.0) * (1 + step), least)
             grown = cover.grow(model, omega, bounds, level, budget)
@@ -172,7 +172,7 @@ def cover_axis(
             if over:
                 raised = max(skew_upper(response[k], blocks, varying)[0] for k in over) * (1 + accuracy)
                 if not np.isfinite(raised) or (raised <= level and idle == IDLE):
-                    break  # the other blocks alone come too near to it
+                    break  # the other blocks alone are too near to it
                 idle = idle + 1 if raised <= level else 0
                 level = max(level, raised)
                 again = points_below(divided(response[over], varying, level), blocks, target)
@@ -183,7 +183,7 @@ def cover_axis(
             grown = cover.grow(StateSpaceModel(model.A, B, model.C, D), omega, bounds, 1.0, budget, level)
         if not grown:
             break
-        if fresh and cover.open_share(scale) > CREEPING * before:
+        if fresh and cover.open_share(scale) > SLOW_PROGRESS * before:
             step *= 2
             level *= 1 + step
     return cover
@@ -192,7 +192,7 @@ def cover_axis(
 def cover_parts(
     model: StateSpaceModel, blocks: Sequence[Block], beta: float, *, first: Array, budget: Budget, accuracy: float
 ) -> AxisCover:
-    """`cover_axis` of each strongly connected part of M11 on its own; mu of the whole is the largest of theirs."""
+    """Apply `cover_axis` to each strongly connected part of M11; mu of the whole is the largest of theirs."""
     whole = AxisCover(open=[])
     for members in coupled_blocks(model, blocks):
         w, z = entries(blocks, members)
@@ -206,13 +206,13 @@ def cover_parts(
 
 
 def extend_work(model: StateSpaceModel) -> int:
-    """Work of `extend`, as measured: the eigenvalues of H, and the signs at some of them and at the probes."""
+    """Return the measured work of `extend`: the eigenvalues of H, and the signs at some of them and at the probes."""
     n, p = model.n_states, max(model.n_inputs, model.n_outputs)
     return 600 + (2 * n) ** 3 // 100 + 3 * PROBES * (2 + p**2 // 20 + p**3 // 400)
 
 
 def extend(model: StateSpaceModel, bound: UpperBound, beta: float, omega: float) -> Piece | None:
-    """The interval around ``omega`` on which D and G of ``bound`` prove beta; None where they do not at ``omega``."""
+    """Return the interval around ``omega`` on which D and G of ``bound`` prove beta; None if not at ``omega``."""
     if not bound.beta < beta:
         return None
     stricter = max(beta * (1 - SLACK), (bound.beta + beta) / 2)
@@ -230,14 +230,14 @@ def extend(model: StateSpaceModel, bound: UpperBound, beta: float, omega: float)
     below, low_holds = _segments_proved(model, bound, tested, ends[own::-1], middles[:own][::-1])
     above, high_holds = _segments_proved(model, bound, tested, ends[own + 1 :], middles[own + 1 :])
     first, last = own - below, own + above
-    # A candidate is where the stricter level is met: the sign has to be right there, or rounding has moved it.
+    # At a candidate the stricter level is attained: if the sign is wrong there, rounding has moved it.
     low, high = float(ends[first]), float(ends[last + 1])
     if not low_holds:
         low = _edge(model, bound, tested, bad=low, good=float(middles[first]))
     if not high_holds:
         far = high if np.isfinite(high) else 1e6 * float(middles[-1])
         high = _edge(model, bound, tested, bad=far, good=float(middles[last]))
-    # Inside by a small share of the frequency, or of the piece where that is narrower.
+    # Shrink by a small share of the frequency, or of the piece where that is narrower.
     low += 1e-9 * min(low, omega - low)
     high -= 1e-9 * min(high, high - omega) if np.isfinite(high) else 0.0
     low, high = _between_failures(model, bound, tested, low, high, omega)
@@ -247,7 +247,7 @@ def extend(model: StateSpaceModel, bound: UpperBound, beta: float, omega: float)
 def _segments_proved(
     model: StateSpaceModel, bound: UpperBound, beta: float, ends: Array, middles: Array
 ) -> tuple[int, bool]:
-    """How many segments, each behind its end, have the right sign one after the other; and whether the last end has."""
+    """Return how many consecutive segments have the right sign, and whether the last end has."""
     proved, count = 0, 2
     while proved < len(middles):
         some = slice(proved, min(proved + count, len(middles)))
@@ -260,7 +260,7 @@ def _segments_proved(
 
 
 def _edge(model: StateSpaceModel, bound: UpperBound, beta: float, *, bad: float, good: float) -> float:
-    """Where the sign changes between a frequency at which it is wrong and one at which it is right; a right one."""
+    """Search between a frequency with the right sign and one with the wrong sign; return the last right one."""
     for _ in range(4):
         points = np.linspace(good, bad, PROBES + 2)[1:-1]
         wrong = np.flatnonzero(~_negative(model, bound, beta, points))
@@ -272,8 +272,8 @@ def _edge(model: StateSpaceModel, bound: UpperBound, beta: float, *, bad: float,
 def _between_failures(
     model: StateSpaceModel, bound: UpperBound, beta: float, low: float, high: float, omega: float
 ) -> tuple[float, float]:
-    """The interval again, or the part around ``omega`` in which every probe has the right sign."""
-    # Eigenvalues of H can be wrong in the first digits where D, G are extreme: probes catch what they miss.
+    """Return the interval, or the part around ``omega`` in which every probe has the right sign."""
+    # Eigenvalues of H can be wrong in the first digits where D, G are extreme: the probes detect this.
     top = high if np.isfinite(high) else 1e3 * max(low, _speed(model))
     bottom = low if low > 0 else 1e-6 * top
     probes = np.unique(np.concatenate([np.linspace(low, top, PROBES), np.geomspace(bottom, top, PROBES)]))
@@ -293,7 +293,7 @@ def _speed(model: StateSpaceModel) -> float:
 
 
 def _candidates(model: StateSpaceModel, bound: UpperBound, beta: float) -> Array | None:
-    """Moduli of the imaginary parts of all eigenvalues of H, or None where H cannot be formed with confidence."""
+    """Return the moduli of the imaginary parts of all eigenvalues of H; None where H is too ill-conditioned."""
     A, B, C, D = model.A, model.B, model.C, model.D
     Dz, X = bound.Dz, -1j * hermitian(bound.G)
     R = hermitian(D) @ Dz @ D + hermitian(D) @ X + hermitian(X) @ D - beta**2 * bound.Dw
@@ -317,7 +317,7 @@ def _candidates(model: StateSpaceModel, bound: UpperBound, beta: float) -> Array
 
 
 def _negative(model: StateSpaceModel, bound: UpperBound, beta: float, omega: Array) -> Mask:
-    """Whether ``Phi(omega) < 0`` at each frequency."""
+    """Return whether ``Phi(omega) < 0`` at each frequency."""
     scaled = relative(bound.Dw, supply(frequency_response(model, omega), bound.Dz, bound.G))
     finite = np.isfinite(scaled).all(axis=(1, 2))
     scaled[~finite] = 0

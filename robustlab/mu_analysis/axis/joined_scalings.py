@@ -1,4 +1,4 @@
-"""Pieces of a proof over the axis as what a claim holds: intervals in rad/s with scalings of all blocks."""
+"""Conversion of the pieces of a proof over the axis to a claim: intervals in rad/s with scalings of all blocks."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from robustlab.uncertainty.blocks import Block, block_slices
 from robustlab.verification.claim import Claim
 
 APART = 64  # binary digits between the scalings of parts of which one acts on the other, and not back
-DEEPEST = 900  # binary digits in all: beyond them doubles end
+DEEPEST = 900  # total binary digits: the range of doubles
 
 
 def loop_axis_claims(
     plant: StateSpaceModel, K: StateSpaceModel, blocks: Sequence[Block], level: float, pieces: Sequence[Any]
 ) -> list[Claim]:
-    """That mu of the loop of P and K is at most ``level`` at all frequencies; none where pieces cannot be joined."""
+    """Return the claim that mu of the loop of P and K is at most ``level``; none where pieces cannot be joined."""
     dt = plant.dt
 
     def at(omega: float) -> float:
@@ -42,13 +42,13 @@ def loop_axis_claims(
 def joined_scalings(
     model: StateSpaceModel, blocks: Sequence[Block], pieces: Sequence[Any], at: Callable[[float], float]
 ) -> Numbers | None:
-    """Pieces of a proof as intervals in rad/s with scalings of all blocks; None where they cannot be joined."""
-    whole = _of_the_whole(model, blocks, pieces)
+    """Return the pieces as intervals in rad/s with scalings of all blocks; None where they cannot be joined."""
+    whole = _pieces_of_all_blocks(model, blocks, pieces)
     return None if whole is None else interval_scalings(whole, at)
 
 
 def interval_scalings(pieces: Sequence[Any], at: Callable[[float], float]) -> Numbers:
-    """The intervals in rad/s of the model, sorted, with their scalings."""
+    """Return the intervals in rad/s of the model, sorted, with their scalings."""
     ordered = sorted(pieces, key=lambda p: p.low)
     stacks = {name: np.stack([getattr(p.bound, key) for p in ordered]).astype(complex)
               for name, key in (("D_w", "Dw"), ("D_z", "Dz"), ("G", "G"))}  # fmt: skip
@@ -56,10 +56,10 @@ def interval_scalings(pieces: Sequence[Any], at: Callable[[float], float]) -> Nu
     return {**ends, **stacks}
 
 
-def _of_the_whole(model: StateSpaceModel, blocks: Sequence[Block], pieces: Sequence[Piece]) -> list[Any] | None:
-    """Pieces of parts that act on each other in a cycle, as pieces of all blocks."""
-    # Parts of which one acts on the other, and not back, have a triangular M. With D of each part times 2^(-64 k), k
-    # its depth, what it does to those behind it counts for nothing; a block in no cycle has the identity.
+def _pieces_of_all_blocks(model: StateSpaceModel, blocks: Sequence[Block], pieces: Sequence[Piece]) -> list[Any] | None:
+    """Join pieces of strongly connected parts to pieces of all blocks."""
+    # M is block triangular in these parts. With D of each part times 2^(-64 k), k its depth, the coupling between parts
+    # is negligible; a block in no cycle has the identity.
     whole = tuple(range(len(blocks)))
     if all(p.members is None or p.members == whole for p in pieces):
         return list(pieces)
@@ -90,7 +90,7 @@ def _of_the_whole(model: StateSpaceModel, blocks: Sequence[Block], pieces: Seque
 
 
 def _depths(model: StateSpaceModel, blocks: Sequence[Block]) -> NDArray[np.int64]:
-    """How many parts lie before each block: the longest way by which others act on it and it does not on them."""
+    """Return the depth of each block: the longest chain of parts that act on it but not it on them."""
     n, acts = model.n_states, acting(model, blocks)
     labels = strong_components(acts)
     count = int(labels.max(initial=-1)) + 1

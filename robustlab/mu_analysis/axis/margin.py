@@ -33,7 +33,7 @@ PERFORMANCE = "performance"  # the block that robust_performance adds; no range 
 
 @dataclass(frozen=True, eq=False)
 class StabilityMargin(Bracket):
-    """How far a set may grow before a member of it is unstable, whatever kind of system it is.
+    """Largest size of a set without an unstable member, for any type of system.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class StabilityMargin(Bracket):
     status
         CERTIFIED where ``lower`` is proved.
     delta
-        The smallest member found that is unstable, one normalised value per block name; empty where none was.
+        The smallest unstable member found, one normalised value per block name; empty where none was.
     notes
         Remarks for the reader of a report.
     """
@@ -80,24 +80,23 @@ class Margin(Tabular, StabilityMargin):
     physical
         The critical values and units of the physical parameters.
     pole
-        The pole of the model perturbed by ``delta`` that lies on or beyond the stability boundary.
+        The pole on or beyond the stability boundary of the model perturbed by ``delta``.
     status
         CERTIFIED: ``lower`` proved on the whole axis. INCONCLUSIVE: ``open`` intervals are left, ``mu_upper`` holds on
-        the grid only. TIMEOUT: the time limit ended the proof; what is left of it is in ``lower`` and ``open``.
+        the grid only. TIMEOUT: the time limit ended the proof; ``lower`` and ``open`` give the part that was proved.
     omega, mu_lower, mu_upper
-        Bounds of mu at the frequencies that were asked for, for figures; what lies between them is in ``intervals``.
+        Bounds of mu at the requested frequencies, for figures; ``intervals`` has the bounds between them.
     intervals
-        ``(low, high, mu_upper)`` in rad/s: what is proved, together covering [0, inf] where the status is CERTIFIED.
+        ``(low, high, mu_upper)`` in rad/s: proved bounds, together covering [0, inf] where the status is CERTIFIED.
     open
         Frequency intervals for which nothing is proved.
     shares
         Share of each block in the margin: with 1 % less range of a block it grows by share percent.
     proof
-        What ``lower`` rests on: pieces of the axis with the D, G that hold there, or, after branch and bound, the
-        regions (boxes of parameters with frequencies) that were proved one by one.
+        Evidence of ``lower``: pieces of the axis with their D, G, or, after branch and bound, the proved regions
+        (boxes of parameters with frequencies).
     system, boxes
-        The set that it is about, and each box of a branch and bound with an interval proved in it, for
-        `robustlab.verify`.
+        The set, and each box of a branch and bound with an interval proved in it, for `robustlab.verify`.
     """
 
     kind: ClassVar[str] = "robust stability margin"
@@ -116,7 +115,7 @@ class Margin(Tabular, StabilityMargin):
 
     @property
     def gap(self) -> float:
-        """``upper / lower - 1``: how far the bounds are apart; inf where one of them says nothing."""
+        """``upper / lower - 1``; inf where ``lower`` is 0 or a bound infinite."""
         return self.upper / self.lower - 1 if 0 < self.lower < np.inf and self.upper < np.inf else float("inf")
 
     def facts(self) -> Facts:
@@ -136,7 +135,7 @@ class Margin(Tabular, StabilityMargin):
         ]
 
     def _first(self) -> str:
-        """The block whose range weighs most, and what each percent of it gives."""
+        """Block with the largest share, and the gain in margin for each percent of its range."""
         order = sorted(self.shares, key=lambda name: -abs(self.shares[name]))
         first = next((name for name in order if name in self.physical or name != PERFORMANCE), None)
         return f"{first}: each percent of its range taken off gives {self.shares[first]:.2g} %" if first else ""
@@ -146,13 +145,13 @@ class Margin(Tabular, StabilityMargin):
         return [Part("critical Delta (smallest found):", header, delta_rows(self.delta, self.physical, self.shares))]
 
     def proved_intervals(self) -> Part:
-        """What is proved of each interval of frequency, and which are left open."""
+        """Proved bound of each interval of frequency, and the open intervals."""
         proved = [(f"{low:.6g}", f"{high:.6g}", f"{bound:.6g}") for low, high, bound in sorted(self.intervals)]
-        left = [(f"{low:.6g}", f"{high:.6g}", "not proved") for low, high in self.open]
-        return Part("proved intervals:", ("from rad/s", "to rad/s", "mu at most"), [*proved, *left])
+        unproved = [(f"{low:.6g}", f"{high:.6g}", "not proved") for low, high in self.open]
+        return Part("proved intervals:", ("from rad/s", "to rad/s", "mu at most"), [*proved, *unproved])
 
     def table(self) -> Table:
-        """Both bounds of mu over the frequencies that were asked for."""
+        """Both bounds of mu over the requested frequencies."""
         columns = {"mu_lower": self.mu_lower, "mu_upper": self.mu_upper}
         return Table(("omega", self.omega), columns, {"omega": "rad/s"})
 
@@ -189,16 +188,16 @@ class WorstCaseGain(Tabular, PeakGain):
         Gain of the nominal member.
     status
         CERTIFIED: ``upper`` is proved. INCONCLUSIVE: it is not, and reads inf. TIMEOUT: the time limit ended the
-        proof; ``upper`` is what was proved by then. INACCURATE: there is no uncertainty, and digits of the nominal
+        proof; ``upper`` is the bound proved by then. INACCURATE: there is no uncertainty, and digits of the nominal
         gain were lost.
     omega, nominal_gain, gain_lower, gain_upper
-        Curves over the frequencies that were asked for.
+        Curves over the requested frequencies.
     intervals
-        ``(low, high, bound)`` in rad/s: what is proved with D, G scalings.
+        ``(low, high, bound)`` in rad/s, proved with D, G scalings.
     open
         Frequency intervals for which nothing is proved.
     proof
-        What ``upper`` rests on: pieces of the axis with their D, G, or regions of parameters and frequency.
+        Evidence of ``upper``: pieces of the axis with their D, G, or regions of parameters and frequency.
     system, boxes
         As in `Margin`.
     """
@@ -227,7 +226,7 @@ class WorstCaseGain(Tabular, PeakGain):
         return self.upper / self.lower - 1 if self.lower > 0 else float("inf")
 
     def evidence(self) -> Facts:
-        """The worst member, and what proves the bound."""
+        """The worst member, and the size of the proof."""
         return [
             ("nominal gain", number(self.nominal)),
             ("worst member", member(self.delta, self.physical)),
@@ -238,13 +237,13 @@ class WorstCaseGain(Tabular, PeakGain):
         return [Part("worst Delta found:", ("block", "delta", "parameter"), delta_rows(self.delta, self.physical))]
 
     def proved(self) -> Part:
-        """The frequency intervals with the bound of the gain that is proved in each; inf: none is."""
+        """The frequency intervals with the proved bound of the gain in each; inf: none."""
         rows = [*self.intervals, *((low, high, math.inf) for low, high in self.open)]
         texts = [(f"{low:.6g}", f"{high:.6g}", f"{bound:.6g}") for low, high, bound in sorted(rows)]
         return Part("proved intervals:", ("from rad/s", "to rad/s", "gain at most"), texts)
 
     def table(self) -> Table:
-        """Nominal gain and both bounds over the frequencies that were asked for."""
+        """Nominal gain and both bounds over the requested frequencies."""
         columns = {"nominal": self.nominal_gain, "lower": self.gain_lower, "upper": self.gain_upper}
         return Table(("omega", self.omega), columns, {"omega": "rad/s"})
 

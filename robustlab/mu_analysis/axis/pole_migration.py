@@ -1,10 +1,10 @@
 """Destabilising perturbations: the smallest Delta that brings a pole of a state-space model to the axis."""
 
-# Real mu lives at isolated frequencies, so a frequency grid finds nothing. Instead one pole of A + B Delta (I - D
-# Delta)^-1 C is led to the axis in small steps, each the linearised move of least max |delta_i|, and then along the
-# axis to a smaller Delta. A real pole that meets another and crosses at zero is found by the static problem det(I -
-# M(0) Delta) = 0, a loop that becomes ill-posed by det(I - D Delta) = 0. What counts in the end is that the model at
-# Delta, or at a part of it, has a pole on or beyond the axis.
+# Real mu is nonzero at isolated frequencies only, so a frequency grid finds nothing. Instead one pole of A + B Delta
+# (I - D Delta)^-1 C is moved to the axis in small steps, each the linearised move of least max |delta_i|, then along
+# the axis to a smaller Delta. A real pole that meets another and crosses at zero is found by the static problem
+# det(I - M(0) Delta) = 0, a loop that becomes ill-posed by det(I - D Delta) = 0. At the end the model at Delta, or at a
+# part of it, must have a pole on or beyond the axis.
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from robustlab.mu_analysis.matrix.lower import FRACTIONS, lower_bounds, unit_row
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block
 
-LEADING = 15  # steps that lead a pole to the axis; more: smaller ones
+LEADING = 15  # steps that move a pole to the axis; more: smaller ones
 FOLLOWING = 30  # steps along the axis
 SCALING = 6  # steps at the end that change the size of Delta alone
-CROSSINGS = 8  # candidates that are taken to the axis exactly
+CROSSINGS = 8  # candidates that are moved to the axis exactly
 PEAKS = 6  # of mu on the grid that paths start from
 AXIS_ROUNDS = 15  # of descent along the axis at most ...
 LEAST_AXIS_DESCENT = 1e-5  # ... each of which has to lower the norm by this share
@@ -58,7 +58,7 @@ def smallest_destabilising(
     crossings: list[Destabilising] = []
     candidates, ill_posed = _matrix_candidates(model, blocks, omega, seed)
     if model.n_states:
-        # A path that leads nowhere may overflow; its end is no crossing.
+        # A path that does not converge may overflow; its end is no crossing.
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             candidates = _migrated(model, blocks, candidates, seed, random_starts)
     for delta in candidates:
@@ -74,12 +74,12 @@ def smallest_destabilising(
 def _matrix_candidates(
     model: StateSpaceModel, blocks: Sequence[Block], omega: Array, seed: int
 ) -> tuple[list[ComplexArray], ComplexArray | None]:
-    """Deltas that solve the matrix problem at zero frequency and, where blocks are complex, at the grid's peaks."""
+    """Return Deltas that solve the matrix problem at zero frequency and, with complex blocks, at the grid's peaks."""
     # At zero frequency M is real: its real Delta moves a real pole into the origin.
     ends = np.concatenate([frequency_response(model, np.array([0.0])), model.D.astype(complex)[None]])
     static, (_, ill_posed) = lower_bounds(ends, blocks, seed)
     found = [static]
-    # A purely real Delta reaches isolated frequencies only: trying others would find nothing.
+    # A purely real Delta is critical at isolated frequencies only: others would find nothing.
     if len(omega) and not all(b.interval for b in blocks):
         others = lower_bounds(frequency_response(model, np.asarray(omega, dtype=float)), blocks, seed, 4, 24)
         found += sorted(others, key=lambda pair: -pair[0])[:PEAKS]
@@ -104,12 +104,12 @@ def _closed(model: StateSpaceModel, delta: ComplexArray) -> tuple[NDArray[Any], 
 
 
 def _eigen(a: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """Eigenvalues and right eigenvectors; stored as real numbers where all of them are real."""
+    """Return eigenvalues and right eigenvectors."""
     values, right = np.linalg.eig(a)
     return values, right
 
 
-# --- what counts -----------------------------------------------------------------------------------------------------
+# --- crossings -------------------------------------------------------------------------------------------------------
 
 
 def _rightmost(model: StateSpaceModel, delta: ComplexArray) -> ComplexArray:
@@ -130,13 +130,13 @@ def _rightmost(model: StateSpaceModel, delta: ComplexArray) -> ComplexArray:
 def first_crossing(
     model: StateSpaceModel, blocks: Sequence[Block], delta: ComplexArray, best: float = np.inf
 ) -> Destabilising | None:
-    """The smallest multiple of Delta found, up to a little more than itself, at which the model is not stable."""
+    """Return the smallest multiple of Delta found, up to slightly more than 1, at which the model is not stable."""
     delta = project(blocks, delta)
     if not np.isfinite(delta).all() or not delta.any():
         return None
     factors = np.concatenate([np.linspace(0.1, 1.0, 10), 1 + 10.0 ** np.arange(-12, -3)])
     right = _rightmost(model, factors[:, None, None] * delta)
-    # Where rounding of eigenvalues hides the crossing, the frequency response still shows it.
+    # Where rounding of eigenvalues hides the crossing, the frequency response still detects it.
     exact = _on_the_axis(model, blocks, delta, complex(right[9]))
     unstable_at = np.flatnonzero(right.real >= 0)
     first = int(unstable_at[0]) if len(unstable_at) else 0
@@ -155,7 +155,7 @@ def first_crossing(
 
 
 def _bisected(model: StateSpaceModel, delta: ComplexArray, stable: float, unstable: float) -> float:
-    """The first multiple of Delta between two that has a pole right of the axis; a round cuts into sixteen parts."""
+    """Return the first multiple of Delta between two with a pole right of the axis; a round cuts into sixteen parts."""
     for _ in range(12):
         inner = np.linspace(stable, unstable, 17)
         beyond = _rightmost(model, inner[1:-1, None, None] * delta).real >= 0
@@ -169,10 +169,10 @@ def _bisected(model: StateSpaceModel, delta: ComplexArray, stable: float, unstab
 def _on_the_axis(
     model: StateSpaceModel, blocks: Sequence[Block], delta: ComplexArray, pole: complex
 ) -> list[Destabilising]:
-    """Crossings at multiples of Delta, by ``det(I - M(j omega) Delta) = 0``, from the frequency of a pole."""
+    """Return crossings at multiples of Delta, by ``det(I - M(j omega) Delta) = 0``, from the frequency of a pole."""
     if not np.isfinite(pole):
         return []
-    # A pole of a real model that is small beside the others may be real, whatever its eigenvalue says.
+    # A pole of a real model that is small relative to the others may be real although its eigenvalue is not.
     slow = abs(pole) <= 1e-6 * np.abs(model.A).max()
     real, found = any(b.interval for b in blocks), []
     for omega in dict.fromkeys([pole.imag, 0.0] if slow else [pole.imag]):
@@ -197,7 +197,7 @@ def _on_the_axis(
 
 
 def _pole_and_error(model: StateSpaceModel, delta: ComplexArray) -> tuple[complex, float]:
-    """The rightmost pole and how far rounding may have moved it, to first order."""
+    """Return the rightmost pole and a first-order bound of its rounding error."""
     a = perturbed_state_matrix(model, delta)
     if not np.isfinite(a).all():
         return complex(np.inf), 0.0
@@ -240,7 +240,7 @@ def _loop_eigenvalue(model: StateSpaceModel, delta: ComplexArray, omega: float) 
 def _migrated(
     model: StateSpaceModel, blocks: Sequence[Block], given: list[ComplexArray], seed: int, random_starts: int
 ) -> list[ComplexArray]:
-    """Deltas, the smallest first, that have a pole close to the axis: those given, and the ends of paths."""
+    """Return Deltas, the smallest first, with a pole close to the axis: those given, and the ends of paths."""
     layout = delta_layout(blocks)
     rng = np.random.default_rng(seed)
     nominal = model.poles()
@@ -265,7 +265,7 @@ def _migrated(
 
 
 def _distinct(pool: ComplexArray, norm: Array, count: int) -> list[int]:
-    """The indices of the smallest norms, one of those Deltas that agree."""
+    """Return the indices of the smallest norms, one of those Deltas that agree."""
     order = np.argsort(norm)
     keep: list[int] = []
     for k in order[np.isfinite(norm[order])]:
@@ -276,14 +276,14 @@ def _distinct(pool: ComplexArray, norm: Array, count: int) -> list[int]:
 
 
 def _unstable_norm(model: StateSpaceModel, layout: DeltaLayout, deltas: ComplexArray) -> Array:
-    """Norms of those Deltas that destabilise, inf for the others."""
+    """Return the norms of those Deltas that destabilise, inf for the others."""
     if not len(deltas):
         return np.zeros(0)
     return np.where(_rightmost(model, deltas).real >= 0, layout.sizes(deltas).max(axis=1), np.inf)
 
 
 def _distance(model: StateSpaceModel, layout: DeltaLayout, zero: ComplexArray, poles: ComplexArray) -> float:
-    """Norm by which a typical pole reaches the axis if it moves on as it begins."""
+    """Return the norm at which a typical pole reaches the axis to first order."""
     pole, _, _, row, x = _by_eigenvalues(model, zero, poles)
     gains = np.abs(layout.gains(row, x)).sum(axis=1)
     return float(np.median(np.minimum(-pole.real / np.maximum(gains, 1e-300), 1e6)))
@@ -292,7 +292,7 @@ def _distance(model: StateSpaceModel, layout: DeltaLayout, zero: ComplexArray, p
 def _scattered(
     model: StateSpaceModel, layout: DeltaLayout, rng: np.random.Generator, size: float, count: int
 ) -> ComplexArray:
-    """Random Deltas (<= count, q, p), every other one a corner, of 0.1 to 2 times a size; well-posed ones only."""
+    """Return well-posed random Deltas (<= count, q, p), every other one a corner, of 0.1 to 2 times a size."""
     values = rng.uniform(-1, 1, (count, layout.n))
     values[::2] = np.sign(values[::2])
     turned = values * np.where(layout.real, 1.0, np.exp(2j * np.pi * rng.random((count, layout.n))))
@@ -305,17 +305,17 @@ def _scattered(
 def _migrate(
     model: StateSpaceModel, layout: DeltaLayout, deltas: ComplexArray, poles: ComplexArray
 ) -> tuple[ComplexArray, Array]:
-    """The smallest Delta of each path that has its pole close to the axis, and its norm (inf where none has)."""
+    """Return the smallest Delta of each path with its pole close to the axis, and its norm (inf where none has)."""
     going = np.isfinite(poles) & (np.abs(poles) < np.inf)
     deltas, poles = deltas[going], poles[going]
     best, best_norm = deltas.copy(), np.full(len(deltas), np.inf)
     if not len(deltas):
         return best, best_norm
     speed = np.maximum(np.abs(poles), 1e-9 * np.abs(model.A).max())
-    # A pole next to the axis has not arrived before it has moved.
+    # A pole next to the axis must move before it counts as arrived.
     close = np.minimum(1e-6 * speed, np.maximum(1e-3 * np.abs(poles.real), 100 * EPS * speed))
     phase = np.arange(len(deltas)) * 0.754877666 % 1.0
-    # The types are stated because inferring them around the loop takes pyright half a minute.
+    # Declared types: inferring them around the loop takes pyright half a minute.
     pole: ComplexArray
     row: ComplexArray
     x: ComplexArray
@@ -327,7 +327,7 @@ def _migrate(
     first: Array = np.zeros(len(deltas))
     for step in range(LEADING + FOLLOWING):
         try:
-            # On their way poles meet, and leave the real axis in pairs: only all eigenvalues tell which is next.
+            # Poles may meet and leave the real axis in pairs: all eigenvalues are needed to identify the next one.
             if step <= LEADING:
                 pole, u, v, row, x = _by_eigenvalues(model, deltas, poles)
             else:
@@ -346,7 +346,7 @@ def _migrate(
             new = _scaled_to_axis(deltas, pole, row, x)
         size = layout.sizes(new).max(axis=1)
         first = size if step == 0 else first
-        # The linearisation does not hold far away: where a loop becomes ill-posed, a whole step leads to nowhere.
+        # The linearisation does not hold far away: where a loop becomes ill-posed, a whole step is useless.
         new = new * np.minimum(1.0, (first + 1.5 * norms) / np.maximum(size, 1e-300))[:, None, None]
         moved = np.einsum("km,kmp,kp->k", row, new - deltas, x)
         reach = 0.5 * np.abs(pole) + 1e-3 * speed
@@ -356,7 +356,7 @@ def _migrate(
 
 
 def descended(model: StateSpaceModel, layout: DeltaLayout, deltas: ComplexArray) -> ComplexArray:
-    """Deltas with a pole on the axis, moved to smaller ones along the axis as far as the norm falls."""
+    """Move Deltas with a pole on the axis to smaller ones along the axis while the norm falls."""
     # Where several blocks end inside their range, whole steps only jump around the minimum: part of the way to the
     # Delta of least norm of the linearised problem, then back to the axis by size.
     if not len(deltas):
@@ -403,7 +403,7 @@ Directions = tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray, Compl
 
 
 def _by_eigenvalues(model: StateSpaceModel, deltas: ComplexArray, aims: ComplexArray) -> Directions:
-    """The pole next to each aim, its left and right eigenvectors, and row, x with ``d pole = row dDelta x``."""
+    """Return the pole next to each aim, its left and right eigenvectors, and row, x with ``d pole = row dDelta x``."""
     a, loop_inverse = _closed(model, deltas)
     if not np.isfinite(a).all():
         raise np.linalg.LinAlgError("ill-posed")
@@ -440,7 +440,7 @@ def _by_inverse_iteration(
 def _gradient(
     model: StateSpaceModel, deltas: ComplexArray, inverse: ComplexArray | None, u: ComplexArray, v: ComplexArray
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Parts row (k, q) and x (k, p) with ``d pole = row dDelta x``, from the eigenvectors with ``u v = 1``."""
+    """Return row (k, q) and x (k, p) with ``d pole = row dDelta x``, from the eigenvectors with ``u v = 1``."""
     x, row = v @ model.C.T, u @ model.B
     if inverse is None:
         return row, x
@@ -451,7 +451,7 @@ def _gradient(
 def _least_move(
     layout: DeltaLayout, deltas: ComplexArray, pole: ComplexArray, row: ComplexArray, x: ComplexArray, *, goal: Array
 ) -> ComplexArray:
-    """The Delta of least norm that, to first order, puts the real part of the pole at ``goal``."""
+    """Return the Delta of least norm that, to first order, puts the real part of the pole at ``goal``."""
     gains = layout.gains(row, x)
     now = np.einsum("km,kmp,kp->k", row, deltas, x)
     strength = np.where(layout.real, np.abs(gains.real), np.abs(gains)).sum(axis=1)
@@ -461,7 +461,7 @@ def _least_move(
 
 
 def _scaled_to_axis(deltas: ComplexArray, pole: ComplexArray, row: ComplexArray, x: ComplexArray) -> ComplexArray:
-    """Newton step on the size of Delta alone."""
+    """Make a Newton step on the size of Delta."""
     slope = np.einsum("km,kmp,kp->k", row, deltas, x).real
     factor = 1 - pole.real / np.where(np.abs(slope) < 1e-300, 1e-300, slope)
     return deltas * np.clip(factor, 0.5, 2.0)[:, None, None]

@@ -1,8 +1,8 @@
 """Robust stability and worst-case gain of an uncertain model over the whole frequency axis; robust performance."""
 
-# Each asks for the peak of skewed mu. The blocks that grow with the level are all of them (stability: a level is mu),
-# or the performance alone (a level is a gain). A member is sought that attains a level; constant D, G on intervals
-# that cover the axis prove another; branch and bound over the real parameters brings both together.
+# Each is the peak of skewed mu. Either all blocks grow with the level (stability: a level is mu), or the performance
+# block alone (a level is a gain). A search finds a member that attains a level; constant D, G on intervals that cover
+# the axis prove another; branch and bound over the real parameters closes the gap.
 
 from __future__ import annotations
 
@@ -62,26 +62,26 @@ __all__ = [
     "gain_within", "margin_within", "robust_performance", "robust_stability", "with_performance", "worst_case_gain",
 ]  # fmt: skip
 
-COARSE = 4e-3  # accuracy of the first cover, which tells whether branch and bound has to follow
-MEMBERS = 6  # of the set that are followed to a gain's own peak
-FINEST = 1e-9  # bounds closer together than this are told apart by rounding alone
-CONTRADICTS = 1e-5  # what attains a level to rounding may pass a proof that is as tight, by that much and no more
+COARSE = 4e-3  # accuracy of the first cover, which decides whether branch and bound is needed
+MEMBERS = 6  # members whose gain is maximised over frequency
+FINEST = 1e-9  # smallest accuracy: closer bounds differ by rounding only
+CONTRADICTS = 1e-5  # largest relative excess of an attained level over a proved one that is due to rounding
 GAIN_ACCURACY = 1e-4  # of the cover of a gain
-FIRST_BRANCHES = 0.02  # share of the work for branch and bound before a smaller Delta is sought by modes
+FIRST_BRANCHES = 0.02  # share of the work for branch and bound before the search by modes
 ASCENT_SHARE = 0.25  # of the work left, for that search
-NORM_WIDTH = 1e-9  # relative width of the bracket of the norm that answers for one full block
-# Half width, in log frequency, of the first neighbourhood in which a smaller complex Delta is sought, the factor by
-# which the next are smaller, the last one in shares of the distance of the nearest pole, and how many at most.
+NORM_WIDTH = 1e-9  # relative width of the bracket of the norm for one full block
+# Search for a smaller complex Delta around a frequency: half width of the first neighbourhood in log frequency, factor
+# of reduction, last width relative to the distance of the nearest pole, and the largest number.
 WIDEST, NARROWER, NARROWEST, NEIGHBOURHOODS = 0.1, 5.0, 8e-4, 60
-SIZES = 12  # of an asymmetric set, tried for the largest one that D, G prove ...
-LARGE = 1e3  # ... the first of them where nothing is known
-FINEST_SIDE = 1e-5  # relative to the width of a box, a cover in it comes no closer to the narrower side
-BLURRED = 1e-3  # share of the gain beyond which the bound of rounding leaves out what a zero nearly cancels
+SIZES = 12  # sizes of an asymmetric set that are tried to find the largest one that D, G prove
+LARGE = 1e3  # the first of them if no destabilising member is known
+FINEST_SIDE = 1e-5  # smallest accuracy of a cover in a box, for its narrower side
+BLURRED = 1e-3  # share of the gain beyond which the rounding bound omits modes that a zero nearly cancels
 
 
 @dataclass
 class _Search(ABC):
-    """The level that a member attains, the smallest one that is proved, and what shows them."""
+    """The level that a member attains, the smallest proved one, and the evidence of both."""
 
     uncertain: UncertainModel
     model: StateSpaceModel
@@ -100,22 +100,22 @@ class _Search(ABC):
     @property
     @abstractmethod
     def problem(self) -> MarginProblem | GainProblem:
-        """What branch and bound cuts."""
+        """The problem for branch and bound."""
 
     @abstractmethod
     def over_the_axis(self, first: Array, accuracy: float) -> None:
         """Prove a level by constant D, G."""
 
     @abstractmethod
-    def meet(self, values: Any) -> None:
-        """Take a member that branch and bound has met."""
+    def take_member(self, values: Any) -> None:
+        """Take a member that branch and bound has found."""
 
     @abstractmethod
     def better_member(self) -> None:
-        """Seek a worse member in another way, where there is one."""
+        """Search for a worse member by another method, if there is one."""
 
     def prove(self, first: Array, accuracy: float, tolerance: float) -> None:
-        """Cover the axis, more closely where that may do, then cut the set where the bounds are farther apart."""
+        """Cover the axis, more closely where that may suffice, then branch if the bounds are farther apart."""
         self.over_the_axis(first, max(accuracy, COARSE))
         near = self.level <= self.attained * (1 + tolerance) * (1 + 2 * COARSE)
         if not self.cover.open and accuracy < COARSE and (near or not self.attained):
@@ -125,10 +125,10 @@ class _Search(ABC):
             if again.level < self.level:
                 self.level, self.cover, self.proof = again.level, again.cover, again.proof
         if any(b.interval for b in self.blocks):
-            if self.apart(tolerance):  # most gaps are closed soon
-                soon = self.budget.apart(FIRST_BRANCHES * max(self.budget.left, 0.0))
-                self.cut(tolerance, soon)
-                if soon.struck:
+            if self.apart(tolerance):  # most gaps close early
+                first_budget = self.budget.apart(FIRST_BRANCHES * max(self.budget.left, 0.0))
+                self.cut(tolerance, first_budget)
+                if first_budget.struck:
                     self.budget.strike()
             if self.apart(tolerance) and not self.budget.over:
                 self.better_member()
@@ -139,21 +139,21 @@ class _Search(ABC):
             raise NoTrustworthyNumber("robustness", text)
 
     def apart(self, tolerance: float) -> bool:
-        """Whether a member is known and what is proved of all is farther from it than asked for."""
+        """Return whether a member is known and the bounds are farther apart than the tolerance."""
         return 0 < self.attained * (1 + tolerance) < self.level
 
     def cut(self, tolerance: float, budget: Budget) -> None:
-        """Close the gap that D, G leave by boxes of the real parameters."""
+        """Reduce the gap of the D, G bounds by branch and bound over the real parameters."""
         problem = self.problem
         found = tighten(problem, self.attained, self.level, tolerance, budget)
         if found.upper < self.level:
             self.level, self.proof, self.boxes = found.upper, tuple(found.leaves), tuple(problem.proved)
             self.cover.open.clear()
         if found.values is not None:
-            self.meet(found.values)
+            self.take_member(found.values)
 
     def fields(self, delta: Mapping[str, Any], notes: Sequence[str], last: str = "") -> dict[str, Any]:
-        """What every result tells of its proof and of its Delta; notes that say nothing are left out."""
+        """Return the fields of every result about its proof and its Delta; empty notes are omitted."""
         uncertain = self.uncertain
         intervals, left_open = self.cover.reported(uncertain, self.level)
         if self.proof and isinstance(self.proof[0], Region):
@@ -194,7 +194,7 @@ def margin_within(
     seed: int = 0,
     tolerance: float = 0.01,
 ) -> Margin:
-    """`robust_stability` within the budget of a search that it is a part of."""
+    """Compute `robust_stability` within the budget of a larger search."""
     check_nominal(uncertain, "robust_stability")
     if not FINEST <= accuracy < 1 or not tolerance > 0:
         found = f"accuracy {accuracy}, tolerance {tolerance}"
@@ -205,7 +205,7 @@ def margin_within(
     if not blocks:
         search.level = 0.0
         return search.answer(grid, np.zeros(len(grid)), np.zeros(len(grid)), "no uncertainty: mu = 0")
-    first = search.look(seed)
+    first = search.find_member(seed)
     if not search.proof:
         search.prove(first, accuracy, tolerance)
     response = frequency_response(uncertain.delta_channels, grid)
@@ -232,7 +232,7 @@ class _Stability(_Search):
 
     @property
     def symmetric(self) -> bool:
-        """Whether every range is as wide below as above."""
+        """Whether every range is symmetric."""
         return bool((lowest(self.blocks) == -1).all())
 
     @property
@@ -243,10 +243,10 @@ class _Stability(_Search):
     def _size(self, found: Destabilising) -> float:
         return gauge(self.blocks, block_entries(self.blocks, found.delta))
 
-    def look(self, seed: int) -> Array:
-        """Seek a small destabilising Delta; the frequencies that a cover begins with."""
+    def find_member(self, seed: int) -> Array:
+        """Search for a small destabilising Delta; return the first frequencies of a cover."""
         self.seed = seed
-        if self._of_one_full_block():
+        if self._solve_one_full_block():
             return np.zeros(0)
         seeds = seed_frequencies(self.model)
         worst = smallest_destabilising(self.model, self.blocks, seeds, seed)
@@ -254,14 +254,14 @@ class _Stability(_Search):
             worst = self._smallest_asymmetric(worst, seeds)
         if worst is None:
             return seeds
-        self.worst = _as_seen(self.model, worst)
+        self.worst = _in_upper_half_plane(self.model, worst)
         if self.symmetric:  # the search below measures entries of Delta, not their share of each side of a range
             self._sharpen()
         pole = self.worst.pole
         return np.append(seeds, abs(pole.imag)) if np.isfinite(pole) else seeds
 
-    def _of_one_full_block(self) -> bool:
-        """Whether mu is the largest singular value of one full block: then the H-infinity norm answers."""
+    def _solve_one_full_block(self) -> bool:
+        """Use the H-infinity norm if there is one full block; return whether it does."""
         model, block = self.model, self.blocks[0]
         if len(self.blocks) > 1 or not block.is_ball or block.d_order > 1 or block.g_basis():
             return False
@@ -272,7 +272,7 @@ class _Stability(_Search):
         scalings = UpperBound(norm.upper, np.eye(q) + 0j, np.eye(p) + 0j, np.zeros((q, p), dtype=complex))
         self.level, self.proof = norm.upper, (Piece(0.0, np.inf, norm.upper, scalings),)
         self.cover = AxisCover(list(self.proof), [], norm.upper, 1)
-        if norm.lower > 0:  # at an end of the axis, where M is real, if the peak is as high there
+        if norm.lower > 0:  # prefer an end of the axis, where M is real, if the peak is as high there
             for omega in (0.0, np.inf, norm.frequency):
                 u, sigma, vh = np.linalg.svd(frequency_response(model, [omega])[0])
                 if sigma[0] >= norm.lower * (1 - NORM_WIDTH):
@@ -283,7 +283,7 @@ class _Stability(_Search):
         return True
 
     def _sharpen(self) -> None:
-        """With complex blocks mu changes smoothly over frequency: the smallest Delta ever closer around its peak."""
+        """Refine the smallest Delta around its peak, since mu with complex blocks is smooth over frequency."""
         assert self.worst is not None
         model, blocks, omega = self.model, self.blocks, self.worst.pole.imag
         if not np.isfinite(self.worst.pole) or omega <= 0 or all(b.interval for b in blocks):
@@ -298,14 +298,14 @@ class _Stability(_Search):
             if delta is not None and value > 1 / self.worst.norm:
                 omega *= float(np.exp(reach * (k / 4 - 1)))
                 self.worst = Destabilising(1 / value, delta, complex(0.0, omega))
-                if k in (0, 8):  # the peak lies beyond
+                if k in (0, 8):  # the peak is outside
                     continue
             if reach * omega < NARROWEST * distance:
                 break
             reach /= NARROWER
 
     def _smallest_asymmetric(self, worst: Destabilising | None, seeds: Array) -> Destabilising | None:
-        """A destabilising Delta that is small in proportion to each side of its range, from the set's own centre."""
+        """Search from the set's centre for a destabilising Delta that is small relative to each side of its range."""
         model, blocks = self.model, self.blocks
         best, size = worst, np.inf if worst is None else self._size(worst)
         for _ in range(4):
@@ -318,7 +318,7 @@ class _Stability(_Search):
                 if again is None:
                     break
                 whole = whole + np.repeat(box.half, [b.rows for b in blocks])[:, None] * again.delta
-                if not np.isfinite(again.pole):  # a pole that runs off to infinity crosses no axis
+                if not np.isfinite(again.pole):  # a pole at infinity crosses no axis
                     found = Destabilising(delta_norm(blocks, whole), whole, complex(np.inf))
             found = found or first_crossing(model, blocks, whole)
             if found is None or not self._size(found) < size * (1 - 1e-7):
@@ -334,17 +334,17 @@ class _Stability(_Search):
         return None
 
     def _over_the_axis_asymmetric(self, first: Array, accuracy: float) -> None:
-        """The largest size of the set, about the nominal point, that a cover with the box's own centre proves."""
-        # What the size changes by moves the narrower side of a range by so much less of the width of the box.
+        """Find the largest size of the set about the nominal point that a cover about the box's centre proves."""
+        # A change of the size moves the narrower side of a range by a smaller share of the width of the box.
         low = -lowest(self.blocks)
         stretch = float(np.max((1 + low) / 2 / np.minimum(1.0, low)))
         fine = max(accuracy / stretch, FINEST_SIDE)
-        room = fine * stretch
+        slack = fine * stretch
         self.proof, self.level = (), np.inf
         failed = 1 / self.attained if self.attained else np.inf
-        size = failed / (1 + room) if self.attained else LARGE
+        size = failed / (1 + slack) if self.attained else LARGE
         before: tuple[float, float] | None = None  # the last size that was too large, and the logarithm of its level
-        ratio, near = 1.0, 1 + max(2 * room, COARSE)
+        ratio, near = 1.0, 1 + max(2 * slack, COARSE)
         for _ in range(SIZES):
             inside = box_model(self.model, self.blocks, root_box(self.blocks, size))
             if inside is None or not inside.is_stable():
@@ -356,7 +356,7 @@ class _Stability(_Search):
                 break
             if cover.beta > 1 + 1e-12:
                 over, failed = float(np.log(cover.beta * (1 + fine))), size
-                if before:  # a secant: how much the level falls with the size depends on the side that it is met on
+                if before:  # a secant: the slope of the level over the size depends on the critical side
                     ratio = float(np.clip(np.log(before[0] / size) / max(before[1] - over, 1e-12), 0.5, stretch))
                 if self.proof and failed * self.level < near:
                     break
@@ -365,31 +365,31 @@ class _Stability(_Search):
                 size = max(size * float(np.exp(-ratio * over)), least)
                 continue
             self.level, self.proof = 1 / size, tuple(cover.pieces)
-            # Inside the box the level is one; what it says of the set is one over the size of the box.
+            # Inside the box the level is one; for the set it is one over the size of the box.
             self.cover = AxisCover([replace(p, beta=self.level) for p in cover.pieces], [], self.level, cover.points)
             if np.isinf(failed) or failed < size * near:
                 break
             size = min(float(np.sqrt(size * failed)), size * near if before else np.inf)
 
     def better_member(self) -> None:
-        # The gap may be that of the search: only modes that meet inside the box tell of a smaller Delta.
+        # The gap may be due to the search: modes that meet inside the box may give a smaller Delta.
         if self.worst is not None and all(b.interval for b in self.blocks):
             better = smaller_destabilising(
                 self.model, self.blocks, self.worst, self.budget.share(ASCENT_SHARE), self.seed
             )
-            self.worst = _as_seen(self.model, better)
+            self.worst = _in_upper_half_plane(self.model, better)
 
-    def meet(self, values: Array) -> None:
+    def take_member(self, values: Array) -> None:
         found = first_crossing(self.model, self.blocks, centre_matrix(self.blocks, values).astype(complex))
         if found is not None and (self.worst is None or self._size(found) < self._size(self.worst)):
             self.worst = found
 
     def answer(self, grid: Array, mu_lower: Array, mu_upper: Array, note: str) -> Margin:
-        """The margin, with its evidence."""
-        uncertain, worst, left = self.uncertain, self.worst, self.cover.open
+        """Return the margin with its evidence."""
+        uncertain, worst, unproved = self.uncertain, self.worst, self.cover.open
         delta = delta_values(uncertain.blocks, worst.delta) if worst else {}
         upper = 1 / self.attained if self.attained else np.inf
-        lower = 0.0 if left else 1 / self.level if self.level > 0 else np.inf
+        lower = 0.0 if unproved else 1 / self.level if self.level > 0 else np.inf
         for array in (grid, mu_lower, mu_upper):
             array.setflags(write=False)
         frequency, pole = None, None
@@ -400,22 +400,22 @@ class _Stability(_Search):
             frequency = model_frequency(uncertain, at)
             if uncertain.M.is_discrete:
                 pole = -1.0 + 0j if end else (1 + pole) / (1 - pole)
-        unproved = f"{len(left)} frequency intervals not proved: mu_upper holds on the grid only" if left else ""
+        gaps = f"{len(unproved)} frequency intervals not proved: mu_upper holds on the grid only" if unproved else ""
         return Margin(
             lower=min(lower, upper),
             upper=upper,
             frequency=frequency,
-            status=Status.TIMEOUT if self.budget.struck else Status.INCONCLUSIVE if left else Status.CERTIFIED,
+            status=Status.TIMEOUT if self.budget.struck else Status.INCONCLUSIVE if unproved else Status.CERTIFIED,
             pole=pole,
             omega=grid,
             mu_lower=mu_lower,
             mu_upper=mu_upper,
             shares=self._shares(),
-            **self.fields(delta, [note, unproved]),
+            **self.fields(delta, [note, gaps]),
         )
 
     def _shares(self) -> dict[str, float]:
-        """Share of each block in the margin, summing to one; empty where the margin has no derivative."""
+        """Return the share of each block in the margin, summing to one; empty where the margin has no derivative."""
         # Let block i be s_i times as large. The parts c_i = row_i Delta_i x_i of the derivative of the pole that
         # crosses give, by the envelope theorem, d log m / d log s_i = - Re c_i / sum_j Re c_j.
         model, worst = self.model, self.worst
@@ -435,14 +435,14 @@ class _Stability(_Search):
         parts = delta_layout(self.blocks).contributions(worst.delta[None], row[None] / inner, x[None])[0].real
         with np.errstate(divide="ignore", invalid="ignore"):
             shares = parts / parts.sum()
-        # Parts that cancel to rounding say nothing.
+        # Parts that cancel to rounding carry no information.
         if not np.isfinite(shares).all() or np.abs(shares).sum() > 1e9:
             return {}
         return {b.name: float(share) for b, share in zip(self.blocks, shares, strict=True)}
 
 
-def _as_seen(model: StateSpaceModel, worst: Destabilising) -> Destabilising:
-    """The pole in the upper half plane, with the Delta that belongs to it; at infinity where the loop is ill-posed."""
+def _in_upper_half_plane(model: StateSpaceModel, worst: Destabilising) -> Destabilising:
+    """Return the pole in the upper half plane with its Delta; at infinity where the loop is ill-posed."""
     if singularity(model.D.astype(complex), worst.delta) <= SINGULAR * 1e3:
         return Destabilising(worst.norm, worst.delta, complex(np.inf))
     if np.isfinite(worst.pole) and worst.pole.imag < 0:
@@ -521,7 +521,7 @@ def gain_within(
     tolerance: float = 0.01,
     seed: int = 0,
 ) -> WorstCaseGain:
-    """`worst_case_gain` within the budget of a search that it is a part of."""
+    """Compute `worst_case_gain` within the budget of a larger search."""
     check_nominal(uncertain, "worst_case_gain")
     if not tolerance > 0:
         raise InputError("worst_case_gain", f"tolerance {tolerance}", "tolerance > 0")
@@ -544,20 +544,20 @@ def gain_within(
         at = model_frequency(uncertain, abs(unstable.pole.imag)) if np.isfinite(unstable.pole) else None
         search.lower, search.delta, search.frequency = np.inf, delta_values(uncertain.blocks, unstable.delta), at
         return search.answer(nominal.value, grid, "a member of the set is unstable")
-    search.look(seeds, nominal.frequency)
+    search.find_member(seeds, nominal.frequency)
     search.prove(np.append(seeds, search.peak), GAIN_ACCURACY, tolerance)
     search.level = max(search.level, search.lower)
     with np.errstate(all="ignore"):
         error = search.rounding()
     if not error <= QUIET * search.lower:
-        # Four times: the member is rounded, mapped to continuous time, scaled, and its response is solved for.
+        # Four times: the member is rounded, mapped to continuous time, scaled, and its response is computed.
         search.lower = max(search.lower - 4.0 * error, 0.0) if np.isfinite(error) else 0.0
     return search.answer(nominal.value, grid)
 
 
 @dataclass
 class _Gain(_Search):
-    """Levels are gains: the last block stands for the performance, the member at ``delta`` has the gain ``lower``."""
+    """Levels are gains: the last block is the performance block, the member at ``delta`` has the gain ``lower``."""
 
     lower: float = 0.0
     delta: Mapping[str, Any] = field(default_factory=dict)
@@ -570,7 +570,7 @@ class _Gain(_Search):
 
     @property
     def peak(self) -> float:
-        """Where the member has its gain, in the model's own frequency."""
+        """Frequency of the member's gain on the axis of the continuous model."""
         return self._mapped(self.frequency or 0.0)
 
     @property
@@ -578,11 +578,11 @@ class _Gain(_Search):
         return GainProblem(self.model, self.blocks, self.peak)
 
     def _mapped(self, omega: float) -> float:
-        """Frequency on the axis of the continuous model that belongs to one of the model itself."""
+        """Map a frequency of the given model to the axis of the continuous one."""
         return float(np.tan(omega * self.uncertain.dt / 2)) if self.uncertain.M.is_discrete else float(omega)
 
-    def look(self, seeds: Array, nominal_peak: float) -> None:
-        """Ascents to large gains at many frequencies, the best ones followed to their own peaks."""
+    def find_member(self, seeds: Array, nominal_peak: float) -> None:
+        """Ascend to large gains at many frequencies; maximise the best ones over frequency."""
         rng, box = np.random.default_rng(self.seed), root_box(self.blocks)
         omega = np.unique(np.concatenate([[0.0], seeds, [self._mapped(nominal_peak)]]))
         omega = omega[np.isfinite(omega)]
@@ -592,10 +592,10 @@ class _Gain(_Search):
             if (gain := largest_gain(M, self.blocks, box, rng, 4)) is not None
         ]
         for gain, w in sorted(met, key=lambda pair: -pair[0].value)[:MEMBERS]:
-            self._take(*self._followed(gain, w, box))
+            self._take(*self._maximised(gain, w, box))
 
-    def _followed(self, gain: Gain, omega: float, box: Box) -> tuple[float, Mapping[str, Any], float | None]:
-        """In turn the peak frequency of a member and the ascent at that frequency, as long as the gain rises."""
+    def _maximised(self, gain: Gain, omega: float, box: Box) -> tuple[float, Mapping[str, Any], float | None]:
+        """Alternate between the peak frequency of a member and an ascent at it while the gain rises."""
         best: tuple[float, Mapping[str, Any], float | None] = 0.0, {}, None
         higher: Gain | None = gain
         for _ in range(20):
@@ -611,7 +611,7 @@ class _Gain(_Search):
         return best
 
     def _member(self, delta: ComplexArray, omega: float) -> tuple[float, Mapping[str, Any], float]:
-        """Gain of a member: its H-infinity norm where Delta is real, else its largest one over frequency nearby."""
+        """Return a member's gain: its H-infinity norm where Delta is real, else its largest gain near ``omega``."""
         uncertain = self.uncertain
         values = delta_values(uncertain.blocks, delta)
         if all(b.interval for b in uncertain.blocks):
@@ -625,7 +625,7 @@ class _Gain(_Search):
         return sizes[k], values, model_frequency(uncertain, float(at[k]))
 
     def over_the_axis(self, first: Array, accuracy: float) -> None:
-        centred = self._about_the_centre()
+        centred = self._centred_model()
         self.cover = AxisCover()
         if centred is not None:
             varying = np.arange(self.model.n_inputs) >= self.model.n_inputs - self.blocks[-1].rows
@@ -634,15 +634,15 @@ class _Gain(_Search):
             )
         self.proof, self.level = tuple(self.cover.pieces), np.inf if self.cover.open else self.cover.beta
 
-    def _about_the_centre(self) -> StateSpaceModel | None:
-        """The model as the normalised Delta sees it where ranges are asymmetric; None where it is not stable there."""
+    def _centred_model(self) -> StateSpaceModel | None:
+        """Return the model centred in asymmetric ranges; None where it is not stable there."""
         box = root_box(self.blocks)
         if not box.centre.any():
             return self.model
         shifted = box_model(self.model, self.blocks, Box(box.centre, np.append(box.half[:-1], 1.0)))
         return None if shifted is None or not shifted.is_stable() else shifted
 
-    def meet(self, values: tuple[ComplexArray, float]) -> None:
+    def take_member(self, values: tuple[ComplexArray, float]) -> None:
         self._take(*self._member(*values))
 
     def _take(self, lower: float, delta: Mapping[str, Any], frequency: float | None) -> None:
@@ -654,7 +654,7 @@ class _Gain(_Search):
         return
 
     def rounding(self) -> float:
-        """What rounding may have added to the lower bound; 0 where there is none."""
+        """Return a bound of the rounding error of the lower bound."""
         if not 0 < self.lower < np.inf or self.frequency is None:
             return 0.0
         M, delta = self.uncertain.M, np.asarray(delta_matrix(self.uncertain.blocks, self.delta))
@@ -662,7 +662,7 @@ class _Gain(_Search):
         left = delta @ np.linalg.inv(np.eye(p) - M.D[:p, :q] @ delta)
         A, B = M.A + M.B[:, :q] @ left @ M.C[:p], M.B[:, q:] + M.B[:, :q] @ left @ M.D[:p, q:]
         C, D = M.C[p:] + M.D[p:, :q] @ left @ M.C[:p], M.D[p:, q:] + M.D[p:, :q] @ left @ M.D[:p, q:]
-        # What cancels in the member's matrices is rounded before it cancels.
+        # Terms that cancel in the member's matrices are rounded before they cancel.
         across, onto = np.abs(M.B[:, :q]) @ np.abs(left), np.abs(M.D[p:, :q]) @ np.abs(left)
         into, through = np.abs(M.C[:p]), np.abs(M.D[:p, q:])
         sums = (
@@ -674,7 +674,7 @@ class _Gain(_Search):
         error = gain_rounding(A, B, C, D, at, sums)
         if error <= BLURRED * self.lower or not np.isfinite(at):
             return error
-        # What a zero nearly cancels in a mode is not seen: C (sI - A)^-1 in the place of |C| |(sI - A)^-1|.
+        # Omit modes that a zero nearly cancels: C (sI - A)^-1 in the place of |C| |(sI - A)^-1|.
         n, eps = len(A), float(np.finfo(float).eps)
         inverse = np.linalg.inv(at * np.eye(n) - A)
         X, terms, seen = np.abs(inverse @ B), sums[0] + abs(at) * np.eye(n), np.abs(C @ inverse)
@@ -682,7 +682,7 @@ class _Gain(_Search):
         return n * eps * float(np.linalg.norm(sums[3] + sums[2] @ X + seen @ (terms @ X + sums[1])))
 
     def answer(self, nominal: float, grid: Array, *notes: str) -> WorstCaseGain:
-        """The worst gain, with its evidence and the curves over the grid: nominal gain, largest one found, bound."""
+        """Return the worst gain with its evidence and the curves over the grid."""
         uncertain, proved = self.uncertain, np.isfinite(self.level) or np.isinf(self.lower)
         response = frequency_response(uncertain.nominal, grid)
         curve = np.linalg.norm(response, 2, axis=(1, 2)) if response.size else np.zeros(len(grid))

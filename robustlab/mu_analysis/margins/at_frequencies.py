@@ -1,6 +1,6 @@
-"""Robustness at given frequencies, and nothing between them: stability margin, worst-case gain and disk margins.
+"""Robustness at given frequencies, not between them: stability margin, worst-case gain and disk margins.
 
-A stable nominal system is taken for granted: responses at points do not show it. Zhou, Doyle, Glover, *Robust and
+A stable nominal system is assumed: responses at points do not show it. Zhou, Doyle, Glover, *Robust and
 Optimal Control* (1996), chapter 11; Seiler, Packard, Gahinet, "An introduction to disk margins" (2020).
 """
 
@@ -81,7 +81,7 @@ class MarginAt(_Curves, StabilityMargin):
         CERTIFIED: ``lower_at`` proved at each frequency, ``upper_at`` attained. CONVERGED: proved, not attained
         everywhere.
     assumed
-        What the answer takes for granted.
+        Assumption of the answer.
     """
 
     omega: Array
@@ -118,12 +118,12 @@ class GainAt(Tabular, PeakGain):
     Attributes
     ----------
     lower, upper, delta, nominal
-        At ``frequency``, the one of the largest ``gain_upper``: the largest gain found and what is proved, the Delta of
+        At ``frequency``, the one of the largest ``gain_upper``: the largest gain found, the proved bound, the Delta of
         the former by block name, and the gain of the nominal member.
     omega
         Frequencies in rad/s, (N,).
     nominal_gain, gain_lower, gain_upper
-        At each of them the gain of the nominal member, the largest one found, and what is proved, (N,); the last is
+        At each of them the gain of the nominal member, the largest one found, and the proved bound, (N,); the last is
         inf where a Delta of the set may make the loop singular.
     deltas
         At each frequency the Delta of the largest gain found, by block name.
@@ -194,7 +194,7 @@ class DiskMarginsAt(DiskMargins):
 @told_as("robust_stability_at")
 @one_thread()
 def robust_stability_at(system: Any, frequency: ArrayLike | None = None, *, seed: int = 0) -> MarginAt:
-    """Of a model or of data at frequencies: `robustlab.robust_stability`."""
+    """`robustlab.robust_stability` of a model or of data at frequencies."""
     data = _data(system, frequency, "robust_stability_at")
     if not data.blocks:
         hint = "frequency_data(..., radius=...) makes one"
@@ -238,7 +238,7 @@ def disk_margin_at(
     sign: Literal[-1, 1] | None = None,
     seed: int = 0,
 ) -> DiskMarginsAt:
-    """Of a loop of models or of data at frequencies: `robustlab.disk_margin`."""
+    """`robustlab.disk_margin` of a loop of models or of data at frequencies."""
     where = "disk_margin_at"
     check_disk(at, skew, where)
     closed = closing(_data(plant, frequency, where), K, sign, where)
@@ -278,7 +278,7 @@ def _disk_margin_at(omega: Array, M: ComplexArray, names: Sequence[str], skew: f
 
 
 def _data(system: Any, frequency: ArrayLike | None, where: str) -> UncertainFrequencyData:
-    """The system at the frequencies that are asked for, with ranges that a matrix test takes."""
+    """Return the system at the requested frequencies; reject asymmetric ranges."""
     if isinstance(system, UncertainFrequencyData):
         if frequency is not None:
             raise InputError(f"{where}: frequency", "given beside data", "none: data have their own")
@@ -291,10 +291,8 @@ def _data(system: Any, frequency: ArrayLike | None, where: str) -> UncertainFreq
         data = frequency_data(system, np.unique(np.asarray(frequency, dtype=float)))
     if data.blocks and not (lowest(data.blocks) == -1).all():
         name = next(b.name for b in data.blocks if not b.is_symmetric)
-        found, hint = (
-            f"the range of {name!r} is wider on one side",
-            "model.centred() is the same set about its middle",
-        )
+        found = f"the range of {name!r} is wider on one side"
+        hint = "model.centred() is the same set about its middle"
         raise InputError(where, found, "symmetric ranges", hint)
     return data
 

@@ -4,7 +4,7 @@ Skogestad, Postlethwaite, *Multivariable Feedback Control*, section 2.4.
 """
 
 # A loop is a fraction of polynomials, so its crossings are the roots of two others, computed in whole numbers from
-# the matrices as given: none is looked for on a grid, and none is lost by the way a model is scaled.
+# the matrices as given, without a grid and independent of scaling.
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ if TYPE_CHECKING:
 
 __all__ = ["ClassicalMargin", "ClassicalMargins", "GainCrossing", "PhaseCrossing", "classical_margins"]
 
-POLE = 1e9  # a response beyond this, where L is real, belongs to a pole there: no factor of gain is meant by it
-LEAST = 1e-300  # and factors beyond one over this are infinite
+POLE = 1e9  # larger real responses are due to a pole and give no factor of gain
+LEAST = 1e-300  # factors beyond one over this are infinite
 
 
 @dataclass(frozen=True)
@@ -86,11 +86,10 @@ class ClassicalMargin(Shown):
     gain_crossings, phase_crossings
         All of them, by rising frequency.
     status
-        CONVERGED: all crossings are there, right to the last digits. Of loops with delays: CERTIFIED, or INACCURATE
-        where it is not decided whether a crossing is only touched.
+        CONVERGED: all crossings, to the last digits. Of loops with delays: CERTIFIED, or INACCURATE where it is not
+        decided whether a crossing is only touched.
     reason
-        Why it is inaccurate, or that the closed loop is unstable and which of its modes no feedback changes; else
-        empty.
+        Why it is inaccurate, or that the closed loop is unstable, with the modes no feedback changes; else empty.
     """
 
     stable: bool
@@ -134,7 +133,7 @@ class ClassicalMargins(Shown):
     status
         The least of the channels'.
     loop
-        The law that closes the loop, and who says so.
+        The law that closes the loop, and its source.
     """
 
     channels: Mapping[str, ClassicalMargin]
@@ -181,17 +180,17 @@ class ClassicalMargins(Shown):
         )
 
     def facts(self) -> Facts:
-        told = [("closed loop", "stable" if self.stable else "unstable")]
+        facts = [("closed loop", "stable" if self.stable else "unstable")]
         low, high = self.gain_low, self.gain_high
         if self.stable and self.phase is not None and low is not None and high is not None:
-            told += [
+            facts += [
                 ("gain margin", f"factors {number(low)} .. {number(high)}{in_decibels(low, high)}"),
                 ("phase margin", f"{in_degrees(self.phase)} ({number(self.phase, 'rad')})"),
                 ("delay margin", number(self.delay, "s")),
             ]
-        told += [("loop", self.loop), ("at", AT[self.at])]
+        facts += [("loop", self.loop), ("at", AT[self.at])]
         every = [(name, "; ".join(f"{k} {v}" for k, v in margin.facts()[:3])) for name, margin in self.channels.items()]
-        return [*told, *every]
+        return [*facts, *every]
 
     def details(self) -> list[Part]:
         rows = []
@@ -211,7 +210,7 @@ class ClassicalMargins(Shown):
 def classical_margins(
     plant: Any, K: Any = None, *, at: Place = "output", sign: Literal[-1, 1] | None = None
 ) -> ClassicalMargins:
-    """Of a rational plant and controller: `robustlab.classical_margins`."""
+    """`robustlab.classical_margins` of a rational plant and controller."""
     p = as_model(plant, "classical_margins: plant")
     closed = closed_around(p, K, sign, "classical_margins")
     p = closed.plant
@@ -244,7 +243,7 @@ def _margin(L: LoopFraction, unstable: str, name: str) -> ClassicalMargin:
 def least_changes(
     gain: Sequence[GainCrossing], phase: Sequence[PhaseCrossing], most: float = math.inf
 ) -> tuple[tuple[float, float], float, float]:
-    """The factors of gain on both sides of one, and the changes of phase and delay, that lead to the next crossing."""
+    """Return the factors of gain on both sides of 1, the change of phase and the delay to the next crossing."""
     low = max((c.factor for c in phase if c.factor <= 1), default=0.0)
     high = min((c.factor for c in phase if c.factor >= 1), default=most)
     lag = min((min(c.lag, 2 * math.pi - c.lag) for c in gain), default=math.inf)
@@ -259,10 +258,11 @@ def _gain_crossing(L: LoopFraction, x: Fraction) -> GainCrossing:
 
 
 def _phase_crossings(L: LoopFraction) -> Iterator[PhaseCrossing]:
-    """Where L is negative; the ends of the axis, where it is real always, are among them."""
+    """Yield the crossings where L is negative, including the ends of the axis, where it is always real."""
     points = [(L.frequency(x), L.at(x)) for x in (Fraction(0), *L.with_real_response())]
     real = [(omega, at.real) for omega, at in points if at is not None]
-    for omega, response in (*real, (L.last_frequency, L.at_infinity())):
+    last = math.pi / L.dt if L.dt else math.inf
+    for omega, response in (*real, (last, L.at_infinity())):
         if -POLE < response < -LEAST:
             yield PhaseCrossing(omega, float(-1 / response))
 
@@ -271,13 +271,12 @@ def _phase_crossings(L: LoopFraction) -> Iterator[PhaseCrossing]:
 #
 # L = N / D, D = det(loop opened), N + D = det(loop closed), of one matrix that holds A, B, C, D of plant and
 # controller as given. With N(j omega) = N_e(x) + j omega N_o(x), x = omega^2: |L| = 1 where N_e^2 + x N_o^2 - D_e^2 -
-# x D_o^2 = 0, L real where N_o D_e - N_e D_o = 0. Their positive roots are the crossings, all of them; nothing is
-# rounded before.
+# x D_o^2 = 0, L real where N_o D_e - N_e D_o = 0. Their positive roots are all crossings, free of rounding.
 
-# |L| (or the angle of L to the real axis) this near to 1 (to 0) without reaching it, compared with its neighbourhood:
-# it is touched. Complex roots x whose imaginary part is a larger share of them than BESIDE are not looked at for that.
+# |L| (or the angle of L to the real axis) this near to 1 (to 0), compared with its neighbourhood, counts as touched.
+# Complex roots x whose imaginary part is a larger share of them than NEIGHBOURHOOD are not tested.
 TOUCHED = Fraction(1, 10**9)
-BESIDE = Fraction(1, 10)
+NEIGHBOURHOOD = Fraction(1, 10)
 
 
 @dataclass(frozen=True, eq=False)
@@ -294,7 +293,7 @@ class Point:
         return self.real**2 + self.x * self.imag**2
 
     def lag(self) -> float:
-        """From a response of size 1 to -1, in rad."""
+        """Return the phase lag in rad from a response of size 1 to -1."""
         return math.atan2(math.copysign(_square_root(self.x * self.imag**2), -self.imag), -self.real)
 
 
@@ -306,13 +305,8 @@ class LoopFraction:
     D: fmpz_poly
     dt: float
 
-    @property
-    def last_frequency(self) -> float:
-        """The end of the axis in rad/s."""
-        return math.pi / self.dt if self.dt else math.inf
-
     def frequency(self, x: Fraction) -> float:
-        """In rad/s."""
+        """Return the frequency in rad/s."""
         omega = _square_root(x)
         return 2 / self.dt * math.atan(omega) if self.dt else omega
 
@@ -321,19 +315,19 @@ class LoopFraction:
         return *even_and_odd(self.N), *even_and_odd(self.D)
 
     def at(self, x: Fraction) -> Point | None:
-        """The response at ``omega = sqrt(x)``; None at a pole."""
+        """Return the response at ``omega = sqrt(x)``; None at a pole."""
         ne, no, de, do = (_value(part, x) for part in self._parts)
         size = de**2 + x * do**2
         return Point((ne * de + x * no * do) / size, (no * de - ne * do) / size, x) if size else None
 
     def at_infinity(self) -> Fraction:
-        """The real limit at infinite frequency (z = -1); D is the larger polynomial, or as large."""
+        """Return the real limit at infinite frequency (z = -1)."""
         if self.N.degree() > (degree := self.D.degree()):
             raise NoTrustworthyNumber("classical_margins", "a loop of infinite gain at the end of the axis")
         return Fraction(int(self.N[degree]), int(self.D[degree]))
 
     def with_gain_one(self) -> list[Fraction] | None:
-        """``omega^2`` of all frequencies where ``|L| = 1``; None where it is 1 everywhere, to within TOUCHED."""
+        """Return ``omega^2`` of all frequencies where ``|L| = 1``; None where it is 1 everywhere, to within TOUCHED."""
         from flint import fmpz_poly
 
         ne, no, de, do = self._parts
@@ -344,21 +338,23 @@ class LoopFraction:
         return self._crossed(found, lambda at: abs(at.size_squared - 1))
 
     def with_real_response(self) -> list[Fraction]:
-        """``omega^2`` of all positive frequencies where L is real; none where it is real everywhere."""
+        """Return ``omega^2`` of all positive frequencies where L is real; none where it is real everywhere."""
         ne, no, de, do = self._parts
         return self._crossed(
             no * de - ne * do, lambda at: at.x * at.imag**2 / at.size_squared if at.size_squared else Fraction(1)
         )
 
     def _crossed(self, f: fmpz_poly, height: Callable[[Point], Fraction]) -> list[Fraction]:
-        """Positive roots of f by rising size, and where a height comes so near to zero that it counts as touched."""
+        """Return the positive roots of f, rising, and the points where a height counts as touched."""
         found = list[Fraction]()
         for root in roots(f):
-            if root.re <= 0 or not 0 <= root.im < BESIDE * root.re:
+            if root.re <= 0 or not 0 <= root.im < NEIGHBOURHOOD * root.re:
                 continue
             if root.im:
-                here, *beside = (self.at(root.re * share) for share in (1, 1 - 2 * BESIDE, 1 + 2 * BESIDE))
-                near = min([Fraction(1), *(height(point) for point in beside if point is not None)])
+                here, *neighbours = (
+                    self.at(root.re * share) for share in (1, 1 - 2 * NEIGHBOURHOOD, 1 + 2 * NEIGHBOURHOOD)
+                )
+                near = min([Fraction(1), *(height(point) for point in neighbours if point is not None)])
                 if here is None or height(here) > TOUCHED * near:
                     continue
             found.append(root.re)
@@ -368,7 +364,7 @@ class LoopFraction:
 def loop_fractions(
     P: StateSpaceModel, K: StateSpaceModel, sign: int, places: Iterable[int]
 ) -> tuple[bool, list[LoopFraction]]:
-    """Whether the loop ``y = P u``, ``u = sign K y`` is stable, and what each loop is with the others closed."""
+    """Return whether the loop ``y = P u``, ``u = sign K y`` is stable, and each loop with the others closed."""
     n, k, m, p = P.n_states, K.n_states, P.n_inputs, P.n_outputs
     if n + k > MOST_STATES:
         found = f"a loop of {n + k} states"
@@ -395,12 +391,11 @@ def loop_fractions(
 
 
 def _size_squared(even: fmpz_poly, odd: fmpz_poly) -> fmpz_poly:
-    """``even^2 + x odd^2``."""
+    """Return ``even^2 + x odd^2``."""
     return even * even + (odd * odd).left_shift(1)
 
 
 def _value(f: fmpz_poly, x: Fraction) -> Fraction:
-    """``f(x)``."""
     from flint import fmpq
 
     found = f(fmpq(x.numerator, x.denominator))
@@ -408,6 +403,6 @@ def _value(f: fmpz_poly, x: Fraction) -> Fraction:
 
 
 def _square_root(x: Fraction) -> float:
-    """Also of what overflows."""
+    """Return the square root, also where x overflows."""
     half = (x.numerator.bit_length() - x.denominator.bit_length()) // 2
     return math.ldexp(math.sqrt(x / Fraction(4) ** half), half) if x else 0.0

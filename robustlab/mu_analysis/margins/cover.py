@@ -1,6 +1,6 @@
-"""From a set of models the smallest uncertainty of a chosen form, and how conservative it is."""
+"""Smallest uncertainty of a chosen form that covers a set of models, and its conservatism."""
 
-# Conservatism: the worst gain of the cover over that of the models themselves, both in the same loop, 1 at least.
+# Conservatism: the ratio of the worst gains of the cover and of the models, both in the same loop; 1 at least.
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.unstructured import FORMS
 from robustlab.uncertainty.unstructured import Form as UnstructuredForm
 
-EXACT = 1e-12  # what rounding may take from a member of a cover that is met exactly
+EXACT = 1e-12  # relative rounding error of a member of an exact cover
 
 __all__ = ["COVER_FORMS", "Conservatism", "Cover", "cover"]
 
@@ -36,7 +36,7 @@ Loop = Callable[[UncertainModel], UncertainModel]
 
 @dataclass(frozen=True)
 class Conservatism(Shown):
-    """Worst gain of a cover over that of the models it was made of.
+    """Ratio of the worst gain of a cover to that of its models.
 
     Attributes
     ----------
@@ -49,9 +49,9 @@ class Conservatism(Shown):
     cover_lower, cover_upper
         Bounds of the worst gain of the cover.
     status
-        That of the worst gain; FAILED where there is none.
+        Status of the worst gain; FAILED where there is none.
     reason
-        Why there is none, or what ended its proof early; else empty.
+        Why there is none, or the reason for an early end of its proof; else empty.
     """
 
     ratio: float
@@ -84,12 +84,12 @@ class Cover(Shown):
     model
         The uncertain model.
     form
-        The form that was asked for.
+        The requested form.
     status
         CERTIFIED: each model's delta was evaluated, or is proved to be a stable one of gain at most one over all
         frequencies. CONVERGED: the deltas are stable, and were found to be at most one on a grid of frequencies.
-        INACCURATE: a model is missed by more than the tolerance, or the weight is further above the bound than was
-        asked.
+        INACCURATE: a model is missed by more than the tolerance, or the weight is further above the bound than
+        requested.
     deltas
         For each model the value of every block by name: numbers, or a system for an unstructured block where it could
         be written as one; empty where it was judged by frequency response.
@@ -99,15 +99,15 @@ class Cover(Shown):
         For each model the largest relative difference between the member at its delta and the model (an entry against
         its matrix's largest); zeros for unstructured forms.
     nominal
-        Number of the model that is the nominal one, counted from 1; 0: the middle; None: the one that was given.
+        Number of the nominal model, counted from 1; 0: the middle; None: the given one.
     radius
         Unstructured forms: largest error relative to the models' size. Parametric ones: 0.
     spread
-        Reach of the cloud along its directions (form ``pca``), also of those left out.
+        Extent of the cloud along its directions (form ``pca``), including the omitted ones.
     fit
         Weight and bound of an unstructured form; None for a parametric one.
     conservatism
-        Worst gain of the cover over that of the set; None where it was not asked for.
+        Worst gain of the cover over that of the set; None where not requested.
     reason
         Why the status is no better; else empty.
     models
@@ -136,7 +136,7 @@ class Cover(Shown):
 
     @property
     def statuses(self) -> tuple[Status, ...]:
-        """Its own, and that of the proof of the worst gain where there is one."""
+        """Status of the cover, and that of the proof of the worst gain if there is one."""
         c = self.conservatism
         return (self.status, *([c.status] if c is not None and c.status is not Status.FAILED else []))
 
@@ -231,17 +231,16 @@ def cover(
 
         The first two need models with the same states.
     nominal
-        Nominal model for all forms but ``pca``; where left out the middle of the hull, or for a full
-        block the candidate of least radius.
+        Nominal model for all forms but ``pca``; by default the middle of the hull, or for a full block the candidate of
+        least radius.
     tolerance
-        Relative size of an entry's error that counts as none; ``pca`` keeps as many directions as are needed for it.
+        Largest relative error of an entry; ``pca`` keeps the number of directions that it needs.
     directions
-        Number of directions of ``pca``, instead.
+        Number of directions of ``pca``, in place of ``tolerance``.
     order, excess
         Largest order of the weight; how far above the bound a weight of lower order may be.
     loop
-        What is made of a model before its gain is taken, for example ``lambda g: g.feedback(K)``; nothing where left
-        out.
+        Function applied to a model before its gain is computed, for example ``lambda g: g.feedback(K)``.
     gain
         False: no conservatism.
     time_limit
@@ -254,7 +253,7 @@ def cover(
     Returns
     -------
     Cover
-        The uncertain model, each model's delta in it, how far a weight is above the bound, and the conservatism.
+        The uncertain model, each model's delta in it, the excess of a weight over the bound, and the conservatism.
 
     Raises
     ------
@@ -278,8 +277,8 @@ def cover(
     if nominal is not None:
         start = as_model(nominal, "cover: nominal")
         model_set([found[0], start], parametric, "cover: nominal")
-    say = progress or (lambda _: None)
-    say(f"cover: {form} around {len(found)} models")
+    report = progress or (lambda _: None)
+    report(f"cover: {form} around {len(found)} models")
     if parametric:
         made = _parametric(found, form, start, tolerance, directions)
     else:
@@ -288,7 +287,7 @@ def cover(
         made = _unstructured(found, form, start, order, excess)
     if not gain:
         return made
-    say("cover: worst gain of the cover")
+    report("cover: worst gain of the cover")
     return dataclasses.replace(made, conservatism=_conservatism(made.model, found, loop, time_limit, effort))
 
 
@@ -334,7 +333,7 @@ def _conservatism(
     time_limit: float | None,
     effort: float,
 ) -> Conservatism:
-    """How much larger the worst gain of a cover is than the largest one of the models it stands for."""
+    """Compare the worst gain of a cover with the largest one of its models."""
     if loop is not None and not is_function(loop):
         raise InputError("cover: loop", f"{loop!r}", "a function of a model")
 
@@ -361,7 +360,7 @@ def _conservatism(
         worst = worst_case_gain(around(uncertain), tolerance=0.01, time_limit=time_limit, effort=effort)
     except NoTrustworthyNumber as error:
         return none(largest, number, str(error.found))
-    said = "; ".join(text for text in worst.notes if text in (NOT_REPEATABLE, USED_UP))
+    remark = "; ".join(text for text in worst.notes if text in (NOT_REPEATABLE, USED_UP))
     return Conservatism(
-        worst.upper / largest, worst.lower / largest, largest, number, worst.lower, worst.upper, worst.status, said
+        worst.upper / largest, worst.lower / largest, largest, number, worst.lower, worst.upper, worst.status, remark
     )

@@ -2,8 +2,8 @@
 
 # With S = 1 / (1 + L) of the loop that is opened, the others closed: |L| = 1 where Re S = 1/2, L < 0 where Im S = 0
 # and S is not in [0, 1]; S has no pole on the axis. Frequencies are cut into intervals until each is decided by the
-# bounds of `DelayAxis`: no zero there, or a derivative of one sign. Beyond the last one L is too small to count. So no
-# crossing is overlooked between points.
+# bounds of `DelayAxis`: no zero, or a derivative of one sign. Beyond the last one L is negligible. So no crossing is
+# missed.
 
 from __future__ import annotations
 
@@ -51,12 +51,12 @@ from robustlab.uncertainty.blocks import ComplexScalar, delta_values
 
 __all__ = ["DelayAxis", "delay_classical_margins", "delay_disk_margins"]
 
-# Intervals that are looked at, at most, and their smallest width relative to the frequency.
+# Largest number of intervals, and their smallest width relative to the frequency.
 MOST, NARROW = 400_000, 1e-10
-# Factors of gain beyond these are not looked for: S that near to 0 or 1 is no crossing.
+# Factors of gain beyond these are not computed: S that near to 0 or 1 is no crossing.
 LEAST, LARGEST = 1e-6, 1e3
 ROUNDING = 1e-12
-LOOKS = 200  # frequencies at which the largest mu is looked for first, twice
+MU_POINTS = 200  # points of each of the two first grids in the search for the largest mu
 
 
 @told_as("delay_classical_margins")
@@ -64,12 +64,12 @@ LOOKS = 200  # frequencies at which the largest mu is looked for first, twice
 def delay_classical_margins(
     plant: Any, K: Any = None, *, at: Place = "output", sign: Literal[-1, 1] | None = None, highest_order: int = 16
 ) -> ClassicalMargins:
-    """Of a loop with exact delays: `robustlab.classical_margins`."""
-    S, names, said = _closed(plant, K, at, 1.0, sign, "delay_classical_margins")
+    """`robustlab.classical_margins` of a loop with exact delays."""
+    S, names, law = _closed(plant, K, at, 1.0, sign, "delay_classical_margins")
     stable = _stability(delay_stability(S, highest_order), highest_order, "delay_classical_margins")
     channels = {name: _classical(DelayAxis(S, [i], [i]), stable, name) for i, name in enumerate(names)}
     good = all(m.status is Status.CERTIFIED for m in channels.values())
-    return ClassicalMargins(channels, at, Status.CERTIFIED if good else Status.INACCURATE, said)
+    return ClassicalMargins(channels, at, Status.CERTIFIED if good else Status.INACCURATE, law)
 
 
 @told_as("delay_disk_margins")
@@ -86,22 +86,22 @@ def delay_disk_margins(
     seed: int = 0,
     effort: float = 1.0,
 ) -> DiskMargins:
-    """Of a loop with exact delays: `robustlab.disk_margin`."""
+    """`robustlab.disk_margin` of a loop with exact delays."""
     where = "delay_disk_margins"
     if not FINEST <= tolerance < 1:
         raise InputError(f"{where}: tolerance", f"{tolerance!r}", f"a number from {FINEST:g} to 1")
-    seen, names, said = _closed(plant, K, at, skew, sign, where)
-    known = delay_stability(seen, highest_order, effort)
+    system, names, law = _closed(plant, K, at, skew, sign, where)
+    known = delay_stability(system, highest_order, effort)
     if not _stability(known, highest_order, where):
         raise NoTrustworthyNumber(where, "the closed loop is unstable", "a stable one")
     options = skew, tolerance, known, highest_order, seed, effort
-    channels = {name: _margin(seen[i, i], [name], *options) for i, name in enumerate(names)}
-    whole = channels[names[0]] if len(names) == 1 else _margin(seen, names, *options)
-    return DiskMargins.of(whole, channels, at, said)
+    channels = {name: _margin(system[i, i], [name], *options) for i, name in enumerate(names)}
+    whole = channels[names[0]] if len(names) == 1 else _margin(system, names, *options)
+    return DiskMargins.of(whole, channels, at, law)
 
 
 def _stability(known: DelayStability, highest_order: int, where: str) -> bool:
-    """Whether the closed loop is stable, which has to be known."""
+    """Return whether the closed loop is stable; fail if that is not known."""
     if known.stable is None:
         found = f"no set up to order {highest_order} shows whether the closed loop is stable"
         raise NoTrustworthyNumber(where, found, None, "rl.robust_stability(loop, effort=...) may")
@@ -111,7 +111,7 @@ def _stability(known: DelayStability, highest_order: int, where: str) -> bool:
 def _closed(
     plant: Any, K: Any, at: Place, skew: float, sign: Literal[-1, 1] | None, where: str
 ) -> tuple[DelayedModel, list[str], str]:
-    """The closed loop as its disks see it, the names of its channels, and its law in words."""
+    """Return the closed loop at the channels of its disks, their names, and the law in words."""
     check_disk(at, skew, where)
     found = closing(as_delayed(plant, f"{where}: plant"), K, sign, where)
     p, m = found.plant, found.plant.n_inputs
@@ -126,11 +126,11 @@ def _closed(
 # --- classical margins ------------------------------------------------------------------------------------------------
 
 
-Zeros = tuple[list[float], bool]  # of a real function of frequency, rising, and whether each was decided
+Zeros = tuple[list[float], bool]  # rising zeros of a real function of frequency, and whether all are decided
 
 
 def _classical(axis: DelayAxis, stable: bool, name: str) -> ClassicalMargin:
-    """Both kinds of crossings of one loop, and what they leave."""
+    """Compute both types of crossings of one loop, and its margins."""
     one = np.eye(1)
     end = axis.end(one, 1.0 / 3.0)  # |L| <= 1/2 where |S - 1| <= 1/3
     if end is None:
@@ -163,7 +163,7 @@ def _classical(axis: DelayAxis, stable: bool, name: str) -> ClassicalMargin:
 
 
 def _no_crossing(value: ComplexArray, spread: Array) -> Mask:
-    """Where the loop is not negative and of a size that counts, whatever S is within its spread."""
+    """Return where the loop is certainly not negative, or of negligible size, for all S within the spread."""
     inside = (value.real - spread > 0) & (value.real + spread < 1)
     small = (np.abs(value - 1.0) + spread < 1.0 / (1.0 + LARGEST)) | (np.abs(value) + spread < LEAST)
     return inside | small
@@ -176,27 +176,27 @@ def _zeros(
     ignored: Callable[[ComplexArray, Array], Mask] | None,
     ends: tuple[float, float],
 ) -> Zeros:
-    """All zeros in (low, high] of a function of S: each interval is decided, or cut."""
+    """Return all zeros in (low, high] of a function of S: each interval is decided, or cut."""
     low, high = ends
     first = np.concatenate([[0.0], np.geomspace(1e-6 * high, high, 41)]) if not low else np.linspace(low, high, 41)
     begin, stop = first[:-1], first[1:]
     found: list[float] = []
-    decided, looked = True, 0
+    decided, count = True, 0
     while len(begin):
-        looked += len(begin)
-        if looked > MOST:
+        count += len(begin)
+        if count > MOST:
             text = f"more than {MOST} intervals of frequency, the next from {begin[0]:.3g} rad/s"
             raise NoTrustworthyNumber("delay_classical_margins", text, None, "rl.disk_margin")
         half, middle = 0.5 * (stop - begin), 0.5 * (begin + stop)
-        seen = axis.seen(middle)
-        value, slope = height(seen.value[:, 0, 0]), rate(seen.slope[:, 0, 0])
-        curve = axis.curvature(seen, half)
+        local = axis.local_response(middle)
+        value, slope = height(local.value[:, 0, 0]), rate(local.slope[:, 0, 0])
+        curve = axis.curvature(local, half)
         with np.errstate(invalid="ignore", over="ignore"):
             reach = half * (np.abs(slope) + 0.5 * half * curve)
-            none = np.abs(value) > reach + ROUNDING * (1.0 + np.abs(seen.value[:, 0, 0]))
+            none = np.abs(value) > reach + ROUNDING * (1.0 + np.abs(local.value[:, 0, 0]))
             if ignored is not None:
-                spread = half * (np.abs(seen.slope[:, 0, 0]) + 0.5 * half * curve)
-                none |= ignored(seen.value[:, 0, 0], np.minimum(seen.spread(half), spread))
+                spread = half * (np.abs(local.slope[:, 0, 0]) + 0.5 * half * curve)
+                none |= ignored(local.value[:, 0, 0], np.minimum(local.spread(half), spread))
             single = ~none & (np.abs(slope) > half * curve)
         for a, b in zip(begin[single].tolist(), stop[single].tolist(), strict=True):
             found += _root(axis, height, a, b)
@@ -212,7 +212,7 @@ def _zeros(
 
 
 def _root(axis: DelayAxis, height: Callable[[ComplexArray], Array], low: float, high: float) -> list[float]:
-    """The one zero of a function that rises or falls over the interval, where its ends have different signs."""
+    """Return the zero of a monotonic function in the interval, if its ends have different signs."""
     from scipy.optimize import brentq
 
     def at(w: float) -> float:
@@ -234,7 +234,7 @@ def _gain_crossing(axis: DelayAxis, omega: float) -> GainCrossing:
 
 
 def _phase_crossings(axis: DelayAxis, places: list[float]) -> tuple[PhaseCrossing, ...]:
-    """Those where L is negative."""
+    """Return the crossings where L is negative."""
     made = []
     for omega in sorted(places):
         s = complex(axis.response(np.array([omega]))[0, 0, 0]).real
@@ -247,40 +247,40 @@ def _phase_crossings(axis: DelayAxis, places: list[float]) -> tuple[PhaseCrossin
 
 
 def _margin(
-    seen: DelayedModel, names: Sequence[str], skew: float, tolerance: float, known: DelayStability, order: int,
+    system: DelayedModel, names: Sequence[str], skew: float, tolerance: float, known: DelayStability, order: int,
     seed: int, effort: float,
 ) -> DiskMargin:  # fmt: skip
-    """The margin of these channels at once: the peak of mu, found with its Delta, and proved."""
+    """Return the margin of these channels at once: the peak of mu with its Delta, and a proof."""
     blocks = [ComplexScalar(name) for name in names]
     if len(names) == 1:
-        _, frequency = highest(seen, lambda M: np.abs(M[:, 0, 0]))
+        _, frequency = highest(system, lambda M: np.abs(M[:, 0, 0]))
     else:
-        _, frequency = highest(seen, lambda M: np.array([b.beta for b in upper_bounds(M, blocks, 1e-3)]), LOOKS)
-    found = mu(frequency_response(seen, [frequency]), blocks, seed)
+        _, frequency = highest(system, lambda M: np.array([b.beta for b in upper_bounds(M, blocks, 1e-3)]), MU_POINTS)
+    found = mu(frequency_response(system, [frequency]), blocks, seed)
     value = float(found.lower[0])
-    upper, proof = proved_level(seen, blocks, value or TINY, tolerance, order, effort, known.order)
+    upper, proof = proved_level(system, blocks, value or TINY, tolerance, order, effort, known.order)
     delta = delta_values(blocks, found.delta[0]) if value else {}
     status = Status.CERTIFIED if upper <= value * (1.0 + tolerance) else Status.INACCURATE
     bounds = 1.0 / upper, 1.0 / value if value else np.inf
-    return with_factors(bounds, frequency, status, blocks, delta, skew, system=seen, proof=proof)
+    return with_factors(bounds, frequency, status, blocks, delta, skew, system=system, proof=proof)
 
 
-# --- how far a response can be from what it is at a point of the axis ------------------------------------------------
+# --- variation of a response about a point of the axis ---------------------------------------------------------------
 #
-# With the states and what leaves the delays as unknowns G(s) = D + C F(s)^-1 B, and |F(j w) - F(j c)| <= h N entry by
-# entry for |w - c| <= h, N = diag(I, tau): only the diagonal moves. With m = |T F(jc)^-1 N T^-1| for any diagonal T,
+# With states and outputs of delays as unknowns G(s) = D + C F(s)^-1 B, and |F(j w) - F(j c)| <= h N entry by
+# entry for |w - c| <= h, N = diag(I, tau): only the diagonal changes. With m = |T F(jc)^-1 N T^-1| for any diagonal T,
 # l = |C F(jc)^-1 N T^-1|, r = |T F(jc)^-1 B| and h m < 1, Neumann's series gives |G(jw) - G(jc)| <= h l r / (1 - h m)
 # and |G''| <= l r / (1 - h m)^2 (2 m / (1 - h m) + tau_max). Beyond the bandwidth |(jwI - A)^-1| <= 1 / (w - |A|)
-# bounds every entry of what is left, and a nonnegative matrix of spectral radius below one the echoes. Horn, Johnson,
+# bounds every entry of the rest, and a nonnegative matrix of spectral radius below one the echoes. Horn, Johnson,
 # *Matrix Analysis* (2013), section 5.8; Michiels, Niculescu (2014), chapter 1.
 
 SWEEPS = 6  # of the balancing by T
-FASTEST = 60  # doublings of the frequency in which the far end is sought
-CHUNK = 2_000_000  # complex numbers solved for at once
+FASTEST = 60  # doublings of the frequency in the search for the end
+CHUNK = 2_000_000  # complex numbers of one batch
 
 
-class Seen(NamedTuple):
-    """At the middles of intervals, (k,): the response (k, n_y, n_u), its derivative, and m, l, r; see the module."""
+class LocalResponse(NamedTuple):
+    """At the middles of intervals, (k,): the response (k, n_y, n_u), its derivative, and m, l, r as above."""
 
     value: ComplexArray
     slope: ComplexArray
@@ -289,7 +289,7 @@ class Seen(NamedTuple):
     right: Array
 
     def spread(self, half: Array) -> Array:
-        """How far the response is at most from ``value`` within ``half`` of the middle; inf where nothing is known."""
+        """Bound the distance of the response from ``value`` within ``half`` of the middle; inf where there is none."""
         near = half * self.m
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(near < 1.0, half * self.left * self.right / (1.0 - near), np.inf)
@@ -300,22 +300,22 @@ class DelayAxis:
 
     def __init__(self, model: DelayedModel, outputs: Sequence[int], inputs: Sequence[int]) -> None:
         self.model, self.delays, self.n = model, model.delays, model.H.n_states
-        self.inner, B, C, D = model.at_once()
+        self.inner, B, C, D = model.balanced_unknowns()
         self.B, self.C, self.D = B[:, list(inputs)], C[list(outputs)], D[np.ix_(outputs, inputs)]
         self.weight = np.concatenate([np.ones(self.n), self.delays])
 
     def response(self, omega: Array) -> ComplexArray:
-        """The response alone, (k, n_y, n_u)."""
+        """Return the response, (k, n_y, n_u)."""
         held = np.broadcast_to(self.B, (len(omega), *self.B.shape))
         return self.D + self.C @ np.linalg.solve(self.characteristic(omega), held)
 
-    def seen(self, middle: Array) -> Seen:
-        """What the bounds about these frequencies need."""
+    def local_response(self, middle: Array) -> LocalResponse:
+        """Return the data of the bounds about these frequencies."""
         size = max(1, CHUNK // max(len(self.weight) ** 2, 1))
-        parts = [self._seen(middle[k : k + size]) for k in range(0, len(middle), size)]
-        return Seen(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+        parts = [self._local_response(middle[k : k + size]) for k in range(0, len(middle), size)]
+        return LocalResponse(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
-    def _seen(self, omega: Array) -> Seen:
+    def _local_response(self, omega: Array) -> LocalResponse:
         try:
             inverse = np.linalg.inv(self.characteristic(omega))
         except np.linalg.LinAlgError:
@@ -332,18 +332,18 @@ class DelayAxis:
             return np.linalg.norm(stack, axis=(1, 2)) if 0 in stack.shape[1:] else np.linalg.norm(stack, 2, axis=(1, 2))
 
         m = norm(weighted * T[:, :, None] / T[:, None, :])
-        return Seen(value, slope, m, norm(left / T[:, None, :]), norm(right * T[:, :, None]))
+        return LocalResponse(value, slope, m, norm(left / T[:, None, :]), norm(right * T[:, :, None]))
 
-    def curvature(self, seen: Seen, half: Array) -> Array:
-        """Bound of the second derivative within ``half`` of the middles; inf where nothing is known."""
-        near = half * seen.m
+    def curvature(self, local: LocalResponse, half: Array) -> Array:
+        """Bound the second derivative within ``half`` of the middles; inf where there is no bound."""
+        near = half * local.m
         with np.errstate(divide="ignore", invalid="ignore"):
-            bound = seen.left * seen.right / (1.0 - near) ** 2
-            bound = bound * (2.0 * seen.m / (1.0 - near) + self.delays.max(initial=0.0))
+            bound = local.left * local.right / (1.0 - near) ** 2
+            bound = bound * (2.0 * local.m / (1.0 - near) + self.delays.max(initial=0.0))
         return np.where(near < 1.0, bound, np.inf)
 
     def far(self, omega: float, about: Array) -> float:
-        """Bound of ``||G - about||`` at all frequencies from ``omega`` on; inf where nothing is known."""
+        """Bound ``||G - about||`` at all frequencies from ``omega`` on; inf where there is no bound."""
         n = self.n
         size = float(np.linalg.norm(self.inner[:n, :n], 2)) if n else 0.0
         if n and omega <= size:
@@ -351,7 +351,7 @@ class DelayAxis:
         small = 1.0 / (omega - size) if n else 0.0
 
         def size_of(direct: Array, out: Array, into: Array) -> Array:
-            """Entry by entry, for the dynamics between ``into`` and ``out`` have at most the gain ``small``."""
+            """Bound each entry: the dynamics between ``into`` and ``out`` have at most the gain ``small``."""
             return np.abs(direct) + small * np.outer(np.linalg.norm(out, axis=1), np.linalg.norm(into, axis=0))
 
         c1, b1, c2, b2 = self.inner[n:, :n], self.inner[:n, n:], self.C[:, :n], self.B[:n]
@@ -360,10 +360,10 @@ class DelayAxis:
             return np.inf
         echo = np.linalg.solve(np.eye(len(around)) - around, size_of(self.B[n:], c1, b2))
         whole = size_of(self.D - about, c2, b2) + size_of(self.C[:, n:], c2, b1) @ echo
-        return float(np.linalg.norm(whole, 2)) if whole.size else 0.0  # numpy 2.0 has no norm of nothing
+        return float(np.linalg.norm(whole, 2)) if whole.size else 0.0  # numpy 2.0 has no norm of an empty matrix
 
     def end(self, about: Array, level: float) -> float | None:
-        """A frequency from which on ``||G - about|| <= level``; None where none is found."""
+        """Return a frequency from which on ``||G - about|| <= level``; None where none is found."""
         omega = max(2.0 * float(np.linalg.norm(self.inner[: self.n, : self.n], 2)) if self.n else 0.0, 1e-6)
         for _ in range(FASTEST):
             if self.far(omega, about) <= level:
@@ -372,12 +372,12 @@ class DelayAxis:
         return None
 
     def characteristic(self, omega: Array) -> ComplexArray:
-        """F on the axis, (k, n, n), in balanced unknowns."""
-        return self.model.turned(-self.inner, 1j * omega)
+        """Return F on the axis, (k, n, n), in balanced unknowns."""
+        return self.model.with_diagonal(-self.inner, 1j * omega)
 
 
 def _balancing(size: Array) -> Array:
-    """Diagonal T, (k, n), that brings rows and columns of ``T X T^-1`` to one size (Osborne)."""
+    """Return diagonal T, (k, n), that balances rows and columns of ``T X T^-1`` (Osborne)."""
     k, n = size.shape[:2]
     T = np.ones((k, n))
     off = size * (1.0 - np.eye(n))

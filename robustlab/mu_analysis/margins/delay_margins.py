@@ -1,7 +1,7 @@
-"""Stability and gain of models with exact delays, proved of a set that holds them."""
+"""Stability and gain of models with exact delays, proved for a set that contains them."""
 
 # In each set a delay is e^(-s tau) = R(s) + W(s) Delta(s), |Delta| <= 1 in the right half plane: Padé's approximation
-# with a weight that is proved to cover what it misses, or, of order 0, R = 0, W = 1. Where mu < 1 on the axis, its
+# with a proved weight of its error, or, of order 0, R = 0, W = 1. Where mu < 1 on the axis, its
 # end included, no root crosses while the block grows from 0 to Delta, and none comes from infinity: the model has as
 # many roots right of the axis as the set's nominal one. With one more block, one over a level in size, its gain is
 # below that level. Zhou, Doyle, Glover (1996), theorems 11.8, 11.9.
@@ -34,14 +34,14 @@ from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = ["FINEST", "DelayGain", "DelayProof", "DelayStability", "delay_gain", "delay_stability", "proof_below"]
 
-FINEST = 1e-6  # gap between bounds that may be asked for
+FINEST = 1e-6  # smallest tolerance
 ORDERS = (0, 2, 4, 6, 8, 12, 16)  # of the approximations that are tried one after the other
-STEEPER = 3  # by how much the slope of the weights is above the order: of order 6 they miss 1e-4 up to w tau = 5
-BELOW, ACCURACY = 1.0 - 2e-5, 1e-5  # mu that is asked for first, and how near to it the scalings have to come
+STEEPER = 3  # slope of the weights minus the order: with order 6 the error is 1e-4 up to w tau = 5
+BELOW, ACCURACY = 1.0 - 2e-5, 1e-5  # first level of mu, and the accuracy of the scalings
 LEAST_GAP = 1e-4  # between the bounds of a gain
 SHARE_OF_WORK = 0.1  # of the usual search: a set that needs more is too large to decide
-SHARE = 0.1  # of the tolerance that a bound aims at: it is cheap
-WIDER = (1.001, 1.005, 1.01, 1.1, 2.0, 10.0)  # levels that are tried where no order proves the one aimed at
+SHARE = 0.1  # target gap of a bound, relative to the tolerance
+WIDER = (1.001, 1.005, 1.01, 1.1, 2.0, 10.0)  # levels that are tried where no order proves the target
 POINTS, PEAKS = 4000, 4
 TINY = 1e-100
 
@@ -83,7 +83,7 @@ def proof_below(
 
 @dataclass(frozen=True, eq=False)
 class DelayStability(StabilityMargin):
-    """Whether a model with exact delays is stable, and what shows it.
+    """Whether a model with exact delays is stable, and the evidence.
 
     Attributes
     ----------
@@ -94,11 +94,11 @@ class DelayStability(StabilityMargin):
         CERTIFIED: proved on the whole frequency axis, in floating point. INCONCLUSIVE: not decided up to the highest
         order.
     order
-        Order of Padé's approximations in the set that shows it, or the last one that was tried; 0 where the delays may
-        be anything of modulus one, or do not matter.
+        Order of Padé's approximations in the set of the proof, or the last one that was tried; 0 where the result holds
+        for all delays.
     root
-        The rightmost pole of that set's nominal model, in 1/s: near a root of the model where the order is not 0. Of a
-        part without delays in its loops the pole that is not stable.
+        The rightmost pole of that set's nominal model, in 1/s: near a root of the model where the order is not 0; or
+        the unstable pole of a part without delays in its loops.
     system, proof
         The model and the scalings, for `robustlab.verify`.
     """
@@ -112,7 +112,7 @@ class DelayStability(StabilityMargin):
 
     @classmethod
     def of(cls, stable: bool | None, *evidence: Any) -> DelayStability:
-        """The verdict with its evidence: the fields from ``order`` on."""
+        """Return the verdict with its evidence: the fields from ``order`` on."""
         lower, upper = {True: (np.inf, np.inf), False: (0.0, 0.0), None: (0.0, np.inf)}[stable]
         status = Status.INCONCLUSIVE if stable is None else Status.CERTIFIED
         return cls(lower, upper, None, status, {}, (), *evidence)
@@ -136,7 +136,7 @@ class DelayStability(StabilityMargin):
 
 @told_as("delay_stability")
 def delay_stability(model: DelayedModel, highest_order: int = 16, effort: float = 1.0) -> DelayStability:
-    """Of a model with exact delays: `robustlab.robust_stability`, by sets of rising order."""
+    """`robustlab.robust_stability` of a model with exact delays, by sets of rising order."""
     g = as_delayed(model, "delay_stability")
     if isinstance(highest_order, bool) or not isinstance(highest_order, int) or not 1 <= highest_order <= ORDERS[-1]:
         raise InputError("delay_stability: highest_order", f"{highest_order!r}", f"a number from 1 to {ORDERS[-1]}")
@@ -156,14 +156,13 @@ def delay_stability(model: DelayedModel, highest_order: int = 16, effort: float 
 
 
 def _orders(g: DelayedModel, least: int, highest: int) -> list[int]:
-    """The orders that are tried; one without delays needs no more than one."""
+    """Return the orders that are tried; only 0 without delays."""
     return [n for n in ORDERS if least <= n <= max(highest, least)] if len(g.delays) else [0]
 
 
 def _undelayed_pole(g: DelayedModel) -> complex | None:
     """Return a pole on or right of the axis of a part of the model whose loops hold no delay; None if there is none."""
-    # A strongly connected component of the graph of states and delays: its eigenvalues are poles whatever the delays
-    # are.
+    # A strongly connected component of the graph of states and delays: its eigenvalues are poles for all delays.
     from scipy.sparse.csgraph import connected_components
 
     h, n, k = g.H, g.H.n_states, len(g.delays)
@@ -194,7 +193,7 @@ class DelayGain(PeakGain):
     frequency
         In rad/s.
     stability
-        That of the model, without which no gain is proved.
+        Stability of the model, without which no gain is proved.
     status
         CERTIFIED where the bounds are within the tolerance, INACCURATE where they are not, INCONCLUSIVE without an
         upper one.
@@ -212,7 +211,7 @@ class DelayGain(PeakGain):
     unsaved: ClassVar[tuple[str, ...]] = ("system", "proof")
 
     def evidence(self) -> Facts:
-        """Whether the model is stable, and the pole that shows that it is not."""
+        """Stability of the model, and an unstable pole."""
         facts = self.stability.facts()
         return [facts[0], *(facts[2:] if self.stability.stable is False else [])]
 
@@ -267,7 +266,7 @@ def highest(g: DelayedModel, size: Any, points: int = POINTS) -> tuple[float, fl
     from scipy.optimize import minimize_scalar
 
     grid = np.concatenate([[0.0], default_grid(g.pade(4), points)])
-    if len(g.delays):  # echoes are as far apart as the delays turn
+    if len(g.delays):  # echoes repeat with the period of the delay factors
         turns = np.linspace(0.0, 40.0, points) / g.delays.max()
         grid = np.unique(np.concatenate([grid, turns]))
     sizes: Array = size(frequency_response(g, grid))

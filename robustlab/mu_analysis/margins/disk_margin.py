@@ -61,12 +61,12 @@ AT: Mapping[Place, str] = {
 
 @dataclass(frozen=True, eq=False)
 class DiskBounds(Bracket):
-    """Bounds of a disk margin, and what the lower one guarantees.
+    """Bounds of a disk margin, and the guarantees of the lower one.
 
     Attributes
     ----------
     lower, upper
-        ``lower <= margin <= upper``; ``lower`` is proved: over the whole axis, or at the frequencies that were given.
+        ``lower <= margin <= upper``; ``lower`` is proved: over the whole axis, or at the given frequencies.
     frequency
         Where ``upper`` is attained, rad/s; None where nothing destabilises.
     gain_margin
@@ -77,7 +77,7 @@ class DiskBounds(Bracket):
     skew
         sigma.
     delta
-        What attains ``upper``: a value by the name of the loop, or of the block; empty where nothing destabilises.
+        Values that attain ``upper``, by the name of the loop or block; empty where nothing destabilises.
     notes
         Remarks for the reader of a report.
     """
@@ -95,7 +95,7 @@ class DiskBounds(Bracket):
 
     @property
     def value(self) -> float:
-        """The disk margin that is proved: ``lower``."""
+        """The proved disk margin: ``lower``."""
         return self.lower
 
     def headline(self) -> str:
@@ -124,7 +124,7 @@ class DiskBounds(Bracket):
 
 @dataclass(frozen=True, eq=False)
 class DiskMargin(DiskBounds):
-    """Margin against disks of one size in some loops at once, with the attributes of `DiskBounds`.
+    """Margin for disks of equal size in some loops at once, with the attributes of `DiskBounds`.
 
     Attributes
     ----------
@@ -139,7 +139,7 @@ class DiskMargin(DiskBounds):
     status
         CERTIFIED where ``lower`` is proved; TIMEOUT where the time limit ended the proof.
     system, proof
-        The loop as the deltas of its factors see it, and with exact delays the scalings, for `robustlab.verify`.
+        The loop at the deltas of its factors, and with exact delays the scalings, for `robustlab.verify`.
     """
 
     factor: Mapping[str, complex]
@@ -150,18 +150,18 @@ class DiskMargin(DiskBounds):
 
 @dataclass(frozen=True, eq=False)
 class DiskMargins(DiskBounds):
-    """Disk margins of a loop, whatever kind it is: the attributes of `DiskBounds` are those of all loops at once.
+    """Disk margins of a loop of any type; the attributes of `DiskBounds` are those of all loops at once.
 
     Attributes
     ----------
     simultaneous
         Margin with all channels changed independently at once, with its evidence.
     channels
-        Margin of each channel with the others unchanged, by name; empty where only all at once were asked for.
+        Margin of each channel with the others unchanged, by name; empty where only all at once were requested.
     at
         ``"input"``, ``"output"`` or ``"both"``: where the factors are.
     loop
-        The law that closes the loop, and who says so.
+        The law that closes the loop, and its source.
     status
         CERTIFIED where all are, else the first that is not.
     """
@@ -175,7 +175,7 @@ class DiskMargins(DiskBounds):
     def of(
         cls, simultaneous: DiskBounds, channels: Mapping[str, DiskBounds], at: Place, loop: str, **evidence: Any
     ) -> Self:
-        """The answer that these margins make."""
+        """Return the result for these margins."""
         shared = {f.name: getattr(simultaneous, f.name) for f in fields(DiskBounds)}
         every = (*channels.values(), simultaneous)
         shared["status"] = next((m.status for m in every if m.status is not Status.CERTIFIED), Status.CERTIFIED)
@@ -196,14 +196,14 @@ class DiskMargins(DiskBounds):
 
 
 def in_decibels(low: float, high: float) -> str:
-    """Two factors of gain in dB, in brackets after them."""
+    """Return two factors of gain in dB, in brackets."""
     with np.errstate(divide="ignore"):
         ends = [f"{20 * np.log10(factor):.3g}" if factor > 0 else "-inf" for factor in (low, high)]
     return f" ({ends[0]} .. {ends[1]} dB)"
 
 
 def in_degrees(angle: float) -> str:
-    """An angle in rad as a text in degrees; inf stays."""
+    """Return an angle in rad as a text in degrees, or inf."""
     return f"{number(math.degrees(angle))} degrees" if math.isfinite(angle) else "inf"
 
 
@@ -237,11 +237,11 @@ def disk_margin(
     seed: int = 0,
     effort: float = 1.0,
 ) -> DiskMargins:
-    """Of a rational plant and controller: `robustlab.disk_margin`."""
+    """`robustlab.disk_margin` of a rational plant and controller."""
     p = as_model(plant, "disk_margin: plant")
     found = closed_around(p, K, sign, "disk_margin")
     check_disk(at, skew, "disk_margin")
-    p, K = modes_apart(found.plant), modes_apart(found.K)  # what closes the loop is rounded in their states
+    p, K = modes_apart(found.plant), modes_apart(found.K)  # the feedback connection is rounded in these states
     loop = disk_channels(p, K, at, skew, found.sign)
     names = channel_names(p.input_names, p.output_names, at)
     compile_kernels()
@@ -256,7 +256,7 @@ def disk_margin(
 
 
 def _margin_of(M: StateSpaceModel, names: Sequence[str], skew: float, budget: Budget, seed: int = 0) -> DiskMargin:
-    """The margin of all channels of M (what the disks see: see `disk_channels`) at once."""
+    """Return the margin of all channels of M (see `disk_channels`) at once."""
     uncertain = UncertainModel(M, [ComplexScalar(name) for name in names])
     found = margin_within(uncertain, budget, seed=seed, accuracy=ACCURACY)
     delta = {name: complex(value) for name, value in found.delta.items()}
@@ -266,7 +266,7 @@ def _margin_of(M: StateSpaceModel, names: Sequence[str], skew: float, budget: Bu
 
 
 def closed_around(plant: Any, K: Any, sign: int | None, where: str) -> Closing:
-    """How K closes its loop, as `robustlab.closing.closing`, K a model: the identity where it is left out."""
+    """Return `robustlab.closing.closing` with K as a model, the identity if omitted."""
     found = closing(plant, K, sign, where)
     k = StateSpaceModel([], [], [], np.eye(len(found.plant.inputs))) if found.K is None else found.K
     return replace(found, K=as_model(k, f"{where}: K"))
@@ -275,15 +275,15 @@ def closed_around(plant: Any, K: Any, sign: int | None, where: str) -> Closing:
 def disk_channels(
     plant: StateSpaceModel, K: StateSpaceModel, at: Place, skew: float, sign: int, apart: tuple[int, int] = (0, 0)
 ) -> StateSpaceModel:
-    """The closed loop as the disks see it, ``S + (sigma - 1)/2``.
+    """Return the closed loop at the disks, ``S + (sigma - 1)/2``.
 
-    As many first channels of plant and K as ``apart`` says, those of delays, come first and stay open.
+    The first ``apart`` channels of plant and K are those of delays: they come first and stay open.
     """
     a, b = apart
     m, p, q = plant.n_inputs - a, plant.n_outputs - a, plant.n_inputs + plant.n_outputs - 2 * a
     P, K = _numbered(plant, "p"), _numbered(K, "k")
     (pu, py), (ku, ky) = ((part.input_names, part.output_names) for part in (P, K))
-    # Inputs: what leaves delays, u, y; outputs: what enters delays, u, y.
+    # Inputs: outputs of delays, u, y; outputs: inputs of delays, u, y.
     ins, outs = [*pu[:a], *ku[:b], *pu[a:], *ku[b:]], [*py[:a], *ky[:b], *ky[b:], *py[a:]]
     joint = append(P, K).select(ins, outs)
     B, C, D = joint.B, joint.C.copy(), joint.D.copy()
@@ -291,7 +291,7 @@ def disk_channels(
     C[d : d + m] *= sign
     D[d : d + m] *= sign
     kept = np.eye(q)[list(places)]
-    # What goes on at the channels is what enters there (seen: with (sigma - 1)/2 of it) and what comes around.
+    # The signal after a channel is the sum of its external input and the feedback.
     general = StateSpaceModel(
         joint.A,
         np.hstack([B[:, :d], B[:, d:] @ kept.T, B[:, d:]]),
@@ -307,7 +307,7 @@ def disk_channels(
 
 
 def _numbered(model: StateSpaceModel, prefix: str) -> StateSpaceModel:
-    """With names and without units that meet no others: the parts of a loop may name their signals alike."""
+    """Give the signals unique names without units: the parts of a loop may share names."""
     ins, outs = (
         [f"{prefix}.{side}{i}" for i in range(n)] for side, n in (("u", model.n_inputs), ("y", model.n_outputs))
     )
@@ -315,7 +315,7 @@ def _numbered(model: StateSpaceModel, prefix: str) -> StateSpaceModel:
 
 
 def check_disk(at: Place, skew: float, where: str) -> None:
-    """Refuse what is no place of disks, or no skew."""
+    """Check the place of the disks and the skew."""
     if at not in PLACES:
         raise InputError(f"{where}: at", f"{at!r}", "input, output or both")
     if not abs(skew) <= 1e6:
@@ -323,13 +323,13 @@ def check_disk(at: Place, skew: float, where: str) -> None:
 
 
 def channel_places(n_inputs: int, n_outputs: int, at: Place) -> range:
-    """Which of the inputs and then the outputs of a plant the disks act on."""
+    """Return the indices of the disks' channels among the plant's inputs, then outputs."""
     every = n_inputs + n_outputs
     return {"input": range(n_inputs), "output": range(n_inputs, every), "both": range(every)}[at]
 
 
 def channel_names(inputs: Sequence[str], outputs: Sequence[str], at: Place) -> list[str]:
-    """Names of the channels that the disks act on."""
+    """Return the names of the disks' channels."""
     names, places = [*inputs, *outputs], channel_places(len(inputs), len(outputs), at)
     chosen = [names[i] for i in places]
     if len(set(chosen)) < len(chosen):  # an input and an output of one name
@@ -349,7 +349,7 @@ def with_factors(
     system: Any = None,
     proof: Any = None,
 ) -> DiskMargin:
-    """A margin with the factors that its critical values are, and models of them where real systems take these."""
+    """Return a margin with its critical factors, and models of them where real systems have these values."""
     half = 0.5 * (1.0 + skew)
     factor = {n: 1.0 + d / (1.0 - half * d) if abs(1 - half * d) > 1e-12 else complex(np.inf) for n, d in delta.items()}
     perturbation, notes = {}, list(remarks)
@@ -385,7 +385,7 @@ def with_factors(
 
 
 def _factor_model(delta: StateSpaceModel, skew: float) -> StateSpaceModel | None:
-    """``f = 1 + delta / (1 - (1 + sigma)/2 delta)`` as a model; None where it is not proper."""
+    """Return ``f = 1 + delta / (1 - (1 + sigma)/2 delta)`` as a model; None where it is not proper."""
     half = (1 + skew) / 2
     below = 1 - half * float(delta.D[0, 0])
     if abs(below) < 1e-12:
@@ -396,7 +396,7 @@ def _factor_model(delta: StateSpaceModel, skew: float) -> StateSpaceModel | None
 
 
 def gain_and_phase(alpha: float, skew: float = 0.0) -> tuple[float, float, float]:
-    """Gain margin interval and phase margin in rad of the disk of size ``alpha``."""
+    """Return the gain margin interval and the phase margin in rad of the disk of size ``alpha``."""
     # Seiler, Packard, Gahinet (2020): f at delta = -+alpha, and |delta| of the factor e^(j phi).
     if not np.isfinite(alpha):
         return -np.inf, np.inf, np.pi

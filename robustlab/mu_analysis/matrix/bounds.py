@@ -28,7 +28,7 @@ BoxProof = tuple[tuple[Box, UpperBound], ...]  # boxes of Delta that cover the s
 
 @dataclass(frozen=True, eq=False)
 class MuBounds(Tabular, Shown):
-    r"""Bounds of mu with what proves them; a stack of k matrices has a leading axis k everywhere.
+    r"""Bounds of mu with their evidence; a stack of k matrices has a leading axis k everywhere.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class MuBounds(Tabular, Shown):
         0``).
     D, G
         Scalings (q, q) and (q, p) with :math:`M^* D_z M + j (G M - M^* G^*) - upper^2 D \preceq 0`. An ``upper`` of
-        zero of a nilpotent structure is proved by its zero pattern; D then shows it in the limit only.
+        zero of a nilpotent structure is proved by its zero pattern; D proves it only in the limit.
     D_z
         The scaling (p, p) on the side of the outputs of M; equal to D where all blocks are square.
     status
@@ -48,13 +48,13 @@ class MuBounds(Tabular, Shown):
     blocks
         The blocks of Delta.
     scaled
-        The bound that D and G prove: equal to ``upper``, unless branch and bound has lowered that.
+        The bound proved by D and G: equal to ``upper``, unless branch and bound has lowered that.
     boxes
-        Boxes of the real parameters that branch and bound has proved one by one for ``upper``; 0 without it.
+        Number of boxes of the real parameters that branch and bound has proved for ``upper``; 0 without it.
     notes
-        Remarks for the reader of a report: what ended branch and bound before its tolerance.
+        Remarks for the reader of a report: why branch and bound ended before its tolerance.
     M, fixed
-        The matrices that they are about, and the names of the blocks that keep size one, for `robustlab.verify`.
+        The matrices, and the names of the blocks that keep size one, for `robustlab.verify`.
     proof
         Of every matrix the boxes that branch and bound has proved, with the D, G of each, for `robustlab.verify`; empty
         without it.
@@ -82,9 +82,9 @@ class MuBounds(Tabular, Shown):
     def facts(self) -> Facts:
         lower, upper = np.atleast_1d(self.lower), np.atleast_1d(self.upper)
         k = int(np.argmax(upper)) if len(upper) else 0
-        told = bracket(float(lower[k]), float(upper[k]), ("attained", "proved")) if len(upper) else ""
+        largest = bracket(float(lower[k]), float(upper[k]), ("attained", "proved")) if len(upper) else ""
         return [
-            ("mu" if np.ndim(self.upper) == 0 else f"largest mu of {len(upper)} matrices", told),
+            ("mu" if np.ndim(self.upper) == 0 else f"largest mu of {len(upper)} matrices", largest),
             ("of matrix", f"{k}, counted from 0" if np.ndim(self.upper) else ""),
             ("blocks", listed(f"{b.name} {b.rows} x {b.cols}" for b in self.blocks)),
             ("boxes", str(int(np.sum(self.boxes))) if np.any(self.boxes) else ""),
@@ -120,10 +120,9 @@ def mu(
     and 0 where no Delta makes the determinant vanish.
 
     The upper bound is that of the D-G scalings, certified with its rounding errors; the lower one is attained by an
-    explicit Delta. What lies between them is not known; with ``tolerance`` branch and bound over the real parameters
-    closes it.
+    explicit Delta. With ``tolerance`` branch and bound over the real parameters closes the gap.
 
-    With ``fixed`` these blocks keep size one, and the size of the others is sought:
+    With ``fixed`` these blocks keep size one, and the smallest size of the others is computed:
 
     .. math:: \nu(M) = 1 / \min \{ \|\Delta_v\| : \|\Delta_f\| \le 1, \; \det(I - M \, diag(\Delta_f, \Delta_v)) = 0 \}
 
@@ -137,24 +136,23 @@ def mu(
     seed
         Seed of the starting points of the lower bound.
     tolerance
-        Relative gap between the bounds that branch and bound over the real scalars aims at; none where left out. It
-        needs a Delta to start from: where ``lower`` is zero, nothing is cut.
+        Relative gap between the bounds that branch and bound over the real scalars aims at; none by default. It needs
+        a Delta to start from: where ``lower`` is zero, nothing is cut.
     time_limit
-        Time in s from the call after which branch and bound stops. Where it strikes, the status is TIMEOUT:
-        the answer cannot be repeated. None: no limit.
+        Time limit in s of branch and bound. If it is reached, the status is TIMEOUT and the result depends on the
+        machine.
     effort
-        Work that branch and bound may take, as a multiple of the usual (about a minute for all matrices together);
-        counted, not timed.
+        Work of branch and bound as a multiple of the usual (about a minute for all matrices); counted, not timed.
     fixed
-        Names or indices of the blocks that stay at size one; ``tolerance`` does not go with it.
+        Names or indices of the blocks that keep size one; not with ``tolerance``.
 
     Returns
     -------
     MuBounds
-        Both bounds with what proves them: ``delta`` (q, p), ``D`` (q, q), ``D_z`` (p, p), ``G`` (q, p), each with a
+        Both bounds with their evidence: ``delta`` (q, p), ``D`` (q, q), ``D_z`` (p, p), ``G`` (q, p), each with a
         leading axis k for a stack. With ``fixed``, ``lower`` is attained by ``delta`` (fixed blocks within one, the
         others of size ``1 / lower``); ``D``, ``G`` prove level one of M with the inputs of the varying blocks divided
-        by ``upper``, which is inf where the fixed blocks alone could not be shown to leave ``I - M Delta`` regular.
+        by ``upper``, which is inf if ``I - M Delta`` is not proved regular for the fixed blocks alone.
 
     Raises
     ------
@@ -218,7 +216,7 @@ def mu(
 def _bounds(
     stack: ComplexArray, structure: tuple[Block, ...], seed: int, fixed: Sequence[str | int]
 ) -> tuple[dict[str, Any], Status]:
-    """The D-G bounds of each matrix and the Delta found, and what they are worth."""
+    """Return the D-G bounds of each matrix, the Delta found, and their status."""
     if len(fixed):
         scale, varying = np.ones(len(stack)), varying_inputs(structure, fixed)
         proved = [skew_upper(m, structure, varying) for m in stack]
@@ -233,7 +231,7 @@ def _bounds(
     zero = np.zeros((q, p), dtype=complex)
     lower = np.array([value for value, _ in lowers])
     upper = np.array([level for level, _ in proved])
-    # A lower bound is attained up to the rounding of its Delta: it may pass a tight upper bound by that much, no more.
+    # A lower bound is attained up to the rounding of its Delta: it may exceed a tight upper bound by that much.
     lower = np.where((lower > upper) & (lower <= upper * (1 + 1e-8)), upper, lower)
     if (lower > upper).any():
         k = int(np.argmax(lower - upper))
@@ -242,7 +240,7 @@ def _bounds(
     size = scale[:, None, None]
     with np.errstate(over="ignore", invalid="ignore"):
         delta = np.array([zero if d is None else d for _, d in lowers]).reshape(len(uppers), q, p) * size
-    beyond = ~np.isfinite(delta).all(axis=(1, 2))  # M is so small that no floats hold such a Delta: none was found
+    beyond = ~np.isfinite(delta).all(axis=(1, 2))  # such a Delta overflows: count it as not found
     lower, delta[beyond] = np.where(beyond, 0.0, lower), 0.0
     sure = np.isfinite(upper).all()
     attained = ((lower > 0) | (upper == 0)).all()
@@ -260,7 +258,7 @@ def _bounds(
 
 
 def _outward(bound: NDArray[np.float64], scale: NDArray[np.float64], towards: float) -> NDArray[np.float64]:
-    """A bound in M's own size; where that is no float of full length, rounded to the safe side."""
+    """Return a bound in M's original scale, rounded to the safe side where it underflows."""
     own = bound / scale
     unsafe = own * scale < bound if towards > 0 else own * scale > bound
     return np.where(unsafe, np.nextafter(own, towards), own)
@@ -269,7 +267,7 @@ def _outward(bound: NDArray[np.float64], scale: NDArray[np.float64], towards: fl
 def _close(
     stack: ComplexArray, parts: dict[str, Any], blocks: tuple[Block, ...], tolerance: float, budget: Budget
 ) -> tuple[BoxProof, ...]:
-    """Branch and bound of each matrix whose bounds are further apart than the tolerance; the boxes that each took."""
+    """Apply branch and bound to each matrix whose gap exceeds the tolerance; return the boxes."""
     boxes: list[BoxProof] = [() for _ in stack]
     scale = _scale(stack)
     some_real = any(b.interval for b in blocks)
@@ -288,7 +286,7 @@ def _close(
 
 
 def matrix_stack(M: ArrayLike, blocks: Sequence[Block]) -> tuple[ComplexArray, bool]:
-    """M as a finite complex stack (k, p, q) that fits the blocks, and whether it was a single matrix."""
+    """Return M as a finite complex stack (k, p, q) that fits the blocks, and whether it was a single matrix."""
     try:
         array = np.asarray(M)
     except ValueError as error:
@@ -311,6 +309,6 @@ def matrix_stack(M: ArrayLike, blocks: Sequence[Block]) -> tuple[ComplexArray, b
 
 
 def _scale(stack: ComplexArray) -> NDArray[np.float64]:
-    """The power of two that makes the largest entry of each matrix about one, shape (k,); 1 for a zero matrix."""
+    """Return the power of two that scales the largest entry of each matrix to about one; 1 for a zero matrix."""
     largest = np.abs(stack).max(axis=(1, 2), initial=0.0)
     return np.exp2(-np.clip(np.rint(np.log2(np.where(largest > 0, largest, 1.0))), -1000, 1000))

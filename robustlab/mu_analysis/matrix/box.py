@@ -1,7 +1,7 @@
 """Boxes of perturbations: each real delta in an interval, each complex block in a ball, as one normalised model."""
 
-# With centre c and half width h of each block Delta = C + H Delta', |Delta'| <= 1, and M' = (I - M C)^-1 M H sees
-# Delta'. Asymmetric ranges and branch and bound are boxes whose centre is not the nominal point.
+# With centre c and half width h of each block Delta = C + H Delta', |Delta'| <= 1, and M' = (I - M C)^-1 M H is the
+# model for Delta'. Asymmetric ranges and branch and bound are boxes whose centre is not the nominal point.
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Box:
     half: Array
 
     def halves(self, index: int) -> tuple[Box, Box]:
-        """The two boxes that are left when the interval of one real block is cut in its middle."""
+        """Cut the interval of one real block in its middle; return both boxes."""
         half = self.half.copy()
         half[index] /= 2
         low, high = self.centre.copy(), self.centre.copy()
@@ -32,31 +32,31 @@ class Box:
         return Box(low, half), Box(high, half)
 
     def within(self, other: Box) -> Box | None:
-        """What both boxes have in common; None where that has no volume."""
+        """Return the intersection of both boxes; None where it has no volume."""
         low = np.maximum(self.centre - self.half, other.centre - other.half)
         high = np.minimum(self.centre + self.half, other.centre + other.half)
         return Box((low + high) / 2, (high - low) / 2) if (high > low).all() else None
 
 
 def lowest(blocks: Sequence[Block]) -> Array:
-    """What multiplies in Delta at the lower end of each block's range: -1, or ``-below / radius`` where asymmetric."""
+    """Return the normalised lower end of each block's range: -1, or ``-below / radius`` where asymmetric."""
     return np.array([b.interval[0] if b.interval else -1.0 for b in blocks])
 
 
 def root_box(blocks: Sequence[Block], size: float = 1.0) -> Box:
-    """The whole set, scaled by ``size`` about the nominal point."""
+    """Return the whole set, scaled by ``size`` about the nominal point."""
     low, real = lowest(blocks), np.array([b.interval is not None for b in blocks], dtype=bool)
     return Box(np.where(real, size * (1 + low) / 2, 0.0), np.where(real, size * (1 - low) / 2, size))
 
 
 def gauge(blocks: Sequence[Block], values: Array) -> float:
-    """The smallest size of the set that holds these entries of Delta (moduli for complex blocks)."""
+    """Return the smallest size of the set that holds these entries of Delta (moduli for complex blocks)."""
     low = lowest(blocks)
     return float(np.max(np.where(values >= 0, values, values / low), initial=0.0))
 
 
 def block_entries(blocks: Sequence[Block], delta: ComplexArray) -> Array:
-    """What stands in Delta (q, p) for each real block; the size of a complex one, shape (n_blocks,)."""
+    """Return the value of each real block in Delta (q, p), and the size of a complex one, shape (n_blocks,)."""
     entries = []
     for block, (w, z) in zip(blocks, block_slices(blocks), strict=True):
         part = delta[w, z]
@@ -65,7 +65,7 @@ def block_entries(blocks: Sequence[Block], delta: ComplexArray) -> Array:
 
 
 def centre_matrix(blocks: Sequence[Block], centre: Array) -> Array:
-    """The Delta (q, p) of a box's centre."""
+    """Return the Delta (q, p) of a box's centre."""
     q, p = sum(b.rows for b in blocks), sum(b.cols for b in blocks)
     matrix = np.zeros((q, p))
     for value, block, (w, z) in zip(centre, blocks, block_slices(blocks), strict=True):
@@ -75,7 +75,7 @@ def centre_matrix(blocks: Sequence[Block], centre: Array) -> Array:
 
 
 def box_model(model: StateSpaceModel, blocks: Sequence[Block], box: Box) -> StateSpaceModel | None:
-    """The Delta channels that a box's normalised Delta sees; None where the loop is ill-posed at the centre."""
+    """Return the Delta channels for a box's normalised Delta; None where the loop is ill-posed at the centre."""
     middle = centre_matrix(blocks, box.centre)
     half = np.repeat(box.half, [b.rows for b in blocks])
     if not box.centre.any():
@@ -94,7 +94,7 @@ def box_model(model: StateSpaceModel, blocks: Sequence[Block], box: Box) -> Stat
 
 
 def box_matrices(M: ComplexArray, blocks: Sequence[Block], boxes: Sequence[Box]) -> ComplexArray:
-    """``(I - M C)^-1 M H`` of one matrix M (p, q) for each box, shape (k, p, q); NaN where ill-posed at the centre."""
+    """Return ``(I - M C)^-1 M H`` of M (p, q) for each box, shape (k, p, q); NaN where ill-posed at the centre."""
     p = M.shape[0]
     middle = np.stack([centre_matrix(blocks, box.centre) for box in boxes])
     half = np.stack([np.repeat(box.half, [b.rows for b in blocks]) for box in boxes])

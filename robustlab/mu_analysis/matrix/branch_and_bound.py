@@ -3,10 +3,10 @@
 Newlin, Young, "Mixed mu problems and branch and bound techniques" (1997).
 """
 
-# About a fifth of the distance between the bounds of purely real mu is conservatism of the D-G scalings. It goes
-# where the set is cut into boxes. A region is a box together with the frequencies that are still open there; what is
-# proved for a box holds for its halves, so they inherit the open frequencies only. Where nothing is singular in any
-# region, by continuity from the nominal model no Delta of the set destabilises.
+# About a fifth of the gap between the bounds of purely real mu is conservatism of the D-G scalings, which cutting the
+# set into boxes removes. A region is a box with its open frequencies; a proof for a box holds for its halves, so they
+# inherit the open frequencies only. Where nothing is singular in any region, by continuity from the nominal model no
+# Delta of the set destabilises.
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from robustlab.mu_analysis.matrix.upper import UpperBound, points_below, points_
 from robustlab.shown import Shown
 from robustlab.uncertainty.blocks import Block, block_slices
 
-REGIONS = 16  # solved together; more: quicker each, more of them in vain where a Delta is met
-KEPT = 0.0625  # share of the work kept for a smaller set, and spent before a set is judged out of reach
-NARROW = 1e-7  # relative width below which a box is not cut again: rounding decides there
+REGIONS = 16  # solved together; more: faster per region, more useless ones when a Delta is found
+KEPT = 0.0625  # share of the work reserved for a smaller set, and spent before a set is judged infeasible
+NARROW = 1e-7  # relative width below which a box is not cut because of rounding
 
 
 class Improved(NamedTuple):
-    """A better lower bound met on the way: its level, and the Delta that attains it."""
+    """A better lower bound found during the proof: its level, and the Delta that attains it."""
 
     level: float
     values: Any
@@ -41,7 +41,7 @@ class Improved(NamedTuple):
 
 @dataclass
 class Region(Shown):
-    """A box, its open frequencies (for a constant matrix one place, zero), and where its parent could not be proved."""
+    """A box, its open frequencies (for a constant matrix only zero), and the unproved frequency of its parent."""
 
     box: Box
     open: list[tuple[float, float]]
@@ -53,7 +53,7 @@ class Region(Shown):
 
 @dataclass
 class Proof:
-    """Bounds of the level (mu, or a gain), what attains the lower one if it was met here, and the regions proved."""
+    """Bounds of the level (mu, or a gain), the Delta of the lower one if found here, and the proved regions."""
 
     lower: float
     upper: float
@@ -62,10 +62,10 @@ class Proof:
 
 
 class Problem(Protocol):
-    """What `tighten` needs to know of a problem: its blocks, the set that a level leaves, the work of so many regions.
+    """Interface of a problem for `tighten`: its blocks, the set of a level, and the work of a number of regions.
 
-    ``examine`` takes what can be proved off each region's open frequencies: None, or weights of the blocks where it is
-    to be cut. ``attack`` is the worst Delta found cheaply from the region's centre, where that is above the level.
+    ``examine`` removes proved frequencies from each region and returns None, or weights of the blocks if it must be
+    cut. ``attack`` returns the worst Delta found cheaply from the region's centre, if that is above the level.
     """
 
     blocks: tuple[Block, ...]
@@ -78,8 +78,8 @@ class Problem(Protocol):
 
 def tighten(problem: Problem, lower: float, upper: float, tolerance: float, budget: Budget) -> Proof:
     """Bring ``upper`` down to ``lower (1 + tolerance)``, or as far as the budget allows."""
-    # That level is tried at once. Where a larger lower bound is met, or the work will not do, what is left is cut back
-    # to the smaller set of a larger level: what was proved holds there, too, and nothing begins anew.
+    # That level is tried first. If a larger lower bound is found, or the work does not suffice, the open regions are
+    # reduced to the smaller set of a larger level, for which all proofs so far hold.
     proof, last = Proof(lower, upper), 0.0
     while proof.upper > proof.lower * (1 + tolerance) * (1 + 1e-12) and not budget.over:
         if budget.left <= last:  # the next level costs more than the one before
@@ -93,7 +93,7 @@ def tighten(problem: Problem, lower: float, upper: float, tolerance: float, budg
 
 
 class _Descent:
-    """One proof of a set that may get smaller on the way: what is open of it, a stack, and what is proved."""
+    """One proof of a set that may be reduced during it: a stack of open regions, and the proved ones."""
 
     def __init__(self, problem: Problem, proof: Proof, tolerance: float, budget: Budget) -> None:
         self.problem, self.proof, self.tolerance, self.budget = problem, proof, tolerance, budget
@@ -101,14 +101,14 @@ class _Descent:
         self.level = proof.lower * (1 + tolerance)
         self.root = problem.root(self.level)
         self.regions, self.leaves = [self.root], list[Region]()
-        self._begin()
+        self._start_measuring()
 
     def run(self) -> bool:
-        """Whether all regions were proved: then the level is in the proof, as its ``upper``."""
+        """Prove all regions and set ``upper`` of the proof; return False if that fails."""
         while self.regions and not self.budget.over:
-            if not self._look():
+            if not self._examine_some():
                 return False
-            if self.regions and self._out_of_reach() and not self._give_way():
+            if self.regions and self._infeasible() and not self._retreat():
                 self.budget.use_up()
                 return False
         if self.regions:
@@ -116,8 +116,8 @@ class _Descent:
         self.proof.upper, self.proof.leaves = self.level, self._within_root(self.leaves)
         return True
 
-    def _look(self) -> bool:
-        """Take some regions off the stack, put back what is left of them; False where one has come to rounding size."""
+    def _examine_some(self) -> bool:
+        """Examine some regions of the stack and put back their open parts; False where one has rounding size."""
         chosen = self.regions[-REGIONS:]
         del self.regions[-REGIONS:]
         before = [list(r.open) for r in chosen]
@@ -134,7 +134,7 @@ class _Descent:
             found = self.problem.attack(region, self.proof.lower, self.budget)
             if found is not None and found.level > self.proof.lower:
                 self.proof.lower, self.proof.values = found.level, found.values
-            index = _where_to_cut(region.box, weight, self.real, self.root.box)
+            index = _block_to_cut(region.box, weight, self.real, self.root.box)
             if index is None:
                 self.regions.append(region)
                 sound = False
@@ -144,26 +144,26 @@ class _Descent:
             self._cut_back(self.proof.lower * (1 + self.tolerance))
         return sound
 
-    def _begin(self) -> None:
+    def _start_measuring(self) -> None:
         self.work, self.seconds, self.open = self.budget.left, self.budget.seconds_left, self._volume()
 
     def _volume(self) -> float:
-        """What is open of the set, as a share of its volume."""
+        """Return the open share of the set's volume."""
         whole = np.maximum(self.root.box.half[self.real], 1e-300)
         return sum(float(np.prod(region.box.half[self.real] / whole)) for region in self.regions)
 
-    def _out_of_reach(self) -> bool:
-        """Whether the work, or the time, will not do, as far as the volume proved so far tells."""
+    def _infeasible(self) -> bool:
+        """Return whether the work, or the time, is too little, extrapolated from the volume proved so far."""
         left = self._volume() / self.open
         if _too_little(self.budget.left, self.work, left):
             return True
         if _too_little(self.budget.seconds_left, self.seconds, left):
-            self.budget.strike()  # the clock chooses the set: not repeatable
+            self.budget.strike()  # the time limit determines the set: not repeatable
             return True
         return False
 
-    def _give_way(self) -> bool:
-        """A quarter of the way back to what is proved already; False where that is next to it."""
+    def _retreat(self) -> bool:
+        """Move a quarter of the way back to the proved level; False if that is next to it."""
         known = self.proof.upper
         level = self.level * (known / self.level) ** 0.25 if np.isfinite(known) else 2 * self.level
         if level * (1 + self.tolerance) >= known:
@@ -174,23 +174,23 @@ class _Descent:
     def _cut_back(self, level: float) -> None:
         self.level, self.root = level, self.problem.root(level)
         self.regions = self._within_root(self.regions)
-        self._begin()
+        self._start_measuring()
 
     def _within_root(self, regions: list[Region]) -> list[Region]:
         cut = ((region.box.within(self.root.box), region) for region in regions)
         return [Region(box, list(r.open), r.hot, proof=r.proof) for box, r in cut if box is not None]
 
 
-def _too_little(there: float, begun_with: float, left: float) -> bool:
-    """Whether what there is will not do for the volume left, by what was done with the rest of it."""
-    if begun_with == np.inf:
+def _too_little(available: float, initial: float, left: float) -> bool:
+    """Return whether the available work is too little for the volume left, by the progress so far."""
+    if initial == np.inf:
         return False
-    done = (1 - max(there, 0.0) / begun_with) / (1 - KEPT) if begun_with > 0 else 1.0
+    done = (1 - max(available, 0.0) / initial) / (1 - KEPT) if initial > 0 else 1.0
     return done >= 1 or (done >= KEPT and done**2 * left > (1 - done) * (1 - left))
 
 
-def _where_to_cut(box: Box, weight: Array, real: Mask, root: Box) -> int | None:
-    """The real block that weighs most in what is not proved, wide intervals first; None where all are narrow."""
+def _block_to_cut(box: Box, weight: Array, real: Mask, root: Box) -> int | None:
+    """Return the real block with the largest weight, wide intervals first; None where all are narrow."""
     share = np.where(real & (box.half > NARROW * root.half), box.half / np.maximum(root.half, 1e-300), 0.0)
     if not share.any():
         return None
@@ -198,7 +198,7 @@ def _where_to_cut(box: Box, weight: Array, real: Mask, root: Box) -> int | None:
 
 
 def block_weights(M: ComplexArray, bound: UpperBound, blocks: Sequence[Block]) -> Array:
-    """How much each block carries of the directions in which D, G come nearest to failing."""
+    """Return the share of each block in the directions in which D, G are closest to failing."""
     try:
         values, vectors = np.linalg.eigh(relative(bound.Dw, supply(M, bound.Dz, bound.G)))
     except np.linalg.LinAlgError:
@@ -218,11 +218,11 @@ class MatrixProblem:
         return Region(root_box(self.blocks, 1 / level), [(0.0, 0.0)])
 
     def work(self, count: int) -> int:
-        """D-G bounds, and what goes with a region: forming it, weighing it, cutting it."""
+        """Return the work of D-G bounds and of forming, weighting and cutting the regions."""
         return points_work(self.blocks, count) + 150 * count
 
     def examine(self, regions: list[Region]) -> list[Array | None]:
-        """A region is proved where its D-G bound is below one."""
+        """Prove each region whose D-G bound is below one."""
         stack = box_matrices(self.M, self.blocks, [r.box for r in regions])
         sound = np.array([bool(np.isfinite(matrix).all()) for matrix in stack], dtype=bool)
         bounds = iter(points_below(stack[sound], self.blocks, 1.0) if sound.any() else [])
@@ -238,8 +238,8 @@ class MatrixProblem:
         return result
 
     def attack(self, region: Region, level: float, budget: Budget) -> Improved | None:
-        """A singular Delta inside the box, if a short search finds one."""
-        # The lower bound that was given is good nearly always: looks at region 1, 2, 4, 8, ... cost little.
+        """Return a singular Delta inside the box, if a short search finds one."""
+        # The given lower bound is nearly always good: search only in regions 1, 2, 4, 8, ...
         self._attacks += 1
         (matrix,) = box_matrices(self.M, self.blocks, [region.box])
         if self._attacks & (self._attacks - 1) or not np.isfinite(matrix).all():

@@ -4,7 +4,7 @@ Fan, Tits, Doyle (1991); Rump, "Verification of positive definiteness", BIT 46 (
 """
 
 # Upper: any D > 0 and G of the structure prove mu(M) <= beta where beta^2 D_w - M^* D_z M - j (G M - M^* G^*) >= 0; a
-# bound of all rounding errors is allowed for. Lower: any Delta of the structure with det(I - M Delta) = 0.
+# bound of all rounding errors is included. Lower: any Delta of the structure with det(I - M Delta) = 0.
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ EPS = float(np.finfo(float).eps)
 
 
 def level(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> float:
-    """Smallest beta of D and G by floating point, no proof; 0 where N(0) > 0, inf where D is not positive definite."""
+    """Return the smallest beta of D and G, without proof; 0 where N(0) > 0, inf where D is not positive definite."""
     if not M.size:
         return 0.0
     inequality = _Inequality(*(part[None] for part in (M, Dw, Dz, G)))
@@ -30,7 +30,7 @@ def level(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray) 
 
 
 def proves(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray, beta: float) -> bool:
-    """Whether D > 0 and N(beta) >= 0 hold with all rounding errors of this evaluation allowed for."""
+    """Return whether D > 0 and N(beta) >= 0 hold for all rounding errors of this evaluation."""
     # Scaling by powers of two is exact; the rounding error of N is bounded entry by entry, and a Cholesky
     # factorisation of N minus that bound has to succeed.
     inequality = _Inequality(*(part[None] for part in (M, Dw, Dz, G)))
@@ -38,19 +38,19 @@ def proves(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray,
 
 
 def certified_level(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> float:
-    """The level of D and G, raised until `proves` says yes; inf where it never does."""
+    """Return the level of D and G, raised until `proves` holds; inf where it never does."""
     return float(certified_levels(*(part[None] for part in (M, Dw, Dz, G)))[0])
 
 
 def certified_levels(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> Array:
-    """`certified_level` of each matrix of a stack, shape (k,)."""
+    """Return `certified_level` of each matrix of a stack, shape (k,)."""
     if not M.size:
         return np.zeros(len(M))
     inequality = _Inequality(M, Dw, Dz, G)
     squares = inequality.squares()
     zero = ~M.any(axis=(1, 2))
     result = np.where(zero, 0.0, np.inf)
-    # beta^2 is raised by what the allowance for rounding errors asks for, then in steps of a factor of four.
+    # beta^2 is raised by the allowance for rounding errors, then in steps of a factor of four.
     raised = inequality.allowance(np.sqrt(np.maximum(squares, 0.0)))
     todo = np.flatnonzero(~zero & np.isfinite(squares) & np.isfinite(raised))
     for _ in range(40):
@@ -89,7 +89,7 @@ class _Inequality:
             part[~self.finite] = np.eye(part.shape[1])
 
     def squares(self) -> Array:
-        """Smallest t of ``t D_w - supply >= 0``; inf where D is not positive definite."""
+        """Return the smallest t of ``t D_w - supply >= 0``; inf where D is not positive definite."""
         result = np.full(len(self.Dw), np.inf)
         good = np.flatnonzero(self.finite & _positive_definite(self.Dw, np.zeros(len(self.Dw))))
         if len(good):
@@ -101,12 +101,12 @@ class _Inequality:
         return result
 
     def error(self, beta: Array, which: Any = slice(None)) -> Array:
-        """Bound of the rounding error of N(beta), in the 2-norm."""
+        """Bound the rounding error of N(beta) in the 2-norm."""
         rows = self.bound[which] + beta[:, None] ** 2 * self.d_bound[which]
         return self.gamma * rows.max(axis=1, initial=0.0)
 
     def allowance(self, beta: Array) -> Array:
-        """About how much larger than its level beta^2 has to be for a proof."""
+        """Estimate the increase of beta^2 above its level that a proof needs."""
         smallest = np.linalg.eigvalsh(self.Dw)[:, 0]
         with np.errstate(over="ignore", invalid="ignore"):  # NaN proves nothing
             traces = np.einsum("kii->k", beta[:, None, None] ** 2 * self.Dw - self.supply).real
@@ -114,7 +114,7 @@ class _Inequality:
             return 2 * needed / np.where(smallest > 0, smallest, np.nan) + 1e-300
 
     def proves(self, beta: Array, which: Any = slice(None)) -> NDArray[np.bool_]:
-        """Whether D > 0 and N(beta) >= 0 hold in spite of all rounding errors, for each matrix."""
+        """Return whether D > 0 and N(beta) >= 0 hold for all rounding errors, for each matrix."""
         sure = self.finite[which] & np.isfinite(beta)
         beta = np.where(sure, beta, 0.0)
         n = beta[:, None, None] ** 2 * self.Dw[which] - self.supply[which]
@@ -136,7 +136,7 @@ def _positive_definite(X: ComplexArray, error: Array) -> NDArray[np.bool_]:
 
 
 def _factorises(X: ComplexArray) -> NDArray[np.bool_]:
-    """Whether the Cholesky factorisation runs through, for each matrix of the stack."""
+    """Return whether the Cholesky factorisation succeeds, for each matrix of the stack."""
     try:
         np.linalg.cholesky(X)
     except np.linalg.LinAlgError:
@@ -147,7 +147,7 @@ def _factorises(X: ComplexArray) -> NDArray[np.bool_]:
 
 
 def singularity(M: ComplexArray, delta: ComplexArray) -> float:
-    """Smallest singular value of ``I - M Delta`` over ``1 + ||M Delta||``; 0 where Delta makes it singular."""
+    """Return the smallest singular value of ``I - M Delta`` over ``1 + ||M Delta||``."""
     loop = M @ delta
     if not np.isfinite(loop).all():
         return float("inf")
@@ -156,12 +156,12 @@ def singularity(M: ComplexArray, delta: ComplexArray) -> float:
 
 
 def delta_norm(blocks: Sequence[Block], delta: ComplexArray) -> float:
-    """Largest singular value of the blocks of Delta (q, p)."""
+    """Return the largest singular value of the blocks of Delta (q, p)."""
     return max((block.norm(delta[w, z]) for block, (w, z) in _with_slices(blocks)), default=0.0)
 
 
 def project(blocks: Sequence[Block], delta: ComplexArray) -> ComplexArray:
-    """The Delta of exactly this structure that lies next to the given one."""
+    """Return the nearest Delta of exactly this structure."""
     result = np.zeros(delta.shape, dtype=complex)
     for block, (w, z) in _with_slices(blocks):
         result[w, z] = block.project(delta[w, z])
@@ -175,7 +175,7 @@ def _with_slices(blocks: Sequence[Block]) -> list[tuple[Block, tuple[slice, slic
 def _power_of_two_scaled(
     M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
-    """The same inequality with diagonals of D between 1/2 and 2: congruence by powers of two, free of rounding."""
+    """Scale D's diagonals to 1/2 .. 2 by a congruence with powers of two, free of rounding."""
     w, z = (np.exp2(np.round(-0.5 * np.log2(np.maximum(np.einsum("kii->ki", d).real, 1e-300)))) for d in (Dw, Dz))
     return (
         M * w[:, None, :] / z[:, :, None],

@@ -1,4 +1,4 @@
-"""What is done to M before any solver sees it: strongly connected components, and balancing by powers of two."""
+"""Preparation of M for the solvers: strongly connected components, and balancing by powers of two."""
 
 # Without balancing AB13MD calls 32 196 a bound where mu is 1.914 (entries over 12 decades); on reducible matrices it
 # is 20 to 40 times slower. mu of a block-triangular M is the largest mu of its diagonal components.
@@ -21,19 +21,19 @@ class Component:
     """A strongly connected set of blocks of one matrix."""
 
     members: tuple[int, ...]  # indices of its blocks
-    depth: int  # how many components lie before it on the longest path; w flows from a lower to a higher depth
+    depth: int  # number of components before it on the longest path; w flows from a lower to a higher depth
     exponents: Array  # scaling `2^exponent` per member: `M_ij 2^(e_i - e_j)` is balanced
     matrix: ComplexArray  # the balanced diagonal part of M
 
 
 def block_norms(M: ComplexArray, blocks: Sequence[Block]) -> Array:
-    """Frobenius norm of each block ``M_ij`` (outputs of block i, inputs of block j), shape (n_blocks, n_blocks)."""
+    """Return the Frobenius norm of each block ``M_ij`` (outputs of block i, inputs of block j)."""
     if not M.size:
         return np.zeros((len(blocks), len(blocks)))
     w, z = (np.array([part[side].start for part in block_slices(blocks)]) for side in (0, 1))
     size = np.abs(M)
     largest = np.maximum.reduceat(np.maximum.reduceat(size, z, axis=0), w, axis=1)
-    # Scaled by the largest entry of the block: the squares of a small coupling must not vanish.
+    # Scaled by the largest entry of the block: the squares of a small coupling must not underflow.
     unit = np.repeat(
         np.repeat(np.where(largest > 0, largest, 1.0), [b.cols for b in blocks], 0), [b.rows for b in blocks], 1
     )
@@ -41,19 +41,19 @@ def block_norms(M: ComplexArray, blocks: Sequence[Block]) -> Array:
 
 
 def expand(blocks: Sequence[Block], values: Array) -> tuple[Array, Array]:
-    """One value per block, repeated over its entries of w and of z."""
+    """Repeat one value per block over its entries of w and of z."""
     return np.repeat(values, [b.rows for b in blocks]), np.repeat(values, [b.cols for b in blocks])
 
 
 def entries(blocks: Sequence[Block], members: Sequence[int] | Indices) -> tuple[Indices, Indices]:
-    """Rows (entries of w) and columns (entries of z) of Delta that belong to some of the blocks, in their order."""
+    """Return the rows (entries of w) and columns (entries of z) of Delta of some blocks, in their order."""
     slices = block_slices(blocks)
     w, z = ([np.arange(slices[i][side].start, slices[i][side].stop) for i in members] for side in (0, 1))
     return np.concatenate(w), np.concatenate(z)
 
 
 def components(M: ComplexArray, blocks: Sequence[Block]) -> list[Component]:
-    """The strongly connected components of M in the order in which signals pass through them, each balanced."""
+    """Return the strongly connected components of M in the direction of signals, each balanced."""
     if not blocks:
         return []
     norms = block_norms(M, blocks)
@@ -82,21 +82,21 @@ def components(M: ComplexArray, blocks: Sequence[Block]) -> list[Component]:
 
 
 def depths(drives: Mask, weights: Indices) -> Indices:
-    """The largest sum of weights before each node on a way of an acyclic graph; ``drives[i, j]``: j comes before i."""
+    """Return the largest sum of weights on a path to each node of an acyclic graph; ``drives[i, j]``: j before i."""
     depth = np.zeros(len(drives), dtype=int)
-    for _ in drives:  # the longest way: at most so many rounds
+    for _ in drives:  # a path has at most this many nodes
         depth = np.where(drives, depth + weights, 0).max(axis=1, initial=0)
     return depth
 
 
 def balancing_exponents(M: ComplexArray, blocks: Sequence[Block]) -> Array:
-    """Whole exponents per block that balance M without splitting it; couplings smaller than 1e-6 count as that much."""
+    """Return integer exponents per block that balance M as a whole; smaller couplings count as 1e-6."""
     norms = block_norms(M, blocks)
     return _osborne(np.maximum(norms, 1e-6 * max(float(norms.max(initial=0.0)), 1e-300)))
 
 
 def _osborne(norms: Array) -> Array:
-    """Whole exponents e such that row i and column i of ``norms_ij 2^(e_i - e_j)`` have about the same norm."""
+    """Return integer exponents e that balance the norms of row i and column i of ``norms_ij 2^(e_i - e_j)``."""
     n = len(norms)
     if n < 2:
         return np.zeros(n)
@@ -110,7 +110,7 @@ def _osborne(norms: Array) -> Array:
 
 @cache
 def _compiled_osborne() -> Callable[[Array, Array, int, float], None]:
-    """Osborne's iteration; compiled here, so that numba is imported where it is used only."""
+    """Return the compiled Osborne iteration; numba is imported on first use."""
     import numba as nb
 
     @nb.njit(cache=True, error_model="numpy")

@@ -1,4 +1,4 @@
-"""Where the blocks of Delta sit, as index arrays: stacks of Deltas are made and measured without a loop over blocks."""
+"""Index arrays of the blocks of Delta: stacks of Deltas are built and measured without a loop over blocks."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class DeltaLayout:
         return not self.full.any()
 
     def gains(self, row: ComplexArray, x: ComplexArray) -> ComplexArray:
-        """Factors a (k, n_blocks) in ``row Delta x = sum a_i delta_i``; ``|row_i| |x_i|`` for a full block."""
+        """Return a (k, n_blocks) with ``row Delta x = sum a_i delta_i``; ``|row_i| |x_i|`` for a full block."""
         if self.diagonal:
             return self._sum(row * x, self.of_w)
         scalar_w, scalar_z = ~self.full[self.of_w], ~self.full[self.of_z]
@@ -51,7 +51,7 @@ class DeltaLayout:
         return np.where(self.full, sizes, result)
 
     def deltas(self, values: Array | ComplexArray, row: ComplexArray, x: ComplexArray) -> ComplexArray:
-        """Delta (k, q, p) from one number per block (k, n_blocks); full blocks point along row (k, q) and x (k, p)."""
+        """Build Delta (k, q, p) from one number per block (k, n_blocks); full blocks are aligned with row and x."""
         delta = np.zeros((len(values), self.q, self.p), dtype=complex)
         entries = values[:, self.entry_block]
         if not self.diagonal:
@@ -63,7 +63,7 @@ class DeltaLayout:
         return delta
 
     def sizes(self, delta: ComplexArray) -> Array:
-        """Largest singular value of each block of Delta (k, q, p), shape (k, n_blocks)."""
+        """Return the largest singular value of each block of Delta (k, q, p), shape (k, n_blocks)."""
         first_w = np.searchsorted(self.of_w, np.arange(self.n))
         first_z = np.searchsorted(self.of_z, np.arange(self.n))
         result = np.abs(delta[:, first_w, first_z])
@@ -73,23 +73,23 @@ class DeltaLayout:
         return result
 
     def contributions(self, delta: ComplexArray, row: ComplexArray, x: ComplexArray) -> ComplexArray:
-        """Parts ``row_i Delta_i x_i`` (k, n_blocks) of ``row Delta x``."""
+        """Return the parts ``row_i Delta_i x_i`` (k, n_blocks) of ``row Delta x``."""
         entries = row[:, self.entry_w] * delta[:, self.entry_w, self.entry_z] * x[:, self.entry_z]
         return self._sum(entries, self.entry_block)
 
     def _sum(self, entries: ComplexArray, block: Indices) -> ComplexArray:
-        """Sums over the columns of each block; the columns are ordered by block."""
+        """Sum over the columns of each block; the columns are ordered by block."""
         if len(block) == self.n:
             return entries
         return np.add.reduceat(entries, np.searchsorted(block, np.arange(self.n)), axis=1)
 
     def vector_sizes(self, vectors: ComplexArray, block: Indices) -> Array:
-        """Euclidean norm of the part of each block; block is ``of_w`` or ``of_z``."""
+        """Return the Euclidean norm of the part of each block; block is ``of_w`` or ``of_z``."""
         return np.sqrt(self._sum((vectors * np.conj(vectors)), block).real)
 
 
 def delta_layout(blocks: Sequence[Block]) -> DeltaLayout:
-    """Index arrays of these blocks (at least one)."""
+    """Return the index arrays of these blocks (at least one)."""
     q, p = structure_size(blocks)
     entry_w, entry_z, entry_block = [], [], []
     for i, (block, (w, z)) in enumerate(zip(blocks, block_slices(blocks), strict=True)):
@@ -114,5 +114,5 @@ def delta_layout(blocks: Sequence[Block]) -> DeltaLayout:
 
 
 def positive(size: Array) -> Array:
-    """Sizes to divide by: one in place of zero."""
+    """Replace zeros by one for divisions."""
     return np.where(size > 0, size, 1.0)

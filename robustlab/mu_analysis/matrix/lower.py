@@ -1,7 +1,7 @@
 """Lower bounds of mu: the smallest Delta found that makes ``I - M Delta`` singular, verified by singular values.
 
-Minimum-norm steps from many directions: of complex structures from power iterations, of others also from the box points
-that gain ascent reaches. All starts of all matrices of a stack go through the same stacked linear algebra.
+Minimum-norm steps from many directions: of complex structures from power iterations, of others also from the end points
+of gain ascent. All starts of all matrices of a stack use the same stacked linear algebra.
 """
 
 from __future__ import annotations
@@ -20,16 +20,15 @@ from robustlab.mu_analysis.matrix.decomposition import Component, components, en
 from robustlab.mu_analysis.matrix.delta_layout import DeltaLayout, delta_layout, positive
 from robustlab.uncertainty.blocks import Block, structure_size
 
-# Share of the norm of a Delta that attains its bound, within which an exactly singular one is seen to first order;
-# near a double root that is half of the way.
+# Relative distance of a Delta from an exactly singular one, to first order; half of it near a double root.
 NEARBY = 5e-9
-CHOSEN = 6  # candidates per matrix that are taken to rounding and verified
-WIDER = 3  # so many times the paths asked for begin where blocks are real; the most promising go on
-DESCENDING = 2  # candidates per matrix that go down along the singular set ...
-ROUNDS = 12  # ... in so many rounds
-FEW = 5  # structures of so few real blocks alone get scattered starts as well ...
-SCATTERED = 48  # ... so many
-FARTHEST = 2.0**500  # to which rows and columns are scaled; two such factors must not overflow
+CHOSEN = 6  # candidates per matrix that are refined to rounding and verified
+WIDER = 3  # ratio of first starts to paths where blocks are real; the best starts are kept
+DESCENDING = 2  # candidates per matrix that descend along the singular set
+ROUNDS = 12  # of this descent
+FEW = 5  # largest number of real blocks alone for which scattered starts are added
+SCATTERED = 48  # number of these starts
+FARTHEST = 2.0**500  # largest scaling of rows and columns; two such factors must not overflow
 SWEEPS = 2  # of coordinate ascent over the real blocks
 STACK = 4_000_000  # numbers that one stack of paths may hold: memory, not the answer
 
@@ -42,14 +41,14 @@ Found = tuple[float, ComplexArray | None]
 
 
 def lower_bound(M: ComplexArray, blocks: Sequence[Block], seed: int = 0, restarts: int = 12, steps: int = 40) -> Found:
-    """``(1 / ||Delta||, Delta)`` for the smallest Delta (q, p) found, or ``(0, None)``."""
+    """Return ``(1 / ||Delta||, Delta)`` for the smallest Delta (q, p) found, or ``(0, None)``."""
     return lower_bounds(np.asarray(M)[None], blocks, seed, restarts, steps)[0]
 
 
 def lower_bounds(
     stack: ComplexArray, blocks: Sequence[Block], seed: int = 0, restarts: int = 12, steps: int = 40
 ) -> list[Found]:
-    """`lower_bound` of each matrix of a stack (k, p, q), the same as one by one, in less time."""
+    """Return `lower_bound` of each matrix of a stack (k, p, q)."""
     best: list[Found] = [(0.0, None)] * len(stack)
     jobs: dict[tuple[int, ...], list[tuple[int, Component, float]]] = {}
     for k, m in enumerate(stack):
@@ -65,11 +64,11 @@ def lower_bounds(
         for first in range(0, len(group), chunk):
             some = group[first : first + chunk]
             matrices = np.stack([component.matrix / size for _, component, size in some])
-            # A path that leads nowhere may overflow; its end does not verify.
+            # A path that does not converge may overflow; its end is not verified.
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
                 candidates = _candidates(matrices, layout, seed, max(restarts, 1), steps)
             for (k, component, size), found in zip(some, candidates, strict=True):
-                with np.errstate(over="ignore", invalid="ignore"):  # a Delta that overflows does not verify
+                with np.errstate(over="ignore", invalid="ignore"):  # a Delta that overflows is not verified
                     back = [c for c in (c / size for c in found) if np.isfinite(c).all()]
                 best[k] = _verified(stack[k], blocks, component, back, best[k])
     return best
@@ -78,7 +77,7 @@ def lower_bounds(
 def _verified(
     M: ComplexArray, blocks: Sequence[Block], component: Component, candidates: list[ComplexArray], best: Found
 ) -> Found:
-    """The smallest candidate that is better than ``best`` and singular to rounding, on the whole of M."""
+    """Return the smallest candidate that is better than ``best`` and singular to rounding, for the whole M."""
     part = [blocks[i] for i in component.members]
     exact = [d for c in candidates for d in _of_the_structure(component.matrix, part, c)]
     for norm, candidate in sorted(((delta_norm(part, c), c) for c in exact), key=lambda pair: pair[0]):
@@ -131,11 +130,11 @@ def _led_back(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArray) -> 
 
 
 def _singular_nearby(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArray) -> bool:
-    """Whether a Delta of the structure within ``nearby`` of this one makes ``I - M Delta`` singular to first order."""
-    # A small singular value alone does not say so: that of I - M Delta for a nilpotent M falls like 1 / |Delta|, and no
-    # Delta at all makes it zero.
+    """Return whether a Delta of the structure within NEARBY makes ``I - M Delta`` singular to first order."""
+    # A small singular value alone is no proof: for a nilpotent M that of I - M Delta falls like 1 / |Delta|, but no
+    # Delta makes it zero.
     loop = np.eye(len(M)) - M @ delta
-    # Rows and columns may carry any scaling; with the largest entries at one, singular values keep their digits.
+    # Scale the largest entries of rows and columns to one, so that singular values keep their digits.
     scale_rows, scale_cols = np.ones(len(loop)), np.ones(len(loop))
     for _ in range(3):
         scale_rows /= _power_of_two(np.abs(loop * scale_rows[:, None] * scale_cols).max(axis=1))
@@ -147,7 +146,7 @@ def _singular_nearby(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArr
     rounding = 4 * len(M) * EPS * np.abs(y) @ (np.eye(len(M)) + np.abs(M) @ np.abs(delta)) @ np.abs(x)
     layout = delta_layout(blocks)
     if smallest <= rounding:
-        return _within_reach(M, layout, delta, x, y)
+        return _exactly_singular_nearby(M, layout, delta, x, y)
     row = (np.conj(y) @ M)[None] / smallest
     gains = layout.gains(row, x[None])
     real = layout.real
@@ -157,13 +156,13 @@ def _singular_nearby(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArr
     return bool(abs(reached - 1) < 0.1 and np.abs(step).max() <= NEARBY * delta_norm(blocks, delta))
 
 
-def _within_reach(
+def _exactly_singular_nearby(
     M: ComplexArray, layout: DeltaLayout, delta: ComplexArray, x: ComplexArray, y: ComplexArray | Array
 ) -> bool:
-    """Whether a loop that is singular to rounding is so for a Delta nearby, or for M with other last bits."""
-    # With real blocks alone the residual moves along a line where M is nearly real: what lies off it stays, and real mu
-    # jumps. Where an eigenvalue of M is nearly defective, it hardly moves at all. Both have to be told from rounding by
-    # exact arithmetic: none is what every entry of M may change by in its last place.
+    """Return whether a loop singular to rounding is singular for a Delta nearby, or for M with other last bits."""
+    # With real blocks alone and nearly real M the residual moves along a line: a component off it remains, and real mu
+    # jumps. If an eigenvalue of M is nearly defective, the residual hardly moves. Exact arithmetic distinguishes both
+    # from rounding, which is a change of every entry of M in its last place.
     if not layout.real.all():
         return True
     gains = layout.gains((np.conj(y) @ M)[None], x[None])[0]
@@ -179,7 +178,7 @@ def _within_reach(
 
 
 def _exact_residual(M: ComplexArray, delta: ComplexArray, x: ComplexArray, y: ComplexArray | Array) -> complex:
-    """``y^* (I - M Delta) x`` of the very numbers given, rounded once; for a diagonal Delta."""
+    """Return ``y^* (I - M Delta) x`` in exact arithmetic, rounded once; for a diagonal Delta."""
     exact: Any = np.frompyfunc(Fraction, 1, 1)
     given: tuple[Any, ...] = (M, np.diagonal(delta), x, np.conj(y))
     m, d, x_, y_ = ((exact(v.real), exact(v.imag)) for v in given)
@@ -202,14 +201,14 @@ def _candidates(
     restarts: int,
     steps: int,
 ) -> list[list[ComplexArray]]:
-    """For each balanced matrix (k, p, q) Deltas of about its structure, most of them singular to rounding."""
+    """Return for each balanced matrix (k, p, q) Deltas near its structure, most of them singular to rounding."""
     if layout.real.any():
-        x, y, near = _promising(M, layout, *_starts(M, layout, seed, WIDER * restarts, steps), restarts)
+        x, y, near = _best_starts(M, layout, *_starts(M, layout, seed, WIDER * restarts, steps), restarts)
         x_more, y_more = _ascended(M, layout, near, seed, max(restarts // 3, 1))
         x, y = np.concatenate([x, x_more], axis=1), np.concatenate([y, y_more], axis=1)
     else:
         x, y = _starts(M, layout, seed, restarts, steps)
-    delta, norm = _follow(M, layout, x, y, steps=10 + steps // 3)
+    delta, norm = _path_ends(M, layout, x, y, steps=10 + steps // 3)
     few = layout.real.all() and layout.n <= FEW
     if few:
         more, more_norm = _scattered(M, layout, norm.min(axis=1), seed, SCATTERED)
@@ -217,23 +216,23 @@ def _candidates(
     of, chosen = _chosen(norm, CHOSEN)
     sharp = sharpened(M[of], layout, delta[of, chosen])
     if layout.real.any():
-        # The best of each matrix go down to the minimum of their valley.
+        # The best of each matrix descend to a local minimum.
         sizes = np.where(_residuals(M[of], sharp) <= 1e-10, layout.sizes(sharp).max(axis=1), np.inf)
         count = 2 * DESCENDING if few else DESCENDING
-        best = np.array([j for k in range(len(M)) for j in _first(np.flatnonzero(of == k), sizes, count)], dtype=int)
+        best = np.array([j for k in range(len(M)) for j in _smallest(np.flatnonzero(of == k), sizes, count)], dtype=int)
         lower = sharpened(M[of[best]], layout, descended(M[of[best]], layout, sharp[best], ROUNDS))
         sharp, of = np.concatenate([sharp, lower]), np.concatenate([of, of[best]])
     return [list(sharp[of == k]) for k in range(len(M))]
 
 
 def _chosen(norm: Array, count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Row and column of the ``count`` smallest norms (k, r) of each row, one of those that agree to 1e-6 left out."""
+    """Return row and column of the ``count`` smallest norms (k, r) of each row, without most that agree to 1e-6."""
     of, chosen = [], []
     for k, row in enumerate(norm):
         order = np.argsort(row)
         order = order[np.isfinite(row[order])]
         twin = np.zeros(len(order), dtype=bool)
-        # The second of three that agree stays: one of two may fail to become exact.
+        # Two of those that agree are kept: one may fail to become exact.
         twin[2:] = row[order[2:]] <= row[order[:-2]] * (1 + 1e-6)
         order = order[~twin][:count]
         of.extend([k] * len(order))
@@ -241,7 +240,7 @@ def _chosen(norm: Array, count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]
     return np.array(of, dtype=np.intp), np.array(chosen, dtype=np.intp)
 
 
-def _first(indices: NDArray[np.intp], sizes: Array, count: int) -> NDArray[np.intp]:
+def _smallest(indices: NDArray[np.intp], sizes: Array, count: int) -> NDArray[np.intp]:
     order = indices[np.argsort(sizes[indices])]
     return order[np.isfinite(sizes[order])][:count]
 
@@ -251,8 +250,8 @@ def _residuals(M: ComplexArray, delta: ComplexArray) -> Array:
 
 
 def _scattered(M: ComplexArray, layout: DeltaLayout, norm: Array, seed: int, count: int) -> tuple[ComplexArray, Array]:
-    """Singular Deltas (k, count, q, p) next to random points of the box of the best norm so far, and their norms."""
-    # With few real parameters valleys are narrow, and steps to the corners jump over them.
+    """Return singular Deltas (k, count, q, p) near random points of the box of the best norm, and their norms."""
+    # With few real parameters, steps to the corners miss narrow minima.
     rng = np.random.default_rng([seed, 3])
     k = len(M)
     radius = np.where(np.isfinite(norm), norm, 3.0)
@@ -268,7 +267,7 @@ def _scattered(M: ComplexArray, layout: DeltaLayout, norm: Array, seed: int, cou
 def _starts(
     M: ComplexArray, layout: DeltaLayout, seed: int, restarts: int, steps: int
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Directions x, y (k, restarts, p); the same random ones for every matrix."""
+    """Return directions x, y (k, restarts, p); the same random ones for every matrix."""
     k = len(M)
     rng = np.random.default_rng(seed)
     u, _, vh = np.linalg.svd(M)
@@ -284,10 +283,10 @@ def _starts(
     return x, y
 
 
-def _promising(
+def _best_starts(
     M: ComplexArray, layout: DeltaLayout, x: ComplexArray, y: ComplexArray, count: int
 ) -> tuple[ComplexArray, ComplexArray, Array]:
-    """Of the directions (k, r, p) those ``count`` whose steps are the smallest after the first few, and that norm."""
+    """Return the ``count`` directions of (k, r, p) with the smallest steps after the first few, and that norm."""
     k, r = x.shape[:2]
     x, y, norm = first_steps(_repeated(M, r), layout, _flat(x), _flat(y))
     norm = norm.reshape(k, r)
@@ -296,17 +295,17 @@ def _promising(
     return x, y, norm.min(axis=1)
 
 
-def _follow(
+def _path_ends(
     M: ComplexArray, layout: DeltaLayout, x: ComplexArray, y: ComplexArray, steps: int
 ) -> tuple[ComplexArray, Array]:
-    """Deltas (k, r, q, p) at the ends of minimum-norm paths from x, y (k, r, p), and their norms, inf where none is."""
+    """Return Deltas (k, r, q, p) at the ends of minimum-norm paths from x, y (k, r, p), and norms (inf: none)."""
     k, r = x.shape[:2]
     delta, norm = minimum_norm_paths(_repeated(M, r), layout, _flat(x), _flat(y), steps, r)
     return delta.reshape(k, r, layout.q, layout.p), norm.reshape(k, r)
 
 
 def _ascended(M: ComplexArray, layout: DeltaLayout, norm: Array, seed: int, count: int) -> tuple[ComplexArray, ...]:
-    """Directions (k, count, p) at points that gain ascent reaches in a box of about the size (k,) that is expected."""
+    """Return directions (k, count, p) at the ends of gain ascent in a box of the expected norm (k,)."""
     rng = np.random.default_rng([seed, 1])
     k = len(M)
     known = np.where(np.isfinite(norm), norm, 1.0)
@@ -323,17 +322,17 @@ def _ascended(M: ComplexArray, layout: DeltaLayout, norm: Array, seed: int, coun
 #
 # Power iteration (Packard, Fan, Doyle 1988; Young, Doyle 1990): at a fixed point beta a = M b, beta w = M^* z with b =
 # Q a, z = Q^* w and Q of the structure and norm one, I - M Q / beta is singular, a is its right null direction and z
-# its left one. It converges nearly always for complex blocks; with real ones its vectors are good starts all the same.
+# its left one. It converges nearly always for complex blocks; with real ones its vectors are still good starts.
 # Gain ascent (Seiler, Packard, Balas, Automatica 46, 2010): the gain of M (I - Delta M)^-1 as a function of one real
-# delta_i peaks at the real number next to the pole delta_i + 1 / g_i with g_i = (M (I - Delta M)^-1)_ii; going round
-# all i climbs to a box point next to singularity. (A search over the vertices of real M raised no median on 2 to 24
+# delta_i peaks at the real number next to the pole delta_i + 1 / g_i with g_i = (M (I - Delta M)^-1)_ii; a cycle over
+# all i ascends to a box point next to singularity. (A search over the vertices of real M raised no median on 2 to 24
 # blocks.)
 
 
 def _power_directions(
     M: ComplexArray, layout: DeltaLayout, b: ComplexArray, w: ComplexArray, steps: int
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Null directions x = a and y = z, each (k, p), after some steps from b and w, each (k, q); M is (k, p, q)."""
+    """Return null directions x = a and y = z, each (k, p), after some steps from b and w, each (k, q)."""
     back = np.conj(np.swapaxes(M, 1, 2))
     scalar_w, scalar_z = ~layout.full[layout.of_w], ~layout.full[layout.of_z]
     b, w = unit_rows(b), unit_rows(w)
@@ -354,7 +353,7 @@ def _power_directions(
 
 
 def _alignment(layout: DeltaLayout, a: ComplexArray, w: ComplexArray) -> tuple[ComplexArray, Array]:
-    """The phase of each block's ``w^* a``, and the size of its a over that of its w, (k, n_blocks)."""
+    """Return the phase of each block's ``w^* a``, and ``|a| / |w|``, (k, n_blocks)."""
     inner = layout.gains(w, np.conj(a))
     ratio = positive(layout.vector_sizes(a, layout.of_z)) / positive(layout.vector_sizes(w, layout.of_w))
     return inner / positive(np.abs(inner)), ratio
@@ -363,7 +362,7 @@ def _alignment(layout: DeltaLayout, a: ComplexArray, w: ComplexArray) -> tuple[C
 def _gain_ascent(
     M: ComplexArray, layout: DeltaLayout, delta: ComplexArray, radius: Array
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Directions x and y (k, p) of the smallest singular value of ``I - M Delta`` after ascent from Delta (k, q, p)."""
+    """Ascend from Delta (k, q, p); return directions x, y of the smallest singular value of ``I - M Delta``."""
     for _ in range(SWEEPS):
         for i in np.flatnonzero(layout.real):
             w, z = np.flatnonzero(layout.of_w == i), np.flatnonzero(layout.of_z == i)
@@ -373,15 +372,15 @@ def _gain_ascent(
                 part = np.linalg.solve(loop, M[:, :, w])[:, z]
             except np.linalg.LinAlgError:
                 continue
-            move = _towards_pole(part)
+            move = _step_to_pole(part)
             value = np.clip(now + move, -radius, radius)
             delta[:, w, z] = value[:, None]
     u, _, vh = np.linalg.svd(np.eye(M.shape[1]) - M @ delta)
     return np.conj(vh[:, -1]), u[:, :, -1]
 
 
-def _towards_pole(g: ComplexArray) -> Array:
-    """Real step to the pole nearest to the real axis, of ``(I - step g)^-1`` for g (k, m, m)."""
+def _step_to_pole(g: ComplexArray) -> Array:
+    """Return the real step to the pole of ``(I - step g)^-1`` nearest to the real axis, for g (k, m, m)."""
     poles = g[:, :, 0] if g.shape[1] == 1 else np.linalg.eigvals(g)
     poles = 1 / np.where(np.abs(poles) > 1e-12, poles, 1e-12)
     # The one whose imaginary part is the smallest share of it.
@@ -398,12 +397,11 @@ def _flat(v: ComplexArray) -> ComplexArray:
 
 
 def _embed(delta: ComplexArray, blocks: Sequence[Block], component: Component) -> ComplexArray:
-    """A component's Delta in the coordinates of the whole M, zero elsewhere."""
+    """Return a component's Delta in the coordinates of the whole M, zero elsewhere."""
     q, p = structure_size(blocks)
     part = [blocks[i] for i in component.members]
     e_w, e_z = expand(part, component.exponents)
-    # M_balanced = 2^z M 2^-w, so Delta = 2^-w Delta_balanced 2^z: the same numbers block by block, by exact powers of
-    # two.
+    # M_balanced = 2^z M 2^-w, so Delta = 2^-w Delta_balanced 2^z, exactly.
     scaled = delta * np.exp2(-e_w)[:, None] * np.exp2(e_z)[None, :]
     result = np.zeros((q, p), dtype=complex)
     w, z = entries(blocks, component.members)
@@ -415,15 +413,15 @@ def _embed(delta: ComplexArray, blocks: Sequence[Block], component: Component) -
 #
 # With x, y the right and left null directions of I - M Delta, singularity is linear to first order, y^* M Delta x =
 # y^* x; the Delta of smallest norm that fulfils it is known in closed form. Repeating this converges fast where all
-# blocks but one end at the bound, and may cycle where more of them lie inside: there the steps are damped, and the
-# last ones only restore singularity near the Delta reached.
+# blocks but one end at the bound, and may cycle where more of them are inside: there the steps are damped, and the
+# last ones only restore singularity.
 
-FREE = 6  # undamped steps at the beginning of a path; more: faster where few blocks lie inside, or cycles
+FREE = 6  # undamped steps at the beginning of a path; more: faster where few blocks are inside, or cycles
 RESTORING = 5  # steps at its end that restore singularity
-PATH_RESIDUAL = 1e-7  # below which a Delta of a path is kept; it is taken to rounding later
+PATH_RESIDUAL = 1e-7  # below which a Delta of a path is kept for refinement
 LEAST_ROOM = 0.02  # share of the norm by which every real block may move where singularity is restored
-LEAST_DESCENT = 1e-4  # relative fall of the norm that descent goes on for
-HUGE = 1e9  # entries of Delta beyond this lead nowhere; M is of order one
+LEAST_DESCENT = 1e-4  # relative fall of the norm below which descent ends
+HUGE = 1e9  # limit of the entries of Delta; M is of order one
 
 # Shares of the way to the smallest step that descent tries.
 FRACTIONS = 0.5 ** np.arange(7)
@@ -432,12 +430,12 @@ FRACTIONS = 0.5 ** np.arange(7)
 def minimum_norm_paths(
     M: ComplexArray, layout: DeltaLayout, x: ComplexArray, y: ComplexArray, steps: int, per_matrix: int
 ) -> tuple[ComplexArray, Array]:
-    """The smallest Delta (k, q, p), singular to about 1e-7, on each of k paths, and its norm (inf where none)."""
+    """Return the smallest Delta (k, q, p), singular to about 1e-7, on each of k paths, and its norm (inf: none)."""
     k = len(M)
     best, best_norm = np.zeros((k, layout.q, layout.p), dtype=complex), np.full(k, np.inf)
     delta: ComplexArray | None = None
-    # Damping differs from path to path and from step to step, without chance: undamped steps can cycle. Every other
-    # path averages, which ends between the corners that steps jump to.
+    # Undamped steps can cycle: damping varies over paths and steps, deterministically. Every other path averages, which
+    # converges between the corners.
     index = np.arange(k) % per_matrix
     phase, averaging = index * 0.754877666 % 1.0, index % 2 == 1
     for step in range(steps):
@@ -465,7 +463,7 @@ def minimum_norm_paths(
 def first_steps(
     M: ComplexArray, layout: DeltaLayout, x: ComplexArray, y: ComplexArray, steps: int = 5
 ) -> tuple[ComplexArray, ComplexArray, Array]:
-    """Directions x, y (k, p) after a few undamped steps, and the norm (k,) of the smallest of the last two."""
+    """Return directions x, y (k, p) after a few undamped steps, and the smaller norm (k,) of the last two."""
     norms = []
     for _ in range(steps):
         row = rows(M, x, y)
@@ -476,7 +474,7 @@ def first_steps(
 
 
 def sharpened(M: ComplexArray, layout: DeltaLayout, delta: ComplexArray, steps: int = 4) -> ComplexArray:
-    """Deltas (k, q, p) close to singular ones, moved to them up to rounding; M is (k, p, q)."""
+    """Move nearly singular Deltas (k, q, p) to singular ones up to rounding; M is (k, p, q)."""
     if not len(delta):
         return delta
     x, y = _singular_directions(M, delta)
@@ -487,9 +485,9 @@ def sharpened(M: ComplexArray, layout: DeltaLayout, delta: ComplexArray, steps: 
 
 
 def descended(M: ComplexArray, layout: DeltaLayout, delta: ComplexArray, rounds: int) -> ComplexArray:
-    """Deltas (k, q, p), singular to rounding, moved to smaller ones along the singular set; M is (k, p, q)."""
-    # The step of smallest norm is a direction of descent: part of the way towards it, then back to singularity, as far
-    # as the norm falls.
+    """Move Deltas (k, q, p), singular to rounding, to smaller ones along the singular set; M is (k, p, q)."""
+    # The step of smallest norm is a direction of descent: take part of it, then restore singularity, while the norm
+    # falls.
     delta = delta.copy()
     norm = layout.sizes(delta).max(axis=1)
     going = np.arange(len(delta))
@@ -525,7 +523,7 @@ def _singular_directions(M: ComplexArray, delta: ComplexArray) -> tuple[ComplexA
 
 
 def rows(M: ComplexArray, x: ComplexArray, y: ComplexArray) -> ComplexArray:
-    """``y^* M / y^* x`` (k, q)."""
+    """Return ``y^* M / y^* x`` (k, q)."""
     inner = (np.conj(y) * x).sum(axis=1)
     inner = np.where(np.abs(inner) < 1e-8, 1e-8, inner)
     return (np.conj(y)[:, None, :] @ M)[:, 0] / inner[:, None]
@@ -534,7 +532,7 @@ def rows(M: ComplexArray, x: ComplexArray, y: ComplexArray) -> ComplexArray:
 def null_directions(
     M: ComplexArray, delta: ComplexArray, x: ComplexArray, y: ComplexArray
 ) -> tuple[ComplexArray, ComplexArray, Array]:
-    """One step of inverse iteration on ``I - M Delta`` from x, y (k, p), and ``|(I - M Delta) x|`` after it (k,)."""
+    """Make a step of inverse iteration on ``I - M Delta`` from x, y (k, p); also return ``|(I - M Delta) x|`` (k,)."""
     loop = np.eye(M.shape[1]) - M @ delta
     # The shift keeps an exactly singular loop solvable.
     shift = 1e-14 * (1 + np.abs(loop).max(axis=(1, 2)))
@@ -549,7 +547,7 @@ def null_directions(
 
 
 def restored(layout: DeltaLayout, delta: ComplexArray, row: ComplexArray, x: ComplexArray) -> ComplexArray:
-    """Delta moved as little as can be so that ``row Delta x = 1``."""
+    """Move Delta by the smallest change so that ``row Delta x = 1``."""
     parts = layout.contributions(delta, row, x)
     sizes = layout.sizes(delta)
     norm = np.maximum(sizes.max(axis=1, keepdims=True), 1e-300)
@@ -575,7 +573,7 @@ def restored(layout: DeltaLayout, delta: ComplexArray, row: ComplexArray, x: Com
 
 
 def unit_rows(v: ComplexArray, instead: ComplexArray | None = None) -> ComplexArray:
-    """Rows of unit length; rows of zeros (or not finite ones) stay, or become those of ``instead``."""
+    """Normalise rows; zero or not finite ones are kept, or replaced by those of ``instead``."""
     norm = np.sqrt((v.real**2 + v.imag**2).sum(axis=1, keepdims=True))
     good = (norm > 0) & (norm < np.inf)
     if good.all():
@@ -593,7 +591,7 @@ def _limited(delta: ComplexArray) -> ComplexArray:
 
 
 def smallest_step(a: ComplexArray, real: NDArray[np.bool_]) -> ComplexArray:
-    """The d (k, n) of smallest maximum modulus with ``sum a_i d_i = 1``, d_i real where ``real``."""
+    """Return d (k, n) of smallest maximum modulus with ``sum a_i d_i = 1``, d_i real where ``real``."""
     # The dual is a convex function of one number alpha, sum_R |Re a_i + alpha Im a_i| + sqrt(1 + alpha^2) sum_C |a_i|,
     # whose minimum is 1 / max |d_i|: at a kink, where that one real d_i is inside its range, or between two.
     if not real.any():
@@ -632,12 +630,12 @@ def smallest_step(a: ComplexArray, real: NDArray[np.bool_]) -> ComplexArray:
 
 
 def dual_minimum(re: Array, im: Array, total: Array) -> tuple[Array, NDArray[np.intp]]:
-    """Minimiser alpha of the dual of `smallest_step`, and the index of the kink it sits at (-1: none)."""
+    """Return the minimiser alpha of the dual of `smallest_step`, and the index of its kink (-1: none)."""
     rows = np.arange(len(re))
     size = np.abs(re) + np.abs(im)
     straight = np.abs(im) <= 1e-13 * np.maximum(size.max(axis=1, keepdims=True), 1e-300)
     im = np.where(straight, 0.0, im)
-    # A real direction without a kink never changes sign; alpha = 0 stands in for it and changes nothing.
+    # A real direction without a kink never changes sign; alpha = 0 replaces it without effect.
     kinks = np.where(straight, 0.0, -re / np.where(straight, 1.0, im))
     values = np.abs(re[:, None, :] + kinks[:, :, None] * im[:, None, :])
     f = values.sum(axis=2) + np.sqrt(1 + kinks**2) * total[:, None]
@@ -649,7 +647,7 @@ def dual_minimum(re: Array, im: Array, total: Array) -> tuple[Array, NDArray[np.
     flat = slopes.sum(axis=1)
     curve = total * alpha / np.sqrt(1 + alpha**2)
     kink = np.where((np.abs(flat + curve) <= own) & (own > 0), best, -1)
-    # Elsewhere the minimum is where flat +- own + total * sin = 0, on the side that goes down.
+    # Elsewhere the minimum is where flat +- own + total * sin = 0, on the descending side.
     side = flat - np.sign(flat + curve) * own
     sine = np.clip(-side / np.maximum(total, 1e-300), -1 + 1e-12, 1 - 1e-12)
     smooth = np.where(total > 0, sine / np.sqrt(1 - sine**2), alpha)

@@ -1,16 +1,16 @@
 # pyright: reportMissingParameterType=false
 r"""Compiled parts of the primal-dual method of `robustlab.mu_analysis.matrix.upper`, one matrix at a time.
 
-Importing this module imports numba. The matrices have order 2 to 100: too small for calls of LAPACK to pay, so the
-loops are written out, the innermost ones over contiguous memory. No result of theirs is trusted: whatever x comes out,
-the bound is that of `certificate.certified_level`.
+Importing this module imports numba. The matrices have order 2 to 100: too small for LAPACK calls, so the loops are
+written out, the innermost ones over contiguous memory. No result is trusted: for any x the bound is that of
+`certificate.certified_level`.
 
-Nothing is allocated here, few kinds of arrays are handed on, and no kernel is called from more levels than needed:
-these are what numba takes its time for, and the first bound of an installation waits for it. The arrays are
+To keep numba's compilation short, nothing is allocated here, few types of arrays are passed, and kernels are called
+from as few levels as possible. The arrays are
 
 W
-    ``(10, 2 q, q)``: in each matrix a block-diagonal one, a first block of order q and below it the smaller ones of
-    ``orders``, each beginning in column 0. So F stands above ``S = D_w``, and Z, the dual of F, above Y, that of S.
+    ``(10, 2 q, q)``: block-diagonal matrices: a first block of order q and below it the smaller ones of ``orders``,
+    each beginning in column 0. So F is above ``S = D_w``, and Z, the dual of F, above Y, that of S.
 J
     ``(3, n, n)``: products ``U^* X U`` with ``U^* = [I; M]``, ``n = q + p``.
 H
@@ -23,11 +23,11 @@ c
     Coefficients of the entries of the sparse E(x); in row 1 those of D_w times t.
 entries
     For each entry of E, in the order of the parameters: row, column, parameter; for those of D_w the column in its
-    block of S, and the first entry that lies in this block (-1 for all others).
+    block of S, and the first entry in this block (-1 for all others).
 
-Matrices of W and vectors of V go by their index: ``product(W, A, P, DX, orders)`` is ``A = P dX``.
+Matrices of W and vectors of V are given by their index: ``product(W, A, P, DX, orders)`` is ``A = P dX``.
 
-All of it is one file because numba's cache asks for changes in the file of the function that is called, no other.
+Everything is in one file because numba's cache checks only the file of the called function for changes.
 """
 
 from __future__ import annotations
@@ -38,31 +38,31 @@ from typing import Any
 import numba as nb
 import numpy as np
 
-# No fast mathematics: what is contracted or summed in another order depends on where a kernel is inlined, so code just
-# compiled (which calls the kernels on their own) and the same code read from the cache would differ in their last bits.
+# No fast mathematics: contraction and order of sums would depend on inlining, so freshly compiled code (which calls the
+# kernels separately) and the same code from the cache would differ in their last bits.
 ENTRY: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
-# The others are called from compiled code only: without entrances from Python they compile in half the time. The cache
-# holds `descend` with all of them in it.
+# The others are called from compiled code only: without Python wrappers they compile in half the time. The cache holds
+# `descend` including all of them.
 INSIDE: dict[str, Any] = ENTRY | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-# Parts of `descend` with one caller: a kernel of their own would optimise once more what they call.
+# Parts of `descend` with one caller: as separate kernels their callees would be optimised again.
 PART: dict[str, Any] = INSIDE | {"inline": "always"}
 
-# Indices are integers of numpy: for one of Python numba makes a type of its own, and a kernel for each of them.
+# Indices are numpy integers: for a Python integer numba makes a separate type and kernel.
 MATRICES, VECTORS = 10, 13
-# (F, S), its inverse (P, T), the duals (Z, Y); the steps of the first and the third; D_w in the place of F, and its
-# step there times that of t; terms of second order in the dual; room for products.
+# (F, S), its inverse (P, T), the duals (Z, Y); the steps of the first and the third; D_w at the position of F, and its
+# step there times that of t; terms of second order in the dual; workspace for products.
 X, P, Z, DX, DZ, D, BEND, SECOND, A, B = np.arange(MATRICES)
-# x, its step, the best x; gradient of the trace of D_w; weight of |x|^2 beside the barrier; downward slope of the
+# x, its step, the best x; gradient of the trace of D_w; weight of |x|^2 added to the barrier; downward slope of the
 # barrier; border of H, and the solutions for it and for the trace; terms of second order; scaling of H; two of sums.
 AT, STEP, BEST, TRACE, SHORT, DOWN, BORDER, BY_BORDER, BY_TRACE, BENT, SCALE, ACROSS, BACK = np.arange(VECTORS)
 ROW, COL, OF, PLACE, BEGIN = np.arange(5)  # in entries
-AT_P, AT_Z, ROOM = np.arange(3)  # in J: of P, and of Z or a product; room for rows of them
+AT_P, AT_Z, ROOM = np.arange(3)  # in J: of P, and of Z or a product; workspace for their rows
 
-SHORT_G = 1e-4  # weight of |G|^2 beside the barrier: where mu = 0 without any doubt, G would grow without bound
-# Where to be sure, a t smaller by so many tolerances has to be shown out of reach, or the gap to be so much finer: by
-# degenerate duals nothing is shown even at the optimum.
+SHORT_G = 1e-4  # weight of |G|^2 added to the barrier: where mu = 0, G would grow without bound
+# For `sure` the dual must exclude a t smaller by this many tolerances, or the gap must be this much finer, since
+# degenerate duals exclude nothing even at the optimum.
 SURE, FINER = 10.0, 0.01
-# So many gaps a step along the tangent may go: the gap is an estimate, and beyond it digits of the step are lost.
+# Longest step along the tangent in gaps: the gap is an estimate, and longer steps lose digits.
 LONG = 8.0
 
 
@@ -114,7 +114,7 @@ def inner(W, x, y):
 
 @nb.njit(**INSIDE)
 def raise_small(W, out, a, x, orders):
-    """The smaller blocks of X, times a, where they stand in a matrix of order q."""
+    """Put the smaller blocks of X, times a, at their positions in a matrix of order q."""
     q, low = W.shape[2], 0
     for m in orders[1:]:
         for i in range(m):
@@ -125,7 +125,7 @@ def raise_small(W, out, a, x, orders):
 
 @nb.njit(**INSIDE)
 def lower_large(W, out, a, x, orders):
-    """The adjoint: to the smaller blocks what stands in their places in the first block of X, times a, is added."""
+    """Add to the smaller blocks their positions in the first block of X, times a (the adjoint of `raise_small`)."""
     q, low = W.shape[2], 0
     for m in orders[1:]:
         for i in range(m):
@@ -290,7 +290,7 @@ def shift(V, x, a, y):
 
 @nb.njit(**INSIDE)
 def newton_factor(H, V, short):
-    """Cholesky factor of H in diagonal scaling, in place; directions without curvature stay put."""
+    """Factor H by Cholesky in diagonal scaling, in place; directions without curvature are fixed."""
     n, largest = len(H), 0.0
     for i in range(n):
         H[i, i] += short * V[SHORT, i]
@@ -301,8 +301,8 @@ def newton_factor(H, V, short):
         for j in range(i):
             H[i, j] *= V[SCALE, i] * V[SCALE, j]
         H[i, i] = 1e-13 + (1.0 if flat else 0.0) + H[i, i] * V[SCALE, i] * V[SCALE, i]
-    # H = L' L from the last row up: what is left changes along rows, from their beginnings, which is compiled to the
-    # widest operations there are; the sums of products of the usual order are not, as they may not be reordered.
+    # H = L' L from the last row up: the remainder changes along rows, from their beginnings, which compiles to the
+    # widest operations; the sums of products of the usual order do not, as they may not be reordered.
     for k in range(n - 1, -1, -1):
         if not (H[k, k] > 0 and H[k, k] < np.inf):
             return False
@@ -346,7 +346,7 @@ def longest(W, x, dx, bend, orders, top, close):
             low = a
         else:
             high = a
-        # A step was found and is known to a small part of the longest one thinkable.
+        # The step is known to a small part of the longest possible one.
         if low == top or (low > 0 and high - low <= close * top):
             break
         a = 0.5 * (low + high)
@@ -370,7 +370,7 @@ def evaluate(W, J, V, M, c, entries, orders, t):
 
 @nb.njit(**INSIDE)
 def allowance(W, V, M, c, entries, orders):
-    """How far rounding can blur t, with D scaled to a unit diagonal (an estimate: it picks the best iterate)."""
+    """Estimate the rounding error of t, with D scaled to a unit diagonal (to select the best iterate)."""
     p, q = M.shape
     low, widest, largest = 0, 0.0, 0.0
     for m in orders[1:]:
@@ -446,7 +446,7 @@ def direction(W, J, H, V, M, c, entries, orders, nu, tt, bent):
 
 @nb.njit(**PART)
 def second_order(W, J, V, M, c, entries, orders, dt):
-    """Products of two steps, which a Newton step leaves out and the corrector puts back; returns that in t."""
+    """Compute the products of two steps for the corrector; return that in t."""
     raise_small(W, BEND, 1.0, DX, orders)
     bent = inner(W, DZ, BEND)
     product(W, A, BEND, Z, orders)
@@ -473,7 +473,7 @@ def tangent(W, J, V, M, c, entries, down):
 
 @nb.njit(**INSIDE)
 def beyond(W, down, gap, orders):
-    """Whether Z and Y show a t smaller by ``down`` out of reach."""
+    """Return whether Z and Y exclude a t smaller by ``down``."""
     q, low = W.shape[2], 0
     combine(W, A, 1.0, Z, 0.0, Z)
     lower_large(W, A, down, Z, orders)
@@ -486,12 +486,12 @@ def beyond(W, down, gap, orders):
 
 @nb.njit(**INSIDE)
 def ended(W, t, best_t, gap, left, blur, tol, goal, careful, sure, orders):
-    """Whether the way down ends: at its goal, which may be shown out of reach, at the optimum, or with its digits."""
+    """Return whether the descent ends: goal reached or excluded, optimum, or no digits left."""
     if best_t <= goal or best_t <= 0 or (careful and blur > gap):
         return True
     if goal > 0 and t - 2 * gap - left > goal and (not sure or beyond(W, t - goal, gap, orders)):
         return True
-    # A D far from I makes the gap lie: the steps of t have to die out too.
+    # With D far from I the gap is unreliable: the steps of t must also converge.
     if gap > tol * t or left > 3 * tol * t:
         return False
     return not sure or (careful and gap <= FINER * tol * t) or beyond(W, SURE * tol * t, gap, orders)
@@ -504,7 +504,7 @@ def follow(W, J, V, M, c, entries, orders, t, gap):
     tangent(W, J, V, M, c, entries, down)
     raise_small(W, BEND, -down, DX, orders)
     a, far = 1.0, np.inf
-    while a < far:  # along a bent path what lies before a feasible step need not be feasible
+    while a < far:  # along a curved path points before a feasible step need not be feasible
         far = longest(W, X, DX, 1.0, orders, a, 0.1 / LONG)
         a = far if far == a and a < 1.0 else 0.9 * far
     shift(V, AT, a, STEP)
@@ -513,7 +513,7 @@ def follow(W, J, V, M, c, entries, orders, t, gap):
 
 @nb.njit(cache=True, **ENTRY)
 def descend(W, J, H, V, M, c, entries, orders, t, tol, goal, max_steps, sure):
-    """Leave the best x down the central path from x, t in V; whether its t is the optimum within ``tol``."""
+    """Follow the central path from x, t, with the best x in V; return whether its t is optimal within ``tol``."""
     best_t, last, left, gap = np.inf, np.inf, np.inf, 0.0
     dt = ap = ad = 0.0
     steps, careful, centred, settled = 0, False, False, False

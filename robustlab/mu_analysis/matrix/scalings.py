@@ -16,18 +16,18 @@ from robustlab.uncertainty.blocks import Block, block_slices, structure_size
 
 
 def hermitian(X: NDArray) -> NDArray:
-    """Conjugate transpose over the last two axes."""
+    """Return the conjugate transpose over the last two axes."""
     return np.conj(np.swapaxes(X, -1, -2))
 
 
 def supply(M: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> ComplexArray:
-    """``M^* D_z M + j (G M - M^* G^*)``, what ``beta^2 D_w`` has to exceed; of one matrix or of a stack."""
+    """Return ``M^* D_z M + j (G M - M^* G^*)``, the lower bound of ``beta^2 D_w``, of one matrix or of a stack."""
     product = G @ M
     return hermitian(M) @ Dz @ M + 1j * (product - hermitian(product))
 
 
 def relative(X: ComplexArray, Y: ComplexArray) -> ComplexArray:
-    """``L^-1 Y L^-*`` for ``X = L L^*``: its eigenvalues are those of Y relative to the positive definite X."""
+    """Return ``L^-1 Y L^-*`` for ``X = L L^*``: its eigenvalues are those of Y relative to the positive definite X."""
     factor = np.linalg.cholesky(X)
     half = np.linalg.solve(factor, Y)
     value = np.linalg.solve(factor, hermitian(half))
@@ -61,18 +61,18 @@ class ScalingSpace:
         self.in_w = np.array([e[3] for e in flat], dtype=float)
         lengths = [len(parameter) for parameter in parameters]
         self.first = np.concatenate([[0], np.cumsum(lengths)[:-1]]).astype(int)
-        # Two parameters (a real and an imaginary part) may share a place in E: their sum is taken place by place.
+        # Two parameters (a real and an imaginary part) may share an entry of E: sum them.
         place = self.rows * (self.q + self.p) + self.cols
         order = np.argsort(place, kind="stable")
         self._places, self._begin = np.unique(place[order], return_index=True)
         self._owner = np.repeat(np.arange(self.size), lengths)[order]
         self._ordered = self.coefficients[order]
         self.identity = np.array(identity)
-        # The first entry of every parameter stands in the rows of w.
+        # The first entry of every parameter is in the rows of w.
         self.scales_with_m = (self.cols[self.first] >= self.q) & (self.rows[self.first] < self.q)
 
     def matrices(self, x: Array) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """``D_w (k, q, q)``, ``D_z (k, p, p)``, ``G (k, q, p)`` of parameters x (k, size)."""
+        """Return ``D_w (k, q, q)``, ``D_z (k, p, p)``, ``G (k, q, p)`` of parameters x (k, size)."""
         q, n = self.q, self.q + self.p
         e = np.zeros((len(x), n * n), dtype=complex)
         values = x[:, self._owner] * self._ordered
@@ -83,5 +83,5 @@ class ScalingSpace:
 
 @lru_cache(maxsize=256)
 def scaling_space(blocks: tuple[Block, ...]) -> ScalingSpace:
-    """The scaling space of these blocks; bounds of one structure are asked for again and again."""
+    """Return the cached scaling space of these blocks."""
     return ScalingSpace(blocks)

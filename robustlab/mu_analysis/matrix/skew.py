@@ -1,4 +1,4 @@
-"""Skewed mu: some blocks stay at size one, and the smallest size of the others is sought.
+"""Skewed mu: smallest size of some blocks while the others keep size one.
 
 Fan, Tits (1992); Ferreres, "A Practical Approach to Robustness Analysis with Aeronautical Applications" (1999).
 """
@@ -24,14 +24,13 @@ from robustlab.mu_analysis.matrix.scalings import hermitian, relative, supply
 from robustlab.mu_analysis.matrix.upper import UpperBound, upper_bounds
 from robustlab.uncertainty.blocks import Block, block_slices, structure_size
 
-SKEW_ROUNDS = 14  # levels of skewed mu one after the other
-INFLATIONS = (0.0, *(10.0**-k for k in range(13, 2, -1)))
-# by which a level is raised until its D, G prove it
-LARGEST_LEVEL = 1e8  # above it, for M of norm one, the fixed blocks alone count as at the edge of singular
+SKEW_ROUNDS = 14  # iterations of the level of skewed mu
+INFLATIONS = (0.0, *(10.0**-k for k in range(13, 2, -1)))  # of a level until its D, G prove it
+LARGEST_LEVEL = 1e8  # above it, for M of norm one, the fixed blocks alone count as nearly singular
 
 
 def varying_inputs(blocks: Sequence[Block], fixed: Sequence[str | int]) -> Mask:
-    """True for the inputs of M (entries of w) that belong to blocks whose size is sought, shape (q,)."""
+    """Return True for the inputs of M (entries of w) of varying blocks, shape (q,)."""
     names = [b.name for b in blocks]
     kept: set[str] = set()
     for given in fixed:
@@ -50,7 +49,7 @@ def varying_inputs(blocks: Sequence[Block], fixed: Sequence[str | int]) -> Mask:
 
 
 def skew_upper(M: ComplexArray, blocks: Sequence[Block], varying: Mask, tol: float = 1e-4) -> tuple[float, UpperBound]:
-    """The smallest level found that D, G prove, and these D, G for ``M / S(level)``; inf where none was found."""
+    """Return the smallest level found that D, G prove, and these D, G for ``M / S(level)``; inf: none."""
     q, p = structure_size(blocks)
     size = float(np.linalg.norm(M, 2))
     eye, zero = np.eye(q, dtype=complex), np.zeros((q, p), dtype=complex)
@@ -80,7 +79,7 @@ def skew_upper(M: ComplexArray, blocks: Sequence[Block], varying: Mask, tol: flo
 def gain_curves(
     M: ComplexArray, blocks: Sequence[Block], rng: np.random.Generator, starts: int, tol: float
 ) -> tuple[Array, Array, list[Gain | None]]:
-    """Of each matrix the largest gain found, the level proved of its last block, and what attains the first."""
+    """Return for each matrix the largest gain found, the proved level of its last block, and the gain's Delta."""
     last, box = np.arange(M.shape[2]) >= M.shape[2] - blocks[-1].rows, root_box(blocks)
     found = [largest_gain(m, blocks, box, rng, starts) for m in M]
     upper = np.array([skew_upper(m, blocks, last, tol)[0] for m in M])
@@ -90,7 +89,7 @@ def gain_curves(
 def skew_lower(
     M: ComplexArray, blocks: Sequence[Block], varying: Mask, seed: int = 0, rounds: int = 10
 ) -> tuple[float, ComplexArray | None]:
-    """``(1 / size of the varying blocks, Delta)`` of the smallest Delta found with fixed blocks within one."""
+    """Return ``(1 / size of the varying blocks, Delta)`` of the smallest Delta found with fixed blocks within one."""
     level = float(np.linalg.norm(M, 2))
     best: tuple[float, ComplexArray | None] = (0.0, None)
     if level == 0:
@@ -127,7 +126,7 @@ def skew_lower(
 def _largest_gain(
     M: ComplexArray, blocks: Sequence[Block], moving: int, seed: int
 ) -> tuple[float, ComplexArray | None]:
-    """One full block varies: its level is the largest gain of the channels that it closes."""
+    """Solve for one varying full block: its level is the largest gain of the channels that it closes."""
     order = [i for i in range(len(blocks)) if i != moving] + [moving]
     w, z = entries(blocks, order)
     sorted_blocks = [blocks[i] for i in order]
@@ -137,24 +136,24 @@ def _largest_gain(
     last_w, last_z = block_slices(sorted_blocks)[-1]
     whole = np.zeros(structure_size(blocks), dtype=complex)
     whole[: last_w.start, : last_z.start] = gain.delta
-    whole[last_w, last_z] = gain.closing_block()
+    whole[last_w, last_z] = np.outer(gain.v, np.conj(gain.u)) / gain.value  # makes the loop singular
     back = np.zeros_like(whole)
     back[w[:, None], z] = whole
     return 1 / float(np.linalg.norm(whole[last_w, last_z], 2)), back
 
 
 def divided(M: AnyArray, varying: Mask, level: float) -> AnyArray:
-    """M, or a stack of them, with the columns of the varying inputs divided by the level."""
+    """Divide the columns of the varying inputs of M, or of a stack, by the level."""
     return np.where(varying, M / level, M)
 
 
 def _carried(G: ComplexArray, varying: Mask, ratio: float) -> ComplexArray:
-    """G of the scaled inequality for a level that is ``1 / ratio`` times the old one."""
+    """Return G of the scaled inequality for a level that is ``1 / ratio`` times the old one."""
     return np.where(varying[:, None], G * ratio, G)
 
 
 def _level_of(M: ComplexArray, bound: UpperBound, varying: Mask) -> float:
-    """Factor on the level of the scaled M at which D, G hold with equality; inf where the fixed part never does."""
+    """Return the factor on the level at which D, G hold with equality; inf where the fixed part never does."""
     needed, fixed = supply(M, bound.Dz, bound.G), ~varying
     try:
         rest = needed[varying][:, varying]
@@ -170,20 +169,20 @@ def _level_of(M: ComplexArray, bound: UpperBound, varying: Mask) -> float:
 
 
 def _certified(M: ComplexArray, varying: Mask, level: float, bound: UpperBound) -> float:
-    """The level, raised until D, G prove it with their rounding errors; inf where they never do."""
+    """Raise the level until D, G prove it with their rounding errors; inf where they never do."""
     for inflation in INFLATIONS:
         raised = level * (1 + inflation)
         G = _carried(bound.G, varying, 1 / (1 + inflation))
-        # M / level carries one rounding more a entry, far inside the allowance of `proves`.
+        # M / level has one more rounding per entry, far within the allowance of `proves`.
         if proves(divided(M, varying, raised), bound.Dw, bound.Dz, G, 1.0):
             return raised
     return float("inf")
 
 
-# --- the gain of a matrix closed by Delta, how it changes with Delta, and the ascent to a large one ------------------
+# --- gain of a matrix closed by Delta, its derivative, and ascent ----------------------------------------------------
 #
 # F = M22 + M21 Delta (I - M11 Delta)^-1 M12, d sigma_max(F) = Re l dDelta r with l = u^* M21 (I - Delta M11)^-1 and r
-# = (I - M11 Delta)^-1 M12 v. The channels of the performance are the last block of M.
+# = (I - M11 Delta)^-1 M12 v. The performance channels are the last block of M.
 
 ASCENTS = 40  # steps of an ascent
 RISE = 1e-7  # an ascent ends where a step gains less than this share
@@ -200,13 +199,9 @@ class Gain:
     u: ComplexArray
     v: ComplexArray
 
-    def closing_block(self) -> ComplexArray:
-        """The performance block of size ``1 / value`` that makes the whole loop singular."""
-        return np.outer(self.v, np.conj(self.u)) / self.value
-
 
 def gain_at(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArray) -> Gain | None:
-    """The gain with the given Delta of all blocks but the last; None where the loop is singular."""
+    """Return the gain with the given Delta of all blocks but the last; None where the loop is singular."""
     w, z = block_slices(blocks)[-1]
     q, p = w.start, z.start
     try:
@@ -224,7 +219,7 @@ def gain_at(M: ComplexArray, blocks: Sequence[Block], delta: ComplexArray) -> Ga
 def ascend(
     M: ComplexArray, blocks: Sequence[Block], start: ComplexArray, box: Box, steps: int = ASCENTS
 ) -> Gain | None:
-    """A large gain with every block inside the box, from a Delta (q, p): each step aligns all blocks with l and r."""
+    """Ascend to a large gain inside the box from a Delta (q, p): each step aligns all blocks with l and r."""
     best = gain_at(M, blocks, start)
     for _ in range(steps if best is not None else 0):
         assert best is not None
@@ -248,7 +243,7 @@ def ascend(
 def largest_gain(
     M: ComplexArray, blocks: Sequence[Block], box: Box, rng: np.random.Generator, starts: int = 12
 ) -> Gain | None:
-    """The largest gain of ascents from the centre of the box and from random corners."""
+    """Return the largest gain of ascents from the centre of the box and from random corners."""
     others = blocks[:-1]
     best: Gain | None = None
     for k in range(starts if others else 1):
@@ -266,7 +261,7 @@ def largest_gain(
 
 
 def _aligned(blocks: Sequence[Block], gain: Gain, box: Box) -> ComplexArray:
-    """The Delta of the box that raises the gain most, to first order."""
+    """Return the Delta of the box that raises the gain most, to first order."""
     others = blocks[:-1]
     delta = centre_matrix(others, box.centre[:-1]).astype(complex)
     for block, (w, z), half in zip(others, block_slices(others), box.half[:-1], strict=True):

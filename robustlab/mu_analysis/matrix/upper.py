@@ -15,10 +15,10 @@ from robustlab.mu_analysis.matrix.scalings import ScalingSpace, scaling_space
 from robustlab.shown import Shown
 from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, structure_size
 
-# Of D between one component and the next, tried in turn; smaller: their coupling costs less, digits are lost.
+# Ratios of D between successive components; smaller: less effect of their coupling, fewer digits.
 RATIOS = (2.0**-10, 2.0**-20, 2.0**-40, 2.0**-80)
-START = 1.3  # t at which a path of the primal-dual method begins, for M of norm 1: D = I, G = 0 is feasible there
-MOST_STEPS = 150  # of it
+START = 1.3  # first t of the primal-dual method, for M of norm 1: D = I, G = 0 is feasible there
+MOST_STEPS = 150  # of the primal-dual method
 
 
 @dataclass(frozen=True)
@@ -33,16 +33,16 @@ class UpperBound(Shown):
 
 @cache
 def compile_kernels() -> None:
-    """Compile what the bounds need, some seconds once in an installation; called before a limit's clock starts."""
+    """Compile the kernels, some seconds once per installation; call it before a time limit starts."""
     blocks = (RealScalar("real"), FullBlock("full", 2, 2))
     upper_bounds(np.array([[[1.0, 2.0, 1j], [0.5, 1j, 1.0], [3.0, 1.0, 0.2]]]), blocks)
 
 
 def upper_bounds(M: ComplexArray, blocks: Sequence[Block], tol: float = 1e-6) -> list[UpperBound]:
-    """The D-G upper bound of each matrix of the stack M (k, p, q), certified."""
+    """Return the certified D-G upper bound of each matrix of the stack M (k, p, q)."""
     split = [components(m, blocks) for m in M]
     parts: list[dict[int, UpperBound]] = [{} for _ in split]
-    # Matrices with the same zero pattern go through the solver together.
+    # Matrices with the same zero pattern are solved together.
     batches: dict[tuple[int, ...], list[tuple[int, int]]] = {}
     for k, found in enumerate(split):
         for j, component in enumerate(found):
@@ -84,7 +84,7 @@ def _certified(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexAr
 
 
 def _single(m: ComplexArray, blocks: Sequence[Block]) -> UpperBound:
-    """The largest singular value (D = I, G = 0); of one real number G takes all of a value that is not real."""
+    """Return the bound by the largest singular value (D = I, G = 0); with G for one real number and complex M."""
     q, p = structure_size(blocks)
     Dw, Dz, G = np.eye(q, dtype=complex), np.eye(p, dtype=complex), np.zeros((q, p), dtype=complex)
     if m.size == 1 and blocks[0].g_basis() and abs(m[0, 0].imag) > 1e-12 * abs(m[0, 0]):
@@ -94,9 +94,8 @@ def _single(m: ComplexArray, blocks: Sequence[Block]) -> UpperBound:
 
 
 def _assemble(M: ComplexArray, blocks: Sequence[Block], found: list[Component], parts: list[UpperBound]) -> UpperBound:
-    """D and G of the whole matrix from those of its components, certified once more on M itself."""
-    # Couplings run from a lower to a higher depth only: with a D much smaller than that of the depth before they cost
-    # nothing.
+    """Combine D and G of the components for the whole matrix, certified on M itself."""
+    # Couplings run from a lower to a higher depth only: a much smaller D at each depth makes them negligible.
     floor = max((b.beta for b in parts), default=0.0)
     best: UpperBound | None = None
     for ratio in RATIOS if max((c.depth for c in found), default=0) else (1.0,):
@@ -108,7 +107,7 @@ def _assemble(M: ComplexArray, blocks: Sequence[Block], found: list[Component], 
             break
     assert best is not None
     if floor == 0.0 and all(not component.matrix.any() for component in found):
-        # Strictly block triangular: det(I - M Delta) = 1 for every Delta. D shows it in the limit of the ratio only.
+        # Strictly block triangular: det(I - M Delta) = 1 for every Delta. D proves it only in the limit of the ratio.
         return UpperBound(0.0, best.Dw, best.Dz, best.G)
     return best
 
@@ -116,7 +115,7 @@ def _assemble(M: ComplexArray, blocks: Sequence[Block], found: list[Component], 
 def _placed(
     blocks: Sequence[Block], found: list[Component], parts: list[UpperBound], ratio: float
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """D and G of all components, in the coordinates of M, as those of the whole."""
+    """Return D and G of all components in the coordinates of M."""
     q, p = structure_size(blocks)
     Dw, Dz = np.zeros((q, q), dtype=complex), np.zeros((p, p), dtype=complex)
     G = np.zeros((q, p), dtype=complex)
@@ -132,15 +131,15 @@ def _placed(
 
 
 def points_work(blocks: Sequence[Block], count: int) -> int:
-    """Work of `points_below` for so many matrices, as measured: 10 Newton systems each, where D, G are not easy."""
+    """Return the measured work of `points_below` for this number of matrices: 10 Newton systems each."""
     n, size = max(structure_size(blocks)), scaling_space(tuple(blocks)).size
     return 800 + count * (200 + n**3 // 14 + size**2 // 3 + size**3 // 500)
 
 
 def points_below(M: ComplexArray, blocks: Sequence[Block], target: float, *, thorough: bool = True) -> list[UpperBound]:
-    """For each matrix of the stack D, G well inside those that prove ``target``, or the best ones where none does."""
-    # Unlike upper_bounds it stops early, and does not split: the scalings shall stay good at neighbouring frequencies.
-    # Not thorough: what estimates tell is out of reach is believed.
+    """Return for each matrix D, G well inside those that prove ``target``, or the best ones where none does."""
+    # Unlike upper_bounds it stops early, and does not split: the scalings must be good at neighbouring frequencies.
+    # Not thorough: estimates decide whether the target is infeasible.
     exponents = np.stack([balancing_exponents(m, blocks) for m in M])
     w, z = (np.exp2(np.stack(e)) for e in zip(*(expand(blocks, e) for e in exponents), strict=True))
     balanced = M * z[:, :, None] / w[:, None, :]
@@ -151,26 +150,25 @@ def points_below(M: ComplexArray, blocks: Sequence[Block], target: float, *, tho
     return _certified(M, Dw * w_in * w[:, None, :], Dz * z_out * z[:, None, :], G * w_in * z[:, None, :])
 
 
-# --- the primal-dual method (compiled): min t where F = t D_w - M^* D_z M - j (G M - M^* G^*) >= 0, D >= 0, tr D = n
-# ---
+# --- primal-dual method (compiled): min t with F = t D_w ---
 #
 # Optimality: <Z, D_w> = 1, <Z, F_i> + <Y, D_i> = eta tr D_i, F Z = 0, D Y = 0 with Z, Y >= 0. The zeros of the last
-# two are moved to nu I and followed down by Newton steps in Mehrotra's way from the analytic centre of a large t; the
-# only product of unknowns is t D, and the problem is quasiconvex, so a stationary point is the optimum. About ten
-# Newton systems do where nu falls all the way with t. Where M is nearly real, or modes are light, the centres of
-# smaller t have a larger nu for a while: there the path is followed by t, along its tangent, each step centred again,
-# about fifty systems. The gap is believed where the dual proves it. Every x met is feasible for its t: stopping early
-# costs tightness, never soundness. Where it ends early, a second method (path following) lowered no bound by more than
-# 2e-4. Helmberg, Rendl, Vanderbei, Wolkowicz, "An interior-point method for semidefinite programming", SIAM J. Optim.
-# 6 (1996); Mehrotra, SIAM J. Optim. 2 (1992); Boyd, El Ghaoui, Linear Algebra and its Applications 188 (1993).
+# two are replaced by nu I, which Mehrotra's Newton steps reduce from the analytic centre of a large t; the only product
+# of unknowns is t D, and the problem is quasiconvex, so a stationary point is the optimum. About ten Newton systems
+# suffice where nu falls with t. Where M is nearly real, or damping is light, nu may rise for smaller t: there the path
+# is followed in t, along its tangent, with centring after each step, about fifty systems. The gap counts where the dual
+# proves it. Every x is feasible for its t: an early end loses tightness, never soundness. After an early end, a second
+# method (path following) lowered no bound by more than 2e-4. Helmberg, Rendl, Vanderbei, Wolkowicz, "An interior-point
+# method for semidefinite programming", SIAM J. Optim. 6 (1996); Mehrotra, SIAM J. Optim. 2 (1992); Boyd, El Ghaoui,
+# Linear Algebra and its Applications 188 (1993).
 
 
 def primal_dual(
     M: ComplexArray, space: ScalingSpace, tol: float = 1e-6, target: float | None = None, sure: bool = True
 ) -> Array:
-    """Parameters x (k, size) of the best D, G found for each balanced matrix of the stack M (k, p, q)."""
-    # The search ends where t is known to tol, or where target is reached or out of reach: shown by a dual, if sure,
-    # else by estimates, in a third of the steps.
+    """Return parameters x (k, size) of the best D, G found for each balanced matrix of the stack M (k, p, q)."""
+    # The search ends where t is known to tol, or the target is reached or infeasible: by a dual proof, if sure, else by
+    # estimates, in a third of the steps.
     from robustlab.mu_analysis.matrix import primal_dual_kernels as kernels
 
     scale = np.maximum(np.linalg.norm(M, 2, axis=(1, 2)), 1e-300)
@@ -187,14 +185,14 @@ def primal_dual(
         V[kernels.SHORT, :size] = kernels.SHORT_G * space.scales_with_m
         kernels.descend(W, J, H, V, M[k] / scale[k], c, entries, orders, START, tol, goal[k], MOST_STEPS, sure)
         x[k] = V[kernels.BEST, :size]
-    return np.where(space.scales_with_m, x * scale[:, None], x)  # G carries the unit of M
+    return np.where(space.scales_with_m, x * scale[:, None], x)  # G scales with M
 
 
 def _sparse_map(space: ScalingSpace) -> tuple[Indices, Array, Indices]:
-    """The entries of the sparse E(x) as the compiled code reads them, the gradient of tr D_w, and orders of blocks."""
+    """Return the entries of the sparse E(x) for the compiled code, the gradient of tr D_w, and orders of blocks."""
     # D_w of a full block is a multiple of the identity: diagonal blocks of order one.
     orders = np.concatenate([[1] * b.rows if b.d_order == 1 else [b.rows] for b in space.blocks])
-    low = np.repeat(np.cumsum(orders) - orders, orders)  # where the block begins that a row of D_w lies in
+    low = np.repeat(np.cumsum(orders) - orders, orders)  # first row of the block of each row of D_w
     parameter = np.repeat(np.arange(space.size), np.diff(space.first, append=len(space.rows)))
     in_w = np.flatnonzero(space.in_w)
     of_block = low[space.rows[in_w]]

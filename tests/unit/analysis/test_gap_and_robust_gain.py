@@ -43,7 +43,7 @@ def test_robust_gain_closed_form(level):
 
 @pytest.mark.slow
 def test_robust_gain_published():
-    """MathWorks' robgain example: the sensitivity of a PID loop stays below 1.5 for [0.7821, 0.7837] of the set."""
+    """MathWorks' robgain example: the sensitivity of a PID loop is below 1.5 for [0.7821, 0.7837] of the set."""
     plant = rl.parametric([[0, 1], ["-k", "-1.8"]], [[0], [18.0]], [[1, 0]], [[0]], {"k": (10.0, 6.0, 14.0)})
     unmodelled = rl.UncertainModel(rl.ss([], [], [], [[0, 1.0], [0.5, 1.0]]), [rl.FullBlock("delta", 1, 1)])
     # 2.3 + 3/s + 0.38 s / (0.001 s + 1)
@@ -56,8 +56,8 @@ def test_robust_gain_published():
 
 def test_robust_gain_at_its_ends():
     assert rl.robust_gain(LAG, 0.5).upper == 0.0  # the nominal gain is 1
-    beside = rl.robust_gain(LAG, 1.0 + 5e-7)  # within the bracket of the nominal gain: nothing is proved of any set
-    assert (beside.lower, beside.status) == (0.0, "inconclusive")
+    near = rl.robust_gain(LAG, 1.0 + 5e-7)  # within the bracket of the nominal gain: no size is proved
+    assert (near.lower, near.status) == (0.0, "inconclusive")
     still = rl.UncertainModel(rl.ss([[-1.0]], [[0.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2))), [rl.RealScalar("none")])
     found = rl.robust_gain(still, 2.0)
     assert (found.upper, found.delta, found.status) == (np.inf, {}, "certified")
@@ -66,7 +66,7 @@ def test_robust_gain_at_its_ends():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
-def test_members_within_the_robust_gain_keep_the_level(seed):
+def test_members_within_the_robust_gain_are_below_the_level(seed):
     rng = np.random.default_rng(seed)
     blocks = [
         [rl.RealScalar("a", parameter=rl.ParameterRange(1.0, 0.1, below=0.3)), rl.RealScalar("b")],
@@ -94,6 +94,6 @@ def test_members_within_the_robust_gain_keep_the_level(seed):
         (lambda: rl.gap(rl.tf([1], [1, 1]), rl.ss([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1)), "sample time"),
     ],
 )
-def test_refusals(call, match):
+def test_invalid_arguments_are_rejected(call, match):
     with pytest.raises(rl.InputError, match=match):
         call()

@@ -1,4 +1,4 @@
-"""Campaigns: samples are pure functions of their index, stores give back what was put in, failures stay alone."""
+"""Campaigns: samples are pure functions of their index, stores keep all rows, failures are isolated."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def ran(tmp_path, model, asked, workers=1, **more):
     return run_campaign(model, asked, tmp_path / f"{workers}.sqlite", crew=Crew(workers), **more)
 
 
-def test_a_sample_is_the_one_that_rl_sample_draws(motor):
+def test_samples_equal_those_of_rl_sample(motor):
     evaluator = Evaluator(motor, settings_of(100, seed=5))
     assert [evaluator.delta(i) for i in range(3)] == list(rl.sample(motor, 3, seed=5).deltas)
 
@@ -54,7 +54,7 @@ def test_values_are_peak_deviations_of_single_simulations(motor):
         assert rows.values[i] == pytest.approx(peak, rel=1e-9)
 
 
-def test_all_vertices_are_met_once_and_hold_the_worst_case(tmp_path, motor):
+def test_all_vertices_occur_once_and_include_the_worst_case(tmp_path, motor):
     found = ran(tmp_path, motor, settings_of(4, kind="vertices"))
     columns = found.table().columns
     assert set(zip(columns["Kf"], columns["R"], strict=True)) == {(a, b) for a in (-1.0, 1.0) for b in (-1.0, 1.0)}
@@ -69,7 +69,7 @@ def test_searches_find_what_worst_case_finds(tmp_path, motor):
     assert found.delta == pytest.approx(best.delta)
 
 
-def test_samples_depend_neither_on_the_workers_nor_on_their_number(tmp_path, motor):
+def test_samples_do_not_depend_on_the_workers(tmp_path, motor):
     n = 5 * TILE + 7
     one, two = ran(tmp_path, motor, settings_of(n)), ran(tmp_path, motor, settings_of(n), 2)
     assert (one.digest, one.done, one.lost) == (two.digest, n, 0)
@@ -84,7 +84,7 @@ def test_samples_depend_neither_on_the_workers_nor_on_their_number(tmp_path, mot
 # --- failures ------------------------------------------------------------------------------------------------------
 
 
-def test_an_exception_in_a_stack_costs_only_its_own_sample(motor, monkeypatch):
+def test_an_exception_in_a_tile_loses_only_its_own_sample(motor, monkeypatch):
     evaluator = Evaluator(motor, settings_of(TILE))
     whole = evaluator.rows(0, TILE)
     bad = list(evaluator.delta(9).values())
@@ -110,7 +110,7 @@ def test_a_metric_that_is_not_a_number_is_a_lost_sample(motor, monkeypatch):
     assert sorted(rows.lost) == np.flatnonzero(np.isnan(rows.values)).tolist()
 
 
-# --- what is refused ------------------------------------------------------------------------------------------------
+# --- rejected settings ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -125,7 +125,7 @@ def test_a_metric_that_is_not_a_number_is_a_lost_sample(motor, monkeypatch):
         ({"t_end": math.nan}, InputError, "t_end is nan"),
     ],
 )
-def test_settings_that_are_refused(change, error, text):
+def test_invalid_settings_are_rejected(change, error, text):
     with pytest.raises(error, match="campaign") as caught:
         CampaignSettings(**{"metric": "hinf", "n": 10, **change})
     assert text in str(caught.value)
@@ -139,7 +139,7 @@ def test_settings_that_are_refused(change, error, text):
         (settings_of(10, u={"v": 1.0}), InputError, "no such input"),
     ],
 )
-def test_what_the_metric_refuses_is_said_before_any_worker_starts(motor, asked, error, text, tmp_path):
+def test_the_metric_is_checked_before_any_worker_starts(motor, asked, error, text, tmp_path):
     with pytest.raises(error) as caught:
         run_campaign(motor, asked, tmp_path / "s.sqlite")
     assert text in str(caught.value)
@@ -159,7 +159,7 @@ def finished(tmp_path_factory, motor):
     return path, result
 
 
-def test_the_result_is_what_its_samples_say(finished):
+def test_the_result_summarises_its_samples(finished):
     path, result = finished
     values = result.table().columns["peak-deviation"]
     assert (result.status, result.done, result.lost) == (rl.Status.CONVERGED, 2000, 0)
@@ -181,7 +181,7 @@ def test_the_result_is_what_its_samples_say(finished):
     assert [file.name for file in path.parent.iterdir() if "wal" in file.name or "shm" in file.name] == []
 
 
-def test_where_the_smallest_is_the_worst(tmp_path, motor):
+def test_a_metric_whose_smallest_value_is_the_worst(tmp_path, motor):
     found = ran(tmp_path, motor, CampaignSettings("damping", 64), limit=0.999)
     values = found.table().columns["damping"]
     assert found.worst == values.min()

@@ -1,4 +1,4 @@
-"""Exact delays against closed forms: responses, rational approximations, what their error is, and weights."""
+"""Exact delays against closed forms: responses, rational approximations, their errors, and weights."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ def response(model, omega=OMEGA):
 # --- the model --------------------------------------------------------------------------------------------------------
 
 
-def test_a_delay_turns_the_phase_and_nothing_else():
+def test_a_delay_changes_only_the_phase():
     assert np.abs(response(rl.delay(0.7)) - np.exp(-0.7j * OMEGA)).max() < 1e-14
 
 
-def test_a_loop_with_a_delay_is_its_closed_form():
+def test_a_loop_with_a_delay_equals_its_closed_form():
     loop = (3.0 * LAG @ rl.delay(0.4)).feedback()
     open_loop = 3.0 * np.exp(-0.4j * OMEGA) / (1j * OMEGA + 1)
     assert np.abs(response(loop) - open_loop / (1 + open_loop)).max() < 1e-13
 
 
-def test_a_smith_predictor_leaves_the_delay_outside_its_loop():
+def test_a_smith_predictor_has_the_delay_outside_its_loop():
     plant, pi = LAG @ rl.delay(2.0), rl.StateSpaceModel([[0.0]], [[1.0]], [[0.5]], [[1.0]])
     predictor = LAG - LAG @ rl.delay(2.0)
     controller = rl.with_delays(pi).feedback(predictor)
@@ -55,14 +55,14 @@ def test_delays_at_inputs_and_outputs_by_name_and_number():
     assert np.abs(rl.frequency_response(model, OMEGA) - expected).max() < 1e-13
 
 
-def test_a_model_with_a_delay_has_an_inverse_where_something_passes_at_once():
+def test_a_model_with_a_delay_and_a_direct_term_has_an_inverse():
     model = rl.with_delays(rl.StateSpaceModel([], [], [], [[1.0]])) + 0.5 * rl.delay(0.3)
     assert np.abs(response(model.inverse()) * response(model) - 1).max() < 1e-13
     with pytest.raises(NoTrustworthyNumber, match="inverse"):
         rl.delay(0.3).inverse()
 
 
-def test_a_discrete_delay_is_a_row_of_states():
+def test_a_discrete_delay_is_a_chain_of_states():
     plant = rl.StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], dt=0.1, inputs=["u"])
     late = rl.with_delays(plant, inputs={"u": 0.3}, outputs={0: 0.1})
     assert late.n_states == 5
@@ -74,7 +74,7 @@ def test_a_discrete_delay_is_a_row_of_states():
 
 
 @pytest.mark.parametrize(
-    ("wrong", "said"),
+    ("wrong", "message"),
     [
         (lambda: rl.delay(-1.0), "0 s or more"),
         (lambda: rl.delay(np.inf), "finite"),
@@ -90,12 +90,12 @@ def test_a_discrete_delay_is_a_row_of_states():
         (lambda: rl.frequency_response(rl.delay(1.0), [np.inf]), "finite"),
     ],
 )
-def test_what_is_wrong_is_said(wrong, said):
-    with pytest.raises(InputError, match=said):
+def test_invalid_requests_are_rejected(wrong, message):
+    with pytest.raises(InputError, match=message):
         wrong()
 
 
-def test_a_loop_without_delay_that_is_not_well_posed_is_refused():
+def test_a_loop_without_delay_that_is_not_well_posed_is_rejected():
     one = rl.StateSpaceModel([], [], [], [[0.0, 1.0], [1.0, -1.0]])
     direct = rl.DelayedModel(one, [0.3])
     with pytest.raises(NoTrustworthyNumber, match="without delay"):
@@ -131,7 +131,7 @@ def test_the_realisation_is_the_textbook_fraction_and_an_all_pass(order):
 
 
 @pytest.mark.parametrize("order", [0, 1, 2, 3, 4, 6, 9, 15, 25, 40])
-def test_the_bound_and_the_weight_lie_above_the_true_error(order):
+def test_the_bound_and_the_weight_exceed_the_true_error(order):
     x = np.sort(np.concatenate([np.geomspace(1e-3, 1e3, 1500), np.linspace(0.1, 80, 3000)]))
     turn = np.exp(-1j * x)
     error = np.abs(turn - response(pade(1.0, order), x))
@@ -143,7 +143,7 @@ def test_the_bound_and_the_weight_lie_above_the_true_error(order):
         assert (error <= size + 1e-13).all()
         formula = weight.gain * x**k / np.sqrt(x ** (2 * k) + weight.corner ** (2 * k))
         assert size == pytest.approx(formula, rel=1e-6)
-    # and not needlessly: somewhere the default weight is within 1 % of it, except where slopes are equal
+    # tight: somewhere the default weight is within 1 % of it, except where slopes are equal
     if order > 1:
         near = error > 1e-6
         size = np.abs(response(error_weight(order, 3).scaled(1.0), x))
@@ -152,7 +152,7 @@ def test_the_bound_and_the_weight_lie_above_the_true_error(order):
 
 @pytest.mark.parametrize(("order", "k"), [(1, 3), (2, 3), (3, 3), (3, 1), (4, 3), (4, 9), (6, 3), (8, 3), (12, 3)])
 def test_the_weight_is_proved_again_in_ball_arithmetic(order, k):
-    """Between points that lie close, as error and weight both rise; every number with its rounding."""
+    """Between close points, as error and weight both rise; every number with its rounding."""
     flint = pytest.importorskip("flint")
     weight = error_weight(order, k)
     gain, corner = flint.arb(weight.gain), flint.arb(weight.corner)
@@ -189,7 +189,7 @@ def test_the_test_of_the_weight_can_fail():
 
 
 @pytest.mark.parametrize(("order", "spread", "true"), [(1, 0.0, 0.4), (3, 0.0, 0.4), (3, 0.1, 0.33), (2, 0.4, 0.8)])
-def test_the_set_holds_the_model_with_its_delay(order, spread, true):
+def test_the_set_contains_the_model_with_its_delay(order, spread, true):
     model = 3.0 * LAG @ rl.delay(0.4)
     cover = model.uncertain(order, spread)
     (block,) = cover.blocks

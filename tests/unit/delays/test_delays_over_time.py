@@ -17,7 +17,7 @@ LAG = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
 INTEGRATOR = rl.StateSpaceModel([[0.0]], [[1.0]], [[1.0]], [[0.0]])
 
 
-def test_delays_of_input_and_output_are_exact_at_any_clock():
+def test_delays_of_input_and_output_are_exact_for_any_sampling():
     t = np.sort(np.random.default_rng(1).uniform(0, 5, 60))
     t[0] = 0.0
     model = rl.with_delays(LAG, inputs={0: 0.31}, outputs={0: 0.47})
@@ -46,7 +46,7 @@ def by_hand(k: float, tau: float, steps: int) -> list[Polynomial]:
 
 
 @pytest.mark.parametrize(("k", "tau"), [(1.0, 1.0), (2.0, 0.5), (1.2, 1.7)])
-def test_the_method_of_steps_is_that_by_hand(k, tau):
+def test_the_method_of_steps_equals_the_solution_by_hand(k, tau):
     # from r to the error e = r - x(t - tau), with x' = k e
     loop = rl.with_delays(rl.StateSpaceModel([], [], [], [[1.0]])).feedback(rl.delay(tau) @ (k * INTEGRATOR))
     t = np.linspace(0, 6 * tau, 151)
@@ -74,13 +74,15 @@ def test_a_neutral_loop_repeats_its_jumps():
     # y = e, e(t) = r - 0.5 e(t - 1): a staircase, jumps on every echo
     loop = rl.StateSpaceModel([], [], [], [[1.0]])
     model = rl.with_delays(loop).feedback(0.5 * rl.delay(1.0))
-    t = np.linspace(0, 14.7, 50)  # few echoes fall on a sample, and there are more than orders of smoothness
+    t = np.linspace(
+        0, 14.7, 50
+    )  # few echoes coincide with samples, and there are more of them than orders of smoothness
     y = rl.simulate(model, t, np.ones(50))["y1"]
     steps = np.floor(t + 1e-9)
     assert np.abs(y - (1 - (-0.5) ** (steps + 1)) / 1.5).max() < 1e-12
 
 
-def test_delays_that_do_not_fit_the_clock_and_each_other():
+def test_delays_without_a_common_sample_time():
     inner = DelayedModel(
         rl.StateSpaceModel(
             [[-1.0]], [[-0.8, -0.5, 1.0]], [[1.0], [1.0], [1.0]], np.zeros((3, 3)), outputs=["z1", "z2", "y1"]
@@ -91,7 +93,7 @@ def test_delays_that_do_not_fit_the_clock_and_each_other():
     y = rl.simulate(inner, t, np.ones(41))["y1"]
     fine = rl.simulate(inner, np.linspace(0, 4, 201), np.ones(201), rtol=1e-11)["y1"][::5]
     assert np.abs(y - fine).max() < 1e-9
-    # Pade of high order is another way, accurate to its own bound
+    # Padé of high order is an independent method, accurate to its own bound
     rational = rl.simulate(inner.pade(20), t, np.ones(41))["y1"]
     assert np.abs(y - rational).max() < 1e-3
 
@@ -115,7 +117,7 @@ def integrated(A, B, C, d, delays, t):
         middle = 0.5 * (a + b)
 
         def rate(s, x, middle=middle):
-            inner = s + 1e-12 * (middle - s)  # the side of a jump that belongs to this piece
+            inner = s + 1e-12 * (middle - s)  # the limit of a jump from inside this piece
             w = [z(i, inner - tau) for i, tau in enumerate(delays)]
             return A @ x + B @ np.array([*w, 1.0])
 
@@ -139,7 +141,7 @@ def test_two_delays_in_loops_against_runge_kutta(seed):
     assert np.abs(y - expected).max() < 1e-9 * max(1.0, np.abs(expected).max())
 
 
-def test_what_cannot_be_simulated_is_said():
+def test_invalid_simulations_are_rejected():
     t = np.linspace(0, 1, 11)
     with pytest.raises(InputError, match="x0 has 2 entries"):
         rl.simulate(rl.delay(0.1) @ LAG, t, np.ones(11), [0.0, 0.0])
@@ -154,8 +156,8 @@ def test_what_cannot_be_simulated_is_said():
 
 
 @pytest.mark.parametrize("late", [0.025, 0.001, 0.0999])
-def test_a_delay_shorter_than_the_clock_is_exact(late):
-    """Against the sum of exponentials by hand: such a delay looks back into the cell that is at work."""
+def test_a_delay_shorter_than_the_sample_time_is_exact(late):
+    """Compare with the sum of exponentials by hand: such a delay refers to the current cell."""
     t = np.arange(6) * 0.1
     u = np.array([1.0, -0.5, 0.0, 2.0, 0.0, 1.0])
     late_lag = rl.with_delays(LAG, inputs={0: late})

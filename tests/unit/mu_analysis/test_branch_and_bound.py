@@ -1,4 +1,4 @@
-"""Branch and bound: bounds that D, G leave apart, brought together; what is proved stands up to attack."""
+"""Branch and bound: closes the gap of the D, G bounds; proofs hold for sampled members."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import robustlab as rl
 
 
 def model_with_a_gap(seed: int = 10, n: int = 6) -> rl.UncertainModel:
-    """Random stable model, n states and n real parameters; seed 10 leaves D, G 3.5 % apart."""
+    """Random stable model, n states and n real parameters; for seed 10 the gap of D, G is 3.5 %."""
     rng = np.random.default_rng(seed)
     A = rng.standard_normal((n, n)) / np.sqrt(n)
     A -= (np.linalg.eigvals(A).real.max() + 0.1 + 0.3 * rng.random()) * np.eye(n)
@@ -30,7 +30,7 @@ def margins(uncertain):
     return rl.robust_stability(uncertain, tolerance=np.inf), rl.robust_stability(uncertain, tolerance=0.01)
 
 
-def test_the_gap_that_scalings_leave_is_closed(margins):
+def test_branch_and_bound_closes_the_gap_of_the_scalings(margins):
     scalings, cut = margins
     assert scalings.gap > 0.02
     assert cut.gap <= 0.01 * (1 + 1e-9)
@@ -39,7 +39,7 @@ def test_the_gap_that_scalings_leave_is_closed(margins):
     assert "branch and bound" in cut.notes[0]
 
 
-def test_no_attack_inside_the_proved_margin(uncertain, margins):
+def test_no_delta_inside_the_proved_margin_destabilises(uncertain, margins):
     size = margins[1].lower
     names = [b.name for b in uncertain.blocks]
     rng = np.random.default_rng(0)
@@ -49,8 +49,8 @@ def test_no_attack_inside_the_proved_margin(uncertain, margins):
         assert uncertain.evaluate(dict(zip(names, delta, strict=True))).spectral_abscissa() < 0
 
 
-def test_the_leaves_fill_the_set_at_every_frequency(uncertain, margins):
-    """A Delta of the proved set lies, at any frequency, in a proved leaf, or in a region its ancestors proved there."""
+def test_the_leaves_cover_the_set_at_every_frequency(uncertain, margins):
+    """At each frequency a Delta of the proved set is in a leaf, or in a region proved for an ancestor."""
     rng = np.random.default_rng(1)
     for delta in rng.uniform(-1, 1, (50, 6)) * margins[1].lower:
         holding = [
@@ -93,7 +93,7 @@ def test_a_matrix_to_a_tolerance_against_a_dense_search():
 
 
 @pytest.mark.parametrize("options", [{"tolerance": 0.0}, {"tolerance": -1.0}, {"tolerance": 0.1, "time_limit": -1.0}])
-def test_bad_options_are_named(options):
+def test_invalid_options_are_rejected(options):
     with pytest.raises(rl.InputError, match=r"tolerance|time_limit"):
         rl.mu([[1.0]], [[-1, 0]], **options)
     with pytest.raises(rl.InputError, match=r"tolerance|time_limit"):

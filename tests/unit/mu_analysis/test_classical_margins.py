@@ -30,7 +30,7 @@ def test_third_order_loop_by_hand():
     assert margin.delay_margin == pytest.approx(lag / w, rel=1e-10)
 
 
-def test_direct_terms_of_one_and_more_stand_no_delay():
+def test_the_delay_margin_is_zero_for_direct_terms_of_one_and_more():
     loop = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[1.5]])
     margin = only(rl.classical_margins(loop))
     assert margin.stable
@@ -45,7 +45,7 @@ def test_an_unstable_loop_has_crossings_and_no_margins():
     assert "unstable" in margin.summary()
 
 
-def test_a_gain_of_one_everywhere_is_refused():
+def test_a_gain_of_one_everywhere_is_rejected():
     allpass = StateSpaceModel([[-1.0]], [[1.0]], [[-2.0]], [[1.0]])
     with pytest.raises(rl.NoTrustworthyNumber, match="gain is 1 at every frequency"):
         rl.classical_margins(allpass)
@@ -102,7 +102,7 @@ def test_loops_of_several_channels_are_opened_one_at_a_time():
     assert list(found.channels) == ["a", "b"]
     one = only(rl.classical_margins(StateSpaceModel([[-1.0]], [[1.0]], [[4.0]], [[0.0]])))
     assert found.channels["a"].phase_margin == pytest.approx(one.phase_margin, rel=1e-9)
-    # The spinning body: each loop alone looks perfect, with infinite gain margins (Doyle).
+    # The spinning body: each loop alone has an infinite gain margin (Doyle).
     a = 10.0
     body = StateSpaceModel([[0, a], [-a, 0]], np.eye(2), [[1, a], [-a, 1]], np.zeros((2, 2)))
     for margin in rl.classical_margins(body).channels.values():
@@ -111,11 +111,11 @@ def test_loops_of_several_channels_are_opened_one_at_a_time():
     assert rl.disk_margin(body).simultaneous.upper < 0.25
 
 
-# --- right however the model is scaled -------------------------------------------------------------------------------
+# --- independence of scaling -----------------------------------------------------------------------------------------
 
 
 def test_crossings_of_a_nonnormal_loop():
-    """Four poles that are one, in large couplings; figures of 60 digits. No crossing was found, and all margins inf."""
+    """A fourfold pole with large couplings, solved in 60 digits; a former version found no crossing."""
     A = [
         [-0.017050268598, -2.359835967076, 12.766265862204, 4.041559199822],
         [0, -0.017050268598, -10.299617301744, 1.046568025252],
@@ -134,7 +134,7 @@ def test_crossings_of_a_nonnormal_loop():
 
 
 @pytest.mark.parametrize("S", [1.0, 1e4, 1e8])
-def test_a_chain_of_any_gains_crosses_where_its_closed_form_does(S):
+def test_crossings_of_a_chain_of_any_gains_equal_the_closed_form(S):
     """k (1 + 3 t + 3 t^2)/t^3 with t = s/S: with k = 1 the closed loop's poles are those of (1 + t)^3."""
     A, B = S * np.eye(3, k=1), np.array([[0.0], [0.0], [1.0]])
     margin = only(rl.classical_margins(StateSpaceModel(A, B, [[S, 3 * S, 3 * S]], [[0.0]])))
@@ -150,7 +150,7 @@ def test_a_chain_of_any_gains_crosses_where_its_closed_form_does(S):
 
 @pytest.mark.parametrize("damping", [1e-3, 1e-9])
 def test_a_light_resonance_crosses_twice(damping):
-    """|L| = 1 beside the peak of 0.3/(s^2 + 2 d s + 1): (1 - x)^2 + 4 d^2 x = 0.09."""
+    """|L| = 1 on both sides of the peak of 0.3/(s^2 + 2 d s + 1): (1 - x)^2 + 4 d^2 x = 0.09."""
     L = StateSpaceModel([[0, 1], [-1, -2 * damping]], [[0], [1]], [[0.3, 0]], [[0]])
     margin = only(rl.classical_margins(L))
     x = np.sort(np.roots([1, 4 * damping**2 - 2, 1 - 0.09]).real)
@@ -158,8 +158,8 @@ def test_a_light_resonance_crosses_twice(damping):
     assert margin.phase_margin == pytest.approx(2 * damping * math.sqrt(x[1]) / 0.3, rel=1e-5)
 
 
-def test_modes_that_the_loop_does_not_show_are_no_crossings():
-    """A hidden stable mode, and one of the other loop: the common factors cancel without a rest."""
+def test_hidden_modes_are_no_crossings():
+    """A hidden stable mode, and one of the other loop: the common factors cancel exactly."""
     A = np.diag([-1.0, -2.0, -3.0])
     hidden = StateSpaceModel(A, [[1.0], [0.0], [1.0]], [[4.0, 1.0, 0.0]], [[0.0]])
     one = only(rl.classical_margins(StateSpaceModel([[-1.0]], [[1.0]], [[4.0]], [[0.0]])))
@@ -167,7 +167,7 @@ def test_modes_that_the_loop_does_not_show_are_no_crossings():
 
 
 def test_a_gain_that_only_touches_one_counts():
-    """|L| is 1 - 1e-12 at its peak: no crossing, and one as soon as anything changes."""
+    """|L| is 1 - 1e-12 at its peak: counts as a crossing; 1 - 1e-6 does not."""
     d = 0.1
     peak = 1 / (2 * d * math.sqrt(1 - d * d))
     L = StateSpaceModel([[0, 1], [-1, -2 * d]], [[0], [1]], [[(1 - 1e-12) / peak, 0]], [[0]])
@@ -178,7 +178,7 @@ def test_a_gain_that_only_touches_one_counts():
     assert only(rl.classical_margins(quiet)).phase_margin == math.inf
 
 
-def test_what_is_printed_begins_with_the_three_margins():
+def test_the_text_begins_with_the_three_margins():
     """L = 2 / (s (s + 1)): |L| = 1 at w^2 = (sqrt(17) - 1) / 2, the phase there is -90 - atan(w) degrees."""
     printed = repr(rl.classical_margins(rl.tf([1], [1, 1, 0]), rl.ss([[2.0]])))
     w = np.sqrt((np.sqrt(17) - 1) / 2)

@@ -1,4 +1,4 @@
-"""Covers of a set of models: every model is a member, proved by its own delta; no larger than need be."""
+"""Covers of a set of models: every model is a member, proved by its own delta; the cover is tight."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_the_hull_is_the_smallest_box():
     assert all(b.parameter.below is None for b in found.model.blocks)  # the middle
 
 
-def test_a_nominal_model_of_the_users_own_stays_nominal():
+def test_a_given_nominal_model_is_kept():
     found = rl.cover(LAGS, "elements", nominal=LAGS[0], gain=False)
     assert found.nominal is None
     assert found.model.nominal.A[0, 0] == -1.0
@@ -77,7 +77,7 @@ def test_worst_gain_of_an_element_cover_by_hand():
     assert found.conservatism.ratio == pytest.approx(worst / 1.2, rel=0.02)
 
 
-def test_few_directions_leave_the_rest_and_say_so():
+def test_few_directions_miss_models_and_report_it():
     models = random_set(3, count=6, directions=3)
     one = rl.cover(models, "pca", directions=1, gain=False)
     assert one.status is rl.Status.INACCURATE
@@ -91,7 +91,7 @@ def test_few_directions_leave_the_rest_and_say_so():
 
 # --- unstructured ----------------------------------------------------------------------------------------------------
 
-ERRORS = {  # written anew, for one input and output
+ERRORS = {  # independent formulas for one input and output
     "additive": lambda g, h: h - g,
     "input-multiplicative": lambda g, h: h / g - 1,
     "output-multiplicative": lambda g, h: h / g - 1,
@@ -103,9 +103,8 @@ ERRORS = {  # written anew, for one input and output
 
 @pytest.mark.parametrize("form", FORMS)
 def test_every_form_holds_every_model(form):
-    models = [
-        rl.StateSpaceModel(m.A, m.B, m.C, [[0.3 + 0.02 * i]]) for i, m in enumerate(LAGS)
-    ]  # with a direct way, so that all inverses are proper
+    # With direct terms, so that all inverses are proper.
+    models = [rl.StateSpaceModel(m.A, m.B, m.C, [[0.3 + 0.02 * i]]) for i, m in enumerate(LAGS)]
     found = rl.cover(models, form, gain=False)
     assert found.status.trustworthy
     assert found.fit.order <= 4
@@ -169,7 +168,7 @@ def test_several_channels_and_common_unstable_poles():
         rl.cover(models, "additive")
 
 
-def test_errors_that_are_not_stable_or_not_bounded_are_refused():
+def test_errors_that_are_not_stable_or_not_bounded_are_rejected():
     right = [rl.StateSpaceModel([[-2.0]], [[1.0]], [[-z - 2.0]], [[1.0]]) for z in (1.0, 2.0)]  # (s - z) / (s + 2)
     with pytest.raises(rl.NoTrustworthyNumber, match="pole 2"):
         rl.cover(right, "input-multiplicative", nominal=right[1])
@@ -215,6 +214,6 @@ def test_a_set_without_spread():
         (LAGS, {"form": "additive", "order": 99}, "0 to 12"),
     ],
 )
-def test_bad_inputs_are_named(models, options, words):
+def test_invalid_inputs_are_rejected(models, options, words):
     with pytest.raises(rl.InputError, match=words):
         rl.cover(models, **{"gain": False, **options})

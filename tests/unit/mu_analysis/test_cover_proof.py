@@ -35,7 +35,7 @@ def test_every_form_is_proved_and_holds_on_a_dense_grid(form, dt):
     weight = np.abs(rl.frequency_response(found.fit.weight, omega)[:, 0, 0])
     ratio = error_sizes(tuple(models), found.model.nominal, form, omega) / weight
     assert ratio.max() <= 1.0 + 1e-8
-    assert ratio.max() > 0.9  # and the weight is no larger than it has to be
+    assert ratio.max() > 0.9  # the weight is tight
 
 
 @pytest.mark.slow
@@ -73,13 +73,13 @@ def test_other_unstable_poles_go_into_inverse_forms():
 
 
 @pytest.mark.parametrize("form", ["input-multiplicative", "output-multiplicative", "inverse-additive"])
-def test_models_without_an_inverse_are_named(form):
+def test_models_without_an_inverse_are_rejected(form):
     models = [rl.StateSpaceModel([[-p]], [[1.0, 2.0]], [[1.0], [1.0]], np.zeros((2, 2))) for p in (1.0, 1.2)]
     with pytest.raises(rl.NoTrustworthyNumber, match=r"inverse|unstable error"):
         rl.cover(models, form, gain=False)
 
 
-def test_a_loop_that_makes_no_model_is_named():
+def test_a_loop_that_returns_no_model_is_rejected():
     models = [rl.StateSpaceModel([[-p]], [[1.0]], [[1.0]], [[0.0]]) for p in (1.0, 1.2)]
     for loop in (3, lambda g: None):
         with pytest.raises(rl.InputError, match="cover: loop"):
@@ -96,14 +96,14 @@ def chain(c, d=0.0, S=1e5):
 
 
 @pytest.mark.parametrize("form", ["input-multiplicative", "output-multiplicative"])
-def test_an_error_with_poles_at_zeros_on_the_right_is_refused(form):
-    """Zeros at 1e5 (1, 2, 3), of which one was found, at 6/11 e5, where the error has no pole: it was certified."""
+def test_an_error_with_poles_at_right_half_plane_zeros_is_rejected(form):
+    """Zeros at 1e5 (1, 2, 3); a former version found one at 6/11 e5 and certified the error."""
     models = [chain([-6.0, 11.0, -6.0, 1.0]), chain([-5.0, 11.0, -6.0, 1.0])]
     with pytest.raises(rl.NoTrustworthyNumber, match=r"unstable error \(pole 100000"):
         rl.cover(models, form, nominal=models[0], gain=False)
 
 
-def test_models_that_rounding_gives_another_relative_degree_are_covered_as_before():
+def test_models_whose_relative_degree_changes_by_rounding_are_covered():
     """Two poles more than zeros in turned states: far beyond the grid rounding decides the errors' responses."""
     rng = np.random.default_rng(2)
     models = []

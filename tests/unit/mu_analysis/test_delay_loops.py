@@ -1,4 +1,4 @@
-"""Margins of loops with exact delays: closed forms, models without delays, dense grids, attacks on the bounds."""
+"""Margins of loops with exact delays: closed forms, models without delays, dense grids, random points."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ def test_an_integrator_with_a_delay_has_its_closed_forms():
 
 
 @pytest.mark.slow
-def test_many_crossings_and_none_missing():
-    # a lightly damped mode behind a long delay: L crosses the unit circle and the real axis again and again
+def test_all_of_many_crossings_are_found():
+    # a lightly damped mode after a long delay: L crosses the unit circle and the real axis many times
     mode = rl.StateSpaceModel([[0, 1], [-100.0, -0.1]], [[0], [1]], [[30.0, 0]], [[0]])
     L = (mode + 0.5 * LAG) @ rl.delay(2.0)
     S = rl.classical_margins(L).channels["y1"]
@@ -48,7 +48,7 @@ def test_many_crossings_and_none_missing():
     assert S.status is rl.Status.CERTIFIED
 
 
-def test_the_closed_loops_at_the_ends_are_as_stable_as_they_say():
+def test_closed_loops_at_the_margins_have_the_stated_stability():
     P = two_by_two()
     loop = rl.classical_margins(P, K2)
     for i, (name, margin) in enumerate(loop.channels.items()):
@@ -97,7 +97,7 @@ def _grown(factor, size):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_the_bounds_of_the_axis_hold_when_they_are_attacked(seed):
+def test_the_bounds_of_the_axis_hold_at_random_points(seed):
     rng = np.random.default_rng(seed)
     k, n = 2, 3
     H = rl.StateSpaceModel(
@@ -107,18 +107,18 @@ def test_the_bounds_of_the_axis_hold_when_they_are_attacked(seed):
     G = rl.DelayedModel(H, [0.4, 1.3])
     axis = DelayAxis(G, [0, 1], [0, 1])
     middle, half = rng.uniform(0.0, 10.0, 200), 10.0 ** rng.uniform(-4, -0.5, 200)
-    seen = axis.seen(middle)
-    spread, curve = seen.spread(half), axis.curvature(seen, half)
+    local = axis.local_response(middle)
+    spread, curve = local.spread(half), axis.curvature(local, half)
     tight = 0.0
     for _ in range(20):
         step = rng.uniform(-1.0, 1.0, 200) * half
         there = rl.frequency_response(G, middle + step)
-        away = np.linalg.norm(there - seen.value, 2, axis=(1, 2))
+        away = np.linalg.norm(there - local.value, 2, axis=(1, 2))
         assert (away <= spread + 1e-12).all()
-        rest = np.linalg.norm(there - seen.value - step[:, None, None] * seen.slope, 2, axis=(1, 2))
+        rest = np.linalg.norm(there - local.value - step[:, None, None] * local.slope, 2, axis=(1, 2))
         assert (rest <= 0.5 * step**2 * curve + 1e-11).all()
         tight = max(tight, float((away / spread).max()))
-    assert tight > 0.05  # and they are no trifle
+    assert tight > 0.05  # the bounds are not loose
     for omega in (20.0, 100.0, 1000.0):
         bound = axis.far(omega, axis.D)
         far = rl.frequency_response(G, omega * np.geomspace(1.0, 50.0, 300))
@@ -126,7 +126,7 @@ def test_the_bounds_of_the_axis_hold_when_they_are_attacked(seed):
 
 
 def test_an_integrator_in_the_loop_is_no_pole_of_it():
-    """1 / (s e^(s/2) + 1): all of these asked the open loop at frequency zero, where it has a pole."""
+    """1 / (s e^(s/2) + 1): the open loop has a pole at frequency zero."""
     integrator = rl.StateSpaceModel([[0.0]], [[1.0]], [[1.0]], [[0.0]])
     loop = (integrator @ rl.delay(0.5)).feedback()
     omega = np.array([0.0, 1e-12, 1e-6, 0.3, 2.0])
@@ -142,13 +142,13 @@ def test_an_integrator_in_the_loop_is_no_pole_of_it():
     P = rl.StateSpaceModel([[0.0]], [[1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
     closed = rl.with_delays(P, inputs={1: 0.5}).close(rl.StateSpaceModel([], [], [], [[-1.0]]))
     assert rl.peak_gain(closed).status is rl.Status.CERTIFIED
-    # What is added to the integrator's output and taken from it again, digits that a pole nearby would have cost
+    # Terms added to and subtracted from the integrator's output, where a near pole would cost digits
     near = rl.frequency_response(closed, [1e-9, 1e-7])[:, 0, 0]
     exact = [1 / (1j * w + np.exp(-0.5j * w)) for w in (1e-9, 1e-7)]
     assert near == pytest.approx(exact, rel=1e-13)
 
 
-def test_what_is_refused():
+def test_invalid_requests_are_rejected():
     with pytest.raises(rl.NoTrustworthyNumber, match="unstable"):
         rl.disk_margin(5.0 * LAG @ rl.delay(1.0))
     assert rl.classical_margins(5.0 * LAG @ rl.delay(1.0)).channels["y1"].stable is False

@@ -26,7 +26,7 @@ def test_the_longest_delay_of_an_integrator(k):
     assert verdict((k * INTEGRATOR @ rl.delay(1.02 * limit)).feedback()) is False
 
 
-def test_a_delay_that_saves_a_loop_and_one_that_spoils_it_again():
+def test_a_delay_stabilises_a_loop_and_a_longer_one_destabilises_it():
     # x'' + x = 0.2 x(t - tau): unstable without delay (no damping), damped by a delay with sin(w tau) < 0
     oscillator = rl.StateSpaceModel([[0.0, 1.0], [-1.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]])
     spring = {tau: (0.2 * oscillator @ rl.delay(tau)).feedback(sign=1) for tau in (2.0, 4.5)}
@@ -36,7 +36,7 @@ def test_a_delay_that_saves_a_loop_and_one_that_spoils_it_again():
 
 
 @pytest.mark.slow
-def test_a_loop_that_jumps_for_ever_is_not_called_stable_without_proof():
+def test_a_neutral_loop_is_stable_only_with_a_proof():
     through = rl.with_delays(rl.StateSpaceModel([], [], [], [[1.0]]))
     assert verdict(through.feedback(0.9 * rl.delay(1.0))) is True
     assert not verdict(through.feedback(1.5 * rl.delay(1.0)))  # a root at log(1.5)
@@ -45,14 +45,14 @@ def test_a_loop_that_jumps_for_ever_is_not_called_stable_without_proof():
     assert verdict(through.feedback(0.6 * rl.delay(1.0) + 0.5 * rl.delay(2.0))) is None
 
 
-def test_what_is_wrong_is_said():
+def test_invalid_requests_are_rejected():
     with pytest.raises(InputError, match="from 1 to 16"):
         rl.robust_stability(rl.delay(1.0), order=0)
     with pytest.raises(InputError, match=r"pole: 1\.0 for a model with exact delays"):
         rl.robust_stability(rl.delay(1.0), pole=1.0)
 
 
-# --- proofs of a set that holds the loop ----------------------------------------------------------------------------
+# --- proofs for a set that contains the loop ------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("k", "tau"), [(2.0, 0.5), (1.9, 1.0), (0.5, 3.0), (6.0, 0.2)])
@@ -88,14 +88,14 @@ SPRING = rl.StateSpaceModel([[0.0, 1.0], [-1.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.
         (THROUGH.feedback(0.9 * rl.delay(1.0)), 10.0),  # 1 / (1 - 0.9)
     ],
 )
-def test_the_bracket_holds_the_gain_found_without_approximations(loop, peak):
+def test_the_bracket_contains_the_exact_gain(loop, peak):
     found = rl.peak_gain(loop)
     assert found.status is Status.CERTIFIED
     assert found.lower <= peak * (1 + 1e-9)
     assert peak <= found.upper * (1 + 1e-9) <= peak * (1 + 1.1e-3)
 
 
-def test_the_disk_margins_of_a_pair_of_loops_are_those_found_without_approximations():
+def test_the_disk_margins_of_a_pair_of_loops_contain_the_exact_ones():
     found = rl.disk_margin(PAIR, rl.StateSpaceModel([], [], [], 2.0 * np.eye(2)))
     bounds = {"y1": (0.8827878367700096, 0.8871984545816933), "y2": (1.5000387666719412, 1.5075148318631346)}
     for name, (lower, upper) in bounds.items():
@@ -125,7 +125,7 @@ def test_an_uncertain_plant_with_a_delay():
     proved = rl.robust_stability(loop)
     assert proved.status is Status.CERTIFIED
     assert proved.lower > 1.0
-    # mu of the loop with its exact delay, at points: not above what the set proves
+    # mu of the loop with its exact delay, at points: not above the proved bound of the set
     channels = [s.name for s in plant.M.inputs[:-1]], [s.name for s in plant.M.outputs[:-1]]
     exact = rl.with_delays(plant.M, inputs={"u1": 0.5})
     omega = np.geomspace(0.1, 20, 60)

@@ -1,4 +1,4 @@
-"""Disk margins: published values, python-control's grid, perturbed loops with a pole on the axis, bad inputs."""
+"""Disk margins: published values, python-control's grid, perturbed loops with a pole on the axis, invalid inputs."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def test_one_loop_against_the_grid_of_python_control(skew):
 
 
 def stable_loop(seed: int, n_loops: int, dt: float) -> tuple[rl.StateSpaceModel, rl.StateSpaceModel]:
-    """A random plant and a static gain that does not destabilise it."""
+    """A random plant and a stabilising static gain."""
     rng = np.random.default_rng(seed)
     A = rng.standard_normal((4, 4))
     A -= (np.linalg.eigvals(A).real.max() + 0.2) * np.eye(4)
@@ -116,7 +116,7 @@ def stable_loop(seed: int, n_loops: int, dt: float) -> tuple[rl.StateSpaceModel,
 @pytest.mark.parametrize(("n_loops", "skew", "at"), [(1, 0.0, "output"), (1, 1.5, "input"), (1, -1.0, "output"),
                                                      (2, 0.0, "output"), (2, 0.7, "input")])  # fmt: skip
 def test_the_worst_factors_put_a_pole_on_the_stability_boundary(dt, n_loops, skew, at):
-    """The loop is rebuilt from the plant, the controller and the models of f, with no LFT of ours."""
+    """The loop is rebuilt from the plant, the controller and the models of f, without an LFT of this package."""
     for seed in (1, 3)[: 3 - n_loops]:
         plant, k = stable_loop(seed, n_loops, dt)
         margin = disk_margin(plant, k, at=at, skew=skew).simultaneous
@@ -151,7 +151,7 @@ def test_the_worst_factors_put_a_pole_on_the_stability_boundary(dt, n_loops, ske
             assert feedback(series(plant, gains) if at == "output" else series(gains, plant), k).is_stable()
 
 
-def test_a_loop_that_becomes_ill_posed_says_so():
+def test_an_ill_posed_critical_loop_is_reported():
     """Two direct terms: the smallest factors make the algebraic loop singular, at infinite frequency."""
     L = rl.StateSpaceModel(-np.eye(2), -0.1 * np.eye(2), np.eye(2), [[1.0, 2.0], [0.5, 3.0]])
     margin = disk_margin(L).simultaneous
@@ -165,7 +165,7 @@ def nearly_cancelled(damping: float) -> rl.StateSpaceModel:
 
 
 def flexible_satellite(notch: float) -> rl.StateSpaceModel:
-    """A rigid body with a lead, and modes at 2 and 5 rad/s under notches that are a little more damped than they."""
+    """A rigid body with a lead, and modes at 2 and 5 rad/s under slightly more damped notches."""
     notches = np.polymul([1, 2 * notch, 4], [1, 2 * notch, 25])
     modes = np.polymul([1, notch / 3, 4], [1, notch / 4, 25])
     return rl.tf(np.polymul([4, 0.5], notches), np.polymul([0.05, 1, 0, 0], modes))
@@ -232,6 +232,6 @@ TALL = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0], [1.0]], np.zeros((2, 1)))
         (lambda: disk_margin(LAG, rl.StateSpaceModel([[0.1]], [[1]], [[1]], [[0]], 0.1)), rl.InputError, "sample time"),
     ],
 )  # fmt: skip
-def test_bad_inputs_are_named(call, kind, text):
+def test_invalid_inputs_are_rejected(call, kind, text):
     with pytest.raises(kind, match=text):
         call()

@@ -27,7 +27,7 @@ def test_a_loop_of_data_sets_and_delays_has_the_members_of_its_parts():
     late = rl.frequency_response(rl.delay(0.3).pade(3), OMEGA)[:, 0, 0]
     expected = through / (1 + through * member * late)
     assert abs(loop.response(delta)[:, 0, 0] - expected).max() < 1e-13
-    # a model with exact delays is taken at the frequencies
+    # a model with exact delays is evaluated at the frequencies
     again = data.feedback(rl.delay(0.3)).response({"measured y1 from u1": 0.3 - 0.4j})[:, 0, 0]
     assert abs(again - through / (1 + through * np.exp(-0.3j * OMEGA))).max() < 1e-13
 
@@ -59,9 +59,9 @@ def test_margin_and_gain_have_their_closed_forms():
     assert (gain.lower, gain.upper, gain.frequency) == (gain.gain_lower[k], gain.gain_upper[k], OMEGA[k])
 
 
-def test_only_points_are_claimed():
+def test_the_result_holds_at_the_given_frequencies_only():
     resonance = rl.StateSpaceModel([[0, 1], [-1, -0.02]], [[0], [1]], [[1, 0]], [[0]])
-    omega = np.array([0.5, 1.5])  # the peak at 1 rad/s lies between
+    omega = np.array([0.5, 1.5])  # the peak at 1 rad/s is between
     set_ = rl.unstructured(resonance, 1.0, "inverse-additive")
     found = rl.robust_stability(set_, frequency=omega)
     truth = rl.robust_stability(set_)
@@ -109,17 +109,17 @@ def test_disk_margins_at_a_frequency():
         (lambda: rl.UncertainFrequencyData([1.0], [[[1.0]]], inputs=3.0), "signals 3.0"),
     ],
 )
-def test_what_is_refused(call, message):
+def test_invalid_requests_are_rejected(call, message):
     with pytest.raises(rl.InputError, match=message):
         call()
 
 
-def test_a_pole_at_a_frequency_is_refused():
+def test_a_pole_at_a_frequency_is_rejected():
     with pytest.raises(rl.NoTrustworthyNumber, match="singular at 1 rad/s"):
         rl.frequency_data([-1.0, 2.0], [1.0, 2.0]).feedback(1.0)
 
 
-def test_a_file_gives_the_data_back(tmp_path):
+def test_data_survive_saving_and_loading(tmp_path):
     G = two_by_two()
     data = rl.frequency_data(G, OMEGA, radius=abs(G), inputs=[("a", "V"), "b"], outputs=["c", ("d", "m")]).feedback(0.5)
     rl.save(tmp_path / "x.h5", data)

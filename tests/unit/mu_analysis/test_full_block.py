@@ -22,7 +22,7 @@ def plant(p: int, m: int, dt: float = 0.0, seed: int = 0) -> rl.StateSpaceModel:
 
 
 def closed_form(form: str, G: np.ndarray, K: np.ndarray) -> np.ndarray:
-    """What Delta sees up to sign, negative feedback, by textbook formulas."""
+    """M at the channels of Delta up to sign, negative feedback, by textbook formulas."""
     p, m = G.shape
     So, Si = np.linalg.inv(np.eye(p) + G @ K), np.linalg.inv(np.eye(m) + K @ G)
     return {

@@ -1,4 +1,4 @@
-"""Modes driven to the axis: slopes by differences, members rebuilt from the physics, and bounds that keep holding."""
+"""Ascent of modes to the axis: slopes by differences, members rebuilt from physics, valid bounds."""
 
 import sys
 from pathlib import Path
@@ -20,7 +20,7 @@ def member(model: StateSpaceModel, values: np.ndarray, repeats: int) -> np.ndarr
 
 
 @pytest.mark.slow
-def test_the_margin_of_a_chain_closes_and_attacks_inside_fail():
+def test_the_margin_of_a_chain_closes_and_holds_for_members_inside():
     model, blocks = chain(12, 3, 0)
     margin = rl.robust_stability(rl.UncertainModel(model, blocks), tolerance=0.05)
     assert margin.gap <= 0.0501

@@ -1,4 +1,4 @@
-"""What no controller gets below: closed forms, controllers that try, and members of the set."""
+"""Lower bound of mu over all controllers: closed forms, sampled controllers, and members of the set."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ BLOCKS = [RealScalar("k"), FullBlock("p", 2, 2)]
 
 
 @pytest.mark.parametrize("gain", [0.0, -0.3, -1.0, -3.0, -10.0])
-def test_no_controller_that_was_tried_is_below_the_floor(gain):
+def test_no_tried_controller_is_below_the_lower_bound(gain):
     """Static gains: sigma_max of the performance channels of members at size 1 / gamma on a dense grid."""
     plant = servo()
     K = StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[gain]])
@@ -40,7 +40,7 @@ def test_no_controller_that_was_tried_is_below_the_floor(gain):
 
 
 def test_a_disturbance_that_no_control_reaches_is_the_limit():
-    """z = [d / (s + 1); 0.01 u]: the control moves nothing of d, so mu is at least one, and one controller has it."""
+    """z = [d / (s + 1); 0.01 u]: the control does not affect d, so mu is at least one, attained by one controller."""
     A, B = [[-1.0]], [[0.0, 1.0, 0.0, 0.0]]
     C = [[0.0], [1.0], [0.0], [1.0]]
     D = [[0, 0, 0, 0.1], [0, 0, 0, 0], [0, 0, 0, 0.01], [0.1, 0, 0.1, 0]]

@@ -40,7 +40,7 @@ def test_delta_is_of_the_structure_and_singular(rows):
 
 @pytest.mark.parametrize("n", [3, 6, 9])
 def test_real_matrix_with_real_scalars_ends_at_the_best_vertex(n):
-    # det(I - M Delta) is affine in each delta: the smallest zero lies at a vertex
+    # det(I - M Delta) is affine in each delta: the smallest zero is at a vertex
     M = random_matrix(n, [[-1, 0]] * n, real=True)
     best = 0.0
     for signs in itertools.product([1.0, -1.0], repeat=n):

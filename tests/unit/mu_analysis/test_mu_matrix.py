@@ -130,7 +130,7 @@ def test_size_of_the_matrix_is_a_factor_of_mu(factor, blocks):
 @pytest.mark.parametrize("real", [True, False])
 @pytest.mark.parametrize("coupling", [1e3, 1e10, 1e13, 1e16])
 def test_a_nearly_singular_loop_of_a_non_normal_matrix_is_no_lower_bound(coupling, real):
-    # One repeated scalar: mu is the largest (real) eigenvalue, whatever stands above the diagonal.
+    # One repeated scalar: mu is the largest (real) eigenvalue, for any entries above the diagonal.
     block = [[-2 if real else 2, 0]]
     assert rl.mu([[0.5, coupling], [0.0, 0.5]], block).lower <= 0.5 * (1 + 1e-9)
     assert rl.mu([[0.0, coupling], [0.0, 0.0]], block).lower == 0.0
@@ -220,7 +220,7 @@ def test_degenerate_problems_keep_their_proof(M, rows):
     assert bounds.lower <= bounds.upper <= np.linalg.norm(M, 2)
 
 
-def test_a_range_that_is_not_symmetric_is_refused():
+def test_a_range_that_is_not_symmetric_is_rejected():
     block = rl.RealScalar("tau", 1, rl.ParameterRange(1.0, 0.5, below=0.25))
     with pytest.raises(rl.InputError, match=r"block 'tau'.*range 0.75 .. 1.5 around 1") as caught:
         rl.mu([[2.0]], [block])

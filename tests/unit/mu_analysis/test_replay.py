@@ -10,7 +10,7 @@ from robustlab.mu_analysis import replay
 
 
 def oscillator(kind, dt: float = 0.0) -> rl.UncertainModel:
-    """x'' + (0.4 - 0.1 delta) x' + x = u: delta = 4 takes the damping away, at 1 rad/s."""
+    """x'' + (0.4 - 0.1 delta) x' + x = u: delta = 4 removes the damping, at 1 rad/s."""
     M = rl.StateSpaceModel(
         [[0.0, 1.0], [-1.0, -0.4]], [[0.0, 0.0], [0.1, 1.0]], [[0.0, 1.0], [1.0, 0.0]], np.zeros((2, 2))
     )
@@ -23,7 +23,7 @@ def oscillator(kind, dt: float = 0.0) -> rl.UncertainModel:
 
 @pytest.mark.parametrize("dt", [0.0, 0.05])
 @pytest.mark.parametrize("kind", [rl.RealScalar, rl.ComplexScalar])
-def test_the_critical_delta_keeps_the_oscillation_alive(kind, dt):
+def test_the_critical_delta_has_an_undamped_oscillation(kind, dt):
     uncertain = oscillator(kind, dt)
     margin = rl.robust_stability(uncertain)
     assert margin.upper == pytest.approx(4.0, rel=1e-6)
@@ -35,7 +35,7 @@ def test_the_critical_delta_keeps_the_oscillation_alive(kind, dt):
     assert inside[-40:].max() < 0.9 * inside[:40].max()
 
 
-def test_what_cannot_be_replayed_is_said():
+def test_invalid_replays_are_rejected():
     uncertain = rl.UncertainModel(rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), [])
     with pytest.raises(rl.InputError, match="without a critical Delta"):
         replay(uncertain, rl.robust_stability(uncertain))

@@ -28,7 +28,7 @@ def lag():
         ("h2", np.sqrt(2.0)),
         ("spectral-abscissa", -0.25),
         ("peak", (1 - np.exp(-3.0)) / 0.25),
-        # |y - nominal| grows with the time on this side, and stays below 1 / 3 on the other one.
+        # |y - nominal| grows with time on this side, and is below 1 / 3 on the other one.
         ("peak-deviation", (1 - np.exp(-3.0)) / 0.25 - (1 - np.exp(-12.0))),
     ],
 )
@@ -41,7 +41,7 @@ def test_worst_of_a_lag_is_at_its_true_end(metric, value):
 
 
 @pytest.mark.slow
-def test_beside_a_complex_block_the_entry_keeps_its_side():
+def test_with_a_complex_block_the_entry_keeps_its_sign():
     """(1 + 0.2 d) / (s + a), |d| <= 1: 4 * 1.2."""
     d = np.zeros((3, 3))
     d[2, 1] = 0.2
@@ -68,7 +68,7 @@ def random_set(dt):
 
 @pytest.mark.parametrize("dt", [0.0, 0.1])
 @pytest.mark.parametrize("metric", ["hinf", "h2", "spectral-abscissa", "damping", "peak", "peak-deviation", "rms"])
-def test_samples_have_the_value_of_their_member_by_another_way(metric, dt):
+def test_samples_have_the_value_of_their_member_by_a_second_method(metric, dt):
     model = random_set(dt)
     t, u = 0.1 * np.arange(120), np.random.default_rng(5).standard_normal((120, 2))
     batch = MetricBatch(model, MetricRequest(metric, model.outputs[0].name, None, t, u, "zoh"), 4)
@@ -87,7 +87,7 @@ def test_vertices_are_the_ends():
     np.testing.assert_array_equal(poles(sample(lag(), 0, vertices="all")), [0.25, 1.5])
 
 
-def test_every_way_to_a_member_is_the_same(tmp_path):
+def test_all_methods_give_the_same_member(tmp_path):
     model = lag()
     samples = sample(model, 40, seed=2)
     wanted = poles(samples)

@@ -1,4 +1,4 @@
-"""Every metric: closed forms, a second path, purity of batches."""
+"""Every metric: closed forms, a second method, independence of batches."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def request(metric, model, hold="zoh"):
 
 @pytest.mark.parametrize(("dt", "hold"), [(0.0, "zoh"), (0.0, "foh"), (0.1, "zoh")])
 @pytest.mark.parametrize("metric", METRICS)
-def test_two_ways_agree(metric, dt, hold):
+def test_both_methods_agree(metric, dt, hold):
     model = random_set(0, dt)
     batch = MetricBatch(model, request(metric, model, hold), 1)
     values = batch(0, 8)
@@ -110,11 +110,11 @@ def test_a_function_of_the_model():
     assert (found.metric, found.value) == ("static_gain", pytest.approx(1.25))
 
 
-# --- where there is no bounded value ---------------------------------------------------------------------------------
+# --- unbounded values ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("metric", ["settling-time", "overshoot", "h2", "hinf"])
-def test_unstable_members_are_said_to_be(metric):
+def test_unstable_members_are_reported(metric):
     found = worst_case(lag(1.5), metric, t=T)
     assert np.isinf(found.value)
     assert found.spectral_abscissa > 0
@@ -134,13 +134,13 @@ def test_unstable_members_are_said_to_be(metric):
         (lambda: worst_case(lag(), "peak", t=T, n=0), InputError, "n is 0"),
     ],
 )
-def test_requests_that_make_no_sense(call, error, text):
+def test_invalid_requests_are_rejected(call, error, text):
     with pytest.raises(error) as caught:
         call()
     assert text in str(caught.value)
 
 
-def test_metrics_that_need_more_than_they_get():
+def test_metrics_without_their_requirements_are_rejected():
     free = StateSpaceModel([[0.0, 1.0], [0.0, -1.0]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]])
     direct = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[1.0]])
     gain = StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[1.0]])
@@ -192,7 +192,7 @@ def test_search_of_many_parameters_finds_the_vertex():
     assert found.value == pytest.approx(truth, rel=1e-9)
 
 
-# --- batches are pure ------------------------------------------------------------------------------------------------
+# --- independence of batches -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("metric", METRICS)

@@ -50,7 +50,7 @@ def test_sample_i_does_not_depend_on_n():
     assert sample(mixed(), 3, seed=8).deltas[0]["r"] != few.deltas[0]["r"]
 
 
-def test_samples_lie_in_the_set_and_fill_it():
+def test_samples_are_in_the_set_and_fill_it():
     deltas = sample(mixed(), 400, seed=1).deltas
     real = np.array([d["r"] for d in deltas])
     disc = np.array([d["c"] for d in deltas])
@@ -67,7 +67,7 @@ def test_samples_lie_in_the_set_and_fill_it():
     ("arguments", "text"),
     [((0,), "no samples"), ((-1,), "n is -1"), ((1.5,), "n is 1.5"), ((1, -2), "seed"), ((1, 0, "every"), "vertices")],
 )
-def test_counts_that_are_none(arguments, text):
+def test_invalid_counts_are_rejected(arguments, text):
     with pytest.raises(InputError, match=text):
         sample(uncertain(), *arguments)
 
@@ -76,7 +76,7 @@ def test_counts_that_are_none(arguments, text):
 
 
 @pytest.mark.parametrize("hold", ["zoh", "foh"])
-def test_every_response_is_that_of_its_own_model(hold):
+def test_every_response_equals_that_of_its_model(hold):
     samples = sample(uncertain(), 6, seed=2, vertices=2)
     u = np.sin(3 * T) + 0.5
     x0 = [0.1, -0.3]
@@ -124,7 +124,7 @@ def test_an_integrator_is_not_called_unstable():
     assert sample(elementwise(drive(1.0), drive(1.2)), 5).respond(T).unstable == ()
 
 
-def test_what_cannot_respond():
+def test_complex_members_have_no_response():
     with pytest.raises(InputError, match="block 'c' is complex"):
         sample(mixed(), 1).respond(T, np.ones((81, 3)))
     m = StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0)), [[1.0, 1.0], [1.0, 0.0]])
@@ -145,6 +145,6 @@ def test_what_cannot_respond():
         (T, None, [1.0], "x0 has 1 entries"),
     ],
 )
-def test_requests_that_make_no_sense(t, u, x0, text):
+def test_invalid_requests_are_rejected(t, u, x0, text):
     with pytest.raises(InputError, match=text):
         sample(uncertain(), 1).respond(t, u, x0)

@@ -1,4 +1,4 @@
-"""Probability of violation, sample sizes, quantiles, influence: closed forms, coverage, other programs."""
+"""Probability of violation, sample sizes, quantiles, influence: closed forms, coverage, other software."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_published_sample_sizes():
 
 
 @pytest.mark.parametrize("share", [0.05, 0.5, 0.9])
-def test_quantile_bounds_cover_whatever_the_distribution(share):
+def test_quantile_bounds_cover_for_any_distribution(share):
     rng = np.random.default_rng(0)
     truth = scipy.stats.lognorm.ppf(share, 1.0)
     found = [quantile_bounds(rng.lognormal(size=200), share, 0.9) for _ in range(400)]
@@ -71,7 +71,7 @@ def test_probability_of_a_known_distribution():
     assert median.lower < 10 < median.upper
 
 
-def test_what_is_to_be_shown():
+def test_a_required_probability_is_confirmed():
     shown = violation_probability(gains(1.0), "peak", "11 V", probability=0.05, **PEAK)
     assert (shown.n, shown.violations, shown.shown, shown.samples_needed) == (59, 0, True, 59)
     not_shown = violation_probability(gains(1.0), "peak", "10.8 V", probability=0.05, **PEAK)
@@ -115,7 +115,7 @@ def test_unstable_members_violate():
         (11.0, {"seed": -1}, InputError, "seed"),
     ],
 )
-def test_bad_input_is_named(limit, options, error, text):
+def test_invalid_input_is_rejected(limit, options, error, text):
     with pytest.raises(error) as caught:
         violation_probability(gains(1.0), "peak", limit, **{"n": 40, **PEAK, **options})
     assert text in str(caught.value)
