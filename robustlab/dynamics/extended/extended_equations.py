@@ -30,7 +30,7 @@ from robustlab.dynamics.extended.nonlinear_steps import About, somewhere
 from robustlab.dynamics.extended.simulator import Simulator
 from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant, Trim, point_of
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel
-from robustlab.dynamics.rest import PASSES, asked
+from robustlab.dynamics.rest import PASSES, trim_conditions
 from robustlab.dynamics.simulation import CLOCK_JITTER
 from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
 from robustlab.result import Status
@@ -241,7 +241,7 @@ class ExtendedEquations(SteppedPlant):
         """State, input and the largest rate there."""
         n = len(self.states)
         s, where = self.nearby(where)
-        held, wanted = asked(self, where)
+        held, wanted = trim_conditions(self, where)
         s[list(held)] = list(held.values())
         free, rows = np.array([k for k in range(len(s)) if k not in held], dtype=np.intp), list(wanted)
         residual = np.zeros(n)

@@ -13,7 +13,7 @@ import numpy as np
 
 from robustlab.arrays import Array, Indices
 from robustlab.dynamics.plant_contract import InputSignal, LocalModels, NonlinearPlant, PlantAlong, PortPlace, Trim
-from robustlab.dynamics.rest import PASSES, RANK, STILL, asked, looked, newton
+from robustlab.dynamics.rest import PASSES, RANK, STILL, evaluated, newton, trim_conditions
 from robustlab.dynamics.symbolic.tape import Tape, tape_kernels
 from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
 from robustlab.result import Status
@@ -166,7 +166,7 @@ def rest(plant: NonlinearPlant, where: Mapping[str, Any]) -> Trim:
     given = dict(where)
     x, u = plant.point(*given.pop("start")) if "start" in given else (np.zeros(n_x), np.zeros(n_u))
     began = np.concatenate([x, u])
-    held, wanted = asked(plant, given)
+    held, wanted = trim_conditions(plant, given)
     began[list(held)] = list(held.values())
     free = np.array([k for k in range(n_x + n_u) if k not in held], dtype=np.intp)
     shift = np.isin(np.arange(n_x + n_u), free)
@@ -198,7 +198,7 @@ def _nearest(
     """The rest moved towards where the search began, along all directions in which the plant rests anywhere."""
     for _ in range(PASSES):
         z, excess = found
-        local = looked(plant, z, wanted)
+        local = evaluated(plant, z, wanted)
         if local is None:
             break
         way = (began - z)[free]
