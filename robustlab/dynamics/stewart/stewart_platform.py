@@ -57,11 +57,11 @@ def places(motors: bool) -> tuple[PortPlace, ...]:
 
 def motion(geometry: Geometry, x: Array) -> tuple[Array, Array]:
     """Poses and twists (n, 6) of the states (n, 12 or 18)."""
-    return _kept_motion(geometry, np.ascontiguousarray(x[:, :12]).tobytes())
+    return _cached_motion(geometry, np.ascontiguousarray(x[:, :12]).tobytes())
 
 
 @lru_cache(maxsize=64)
-def _kept_motion(geometry: Geometry, states: bytes) -> tuple[Array, Array]:
+def _cached_motion(geometry: Geometry, states: bytes) -> tuple[Array, Array]:
     """`motion`, kept: masses and motors change nothing of it."""
     x = np.frombuffer(states).reshape(-1, 12)
     lengths = np.ascontiguousarray(geometry.home_lengths + x[:, :6] / geometry.turns)
