@@ -32,8 +32,8 @@ from robustlab.statespace import Signal
 from robustlab.units import same_unit
 
 MOST_BYTES = 1 << 31  # of the unpacked archive
-EVEN = 1e-6  # share by which steps of a unit that takes no others may differ
-SHOWS_NONE = "a co-simulation unit steps itself: it shows no rates, and no state of it can be set"
+EVEN = 1e-6  # allowed relative difference of steps for a unit that requires equal ones
+NO_STATE = "a co-simulation unit steps itself: it shows no rates, and no state of it can be set"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -111,9 +111,9 @@ class FmuPlant(SteppedPlant):
     def stepped(self, t: Array, u: Array, x0: Array, step: float | None = None) -> tuple[Array, Array]:
         steps = np.diff(t)
         if not self.about["variable_step"] and len(steps) and np.ptp(steps) > EVEN * steps.mean():
-            raise InputError(f"simulate {self.name}", "steps that differ", "equal ones: the unit takes no others")
+            raise InputError(f"simulate {self.name}", "steps that differ", "equal steps, as the unit requires")
         if file_sha256(self.path) != self.sha256:
-            raise InputError(str(self.path), "is not the file that it was", None, "make the plant anew")
+            raise InputError(str(self.path), "changed since the plant was made", None, "make the plant again")
         request = {"op": "step", "longest": step, "values": self.values}
         _, y = _request(self.path, request, self.time_limit, np.column_stack([t, u]))
         assert y is not None
@@ -145,7 +145,7 @@ class FmuPlant(SteppedPlant):
         return FreeRun(record, simulated, gaps)
 
     def _refused(self, *_: Any, **__: Any) -> NoReturn:
-        raise InputError(self.name, SHOWS_NONE, "a plant with equations", "identify a model from rl.simulate")
+        raise InputError(self.name, NO_STATE, "a plant with equations", "identify a model from rl.simulate")
 
     linear_model = derivative = output = jacobians = equilibrium = _refused
 

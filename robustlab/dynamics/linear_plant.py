@@ -230,7 +230,7 @@ def tied_plant(plant: LinearPlant, groups: Iterable[tuple[str, tuple[str, ...]]]
     for label, names in groups:
         for name in names:
             if name not in plant.parameters or name in seen:
-                word = "stands in two groups" if name in seen else "no such parameter"
+                word = "is in two groups" if name in seen else "no such parameter"
                 raise InputError(f"tied_plant: {name!r}", word, f"each of {', '.join(plant.parameters)} once at most")
         seen.update(names)
         members = [plant.parameters[name] for name in names]

@@ -58,16 +58,16 @@ def plant_from_file(reference: str, parameters: Mapping[str, Any] | None = None,
     if not file:
         raise InputError(reference, "names no file of Python", "path/to/file.py:name")
     module, hashes = _run(Path(file) if path is None else path, _display_name(file, path))
-    shown = f"{vars(module)[MARK]}:{name}"
+    label = f"{vars(module)[MARK]}:{name}"
     if name not in vars(module):
         found = f"no plant {name!r} in it" if name else "which plant of it?"
         raise InputError(vars(module)[MARK], found, _choice(module), did_you_mean(name, _plants(module)))
-    with _user_code(shown):
-        made = _made(vars(module)[name], dict(parameters or {}), shown)
-    _check_shapes(made, shown)
+    with _user_code(label):
+        made = _made(vars(module)[name], dict(parameters or {}), label)
+    _check_shapes(made, label)
     source = made.provenance
     known, note = ({}, "") if source is None else (source.inputs, f"; {source.note}" if source.note else "")
-    made.traced(Provenance.now(BY_PLANT_FILE, {**known, **hashes}, note=shown + note))
+    made.traced(Provenance.now(BY_PLANT_FILE, {**known, **hashes}, note=label + note))
     return made
 
 
@@ -103,12 +103,12 @@ def _display_name(file: str, path: Path | None) -> str:
     return there.relative_to(here).as_posix() if there.is_relative_to(here) else file
 
 
-def _run(path: Path, shown: str) -> tuple[types.ModuleType, dict[str, str]]:
+def _run(path: Path, label: str) -> tuple[types.ModuleType, dict[str, str]]:
     """Execute a file; return its module, and file -> SHA-256 of all user code that was run for it."""
     raw, where = _text_of(path), path.resolve()
     digest = hashlib.sha256(raw).hexdigest()
     module = types.ModuleType(f"plant_file_{digest[:16]}")
-    vars(module).update({"__file__": str(where), MARK: shown})
+    vars(module).update({"__file__": str(where), MARK: label})
     for name, neighbour in _neighbours.items():
         if sys.modules.get(name) is neighbour:
             del sys.modules[name]
@@ -117,19 +117,19 @@ def _run(path: Path, shown: str) -> tuple[types.ModuleType, dict[str, str]]:
     sys.modules[module.__name__] = module  # dataclasses and pickles look up their module by name
     sys.path.append(str(where.parent))
     try:
-        with _user_code(shown):
-            exec(_compiled(raw, str(where), shown), vars(module))  # noqa: S102  named by the user
+        with _user_code(label):
+            exec(_compiled(raw, str(where), label), vars(module))  # noqa: S102  named by the user
     finally:
         sys.path.remove(str(where.parent))
-    hashes = {shown: digest}
+    hashes = {label: digest}
     for name in sys.modules.keys() - known:
         file, package = Path(getattr(sys.modules[name], "__file__", None) or where.root), name.partition(".")[0]
         if package == "robustlab" or not file.is_relative_to(where.parent):
             continue
         beside = file.relative_to(where.parent)
-        if beside.parts[0].removesuffix(".py") == package:  # and not what is installed in an environment in the folder
+        if beside.parts[0].removesuffix(".py") == package:  # not a package of an environment in the folder
             _neighbours[name] = sys.modules[name]
-            hashes[(Path(shown).parent / beside).as_posix()] = file_sha256(file)
+            hashes[(Path(label).parent / beside).as_posix()] = file_sha256(file)
     return module, hashes
 
 
@@ -143,14 +143,14 @@ def _text_of(path: Path) -> bytes:
     return path.read_bytes()
 
 
-def _compiled(raw: bytes, file: str, shown: str) -> types.CodeType:
+def _compiled(raw: bytes, file: str, label: str) -> types.CodeType:
     try:
         return compile(raw, file, "exec", dont_inherit=True)
     except SyntaxError as error:
-        place = f"{shown}, line {error.lineno}" if error.lineno else shown
+        place = f"{label}, line {error.lineno}" if error.lineno else label
         raise InputError(place, f"is no Python: {error.msg}") from None
     except ValueError as error:  # a NUL
-        raise InputError(shown, f"is no Python: {error}") from None
+        raise InputError(label, f"is no Python: {error}") from None
 
 
 @contextmanager
@@ -184,24 +184,24 @@ def _user_error(error: Exception, place: str) -> RobustlabError:
     return InputError(place, f"{type(error).__name__}: {text}".removesuffix(": "), None, hint)
 
 
-def _made(target: Any, given: dict[str, Any], shown: str) -> Plant:
+def _made(target: Any, given: dict[str, Any], label: str) -> Plant:
     """Return the plant that an object of the file is, or returns."""
     made = target
     if not isinstance(target, Plant):
         if not is_function(target):
-            raise InputError(shown, f"a {type(target).__name__}", "a plant, or a function that returns one")
+            raise InputError(label, f"a {type(target).__name__}", "a plant, or a function that returns one")
         known = _arguments(target)
         takes_all = any(p.kind is Parameter.VAR_KEYWORD for p in known.values())
         made = target(**{key: given.pop(key) for key in list(given) if takes_all or key in known})
     if not isinstance(made, Plant):
         found = "None" if made is None else f"a {type(made).__name__}"
         hint = "return p.plant(**given)" if callable(getattr(made, "plant", None)) else None
-        raise InputError(shown, f"returned {found}", "a plant (a LinearPlant or a NonlinearPlant)", hint)
+        raise InputError(label, f"returned {found}", "a plant (a LinearPlant or a NonlinearPlant)", hint)
     if not given:
         return made
     change = getattr(made, "with_parameters", None)
     if change is None:
-        raise InputError(shown, f"{next(iter(given))}: takes no parameters", "none")
+        raise InputError(label, f"{next(iter(given))}: takes no parameters", "none")
     return change(**given)
 
 
@@ -212,7 +212,7 @@ def _arguments(target: Callable[..., Any]) -> Mapping[str, Parameter]:
         return {}
 
 
-def _check_shapes(plant: Plant, shown: str) -> None:
+def _check_shapes(plant: Plant, label: str) -> None:
     """Check the shapes of rates and outputs of a plant class written by the user."""
     if type(plant).__module__.startswith("robustlab."):
         return  # checked where the plant is made
@@ -221,13 +221,13 @@ def _check_shapes(plant: Plant, shown: str) -> None:
         ("derivative", plant.derivative, len(plant.states)),
         ("output", plant.output, len(plant.outputs)),
     ):
-        with _user_code(shown), np.errstate(all="ignore"):
+        with _user_code(label), np.errstate(all="ignore"):
             try:
                 found = np.shape(function(x, u))
             except (ArithmeticError, ValueError):
                 continue  # zero may be outside the machine's domain
         if found != (n,):
-            raise InputError(shown, f"{word}(x, u) has the shape {found}", f"({n},)")
+            raise InputError(label, f"{word}(x, u) has the shape {found}", f"({n},)")
 
 
 def _plants(module: types.ModuleType) -> tuple[str, ...]:
@@ -243,8 +243,8 @@ def _is_plant(name: str, thing: Any, module: str) -> bool:
 
 
 def _choice(module: types.ModuleType) -> str:
-    shown, names = vars(module)[MARK], _plants(module)
-    return f"one of {', '.join(f'{shown}:{name}' for name in names)}" if names else "a file that defines a plant"
+    label, names = vars(module)[MARK], _plants(module)
+    return f"one of {', '.join(f'{label}:{name}' for name in names)}" if names else "a file that defines a plant"
 
 
 # The plant in the template.

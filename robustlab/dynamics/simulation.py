@@ -151,7 +151,7 @@ def step_response(model: Any, t_end: float | None, input_name: str | None) -> Re
         raise unknown_name(f"step: input {input_name!r}", "no such input", str(input_name), names)
     rational = given.pade(LOOK) if isinstance(given, DelayedModel) else given
     if t_end is None:
-        clock = default_clock(rational, "step", hint="say how long to look, in s: G.step(t_end=1.0)")
+        clock = default_clock(rational, "step", hint="give the duration in s: G.step(t_end=1.0)")
     elif isinstance(t_end, bool) or not isinstance(t_end, (int, float, np.number)) or not 0 < t_end < np.inf:
         raise InputError("step: t_end", f"{t_end!r}", "a positive time in s")
     elif given.is_discrete:

@@ -174,7 +174,7 @@ def _ease(s: Array) -> Array:
     return s**3 * (10 - 15 * s + 6 * s**2)
 
 
-UNSTABLE = "the loop may be unstable: look at the poles of closed_loop"
+UNSTABLE = "the loop may be unstable: check the poles of closed_loop"
 # Nominal torque in N m and voltage in V of the Maxon RE 35; nothing is clipped.
 MOST_TORQUE, MOST_VOLTAGE = 0.0977, 42.0
 

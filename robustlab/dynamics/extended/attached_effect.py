@@ -383,9 +383,9 @@ def _site(where: str, sites: list[Site], place: str, plant: AnyPlant) -> Site:
     if not place:
         if len(sites) == 1:
             return sites[0]
-        head, shown = where.removeprefix("effect "), ", ".join(names)
+        head, places = where.removeprefix("effect "), ", ".join(names)
         raise InputError(
-            where, f"{len(sites)} places where it may sit: {shown}", "one", f'name it: "{head}@{names[0]}"'
+            where, f"{len(sites)} places where it may sit: {places}", "one", f'name it: "{head}@{names[0]}"'
         )
     for site in sites:
         if place == site.name or (site.kind == "parameter" and place in site.name.split("+")):

@@ -184,7 +184,7 @@ def _why_omitted(e: AttachedEffect, seen: Footprint | None, port: Port) -> str:
     if seen is None or seen.signal not in ("speed", "current", "position", "force", "time"):
         return "only its slope at the point is in the model"
     if e.effect.structural:
-        return "it divides the joint: no force of one joint stands for it"
+        return "it divides the joint: it is no force at one joint"
     if seen.signal == "force" and np.count_nonzero(port.force) != 1:
         return "only its slope at the point is in the model: its joint shares its inertia with others"
     return ""

@@ -263,7 +263,7 @@ class ExtendedEquations(SteppedPlant):
             f"{self.name}: trim",
             f"no rest with {given or 'anything given'}: {name} keeps changing, at {rate:.3g}/s",
             None,
-            "give an input that what holds the plant can bear, or leave the input to be found",
+            "give an input within the limits of the holding forces, or leave it free",
         )
 
     def _holding_columns(self, s: Array) -> Array:
@@ -358,9 +358,9 @@ class ExtendedEquations(SteppedPlant):
         for e, law, port in self.laws:
             q, v = _motion(port, x)
             if e.sector(amplitude, ("speed", "current")) is not None:
-                note(e, "the middle of its sector at this amplitude stands for it")
+                note(e, "replaced by the middle of its sector at this amplitude")
             elif law.memory:
-                note(e, "it remembers: the model has its slopes at the point only")
+                note(e, "it has memory: the model has its slopes at the point only")
             elif v == 0.0 and is_set_valued(law, q):
                 note(e, "set-valued at rest: the model is that of free motion")
             else:
@@ -376,8 +376,8 @@ class ExtendedEquations(SteppedPlant):
             elif seen_by is not None and e.constant_gain is None:
                 chosen = e.site.name in amplitude
                 dead = not chosen and e.slope(level) == 0.0
-                stands = "the middle of its sector" if chosen else "its slope"
-                note(e, "no gain at the point: 1 stands for it" if dead else f"nonlinear: {stands} stands for it")
+                gain = "the middle of its sector" if chosen else "its slope"
+                note(e, "no gain at the point: replaced by 1" if dead else f"nonlinear: replaced by {gain}")
             elif seen_by is not None and seen_by.offset:
                 note(e, "a bounded error that is no gain")
         return tuple(found.values())

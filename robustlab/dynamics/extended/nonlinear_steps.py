@@ -133,7 +133,7 @@ def march(
                     f"{plant.name}: simulate",
                     f"no motion beyond t = {time:.6g} s: {words}",
                     None,
-                    "shorter steps, or a motion within what the machine can do",
+                    "shorter steps, or a motion within the machine's reach",
                 )
             length = max(1, count // 4)
             continue
