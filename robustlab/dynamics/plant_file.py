@@ -61,7 +61,9 @@ def plant_from_file(reference: str, parameters: Mapping[str, Any] | None = None,
     label = f"{vars(module)[MARK]}:{name}"
     if name not in vars(module):
         found = f"no plant {name!r} in it" if name else "which plant of it?"
-        raise InputError(vars(module)[MARK], found, _choice(module), did_you_mean(name, _plants(module)))
+        file, names = vars(module)[MARK], _plants(module)
+        choice = f"one of {', '.join(f'{file}:{known}' for known in names)}" if names else "a file that defines a plant"
+        raise InputError(file, found, choice, did_you_mean(name, names))
     with _user_code(label):
         made = _made(vars(module)[name], dict(parameters or {}), label)
     _check_shapes(made, label)
@@ -240,11 +242,6 @@ def _is_plant(name: str, thing: Any, module: str) -> bool:
         return isinstance(thing, Plant)
     optional = (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD)
     return all(p.default is not Parameter.empty or p.kind in optional for p in _arguments(thing).values())
-
-
-def _choice(module: types.ModuleType) -> str:
-    label, names = vars(module)[MARK], _plants(module)
-    return f"one of {', '.join(f'{label}:{name}' for name in names)}" if names else "a file that defines a plant"
 
 
 # The plant in the template.

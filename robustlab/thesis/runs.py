@@ -130,7 +130,8 @@ class Case:
         ``held``: default: the case's own interpretation.
         """
         (nominal, perturbed), (t, u) = self.with_gravity(), self.excitation(held)
-        mirrored = _mirrored(nominal, perturbed)
+        a, b, c, d = (2 * getattr(nominal, m) - getattr(perturbed, m) for m in "ABCD")
+        mirrored = StateSpaceModel(a, b, c, d, nominal.dt, nominal.inputs, nominal.outputs, nominal.states)
         angle, *others = (simulate(m, t, u, hold="foh")["phi_1"] for m in (nominal, perturbed, mirrored))
         shares = [100 * (other - angle) / np.abs(angle).max() for other in others]
         plus, minus = (float(share[np.abs(share).argmax()]) for share in shares)
@@ -184,12 +185,6 @@ def cases(plant: StewartPlatform) -> tuple[Case, ...]:
         released = float(home.u[0] - rest.u[0])
         made.append(Case(name, words, published, -1, True, nominal, linearise(heavy, rest), released))
     return tuple(made)
-
-
-def _mirrored(nominal: StateSpaceModel, perturbed: StateSpaceModel) -> StateSpaceModel:
-    """Return the perturbed model mirrored at the nominal one."""
-    a, b, c, d = (2 * getattr(nominal, m) - getattr(perturbed, m) for m in "ABCD")
-    return StateSpaceModel(a, b, c, d, nominal.dt, nominal.inputs, nominal.outputs, nominal.states)
 
 
 def _with_gravity(model: StateSpaceModel, torque: float) -> StateSpaceModel:

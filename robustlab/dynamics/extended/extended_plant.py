@@ -397,7 +397,8 @@ def _check(plant: ExtendedPlant, whole: UncertainModel, linear: StateSpaceModel,
     terms = _joint_terms(plant, linear, width)
     effects = []
     for e in plant.effects:
-        linear_ones = {n for n in e.std if _is_covered(plant, e, n, terms)}
+        scales = e.on_signal or bool(_scaled_by(plant, e))
+        linear_ones = {n for n in e.std if (n == e.effect.scale and scales) or f"{e.key}.{n}" in terms}
         up = {n: v + width * e.std[n] if n in linear_ones else v for n, v in e.values.items()}
         effects.append(replace(e, values=up))
     rebuilt = with_effects(plant.plant.with_parameters(**changed), effects)
@@ -413,10 +414,3 @@ def _check(plant: ExtendedPlant, whole: UncertainModel, linear: StateSpaceModel,
                     None,
                     "take the tolerances off the parameters that act together with an effect, or take it off",
                 )
-
-
-def _is_covered(
-    plant: ExtendedPlant, e: AttachedEffect, name: str, terms: Mapping[str, tuple[Parameter, Array]]
-) -> bool:
-    scales = e.on_signal or bool(_scaled_by(plant, e))
-    return (name == e.effect.scale and scales) or f"{e.key}.{name}" in terms

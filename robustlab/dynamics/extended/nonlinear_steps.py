@@ -176,7 +176,9 @@ class _Block:
             change = float((np.abs(found - motion).max(axis=0) / size).max())
             motion = found
             if change <= 1.0:
-                self._advance_memory(start)
+                if any(law.memory for law in self.laws):
+                    self.after = self.memory.copy()
+                    self._stepped(start, self.after, self.count)
                 return found, k
             if k > 3 and change > before:
                 return None, k
@@ -233,11 +235,6 @@ class _Block:
         inputs = np.zeros((self.at + length, 0)), self.drive.h, self.drive.t0, 1
         window = Windows(np.array([self.at], dtype=np.int64), length)
         return step_laws(self.laws, ports, table, inputs, window, start[None].copy(), phi.shape[-1], True, memory)[0][0]
-
-    def _advance_memory(self, start: Array) -> None:
-        if any(law.memory for law in self.laws):
-            self.after = self.memory.copy()
-            self._stepped(start, self.after, self.count)
 
 
 def _with_differences(values: Array) -> tuple[Array, Array, Array]:

@@ -206,7 +206,9 @@ class StewartPlatform(PlantAlong):
         self, at: tuple[Array, Array], shape: Geometry, numbers: Array, p: Mapping[str, float], x: Array, u: Array
     ) -> Array:
         """Return the rates at known poses and twists."""
-        found = _accelerations(_equations(shape, numbers, *at), p["ratio"] * torques(p, x, u))
+        of = _equations(shape, numbers, *at)
+        push = _force(of, p["ratio"] * torques(p, x, u))
+        found = of.bias + (of.jacobian @ np.linalg.solve(of.mass, push[..., None]))[..., 0]
         if not self.motors:
             return np.hstack([x[:, 6:12], found])
         current = (u - p["R"] * x[:, 12:] - p["Kb"] * p["ratio"] * x[:, 6:12]) / p["L"]
@@ -301,11 +303,6 @@ def _equations(shape: Geometry, numbers: Array, poses: Any, twists: Any) -> _Bod
 def _force(of: _Bodies, push: Array) -> Array:
     """Return the accelerating force of the platform under torques at the nuts (n, 6)."""
     return (np.swapaxes(of.jacobian, 1, 2) @ push[..., None])[..., 0] - of.force
-
-
-def _accelerations(of: _Bodies, push: Array) -> Array:
-    """Return accelerations of the nuts (n, 6) under torques at them."""
-    return of.bias + (of.jacobian @ np.linalg.solve(of.mass, _force(of, push)[..., None]))[..., 0]
 
 
 def _held(shape: Geometry, numbers: Array, pose: Array) -> tuple[Array, Array]:
