@@ -337,8 +337,10 @@ def _sampled_part(
     flat, t = off.reshape(len(off), -1), family.entries(s)
     whole = float(np.abs(flat).max())
     found: tuple[int, list[Exponents], Array, Array] | None = None
+    monomials: list[Exponents] = []
     for degree in range(1, FAMILY_COVER_DEGREE + 1):
-        monomials = _with_one_of(sampled, moving, len(family.names), degree)
+        products = [c for c in combinations_with_replacement(moving, degree) if set(c) & set(sampled)]
+        monomials = [*monomials, *(tuple(c.count(k) for k in range(len(family.names))) for c in products)]
         if 3 * len(monomials) > len(s):
             break
         basis = np.array([np.prod(t**e, axis=1) for e in monomials]).T
@@ -360,12 +362,6 @@ def _sampled_part(
 
 def _values(polynomial: MatrixPolynomial, t: Array) -> Array:
     return np.array([polynomial(row) for row in t])
-
-
-def _with_one_of(sampled: Sequence[int], moving: Sequence[int], count: int, degree: int) -> list[Exponents]:
-    """Return the monomials of the moving parameters up to the degree that include a sampled one."""
-    products = (c for total in range(1, degree + 1) for c in combinations_with_replacement(moving, total))
-    return [tuple(c.count(k) for k in range(count)) for c in products if set(c) & set(sampled)]
 
 
 def _box(family: _Family, moving: Sequence[int], seed: int) -> Array:

@@ -241,7 +241,7 @@ class _DriverInLoop(InputDeadZone):
 
     def extend(self, model: PortModel, site: Site, values: Mapping[str, float]) -> PortModel:
         port = self.port.widened(len(model.A) - len(self.port.force))
-        return model.with_port(port)
+        return replace(model, ports={**model.ports, port.name: port})
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint | None:
         return None  # included in the law

@@ -87,9 +87,6 @@ class PortModel:
         """Return the model with the force ``row @ x`` at the port: ``A + b row``."""
         return replace(self, A=self.A + port.force[..., :, None] * row)
 
-    def with_port(self, port: Port) -> PortModel:
-        return replace(self, ports={**self.ports, port.name: port})
-
     def widened(self, rows: Array) -> PortModel:
         """Return the model with further states ``z' = rows @ [x; z]``; ``rows``: (extra, n_x + extra)."""
         extra, many = len(rows), self.A.shape[:-2]
@@ -122,7 +119,8 @@ def port_model(plant: LinearPlant, factors: Mapping[str, float] | None = None) -
             q = _integrating_state(a, b, k)
             position = None if q is None else np.eye(n)[q]
             position_unit = "" if q is None else plant.states[q].unit
-            per_inertia = "" if k in _mechanical(plant) else f"/{_factor(INERTIA_UNITS[unit])}"
+            inertia = INERTIA_UNITS[unit]
+            per_inertia = "" if k in _mechanical(plant) else f"/({inertia})" if " " in inertia else f"/{inertia}"
             force_unit = f"{SPEED_UNITS[unit]}{per_inertia}"
             ports[name] = Port(name, "joint", force_unit, unit, position_unit, push[:, k], eye, position)
         elif unit == "A":
@@ -145,10 +143,6 @@ def _mechanical(plant: LinearPlant) -> frozenset[int]:
     units = INERTIA_UNITS.values()
     inertias = [n for n, p in plant.parameters.items() if p.unit and (p.role == "inertia" or p.unit in units)]
     return frozenset[int]().union(*(_rows(plant, name) for name in inertias))
-
-
-def _factor(unit: str) -> str:
-    return f"({unit})" if " " in unit else unit
 
 
 def _rows(plant: LinearPlant, name: str) -> frozenset[int]:

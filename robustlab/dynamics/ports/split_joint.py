@@ -54,12 +54,7 @@ def _with_carried_load(model: PortModel, joint: str, share: float, relative: str
     ports = {name: _on_load(p, wide.ports[joint], rows, s, inertia) for name, p in wide.ports.items()}
     ports[joint] = _on_drive(wide.ports[joint], 1.0 / drive[:, 0])
     load = _load(wide.ports[joint], rows, s)
-    reduced = (s * drive)[:, 0, None]
-    unit = port.speed_unit.removesuffix("/s")
-    gap = replace(
-        ports[joint], name=f"{joint}.{relative}", kind="relative", unit=f"{unit}/s2", position_unit=unit,
-        force=reduced * (ports[joint].force - load.force), velocity=np.eye(n + 2)[n + 1], position=np.eye(n + 2)[n],
-    )  # fmt: skip
+    gap = _relative_port(ports[joint], load, f"{joint}.{relative}", (s * drive)[:, 0, None])
     return replace(wide, A=a, B=b, ports={**ports, load.name: load, gap.name: gap})
 
 
@@ -163,21 +158,24 @@ def with_load_side(model: PortModel, joint: str, share: float, relative: str, wh
     a, b = wide.A.copy(), wide.B.copy()
     a[..., n + 1, :n] = drive.velocity @ split.A  # free load: the relative acceleration is the drive's
     b[..., n + 1, :] = drive.velocity @ split.B
-    ports = {name: _driven(p, split.ports[name].force @ drive.velocity) for name, p in wide.ports.items()}
+    ports = {}
+    for name, p in wide.ports.items():
+        force = p.force.copy()
+        force[..., -1] = split.ports[name].force @ drive.velocity
+        ports[name] = replace(p, force=force)
     drive = ports[joint]
     load = _free_load(drive, 1.0 / (share * port.inertia))
-    reduced = (share * (1.0 - share) * port.inertia)[..., None]
-    gap = replace(
-        drive,
-        name=f"{joint}.{relative}",
-        kind="relative",
-        unit=f"{drive.speed_unit.removesuffix('/s')}/s2",
-        position_unit=drive.speed_unit.removesuffix("/s"),
-        force=reduced * (drive.force - load.force),
-        velocity=np.eye(n + 2)[n + 1],
-        position=np.eye(n + 2)[n],
-    )
+    gap = _relative_port(drive, load, f"{joint}.{relative}", (share * (1.0 - share) * port.inertia)[..., None])
     return replace(wide, A=a, B=b, ports={**ports, load.name: load, gap.name: gap})
+
+
+def _relative_port(drive: Port, load: Port, name: str, reduced: Array) -> Port:
+    """Return the port of the relative motion, with forces per reduced inertia."""
+    (delta, rate), unit = np.eye(len(drive.velocity))[-2:], drive.speed_unit.removesuffix("/s")
+    return replace(
+        drive, name=name, kind="relative", unit=f"{unit}/s2", position_unit=unit,
+        force=reduced * (drive.force - load.force), velocity=rate, position=delta,
+    )  # fmt: skip
 
 
 def _with_less_inertia(model: PortModel, port: Port, share: float) -> PortModel:
@@ -186,13 +184,6 @@ def _with_less_inertia(model: PortModel, port: Port, share: float) -> PortModel:
     change = np.eye(len(port.velocity)) + share / (1.0 - share) * pulled
     ports = {name: replace(p, force=(change @ p.force[..., None])[..., 0]) for name, p in model.ports.items()}
     return replace(model, A=change @ model.A, B=change @ model.B, ports=ports)
-
-
-def _driven(port: Port, acceleration: Array) -> Port:
-    """Return the port with the drive's acceleration also in the relative acceleration."""
-    force = port.force.copy()
-    force[..., -1] = acceleration
-    return replace(port, force=force)
 
 
 def _free_load(drive: Port, mobility: Array) -> Port:

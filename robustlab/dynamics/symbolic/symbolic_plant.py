@@ -107,20 +107,12 @@ class SymbolicPlant(PlantAlong):
         found = tape(points)
         if not np.isfinite(found).all():
             row, column = (int(k) for k in np.argwhere(~np.isfinite(found))[0])
-            raise NoTrustworthyNumber(
-                self.name,
-                f"{self._label(first + column)} is {found[row, column]} at {self._named(points[row], row, n)}",
-            )
+            label = labels(self.states, self.inputs, self.outputs, self.equations.places)[first + column]
+            signals = (*self.states, *self.inputs)
+            point = ", ".join(f"{s.name} = {v:.4g}" for s, v in zip(signals, points[row], strict=False))
+            point = f"point {row} of {n} ({point})" if n > 1 else point
+            raise NoTrustworthyNumber(self.name, f"{label} is {found[row, column]} at {point}")
         return found
-
-    def _label(self, k: int) -> str:
-        """Return the text of output k of the tape of models."""
-        return labels(self.states, self.inputs, self.outputs, self.equations.places)[k]
-
-    def _named(self, point: Array, row: int, n: int) -> str:
-        signals = (*self.states, *self.inputs)
-        text = ", ".join(f"{s.name} = {v:.4g}" for s, v in zip(signals, point, strict=False))
-        return f"point {row} of {n} ({text})" if n > 1 else text
 
 
 def _with_values(plant: SymbolicPlant, given: Mapping[str, Any] | None, n: int) -> list[Any]:
