@@ -16,7 +16,7 @@ from robustlab.errors import InputError, did_you_mean
 if TYPE_CHECKING:
     from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
 
-# What else other packages and tests ask for, loaded on first use: module -> names.
+# Further names for other packages and tests, loaded on first use: module -> names.
 _INNER = {
     "control.controlled_plant": "TorqueGains actuator_cascade controlled_nonlinear controlled_plant driver_in_loop"
     " torque_gains",
@@ -79,7 +79,7 @@ def __getattr__(name: str) -> Any:
     raise AttributeError(f"module 'robustlab.dynamics' has no attribute {name!r}")
 
 
-# What an editor completes after ``rl.plant(...).``; a test holds the names to the table.
+# Completion of ``rl.plant(...)`` in editors; a test compares the names with the table.
 LinearName = Literal[
     "dc-motor", "brushless-motor", "servo-axis", "mass-spring-damper", "two-mass", "linear-actuator"
 ]  # fmt: skip
@@ -130,7 +130,7 @@ def plant(name: str, **parameters: Any) -> Plant:
 
 
 def builtin_plant(name: str, **parameters: Any) -> Any:
-    """Give a plant that comes with robustlab, and no other: for names out of data files, which run no code."""
+    """Return a built-in plant; names from data files must run no code."""
     if not isinstance(name, str) or name not in _PLANTS:
         known = f"one of {', '.join(_PLANTS)}, path/to/file.py:name or path/to/machine.fmu"
         raise InputError(f"plant {name!r}", "no such plant", known, did_you_mean(str(name), plant_names()))
@@ -139,5 +139,5 @@ def builtin_plant(name: str, **parameters: Any) -> Any:
 
 
 def plant_names() -> tuple[str, ...]:
-    """Names that `plant` knows."""
+    """Return the names of the built-in plants."""
     return tuple(_PLANTS)

@@ -1,4 +1,4 @@
-r"""Linear models in descriptor form as state-space models: what E says of no rate is eliminated.
+r"""State-space models of linear descriptor forms, algebraic equations eliminated.
 
 .. math:: E \dot x = A x + B u, \qquad y = C x + D u
 """
@@ -21,7 +21,7 @@ from robustlab.statespace import OperatingPoint, StateSpaceModel, is_rank_defici
 from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import UncertainModel
 
-# What counts as rounding where a rank is taken.
+# Relative rounding in rank decisions.
 ROUNDING = 1e-12
 
 
@@ -35,7 +35,7 @@ class Channels(NamedTuple):
 
 
 def solved(e: Array, right: Array, where: str) -> Array:
-    """``E^-1 right``; a small inductance in one row and a large mass in another say nothing of the rank of E."""
+    """Return ``E^-1 right``; the rank of E is decided with rows scaled to equal size."""
     size = np.abs(e).max(axis=1, initial=0.0)
     if (size == 0).any() or (len(e) and np.linalg.cond(e / size[:, None]) > 1 / ROUNDING):
         raise InputError(f"{where}: equations", "E is singular", "an equation for the rate of every state")
@@ -50,7 +50,7 @@ def closed_descriptor(
     outputs: Sequence[str] | None = None,
     point: OperatingPoint | None = None,
 ) -> UncertainModel:
-    """The uncertain model around a nominal one, whose descriptor form has E and these channels."""
+    """Return the uncertain model around a nominal one whose descriptor form has E and these channels."""
     n, n_u, n_y = nominal.n_states, nominal.n_inputs, nominal.n_outputs
     left, right, inner, blocks = channels
     into_x = solved(e, left[:n], where) + 0.0  # no negative zeros
@@ -71,32 +71,32 @@ def closed_descriptor(
     if outputs is None:
         return UncertainModel(m, blocks, point)
     kept = m.select(m.input_names, [*(f"z_{name}" for name in z_names), *outputs])
-    # the operating point is one of all outputs
+    # the operating point belongs to all outputs
     return UncertainModel(drop_unconnected(kept), blocks)
 
 
-# The model and the descriptor form must have one transfer matrix, to this accuracy.
+# Allowed relative difference between the transfer matrices of the model and the descriptor form.
 SAME = 1e-8
 POINTS = 9
 
 
 @dataclass(frozen=True, eq=False)
 class Eliminated:
-    """A state-space model of a descriptor form, with the evidence."""
+    """State-space model of a descriptor form, with the evidence."""
 
     model: StateSpaceModel
     index: int  # 0: E has an inverse; 1: algebraic equations
-    # numbers of the given states that are the model's; None where its states are combinations of them
+    # indices of the given states that remain; None where the model's states are combinations of them
     kept: tuple[int, ...] | None
     n_given: int  # number of states given
-    # largest relative difference of the two transfer matrices at nine points s (z) off the imaginary axis (the unit
-    # circle)
-    residual: float
+    residual: (
+        float  # largest relative difference of the two transfer matrices at nine points off the stability boundary
+    )
 
     def __str__(self) -> str:
-        gone = self.n_given - self.model.n_states
-        what = f"{gone} of {self.n_given} states eliminated" if gone else "E has an inverse, all states stay"
-        return f"descriptor form of index {self.index}: {what}; relative residual {self.residual:.1e}"
+        count = self.n_given - self.model.n_states
+        result = f"{count} of {self.n_given} states eliminated" if count else "E has an inverse, all states stay"
+        return f"descriptor form of index {self.index}: {result}; relative residual {self.residual:.1e}"
 
 
 @told_as("descriptor")
@@ -124,9 +124,10 @@ def descriptor(
         Sample time in s; 0 means continuous time.
     inputs, outputs, states
         Names, or (name, unit) pairs, of all n states. Where E has an inverse, and where its zero columns belong to
-        the states that its zero rows determine, the states left keep their names; else they are combinations, x1, x2...
+        the states that its zero rows determine, the remaining states keep their names; else they are combinations, x1,
+        x2...
     where
-        What error messages call this model (a file name, for example).
+        Name of this model in error messages (a file name, for example).
 
     Returns
     -------
@@ -137,8 +138,8 @@ def descriptor(
     Raises
     ------
     InputError
-        What `StateSpaceModel` refuses; s E - A singular for every s (too few equations for x); an index above 1, where
-        states are determined by derivatives of the input.
+        Arguments that `StateSpaceModel` rejects; s E - A singular for every s (too few equations for x); an index above
+        1, where states are determined by derivatives of the input.
     NoTrustworthyNumber
         The two transfer matrices differ.
 
@@ -154,14 +155,14 @@ def descriptor(
 
 
 def eliminated(given: StateSpaceModel, E: ArrayLike, where: str = "descriptor") -> Eliminated:
-    """`descriptor` of a model and its E, with the evidence."""
+    """Eliminate the algebraic equations of a model with a descriptor matrix E."""
     e, n = real_array("E", E, 2, where), given.n_states
     if e.shape != (n, n):
         raise InputError(where, f"E is {e.shape}", f"{(n, n)} as A")
     form = e, given.A, given.B, given.C, given.D
     rated, kept = (np.asarray(e.any(axis=axis), dtype=np.bool_) for axis in (1, 0))
     found = _without_algebraic(form, rated, kept)
-    if found is None:  # E shows only in other coordinates which states have a rate
+    if found is None:  # only other coordinates separate the states with a rate from those without
         turned, rated = _turned(e, given, where)
         found, kept = _without_algebraic(turned, rated, rated), None
         assert found is not None
@@ -170,7 +171,7 @@ def eliminated(given: StateSpaceModel, E: ArrayLike, where: str = "descriptor") 
     states = signals(None if own is None else [given.states[k] for k in own], len(a), "x", where)
     model = StateSpaceModel(a, b, c, d, given.dt, given.inputs, given.outputs, states, where=where)
     residual = 0.0
-    for s in _points(model):  # that are no poles
+    for s in _points(model):
         one, two = d + c @ _solved(s * np.eye(len(a)) - a, b), given.D + given.C @ _solved(s * e - given.A, given.B)
         size = float(np.abs(two).max(initial=0.0)) or 1.0  # squares of large entries overflow
         off = float(np.linalg.norm((one - two) / size)) / (float(np.linalg.norm(two / size)) or 1.0)
@@ -187,7 +188,7 @@ def _has_inverse(matrix: Array) -> bool:
 
 
 def _solved(e: AnyArray, right: Array) -> AnyArray:
-    """``E^-1 right``; rows brought to one size first."""
+    """Return ``E^-1 right`` with rows scaled to equal size."""
     if not len(e):
         return np.zeros_like(right)
     size = np.abs(e).max(axis=1, keepdims=True, initial=0.0)
@@ -195,9 +196,7 @@ def _solved(e: AnyArray, right: Array) -> AnyArray:
 
 
 def _without_algebraic(form: tuple[Array, ...], rated: Any, moving: Any) -> tuple[Array, Array, Array, Array] | None:
-    """A, B, C, D of the form (E, A, B, C, D) where its equations without a rate can be solved for the states without
-    one; else None.
-    """
+    """Return A, B, C, D if the equations without a rate determine the states without one, else None."""
     e, a, b, c, d = form
     if rated.sum() != moving.sum():
         return None
@@ -208,13 +207,13 @@ def _without_algebraic(form: tuple[Array, ...], rated: Any, moving: Any) -> tupl
     # x2 = -A22^-1 (A21 x1 + B2 u)
     fixed = -_solved(algebraic, np.hstack([a[np.ix_(~rated, moving)], b[~rated]]))
     rates = np.hstack([a[np.ix_(rated, moving)], b[rated]]) + a[np.ix_(rated, ~moving)] @ fixed
-    rates, shown = _solved(inner, rates), np.hstack([c[:, moving], d]) + c[:, ~moving] @ fixed
-    return rates[:, :n], rates[:, n:], shown[:, :n], shown[:, n:]
+    rates, outputs = _solved(inner, rates), np.hstack([c[:, moving], d]) + c[:, ~moving] @ fixed
+    return rates[:, :n], rates[:, n:], outputs[:, :n], outputs[:, n:]
 
 
 def _turned(e: Array, given: StateSpaceModel, where: str) -> tuple[tuple[Array, ...], Mask]:
-    """The form in the coordinates of the singular values of E, and which of them have a rate; the index must be 1."""
-    # powers of two that bring the rows and columns of (E, A) to one size
+    """Return the form in the singular coordinates of E and a mask of those with a rate; the index must be 1."""
+    # scale the rows and columns of (E, A) to equal size by powers of two
     size = np.maximum(*(np.abs(m) / (np.abs(m).max(initial=0.0) or 1.0) for m in (e, given.A)))
     rows, columns = np.ones(len(size)), np.ones(len(size))
     for _ in range(3):
@@ -238,6 +237,7 @@ def _turned(e: Array, given: StateSpaceModel, where: str) -> tuple[tuple[Array, 
 
 
 def _points(model: StateSpaceModel) -> AnyArray:
+    """Return evaluation points s or z away from the poles."""
     if model.is_discrete:
         return 1.37 * np.exp(1j * np.linspace(0.1, 3.0, POINTS))
     rates = np.abs(model.poles())

@@ -21,47 +21,45 @@ from robustlab.uncertainty.decomposition_tree import Exponents, MatrixPolynomial
 from robustlab.uncertainty.elementwise import natural_magnitude
 from robustlab.uncertainty.lft import UncertainModel
 
-# A parameter is exact where the descriptor form is a polynomial of it over this share of its value to both sides
-# (of a value of 0 over so many half widths). Larger: a function that is none is told from one more surely, but
-# more plants have no linear model that far away.
+# A parameter is exact if the descriptor form is a polynomial of it over this share of its value to both sides
+# (for a value of 0, over so many half widths). Larger: non-polynomials are detected more reliably, but more plants
+# have no linear model that far away.
 FAMILY_REACH = 0.5
 FAMILY_ZERO = 30.0
-# Chebyshev nodes along a parameter, the highest degree that is looked for, and the number of highest coefficients
-# that show the rounding. More nodes tell weak functions from polynomials more surely.
+# Chebyshev nodes along a parameter, highest degree, and number of highest coefficients that estimate the rounding.
 FAMILY_NODES = 13
 FAMILY_DEGREE = 3
 FAMILY_TOP = 4
-# Products of parameters in a descriptor form at most.
+# Largest number of parameter products in a descriptor form.
 FAMILY_MONOMIALS = 600
 # Random values at which a form, and then the model, are checked against the plant.
 FAMILY_CHECKS = 12
-# Sampled parameters: corners of the box at most, and powers of two of inner points. More: a safer cover, slower.
+# Sampled parameters: largest number of corners of the box, and log2 of the number of inner points.
 FAMILY_CORNERS = 64
 FAMILY_SOBOL = 8
-# A higher degree (up to the second number) is taken where more than this share of the effect is left.
+# A higher degree (up to the second number) is used where more than this share of the effect remains.
 FAMILY_SHARE = 0.25
 FAMILY_COVER_DEGREE = 3
-# The block for the rest is so much larger than the samples ask for; fresh samples outside it widen it, so often.
+# Factor by which the remainder block exceeds the samples, and largest number of times that fresh samples widen it.
 FAMILY_ROOM = 1.1
 FAMILY_ROUNDS = 5
 
 Values = Mapping[str, float]
 
-# Of the natural magnitude of an entry: what two values of the same thing may differ by, what counts as zero, and what
-# rounding there is at least; a Chebyshev coefficient is none that is so many times larger than the highest ones.
+# Shares of an entry's natural magnitude: allowed difference of two evaluations, zero, least rounding. A Chebyshev
+# coefficient counts if it is CLEAR times larger than the highest ones.
 SAME, ZERO, ROUNDING, CLEAR = 1e-10, 1e-12, 1e-14, 30.0
-# The uncertain model must give the plant's own linear models to this share of the largest entry of each row.
+# Allowed difference between the uncertain model and the plant's linear models, relative to the row's largest entry.
 EXACT = 1e-8
 REMAINDER = "remainder"
 
 
 class TrimmedDescriptor(NamedTuple):
-    """A plant at an operating point, as a function of its parameters."""
+    """Descriptor form of a plant at an operating point, as a function of its parameters."""
 
     matrices: Callable[[Values], Array]  # values of all parameters -> N (n_x + n_y, 2 n_x + n_u)
-    held: str  # what stays and what follows when the parameters change, in words
-    # rows of N that may be multiplied by a function of the parameters, for which a simple one is looked for
-    free: tuple[int, ...] = ()
+    held: str  # description of the signals that are fixed and free when the parameters change
+    free: tuple[int, ...] = ()  # rows of N that may be multiplied by a function of the parameters
 
 
 @one_thread()
@@ -73,7 +71,7 @@ def uncertain_family(
     ranges: Mapping[str, ParameterRange],
     outputs: Sequence[str] | None = None,
 ) -> UncertainModel:
-    """The uncertain model of all linear models with parameters in their ranges."""
+    """Return the uncertain model of all linear models with parameters in their ranges."""
     if not ranges:
         return UncertainModel(nominal, [], nominal.operating_point)
     if REMAINDER in ranges:
@@ -82,16 +80,16 @@ def uncertain_family(
     family, scans = _with_row_factors(family, trimmed.free)
     scale = _scale(family.at({}), [scan for scan in scans.values() if scan is not None])
     degrees = {name: None if scan is None else _degree(scan / scale) for name, scan in scans.items()}
-    # how far a value of 0 may be tried is not known: there a weak function is more easily taken for a polynomial
+    # the reach of a value of 0 is arbitrary: a weak function is easily mistaken for a polynomial
     degrees = {name: None if not ranges[name].nominal and (d or 0) > 2 else d for name, d in degrees.items()}
     polynomial = _exact_part(family, degrees, scale)
     polynomial, remainder, powers = _sampled_part(family, degrees, polynomial, scale)
-    told = _Origins(trimmed.held, degrees, powers, remainder)
-    return _closed(family, nominal, polynomial, remainder, scale, told, outputs)
+    origins = _Origins(trimmed.held, degrees, powers, remainder)
+    return _closed(family, nominal, polynomial, remainder, scale, origins, outputs)
 
 
 def _scale(centre: Array, scans: Sequence[Array]) -> Array:
-    """Natural magnitude of each entry of N, an outer product; columns are measured in the rows that do change."""
+    """Return the natural magnitude of each entry of N, an outer product scaled by the rows that vary."""
     every = np.concatenate([centre[None], *scans])
     size, changing = np.abs(every).max(axis=0), np.ptp(every, axis=0).any(axis=1)
     if not changing.any():
@@ -117,37 +115,37 @@ class _Family:
     factors: tuple[tuple[int, str | int], ...] = ()
 
     def raw(self, point: Mapping[str, float]) -> Array:
-        """N at these values of some parameters, the others at their nominal ones."""
+        """Return N at these parameter values, the others nominal."""
         try:
             found = self.matrices({**self.values, **point})
         except NoTrustworthyNumber as error:
-            said = ", ".join(f"{name} = {value:.6g}" for name, value in point.items())
-            raise NoTrustworthyNumber(error.where, f"{error.found} ({said})", error.expected, error.hint) from None
+            values = ", ".join(f"{name} = {value:.6g}" for name, value in point.items())
+            raise NoTrustworthyNumber(error.where, f"{error.found} ({values})", error.expected, error.hint) from None
         if not np.isfinite(found).all():
-            said = ", ".join(f"{name} = {value:.6g}" for name, value in point.items())
-            raise NoTrustworthyNumber(self.where, f"no finite linear model at {said}")
+            values = ", ".join(f"{name} = {value:.6g}" for name, value in point.items())
+            raise NoTrustworthyNumber(self.where, f"no finite linear model at {values}")
         return found
 
     def at(self, point: Mapping[str, float]) -> Array:
-        """The same, each row times its factors."""
+        """Return `raw` with each row multiplied by its factors."""
         found, values = self.raw(point), {**self.values, **point}
         for row, by in self.factors:
             found[row] = found[row] * (values[by] if isinstance(by, str) else 1.0 / found[row, by])
         return found
 
     def inside(self, s: Array) -> Array:
-        """N at normalised values s (k, number of names) in [-1, 1]."""
+        """Return N at normalised values s (k, number of names) in [-1, 1]."""
         return np.array([self.at(self.point(row)) for row in s])
 
     def point(self, s: Array) -> dict[str, float]:
         return {n: r.value(float(v)) for n, r, v in zip(self.names, self.ranges, s, strict=True)}
 
     def entries(self, s: Array) -> Array:
-        """What stands in Delta at normalised values: a range may be wider on one side."""
+        """Return the entries of Delta at normalised values; a range may be asymmetric."""
         return np.where(s < 0, s * np.array([r.ratio for r in self.ranges]), s)
 
     def reach(self, name: str) -> tuple[float, float]:
-        """Values far beyond the range of a parameter that keep its sign, about equally far on both sides."""
+        """Return a wider interval around the range of a parameter, within its sign."""
         r = self.ranges[self.names.index(name)]
         far = max(FAMILY_REACH * abs(r.nominal), 0.0 if r.nominal else FAMILY_ZERO * r.radius)
         return min(r.low, r.nominal - far), max(r.high, r.nominal + far)
@@ -158,8 +156,9 @@ def _chebyshev(count: int) -> Array:
 
 
 def _with_row_factors(family: _Family, free: Sequence[int]) -> tuple[_Family, dict[str, Array | None]]:
-    """The family whose free rows have those factors that make them simplest, and N along each parameter: (nodes, rows,
-    columns), None where there is none far beyond the range.
+    """Return the family with the row factors of lowest complexity, and N along each parameter (nodes, rows, columns).
+
+    A scan is None if the plant has no linear model over the parameter's reach.
     """
     base = {n: 0.62 * r.nominal + 0.38 * family.reach(n)[1] for n, r in zip(family.names, family.ranges, strict=True)}
     base = base if _exists(family, base) else {}
@@ -198,9 +197,7 @@ def _with_row_factors(family: _Family, free: Sequence[int]) -> tuple[_Family, di
 def _times(
     rows: Mapping[str, Array], by: str | int, nodes: Mapping[str, Array], base: Values
 ) -> dict[str, Array] | None:
-    """One row along each parameter, (nodes, columns), times a parameter or divided by one of its entries; None where
-    that entry may be zero.
-    """
+    """Multiply one row by a parameter, or divide it by one of its entries; None if that entry may be zero."""
     if isinstance(by, str):
         return {n: row * (nodes[n][:, None] if n == by else base[by]) for n, row in rows.items()}
     entry = np.concatenate([row[:, by] for row in rows.values()])
@@ -218,7 +215,7 @@ def _exists(family: _Family, point: Mapping[str, float]) -> bool:
 
 
 def _complexity(rows: Mapping[str, Array]) -> tuple[int, int]:
-    """Parameters of which a row is no polynomial, and the sum of its degrees in the others."""
+    """Return the number of parameters in which a row is no polynomial, and the sum of its degrees in the others."""
     size = np.max([np.abs(row).max(axis=0) for row in rows.values()], axis=0)
     size = np.where(size > 0, size, 1.0)
     degrees = [_degree(row / size) for row in rows.values()]
@@ -226,7 +223,7 @@ def _complexity(rows: Mapping[str, Array]) -> tuple[int, int]:
 
 
 def _degree(scan: Array) -> int | None:
-    """Degree of the polynomial through values at Chebyshev nodes, (nodes, ...) of magnitude one; None: of none."""
+    """Return the degree of the polynomial through values (nodes, ...) of magnitude one at Chebyshev nodes, or None."""
     count = len(scan)
     basis = np.polynomial.chebyshev.chebvander(_chebyshev(count), count - 1)
     sizes = np.abs(basis.T @ scan.reshape(count, -1)) * (2.0 / count)
@@ -236,7 +233,7 @@ def _degree(scan: Array) -> int | None:
 
 
 def _exact_part(family: _Family, degrees: Mapping[str, int | None], scale: Array) -> MatrixPolynomial:
-    """N as a polynomial of what stands in Delta, without the sampled parameters; checked at points of its own."""
+    """Return N as a polynomial of the exact parameters' entries of Delta, checked at independent points."""
     names = family.names
     exact = [k for k, name in enumerate(names) if degrees[name]]
     zero: Exponents = (0,) * len(names)
@@ -278,7 +275,7 @@ def _exact_part(family: _Family, degrees: Mapping[str, int | None], scale: Array
 
 
 def _meetings(at: Callable[[Array], Array], nominal: Array, spans: Array, scale: Array) -> set[tuple[int, int]]:
-    """Pairs of parameters whose effects do not simply add up."""
+    """Return the pairs of parameters whose effects are not additive."""
     count = len(nominal)
     start, end = nominal + 0.37 * (spans[:, 1] - nominal), spans[:, 0] + 0.11 * (nominal - spans[:, 0])
     shift = np.diag(end - start)
@@ -295,7 +292,7 @@ def _meetings(at: Callable[[Array], Array], nominal: Array, spans: Array, scale:
 
 
 def _monomials(degrees: Sequence[int], meetings: set[tuple[int, int]]) -> list[Exponents]:
-    """All products of powers up to the degrees, of parameters that meet; the constant one is left out."""
+    """Return all products of powers up to the degrees of interacting parameters, without the constant."""
 
     def cliques(start: int, chosen: tuple[int, ...]) -> Iterator[tuple[int, ...]]:
         for k in range(start, len(degrees)):
@@ -314,7 +311,7 @@ def _monomials(degrees: Sequence[int], meetings: set[tuple[int, int]]) -> list[E
 
 
 class _Remainder(NamedTuple):
-    """``left Delta right`` of the full block; samples, fresh ones, and the largest Delta that these need."""
+    """``left Delta right`` of the full block; numbers of samples and fresh samples, largest Delta of the latter."""
 
     left: Array
     right: Array
@@ -323,14 +320,14 @@ class _Remainder(NamedTuple):
     fresh_size: float
 
     def delta(self, rest: Array) -> Array:
-        """The values of Delta, (k, rows, cols), that belong to what the polynomial leaves, (k, m, n)."""
+        """Return Delta (k, rows, cols) for remainders (k, m, n) of the polynomial."""
         return np.linalg.pinv(self.left) @ rest @ np.linalg.pinv(self.right)
 
 
 def _sampled_part(
     family: _Family, degrees: Mapping[str, int | None], exact: MatrixPolynomial, scale: Array
 ) -> tuple[MatrixPolynomial, _Remainder | None, int]:
-    """The polynomial with first (or higher) powers of the sampled parameters, the block for the rest, the powers."""
+    """Add powers of the sampled parameters; return the polynomial, the remainder block and the highest power."""
     sampled = [k for k, name in enumerate(family.names) if degrees[name] is None]
     if not sampled:
         return exact, None, 0
@@ -340,8 +337,10 @@ def _sampled_part(
     flat, t = off.reshape(len(off), -1), family.entries(s)
     whole = float(np.abs(flat).max())
     found: tuple[int, list[Exponents], Array, Array] | None = None
+    monomials: list[Exponents] = []
     for degree in range(1, FAMILY_COVER_DEGREE + 1):
-        monomials = _with_one_of(sampled, moving, len(family.names), degree)
+        products = [c for c in combinations_with_replacement(moving, degree) if set(c) & set(sampled)]
+        monomials = [*monomials, *(tuple(c.count(k) for k in range(len(family.names))) for c in products)]
         if 3 * len(monomials) > len(s):
             break
         basis = np.array([np.prod(t**e, axis=1) for e in monomials]).T
@@ -365,14 +364,8 @@ def _values(polynomial: MatrixPolynomial, t: Array) -> Array:
     return np.array([polynomial(row) for row in t])
 
 
-def _with_one_of(sampled: Sequence[int], moving: Sequence[int], count: int, degree: int) -> list[Exponents]:
-    """Monomials of the moving parameters up to the degree that hold a sampled one."""
-    products = (c for total in range(1, degree + 1) for c in combinations_with_replacement(moving, total))
-    return [tuple(c.count(k) for k in range(count)) for c in products if set(c) & set(sampled)]
-
-
 def _box(family: _Family, moving: Sequence[int], seed: int) -> Array:
-    """Normalised values (k, names): corners of the box (all, or many of them), its middle, and a Sobol sequence."""
+    """Return normalised values (k, names): centre of the box, corners (all or a random selection), Sobol sequence."""
     from scipy.stats import qmc
 
     count = len(moving)
@@ -381,7 +374,7 @@ def _box(family: _Family, moving: Sequence[int], seed: int) -> Array:
         corners = np.array(list(product((-1.0, 1.0), repeat=count)))
     else:
         corners = rng.choice([-1.0, 1.0], (FAMILY_CORNERS, count))
-    # "seed" is what the oldest scipy that we take calls it, "rng" the newest.
+    # The oldest supported scipy names this argument "seed", the newest "rng".
     settings: dict[str, Any] = {"seed": rng}
     inner = 2.0 * qmc.Sobol(count, **settings).random_base2(FAMILY_SOBOL) - 1.0
     s = np.zeros((len(corners) + len(inner) + 1, len(family.names)))
@@ -392,7 +385,7 @@ def _box(family: _Family, moving: Sequence[int], seed: int) -> Array:
 def _bounded(
     family: _Family, moving: Sequence[int], polynomial: MatrixPolynomial, rest: Array, scale: Array
 ) -> _Remainder | None:
-    """The block for what the polynomial leaves at the samples, wide enough for fresh ones too."""
+    """Return the block for the remainder of the polynomial, wide enough for fresh samples."""
     size = np.abs(rest).max(axis=0)
     size[size <= ZERO] = 0.0
     rows, columns = np.flatnonzero(size.any(axis=1)), np.flatnonzero(size.any(axis=0))
@@ -419,7 +412,7 @@ def _bounded(
 
 
 class _Origins(NamedTuple):
-    """What is said of each block."""
+    """Data for the origin text of each block."""
 
     held: str
     degrees: Mapping[str, int | None]
@@ -427,7 +420,7 @@ class _Origins(NamedTuple):
     remainder: _Remainder | None
 
     def of(self, name: str, off: float, affine: bool) -> str:
-        """The origin of a block; ``off``: how well the set gives the plant's own models."""
+        """Return the origin of a block; ``off``: error of the set against the plant's models."""
         rest = self.remainder
         if name == REMAINDER and rest is not None:
             proved = f"proved on the hull of {rest.samples}" if affine else f"proved for {rest.samples}"
@@ -438,8 +431,8 @@ class _Origins(NamedTuple):
         degree = self.degrees[name]
         if degree is None:
             power = "first-order effect" if self.powers == 1 else f"effect up to order {self.powers}"
-            said = "nothing is left at the samples" if rest is None else f"the rest stands in {REMAINDER}"
-            return f"{SAMPLED}: its {power}, {said}; {self.held}"
+            left = "nothing is left at the samples" if rest is None else f"the rest stands in {REMAINDER}"
+            return f"{SAMPLED}: its {power}, {left}; {self.held}"
         kind = "affine" if degree == 1 else f"of degree {degree}"
         least = ", repeated as often as its rank asks" if affine else ""
         return (
@@ -449,9 +442,9 @@ class _Origins(NamedTuple):
 
 def _closed(
     family: _Family, nominal: StateSpaceModel, polynomial: MatrixPolynomial, remainder: _Remainder | None,
-    scale: Array, told: _Origins, outputs: Sequence[str] | None,
+    scale: Array, origins: _Origins, outputs: Sequence[str] | None,
 ) -> UncertainModel:  # fmt: skip
-    """The model, checked against the plant at random values."""
+    """Return the uncertain model, checked against the plant at random values."""
     lft = polynomial_lft(polynomial, scale, ZERO)
     order = [k for name in family.names for k, owner in enumerate(lft.names) if owner == name]
     left, right, inner = lft.d21[:, order], lft.d12[order], lft.d11[np.ix_(order, order)]
@@ -473,14 +466,14 @@ def _closed(
         found = f"the set is off the plant's linear models by {off:.2g} of an entry's row"
         raise NoTrustworthyNumber(family.where, found, None, "narrower tolerances, or fewer at once")
     affine = all(sum(powers) <= 1 for powers in polynomial.terms)
-    named = tuple(replace(block, origin=told.of(block.name, off, affine)) for block in blocks)
+    named = tuple(replace(block, origin=origins.of(block.name, off, affine)) for block in blocks)
     made = closed_descriptor(nominal, e, channels._replace(blocks=named), family.where, outputs, point)
-    # an affine form has as few repetitions as there can be
+    # an affine form already has the fewest repetitions
     return made if affine else made.reduce()
 
 
 def _off(family: _Family, model: UncertainModel, polynomial: MatrixPolynomial, remainder: _Remainder | None) -> float:
-    """Largest difference of a member from the plant's own model, relative to the largest of the entry's row."""
+    """Return the largest difference of a member from the plant's model, relative to the entry's row."""
     n, n_u = model.M.n_states, len(model.inputs)
     rng = np.random.default_rng(1)
     worst = 0.0

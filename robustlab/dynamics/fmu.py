@@ -32,13 +32,13 @@ from robustlab.statespace import Signal
 from robustlab.units import same_unit
 
 MOST_BYTES = 1 << 31  # of the unpacked archive
-EVEN = 1e-6  # share by which steps of a unit that takes no others may differ
-SHOWS_NONE = "a co-simulation unit steps itself: it shows no rates, and no state of it can be set"
+EVEN = 1e-6  # allowed relative difference of steps for a unit that requires equal ones
+NO_STATE = "a co-simulation unit steps itself: it shows no rates, and no state of it can be set"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FreeRun(Shown):
-    """A record beside the simulation of its inputs from the unit's own initial state.
+    """A record and the simulation of its inputs from the unit's own initial state.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class FreeRun(Shown):
     gaps
         Output -> "rms", "peak" in its unit, and "fit" in %, 100 where they are equal.
     status
-        CONVERGED: the unit ran to the end; what its own solver is good for is not known.
+        CONVERGED: the unit ran to the end; the accuracy of its own solver is unknown.
     """
 
     record: Record
@@ -56,13 +56,13 @@ class FreeRun(Shown):
     status: Status = Status.CONVERGED
 
     def facts(self) -> Facts:
-        """One an output."""
-        told = [("", f"{self.simulated.name} against {self.record.name}: free run from the unit's own initial state")]
+        """Return one row for each output."""
+        rows = [("", f"{self.simulated.name} against {self.record.name}: free run from the unit's own initial state")]
         for name, gap in self.gaps.items():
             unit = self.simulated.unit(name)
             rms, peak = (f"{gap[key]:.4g} {unit}".rstrip() for key in ("rms", "peak"))
-            told.append((name, f"rms {rms}, peak {peak}, fit {gap['fit']:.4g} %"))
-        return told
+            rows.append((name, f"rms {rms}, peak {peak}, fit {gap['fit']:.4g} %"))
+        return rows
 
     def to_json(self, *, series: bool = True) -> dict[str, Any]:
         gaps = {name: dict(gap) for name, gap in self.gaps.items()}
@@ -72,14 +72,14 @@ class FreeRun(Shown):
 
 
 def fmu(path: str | Path, *, time_limit: float = 60.0, **parameters: Any) -> FmuPlant:
-    """The unit in a file as a plant; see `FmuPlant`."""
-    shown = str(path)
-    number(f"{shown}: time_limit", time_limit, "a time in s", above=0)
+    """Return the unit in a file as a plant; see `FmuPlant`."""
+    name = str(path)
+    number(f"{name}: time_limit", time_limit, "a time in s", above=0)
     if not Path(path).is_file():
-        raise InputError(shown, "no such file", "a functional mock-up unit (.fmu)")
+        raise InputError(name, "no such file", "a functional mock-up unit (.fmu)")
     if find_spec("fmpy") is None:
         raise DependencyMissing("fmpy", "not installed", "the package FMPy", "pip install 'robustlab[fmi]'")
-    about, _ = _asked(path, {"op": "describe"}, time_limit)
+    about, _ = _request(path, {"op": "describe"}, time_limit)
     defaults = []
     for p in about["parameters"]:
         sign: Any = "positive" if p["low"] > 0 else "nonnegative" if p["low"] == 0 else "any"
@@ -90,13 +90,13 @@ def fmu(path: str | Path, *, time_limit: float = 60.0, **parameters: Any) -> Fmu
         about["name"], overridden(defaults, parameters, about["name"]), **sides, states=(),
         path=Path(path).absolute(), sha256=file_sha256(path), time_limit=time_limit, about=about,
     )  # fmt: skip
-    made.traced(Provenance.now(BY_UNIT, {shown: made.sha256}))
+    made.traced(Provenance.now(BY_UNIT, {name: made.sha256}))
     return made
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FmuPlant(SteppedPlant):
-    """A functional mock-up unit for co-simulation as a plant without states of ours."""
+    """A functional mock-up unit for co-simulation as a plant without accessible states."""
 
     path: Path
     sha256: str
@@ -111,11 +111,11 @@ class FmuPlant(SteppedPlant):
     def stepped(self, t: Array, u: Array, x0: Array, step: float | None = None) -> tuple[Array, Array]:
         steps = np.diff(t)
         if not self.about["variable_step"] and len(steps) and np.ptp(steps) > EVEN * steps.mean():
-            raise InputError(f"simulate {self.name}", "steps that differ", "equal ones: the unit takes no others")
+            raise InputError(f"simulate {self.name}", "steps that differ", "equal steps, as the unit requires")
         if file_sha256(self.path) != self.sha256:
-            raise InputError(str(self.path), "is not the file that it was", None, "make the plant anew")
+            raise InputError(str(self.path), "changed since the plant was made", None, "make the plant again")
         request = {"op": "step", "longest": step, "values": self.values}
-        _, y = _asked(self.path, request, self.time_limit, np.column_stack([t, u]))
+        _, y = _request(self.path, request, self.time_limit, np.column_stack([t, u]))
         assert y is not None
         if not np.isfinite(y).all():
             k, j = np.argwhere(~np.isfinite(y))[0]
@@ -123,7 +123,7 @@ class FmuPlant(SteppedPlant):
         return np.zeros((len(t), 0)), y
 
     def compare(self, record: Record) -> FreeRun:
-        """The record's inputs simulated from the unit's own initial state, beside its outputs; nothing is fitted."""
+        """Compare the record with the simulation of its inputs from the unit's own initial state; nothing is fitted."""
         where = f"compare {record.name}"
         missing = [s.name for s in self.inputs if s.name not in record.inputs]
         shared = [s for s in self.outputs if s.name in record.outputs]
@@ -145,7 +145,7 @@ class FmuPlant(SteppedPlant):
         return FreeRun(record, simulated, gaps)
 
     def _refused(self, *_: Any, **__: Any) -> NoReturn:
-        raise InputError(self.name, SHOWS_NONE, "a plant with equations", "identify a model from rl.simulate")
+        raise InputError(self.name, NO_STATE, "a plant with equations", "identify a model from rl.simulate")
 
     linear_model = derivative = output = jacobians = equilibrium = _refused
 
@@ -153,11 +153,11 @@ class FmuPlant(SteppedPlant):
         return ()
 
 
-def _asked(
+def _request(
     path: str | Path, request: Mapping[str, Any], time_limit: float, array: Array | None = None
 ) -> tuple[dict[str, Any], Array | None]:
-    """The child's answer to a request: a table, and an array where one is asked for."""
-    shown, running = str(path), request["op"] == "step"
+    """Return the child's answer to a request: a table, and the array of outputs of a simulation."""
+    unit, running = str(path), request["op"] == "step"
     fault = NoTrustworthyNumber if running else InputError
     with tempfile.TemporaryDirectory(prefix="robustlab-fmu-") as name:
         folder = Path(name)
@@ -165,7 +165,7 @@ def _asked(
         (folder / "request.json").write_text(json.dumps(whole), encoding="utf-8")
         if array is not None:
             np.save(folder / "given.npy", array)
-        # -P: the folder the user happens to be in must not lend modules to the child.
+        # -P: the child must not import modules from the working directory.
         command = [sys.executable, "-P", "-m", __name__, name]
         try:
             done = subprocess.run(  # noqa: S603  our own interpreter with our own module
@@ -174,22 +174,22 @@ def _asked(
             )  # fmt: skip
         except subprocess.TimeoutExpired:
             found = f"the unit gave no answer in its {time_limit:g} s; its process was ended"
-            raise NativeTimeout(shown, found, None, f"{NOT_REPEATABLE}; time_limit= gives it longer") from None
+            raise NativeTimeout(unit, found, None, f"{NOT_REPEATABLE}; time_limit= gives it longer") from None
         if done.returncode < 0:
-            raise fault(shown, f"the unit crashed (signal {-done.returncode})")
+            raise fault(unit, f"the unit crashed (signal {-done.returncode})")
         if not (folder / "answer.json").is_file():
-            raise fault(shown, f"the unit's process ended with {done.returncode} and without an answer")
+            raise fault(unit, f"the unit's process ended with {done.returncode} and without an answer")
         answer = json.loads((folder / "answer.json").read_text(encoding="utf-8"))
         if "error" in answer:
-            raise fault(shown, answer["error"], "a functional mock-up unit (FMI 2.0 or 3.0) for co-simulation")
+            raise fault(unit, answer["error"], "a functional mock-up unit (FMI 2.0 or 3.0) for co-simulation")
         return answer, np.load(folder / "found.npy", allow_pickle=False) if running else None
 
 
 def _answer(folder: Path) -> None:
-    """Do what request.json asks for, and write answer.json (and found.npy)."""
+    """Execute request.json; write answer.json (and found.npy)."""
     request = json.loads((folder / "request.json").read_text(encoding="utf-8"))
     if hasattr(signal, "alarm"):
-        signal.alarm(math.ceil(request["seconds"]) + 5)  # where the parent has died
+        signal.alarm(math.ceil(request["seconds"]) + 5)  # in case the parent has died
     answer: dict[str, Any] = {}
     try:
         import fmpy
@@ -199,13 +199,13 @@ def _answer(folder: Path) -> None:
             answer = _described(description)
         else:
             np.save(folder / "found.npy", _stepped(request, description, folder))
-    except Exception as error:  # noqa: BLE001  whatever the unit or its reader raise is a finding about the unit
+    except Exception as error:  # noqa: BLE001  any error of the unit or its reader is a result
         answer = {"error": " ".join(f"{error}".split())[:300] or type(error).__name__}
     (folder / "answer.json").write_text(json.dumps(answer), encoding="utf-8")
 
 
 def _described(description: Any) -> dict[str, Any]:
-    """Name, real signals and parameters, and whether steps may differ; raises ValueError where it cannot be run."""
+    """Return name, real signals, parameters and step capability; raise ValueError where the unit cannot be run."""
     if description.coSimulation is None:
         raise ValueError("a unit for model exchange alone: export it for co-simulation with its own solver")
     real = [v for v in description.modelVariables if v.type in ("Real", "Float64")]
@@ -237,7 +237,7 @@ def _described(description: Any) -> dict[str, Any]:
 
 
 def _stepped(request: Mapping[str, Any], description: Any, folder: Path) -> Array:
-    """Outputs (n, n_y) at the times of the given table (t, u), with the inputs held between them."""
+    """Return outputs (n, n_y) at the times of the given table (t, u), with the inputs held between them."""
     import fmpy
     from fmpy.simulation import instantiate_fmu
 

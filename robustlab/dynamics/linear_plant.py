@@ -24,10 +24,7 @@ from robustlab.uncertainty.lft import UncertainModel
 
 @dataclass(frozen=True)
 class Descriptor:
-    """The matrices of ``E x' = F x + G u``, ``y = C x + D u``.
-
-    Shapes: E and F (n_x, n_x), G (n_x, n_u), C (n_y, n_x), D (n_y, n_u); D left out is zero.
-    """
+    """Matrices of ``E x' = F x + G u``, ``y = C x + D u``; shapes (n_x, n_x), (n_x, n_u), (n_y, n_x), (n_y, n_u)."""
 
     E: ArrayLike
     F: ArrayLike
@@ -43,11 +40,10 @@ class AffineEquations:
     names: tuple[str, ...]  # the parameters p_k
     # E, F, G, C, D -> array of shape (1 + number of parameters, rows, columns): M_0 first
     coefficients: Mapping[str, Array]
-    # parameters that acted otherwise than by such a sum, with the values at which M_0 was taken
-    fixed: Mapping[str, float]
+    fixed: Mapping[str, float]  # values of the parameters that may enter otherwise, at which M_0 was taken
 
     def __call__(self, values: Mapping[str, float]) -> Descriptor:
-        """The matrices at these values. Raises InputError: another value of a fixed parameter."""
+        """Return the matrices; raise InputError if a fixed parameter has another value."""
         for name, value in self.fixed.items():
             if values[name] != value:
                 found = f"{name} = {values[name]:g}"
@@ -58,7 +54,7 @@ class AffineEquations:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LinearPlant(Plant):
-    """A linear plant, given by one function from its parameters to a `Descriptor`.
+    """A linear plant, defined by a function from its parameters to a `Descriptor`.
 
     >>> from robustlab.dynamics.parameters import Parameter
     >>> from robustlab.statespace import Signal
@@ -74,10 +70,9 @@ class LinearPlant(Plant):
     array([[0.5]])
     """
 
-    # From a dict {parameter name: value}. Every entry must be affine in the parameters (sums of constant multiples, no
-    # products or quotients): a quotient belongs on the left-hand side, in E.
+    # From {parameter name: value}. Every entry must be affine in the parameters: a quotient belongs into E.
     equations: Callable[[Mapping[str, float]], Descriptor]
-    # Parameters that may stand anywhere, since they never carry a tolerance: tooth counts, a screw's lead.
+    # Parameters without tolerance that may enter in any way: tooth counts, a screw's lead.
     exact: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -94,7 +89,7 @@ class LinearPlant(Plant):
         self.state_space()
 
     def state_space(self) -> StateSpaceModel:
-        """``A = E^-1 F, B = E^-1 G, C, D`` at the nominal parameters, with the plant's signals."""
+        """Return ``A = E^-1 F, B = E^-1 G, C, D`` at the nominal parameters."""
         e, f, g, c, d = self.matrices(self.values)
         rates = solved(e, np.hstack([f, g]), self.name)
         n = len(self.states)
@@ -103,7 +98,7 @@ class LinearPlant(Plant):
         )
 
     def matrices(self, values: Mapping[str, float]) -> list[Array]:
-        """E, F, G, C, D of the descriptor form at these parameter values (name -> value, all of them), checked."""
+        """Return E, F, G, C, D at the values of all parameters, checked."""
         try:
             form = self.equations(values)
         except ZeroDivisionError:
@@ -132,7 +127,7 @@ class LinearPlant(Plant):
         return matrices
 
     def affine_equations(self) -> AffineEquations:
-        """The equations as numbers, which a file can hold."""
+        """Return the equations as numbers for storage."""
         constant = self.matrices(self._cleared)
         names = tuple(name for name in self.parameters if name not in self.exact)
         terms = [constant, *(self._coefficients(name, constant) for name in names)]
@@ -155,15 +150,15 @@ class LinearPlant(Plant):
     def uncertain(
         self, outputs: Sequence[str] | None = None, ranges: Mapping[str, tuple[float, float]] | None = None
     ) -> UncertainModel:
-        """The set of all models whose parameters lie within their tolerances, as an exact and minimal LFT."""
-        # Březina 2010, eqs 10.1-10.4; the rows of R, L, Kb there want -1/L and those of Km, Kf, J want 1/J as
-        # coefficients when the deltas are absolute, which is what comes out here.
+        """Return the set of all models whose parameters lie within their tolerances, as an exact and minimal LFT."""
+        # Březina 2010, eqs 10.1-10.4; with absolute deltas the coefficients there must be -1/L in the rows of R, L, Kb
+        # and 1/J in those of Km, Kf, J, as here.
         e = self.matrices(self.values)[0]
         channels = self._channels(parameter_ranges(self.parameters, ranges or {}, self.name, self.exact))
         return closed_descriptor(self.state_space(), e, channels, self.name, outputs)
 
     def _channels(self, ranges: Mapping[str, ParameterRange]) -> Channels:
-        """The channels of every parameter that has an effect; R is scaled by the widths above nominal."""
+        """Return the channels of every parameter with an effect; R is scaled by the half widths above nominal."""
         n, n_u, n_y = len(self.states), len(self.inputs), len(self.outputs)
         constant = self.matrices(self._cleared)
         left: list[Array] = [np.zeros((n + n_y, 0))]
@@ -181,16 +176,16 @@ class LinearPlant(Plant):
 
     @property
     def _cleared(self) -> dict[str, float]:
-        """All parameters at zero, the exact ones at their values."""
+        """Values with all parameters zero except the exact ones."""
         return {name: value if name in self.exact else 0.0 for name, value in self.values.items()}
 
     def _coefficients(self, name: str, constant: list[Array]) -> list[Array]:
-        """What the named parameter is multiplied with in E, F, G, C, D; ``constant`` is their part without any."""
+        """Return the factors of the named parameter in E, F, G, C, D; ``constant``: their parts without parameters."""
         at_unit = self.matrices({**self._cleared, name: 1.0})
         return [there - here for there, here in zip(at_unit, constant, strict=True)]
 
     def _check_affine(self) -> None:
-        """The equations must equal their own affine form at two points (two, so that a power of a parameter shows)."""
+        """Check that the equations equal their affine form at two points; two detect powers of a parameter."""
         constant = self.matrices(self._cleared)
         linear = [np.zeros_like(m) for m in constant]
         size = [np.abs(m) for m in constant]
@@ -212,7 +207,7 @@ class LinearPlant(Plant):
 
 
 def _rank_factors(matrix: Array) -> tuple[Array, Array]:
-    """``matrix = columns @ rows`` with as few columns as its rank, by elimination with full pivoting."""
+    """Return ``matrix = columns @ rows`` of minimal rank, by elimination with full pivoting."""
     rest = matrix.copy()
     columns, rows = [np.zeros((len(matrix), 0))], [np.zeros((0, matrix.shape[1]))]
     smallest = ROUNDING * np.abs(matrix).max(initial=0.0)
@@ -228,14 +223,14 @@ def _rank_factors(matrix: Array) -> tuple[Array, Array]:
 
 
 def tied_plant(plant: LinearPlant, groups: Iterable[tuple[str, tuple[str, ...]]]) -> LinearPlant:
-    """The same plant with one further parameter s = 1 for each group, which scales all of the group."""
+    """Return the plant with one further parameter s = 1 for each group, which scales all of the group."""
     parameters, scaled = dict(plant.parameters), plant.values
     tied: dict[str, tuple[str, ...]] = {}
     seen: set[str] = set()
     for label, names in groups:
         for name in names:
             if name not in plant.parameters or name in seen:
-                word = "stands in two groups" if name in seen else "no such parameter"
+                word = "is in two groups" if name in seen else "no such parameter"
                 raise InputError(f"tied_plant: {name!r}", word, f"each of {', '.join(plant.parameters)} once at most")
         seen.update(names)
         members = [plant.parameters[name] for name in names]
@@ -259,7 +254,7 @@ def with_factors(
     equations: Callable[[Mapping[str, float]], Any], names: Collection[str], scaled: Mapping[str, float],
     tied: Mapping[str, Sequence[str]],
 ) -> Callable[[Mapping[str, float]], Any]:  # fmt: skip
-    """The equations with further parameters, each a common factor of the parameters that are tied to its label."""
+    """Return the equations with further parameters, each a common factor of the parameters tied to its label."""
 
     def changed(p: Mapping[str, float]) -> Any:
         values = {name: p[name] for name in names}

@@ -1,4 +1,4 @@
-"""Operating points at which a plant stays, and linear models about operating points."""
+"""Equilibria of plants, and linear models about operating points."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ def trim(plant: Plant, **where: Any) -> Trim:
     Parameters
     ----------
     plant
-        A nonlinear plant, as from `robustlab.dynamics.plant`. (A linear one rests at zero.)
+        A nonlinear plant, as from `robustlab.dynamics.plant`. (The equilibrium of a linear one is zero.)
     **where
-        What the plant offers: the Stewart platform takes ``pose=(tx, ty, tz, ax, ay, az)`` in m and rad, or
-        ``phi=`` six nut angles in rad; home where nothing is given. A plant with effects takes inputs, outputs and
-        states by name: ``trim(axis, u=0.1)``; its trim has ``.holding``, the forces that hold it and their limits. A
-        plant as from `robustlab.PlantEquations` takes inputs, outputs and states by name too, and ``start=(x, u)``,
-        near to which it rests.
+        Conditions. The Stewart platform takes ``pose=(tx, ty, tz, ax, ay, az)`` in m and rad, or ``phi=`` six nut
+        angles in rad; default: home. A plant with effects takes inputs, outputs and states by name:
+        ``trim(axis, u=0.1)``; its trim has ``.holding``, the forces that hold it and their limits. A plant from
+        `robustlab.PlantEquations` takes inputs, outputs and states by name too, and ``start=(x, u)``, the start of the
+        search.
 
     Returns
     -------
     Trim
-        With ``.x``, ``.u``, ``.y``, and the residual that was evaluated there.
+        With ``.x``, ``.u``, ``.y``, and the residual evaluated there.
 
     Raises
     ------
@@ -69,22 +69,21 @@ def linearise(
     .. math:: A = \partial f / \partial x, \quad B = \partial f / \partial u, \quad
               C = \partial h / \partial x, \quad D = \partial h / \partial u
 
-    Exact: linear plants have the same matrices everywhere, nonlinear ones bring exact derivatives of their equations.
-    Only a functional mock-up unit without derivatives of its own has them by differences: ``.provenance.note`` says so.
+    Exact: linear plants have the same matrices everywhere, nonlinear ones have exact derivatives of their equations.
 
     Parameters
     ----------
     plant
         A plant, as from `robustlab.dynamics.plant`.
     at
-        Operating point, kept in the model: a `Trim`, or ``(x, u)`` of shapes (n_x,), (n_u,), at rest or not; for a
-        mechanism also a pose (6,), which is trimmed. Left out: none for a linear plant, the trim at home for others.
-
+        Operating point, stored in the model: a `Trim`, or ``(x, u)`` of shapes (n_x,), (n_u,), in equilibrium or not;
+        for a mechanism also a pose (6,), which is trimmed. Default: none for a linear plant, the trim at home for
+        others.
     amplitude
-        Plants with effects: place of an effect -> amplitude of its speed or signal. There the middle of the effect's
-        sector stands for it; elsewhere its local slope, and nothing for dry friction at rest (``plant.left_out()``).
+        Plants with effects: place of an effect -> amplitude of its speed or signal. There the effect is replaced by the
+        middle of its sector; elsewhere by its local slope, dry friction at rest by nothing (``plant.left_out()``).
     pade
-        Plants with effects: order of the Padé approximation of their delays; 0 leaves them out.
+        Plants with effects: order of the Padé approximation of their delays; 0 omits them.
 
     Returns
     -------

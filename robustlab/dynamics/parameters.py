@@ -1,4 +1,4 @@
-"""Physical parameters of a plant: value, unit, tolerance, and where the value comes from."""
+"""Physical parameters of a plant: value, unit, tolerance and source."""
 
 from __future__ import annotations
 
@@ -32,16 +32,15 @@ class Parameter:
     name: str  # symbol, for example "Kf"
     value: float  # nominal, in ``unit`` (SI)
     unit: str = ""
-    # Relative: the true value lies within ``value (1 - tolerance) .. value (1 + tolerance)``; 0 means taken as exact.
-    # Of a value of 0 it is absolute, in ``unit``.
+    # Relative: the true value lies within ``value (1 - tolerance) .. value (1 + tolerance)``; 0: exact. Absolute in
+    # ``unit`` for a value of 0.
     tolerance: float = 0.0
     source: str = ""  # where the value was published
-    meaning: str = ""  # what it is, in words
-    # What physics allows: a mass is "positive", a friction coefficient "nonnegative", a coordinate "any". "either": a
-    # torque constant is positive or negative as the machine is wired, and its range holds no zero.
+    meaning: str = ""
+    # Physical sign: a mass is "positive", a friction coefficient "nonnegative", a coordinate "any". "either": a torque
+    # constant is positive or negative as the machine is wired, and its range excludes zero.
     sign: Sign = "any"
-    # What it is to the equations of motion, where an effect may act on it: all parameters with the role "inertia" are
-    # what an "inertia wrong" scales. Empty: no effect acts on it.
+    # Effect that may act on it: a misjudged "inertia" scales all parameters of this role. Empty: none.
     role: Role = ""
 
     def __post_init__(self) -> None:
@@ -67,26 +66,26 @@ class Parameter:
 
     @property
     def reference(self) -> float:
-        """What tolerances and factors multiply: the value, or one unit where that is 0."""
+        """Reference of tolerances and factors: the value, or one unit where that is 0."""
         return self.value or 1.0
 
     @property
     def radius(self) -> float:
-        """Half width of the range in the parameter's unit: ``|value| * tolerance``, of the value 0 the tolerance."""
+        """Half width of the range in the parameter's unit."""
         return abs(self.reference) * self.tolerance
 
     @property
     def tolerance_text(self) -> str:
-        """The tolerance in words: ``"35 %"``, of the value 0 ``"0.2 N s/m"``."""
+        """Tolerance as text: ``"35 %"``, for the value 0 ``"0.2 N s/m"``."""
         return f"{100 * self.tolerance:g} %" if self.value else f"{self.tolerance:g} {self.unit}".rstrip()
 
     @property
     def range(self) -> ParameterRange:
-        """Centre and half width, as an uncertain block carries them, with the sign that physics allows."""
+        """Range for an uncertain block, with the physical sign."""
         return ParameterRange(self.value, self.radius, self.unit, sign=self.sign)
 
     def check_ends(self, low: float, high: float) -> None:
-        """Refuse a range that leaves the sign that physics asks for."""
+        """Reject a range that violates the physical sign."""
         for end in (low, high):
             replace(self, value=end, tolerance=0.0)
         if self.sign == "either" and low <= 0 <= high:
@@ -102,13 +101,13 @@ class Parameter:
 
 @cache
 def published(file: Path) -> dict[str, tuple[Parameter, ...]]:
-    """Parameters from a table in TOML: part -> its parameters."""
+    """Read parameters from a TOML table: part -> parameters."""
     table = tomllib.loads(file.read_text(encoding="utf-8"))
     return {part: tuple(Parameter(name, **given) for name, given in rows.items()) for part, rows in table.items()}
 
 
 def overridden(defaults: Iterable[Parameter], given: Mapping[str, Any], where: str) -> dict[str, Parameter]:
-    """The default parameters with the given ones put in their places."""
+    """Return the default parameters, overridden by the given ones."""
     known = {p.name: p for p in defaults}
     for name, value in given.items():
         if name not in known:
@@ -121,7 +120,7 @@ def overridden(defaults: Iterable[Parameter], given: Mapping[str, Any], where: s
             tolerance = tolerance_of(place, value[1], nominal, unit)
         else:
             nominal = _number(place, amount(place, value, unit))
-            # A share of one value is no absolute tolerance of another one.
+            # A relative tolerance is not valid as an absolute one.
             tolerance = known[name].tolerance if bool(nominal) == bool(known[name].value) else 0.0
         known[name] = replace(known[name], value=nominal, tolerance=tolerance, source=GIVEN)
     return known
@@ -130,7 +129,7 @@ def overridden(defaults: Iterable[Parameter], given: Mapping[str, Any], where: s
 def parameter_ranges(
     parameters: Mapping[str, Parameter], given: Mapping[str, Any], where: str, exact: Collection[str] = ()
 ) -> dict[str, ParameterRange]:
-    """The range of every parameter that has one: as given, or from its tolerance."""
+    """Return the range of every parameter that has one: as given, or from its tolerance."""
     known = tuple(parameters)
     for name in given:
         place = f"{where}: uncertain: {name!r}"
@@ -152,7 +151,7 @@ def parameter_ranges(
 
 
 def tolerance_of(where: str, given: Any, nominal: float, unit: str) -> float:
-    """A tolerance as `Parameter` holds it: relative, of the value 0 absolute in ``unit``."""
+    """Return a tolerance as stored in `Parameter`: relative, for the value 0 absolute in ``unit``."""
     text = given.strip().removeprefix("+-").removeprefix("±").strip() if isinstance(given, str) else given
     try:
         tolerance = _number(where, share(where, text))
@@ -168,7 +167,7 @@ def tolerance_of(where: str, given: Any, nominal: float, unit: str) -> float:
 
 
 def _number(where: str, value: Any) -> float:
-    """``value`` as a finite float; booleans, texts and complex numbers are refused."""
+    """Return ``value`` as a finite float; reject booleans, texts and complex numbers."""
     shape = getattr(value, "shape", ())
     if isinstance(value, (bool, str, bytes, complex)) or shape != () or not hasattr(value, "__float__"):
         raise InputError(where, f"{value!r}", "a real number")

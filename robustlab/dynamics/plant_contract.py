@@ -1,4 +1,4 @@
-r"""What every plant is: named parameters and signals, and its equations of motion under sampled inputs.
+r"""Base classes of plants: named parameters and signals, equations of motion, sampled inputs.
 
 .. math:: \dot x = f(x, u), \qquad y = h(x, u)
 """
@@ -25,8 +25,8 @@ from robustlab.shown import AllFields, Facts, Shown, listed, number, with_units
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, real_array, signals
 from robustlab.uncertainty.lft import UncertainModel
 
-# Slopes of a sampled input that differ by less than this share of the largest are one straight line. Larger: fewer
-# restarts of the integrator, at the price of its order where the input does bend.
+# Slopes of a sampled input that differ by less than this share of the largest count as one straight line. Larger: fewer
+# restarts of the integrator, but reduced order where the input bends.
 STRAIGHT = 1e-9
 
 NonlinearHold = Literal["zoh", "foh", "spline"]
@@ -39,7 +39,7 @@ class InputSignal:
     t: Array  # times in s, shape (n,)
     # ``u(t) = sum_j coefficients[k, j] (t - t[k])^j`` for t[k] <= t <= t[k + 1]; shape (n - 1, 6, n_u)
     coefficients: Array
-    # true where interval k does not continue the one before smoothly: there an integrator must restart; (n - 1,)
+    # true where interval k does not continue the previous one smoothly and an integrator must restart; (n - 1,)
     broken: NDArray[np.bool_]
 
     @property
@@ -47,12 +47,12 @@ class InputSignal:
         return np.vstack([self.coefficients[:, 0], self.at(self.t[-1], len(self.t) - 2)[None]])
 
     def at(self, time: float, interval: int) -> Array:
-        """Input (n_u,) at a time, by the polynomial of the given interval."""
+        """Evaluate the input (n_u,) at a time, by the polynomial of the given interval."""
         return np.polynomial.polynomial.polyval(time - self.t[interval], self.coefficients[interval])
 
 
 def input_signal(t: Array, samples: Array, hold: NonlinearHold) -> InputSignal:
-    """Signal through the samples (n, n_u)."""
+    """Interpolate the samples (n, n_u)."""
     coefficients = np.zeros((len(t) - 1, 6, samples.shape[1]))
     broken = np.zeros(len(t) - 1, dtype=np.bool_)
     if hold == "zoh":
@@ -77,8 +77,7 @@ def input_signal(t: Array, samples: Array, hold: NonlinearHold) -> InputSignal:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plant(Shown, Traced, ABC):
-    """The contract of a plant; linear plants follow it through `robustlab.dynamics.linear_plant.LinearPlant`,
-    others through `NonlinearPlant`.
+    """Base class of `robustlab.dynamics.linear_plant.LinearPlant` and `NonlinearPlant`.
 
     Attributes
     ----------
@@ -107,14 +106,14 @@ class Plant(Shown, Traced, ABC):
 
     @abstractmethod
     def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
-        """``f(x, u)``: rates of the states, shape (n_x,), for x of shape (n_x,) and u of shape (n_u,)."""
+        """Return ``f(x, u)``: rates of the states, shape (n_x,), for x of shape (n_x,) and u of shape (n_u,)."""
 
     @abstractmethod
     def output(self, x: ArrayLike, u: ArrayLike) -> Array:
-        """``h(x, u)``: outputs, shape (n_y,)."""
+        """Return ``h(x, u)``: outputs, shape (n_y,)."""
 
     def with_parameters(self, **given: Any) -> Any:
-        """The same plant with other values, or (value, relative tolerance), for the named parameters."""
+        """Return the plant with other values, or (value, relative tolerance), of the named parameters."""
         made = replace(self, parameters=overridden(self.parameters.values(), given, self.name))
         made.traced(self.provenance)
         return made
@@ -124,7 +123,7 @@ class Plant(Shown, Traced, ABC):
         return {name: p.value for name, p in self.parameters.items()}
 
     def point(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array]:
-        """The vectors x and u as finite vectors of this plant's sizes."""
+        """Return x and u as finite vectors, checked against the plant's sizes."""
         vectors = real_array("x", x, 1, self.name), real_array("u", u, 1, self.name)
         for vector, kind in zip(vectors, (self.states, self.inputs), strict=True):
             if len(vector) != len(kind):
@@ -133,7 +132,7 @@ class Plant(Shown, Traced, ABC):
         return vectors
 
     def facts(self) -> Facts:
-        """Parameters and signals with units."""
+        """Return parameters and signals with units."""
         return [
             ("plant", self.name),
             ("parameters", listed(f"{p.name} = {number(p.value, p.unit)}" for p in self.parameters.values())),
@@ -149,7 +148,7 @@ class Plant(Shown, Traced, ABC):
 
 @dataclass(frozen=True, eq=False)
 class Trim(Shown, AllFields):
-    """An operating point at which a plant stays: ``f(x, u) = 0``.
+    """An equilibrium of a plant: ``f(x, u) = 0``.
 
     Attributes
     ----------
@@ -158,9 +157,9 @@ class Trim(Shown, AllFields):
     x, u, y
         States, inputs and outputs in the plant's order and units.
     residual
-        Largest ``|f(x, u)|`` that was found there.
+        Largest ``|f(x, u)|`` there.
     pose
-        Of a mechanism with a platform, its pose (tx, ty, tz, ax, ay, az); None for other plants.
+        Pose (tx, ty, tz, ax, ay, az) of a platform; None for other plants.
     status
         CONVERGED: the residual was evaluated after the solution and is at rounding. INACCURATE: it is not.
     """
@@ -180,7 +179,7 @@ class Trim(Shown, AllFields):
 
     @property
     def operating_point(self) -> OperatingPoint:
-        """The point as models carry it."""
+        """The point as stored in models."""
         return OperatingPoint(self.x, self.u, self.y)
 
     def facts(self) -> Facts:
@@ -194,13 +193,13 @@ class PortPlace:
 
     name: str  # the velocity state (kind ``"joint"``) or current state (kind ``"current"``)
     kind: Literal["joint", "current"]  # as of `robustlab.dynamics.ports.port_model.Port`
-    unit: str  # of what acts there: N, N m, V
+    unit: str  # of the force, torque or voltage
     position: str = ""  # the state that integrates the velocity; empty without one
 
 
 @dataclass(frozen=True, eq=False)
 class LocalModels:
-    """A nonlinear plant about n points (x_k, u_k), which need not be at rest."""
+    """Linear models of a nonlinear plant about n points (x_k, u_k), which need not be equilibria."""
 
     # rates, outputs: f_k and y_k, shapes (n, n_x) and (n, n_y)
     rates: Array
@@ -210,51 +209,49 @@ class LocalModels:
     B: Array
     C: Array
     D: Array
-    # b_kj: rates of the states per unit of what acts at each of the plant's `port_places`, (n, n_x, n_ports)
+    # b_kj: rates of the states per unit force at each of the plant's `port_places`, (n, n_x, n_ports)
     push: Array
 
 
 class NonlinearPlant(Plant):
-    """The contract of a plant whose equations are not linear in state and input."""
+    """Base class of plants whose equations are not linear in state and input."""
 
     @property
     def port_places(self) -> tuple[PortPlace, ...]:
         return ()
 
     def local_models(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> LocalModels:
-        """The plant about the points x (n, n_x), u (n, n_u), with the parameter values (all of them; nominal ones where
-        left out).
-        """
+        """Linearise about the points x (n, n_x), u (n, n_u), at the values of all parameters (default: nominal)."""
         raise InputError(self.name, "a plant without models along a motion", "one that has them", None)
 
     def rates_along(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> Array:
-        """The rates of `local_models` alone, (n, n_x); where these cost less they are given without the rest."""
+        """Return only the rates of `local_models`, (n, n_x); override where these alone are cheaper."""
         return self.local_models(x, u, values).rates
 
     def check_reach(self, t: Array, x: Array) -> None:
-        """Whether the machine can be in the states x (n, n_x) at the times t; any by default."""
+        """Raise an error if the machine cannot reach one of the states x (n, n_x) at the times t."""
 
     @abstractmethod
     def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
-        """Exact A, B, C, D = df/dx, df/du, dh/dx, dh/du at (x, u); no finite differences."""
+        """Return exact A, B, C, D = df/dx, df/du, dh/dx, dh/du at (x, u)."""
 
     def jacobians_at(self, trim: Trim) -> tuple[Array, Array, Array, Array]:
-        """The same at a trim, which may know more than x and u."""
+        """Return `jacobians` at a trim, which may include a pose."""
         return self.jacobians(trim.x, trim.u)
 
     @abstractmethod
     def equilibrium(self, **where: Any) -> Trim:
-        """State and input at which the plant stays; what it may be asked for is the plant's own matter."""
+        """Return an equilibrium; the conditions depend on the plant."""
 
     @property
     def start(self) -> Array:
-        """State (n_x,) from which a simulation begins where none is given."""
+        """Default initial state (n_x,) of a simulation."""
         return np.zeros(len(self.states))
 
     def trimmed_descriptor(
         self, trim: Trim, hold: Sequence[str] | None, tried: Mapping[str, Mapping[str, float]]
     ) -> TrimmedDescriptor:
-        """The plant at rest as a function of its parameters."""
+        """Return the descriptor form at the equilibrium as a function of the parameters."""
         return held_descriptor(self, trim.x, trim.u, hold, tried)
 
     def uncertain(
@@ -264,12 +261,11 @@ class NonlinearPlant(Plant):
         at: Any = None,
         hold: Sequence[str] | None = None,
     ) -> UncertainModel:
-        """The set of the linear models at a trim, for all parameters within their tolerances."""
+        """Return the set of the linear models at a trim, for all parameters within their tolerances."""
         allowed = parameter_ranges(self.parameters, ranges or {}, self.name)
-        found = point_of(self, at, "uncertain: at")
-        if not isinstance(found, Trim):
+        point = point_of(self, at, "uncertain: at")
+        if not isinstance(point, Trim):
             raise InputError("uncertain: at", "a state and an input", "a trim, a pose or None")
-        point = found
         model = StateSpaceModel(
             *self.jacobians_at(point),
             0.0, self.inputs, self.outputs, self.states, point.operating_point, self.name,
@@ -280,13 +276,13 @@ class NonlinearPlant(Plant):
         return uncertain_family(self.name, model, trimmed, self.values, allowed, outputs)
 
     def outputs_along(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> Array:
-        """Outputs (n, n_y) along a trajectory x (n, n_x), u (n, n_u), at the parameter values of `local_models`."""
+        """Return outputs (n, n_y) along a trajectory x (n, n_x), u (n, n_u)."""
         if values is not None:
             return self.local_models(x, u, values).outputs
         return np.array([self.output(state, force) for state, force in zip(x, u, strict=True)])
 
     def trajectory(self, signal: InputSignal, x0: Array, rtol: float) -> Array:
-        """States (n, n_x) at the times of the signal, by DOP853 with the local error held at ``rtol``."""
+        """Integrate by DOP853 with local error ``rtol``; return states (n, n_x) at the times of the signal."""
         from scipy.integrate import solve_ivp
 
         states = np.empty((len(signal.t), len(x0)))
@@ -299,7 +295,7 @@ class NonlinearPlant(Plant):
                 k = min(max(int(np.searchsorted(t, time, side="right")) - 1 + first, first), last - 1)
                 return self.derivative(x, signal.at(time, k))
 
-            # At rest the solver would begin with a step that leaves the domain of a mechanism.
+            # From an equilibrium the solver's own first step would leave the domain of a mechanism.
             options: dict[str, Any] = {
                 "rtol": max(rtol, 3e-14),
                 "atol": rtol * 1e-2,
@@ -313,7 +309,7 @@ class NonlinearPlant(Plant):
 
 
 def point_of(plant: NonlinearPlant, at: Any, where: str) -> Trim | tuple[Array, Array]:
-    """The trim, or the state and input, that is meant by a trim, (x, u), a pose, a table to trim with, or None."""
+    """Return the trim, or the state and input, given by a trim, (x, u), a pose, trim conditions, or None."""
     if isinstance(at, Trim):
         if at.plant != plant.name or (len(at.x), len(at.u)) != (len(plant.states), len(plant.inputs)):
             raise InputError(where, f"a trim of {at.plant} with {len(at.x)} states", f"one of {plant.name}")
@@ -330,7 +326,7 @@ def point_of(plant: NonlinearPlant, at: Any, where: str) -> Trim | tuple[Array, 
 
 
 class PlantAlong(NonlinearPlant):
-    """A nonlinear plant whose equations are given along points; those at one point follow."""
+    """A nonlinear plant whose equations are evaluated at many points at once."""
 
     def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
         state, force = self.point(x, u)
@@ -347,24 +343,22 @@ class PlantAlong(NonlinearPlant):
 
 
 class SteppedPlant(NonlinearPlant):
-    """A nonlinear plant with forces or signals that no differential equation gives (dry friction, delays), stepped."""
+    """A nonlinear plant with dry friction, delays or a solver of its own, simulated in steps."""
 
     @abstractmethod
     def stepped(self, t: Array, u: Array, x0: Array, step: float | None = None) -> tuple[Array, Array]:
-        """States (n, n_x) and outputs (n, n_y) at the times t for inputs (n, n_u) held between them; ``step``: longest
-        step in s.
-        """
+        """Return states (n, n_x) and outputs (n, n_y) for inputs (n, n_u) held between the times t in s."""
 
     def whole_state(self, x: Array) -> Array:
-        """A state given without what the effects have added, with zeros there; any other as it is."""
+        """Append zeros for the states that effects have added, where they are missing."""
         return x
 
     @abstractmethod
     def linear_model(
         self, at: Any = None, amplitude: Mapping[str, float] | None = None, pade: int = 0
     ) -> StateSpaceModel:
-        """Linear model at an operating point; sectors at the given amplitudes, delays of the given Padé order."""
+        """Return the linear model at an operating point; sectors at the given amplitudes, delays of the Padé order."""
 
     @abstractmethod
     def left_out(self, at: Any = None, amplitude: Mapping[str, float] | None = None, pade: int = 0) -> tuple[Any, ...]:
-        """What that model does not have."""
+        """Return the effects that `linear_model` omits."""

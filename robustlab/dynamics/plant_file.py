@@ -1,4 +1,4 @@
-"""Plants of the user's own, by the name ``path/to/file.py:name``: a plant, or a function that returns one."""
+"""Plants in Python files of the user, ``path/to/file.py:name``: a plant, or a function that returns one."""
 
 from __future__ import annotations
 
@@ -32,60 +32,60 @@ from robustlab.files.atomic import atomic_write
 from robustlab.files.signature import require_file
 from robustlab.provenance import BY_PLANT_FILE, Provenance, file_sha256
 
-# In the globals of a plant file: what messages call it.
+# Global variable of a plant file with its name for messages.
 MARK = "__plant_file__"
 # Package that plant files import -> extra of robustlab that installs it.
 EXTRAS = {"casadi": "casadi", "fmpy": "fmi"}
 
-# Modules that plant files imported from beside them: two machines may each have a `parameters.py`.
+# Modules that plant files imported from their own folder: two machines may each have a `parameters.py`.
 _neighbours: dict[str, types.ModuleType] = {}
 
 
 def plant_reference(text: str) -> tuple[str, str] | None:
-    """File and name of a plant in a file of Python, the name empty where there is none; None for any other text."""
+    """Return file and name (possibly empty) of a plant in a Python file; None for any other text."""
     found = re.fullmatch(r"([^\0]+\.py)(?::(.*))?", text, re.DOTALL)
     return (found[1], found[2] or "") if found else None
 
 
 def unit_reference(text: str) -> bool:
-    """Whether a text names the file of a functional mock-up unit, which is code too (`robustlab.dynamics.fmu`)."""
+    """Return whether a text names the file of a functional mock-up unit (`robustlab.dynamics.fmu`)."""
     return text.lower().endswith(".fmu")
 
 
 def plant_from_file(reference: str, parameters: Mapping[str, Any] | None = None, path: Path | None = None) -> Plant:
-    """The plant that ``file.py:name`` means, with these parameters in the places of its own."""
+    """Return the plant ``file.py:name`` with the given parameters."""
     file, name = plant_reference(reference) or ("", "")
     if not file:
         raise InputError(reference, "names no file of Python", "path/to/file.py:name")
-    module, hashes = _run(Path(file) if path is None else path, _shown(file, path))
-    shown = f"{vars(module)[MARK]}:{name}"
+    module, hashes = _run(Path(file) if path is None else path, _display_name(file, path))
+    label = f"{vars(module)[MARK]}:{name}"
     if name not in vars(module):
         found = f"no plant {name!r} in it" if name else "which plant of it?"
-        raise InputError(vars(module)[MARK], found, _choice(module), did_you_mean(name, _plants(module)))
-    with _user_code(shown):
-        made = _made(vars(module)[name], dict(parameters or {}), shown)
-    _check_shapes(made, shown)
+        file, names = vars(module)[MARK], _plants(module)
+        choice = f"one of {', '.join(f'{file}:{known}' for known in names)}" if names else "a file that defines a plant"
+        raise InputError(file, found, choice, did_you_mean(name, names))
+    with _user_code(label):
+        made = _made(vars(module)[name], dict(parameters or {}), label)
+    _check_shapes(made, label)
     source = made.provenance
     known, note = ({}, "") if source is None else (source.inputs, f"; {source.note}" if source.note else "")
-    made.traced(Provenance.now(BY_PLANT_FILE, {**known, **hashes}, note=shown + note))
+    made.traced(Provenance.now(BY_PLANT_FILE, {**known, **hashes}, note=label + note))
     return made
 
 
 def plants_in_file(file: str) -> tuple[str, ...]:
-    """Names in a file that may be plants: of `Plant` objects, and of functions that need no argument."""
-    return _plants(_run(Path(file), _shown(file, None))[0])
+    """Return the names in a file of `Plant` objects and of functions without required arguments."""
+    return _plants(_run(Path(file), _display_name(file, None))[0])
 
 
 def fault_of_user_code(error: Exception) -> RobustlabError | None:
-    """What an error that went through the code of a plant file is for its user; None where it went through none."""
+    """Return the error to report if an exception passed through the code of a plant file, else None."""
     place = _place(error)
-    return None if place is None else _told(error, place)
+    return None if place is None else _user_error(error, place)
 
 
 def _place(error: BaseException) -> str | None:
-    """``"axis.py, line 12"``: the innermost line of a plant file, or of a module beside it, that an error went through;
-    None where it went through none.
-    """
+    """Return the innermost line of a plant file or of its modules in a traceback: ``"axis.py, line 12"``, or None."""
     place, folder = None, None
     for frame, line in walk_tb(error.__traceback__):
         file = Path(frame.f_code.co_filename)
@@ -96,68 +96,68 @@ def _place(error: BaseException) -> str | None:
     return place
 
 
-def _shown(file: str, path: Path | None) -> str:
-    """What messages and provenances call the file: without folders of this machine, unless it lies elsewhere."""
+def _display_name(file: str, path: Path | None) -> str:
+    """Return the file name for messages and provenance, relative to the working directory where possible."""
     given = Path(file)
-    if path is not None:  # of a recipe, whose paths count from the recipe on
+    if path is not None:  # of a recipe, whose paths are relative to the recipe
         return path.name if given.is_absolute() else given.as_posix()
     there, here = given.resolve(), Path.cwd().resolve()
     return there.relative_to(here).as_posix() if there.is_relative_to(here) else file
 
 
-def _run(path: Path, shown: str) -> tuple[types.ModuleType, dict[str, str]]:
-    """The module that a file makes, and file -> SHA-256 of all code of the user's that was run for it."""
+def _run(path: Path, label: str) -> tuple[types.ModuleType, dict[str, str]]:
+    """Execute a file; return its module, and file -> SHA-256 of all user code that was run for it."""
     raw, where = _text_of(path), path.resolve()
     digest = hashlib.sha256(raw).hexdigest()
     module = types.ModuleType(f"plant_file_{digest[:16]}")
-    vars(module).update({"__file__": str(where), MARK: shown})
+    vars(module).update({"__file__": str(where), MARK: label})
     for name, neighbour in _neighbours.items():
         if sys.modules.get(name) is neighbour:
             del sys.modules[name]
     _neighbours.clear()
     known = {*sys.modules, module.__name__}
-    sys.modules[module.__name__] = module  # dataclasses and pickles look their module up by its name
+    sys.modules[module.__name__] = module  # dataclasses and pickles look up their module by name
     sys.path.append(str(where.parent))
     try:
-        with _user_code(shown):
-            exec(_compiled(raw, str(where), shown), vars(module))  # noqa: S102  named by the user
+        with _user_code(label):
+            exec(_compiled(raw, str(where), label), vars(module))  # noqa: S102  named by the user
     finally:
         sys.path.remove(str(where.parent))
-    hashes = {shown: digest}
+    hashes = {label: digest}
     for name in sys.modules.keys() - known:
         file, package = Path(getattr(sys.modules[name], "__file__", None) or where.root), name.partition(".")[0]
         if package == "robustlab" or not file.is_relative_to(where.parent):
             continue
         beside = file.relative_to(where.parent)
-        if beside.parts[0].removesuffix(".py") == package:  # and not what is installed in an environment in the folder
+        if beside.parts[0].removesuffix(".py") == package:  # not a package of an environment in the folder
             _neighbours[name] = sys.modules[name]
-            hashes[(Path(shown).parent / beside).as_posix()] = file_sha256(file)
+            hashes[(Path(label).parent / beside).as_posix()] = file_sha256(file)
     return module, hashes
 
 
 def _text_of(path: Path) -> bytes:
     try:
         is_empty = path.is_file() and path.stat().st_size == 0
-    except (OSError, ValueError):  # a name too long, a NUL in it: told below
+    except (OSError, ValueError):  # a name too long, or with a NUL
         is_empty = False
-    if not is_empty:  # which is told by what it does not hold
+    if not is_empty:  # an empty file is reported later, by its missing plant
         require_file(path)
     return path.read_bytes()
 
 
-def _compiled(raw: bytes, file: str, shown: str) -> types.CodeType:
+def _compiled(raw: bytes, file: str, label: str) -> types.CodeType:
     try:
         return compile(raw, file, "exec", dont_inherit=True)
     except SyntaxError as error:
-        place = f"{shown}, line {error.lineno}" if error.lineno else shown
+        place = f"{label}, line {error.lineno}" if error.lineno else label
         raise InputError(place, f"is no Python: {error.msg}") from None
     except ValueError as error:  # a NUL
-        raise InputError(shown, f"is no Python: {error}") from None
+        raise InputError(label, f"is no Python: {error}") from None
 
 
 @contextmanager
 def _user_code(where: str) -> Iterator[None]:
-    """What the user's code raises, as an error of ours that names its line."""
+    """Convert errors of the user's code into errors with the line."""
     try:
         yield
     except MemoryError:
@@ -166,16 +166,16 @@ def _user_code(where: str) -> Iterator[None]:
         place = _place(error)
         if place is None:
             raise
-        kind = InputError if isinstance(error, UsageError) else type(error)  # what is off is the file, not the call
+        kind = InputError if isinstance(error, UsageError) else type(error)  # the fault is in the file, not the call
         raise kind(f"{place}: {error.where}", error.found, error.expected, error.hint, error.more) from error
     except SystemExit as error:
         found = "ends the program (sys.exit)" if error.code is None else f"ends the program (sys.exit({error.code!r}))"
         raise InputError(_place(error) or where, found, "code that defines plants") from error
     except Exception as error:
-        raise _told(error, _place(error) or where) from error
+        raise _user_error(error, _place(error) or where) from error
 
 
-def _told(error: Exception, place: str) -> RobustlabError:
+def _user_error(error: Exception, place: str) -> RobustlabError:
     if isinstance(error, SyntaxError) and error.filename and error.lineno:
         return InputError(f"{Path(error.filename).name}, line {error.lineno}", f"is no Python: {error.msg}")
     text = next(iter(str(error).strip().splitlines()), "")
@@ -186,24 +186,24 @@ def _told(error: Exception, place: str) -> RobustlabError:
     return InputError(place, f"{type(error).__name__}: {text}".removesuffix(": "), None, hint)
 
 
-def _made(target: Any, given: dict[str, Any], shown: str) -> Plant:
-    """The plant that an object of the file is, or returns."""
+def _made(target: Any, given: dict[str, Any], label: str) -> Plant:
+    """Return the plant that an object of the file is, or returns."""
     made = target
     if not isinstance(target, Plant):
         if not is_function(target):
-            raise InputError(shown, f"a {type(target).__name__}", "a plant, or a function that returns one")
-        asked = _arguments(target)
-        takes_all = any(p.kind is Parameter.VAR_KEYWORD for p in asked.values())
-        made = target(**{key: given.pop(key) for key in list(given) if takes_all or key in asked})
+            raise InputError(label, f"a {type(target).__name__}", "a plant, or a function that returns one")
+        known = _arguments(target)
+        takes_all = any(p.kind is Parameter.VAR_KEYWORD for p in known.values())
+        made = target(**{key: given.pop(key) for key in list(given) if takes_all or key in known})
     if not isinstance(made, Plant):
         found = "None" if made is None else f"a {type(made).__name__}"
         hint = "return p.plant(**given)" if callable(getattr(made, "plant", None)) else None
-        raise InputError(shown, f"returned {found}", "a plant (a LinearPlant or a NonlinearPlant)", hint)
+        raise InputError(label, f"returned {found}", "a plant (a LinearPlant or a NonlinearPlant)", hint)
     if not given:
         return made
     change = getattr(made, "with_parameters", None)
     if change is None:
-        raise InputError(shown, f"{next(iter(given))}: takes no parameters", "none")
+        raise InputError(label, f"{next(iter(given))}: takes no parameters", "none")
     return change(**given)
 
 
@@ -214,8 +214,8 @@ def _arguments(target: Callable[..., Any]) -> Mapping[str, Parameter]:
         return {}
 
 
-def _check_shapes(plant: Plant, shown: str) -> None:
-    """Equations that a user wrote as methods give as many numbers as there are states and outputs."""
+def _check_shapes(plant: Plant, label: str) -> None:
+    """Check the shapes of rates and outputs of a plant class written by the user."""
     if type(plant).__module__.startswith("robustlab."):
         return  # checked where the plant is made
     x, u = np.zeros(len(plant.states)), np.zeros(len(plant.inputs))
@@ -223,17 +223,17 @@ def _check_shapes(plant: Plant, shown: str) -> None:
         ("derivative", plant.derivative, len(plant.states)),
         ("output", plant.output, len(plant.outputs)),
     ):
-        with _user_code(shown), np.errstate(all="ignore"):
+        with _user_code(label), np.errstate(all="ignore"):
             try:
                 found = np.shape(function(x, u))
             except (ArithmeticError, ValueError):
-                continue  # zero lies outside of what the machine can do
+                continue  # zero may be outside the machine's domain
         if found != (n,):
-            raise InputError(shown, f"{word}(x, u) has the shape {found}", f"({n},)")
+            raise InputError(label, f"{word}(x, u) has the shape {found}", f"({n},)")
 
 
 def _plants(module: types.ModuleType) -> tuple[str, ...]:
-    """Names of plants, and of the file's own functions that need no argument."""
+    """Return the names of plants, and of the file's own functions without required arguments."""
     return tuple(name for name, thing in list(vars(module).items()) if _is_plant(name, thing, module.__name__))
 
 
@@ -244,17 +244,12 @@ def _is_plant(name: str, thing: Any, module: str) -> bool:
     return all(p.default is not Parameter.empty or p.kind in optional for p in _arguments(thing).values())
 
 
-def _choice(module: types.ModuleType) -> str:
-    shown, names = vars(module)[MARK], _plants(module)
-    return f"one of {', '.join(f'{shown}:{name}' for name in names)}" if names else "a file that defines a plant"
-
-
 # The plant in the template.
 PLANT = "axis"
 
 
 def write_template(name: str) -> Path:
-    """Write ``NAME.py`` in the working directory, or in the folder before the name; a file that is there stays."""
+    """Write ``NAME.py`` to the working directory, or to the folder before the name; never overwrite a file."""
     folder, last = os.path.split(name)
     stem = last.removesuffix(".py")
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,59}", stem) or keyword.iskeyword(stem):

@@ -1,4 +1,4 @@
-"""Rest of a nonlinear plant by Newton's method: where it is asked for, and where it goes when parameters change."""
+"""Equilibria of nonlinear plants by Newton's method, at nominal and at other parameter values."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.statespace import real_array
 
 PASSES, HALVINGS = 60, 30
-# A plant is at rest where no rate is more than this share of the terms that make it up, or than this many units/s.
+# Rates below this share of the sum of their terms, or below this many units/s, count as zero.
 STILL, FLOOR = 1e-10, 1e-13
-# Singular values below this share of the largest are directions in which the plant may rest anywhere.
+# Singular values below this share of the largest are directions of a continuum of equilibria.
 RANK = 1e-11
-# A step turns no coordinate by more than this (rad): the equations turn with it.
+# Largest change of an angle in one step in rad.
 TURN = 0.5
 
 
-def asked(plant: Any, given: Mapping[str, Any]) -> tuple[dict[int, float], dict[int, float]]:
-    """Places in (x, u) -> value, and outputs -> value; a name of both is the state's or input's."""
+def trim_conditions(plant: Any, given: Mapping[str, Any]) -> tuple[dict[int, float], dict[int, float]]:
+    """Return index in (x, u) -> value and output -> value; states and inputs take precedence over outputs."""
     names = [s.name for s in (*plant.states, *plant.inputs)]
     outputs = [s.name for s in plant.outputs]
     held: dict[int, float] = {}
@@ -44,8 +44,8 @@ def asked(plant: Any, given: Mapping[str, Any]) -> tuple[dict[int, float], dict[
     return held, wanted
 
 
-class _Look(NamedTuple):
-    """At one point: residual (n,), its slopes (n, n_x + n_u), what counts as rest (n,), and the local model."""
+class _Evaluation(NamedTuple):
+    """Residual (n,) at a point, its slopes (n, n_x + n_u), its tolerance (n,), and the local model."""
 
     residual: Array
     slopes: Array
@@ -56,10 +56,8 @@ class _Look(NamedTuple):
 def newton(
     plant: Any, start: Array, free: Indices, wanted: Mapping[int, float], values: Values | None = None
 ) -> tuple[Array, float, int, Any]:
-    """The point reached, its residual as a multiple of what counts as rest, the equation of the largest one, and the
-    local model (None where the plant has no value).
-    """
-    z, found = start.copy(), looked(plant, start, wanted, values)
+    """Return the point reached, its largest residual over its tolerance, the index of that, and the local model."""
+    z, found = start.copy(), evaluated(plant, start, wanted, values)
     turning = np.array([float(s.unit == "rad") for s in (*plant.states, *plant.inputs)])[free]
     for _ in range(PASSES if len(free) else 0):
         if found is None or not found.residual.any():
@@ -70,11 +68,11 @@ def newton(
         change = np.linalg.lstsq(part / size[:, None], -found.residual / size, rcond=RANK)[0]
         norm, turn = np.linalg.norm(found.residual / size), float(np.abs(turning * change).max(initial=0.0))
         share = TURN / max(TURN, turn)
-        # at rounding a step is only tried as it is
+        # within the tolerance only the full step is tried
         for _ in range(1 if (np.abs(found.residual) <= found.scale).all() else HALVINGS):
             trial = z.copy()
             trial[free] += share * change
-            after = looked(plant, trial, wanted, values)
+            after = evaluated(plant, trial, wanted, values)
             if after is not None and np.linalg.norm(after.residual / size) < norm:
                 break
             share *= 0.5
@@ -87,23 +85,23 @@ def newton(
     return z, float(excess.max(initial=0.0)), int(np.argmax(excess)) if len(excess) else 0, found.local
 
 
-def looked(plant: Any, z: Array, wanted: Mapping[int, float], values: Values | None = None) -> _Look | None:
-    """The plant at a point of states and inputs; None where it has no value."""
-    n_x, rows, asked_for = len(plant.states), list(wanted), np.array(list(wanted.values()))
+def evaluated(plant: Any, z: Array, wanted: Mapping[int, float], values: Values | None = None) -> _Evaluation | None:
+    """Evaluate the plant at a point (x, u); None where it has no value."""
+    n_x, rows, targets = len(plant.states), list(wanted), np.array(list(wanted.values()))
     try:
         local = plant.local_models(z[None, :n_x], z[None, n_x:], values)
     except NoTrustworthyNumber:
         return None
-    residual = np.concatenate([local.rates[0], local.outputs[0][rows] - asked_for])
+    residual = np.concatenate([local.rates[0], local.outputs[0][rows] - targets])
     slopes = np.vstack([np.hstack([local.A[0], local.B[0]]), np.hstack([local.C[0], local.D[0]])[rows]])
-    terms = np.abs(slopes) @ np.abs(z) + np.concatenate([np.zeros(n_x), np.abs(asked_for)])
-    return _Look(residual, slopes, STILL * terms + FLOOR, local) if np.isfinite(residual).all() else None
+    terms = np.abs(slopes) @ np.abs(z) + np.concatenate([np.zeros(n_x), np.abs(targets)])
+    return _Evaluation(residual, slopes, STILL * terms + FLOOR, local) if np.isfinite(residual).all() else None
 
 
 def held_descriptor(
     plant: Any, x: Array, u: Array, hold: Sequence[str] | None, tried: Mapping[str, Values]
 ) -> TrimmedDescriptor:
-    """The plant's descriptor form about (x, u) as a function of its parameters."""
+    """Return the descriptor form about (x, u) as a function of the parameters."""
     states, inputs = [s.name for s in plant.states], [s.name for s in plant.inputs]
     places = plant.port_places
     ports = [states.index(place.name) for place in places]
@@ -140,7 +138,7 @@ def held_descriptor(
 
 
 def _following(plant: Any, start: Array, follow: Indices, values: Values, label: str = "") -> Any:
-    """The local model at rest for these parameter values, all states and inputs at the start but those that follow."""
+    """Return the local model at the equilibrium for these parameter values; only signals in ``follow`` move."""
     _, excess, row, local = newton(plant, start, follow, {}, values)
     if local is None:
         raise NoTrustworthyNumber(plant.name, f"no finite linear model with what is held{label}")
@@ -152,7 +150,7 @@ def _following(plant: Any, start: Array, follow: Indices, values: Values, label:
 
 
 def _descriptor(local: Any, ports: Sequence[int]) -> Array:
-    """N of `robustlab.dynamics.descriptor_family` from the local model at one point."""
+    """Return N of `robustlab.dynamics.descriptor_family` from the local model at one point."""
     a, b, c, d = local.A[0], local.B[0], local.C[0], local.D[0]
     n, n_y = len(a), len(c)
     e = np.eye(n)

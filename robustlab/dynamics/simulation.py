@@ -1,4 +1,4 @@
-"""Simulation: linear models exactly at the samples, nonlinear plants with the error controlled."""
+"""Simulation: linear models exactly at the samples, nonlinear plants with error control."""
 
 from __future__ import annotations
 
@@ -17,17 +17,16 @@ from robustlab.errors import InputError, NoTrustworthyNumber, told_as, unknown_n
 from robustlab.record import Record
 from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
 
-# Steps of a clock that differ by less than this share of their mean are equal. Larger: fewer matrix exponentials,
-# but real jitter is passed over.
+# Steps that differ by less than this share of their mean are equal. Larger: fewer matrix exponentials, but real jitter
+# is ignored.
 CLOCK_ROUNDING = 1e-9
-# A discrete model's clock may jitter by this share of its sample time, and that of a plant with effects by this
-# share of the mean step. Larger: coarser records are taken as uniform.
+# Allowed jitter of the times of a discrete model or a plant with effects, as a share of the sample time.
 CLOCK_JITTER = 1e-6
-# Local error of a nonlinear simulation where none was asked for.
+# Default local error of a nonlinear simulation.
 RTOL = 1e-8
 
 Hold = Literal["zoh", "foh"]
-LOOK = 3  # order of the rational delays whose poles say how long to look
+LOOK = 3  # Padé order for the default duration of a step response
 
 
 @told_as("simulate")
@@ -42,17 +41,17 @@ def simulate(
     rtol: float | None = None,
     step: float | None = None,
 ) -> Record:
-    r"""Response of a plant or model to given inputs.
+    r"""Simulate a plant or model under given inputs.
 
-    A linear one follows
+    The solution of a linear one,
 
     .. math:: x(t_{k+1}) = e^{A h_k} x(t_k) + \int_0^{h_k} e^{A (h_k - s)} B\, u(t_k + s)\, ds
 
-    evaluated by matrix exponentials, hence without discretisation error. A discrete model (dt > 0) is stepped. A
-    nonlinear plant is integrated by DOP853 with the local error held at ``rtol``. A plant with
-    effects (`with_effects`) is stepped with its forces held, on a clock of equal steps, with exact sticking. A model
-    with exact delays follows the method of steps (`robustlab.delays.response`): without error where the delays are at
-    inputs and outputs, else with the estimated error below ``rtol``. Before ``t[0]`` nothing is in its delays.
+    is evaluated by matrix exponentials, without discretisation error. A discrete model (dt > 0) is stepped. A nonlinear
+    plant is integrated by DOP853 with local error ``rtol``. A plant with effects (`with_effects`) is stepped with its
+    forces held, on equal steps, with exact sticking. A model with exact delays is solved by the method of steps
+    (`robustlab.delays.response`): without error where the delays are at inputs and outputs, else with an estimated
+    error below ``rtol``. Its delays are empty before ``t[0]``.
 
     Parameters
     ----------
@@ -63,33 +62,32 @@ def simulate(
     u
         Name of input -> samples of shape (n,), for every input; or an array (n,) for a single input, or (n, n_u).
     x0
-        State at t[0], shape (n_x,); zero where left out, of a functional mock-up unit its own. States that effects have
-        added start at zero and may be left out.
+        State at t[0], shape (n_x,); default zero, for a functional mock-up unit its own. States that effects have added
+        start at zero and may be omitted.
     name
-        Name of the record; the plant's own, or "simulation", where left out.
+        Name of the record; default: that of the plant, or "simulation".
     hold
-        What the input does between samples: "zoh" keeps its last value (a D/A converter), "foh" goes straight to the
-        next one (a sampled smooth signal); for nonlinear plants "spline" goes smoothly through the samples, which is
-        the quickest for a sampled smooth signal.
+        Input between samples: "zoh" holds the last value (a D/A converter), "foh" interpolates linearly (a sampled
+        smooth signal); "spline" (nonlinear plants only) interpolates smoothly and is fastest for a smooth signal.
     rtol
-        Nonlinear plants: relative local error of a step, 1e-8 where left out. Models with delays inside: largest change
-        when the cells are halved, relative to the largest output, 1e-9 where left out.
+        Nonlinear plants: relative local error of a step, default 1e-8. Models with internal delays: largest change when
+        the cells are halved, relative to the largest output, default 1e-9.
     step
-        Plants with effects: their longest step, 1 ms where left out; of a nonlinear plant steps are then
-        halved until the states change by no more than 1e-4 of their size.
+        Plants with effects: longest step, default 1 ms; for a nonlinear plant, steps are then halved until the states
+        change by no more than 1e-4 of their size.
 
     Returns
     -------
     Record
-        The inputs and all outputs with their units. A model with an operating point is in deviations from it.
+        Inputs and all outputs with their units; in deviations if the model has an operating point.
 
     Raises
     ------
     InputError
-        Unknown or missing inputs, wrong lengths, NaN, a clock that runs backwards or is not the discrete model's own.
+        Unknown or missing inputs, wrong lengths, NaN, decreasing times, or times that do not match the discrete model.
     NoTrustworthyNumber
-        The response outgrows double precision, or a mechanism leaves its workspace; the message names the time. The
-        response of a model with delays does not settle to ``rtol``, or needs too many cells.
+        The response exceeds double precision, or a mechanism leaves its workspace; the message names the time. The
+        response of a model with delays does not converge to ``rtol``, or needs too many cells.
 
     Examples
     --------
@@ -125,7 +123,7 @@ def simulate(
 def default_clock(
     model: StateSpaceModel, where: str, n: int = 401, hint: str = "pass t=numpy.linspace(0, t_end, n)"
 ) -> Array:
-    """A clock over eight time constants of the slowest decay, shape (n,); integrators do not count."""
+    """Return times (n,) over eight time constants of the slowest decay, ignoring integrators."""
     poles = model.poles()
     if model.is_discrete:
         poles = np.log(np.where(np.abs(poles) > 1e-12, poles, 1e-12)) / model.dt
@@ -143,7 +141,7 @@ def default_clock(
 
 
 def step_response(model: Any, t_end: float | None, input_name: str | None) -> Record:
-    """What ``G.step()`` answers, see `robustlab.operators.Behaviour`."""
+    """Return the result of ``G.step()``, see `robustlab.operators.Behaviour`."""
     given = model if isinstance(model, DelayedModel) else as_model(model, "step")
     names = given.input_names
     if input_name is None and len(names) != 1:
@@ -153,7 +151,7 @@ def step_response(model: Any, t_end: float | None, input_name: str | None) -> Re
         raise unknown_name(f"step: input {input_name!r}", "no such input", str(input_name), names)
     rational = given.pade(LOOK) if isinstance(given, DelayedModel) else given
     if t_end is None:
-        clock = default_clock(rational, "step", hint="say how long to look, in s: G.step(t_end=1.0)")
+        clock = default_clock(rational, "step", hint="give the duration in s: G.step(t_end=1.0)")
     elif isinstance(t_end, bool) or not isinstance(t_end, (int, float, np.number)) or not 0 < t_end < np.inf:
         raise InputError("step: t_end", f"{t_end!r}", "a positive time in s")
     elif given.is_discrete:
@@ -234,7 +232,7 @@ def _simulate_nonlinear(
 
 
 def transition(model: StateSpaceModel, h: float) -> tuple[Array, Array, Array]:
-    """``(Phi, Gamma, Gamma1)`` of one step of length h in s of a continuous model."""
+    """Return ``(Phi, Gamma, Gamma1)`` of one step of length h in s of a continuous model."""
     # Van Loan, "Computing integrals involving the matrix exponential", IEEE TAC 23 (1978).
     from scipy.linalg import expm, matrix_balance
 
@@ -250,7 +248,7 @@ def transition(model: StateSpaceModel, h: float) -> tuple[Array, Array, Array]:
     block[:n, :n] = balanced * h
     block[:n, n : n + n_u] = b / column * h
     block[n : n + n_u, n + n_u :] = np.eye(n_u)
-    with np.errstate(over="ignore", invalid="ignore"):  # an unstable model may grow beyond every number
+    with np.errstate(over="ignore", invalid="ignore"):  # an unstable model may overflow
         e = np.asarray(expm(block)[:n], dtype=np.float64)
     if not np.isfinite(e).all() and model.is_stable():
         fastest = float(np.abs(model.poles()).max())
@@ -262,7 +260,7 @@ def transition(model: StateSpaceModel, h: float) -> tuple[Array, Array, Array]:
 
 
 def _states(model: StateSpaceModel, t: Array, u: Array, x0: Array, hold: Hold) -> Array:
-    """States of a continuous model at the times t, shape (n, n_x); one matrix exponential for each length of step."""
+    """Return states (n, n_x) of a continuous model at the times t; one matrix exponential for each step length."""
     step = np.diff(t)
     mean = step.mean()
     _, first, kind = np.unique(np.round(step / (CLOCK_ROUNDING * mean)), return_index=True, return_inverse=True)
@@ -296,7 +294,7 @@ def _discrete_states(model: StateSpaceModel, t: Array, u: Array, x0: Array, hold
 
 
 def _recursion(phi: Array, kind: NDArray[np.intp], forced: Array, x0: Array) -> Array:
-    """``x[k+1] = phi[kind[k]] x[k] + forced[k]``, shape (n, n_x)."""
+    """Return ``x[k+1] = phi[kind[k]] x[k] + forced[k]``, shape (n, n_x)."""
     x = np.empty((len(forced) + 1, len(x0)))
     x[0] = x0
     state = x0
@@ -307,7 +305,7 @@ def _recursion(phi: Array, kind: NDArray[np.intp], forced: Array, x0: Array) -> 
 
 
 def sampled_inputs(inputs: tuple[Signal, ...], u: Mapping[str, ArrayLike] | ArrayLike, n: int) -> Array:
-    """The inputs' samples as an array of shape (n, n_u) in their order."""
+    """Return the inputs' samples as an array (n, n_u) in their order."""
     names, count = tuple(s.name for s in inputs), len(inputs)
     if isinstance(u, Mapping):
         for key in u:
@@ -323,7 +321,7 @@ def sampled_inputs(inputs: tuple[Signal, ...], u: Mapping[str, ArrayLike] | Arra
         return np.column_stack(columns) if columns else np.zeros((n, 0))
     try:
         ndim = 1 if np.ndim(u) == 1 else 2
-    except ValueError:  # ragged: real_array says so
+    except ValueError:  # ragged: real_array raises the error
         ndim = 2
     samples = real_array("u", u, ndim, "simulate")
     if samples.ndim == 1 and count == 1:
@@ -335,7 +333,7 @@ def sampled_inputs(inputs: tuple[Signal, ...], u: Mapping[str, ArrayLike] | Arra
 
 
 def recorded(plant: Plant | StateSpaceModel | DelayedModel, t: Array, u: Array, y: Array, name: str) -> Record:
-    """Inputs (n, n_u) and outputs (n, n_y) of a plant or model as a record with their units."""
+    """Return inputs (n, n_u) and outputs (n, n_y) of a plant or model as a record with their units."""
     inputs, outputs = (
         {s.name: column for s, column in zip(signals, samples.T, strict=True)}
         for signals, samples in ((plant.inputs, u), (plant.outputs, y))

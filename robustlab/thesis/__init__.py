@@ -1,4 +1,4 @@
-"""The thesis: its printed numbers beside ours, its simulated experiments, its figures."""
+"""The thesis: comparison with its printed numbers, its simulated experiments, its figures."""
 
 from robustlab.lazily import lazily
 

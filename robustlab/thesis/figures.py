@@ -22,19 +22,19 @@ from robustlab.worst_case_analysis.sampling import sample
 
 Curves = list[tuple[Array, dict[str, Any]]]  # values (n,), and how they are drawn
 
-# Six lines in one panel: colours of Okabe and Ito, the second three dashed, so that they are told apart in grey too.
+# Six lines in one panel: colours of Okabe and Ito, the second three dashed for prints in grey.
 SIX = [("#0072B2", "-"), ("#D55E00", "-"), ("#009E73", "-"), ("#56B4E9", "--"), ("#E69F00", "--"), ("#CC79A7", "--")]
-# Curves that lie on one another: wide, dashed and thin, dotted and thinner.
+# Coincident curves: wide, dashed and thin, dotted and thinner.
 THREE = [("#56B4E9", "-"), ("#D55E00", (0, (4, 3))), ("#222222", ":")]
 
 
 def over_time(
     t: Array, panels: Sequence[tuple[str, Curves, float | None]], title: str = "", columns: int = 1, height: float = 2.4
 ) -> Figure:
-    """Panels over time: label with unit, curves (n,) with their look, and a limit to draw (None: none)."""
+    """Draw panels over time: label with unit, curves (n,) with their style, and a limit to draw or None."""
     width = 9.4 if columns == 1 else 3.6 * columns
     figure, axes_list = new_figure(len(panels) // columns, columns, width=width, height=height, sharex=True)
-    beside = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)} if columns == 1 else {}
+    legend = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)} if columns == 1 else {}
     with house_style():
         for axes, (label, curves, limit) in zip(axes_list, panels, strict=True):
             for values, look in curves:
@@ -48,7 +48,7 @@ def over_time(
                 )
             axes.set_ylabel(label)
             if axes.get_legend_handles_labels()[1]:
-                axes.legend(**beside)
+                axes.legend(**legend)
         if title:
             axes_list[0].set_title(title, fontweight="normal", fontsize=8.5)
         for axes in axes_list[-columns:]:
@@ -57,14 +57,14 @@ def over_time(
 
 
 def lines(values: Array, names: Sequence[str], scale: float = 1e3) -> Curves:
-    """A curve for each column of the values (n, k), in units of 1/scale."""
+    """Return a curve for each column of the values (n, k), in units of 1/scale."""
     looks = zip(names, SIX if len(names) > 3 else THREE, strict=True)
     drawn = [{"color": colour, "ls": dashes, "lw": 1.2, "label": name} for name, (colour, dashes) in looks]
     return list(zip(scale * values.T, drawn, strict=True))
 
 
 def sine_figure(run: SineRun, until: float) -> Figure:
-    """Torque of every motor, height; angle and rate of nut 1, nonlinear and linear; all up to ``until`` in s."""
+    """Draw torque, height, and angle and rate of nut 1, nonlinear and linear, up to ``until`` in s."""
     t, angle_gap, rate_gap = run.percent(until)
     n = len(t)
     torque = 1e3 * run.amplitude * np.sin(2 * np.pi * run.frequency * t)
@@ -85,7 +85,7 @@ def sine_figure(run: SineRun, until: float) -> Figure:
 
 
 def percent_figure(t: Array, bands: Mapping[str, Array], published: float) -> Figure:
-    """Members' deviations from the nominal response in percent, (members, n) of each output, and the published band."""
+    """Draw deviations of members from the nominal response in percent, (members, n) of each output, and the band."""
     figure, panels = new_figure(1, len(bands), width=10.4, height=3.3)
     with house_style():
         for axes, (name, curves) in zip(panels, bands.items(), strict=True):
@@ -110,11 +110,10 @@ def case_figure(
     published: float,
     title: str,
 ) -> Figure:
-    """Nominal, worst member and random members in one picture, a row for each output.
+    """Draw nominal, worst and random members, a row for each output.
 
     ``t``: times in s, shape (n_t,). ``members``, ``nominal``, ``worst``: responses, shapes (n_members, n_t, n_y), (n_t,
-    n_y), (n_t, n_y). ``outputs``: names and units, n_y of them. ``published``: published band of the change in percent.
-    ``title``: what is drawn, with the worst Delta.
+    n_y), (n_t, n_y). ``outputs``: n_y names and units. ``published``: published band of the change in percent.
     """
     figure, panels = new_figure(len(outputs), 3, width=11.6, height=2.7)
     before = 1e3 * (t - t[-1])
@@ -135,9 +134,9 @@ def case_figure(
                     axes.plot(x, curve, color=COLOURS[key], ls=dashes, lw=1.3, label=word)
                 change.plot(t, scale * (curve - nominal[:, k]), color=COLOURS[key], ls=dashes, lw=1.3)
             for i, edge in enumerate((-published, published)):
-                told = f"thesis: ±{published:g} %" if i == 0 else None
-                change.axhline(edge, color=COLOURS["reference"], ls=":", lw=1.2, label=told)
-            # So near to the end that the members are apart by a fair share of what the nominal response runs through.
+                text = f"thesis: ±{published:g} %" if i == 0 else None
+                change.axhline(edge, color=COLOURS["reference"], ls=":", lw=1.2, label=text)
+            # Zoom to the end so that the members' spread is visible against the nominal response.
             final, slope = nominal[-1, k], (nominal[-1, k] - nominal[-2, k]) / (before[-1] - before[-2])
             spread = np.abs(np.append(members[:, -1, k], worst[-1, k]) - final).max()
             window = min(6 * spread / max(abs(slope), 1e-300), -before[0])
@@ -162,22 +161,22 @@ LINKS = [f"link {i + 1}" for i in range(6)]
 
 
 def tracking_path_figure(run: TrajectoryFollowing, lengths: Array) -> Figure:
-    """Desired and reached: position, orientation, and the actuators' lengths (``lengths`` (n, 6) in m are desired)."""
+    """Draw reference and simulated position, orientation and actuator lengths; ``lengths``: reference (n, 6) in m."""
     home = run.reference[0]
-    shown = (
+    rows = (
         ((run.reference - home)[:, :3], (run.pose - home)[:, :3], "from home [mm]", ["x", "y", "z"]),
         (run.reference[:, 3:], run.pose[:, 3:], "orientation [mrad]", ["about x", "about y", "about z"]),
         (lengths, run.lengths, "actuator length [mm]", LINKS),
     )
     panels: list[tuple[str, Curves, float | None]] = []
-    for desired, reached, label, names in shown:
+    for desired, reached, label, names in rows:
         pale = [(v, {"color": look["color"], "lw": 4.0, "alpha": 0.3}) for v, look in lines(desired, names)]
         panels.append((label, [*pale, *lines(reached, names)], None))
     return over_time(run.t, panels, "wide and pale: desired; thin: reached, simulated")
 
 
 def tracking_error_figure(run: TrajectoryFollowing) -> Figure:
-    """Errors of position and orientation over time, and torques and voltages of the six motors."""
+    """Draw errors of position and orientation over time, and torques and voltages of the six motors."""
     turned = lines(run.error[:, 3:], ["about x", "about y", "about z"])
     panels: list[tuple[str, Curves, float | None]] = [
         ("position error [mm]", lines(run.error[:, :3], ["x", "y", "z"]), None),
@@ -192,7 +191,7 @@ SIGNS = {"thesis": "all signs +", "link-4": "signs +++-+-", "rotors": "all signs
 
 
 def pictures_of_numbers(found: PublishedNumbers) -> Iterator[tuple[str, Picture]]:
-    """Pictures by name: the sine runs, and the runs of section 9.1.3."""
+    """Yield pictures by name: the sine runs, and the runs of section 9.1.3."""
     geometry = stewart_platform().geometry
     for name, run in found.sines.items():
         until = run.when_height(0.1407) if name == "0.1 N m at 2 Hz" else run.t[-1]
@@ -212,7 +211,7 @@ def pictures_of_numbers(found: PublishedNumbers) -> Iterator[tuple[str, Picture]
 
 
 def case_picture(case: Case, n: int, seed: int) -> tuple[Picture, dict[str, float]]:
-    """Nominal, worst and ``n`` random members of a case; largest change in percent of each output at the worst."""
+    """Draw nominal, worst and ``n`` random members of a case; return also the largest changes in percent."""
     between = elementwise(*case.with_gravity(), "single").select(None, ["phi_1", "phidot_1"])
     t, u = case.excitation()
     responses = sample(between, n, seed, vertices=2).respond(t, u, hold="foh")

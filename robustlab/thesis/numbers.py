@@ -1,8 +1,8 @@
-"""Every number that the thesis prints (``numbers.toml``; Březina 2010), beside ours, from nothing but parameters.
+"""Comparison with every number printed in the thesis (``numbers.toml``; Březina 2010), from parameters alone.
 
 The key of a row begins with the number of the item. Its status: R, reproduced within ``tolerance`` or the bound. F,
-fitted: a value that the text does not print was chosen so that it agrees. P, reproduced in part, or under the reading
-in ``why``. N, not reproducible for the reason in ``why``. Without a published value: what the thesis left out.
+fitted: a value that is not printed was chosen for agreement. P, reproduced in part, or under the interpretation in
+``why``. N, not reproducible for the reason in ``why``. Rows without a published value: omissions of the thesis.
 """
 
 from __future__ import annotations
@@ -41,19 +41,17 @@ RowStatus = Literal["R", "F", "P", "N"]
 class PublishedNumber:
     """A published number and ours."""
 
-    # key, quantity, where: number of the item, what it is, and where it is printed
+    # number of the item, quantity, and place in the thesis
     key: str
     quantity: str
     where: str
-    # published, ours: none where there is none
     published: float | None
     ours: float | None
     unit: str  # of both and of the tolerance
     status: RowStatus  # R, F, P or N, as in the module's description
-    # fair difference, as far as the printed digits and the text go; None where no agreement is to be expected
-    tolerance: float | None = None
-    why: str = ""  # the reading, or why it is not reproducible
-    bound: Bound = "equal"  # "at most" and "at least": the thesis prints a limit, and ours has to keep to it
+    tolerance: float | None = None  # by the printed digits and the text; None if no agreement is expected
+    why: str = ""  # interpretation, or reason why it is not reproducible
+    bound: Bound = "equal"  # "at most" and "at least": the thesis prints a limit
 
     def __post_init__(self) -> None:
         if self.ours is not None:
@@ -66,7 +64,7 @@ class PublishedNumber:
 
     @property
     def agrees(self) -> bool | None:
-        """Whether it agrees within the tolerance, or keeps to the bound; None where neither can be said."""
+        """Agreement within the tolerance or the bound; None if not comparable."""
         if self.difference is None or self.tolerance is None:
             return None
         not_above = self.bound == "at least" or self.difference <= self.tolerance
@@ -74,13 +72,13 @@ class PublishedNumber:
         return not_above and not_below
 
     def to_json(self) -> dict[str, Any]:
-        """All fields, the difference, and whether it agrees."""
+        """Return all fields, the difference, and the agreement."""
         return {**vars(self), "difference": self.difference, "agrees": self.agrees}
 
 
 @dataclass(frozen=True, eq=False)
 class PublishedNumbers:
-    """All rows, and the runs that they were read from."""
+    """All rows, and the runs behind them."""
 
     rows: dict[str, PublishedNumber]  # key -> row, in the order of the items
     sines: dict[str, SineRun]  # sine runs of section 8.2.1 by their reading
@@ -90,16 +88,16 @@ class PublishedNumbers:
     status: Status = field(default=Status.CONVERGED)  # CONVERGED: everything was computed
 
     def with_status(self, status: str) -> list[PublishedNumber]:
-        """Rows of the status R, F, P or N."""
+        """Return the rows of the status R, F, P or N."""
         return [row for row in self.rows.values() if row.status == status]
 
     @property
     def disagreeing(self) -> list[str]:
-        """Keys of the rows that are said to be reproduced or fitted, and are not."""
+        """Keys of the rows with status R or F that do not agree."""
         return [row.key for row in (*self.with_status("R"), *self.with_status("F")) if row.agrees is not True]
 
     def to_json(self) -> dict[str, Any]:
-        """Rows, cases and sine runs; of the tracking runs what the rows need."""
+        """Return rows, cases, sine runs, and the parts of the tracking runs that the rows need."""
         tracking = {name: {"t": run.t, "error": run.error, "torque": run.torque, "voltage": run.voltage}
                     for name, run in self.tracking.items()}  # fmt: skip
         rows = {key: row.to_json() for key, row in self.rows.items()}
@@ -108,7 +106,7 @@ class PublishedNumbers:
 
 
 def published_numbers() -> PublishedNumbers:
-    """All rows of items 1-29, and the runs behind them; a few seconds."""
+    """Compute all rows of items 1-29, and the runs behind them, in a few seconds."""
     plant = stewart_platform()
     sines = {
         "0.1 N m at 2 Hz": sine_run(plant, 0.1, 2.0, 0.078, 781),
@@ -131,7 +129,7 @@ def published_numbers() -> PublishedNumbers:
     return PublishedNumbers(rows, sines, varied, tracking)
 
 
-# What follows gives our numbers by the keys of the rows, and the words in their reasons.
+# The following functions return our numbers by the keys of the rows, and the values in their reasons.
 
 
 def _geometry(plant: StewartPlatform) -> dict[str, Any]:
@@ -155,7 +153,7 @@ def _geometry(plant: StewartPlatform) -> dict[str, Any]:
 
 
 def _bearing_table() -> Array:
-    """Points m1-m6 in mm, (6, 2): the printed m2 and m3, and the pair turned by 120 degrees either way."""
+    """Return points m1-m6 in mm, (6, 2): the printed m2 and m3, and the pair rotated by +-120 degrees."""
     x, y = BEARING
     pair = np.array([[x, y], [-x, y]])
     c, s = -0.5, math.sqrt(0.75)
@@ -173,12 +171,12 @@ def _states(plant: StewartPlatform) -> dict[str, Any]:
 
 
 def _speed_motor(**parameters: float) -> Any:
-    """Voltage to speed and current of the motor."""
+    """Return the model from voltage to speed and current of the motor."""
     return drop_unconnected(dc_motor(**parameters).state_space().select(outputs=["omega", "i"]))
 
 
 def _no_load(**parameters: float) -> tuple[float, float]:
-    """Speed in rad/s and current in A of the motor without load at 42 V."""
+    """Return speed in rad/s and current in A of the motor without load at 42 V."""
     speed, current = 42.0 * _speed_motor(**parameters).dc_gain()[:, 0]
     return float(speed), float(current)
 
@@ -195,10 +193,10 @@ def _motor() -> dict[str, Any]:
 
 
 def _jig_motion(motor: LinearPlant, heavier: float = 1.0) -> Array:
-    """Largest motor angle, steady and largest speed of the jig's link under 11.8 V at 1 Hz.
+    """Return the largest motor angle, and steady and largest speed of the jig's link under 11.8 V at 1 Hz.
 
-    It is driven by the torque that the ``motor`` gives where its own link is nominal; ``heavier``: mass and inertia of
-    the driven link over those of the motor's own; it has no back-EMF.
+    It is driven by the torque of the ``motor`` with its nominal link, without back-EMF; ``heavier``: ratio of mass and
+    inertia of the driven link to those of the nominal one.
     """
     model = motor.state_space()
     a, b = np.zeros((5, 5)), np.vstack([model.B, np.zeros((2, 1))])
@@ -212,12 +210,12 @@ def _jig_motion(motor: LinearPlant, heavier: float = 1.0) -> Array:
 
 
 def _jig() -> dict[str, Any]:
-    """Chapter 11: what is left of the gaps of 11 and 12.5 % by which the model is beyond the measurement."""
+    """Return the remaining model errors of chapter 11, initially 11 and 12.5 %."""
     nominal = linear_actuator(J=0.0)
     base = _jig_motion(nominal)
 
     def left(found: Array) -> Array:
-        """Of the first gap by the angle; of the second by the steady and by the largest speed."""
+        """Return the first error by the angle, and the second by the steady and by the largest speed."""
         return 100 * (np.array([1.11, 1.125, 1.125]) * found / base - 1)
 
     sticky, slippery = (nominal.with_parameters(Kf=factor * 4.8e-5) for factor in (1.35, 0.65))
@@ -249,7 +247,7 @@ def _sines(plant: StewartPlatform, runs: dict[str, SineRun]) -> dict[str, Any]:
 
 
 def _cases(varied: tuple[Case, ...]) -> dict[str, Any]:
-    """Rows 15-18; the number is that of the case's figure, by the same definition (`Case.largest_percent`)."""
+    """Return rows 15-18, defined as in the cases' figures (`Case.largest_percent`)."""
     found: dict[str, Any] = {"15-gain": abs(varied[0].gain_percent)}
     for number, case in zip((15, 16, 17, 18), varied, strict=True):
         found |= {str(number): case.largest_percent, f"{number}-worst": case.worst}

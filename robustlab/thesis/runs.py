@@ -18,10 +18,10 @@ from robustlab.statespace import StateSpaceModel
 
 LOW = (0.0, 0.0, 0.1062, 0.0, 0.0, 0.0)
 TORQUE, HERTZ = 0.1, 2.0  # N m, Hz; the sine of sections 8.2.1 and 10.3.1
-UP_TO = 0.0577  # s; chosen: with that sine the only length of run that fits items 13 and 16-18 together
-TIE = 1e-4  # ends of a set whose largest changes agree so far are equally bad
+UP_TO = 0.0577  # s; chosen: the only duration that fits items 13 and 16-18 with that sine
+TIE = 1e-4  # relative difference of the largest changes up to which two ends are equally bad
 SIGNED = {1: "+I", -1: "-I"}
-# Wide limits: where the machine leaves its workspace is read from the run instead of ending it.
+# Wide limits: the run must continue beyond the workspace.
 WIDE = {"L_min": 0.10, "L_max": 0.25}
 LINK = ("link_mass", "link_I", "link_J", "link_K")
 BODIES = tuple(f"{b}_{k}" for b in ("link", "nut", "screw", "motor") for k in ("mass", *"IJK"))
@@ -35,27 +35,27 @@ ALL = (*BODIES, "platform_mass", "platform_x", "platform_y", "platform_z")
 class SineRun(AllFields):
     """The platform from rest at home under the holding torque plus one sine of torque on all six motors."""
 
-    # amplitude, frequency: of the sine in N m and Hz
+    # of the sine in N m and Hz
     amplitude: float
     frequency: float
     t: Array  # times in s, (n,)
-    # nonlinear, linear: nut angles and rates (n, 12) of the machine, and of its linear model at home
+    # nut angles and rates (n, 12) of the machine, and of its linear model at home
     nonlinear: Array
     linear: Array
-    # height, lengths: height z of the platform (n,) and actuator lengths (n, 6) of the nonlinear run, in m
+    # height z of the platform (n,) and actuator lengths (n, 6) of the nonlinear run, in m
     height: Array
     lengths: Array
 
     def when_height(self, z: float) -> float:
-        """First time in s at which the platform is as high as z, interpolated; infinite where it never is."""
+        """Return the first time in s at which the platform reaches the height z, interpolated, or infinity."""
         return _first_time(self.t, self.height, z)
 
     def when_length(self, length: float) -> float:
-        """First time in s at which an actuator is as long as ``length``."""
+        """Return the first time in s at which an actuator reaches ``length``."""
         return _first_time(self.t, self.lengths.max(axis=1), length)
 
     def percent(self, until: float = math.inf) -> tuple[Array, Array, Array]:
-        """Linear minus nonlinear in percent of the largest nonlinear value up to then: times, angle, rate of nut 1."""
+        """Return times, and linear minus nonlinear angle and rate of nut 1 in percent of the largest one."""
         n = int(np.searchsorted(self.t, until, side="right"))
         true, gap = self.nonlinear[:n], (self.linear - self.nonlinear)[:n]
         share = 100 * gap[:, [0, 6]] / np.abs(true[:, [0, 6]]).max(axis=0)
@@ -63,7 +63,7 @@ class SineRun(AllFields):
 
 
 def sine_run(plant: StewartPlatform, amplitude: float, frequency: float, duration: float, points: int) -> SineRun:
-    """Nonlinear and linear response; the machine's limits of length are not applied."""
+    """Simulate the nonlinear and linear response without the machine's limits of length."""
     machine = plant.with_parameters(**WIDE)
     t, rest = np.linspace(0.0, duration, points), trim(machine)
     u = np.tile(amplitude * np.sin(2 * math.pi * frequency * t)[:, None], 6)
@@ -92,48 +92,46 @@ def _first_time(t: Array, values: Array, level: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A case of section 10.3.1: the nominal linear model, the perturbed one, and what holds them.
+    """A case of section 10.3.1: nominal and perturbed linear models and holding torques.
 
-    Between the two lies one real parameter, Delta = delta I: nominal at 0, perturbed at +I, mirrored at -I.
+    They are connected by one real parameter, Delta = delta I: nominal at 0, perturbed at +I, mirrored at -I.
     """
 
-    # name, words: for example ``"2a"`` and what was changed
+    # for example ``"2a"``, and the change
     name: str
     words: str
     published: float  # the thesis' largest deviation in percent
     published_worst: int  # the thesis' worst Delta: 1 for +I, -1 for -I
-    # reading, chosen for each case: True where the torque stays what holds the nominal machine while gravity pulls at
-    # the perturbed one, False where each machine is trimmed anew
+    # interpretation, chosen for each case. True: the perturbed machine has the holding torque of the nominal one;
+    # False: each machine is trimmed
     held: bool
-    # nominal, perturbed: linear models
     nominal: StateSpaceModel
     perturbed: StateSpaceModel
-    # holding torque of the nominal machine minus that of the perturbed one in N m: the constant input that the
-    # perturbed machine feels where the torque stays as it was
-    released: float
+    released: float  # holding torque of the nominal machine minus that of the perturbed one in N m
 
     @property
     def gain_percent(self) -> float:
-        """Change of B in percent: of the acceleration of the nuts by equal torques."""
+        """Change of B in percent: change of the nuts' acceleration by equal torques."""
         return 100 * float(self.perturbed.B.sum() / self.nominal.B.sum() - 1)
 
     def with_gravity(self) -> tuple[StateSpaceModel, StateSpaceModel]:
-        """Nominal and perturbed model with one more input, ``gravity`` (figure 10.5): 1 where the torque is held."""
+        """Return both models with one more input, ``gravity`` (figure 10.5): 1 if the torque is held."""
         return _with_gravity(self.nominal, 0.0), _with_gravity(self.perturbed, self.released)
 
     def excitation(self, held: bool | None = None, points: int = 201) -> tuple[Array, Array]:
-        """Times (n,) up to 57.7 ms, and the inputs (n, 7): 0.1 N m at 2 Hz on all motors, and gravity as it is read."""
+        """Return times (n,) up to 57.7 ms, and inputs (n, 7): 0.1 N m at 2 Hz on all motors, and gravity."""
         t = np.linspace(0.0, UP_TO, points)
         sine = np.tile(TORQUE * np.sin(2 * math.pi * HERTZ * t)[:, None], 6)
         return t, np.column_stack([sine, np.full(points, float(self.held if held is None else held))])
 
     def changes(self, held: bool | None = None) -> tuple[float, float]:
-        """Largest change of the angle of nut 1 at Delta = +I and -I, in percent of the largest nominal angle, signed.
+        """Return the signed largest change of the angle of nut 1 at Delta = +I and -I, in percent of the nominal one.
 
-        ``held``: another reading than the case's own.
+        ``held``: default: the case's own interpretation.
         """
         (nominal, perturbed), (t, u) = self.with_gravity(), self.excitation(held)
-        mirrored = _beyond(nominal, perturbed)
+        a, b, c, d = (2 * getattr(nominal, m) - getattr(perturbed, m) for m in "ABCD")
+        mirrored = StateSpaceModel(a, b, c, d, nominal.dt, nominal.inputs, nominal.outputs, nominal.states)
         angle, *others = (simulate(m, t, u, hold="foh")["phi_1"] for m in (nominal, perturbed, mirrored))
         shares = [100 * (other - angle) / np.abs(angle).max() for other in others]
         plus, minus = (float(share[np.abs(share).argmax()]) for share in shares)
@@ -141,13 +139,13 @@ class Case:
 
     @property
     def largest_percent(self) -> float:
-        """Largest change of the angle of nut 1 at the worst Delta: what the table and the figure of the case show."""
+        """Largest change of the angle of nut 1 at the worst Delta in percent."""
         plus, minus = self.changes()
         return abs(plus if self.worst > 0 else minus)
 
     @property
     def worst(self) -> int:
-        """Worst Delta: 1 for +I, -1 for -I; of ends that are equally bad the one at which the nut moves further."""
+        """Worst Delta: 1 for +I, -1 for -I; of equally bad ends that with the larger nut angle."""
         plus, minus = self.changes()
         if abs(abs(plus) - abs(minus)) <= TIE * max(abs(plus), abs(minus)):
             return 1 if plus > minus else -1
@@ -155,23 +153,23 @@ class Case:
 
     @property
     def worst_in_words(self) -> str:
-        """The worst Delta, the changes at both ends, and what the thesis has."""
+        """The worst Delta, the changes at both ends, and the thesis' worst Delta."""
         plus, minus = self.changes()
         tie = abs(abs(plus) - abs(minus)) <= TIE * max(abs(plus), abs(minus))
         why = "; equally bad to four digits, there the nut moves further" if tie else ""
-        said = f"worst Δ = {SIGNED[self.worst]} (+I {plus:+.4g} %, -I {minus:+.4g} %{why})"
-        return f"{said}; the thesis has {SIGNED[self.published_worst]}"
+        text = f"worst Δ = {SIGNED[self.worst]} (+I {plus:+.4g} %, -I {minus:+.4g} %{why})"
+        return f"{text}; the thesis has {SIGNED[self.published_worst]}"
 
     def to_json(self) -> dict[str, Any]:
-        """Names, numbers, and the matrices that differ."""
+        """Return names, numbers, and the matrices that differ."""
         matrices = {f"{name}_{m}": getattr(getattr(self, name), m) for name in ("nominal", "perturbed") for m in "AB"}
-        told = {key: vars(self)[key] for key in ("name", "words", "published", "published_worst", "held", "released")}
+        data = {key: vars(self)[key] for key in ("name", "words", "published", "published_worst", "held", "released")}
         found = {"gain_percent": self.gain_percent, "largest_percent": self.largest_percent, "worst": self.worst}
-        return {**told, **found, **matrices}
+        return {**data, **found, **matrices}
 
 
 def cases(plant: StewartPlatform) -> tuple[Case, ...]:
-    """Cases 1 (20 mm lower), 2a and 2b (lower link heavier), 2c (everything heavier)."""
+    """Return cases 1 (20 mm lower), 2a and 2b (lower link heavier), 2c (everything heavier)."""
     home, low = trim(plant), trim(plant, pose=LOW)
     nominal = linearise(plant, home)
     lowered = linearise(plant, low)
@@ -189,14 +187,8 @@ def cases(plant: StewartPlatform) -> tuple[Case, ...]:
     return tuple(made)
 
 
-def _beyond(nominal: StateSpaceModel, perturbed: StateSpaceModel) -> StateSpaceModel:
-    """As far to the other side of the nominal model as the perturbed one lies to this."""
-    a, b, c, d = (2 * getattr(nominal, m) - getattr(perturbed, m) for m in "ABCD")
-    return StateSpaceModel(a, b, c, d, nominal.dt, nominal.inputs, nominal.outputs, nominal.states)
-
-
 def _with_gravity(model: StateSpaceModel, torque: float) -> StateSpaceModel:
-    """The model with one more input, ``gravity``, that acts like so much torque on every motor."""
+    """Return the model with one more input, ``gravity``, that acts like ``torque`` on every motor."""
     b = np.hstack([model.B, torque * model.B.sum(axis=1, keepdims=True)])
     d = np.hstack([model.D, torque * model.D.sum(axis=1, keepdims=True)])
     inputs = [*model.inputs, ("gravity", "1")]
@@ -207,14 +199,14 @@ def _with_gravity(model: StateSpaceModel, torque: float) -> StateSpaceModel:
 
 
 def track(plant: StewartPlatform, signs: tuple[int, ...] = (1, 1, 1, 1, 1, 1)) -> TrajectoryFollowing:
-    """Five seconds of section 9.1.3 with the poles 236 and 3000 /s: a lift of 2 s, then sines with the given signs."""
+    """Simulate 5 s of section 9.1.3 with the poles 236 and 3000 /s: a lift of 2 s, then sines with the given signs."""
     amplitude = np.array([5e-3] * 3 + [20e-3] * 3) * signs
     path = SineTrajectory(plant.geometry.home, amplitude=amplitude)
     return follow(plant, two_layer(plant), path, np.linspace(0.0, 5.0, 2501))
 
 
 def lowest_stable_pole(plant: StewartPlatform, low: float = 1000.0, high: float = 3000.0) -> float:
-    """Where the linear loop becomes stable as the lower layer's pole in 1/s grows from ``low`` to ``high``; to 1 /s."""
+    """Return the lower layer's pole in 1/s, from ``low`` to ``high``, at which the linear loop becomes stable."""
     while high - low > 1.0:
         middle = (low + high) / 2
         stable = closed_loop(plant, two_layer(plant, p_low=middle)).poles().real.max() < 0

@@ -1,4 +1,4 @@
-"""The first run on a machine compiles, later ones read what was compiled: both give the same bits."""
+"""Compiled kernels give the same bits in the first run on a machine and in later ones."""
 
 import os
 import subprocess
@@ -22,8 +22,8 @@ print(hashlib.sha256(b"".join(part.tobytes() for part in (found.A, found.B, foun
 @pytest.mark.slow
 def test_compiled_now_or_read_from_disk(tmp_path):
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-    told = [
+    outputs = [
         subprocess.run([sys.executable, "-c", SCRIPT], env=environment, check=True, capture_output=True).stdout
         for _ in range(2)
     ]
-    assert told[0] == told[1]
+    assert outputs[0] == outputs[1]

@@ -96,7 +96,7 @@ def test_a_record_is_compared_from_the_initial_state(motor):
 
 
 @pytest.mark.parametrize(
-    ("ask", "match"),
+    ("call", "match"),
     [
         (rl.linearise, "shows no rates"),
         (rl.trim, "shows no rates"),
@@ -105,9 +105,9 @@ def test_a_record_is_compared_from_the_initial_state(motor):
         (lambda motor: rl.plant(str(motor.path), mass=1.0), "mass"),
     ],
 )
-def test_what_has_no_meaning_is_refused(motor, ask, match):
+def test_unsupported_calls_are_rejected(motor, call, match):
     with pytest.raises(rl.InputError, match=match):
-        ask(motor)
+        call(motor)
 
 
 @pytest.mark.slow

@@ -58,7 +58,7 @@ def test_a_resonance_under_a_continuous_force(samples_a_period):
             lambda s, x, shift=shift: [x[1], force(s - shift) - c * x[1] - k * x[0]],
             (0, t[-1]), [0, 0], t_eval=t, rtol=1e-10, atol=1e-12, method="DOP853",
         ).y  # fmt: skip
-        first = 10  # before its first sample the input of the record stands still
+        first = 10  # the input is constant before the first sample
         for sub in (2, 4):
             run = Simulator(plant, [], force(t)[:, None], DT, sub=sub, hold=("smooth",))
             window = Windows(np.array([first]), n - first)
@@ -66,7 +66,7 @@ def test_a_resonance_under_a_continuous_force(samples_a_period):
             assert np.abs(found - truth[0, first:]).max() < 1e-4 * np.abs(truth[0]).max()
 
 
-def test_a_delay_and_a_shift_are_one_and_the_same():
+def test_a_delay_equals_a_shift():
     plant, _ = oscillator(20)
     u = np.random.default_rng(4).normal(size=(90, 1))
     pairs = [(effect("input-dead-zone"), Site("input", "f")), (effect("input-delay"), Site("input", "f"))]
@@ -77,7 +77,7 @@ def test_a_delay_and_a_shift_are_one_and_the_same():
     assert (late == moved).all()
 
 
-def test_what_cannot_be_is_named():
+def test_bad_arguments_are_named():
     plant, _ = oscillator(20)
     u = np.zeros((9, 1))
     with pytest.raises(InputError, match="zoh, linear, smooth"):

@@ -55,7 +55,7 @@ def dahl(level, stiffness):
 
 
 # The force of each law is a good part of the spring's, or a fiftieth of it where it damps. After twenty periods: the
-# largest error at the steps that `stepping` takes, and by what it falls when they are halved.
+# largest error at the steps of `stepping`, and its reduction when they are halved.
 LAWS = {
     "cubic-stiffness": (lambda k, w: {"k3": 0.1 * k}, lambda p: lambda x: (-p["k3"] * x[0] ** 3, []), 5e-4, 10),
     "cogging": (

@@ -1,4 +1,4 @@
-"""A plant under feedback, as a plant of its own: it takes effects, other parameters, and any reference."""
+"""A plant under feedback as a plant, with effects, other parameters, and any reference."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
 
 
 def controlled_plant(plant: LinearPlant, K: Any, controlled: Sequence[str], measured: Sequence[str]) -> LinearPlant:
-    """The plant under ``u = K v`` with v = (references of the controlled outputs, measured outputs)."""
+    """Return the plant under ``u = K v`` with v = (references of the controlled outputs, measured outputs)."""
     where = f"{plant.name} under control"
     model, c, m = loop_parts(plant, K, controlled, measured)
     n, n_k, n_r = len(plant.states), model.n_states, len(c)
@@ -55,7 +55,7 @@ def controlled_plant(plant: LinearPlant, K: Any, controlled: Sequence[str], meas
 def loop_parts(
     plant: Plant, K: Any, controlled: Sequence[str], measured: Sequence[str]
 ) -> tuple[StateSpaceModel, list[int], list[int]]:
-    """A controller as a model, and the numbers of the outputs that it controls and that it sees."""
+    """Return a controller as a model, and the indices of its controlled and measured outputs."""
     model, where = as_model(K, "controller"), f"{plant.name} under control"
     c, m = _positions(where, controlled, plant), _positions(where, measured, plant)
     sizes = (len(c) + len(m), len(plant.inputs))
@@ -70,7 +70,7 @@ def loop_parts(
 
 @dataclass(frozen=True)
 class TorqueGains:
-    """Gains of a motor's torque loop: kp in V/(N m s), kd in V/(N m), ki in V/(N m s2)."""
+    """Gains of a motor torque loop: kp in V/(N m s), kd in V/(N m), ki in V/(N m s2)."""
 
     kp: float
     kd: float
@@ -78,13 +78,13 @@ class TorqueGains:
 
 
 def torque_gains(p: float, *, R: float, L: float, Km: float, Kb: float, Kf: float, J: float) -> TorqueGains:
-    """Gains that give the torque of a motor with the free rotor J the triple pole -p."""
+    """Return gains for a triple pole -p of the torque of a motor with the free rotor J."""
     b, c, d = -(L * Kf + R * J) / (L * J), -(R * Kf + Kb * Km) / (L * J), Km / L
     return TorqueGains(kp=(3 * p**2 + c) / d, kd=(3 * p + b) / d, ki=p**3 / d)
 
 
 def actuator_cascade(plant: LinearPlant, p_up: float = 236.0, p_low: float = 3000.0) -> StateSpaceModel:
-    """The two layers of the thesis for one actuator: an I-PD for the angle above a loop for the motor's torque."""
+    """Return the two-layer controller of the thesis for one actuator: an I-PD of the angle over a torque loop."""
     # Březina 2010, eqs 9.1-9.4.
     needed = ("R", "L", "Km", "Kb", "Kf", "J")
     if not isinstance(plant, LinearPlant) or any(n not in plant.values for n in needed) or len(plant.states) != 3:
@@ -117,7 +117,7 @@ def _positions(where: str, names: Sequence[str], plant: Plant) -> list[int]:
 def controlled_nonlinear(
     plant: NonlinearPlant, K: Any, controlled: Sequence[str], measured: Sequence[str], at: Trim
 ) -> ControlledNonlinearPlant | ExtendedNonlinearPlant:
-    """The plant under ``u = K v``, with v = (references of the controlled outputs, measured outputs)."""
+    """Return the plant under ``u = K v``, with v = (references of the controlled outputs, measured outputs)."""
     model, c, m = loop_parts(plant, K, controlled, measured)
     base, effects = (plant.plant, plant.effects) if isinstance(plant, ExtendedNonlinearPlant) else (plant, ())
     for e in effects:
@@ -134,18 +134,17 @@ class ControlledNonlinearPlant(PlantAlong):
     """A nonlinear plant under a linear controller; made by `controlled_nonlinear`."""
 
     plant: NonlinearPlant  # the plant, without direct term from inputs to outputs
-    # the controller, from (references, measured outputs) to the plant's inputs, in deviations from ``at``
-    K: StateSpaceModel
-    measured: tuple[int, ...]  # numbers of the plant's outputs, and behind them its states, that the controller sees
-    at: Trim  # the rest of the plant at which it takes hold
-    offset: Array  # v at that rest, (n_r + n_m,)
+    K: StateSpaceModel  # from (references, measured outputs) to the plant's inputs, in deviations from ``at``
+    measured: tuple[int, ...]  # indices into (outputs, states) of the plant
+    at: Trim  # equilibrium of the plant
+    offset: Array  # v at that equilibrium, (n_r + n_m,)
 
     @classmethod
     def of(
         cls, name: str, plant: NonlinearPlant, K: StateSpaceModel, controlled: Sequence[int], measured: Sequence[int],
         at: Trim,
     ) -> ControlledNonlinearPlant:  # fmt: skip
-        """The loop of a controller whose sizes are known to be right."""
+        """Build the loop of a controller of checked size."""
         references = tuple(Signal(f"{plant.outputs[i].name}_ref", plant.outputs[i].unit) for i in controlled)
         states = (*plant.states, *(Signal(f"controller_{k + 1}") for k in range(K.n_states)))
         offset = np.concatenate([at.y, at.x])[[*controlled, *measured]]
@@ -170,7 +169,7 @@ class ControlledNonlinearPlant(PlantAlong):
         self.plant.check_reach(t, x[:, : len(self.plant.states)])
 
     def _parts(self, x: Array, r: Array, values: Mapping[str, float] | None) -> tuple[Array, Array, Array, Array]:
-        """The plant's states, its outputs, v and its inputs at points x (n, n_x), r (n, n_r)."""
+        """Return the plant's states, outputs, v and inputs at points x (n, n_x), r (n, n_r)."""
         own, inner = np.split(x, [len(self.plant.states)], axis=1)
         y = self.plant.outputs_along(own, np.tile(self.at.u, (len(x), 1)), values)
         v = np.hstack([r, np.hstack([y, own])[:, list(self.measured)]]) - self.offset
@@ -227,7 +226,7 @@ def driver_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
 
 
 class _DriverInLoop(InputDeadZone):
-    """The dead zone at one control of a loop: a force law where the effect of the catalogue maps an input."""
+    """The dead zone at one control of a loop, as a force law instead of an input map."""
 
     force = driver_force
 
@@ -242,14 +241,14 @@ class _DriverInLoop(InputDeadZone):
 
     def extend(self, model: PortModel, site: Site, values: Mapping[str, float]) -> PortModel:
         port = self.port.widened(len(model.A) - len(self.port.force))
-        return model.with_port(port)
+        return replace(model, ports={**model.ports, port.name: port})
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint | None:
-        return None  # what it does is all in the law
+        return None  # included in the law
 
 
 def driver_in_loop(loop: LinearPlant, plant: LinearPlant, control: str, values: Mapping[str, Any]) -> AttachedEffect:
-    """The dead zone of the driver of one control, for `with_effects` of the loop."""
+    """Return the dead zone of the driver of one control, for `with_effects` of the loop."""
     where = f"input-dead-zone at {control}"
     names = [s.name for s in plant.inputs]
     if control not in names:

@@ -1,4 +1,4 @@
-"""One motion under several controllers, simulated alike: a sine that a linear plant follows, the platform's path."""
+"""One motion under several controllers: a linear plant follows a sine, the Stewart platform a path."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ HELD = 1e-4  # s between samples of a reference, which is held between them
 
 
 class TimePanel(NamedTuple):
-    """One signal of several runs over time: label with unit, run -> samples (n,), and a limit to draw (None: none)."""
+    """One signal of several runs over time: label with unit, run -> samples (n,), and a limit to draw."""
 
     label: str
     curves: Mapping[str, Array]
@@ -88,8 +88,8 @@ class ControlledRuns(Shown):
         return {"controllers": self.controllers}
 
     def to_json(self) -> dict[str, Any]:
-        told = {"facts": dict(self.facts()), "notes": self.notes}
-        return {"status": self.status, "controllers": self.controllers, **told}
+        texts = {"facts": dict(self.facts()), "notes": self.notes}
+        return {"status": self.status, "controllers": self.controllers, **texts}
 
 
 def _cell(row: Mapping[str, Any], where: tuple[str, ...], factor: float) -> str:
@@ -100,7 +100,7 @@ def _cell(row: Mapping[str, Any], where: tuple[str, ...], factor: float) -> str:
 
 
 class Sine(NamedTuple):
-    """A sine that grows to its amplitude: amplitude, rad/s, s of growth, s in all, and the points that are kept."""
+    """A sine that grows to its amplitude; omega in rad/s, rise time and duration in s, number of stored points."""
 
     amplitude: float
     omega: float
@@ -110,7 +110,7 @@ class Sine(NamedTuple):
     held: float = HELD
 
     def wave(self) -> tuple[Array, Array, int]:
-        """Times (n,), the reference at them, and how many of them lie between two points that are kept."""
+        """Return times (n,), the reference, and the number of steps between two stored points."""
         fine = max(1, math.ceil(self.t_end / (self.points - 1) / self.held))
         t = np.linspace(0.0, self.t_end, fine * (self.points - 1) + 1)
         share = np.clip(t / self.rise_time, 0.0, 1.0)
@@ -118,7 +118,7 @@ class Sine(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """How runs are judged: s from which on errors count, factor and unit of the error, largest sizes of signals."""
+    """Evaluation of runs: start time of errors in s, factor and unit of the error, limits of signals."""
 
     after: float = 0.0
     scale: float = 1.0
@@ -136,7 +136,7 @@ def follow_sine(
     effects: Mapping[str, Mapping[str, float]] | None = None,
     members: Sequence[Mapping[str, float]] = (),
 ) -> ControlledRuns:
-    """A linear plant under several controllers, as it is and with effects that no design knew, members included."""
+    """Simulate a linear plant under several controllers, nominal and sampled models, with unmodelled effects."""
     if not isinstance(plant, LinearPlant):
         raise InputError("follow_sine: plant", type(plant).__name__, "a linear plant")
     units = {s.name: s.unit for s in (*plant.outputs, *plant.inputs)}
@@ -150,7 +150,7 @@ def follow_sine(
     sizes: dict[str, dict[str, Array]] = {name: {} for name in judged.limits}
     for name, K in controllers.items():
         loop = controlled_plant(plant, K, controlled, measured)
-        made = [_rough(loop, plant, known, member) for member in ({}, *members)]
+        made = [_with_effects(loop, plant, known, member) for member in ({}, *members)]
         runs = [simulate(one, t, np.tile(wave[:, None], len(controlled))) for one in made]
         error = [np.column_stack([wave - run[c] for c in controlled]) * judged.scale for run in runs]
         largest = {n: float(max(np.abs(run[n]).max() for run in runs)) for n in judged.limits}
@@ -171,17 +171,19 @@ def follow_sine(
     panels += [TimePanel(f"{n} [{units[n]}]", sizes[n], limit) for n, limit in judged.limits.items()]
     amplitude = number(float(sine.amplitude), units[controlled[0]], 5)
     words = " and ".join(e.replace("-", " ").replace("@", " at ") for e in known) or "no further effect"
-    told = [
+    facts = [
         ("reference", f"{amplitude} at {number(float(sine.omega), 'rad/s', 5)}"),
         ("effects that no design knew", words),
         ("further members simulated", str(len(members))),
     ]
     note = "Limits are compared with, not applied: nothing is clipped."
-    return ControlledRuns(rows, tuple(columns), t[::fine], tuple(panels), unit, judged.after, told, (note,))
+    return ControlledRuns(rows, tuple(columns), t[::fine], tuple(panels), unit, judged.after, facts, (note,))
 
 
-def _rough(loop: Any, plant: Any, effects: Mapping[str, Mapping[str, float]], member: Mapping[str, float]) -> Any:
-    """A member's loop with effects; one at a control acts on what the controller commands."""
+def _with_effects(
+    loop: Any, plant: Any, effects: Mapping[str, Mapping[str, float]], member: Mapping[str, float]
+) -> Any:
+    """Return the loop of a sampled model with effects; those at a control act on the controller's command."""
     made, own = (p.with_parameters(**member) if member else p for p in (loop, plant))
     at_controls = [f"input-dead-zone@{s.name}" for s in plant.inputs]
     rest = {key: values for key, values in effects.items() if key not in at_controls}
@@ -193,7 +195,7 @@ def _rough(loop: Any, plant: Any, effects: Mapping[str, Mapping[str, float]], me
 
 
 class Path(NamedTuple):
-    """The path of L. Březina's section 9.1.3: pose of its beginning (home: None), scale, s of growth, s, points."""
+    """The path of section 9.1.3: start pose (None: home), scale, rise time and duration in s, number of points."""
 
     at: Sequence[float] | None = None
     scale: float = 1.0
@@ -203,15 +205,15 @@ class Path(NamedTuple):
 
     @property
     def words(self) -> str:
-        """What it does; at scale 1 a lift of 5 mm, sines of 5 mm and 20 mrad."""
+        """The path in words."""
         return f"a lift of {5 * self.scale:g} mm, then sines of {5 * self.scale:g} mm and {20 * self.scale:g} mrad"
 
 
 def follow_path(
     plant: Any, controllers: Mapping[str, Any], path: Path, after: float = 3.0, p_low: float = 3000.0
 ) -> ControlledRuns:
-    """The nonlinear Stewart platform under several controllers, following the path of section 9.1.3."""
-    runs, abscissas, asked, below = _followed(plant, controllers, path, p_low)
+    """Simulate the nonlinear Stewart platform under several controllers along the path of section 9.1.3."""
+    runs, abscissas, angles, below = _followed(plant, controllers, path, p_low)
     t = np.linspace(0.0, path.t_end, path.points)
     late = t >= after
     rows: dict[str, dict[str, Any]] = {}
@@ -219,7 +221,7 @@ def follow_path(
     for name, run in runs.items():
         error = run.largest_error(after)
         curves["position"][name] = distance = 1e3 * np.linalg.norm(run.error[:, :3], axis=1)
-        largest = np.abs((run.phi - asked)[late]).max(axis=0)
+        largest = np.abs((run.phi - angles)[late]).max(axis=0)
         rows[name] = {
             "order": as_model(controllers[name], name).n_states,
             "worst_error": float(distance[late].max()),
@@ -247,19 +249,17 @@ def follow_path(
         ("in limits", ("within_limits",), 1.0),
     )
     pose = "home" if path.at is None else ", ".join(f"{v:g}" for v in path.at)
-    told = [("path begins at", pose), ("path", path.words), below]
-    what = "torque and voltage" if curves["voltage"] else "torque"
-    note = f"Nothing is clipped: 'in limits' says whether the motors' {what} would have been enough."
+    facts = [("path begins at", pose), ("path", path.words), below]
+    limits = "torque and voltage" if curves["voltage"] else "torque"
+    note = f"Nothing is clipped: 'in limits' says whether the motors' {limits} would have been enough."
     kept = tuple(panel for panel in panels if panel.curves)
-    return ControlledRuns(rows, columns, t, kept, "mm", after, told, (note,))
+    return ControlledRuns(rows, columns, t, kept, "mm", after, facts, (note,))
 
 
 def _followed(
     plant: Any, controllers: Mapping[str, Any], path: Path, p_low: float
 ) -> tuple[dict[str, TrajectoryFollowing], dict[str, float], Array, tuple[str, str]]:
-    """The run under each controller, the rightmost pole of its linear loop, the nut angles asked for (n, 6), and what
-    is below the controllers.
-    """
+    """Return the run and the spectral abscissa of each loop, the reference nut angles (n, 6), and the inner loops."""
     machine = plant.plant if isinstance(plant, ExtendedNonlinearPlant) else plant
     if not isinstance(machine, StewartPlatform) or (machine.motors and machine is not plant):
         expected = "one, with motors, or without them and perhaps with effects"
@@ -268,15 +268,15 @@ def _followed(
     sines = SineTrajectory(machine.geometry.home if path.at is None else path.at, rise_time=path.rise_time)
     sines = replace(sines, lift=path.scale * np.asarray(sines.lift), amplitude=path.scale * np.asarray(sines.amplitude))
     t = np.linspace(0.0, path.t_end, path.points)
-    asked = nut_angles(machine.geometry, sines.pose(t))
+    angles = nut_angles(machine.geometry, sines.pose(t))
     models = {name: as_model(K, name) for name, K in controllers.items()}
     if not machine.motors:
         named = f", with {', '.join(e.in_words for e in plant.effects)}" if machine is not plant else ""
         runs = {name: follow_with_torques(plant, K, sines, t, at=point) for name, K in models.items()}
         poles = {name: linearise(torque_loop(machine, K, point)).spectral_abscissa() for name, K in models.items()}
-        return runs, poles, asked, ("the machine", f"takes torques{named}")
+        return runs, poles, angles, ("the machine", f"takes torques{named}")
     lower = two_layer(machine, p_low=p_low).lower
     layered = {name: LayeredController(K, lower, point) for name, K in models.items()}
     runs = {name: follow(machine, controller, sines, t) for name, controller in layered.items()}
     poles = {name: closed_loop(machine, controller).spectral_abscissa() for name, controller in layered.items()}
-    return runs, poles, asked, ("torque loops below", f"triple pole at {p_low:g} 1/s")
+    return runs, poles, angles, ("torque loops below", f"triple pole at {p_low:g} 1/s")

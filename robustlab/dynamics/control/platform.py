@@ -1,6 +1,6 @@
-"""The Stewart platform under control: its two layers, and the nonlinear machine that follows a lift and sines."""
+"""The Stewart platform under two-layer control, and its nonlinear simulation along a lift and sines."""
 # Březina 2010, eqs 9.1-9.4 and section 9.1.3. Eqs 9.2 and 9.4 lack one derivative; the gains are right for the plants
-# written above them. How the first 2 s of the path are passed is not printed; a step would ask for 0.23 N m and 219 V.
+# written above them. The first 2 s of the path are not printed; a step would need 0.23 N m and 219 V.
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ from robustlab.result import Status
 from robustlab.signals import Taken
 from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
 
-# Without a rotor in the machine the lower layer still designs with one, as the thesis does (its eq. 9.3).
+# Rotor inertia in the design of the lower layer, used even if the machine has none (eq. 9.3).
 ROTOR = 7.2e-6
 NUMBERS = range(1, 7)
 
 
 @dataclass(frozen=True, eq=False)
 class LayeredController:
-    """Any linear upper layer above the motors' torque loops, in deviations from the trim at which it was designed."""
+    """A linear upper layer above the motors' torque loops, in deviations from the design's trim."""
 
-    upper: StateSpaceModel  # from r, phi, phidot (6 each) to the six motor torques that it asks for; continuous
+    upper: StateSpaceModel  # from r, phi, phidot (6 each) to the six motor torque references; continuous
     lower: TorqueGains  # gains of every motor's torque loop
-    at: Trim  # the trim; its torques and voltages are added to what the controller gives
+    at: Trim  # its torques and voltages are added to the controller's outputs
 
     def __post_init__(self) -> None:
         if (self.upper.n_inputs, self.upper.n_outputs) != (18, 6) or self.upper.is_discrete:
@@ -52,7 +52,7 @@ class LayeredController:
             raise InputError("layered controller", found, "r, phi, phidot (6 each) in and 6 torques out, continuous")
 
     def state_space(self) -> StateSpaceModel:
-        """Linear model of the controller: inputs r, phi, phidot, torque (6 each), outputs the six voltages."""
+        """Return the linear controller: inputs r, phi, phidot, torque (6 each), outputs the six voltages."""
         upper, lower = self.upper, self.lower
         n, one, none = upper.n_states, np.eye(6), np.zeros((6, 6))
         below = np.zeros((6, n))
@@ -75,7 +75,7 @@ _TORQUES = _signals(("torque", "N m"))
 
 
 def upper_layer(Kp: Array, Kd: Array, Ki: Array) -> StateSpaceModel:
-    """The I-PD of the angles with these gains (6, 6): inputs r, phi, phidot (6 each), outputs the six motor torques."""
+    """Return the I-PD of the angles, gains (6, 6): inputs r, phi, phidot (6 each), outputs the six motor torques."""
     one, none = np.eye(6), np.zeros((6, 6))
     b, d = np.hstack([one, -one, none]), np.hstack([none, -Kp, -Kd])
     return StateSpaceModel(none, b, Ki, d, 0.0, _ABOVE, _TORQUES, where="two-layer: upper layer")
@@ -84,7 +84,7 @@ def upper_layer(Kp: Array, Kd: Array, Ki: Array) -> StateSpaceModel:
 def two_layer(
     plant: StewartPlatform, p_up: float = 236.0, p_low: float = 3000.0, at: Trim | None = None, rotor_J: float = ROTOR
 ) -> LayeredController:
-    """Two-layer controller of a Stewart platform with motors."""
+    """Design the two-layer controller of a Stewart platform with motors."""
     if not (isinstance(plant, StewartPlatform) and plant.motors):
         raise InputError("two_layer", "a plant without motors", 'plant("stewart-platform", motors=True)')
     for name, value in (("p_up", p_up), ("p_low", p_low), ("rotor_J", rotor_J)):
@@ -102,7 +102,7 @@ def two_layer(
 
 
 def measured(plant: StewartPlatform) -> Array:
-    """What the controller is fed, ``(phi, phidot, torque) = C x``, shape (18, 18); torque = Km i - Kf n phidot."""
+    """Return C (18, 18) of the measurements ``(phi, phidot, torque) = C x``; torque = Km i - Kf n phidot."""
     p, c = plant.values, np.eye(18)
     c[12:, 12:] *= p["Km"]
     c[12:, 6:12] = -p["Kf"] * p["ratio"] * np.eye(6)
@@ -110,9 +110,9 @@ def measured(plant: StewartPlatform) -> Array:
 
 
 def layered_loop(plant: StewartPlatform, controller: LayeredController) -> ControlledNonlinearPlant:
-    """The machine under control: references of the nut angles in, angles, rates and voltages out."""
+    """Return the machine under control, from references of the nut angles to angles, rates and voltages."""
     read, k = measured(plant), controller.state_space()
-    # of the currents, which are no outputs, the controller makes the torques that it sees
+    # the measured torques are computed from the currents, which are no outputs
     sees = StateSpaceModel(
         k.A, np.hstack([k.B[:, :6], k.B[:, 6:] @ read]), k.C, np.hstack([k.D[:, :6], k.D[:, 6:] @ read])
     )
@@ -121,7 +121,7 @@ def layered_loop(plant: StewartPlatform, controller: LayeredController) -> Contr
 
 
 def closed_loop(plant: StewartPlatform, controller: LayeredController) -> StateSpaceModel:
-    """Linear model of the machine under control: references r (6) to nut angles, torques and voltages (18)."""
+    """Return the linear loop from references r (6) to nut angles, torques and voltages (18)."""
     loop = layered_loop(plant, controller)
     a, b, c, d = loop.jacobians(loop.start, loop.offset[:6])
     torque = np.hstack([measured(plant)[12:], np.zeros((6, loop.K.n_states))])
@@ -132,7 +132,7 @@ def closed_loop(plant: StewartPlatform, controller: LayeredController) -> StateS
 
 @dataclass(frozen=True, eq=False)
 class SineTrajectory:
-    """A smooth lift followed by sines about the lifted pose, of which a pose is
+    """A smooth lift followed by sines about the lifted pose:
 
     q0 + lift e(t / T) + amplitude e((t - T) / T_r) sin(omega (t - T)), e(s) = 10 s^3 - 15 s^4 + 6 s^5 on [0, 1].
     """
@@ -142,7 +142,7 @@ class SineTrajectory:
     amplitude: ArrayLike = (5e-3, 5e-3, 5e-3, 20e-3, 20e-3, 20e-3)  # of the sines, (6,), signs included
     omega: float = math.pi  # of the sines in rad/s
     lift_time: float = 2.0  # length T of the first stage in s
-    rise_time: float = 0.0  # time T_r in s in which the sines grow to their amplitude; 0: at once
+    rise_time: float = 0.0  # rise time T_r of the sines in s; 0: none
 
     def __post_init__(self) -> None:
         for name in ("start", "lift", "amplitude"):
@@ -157,11 +157,11 @@ class SineTrajectory:
 
     @property
     def breaks(self) -> tuple[float, ...]:
-        """Times in s at which the motion is not smooth."""
+        """Times in s of the motion's discontinuities."""
         return (0.0, self.lift_time, self.lift_time + self.rise_time)
 
     def pose(self, t: ArrayLike) -> Array:
-        """Pose at the time t in s, (6,), or at the times (n,), (n, 6)."""
+        """Return the pose (6,) at a time in s, or (n, 6) at times (n,)."""
         time = np.asarray(t, dtype=np.float64)[..., None]
         since = np.maximum(time - self.lift_time, 0.0)
         share = _ease(since / self.rise_time) if self.rise_time else 1.0
@@ -174,48 +174,48 @@ def _ease(s: Array) -> Array:
     return s**3 * (10 - 15 * s + 6 * s**2)
 
 
-UNSTABLE = "the loop may be unstable: look at the poles of closed_loop"
-# The Maxon RE 35's nominal torque in N m and voltage in V; only compared with, nothing is clipped.
+UNSTABLE = "the loop may be unstable: check the poles of closed_loop"
+# Nominal torque in N m and voltage in V of the Maxon RE 35; nothing is clipped.
 MOST_TORQUE, MOST_VOLTAGE = 0.0977, 42.0
 
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryFollowing:
-    """How a machine followed a trajectory."""
+    """Simulated motion of a machine along a trajectory."""
 
     t: Array  # times in s, (n,)
-    # reference, pose: poses asked for and reached, (n, 6)
+    # reference and simulated poses, (n, 6)
     reference: Array
     pose: Array
-    # phi, torque, voltage, current: of the six nuts and motors, (n, 6); torque is the motor's output, Km i - Kf omega.
-    # Of a machine that takes torques voltage and current are empty, (n, 0).
+    # of the six nuts and motors, (n, 6); torque is the motor's output, Km i - Kf omega. Voltage and current are (n, 0)
+    # for a machine without motors.
     phi: Array
     torque: Array
     voltage: Array
     current: Array
     lengths: Array  # of the actuators in m, (n, 6)
-    status: Status = Status.CONVERGED  # CONVERGED: integrated to the end with its local error held
+    status: Status = Status.CONVERGED  # CONVERGED: integrated to the end with local error control
 
     @property
     def error(self) -> Array:
-        """Pose reached minus pose asked for, (n, 6), in m and rad."""
+        """Pose minus reference, (n, 6), in m and rad."""
         return self.pose - self.reference
 
     def largest_error(self, after: float = 0.0) -> Array:
-        """Largest absolute error of each axis at the times from ``after`` on, (6,)."""
+        """Return the largest absolute error of each axis from the time ``after`` on, (6,)."""
         return np.abs(self.error[self.t >= after]).max(axis=0)
 
     def largest_torque(self, after: float = 0.0) -> Array:
-        """Largest absolute torque of each motor in N m at the times from ``after`` on, (6,)."""
+        """Return the largest absolute torque of each motor in N m from the time ``after`` on, (6,)."""
         return np.abs(self.torque[self.t >= after]).max(axis=0)
 
     def largest_voltage(self, after: float = 0.0) -> Array:
-        """Largest absolute voltage of each motor in V at the times from ``after`` on, (6,)."""
+        """Return the largest absolute voltage of each motor in V from the time ``after`` on, (6,)."""
         return np.abs(self.voltage[self.t >= after]).max(axis=0)
 
     @property
     def within_limits(self) -> bool:
-        """True where no sample exceeds the motors' torque or voltage, as far as these are known."""
+        """True if no sample exceeds the motors' torque or voltage."""
         within = self.largest_torque().max() <= MOST_TORQUE
         return bool(within and self.largest_voltage().max(initial=0.0) <= MOST_VOLTAGE)
 
@@ -235,11 +235,11 @@ def _followed(
 def follow(
     plant: StewartPlatform, controller: LayeredController, trajectory: SineTrajectory, t: ArrayLike, rtol: float = 1e-6
 ) -> TrajectoryFollowing:
-    """Nonlinear simulation of the machine under control, at rest at the controller's trim at the first time."""
+    """Simulate the nonlinear machine under control, starting in equilibrium at the controller's trim."""
     clock = Record(t, name="follow").t
     reference = _within(plant, trajectory, clock)
     read, loop = measured(plant), layered_loop(plant, controller)
-    # The torque loops' poles of some 1000 /s would hold an explicit method to steps below a millisecond.
+    # The torque loops are stiff (poles of some 1000 /s): implicit integration.
     states = _integrated(
         loop, lambda time: nut_angles(plant.geometry, trajectory.pose(time)), clock, trajectory.breaks, rtol
     )
@@ -258,7 +258,7 @@ def follow_with_torques(
     plant: StewartPlatform | ExtendedNonlinearPlant, K: StateSpaceModel, trajectory: SineTrajectory, t: ArrayLike, *,
     at: Trim,
 ) -> TrajectoryFollowing:  # fmt: skip
-    """Simulate a machine that takes torques, with effects at its joints or without, under a controller."""
+    """Simulate a machine without motors under a controller, with or without effects at its joints."""
     machine = plant.plant if isinstance(plant, ExtendedNonlinearPlant) else plant
     if not isinstance(machine, StewartPlatform) or machine.motors:
         raise InputError("follow_with_torques", "no Stewart platform that takes torques", "motors = False")
@@ -267,12 +267,12 @@ def follow_with_torques(
         raise InputError("follow_with_torques: t", "irregular times", "equal steps")
     clock, reference = record.t, _within(machine, trajectory, record.t)
     loop = torque_loop(plant, K, at)
-    if isinstance(loop, ControlledNonlinearPlant):  # stepped like one with effects: the loop is stiff
+    if isinstance(loop, ControlledNonlinearPlant):  # stepped like a plant with effects, because the loop is stiff
         loop = ExtendedNonlinearPlant(loop.name, loop.parameters, loop.inputs, loop.outputs, loop.states, loop, ())
-    asked = nut_angles(machine.geometry, reference)
+    angles = nut_angles(machine.geometry, reference)
     start = np.concatenate([at.x[:12], np.zeros(as_model(K).n_states)])
     try:
-        made = loop.motion(asked, float(np.diff(clock).mean()), float(clock[0]), start, None, "foh")[1]
+        made = loop.motion(angles, float(np.diff(clock).mean()), float(clock[0]), start, None, "foh")[1]
     except NoTrustworthyNumber as wrong:
         raise NoTrustworthyNumber(wrong.where, wrong.found, wrong.expected, UNSTABLE) from None
     none = np.zeros((len(clock), 0))
@@ -282,14 +282,14 @@ def follow_with_torques(
 def torque_loop(
     plant: StewartPlatform | ExtendedNonlinearPlant, K: StateSpaceModel, at: Trim
 ) -> ControlledNonlinearPlant | ExtendedNonlinearPlant:
-    """A machine that takes torques under a controller as `follow_with_torques` has it: references of the angles in."""
+    """Return the loop of `follow_with_torques`, with references of the angles as inputs."""
     angles, rates = ([s.name for s in plant.outputs[k : k + 6]] for k in (0, 6))
     seen = angles if as_model(K).n_inputs == 12 else [*angles, *rates]
     return controlled_nonlinear(plant, K, angles, seen, at)
 
 
 def _within(plant: StewartPlatform, trajectory: SineTrajectory, clock: Array) -> Array:
-    """The poses asked for, (n, 6), all of them within the workspace."""
+    """Return the reference poses (n, 6), checked against the workspace."""
     reference = trajectory.pose(clock)
     within = inside(plant.geometry, reference)
     if not within.all():
@@ -301,7 +301,7 @@ def _within(plant: StewartPlatform, trajectory: SineTrajectory, clock: Array) ->
 def _integrated(
     loop: ControlledNonlinearPlant, angles: Callable[[float], Array], t: Array, breaks: tuple[float, ...], rtol: float
 ) -> Array:
-    """States (n, n_x) at the times t, from the rest at which the controller takes hold."""
+    """Integrate from the loop's equilibrium; return states (n, n_x) at the times t."""
     from scipy.integrate import solve_ivp
 
     number("follow: rtol", rtol, "a number between 0 and 1", above=0, below=1)
@@ -309,13 +309,13 @@ def _integrated(
     def rates(time: float, state: Array) -> Array:
         try:
             return loop.rates_along(state[None], angles(time)[None])[0]
-        except NoTrustworthyNumber:  # a trial state that is no pose: not finite makes the integrator try a shorter step
+        except NoTrustworthyNumber:  # not a pose: NaN makes the integrator shorten the step
             return np.full(len(state), np.nan)
 
     def jacobian(time: float, state: Array) -> Array:
         return loop.local_models(state[None], angles(time)[None]).A[0]
 
-    # Sizes below which a state counts as small: angles, rates, currents, and the controller's integrals.
+    # Absolute tolerances of angles, rates, currents, and the controller's integrals, relative to rtol.
     small = np.abs(loop.K.C).max(axis=0)
     scale = np.concatenate([np.full(12, 1.0), np.full(6, 0.1), 0.1 / np.maximum(small, 1.0)])
     edges = [t[0], *sorted({b for b in breaks if t[0] < b < t[-1]}), t[-1]]

@@ -1,4 +1,4 @@
-"""The catalogue of effects; one that lives elsewhere joins it by `add_effect`, for as long as the process runs."""
+"""The catalogue of effects; `add_effect` extends it for the duration of the process."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ _ADDED: dict[str, Effect] = {}
 
 
 def catalogue() -> dict[str, Effect]:
-    """Id -> effect, in the order of their ids."""
+    """Return id -> effect, sorted by id."""
     return dict(sorted({**OWN, **_ADDED}.items()))
 
 
 def add_effect(added: Effect) -> None:
-    """Put an effect of your own into the catalogue of this process; one of the same id that was added before goes."""
+    """Add an effect of your own to the catalogue of this process; replace an added one of the same id."""
     if not isinstance(added, Effect):
         raise InputError("add_effect", f"{added!r}", "an instance of a class derived from Effect")
     for attribute in ("id", "title", "equation", "site_kind"):
@@ -28,7 +28,7 @@ def add_effect(added: Effect) -> None:
 
 
 def effect(name: str) -> Effect:
-    """The effect with this id."""
+    """Return the effect with this id."""
     known = catalogue()
     if name not in known:
         raise unknown_name(f"effect {name!r}", "no such effect", name, known)
@@ -36,5 +36,5 @@ def effect(name: str) -> Effect:
 
 
 def effect_names() -> tuple[str, ...]:
-    """Ids of all effects of the catalogue."""
+    """Return the ids of all effects of the catalogue."""
     return tuple(catalogue())

@@ -1,4 +1,4 @@
-"""What every effect is: a name, an equation, parameters with priors, and the way it enters a plant."""
+"""Base class of effects: name, equation, parameters with priors, and the interface to a plant."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Prior:
 
     ``"log"``: :math:`c\, e^{s z}`; ``"linear"``: :math:`c + s z`; ``"share"``: a share of ``top``,
     :math:`\mathrm{top} / (1 + e^{-(m + s z)})` with the median ``centre``; ``"between"``: the same between ``bottom``
-    and ``top``, of either sign. The centre of ``"log"`` may be negative: the parameter is then negative by nature.
+    and ``top``, of either sign. The centre of ``"log"`` may be negative: the parameter is then negative.
     """
 
     kind: Literal["log", "linear", "share", "between"]
@@ -36,11 +36,11 @@ class Prior:
 
     @property
     def is_signed(self) -> bool:
-        """False where the parameter is positive by nature."""
+        """False if the parameter is always positive."""
         return self.kind in ("linear", "between") or self.centre < 0.0
 
     def value(self, z: float) -> float:
-        """The parameter at the standardised z."""
+        """Return the parameter at the standardised z."""
         if self.kind == "log":
             return self.centre * math.exp(max(-40.0, min(40.0, self.spread * z)))
         if self.kind == "linear":
@@ -50,7 +50,7 @@ class Prior:
         return self.bottom + (self.top - self.bottom) * part
 
     def standardised(self, value: float) -> float:
-        """The z of a parameter value."""
+        """Return the z of a parameter value."""
         if self.kind == "log":
             return math.log(value / self.centre) / self.spread
         if self.kind == "linear":
@@ -71,7 +71,7 @@ class EffectParameter:
 
 @dataclass(frozen=True)
 class Site:
-    """Where an effect sits: the kind of place and its name."""
+    """Place of an effect: kind and name."""
 
     kind: SiteKind
     name: str
@@ -82,33 +82,31 @@ class Site:
 
 @dataclass(frozen=True)
 class Scales:
-    """Magnitudes seen in a record, for priors and starting values."""
+    """Magnitudes in a record, for priors and initial values."""
 
-    # force, speed, position: at the site's port: RMS of the force that moves it, largest speed, range of the position;
-    # 1 where not known
+    # at the site's port: RMS of the driving force, largest speed, range of the position; 1 if unknown
     force: float = 1.0
     speed: float = 1.0
     position: float = 1.0
-    # lowest, highest: extremes of the position; None where not known
+    # extremes of the position; None if unknown
     lowest: float | None = None
     highest: float | None = None
     inertia: float = 1.0  # force per acceleration at the port
-    # Of a joint of a nonlinear plant: shares of that inertia that may hang behind its drive, as parameters tell them
-    # (`robustlab.dynamics.ports.split_joint.shares_behind`)
+    # possible load shares of a joint's inertia (`robustlab.dynamics.ports.split_joint.shares_behind`)
     shares: tuple[float, ...] = ()
     input: float = 1.0  # largest absolute value of the site's input
     output: float = 1.0  # half the range of the site's output
-    zero: float = 0.1  # by how much a sensor's zero may be off, over `output`
+    zero: float = 0.1  # possible offset of a sensor, over `output`
     current: float = 1.0  # largest absolute current
-    # dt, duration: sample time and length of the record in s
+    # sample time and length of the record in s
     dt: float = 1e-3
     duration: float = 1.0
-    # strongest spatial frequencies of the residual force in rad^-1 or m^-1, strongest first (empty: not looked at)
+    # strongest spatial frequencies of the residual force in rad^-1 or m^-1, strongest first (empty: not computed)
     orders: tuple[float, ...] = ()
-    # strongest lines of the residual force over time in Hz, strongest first (empty: none is significant)
+    # strongest lines of the residual force over time in Hz, strongest first (empty: none significant)
     lines: tuple[float, ...] = ()
-    side: int = 0  # of a trial of an effect that acts beyond one position: 1 above it, -1 below, 0 on either side
-    # force_unit, speed_unit, position_unit, signal_unit: units at the site
+    side: int = 0  # side of a position beyond which an effect acts: 1 above, -1 below, 0 either
+    # units at the site
     force_unit: str = ""
     speed_unit: str = ""
     position_unit: str = ""
@@ -121,32 +119,32 @@ class Law:
 
     function: Any  # compiled by `robustlab.dynamics.ports.law_kernel.law`
     port: str  # name of the port
-    parameters: tuple[float, ...]  # what the function is given as p
-    memory: int = 0  # number of its memory cells; they start at zero
+    parameters: tuple[float, ...]  # argument p of the function
+    memory: int = 0  # number of memory cells, initially zero
 
 
 @dataclass(frozen=True)
 class Footprint:
-    """What robust design must know of an effect."""
+    """Description of an effect for robust design."""
 
     port: str  # name of the port or signal at which it acts
-    signal: str  # what it acts on there: "speed", "position", "input", "output", "current", "force", "time"
-    # Sector: the effect lies between these two gains (force per speed, and so on) at the amplitude asked for.
+    signal: str  # its argument: "speed", "position", "input", "output", "current", "force", "time"
+    # Sector: the effect lies between these two gains (force per speed, and so on) at the given amplitude.
     gain_lower: float
     gain_upper: float
-    delay: float = 0.0  # pure delay in s that it stands for
-    offset: float = 0.0  # bound of the part that is no gain of the signal at all (a constant load)
-    # Gain of the describing function at just this amplitude, of a law whose gain only falls with it; NaN: not known.
+    delay: float = 0.0  # pure delay in s
+    offset: float = 0.0  # bound of the part that is no gain of the signal (a constant load)
+    # Describing function at this amplitude, for a law whose gain decreases with it; NaN: unknown.
     describing: float = math.nan
 
 
-# What an effect of the catalogue is, and its parameters: id -> row.
+# Attributes and parameters of the effects of the catalogue: id -> row.
 TABLE = tomllib.loads(Path(__file__).with_name("effects.toml").read_text(encoding="utf-8"))
-OWN: dict[str, Effect] = {}  # id -> effect, of all modules of effects that are loaded
+OWN: dict[str, Effect] = {}  # id -> effect, of all loaded modules of effects
 
 
 def _measure(kind: str, s: Scales) -> tuple[str, float]:
-    """Unit and size at a site of a quantity as `effects.toml` has it: ``"F/q"``, ``"dt"``, or a unit by itself."""
+    """Return unit and size at a site of a quantity of `effects.toml`: ``"F/q"``, ``"dt"``, or a plain unit."""
     force, speed, at = s.force_unit, s.speed_unit, s.position_unit or s.speed_unit.removesuffix("/s")
     known = {
         "F": (force, s.force),
@@ -167,65 +165,63 @@ def _measure(kind: str, s: Scales) -> tuple[str, float]:
 
 
 def _prior(size: float, kind: Any, centre: float, spread: float) -> Prior:
-    """The prior of a row of `effects.toml`, whose numbers are in units of the size."""
+    """Return the prior of a row of `effects.toml`, whose numbers are in units of the size."""
     if kind == "share":
         return Prior(kind, centre * size, spread, top=size)
     return Prior(kind, centre * size, spread * size if kind == "linear" else spread)
 
 
 class Effect:
-    """One physical effect; all that is known of it stands here: who looks for effects, fits them, builds sets of them
-    or advises on experiments asks the effect. Those of the catalogue have their texts and parameters in `effects.toml`.
+    """One physical effect, with all data for identification, fits, uncertain models and experiments.
+
+    Effects of the catalogue have their texts and parameters in `effects.toml`.
     """
 
     id: str  # name in the catalogue
-    title: str  # in words
-    equation: str  # one line, in the field's notation, with the symbols of the parameters
-    site_kind: SiteKind  # where it sits
-    # What to do to settle it without any record of the plant's motion, as an instruction; empty: nothing is known.
+    title: str
+    equation: str  # one line, with the symbols of the parameters
+    site_kind: SiteKind
+    # Instruction for an independent check without a record of the motion; empty: none.
     independently: str = ""
-    # After whom the title begins, empty otherwise: a name keeps its capital within a sentence.
+    # Person's name at the start of the title, which keeps its capital within a sentence.
     person: str = ""
-    # Id of the parent on top of which alone it is looked for. A refinement contains its parent.
+    # Id of the effect that this one contains and refines.
     refines: str | None = None
-    # Ids of effects that together do exactly the same: `discover` tells it by their names.
+    # Ids of effects whose sum is equivalent; `discover` reports those.
     equals: tuple[str, ...] = ()
-    nameable: bool = True  # False for what is known noise and never a name (quantisation)
-    needs_position: bool = False  # True where it sits only at joints whose position is a state
-    # True where its period over the position is a parameter; it is then tried at each strong spatial line
-    # (``scales.orders`` holds the one line of a trial).
+    nameable: bool = True  # False for known noise (quantisation)
+    needs_position: bool = False  # True if it applies only to joints whose position is a state
+    # True if its period over the position is a parameter; one trial for each strong spatial line (``scales.orders``).
     spatial: bool = False
-    # Of an effect that is periodic in time: the parameter that is its frequency in Hz; it is then tried at each line
-    # (``scales.lines`` holds the one).
+    # Parameter with the frequency in Hz of an effect periodic in time; one trial for each line (``scales.lines``).
     timed: str = ""
-    # True where stretched parameters of the plant can take its place (a gain, a wrong parameter), so that only their
-    # tolerances tell the two apart.
+    # True if other values of the plant's parameters can replace it (a gain, a wrong parameter), within tolerances.
     gain_like: bool = False
-    # Of an effect that multiplies a signal, or parameters of the plant, and does no more: the parameter by which.
+    # Parameter that is the gain of an effect that only multiplies a signal or parameters of the plant.
     scale: str = ""
-    delay: str = ""  # of an effect that delays a signal: the parameter that is the delay in s
-    time_constant: str = ""  # of an effect that lags an input in first order: the parameter that is its T in s
-    # Name of the amplitude that one speaks of, and the two parameters, in its unit, that are its cosine and sine part.
+    delay: str = ""  # parameter with the delay in s
+    time_constant: str = ""  # parameter with the time constant in s of a first-order lag of an input
+    # Name of the amplitude, and the two parameters with its cosine and sine part.
     amplitude: tuple[str, ...] = ()
-    # Parameter of which a record may tell only the least: beyond that the effect goes on as before.
+    # Parameter for which a record may determine only a lower bound.
     told_from_below: str = ""
-    # Balance of a steady point from which it takes an amount of its own.
+    # Balance at constant speed to which it adds a constant loss.
     constant_loss: Literal["", "torque", "voltage"] = ""
-    # Relative tolerance of the plant's parameters with the role `id`, where the plant states none.
+    # Default relative tolerance of the plant's parameters with the role `id`.
     tolerance: float = 0.10
-    # True where it splits the joint in two (backlash, a flexible coupling); a plant carries one of these.
+    # True if it splits the joint in two (backlash, a flexible coupling); at most one for each plant.
     structural: bool = False
-    # True where its memory outlasts a window (heat), so that windows cannot be simulated out of order.
+    # True if its memory outlasts a window (heat), so that windows must be simulated in order.
     long_memory: bool = False
     # Its force law at the port of its site (`robustlab.dynamics.ports.law_kernel.law`), and that law's memory cells.
     force: Any = None
     memory: int = 0
-    # The table's rows of its parameters, and of one from which several starts are made: values in units of its size.
+    # Table rows of its parameters, and of one parameter the initial values in units of its size.
     rows: Mapping[str, tuple[Any, ...]] = {}
     started: Mapping[str, tuple[float, ...]] = {}
 
     def __init_subclass__(cls, row: str = "") -> None:
-        """``row``: its id, where it is one of the catalogue."""
+        """Register an effect of the catalogue; ``row``: its id."""
         if row:
             cls.id = row
             for name, value in TABLE[row].items():
@@ -233,7 +229,7 @@ class Effect:
             OWN[row] = cls()
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
-        """Parameters with priors at these magnitudes."""
+        """Return the parameters with priors at these magnitudes."""
         return self._of_rows(self.rows, scales)
 
     def _of_rows(self, rows: Mapping[str, tuple[Any, ...]], scales: Scales) -> tuple[EffectParameter, ...]:
@@ -244,11 +240,11 @@ class Effect:
         return tuple(found)
 
     def priors(self, scales: Scales) -> dict[str, Prior]:
-        """Priors of parameters whose rows have none."""
+        """Return priors of parameters whose rows have none."""
         return {}
 
     def sites(self, plant: AnyPlant, model: PortModel) -> tuple[Site, ...]:
-        """All places of this plant where the effect can sit; empty where it makes no sense."""
+        """Return all possible places of the effect in this plant."""
         if self.site_kind == "input":
             return tuple(Site("input", s.name) for s in plant.inputs)
         if self.site_kind == "output":
@@ -260,22 +256,22 @@ class Effect:
         )
 
     def fits(self, port: Port) -> bool:
-        """False for ports that lack what the effect needs."""
+        """Return whether the effect can act at a port."""
         split_again = self.structural and "." in port.name
         return not split_again and (port.position is not None or not self.needs_position)
 
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
-        """Values from which a fit begins: the centres of the priors, one parameter at several values."""
+        """Return initial values of a fit: the centres of the priors, one parameter at several values."""
         centres = {p.name: p.prior.value(0.0) for p in self.parameters(scales)}
         return tuple({**centres, name: x} for name, tried in self.tried(scales).items() for x in tried) or (centres,)
 
     def tried(self, scales: Scales) -> dict[str, tuple[float, ...]]:
-        """The parameter of which several values are tried, and these."""
+        """Return the parameter with several initial values, and these."""
         sizes = {name: _measure(self.rows[name][0], scales)[1] for name in self.started}
         return {name: tuple(x * sizes[name] for x in values) for name, values in self.started.items()}
 
     def variants(self, scales: Scales) -> tuple[Scales, ...]:
-        """The magnitudes at which it is tried, each a candidate of its own: one for each line, where it has one."""
+        """Return the magnitudes of each candidate: one for each line of a periodic effect."""
         if self.spatial and scales.orders:
             return tuple(replace(scales, orders=(k,)) for k in scales.orders)
         if self.timed and scales.lines:
@@ -283,32 +279,30 @@ class Effect:
         return (scales,)
 
     def visited(self, values: Mapping[str, float], scales: Scales) -> bool:
-        """Whether the record visits the effect's own scale; where it does not the effect is its limit there (a spring,
-        a slope, nothing), which competes by its own name.
-        """
+        """Return whether the record covers the effect's scale; outside it the effect equals a simpler one."""
         return True
 
     def begun(self, values: Mapping[str, float], later: float) -> Mapping[str, float]:
-        """Parameters as a record tells them that begins later by so many seconds."""
+        """Return the parameters for a record that begins ``later`` seconds later."""
         return values
 
     def unrefined(self, values: Mapping[str, float]) -> Mapping[str, float]:
-        """Parameters of the effect that this one refines, as far as its own tell; those of one name by default."""
+        """Return parameters of the refined effect; by default those of the same name."""
         return values
 
     def factors(self, plant: AnyPlant, site: Site, values: Mapping[str, float]) -> dict[str, float]:
-        """Plant parameter -> factor."""
+        """Return plant parameter -> factor."""
         return {}
 
     def extend(self, model: PortModel, site: Site, values: Mapping[str, float]) -> PortModel:
-        """The linear equations with the effect."""
+        """Return the linear equations with the effect."""
         return model
 
     def laws(self, site: Site, values: Mapping[str, float]) -> tuple[Law, ...]:
         return () if self.force is None else (Law(self.force, site.name, self.arguments(values), self.memory),)
 
     def arguments(self, values: Mapping[str, float]) -> tuple[float, ...]:
-        """What the force law is given as p: all parameters, in their order."""
+        """Return the argument p of the force law: all parameters in their order."""
         return tuple(values[name] for name in self._names)
 
     @cached_property
@@ -316,40 +310,38 @@ class Effect:
         return tuple(p.name for p in self.parameters(Scales()))
 
     def input(self, signal: Array, values: Mapping[str, float], h: float) -> Array:
-        """What the plant sees of an input (n,), given in steps of h seconds."""
+        """Return the effective input (n,) of a commanded one, in steps of h seconds."""
         return signal
 
     def input_error(self, values: Mapping[str, float]) -> float | None:
-        """Bound of ``|input(u) - u|`` for every input u; None where there is none."""
+        """Return a bound of ``|input(u) - u|`` for every input u, or None."""
         return None
 
     def output(self, signal: Array, values: Mapping[str, float], h: float) -> Array:
         return signal
 
     def lag(self, values: Mapping[str, float]) -> float:
-        """Time in s by which the recorded outputs, and states told from them, lie behind the plant."""
+        """Return the time in s by which the recorded outputs lag behind the plant."""
         return 0.0
 
     def shown(self, values: Mapping[str, float]) -> float:
-        """What is recorded of an output over what is there; 1 where the output is not scaled as a whole."""
+        """Return the ratio of a recorded output to the true one; 1 if the output is not scaled."""
         return 1.0
 
     def bias(self, values: Mapping[str, float]) -> float:
-        """What is recorded of an output where nothing is there."""
+        """Return the recorded value of a zero output."""
         return 0.0
 
     def resting(self, values: Mapping[str, float], pull: Array) -> Array:
-        """Of an effect that splits the joint in two: where the drive rests relative to its load, for the relative
-        accelerations ``pull`` (n,) that the two would have with nothing between them.
-        """
+        """Return the equilibrium of the drive relative to its load for free relative accelerations ``pull`` (n,)."""
         return np.zeros_like(pull)
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint | None:
-        """Sector, delay or bound of the effect at this amplitude of its signal; None where the model has it all."""
+        """Return sector, delay or bound at this amplitude of its signal; None if the linear model is exact."""
         return None
 
     def checked(self, values: Mapping[str, float]) -> dict[str, float]:
-        """The values by name, all there and finite."""
+        """Return the values by name; raise an error if one is missing or not finite."""
         return self._checked(values, [p.name for p in self.parameters(Scales())])
 
     def _checked(self, values: Mapping[str, float], names: list[str]) -> dict[str, float]:

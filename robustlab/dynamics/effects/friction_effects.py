@@ -30,7 +30,7 @@ from robustlab.dynamics.ports.law_kernel import (
 
 @law
 def dry_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
-    """Mean over the step of p = (F_c,), exact for a constant drive, with sticking and reversals."""
+    """Return the mean force for p = (F_c,), exact for a constant drive, with sticking and reversals."""
     return dry_mean_force(seen[V0], seen[V], seen[GV], p[0], 0.0, 1.0)
 
 
@@ -40,8 +40,7 @@ class CoulombFriction(Effect, row="coulomb-friction"):
     force = dry_force
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
-        # Describing function of the relay for a sinusoidal speed of this amplitude: 4 Fc / (pi a); the sector of all
-        # speeds up to the amplitude reaches from there down to nothing at all above it, as damping.
+        # Describing function of the relay for a sinusoidal speed of amplitude a: 4 Fc / (pi a).
         gain = 4.0 * values["Fc"] / (math.pi * amplitude)
         return Footprint(site.name, "speed", 0.0, gain, offset=values["Fc"], describing=gain)
 
@@ -51,11 +50,11 @@ ROUNDING = 1e-13
 
 @law
 def uneven_dry_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
-    """Mean over the step of p = (F_+, F_-), exact for a constant drive."""
+    """Return the mean force for p = (F_+, F_-), exact for a constant drive."""
     level, load = 0.5 * (p[0] + p[1]), 0.5 * (p[0] - p[1])
     force = dry_mean_force(seen[V0], seen[V] - seen[GV] * load, seen[GV], level, 0.0, 1.0) - load
     sticks = -seen[V] / seen[GV]
-    return sticks if abs(force - sticks) <= ROUNDING * level else force  # at rest exactly, whatever the load rounded
+    return sticks if abs(force - sticks) <= ROUNDING * level else force  # exactly at rest despite rounding of the load
 
 
 class AsymmetricCoulombFriction(Effect, row="asymmetric-coulomb-friction"):
@@ -67,19 +66,19 @@ class AsymmetricCoulombFriction(Effect, row="asymmetric-coulomb-friction"):
         return {"Fc": 0.5 * (values["F_pos"] + values["F_neg"])}
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
-        # At a sine of the speed amplitude a the first harmonic is that of the mean level, 4 F / (pi a).
+        # First harmonic at the speed amplitude a: that of the mean level, 4 F / (pi a).
         gain = 2.0 * (values["F_pos"] + values["F_neg"]) / (math.pi * amplitude)
         return Footprint(site.name, "speed", 0.0, gain, offset=max(values["F_pos"], values["F_neg"]), describing=gain)
 
 
 @law
 def stribeck_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
-    """Mean over the step of p = (F_c, dF, v_s), with sticking, breakaway and reversals."""
+    """Return the mean force for p = (F_c, dF, v_s), with sticking, breakaway and reversals."""
     return dry_mean_force(seen[V0], seen[V], seen[GV], p[0], p[1], p[2])
 
 
 class StribeckFriction(Effect, row="stribeck-friction"):
-    """Stribeck friction: dry friction whose level falls from breakaway to sliding as the joint gathers speed."""
+    """Stribeck friction: dry friction whose level decreases with the speed, from breakaway to sliding."""
 
     # Armstrong-Helouvry, Dupont, Canudas de Wit, *A survey of models, analysis tools and compensation methods for the
     # control of machines with friction*, Automatica 30 (1994), eq. 5.
@@ -90,7 +89,7 @@ class StribeckFriction(Effect, row="stribeck-friction"):
         return values["vs"] <= scales.speed
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
-        # Describing function at a sine of this speed amplitude a, with D Dawson's integral and r = a / vs:
+        # Describing function at the speed amplitude a, with Dawson's integral D and r = a / vs:
         # 4 (Fc + dF D(r) / r) / (pi a). The force always opposes the motion.
         from scipy.special import dawsn
 
@@ -102,7 +101,7 @@ class StribeckFriction(Effect, row="stribeck-friction"):
 
 @nb.njit(cache=True)
 def _contact_stretch(deflection, way, limit):  # type: ignore[no-untyped-def]
-    """Deflection after the contact has moved by ``way``, and its mean over that way; ``limit`` is g."""
+    """Return the deflection after a displacement ``way`` of the contact, and its mean; ``limit`` is g."""
     x = abs(way) / limit
     end = math.copysign(limit, way)
     left = math.exp(-x)
@@ -112,7 +111,7 @@ def _contact_stretch(deflection, way, limit):  # type: ignore[no-untyped-def]
 
 @nb.njit(cache=True)
 def _contact(force, args):  # type: ignore[no-untyped-def]
-    """Deflection at the end of the step under this force, and the deflection whose force acts over the step."""
+    """Return the deflection at the end of the step under this force, and that whose force acts over the step."""
     v0, v_free, compliance, h, start, limit, stiffness = args
     v1 = v_free + compliance * force
     stiff = (0.5 * compliance * h * stiffness) ** 4
@@ -121,7 +120,7 @@ def _contact(force, args):  # type: ignore[no-untyped-def]
         turned, mean = _contact_stretch(start, 0.5 * share * h * v0, limit)
         end, back = _contact_stretch(turned, 0.5 * (1.0 - share) * h * v1, limit)
         acting = end
-        if abs(v_free - v0) > compliance * stiffness * limit:  # what drives it cannot be held: it slides back
+        if abs(v_free - v0) > compliance * stiffness * limit:  # the drive exceeds the friction: it slides back
             acting = share * mean + (1.0 - share) * end
         return end, (share * mean + (1.0 - share) * back + stiff * acting) / (1.0 + stiff)
     end, mean = _contact_stretch(start, 0.5 * h * (v0 + v1), limit)
@@ -135,7 +134,7 @@ def _contact_residual(force, args):  # type: ignore[no-untyped-def]
 
 @law
 def presliding_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
-    """Parameters p = (F_c, sigma_0); the residual rises with the force at a slope of at least one."""
+    """Return the force for p = (F_c, sigma_0); the residual's slope over the force is at least one."""
     limit = p[0] / p[1]
     start = min(max(z[0], -limit), limit)
     args = (seen[V0], seen[V], seen[GV], seen[STEP], start, limit, p[1])
@@ -149,7 +148,7 @@ def presliding_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
 
 
 class Presliding(Effect, row="presliding"):
-    """Presliding: dry friction whose contact gives way like a spring before it slides."""
+    """Presliding: dry friction whose contact deflects like a spring before it slides."""
 
     # Dahl, *A solid friction model* (1968); Canudas de Wit, Olsson, Astrom, Lischinsky, *A new model for control of
     # systems with friction*, IEEE Trans. Automatic Control 40 (1995).
@@ -158,12 +157,12 @@ class Presliding(Effect, row="presliding"):
     memory = 1
 
     def visited(self, values: Mapping[str, float], scales: Scales) -> bool:
-        # What never slides is a spring; where no position is known, neither is whether it did.
+        # A contact that never slides is a spring; without a position this is unknown.
         return not scales.position_unit or values["Fc"] / values["sigma0"] <= scales.position
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
-        # In a steady loop of the position amplitude a the force stays within Fc tanh(sigma0 a / Fc); its first harmonic
-        # is at most 4/pi of that.
+        # In a steady loop of position amplitude a the force is at most Fc tanh(sigma0 a / Fc), its first harmonic at
+        # most 4/pi of that.
         level = values["Fc"]
         gain = 4.0 / math.pi * level * math.tanh(values["sigma0"] * amplitude / level) / amplitude
         return Footprint(site.name, "position", 0.0, gain, offset=level)
@@ -176,17 +175,17 @@ def _level_force(level, args):  # type: ignore[no-untyped-def]
 
 @nb.njit(cache=True)
 def _level_residual(level, args):  # type: ignore[no-untyped-def]
-    """Excess of a level over the one on the way that its friction leaves."""
+    """Return the level minus the mean level along the resulting motion."""
     _, _, _, q0, q_free, gq, fc, pc, ps, k = args
     return level - max(0.0, fc + wave_mean(q0, q_free + gq * _level_force(level, args), pc, ps, k))
 
 
 @law
 def uneven_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
-    """Parameters p = (F_c, P_c, P_s, k)."""
+    """Return the force for p = (F_c, P_c, P_s, k)."""
     args = (seen[V0], seen[V], seen[GV], seen[Q0], seen[Q], seen[GQ], p[0], p[1], p[2], p[3])
     most = max(0.0, p[0]) + abs(p[1]) + abs(p[2])
-    # The friction hardly changes the way: a secant from the mean level is there in three or four looks.
+    # The friction hardly changes the displacement: the secant method converges in three or four evaluations.
     before, r_before = max(0.0, p[0]), _level_residual(max(0.0, p[0]), args)
     level = before - r_before
     for _ in range(SECANTS):
@@ -204,25 +203,25 @@ def uneven_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
 
 
 class PositionDependentFriction(WaveEffect, row="position-dependent-friction"):
-    """Dry friction whose level goes up and down over the position: a bent shaft, an uneven screw or gear."""
+    """Dry friction whose level is periodic in the position: a bent shaft, an uneven screw or gear."""
 
     force = uneven_force
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
-        # As Coulomb friction of the highest level: 4 F / (pi a) at a sine of the speed amplitude a.
+        # As Coulomb friction of the highest level: 4 F / (pi a) at the speed amplitude a.
         most = values["Fc"] + math.hypot(values["Pc"], values["Ps"])
         return Footprint(site.name, "speed", 0.0, 4.0 * most / (math.pi * amplitude), offset=most)
 
 
 @law
 def loss_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
-    """Parameters p = (1 - eta,)."""
+    """Return the force for p = (1 - eta,)."""
     level = p[0] * abs(seen[V] - seen[V0]) / seen[GV]
     return dry_mean_force(seen[V0], seen[V], seen[GV], level, 0.0, 1.0)
 
 
 class GearEfficiency(Effect, row="gear-efficiency"):
-    """Gear losses: dry friction in proportion to the force that drives the joint."""
+    """Gear losses: dry friction proportional to the driving force of the joint."""
 
     force = loss_force
 
@@ -230,14 +229,14 @@ class GearEfficiency(Effect, row="gear-efficiency"):
         return (1.0 - values["eta"],)
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
-        # A gain on the driving force between -(1 - eta) (driving) and 1 - eta (braking), at any amplitude.
+        # Gain of the driving force between -(1 - eta) (driving) and 1 - eta (braking), at any amplitude.
         loss = 1.0 - values["eta"]
         return Footprint(site.name, "force", -loss, loss)
 
 
 @law
 def directional_loss(p, z, z_next, seen):  # type: ignore[no-untyped-def]
-    """Mean over the step of p = (k_d, k_b), exact for a constant drive; beyond k_d = 1 nothing sets it in motion."""
+    """Return the mean force for p = (k_d, k_b), exact for a constant drive; with k_d >= 1 the drive never moves it."""
     drive = seen[V] - seen[V0]  # T times the compliance
     driven = min(p[0], 1.0)
     if seen[V0] * drive >= 0.0:
@@ -249,27 +248,27 @@ def directional_loss(p, z, z_next, seen):  # type: ignore[no-untyped-def]
 
 
 class LoadDependentFriction(Effect, row="load-dependent-friction"):
-    """Friction in proportion to the load that a gear passes on: one share while driven, another while braking."""
+    """Friction proportional to the load of a gear, with different shares while driving and braking."""
 
     # Duclusaud, Passault, Padois, Ly, *Extended Friction Models for the Physics Simulation of Servo Actuators*, arXiv
-    # 2410.08650 (2024): load-dependent and directional models, there of the torques of motor and load.
+    # 2410.08650 (2024): load-dependent and directional models of the torques of motor and load.
 
     force = directional_loss
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
-        # A gain on the driving force between -kd (driving) and kb (braking), at any amplitude.
+        # Gain of the driving force between -kd (driving) and kb (braking), at any amplitude.
         most = max(values["kd"], values["kb"])
         return Footprint(site.name, "force", -most, most)
 
 
-# The half that pushes along is cut at this share of the velocity per half step: beyond, it would gather speed faster
-# than the step can follow (a time constant below the step).
+# Limit of the accelerating half, as a share of the velocity per half step: above it the time constant is shorter than
+# the step.
 MOST_PUSH = 0.5
 
 
 @law
 def asymmetric_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
-    """Force of p = (dF_v,) at the mean of the speed over the step."""
+    """Return the force for p = (dF_v,) at the mean speed of the step."""
     v0, v1, gv = seen[V0], seen[V], seen[GV]
     free = 0.5 * (v0 + v1)  # mean velocity without the force
     gain = 0.5 * gv * p[0]
@@ -286,7 +285,7 @@ def asymmetric_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
 
 
 class AsymmetricViscousFriction(Effect, row="asymmetric-viscous-friction"):
-    """Viscous friction that differs between the directions: the plant's own, more one way and less the other."""
+    """Viscous friction that differs between the directions, antisymmetric about the plant's own."""
 
     force = asymmetric_force
 
@@ -298,7 +297,7 @@ class AsymmetricViscousFriction(Effect, row="asymmetric-viscous-friction"):
 
 @law
 def drag_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
-    """Parameters p = (c,); the mean velocity v solves v + (gv c / 2) v |v| = its value without the drag."""
+    """Return the force for p = (c,); the mean velocity v solves v + (gv c / 2) v |v| = its value without drag."""
     free = 0.5 * (seen[V0] + seen[V])
     v = 2.0 * free / (1.0 + math.sqrt(1.0 + 2.0 * seen[GV] * p[0] * abs(free)))
     return -p[0] * v * abs(v)
@@ -320,14 +319,14 @@ class BrushDrop(Effect, row="brush-drop"):
     force = dry_force
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
-        # Describing function of the relay at a sine of the current amplitude a: 4 Vb / (pi a).
+        # Describing function of the relay at the current amplitude a: 4 Vb / (pi a).
         gain = 4.0 * values["Vb"] / (math.pi * amplitude)
         return Footprint(site.name, "current", 0.0, gain, offset=values["Vb"], describing=gain)
 
 
 @law
 def heating_drop(p, z, z_next, seen):  # type: ignore[no-untyped-def]
-    """Drop of p = (kappa, T) at the middle of the step: mean current times the resistance z[0] there."""
+    """Return the voltage drop for p = (kappa, T) at mid-step: mean current times the resistance z[0]."""
     resistance = z[0]
     drop = -resistance * 0.5 * (seen[V0] + seen[V]) / (1.0 + 0.5 * seen[GV] * resistance)
     current = 0.5 * (seen[V0] + seen[V] + seen[GV] * drop)
@@ -336,17 +335,17 @@ def heating_drop(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return drop
 
 
-QUICKEST = 0.5  # s: no winding heats faster; a resistance that follows the current within less has another cause
+QUICKEST = 0.5  # s: shortest thermal time constant of a winding
 
 
 class ResistanceHeating(Effect, row="resistance-heating"):
-    """A winding that warms up: a resistance that grows with the heat it has taken."""
+    """Heating of a winding: a resistance that increases with the dissipated heat."""
 
     force = heating_drop
     memory = 1
 
     def priors(self, scales: Scales) -> dict[str, Prior]:
-        # A fifth of a resistance of the winding's size, at a third of the largest current.
+        # 20 % of the winding's resistance at a third of the largest current.
         rise = 0.2 * scales.force / scales.current / (scales.current / 3.0) ** 2
         return {"kappa": Prior("log", rise, 1.5)}
 
@@ -354,5 +353,5 @@ class ResistanceHeating(Effect, row="resistance-heating"):
         return values["T"] >= QUICKEST
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
-        # A resistance anywhere between cold and the warmest that this current can make it.
+        # Any resistance between cold and the steady state of this current.
         return Footprint(site.name, "current", 0.0, values["kappa"] * amplitude**2)

@@ -1,4 +1,4 @@
-"""The tree of kinds: what a person would call an effect where its form is not settled."""
+"""Effect classes: names of effects whose exact form is not determined."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MEANINGS: Mapping[Quantity, str] = {
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of effects."""
+    """A class of effects."""
 
     id: str
     title: str
@@ -36,7 +36,7 @@ class Kind:
 
 
 _TABLE = tomllib.loads(Path(__file__).with_name("kinds.toml").read_text(encoding="utf-8"))
-# Effect -> its kind.
+# Effect -> its class.
 KIND_OF: Mapping[str, str] = {effect: kind for kind, row in _TABLE.items() for effect in row.pop("effects", ())}
 KINDS: Mapping[str, Kind] = {
     kind: Kind(kind, quantities=tuple(row.pop("quantities", ())), **row) for kind, row in _TABLE.items()
@@ -44,7 +44,7 @@ KINDS: Mapping[str, Kind] = {
 
 
 def upwards(kind: str) -> Iterator[Kind]:
-    """A kind and those that it is a part of, the narrowest first."""
+    """Yield a class and its parents, narrowest first."""
     at: str | None = kind
     while at is not None:
         yield KINDS[at]

@@ -1,4 +1,4 @@
-"""Effects that are a load: constant, of gravity, or periodic over the position or the time."""
+"""Load effects: constant, gravity, periodic in position or time."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ USUAL_PERIODS = (5.0, 10.0, 20.0)  # periods in the range of a straight axis
 
 @nb.njit(cache=True)
 def wave_mean(start, end, cosine, sine, k):  # type: ignore[no-untyped-def]
-    """Mean of ``cosine cos(k q) + sine sin(k q)`` over the way from ``start`` to ``end``."""
+    """Return the mean of ``cosine cos(k q) + sine sin(k q)`` from ``start`` to ``end``."""
     return wave_mean_and_slope(start, end, cosine, sine, k)[0]
 
 
 @nb.njit(cache=True)
 def wave_mean_and_slope(start, end, cosine, sine, k):  # type: ignore[no-untyped-def]
-    """The same, and its slope over ``end``, good to the square of half the angle of the way."""
+    """Return the mean and its slope over ``end``, with an error of the square of half the angle."""
     half, middle = 0.5 * k * (end - start), 0.5 * k * (start + end)
     x = half * half
     shrink = 1.0 - x / 6.0 * (1.0 - x / 20.0 * (1.0 - x / 42.0)) if abs(half) < SMALL_ANGLE else math.sin(half) / half
@@ -33,7 +33,7 @@ def wave_mean_and_slope(start, end, cosine, sine, k):  # type: ignore[no-untyped
 
 
 def orders_or_usual(scales: Scales) -> tuple[float, ...]:
-    """Spatial frequencies to start from: the three strongest lines seen, else the usual ones."""
+    """Return initial spatial frequencies: the three strongest lines, else usual ones."""
     if scales.orders:
         return scales.orders[:3]
     if scales.position_unit == "rad":
@@ -42,7 +42,7 @@ def orders_or_usual(scales: Scales) -> tuple[float, ...]:
 
 
 def order_prior(scales: Scales) -> Prior:
-    """Prior of a spatial frequency: half a line's width around the line that was seen, else a decade."""
+    """Return the prior of a spatial frequency: half a line width around a detected line, else a decade."""
     centre = orders_or_usual(scales)[0]
     if not scales.orders:
         return Prior("log", centre, 1.2)
@@ -51,7 +51,7 @@ def order_prior(scales: Scales) -> Prior:
 
 
 class WaveEffect(Effect):
-    """A wave of the spatial frequency k; its cosine and sine part start at zero, where every phase is equally near."""
+    """A wave of spatial frequency k; the fit starts at zero amplitude, where no phase is preferred."""
 
     def priors(self, scales: Scales) -> dict[str, Prior]:
         return {"k": order_prior(scales)}
@@ -62,7 +62,7 @@ class WaveEffect(Effect):
 
 @law
 def load_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
-    """Parameters p = (T_0,)."""
+    """Return the force for p = (T_0,)."""
     return -p[0]
 
 
@@ -75,7 +75,7 @@ class ConstantLoad(Effect, row="constant-load"):
         return Footprint(site.name, "speed", 0.0, 0.0, offset=abs(values["T0"]))
 
 
-LOOKS = 6  # before the root is bracketed
+LOOKS = 6  # Newton steps before the root is bracketed
 
 
 @nb.njit(cache=True)
@@ -86,11 +86,11 @@ def _wave_residual(force, args):  # type: ignore[no-untyped-def]
 
 @law
 def cogging_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
-    """Parameters p = (A_c, A_s, k)."""
+    """Return the force for p = (A_c, A_s, k)."""
     most = abs(p[0]) + abs(p[1])
     args = (seen[Q0], seen[Q], seen[GQ], p[0], p[1], p[2])
-    # The force hardly changes the way: Newton steps from no force at all are there after two looks. What it does back
-    # to its mean is at most `feedback`; the slope at one place says less: none where a crest is the middle of the way.
+    # The force hardly changes the displacement: Newton's method from zero converges in two steps. `feedback` bounds the
+    # influence of the force on its mean; the local slope does not, as it is zero at a crest.
     force, feedback = 0.0, 0.5 * seen[GQ] * abs(p[2]) * most
     for _ in range(LOOKS if feedback < 0.5 else 0):
         mean, slope = wave_mean_and_slope(seen[Q0], seen[Q] + seen[GQ] * force, p[0], p[1], p[2])
@@ -106,18 +106,18 @@ def cogging_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
 
 
 class Cogging(WaveEffect, row="cogging"):
-    """Cogging, torque ripple: a force that is periodic in the position and the same both ways."""
+    """Cogging, torque ripple: a force periodic in the position, equal in both directions."""
 
     force = cogging_force
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
-        # Its slope over the position, a stiffness of either sign, lies within k A; its size within A.
+        # The slope over the position, a stiffness of either sign, is at most k A; the force at most A.
         size = math.hypot(values["Ac"], values["As"])
         return Footprint(site.name, "position", -values["k"] * size, values["k"] * size, offset=size)
 
 
 class PendulumGravity(Effect, row="pendulum-gravity"):
-    """Gravity of a pendulum: a weight off the axis of a joint that turns."""
+    """Gravity of a pendulum: an eccentric weight at a rotary joint."""
 
     force = cogging_force
 
@@ -128,27 +128,27 @@ class PendulumGravity(Effect, row="pendulum-gravity"):
         return -values["H"], -values["G"], 1.0
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
-        # Its slope over the position, a stiffness of either sign, lies within m g l; so does its size.
+        # The slope over the position, a stiffness of either sign, and the force are at most m g l.
         size = math.hypot(values["G"], values["H"])
         return Footprint(site.name, "position", -size, size, offset=size)
 
 
-MAINS = (50.0, 100.0, 60.0, 120.0)  # Hz: of both kinds of mains, and of what a rectifier makes of them
+MAINS = (50.0, 100.0, 60.0, 120.0)  # Hz: mains frequencies and their doubles (rectifiers)
 
 
 @law
 def ripple_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
-    """Parameters p = (A_c, A_s, f); outside of time (no finite TIME) its mean."""
+    """Return the force for p = (A_c, A_s, f); the mean where TIME is not finite."""
     if not math.isfinite(seen[TIME]):
         return 0.0
     return wave_mean(seen[TIME], seen[TIME] + seen[STEP], p[0], p[1], 2.0 * math.pi * p[2])
 
 
-FEWEST_TURNS = 2.0  # of a ripple within the record: fewer are a slope or a bow
+FEWEST_TURNS = 2.0  # periods of a ripple within the record
 
 
 class TorqueRipple(Effect, row="torque-ripple"):
-    """Ripple of the force over time: mains, a beat of two clocks, an unbalanced neighbour."""
+    """Force ripple over time: mains, a beat of two clocks, another unbalanced machine."""
 
     force = ripple_force
 
@@ -156,7 +156,7 @@ class TorqueRipple(Effect, row="torque-ripple"):
         return values["f"] * scales.duration >= FEWEST_TURNS
 
     def priors(self, scales: Scales) -> dict[str, Prior]:
-        # Half a line's width around the line that was seen, else the range of the mains.
+        # Half a line width around a detected line, else the range of the mains.
         starts = _lines_or_mains(scales)
         centre = math.exp(sum(map(math.log, starts)) / len(starts))
         width = 0.5 / (centre * scales.duration)
@@ -172,11 +172,11 @@ class TorqueRipple(Effect, row="torque-ripple"):
         return {**values, "Ac": wave.real, "As": -wave.imag}
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
-        # No gain of the motion at all: a bounded load.
+        # A bounded load, no gain of the motion.
         return Footprint(site.name, "time", 0.0, 0.0, offset=math.hypot(values["Ac"], values["As"]))
 
 
 def _lines_or_mains(scales: Scales) -> tuple[float, ...]:
-    """Frequencies to start from: the lines seen, else those of the mains that the sampling shows."""
-    shown = tuple(f for f in MAINS if f < 0.5 / scales.dt)
-    return scales.lines or shown or (0.1 / scales.dt,)
+    """Return initial frequencies: the detected lines, else those of the mains below the Nyquist frequency."""
+    mains = tuple(f for f in MAINS if f < 0.5 / scales.dt)
+    return scales.lines or mains or (0.1 / scales.dt,)

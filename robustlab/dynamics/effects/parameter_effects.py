@@ -1,4 +1,4 @@
-r"""Effects that are a misjudged parameter of the plant: one physical quantity, scaled.
+r"""Wrong parameters of the plant: one physical quantity, scaled.
 
 .. math:: p' = s\,p \quad\text{for all parameters p of the group}
 """
@@ -18,7 +18,7 @@ from robustlab.errors import InputError
 
 
 class ParameterEffect(Effect):
-    """Scales every parameter of a group (`robustlab.dynamics.ports.port_model.parameter_groups`)."""
+    """Factor of every parameter of a group (`robustlab.dynamics.ports.port_model.parameter_groups`)."""
 
     site_kind = "parameter"
     gain_like = True
@@ -35,7 +35,7 @@ class ParameterEffect(Effect):
         return dict.fromkeys(names, values["s"])
 
     def _group(self, plant: AnyPlant, site: Site) -> list[str]:
-        """Parameters of the group with this label."""
+        """Return the parameters of the group with this label."""
         names = site.name.split("+")
         for name in names:
             if name not in plant.parameters:
@@ -44,7 +44,7 @@ class ParameterEffect(Effect):
 
 
 def has_ground_term(plant: AnyPlant, port: Port, role: str, rows: tuple[Port, ...], of: str) -> bool:
-    """Whether parameters of this role already give the joint a force against the ground."""
+    """Return whether parameters of this role already create a force between the joint and the ground."""
     if isinstance(plant, NonlinearPlant):
         return any(p.role == role and not p.value for p in plant.parameters.values())
     directions = [getattr(r, of) for r in rows if getattr(r, of) is not None]
@@ -61,8 +61,8 @@ def has_ground_term(plant: AnyPlant, port: Port, role: str, rows: tuple[Port, ..
 
 
 class MotorEffect(ParameterEffect):
-    r"""A parameter effect of motors that can also be wrong in one motor of several: there it scales the terms of its
-    current, :math:`\Delta \dot x = (s - 1)\, T x`, with T those of the plant's own terms that the parameter makes.
+    r"""A wrong parameter of all motors, or of one motor: there it scales the terms of its current,
+    :math:`\Delta \dot x = (s - 1)\, T x`, with T the terms of the parameter.
     """
 
     def sites(self, plant: AnyPlant, model: PortModel) -> tuple[Site, ...]:
@@ -80,12 +80,12 @@ class MotorEffect(ParameterEffect):
         return replace(model, A=a)
 
     def terms(self, model: PortModel, current: int) -> list[tuple[int, int]]:
-        """Rows and columns of A that the parameter of this motor makes; ``current`` is the index of its current."""
+        """Return rows and columns of A that contain the parameter of this motor; ``current``: index of its current."""
         raise NotImplementedError
 
 
 class MisplacedEffect(ParameterEffect):
-    """Coordinates that are not what the plant says: each is shifted, zero or not."""
+    """Wrong coordinates: each is shifted, zero or not."""
 
     gain_like = False
     scale = ""
@@ -103,12 +103,10 @@ class MisplacedEffect(ParameterEffect):
 
 
 class GroundedEffect(ParameterEffect):
-    """A parameter effect that can also sit at a joint whose equation lacks the term: a force to ground, linear in the
-    joint's position or velocity, whose coefficient has the row `at_joint`.
-    """
+    """A wrong parameter, or at a joint without the term a force to ground, linear in position or velocity."""
 
-    at_joint: Mapping[str, tuple[Any, ...]]
-    of: str  # what the force is proportional to: ``"position"`` or ``"velocity"``
+    at_joint: Mapping[str, tuple[Any, ...]]  # row of the coefficient at a joint
+    of: str  # argument of the force: ``"position"`` or ``"velocity"``
 
     @property
     def symbol(self) -> str:
@@ -154,26 +152,26 @@ class GroundedEffect(ParameterEffect):
 
 
 class Inertia(ParameterEffect, row="inertia"):
-    """Misjudged inertia: the true value is a multiple of the nominal one."""
+    """Wrong inertia: the true value is a multiple of the nominal one."""
 
 
 class CentreOfMass(MisplacedEffect, row="centre-of-mass"):
-    """A centre of mass that is not where the plant has it."""
+    """Wrong centre of mass."""
 
 
 class GravityDirection(MisplacedEffect, row="gravity-direction"):
-    """A base that does not stand level: gravity acts in another direction than the plant says."""
+    """Tilted base: wrong direction of gravity."""
 
 
 class Resistance(MotorEffect, row="resistance"):
-    """Misjudged resistance: the true value is a multiple of the nominal one."""
+    """Wrong resistance: the true value is a multiple of the nominal one."""
 
     def terms(self, model: PortModel, current: int) -> list[tuple[int, int]]:
         return [(current, current)]
 
 
 class TorqueConstant(MotorEffect, row="torque-constant"):
-    """Misjudged torque constant: the true value is a multiple of the nominal one."""
+    """Wrong torque constant: the true value is a multiple of the nominal one."""
 
     def terms(self, model: PortModel, current: int) -> list[tuple[int, int]]:
         others = [k for k in range(model.own) if k != current]
@@ -181,12 +179,12 @@ class TorqueConstant(MotorEffect, row="torque-constant"):
 
 
 class Stiffness(GroundedEffect, row="stiffness"):
-    """Stiffness: a misjudged spring, or a spring to ground at a joint that has none."""
+    """Wrong stiffness, or a spring to ground at a joint without one."""
 
     of = "position"
 
 
 class ViscousFriction(GroundedEffect, row="viscous-friction"):
-    """Viscous friction: a misjudged coefficient, or friction at a joint whose equation has none."""
+    """Wrong viscous friction, or friction at a joint without it."""
 
     of = "velocity"

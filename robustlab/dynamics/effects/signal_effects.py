@@ -1,4 +1,4 @@
-"""Effects on one signal on its way in or out: gains, delays, limits, errors of a sensor."""
+"""Effects on inputs and outputs: gains, delays, limits, sensor errors."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ class SignalGain(Effect):
 
 
 class SignalDelay(Effect):
-    """The signal d seconds late."""
+    """The signal delayed by d seconds."""
 
     delay = "d"
 
     def steps(self, values: Mapping[str, float], h: float) -> float:
-        """The delay in steps of h seconds."""
+        """Return the delay in steps of h seconds."""
         if values["d"] < 0.0:
             raise InputError(f"effect {self.id}: d", f"{values['d']:g} s", "a delay of 0 s or more")
         return values["d"] / h
@@ -46,24 +46,24 @@ class SignalDelay(Effect):
 
 
 class InputGain(SignalGain, row="input-gain"):
-    """Input gain: the plant gets a multiple of the commanded input."""
+    """Input gain: a multiple of the commanded input acts."""
 
     input = SignalGain.scaled
 
 
 class InputDelay(SignalDelay, row="input-delay"):
-    """Input delay: the plant sees the input d seconds late."""
+    """Input delay: the input acts d seconds late."""
 
     def input(self, signal: Array, values: Mapping[str, float], h: float) -> Array:
         steps = self.steps(values, h)
         whole = int(min(steps, len(signal)))
         part = min(1.0, steps - whole)
-        k = np.arange(len(signal)) - whole  # before the first sample the first value was held
+        k = np.arange(len(signal)) - whole  # the first value is held before the first sample
         return (1.0 - part) * signal[np.maximum(k, 0)] + part * signal[np.maximum(k - 1, 0)]
 
 
 class InputDeadZone(Effect, row="input-dead-zone"):
-    """Dead zone of the driver: it drops a constant voltage, or needs one before anything comes out."""
+    """Dead zone of the driver: a constant voltage drop."""
 
     def input(self, signal: Array, values: Mapping[str, float], h: float) -> Array:
         return np.sign(signal) * np.maximum(np.abs(signal) - values["d"], 0.0)
@@ -76,7 +76,7 @@ class InputDeadZone(Effect, row="input-dead-zone"):
 
 
 class InputSaturation(Effect, row="input-saturation"):
-    """Saturation of the input: the driver gives no more than :math:`u_{max}` either way."""
+    """Symmetric saturation of the input."""
 
     def input(self, signal: Array, values: Mapping[str, float], h: float) -> Array:
         return np.clip(signal, -values["u_max"], values["u_max"])
@@ -87,7 +87,7 @@ class InputSaturation(Effect, row="input-saturation"):
 
 @nb.njit(cache=True)
 def _lagged_means(u, step):  # type: ignore[no-untyped-def]
-    """Mean of the lagged input over each step of the length ``step`` in units of T, (n,)."""
+    """Return the mean of the lagged input over each step, (n,); ``step``: its length in units of T."""
     left, mean = math.exp(-step), -math.expm1(-step) / step
     means, x = np.empty(len(u)), u[0]
     for k in range(len(u)):
@@ -97,7 +97,7 @@ def _lagged_means(u, step):  # type: ignore[no-untyped-def]
 
 
 class ActuatorLag(Effect, row="actuator-lag"):
-    """Lag of the actuator: its output follows the input in first order."""
+    """First-order lag of the actuator."""
 
     def input(self, signal: Array, values: Mapping[str, float], h: float) -> Array:
         time = values["T"]
@@ -108,7 +108,7 @@ class ActuatorLag(Effect, row="actuator-lag"):
         return _lagged_means(np.ascontiguousarray(signal), h / time)
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
-        # A constant passes as it is. The lag is a state of its own wherever delays are rational ones.
+        # Unit static gain; the lag is a state wherever delays are rational.
         return Footprint(site.name, "input", 1.0, 1.0)
 
 
@@ -122,12 +122,12 @@ class SensorGain(SignalGain, row="sensor-gain"):
 
 
 class SensorBias(Effect, row="sensor-bias"):
-    """Sensor bias: a constant in the reading."""
+    """Sensor bias: a constant offset of the reading."""
 
     def sites(self, plant: AnyPlant, model: PortModel) -> tuple[Site, ...]:
         offered = []
         n = model.A.shape[-1]
-        a, c = model.A.reshape(-1, n), model.C.reshape(-1, len(plant.outputs), n)[0]  # along a motion at every point
+        a, c = model.A.reshape(-1, n), model.C.reshape(-1, len(plant.outputs), n)[0]  # along a motion: at every point
         both = np.vstack([a / max(np.abs(a).max(initial=0.0), 1.0), c])
         for k, signal in enumerate(plant.outputs):
             wanted = np.zeros(len(both))
@@ -151,7 +151,7 @@ class SensorBias(Effect, row="sensor-bias"):
 
 
 class SensorDelay(SignalDelay, row="sensor-delay"):
-    """Sensor delay: the reading is d seconds old, or its clock runs behind that of the input."""
+    """Sensor delay: the reading is d seconds late, or its clock lags behind that of the input."""
 
     def output(self, signal: Array, values: Mapping[str, float], h: float) -> Array:
         steps, n = self.steps(values, h), signal.shape[1]
@@ -177,7 +177,7 @@ POSITION_UNITS = ("rad", "m")
 
 
 class SensorEccentricity(Effect, row="sensor-eccentricity"):
-    """Eccentric or tilted encoder: the reading runs ahead and behind once a turn."""
+    """Eccentric or tilted encoder: an error with one period per turn."""
 
     def sites(self, plant: AnyPlant, model: PortModel) -> tuple[Site, ...]:
         return tuple(Site("output", s.name) for s in plant.outputs if s.unit in POSITION_UNITS)
@@ -193,7 +193,7 @@ class SensorEccentricity(Effect, row="sensor-eccentricity"):
 
     @staticmethod
     def _orders(scales: Scales) -> tuple[float, ...]:
-        """Once a turn for angles, once over the range of a length, where the record shows nothing else."""
+        """Return one period per turn for angles or per range for lengths, unless the record shows lines."""
         return scales.orders or ((math.pi / scales.output,) if scales.signal_unit == "m" else (1.0,))
 
     def output(self, signal: Array, values: Mapping[str, float], h: float) -> Array:
@@ -205,7 +205,7 @@ class SensorEccentricity(Effect, row="sensor-eccentricity"):
 
 
 class MagnitudeSensor(Effect, row="magnitude-sensor"):
-    """A sensor that shows the size of its signal and not its sign."""
+    """A sensor that shows the magnitude of its signal."""
 
     def output(self, signal: Array, values: Mapping[str, float], h: float) -> Array:
         return np.abs(signal - values["c"])
@@ -215,7 +215,7 @@ class MagnitudeSensor(Effect, row="magnitude-sensor"):
 
 
 class Quantisation(Effect, row="quantisation"):
-    """Quantisation: the reading comes in steps."""
+    """Quantisation of the reading."""
 
     def output(self, signal: Array, values: Mapping[str, float], h: float) -> Array:
         if values["lsb"] <= 0.0:

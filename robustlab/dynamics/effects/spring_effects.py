@@ -1,4 +1,4 @@
-"""Effects that are springs, stops and couplings at a joint."""
+"""Springs, stops and couplings at a joint."""
 
 from __future__ import annotations
 
@@ -25,8 +25,10 @@ def _cubic_residual(force, args):  # type: ignore[no-untyped-def]
 
 @law
 def cubic_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
-    """Parameters p = (k_3,); hardening, the residual has a slope of at least one: -residual(0) bounds the root, and so
-    does the force that takes the mass to the mirror image of its start, where the spring has done no work.
+    """Return the force for p = (k_3,).
+
+    If hardening, the residual's slope is at least one: the root is bounded by -residual(0), and by the force that moves
+    the mass to the mirror image of its start, where the work is zero.
     """
     args = (seen[Q0], seen[Q], seen[GQ], p[0])
     bound = -_cubic_residual(0.0, args)
@@ -57,7 +59,7 @@ class CubicStiffness(Effect, row="cubic-stiffness"):
 
 @nb.njit(cache=True)
 def _push_residual(push, args):  # type: ignore[no-untyped-def]
-    """Excess of a push over the one of the contact that it leaves."""
+    """Return the push minus the contact force of the resulting motion."""
     before, free, v_free, gq, gv, h, stiffness, damping = args
     after, v = free - gq * push, v_free - gv * push
     if before <= 0.0 and after <= 0.0:
@@ -89,7 +91,7 @@ def _push(before, free, v_free, gq, gv, h, stiffness, damping):  # type: ignore[
 
 @law
 def stop_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
-    """Parameters p = (q_min, q_max, k_c, d_c)."""
+    """Return the force for p = (q_min, q_max, k_c, d_c)."""
     h = seen[STEP]
     upper = _push(seen[Q0] - p[1], seen[Q] - p[1], seen[V], seen[GQ], seen[GV], h, p[2], p[3])
     if upper > 0.0:
@@ -98,7 +100,7 @@ def stop_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
 
 
 class EndStop(Effect, row="end-stop"):
-    """End stops: springs with damping beyond the limits of the travel, which push and never pull."""
+    """End stops: damped springs beyond the limits of the travel, compression only."""
 
     force = stop_force
 
@@ -107,7 +109,7 @@ class EndStop(Effect, row="end-stop"):
         return {"q_min": limit_prior(scales, -1), "q_max": limit_prior(scales, 1), "dc": damping}
 
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
-        # Soft stops that the record presses in, and hard ones near its extremes.
+        # Soft stops within the record's travel, and hard ones near its extremes.
         lower, upper = travel(scales)
         stiffness, damping = contact_scales(scales)
         return tuple(
@@ -126,13 +128,13 @@ class EndStop(Effect, row="end-stop"):
         return values["q_min"] > scales.lowest or values["q_max"] < scales.highest
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
-        # Slope of the force over the position: 0 between the limits, kc beyond them (the damping is left out).
+        # Slope of the force over the position: 0 between the limits, kc beyond them (without damping).
         reached = amplitude > min(abs(values["q_min"]), abs(values["q_max"]))
         return Footprint(site.name, "position", 0.0, values["kc"] if reached else 0.0)
 
 
 def travel(scales: Scales) -> tuple[float, float]:
-    """Lowest and highest position of the record; around zero where not known."""
+    """Return the lowest and highest position of the record; symmetric about zero if unknown."""
     half = 0.5 * scales.position
     if scales.lowest is None or scales.highest is None or not scales.highest > scales.lowest:
         return -half, half
@@ -140,24 +142,24 @@ def travel(scales: Scales) -> tuple[float, float]:
 
 
 def limit_prior(scales: Scales, side: int) -> Prior:
-    """Prior of where a contact begins, within the travel: near its upper (1) or lower (-1) end, or anywhere (0)."""
+    """Return the prior of a contact position within the travel: near the upper (1) or lower (-1) end, or any (0)."""
     lower, upper = travel(scales)
     middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
     return Prior("between", middle + 0.96 * side * half, 1.5 if side else 2.0, upper, lower)
 
 
 def contact_scales(scales: Scales) -> tuple[float, float]:
-    """Stiffness that gives by 1 % of the range under the record's force, and three tenths of its critical damping."""
+    """Return the stiffness for a deflection of 1 % of the range under the record's force, and 30 % critical damping."""
     stiffness = scales.force / (0.01 * scales.position)
     return stiffness, 2.0 * 0.3 * math.sqrt(stiffness * scales.inertia)
 
 
-# Where a spring is looked for (share of the travel from its end), and its stiffness in `contact_scales`.
+# Initial values of a spring: share of the travel from its end, and stiffness in units of `contact_scales`.
 STARTS = ((0.02, 1.0), (0.003, 5.0), (0.3, 0.03))
 
 
 class OneSidedSpring(Effect, row="one-sided-spring"):
-    """A spring with a damper that a joint meets beyond one position: a stop on one side, free play before a spring."""
+    """A damped spring beyond one position: a stop on one side, free play before a spring."""
 
     force = stop_force
 
@@ -188,20 +190,20 @@ class OneSidedSpring(Effect, row="one-sided-spring"):
         return lower, upper, abs(values["k"]), values["d"]
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint | None:
-        # Slope of the force over the position: 0 before q0, |k| beyond (the damping is left out). Of a spring that is
-        # pressed at the position's zero no sector about that zero stands for it.
+        # Slope of the force over the position: 0 before q0, |k| beyond (without damping). A spring in contact at
+        # position zero has no sector about zero.
         free = values["q0"] if values["k"] > 0.0 else -values["q0"]
         if free < 0.0:
             return None
         return Footprint(site.name, "position", 0.0, abs(values["k"]) if amplitude > free else 0.0)
 
 
-SHORT = 1e-4  # of a way: below, its mean by the trapezoid, which is off by a twelfth of its square
+SHORT = 1e-4  # displacement below which the trapezoid gives its mean, with an error of a twelfth of its square
 
 
 @nb.njit(cache=True)
 def _branch(z, way, rate):  # type: ignore[no-untyped-def]
-    """End and integral of z' = 1 - rate z over a way >= 0."""
+    """Return the end value and integral of z' = 1 - rate z over a displacement >= 0."""
     x = rate * way
     rise = way if x == 0.0 else -math.expm1(-x) / rate
     end = z + (1.0 - rate * z) * rise
@@ -210,12 +212,12 @@ def _branch(z, way, rate):  # type: ignore[no-untyped-def]
 
 @nb.njit(cache=True)
 def _hysteresis_stretch(z, way, rho):  # type: ignore[no-untyped-def]
-    """End and mean of z over a way in units of q_y, in one direction."""
+    """Return the end value and mean of z over a displacement in units of q_y, in one direction."""
     sign = 1.0 if way > 0.0 else -1.0
     along, left, area = sign * z, abs(way), 0.0
     if left == 0.0:
         return z, z
-    if along < 0.0:  # on its way back to zero
+    if along < 0.0:  # unloading
         back = min(left, -along if rho == 0.0 else math.log1p(-rho * along) / rho)
         along, area = _branch(along, back, rho)
         left -= back
@@ -227,12 +229,12 @@ def _hysteresis_stretch(z, way, rho):  # type: ignore[no-untyped-def]
 
 @nb.njit(cache=True)
 def _hysteresis(force, args):  # type: ignore[no-untyped-def]
-    """Deflection z at the end of the step under this force, and its mean over the step."""
+    """Return the deflection z at the end of the step under this force, and its mean over the step."""
     v0, v_free, gv, way_free, gq, h, start, width, rho = args
     v1, way = v_free + gv * force, way_free + gq * force
     if v0 * v1 < 0.0:
         share = v0 / (v0 - v1)
-        more = way - 0.5 * h * (v0 + v1)  # where the velocity did not run linearly
+        more = way - 0.5 * h * (v0 + v1)  # correction for a nonlinear velocity profile
         turned, mean = _hysteresis_stretch(start, share * (0.5 * h * v0 + more) / width, rho)
         end, after = _hysteresis_stretch(turned, (1.0 - share) * (0.5 * h * v1 + more) / width, rho)
         return end, share * mean + (1.0 - share) * after
@@ -246,7 +248,7 @@ def _hysteresis_residual(force, level, args):  # type: ignore[no-untyped-def]
 
 @law
 def hysteretic_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
-    """Parameters p = (F_y, q_y, rho)."""
+    """Return the force for p = (F_y, q_y, rho)."""
     start = min(max(z[0], -1.0), 1.0)
     args = (seen[V0], seen[V], seen[GV], seen[Q] - seen[Q0], seen[GQ], seen[STEP], start, p[1], p[2])
     b = bracket(-p[0], _hysteresis_residual(-p[0], p[0], args), p[0], _hysteresis_residual(p[0], p[0], args))
@@ -258,7 +260,7 @@ def hysteretic_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
 
 
 class BoucWen(Effect, row="bouc-wen"):
-    """Hysteretic spring: a force that lags behind the displacement and yields, at any speed (Bouc, Wen)."""
+    """Hysteretic spring: a rate-independent force that lags behind the displacement and yields (Bouc, Wen)."""
 
     # Wen, *Method for random vibration of hysteretic systems*, J. Engineering Mechanics 102 (1976); Ikhouane, Rodellar,
     # *On the hysteretic Bouc-Wen model*, Nonlinear Dynamics 42 (2005), normalised form.
@@ -267,11 +269,11 @@ class BoucWen(Effect, row="bouc-wen"):
     memory = 1
 
     def visited(self, values: Mapping[str, float], scales: Scales) -> bool:
-        # What never yields is a spring; where no position is known, neither is whether it did.
+        # Without yielding it is a spring; without a position this is unknown.
         return not scales.position_unit or values["qy"] <= scales.position
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
-        # In a steady loop of the position amplitude a, z goes from -m to m over the way 2 a:
+        # In a steady loop of position amplitude a, z goes from -m to m over the displacement 2 a:
         # log(1 + rho m) / rho - log(1 - m) = 2 a / q_y. The first harmonic is at most 4/pi of F_y m.
         from scipy.optimize import root_scalar
 
@@ -292,7 +294,7 @@ DAMPING = 0.2
 
 @nb.njit(cache=True)
 def _met(d0, free, gq, spring, damper):  # type: ignore[no-untyped-def]
-    """Push of a flank that is met within the step: from d0 <= 0 before it to ``free`` > 0 behind it without a push."""
+    """Return the push of a flank reached within the step: from d0 <= 0 to ``free`` > 0 without a push."""
     slope = 1.0 + gq * (spring + damper)
     middle = 0.5 * (free + d0 + gq * damper * d0)
     depth = (middle + math.sqrt(middle * middle - slope * free * d0)) / slope
@@ -301,9 +303,9 @@ def _met(d0, free, gq, spring, damper):  # type: ignore[no-untyped-def]
 
 @nb.njit(cache=True)
 def _left(d0, free, gq, spring, damper):  # type: ignore[no-untyped-def]
-    """Push of a flank that is left within the step: from the depth d0 > 0."""
+    """Return the push of a flank that separates within the step from the depth d0 > 0."""
     stored = spring * d0 * d0 - damper * d0 * (d0 - free)
-    if stored <= 0.0:  # the flanks part faster than the spring follows
+    if stored <= 0.0:  # the flanks separate faster than the spring
         return 0.0
     half = 0.5 * (d0 - free + gq * damper * d0)
     root = math.sqrt(half * half + gq * stored)
@@ -312,7 +314,7 @@ def _left(d0, free, gq, spring, damper):  # type: ignore[no-untyped-def]
 
 @law
 def flank_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
-    """Force per reduced inertia; p = (half gap, omega^2, 2 zeta omega)."""
+    """Return the force per reduced inertia for p = (half gap, omega^2, 2 zeta omega)."""
     gq, spring, damper = seen[GQ], 0.5 * p[1], p[2] / seen[STEP]
     side = 1.0 if seen[Q0] > 0.0 else -1.0
     d0, free = side * seen[Q0] - p[0], side * seen[Q] - p[0]
@@ -323,31 +325,31 @@ def flank_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
             push = _left(d0, free, gq, spring, damper)
     elif free > 0.0:
         push = _met(d0, free, gq, spring, damper)
-    across = -free - 2.0 * p[0]  # the same from the other flank
-    if across + gq * push > 0.0:  # it has crossed the gap: what the one flank stored and has not given back is lost
+    across = -free - 2.0 * p[0]  # depth at the other flank
+    if across + gq * push > 0.0:  # the gap is crossed: energy still stored at the first flank is lost
         if across > 0.0:
             return side * _met(-d0 - 2.0 * p[0], across, gq, spring, damper)
         push = -across / gq
     return -side * push
 
 
-GAPS = tuple(2.0**-k for k in range(4, 10))  # shares of the travel from which a gap is looked for
-SHARE = 0.35  # of the inertia behind a gap or coupling, where nothing tells it
+GAPS = tuple(2.0**-k for k in range(4, 10))  # initial values of a gap as shares of the travel
+SHARE = 0.35  # default load share of the inertia behind a gap or coupling
 FLANK = 120.0  # Hz, of a closed contact with that share
 
 
 def share_prior(scales: Scales) -> Prior:
-    """Prior of the load's share of a joint's inertia: about what the plant's parameters tell."""
+    """Return the prior of the load's share of a joint's inertia, centred at the plant's parameters."""
     return Prior("share", float(np.mean(scales.shares)) if scales.shares else SHARE, 0.8)
 
 
 def flank_frequency(share: float) -> float:
-    """Usual frequency of a closed contact in Hz: on one flank a lighter load swings faster."""
+    """Return the usual frequency of a closed contact in Hz, which is higher for a lighter load."""
     return FLANK * math.sqrt(SHARE * (1.0 - SHARE) / (share * (1.0 - share)))
 
 
 class Backlash(Effect, row="backlash"):
-    """Backlash: a gap between the drive and its load, who push each other at its flanks and never pull."""
+    """Backlash: contact force at the flanks of the gap between drive and load, compression only."""
 
     # Nordin, Galic, Gutman, New models for backlash and gear play, Int. J. Adaptive Control and Signal Processing 11
     # (1997) 49-63; Greenspan, Discrete numerical methods in physics and engineering (1974) for the exact balance of
@@ -358,8 +360,7 @@ class Backlash(Effect, row="backlash"):
         return {"share": share, "f": Prior("log", flank_frequency(share.value(0.0)), 0.4)}
 
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
-        # Of a load that pulls the flights are short, and told by when they end: from half or twice the gap none is
-        # found.
+        # With a pulling load the flights are short: a fit from half or twice the gap does not converge.
         sizes, shares = (GAPS, scales.shares) if scales.shares else ((2e-4, 2e-3, 2e-2), (SHARE,))
         return tuple(
             {"gap": size * scales.position, "share": s, "f": flank_frequency(s)} for s in shares for size in sizes
@@ -373,16 +374,16 @@ class Backlash(Effect, row="backlash"):
         return (Law(flank_force, f"{site.name}.gap", (0.5 * values["gap"], omega**2, 2.0 * DAMPING * omega)),)
 
     def resting(self, values: Mapping[str, float], pull: Array) -> Array:
-        # At the flank to which the two are pressed, as deep as that takes.
+        # At the loaded flank, at its static deflection.
         return np.sign(pull) * (0.5 * values["gap"] + np.abs(pull) / (2.0 * math.pi * values["f"]) ** 2)
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
-        # The load's position follows the drive's within half the gap.
+        # The load's position equals the drive's within half the gap.
         return Footprint(site.name, "position", 1.0, 1.0, offset=0.5 * values["gap"])
 
 
 class FlexibleCoupling(Effect, row="flexible-coupling"):
-    """Flexible coupling: the joint's inertia is two, with a spring and a damper between them."""
+    """Flexible coupling: two inertias with a spring and a damper between them."""
 
     def priors(self, scales: Scales) -> dict[str, Prior]:
         return {"share": share_prior(scales)}

@@ -1,1 +1,1 @@
-"""A plant with effects: its linear model, its rest, its simulation, its uncertainty."""
+"""Plants with effects: linear model, equilibrium, simulation, uncertainty."""

@@ -1,6 +1,4 @@
-"""An effect at its place, with numbers, and what it is there: a gain of its signal, a sector, a delay, a bound; and a
-force law seen at one instant: its force at a velocity, its band at rest, its slopes.
-"""
+"""Effects with values at a place: gain, sector, delay or bound; force laws at a point: force, band at rest, slopes."""
 
 from __future__ import annotations
 
@@ -18,37 +16,36 @@ from robustlab.dynamics.ports.port_model import AnyPlant, PortModel
 from robustlab.errors import InputError, did_you_mean, unknown_name
 from robustlab.statespace import real_array
 
-# Length of the step in s in which a law is asked; positions move through their value by v times this.
+# Length of the step in s for the evaluation of a law; the position changes by v times this.
 INSTANT = 1e-5
-# The compliance is chosen so that the force changes the velocity by this share: its rounding costs three digits.
-# Larger: fewer digits lost, slower to settle.
+# The compliance lets the force change the velocity by this share. Larger: fewer digits lost, slower convergence.
 COMPLIANCE_SHARE = 1e-3
-# Forces agree to this share, after so many passes at most.
+# Relative convergence of forces, and largest number of passes.
 FORCE_AGREED = 1e-13
 FORCE_PASSES = 60
-# Velocity (rad/s, m/s, A) at which "just moving" is looked at; a law that rises faster counts as a jump.
+# Velocity (rad/s, m/s, A) next to rest; a law that rises faster counts as a jump.
 CREEP = 1e-9
-# First steps of the differences: in position (rad, m), as a share of the velocity, and at rest (rad/s, m/s).
-# Larger: farther from the point, less rounding; extrapolation takes the first two to the limit.
+# Initial steps of the differences: in position (rad, m), as a share of the velocity, and at rest (rad/s, m/s). The
+# first two are extrapolated to zero.
 POSITION_STEP = 1e-4
 VELOCITY_STEP = 1e-2
 REST_STEP = 1e-6
-# Each level of the extrapolation shrinks the step by this; so many levels at most.
+# Reduction of the step in each level of the extrapolation, and largest number of levels.
 SHRINK = 1.4
 LEVELS = 10
-# A displacement (rad, m) at which no bristle or spring gives way, made slowly and quickly (s).
+# Displacement (rad, m) far below sliding, and its slow and quick durations in s.
 DISPLACEMENT = 1e-12
 SLOW = 1e3
 QUICK = 1e-6
-# Share of the signal over which the slope of an input or output map is taken, and the least level for it.
+# Initial step of the slope of an input or output map as a share of the signal, and least level.
 SIGNAL_STEP = 1e-3
 LEAST_LEVEL = 1e-3
 
 ANY_TIME = math.inf
 
 
-def _asked(law: Law, seen: list[float], z: Array) -> tuple[float, Array]:
-    """Force and memory that the law answers with; ``seen`` in the order of the kernel."""
+def _law_force(law: Law, seen: list[float], z: Array) -> tuple[float, Array]:
+    """Return force and memory of a law; ``seen`` in the order of the kernel."""
     after = z.copy()
     with np.errstate(divide="ignore", invalid="ignore"):
         parameters = np.array(law.parameters, dtype=np.float64)
@@ -57,13 +54,13 @@ def _asked(law: Law, seen: list[float], z: Array) -> tuple[float, Array]:
 
 
 def steady_force(law: Law, q: float, v: float) -> float:
-    """Force at the position q while the port moves at the constant velocity ``v != 0``, memory settled."""
+    """Return the force at the position q and constant velocity ``v != 0``, memory in steady state."""
     force, z, h = 0.0, np.zeros(max(1, law.memory)), INSTANT
     g = 1e-12 * abs(v)
     for _ in range(FORCE_PASSES):
         half = 0.0 if law.memory else 0.5 * v * h
         gq = 0.5 * g * h
-        found, z = _asked(law, [q - half, v, q + half - gq * force, v - g * force, gq, g, h, ANY_TIME], z)
+        found, z = _law_force(law, [q - half, v, q + half - gq * force, v - g * force, gq, g, h, ANY_TIME], z)
         settled = abs(found - force) <= FORCE_AGREED * abs(found) and (not law.memory or h > 1e3)
         force = found
         if settled:
@@ -74,13 +71,13 @@ def steady_force(law: Law, q: float, v: float) -> float:
 
 
 def rest_band(law: Law, q: float) -> tuple[float, float]:
-    """Smallest and largest force with which the law may hold its port at rest at the position q."""
+    """Return the smallest and largest holding force at rest at the position q."""
     forward, backward = steady_force(law, q, CREEP), steady_force(law, q, -CREEP)
     return min(forward, backward), max(forward, backward)
 
 
 def is_set_valued(law: Law, q: float) -> bool:
-    """True where the force jumps with the direction of motion: the band at rest does not shrink with the speed."""
+    """Return whether the force jumps with the direction of motion."""
     if law.memory:
         return False
     low, high = rest_band(law, q)
@@ -89,14 +86,14 @@ def is_set_valued(law: Law, q: float) -> bool:
 
 
 def holding_force(law: Law, q: float, acceleration: float, mobility: float) -> float:
-    """Force at a port at rest: the one that keeps it there if the law has it, else that of the motion that begins."""
+    """Return the force at a port at rest: that which holds it if possible, else that of the starting motion."""
     h = INSTANT
     seen = [q, 0.0, q, h * acceleration, 0.0, h * mobility, h, ANY_TIME]
-    return _asked(law, seen, np.zeros(max(1, law.memory)))[0]
+    return _law_force(law, seen, np.zeros(max(1, law.memory)))[0]
 
 
 def slopes(law: Law, q: float, v: float) -> tuple[float, float]:
-    """``(df/dq, df/dv)`` at a position and velocity, by central differences of the law's force."""
+    """Return ``(df/dq, df/dv)`` at a position and velocity, by central differences."""
     # Ridders, "Accurate computation of F'(x) and F'(x)F''(x)", Advances in Engineering Software 4 (1982).
 
     def at(position: float, velocity: float) -> float:
@@ -107,23 +104,20 @@ def slopes(law: Law, q: float, v: float) -> tuple[float, float]:
     def by_velocity(step: float) -> float:
         return (at(q, v + step) - at(q, v - step)) / (2.0 * step)
 
-    def by_position(step: float) -> float:
-        return (at(q + step, v) - at(q - step, v)) / (2.0 * step)
-
     if law.memory and v == 0.0:
         return _presliding(law, q)
     damping = by_velocity(REST_STEP) if v == 0.0 else extrapolated(by_velocity, VELOCITY_STEP * abs(v))
-    return extrapolated(by_position, POSITION_STEP), damping
+    return extrapolated(lambda step: (at(q + step, v) - at(q - step, v)) / (2.0 * step), POSITION_STEP), damping
 
 
 def _presliding(law: Law, q: float) -> tuple[float, float]:
-    """The same for a law with memory at rest: what resists two displacements far below sliding, slow and quick."""
+    """Return `slopes` of a law with memory at rest, from a slow and a quick displacement far below sliding."""
 
     def resisting(h: float, z: Array) -> tuple[float, Array]:
         v, force, after = DISPLACEMENT / h, 0.0, z
         for _ in range(FORCE_PASSES):
             g = COMPLIANCE_SHARE * v / max(abs(force), 1e-30)
-            found, after = _asked(law, [q, v, q + DISPLACEMENT, v - g * force, 0.0, g, h, ANY_TIME], z)
+            found, after = _law_force(law, [q, v, q + DISPLACEMENT, v - g * force, 0.0, g, h, ANY_TIME], z)
             if abs(found - force) <= FORCE_AGREED * abs(found):
                 break
             force = found
@@ -137,7 +131,7 @@ def _presliding(law: Law, q: float) -> tuple[float, float]:
 
 
 def extrapolated(difference: Callable[[float], float], step: float) -> float:
-    """Limit of a central difference with the step, by the row of Ridders' table with the smallest error."""
+    """Extrapolate a central difference to zero step by Ridders' table."""
     row = [difference(step)]
     best, error = row[0], np.inf
     for level in range(1, LEVELS):
@@ -155,22 +149,21 @@ def extrapolated(difference: Callable[[float], float], step: float) -> float:
     return float(best)
 
 
-# Amplitude at which footprints are given where none was asked for.
+# Default amplitude of footprints.
 DEFAULT_AMPLITUDE = 1.0
-# What a map is asked for a constant signal: so many samples of so many seconds.
-ASKED_SAMPLES, ASKED_STEP = 8, 1e-3
+# Number and step in s of the samples of a constant signal for the evaluation of a map.
+MAP_SAMPLES, MAP_STEP = 8, 1e-3
 
 
 @dataclass(frozen=True)
 class AttachedEffect:
     """One effect of a plant."""
 
-    effect: Effect  # of the catalogue
-    site: Site  # where it sits
-    values: Mapping[str, float]  # name -> value of each of its parameters
-    # name -> standard deviation, for those that a fit has determined
-    std: Mapping[str, float] = field(default_factory=dict)
-    source: str = ""  # where the values come from: a record, a fit, a data sheet
+    effect: Effect
+    site: Site
+    values: Mapping[str, float]  # name -> value of each parameter
+    std: Mapping[str, float] = field(default_factory=dict)  # name -> standard deviation of fitted values
+    source: str = ""  # of the values: a record, a fit, a data sheet
 
     def __post_init__(self) -> None:
         where = f"effect {self.effect.id}"
@@ -194,7 +187,7 @@ class AttachedEffect:
 
     @property
     def parameters(self) -> tuple[EffectParameter, ...]:
-        """The effect's parameters at this kind of site; units are those of the catalogue without a record."""
+        """Parameters at this kind of site; units are those of the catalogue without a record."""
         return _parameters(self.effect, self.site)
 
     @property
@@ -203,7 +196,7 @@ class AttachedEffect:
 
     @property
     def load_name(self) -> str:
-        """Name of an input that stands for it as a bounded force or error."""
+        """Name of the input that replaces it as a bounded force or error."""
         return f"load {self.site.name}: {self.effect.id}"
 
     @property
@@ -214,14 +207,14 @@ class AttachedEffect:
     @property
     def values_in_words(self) -> str:
         """Equation, values and source."""
-        said = ", ".join(f"{name} = {value:.6g}" for name, value in self.values.items())
+        values = ", ".join(f"{name} = {value:.6g}" for name, value in self.values.items())
         if self.amplitude is not None:
-            said += f", {self.amplitude[0]} = {self.amplitude[1]:.6g}"
-        return f"{self.effect.equation} with {said}" + (f"; {self.source}" if self.source else "")
+            values += f", {self.amplitude[0]} = {self.amplitude[1]:.6g}"
+        return f"{self.effect.equation} with {values}" + (f"; {self.source}" if self.source else "")
 
     @property
     def amplitude(self) -> tuple[str, float, float] | None:
-        """Name, value and standard deviation (of uncorrelated parts) of what `Effect.amplitude` names."""
+        """Name, value and standard deviation (for uncorrelated parts) of `Effect.amplitude`."""
         if not self.effect.amplitude:
             return None
         name, *parts = self.effect.amplitude
@@ -235,45 +228,45 @@ class AttachedEffect:
 
     @property
     def scale(self) -> float | None:
-        """By what it multiplies its signal, or the parameters of its site, if that is all it does."""
+        """Factor of the signal or the parameters of its site, for an effect that only multiplies."""
         return self.values.get(self.effect.scale)
 
     @property
     def scale_std(self) -> float:
-        """Standard deviation of `scale`; 0 where no fit has determined it."""
+        """Standard deviation of `scale`; 0 if not fitted."""
         return self.std.get(self.effect.scale, 0.0)
 
     def laws(self) -> tuple[Law, ...]:
         return self.effect.laws(self.site, self.values)
 
     def mapped(self, level: float) -> float:
-        """A constant input or output after the effect."""
+        """Return a constant input or output after the effect."""
         if self.site.kind == "input":
-            return float(self.effect.input(np.full(ASKED_SAMPLES, level), self.values, ASKED_STEP)[-1])
-        return float(self.effect.output(np.full((1, ASKED_SAMPLES), level), self.values, ASKED_STEP)[0, -1])
+            return float(self.effect.input(np.full(MAP_SAMPLES, level), self.values, MAP_STEP)[-1])
+        return float(self.effect.output(np.full((1, MAP_SAMPLES), level), self.values, MAP_STEP)[0, -1])
 
     def slope(self, level: float) -> float:
-        """Slope of `mapped` at a level."""
+        """Return the slope of `mapped` at a level."""
         step = SIGNAL_STEP * max(abs(level), LEAST_LEVEL)
         return extrapolated(lambda h: (self.mapped(level + h) - self.mapped(level - h)) / (2 * h), step)
 
     def gain(self, level: float, amplitude: Mapping[str, float]) -> float:
-        """Gain of an effect on an input or output about a level of its signal, or the middle of its sector."""
+        """Return the gain of an effect on an input or output at a level of its signal, or the middle of its sector."""
         seen = self.sector(amplitude, ("input", "output"))
         if seen is not None:
             return 0.5 * (seen.gain_lower + seen.gain_upper)
-        constant = self.constant_gain  # perhaps with a delay or an offset
+        constant = self.constant_gain
         return constant if constant is not None else self.slope(level) or 1.0
 
     def input_error(self, width: float = 0.0) -> float | None:
-        """Bound of what it adds to any input, fitted values ``width`` standard deviations up; None: there is none."""
+        """Return a bound of its error on any input, with fitted values ``width`` standard deviations up, or None."""
         return self.effect.input_error({n: v + width * self.std.get(n, 0.0) for n, v in self.values.items()})
 
     def footprint(self, amplitude: float = DEFAULT_AMPLITUDE) -> Footprint | None:
         return self.effect.footprint(self.site, self.values, amplitude)
 
     def sector(self, amplitude: Mapping[str, float], signals: tuple[str, ...]) -> Footprint | None:
-        """The footprint at an amplitude that was asked for its site, if it is a sector in one of these signals."""
+        """Return the footprint at the amplitude given for its site, if it is a sector of one of these signals."""
         if self.site.name not in amplitude:
             return None
         found = self.footprint(amplitude[self.site.name])
@@ -281,24 +274,24 @@ class AttachedEffect:
 
     @property
     def delay(self) -> float:
-        """Pure delay in s that it stands for."""
+        """Pure delay in s."""
         found = self.footprint()
         return 0.0 if found is None else found.delay
 
     @property
     def time_constant(self) -> float:
-        """Time constant in s of a lag of an input; 0 where it is none."""
+        """Time constant in s of a lag of an input, else 0."""
         return self.values.get(self.effect.time_constant, 0.0)
 
     @property
     def constant_gain(self) -> float | None:
-        """The gain that the footprint has at all amplitudes, or None."""
+        """Gain of the footprint if equal at all amplitudes, else None."""
         seen = [self.footprint(amplitude) for amplitude in (1e-6, 1.0, 1e6)]
         gains = {gain for f in seen if f is not None for gain in (f.gain_lower, f.gain_upper)}
         return gains.pop() if len(gains) == 1 else None
 
     def corners(self, width: float) -> Iterator[dict[str, float]]:
-        """The values at the corners of the ranges of those that are fitted, ``width`` standard deviations."""
+        """Yield the values at the corners of the ranges of fitted ones, ``width`` standard deviations wide."""
         spread = {name: width * std for name, std in self.std.items() if std}
         positive = {p.name for p in self.parameters if not p.prior.is_signed}
         for signs in itertools.product(*[(-1.0, 1.0)] * len(spread)):
@@ -307,23 +300,23 @@ class AttachedEffect:
             yield {**self.values, **least}
 
     def footprints(self, amplitude: float, width: float) -> Iterator[Footprint]:
-        """Footprints at the `corners`."""
+        """Yield the footprints at the `corners`."""
         for values in self.corners(width):
             found = self.effect.footprint(self.site, values, amplitude)
             if found is not None:
                 yield found
 
     def largest_offset(self, width: float) -> float:
-        """Bound of what is no gain of the signal, over the ranges of fitted values; 0 where there is none."""
+        """Return the largest `Footprint.offset` over the ranges of fitted values."""
         return max((f.offset for f in self.footprints(DEFAULT_AMPLITUDE, width)), default=0.0)
 
     def largest_gain(self, width: float) -> float:
-        """Largest gain of the signal, over the ranges of fitted values; 0 where there is none."""
+        """Return the largest gain of the signal over the ranges of fitted values."""
         gains = (max(abs(f.gain_lower), abs(f.gain_upper)) for f in self.footprints(DEFAULT_AMPLITUDE, width))
         return max(gains, default=0.0)
 
     def to_json(self) -> dict[str, Any]:
-        """Id, title, equation, site, source, and the parameters with value, standard deviation and unit."""
+        """Return id, texts, site, source, and parameters with value, standard deviation and unit."""
         e, own = self.effect, {p.name: p for p in self.parameters}
         parameters = {
             name: {"value": self.values[name], "std": self.std.get(name), "unit": p.unit, "meaning": p.meaning}
@@ -349,14 +342,14 @@ def _number(where: str, name: str, value: Any) -> float:
 
 
 def _parameters(effect: Effect, site: Site) -> tuple[EffectParameter, ...]:
-    # Effects that may scale a parameter or act at a joint tell the two by the unit of force.
+    # The unit of force distinguishes a force at a joint from a factor of a parameter.
     return effect.parameters(Scales(force_unit="N" if site.kind in ("joint", "current") else ""))
 
 
 def attach(
     key: str, given: Mapping[str, Any], plant: AnyPlant, model: PortModel, taken: Iterable[AttachedEffect] = ()
 ) -> AttachedEffect:
-    """The effect named by ``key`` (``"id"`` or ``"id@site"``) with the given values at its only, or named, site."""
+    """Return the effect ``"id"`` or ``"id@site"`` with the given values at its only, or named, site."""
     from robustlab.dynamics.effects.catalogue import effect as named
 
     name, _, place = key.partition("@")
@@ -390,9 +383,9 @@ def _site(where: str, sites: list[Site], place: str, plant: AnyPlant) -> Site:
     if not place:
         if len(sites) == 1:
             return sites[0]
-        head, shown = where.removeprefix("effect "), ", ".join(names)
+        head, places = where.removeprefix("effect "), ", ".join(names)
         raise InputError(
-            where, f"{len(sites)} places where it may sit: {shown}", "one", f'name it: "{head}@{names[0]}"'
+            where, f"{len(sites)} places where it may sit: {places}", "one", f'name it: "{head}@{names[0]}"'
         )
     for site in sites:
         if place == site.name or (site.kind == "parameter" and place in site.name.split("+")):

@@ -1,5 +1,4 @@
-r"""Effects become uncertainty: the linear model of a plant with effects, and a block or a bounded input for all that it
-is not; those inputs along a record.
+r"""Effects as uncertainty: the linear model of a plant with effects, and blocks or bounded inputs for the rest.
 
 .. math::
     \dot x = A x + B\,(u + d) + \sum_j b_j f_j, \qquad |f_j| \le F_j, \quad |d| \le d_{max}
@@ -42,10 +41,10 @@ from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, real_a
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 
-# The nominal member of a set must be the plant's own linear model to this share of its largest response.
+# Allowed difference between the nominal member of a set and the plant's linear model, relative to its response.
 NOMINAL_EXACT = 1e-8
 
-# Amplitudes at which a sector that is the same is taken for one of all amplitudes.
+# Amplitudes for the check whether a sector is independent of the amplitude.
 STRETCHES = (0.5, 1.0, 2.0)
 
 Amplitude = float | tuple[float, float]
@@ -55,7 +54,7 @@ Dry = Literal["gain", "load", "both"]
 
 @dataclass(frozen=True, eq=False)
 class ForceSector:
-    """A law as a gain: ``f = -k s`` with k in [low, high]; of the signal ``force`` ``f = k T``."""
+    """A law as a gain: ``f = -k s`` with k in [low, high]; for the signal ``force`` ``f = k T``."""
 
     effect: AttachedEffect
     port: Port
@@ -75,7 +74,7 @@ class ForceSector:
 
     @property
     def row(self) -> Array:
-        """The state's combination that the gain multiplies, (n_x,)."""
+        """Row (n_x,) of the gain's argument."""
         if self.signal == "force":
             return np.zeros_like(self.port.velocity)
         row = self.port.position if self.signal == "position" else self.port.velocity
@@ -84,7 +83,7 @@ class ForceSector:
 
     @property
     def unit(self) -> str:
-        """Of the gain."""
+        """Unit of the gain."""
         if self.signal == "force":
             return ""
         below = self.port.position_unit if self.signal == "position" else self.port.speed_unit
@@ -93,37 +92,34 @@ class ForceSector:
 
 @dataclass(frozen=True)
 class NoiseInput(AllFields):
-    """An input of the set that stands for a bounded error: its signal is at most one."""
+    """An input of the set for a bounded error: its signal is at most one."""
 
-    name: str  # of the input
-    # bound, unit: what one stands for
-    bound: float
+    name: str
+    bound: float  # physical value of a unit signal
     unit: str
-    origin: str  # where it comes from
+    origin: str
 
 
 class ForceParts(NamedTuple):
-    """What stands in for all laws of a plant."""
+    """Replacements of all laws of a plant."""
 
-    # sectors, bounded: the gains; the bounded forces as inputs, each with its port
     sectors: list[ForceSector]
-    bounded: list[tuple[NoiseInput, Port]]
-    # index of a law -> row (n_x,) with which the nominal member has ``f = -row x`` in place of its slope
-    stand_in: dict[int, Array]
-    left_out: dict[str, str]  # effect at its place -> why only its slope at the point is in the model
+    bounded: list[tuple[NoiseInput, Port]]  # forces as inputs
+    replacements: dict[int, Array]  # index of a law -> row (n_x,) of ``f = -row x`` in the nominal member
+    left_out: dict[str, str]  # effect at its place -> reason why only its slope at the point is in the model
 
 
 def _force_parts(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude], dry: Dry | None, width: float) -> ForceParts:
-    """Choose for every force law what stands in for it."""
+    """Choose the replacement of every force law."""
     parts, missing = ForceParts([], [], {}, {}), dict[str, str]()
     for j, (e, _, port) in enumerate(plant.laws):
         seen = e.footprint()
-        reason = _no_part(e, seen, port)
+        reason = _why_omitted(e, seen, port)
         if reason or seen is None:
             parts.left_out[f"{e!r}"] = reason
             continue
         key = _signal_name(plant, port, seen.signal)
-        as_gain, as_load = _ways(e, seen, key in amplitude, dry)
+        as_gain, as_load = _as_gain_or_force(e, seen, key in amplitude, dry)
         if as_gain and key not in amplitude and not _same_everywhere(e):
             if seen.signal == "position" and not seen.offset:
                 parts.left_out[f"{e!r}"] = f"only its slope at the point is in the model: give an amplitude of {key}"
@@ -140,14 +136,14 @@ def _force_parts(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude], dry: 
             (name,) = _free_names([e.load_name], [load.name for load, _ in parts.bounded])
             words = f"{e.in_words} as a bounded force, for every motion; {e.values_in_words}"
             parts.bounded.append((NoiseInput(name, e.largest_offset(width), port.unit, words), port))
-        parts.stand_in[j] = row
+        parts.replacements[j] = row
     if missing:
         raise _no_amplitude(missing, '; dry="load" for friction needs none')
     return parts
 
 
 def _no_amplitude(missing: Mapping[str, str], more: str = "") -> InputError:
-    """The error for places of effects (place -> title) that need an amplitude."""
+    """Return the error for places of effects (place -> title) that need an amplitude."""
     name, title = next(iter(missing.items()))
     return InputError(
         "effect_blocks", f"{title} at {name} without an amplitude", f"amplitude for {', '.join(missing)}",
@@ -156,14 +152,14 @@ def _no_amplitude(missing: Mapping[str, str], more: str = "") -> InputError:
 
 
 def _signal_name(plant: ExtendedPlant, port: Port, signal: str) -> str:
-    """The name under which the amplitude of what a law sees is given: its joint, or the state of its position."""
+    """Return the key of a law's amplitude: its joint, or the state of its position."""
     if signal != "position" or port.position is None:
         return port.name
     return plant.states[int(np.flatnonzero(port.position)[0])].name
 
 
 def _check_amplitudes(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude]) -> None:
-    """Every amplitude is positive (a pair: increasing) and has an effect at its place."""
+    """Check that every amplitude is positive (a pair: increasing) and has an effect at its place."""
     joints = {_signal_name(plant, port, s) for _, _, port in plant.laws for s in ("speed", "position")}
     known = tuple(dict.fromkeys([*(e.site.name for e in plant.effects), *sorted(joints)]))
     for name, value in amplitude.items():
@@ -183,26 +179,26 @@ def _pair(value: Amplitude) -> tuple[float, ...]:
     return tuple(value) if isinstance(value, (tuple, list)) else (value, value)
 
 
-def _no_part(e: AttachedEffect, seen: Footprint | None, port: Port) -> str:
-    """Why nothing can stand in for a law, or nothing."""
+def _why_omitted(e: AttachedEffect, seen: Footprint | None, port: Port) -> str:
+    """Return the reason why a law has no replacement, or an empty text."""
     if seen is None or seen.signal not in ("speed", "current", "position", "force", "time"):
         return "only its slope at the point is in the model"
     if e.effect.structural:
-        return "it divides the joint: no force of one joint stands for it"
+        return "it divides the joint: it is no force at one joint"
     if seen.signal == "force" and np.count_nonzero(port.force) != 1:
         return "only its slope at the point is in the model: its joint shares its inertia with others"
     return ""
 
 
-def _ways(e: AttachedEffect, seen: Footprint, known: bool, dry: Dry | None) -> tuple[bool, bool]:
-    """Whether the law becomes a gain, and whether a bounded force."""
+def _as_gain_or_force(e: AttachedEffect, seen: Footprint, known: bool, dry: Dry | None) -> tuple[bool, bool]:
+    """Return whether the law becomes a gain, and whether a bounded force."""
     if not seen.offset:
         return True, False
     wide = [seen, *(f for a in STRETCHES if (f := e.footprint(1e3 * a)) is not None)]
     if seen.signal != "force" and all(f.gain_upper <= f.gain_lower for f in wide):
         return False, True
     mode = dry or ("gain" if known else "load")
-    if mode == "both" and seen.signal == "position":  # it does not oppose a speed: |e| would be F + k |s|
+    if mode == "both" and seen.signal == "position":  # no opposition to a speed: the error would be F + k |s|
         mode = "load"
     return mode != "load", mode != "gain"
 
@@ -236,7 +232,7 @@ def _sector(e: AttachedEffect, port: Port, seen: Footprint, amplitude: Amplitude
 
 
 def _free_names(names: list[str], taken: Sequence[str]) -> list[str]:
-    """The names, with primes where they are taken already."""
+    """Return the names, with primes where they are already taken."""
     found: list[str] = []
     for name in names:
         while name in taken or name in found:
@@ -256,11 +252,11 @@ class EffectBlocks(Shown):
     noise
         Inputs for bounded errors.
     left_out
-        Effect at its place -> why it is in no block.
+        Effect at its place -> reason why it is in no block.
     approximate
         Names of the blocks that hold by harmonic balance only: for oscillations, not for every motion.
     status
-        CONVERGED: the nominal member was found to be the plant's own linear model.
+        CONVERGED: the nominal member equals the plant's linear model.
     """
 
     model: UncertainModel
@@ -275,15 +271,15 @@ class EffectBlocks(Shown):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the reader must know."""
+        """Limitations of the set."""
         names = ", ".join(self.approximate)
         harmonic = f"{names}: holds by harmonic balance, for oscillations that its line names, not for every motion."
-        told = {
+        notes = {
             harmonic: self.approximate,
             "Inputs for bounded errors come first; one stands for the bound that their line names.": self.noise,
             "What is proved for this set says nothing about the effects that are not in it.": self.left_out,
         }
-        return tuple(text for text, there in told.items() if there)
+        return tuple(text for text, there in notes.items() if there)
 
     quantities: ClassVar[Mapping[str, Any]] = {
         **UncertainModel.quantities, "count": "1", "inputs": "1", "left_out": "1", "bound": {"*": float},
@@ -302,7 +298,7 @@ class EffectBlocks(Shown):
         )
 
     def facts(self) -> Facts:
-        """The set, its inputs for errors, and each effect that is left out."""
+        """Return the set, its inputs for errors, and the omitted effects."""
         return [
             ("set", repr(self.model)),
             ("blocks", listed(self.origins)),
@@ -330,7 +326,7 @@ def effect_blocks(
     unnamed: tuple[float, str] | None = None,
     tied: Sequence[tuple[str, tuple[str, ...]]] = (),
 ) -> EffectBlocks:
-    """The uncertain model of a plant with or without effects."""
+    """Build the uncertain model of a plant with or without effects."""
     width = float(real_array("sigmas", sigmas, 0, "effect_blocks"))
     checks.number("effect_blocks: sigmas", width, "0 or more", at_least=0)
     checks.whole("effect_blocks: pade", pade, 1, 8)
@@ -339,7 +335,7 @@ def effect_blocks(
     if isinstance(plant, LinearPlant):
         if amplitude:
             raise InputError("effect_blocks: amplitude", f"{plant.name} has no effects", "none")
-        loads = _unnamed(port_model(plant), unnamed)
+        loads = _residual_force(port_model(plant), unnamed)
         inner = tied_plant(plant, tied)
         whole = _with_origins(_with_forces(inner, [port for _, port in loads]).uncertain(), inner)
         made = EffectBlocks(*_errors_first(whole, plant, _at_forces(plant, loads)), {})
@@ -366,10 +362,10 @@ def _of_extended(
     _check_amplitudes(plant, amplitude)
     parts = _force_parts(plant, amplitude, dry, width)
     levels = _signal_amplitudes(plant, amplitude)
-    linear = plant.linear_model(None, levels, stand_in=parts.stand_in)
+    linear = plant.linear_model(None, levels, replacements=parts.replacements)
     point = linear.operating_point
     assert point is not None
-    loads = [*parts.bounded, *_unnamed(plant.model, unnamed)]
+    loads = [*parts.bounded, *_residual_force(plant.model, unnamed)]
     inner = tied_plant(without_signals(plant, linear, width), tied)
     ways = [*(s.port for s in parts.sectors), *(port for _, port in loads)]
     whole = _with_origins(_with_forces(inner, ways, parts.sectors).uncertain(), inner)
@@ -379,7 +375,7 @@ def _of_extended(
     whole = with_signals(whole, signals, levels, width, pade)
     errors = _at_forces(plant, loads)
     for e, k, _ in into:
-        if e.site.name not in amplitude and _is_bounded_error(plant, e):  # as what it adds to its input at most
+        if e.site.name not in amplitude and _is_bounded_error(plant, e):  # the bound of its error on the input
             words = f"{e.in_words} as a bounded error, for every motion; {e.values_in_words}"
             errors.append((NoiseInput(e.load_name, e.input_error(width) or 0.0, plant.inputs[k].unit, words), k))
     for e, k, _ in out:
@@ -389,12 +385,12 @@ def _of_extended(
             errors.append((noise, len(plant.inputs) + len(loads) + k))
     left = {f"{e!r}": "a bounded error of an input" for e, _, _ in into if (f := e.footprint()) and f.offset}
     made = EffectBlocks(*_errors_first(whole, plant, errors), {**parts.left_out, **left}, tuple(approximate))
-    _check(plant.linear_model(None, levels, pade, stand_in=parts.stand_in), plant.name, made)
+    _check(plant.linear_model(None, levels, pade, replacements=parts.replacements), plant.name, made)
     return made
 
 
 def _signal_amplitudes(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude]) -> dict[str, float]:
-    """The amplitudes of drivers and sensors; those with a sector must have one."""
+    """Return the amplitudes of drivers and sensors; those with a sector must have one."""
     signals = [e for e in plant.effects if e.on_signal]
     missing = {
         e.site.name: e.effect.title
@@ -410,22 +406,20 @@ def _signal_amplitudes(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude])
 
 
 def _is_bounded_error(plant: ExtendedPlant, e: AttachedEffect) -> bool:
-    """Whether a driver adds no more than a bounded error to an input that nothing else scales."""
+    """Return whether a driver only adds a bounded error to an unscaled input."""
     others = [o for o in plant.effects if o.site == e.site and o is not e and o.scale is not None]
     return e.site.kind == "input" and e.input_error() is not None and not others
 
 
 def _at_forces(plant: AnyLinear, loads: Sequence[tuple[NoiseInput, Port]]) -> list[tuple[NoiseInput, int]]:
-    """The loads, each with its place among the inputs and forces."""
+    """Return the loads with their indices among the inputs and forces."""
     return [(load, len(plant.inputs) + i) for i, (load, _) in enumerate(loads)]
 
 
 def _errors_first(
     whole: UncertainModel, plant: AnyLinear, errors: Sequence[tuple[NoiseInput, int]]
 ) -> tuple[UncertainModel, tuple[NoiseInput, ...]]:
-    """Bounded errors as inputs of size one before the plant's own; each has its place among the inputs, the forces, and
-    what is added to the outputs.
-    """
+    """Put bounded errors as unit inputs before the plant's own; indices count inputs, forces and output errors."""
     m, (q, p) = whole.M, whole.delta_shape
     n_u, n_y = len(plant.inputs), len(plant.outputs)
     columns = [*range(q), *(q + k for _, k in errors), *range(q, q + n_u)]
@@ -438,8 +432,8 @@ def _errors_first(
     return UncertainModel(model, whole.blocks), tuple(e for e, _ in errors)
 
 
-def _unnamed(model: PortModel, given: tuple[float, str] | None) -> list[tuple[NoiseInput, Port]]:
-    """An input for a force that nothing explains, at the first joint."""
+def _residual_force(model: PortModel, given: tuple[float, str] | None) -> list[tuple[NoiseInput, Port]]:
+    """Return an input for the residual force, at the first joint."""
     if given is None:
         return []
     port = next((p for p in model.ports.values() if p.kind == "joint"), None)
@@ -452,7 +446,7 @@ def _unnamed(model: PortModel, given: tuple[float, str] | None) -> list[tuple[No
 
 
 def _with_forces(plant: LinearPlant, ports: Sequence[Port], sectors: Sequence[ForceSector] = ()) -> LinearPlant:
-    """The plant with a force at each port as further inputs, and what the first ones' sectors see as outputs, too."""
+    """Return the plant with forces at the ports as further inputs, and arguments of sectors as further outputs."""
     if not ports:
         return plant
     push = plant.matrices(plant.values)[0] @ np.array([p.force for p in ports]).T
@@ -478,7 +472,7 @@ def _with_forces(plant: LinearPlant, ports: Sequence[Port], sectors: Sequence[Fo
 
 
 def _with_origins(uncertain: UncertainModel, plant: LinearPlant) -> UncertainModel:
-    """The same with an origin for every parameter."""
+    """Return the model with an origin for every parameter."""
     blocks = []
     for b in uncertain.blocks:
         p = plant.parameters[b.name]
@@ -489,7 +483,7 @@ def _with_origins(uncertain: UncertainModel, plant: LinearPlant) -> UncertainMod
 
 
 def _with_sectors(whole: UncertainModel, sectors: Sequence[ForceSector], n_u: int) -> tuple[UncertainModel, list[str]]:
-    """The forces of the sectors closed over what they see: ``f = -r delta s``; the middle is in the plant already."""
+    """Close the sectors' forces as ``f = -r delta s``; their middle gains are in the plant already."""
     k = len(sectors)
     if not k:
         return whole, []
@@ -516,7 +510,7 @@ def _with_sectors(whole: UncertainModel, sectors: Sequence[ForceSector], n_u: in
 
 
 def _check(own: StateSpaceModel, name: str, made: EffectBlocks) -> None:
-    """The nominal member is the plant's own linear model."""
+    """Check that the nominal member equals the plant's linear model."""
     found = made.model.nominal.select(own.input_names, own.output_names)
     size = np.abs(own.poles())
     omega = np.geomspace(max(size[size > 0].min(initial=1.0), 1e-6), max(size.max(initial=1.0), 1e-5), 7) * 1.0371
@@ -528,22 +522,21 @@ def _check(own: StateSpaceModel, name: str, made: EffectBlocks) -> None:
         )
 
 
-# Samples, those of the largest force, at which a law is asked with other values of its parameters.
-ASKED_SAMPLES = 200
+# Number of samples of largest force at which a law is evaluated with other parameter values.
+LARGEST_SAMPLES = 200
 
 
 @dataclass(frozen=True, eq=False)
 class EffectLoads:
     """A plant as a linear set with loads."""
 
-    plant: AnyLinear  # what it was made of
-    # its inputs are the loads, each over its bound, so that they are at most one, then the plant's
-    model: UncertainModel
-    loads: tuple[NoiseInput, ...]  # name of the input, bound, unit and origin of each load
-    effects: tuple[AttachedEffect, ...] = ()  # that of each load
+    plant: AnyLinear
+    model: UncertainModel  # inputs: the loads over their bounds, then the plant's
+    loads: tuple[NoiseInput, ...]
+    effects: tuple[AttachedEffect, ...] = ()  # of each load
 
     def along(self, record: Record) -> Record:
-        """The record with the loads as further inputs, as the plant with its effects makes them under its inputs."""
+        """Return the record with the simulated loads as further inputs."""
         if not self.loads:
             return record
         assert isinstance(self.plant, ExtendedPlant)
@@ -554,9 +547,7 @@ class EffectLoads:
 
 
 def _along(plant: ExtendedPlant, effects: Sequence[AttachedEffect], record: Record) -> tuple[list[Array], Array]:
-    """What each effect does along a record, (n,): the mean of its force over the sample, or what a driver adds to its
-    input; and the states (n, n_x).
-    """
+    """Return each effect's mean force or input error in each sample (n,) of a record, and the states (n, n_x)."""
     where, names = f"loads along {record.name}", [s.name for s in plant.inputs]
     missing = [name for name in names if name not in record.inputs]
     if missing:
@@ -564,11 +555,11 @@ def _along(plant: ExtendedPlant, effects: Sequence[AttachedEffect], record: Reco
     if not record.is_uniform:
         raise InputError(where, "irregular sampling", "equal steps", "resample the record")
     seen = {name: record.inputs[name] for name in names}
-    # the smallest state of the plant alone that shows the outputs measured first
-    shown = [k for k, s in enumerate(plant.outputs) if s.name in record.outputs]
-    first = np.array([record.outputs[plant.outputs[k].name][0] for k in shown])
+    # the smallest initial state of the plant with the first measured outputs
+    measured = [k for k, s in enumerate(plant.outputs) if s.name in record.outputs]
+    first = np.array([record.outputs[plant.outputs[k].name][0] for k in measured])
     own = plant.model.own
-    x0 = np.linalg.pinv(plant.model.C[shown, :own]) @ first if shown else np.zeros(own)
+    x0 = np.linalg.pinv(plant.model.C[measured, :own]) @ first if measured else np.zeros(own)
     states, _, forces = plant.forced(np.column_stack(list(seen.values())), record.dt, float(record.t[0]), x0, None)
     found = []
     for e in effects:
@@ -582,8 +573,9 @@ def _along(plant: ExtendedPlant, effects: Sequence[AttachedEffect], record: Reco
 
 
 def effect_loads(plant: Any, sigmas: float = 2.0, records: Sequence[Record] = (), margin: float = 1.0) -> EffectLoads:
-    """A plant with effects as its linear part with bounded loads; those without a bound whatever the motion get the
-    largest value along the records.
+    """Return a plant with effects as its linear part with bounded loads.
+
+    Effects without a bound for every motion get their largest value along the records.
     """
     if isinstance(plant, LinearPlant):
         return EffectLoads(plant, plant.uncertain(), ())
@@ -615,19 +607,19 @@ def effect_loads(plant: Any, sigmas: float = 2.0, records: Sequence[Record] = ()
 
 
 def _largest(plant: ExtendedPlant, e: AttachedEffect, signal: Array, states: Array, sigmas: float) -> float:
-    """Largest size of a load along a motion, for all values of its effect."""
+    """Return the largest magnitude of a load along a motion, for all values of its effect."""
     law, port = next((law, port) for other, law, port in plant.laws if other is e)
     seen = e.footprint()
     if law.memory or seen is None or seen.signal in ("force", "time") or is_set_valued(law, 0.0):
         nominal = e.largest_gain(0.0)
         return float(np.abs(signal).max()) * (e.largest_gain(sigmas) / nominal if nominal else 1.0)
-    most = states[np.argsort(-np.abs(_law_along(law, port, states)))[:ASKED_SAMPLES]]
+    most = states[np.argsort(-np.abs(_law_along(law, port, states)))[:LARGEST_SAMPLES]]
     laws = [other for values in e.corners(sigmas) for other in e.effect.laws(e.site, values)]
     return max(float(np.abs(_law_along(other, port, most)).max()) for other in laws)
 
 
 def _law_along(law: Law, port: Port, states: Array) -> Array:
-    """Force of a law that position and speed tell, at each state (n,)."""
+    """Return the force of a law of position and speed at each state, (n,)."""
     v = states @ port.velocity
     q = np.zeros_like(v) if port.position is None else states @ port.position
     return np.array([
@@ -639,7 +631,7 @@ def _law_along(law: Law, port: Port, states: Array) -> Array:
 def loaded_model(
     plant: ExtendedNonlinearPlant, at: Trim, sigmas: float = 2.0
 ) -> tuple[StateSpaceModel, tuple[NoiseInput, ...]]:
-    """A nonlinear plant with effects at rest as its linear model with bounded loads, and these loads."""
+    """Return the linear model with bounded loads of a nonlinear plant with effects at a trim, and these loads."""
     linear, ports = plant.linear_model(at), plant.about(at.x, plant.mapped_input(at.u)).model.ports
     loads, columns = [], []
     for e in plant.effects:
@@ -665,7 +657,7 @@ def _is_linear(e: AttachedEffect) -> bool:
 def _load(
     plant: ExtendedPlant | ExtendedNonlinearPlant, ports: Mapping[str, Port], e: AttachedEffect, sigmas: float
 ) -> tuple[NoiseInput, Port | int]:
-    """The load of an effect, its bound infinite where it has none, and the port or the number of the input there."""
+    """Return the load of an effect (bound infinite if it has none) and its port or the index of its input."""
     words = f"{e.in_words}; {e.values_in_words}"
     if e.site.kind == "input":
         bound = e.input_error(sigmas)

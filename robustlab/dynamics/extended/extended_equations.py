@@ -1,4 +1,4 @@
-r"""The equations of a plant with effects: rates, rest, and the linear model about a point.
+r"""Equations of a plant with effects: rates, equilibrium, linear model about a point.
 
 .. math::
     \dot x = A x + B\,m(u) + \sum_j b_j f_j, \qquad y = s(C x + D\,m(u)), \qquad f_j \in F_j(q_j, v_j)
@@ -26,34 +26,33 @@ from robustlab.dynamics.extended.attached_effect import (
     slopes,
     steady_force,
 )
-from robustlab.dynamics.extended.nonlinear_steps import About, somewhere
+from robustlab.dynamics.extended.nonlinear_steps import About, generic_model
 from robustlab.dynamics.extended.simulator import Simulator
 from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant, Trim, point_of
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel
-from robustlab.dynamics.rest import PASSES, asked
+from robustlab.dynamics.rest import PASSES, trim_conditions
 from robustlab.dynamics.simulation import CLOCK_JITTER
 from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
 from robustlab.result import Status
 from robustlab.shown import AllFields, listed
 from robustlab.statespace import OperatingPoint, StateSpaceModel, append, series
 
-# The laws' steps are laid out for samples of this length in s; longer samples are divided. Larger: quicker, and
-# reversals are located less well.
+# Longest step of the laws in s; longer samples are divided. Larger: faster, less accurate reversals.
 NOMINAL_STEP = 1e-3
-# A rate is at rest where it is no more than this share of the terms that make it up.
+# A rate below this share of the sum of its terms counts as zero.
 STILL = 1e-11
-# Sweeps over joints that rest together, and the share of the largest force at which they agree.
+# Largest number of sweeps over joints at rest, and their convergence relative to the largest force.
 REST_SWEEPS = 200
 REST_AGREED = 1e-13
-# Holding forces come before inputs and positions: in the shortest Newton step towards rest they weigh so much less.
+# Weight ratio by which a Newton step to the equilibrium prefers holding forces to inputs and positions.
 CHEAP = 1e4
-# The order of a model's rational delays: more states than that say nothing new.
+# Largest Padé order of delays.
 HIGHEST_PADE = 8
 
 
 @dataclass(frozen=True)
 class Holding(AllFields):
-    """A force that keeps a joint at rest: any value from ``lower`` to ``upper`` would be given, ``force`` is needed."""
+    """A force that keeps a joint at rest: ``force`` is needed, ``lower`` to ``upper`` is possible."""
 
     effect: str
     site: str
@@ -67,13 +66,13 @@ class Holding(AllFields):
 class HoldingTrim(Trim):
     """A trim with the dry friction and contacts that hold it."""
 
-    # one for each law that is set-valued there. Where it is not empty the point is one of a band of equilibria.
+    # one for each law that is set-valued there; if not empty, the point is one of a band of equilibria
     holding: tuple[Holding, ...] = ()
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """What a linear model does not have: the effect, why, and its footprint at an amplitude (None: none is known)."""
+    """An effect that a linear model omits: reason, and footprint at an amplitude (None: unknown)."""
 
     effect: AttachedEffect
     reason: str
@@ -85,10 +84,10 @@ class LeftOut:
 
 
 def extended_model(plant: AnyPlant, effects: Iterable[AttachedEffect]) -> PortModel:
-    """Linear equations and ports of the plant with the effects; of a nonlinear one at a point where it has some."""
+    """Return linear equations and ports of the plant with the effects; of a nonlinear one at a generic point."""
     attached = list(effects)
     if isinstance(plant, NonlinearPlant):
-        return somewhere(plant, attached)
+        return generic_model(plant, attached)
     none = np.zeros((1, len(plant.inputs)))
     run = Simulator(plant, [(e.effect, e.site) for e in attached], none, NOMINAL_STEP)
     return run.model({}, [e.values for e in attached])
@@ -98,12 +97,10 @@ def extended_model(plant: AnyPlant, effects: Iterable[AttachedEffect]) -> PortMo
 class ExtendedEquations(SteppedPlant):
     """Equations of a plant with effects."""
 
-    plant: AnyPlant  # the plant without them
-    effects: tuple[AttachedEffect, ...]  # in the order in which they were attached
-    # linear equations and ports with the effects that are linear; of a nonlinear plant about some point
-    model: PortModel = field(init=False)
-    # every force law with its effect and its port in that model
-    laws: tuple[tuple[AttachedEffect, Law, Port], ...] = field(init=False)
+    plant: AnyPlant  # without effects
+    effects: tuple[AttachedEffect, ...]  # in the order of attachment
+    model: PortModel = field(init=False)  # with the linear effects; of a nonlinear plant about a generic point
+    laws: tuple[tuple[AttachedEffect, Law, Port], ...] = field(init=False)  # ports as of that model
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -113,29 +110,27 @@ class ExtendedEquations(SteppedPlant):
 
     @abstractmethod
     def about(self, x: Array, seen: Array) -> About:
-        """The plant with its linear effects at a state and at what it sees of the inputs."""
+        """Return the plant with its linear effects at a state and effective inputs."""
 
     @abstractmethod
     def motion(self, u: Array, dt: float, t0: float, x0: Array, step: float | None) -> tuple[Array, Array]:
-        """States and outputs for inputs (n, n_u) held for dt seconds each; x0: the plant's own states."""
+        """Return states and outputs for inputs (n, n_u) held for dt seconds each; x0: the plant's own states."""
 
-    def turning(self, x: Array, seen: Array, forces: Mapping[str, float]) -> Array:
-        """What the slopes of a nonlinear plant's inertia make of forces at ports (name -> force) and of the effects'
-        equations: what A has besides those of the model at the point, (n_x, n_x).
-        """
+    def inertia_jacobian(self, x: Array, seen: Array, forces: Mapping[str, float]) -> Array:
+        """Return the part of A from the derivative of a nonlinear plant's inertia under forces at ports."""
         return np.zeros((len(x), len(x)))
 
-    def nearby(self, where: Mapping[str, Any]) -> tuple[Array, Mapping[str, Any]]:
-        """State and input at which the search for a rest begins, and what is asked of it by name."""
+    def search_start(self, where: Mapping[str, Any]) -> tuple[Array, Mapping[str, Any]]:
+        """Return the initial state and input of the search for an equilibrium, and its conditions."""
         return np.zeros(len(self.states) + len(self.inputs)), where
 
     def with_parameters(self, **given: Any) -> Any:
-        """The same effects on the plant with other values, or (value, relative tolerance), of its own parameters."""
+        """Return the effects on the plant with other values, or (value, relative tolerance), of its parameters."""
         plant = self.plant.with_parameters(**given)
         return replace(self, plant=plant, parameters=plant.parameters)
 
     def to_json(self) -> dict[str, Any]:
-        """Plant, parameters and effects."""
+        """Return plant, parameters and effects."""
         return {
             "plant": self.plant.name,
             "parameters": [p.to_json() for p in self.parameters.values()],
@@ -146,17 +141,17 @@ class ExtendedEquations(SteppedPlant):
         return f"{type(self).__name__}({self.plant!r} with {listed(map(repr, self.effects), 3)})"
 
     def mapped_input(self, u: Array) -> Array:
-        """What the plant sees of constant inputs u, (n_u,)."""
+        """Return the effective inputs for constant inputs u, (n_u,)."""
         return self._mapped("input", u)[0]
 
     def signal_levels(self, x: Array, u: Array) -> list[tuple[AttachedEffect, int, float]]:
-        """Effects on inputs and outputs, the index of their signal, and its value before the effect."""
+        """Return effects on inputs and outputs, the index of their signal, and its value before the effect."""
         seen, into = self._mapped("input", u)
         outof = self._mapped("output", self.about(x, seen).outputs)[1]
         return [found for e in self.effects for found in (*into, *outof) if found[0] is e]
 
     def _mapped(self, kind: str, levels: Array) -> tuple[Array, list[tuple[AttachedEffect, int, float]]]:
-        """Constant inputs or outputs after the effects on them; each effect, its signal, and the level before it."""
+        """Apply the effects to constant inputs or outputs; return these, and each effect, signal and level."""
         after, met = levels.copy(), []
         names = [s.name for s in (self.inputs if kind == "input" else self.outputs)]
         for e in self.effects:
@@ -171,7 +166,7 @@ class ExtendedEquations(SteppedPlant):
         return rates + sum((port.force * f for port, f in zip(ports, forces, strict=True)), 0.0 * rates)
 
     def forces(self, x: ArrayLike, u: ArrayLike) -> Array:
-        """Forces of the laws at (x, u), in the order of `laws`."""
+        """Return the forces of the laws at (x, u), in the order of `laws`."""
         return self._forced(*self.point(x, u))[2]
 
     def output(self, x: ArrayLike, u: ArrayLike) -> Array:
@@ -179,7 +174,7 @@ class ExtendedEquations(SteppedPlant):
         return self._mapped("output", self.about(state, self.mapped_input(command)).outputs)[0]
 
     def _forced(self, x: Array, u: Array) -> tuple[About, list[Port], Array]:
-        """The plant at (x, u), the ports of the laws there, and their forces."""
+        """Return the plant at (x, u), and the ports and forces of the laws."""
         about = self.about(x, self.mapped_input(u))
         rates, ports = about.rates, [about.model.ports[port.name] for _, _, port in self.laws]
         forces, resting = np.zeros(len(self.laws)), []
@@ -204,11 +199,11 @@ class ExtendedEquations(SteppedPlant):
         return about, ports, forces
 
     def whole_state(self, x: Array) -> Array:
-        """A state of the plant alone with zeros for those that effects have added; any other as it is."""
+        """Append zeros for the states of effects where they are missing."""
         return np.append(x, np.zeros(len(self.states) - len(x))) if len(x) == self.model.own else x
 
     def stepped(self, t: Array, u: Array, x0: Array, step: float | None = None) -> tuple[Array, Array]:
-        """States and outputs at equally spaced times, the inputs held between them."""
+        """Return states and outputs at equally spaced times, the inputs held between them."""
         steps = np.diff(t)
         dt = float(steps.mean()) if len(steps) else NOMINAL_STEP
         if len(steps) and np.abs(steps - dt).max() > CLOCK_JITTER * dt:
@@ -228,8 +223,8 @@ class ExtendedEquations(SteppedPlant):
         return self.motion(u, dt, float(t[0]), x0[:own], step)
 
     def equilibrium(self, **where: Any) -> HoldingTrim:
-        """Rest with the named inputs, outputs or states at the given values; the others as small as they can be."""
-        x, u, residual = self._rest(where)
+        """Return the smallest equilibrium with the named inputs, outputs or states at the given values."""
+        x, u, residual = self._equilibrium(where)
         holding = []
         for (e, law, port), force in zip(self.laws, self.forces(x, u), strict=True):
             q, v = _motion(port, x)
@@ -237,18 +232,18 @@ class ExtendedEquations(SteppedPlant):
                 holding.append(Holding(e.effect.id, port.name, float(force), *rest_band(law, q), port.unit))
         return HoldingTrim(self.name, x, u, self.output(x, u), residual, None, Status.CONVERGED, holding=tuple(holding))
 
-    def _rest(self, where: Mapping[str, Any]) -> tuple[Array, Array, float]:
-        """State, input and the largest rate there."""
+    def _equilibrium(self, where: Mapping[str, Any]) -> tuple[Array, Array, float]:
+        """Return state, input and the largest rate at the equilibrium."""
         n = len(self.states)
-        s, where = self.nearby(where)
-        held, wanted = asked(self, where)
+        s, where = self.search_start(where)
+        held, wanted = trim_conditions(self, where)
         s[list(held)] = list(held.values())
         free, rows = np.array([k for k in range(len(s)) if k not in held], dtype=np.intp), list(wanted)
         residual = np.zeros(n)
         for _ in range(PASSES):
             residual = np.concatenate([self.derivative(s[:n], s[n:]), self.output(s[:n], s[n:])[rows]])
             residual[n:] -= list(wanted.values())
-            if self._is_still(s, residual):
+            if self._is_equilibrium(s, residual):
                 return s[:n], s[n:], float(np.abs(residual).max(initial=0.0))
             a, b, c, d = self.jacobians(s[:n], s[n:])
             matrix = np.vstack([np.hstack([a, b]), np.hstack([c[rows], d[rows]])])[:, free]
@@ -258,7 +253,7 @@ class ExtendedEquations(SteppedPlant):
             held = np.vstack([CHEAP * holding, np.zeros((len(rows), holding.shape[1]))])
             step = np.linalg.lstsq(np.hstack([matrix / scale[:, None], held]), -residual / scale, rcond=1e-12)[0]
             step = step[: len(free)]
-            # Newton's steps leave rates of rounding at joints whose rest is what lets them be held: those are zero.
+            # Rounding of Newton's steps must not move a joint that is held at rest.
             s[free] += np.where(np.abs(step) > 1e-14 * np.abs(s[free]), step, 0.0)
             s = np.where(np.abs(s) > 1e-12 * np.abs(s).max(initial=0.0), s, 0.0)
         given = ", ".join(f"{name} = {value:g}" if np.ndim(value) == 0 else name for name, value in where.items())
@@ -268,13 +263,11 @@ class ExtendedEquations(SteppedPlant):
             f"{self.name}: trim",
             f"no rest with {given or 'anything given'}: {name} keeps changing, at {rate:.3g}/s",
             None,
-            "give an input that what holds the plant can bear, or leave the input to be found",
+            "give an input within the limits of the holding forces, or leave it free",
         )
 
     def _holding_columns(self, s: Array) -> Array:
-        """Rates per unit of each force that holds its joint and may change: scaled to entries of 1, and one that is at
-        the edge of its band to so little that it moves only where nothing else can.
-        """
+        """Return the scaled rates per unit of each holding force; those at the edge of their band have low weight."""
         n = len(self.states)
         columns = [np.zeros((n, 0))]
         _, ports, forces = self._forced(s[:n], s[n:])
@@ -287,12 +280,12 @@ class ExtendedEquations(SteppedPlant):
             columns.append(within * (port.force / np.abs(port.force).max())[:, None])
         return np.hstack(columns)
 
-    def _is_still(self, s: Array, residual: Array) -> bool:
-        """Whether the rates are the rounding of the terms that make them up, and the outputs where they should be."""
+    def _is_equilibrium(self, s: Array, residual: Array) -> bool:
+        """Return whether the rates are rounding errors of their terms and the outputs meet the conditions."""
         n, seen = len(self.states), self.mapped_input(s[len(self.states) :])
         (model, rates, _), ports, forces = self._forced(s[:n], s[n:])
         terms = np.abs(model.A) @ np.abs(s[:n]) + np.abs(model.B) @ np.abs(seen)
-        terms += np.abs(rates - model.A @ s[:n] - model.B @ seen)  # what a nonlinear plant has besides
+        terms += np.abs(rates - model.A @ s[:n] - model.B @ seen)  # nonlinear part
         for port, force in zip(ports, forces, strict=True):
             terms = terms + np.abs(port.force * force)
         size = np.full(len(residual) - n, 1.0 + float(np.abs(s).max(initial=0.0)))
@@ -308,16 +301,16 @@ class ExtendedEquations(SteppedPlant):
         amplitude: Mapping[str, float] | None = None,
         pade: int = 0,
         *,
-        stand_in: Mapping[int, Array] | None = None,
+        replacements: Mapping[int, Array] | None = None,
     ) -> StateSpaceModel:
-        """What `robustlab.linearise` gives: A, B, C, D with the operating point."""
-        x, u, amplitude = self._asked_point(at, amplitude, pade)
+        """Return the result of `robustlab.linearise`; ``replacements``: index of a law -> row of ``f = -row x``."""
+        x, u, amplitude = self._checked_point(at, amplitude, pade)
         (model, _, _), _, forces = self._forced(x, u)
         a, acting = model.A.copy(), dict[str, float]()
         for j, (e, law, port) in enumerate(self.laws):
             port = model.ports[port.name]
-            if stand_in is not None and j in stand_in:
-                a -= np.outer(port.force, stand_in[j])
+            if replacements is not None and j in replacements:
+                a -= np.outer(port.force, replacements[j])
                 continue
             q, v = _motion(port, x)
             middle = e.sector(amplitude, ("speed", "current"))
@@ -331,7 +324,7 @@ class ExtendedEquations(SteppedPlant):
             a += np.outer(port.force, damping * port.velocity)
             if port.position is not None:
                 a += np.outer(port.force, stiffness * port.position)
-        a += self.turning(x, self.mapped_input(u), acting)
+        a += self.inertia_jacobian(x, self.mapped_input(u), acting)
         into, out = self.signal_gains(x, u, amplitude)
         delays, lags = {"input": [0.0] * len(into), "output": [0.0] * len(out)}, dict[int, float]()
         for e, k, _ in self.signal_levels(x, u):
@@ -342,10 +335,10 @@ class ExtendedEquations(SteppedPlant):
             a, model.B * into, out[:, None] * model.C, out[:, None] * model.D * into, 0.0, self.inputs, self.outputs,
             self.states, OperatingPoint(x, u, self.output(x, u)), self.name,
         )  # fmt: skip
-        return _behind(linear, pade, delays, lags) if pade and (lags or any(map(any, delays.values()))) else linear
+        return _with_delays(linear, pade, delays, lags) if pade and (lags or any(map(any, delays.values()))) else linear
 
     def signal_gains(self, x: Array, u: Array, amplitude: Mapping[str, float]) -> tuple[Array, Array]:
-        """Gains of the inputs, (n_u,), and of the outputs, (n_y,), that the effects on them have at (x, u)."""
+        """Return the gains of the effects on the inputs (n_u,) and outputs (n_y,) at (x, u)."""
         into, out = np.ones(len(self.inputs)), np.ones(len(self.outputs))
         for e, k, level in self.signal_levels(x, u):
             gains = into if e.site.kind == "input" else out
@@ -355,8 +348,8 @@ class ExtendedEquations(SteppedPlant):
     def left_out(
         self, at: Any = None, amplitude: Mapping[str, float] | None = None, pade: int = 0
     ) -> tuple[LeftOut, ...]:
-        """What `linear_model` of the same arguments does not have, with footprints at the amplitudes (or at 1)."""
-        x, u, amplitude = self._asked_point(at, amplitude, pade)
+        """Return the effects that `linear_model` omits, with footprints at the amplitudes (default 1)."""
+        x, u, amplitude = self._checked_point(at, amplitude, pade)
         found: dict[int, LeftOut] = {}
 
         def note(e: AttachedEffect, reason: str) -> None:
@@ -365,9 +358,9 @@ class ExtendedEquations(SteppedPlant):
         for e, law, port in self.laws:
             q, v = _motion(port, x)
             if e.sector(amplitude, ("speed", "current")) is not None:
-                note(e, "the middle of its sector at this amplitude stands for it")
+                note(e, "replaced by the middle of its sector at this amplitude")
             elif law.memory:
-                note(e, "it remembers: the model has its slopes at the point only")
+                note(e, "it has memory: the model has its slopes at the point only")
             elif v == 0.0 and is_set_valued(law, q):
                 note(e, "set-valued at rest: the model is that of free motion")
             else:
@@ -383,16 +376,16 @@ class ExtendedEquations(SteppedPlant):
             elif seen_by is not None and e.constant_gain is None:
                 chosen = e.site.name in amplitude
                 dead = not chosen and e.slope(level) == 0.0
-                stands = "the middle of its sector" if chosen else "its slope"
-                note(e, "no gain at the point: 1 stands for it" if dead else f"nonlinear: {stands} stands for it")
+                gain = "the middle of its sector" if chosen else "its slope"
+                note(e, "no gain at the point: replaced by 1" if dead else f"nonlinear: replaced by {gain}")
             elif seen_by is not None and seen_by.offset:
                 note(e, "a bounded error that is no gain")
         return tuple(found.values())
 
-    def _asked_point(
+    def _checked_point(
         self, at: Any, amplitude: Mapping[str, float] | None, pade: int
     ) -> tuple[Array, Array, Mapping[str, float]]:
-        """State and input of a point, and the amplitudes, all checked."""
+        """Check and return state, input and amplitudes."""
         found = point_of(self, at, "linearise: at")
         x, u = (found.x, found.u) if isinstance(found, Trim) else found
         sites = tuple(dict.fromkeys(e.site.name for e in self.effects))
@@ -411,17 +404,15 @@ def _footprint(e: AttachedEffect, amplitude: Mapping[str, float]) -> Footprint |
 
 
 def _motion(port: Port, x: Array) -> tuple[float, float]:
-    """Position (0 without one) and velocity at a port."""
+    """Return position (0 without one) and velocity at a port."""
     q = 0.0 if port.position is None else float(port.position @ x)
     return q, float(port.velocity @ x)
 
 
-def _behind(
+def _with_delays(
     model: StateSpaceModel, order: int, delays: Mapping[str, list[float]], lags: Mapping[int, float]
 ) -> StateSpaceModel:
-    """The model with the delays of its inputs and outputs as rational ones, and with first-order lags of some inputs
-    (number of the input -> time constant in s) between those and itself.
-    """
+    """Add rational delays of inputs and outputs, and first-order lags (input -> time constant in s) to a model."""
     point = model.operating_point
     assert point is not None
     lagging = [StateSpaceModel([[-1 / T]], [[1 / T]], [[1.0]], [[0.0]]) if (T := lags.get(k)) else None

@@ -1,4 +1,4 @@
-"""A plant with effects, as a plant of its own; of a linear one the linear part with its tolerances as an exact LFT."""
+"""Plants with effects as plants; the linear part of a linear one with its tolerances as an exact LFT."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from robustlab.dynamics.extended.extended_equations import NOMINAL_STEP, Extende
 from robustlab.dynamics.extended.nonlinear_steps import (
     About,
     Drive,
-    carried,
+    load_coordinates,
     march,
     point_model,
     scaled,
@@ -33,14 +33,14 @@ from robustlab.linear_analysis.structural import drop_unconnected
 from robustlab.statespace import Signal, StateSpaceModel, real_array
 from robustlab.uncertainty.lft import UncertainModel
 
-# Of a nonlinear plant the steps are halved until the states change by no more than this share of their root mean
-# square, so many times at most. Larger: quicker, less exact.
+# Steps of a nonlinear plant are halved until the states change by less than this share of their RMS, and largest number
+# of halvings.
 HALVED = 1e-4
 MOST_HALVINGS = 5
-# Entries of an exact form that differ by less than this share of their matrix' largest are equal.
+# Allowed difference of entries of an exact form, relative to the largest of the matrix.
 FORM_ROUNDING = 1e-9
 
-STILL = 1e-6  # rad, m, rad/s, m/s, A: a motion below it is none
+STILL = 1e-6  # rad, m, rad/s, m/s, A: smallest reference of relative differences
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -48,7 +48,7 @@ class ExtendedNonlinearPlant(ExtendedEquations):
     """A nonlinear plant with effects; made by `robustlab.dynamics.extended.extended_plant.with_effects`."""
 
     plant: NonlinearPlant
-    changed: NonlinearPlant = field(init=False)  # the plant with the parameters that the effects give it
+    changed: NonlinearPlant = field(init=False)  # with the parameters changed by effects
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -57,9 +57,9 @@ class ExtendedNonlinearPlant(ExtendedEquations):
     def about(self, x: Array, seen: Array) -> About:
         return point_model(self.changed, self.effects, x, seen)
 
-    def turning(self, x: Array, seen: Array, forces: Mapping[str, float]) -> Array:
+    def inertia_jacobian(self, x: Array, seen: Array, forces: Mapping[str, float]) -> Array:
         own, n = len(self.plant.states), len(self.states)
-        rows = carried(self.plant, self.effects)
+        rows = load_coordinates(self.plant, self.effects)
         at = rows @ x
         here, n_u = self.changed.local_models(at[None], seen[None]), len(seen)
         steps = POSITION_STEP * np.maximum(np.abs(at), 1.0)
@@ -106,7 +106,7 @@ class ExtendedNonlinearPlant(ExtendedEquations):
         )
 
     def _stepped(self, drive: Drive, x0: Array, guess: Array | None) -> tuple[Array, Array]:
-        """States and outputs at all steps of a drive."""
+        """Return states and outputs at all steps of a drive."""
         own = len(self.plant.states)
         states = march(self.changed, self.effects, drive, self.whole_state(x0), guess)
         outputs = self.changed.outputs_along(states[:, :own], drive.mean - drive.rise).copy()
@@ -117,13 +117,13 @@ class ExtendedNonlinearPlant(ExtendedEquations):
         return states, outputs
 
     def _difference(self, one: Array, other: Array) -> float:
-        """Root mean square difference of two motions, as a share of the largest state of the same unit."""
+        """Return the RMS difference of two motions, relative to the largest state of the same unit."""
         size, off = (np.sqrt(np.mean(motion**2, axis=0)) for motion in (one, one - other))
         units = np.array([s.unit for s in self.states])
         shares = (off[units == unit].max() / max(size[units == unit].max(), STILL) for unit in dict.fromkeys(units))
         return float(max(shares, default=0.0))
 
-    def nearby(self, where: Mapping[str, Any]) -> tuple[Array, Mapping[str, Any]]:
+    def search_start(self, where: Mapping[str, Any]) -> tuple[Array, Mapping[str, Any]]:
         signals = {s.name for s in (*self.states, *self.inputs, *self.outputs)}
         given = {name: value for name, value in where.items() if name in signals}
         other = {name: value for name, value in where.items() if name not in signals}
@@ -135,14 +135,14 @@ class ExtendedNonlinearPlant(ExtendedEquations):
             rest = self.changed.equilibrium(**other)
         x, names = self.whole_state(rest.x).copy(), [s.name for s in self.states]
         joints = [p for p in self.plant.port_places if p.position]
-        x[[names.index(p.name) for p in joints]] = 0.0  # not its rounding: that would be sliding
+        x[[names.index(p.name) for p in joints]] = 0.0  # rounding would mean sliding
         if other and rest.pose is not None:
             given |= {p.position: x[names.index(p.position)] for p in joints}
         return np.concatenate([x, rest.u]), given
 
 
 def _drive(plant: ExtendedNonlinearPlant, u: Array, dt: float, t0: float, parts: int, hold: str) -> Drive:
-    """The inputs as the plant sees them in steps, ``parts`` of them a sample."""
+    """Return the effective inputs in steps, ``parts`` per sample."""
     h = dt / parts
     if hold == "foh":
         between = np.arange(len(u) * parts + 1) / parts
@@ -150,7 +150,7 @@ def _drive(plant: ExtendedNonlinearPlant, u: Array, dt: float, t0: float, parts:
         rise = 0.5 * np.diff(fine, axis=0)
         return Drive(fine[:-1] + rise, rise, h, t0)
     pairs, held = [(e.effect, e.site) for e in plant.effects], np.repeat(u, parts, axis=0)
-    motion = np.zeros((2, len(plant.plant.states)))  # it steps nothing
+    motion = np.zeros((2, len(plant.plant.states)))  # not simulated
     mean, rise = Simulator(plant.plant, pairs, held, h, sub=1, motion=motion).seen_input(
         [e.values for e in plant.effects]
     )
@@ -171,7 +171,7 @@ class ExtendedPlant(ExtendedEquations):
         return self.forced(u, dt, t0, x0, step)[:2]
 
     def forced(self, u: Array, dt: float, t0: float, x0: Array, step: float | None) -> tuple[Array, Array, Array]:
-        """States and outputs, and the mean of each law's force over the samples, (n, n_laws)."""
+        """Return states, outputs, and the mean of each law's force over the samples, (n, n_laws)."""
         parts = max(1, int(np.ceil(dt / (step or NOMINAL_STEP) - 1e-9)))
         held = np.repeat(u, parts, axis=0)
         run = Simulator(self.plant, [(e.effect, e.site) for e in self.effects], held, dt / parts, t0)
@@ -183,10 +183,10 @@ class ExtendedPlant(ExtendedEquations):
     def to_model(self) -> StateSpaceModel:
         return self.linear_model()
 
-    def uncertain(  # pyright: ignore[reportIncompatibleMethodOverride]  (effects, not trims, are what it is asked about)
+    def uncertain(  # pyright: ignore[reportIncompatibleMethodOverride]
         self, outputs: Sequence[str] | None = None, sigmas: float = 2.0
     ) -> UncertainModel:
-        """All models within the tolerances, as an exact LFT; `left_out` has what they do not cover."""
+        """Return all models within the tolerances as an exact LFT, without the effects in `left_out`."""
         width = float(real_array("sigmas", sigmas, 0, "uncertain"))
         number("uncertain: sigmas", width, "0 or more", at_least=0)
         linear = self.linear_model()
@@ -206,16 +206,16 @@ def with_effects(
     plant: AnyPlant | StateSpaceModel,
     effects: Mapping[str, Mapping[str, Any]] | Iterable[AttachedEffect] | AttachedEffect,
 ) -> Any:
-    """The plant with effects attached.
+    """Attach effects to a plant.
 
     Parameters
     ----------
     plant
-        A linear plant, a continuous model whose velocity states have units, a nonlinear plant that says where forces
-        act in it, or a plant that has effects already.
+        A linear plant, a continuous model whose velocity states have units, a nonlinear plant that declares where
+        forces act, or a plant with effects.
     effects
         ``{"coulomb-friction": {"Fc": 5e-3}}``, with a value or (value, standard deviation) for each parameter of the
-        effect. Where there is more than one place, it is named: ``"coulomb-friction@omega"``. Or attached effects.
+        effect, and ``"coulomb-friction@omega"`` if there are several places. Or attached effects.
 
     Returns
     -------
@@ -225,8 +225,8 @@ def with_effects(
     Raises
     ------
     InputError
-        Unknown effect, parameter or place (with the closest name), no place or several, NaN, a nonlinear plant that
-        has no linear models along a motion.
+        Unknown effect, parameter or place, no place or several, NaN, a nonlinear plant without linear models along a
+        motion.
 
     Examples
     --------
@@ -248,14 +248,14 @@ def with_effects(
         if not isinstance(effects, AttachedEffect | Iterable):
             raise InputError("with_effects: effects", repr(effects), "effects with their parameters, {name: {...}}")
         for e in (effects,) if isinstance(effects, AttachedEffect) else effects:
-            attached.append(_fitting(e, base, attached))
+            attached.append(_checked(e, base, attached))
     if not attached:
         raise InputError("with_effects", "no effect", "at least one")
     return _extended(base, tuple(attached))
 
 
-def _fitting(e: Any, base: AnyPlant, taken: list[AttachedEffect]) -> AttachedEffect:
-    """The attached effect, once the plant has its place and nothing of the kind there."""
+def _checked(e: Any, base: AnyPlant, taken: list[AttachedEffect]) -> AttachedEffect:
+    """Return the attached effect if the plant has its place, without the same effect there."""
     if not isinstance(e, AttachedEffect):
         raise InputError("with_effects", f"{e!r}", "a table of effects, or attached effects")
     names = [site.name for site in e.effect.sites(base, extended_model(base, taken)) if site.kind == e.site.kind]
@@ -276,7 +276,7 @@ def _extended(base: AnyPlant, effects: tuple[AttachedEffect, ...]) -> ExtendedPl
 
 
 def _further_states(model: PortModel) -> tuple[Signal, ...]:
-    """Names of the states that effects have added, after the ports that read them."""
+    """Return the states that effects have added, named after their ports."""
     found = []
     for k in range(model.own, len(model.A)):
         unit = np.eye(len(model.A))[k]
@@ -291,7 +291,7 @@ def _further_states(model: PortModel) -> tuple[Signal, ...]:
 
 
 def without_signals(plant: ExtendedPlant, linear: StateSpaceModel, width: float) -> LinearPlant:
-    """The linear model as a plant in descriptor form, affine in the parameters that carry the tolerances."""
+    """Return the linear model as a plant in descriptor form, affine in the parameters with tolerances."""
     base, scaled = plant.plant, _scaled_values(plant)
     parameters = {name: replace(p, value=scaled[name]) for name, p in base.parameters.items()}
     tied: dict[str, list[str]] = {}
@@ -325,7 +325,7 @@ def without_signals(plant: ExtendedPlant, linear: StateSpaceModel, width: float)
 
 
 def _scaled_by(plant: ExtendedPlant, e: AttachedEffect) -> dict[str, float]:
-    """Parameters of the plant that the effect scales, and by how much."""
+    """Return plant parameter -> factor of the effect."""
     return e.effect.factors(plant.plant, e.site, e.values)
 
 
@@ -338,7 +338,7 @@ def _scaled_values(plant: ExtendedPlant) -> dict[str, float]:
 
 
 def _joint_terms(plant: ExtendedPlant, linear: StateSpaceModel, width: float) -> dict[str, tuple[Parameter, Array]]:
-    """Fitted springs and dampers at joints: parameter, and the entries of F per unit of it."""
+    """Return fitted springs and dampers at joints: parameter, and the entries of F per unit of it."""
     found: dict[str, tuple[Parameter, Array]] = {}
     inertia = _structure(plant, linear)(_scaled_values(plant))[0]
     for e in plant.effects:
@@ -359,13 +359,13 @@ def _joint_terms(plant: ExtendedPlant, linear: StateSpaceModel, width: float) ->
 
 
 def _changed(plant: ExtendedPlant, e: AttachedEffect, values: Mapping[str, float]) -> Array:
-    """Change of A when some values of an effect are changed."""
+    """Return the change of A for other values of an effect."""
     other = replace(e, values={**e.values, **values})
     return extended_model(plant.plant, [other if item is e else item for item in plant.effects]).A - plant.model.A
 
 
 def _structure(plant: ExtendedPlant, linear: StateSpaceModel) -> Callable[[Mapping[str, float]], list[Array]]:
-    """E, F, G, C, D of all states at any parameter values, less a constant part of F."""
+    """Return a function from parameter values to E, F, G, C, D of all states, without a constant part of F."""
     base, own, size = plant.plant, plant.model.own, len(plant.states)
     inertia = base.matrices(_scaled_values(plant))[0]
     split: list[tuple[int, int, float]] = []  # joint, its relative position, the load's share
@@ -389,7 +389,7 @@ def _structure(plant: ExtendedPlant, linear: StateSpaceModel) -> Callable[[Mappi
 
 
 def _check(plant: ExtendedPlant, whole: UncertainModel, linear: StateSpaceModel, width: float) -> None:
-    """The nominal model, and the plant rebuilt with every deviation at its upper end, must come out."""
+    """Check that the set includes the nominal model, and the plant with every deviation at its upper end."""
     changed = {n: (p.value + p.radius, 0.0) for n, p in plant.parameters.items() if p.tolerance}
     for e in plant.effects:
         for name in _scaled_by(plant, e) if e.scale_std else ():
@@ -397,7 +397,8 @@ def _check(plant: ExtendedPlant, whole: UncertainModel, linear: StateSpaceModel,
     terms = _joint_terms(plant, linear, width)
     effects = []
     for e in plant.effects:
-        linear_ones = {n for n in e.std if _is_covered(plant, e, n, terms)}
+        scales = e.on_signal or bool(_scaled_by(plant, e))
+        linear_ones = {n for n in e.std if (n == e.effect.scale and scales) or f"{e.key}.{n}" in terms}
         up = {n: v + width * e.std[n] if n in linear_ones else v for n, v in e.values.items()}
         effects.append(replace(e, values=up))
     rebuilt = with_effects(plant.plant.with_parameters(**changed), effects)
@@ -413,10 +414,3 @@ def _check(plant: ExtendedPlant, whole: UncertainModel, linear: StateSpaceModel,
                     None,
                     "take the tolerances off the parameters that act together with an effect, or take it off",
                 )
-
-
-def _is_covered(
-    plant: ExtendedPlant, e: AttachedEffect, name: str, terms: Mapping[str, tuple[Parameter, Array]]
-) -> bool:
-    scales = e.on_signal or bool(_scaled_by(plant, e))
-    return (name == e.effect.scale and scales) or f"{e.key}.{name}" in terms

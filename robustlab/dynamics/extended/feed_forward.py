@@ -1,4 +1,4 @@
-"""Feed-forward of named effects: the input that a motion needs because of them, told from its reference."""
+"""Feed-forward of named effects: the input that compensates them along a reference."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from robustlab.shown import Facts, number
 from robustlab.signals import Signal
 from robustlab.statespace import real_array
 
-ALONG = 1e-9  # share of a force that may point elsewhere than the input's: rounding of the plant's matrices
+ALONG = 1e-9  # allowed relative difference of direction between a force and the input's: rounding
 
 
 class Wave(NamedTuple):
@@ -47,7 +47,7 @@ class FeedForward:
     left: float = 0.0
 
     def __call__(self, q: ArrayLike, v: ArrayLike) -> Array:
-        """The input at positions q and speeds v of the reference, both of one shape, (n,) or ()."""
+        """Return the input at positions q and speeds v of the reference, both of one shape, (n,) or ()."""
         at, speed = (real_array(name, x, np.ndim(x), "feed-forward") for name, x in (("q", q), ("v", v)))
         if at.shape != speed.shape:
             raise InputError("feed-forward", f"positions {at.shape}, speeds {speed.shape}", "one shape")
@@ -60,11 +60,11 @@ class FeedForward:
 
     @property
     def largest(self) -> float:
-        """A bound of its magnitude, in the unit of the input."""
+        """Bound of its magnitude, in the unit of the input."""
         return sum(math.hypot(c, s) for c, s, _ in self.waves) + sum(abs(level) + abs(b) for level, b, _ in self.dry)
 
     def facts(self) -> Facts:
-        """What it is made of."""
+        """Return its terms."""
         unit, per = self.input.unit, f"1/{self.position.unit}"
         waves = [f"{number(math.hypot(c, s), unit)} at {number(k, per)}" for c, s, k in self.waves]
         dry = [number(level, unit) for level, _, _ in self.dry]
@@ -78,7 +78,7 @@ class FeedForward:
 
 Values = Mapping[str, float]
 
-# Effect -> waves and levels of the force against it, -f; what each parameter is stands with the effect itself.
+# Effect -> waves and levels of the compensating force -f.
 _AGAINST: Mapping[str, Callable[[Values], tuple[list[Wave], list[DryLevel]]]] = {
     "cogging": lambda p: ([Wave(-p["Ac"], -p["As"], p["k"])], []),
     "pendulum-gravity": lambda p: ([Wave(p["H"], p["G"], 1.0)], []),
@@ -94,7 +94,7 @@ _AGAINST: Mapping[str, Callable[[Values], tuple[list[Wave], list[DryLevel]]]] = 
 
 
 def feed_forward(plant: Any, sigmas: float = 2.0) -> FeedForward:
-    """The feed-forward of a plant's named effects, such as those of ``rl.discover(...).model``."""
+    """Return the feed-forward of a plant's named effects, such as those of ``rl.discover(...).model``."""
     where = f"feed-forward of {getattr(plant, 'name', type(plant).__name__)}"
     laws = [(e, port) for e, _, port in getattr(plant, "laws", ())]
     known = [(e, port) for e, port in laws if e.effect.id in _AGAINST]
@@ -115,7 +115,7 @@ def feed_forward(plant: Any, sigmas: float = 2.0) -> FeedForward:
 
 
 def _input_at(plant: Any, port: Any, where: str) -> tuple[Signal, float]:
-    """The input that acts at the port alone, and the force of one unit of it there."""
+    """Return the input that acts only at the port, and its force per unit."""
     size = float(port.force @ port.force)
     for signal, column in zip(plant.inputs, plant.model.B.T, strict=True):
         gain = float(column @ port.force) / size
@@ -125,7 +125,7 @@ def _input_at(plant: Any, port: Any, where: str) -> tuple[Signal, float]:
 
 
 def _position_of(plant: Any, port: Any, where: str) -> Signal:
-    """The output that is the port's position."""
+    """Return the output that is the port's position."""
     for signal, row in zip(plant.outputs, plant.model.C, strict=True):
         if port.position is not None and np.array_equal(row, port.position):
             return signal

@@ -1,4 +1,4 @@
-"""A nonlinear plant with effects about one point, and in steps: linear about its own motion, found by iteration."""
+"""A nonlinear plant with effects about one point, and its simulation by iterated linearisation about its motion."""
 # Hochbruck, Ostermann, "Exponential integrators", Acta Numerica 19 (2010) 209-286; Lelarasmee, Ruehli, Sangiovanni-
 # Vincentelli, "The waveform relaxation method for time-domain analysis of large scale integrated circuits", IEEE Trans.
 # CAD 1 (1982) 131-145.
@@ -22,7 +22,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 
 
 class About(NamedTuple):
-    """A plant with its linear effects at a point: model there, rates (n_x,) without the laws, outputs (n_y,)."""
+    """A plant with its linear effects at a point: model, rates (n_x,) without the laws, outputs (n_y,)."""
 
     model: PortModel
     rates: Array
@@ -30,7 +30,7 @@ class About(NamedTuple):
 
 
 def scaled(plant: NonlinearPlant, effects: Iterable[AttachedEffect]) -> NonlinearPlant:
-    """The plant with the parameters that the effects give it."""
+    """Return the plant with the parameters scaled by the effects."""
     factors: dict[str, float] = {}
     for e in effects:
         for name, factor in e.effect.factors(plant, e.site, e.values).items():
@@ -40,14 +40,14 @@ def scaled(plant: NonlinearPlant, effects: Iterable[AttachedEffect]) -> Nonlinea
 
 
 def with_linear_parts(model: PortModel, effects: Iterable[AttachedEffect]) -> PortModel:
-    """The model extended by what the effects are in its equations."""
+    """Return the model extended by the linear parts of the effects."""
     for e in effects:
         model = e.effect.extend(model, e.site, e.values)
     return model
 
 
-def carried(plant: NonlinearPlant, effects: Iterable[AttachedEffect]) -> Array:
-    """Rows (n_own, n_x) by which the states, those of effects included, tell the plant's as its load has them."""
+def load_coordinates(plant: NonlinearPlant, effects: Iterable[AttachedEffect]) -> Array:
+    """Return rows (n_own, n_x) from all states to the plant's states in the coordinates of its load."""
     names, split = [s.name for s in plant.states], [e.site.name for e in effects if e.effect.structural]
     rows = np.eye(len(names), len(names) + 2 * len(split))
     for k, joint in enumerate(split):
@@ -59,32 +59,30 @@ def carried(plant: NonlinearPlant, effects: Iterable[AttachedEffect]) -> Array:
 
 
 def point_model(plant: NonlinearPlant, effects: Sequence[AttachedEffect], x: Array, u: Array) -> About:
-    """About the state x, those of the effects included, and what the plant sees of the inputs."""
-    at = carried(plant, effects) @ x
+    """Return the model about the state x (including effects) and effective inputs u."""
+    at = load_coordinates(plant, effects) @ x
     model, entering, local = _about(plant, effects, at, u)
     rates = model.A @ x + model.B @ u + entering @ (local.rates[0] - local.A[0] @ at - local.B[0] @ u)
     return About(model, rates, local.outputs[0] + local.C[0] @ (x[: model.own] - at))
 
 
-def somewhere(plant: NonlinearPlant, effects: Sequence[AttachedEffect]) -> PortModel:
-    """The model about a point at which the plant has one and nothing is zero by symmetry: all states near 0.1; else its
-    rest, or zero.
-    """
+def generic_model(plant: NonlinearPlant, effects: Sequence[AttachedEffect]) -> PortModel:
+    """Return the model about a point without symmetries (all states near 0.1), else the equilibrium, else zero."""
     changed = scaled(plant, effects)
     n, u = len(plant.states), np.zeros(len(plant.inputs))
-    said = ""
+    reason = ""
     for place in (lambda: 0.1 + 0.01 * np.arange(n), lambda: changed.equilibrium().x, lambda: np.zeros(n)):
         try:
             return _about(changed, effects, place(), u)[0]
         except NoTrustworthyNumber as error:
-            said = error.found
-    raise InputError(f"{plant.name}: effects", f"no linear model at 0.1, at rest and at zero: {said}", "one of them")
+            reason = error.found
+    raise InputError(f"{plant.name}: effects", f"no linear model at 0.1, at rest and at zero: {reason}", "one of them")
 
 
 def _about(
     plant: NonlinearPlant, effects: Sequence[AttachedEffect], x: Array, u: Array
 ) -> tuple[PortModel, Array, LocalModels]:
-    """The model with the effects, how the plant's own rates enter it (n_x, n_own), and the plant's own model."""
+    """Return the model with the effects, the input matrix of the plant's rates (n_x, n_own), and the plant's model."""
     local = plant.local_models(x[None], u[None])
     wide = with_linear_parts(local_port_model(plant, local), effects)
     ports = {name: replace(p, force=p.force[0] if p.force.ndim > 1 else p.force) for name, p in wide.ports.items()}
@@ -93,21 +91,19 @@ def _about(
 
 
 FIRST, MOST = 32, 256  # steps of a block
-PASSES = 8  # of a block, until it is halved
-QUICK = 4  # passes after which the next block is made longer
-AGREED = 1e-8  # change of the last pass, as a share of each state; what is left after it is that squared
-LEAST = 1e-12  # rad, m, rad/s, m/s, A: below it a change is rounding
-GAUSS = 0.5 / 3.0**0.5  # places of the Gauss points before and behind the middle, in steps
+PASSES = 8  # iterations of a block before it is shortened
+QUICK = 4  # iterations up to which the next block is lengthened
+AGREED = 1e-8  # relative change in the last iteration; convergence is quadratic
+LEAST = 1e-12  # rad, m, rad/s, m/s, A: rounding
+GAUSS = 0.5 / 3.0**0.5  # distance of the Gauss points from the middle, in steps
 
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """What drives a plant in steps of h seconds from the time t0."""
+    """Effective inputs in steps, ``mean + rise (2 tau/h - 1)``, (n, n_u) each; h, t0 in s."""
 
-    # mean, rise: the inputs as the plant sees them in each step, ``mean + rise (2 tau/h - 1)``, (n, n_u) each
     mean: Array
     rise: Array
-    # h, t0: in s
     h: float
     t0: float
 
@@ -115,7 +111,7 @@ class Drive:
 def march(
     plant: NonlinearPlant, effects: Sequence[AttachedEffect], drive: Drive, x0: Array, guess: Array | None = None
 ) -> Array:
-    """States (n, n_x) at the beginnings of the steps."""
+    """Simulate block by block; return states (n, n_x) at the beginnings of the steps."""
     laws = [law for e in effects for law in e.laws()]
     memory = np.zeros((len(laws), max([1, *(law.memory for law in laws)])))
     last = len(drive.mean) - 1
@@ -137,7 +133,7 @@ def march(
                     f"{plant.name}: simulate",
                     f"no motion beyond t = {time:.6g} s: {words}",
                     None,
-                    "shorter steps, or a motion within what the machine can do",
+                    "shorter steps, or a motion within the machine's reach",
                 )
             length = max(1, count // 4)
             continue
@@ -152,7 +148,7 @@ def march(
 
 @dataclass(eq=False)
 class _Block:
-    """Some steps of a march."""
+    """A block of steps."""
 
     plant: NonlinearPlant
     effects: Sequence[AttachedEffect]
@@ -160,55 +156,57 @@ class _Block:
     drive: Drive
     at: int
     count: int
-    memory: Array  # of the laws at its first step
+    memory: Array  # of the laws before its first step
 
     def __post_init__(self) -> None:
-        self.carried, self.after = carried(self.plant, self.effects), self.memory
+        self.load_coordinates, self.after = load_coordinates(self.plant, self.effects), self.memory
         chosen = slice(self.at, self.at + self.count)
         self.mean, self.rise = self.drive.mean[chosen], self.drive.rise[chosen]
 
     def settled(self, start: Array, guess: Array | None) -> tuple[Array | None, int]:
-        """States (count + 1, n_x), None where they do not settle, and the passes that were made."""
+        """Return states (count + 1, n_x), or None without convergence, and the number of iterations."""
         motion = start[None].repeat(self.count + 1, axis=0) if guess is None else guess
         before = np.inf
         for k in range(1, PASSES + 1):
-            # About a point the plant has one linear model.
-            found, speed = self._passed(start, motion, self.count if guess is None and k == 1 else 1)
+            # The first iteration without a guess is about one point.
+            found, speed = self._iterated(start, motion, self.count if guess is None and k == 1 else 1)
             if not np.isfinite(found).all():
                 return None, k
             size = AGREED * (np.abs(found).max(axis=0) + speed * self.drive.h) + LEAST
             change = float((np.abs(found - motion).max(axis=0) / size).max())
             motion = found
             if change <= 1.0:
-                self._remember(start)
+                if any(law.memory for law in self.laws):
+                    self.after = self.memory.copy()
+                    self._stepped(start, self.after, self.count)
                 return found, k
             if k > 3 and change > before:
                 return None, k
             before = change
         return None, PASSES
 
-    def _passed(self, start: Array, motion: Array, stride: int) -> tuple[Array, Array]:
-        """States (count + 1, n_x) of the plant taken as linear about a motion of that shape, and its largest rates."""
+    def _iterated(self, start: Array, motion: Array, stride: int) -> tuple[Array, Array]:
+        """Simulate the plant linearised about a motion; return states (count + 1, n_x) and the largest rates."""
         h, count, n_u, own = self.drive.h, self.count, self.mean.shape[1], len(self.plant.states)
         course = Course(self.plant, motion, self.mean, h)
         steps = np.arange(count)
         of = steps // stride
         x, u = course.at(np.minimum((np.arange(of[-1] + 1) + 0.5) * stride, count - 0.5))
-        local = self.plant.local_models(x @ self.carried.T, u)
+        local = self.plant.local_models(x @ self.load_coordinates.T, u)
         model = with_linear_parts(local_port_model(self.plant, local), self.effects)
         halves = exponentials(model.A, 0.5 * h)
         parts = []
         if model.A is not local.A:
             entering, added = model.B[..., n_u:], model.A.copy()
-            added -= entering @ local.A @ self.carried
-            parts = [_around(part) for part in (entering, added, model.B[..., :n_u] - entering @ local.B)]
+            added -= entering @ local.A @ self.load_coordinates
+            parts = [_with_differences(part) for part in (entering, added, model.B[..., :n_u] - entering @ local.B)]
         sides, size = [], np.zeros(model.A.shape[-1])
         for share in (-GAUSS, GAUSS):
             x, _ = course.at(steps + 0.5 + share)
             u = self.mean + 2.0 * share * self.rise
-            rates = self.plant.rates_along(x @ self.carried.T, u)
+            rates = self.plant.rates_along(x @ self.load_coordinates.T, u)
             size[:own] = np.maximum(size[:own], np.abs(rates).max(axis=0))
-            if parts:  # what the effects make of the plant's rates, and what they add
+            if parts:  # transformed by the effects
                 enters, adds, drives = ((here + share * by + 0.5 * share**2 * twice)[of] for here, by, twice in parts)
                 rates = _times(enters, rates) + _times(adds, x) + _times(drives, u)
             sides.append(rates - _times(model.A[of], x))
@@ -220,17 +218,17 @@ class _Block:
         drift = np.array([_times(phi, first) + second, first, second])
         push = np.zeros((2, len(model.A), len(self.laws), model.A.shape[-1]))
         for j, law in enumerate(self.laws):
-            here, by, twice = _around(model.ports[law.port].force)
-            for k, share in enumerate((-0.25, 0.25)):  # over the halves: mean, and half of what it rises by
+            here, by, twice = _with_differences(model.ports[law.port].force)
+            for k, share in enumerate((-0.25, 0.25)):  # over the halves: mean, and half of the rise
                 rising = 0.25 * by + 0.5 * share * twice
                 push[k, :, j] = _times(halves[1], here + share * by + twice / 24.0) + _times(halves[2], rising)
         whole = push[0] @ np.swapaxes(halves[0], 1, 2) + push[1]
         phi = np.array([halves[0] @ halves[0], halves[0], halves[0]])
-        self._table = _with_one_more(count, stride, phi, np.array([whole, *push]), drift), model.ports, stride
+        self._table = _padded(count, stride, phi, np.array([whole, *push]), drift), model.ports, stride
         return self._stepped(start, self.memory.copy(), count + 1), size
 
     def _stepped(self, start: Array, memory: Array, length: int) -> Array:
-        """States (length, n_x) at the beginnings of so many steps; the memory is carried to the end of the last."""
+        """Step; return states (length, n_x) at the beginnings of the steps, and update the memory."""
         (phi, push, drift), ports, stride = self._table
         no_input = np.zeros((*phi.shape[:3], 0))
         table = phi, no_input, push, np.ascontiguousarray(drift[:, :length]), stride
@@ -238,22 +236,17 @@ class _Block:
         window = Windows(np.array([self.at], dtype=np.int64), length)
         return step_laws(self.laws, ports, table, inputs, window, start[None].copy(), phi.shape[-1], True, memory)[0][0]
 
-    def _remember(self, start: Array) -> None:
-        if any(law.memory for law in self.laws):
-            self.after = self.memory.copy()
-            self._stepped(start, self.after, self.count)
 
-
-def _around(values: Array) -> tuple[Array, Array, Array]:
-    """Values (m, ...) in the middles of the steps, their first and second change from step to step."""
+def _with_differences(values: Array) -> tuple[Array, Array, Array]:
+    """Return values (m, ...) and their first and second differences."""
     if len(values) < 3:
         return values, np.zeros_like(values), np.zeros_like(values)
     first = np.gradient(values, axis=0, edge_order=2)
     return values, first, np.gradient(first, axis=0, edge_order=2)
 
 
-def _with_one_more(count: int, stride: int, phi: Array, push: Array, drift: Array) -> tuple[Array, Array, Array]:
-    """The table with a step more than ``count``, so that the state at the end of the last one is written as well."""
+def _padded(count: int, stride: int, phi: Array, push: Array, drift: Array) -> tuple[Array, Array, Array]:
+    """Return the table with one more step than ``count``, for the state at the end."""
     rows = np.minimum(np.arange(-(-(count + 1) // stride)), phi.shape[1] - 1)
     if len(rows) > phi.shape[1]:
         phi, push = (np.ascontiguousarray(np.take(part, rows, axis=1)) for part in (phi, push))
@@ -261,5 +254,5 @@ def _with_one_more(count: int, stride: int, phi: Array, push: Array, drift: Arra
 
 
 def _times(matrices: Array, vectors: Array) -> Array:
-    """Products of the matrices (m, p, q) with the vectors (m, q), (m, p)."""
+    """Return the products (m, p) of matrices (m, p, q) and vectors (m, q)."""
     return (matrices @ vectors[..., None])[..., 0]

@@ -1,4 +1,4 @@
-"""What effects put into the inputs and outputs of a set: gains with a range, delays, lags."""
+"""Uncertain gains, delays and lags of effects at inputs and outputs of a set."""
 # Wang, Lundström, Skogestad, "Representation of uncertain time delays in the H-infinity framework", Int. J. Control 59
 # (1994).
 
@@ -18,7 +18,7 @@ from robustlab.uncertainty.lft import UncertainModel, product
 
 
 def _lag_block(time: float, spread: float, name: str, origin: str) -> UncertainModel:
-    """All lags :math:`1 / (1 + s T)` with T within ``spread`` of ``time``, in s, exactly."""
+    """Return the exact set of all lags :math:`1 / (1 + s T)` with T within ``spread`` of ``time``, in s."""
     if not 0.0 <= spread < time:
         raise InputError(f"lag {name}", f"{time:g} s +- {spread:g} s", "a time constant that stays positive")
     a = -1.0 / time
@@ -29,11 +29,11 @@ def _lag_block(time: float, spread: float, name: str, origin: str) -> UncertainM
 
 
 def delay_block(delay: float, spread: float, pade: int, name: str, origin: str = "") -> UncertainModel:
-    r"""All delays from ``delay - spread`` (at least 0) to ``delay + spread`` as :math:`P + w \Delta`."""
+    r"""Return a cover :math:`P + w \Delta` of all delays from ``delay - spread`` (at least 0) to ``delay + spread``."""
     if not 0 < delay < np.inf or not 0 <= spread < np.inf:
         raise InputError("delay_block", f"{delay:g} s +- {spread:g} s", "a positive delay, a spread of 0 s or more")
     n = checked_order(pade, "delay_block", 1)
-    # The slope of what is missed changes from 1 to 2 n + 1 where there is a spread: a lower order follows that better.
+    # With a spread the error's slope changes from 1 to 2 n + 1: a weight of lower order fits better.
     made = covering(delay, spread, n, n + 1 if spread else min(n + 2, 2 * n + 1))
     return UncertainModel(made.M, [FullBlock(name, 1, 1, origin=origin, covers=made.blocks[0].covers)])
 
@@ -45,23 +45,21 @@ def with_signals(
     width: float,
     pade: int = 0,
 ) -> UncertainModel:
-    """The model with what the effects put into its inputs and outputs: gains with a range, and with an order of Padé's
-    approximation delays and lags; each effect with the index of its signal and the level there.
-    """
+    """Add uncertain gains of effects (effect, index of signal, level), and with ``pade`` their delays and lags."""
     into, out = ([s for s in signals if s[0].site.kind == kind] for kind in ("input", "output"))
     for e, k, level in [*reversed(into), *out]:  # the effect next to the plant first
-        for gadget in _gadgets(e, level, amplitude, width, pade):
+        for block in _signal_blocks(e, level, amplitude, width, pade):
             if e.site.kind == "input":
-                whole = product(whole, _at_channel(gadget, whole.inputs, k, e.key))
+                whole = product(whole, _at_channel(block, whole.inputs, k, e.key))
             else:
-                whole = product(_at_channel(gadget, whole.outputs, k, e.key), whole)
+                whole = product(_at_channel(block, whole.outputs, k, e.key), whole)
     return whole
 
 
-def _gadgets(
+def _signal_blocks(
     e: AttachedEffect, level: float, amplitude: Mapping[str, float], width: float, pade: int
 ) -> list[UncertainModel]:
-    """What an effect puts into its signal: a gain with a range, a delay, a lag."""
+    """Return the blocks of an effect in its signal: an uncertain gain, a delay, a lag."""
     found: list[UncertainModel] = []
     gain, seen = e.gain(level, amplitude), e.sector(amplitude, ("input", "output"))
     reach = width * e.scale_std if seen is None else 0.5 * (seen.gain_upper - seen.gain_lower)
@@ -83,9 +81,9 @@ def _gadgets(
     return found
 
 
-def _at_channel(gadget: UncertainModel, signals: Sequence[Signal], k: int, name: str) -> UncertainModel:
-    """The gadget of this name in signal k, all others passed on."""
-    g, (q, p), n = gadget.M, gadget.delta_shape, len(signals)
+def _at_channel(block: UncertainModel, signals: Sequence[Signal], k: int, name: str) -> UncertainModel:
+    """Return the block of this name in signal k, with identity in all others."""
+    g, (q, p), n = block.M, block.delta_shape, len(signals)
     into, out = np.zeros((q + 1, q + n)), np.zeros((p + n, p + 1))
     into[:q, :q], into[q, q + k] = np.eye(q), 1.0
     out[:p, :p], out[p + k, p] = np.eye(p), 1.0
@@ -96,4 +94,4 @@ def _at_channel(gadget: UncertainModel, signals: Sequence[Signal], k: int, name:
         [*(f"w_{name}" for _ in range(q)), *signals], [*(f"z_{name}" for _ in range(p)), *signals],
         [f"{name} {i + 1}" for i in range(g.n_states)], where="effect_blocks",
     )  # fmt: skip
-    return UncertainModel(model, gadget.blocks)
+    return UncertainModel(model, block.blocks)

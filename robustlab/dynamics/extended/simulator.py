@@ -1,4 +1,4 @@
-"""Simulation of a plant with effects, in windows that start anew or in one run."""
+"""Simulation of a plant with effects, in one run or in windows with new initial states."""
 # Unser, Splines: a perfect fit for signal and image processing, IEEE Signal Processing Magazine 16 (1999) 22-38.
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from robustlab.dynamics.ports.motion_model import (
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, port_model
 from robustlab.errors import InputError, unknown_name
 
-# Matrix exponentials and models that are kept.
+# Number of cached matrix exponentials and models.
 KEPT = 512
 
 Hold = Literal["zoh", "linear", "smooth"]
@@ -48,7 +48,7 @@ class SampledInput:
         self._pieces = np.vstack([still, pieces])  # row k + 1: the interval after sample k; row 0: before the first
 
     def steps(self, sub: int, shift: float = 0.0) -> Array:
-        """Means of the halves of each step, (n * sub, 2), ``sub`` steps a sample; ``shift`` in samples (late: > 0)."""
+        """Return means of the halves of each step, (n * sub, 2), ``sub`` per sample, delayed by ``shift`` samples."""
         found = np.empty((self.count, sub, 2))
         for r in range(sub):
             start = r / sub - shift
@@ -60,17 +60,17 @@ class SampledInput:
         return found.reshape(-1, 2)
 
     def samples(self, shift: float = 0.0) -> Array:
-        """The shifted input at the samples, (n,)."""
+        """Return the shifted input at the samples, (n,)."""
         first = int(np.floor(-shift))
         return self._after(first) @ (-shift - first) ** np.arange(self._pieces.shape[1])
 
     def _after(self, first: int) -> Array:
-        """Coefficients of the intervals ``first`` samples after each sample."""
+        """Return the coefficients of the intervals ``first`` samples after each sample."""
         return self._pieces[np.clip(np.arange(self.count) + first + 1, 0, self.count)]
 
 
 def _pieces(samples: Array, degree: int) -> Array:
-    """Coefficients (n, degree + 1) of the spline; its degree is odd, and less where there are too few samples."""
+    """Return coefficients (n, degree + 1) of the spline of odd degree, lower for few samples."""
     from scipy.interpolate import PPoly, make_interp_spline
 
     n = len(samples)
@@ -87,7 +87,7 @@ def _pieces(samples: Array, degree: int) -> Array:
 
 
 def _weights(a: float, w: float, terms: int) -> tuple[Array, Array]:
-    r"""Weights (terms, 2) with which a step from :math:`\theta = a` of width w sees two neighbouring intervals."""
+    r"""Return weights (terms, 2) of two neighbouring intervals for a step from :math:`\theta = a` of width w."""
     m = np.arange(terms)
 
     def seen(low: float, high: float, middle: float) -> Array:
@@ -102,11 +102,11 @@ def _weights(a: float, w: float, terms: int) -> tuple[Array, Array]:
 
 
 KEPT_SIGNALS = 256  # sampled inputs of all records
-KEPT_INPUTS = 8  # sets of shifted inputs that a simulator keeps
-KEPT_MOTIONS = 24  # parameter values about a motion that a simulator keeps
-POINTS = 60  # of a motion that stand for it where a plant's places are asked for
+KEPT_INPUTS = 8  # sets of shifted inputs of a simulator
+KEPT_MOTIONS = 24  # parameter values about a motion
+POINTS = 60  # representative points of a motion
 STEPS_A_PERIOD = 20  # of the plant's fastest oscillation
-LEAST_STEPS, MOST_STEPS = 2, 16  # a sample; electric time constants are shorter than one
+LEAST_STEPS, MOST_STEPS = 2, 16  # per sample; electric time constants are shorter
 
 
 @dataclass(frozen=True)
@@ -125,11 +125,11 @@ class Motion:
     outputs: Array
     forces: Array
     about: MotionModel | None  # the nonlinear plant about its motion
-    model: PortModel  # the equations with effects that it was done with
+    model: PortModel  # equations with effects
 
 
 class _Table(NamedTuple):
-    """The plant in steps, before the laws: for the whole step, its first and its second half, n_points of each."""
+    """Discretised plant without laws: whole step, first and second half, n_points of each."""
 
     phi: Array
     psi: Array
@@ -140,7 +140,7 @@ class _Table(NamedTuple):
 
 @lru_cache(maxsize=64)
 def stepping(plant: LinearPlant, dt: float) -> int:
-    """Steps a sample that all simulations of the plant share: 20 a period of its fastest oscillation."""
+    """Return the steps per sample for all simulations of a plant: 20 per period of its fastest oscillation."""
     poles = np.linalg.eigvals(port_model(plant).A)
     fastest = float(np.abs(poles.imag).max(initial=0.0))
     steps = math.ceil(STEPS_A_PERIOD * fastest * dt / (2.0 * math.pi) - 1e-9)
@@ -148,7 +148,7 @@ def stepping(plant: LinearPlant, dt: float) -> int:
 
 
 class Simulator:
-    """One plant with effects at their sites, over one recorded input."""
+    """A plant with effects under a recorded input."""
 
     def __init__(
         self,
@@ -176,11 +176,11 @@ class Simulator:
         holds = ("zoh",) * len(plant.inputs) if hold is None else tuple(hold)
         if len(holds) != len(plant.inputs):
             raise InputError("simulation: hold", f"{len(holds)} of them", f"one for each of {len(plant.inputs)} inputs")
-        self._inputs = [_kept_input(column.tobytes(), kind) for column, kind in zip(u.T, holds, strict=True)]
+        self._inputs = [_cached_input(column.tobytes(), kind) for column, kind in zip(u.T, holds, strict=True)]
         self._steps: dict[tuple[float, ...], Array] = {}
 
     def about(self, motion: Array | None) -> Simulator:
-        """The same simulator of a nonlinear plant about another motion."""
+        """Return the simulator of a nonlinear plant about another motion."""
         other = copy(self)
         if isinstance(self.plant, NonlinearPlant) and motion is not None and self._course is not None:
             other._course = _course(self.plant, motion, self._course.u, self.dt, self._course)
@@ -207,11 +207,11 @@ class Simulator:
             u = [signal.samples(d / self.dt) for signal, d in zip(self._inputs, late, strict=True)]
             u = np.column_stack(self._mapped(u, values, self.dt))[windows.starts[:, None] + np.arange(windows.length)]
         runs = np.split(states, len(states) // len(windows.starts)) if len(windows.starts) else [states]
-        outputs = np.concatenate([self._shown(self.plain_outputs(run, about, model, u), values) for run in runs])
+        outputs = np.concatenate([self._measured(self.plain_outputs(run, about, model, u), values) for run in runs])
         return Motion(states, outputs, forces, about, model)
 
-    def _shown(self, outputs: Array, values: Sequence[Mapping[str, float]]) -> Array:
-        """Outputs of one run after what effects do to them, in place."""
+    def _measured(self, outputs: Array, values: Sequence[Mapping[str, float]]) -> Array:
+        """Apply the effects on the outputs of one run, in place."""
         for (effect, site), v in zip(self.effects, values, strict=True):
             if site.kind == "output":
                 k = [s.name for s in self.plant.outputs].index(site.name)
@@ -222,28 +222,24 @@ class Simulator:
         return [law for (e, site), v in zip(self.effects, values, strict=True) for law in e.laws(site, v)]
 
     def plain_outputs(self, states: Array, about: MotionModel | None, model: PortModel, u: Array | None) -> Array:
-        """Outputs (n_windows, length, n_y) of states (n_windows, length, n) before what effects do to them; inputs u
-        (n_windows, length, n_u) where the plant passes them on.
-        """
-        outputs = states @ model.C.T if about is None else _seen_along(about, model, states)
+        """Return outputs (n_windows, length, n_y) before effects on them; u: inputs if the plant has a direct term."""
+        outputs = states @ model.C.T if about is None else _outputs_along(about, model, states)
         if u is not None and model.D.any():
             d = model.D if about is None else model.D[about.points].reshape(*u.shape[:2], *model.D.shape[1:])
             outputs = outputs + (d @ u[..., None])[..., 0]
         return outputs
 
     def model(self, factors: Mapping[str, float], values: Sequence[Mapping[str, float]]) -> PortModel:
-        """The linear equations at these values, extended by the effects; of a nonlinear plant at some points of its
-        motion.
-        """
+        """Return the linear equations with effects; of a nonlinear plant at some points of its motion."""
         if self._course is not None:
             places = np.unique(np.linspace(0, len(self._course.x) - 2, POINTS).astype(np.int64))
             return self._with_effects(self._about(factors, values, Windows(places, 1)).model, values)
         assert isinstance(self.plant, LinearPlant)
         total = self._total(factors, values)
-        return self._with_effects(_kept_port_model(self.plant, tuple(sorted(total.items()))), values)
+        return self._with_effects(_cached_port_model(self.plant, tuple(sorted(total.items()))), values)
 
     def _total(self, factors: Mapping[str, float], values: Sequence[Mapping[str, float]]) -> dict[str, float]:
-        """Factors of the plant's parameters, those of the effects included."""
+        """Return the factors of the plant's parameters, including those of the effects."""
         total = dict(factors)
         for (effect, site), v in zip(self.effects, values, strict=True):
             for name, factor in effect.factors(self.plant, site, v).items():
@@ -262,12 +258,12 @@ class Simulator:
         windows: Windows,
         near: tuple[Mapping[str, float], Sequence[Mapping[str, float]]] | None = None,
     ) -> MotionModel:
-        """A nonlinear plant about its motion in the windows, at these values, before the effects."""
+        """Return a nonlinear plant about its motion in the windows, without effects."""
         assert self._course is not None
         total = self._total(factors, values)
         known = total if near is None else self._total(*near)
         key = tuple(sorted(known.items())), windows.starts.tobytes(), windows.length, self.sub
-        about = _kept_model(self._course, *key)
+        about = _cached_model(self._course, *key)
         if known == total:
             return about
         return with_factors(about, self._course, total)
@@ -275,7 +271,7 @@ class Simulator:
     def seen_input(
         self, values: Sequence[Mapping[str, float]], shift: Sequence[float] | None = None
     ) -> tuple[Array, Array]:
-        """Inputs as the plant sees them from each sample to the next, m + r (2 tau/dt - 1): m and r, (n, n_u) each."""
+        """Return effective inputs from each sample to the next as m + r (2 tau/dt - 1): m and r, (n, n_u) each."""
         late = self._late(values, shift)
         halves = [s.steps(1, d / self.dt).ravel() for s, d in zip(self._inputs, late, strict=True)]
         seen = np.column_stack(self._mapped(halves, values, 0.5 * self.dt))
@@ -283,7 +279,7 @@ class Simulator:
         return 0.5 * (first + second), second - first
 
     def _late(self, values: Sequence[Mapping[str, float]], shift: Sequence[float] | None) -> tuple[float, ...]:
-        """Time in s by which the plant sees each input late, delays included: those commute with the other maps."""
+        """Return the delay of each input in s; delays commute with the other maps."""
         names = [s.name for s in self.plant.inputs]
         late = [0.0] * len(names) if shift is None else [float(d) for d in shift]
         if len(late) != len(names):
@@ -294,12 +290,12 @@ class Simulator:
         return tuple(late)
 
     def _seen(self, values: Sequence[Mapping[str, float]], late: tuple[float, ...]) -> Array:
-        """Inputs as the plant sees them in each step, (n * sub, n_u)."""
+        """Return the effective inputs in each step, (n * sub, n_u)."""
         steps = self._steps.get(late)
         if steps is None:
             if len(self._steps) > KEPT_INPUTS:
                 self._steps.clear()
-            halves = [_kept_halves(s, self.sub, d / self.dt) for s, d in zip(self._inputs, late, strict=True)]
+            halves = [_cached_halves(s, self.sub, d / self.dt) for s, d in zip(self._inputs, late, strict=True)]
             steps = self._steps[late] = np.hstack([np.column_stack([h[:, k] for h in halves]) for k in (0, 1)])
             if all(s.hold == "zoh" for s in self._inputs) and not any(late):
                 steps = self._steps[late] = np.ascontiguousarray(steps[:, : len(late)])
@@ -313,7 +309,7 @@ class Simulator:
         return np.hstack([np.column_stack([m[k::2] for m in mapped]) for k in (0, 1)])
 
     def _mapped(self, u: list[Array], values: Sequence[Mapping[str, float]], h: float) -> list[Array]:
-        """Inputs in steps of h seconds after the effects on them; delays are in them already (`_late`)."""
+        """Apply the effects on inputs in steps of h seconds, except delays (`_late`)."""
         names = [s.name for s in self.plant.inputs]
         for (effect, site), v in zip(self.effects, values, strict=True):
             if site.kind == "input" and not effect.delay:
@@ -329,7 +325,7 @@ class Simulator:
         for j, law in enumerate(laws):
             push[:, j] = (psi @ model.ports[law.port].force[..., None])[..., 0]
         whole = push @ np.swapaxes(phi[1], 1, 2) + push
-        # Of a nonlinear plant windows need not follow each other, and a load that hangs is at rest in none by itself.
+        # Windows of a nonlinear plant need not be consecutive: x0 sets all states.
         own = model.own if about is None else phi.shape[-1]
         table = phi, gamma_u, np.array([whole, push, push]), drift, stride
         inputs = u, self.dt / self.sub, self.t0, self.sub
@@ -339,9 +335,7 @@ class Simulator:
         self, model: PortModel, values: Sequence[Mapping[str, float]], u: Array, x0: Array, windows: Windows,
         about: MotionModel | None,
     ) -> Array:  # fmt: skip
-        """States at the window starts, those of effects included: zero, or where a load behind a joint of a nonlinear
-        plant rests under what pulls at it there.
-        """
+        """Return all states at the window starts; a load behind a joint of a nonlinear plant starts in equilibrium."""
         n, n_u = model.A.shape[-1], len(self._inputs)
         start = np.zeros((len(x0), n))
         start[:, : model.own] = x0
@@ -360,13 +354,13 @@ class Simulator:
         return start
 
     def _table(self, model: PortModel, columns: int, about: MotionModel | None) -> _Table:
-        """The plant in steps, for inputs of so many columns."""
+        """Return the discretised plant for inputs of so many columns."""
         h, n_u = self.dt / self.sub, len(self._inputs)
         if about is None:
-            table = _in_steps(model.B, *_kept_exponential(model.A.tobytes(), 0.5 * h), columns > n_u)
+            table = _in_steps(model.B, *_cached_exponential(model.A.tobytes(), 0.5 * h), columns > n_u)
             nothing = np.zeros((3, 0, len(model.A)))
             return _Table(table[0][:, None], table[1][None], table[2][:, None], nothing, 1)
-        make = _kept_along if model is about.model else _table_along  # kept where no effect changes the plant
+        make = _cached_along if model is about.model else _table_along  # cached if no effect changes the plant
         return make(about, model, h, n_u, columns > n_u)
 
 
@@ -375,7 +369,7 @@ def step_laws(
     inputs: tuple[Array, float, float, int], windows: Windows, x0: Array, own: int, halves: bool,
     memory: Array | None = None,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """States and forces in the windows: phi, gamma_u, push, drift and stride of `step_windows`; u, h, t0 and sub."""
+    """Return states and forces in the windows; table: phi, gamma_u, push, drift, stride; inputs: u, h, t0, sub."""
     from robustlab.dynamics.ports.law_kernel import step_windows
 
     (phi, gamma_u, push, drift, stride), n_laws = table, len(laws)
@@ -400,80 +394,80 @@ def step_laws(
 
 
 @lru_cache(maxsize=KEPT_SIGNALS)
-def _kept_input(samples: bytes, hold: Hold) -> SampledInput:
+def _cached_input(samples: bytes, hold: Hold) -> SampledInput:
     return SampledInput(np.frombuffer(samples), hold)
 
 
 @lru_cache(maxsize=4 * KEPT_SIGNALS)
-def _kept_halves(signal: SampledInput, sub: int, shift: float) -> Array:
-    """Its steps: of several inputs mostly one is shifted anew."""
+def _cached_halves(signal: SampledInput, sub: int, shift: float) -> Array:
+    """Return the cached steps: mostly only one of several inputs is shifted anew."""
     return signal.steps(sub, shift)
 
 
 @lru_cache(maxsize=KEPT)
-def _kept_port_model(plant: LinearPlant, factors: tuple[tuple[str, float], ...]) -> PortModel:
+def _cached_port_model(plant: LinearPlant, factors: tuple[tuple[str, float], ...]) -> PortModel:
     return port_model(plant, dict(factors))
 
 
 @lru_cache(maxsize=KEPT)
-def _kept_exponential(a: bytes, h: float) -> tuple[Array, Array, Array]:
+def _cached_exponential(a: bytes, h: float) -> tuple[Array, Array, Array]:
     n = math.isqrt(len(a) // 8)
     return exponential(np.frombuffer(a).reshape(n, n), h)
 
 
 @lru_cache(maxsize=32)
-def _kept_course(plant: NonlinearPlant, motion: bytes, u: bytes, dt: float, like: Course | None) -> Course:
+def _cached_course(plant: NonlinearPlant, motion: bytes, u: bytes, dt: float, like: Course | None) -> Course:
     n = len(plant.states), len(plant.inputs)
     x, v = (np.frombuffer(b).reshape(-1, k) for b, k in zip((motion, u), n, strict=True))
     return Course(plant, x, v, dt, like)
 
 
 def _course(plant: NonlinearPlant, motion: Array, u: Array, dt: float, like: Course | None = None) -> Course:
-    """The motion as a course; one for all simulators of a record."""
-    return _kept_course(plant, np.ascontiguousarray(motion).tobytes(), np.ascontiguousarray(u).tobytes(), dt, like)
+    """Return the motion as a course, shared by all simulators of a record."""
+    return _cached_course(plant, np.ascontiguousarray(motion).tobytes(), np.ascontiguousarray(u).tobytes(), dt, like)
 
 
 @lru_cache(maxsize=KEPT_MOTIONS)
-def _kept_model(
+def _cached_model(
     course: Course, factors: tuple[tuple[str, float], ...], starts: bytes, length: int, sub: int
 ) -> MotionModel:
-    """`motion_model`, kept for all hypotheses that have these parameter values."""
+    """Return the cached `motion_model` for these parameter values."""
     return motion_model(course, dict(factors), np.frombuffer(starts, dtype=np.int64), length, sub)
 
 
 def _steps_along(model: PortModel, h: float, n_u: int, rising: bool) -> tuple[Array, Array, Array, Array]:
-    """Phi (3, ...), psi, gamma_u (3, ...) as of `_Table`, and what rates along a motion add in half a step."""
+    """Return phi (3, ...), psi, gamma_u (3, ...) of `_Table`, and the input matrix of rates in half a step."""
     phi, psi, ramp = exponentials(model.A, 0.5 * h)
     return *_in_steps(model.B[..., :n_u], phi, psi, ramp, rising), psi @ model.B[..., n_u:]
 
 
-_kept_steps = lru_cache(maxsize=KEPT_MOTIONS)(_steps_along)
+_cached_steps = lru_cache(maxsize=KEPT_MOTIONS)(_steps_along)
 
 
 def _table_along(about: MotionModel, model: PortModel, h: float, n_u: int, rising: bool) -> _Table:
-    """The steps of a nonlinear plant about its motion."""
+    """Return the steps of a nonlinear plant about its motion."""
     from robustlab.dynamics.ports.law_kernel import drifts
 
-    phi, psi, gamma_u, entering = (_kept_steps if model is about.model else _steps_along)(model, h, n_u, rising)
+    phi, psi, gamma_u, entering = (_cached_steps if model is about.model else _steps_along)(model, h, n_u, rising)
     drift = np.empty((3, len(about.rates), phi.shape[-1]))
     drifts(entering, phi[1], about.steps, about.rates, drift)
     return _Table(phi, psi, gamma_u, drift, about.stride)
 
 
-_kept_along = lru_cache(maxsize=KEPT_MOTIONS)(_table_along)
+_cached_along = lru_cache(maxsize=KEPT_MOTIONS)(_table_along)
 
 
 def _in_steps(b: Array, phi: Array, psi: Array, ramp: Array, rising: bool) -> tuple[Array, Array, Array]:
-    """Phi (3, ...), psi, gamma_u (3, ...) of the whole step and its halves, of whose exponentials they are made."""
+    """Return phi (3, ...), psi, gamma_u (3, ...) of the whole step and its halves from the exponentials of a half."""
     first = second = psi @ b
-    if rising:  # u1, u2: the line's means over the halves, each of which rises by u2 - u1
+    if rising:  # u1, u2: means over the halves, with a rise of u2 - u1 in each
         mean, rise = first, 0.5 * (ramp @ b)
         first, second = np.concatenate([mean - rise, rise], -1), np.concatenate([-rise, mean + rise], -1)
     return np.array([phi @ phi, phi, phi]), psi, np.array([phi @ first + second, first, second])
 
 
-def _seen_along(about: MotionModel, model: PortModel, motion: Array) -> Array:
-    """Outputs of states (n_windows, length, n) along a motion, without what inputs add to them."""
+def _outputs_along(about: MotionModel, model: PortModel, motion: Array) -> Array:
+    """Return outputs of states (n_windows, length, n) along a motion, without direct terms."""
     if (model.C[0] == model.C).all():
         return motion @ model.C[0].T + about.offsets.reshape(*motion.shape[:2], -1)
     c = model.C[about.points].reshape(*motion.shape[:2], *model.C.shape[1:])
@@ -481,7 +475,7 @@ def _seen_along(about: MotionModel, model: PortModel, motion: Array) -> Array:
 
 
 def exponential(a: Array, h: float) -> tuple[Array, Array, Array]:
-    r"""``exp(A h)``, :math:`\int_0^h e^{A s} ds`, and :math:`\int_0^h e^{A (h - s)} (2 s / h - 1)\, ds`."""
+    r"""Return ``exp(A h)``, :math:`\int_0^h e^{A s} ds` and :math:`\int_0^h e^{A (h - s)} (2 s / h - 1)\, ds`."""
     from scipy.linalg import expm
 
     n = len(a)
@@ -493,6 +487,6 @@ def exponential(a: Array, h: float) -> tuple[Array, Array, Array]:
 
 
 def rising(a: Array, b: Array, dt: float) -> Array:
-    """Columns (n_x, n_u) that act, held over a sample, as inputs do that rise by the line 2 tau/dt - 1."""
+    """Return columns (n_x, n_u) whose held inputs act like inputs along the line 2 tau/dt - 1."""
     _, psi, ramp = exponential(a, dt)
     return np.linalg.solve(psi, ramp @ b)

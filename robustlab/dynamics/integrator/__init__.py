@@ -1,1 +1,1 @@
-"""The compiled integrator's parts that every plant shares: its coefficients, its steps, and how kernels are loaded."""
+"""Shared parts of the compiled integrator: coefficients, steps, loading of kernels."""

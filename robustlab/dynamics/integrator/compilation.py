@@ -1,4 +1,4 @@
-"""Modules of compiled kernels, loaded on first use; the first time on a machine they are compiled, which is said."""
+"""Modules of compiled kernels, loaded on first use; a message announces their first compilation on a machine."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
-# Kernels kept on disk load within this time; what takes longer is being compiled.
+# Cached kernels load within this time in s; else they are being compiled.
 PATIENCE = 6.0
 
 
 def compiled(module: Path, name: str, leaves: tuple[str | Path, ...], text: str) -> ModuleType:
-    """The module of kernels in the file ``module`` with the dotted ``name``."""
+    """Import the module of kernels in the file ``module`` with the dotted ``name``."""
     newest = max(Path(leaf).stat().st_mtime for leaf in (*leaves, Path(__file__).with_name("steps.py")))
     for index in (module.parent / "__pycache__").glob(f"{module.stem}.*.nbi"):
         if index.stat().st_mtime < newest:

@@ -1,10 +1,10 @@
 # pyright: reportMissingParameterType=false
 # (the compiler infers the types of the leaves)
-"""The Runge-Kutta pair DOP853 under inputs that are piecewise polynomials of time; to be compiled into an entry."""
+"""The Runge-Kutta pair DOP853 for inputs that are piecewise polynomials of time; compiled into entries."""
 # Hairer, Norsett, Wanner, "Solving Ordinary Differential Equations I", Springer 1993, section II.10 (their code DOP853,
-# whose coefficients, of order 8(5, 3) with dense output of order 7, scipy carries in a module that is not public).
-# No fast arithmetic, not even contraction to fused multiply-adds: a leaf stands in the code of several entries, and
-# with IEEE arithmetic as written all copies give the same bits, the first run on a machine those of every later one.
+# whose coefficients, of order 8(5, 3) with dense output of order 7, scipy has in a private module).
+# No fast arithmetic, not even fused multiply-adds: a leaf is compiled into several entries, and with plain IEEE
+# arithmetic all copies give the same bits.
 
 from __future__ import annotations
 
@@ -21,19 +21,18 @@ leaf = njit(**_options)
 
 
 def entry(*signatures):
-    """Compile for the given signatures, and keep the code on disk."""
+    """Compile for the given signatures, cached on disk."""
     return njit(list(signatures), cache=True, **_options)
 
 
-# A machine answers by the type of its NamedTuple: code that takes functions as arguments is never kept on disk, code
-# that is chosen by type is.
+# The rates are selected by the type of the machine's NamedTuple: code with functions as arguments is not cached.
 def rates(z, u, machine, dz):
-    """Rates dz (n,) at the state z under the inputs u."""
+    """Write the rates dz (n,) at the state z under the inputs u."""
     raise NotImplementedError
 
 
 def answers(kind, rates_of):
-    """Let machines of this kind answer with these rates."""
+    """Register the rates of machines of this type."""
 
     def typed(z, u, machine, dz):
         return rates_of if getattr(machine, "instance_class", None) is kind else None
@@ -49,7 +48,7 @@ except ImportError as error:
         "DOP853", f"scipy no longer has its coefficients where they were ({error})", "scipy < 1.18"
     ) from error
 
-# Stages 0..11 make the step, stage 12 is its end, 13..15 serve the dense output.
+# Stages 0..11: step, 12: its end, 13..15: dense output.
 STAGES_EXTENDED = 16
 TABLE = table.__file__
 
@@ -64,7 +63,7 @@ DONE, NOT_FINITE, TOO_MANY_STEPS = 0, 1, 2
 
 
 class Inputs(NamedTuple):
-    """Inputs as functions of time: times (n,), polynomials (n - 1, 6, n_u) between two, and before which they break."""
+    """Inputs as functions of time: times (n,), polynomials (n - 1, 6, n_u) between them, and discontinuities."""
 
     clock: Any
     polynomials: Any
@@ -73,7 +72,7 @@ class Inputs(NamedTuple):
 
 @leaf
 def _input_between(t, span, k, inputs, u):
-    """Input at t, read from the intervals of the span (first, one past the last): at a break the near side counts."""
+    """Evaluate the input at t from the intervals of the span (first, one past the last)."""
     first, following = span
     while k > first and t < inputs.clock[k]:
         k -= 1
@@ -90,7 +89,7 @@ def _input_between(t, span, k, inputs, u):
 
 @leaf
 def _norm(a, scale):
-    """Root mean square of a / scale, both (n,)."""
+    """Return the root mean square of a / scale, both (n,)."""
     total = 0.0
     for i in range(a.shape[0]):
         total += (a[i] / scale[i]) ** 2
@@ -99,7 +98,7 @@ def _norm(a, scale):
 
 @leaf
 def _stage(s, machine, z, t, h, span, k, inputs, u, at, stages):
-    """The rates of stage s of a step of length h from z at t, into its row."""
+    """Compute the rates of stage s of a step of length h from z at t, into its row."""
     n = z.shape[0]
     for i in range(n):
         at[i] = 0.0
@@ -117,7 +116,7 @@ def _stage(s, machine, z, t, h, span, k, inputs, u, at, stages):
 
 @leaf
 def _polynomial(z, end, h, stages, f):
-    """Coefficients (7, n) of the dense output of a step."""
+    """Compute coefficients (7, n) of the dense output of a step."""
     for i in range(z.shape[0]):
         change = end[i] - z[i]
         f[0, i] = change
@@ -132,7 +131,7 @@ def _polynomial(z, end, h, stages, f):
 
 @leaf
 def _dense(z, f, share, out):
-    """State at the share 0 .. 1 of a step from z with the coefficients of `_polynomial`, into out."""
+    """Evaluate the dense output at the share 0 .. 1 of a step from z, into out."""
     for i in range(z.shape[0]):
         value = 0.0
         for row in range(6, -1, -1):
@@ -143,7 +142,7 @@ def _dense(z, f, share, out):
 
 @leaf
 def _error(h, stages, scale):
-    """Error of a step of length h with the stages (13.., n), as a share of the scale (n,): below 1 it is accepted."""
+    """Return the error of a step of length h relative to the scale (n,); accepted below 1."""
     n = scale.shape[0]
     e5, e3 = 0.0, 0.0
     for i in range(n):
@@ -160,7 +159,7 @@ def _error(h, stages, scale):
 
 @leaf
 def _not_finite(stages, found):
-    """The first state whose rate is not finite in one of the 13 stages; ``found`` where all are."""
+    """Return the first state with a rate that is not finite in the 13 stages, else ``found``."""
     for s in range(13):
         for i in range(stages.shape[1]):
             if not np.isfinite(stages[s, i]):
@@ -170,9 +169,9 @@ def _not_finite(stages, found):
 
 @leaf
 def integrated(start, inputs, machine, rtol, least, growing, z_at):
-    """States z at the times of the inputs: (outcome, time reached, samples reached, state not finite).
+    """Integrate to the times of the inputs; return (outcome, time reached, samples reached, state not finite).
 
-    The error of each state is held at rtol times ``least``, or its size where that is larger and it is ``growing``.
+    Error tolerance: rtol times ``least``, or times the state's magnitude where that is larger and it is ``growing``.
     """
     clock, polynomials, broken = inputs
     n, last = start.shape[0], clock.shape[0] - 1
@@ -181,7 +180,7 @@ def integrated(start, inputs, machine, rtol, least, growing, z_at):
     t, sample, evaluations, h, culprit = clock[0], 1, 0, 0.0, -1
     z_at[0] = z
     piece = 0
-    while piece < last:  # it begins anew only where the inputs break
+    while piece < last:  # restart only at discontinuities of the inputs
         following = piece + 1
         while following < last and not broken[following]:
             following += 1
@@ -237,7 +236,7 @@ def integrated(start, inputs, machine, rtol, least, growing, z_at):
                 z[i], stages[0, i] = end[i], stages[12, i]
             t = t_end
             growth = min(LARGEST, SAFETY * error**EXPONENT) if error > 0.0 else LARGEST
-            # A step that was cut to end with its piece says nothing where it would shrink.
+            # A step cut at the end of its piece must not shrink the next one.
             h = step * max(growth, SMALLEST) if not ends or growth * step < h else h
         piece = following
     return DONE, t, sample, culprit

@@ -1,1 +1,1 @@
-"""The plants that come with robustlab, one file each."""
+"""Built-in linear plants."""

@@ -1,4 +1,4 @@
-"""Linear plants: masses with springs, dampers and drives, electric motors, the linear actuator of one of them."""
+"""Linear plants: masses with springs, dampers and drives, electric motors, a linear actuator."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _PUBLISHED = published(Path(__file__).with_name("parameters.toml"))
 
 
 def servo_axis(**given: Any) -> LinearPlant:
-    """Linear servo axis: a drive that pushes a carriage against viscous friction."""
+    """Return a linear servo axis: a driven carriage with viscous friction."""
     # Janot, Gautier, Brunot, "Data set and reference models of EMPS", Workshop on Nonlinear System Identification
     # Benchmarks (2019).
     states = (Signal("q", "m"), Signal("v", "m/s"))
@@ -41,7 +41,7 @@ def _servo_axis(p: Any) -> Descriptor:
 
 
 def two_mass(**given: Any) -> LinearPlant:
-    """Two inertias on a shaft, coupled by a spring and a damper; the torque acts on the first."""
+    """Return two inertias coupled by a spring and a damper; the torque acts on the first."""
     angles = (Signal("phi1", "rad"), Signal("phi2", "rad"))
     return LinearPlant(
         "two-mass",
@@ -64,7 +64,7 @@ def _two_mass(p: Any) -> Descriptor:
 
 
 def mass_spring_damper(**given: Any) -> LinearPlant:
-    """Masses in a row: mass 1 hangs on a wall by spring and damper 1, mass j on mass j - 1 by spring and damper j."""
+    """Return a chain of masses, springs and dampers; mass 1 is connected to a wall."""
     names = tuple(p.name for p in _PUBLISHED["mass-spring-damper"])
     for name in given:
         if name not in names:
@@ -102,7 +102,7 @@ def _numbered(name: str, n: int) -> Sequence[str]:
 
 def _mass_spring_damper(p: Any, n: int) -> Descriptor:
     m, c, k = ([p[name] for name in _numbered(letter, n)] for letter in "mck")
-    # Elongation j is q_j - q_(j-1); the same matrix, transposed, takes the forces of the springs back to the masses.
+    # Elongation j is q_j - q_(j-1); the transposed matrix maps the springs' forces to the masses.
     elongation = np.eye(n) - np.eye(n, k=-1)
     stiffness, damping = (elongation.T @ np.diag(value) @ elongation for value in (k, c))
     eye, zero = np.eye(n), np.zeros((n, n))
@@ -118,7 +118,7 @@ STATES = (Signal("phi", "rad"), Signal("omega", "rad/s"), Signal("i", "A"))
 
 
 def dc_motor(**given: Any) -> LinearPlant:
-    """Permanent-magnet DC motor; default values are the thesis' Maxon RE 35."""
+    """Return a permanent-magnet DC motor; defaults: the thesis' Maxon RE 35."""
     # Březina 2010, eqs 7.3-7.5 (states omega and i; the angle is added here).
     parameters = overridden(_PUBLISHED["dc-motor"], given, "dc-motor")
     return LinearPlant("dc-motor", parameters, (Signal("u", "V"),), STATES, STATES, equations=_dc_motor)
@@ -129,7 +129,7 @@ def _dc_motor(p: Any) -> Descriptor:
 
 
 def motor_equations(p: Any, inertia: float) -> Descriptor:
-    """The motor with an inertia on its shaft (eqs 7.3-7.5)."""
+    """Return the motor's equations with an inertia on its shaft (eqs 7.3-7.5)."""
     return Descriptor(
         E=[[1, 0, 0], [0, inertia, 0], [0, 0, p["L"]]],
         F=[[0, 1, 0], [0, -p["Kf"], p["Km"]], [0, -p["Kb"], -p["R"]]],
@@ -139,7 +139,7 @@ def motor_equations(p: Any, inertia: float) -> Descriptor:
 
 
 def brushless_motor(**given: Any) -> LinearPlant:
-    """Brushless motor under current control: the drive sets the torque-making (q) current."""
+    """Return a brushless motor under current control; input: the q current."""
     # Gerry Chen, measurements of cogging and friction of a brushless motor, github.com/gchenfc.
     states = (Signal("phi", "rad"), Signal("omega", "rad/s"))
     return LinearPlant(
@@ -157,7 +157,7 @@ def _brushless_motor(p: Any) -> Descriptor:
 
 
 def linear_actuator(**given: Any) -> LinearPlant:
-    """Linear actuator on its test jig: DC motor, gears, ball screw, cart; default values: the thesis' leg."""
+    """Return a linear actuator on its test jig: DC motor, gears, ball screw, cart; defaults: the thesis' leg."""
     # Březina 2010, section 7.2 (gears, motor) and chapter 11 (jig; eq. 11.1 is `cart_travel`).
     return LinearPlant(
         "linear-actuator",
@@ -171,7 +171,7 @@ def linear_actuator(**given: Any) -> LinearPlant:
 
 
 def cart_travel(plant: LinearPlant, phi: ArrayLike) -> Array:
-    r"""Travel of the cart in m at the motor angles phi (n,) in rad: :math:`q = h \varphi` (eq. 11.1)."""
+    r"""Return the cart's travel in m at the motor angles phi (n,) in rad: :math:`q = h \varphi` (eq. 11.1)."""
     return np.asarray(_travel_per_radian(plant.values) * real_array("phi", phi, 1, plant.name))
 
 

@@ -1,1 +1,1 @@
-"""Where effects push on a linear plant and where their motion is seen, and the compiled step that runs them."""
+"""Ports of plants for effects, and the compiled stepping with force laws."""

@@ -1,4 +1,4 @@
-"""The compiled stepping of a plant with force laws at its ports: linear, or linear about a motion."""
+"""Compiled stepping of a plant with force laws at its ports: linear, or linear about a motion."""
 # Acary, Brogliato, *Numerical Methods for Nonsmooth Dynamical Systems* (2008), chapters 9 and 10 (time stepping);
 # Hairer, Norsett, Wanner, *Solving Ordinary Differential Equations I* (1993), section II.4 (extrapolation); Irons,
 # Tuck, *A version of the Aitken accelerator for computer iteration* (1969).
@@ -14,19 +14,19 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-# Entries of the vector that a law is given: position and velocity at the start of the step, both at its end without
-# the law's own force, the compliance of both, the length of the step in s, and the time at its start in s.
+# Arguments of a law: position and velocity at the start of the step, both at its end without the law's own force,
+# compliance of both, length of the step in s, time at its start in s.
 Q0, V0, Q, V, GQ, GV, STEP, TIME = range(8)
 N_SEEN = 8
 
-NUMBERS = types.CPointer(types.float64)  # handing over arrays would count their references at every call
+NUMBERS = types.CPointer(types.float64)  # arrays would count references at every call
 LAW_SIGNATURE = types.float64(NUMBERS, NUMBERS, NUMBERS, NUMBERS)
 SWEEPS = 100
-RELAXED_FROM, RELAXED_TO = 4, 60  # sweeps that are relaxed
+RELAXED_FROM, RELAXED_TO = 4, 60  # relaxed sweeps
 LEAST_RELAXED, MOST_RELAXED = 0.1, 100.0
-SLOW = 0.1  # share of its square that the last change has left, from which the sweeps are relaxed
+SLOW = 0.1  # convergence rate of the squared change above which sweeps are relaxed
 AGREED = 1e-9  # relative to the largest force of the step
-UNRESOLVED = 0.1  # share of the forces by which a step and its halves differ where the step is too long for the law
+UNRESOLVED = 0.1  # relative difference of the forces of a step and its halves above which the step is too long
 
 
 def law(function):  # type: ignore[no-untyped-def]
@@ -36,7 +36,7 @@ def law(function):  # type: ignore[no-untyped-def]
 
 @intrinsic
 def _at(_typing, address):  # type: ignore[no-untyped-def]
-    """The numbers at an address."""
+    """Return the numbers at an address."""
 
     def pointer(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         return builder.inttoptr(arguments[0], context.get_value_type(NUMBERS))
@@ -46,7 +46,7 @@ def _at(_typing, address):  # type: ignore[no-untyped-def]
 
 @intrinsic
 def _answer(_typing, address, p, z, z_next, seen):  # type: ignore[no-untyped-def]
-    """What the law at an address answers with."""
+    """Call the law at an address."""
 
     def call(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         number = context.get_value_type(types.float64)
@@ -58,7 +58,7 @@ def _answer(_typing, address, p, z, z_next, seen):  # type: ignore[no-untyped-de
 
 @nb.njit("void(f8[:,:,::1], f8[:,:,::1], i8[::1], f8[:,::1], f8[:,:,::1])", cache=True, nogil=True)
 def drifts(entering, phi, points, rates, drift):  # type: ignore[no-untyped-def]
-    """What rates (n_steps, k) along a motion add in each step, in its halves and as a whole: drift (3, n_steps, n)."""
+    """Compute drift (3, n_steps, n) of rates (n_steps, k) along a motion, in each step and its halves."""
     n, k = entering.shape[1:]
     for s in range(rates.shape[0]):
         at = points[s]
@@ -83,14 +83,14 @@ def step_windows(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Simulate windows one after the other; with more rows of x0 than windows, all of them several times.
 
-    The plant over a whole step, its first and its second half, with the forces held: phi (3, m, n, n), gamma_u (3, m,
-    n, columns of u), gamma_f (3, m, n_laws, n); what each law sees: velocity, position (n_laws, n). About a motion row
-    (w, j) holds over ``stride`` steps of window w, and drift (3, steps of all windows, n) is what its rates add in
-    each; of a linear plant m = 1 and drift is empty. ``own``: leading states that x0 sets after the first window.
+    Whole step, first and second half, with held forces: phi (3, m, n, n), gamma_u (3, m, n, columns of u), gamma_f (3,
+    m, n_laws, n); arguments of each law: velocity, position (n_laws, n). About a motion row (w, j) is valid for
+    ``stride`` steps of window w, drift (3, steps of all windows, n) is that of its rates; for a linear plant m = 1 and
+    drift is empty. ``own``: leading states that x0 sets after the first window.
     """
-    # x+ = phi x + gamma_u u + drift + sum_j gamma_f f_j. Each law answers with the force that fits the motion at the
-    # end of the step that this very force brings about. Every step is made at once and in two halves and extrapolated:
-    # fourth order where the forces are smooth. Several laws are swept (Gauss-Seidel, relaxed after Aitken).
+    # x+ = phi x + gamma_u u + drift + sum_j gamma_f f_j. Each law returns the force that is consistent with the motion
+    # at the end of the step. Every step is computed whole and in two halves and extrapolated: fourth order for smooth
+    # forces. Several laws are swept (Gauss-Seidel, Aitken relaxation).
     n, n_u, n_z = phi.shape[2], gamma_u.shape[3], memory.shape[1]
     n_laws = forces.shape[2]
     x = np.zeros((4, n))  # at the start, after a whole step, in its middle, after two halves
@@ -102,10 +102,10 @@ def step_windows(  # type: ignore[no-untyped-def]
     row_p, row_z = np.uintp(8 * parameters.shape[1]), np.uintp(8 * n_z)
     q0, v0, q_free, v_free = np.zeros(n_laws), np.zeros(n_laws), np.zeros(n_laws), np.zeros(n_laws)
     q_asked, v_asked = np.zeros(n_laws), np.zeros(n_laws)
-    f_before, moved = np.zeros(n_laws), np.zeros(n_laws)  # forces before a sweep; by what the one before moved them
-    gq, gv = np.zeros((3, n_laws, n_laws)), np.zeros((3, n_laws, n_laws))  # what force k does to the motion at port j
+    f_before, moved = np.zeros(n_laws), np.zeros(n_laws)  # forces before a sweep; their change in the previous one
+    gq, gv = np.zeros((3, n_laws, n_laws)), np.zeros((3, n_laws, n_laws))  # compliance of port j under force k
     moving = drift.shape[1] > 0
-    rows = (length * sub + stride - 1) // stride  # of the table a window
+    rows = (length * sub + stride - 1) // stride  # of the table per window
     at = 0
     _compliances(position, velocity, gamma_f, at, gq, gv)
     sweeps = SWEEPS if n_laws > 1 else 1
@@ -144,7 +144,7 @@ def step_windows(  # type: ignore[no-untyped-def]
                     if moving:
                         for i in range(n):
                             x[end, i] += drift[part, w * length * sub + step, i]
-                    # The forces of the step before are where the sweeps begin.
+                    # The sweeps start from the forces of the previous step.
                     before = 2 if part == 0 else part - 1
                     for j in range(n_laws):
                         a, b, c_q, c_v = 0.0, 0.0, 0.0, 0.0
@@ -159,7 +159,7 @@ def step_windows(  # type: ignore[no-untyped-def]
                             z_next[j, i] = memory[j, i]
                     seen[STEP] = h if part == 0 else 0.5 * h
                     seen[TIME] = t0 + (row + 0.5 if part == 2 else row) * h
-                    least = -1.0  # of a motion at a port for its law to be asked again
+                    least = -1.0  # change of a port's motion for a new evaluation
                     relaxed = 1.0
                     for sweep in range(sweeps):
                         change = 0.0
@@ -198,7 +198,7 @@ def step_windows(  # type: ignore[no-untyped-def]
                             break
                         relaxed = _relaxed(f[part], f_before, moved, relaxed, sweep)
                         if relaxed != 1.0:
-                            least = -1.0  # no force is a law's answer now: all are asked
+                            least = -1.0  # relaxed forces: evaluate all laws
                     for j in range(n_laws):
                         for i in range(n):
                             x[end, i] += gamma_f[part, at, j, i] * f[part, j]
@@ -222,7 +222,7 @@ def step_windows(  # type: ignore[no-untyped-def]
 
 @nb.njit(cache=True, nogil=True)
 def _relaxed(f, before, moved, relaxed, sweep):  # type: ignore[no-untyped-def]
-    """Forces f further along the way that a sweep moved them (Aitken's relaxation of Irons and Tuck), and how far."""
+    """Relax the change of the forces f in a sweep (Aitken, Irons and Tuck); return the relaxation factor."""
     along, apart, now, last = 0.0, 0.0, 0.0, 0.0
     for j in range(len(f)):
         step = f[j] - before[j]
@@ -241,7 +241,7 @@ def _relaxed(f, before, moved, relaxed, sweep):  # type: ignore[no-untyped-def]
 
 @nb.njit(cache=True, nogil=True)
 def _compliances(position, velocity, gamma_f, at, gq, gv):  # type: ignore[no-untyped-def]
-    """What force k does to the position and to the velocity at port j, (3, n_laws, n_laws) each, of a row."""
+    """Compute the compliance of position and velocity at port j under force k, (3, n_laws, n_laws) each, of a row."""
     n_laws, n = velocity.shape
     for part in range(3):
         for j in range(n_laws):
@@ -255,7 +255,7 @@ def _compliances(position, velocity, gamma_f, at, gq, gv):  # type: ignore[no-un
 
 @nb.njit(cache=True, nogil=True)
 def _resolved(f):  # type: ignore[no-untyped-def]
-    """One where a step and its two halves agree on the forces (3, n_laws), and zero where they do not."""
+    """Return 1 if a step and its two halves agree on the forces (3, n_laws), else 0."""
     unlike = 0.0
     for j in range(f.shape[1]):
         size = UNRESOLVED * (abs(f[0, j]) + abs(f[1, j]) + abs(f[2, j]))
@@ -267,15 +267,15 @@ def _resolved(f):  # type: ignore[no-untyped-def]
 
 ROUNDING = 4e-16
 MOST_LOOKS = 200
-CLOSE = 1e-13  # of the largest force: what the rounding of a position of many turns leaves
-SECANTS = 6  # looks of a law whose force hardly acts back on itself, before it brackets its root
+CLOSE = 1e-13  # of the largest force: rounding of a position of many turns
+SECANTS = 6  # secant steps of a law with weak feedback, before it brackets its root
 FAR = 6.1  # Stribeck velocities, beyond which exp(-(v/vs)^2) is below rounding
-SERIES_BELOW = 1e-3  # of the Stribeck velocity: there the difference of two error functions has lost digits
+SERIES_BELOW = 1e-3  # of the Stribeck velocity: cancellation in the difference of two error functions
 
 
 @nb.njit(cache=True)
 def bracket(low, r_low, high, r_high):  # type: ignore[no-untyped-def]
-    """Bracket of a root of r(x) with r(low) <= 0 <= r(high), x and r of one unit; closed where an end fails that."""
+    """Return the bracket of a root of r(x) with r(low) <= 0 <= r(high), x and r of one unit; closed if violated."""
     if r_low >= 0.0:
         return low, 0.0, low, 0.0, 0.0, 0.0
     if r_high <= 0.0:
@@ -285,13 +285,13 @@ def bracket(low, r_low, high, r_high):  # type: ignore[no-untyped-def]
 
 @nb.njit(cache=True)
 def is_open(b):  # type: ignore[no-untyped-def]
-    """Whether there is more to find in the bracket than rounding."""
+    """Return whether the bracket is wider than rounding."""
     return b[2] - b[0] > b[5]
 
 
 @nb.njit(cache=True)
 def guess(b):  # type: ignore[no-untyped-def]
-    """Next place to look: regula falsi, and a bisection every fourth time so that the bracket always shrinks."""
+    """Return the next point: regula falsi, bisection every fourth time."""
     low, r_low, high, r_high, count, _ = b
     x = (low * r_high - high * r_low) / (r_high - r_low)
     if int(abs(count)) % 4 == 3 or not low < x < high:
@@ -301,7 +301,7 @@ def guess(b):  # type: ignore[no-untyped-def]
 
 @nb.njit(cache=True)
 def narrowed(b, x, r):  # type: ignore[no-untyped-def]
-    """The bracket after r was found at x; the end that stays is weighted down if it stayed before (Illinois)."""
+    """Return the bracket after the evaluation r at x (Illinois weighting)."""
     low, r_low, high, r_high, count, rounding = b
     looks = abs(count) + 1.0
     if not abs(r) > rounding or looks > MOST_LOOKS:
@@ -313,7 +313,7 @@ def narrowed(b, x, r):  # type: ignore[no-untyped-def]
 
 @nb.njit(cache=True)
 def stribeck_mean(start, end, width):  # type: ignore[no-untyped-def]
-    r"""Mean of :math:`e^{-(v/v_s)^2}` between two velocities: a difference of error functions."""
+    r"""Return the mean of :math:`e^{-(v/v_s)^2}` between two velocities: a difference of error functions."""
     a, b = start / width, end / width
     if abs(b - a) < SERIES_BELOW:
         x = 0.5 * (a + b)
@@ -323,7 +323,7 @@ def stribeck_mean(start, end, width):  # type: ignore[no-untyped-def]
 
 @nb.njit(cache=True)
 def _slide(start, free, compliance, level, rise, width):  # type: ignore[no-untyped-def]
-    """End velocity >= 0 of a body that slides forward from ``start`` >= 0; -1 where it stops on the way."""
+    """Return the end velocity >= 0 of a body sliding forward from ``start`` >= 0, or -1 if it stops."""
     fall, swing = compliance * level, compliance * rise
     if rise == 0.0 or min(start, free - fall) > FAR * width:
         return free - fall if free >= fall else -1.0
@@ -344,7 +344,7 @@ def _slide(start, free, compliance, level, rise, width):  # type: ignore[no-unty
 
 @nb.njit(cache=True)
 def dry_mean_force(v0, v_free, compliance, level, rise, width):  # type: ignore[no-untyped-def]
-    r"""Mean force of dry friction :math:`-(F + \Delta F e^{-(v/v_s)^2}) \operatorname{sgn} v` over a step."""
+    r"""Return the mean dry friction :math:`-(F + \Delta F e^{-(v/v_s)^2}) \operatorname{sgn} v` over a step."""
     sign = 1.0 if v0 > 0.0 or (v0 == 0.0 and v_free > 0.0) else -1.0
     start, free = sign * v0, sign * v_free
     drive = free - start  # change of velocity over the step without friction

@@ -1,4 +1,4 @@
-"""A nonlinear plant as a linear one about a recorded motion."""
+"""Linear models of a nonlinear plant about a recorded motion."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from robustlab.errors import RobustlabError
 
 TERMS = 9  # of the exponential's series below half a unit of the matrix's norm: rounding
 SMALL = 0.5
-SHARE = 1e-3  # of the largest push of a force, by which it may change over half a stride
-STRIDES = (16, 8, 4, 2)  # steps for which a matrix may stand
+SHARE = 1e-3  # allowed relative change of a force's effect over half a stride
+STRIDES = (16, 8, 4, 2)  # steps with common matrices
 
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """A motion about which a plant is taken as linear."""
+    """A motion about which a plant is linearised."""
 
     plant: NonlinearPlant
-    # x, u: states (n, n_x) and inputs (n, n_u) at the samples of a record; inputs stand still between them
+    # states (n, n_x) and inputs (n, n_u) at the samples of a record; inputs are held between them
     x: Array
     u: Array
     dt: float  # sample time in s
-    like: Course | None = None  # a course near by, whose stride it takes
+    like: Course | None = None  # a similar course whose stride is used
 
     @cached_property
     def _spline(self) -> tuple[Array, Array]:
-        """Slopes at the samples in units of the states per sample, of a not-a-knot spline."""
+        """Slopes per sample of a not-a-knot spline at the samples."""
         from scipy.interpolate import make_interp_spline
 
         n = np.arange(len(self.x))
@@ -41,7 +41,7 @@ class Course:
         return self.x, np.asarray(spline(n, nu=1))
 
     def at(self, place: Array) -> tuple[Array, Array]:
-        """States and inputs at places in samples (a fraction between them), (k, n_x) and (k, n_u)."""
+        """Return states (k, n_x) and inputs (k, n_u) at fractional sample numbers."""
         k = np.clip(place.astype(int), 0, len(self.x) - 2)
         s = (place - k)[:, None]
         x, slope = self._spline
@@ -52,7 +52,7 @@ class Course:
 
     @cached_property
     def stride(self) -> int:
-        """Samples for which one set of matrices may stand."""
+        """Number of samples with common matrices."""
         if self.like is not None:
             return self.like.stride
         n = len(self.x)
@@ -60,7 +60,7 @@ class Course:
         here = self.plant.local_models(*self.at(places + 0.5))
         for stride in STRIDES:
             there = self.plant.local_models(*self.at(np.minimum(places + 0.5 + 0.5 * stride, n - 1.0)))
-            # Half a stride away the error is largest, and of either sign within the stride.
+            # The error is largest half a stride away.
             if np.abs(here.push - there.push).max(initial=0.0) <= SHARE * np.abs(here.push).max(initial=0.0):
                 return stride
         return 1
@@ -68,24 +68,23 @@ class Course:
 
 @dataclass(frozen=True, eq=False)
 class MotionModel:
-    """A plant about the steps of some windows of a course."""
+    """A plant linearised about the steps of some windows of a course."""
 
-    model: PortModel  # matrices and ports, with an axis of points: of each window one every ``stride`` steps
-    rates: Array  # what the motion itself adds to the rates in each step of the windows, (n_steps, n_own)
-    offsets: Array  # what it adds to the outputs at each sample of the windows, (n_samples, n_y)
-    stride: int  # steps for which a point stands
-    # steps, points: point of each step, (n_steps,), and of each sample, (n_samples,)
+    model: PortModel  # matrices and ports, with an axis of points: one every ``stride`` steps of each window
+    rates: Array  # affine part of the rates in each step of the windows, (n_steps, n_own)
+    offsets: Array  # affine part of the outputs at each sample of the windows, (n_samples, n_y)
+    stride: int  # steps of each point
+    # point of each step, (n_steps,), and of each sample, (n_samples,)
     steps: Indices
     points: Indices
-    # at, own, shown: states and inputs at the points, (n_points, n_x) and (n_points, n_u), and the plant's rates and
-    # outputs there
+    # states (n_points, n_x) and inputs (n_points, n_u) at the points, and the plant's rates and outputs there
     at: tuple[Array, Array]
     own: Array
     shown: Array
 
 
 def motion_model(course: Course, factors: Mapping[str, float], starts: Indices, length: int, sub: int) -> MotionModel:
-    """The plant about windows of ``length`` samples from the samples ``starts``, in ``sub`` steps a sample."""
+    """Linearise about windows of ``length`` samples from the samples ``starts``, in ``sub`` steps per sample."""
     plant, values = course.plant, _values(course.plant, factors)
     steps, stride = length * sub, course.stride * sub
     points = -(-steps // stride)
@@ -104,7 +103,7 @@ def motion_model(course: Course, factors: Mapping[str, float], starts: Indices, 
 
 
 def with_factors(about: MotionModel, course: Course, factors: Mapping[str, float]) -> MotionModel:
-    """The same matrices with what other parameter values change of the rates and outputs along the motion."""
+    """Return the same matrices with the rates and outputs of other parameter values along the motion."""
     values = _values(course.plant, factors)
     rates = course.plant.rates_along(*about.at, values) - about.own
     outputs = course.plant.outputs_along(*about.at, values) - about.shown
@@ -116,12 +115,12 @@ def _values(plant: NonlinearPlant, factors: Mapping[str, float]) -> dict[str, fl
 
 
 def _times(matrices: Array, of: Indices, vectors: Array) -> Array:
-    """Products of the matrices (m, p, q), one for each of the vectors (n, q): (n, p)."""
+    """Return products (n, p) of matrices (m, p, q), selected for each of the vectors (n, q)."""
     return (matrices[of] @ vectors[..., None])[..., 0]
 
 
 def local_port_model(plant: NonlinearPlant, local: LocalModels, values: Mapping[str, float] | None = None) -> PortModel:
-    """Models about points, with an axis of these, and the plant's ports; ``values``: those of ``local``."""
+    """Return models with an axis of points, and the plant's ports; ``values``: those of ``local``."""
     n = len(plant.states)
     home = _at_home(plant, tuple((plant.values if values is None else values).items()))
     names = [s.name for s in plant.states]
@@ -141,7 +140,7 @@ def local_port_model(plant: NonlinearPlant, local: LocalModels, values: Mapping[
 
 @lru_cache(maxsize=256)
 def _at_home(plant: NonlinearPlant, values: tuple[tuple[str, float], ...]) -> dict[str, tuple[float, float]]:
-    """Of each joint the inertia where the plant starts, and its viscous friction by the parameters of that role."""
+    """Return inertia at the plant's start and viscous friction of each joint."""
     given, x, u = dict(values), plant.start[None], np.zeros((1, len(plant.inputs)))
     viscous = [n for n, p in plant.parameters.items() if p.role == "viscous-friction" and given[n]]
     try:
@@ -160,7 +159,7 @@ def _at_home(plant: NonlinearPlant, values: tuple[tuple[str, float], ...]) -> di
 
 
 def exponentials(a: Array, h: float) -> tuple[Array, Array, Array]:
-    r"""``exp(A h)``, :math:`\int_0^h e^{A s} ds` and :math:`\int_0^h e^{A (h - s)} (2 s / h - 1) ds` of A (m, n, n)."""
+    r"""Return `robustlab.dynamics.extended.simulator.exponential` of matrices (m, n, n)."""
     # Hochbruck, Ostermann, "Exponential integrators", Acta Numerica 19 (2010).
     size = float(np.abs(a).sum(axis=-1).max(initial=0.0)) * h
     doublings = max(0, int(np.ceil(np.log2(size / SMALL)))) if size > 0.0 else 0
@@ -176,7 +175,7 @@ def exponentials(a: Array, h: float) -> tuple[Array, Array, Array]:
 
 
 def _series(z: Array) -> Array:
-    r""":math:`\sum_j z^j / (j + 2)!` of small z, by Horner's rule."""
+    r"""Return :math:`\sum_j z^j / (j + 2)!` of small z, by Horner's rule."""
     one = np.eye(z.shape[-1])
     found = np.broadcast_to(one / math.factorial(TERMS + 2), z.shape)
     for j in range(TERMS - 1, -1, -1):

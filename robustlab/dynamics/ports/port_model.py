@@ -1,4 +1,4 @@
-r"""A linear plant with its ports: the places where effects push and where their motion is seen.
+r"""A linear plant with its ports: places where the forces of effects act and their motion is measured.
 
 .. math::
     \dot x = A x + B u + \sum_j b_j f_j, \qquad v_j = c_j^T x, \qquad q_j = p_j^T x, \qquad y = C x + D u
@@ -23,34 +23,31 @@ from robustlab.statespace import StateSpaceModel
 AnyPlant = LinearPlant | NonlinearPlant
 SPEED_UNITS = {"rad/s": "N m", "m/s": "N"}  # unit of a velocity -> unit of the force at that joint
 INERTIA_UNITS = {"rad/s": "kg m2", "m/s": "kg"}
-COORDINATES = ("centre-of-mass", "gravity-direction")  # roles that parameters of the value 0 can have, too
+COORDINATES = ("centre-of-mass", "gravity-direction")  # roles that allow the value 0
 ASSUMED = "read off the matrices of the model"
 
 
 @dataclass(frozen=True, eq=False)
 class Port:
-    """One place where a force acts."""
+    """A place where a force acts."""
 
-    name: str  # state whose velocity (or current) it is
-    # ``"joint"``, ``"current"``, or ``"relative"`` (between two sides that an effect has made of a joint)
+    name: str  # its velocity or current state
+    # ``"joint"``, ``"current"``, or ``"relative"`` (between the two sides of a split joint)
     kind: Literal["joint", "current", "relative"]
-    # unit, speed_unit, position_unit: of the force, of the velocity or current, of the position (empty without one)
+    # units of the force, of the velocity or current, of the position (empty without one)
     unit: str
     speed_unit: str
     position_unit: str
     force: Array  # b, shape (n_x,), or (m, n_x) along a motion: rate of the states per unit of force
     velocity: Array  # c, shape (n_x,)
     position: Array | None  # p, shape (n_x,), or None where no state integrates the velocity
-    # Of a nonlinear plant: its inertia where the plant starts, 0 where not known; and the viscous friction at it, force
-    # per velocity.
+    # Nonlinear plants: inertia at the plant's start (0: unknown), and viscous friction, force per velocity.
     home_inertia: float = 0.0
     drag: float = 0.0
 
     @property
     def inertia(self) -> Array:
-        """Force per rate of the velocity: what a force meets while every other velocity is held by nothing but its own
-        equation; shape (), or (m,) along a motion.
-        """
+        """Force per acceleration with all other velocities free; shape (), or (m,) along a motion."""
         return np.asarray(1.0 / (self.force @ self.velocity))
 
     @property
@@ -58,7 +55,7 @@ class Port:
         return float(np.mean(self.inertia))
 
     def widened(self, extra: int) -> Port:
-        """The same port of a model with ``extra`` further states at the end."""
+        """Return the port of a model with ``extra`` further states at the end."""
         position = None if self.position is None else np.append(self.position, np.zeros(extra))
         return replace(
             self,
@@ -69,7 +66,7 @@ class Port:
 
 
 def _padded(array: Array, extra: int) -> Array:
-    """The array with so many zeros after its last axis."""
+    """Return the array with ``extra`` zeros at the end of its last axis."""
     return np.concatenate([array, np.zeros((*array.shape[:-1], extra))], axis=-1)
 
 
@@ -77,25 +74,21 @@ def _padded(array: Array, extra: int) -> Array:
 class PortModel:
     """Matrices and ports of a linear plant, or of a nonlinear one along a motion, at given parameter values."""
 
-    # A, B, C, D: shapes (n_x, n_x), (n_x, n_u), (n_y, n_x), (n_y, n_u). Along a motion each has a leading axis of m
-    # points, and so have the ports' forces; B then has further columns, the unit matrix of the plant's own states, by
-    # which rates enter.
+    # Shapes (n_x, n_x), (n_x, n_u), (n_y, n_x), (n_y, n_u). Along a motion with a leading axis of m points, as the
+    # ports' forces; B then has further columns for rates: the unit matrix of the plant's own states.
     A: Array
     B: Array
     C: Array
     D: Array
     ports: Mapping[str, Port]  # name -> `Port`
-    own: int  # number of leading states that belong to the plant itself; effects append theirs
+    own: int  # number of leading states of the plant itself; effects append theirs
 
     def with_state_feedback(self, port: Port, row: Array) -> PortModel:
-        """The model with the force ``row @ x`` at the port: ``A + b row``."""
+        """Return the model with the force ``row @ x`` at the port: ``A + b row``."""
         return replace(self, A=self.A + port.force[..., :, None] * row)
 
-    def with_port(self, port: Port) -> PortModel:
-        return replace(self, ports={**self.ports, port.name: port})
-
     def widened(self, rows: Array) -> PortModel:
-        """The model with further states ``z' = rows @ [x; z]``; ``rows`` has shape (extra, n_x + extra)."""
+        """Return the model with further states ``z' = rows @ [x; z]``; ``rows``: (extra, n_x + extra)."""
         extra, many = len(rows), self.A.shape[:-2]
         below = np.broadcast_to(rows, (*many, *rows.shape))
         still = np.zeros((*many, extra, self.B.shape[-1]))
@@ -109,9 +102,7 @@ class PortModel:
 
 
 def port_model(plant: LinearPlant, factors: Mapping[str, float] | None = None) -> PortModel:
-    """The plant's matrices and ports with some parameters at ``factors`` (name -> factor) of their reference: of the
-    nominal value, or of one unit where that is 0.
-    """
+    """Return the plant's matrices and ports with some parameters at ``factors`` of `Parameter.reference`."""
     values = dict(plant.values)
     for name, factor in (factors or {}).items():
         if name not in values:
@@ -128,7 +119,8 @@ def port_model(plant: LinearPlant, factors: Mapping[str, float] | None = None) -
             q = _integrating_state(a, b, k)
             position = None if q is None else np.eye(n)[q]
             position_unit = "" if q is None else plant.states[q].unit
-            per_inertia = "" if k in _mechanical(plant) else f"/{_factor(INERTIA_UNITS[unit])}"
+            inertia = INERTIA_UNITS[unit]
+            per_inertia = "" if k in _mechanical(plant) else f"/({inertia})" if " " in inertia else f"/{inertia}"
             force_unit = f"{SPEED_UNITS[unit]}{per_inertia}"
             ports[name] = Port(name, "joint", force_unit, unit, position_unit, push[:, k], eye, position)
         elif unit == "A":
@@ -137,7 +129,7 @@ def port_model(plant: LinearPlant, factors: Mapping[str, float] | None = None) -
 
 
 def _integrating_state(a: Array, b: Array, velocity: int) -> int | None:
-    """Index of the state whose rate is exactly the velocity state."""
+    """Return the index of the state whose rate is exactly the velocity state."""
     unit = np.eye(len(a))[velocity]
     for k, row in enumerate(a):
         if np.array_equal(row, unit) and not b[k].any():
@@ -147,18 +139,14 @@ def _integrating_state(a: Array, b: Array, velocity: int) -> int | None:
 
 @lru_cache(maxsize=64)
 def _mechanical(plant: LinearPlant) -> frozenset[int]:
-    """States whose equations carry an inertia with a unit, so that their terms are forces, and not forces over it."""
+    """Return the states whose equations contain an inertia with a unit, so that their terms are forces."""
     units = INERTIA_UNITS.values()
     inertias = [n for n, p in plant.parameters.items() if p.unit and (p.role == "inertia" or p.unit in units)]
     return frozenset[int]().union(*(_rows(plant, name) for name in inertias))
 
 
-def _factor(unit: str) -> str:
-    return f"({unit})" if " " in unit else unit
-
-
 def _rows(plant: LinearPlant, name: str) -> frozenset[int]:
-    """Equations in which the parameter stands."""
+    """Return the equations that contain the parameter."""
     values = plant.values
     other = {**values, name: values[name] * 1.25 + (values[name] == 0)}
     changed = [
@@ -169,7 +157,7 @@ def _rows(plant: LinearPlant, name: str) -> frozenset[int]:
 
 
 def parameter_groups(plant: AnyPlant) -> tuple[tuple[str, str, tuple[str, ...]], ...]:
-    """Parameters that a misjudgement of one physical quantity changes together: (role, label, names)."""
+    """Return groups of parameters with a common error of one physical quantity: (role, label, names)."""
     groups: dict[tuple[str, frozenset[int] | str], list[str]] = {}
     for name, parameter in plant.parameters.items():
         if parameter.role and (parameter.value or parameter.role in COORDINATES):
@@ -182,7 +170,7 @@ def parameter_groups(plant: AnyPlant) -> tuple[tuple[str, str, tuple[str, ...]],
 
 
 def linear_plant_of(plant: LinearPlant | StateSpaceModel, where: str = "effects") -> LinearPlant:
-    """The plant itself, or a bare continuous model as a plant whose gains and dampings are parameters."""
+    """Return the plant itself, or a continuous model as a plant with its gains and dampings as parameters."""
     if isinstance(plant, LinearPlant):
         return plant
     if not isinstance(plant, StateSpaceModel):
@@ -193,23 +181,23 @@ def linear_plant_of(plant: LinearPlant | StateSpaceModel, where: str = "effects"
     parameters = {}
     for name, _ in plant.inputs:
         parameters[f"gain_{name}"] = Parameter(f"gain_{name}", 1.0, source=ASSUMED, role="input-gain")
-    inertias = {name: _inertia_told(plant, k) for k, (name, _) in speeds}
+    inertias = {name: _known_inertia(plant, k) for k, (name, _) in speeds}
     for k, (name, unit) in speeds:
-        told = inertias[name]
+        known = inertias[name]
         parameters[f"inertia_{name}"] = Parameter(
-            f"inertia_{name}", told or 1.0, INERTIA_UNITS[unit] if told else "", 0.0, ASSUMED, role="inertia"
+            f"inertia_{name}", known or 1.0, INERTIA_UNITS[unit] if known else "", 0.0, ASSUMED, role="inertia"
         )
-        damping_unit = f"{SPEED_UNITS[unit]} s/{unit.removesuffix('/s')}" if told else "1/s"
+        damping_unit = f"{SPEED_UNITS[unit]} s/{unit.removesuffix('/s')}" if known else "1/s"
         parameters[f"damping_{name}"] = Parameter(
-            f"damping_{name}", -plant.A[k, k] * (told or 1.0), damping_unit, 0.0, ASSUMED, role="viscous-friction"
+            f"damping_{name}", -plant.A[k, k] * (known or 1.0), damping_unit, 0.0, ASSUMED, role="viscous-friction"
         )
 
     def equations(p: Mapping[str, float]) -> Descriptor:
         e, f = np.eye(plant.n_states), plant.A.copy()
         g = plant.B * np.array([p[f"gain_{name}"] for name in plant.input_names])
         for k, (name, _) in speeds:
-            told = inertias[name] or 1.0
-            f[k], g[k] = told * f[k], told * g[k]
+            known = inertias[name] or 1.0
+            f[k], g[k] = known * f[k], known * g[k]
             e[k, k] = p[f"inertia_{name}"]
             f[k, k] = -p[f"damping_{name}"]
         return Descriptor(e, f, g, plant.C, plant.D)
@@ -217,8 +205,8 @@ def linear_plant_of(plant: LinearPlant | StateSpaceModel, where: str = "effects"
     return LinearPlant("model", parameters, plant.inputs, plant.outputs, plant.states, equations=equations)
 
 
-def _inertia_told(model: StateSpaceModel, velocity: int) -> float | None:
-    """Inertia of a velocity state of a bare model, where an input is its force or a motor drives it; else None."""
+def _known_inertia(model: StateSpaceModel, velocity: int) -> float | None:
+    """Return the inertia of a velocity state of a model if an input is its force or a motor drives it, else None."""
     unit = model.states[velocity].unit
     speeds = [k for k, s in enumerate(model.states) if s.unit in SPEED_UNITS]
     for j, signal in enumerate(model.inputs):

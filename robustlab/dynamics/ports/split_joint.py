@@ -1,9 +1,9 @@
-"""A joint split in two, the drive and the load behind it, with a gap or a coupling between them.
+"""A joint split into drive and load, for a gap or a coupling between them.
 
-Of a nonlinear plant, about points of a motion, the load bears all forces of the plant but the drive's own.
+For a nonlinear plant, all forces except the drive's own act on the load.
 """
 # With M the mass matrix, b = M^-1 e_j, J = 1/(e_j^T b), the drive's part (1 - s) J, a the accelerations of the whole
-# plant in the load's position, D the drive's own force and F what the load does to the drive:
+# plant in the load's position, D the drive's own force and F the force of the load on the drive:
 # (1 - s) J v1' = D(v1) + F, v_load' = a + (1 - s)/s J b a_j - b/s (D(v2) + F) (Sherman, Morrison).
 
 from __future__ import annotations
@@ -19,15 +19,13 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import Port, PortModel
 from robustlab.errors import InputError, RobustlabError
 
-ASIDE = 0.05  # of the states, at which an inertia that no pose changes is asked for a second time
+ASIDE = 0.05  # offset of the states for the check that an inertia is constant
 ROUNDING = 1e-9  # of an inertia
-LEAST_SHARE = 1e-4  # of the load, where a pose leaves it less inertia than the drive is said to have
+LEAST_SHARE = 1e-4  # of the load, at poses with less inertia than the drive's
 
 
 def _with_carried_load(model: PortModel, joint: str, share: float, relative: str) -> PortModel:
-    """The model with the load behind the joint, not yet connected; ports as of
-    `with_load_side`.
-    """
+    """Return `with_load_side` for a model along a motion."""
     port = model.ports[joint]
     places = {n: int(np.argmax(p.velocity)) for n, p in model.ports.items() if p.kind == "joint"}
     rows, j = np.array(sorted(places.values()), dtype=np.int64), places[joint]
@@ -38,7 +36,7 @@ def _with_carried_load(model: PortModel, joint: str, share: float, relative: str
     drive_a, drive_b = _drives_own(model, port, places, rows)
     wide = model.widened(np.zeros((2, n + 2)))
     a, b = wide.A.copy(), wide.B.copy()
-    # the plant in the load's position: what the joint's states do, they do less delta and its rate
+    # the plant in the load's coordinates: the joint's states minus delta and its rate
     a[:, rows, n + 1] = -model.A[:, rows, j]
     load_a = drive_a.copy()
     load_a[:, n + 1] = -drive_a[:, j]
@@ -56,17 +54,12 @@ def _with_carried_load(model: PortModel, joint: str, share: float, relative: str
     ports = {name: _on_load(p, wide.ports[joint], rows, s, inertia) for name, p in wide.ports.items()}
     ports[joint] = _on_drive(wide.ports[joint], 1.0 / drive[:, 0])
     load = _load(wide.ports[joint], rows, s)
-    reduced = (s * drive)[:, 0, None]
-    unit = port.speed_unit.removesuffix("/s")
-    gap = replace(
-        ports[joint], name=f"{joint}.{relative}", kind="relative", unit=f"{unit}/s2", position_unit=unit,
-        force=reduced * (ports[joint].force - load.force), velocity=np.eye(n + 2)[n + 1], position=np.eye(n + 2)[n],
-    )  # fmt: skip
+    gap = _relative_port(ports[joint], load, f"{joint}.{relative}", (s * drive)[:, 0, None])
     return replace(wide, A=a, B=b, ports={**ports, load.name: load, gap.name: gap})
 
 
 def shares_behind(plant: NonlinearPlant, joint: str) -> tuple[float, ...]:
-    """Smallest and largest share of a joint's inertia that hangs behind its drive, where a parameter is the drive's."""
+    """Return the smallest and largest load share of a joint's inertia, if a parameter is the drive's inertia."""
     names = [s.name for s in plant.states]
     joints = [(k, names.index(p.name)) for k, p in enumerate(plant.port_places) if p.kind == "joint"]
     rows, columns = np.array([k for _, k in joints]), np.array([k for k, _ in joints])
@@ -94,7 +87,7 @@ def shares_behind(plant: NonlinearPlant, joint: str) -> tuple[float, ...]:
 
 
 def _masses(model: PortModel, port: Port, rows: Indices) -> Array:
-    """The joint's row of the mass matrix, (n_points, n_joints)."""
+    """Return the joint's row of the mass matrix, (n_points, n_joints)."""
     joints = [p for p in model.ports.values() if p.kind == "joint"]
     push = np.stack([p.force[:, rows] for p in joints], axis=2)
     unit = np.array([float(p.name == port.name) for p in joints])[:, None]
@@ -102,9 +95,7 @@ def _masses(model: PortModel, port: Port, rows: Indices) -> Array:
 
 
 def _drives_own(model: PortModel, port: Port, places: Mapping[str, int], rows: Indices) -> tuple[Array, Array]:
-    """The drive's own force over the states and a velocity column for the load's (n_points, n + 2), and over the
-    columns of B: what inputs, currents and its viscous friction do at the joint.
-    """
+    """Return the drive's own force by inputs, currents and viscous friction, as rows over states and columns of B."""
     row = _masses(model, port, rows)
     n, n_u = len(port.velocity), model.B.shape[-1] - model.own
     over_x = np.zeros((len(row), n + 2))
@@ -119,14 +110,14 @@ def _drives_own(model: PortModel, port: Port, places: Mapping[str, int], rows: I
 
 
 def _on_drive(port: Port, mobility: Array) -> Port:
-    """Port of the drive: its force moves the drive alone, and with it the relative velocity."""
+    """Return the port of the drive: its force acts on the drive and the relative velocity."""
     force = np.zeros_like(port.force)
     force[:, int(np.argmax(port.velocity))] = force[:, -1] = mobility
     return replace(port, force=force)
 
 
 def _on_load(port: Port, joint: Port, rows: Indices, s: Array, inertia: Array) -> Port:
-    """Port of another place: a force there acts on the machine without the drive."""
+    """Return the port of another place, where a force acts on the machine without the drive."""
     j = int(np.argmax(joint.velocity))
     at_joint = port.force[:, j, None]
     force = port.force.copy()
@@ -137,7 +128,7 @@ def _on_load(port: Port, joint: Port, rows: Indices, s: Array, inertia: Array) -
 
 
 def _load(joint: Port, rows: Indices, s: Array) -> Port:
-    """Port of the load: its motion is the joint's less the relative one."""
+    """Return the port of the load: its motion is the joint's minus the relative one."""
     delta, rate = np.eye(len(joint.velocity))[-2:]
     j = int(np.argmax(joint.velocity))
     force = joint.force.copy()
@@ -149,7 +140,7 @@ def _load(joint: Port, rows: Indices, s: Array) -> Port:
 
 
 def with_load_side(model: PortModel, joint: str, share: float, relative: str, where: str) -> PortModel:
-    """The model with the joint's load behind it, not yet connected: no force between the two."""
+    """Return the model with the joint's load as a separate body, without force between drive and load."""
     port = model.ports.get(joint)
     if port is None or port.kind != "joint":
         joints = ", ".join(p.name for p in model.ports.values() if p.kind == "joint")
@@ -165,42 +156,38 @@ def with_load_side(model: PortModel, joint: str, share: float, relative: str, wh
     rows[0, n + 1] = 1.0
     wide = split.widened(rows)
     a, b = wide.A.copy(), wide.B.copy()
-    a[..., n + 1, :n] = drive.velocity @ split.A  # the load is free: the rate grows as the drive's does
+    a[..., n + 1, :n] = drive.velocity @ split.A  # free load: the relative acceleration is the drive's
     b[..., n + 1, :] = drive.velocity @ split.B
-    ports = {name: _driven(p, split.ports[name].force @ drive.velocity) for name, p in wide.ports.items()}
+    ports = {}
+    for name, p in wide.ports.items():
+        force = p.force.copy()
+        force[..., -1] = split.ports[name].force @ drive.velocity
+        ports[name] = replace(p, force=force)
     drive = ports[joint]
     load = _free_load(drive, 1.0 / (share * port.inertia))
-    reduced = (share * (1.0 - share) * port.inertia)[..., None]
-    gap = replace(
-        drive,
-        name=f"{joint}.{relative}",
-        kind="relative",
-        unit=f"{drive.speed_unit.removesuffix('/s')}/s2",
-        position_unit=drive.speed_unit.removesuffix("/s"),
-        force=reduced * (drive.force - load.force),
-        velocity=np.eye(n + 2)[n + 1],
-        position=np.eye(n + 2)[n],
-    )
+    gap = _relative_port(drive, load, f"{joint}.{relative}", (share * (1.0 - share) * port.inertia)[..., None])
     return replace(wide, A=a, B=b, ports={**ports, load.name: load, gap.name: gap})
 
 
+def _relative_port(drive: Port, load: Port, name: str, reduced: Array) -> Port:
+    """Return the port of the relative motion, with forces per reduced inertia."""
+    (delta, rate), unit = np.eye(len(drive.velocity))[-2:], drive.speed_unit.removesuffix("/s")
+    return replace(
+        drive, name=name, kind="relative", unit=f"{unit}/s2", position_unit=unit,
+        force=reduced * (drive.force - load.force), velocity=rate, position=delta,
+    )  # fmt: skip
+
+
 def _with_less_inertia(model: PortModel, port: Port, share: float) -> PortModel:
-    """The equations with :math:`(1 - s) J` at the joint."""
+    """Return the equations with :math:`(1 - s) J` at the joint."""
     pulled = (port.inertia[..., None] * port.force)[..., :, None] * port.velocity
     change = np.eye(len(port.velocity)) + share / (1.0 - share) * pulled
     ports = {name: replace(p, force=(change @ p.force[..., None])[..., 0]) for name, p in model.ports.items()}
     return replace(model, A=change @ model.A, B=change @ model.B, ports=ports)
 
 
-def _driven(port: Port, acceleration: Array) -> Port:
-    """The port with the drive's acceleration by its force in the rate of the relative velocity as well."""
-    force = port.force.copy()
-    force[..., -1] = acceleration
-    return replace(port, force=force)
-
-
 def _free_load(drive: Port, mobility: Array) -> Port:
-    """Port of the load: its motion is the drive's less the relative one."""
+    """Return the port of the load: its motion is the drive's minus the relative one."""
     delta, rate = np.eye(len(drive.velocity))[-2:]
     position = None if drive.position is None else drive.position - delta
     name, force = f"{drive.name}.load", -mobility[..., None] * rate

@@ -1,4 +1,4 @@
-"""The machine in numbers: published parameters, points and axes of the legs, constants of the equations of motion."""
+"""Parameters of the Stewart platform, points and axes of the legs, constants of the equations of motion."""
 # Březina 2010, eqs 6.1, 6.2, App. A and B (with the misprints of b6, m2 and m3 corrected).
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _SHEET = "Březina 2010, App. A and section 7.2 (Maxon RE 35, order number 27375
 
 
 def machine_parameters(preset: str, motors: bool) -> tuple[Parameter, ...]:
-    """The published parameters; preset ``physical`` adds the rotor's inertia that the thesis leaves out."""
+    """Return the published parameters; preset ``physical`` adds the rotor inertia omitted by the thesis."""
     if preset not in PRESETS:
         hint = did_you_mean(str(preset), PRESETS)
         raise InputError("stewart-platform: preset", f"{preset!r}", " or ".join(map(repr, PRESETS)), hint)
@@ -41,7 +41,7 @@ def machine_parameters(preset: str, motors: bool) -> tuple[Parameter, ...]:
 _PAIR = np.repeat([0.0, 1.0, 2.0], 2) * (2 * np.pi / 3)
 _SIDE = np.array([-1.0, 1.0, -1.0, 1.0, -1.0, 1.0])  # of a leg, in its pair of platform points
 
-# Order of the numbers that the kernels take; see `constants`.
+# Order of the kernels' constants; see `constants`.
 CONSTANTS = (
     "turns", "c", "gravity", "ratio", "platform_mass", "platform_x", "platform_y", "platform_z",
     "m0", "m1", "m2", "x1", "x2", "xz", "screw_mass", "screw_cg",
@@ -54,33 +54,32 @@ CONSTANTS = (
 class Geometry(Shown):
     """Points and axes, in m; arrays are read-only."""
 
-    # base, bearing: points b and m in the base frame, shape (6, 3)
+    # points b and m in the base frame, shape (6, 3)
     base: Array
     bearing: Array
     platform: Array  # points p in the platform frame, shape (6, 3)
     axis: Array  # unit vectors x* of the first joint axes, shape (6, 3)
-    # where the bodies' axis I points to in the leg: its components along the second joint axis z* and along N = z* x K,
-    # shape (6, 2)
+    # components of the bodies' axis I along the second joint axis z* and along N = z* x K, shape (6, 2)
     mount: Array
-    c: float  # distance of the joint's two axes
+    c: float  # distance between the joint's two axes
     home: Array  # home pose (tx, ty, tz, ax, ay, az), shape (6,)
-    home_lengths: Array  # actuator lengths where the nut angles are zero: those at home but for the offsets, shape (6,)
+    home_lengths: Array  # actuator lengths at zero nut angles: those at home except for the offsets, shape (6,)
     limits: tuple[float, float]  # shortest and longest actuator
     turns: float  # nut angle per extension, 2 pi / lead in rad/m
 
     @property
     def radius(self) -> float:
-        """Radius of the platform points, by which angles are made lengths."""
+        """Radius of the platform points, which converts angles to lengths."""
         return math.hypot(self.platform[0, 0], self.platform[0, 1])
 
     @cached_property
     def legs(self) -> Array:
-        """The rows that the kernels take: b, x*, p, length at home, mount; shape (6, 12)."""
+        """Rows for the kernels: b, x*, p, length at home, mount; shape (6, 12)."""
         return np.column_stack([self.base, self.axis, self.platform, self.home_lengths, self.mount])
 
 
 def geometry(p: Mapping[str, float]) -> Geometry:
-    """Points and axes from the parameters."""
+    """Compute points and axes from the parameters."""
     if p["L_min"] >= p["L_max"]:
         raise InputError("stewart-platform: L_min", f"{p['L_min']:g} m", f"less than L_max = {p['L_max']:g} m")
     angle_p = np.pi / 6 + _PAIR + _SIDE * p["alpha_p"]
@@ -105,7 +104,7 @@ def geometry(p: Mapping[str, float]) -> Geometry:
 
 
 def _assembly(base: Array, axis: Array, top: Array, c: float) -> tuple[Array, Array]:
-    """Lengths at home, and the mount: the legs are put together there with I = (-1)^i K x e_z / |K x e_z| (eq. 7.2)."""
+    """Return lengths at home and mount: the legs are assembled with I = (-1)^i K x e_z / |K x e_z| (eq. 7.2)."""
     w = top - base
     y = w - np.sum(w * axis, axis=1)[:, None] * axis
     reach = np.linalg.norm(y, axis=1, keepdims=True)
@@ -124,7 +123,7 @@ def _assembly(base: Array, axis: Array, top: Array, c: float) -> tuple[Array, Ar
 
 
 def constants(p: Mapping[str, Any]) -> Array:
-    """What the equations of motion need besides the legs' geometry, in the order of `CONSTANTS`."""
+    """Return the constants of the equations of motion besides the legs' geometry, in the order of `CONSTANTS`."""
     link, nut, motor = p["link_mass"], p["nut_mass"], p["motor_mass"]
     at_link, at_nut, at_motor = p["link_cg"], p["nut_at"] + p["nut_cg"], p["motor_at"] + p["motor_cg"]
     turns, x = 2 * np.pi / p["lead"], p["motor_x"]
@@ -145,13 +144,13 @@ def constants(p: Mapping[str, Any]) -> Array:
 
 
 def up(p: Mapping[str, Any]) -> tuple[Any, Any, Any]:
-    """Unit vector against gravity in the frame of the base; each part of the shape of the tilts."""
+    """Return the unit vector against gravity in the base frame; each component has the shape of the tilts."""
     x, y = p["tilt_x"], p["tilt_y"]
     return -np.sin(y), np.sin(x) * np.cos(y), np.cos(x) * np.cos(y)
 
 
 def check_bodies(p: Mapping[str, float]) -> None:
-    """Refuse inertias that no rigid body has: of the three principal ones none exceeds the sum of the others."""
+    """Reject inertias of no rigid body: each principal one is at most the sum of the others."""
     for body, axes in {"platform": "xyz", **dict.fromkeys(("link", "nut", "screw", "motor"), "IJK")}.items():
         inertia = np.array([p[f"{body}_{a}"] for a in axes])
         if 2 * inertia.max() > inertia.sum() * (1 + 1e-12):

@@ -31,7 +31,7 @@ class Motion(NamedTuple):
 
 @leaf
 def _solve(a, b, n, m):
-    """Overwrite b (n, m) with a^-1 b by elimination with row pivoting, a with rubbish; False where a is singular."""
+    """Overwrite b (n, m) with a^-1 b by elimination with row pivoting, destroying a; return False if a is singular."""
     for k in range(n):
         pivot, best = k, abs(a[k, k])
         for i in range(k + 1, n):
@@ -64,10 +64,10 @@ def _solve(a, b, n, m):
 
 @leaf
 def _cholesky_solve(a, b):
-    """Overwrite b (6,) with a^-1 b for a symmetric positive definite a, of which the lower half is read and lost."""
+    """Overwrite b (6,) with a^-1 b for a symmetric positive definite a; use and destroy its lower half."""
     for j in range(6):
         for k in range(j):
-            scaled = a[j, k] * a[k, k]  # a[k, k] holds 1/d_k by now
+            scaled = a[j, k] * a[k, k]  # a[k, k] is 1/d_k
             a[j, j] -= a[j, k] * scaled
             for i in range(j + 1, 6):
                 a[i, j] -= a[i, k] * scaled
@@ -84,7 +84,7 @@ def _cholesky_solve(a, b):
 
 @leaf
 def _rotation(q):
-    """R = Rz(az) Ry(ay) Rx(ax), row by row."""
+    """Return R = Rz(az) Ry(ay) Rx(ax), row by row."""
     cx, sx, cy, sy, cz, sz = np.cos(q[3]), np.sin(q[3]), np.cos(q[4]), np.sin(q[4]), np.cos(q[5]), np.sin(q[5])
     return (
         cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx,
@@ -104,13 +104,13 @@ def _turned(rotation, x, y, z):
 
 @leaf
 def _arm(rotation, legs, i):
-    """Arm rho = R p of leg i."""
+    """Return the arm rho = R p of leg i."""
     return _turned(rotation, legs[i, 6], legs[i, 7], legs[i, 8])
 
 
 @leaf
 def _leg_length(legs, i, c, sx, sy, sz):
-    """Normal part of s - b, L cos(beta), L sin(beta), r and L of leg i with its platform point at s."""
+    """Return the normal part of s - b, L cos(beta), L sin(beta), r and L of leg i for the platform point s."""
     wx, wy, wz = sx - legs[i, 0], sy - legs[i, 1], sz - legs[i, 2]
     a = wx * legs[i, 3] + wy * legs[i, 4] + wz * legs[i, 5]
     nx, ny, nz = wx - a * legs[i, 3], wy - a * legs[i, 4], wz - a * legs[i, 5]
@@ -121,10 +121,10 @@ def _leg_length(legs, i, c, sx, sy, sz):
 
 @leaf
 def _leg_axes(legs, i, c, sx, sy, sz):
-    """y, z, K, N, cos(beta), sin(beta), r, L, 1/r, 1/L of leg i with its platform point at s."""
+    """Return y, z, K, N, cos(beta), sin(beta), r, L, 1/r, 1/L of leg i for the platform point s."""
     nx, ny, nz, a, reach, r, length = _leg_length(legs, i, c, sx, sy, sz)
     x0, x1, x2 = legs[i, 3], legs[i, 4], legs[i, 5]
-    over_r, over_l = 1.0 / r, 1.0 / length  # complex divisions are dear
+    over_r, over_l = 1.0 / r, 1.0 / length  # complex divisions are expensive
     y0, y1, y2 = nx * over_r, ny * over_r, nz * over_r
     cb, sb = a * over_l, reach * over_l
     return (
@@ -148,7 +148,7 @@ def _cross(a, b):
 
 @leaf
 def angle_rates(q, wx, wy, wz):
-    """Rates of (ax, ay, az) at the angular velocity w."""
+    """Return the rates of (ax, ay, az) at the angular velocity w."""
     cy, sy, cz, sz = np.cos(q[4]), np.sin(q[4]), np.cos(q[5]), np.sin(q[5])
     roll = (cz * wx + sz * wy) / cy
     return roll, cz * wy - sz * wx, wz + sy * roll
@@ -156,7 +156,7 @@ def angle_rates(q, wx, wy, wz):
 
 @entry("void(f8[:,::1], f8[:,::1], f8, f8[:,::1])")
 def inverse_lengths(poses, legs, c, lengths):
-    """Actuator lengths (n, 6) of poses (n, 6)."""
+    """Compute actuator lengths (n, 6) of poses (n, 6)."""
     for k in range(poses.shape[0]):
         q = poses[k]
         rotation = _rotation(q)
@@ -167,7 +167,7 @@ def inverse_lengths(poses, legs, c, lengths):
 
 @leaf
 def lengths_and_jacobian(q, legs, c, lengths, jacobian):
-    """L (6,) and the rows (K, rho x K) of dL/dt = jacobian (v, w)."""
+    """Compute L (6,) and the rows (K, rho x K) of dL/dt = jacobian (v, w)."""
     rotation = _rotation(q)
     for i in range(6):
         rho = _arm(rotation, legs, i)
@@ -178,7 +178,7 @@ def lengths_and_jacobian(q, legs, c, lengths, jacobian):
 
 @entry("void(f8[:,::1], f8[:,::1], f8, f8[:,::1], f8[:,:,::1])")
 def jacobians(poses, legs, c, lengths, matrices):
-    """Lengths (n, 6) and Jacobians (n, 6, 6) from the twist to the rates of the lengths."""
+    """Compute lengths (n, 6) and Jacobians (n, 6, 6) from the twist to the rates of the lengths."""
     for k in range(poses.shape[0]):
         lengths_and_jacobian(poses[k], legs, c, lengths[k], matrices[k])
 
@@ -195,7 +195,7 @@ def _miss(q, legs, c, target):
 
 @leaf
 def _newton(q, target, legs, c, limit, lengths, jacobian, step):
-    """Damped Newton from q (overwritten); returns the number of steps, -1 where the Jacobian is singular."""
+    """Damped Newton from q (overwritten); return the number of steps, -1 if the Jacobian is singular."""
     radius = np.sqrt(legs[0, 6] ** 2 + legs[0, 7] ** 2 + legs[0, 8] ** 2)
     trial, miss = np.empty(6), _miss(q, legs, c, target)
     for iteration in range(limit):
@@ -233,7 +233,7 @@ def _newton(q, target, legs, c, limit, lengths, jacobian, step):
 
 @leaf
 def _certificate(q, target, legs, c, lengths, jacobian, unit):
-    """Newton-Kantorovich at q in the coordinates (T, r_p angles); returns (h, radius, miss)."""
+    """Return (h, radius, miss) of Newton-Kantorovich at q in the coordinates (T, r_p angles)."""
     arm = np.sqrt(legs[0, 6] ** 2 + legs[0, 7] ** 2 + legs[0, 8] ** 2)
     lengths_and_jacobian(q, legs, c, lengths, jacobian)
     rotation, shortest, miss = _rotation(q), np.inf, 0.0
@@ -253,7 +253,7 @@ def _certificate(q, target, legs, c, lengths, jacobian, unit):
         beta += arm**2 * (roll * roll + pitch * pitch + yaw * yaw)
     beta = np.sqrt(beta)
     first = beta * (miss + 2.5e-15)
-    # The theorem looks no further than 2 first from q, where platform points move by 4 first; L is no less than r - c.
+    # The theorem concerns a distance of 2 first from q, where platform points move by 4 first; L is at least r - c.
     room = shortest - 4.0 * first
     if not room > 0.0:
         return np.inf, np.inf, miss
@@ -265,7 +265,7 @@ def _certificate(q, target, legs, c, lengths, jacobian, unit):
 
 @entry("void(f8[:,::1], f8[:,::1], f8[:,::1], f8, i8, f8[:,::1], f8[:,::1])")
 def direct_poses(targets, starts, legs, c, limit, poses, facts):
-    """Poses (n, 6) with the lengths (n, 6), each from its start; facts (n, 4): iterations, h, radius, miss."""
+    """Find poses (n, 6) with the lengths (n, 6), each from its start; facts (n, 4): iterations, h, radius, miss."""
     lengths, jacobian, step, unit = np.empty(6), np.empty((6, 6)), np.empty((6, 1)), np.empty((6, 6))
     for k in range(targets.shape[0]):
         q = poses[k]
@@ -277,7 +277,7 @@ def direct_poses(targets, starts, legs, c, limit, poses, facts):
 
 @leaf
 def _leg_forces(legs, i, p, axes, theta1, beta1, length1, phi, accelerations):
-    """Mass matrix of leg i in (theta, beta, L) and its inertia, velocity and gravity forces at these accelerations."""
+    """Return the mass matrix of leg i in (theta, beta, L), and its inertia, velocity and gravity forces."""
     y, z, k, n, cb, sb, _, length, _, _ = axes
     c, turns, iz, iy = p[C], p[TURNS], legs[i, MOUNT_Z], legs[i, MOUNT_N]
     along, across = p[X1] * iz, p[X1] * iy  # first moments of the motor body along z and N
@@ -286,7 +286,7 @@ def _leg_forces(legs, i, p, axes, theta1, beta1, length1, phi, accelerations):
     t_kk = p[LEG_K] + p[X2]
     t_zn = (p[LEG_I] - p[LEG_J] - p[X2]) * iz * iy
     t_zk, t_nk = -p[XZ] * iz, -p[XZ] * iy
-    # the nut's axes have turned by phi about K
+    # the nut's axes are rotated by phi about K
     cp, sp = np.cos(phi), np.sin(phi)
     e_z, e_n = cp * iz + sp * iy, cp * iy - sp * iz
     uneven = p[NUT_I] - p[NUT_J]
@@ -333,7 +333,7 @@ def _leg_forces(legs, i, p, axes, theta1, beta1, length1, phi, accelerations):
 
 @leaf
 def _platform_terms(rotation, w, p, mass, force):
-    """Start mass (6, 6), lower half, and force (6,) with the platform's own; its mass is off the origin by r = R c."""
+    """Set mass (6, 6), lower half, and force (6,) to the platform's own; its centre of mass is at r = R c."""
     m, r = p[MASS], _turned(rotation, p[CX], p[CY], p[CZ])
     for i in range(3):
         for j in range(3):
@@ -355,7 +355,7 @@ def _platform_terms(rotation, w, p, mass, force):
 
 @leaf
 def equations_of_motion(q, v, legs, p, motion):
-    """Equations of motion in the twist V = (v, w), with the nut angles beside them."""
+    """Compute the equations of motion in the twist V = (v, w), and the nut angles."""
     mass, force, jacobian, bias, phi = motion
     turns = p[TURNS]
     rotation = _rotation(q)
@@ -419,7 +419,7 @@ _COMPLEX = (
 
 @entry(f"void({_REAL})", f"void({_COMPLEX})")
 def equations(poses, twists, legs, constants, mass, force, jacobian, bias, phi):
-    """`equations_of_motion` at poses and twists (n, 6) with constants (n, 34), the whole mass matrices filled."""
+    """Compute `equations_of_motion` at poses and twists (n, 6) with constants (n, 34), and full mass matrices."""
     for k in range(poses.shape[0]):
         motion = Motion(mass[k], force[k], jacobian[k], bias[k], phi[k])
         equations_of_motion(poses[k], twists[k], legs, constants[k], motion)

@@ -1,5 +1,4 @@
-r"""Kinematics of the Stewart platform: lengths and Jacobians in closed form, poses by Newton's method with a proof; its
-workspace and singularities; the compiled kernels, loaded on first use.
+r"""Kinematics of the Stewart platform: lengths, Jacobians, proved poses, workspace and singularities.
 
 .. math::
     L_i = |p_{T,i} - d_i|, \quad p_T = T + R p, \quad d = b + c\,y^*, \qquad
@@ -32,13 +31,13 @@ TEXT = "stewart-platform: compiling the equations of motion (once on this machin
 
 @cache
 def kernels() -> ModuleType:
-    """Module of the compiled kinematics and dynamics."""
+    """Load the compiled kinematics and dynamics."""
     return compiled(HERE / "kernels.py", "robustlab.dynamics.stewart.kernels", (), TEXT)
 
 
 @cache
 def motion_kernels() -> ModuleType:
-    """Module of the compiled integrators."""
+    """Load the compiled integrators."""
     from robustlab.dynamics.integrator.steps import TABLE
 
     steps = HERE.parent / "integrator" / "steps.py"
@@ -46,21 +45,21 @@ def motion_kernels() -> ModuleType:
     return compiled(HERE / "motion_kernels.py", "robustlab.dynamics.stewart.motion_kernels", leaves, TEXT)
 
 
-# Newton steps of the direct kinematics; a pose takes four or five.
+# Limit of Newton steps of the direct kinematics; a pose needs four or five.
 LIMIT = 60
 
 
 def poses_array(value: ArrayLike, name: str = "pose", where: str = "stewart-platform") -> tuple[Array, bool]:
-    """One pose (6,) or many (n, 6) as a finite array (n, 6), and whether it was one."""
+    """Return one pose (6,) or many (n, 6) as a finite array (n, 6), and whether it was one."""
     one = np.ndim(value) == 1
     array = real_array(name, value, 1 if one else 2, where)
     if array.shape[-1] != 6:
         raise InputError(where, f"{name} has shape {array.shape}", "(6,) or (n, 6)")
-    return np.array(array.reshape(-1, 6), order="C"), one  # writable: the kernels take no read-only arrays
+    return np.array(array.reshape(-1, 6), order="C"), one  # writable, as required by the kernels
 
 
 def inverse_kinematics(geometry: Geometry, poses: ArrayLike) -> Array:
-    """Actuator lengths in m at the poses (6,) or (n, 6), of the same shape."""
+    """Return actuator lengths in m at the poses (6,) or (n, 6), of the same shape."""
     array, one = poses_array(poses)
     lengths = np.empty_like(array)
     kernels().inverse_lengths(array, geometry.legs, geometry.c, lengths)
@@ -68,12 +67,12 @@ def inverse_kinematics(geometry: Geometry, poses: ArrayLike) -> Array:
 
 
 def nut_angles(geometry: Geometry, poses: ArrayLike) -> Array:
-    """Nut angles phi = 2 pi / lead (L - L(home)) in rad at the poses (6,) or (n, 6); positive is extension."""
+    """Return nut angles phi = 2 pi / lead (L - L(home)) in rad at the poses (6,) or (n, 6); positive: extension."""
     return geometry.turns * (inverse_kinematics(geometry, poses) - geometry.home_lengths)
 
 
 def velocity_jacobian(geometry: Geometry, poses: ArrayLike) -> Array:
-    """J of dL/dt = J (v, omega), shape (6, 6) or (n, 6, 6); times ``geometry.turns`` it gives the nut rates."""
+    """Return J of dL/dt = J (v, omega), shape (6, 6) or (n, 6, 6); times ``geometry.turns``: nut rates."""
     array, one = poses_array(poses)
     matrices = np.empty((len(array), 6, 6))
     kernels().jacobians(array, geometry.legs, geometry.c, np.empty_like(array), matrices)
@@ -85,18 +84,18 @@ class DirectPoses:
     """Poses found by Newton's method, each with its certificate; arrays of n rows."""
 
     poses: Array  # shape (n, 6)
-    lengths: Array  # actuator lengths that were asked for, (n, 6)
-    # true where the Newton-Kantorovich theorem proves one pose within ``radius`` of the one given
+    lengths: Array  # required actuator lengths, (n, 6)
+    # true where the Newton-Kantorovich theorem proves a unique pose within ``radius``
     proved: NDArray[np.bool_]
-    # h, radius: Kantorovich's number (at most 1/2), and the bound on |dT|, r_p |d angles| to the exact pose in m
+    # Kantorovich's number (at most 1/2), and the bound on |dT|, r_p |d angles| to the exact pose in m
     h: Array
     radius: Array
     residual: Array  # euclidean norm of the lengths' errors in m
-    iterations: NDArray[np.int64]  # Newton steps; -1 where the Jacobian was singular
+    iterations: NDArray[np.int64]  # Newton steps; -1: singular Jacobian
 
     @property
     def pose(self) -> Array:
-        """The pose (6,), where there is only one."""
+        """The pose (6,) if there is only one."""
         if len(self.poses) != 1:
             raise InputError("DirectPoses.pose", f"{len(self.poses)} poses", "one; take .poses")
         return self.poses[0]
@@ -111,7 +110,7 @@ class DirectPoses:
 
 
 def direct_kinematics(geometry: Geometry, lengths: ArrayLike, start: ArrayLike | None = None) -> DirectPoses:
-    """Poses at which the actuators have these lengths."""
+    """Find the poses for these actuator lengths."""
     target, _ = poses_array(lengths, "lengths")
     if (target <= 0).any():
         k, i = np.argwhere(target <= 0)[0]
@@ -132,14 +131,14 @@ def direct_kinematics(geometry: Geometry, lengths: ArrayLike, start: ArrayLike |
     return DirectPoses(poses, target, proved, facts[:, 1], facts[:, 2], facts[:, 3], facts[:, 0].astype(np.int64))
 
 
-# Lengths this little beyond a limit are within it: the rounding of a published limit pose.
+# Allowed excess of a limit in m: rounding of a published limit pose.
 SLACK = 1e-9
-# Below this measure a pose counts as singular: six digits of the torques are gone.
+# Ratio of singular values below which a pose counts as singular: six digits of the torques are lost.
 SINGULAR = 1e-6
 
 
 def inside(geometry: Geometry, poses: ArrayLike) -> NDArray[np.bool_]:
-    """True where all six actuators are within their limits, shape (n,)."""
+    """Return where all six actuators are within their limits, shape (n,)."""
     array, _ = poses_array(poses)
     lengths = inverse_kinematics(geometry, array)
     low, high = geometry.limits
@@ -147,7 +146,7 @@ def inside(geometry: Geometry, poses: ArrayLike) -> NDArray[np.bool_]:
 
 
 def singularity(geometry: Geometry, poses: ArrayLike) -> Array:
-    """Smallest and largest singular value of the dimensionless Jacobian, shape (2,) or (n, 2)."""
+    """Return the smallest and largest singular value of the dimensionless Jacobian, shape (2,) or (n, 2)."""
     array, one = poses_array(poses)
     jacobian = velocity_jacobian(geometry, array)
     jacobian[:, :, 3:] /= geometry.radius
@@ -156,7 +155,7 @@ def singularity(geometry: Geometry, poses: ArrayLike) -> Array:
 
 
 def check_pose(geometry: Geometry, pose: ArrayLike, where: str) -> Array:
-    """The pose (6,) where it is within the workspace and not singular."""
+    """Return the pose (6,) if it is within the workspace and not singular."""
     array = real_array_of_one(pose, where)
     found, matrix = np.empty((1, 6)), np.empty((1, 6, 6))
     kernels().jacobians(array[None], geometry.legs, geometry.c, found, matrix)
@@ -184,7 +183,7 @@ def check_pose(geometry: Geometry, pose: ArrayLike, where: str) -> Array:
 
 
 def real_array_of_one(pose: ArrayLike, where: str) -> Array:
-    """One finite pose of shape (6,)."""
+    """Return one finite pose of shape (6,)."""
     array, one = poses_array(pose, "pose", where)
     if not one:
         raise InputError(where, f"{len(array)} poses", "one pose (tx, ty, tz, ax, ay, az)")

@@ -23,8 +23,7 @@ from robustlab.dynamics.stewart.kernels import (
     platform_acceleration,
 )
 
-# The local error is held at rtol times these, for (T, angles, v, w, currents) in m, rad, m/s, rad/s, A: 10 mm,
-# 0.05 rad of travel, and what is slow at a nut (16 rad/s) and small at a motor.
+# Scales of the local error of (T, angles, v, w, currents) in m, rad, m/s, rad/s, A.
 SCALE = np.array([1e-2] * 3 + [5e-2] * 3 + [1e-2] * 3 + [5e-2] * 3 + [1e-1] * 6)
 
 
@@ -39,13 +38,13 @@ class Machine(NamedTuple):
 
 
 def machine(legs, constants, motors):
-    """The machine with its work arrays."""
+    """Return the machine with its work arrays."""
     motion = Motion(np.empty((6, 6)), np.empty(6), np.empty((6, 6)), np.empty(6), np.empty(6))
     return Machine(legs, constants, motors, np.empty(6), motion)
 
 
 def _rates(z, u, machine, dz):
-    """dz/dt under motor torques, or voltages with the motors attached."""
+    """Compute dz/dt under motor torques, or voltages with motors."""
     legs, p, motors, torque, motion = machine
     force, jacobian = motion.force, motion.jacobian
     q, v = z[:6], z[6:12]
@@ -78,7 +77,7 @@ _OUTCOME = types.Tuple((types.int64, types.float64, types.int64, types.int64))
 
 @entry(_OUTCOME(_VECTOR, _INPUTS, _MACHINE, types.float64, _MATRIX))
 def integrate(start, inputs, machine, rtol, z_at):
-    """States z at the times of the inputs (n,)."""
+    """Integrate; write the states z at the times of the inputs (n,)."""
     n = start.shape[0]
     growing = np.ones(n)
     growing[:6] = 0.0

@@ -4,7 +4,7 @@ r"""The Stewart platform as a plant: six motors turn six nuts, the nuts move the
     M(\varphi)\,\ddot\varphi + b(\varphi, \dot\varphi) = k\,\tau, \qquad
     \text{with motors:}\quad \tau = K_m i - K_f k \dot\varphi, \quad L \frac{di}{dt} = u - R i - K_b k \dot\varphi
 """
-# Březina 2010, sections 6.1, 7.1, 7.2, 8.1. The reading of what the text leaves open is in ``docs/stewart.md``.
+# Březina 2010, sections 6.1, 7.1, 7.2, 8.1; the interpretation is in ``docs/stewart.md``.
 
 from __future__ import annotations
 
@@ -46,23 +46,23 @@ from robustlab.result import Status
 from robustlab.statespace import Signal, real_array
 
 NAME = "stewart-platform"
-IMAGINARY = 1e-40  # step of a derivative: nothing is subtracted
+IMAGINARY = 1e-40  # complex step of derivatives, without cancellation
 
 
 def places(motors: bool) -> tuple[PortPlace, ...]:
-    """A torque at each nut, and with motors a voltage at each current."""
+    """Return a torque at each nut, and with motors a voltage at each current."""
     nuts = tuple(PortPlace(f"phidot_{i}", "joint", "N m", f"phi_{i}") for i in range(1, 7))
     return nuts + tuple(PortPlace(f"i_{i}", "current", "V") for i in range(1, 7) if motors)
 
 
 def motion(geometry: Geometry, x: Array) -> tuple[Array, Array]:
-    """Poses and twists (n, 6) of the states (n, 12 or 18)."""
-    return _kept_motion(geometry, np.ascontiguousarray(x[:, :12]).tobytes())
+    """Return poses and twists (n, 6) of the states (n, 12 or 18)."""
+    return _cached_motion(geometry, np.ascontiguousarray(x[:, :12]).tobytes())
 
 
 @lru_cache(maxsize=64)
-def _kept_motion(geometry: Geometry, states: bytes) -> tuple[Array, Array]:
-    """`motion`, kept: masses and motors change nothing of it."""
+def _cached_motion(geometry: Geometry, states: bytes) -> tuple[Array, Array]:
+    """Return the cached `motion`, which is independent of masses and motors."""
     x = np.frombuffer(states).reshape(-1, 12)
     lengths = np.ascontiguousarray(geometry.home_lengths + x[:, :6] / geometry.turns)
     shortest = lengths.min(initial=np.inf)
@@ -82,16 +82,16 @@ def _kept_motion(geometry: Geometry, states: bytes) -> tuple[Array, Array]:
 
 
 def torques(values: Mapping[str, float], x: Array, u: Array) -> Array:
-    """Motor torques (n, 6): the inputs, or with motors (18 states) what the currents and the speeds make."""
+    """Return the motor torques (n, 6): the inputs, or with motors (18 states) those of currents and speeds."""
     if x.shape[1] == 12:
         return np.array(u, order="C")
     return values["Km"] * x[:, 12:] - values["Kf"] * values["ratio"] * x[:, 6:12]
 
 
 _NUMBERS = range(1, 7)
-# A trim's residual beyond this share of what gravity alone would do is more than rounding.
+# Largest residual of a trim relative to free fall.
 ROUNDING = 1e-9
-# Parameters that shape the legs; the others enter the equations of motion through `constants` alone.
+# Parameters of the legs' geometry; the others only enter `constants`.
 _SHAPE = (
     *("r_b", "alpha_b", "r_p", "alpha_p", "r_m", "alpha_m", "z_m", "c", "z_home", "L_min", "L_max", "lead"),
     *(f"offset_{i}" for i in _NUMBERS),
@@ -99,7 +99,7 @@ _SHAPE = (
 
 
 def stewart_platform(*, preset: str = "thesis", motors: bool = False, **given: Any) -> StewartPlatform:
-    """Plant with six motor torques [N m] as inputs, or six voltages [V] with the motors attached."""
+    """Return the plant with six motor torques [N m] as inputs, or with motors six voltages [V]."""
     parameters = overridden(machine_parameters(preset, motors), given, "stewart-platform")
     angles = tuple(Signal(f"phi_{i}", "rad") for i in _NUMBERS)
     rates = tuple(Signal(f"phidot_{i}", "rad/s") for i in _NUMBERS)
@@ -114,11 +114,10 @@ def stewart_platform(*, preset: str = "thesis", motors: bool = False, **given: A
 class StewartPlatform(PlantAlong):
     """A Stewart platform; made by `stewart_platform`."""
 
-    # preset, motors: as given
     preset: str
     motors: bool
-    geometry: Geometry = field(init=False)  # points, axes and lengths
-    constants: Array = field(init=False)  # the numbers of the equations of motion, (34,)
+    geometry: Geometry = field(init=False)
+    constants: Array = field(init=False)  # of the equations of motion, (34,)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -133,7 +132,7 @@ class StewartPlatform(PlantAlong):
         return StewartPlatform(self.name, parameters, self.inputs, self.outputs, self.states, self.preset, self.motors)
 
     def poses(self, phi: ArrayLike, start: ArrayLike | None = None) -> Array:
-        """Poses (n, 6) at the nut angles (n, 6), or (6,) at (6,); proved by `direct_kinematics`."""
+        """Return poses (n, 6) at the nut angles (n, 6), or (6,) at (6,); proved by `direct_kinematics`."""
         angles, one = poses_array(phi, "phi")
         lengths = self.geometry.home_lengths + angles / self.geometry.turns
         if (lengths <= 0).any():
@@ -183,7 +182,7 @@ class StewartPlatform(PlantAlong):
     def _local(
         self, at: tuple[Array, Array], shape: Geometry, numbers: Array, p: Mapping[str, float], x: Array, u: Array
     ) -> LocalModels:
-        """The local models with the poses and twists known."""
+        """Return the local models at known poses and twists."""
         n, size, one = len(x), len(self.states), np.eye(6)
         try:
             stiffness, damping, gain = _slopes(shape, numbers, at, torques(p, x, u))
@@ -206,15 +205,17 @@ class StewartPlatform(PlantAlong):
     def _rates(
         self, at: tuple[Array, Array], shape: Geometry, numbers: Array, p: Mapping[str, float], x: Array, u: Array
     ) -> Array:
-        """The rates with the poses and twists known."""
-        found = _accelerations(_equations(shape, numbers, *at), p["ratio"] * torques(p, x, u))
+        """Return the rates at known poses and twists."""
+        of = _equations(shape, numbers, *at)
+        push = _force(of, p["ratio"] * torques(p, x, u))
+        found = of.bias + (of.jacobian @ np.linalg.solve(of.mass, push[..., None]))[..., 0]
         if not self.motors:
             return np.hstack([x[:, 6:12], found])
         current = (u - p["R"] * x[:, 12:] - p["Kb"] * p["ratio"] * x[:, 6:12]) / p["L"]
         return np.hstack([x[:, 6:12], found, current])
 
     def _at(self, values: Mapping[str, float] | None) -> tuple[Geometry, Array, Mapping[str, float]]:
-        """Geometry, constants and values at parameter values; the geometry is made anew only where it changes."""
+        """Return geometry, constants and values at parameter values; recompute the geometry only if it changes."""
         if values is None:
             return self.geometry, self.constants, self.values
         own = self.values
@@ -251,7 +252,9 @@ class StewartPlatform(PlantAlong):
         if hold is not None:
             raise InputError(f"{self.name}: hold", f"{', '.join(hold)}", "None: the pose is held")
         pose = self.poses(trim.x[:6]) if trim.pose is None else trim.pose
-        limits = {name: self.values[name] for name in ("L_min", "L_max")}  # of the way only
+        limits = {
+            name: self.values[name] for name in ("L_min", "L_max")
+        }  # limits of the travel do not matter at the point
 
         def matrices(values: Mapping[str, float]) -> Array:
             p = {**values, **limits}
@@ -279,7 +282,7 @@ class StewartPlatform(PlantAlong):
 
 
 class _Bodies(NamedTuple):
-    """In the platform's twist: masses (n, 6, 6), forces (n, 6), nut Jacobians (n, 6, 6), biases; nut angles (n, 6)."""
+    """Masses (n, 6, 6), forces (n, 6), nut Jacobians (n, 6, 6) and biases in the twist; nut angles (n, 6)."""
 
     mass: Any
     force: Any
@@ -289,7 +292,7 @@ class _Bodies(NamedTuple):
 
 
 def _equations(shape: Geometry, numbers: Array, poses: Any, twists: Any) -> _Bodies:
-    """The equations of motion at poses and twists (n, 6), real or complex."""
+    """Evaluate the equations of motion at poses and twists (n, 6), real or complex."""
     n, kind = len(poses), poses.dtype
     (mass, jacobian), (force, bias, phi) = np.empty((2, n, 6, 6), kind), np.empty((3, n, 6), kind)
     every = np.array(np.broadcast_to(numbers, (n, len(numbers))), order="C")
@@ -298,26 +301,21 @@ def _equations(shape: Geometry, numbers: Array, poses: Any, twists: Any) -> _Bod
 
 
 def _force(of: _Bodies, push: Array) -> Array:
-    """What accelerates the platform under torques at the nuts (n, 6)."""
+    """Return the accelerating force of the platform under torques at the nuts (n, 6)."""
     return (np.swapaxes(of.jacobian, 1, 2) @ push[..., None])[..., 0] - of.force
 
 
-def _accelerations(of: _Bodies, push: Array) -> Array:
-    """Accelerations of the nuts (n, 6) under torques at them."""
-    return of.bias + (of.jacobian @ np.linalg.solve(of.mass, _force(of, push)[..., None]))[..., 0]
-
-
 def _held(shape: Geometry, numbers: Array, pose: Array) -> tuple[Array, Array]:
-    """Nut angles and motor torques (6,) that hold a pose still."""
+    """Return nut angles and holding motor torques (6,) of a pose."""
     of = _equations(shape, numbers, np.array(pose[None]), np.zeros((1, 6)))
     return of.phi[0], np.linalg.solve(of.jacobian[0].T, of.force[0]) / numbers[CONSTANTS.index("ratio")]
 
 
 def _slopes(shape: Geometry, numbers: Array, at: tuple[Array, Array], torque: Array) -> tuple[Array, Array, Array]:
-    """d(phidd)/d(phi, dphi, torque), each (n, 6, 6), at fixed torques."""
+    """Return d(phidd)/d(phi, dphi, torque), each (n, 6, 6), at fixed torques."""
     (poses, twists), n, push = at, len(torque), numbers[CONSTANTS.index("ratio")] * torque
     of, count = _equations(shape, numbers, poses, twists), 12 if twists.any() else 6
-    # each coordinate, then each velocity, by an imaginary step
+    # complex steps of each coordinate, then of each velocity
     z = np.repeat(np.hstack([poses, twists]).astype(np.complex128)[None], count, axis=0)
     z[range(count), :, range(count)] += 1j * IMAGINARY
     q, v = (np.ascontiguousarray(z[..., part].reshape(-1, 6)) for part in (slice(6), slice(6, 12)))
@@ -327,19 +325,19 @@ def _slopes(shape: Geometry, numbers: Array, at: tuple[Array, Array], torque: Ar
     right = (np.swapaxes(jacobian, 2, 3) @ push[..., None] - mass @ free)[..., 0] - force
     rates = np.moveaxis(bias + (jacobian @ free)[..., 0], 0, 2)
     rates = rates + of.jacobian @ np.linalg.solve(of.mass, np.moveaxis(right, 0, 2))
-    damping = np.zeros((n, 6, 6)) if count == 6 else _over(rates[..., 6:], of.jacobian)
+    damping = np.zeros((n, 6, 6)) if count == 6 else _right_solved(rates[..., 6:], of.jacobian)
     speeds = np.moveaxis((jacobian[:6] @ twists[..., None])[..., 0], 0, 2)
-    stiffness = _over(rates[..., :6] - damping @ speeds, np.moveaxis(phi[:6], 0, 2))
+    stiffness = _right_solved(rates[..., :6] - damping @ speeds, np.moveaxis(phi[:6], 0, 2))
     return stiffness, damping, numbers[CONSTANTS.index("ratio")] * of.jacobian @ np.linalg.solve(of.mass, turned)
 
 
-def _over(left: Array, right: Array) -> Array:
-    """X with X right = left, of matrices (n, 6, 6)."""
+def _right_solved(left: Array, right: Array) -> Array:
+    """Return X with X right = left, of matrices (n, 6, 6)."""
     return np.swapaxes(np.linalg.solve(np.swapaxes(right, 1, 2), np.swapaxes(left, 1, 2)), 1, 2)
 
 
 def _at_nuts(plant: StewartPlatform, pose: Array, phidot: Array) -> tuple[Array, Array]:
-    """Mass matrix and bias torques at the nuts at one pose and nut rates (6,)."""
+    """Return mass matrix and bias torques at the nuts at one pose and nut rates (6,)."""
     smallest, largest = singularity(plant.geometry, pose)
     if not smallest > SINGULAR * largest:
         raise NoTrustworthyNumber(plant.name, f"singular pose: smallest singular value {smallest:.3g}")
@@ -350,17 +348,17 @@ def _at_nuts(plant: StewartPlatform, pose: Array, phidot: Array) -> tuple[Array,
 
 
 def mass_matrix(plant: StewartPlatform, pose: ArrayLike) -> Array:
-    """M in kg m2 at the nuts, shape (6, 6)."""
+    """Return M in kg m2 at the nuts, shape (6, 6)."""
     return _at_nuts(plant, real_array_of_one(pose, plant.name), np.zeros(6))[0]
 
 
 def bias_torque(plant: StewartPlatform, pose: ArrayLike, phidot: ArrayLike) -> Array:
-    """Torques b in N m at the nuts: gravity and velocity terms at the nut rates phidot (6,)."""
+    """Return torques b in N m at the nuts: gravity and velocity terms at the nut rates phidot (6,)."""
     return _at_nuts(plant, real_array_of_one(pose, plant.name), real_array("phidot", phidot, 1, plant.name))[1]
 
 
 def _mass_and_stiffness(pose: Array, shape: Geometry, numbers: Array, where: str) -> tuple[Array, Array]:
-    """M and K (6, 6) of ``M phidd = K phi + k tau`` at rest."""
+    """Return M and K (6, 6) of ``M phidd = K phi + k tau`` at rest."""
     at = np.array(pose[None]), np.zeros((1, 6))
     try:
         stiffness = _slopes(shape, numbers, at, _held(shape, numbers, pose)[1][None])[0]
@@ -373,7 +371,7 @@ def _mass_and_stiffness(pose: Array, shape: Geometry, numbers: Array, where: str
 
 
 def _descriptor(mass: Array, stiffness: Array, p: Mapping[str, float], motors: bool) -> Array:
-    """``[F G -E; C 0 0]`` of the platform, as `robustlab.dynamics.descriptor_family` has it."""
+    """Return N = ``[F G -E; C 0 0]`` of the platform for `robustlab.dynamics.descriptor_family`."""
     n, one, k = 18 if motors else 12, np.eye(6), p["ratio"]
     made = np.zeros((n + 12, 2 * n + 6))
     f, g, e = made[:n, :n], made[:n, n : n + 6], made[:n, n + 6 :]

@@ -1,1 +1,1 @@
-"""Nonlinear plants of one's own, from equations written with CasADi and evaluated without it."""
+"""User-defined nonlinear plants, from equations written with CasADi and evaluated without it."""

@@ -1,4 +1,4 @@
-r"""Equations of a plant of one's own, written with CasADi.
+r"""Equations of a user-defined plant, written with CasADi.
 
 .. math:: M(q)\, \ddot q = f(q, \dot q, u, p) \qquad\text{or}\qquad \dot x = f(x, u, p), \qquad y = h(x, u, p)
 """
@@ -20,7 +20,7 @@ from robustlab.statespace import Signal
 
 NONE = "none"
 ROLES = (*(role for role in get_args(Role) if role), NONE)
-# What physics allows of a parameter with a role, where the user states no sign.
+# Default sign of a parameter with a role.
 SIGNS: dict[str, Sign] = {
     "inertia": "positive",
     "viscous-friction": "nonnegative",
@@ -30,18 +30,18 @@ SIGNS: dict[str, Sign] = {
     "stiffness": "nonnegative",
     "input-gain": "either",
 }
-# Unit of a joint's coordinate -> units of its velocity and of the force that acts along it.
+# Unit of a joint's coordinate -> units of its velocity and force.
 JOINT_UNITS = {"m": ("m/s", "N"), "rad": ("rad/s", "N m")}
-# A mass matrix is looked at at zero and at twice as many states; it is symmetric to this share of its largest entry.
+# A mass matrix is checked at zero and twice as many states; relative tolerance of its symmetry.
 PROBES = 5
 SYMMETRIC = 1e-9
 
 
 class PlantEquations:
-    r"""Collects parameters, signals and equations of a plant, and makes the plant of them.
+    r"""Builds a plant from parameters, signals and equations.
 
-    The expressions are those of CasADi (``pip install 'robustlab[casadi]'``), in the symbols that the methods return.
-    Values and exact Jacobians are made of them once; the plant that comes out needs no CasADi and can be stored.
+    The expressions are CasADi's (``pip install 'robustlab[casadi]'``), in the symbols that the methods return. Values
+    and exact Jacobians are compiled once; the plant does not need CasADi and can be stored.
 
     Parameters
     ----------
@@ -94,10 +94,10 @@ class PlantEquations:
         source: str = "",
         sign: Sign | None = None,
     ) -> Any:
-        """A physical parameter, as of `robustlab.dynamics.Parameter`; returns its symbol.
+        """Add a physical parameter, as of `robustlab.dynamics.Parameter`; return its symbol.
 
-        ``role``: what effects may act on it, ``"none"`` where none does; needed where a tolerance is stated here.
-        ``sign``: what physics allows; left out, what the role says: an inertia is ``"positive"``.
+        ``role``: effect that may act on it, ``"none"`` for none; required with a tolerance.
+        ``sign``: physical sign; default by the role: an inertia is ``"positive"``.
         """
         where = f"{self._where}: parameter {name!r}"
         if role is None and tolerance:
@@ -115,13 +115,13 @@ class PlantEquations:
         return symbol
 
     def input(self, name: str, unit: str = "") -> Any:
-        """An input; returns its symbol."""
+        """Add an input; return its symbol."""
         symbol = self._new(name, "input")
         self._inputs.append(Signal(name, _unit(unit, f"{self._where}: input {name!r}")))
         return symbol
 
     def joint(self, position: str, velocity: str, unit: str) -> tuple[Any, Any]:
-        """A coordinate in ``"m"`` or ``"rad"`` along which forces can act, and its velocity: two states and symbols."""
+        """Add a coordinate in ``"m"`` or ``"rad"`` and its velocity, where forces can act; return both symbols."""
         if unit not in JOINT_UNITS:
             hint = "write the coordinate in SI units: forces at it are in N or N m"
             raise InputError(f"{self._where}: joint {position!r}", f"unit {unit!r}", 'one of "m", "rad"', hint)
@@ -131,7 +131,7 @@ class PlantEquations:
         return q, v
 
     def state(self, name: str, unit: str = "", *, current: bool = False) -> Any:
-        """A further state; returns its symbol. ``current``: one in A, in whose rate a `voltage` must stand."""
+        """Add a state; return its symbol. ``current``: one in A whose rate must contain a `voltage`."""
         if current and unit != "A":
             raise InputError(f"{self._where}: state {name!r}", f"a current in {unit!r}", '"A"')
         symbol = self._new(name, "state")
@@ -141,17 +141,17 @@ class PlantEquations:
         return symbol
 
     def force(self, velocity: Any) -> Any:
-        """Symbol of the force that accelerates a joint, given by its velocity: ``(... + p.force(v)) / m``."""
+        """Return the symbol of the force at a joint, given by its velocity: ``(... + p.force(v)) / m``."""
         return self._push(velocity, [v for _, v, _ in self._joints], "velocity of a joint")
 
     def voltage(self, current: Any) -> Any:
-        """Symbol of the voltage that acts at a current, given by symbol or name: ``(u - R * i + p.voltage(i)) / L``."""
+        """Return the symbol of the voltage at a current: ``(u - R * i + p.voltage(i)) / L``."""
         return self._push(current, self._currents, "current")
 
     def motion(self, mass_matrix: Any, forces: Any) -> None:
-        r"""Equations of motion :math:`M(q) \ddot q = f(q, \dot q, u, p)` of all joints, in their order.
+        r"""Set the equations of motion :math:`M(q) \ddot q = f(q, \dot q, u, p)` of all joints, in their order.
 
-        ``forces``: all of them, those of inertia that come with velocities too; those of effects come on top.
+        ``forces``: all including Coriolis and centrifugal ones, without those of effects.
         """
         n = len(self._joints)
         if not n:
@@ -162,7 +162,7 @@ class PlantEquations:
         self._motion = matrix, self._matrix(forces, (n, 1), "motion: forces")
 
     def rate(self, state: Any, expression: Any) -> None:
-        """The rate of a state, given by its symbol or name; that of a joint's position is its velocity."""
+        """Set the rate of a state, given by its symbol or name; that of a joint's position is its velocity."""
         name = self._name_of(state)
         names = [s.name for s in self._states]
         place = f"{self._where}: rate"
@@ -176,7 +176,7 @@ class PlantEquations:
         self._rates[name] = self._matrix(expression, (1, 1), f"rate of {name}")
 
     def output(self, name: str, expression: Any, unit: str = "") -> None:
-        """An output: an expression in states, inputs and parameters."""
+        """Add an output: an expression in states, inputs and parameters."""
         _title(name, self._where, "output")
         if name in self._outputs:
             raise InputError(f"{self._where}: output {name!r}", "said twice", "one of that name")
@@ -184,7 +184,7 @@ class PlantEquations:
         self._outputs[name] = self._matrix(expression, (1, 1), f"output {name}"), unit
 
     def plant(self, **given: Any) -> SymbolicPlant:
-        """The plant, with other parameters as values or ``(value, relative tolerance)``."""
+        """Build the plant, with other parameters as values or ``(value, relative tolerance)``."""
         parameters = overridden(self._parameters.values(), given, self._where)
         if not self._states:
             raise InputError(self._where, "no state", "p.joint(...) or p.state(...)")
@@ -200,7 +200,7 @@ class PlantEquations:
         )
 
     def _equations(self, parameters: dict[str, Parameter]) -> Equations:
-        """Tapes of rates, outputs and local models, with the places where forces act."""
+        """Compile tapes of rates, outputs and local models, with the places where forces act."""
         ca, name = self._ca, self._where
         x, u, p = (
             ca.vertcat(*(self._symbols[s] for s in names)) if names else ca.SX(0, 1)
@@ -229,7 +229,7 @@ class PlantEquations:
         )
 
     def _places(self) -> tuple[PortPlace, ...]:
-        """Where forces and voltages act; each must be able to."""
+        """Return the places where forces and voltages act; check that they enter the rates."""
         for _, velocity, _ in self._joints if self._motion is None else ():
             if velocity in self._rates and velocity not in self._pushes:
                 raise InputError(
@@ -249,9 +249,9 @@ class PlantEquations:
         return joints + tuple(PortPlace(i, "current", "V") for i in self._currents)
 
     def _differentiated(self, x: Any, u: Any, force: Any, parameters: dict[str, Parameter]) -> tuple[Any, Any, Any]:
-        """Rates (n_x), their Jacobian by x and u (n_x, n_x + n_u) and by the forces (n_x, n_ports).
+        """Return rates (n_x), their Jacobian by x and u (n_x, n_x + n_u) and by the forces (n_x, n_ports).
 
-        The accelerations a of M a = f have the derivatives M^-1 (f' - M' a): so M is factorised once.
+        The accelerations a of M a = f have the derivatives M^-1 (f' - M' a): M is factorised once.
         """
         ca = self._ca
         rates = dict(self._rates)
@@ -294,7 +294,7 @@ class PlantEquations:
         return self._motion is not None and any(name == v for _, v, _ in self._joints)
 
     def _check_symbols(self, pushes: list[Any]) -> None:
-        """Every expression is in symbols of the plant; outputs and masses are in no forces."""
+        """Check that all symbols belong to the plant, and that outputs and masses contain no forces."""
         ca = self._ca
         known = {s.element_hash() for s in self._symbols.values()}
         forces = {s.element_hash() for s in pushes}
@@ -319,7 +319,7 @@ class PlantEquations:
                 )
 
     def _check_affine(self, push: Any, places: tuple[PortPlace, ...]) -> None:
-        """Forces enter the rates, and linearly."""
+        """Check that forces enter the rates linearly."""
         forces = {f.element_hash(): name for name, f in self._pushes.items()}
         for symbol in self._ca.symvar(push):
             if symbol.element_hash() in forces:
@@ -332,9 +332,9 @@ class PlantEquations:
                 )
 
     def _check_mass_matrix(self, matrix: Any, parameters: dict[str, Parameter]) -> None:
-        """Symmetric wherever it is looked at, and positive definite somewhere, with the parameters as they are.
+        """Check that the mass matrix is symmetric at all probes and positive definite at one.
 
-        Not everywhere: a mass that is a state is negative where no plant is asked.
+        Not at all: a mass that is a state may be negative there.
         """
         names, where = list(self._symbols), f"{self._where}: motion: mass matrix"
         function = self._ca.Function("M", [self._ca.vertcat(*self._symbols.values())], [matrix])
@@ -370,7 +370,7 @@ class PlantEquations:
         return self._pushes.setdefault(name, self._ca.SX.sym(f"push {name}"))
 
     def _name_of(self, symbol: Any) -> str:
-        """Name of a state given by its symbol or name; what else was given, in words."""
+        """Return the name of a state given by its symbol or name, or the argument as text."""
         for name, known in self._symbols.items():
             one = isinstance(symbol, self._ca.SX) and symbol.shape == (1, 1)
             if one and known.element_hash() == symbol.element_hash():
@@ -378,7 +378,7 @@ class PlantEquations:
         return str(symbol)
 
     def _matrix(self, given: Any, shape: tuple[int, int], what: str) -> Any:
-        """``given`` as an expression of the shape; rows of lists are put together."""
+        """Return ``given`` as an expression of the shape; join rows of lists."""
         ca = self._ca
         where = f"{self._where}: {what}"
         if isinstance(given, ca.MX):

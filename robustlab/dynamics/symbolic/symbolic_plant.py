@@ -1,4 +1,4 @@
-r"""Nonlinear plants whose equations are tapes: what `robustlab.dynamics.symbolic.equations.PlantEquations` makes.
+r"""Nonlinear plants whose equations are tapes, built by `robustlab.dynamics.symbolic.equations.PlantEquations`.
 
 .. math:: \dot x = f(x, u, p), \qquad y = h(x, u, p)
 """
@@ -13,7 +13,7 @@ import numpy as np
 
 from robustlab.arrays import Array, Indices
 from robustlab.dynamics.plant_contract import InputSignal, LocalModels, NonlinearPlant, PlantAlong, PortPlace, Trim
-from robustlab.dynamics.rest import PASSES, RANK, STILL, asked, looked, newton
+from robustlab.dynamics.rest import PASSES, RANK, STILL, evaluated, newton, trim_conditions
 from robustlab.dynamics.symbolic.tape import Tape, tape_kernels
 from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
 from robustlab.result import Status
@@ -24,18 +24,18 @@ from robustlab.statespace import Signal, real_array
 class Equations:
     """Equations of a plant as tapes of (x, u, p): states, inputs, parameters, each in the plant's order."""
 
-    # rates, outputs: to f (n_x,) and h (n_y,)
+    # f (n_x,) and h (n_y,)
     rates: Tape
     outputs: Tape
-    models: Tape  # to f, h, A, B, C, D and push of `robustlab.dynamics.plant_contract.LocalModels`, each row by row
+    models: Tape  # f, h, A, B, C, D and push of `robustlab.dynamics.plant_contract.LocalModels`, each row by row
     places: tuple[PortPlace, ...]  # where forces act, in the order of push
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SymbolicPlant(PlantAlong):
-    """A plant of one's own; made by `robustlab.dynamics.symbolic.equations.PlantEquations`."""
+    """A user-defined plant; made by `robustlab.dynamics.symbolic.equations.PlantEquations`."""
 
-    equations: Equations  # its tapes
+    equations: Equations
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -94,7 +94,7 @@ class SymbolicPlant(PlantAlong):
     def _evaluated(
         self, tape: Tape, x: Array, u: Array, values: Mapping[str, Any] | None = None, first: int = 0
     ) -> Array:
-        """Outputs (n, n_out) of a tape, all of them finite; ``first``: place of its first one in `label`."""
+        """Return finite outputs (n, n_out) of a tape; ``first``: index of its first one in `labels`."""
         n, n_x, n_u = len(x), len(self.states), len(self.inputs)
         for name, array, width in (("x", x, n_x), ("u", u, n_u)):
             if np.shape(array) != (n, width):
@@ -107,24 +107,16 @@ class SymbolicPlant(PlantAlong):
         found = tape(points)
         if not np.isfinite(found).all():
             row, column = (int(k) for k in np.argwhere(~np.isfinite(found))[0])
-            raise NoTrustworthyNumber(
-                self.name,
-                f"{self._label(first + column)} is {found[row, column]} at {self._named(points[row], row, n)}",
-            )
+            label = labels(self.states, self.inputs, self.outputs, self.equations.places)[first + column]
+            signals = (*self.states, *self.inputs)
+            point = ", ".join(f"{s.name} = {v:.4g}" for s, v in zip(signals, points[row], strict=False))
+            point = f"point {row} of {n} ({point})" if n > 1 else point
+            raise NoTrustworthyNumber(self.name, f"{label} is {found[row, column]} at {point}")
         return found
-
-    def _label(self, k: int) -> str:
-        """What output k of the tape of models is."""
-        return labels(self.states, self.inputs, self.outputs, self.equations.places)[k]
-
-    def _named(self, point: Array, row: int, n: int) -> str:
-        signals = (*self.states, *self.inputs)
-        text = ", ".join(f"{s.name} = {v:.4g}" for s, v in zip(signals, point, strict=False))
-        return f"point {row} of {n} ({text})" if n > 1 else text
 
 
 def _with_values(plant: SymbolicPlant, given: Mapping[str, Any] | None, n: int) -> list[Any]:
-    """Values of the parameters in their order, each a number or an array (n,), with the given ones in their places."""
+    """Return the values of the parameters, overridden by the given ones, each a number or an array (n,)."""
     values: dict[str, Any] = dict(plant.values)
     if given:
         for name, value in given.items():
@@ -141,7 +133,7 @@ def _with_values(plant: SymbolicPlant, given: Mapping[str, Any] | None, n: int) 
 def labels(
     states: Sequence[Signal], inputs: Sequence[Signal], outputs: Sequence[Signal], places: Sequence[PortPlace]
 ) -> list[str]:
-    """One text for each output of the tape of f, h, A, B, C, D and push, row by row."""
+    """Return a text for each output of the tape of f, h, A, B, C, D and push, row by row."""
     rates = [f"the rate of {s.name}" for s in states]
     outs = [f"output {s.name}" for s in outputs]
 
@@ -152,21 +144,21 @@ def labels(
     return [*rates, *outs, *by_states, *slopes(rates, places, "the force at ")]
 
 
-# A residual below this share is told as INACCURATE; above it there is no rest.
+# Relative residual below which an equilibrium is INACCURATE, above which there is none.
 NEAR = 1e-6
-# The rest that is nearest to where the search began is found to this share.
+# Relative accuracy of the equilibrium nearest to the start.
 AGREED = 1e-9
-# Where Newton's method stalls at zero (a force that grows with the square of a speed), it starts again from these.
+# Further starts if Newton's method stalls at zero (a force quadratic in a speed).
 STARTS = (1.0, 0.1, 10.0, -1.0)
 
 
 def rest(plant: NonlinearPlant, where: Mapping[str, Any]) -> Trim:
-    """The rest nearest to zero, or to ``where["start"]``, with the other entries of ``where`` held."""
+    """Find the equilibrium nearest to zero, or to ``where["start"]``, with the other entries of ``where`` held."""
     n_x, n_u = len(plant.states), len(plant.inputs)
     given = dict(where)
     x, u = plant.point(*given.pop("start")) if "start" in given else (np.zeros(n_x), np.zeros(n_u))
     began = np.concatenate([x, u])
-    held, wanted = asked(plant, given)
+    held, wanted = trim_conditions(plant, given)
     began[list(held)] = list(held.values())
     free = np.array([k for k in range(n_x + n_u) if k not in held], dtype=np.intp)
     shift = np.isin(np.arange(n_x + n_u), free)
@@ -195,10 +187,10 @@ def rest(plant: NonlinearPlant, where: Mapping[str, Any]) -> Trim:
 def _nearest(
     plant: NonlinearPlant, began: Array, found: tuple[Array, float], free: Indices, wanted: Mapping[int, float]
 ) -> tuple[Array, float]:
-    """The rest moved towards where the search began, along all directions in which the plant rests anywhere."""
+    """Move the equilibrium towards the start along a continuum of equilibria."""
     for _ in range(PASSES):
         z, excess = found
-        local = looked(plant, z, wanted)
+        local = evaluated(plant, z, wanted)
         if local is None:
             break
         way = (began - z)[free]

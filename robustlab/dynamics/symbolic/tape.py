@@ -1,4 +1,4 @@
-"""Tapes: functions of real numbers as a list of elementary operations, which a file can hold and a kernel evaluates."""
+"""Tapes: functions of real numbers as lists of elementary operations for storage and compiled evaluation."""
 
 from __future__ import annotations
 
@@ -16,14 +16,13 @@ from robustlab.arrays import Array
 from robustlab.dynamics.integrator.compilation import compiled
 from robustlab.errors import InputError
 
-# Name of each operation; its place is its number on a tape, in files too: new ones go to the end. The names are those
-# of CasADi without OP_.
+# Name of each operation (CasADi's without OP_); the index is its number on tapes and in files: append new ones.
 OPERATIONS = (
     *("ADD", "SUB", "MUL", "DIV", "NEG", "SQ", "TWICE", "INV", "SQRT", "SIN", "COS", "TAN", "ASIN", "ACOS", "ATAN"),
     *("ATAN2", "EXP", "LOG", "POW", "SINH", "COSH", "TANH", "ASINH", "ACOSH", "ATANH", "EXPM1", "LOG1P", "HYPOT"),
     *("FABS", "SIGN", "FMIN", "FMAX", "LT", "LE", "EQ", "NE", "NOT", "AND", "OR", "IF_ELSE_ZERO", "ERF", "COPYSIGN"),
 )
-# A plant of more is no plant that a person wrote down.
+# Largest size of a tape.
 MAX_OPERATIONS = 2_000_000
 
 Places = NDArray[np.int64]
@@ -35,16 +34,14 @@ class Tape:
     """A function from n_in numbers to n_out numbers."""
 
     n_in: int  # number of inputs
-    # operations, left, right: of each operation its number in `OPERATIONS` and the places of its two arguments (of one
-    # argument, twice the same), shape (n,). Place k < n_in is input k, then come the constants, then the results in
-    # their order.
+    # Number in `OPERATIONS` and places of both arguments (twice the same for one) of each operation, shape (n,). Places
+    # count inputs, then constants, then results.
     operations: Places
     left: Places
     right: Places
     constants: Array  # finite numbers, shape (n_c,)
     outputs: Places  # places of the outputs, shape (n_out,)
-    # so many of the inputs, the last ones, stay the same from one evaluation to the next (parameters). Operations on
-    # these alone that stand first are done once.
+    # number of last inputs that are constant over all points (parameters); leading operations on these are done once
     n_still: int = 0
 
     def __post_init__(self) -> None:
@@ -76,16 +73,16 @@ class Tape:
 
     @cached_property
     def code(self) -> Any:
-        """The tape as the kernels take it."""
+        """The tape for the kernels."""
         rows = (self.operations, self.left, self.right, self.outputs)
         operations, left, right, outputs = (row.astype(np.uint32) for row in rows)
         moving = np.minimum(self.left, self.right) < self.n_in - self.n_still
         still = int(np.argmax(moving)) if moving.any() else len(moving)
-        constants = np.array(self.constants)  # writable, as the kernels ask for
+        constants = np.array(self.constants)  # writable, as required by the kernels
         return tape_kernels().Code(operations, left, right, constants, outputs, self.n_in - self.n_still, still)
 
     def __call__(self, points: Array) -> Array:
-        """Outputs (n, n_out) at the points (n, n_in); NaN and infinite where the function has no value."""
+        """Evaluate outputs (n, n_out) at the points (n, n_in); NaN or infinite where undefined."""
         if points.ndim != 2 or points.shape[1] != self.n_in:
             raise InputError("tape", f"points of shape {points.shape}", f"(n, {self.n_in})")
         results = np.empty((len(points), self.n_out))
@@ -102,7 +99,7 @@ def _within(name: str, places: Places, limit: Any) -> None:
 
 @cache
 def tape_kernels() -> ModuleType:
-    """Module of the compiled kernels; the first time on a machine it is compiled, for all plants at once."""
+    """Load the compiled kernels, which are common to all plants."""
     from robustlab.dynamics.integrator.steps import TABLE
 
     here = Path(__file__).parent
@@ -113,7 +110,7 @@ def tape_kernels() -> ModuleType:
 
 @cache
 def _codes() -> dict[int, int]:
-    """CasADi's number of an operation -> ours."""
+    """Return CasADi's number of an operation -> number on tapes."""
     import casadi as ca
 
     known = {getattr(ca, f"OP_{name}"): k for k, name in enumerate(OPERATIONS)}
@@ -121,7 +118,7 @@ def _codes() -> dict[int, int]:
 
 
 def tape_of(inputs: Any, outputs: Any, n_still: int, where: str, label: Callable[[int], str] = str) -> Tape:
-    """The tape of CasADi expressions."""
+    """Return the tape of CasADi expressions."""
     import casadi as ca
 
     function = ca.Function("f", [inputs], [ca.densify(outputs)])
@@ -129,7 +126,7 @@ def tape_of(inputs: Any, outputs: Any, n_still: int, where: str, label: Callable
     n_in = inputs.numel()
     constants: dict[float, int] = {}
     steps: list[tuple[int, Source, Source]] = []
-    # Entries of the work vector, which is used again and again -> what stands there: (kind, number).
+    # Entry of the work vector, which is reused -> its content: (kind, number).
     held: dict[int, Source] = {}
     ends: list[Source] = [("", 0)] * outputs.numel()
     for k in range(function.n_instructions()):
@@ -169,7 +166,7 @@ def tape_of(inputs: Any, outputs: Any, n_still: int, where: str, label: Callable
 
 
 def _grouped(steps: list[tuple[int, Source, Source]], n_moving: int) -> list[int]:
-    """The operations in an order in which those come first that no moving input enters, and equal ones in long runs."""
+    """Order the operations: those of constant inputs first, equal ones in long runs."""
     waits, users = [0] * len(steps), [list[int]() for _ in steps]
     moving = [False] * len(steps)
     for k, (_, *arguments) in enumerate(steps):
@@ -203,7 +200,7 @@ def _not_finite(function: Any, k: int) -> bool:
 
 
 def _concerned(outputs: Any, label: Callable[[int], str], wrong: Callable[[Any, int], bool]) -> str:
-    """The first of the expressions with an instruction (function, number) that is wrong."""
+    """Return the label of the first expression with a wrong instruction (function, number)."""
     import casadi as ca
 
     for k in range(outputs.numel()):

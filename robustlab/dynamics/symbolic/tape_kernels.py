@@ -1,6 +1,6 @@
 # pyright: reportMissingParameterType=false
 # (the compiler infers the types of the leaves; the entries have their signatures in the decorator)
-"""Compiled evaluation and simulation of tapes: one kernel for all plants, nothing is compiled for any of them."""
+"""Compiled evaluation and simulation of tapes, common to all plants."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from numba import types
 
 from robustlab.dynamics.integrator.steps import DONE, NOT_FINITE, Inputs, answers, entry, integrated, leaf  # noqa: F401  # pyright: ignore[reportUnusedImport]
 
-# The local error of a state is held at rtol times the larger of this and its size, in the state's unit.
+# Error tolerance of a state: rtol times the larger of this (in its unit) and its magnitude.
 LEAST_SCALE = 1e-2
 
 
 class Code(NamedTuple):
-    """A tape: operations, their arguments (n,), constants (n_c,), and where the outputs stand (n_out,)."""
+    """A tape: operations, their arguments (n,), constants (n_c,), and places of the outputs (n_out,)."""
 
     operations: Any
     left: Any
@@ -30,7 +30,7 @@ class Code(NamedTuple):
 
 @leaf
 def _operate(op, a, b):
-    """One elementary operation; the numbers are places in `robustlab.dynamics.symbolic.tape.OPERATIONS`."""
+    """Evaluate one elementary operation of `robustlab.dynamics.symbolic.tape.OPERATIONS`."""
     if op == 0:
         return a + b
     elif op == 1:
@@ -120,7 +120,7 @@ def _operate(op, a, b):
 
 @leaf
 def _run(code, start, stop, first, w):
-    """Operations start .. stop - 1 on the row w, in which ``first`` is the place of the first result of all."""
+    """Execute operations start .. stop - 1 on the row w; ``first``: place of the first result."""
     operations, left, right = code.operations, code.left, code.right
     k = start
     while k < stop:
@@ -144,7 +144,7 @@ def _run(code, start, stop, first, w):
 
 @leaf
 def _row(code, n_in):
-    """A row for a tape of n_in inputs, with the constants in their places."""
+    """Return a row for a tape of n_in inputs, with its constants."""
     w = np.empty(n_in + code.constants.shape[0] + code.operations.shape[0])
     for k in range(code.constants.shape[0]):
         w[n_in + k] = code.constants[k]
@@ -158,7 +158,7 @@ _INPUTS = types.NamedTuple((_VECTOR, types.float64[:, :, ::1], types.boolean[::1
 
 @entry(types.void(_CODE, _MATRIX, _MATRIX))
 def evaluate(code, points, results):
-    """Outputs (n, n_out) of a tape at the points (n, n_in)."""
+    """Evaluate outputs (n, n_out) of a tape at the points (n, n_in)."""
     n, n_in = points.shape
     first = n_in + code.constants.shape[0]
     w = _row(code, n_in)
@@ -175,7 +175,7 @@ def evaluate(code, points, results):
 
 
 class Plant(NamedTuple):
-    """A tape of rates, the place of its first result, and its row of values."""
+    """A tape of rates, place of its first result, row of values."""
 
     code: Any
     first: Any
@@ -201,7 +201,7 @@ _OUTCOME = types.Tuple((types.int64, types.float64, types.int64, types.int64))
 
 @entry(_OUTCOME(_CODE, _VECTOR, _VECTOR, _INPUTS, types.float64, _MATRIX))
 def integrate(code, start, values, inputs, rtol, x_at):
-    """States (n, n_x) at the times of the inputs (n,) under the tape of (x, u, values) -> rates."""
+    """Integrate the tape (x, u, values) -> rates; write states (n, n_x) at the times of the inputs (n,)."""
     n, n_u = start.shape[0], inputs.polynomials.shape[2]
     n_in = n + n_u + values.shape[0]
     w, first = _row(code, n_in), n_in + code.constants.shape[0]

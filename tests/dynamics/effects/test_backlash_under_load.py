@@ -1,4 +1,4 @@
-"""A gap with a load that hangs behind it: closed forms of one hanging mass, and an arm written out body by body."""
+"""Backlash with a hanging load: closed forms of one mass, and an arm of separate bodies."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_a_load_that_follows_never_leaves_its_flank(share):
     whole = (torque - WEIGHT) / (ROTOR + LOAD)
     np.testing.assert_allclose(x[:, 1], whole * t, atol=1e-9)
     np.testing.assert_allclose(x[:, 0], 0.5 * whole * t**2, atol=1e-10)
-    # pressed by what the load's weight and inertia ask of the rotor, over the reduced mass of the two
+    # contact force of the load over the reduced mass
     pressed = (LOAD * whole + WEIGHT) / (ROTOR * LOAD / (ROTOR + LOAD)) / (2 * math.pi * 400.0) ** 2
     np.testing.assert_allclose(x[:, 2], 0.1 + pressed, rtol=1e-9)
 
@@ -80,20 +80,20 @@ def test_the_flight_of_a_rotor_that_outruns_its_load(times):
     np.testing.assert_allclose(x[free, 1] - x[free, 3], load * t[free], atol=rebound)
     hit = t[np.flatnonzero(x[:, 2] < -0.5 * gap)[0]]
     assert hit == pytest.approx(flight, abs=near)
-    # what is lost at the impact is no momentum
+    # the impact conserves momentum
     momentum = ROTOR * x[:, 1] + LOAD * (x[:, 1] - x[:, 3])
     np.testing.assert_allclose(momentum, (torque - WEIGHT) * t, rtol=1e-6, atol=1e-10)
 
 
 def bodies(x, u, p, gap, omega):
-    """Rates of (q1, w1, rotor 2, its speed, q2, w2): the arm with rotor 2 as a body of its own, written out."""
+    """Rates of (q1, w1, rotor 2, its speed, q2, w2): the arm with rotor 2 as a separate body."""
     q1, w1, r2, wr2, q2, w2 = x
     a1 = p["I_1"] + p["I_2"] + p["m_1"] * p["c_1"] ** 2 + p["m_2"] * (p["l_1"] ** 2 + p["c_2"] ** 2) + p["I_r1"]
     a2, a3 = p["m_2"] * p["l_1"] * p["c_2"], p["I_2"] + p["m_2"] * p["c_2"] ** 2
     mass = np.array([[a1 + 2 * a2 * np.cos(q2), a3 + a2 * np.cos(q2)], [a3 + a2 * np.cos(q2), a3]])
     twist, speed = r2 - q2, wr2 - w2
     depth, side = abs(twist) - 0.5 * gap, np.sign(twist)
-    behind = mass[1, 1] - mass[0, 1] ** 2 / mass[0, 0]  # what the rotor meets on a closed flank
+    behind = mass[1, 1] - mass[0, 1] ** 2 / mass[0, 0]  # effective inertia on a closed flank
     reduced = p["I_r2"] * behind / (p["I_r2"] + behind)
     push = reduced * side * max(omega**2 * depth + 2 * DAMPING * omega * side * speed, 0.0) if depth > 0 else 0.0
     fall_2 = p["m_2"] * p["g"] * p["c_2"] * np.cos(q1 + q2)
@@ -105,7 +105,7 @@ def bodies(x, u, p, gap, omega):
     return [w1, acceleration[0], wr2, rotor, w2, acceleration[1]]
 
 
-def test_an_arm_whose_second_joint_has_a_gap_moves_as_its_bodies_written_out():
+def test_an_arm_whose_second_joint_has_a_gap_matches_separate_bodies():
     arm, gap, f, dt, n = maker("two_link_arm")(), 0.02, 150.0, 1e-3, 400
     (share,), p = shares_behind(arm, "w_2"), arm.values
     t = dt * np.arange(n)

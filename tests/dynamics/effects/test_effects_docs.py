@@ -20,7 +20,7 @@ WAYS = ("factors", "extend", "laws", "input", "output")
 
 @pytest.fixture
 def names(monkeypatch, tmp_path):
-    """What the code of the page leaves behind, run from top to bottom with its file in a folder of the user's."""
+    """Return the variables after running the code of the page."""
     monkeypatch.setattr("robustlab.dynamics.effects.catalogue._ADDED", {})
     monkeypatch.syspath_prepend(tmp_path)
     found = {}

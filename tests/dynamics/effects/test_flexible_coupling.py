@@ -1,4 +1,4 @@
-"""The flexible coupling against the two-mass plant of the registry, and against matrices put up by hand."""
+"""The flexible coupling against the two-mass plant of the registry, and against matrices by hand."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_the_simulated_motion_is_that_of_two_masses():
     np.testing.assert_allclose(angle, expected, rtol=1e-8, atol=1e-12)
 
 
-def test_all_that_acts_on_the_joint_acts_on_the_drive():
+def test_other_effects_act_on_the_drive():
     motor = rl.plant("dc-motor")
     J, s = 7.2e-6, 0.4
     found = effect("flexible-coupling").extend(
@@ -95,7 +95,7 @@ def test_a_full_mass_matrix():
         port_model(plant), Site("joint", "wa"), {"f": f, "zeta": zeta, "share": s}
     )
     mass = np.array([[2.0, 0.5], [0.5, 1.0]])
-    J = 1 / np.linalg.inv(mass)[0, 0]  # what a torque at joint a meets
+    J = 1 / np.linalg.inv(mass)[0, 0]  # effective inertia at joint a
     mass[0, 0] -= s * J
     w = 2 * np.pi * f
     k, c = w**2 * s * (1 - s) * J, 2 * zeta * w * s * (1 - s) * J

@@ -1,4 +1,4 @@
-"""The force laws asked directly (each solves its own equation at any stiffness and step); closed forms of motion."""
+"""Force laws evaluated directly (each solves its own equation at any stiffness and step), and closed forms."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def _ask(law, *numbers):
 
 
 class Step:
-    """One step of length h of a mass: motion at its start, what drives it, and what a law makes of it."""
+    """One step of length h of a mass: initial motion, drive, and the result of a law."""
 
     def __init__(self, law, p, q0=0.0, v0=0.0, drive=0.0, h=5e-4, z=0.0, mass=MASS, time=0.0):
         self.gv, self.gq = h / mass, 0.5 * h * h / mass
@@ -43,10 +43,10 @@ signed = st.floats(-1e3, 1e3).map(lambda x: 0.0 if abs(x) < 1e-6 else x)
 positive = st.floats(-6, 6).map(lambda e: 10.0**e)
 steps = st.sampled_from([1e-5, 5e-4, 1e-2])
 # The same examples in every run of one version of hypothesis.
-asked = settings(max_examples=100)
+many = settings(max_examples=100)
 
 
-@asked
+@many
 @given(positive, signed, steps)
 def test_a_resting_mass_stays_exactly_at_rest_below_breakaway_and_leaves_above(level, drive, h):
     s = Step("coulomb-friction", [level], drive=drive, h=h)
@@ -56,7 +56,7 @@ def test_a_resting_mass_stays_exactly_at_rest_below_breakaway_and_leaves_above(l
         assert s.f == pytest.approx(-math.copysign(level, drive), rel=1e-9, abs=1e-12 * abs(drive))
 
 
-@asked
+@many
 @given(signed, signed, positive, steps)
 def test_dry_friction_within_a_step_is_the_exact_motion_under_a_constant_drive(v0, drive, level, h):
     assume(abs(abs(drive) - level) > 1e-9 * level)
@@ -75,7 +75,7 @@ def test_dry_friction_within_a_step_is_the_exact_motion_under_a_constant_drive(v
     assert s.v == pytest.approx(moved(v0, h), rel=1e-9, abs=1e-9 * (abs(v0) + s.gv * (abs(drive) + level)))
 
 
-@asked
+@many
 @given(st.floats(-3, 9).map(lambda e: 10.0**e), st.floats(0, 1e3), st.floats(-2, 2), signed, signed, steps)
 def test_a_stop_never_pulls_never_creates_energy_and_lets_go(kc, dc, q0, v0, drive, h):
     s = Step("end-stop", [-1.0, 1.0, kc, dc], q0=q0, v0=v0, drive=drive, h=h)

@@ -1,4 +1,4 @@
-"""Parameter effects against plants that are built anew with the scaled values."""
+"""Parameter effects against plants rebuilt with the scaled values."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What real servos have: gravity, lag, directions, ripple over time, contacts on one side; against closed forms."""
+"""Gravity, lag, directional friction, ripple over time and one-sided contacts against closed forms."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_a_lagged_step_is_the_mean_of_the_exact_one(T, h, seed):
     np.testing.assert_allclose(found, expected, atol=1e-10 * max(1.0, T / h))
 
 
-def test_a_motor_behind_a_lag_moves_as_the_equations_say():
+def test_a_motor_behind_a_lag_follows_the_equations():
     motor, T = rl.plant("dc-motor"), 4e-3
     t = np.arange(300) * 1e-3
     u = np.where(np.arange(300) // 50 % 2, -6.0, 8.0)

@@ -1,4 +1,4 @@
-"""What the shipped recipes call simulated."""
+"""Simulated records are called simulated in the recipes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ RECIPES = sorted((ROOT / "recipes").glob("*.toml"))
 
 
 def head_of(path):
-    """What a file of data begins with: its first line, or its title."""
+    """Return the first line or title of a data file."""
     if path.suffix == ".h5":
         with h5py.File(path) as file:
             return file.attrs["title"]

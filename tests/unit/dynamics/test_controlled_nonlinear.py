@@ -1,4 +1,4 @@
-"""Nonlinear plants under feedback: the loop's algebra, its slopes by differences, friction in the loop."""
+"""Nonlinear plants under feedback: loop algebra, slopes by differences, friction in the loop."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_friction_costs_its_torque_and_holds_the_nut(machine, rough):
     assert np.abs(free.phi[before, 5]).max() > 1e-4
 
 
-def test_what_is_no_loop(machine, rough):
+def test_bad_loops(machine, rough):
     K, at = triple_pole(machine, 60.0), rl.trim(machine)
     with pytest.raises(InputError, match="18 and 6"):
         controlled_nonlinear(machine, StateSpaceModel([], [], [], np.zeros((6, 3))), ANGLES, [*ANGLES, *RATES], at)

@@ -40,7 +40,7 @@ def test_the_loop_of_every_member_has_the_poles_of_the_loop_algebra(actuator, me
 
 
 def test_the_cascade_has_its_triple_pole_where_the_torque_loop_is_fast(actuator):
-    """(s + p)^3 for the upper layer, to the extent that 20000 /s is fast beside 50 /s."""
+    """(s + p)^3 for the upper layer, to the extent that 20000 /s is fast compared with 50 /s."""
     slow = actuator_cascade(actuator, 50.0, 20000.0)
     poles = controlled_plant(actuator, slow, ["phi"], SEEN).state_space().poles()
     upper = poles[np.abs(poles) < 1000]

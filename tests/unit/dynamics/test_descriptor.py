@@ -50,7 +50,7 @@ def test_algebraic_equations_are_eliminated_and_the_other_states_keep_their_name
 
 @settings(max_examples=40)
 @given(st.integers(0, 100_000), st.integers(0, 4), st.integers(0, 3), st.booleans())
-def test_hidden_states_and_algebraic_equations_come_apart(seed, n, fixed, mixed):
+def test_hidden_states_and_algebraic_equations_are_separated(seed, n, fixed, mixed):
     """Weierstrass form of index 1 with known poles, mixed by random transformations."""
     rng = np.random.default_rng(seed)
     total = n + fixed
@@ -82,7 +82,7 @@ def test_a_higher_index_is_refused(k, mixed):
         rl.descriptor(a, np.ones((k + 1, 1)), np.ones((1, k + 1)), [[0.0]], e)
 
 
-def test_what_is_refused():
+def test_bad_arguments_are_rejected():
     one = np.ones((2, 1)), np.ones((1, 2)), [[0.0]]
     with pytest.raises(InputError, match="descriptor: s E - A is singular for every s"):
         rl.descriptor([[1.0, 1.0], [1.0, 1.0]], *one, np.zeros((2, 2)))
@@ -121,7 +121,7 @@ def test_files_with_e(tmp_path, capsys):
     assert rl.load(tmp_path / "plain.mat").A.tolist() == CIRCUIT["A"].tolist()
 
 
-def test_files_that_are_refused(tmp_path):
+def test_bad_files_are_rejected(tmp_path):
     with pytest.raises(InputError, match=r"/E is \(1, 1\), expected \(2, 2\) as /A"):
         rl.load(hdf5(tmp_path / "small.h5", E=np.ones((1, 1))))
     with pytest.raises(InputError, match="an index above 1"):

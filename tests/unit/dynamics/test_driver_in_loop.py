@@ -1,4 +1,4 @@
-"""A driver with a dead zone between controller and plant, against an integrator that knows nothing of ports."""
+"""A driver with a dead zone between controller and plant, against an independent integrator."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def integrated(G, d):
 
 
 @pytest.mark.parametrize("d", [0.0, 0.4, 1.0])
-def test_the_dead_zone_acts_on_what_the_controller_commands(d):
+def test_the_dead_zone_acts_on_the_command(d):
     motor = rl.plant("dc-motor")
     made = loop(motor)
     run = rl.simulate(rl.with_effects(made, driver_in_loop(made, motor, "u", {"d": d})), T, WAVE)
@@ -46,7 +46,7 @@ def test_the_dead_zone_acts_on_what_the_controller_commands(d):
     assert np.abs(WAVE - run["phi"]).max() > 0.3 * d / 2
 
 
-def test_what_is_no_control_and_what_is_no_state_are_refused():
+def test_other_signals_are_rejected():
     motor = rl.plant("dc-motor")
     made = loop(motor)
     with pytest.raises(InputError, match="one of u"):

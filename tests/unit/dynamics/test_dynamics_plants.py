@@ -1,4 +1,4 @@
-"""The linear plants against equations written out by hand and published numbers."""
+"""The linear plants against equations derived by hand and published numbers."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def test_chain_modes_have_a_closed_form(n):
 
 
 @pytest.mark.parametrize("name", plant_names())
-def test_every_plant_keeps_the_contract(name):
+def test_every_plant_meets_the_interface(name):
     plant = rl.plant(name)
     assert plant.name == name
     for key, p in plant.parameters.items():

@@ -33,7 +33,7 @@ def coupling():
     return {"f": 25.0, "zeta": 0.05, "share": 0.3}
 
 
-# --- the arm, written out --------------------------------------------------------------------------------------------
+# --- the arm, by hand ------------------------------------------------------------------------------------------------
 
 
 def arm_terms(q, w, p):
@@ -48,7 +48,7 @@ def arm_terms(q, w, p):
     return mass, swing + weight + np.array([p["b_1"] * w[0], p["b_2"] * w[1]])
 
 
-def told(x):
+def unwrapped(x):
     """Angles and speeds (n, 4) of the states q_1, w_1, q_2, w_2 (n, 4)."""
     return x[:, [0, 2, 1, 3]]
 
@@ -114,7 +114,7 @@ def arm_with_events(times, torques, friction, p):
     return np.array(found)
 
 
-def test_an_arm_with_dry_friction_moves_as_its_events_say():
+def test_an_arm_with_dry_friction_matches_an_event_driven_solution():
     """Both joints slide, reverse, stick and break away."""
     held, friction = 0.1, np.array([1.5, 0.8])
     times = held * np.arange(21)
@@ -125,7 +125,7 @@ def test_an_arm_with_dry_friction_moves_as_its_events_say():
     rough = rl.with_effects(arm(), {"coulomb-friction@w_1": {"Fc": 1.5}, "coulomb-friction@w_2": {"Fc": 0.8}})
     t = 1e-3 * np.arange(2001)
     x, _ = rough.stepped(t, np.repeat(torques, 100, axis=0)[:2001], np.zeros(4), 1e-3)
-    x = told(x)
+    x = unwrapped(x)
     assert (true[1:, 2:] == 0).any()
     assert np.abs(x[::100] - true).max() < 2e-5 * np.abs(true).max()
     assert (np.abs(x[::100, 2:][true[:, 2:] == 0]) < 1e-15).all()
@@ -136,7 +136,7 @@ def test_energy_goes_into_dry_friction_and_nowhere_else():
     rough = rl.with_effects(free, {"coulomb-friction@w_1": {"Fc": 0.6}})
     t = 1e-3 * np.arange(1501)
     x, _ = rough.stepped(t, np.zeros((1501, 2)), np.array([0.5, 0.0, 0.3, 0.0]), 1e-3)
-    x = told(x)
+    x = unwrapped(x)
     path = np.abs(np.diff(x[:, 0])).sum()
     lost = arm_energy(x[0], free.values) - arm_energy(x[-1], free.values)
     assert path > 1.0
@@ -146,7 +146,7 @@ def test_energy_goes_into_dry_friction_and_nowhere_else():
 @pytest.mark.parametrize(
     "effects", [{"flexible-coupling@w_2": coupling()}, {"backlash@w_2": {"gap": 0.05, "share": 0.4, "f": 15.0}}]
 )
-def test_a_load_behind_a_joint_moves_as_its_rates_say(effects):
+def test_a_load_behind_a_joint_matches_its_rates(effects):
     rough = rl.with_effects(arm(), effects)
     t = 1e-3 * np.arange(601)
     u = np.array([4.0, 2.0])
@@ -230,7 +230,7 @@ def test_viscous_friction_at_one_nut_is_a_torque_against_its_motor():
 # --- rest and linear models ------------------------------------------------------------------------------------------
 
 
-def test_friction_holds_an_arm_and_the_trim_says_with_what():
+def test_friction_holds_an_arm_and_the_trim_has_the_forces():
     rough = rl.with_effects(arm(), {"coulomb-friction@w_1": {"Fc": 1.0}})
     free = rl.trim(arm(), q_1=0.4, q_2=0.2)
     held = rl.trim(rough, q_1=0.4, q_2=0.2, torque_1=free.u[0] - 0.7)

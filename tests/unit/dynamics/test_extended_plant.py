@@ -23,7 +23,7 @@ def law_of(plant) -> Law:
 # --- laws at one instant ---------------------------------------------------------------------------------------------
 
 
-def test_coulomb_friction_is_a_band_at_rest_that_gives_what_is_needed():
+def test_coulomb_friction_is_a_band_of_holding_forces_at_rest():
     law = law_of(axis(coulomb_friction={"Fc": 20.0}))
     assert is_set_valued(law, 0.0)
     assert rest_band(law, 0.0) == pytest.approx((-20.0, 20.0))
@@ -95,7 +95,7 @@ def test_the_linear_model_of_smooth_effects_is_the_analytic_one():
     assert model.operating_point.x.tolist() == [0.4, -0.5]
 
 
-def test_dry_friction_is_left_out_at_rest_and_said_or_taken_at_an_amplitude():
+def test_dry_friction_is_reported_as_omitted_or_taken_at_an_amplitude():
     plant = axis(coulomb_friction={"Fc": 20.0})
     np.testing.assert_array_equal(rl.linearise(plant).A, rl.plant("servo-axis").state_space().A)
     (missing,) = plant.left_out(amplitude={})
@@ -122,13 +122,13 @@ def test_pade_delays_follow_the_true_phase(order):
 
 
 def rebuilt(parameters, effects, delta_of, name="dc-motor"):
-    """A, B, C, D of the plant built anew with every value moved by delta_of(name) times its radius."""
+    """A, B, C, D of the plant rebuilt with every value moved by delta_of(name) times its radius."""
     plant = rl.plant(name)
     moved = {n: plant.values[n] * (1 + delta_of(n) * tolerance) for n, tolerance in parameters.items()}
     return rl.linearise(rl.with_effects(rl.plant(name, **{n: (v, 0.0) for n, v in moved.items()}), effects))
 
 
-def test_the_uncertain_model_is_the_plant_built_anew():
+def test_the_uncertain_model_is_the_rebuilt_plant():
     parameters = {"R": 0.1, "J": 0.2, "Kf": 0.3}
     coupling = {"f": 40.0, "zeta": 0.05, "share": 0.3}
     nominal = rl.plant("dc-motor")

@@ -34,8 +34,8 @@ def motor(**effects):
 
 
 @pytest.mark.parametrize("name", EFFECTS)
-def test_it_is_what_the_effects_own_law_needs(name):
-    """The law of the simulation, asked at a constant speed, over the torque of an ampere."""
+def test_it_balances_the_effects_law(name):
+    """Evaluate the law of the simulation at a constant speed, over the torque per ampere."""
     plant = rl.with_effects(rl.plant("brushless-motor", Kt=0.05), {name: EFFECTS[name]})
     found, (_, force, _) = feed_forward(plant), plant.laws[0]
     for q, v in ((0.3, 2.0), (-1.7, -0.4), (40.0, 0.9)):
@@ -61,7 +61,7 @@ def test_the_exact_feed_forward_keeps_the_machine_on_its_reference():
 
 
 @pytest.mark.parametrize(
-    ("plant", "says"),
+    ("plant", "message"),
     [
         (lambda: rl.plant("brushless-motor"), "no effect that is a force"),
         (lambda: rl.with_effects(rl.plant("brushless-motor"), {"inertia": {"s": 1.2}}), "no effect that is a force"),
@@ -71,8 +71,8 @@ def test_the_exact_feed_forward_keeps_the_machine_on_its_reference():
         (lambda: rl.with_effects(rl.plant("dc-motor"), {"coulomb-friction": {"Fc": 1e-3}}), "no input that acts"),
     ],
 )  # fmt: skip
-def test_what_it_cannot_do_is_refused(plant, says):
-    with pytest.raises(InputError, match=says):
+def test_unsuitable_plants_are_rejected(plant, message):
+    with pytest.raises(InputError, match=message):
         feed_forward(plant())
 
 
@@ -104,8 +104,8 @@ def test_the_compiled_step_adds_it_before_the_limits(tmp_path, limits):
         row = np.array([r, y, v])
         code.controller_step(state.ctypes.data_as(doubles), row.ctypes.data_as(doubles), out.ctypes.data_as(doubles))
         dry = (0.3 + 0.1 * math.exp(-((v / 0.5) ** 2))) * float(np.sign(v))
-        asked = 2.0 * x[0] + 3.0 * (r - y) + 0.2 * math.cos(7 * r) - 0.9 * math.sin(7 * r) + 0.05 + dry
-        wanted = asked if limits is None else min(max(asked, limits[0]), limits[1])
+        command = 2.0 * x[0] + 3.0 * (r - y) + 0.2 * math.cos(7 * r) - 0.9 * math.sin(7 * r) + 0.05 + dry
+        wanted = command if limits is None else min(max(command, limits[0]), limits[1])
         assert out[0] == pytest.approx(wanted, abs=1e-12)
         x = 0.9 * x + 0.1 * (r - y)
     text = (tmp_path / "k.c").read_text()

@@ -1,4 +1,4 @@
-"""Plants by the name ``file.py:name``: how they are made, and what they say of where they come from."""
+"""Plants by the name ``file.py:name``: construction and provenance."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def mass(plant):
         ("ready", {"M": 51.0}, 51.0),  # a plant that is no function takes them by its with_parameters
         ("fixed", {"M": 52.0}, 52.0),
         ("choice", {"heavy": True}, 500.0),
-        ("choice", {"heavy": True, "M": 501.0}, 501.0),  # what the function does not name goes to the plant
+        ("choice", {"heavy": True, "M": 501.0}, 501.0),  # other names go to the plant
     ],
 )
 def test_a_plant_or_a_function_with_parameters(folder, name, given, expected):
@@ -87,7 +87,7 @@ def test_the_plant_knows_the_hash_of_its_file_and_a_saved_one_keeps_it(folder):
     np.testing.assert_array_equal(rl.linearise(again).B, rl.linearise(plant).B)
 
 
-def test_modules_beside_the_file_are_imported_and_hashed_and_do_not_mix(tmp_path, monkeypatch):
+def test_modules_of_the_folder_are_imported_and_hashed_and_do_not_mix(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name, value in (("one", 10.0), ("two", 20.0)):
         (tmp_path / name).mkdir()
@@ -111,7 +111,7 @@ def test_modules_beside_the_file_are_imported_and_hashed_and_do_not_mix(tmp_path
     assert sys.path == path
 
 
-def test_a_changed_file_is_run_anew(folder):
+def test_a_changed_file_is_run_again(folder):
     assert mass(rl.plant("axis.py:axis")) == 95.0
     (folder / "axis.py").write_text(AXIS.replace("95.0", "90.0"))
     assert mass(rl.plant("axis.py:axis")) == 90.0
@@ -134,7 +134,7 @@ def test_a_data_file_runs_no_code(folder):
     assert not (folder / "was-run").exists()
 
 
-# --- what may be wrong with a file -----------------------------------------------------------------------------------
+# --- faulty files -----------------------------------------------------------------------------------------------------
 
 PLANT = "import robustlab as rl\n"
 FAULTS = {
@@ -177,47 +177,47 @@ EQUATIONS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_faulty_file_is_told_in_one_line(tmp_path, monkeypatch, fault):
+def test_a_faulty_file_gives_one_line(tmp_path, monkeypatch, fault):
     content, expected = FAULTS[fault]
     monkeypatch.chdir(tmp_path)
     (tmp_path / "beside.py").write_text("x = {}\nx['nothing']\n")
     (tmp_path / "torn.py").write_text("x = (\n")
     (tmp_path / "bad.py").write_bytes(content if isinstance(content, bytes) else content.encode())
     modules = set(sys.modules)
-    with pytest.raises(InputError) as told:
+    with pytest.raises(InputError) as caught:
         rl.plant("bad.py:axis")
-    assert str(told.value).startswith(expected)
-    assert "\n" not in told.value.line
+    assert str(caught.value).startswith(expected)
+    assert "\n" not in caught.value.line
     assert not {"beside", "torn"} & (set(sys.modules) - modules)
 
 
 @pytest.mark.parametrize(("right", "wrong"), [(right, wrong) for right in EQUATIONS for wrong in EQUATIONS[right]])
-def test_wrong_equations_are_told_with_the_line_that_uses_them(folder, right, wrong):
+def test_wrong_equations_give_the_line_that_uses_them(folder, right, wrong):
     text = AXIS.replace('"', "'").replace(right, wrong)
     assert text != AXIS.replace('"', "'")
     (folder / "axis.py").write_text(text)
-    with pytest.raises(InputError, match=r"^axis\.py, line \d+: ") as told:
+    with pytest.raises(InputError, match=r"^axis\.py, line \d+: ") as caught:
         rl.plant("axis.py:axis")
-    assert EQUATIONS[right][wrong] in str(told.value)
+    assert EQUATIONS[right][wrong] in str(caught.value)
 
 
-def test_the_nearest_name_is_asked_for(folder):
+def test_the_nearest_name_is_proposed(folder):
     with pytest.raises(InputError, match=r"did you mean axis\?"):
         rl.plant("axis.py:axs")
     with pytest.raises(InputError, match=r"did you mean axis\.py\?"):
         rl.plant("axsi.py:axis")
-    with pytest.raises(InputError, match=r"no such parameter.*\n.*did you mean Fv\?") as told:
+    with pytest.raises(InputError, match=r"no such parameter.*\n.*did you mean Fv\?") as caught:
         rl.plant("axis.py:axis", Fvv=3.0)
-    assert told.value.line.startswith("axis.py, line ")
+    assert caught.value.line.startswith("axis.py, line ")
 
 
 def test_a_missing_optional_package_is_named_with_its_extra(folder, monkeypatch):
     monkeypatch.setitem(sys.modules, "casadi", None)  # as if it were not installed
     (folder / "cart.py").write_text("import robustlab as rl\nimport casadi as ca\n")
-    with pytest.raises(DependencyMissing) as told:
+    with pytest.raises(DependencyMissing) as caught:
         rl.plant("cart.py:cart")
-    assert str(told.value) == "cart.py, line 2: needs casadi\nhint: pip install 'robustlab[casadi]'"
-    assert told.value.exit_code == 5
+    assert str(caught.value) == "cart.py, line 2: needs casadi\nhint: pip install 'robustlab[casadi]'"
+    assert caught.value.exit_code == 5
 
 
 OWN = """
@@ -257,7 +257,7 @@ pendulum = Pendulum("p", {{}}, (Signal("u", "N m"),), (Signal("a", "rad"),), (Si
         ("np.array([1.0 / float(x[0]), u[0]])", "x[:1]", ""),  # not defined at zero, which is no fault
     ],
 )
-def test_a_plant_of_ones_own_class(folder, derivative, output, expected):
+def test_a_plant_of_a_user_class(folder, derivative, output, expected):
     (folder / "own.py").write_text(OWN.format(derivative=derivative, output=output))
     if not expected:
         assert rl.plant("own.py:pendulum").derivative([0.1, 0.2], [0.0])[0] in (0.2, 10.0)

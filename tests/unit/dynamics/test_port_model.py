@@ -66,15 +66,15 @@ def test_a_bare_model_becomes_a_plant_with_the_same_matrices():
 @pytest.mark.parametrize(
     ("plant", "speed", "inertia", "unit"),
     [
-        (MOTOR, "omega", 7.2e-6, "N m"),  # J of its parameters: told by the motor's constant
+        (MOTOR, "omega", 7.2e-6, "N m"),  # J of its parameters, from the motor constant
         (rl.plant("dc-motor", J=3e-5, Kb=-0.02, Km=-0.02), "omega", 3e-5, "N m"),  # wired the other way round
-        (rl.plant("mass-spring-damper", m=2.5), "v", 2.5, "N"),  # told by the force that is its input
+        (rl.plant("mass-spring-damper", m=2.5), "v", 2.5, "N"),  # from the input force
         (rl.plant("two-mass", J1=2e-3), "omega1", 2e-3, "N m"),
         (rl.plant("two-mass", J1=2e-3), "omega2", None, "N m/(kg m2)"),  # only a spring drives it
         (rl.plant("servo-axis"), "v", None, "N/kg"),  # volts act on it at once: its gain may be anything
     ],
 )
-def test_a_bare_models_forces_have_their_unit_where_the_inertia_is_told(plant, speed, inertia, unit):
+def test_a_bare_models_forces_have_their_unit_where_the_inertia_is_known(plant, speed, inertia, unit):
     model = bare(plant)
     joint = port_model(linear_plant_of(model)).ports[speed]
     assert joint.unit == unit
@@ -83,7 +83,7 @@ def test_a_bare_models_forces_have_their_unit_where_the_inertia_is_told(plant, s
     assert linear_plant_of(model).values[f"inertia_{speed}"] == pytest.approx(inertia or 1.0, rel=1e-12)
 
 
-def test_a_discrete_model_and_what_is_none_are_refused():
+def test_discrete_models_and_other_objects_are_rejected():
     model = StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], dt=0.01)
     with pytest.raises(InputError, match=r"discover.*discrete model \(dt = 0.01 s\).*continuous"):
         linear_plant_of(model, "discover")

@@ -1,4 +1,4 @@
-"""Records in recipes/data: simulated by code that is not robustlab's, they say so, and can be made again."""
+"""Records in recipes/data: labelled as simulated, reproducible, made without robustlab."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def rows(name):
 
 
 @pytest.mark.parametrize("name", RECORDS)
-def test_it_says_that_it_is_simulated_and_is_small(name):
+def test_it_is_labelled_as_simulated_and_is_small(name):
     head = (FOLDER / f"{name}.csv").read_text(encoding="utf-8").splitlines()[:5]
     assert head[0].startswith("# SIMULATED")
     assert "not a measurement" in head[0]
@@ -49,7 +49,7 @@ def test_its_maker_is_independent(name):
 
 
 @pytest.mark.parametrize("name", RECORDS)
-def test_it_can_be_made_again(name):
+def test_it_is_reproducible(name):
     file = rows(name)
     again = (
         maker("make_motor_record").simulate(0.25) if name not in JIGS else maker("make_jig_record").simulate(name, 0.4)
@@ -76,8 +76,8 @@ def test_parameters_are_within_the_tolerances_printed_and_assumed():
     }
     for name, (ratio, tolerance) in (printed | assumed).items():
         assert 0 < abs(ratio - 1) <= tolerance, name
-    said = " ".join(of.__doc__.split())
-    assert "one that we assume (R 10 %, L 10 %, motor constant 5 %, rotor 10 %)" in said
+    text = " ".join(of.__doc__.split())
+    assert "one that we assume (R 10 %, L 10 %, motor constant 5 %, rotor 10 %)" in text
 
 
 def test_the_demo_excites_and_disagrees():
@@ -94,8 +94,8 @@ def test_the_demo_excites_and_disagrees():
 
 
 @pytest.mark.slow  # 30 s
-def test_what_is_hidden_in_it_is_named():
-    """What its maker says: a driver that loses 0.6 V, and dry friction of 6 mN m with presliding, which remains."""
+def test_its_hidden_effects_are_named():
+    """Parameters of its script: a driver that loses 0.6 V, and dry friction of 6 mN m with presliding, still there."""
     record = rl.Record.read(FOLDER / "motor_record.csv", inputs=["u"], outputs=["phi", "i"])
     found = rl.discover(rl.plant("dc-motor"), record)
     assert (found.verdict, found.complete) == ("named", False)

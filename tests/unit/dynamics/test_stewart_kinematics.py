@@ -80,7 +80,7 @@ def test_direct_kinematics_is_certified_over_the_workspace():
     assert found.h.max() < 1e-9
 
 
-def test_certificate_is_refused_where_there_is_no_pose():
+def test_no_certificate_without_a_pose():
     lengths = G.home_lengths.copy()
     lengths[0] = 0.5  # longer than the platform allows
     found = stewart.direct_kinematics(G, lengths)

@@ -1,4 +1,4 @@
-"""Plants of one's own beside plants of the registry, and what they offer."""
+"""User-defined plants compared with built-in ones, and their features."""
 
 import numpy as np
 import own_plants
@@ -45,7 +45,7 @@ def test_a_linear_plant_is_that_of_the_registry():
         np.testing.assert_allclose(local.push[0, :, k], ports[place.name].force, rtol=1e-12)
 
 
-def test_a_role_says_the_sign_and_none_is_no_role():
+def test_a_role_determines_the_sign_and_none_is_no_role():
     p = rl.PlantEquations("signs")
     signs = {"inertia": "positive", "viscous-friction": "nonnegative", "torque-constant": "either", "none": "any"}
     for role in signs:
@@ -71,7 +71,7 @@ def test_a_mass_may_be_a_state():
     np.testing.assert_allclose(record["v"], 2000 * np.log(2 / (2 - t / 20)), rtol=1e-9)
 
 
-def test_inputs_that_break_are_honoured_exactly():
+def test_discontinuous_inputs_are_exact():
     """x'' = u with steps in u between samples of different lengths: the motion is a parabola in each."""
     p = rl.PlantEquations("mass")
     F = p.input("F", "N")

@@ -1,4 +1,4 @@
-"""Tapes: every operation against numpy, and tapes that are none."""
+"""Tapes: every operation against numpy, and invalid tapes."""
 
 import casadi as ca
 import numpy as np
@@ -78,7 +78,7 @@ GOOD = {
         ({"constants": np.array(["2"])}, "constants"),
     ],
 )
-def test_what_is_no_tape_is_refused(wrong, message):
+def test_invalid_tapes_are_rejected(wrong, message):
     Tape(**GOOD)
     with pytest.raises(InputError, match=message):
         Tape(**{**GOOD, **wrong})

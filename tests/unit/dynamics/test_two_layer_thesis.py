@@ -77,7 +77,7 @@ def test_upper_loop_has_its_triple_pole_in_every_channel(machines):
     ("preset", "unstable", "stable"),
     [("thesis", (1000, 1500, 2000), (2200, 3000, 10000)), ("physical", (1000, 1400), (1500, 2200, 3000))],
 )
-def test_poles_of_the_lower_layer_that_are_stable(machines, preset, unstable, stable):  # item 25
+def test_stable_poles_of_the_lower_layer(machines, preset, unstable, stable):  # item 25
     plant = machines[preset]
     for p_low in unstable:
         assert closed_loop(plant, two_layer(plant, p_low=p_low)).poles().real.max() > 0
@@ -98,7 +98,7 @@ def test_tracking_error(following):  # items 20, 21
     assert following("thesis").largest_error()[3:].max() * 1e3 < 0.8
 
 
-def test_torque_and_voltage_keep_to_the_motor(following):  # items 22, 23
+def test_torque_and_voltage_are_within_the_motors_limits(following):  # items 22, 23
     run = following("thesis")
     assert run.largest_torque().max() == pytest.approx(0.0087, abs=2e-4)
     assert run.largest_voltage().max() == pytest.approx(20.8, abs=0.05)
@@ -114,8 +114,8 @@ def test_small_motions_are_those_of_the_linear_loop(machines):
     model = closed_loop(plant, controller)
     from robustlab.dynamics import stewart
 
-    asked = stewart.nut_angles(plant.geometry, path.pose(t))
-    linear = rl.simulate(model, t, asked, hold="foh")
+    angles = stewart.nut_angles(plant.geometry, path.pose(t))
+    linear = rl.simulate(model, t, angles, hold="foh")
     for i in range(1, 7):
         size = np.abs(run.phi[:, i - 1]).max()
         np.testing.assert_allclose(run.phi[:, i - 1], linear[f"phi_{i}"], atol=1e-3 * size)

@@ -1,4 +1,4 @@
-"""Uncertain models of nonlinear plants at a trim, against linear models of the plant rebuilt and trimmed anew."""
+"""Uncertain models of nonlinear plants at a trim, against linear models of the plant rebuilt and trimmed again."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def off(left, right) -> float:
 
 
 def rebuilt(plant, uncertain, delta, **where):
-    """The plant with other parameters at its own rest, as its author wrote that down."""
+    """Return the plant with other parameters and its equilibrium by hand."""
     other = plant.with_parameters(**{name: value for name, (value, _) in uncertain.physical(delta).items()})
     return rl.linearise(other, at=other.equilibrium(**where))
 
@@ -57,14 +57,14 @@ def test_mechanisms_are_exact(name, held):
 
 
 def test_repetitions_of_an_affine_form_are_ranks():
-    """The mass of the pole stands in a 2 x 2 matrix m [1 l; l l^2] and in m g l: rank 2; all else is one number."""
+    """The mass of the pole is in a 2 x 2 matrix m [1 l; l l^2] and in m g l: rank 2; all else is one number."""
     plant = plants.cart_pole().with_parameters(l=(0.5, 0.0))
     repeats = {b.name: b.repeats for b in plant.uncertain().blocks}
     assert repeats == {"M": 1, "m": 2, "J": 1, "b": 1, "d": 1}
     assert "repeated as often as its rank asks" in plant.uncertain().blocks[0].origin
 
 
-def test_where_no_input_can_hold_the_states_the_input_is_held():
+def test_the_input_is_held_if_no_input_holds_the_states():
     """By hand: h1' = -c^2 g/(q A) h1 + q/A: at a held inflow rational in all parameters."""
     plant = plants.tank()
     uncertain = plant.uncertain()
@@ -84,7 +84,7 @@ class TestSampled:
     plant = plants.rotor()
     uncertain = plant.uncertain()
 
-    def test_it_says_so(self):
+    def test_the_origin_states_it(self):
         # slope of the thrust at rest: 8 k s / m with s = sqrt(m g / 4 k)
         assert self.uncertain.sampled == ("m", "k", "remainder")
         origins = {b.name: b.origin for b in self.uncertain.blocks}
@@ -156,14 +156,14 @@ def test_worst_gain_is_that_of_the_corners():
     [
         (lambda c: 1 + c + c**2 - c**3, True),
         (lambda c: 1 / c, True),  # a free row is multiplied by c
-        (lambda c: 1 / (3 + c), True),  # or divided by what stands in it
+        (lambda c: 1 / (3 + c), True),  # or divided by it
         (lambda c: 1 + 1e-7 * np.sin(3 * c), False),
         (np.sqrt, False),
         (lambda c: abs(c - 1.02), False),
         (lambda c: np.exp(0.1 * c), False),
     ],
 )
-def test_polynomials_are_told_from_others(slope, exact):
+def test_polynomials_are_detected(slope, exact):
     plant = plants.made(
         "lag", {"c": (1.0, 0.1)}, "q", "h", "h", lambda x, u, f, p: [slope(p["c"]) * (u[0] - 2 * x[0])],
         lambda x, u, p: [x[0]], lambda p: (np.array([0.5]), np.array([1.0])),
@@ -177,7 +177,7 @@ def test_polynomials_are_told_from_others(slope, exact):
 
 
 class TestBadInput:
-    def test_no_rest(self):
+    def test_no_equilibrium(self):
         with pytest.raises(NoTrustworthyNumber) as caught:
             plants.tank().uncertain(hold=["h1", "h2"])
         assert "no rest with what is held: h2 moves (c = 0.0009)" in str(caught.value)
@@ -192,7 +192,7 @@ class TestBadInput:
             ({"at": rl.plant("stewart-platform").equilibrium()}, "a trim of stewart-platform"),
         ],
     )
-    def test_refused(self, options, words):
+    def test_bad_options(self, options, words):
         with pytest.raises(InputError, match=words):
             plants.tank().uncertain(**options)
 
@@ -207,7 +207,7 @@ class TestBadInput:
     ],
 )
 def test_plant_files_are_exact(name, more, at, held):
-    """Against the plant's own trim and linear model with other parameters, at what was held."""
+    """Compare with the trim and linear model of the plant with other parameters and the same held signals."""
     pytest.importorskip("casadi")
     plant = rl.plant(f"{MODELS / name}.py:{name}")
     plant = plant.with_parameters(**{key: (plant.values[key], share) for key, share in more.items()})
