@@ -33,7 +33,7 @@ from robustlab.shown import AllFields, Facts
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft, parallel
 from robustlab.synthesis.hinf.loop_shaping import with_default_performance
 from robustlab.synthesis.nonsmooth.parameter_search import descend
-from robustlab.synthesis.problem.design import Synthesis, design_budget, limiting_channels, told
+from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status, limiting_channels
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.problem.performance_measure import (
     Evidence,
@@ -318,7 +318,7 @@ def _descended(
             WHERE, f"no controller of order {order} could be verified{ended}", hint="a higher order"
         )
     reason = f"{how}; loop rebuilt, {judge.text} proved anew" if how else "no lower order keeps the loss allowed"
-    status, reason = told(performance.status, [reason], budget, "a lower order")
+    status, reason = final_status(performance.status, [reason], budget, "a lower order")
     loop = judge.plant.close(chosen)
     shown = loop if judge.scaled is None else judge.scaled.close(chosen)
     peaks = judge.name != "h2" and performance.frequency >= 0

@@ -18,7 +18,7 @@ from robustlab.shown import AllFields, Facts
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.hinf.loop_shaping import with_default_performance
-from robustlab.synthesis.problem.design import Synthesis, design_budget, told
+from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.problem.performance_measure import given_scalings, plant_with_scalings
 from robustlab.synthesis.sampled.discretisation import (
@@ -394,7 +394,7 @@ def _finished(
     reason = f"{name}: sampled loop rebuilt, {how}"
     if achieved > loss:
         reason += f"; no method tried keeps the loss to {100 * loss:g} %"
-    status, reason = told(norm.status, [reason], budget, "one that loses less")
+    status, reason = final_status(norm.status, [reason], budget, "one that loses less")
     return SampledController(
         K=K,
         gamma=norm.upper,
