@@ -1,4 +1,4 @@
-"""What is computed of a linear model alone: responses, zeros, stability, controllability, matrix equations."""
+"""Analysis of a linear model: responses, zeros, stability, controllability, matrix equations."""
 
 from importlib import import_module
 from typing import Any
