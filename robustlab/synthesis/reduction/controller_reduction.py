@@ -25,6 +25,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.budget import MILLION, dense, one_thread
+from robustlab.checks import whole
 from robustlab.closing import wired
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.result import Status
@@ -221,10 +222,8 @@ def reduce_controller(
     if not 0 <= loss < np.inf:
         raise InputError(WHERE, f"loss is {loss}", "a number >= 0 (0.01: one per cent)")
     budget = design_budget(WHERE, WORK, effort, time_limit)
-    if order is not None and (
-        isinstance(order, bool) or not isinstance(order, (int, np.integer)) or not 0 <= order <= full.n_states
-    ):
-        raise InputError(WHERE, f"order is {order!r}", f"a whole number from 0 to {full.n_states}")
+    if order is not None:
+        whole(f"{WHERE}: order", order, 0, full.n_states)
     if scalings is None and measure in (None, "mu"):
         scalings, blocks = _of_design(design_or_plant, blocks)
     name = measure or _default_measure(design_or_plant, scalings, blocks)

@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args, overload
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.checks import number
+from robustlab.checks import number, whole
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.magnitude import refuse_extremes
@@ -190,12 +190,10 @@ def _check_request(
 ) -> None:
     if (order is None) == (tolerance is None):
         raise InputError("reduce_model", f"order={order}, tolerance={tolerance}", "one of the two")
-    if order is not None and (
-        isinstance(order, bool) or not isinstance(order, (int, np.integer)) or not 0 <= order <= full.n_states
-    ):
-        raise InputError("reduce_model", f"order {order!r}", f"a whole number from 0 to {full.n_states}")
-    if tolerance is not None and not 0 < tolerance < np.inf:
-        raise InputError("reduce_model", f"tolerance {tolerance}", "a positive number")
+    if order is not None:
+        whole("reduce_model: order", order, 0, full.n_states)
+    if tolerance is not None:
+        number("reduce_model: tolerance", tolerance, above=0)
     if method not in METHODS:
         raise InputError("reduce_model", f"method {method!r}", f"one of {', '.join(METHODS)}")
     if weighted and method not in ("truncation", "residualisation"):

@@ -19,6 +19,7 @@ from typing import Any, Literal
 import numpy as np
 
 from robustlab.arrays import AnyArray, Array
+from robustlab.checks import number
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.invariant_zeros import transmission_zeros
@@ -48,7 +49,7 @@ def by_formula(model: Any, dt: float, method: str, prewarp: float | None = None)
     m = as_model(getattr(model, "K", model), "discretise")
     if m.is_discrete:
         raise InputError("discretise", f"the model has dt = {m.dt:g} s", "a continuous model (dt = 0)")
-    _require_sample_time(dt)
+    number("discretise: dt", dt, "a positive sample time in s", above=0)
     if method not in METHODS:
         hint = did_you_mean(str(method), METHODS)
         raise InputError("discretise", f"method {method!r}", f"one of {', '.join(METHODS)}", hint)
@@ -69,11 +70,6 @@ def by_formula(model: Any, dt: float, method: str, prewarp: float | None = None)
         m.states if found.n_states == m.n_states else None,
         m.operating_point if method in ("zoh", "impulse") else None, where=f"discretise ({method})",
     )  # fmt: skip
-
-
-def _require_sample_time(dt: object, where: str = "discretise") -> None:
-    if isinstance(dt, bool) or not isinstance(dt, (int, float, np.number)) or not 0 < dt < np.inf:
-        raise InputError(where, f"dt is {dt!r}", "a positive sample time in s")
 
 
 def _sampled(m: StateSpaceModel, dt: float, method: str) -> StateSpaceModel:
