@@ -70,7 +70,7 @@ def _reduced(plant: GeneralizedPlant, order: int, objective: str, budget: Budget
         if objective == "hinf":
             K = synthesize(plant, objective, FULL_HINF_REL, budget).K
         else:
-            K = synthesize_h2(plant, objective, FULL_H2_REL, budget).K
+            K = synthesize_h2(plant, FULL_H2_REL, budget).K
     except (InputError, NoTrustworthyNumber):
         return None
     if K.n_states <= order:

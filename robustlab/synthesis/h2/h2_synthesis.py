@@ -143,21 +143,7 @@ def h2(
     """
     plant = as_generalized_plant(P, n_meas, n_con, "synth h2")
     require_performance(plant, "synth h2")
-    return synthesize_h2(plant, "h2", gamma_rel, design_budget("synth h2", WORK, effort, time_limit), progress)
-
-
-def synthesize_h2(
-    plant: GeneralizedPlant,
-    method: str,
-    gamma_rel: float,
-    budget: Budget,
-    progress: Callable[[str], None] | None = None,
-) -> H2Synthesis:
-    """Search a controller for `h2`."""
-    if not 1 <= gamma_rel <= 1e6:
-        raise InputError(f"synth {method}", f"gamma_rel is {gamma_rel}", "a number from 1 to 1e6")
-    with one_thread():
-        return _designed(plant, method, gamma_rel, budget, progress or (lambda _: None))
+    return synthesize_h2(plant, gamma_rel, design_budget("synth h2", WORK, effort, time_limit), progress)
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,10 +157,14 @@ class _Trial:
     eps: float
 
 
-def _designed(
-    plant: GeneralizedPlant, method: str, gamma_rel: float, budget: Budget, report: Callable[[str], None]
+@one_thread()
+def synthesize_h2(
+    plant: GeneralizedPlant, gamma_rel: float, budget: Budget, progress: Callable[[str], None] | None = None
 ) -> H2Synthesis:
-    where, dt, matrices = f"synth {method}", plant.model.dt, plant.matrices()
+    """Search a controller for `h2`."""
+    where, dt, matrices = "synth h2", plant.model.dt, plant.matrices()
+    if not 1 <= gamma_rel <= 1e6:
+        raise InputError(where, f"gamma_rel is {gamma_rel}", "a number from 1 to 1e6")
     refuse_extremes(plant.model, where)
     # The search is for K less the direct term that cancels D11.
     gain = _cancelling_gain(matrices, dt, where)
@@ -189,7 +179,7 @@ def _designed(
     for scale in (paths_first, equilibrated):
         scaling = scale(shifted)
         scaling = scaling.in_steps() if dt else scaling
-        if _ladder(plant, shifted, gain, scaling, trials, budget, report) or budget.over:
+        if _ladder(plant, shifted, gain, scaling, trials, budget, progress or (lambda _: None)) or budget.over:
             break
     by_norm = sorted(trials, key=lambda t: t.norm.value)
     if not by_norm:
@@ -223,7 +213,7 @@ def _designed(
         reason=reason,
         limit=chosen.limit,
         plant=plant,
-        method=method,
+        method="h2",
         norm=chosen.norm,
         regularisation=chosen.eps,
         smallest_norm=best.norm.value,

@@ -164,6 +164,8 @@ def hinf(
     return synthesize(plant, "hinf", gamma_rel, budget, bandwidth=bandwidth, progress=progress)
 
 
+@one_thread()
+@np.errstate(over="ignore", invalid="ignore")  # results are verified afterwards
 def synthesize(
     plant: GeneralizedPlant,
     method: str,
@@ -179,25 +181,13 @@ def synthesize(
         raise InputError(where, f"gamma_rel is {gamma_rel}", "a number from 1 to 1e6")
     if bandwidth is not None and not bandwidth > 0:
         raise InputError(where, f"bandwidth is {bandwidth}", "a positive frequency in rad/s")
-    with one_thread(), np.errstate(over="ignore", invalid="ignore"):  # results are verified afterwards
-        return _designed(plant, method, gamma_rel, bandwidth, weights or {}, budget, progress or (lambda _: None))
-
-
-def _designed(
-    plant: GeneralizedPlant,
-    method: str,
-    gamma_rel: float,
-    bandwidth: float | None,
-    weights: Mapping[str, StateSpaceModel],
-    budget: Budget,
-    report: Callable[[str], None],
-) -> HinfSynthesis:
-    refuse_extremes(plant.model, f"synth {method}")
+    refuse_extremes(plant.model, where)
+    report = progress or (lambda _: None)
     continuous = plant.continuous()
     matrices = continuous.matrices()
     scalings = (paths_first(matrices), equilibrated(matrices))
     scaled, rate = scalings[0].apply(matrices), scalings[0].rate
-    require_stabilisable(scaled, plant.model.state_names, f"synth {method}", rate)
+    require_stabilisable(scaled, plant.model.state_names, where, rate)
     lower, assumptions = pointwise_bound(matrices, scalings, plant.model.dt), broken_assumptions(scaled, plant, rate)
     verifier = Verifier(plant, continuous.D22, budget)
     leader, other, disagree = portfolio(matrices, scalings, budget, lower.value)
@@ -205,7 +195,7 @@ def _designed(
     if best is None:
         ended = f": {NOT_REPEATABLE}" if budget.struck else " within the work budget" if budget.over else ""
         raise NoTrustworthyNumber(
-            f"synth {method}",
+            where,
             f"no controller could be verified{ended} ({len(leader.candidates) + len(other.candidates)} were found by "
             "two Riccati equations in two scalings)",
             hint="look at the plant's scaling, at poles and zeros on the imaginary axis, and at D12 and D21",
@@ -248,5 +238,5 @@ def _designed(
         norm=chosen.norm,
         plant=plant,
         method=method,
-        weights=dict(weights),
+        weights=dict(weights or {}),
     )

@@ -81,6 +81,7 @@ class NcfSynthesis(Synthesis):
 
 
 @told_as("synth ncf")
+@one_thread()
 def ncf(G: Any, W1: Any = None, W2: Any = None, *, factor: float = 1.1) -> NcfSynthesis:
     r"""Loop-shaping controller of largest, or nearly largest, coprime stability margin.
 
@@ -134,18 +135,13 @@ def ncf(G: Any, W1: Any = None, W2: Any = None, *, factor: float = 1.1) -> NcfSy
     before, behind = _weight(W1, g, "W1"), _weight(W2, g, "W2")
     if not before.n_inputs or not behind.n_outputs:
         raise InputError(where, "a weight without channels", "at least one input of W1 and one output of W2")
-    with one_thread():
-        return _designed(g, before, behind, factor)
-
-
-def _designed(g: StateSpaceModel, before: StateSpaceModel, behind: StateSpaceModel, factor: float) -> NcfSynthesis:
     shaped = series(series(before, _bare(g)), behind)
     mapped = continuous_models(shaped)
     try:
         equations = coprime_riccati(mapped.models[0])
     except NoTrustworthyNumber as error:
         hint = "a zero of the plant or of a weight may cancel an unstable or integrating pole of the other"
-        raise NoTrustworthyNumber("synth ncf", f"W2 G W1: {error.found}", error.expected, hint) from None
+        raise NoTrustworthyNumber(where, f"W2 G W1: {error.found}", error.expected, hint) from None
     gamma_min = 1 / equations.best_margin
     inner = _central(equations, factor * gamma_min)
     if mapped.dt:
@@ -155,13 +151,13 @@ def _designed(g: StateSpaceModel, before: StateSpaceModel, behind: StateSpaceMod
     inner = named_controller(inner, shaped.outputs, shaped.inputs, shaped.dt)
     margin = coprime_margin(shaped, inner, sign=1)
     if margin.frequency is None:
-        raise NoTrustworthyNumber("synth ncf", f"the rebuilt loop was not verified: {margin.reason}")
+        raise NoTrustworthyNumber(where, f"the rebuilt loop was not verified: {margin.reason}")
     full = series(series(behind, _bare(inner)), before)
     K = named_controller(full, g.outputs, g.inputs, g.dt)
     plant = four_block_plant(g)
     loop = plant.close(K)
     if not surely_stable(loop):
-        raise NoTrustworthyNumber("synth ncf", "the loop of the plant as given with W1 K W2 is not surely stable")
+        raise NoTrustworthyNumber(where, "the loop of the plant as given with W1 K W2 is not surely stable")
     shaped_plant = GeneralizedPlant(four_block(shaped), shaped.n_outputs, shaped.n_inputs)
     norm = HinfNorm(1 / margin.upper, 1 / margin.lower, margin.frequency, margin.status)
     gamma, doubt = certified(shaped_plant, inner, norm)
