@@ -26,6 +26,7 @@ Sign = Literal[-1, 1]
 SIGNS: dict[int, str] = {-1: "u = -K y", 1: "u = K y"}
 WORDS: dict[int, str] = {-1: "negative", 1: "positive"}
 STATE_SIGN = "say it: sign=-1 (u = -K y) or sign=1 (u = K y)"
+RENAME = "signals meet by name: rename them, or leave the names out for their order to count (K.renamed)"
 PADE = 4  # order of the delays where a sign is chosen by the stability of the loop
 LARGEST_GAIN = 1e100  # of a bare number or matrix: above it a loop overflows
 # Numbered names have no meaning.
@@ -34,24 +35,12 @@ COUNTED = re.compile(r"[uy]\d+")
 
 @dataclass(frozen=True, eq=False)
 class Closing:
-    """A plant and a controller that fit each other, ``u = sign K y``.
+    """A plant and a controller that fit each other, ``u = sign K y``."""
 
-    Attributes
-    ----------
-    plant
-        The plant with the inputs that K drives and the outputs that it takes, in K's order.
-    K
-        The controller without inputs for references, which are zero; None if the plant is the open loop itself.
-    sign
-        -1 for negative feedback, 1 for positive feedback.
-    said
-        The loop in words, and the origin of its sign.
-    """
-
-    plant: Any
-    K: Any
-    sign: Sign
-    said: str
+    plant: Any  # with the inputs that K drives and the outputs that it takes, in K's order
+    K: Any  # without inputs for references, which are zero; None if the plant is the open loop itself
+    sign: Sign  # -1 for negative feedback, 1 for positive feedback
+    said: str  # the loop in words, and the origin of its sign
 
 
 def closing(plant: Any, K: Any, sign: int | None = None, where: str = "loop", assumed: Sign | None = -1) -> Closing:
@@ -191,9 +180,6 @@ def _matched(given: Sequence[Signal], wanted: Sequence[Signal], where: str) -> l
     if partly or (known and not counted):
         raise InputError(where, f"K has {listed(_label(s) for s in given)}", listed(_label(s) for s in wanted), RENAME)
     return _by_unit(wanted, given) or list(range(len(given)))
-
-
-RENAME = "signals meet by name: rename them, or leave the names out for their order to count (K.renamed)"
 
 
 def _matched_loop(plant: Any, k: Any, where: str) -> tuple[Any, Any, bool]:

@@ -77,14 +77,7 @@ class Provenance:
 
     def to_json(self) -> dict[str, object]:
         """Return the fields as plain types."""
-        return {
-            "created_by": self.created_by,
-            "created": self.created,
-            "inputs": dict(self.inputs),
-            "seed": self.seed,
-            "versions": dict(self.versions),
-            "note": self.note,
-        }
+        return {**vars(self), "inputs": dict(self.inputs), "versions": dict(self.versions)}
 
     @classmethod
     def from_json(cls, data: Mapping[str, object]) -> Provenance:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
 from robustlab.clocks import is_uniform
-from robustlab.errors import InputError, did_you_mean
+from robustlab.errors import InputError, did_you_mean, unknown_name
 from robustlab.provenance import Traced
 from robustlab.shown import Facts, Shown, number, short, with_units
 from robustlab.signals import MAX_NAME, real_array
@@ -133,9 +133,7 @@ class Record(Shown, Traced):
             if name in group:
                 return group[name]
         known = [*self.inputs, *self.outputs]
-        raise InputError(
-            f"{self.name}: {name!r}", "no such signal", f"one of {', '.join(known)}", did_you_mean(name, known)
-        )
+        raise unknown_name(f"{self.name}: {name!r}", "no such signal", name, known)
 
     def between(self, start: float, stop: float) -> Record:
         """Return the samples with ``start <= t <= stop``; times are not shifted."""

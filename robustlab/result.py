@@ -58,11 +58,9 @@ def plain(value: Any) -> Any:
     Infinities and NaN become the strings ``"inf"``, ``"-inf"``, ``"nan"``: JSON has no such numbers, and null would
     hide them.
     """
-    if value is None or isinstance(value, (bool, str)):
-        return value.value if isinstance(value, Enum) else value
     if isinstance(value, Enum):
         return value.value
-    if isinstance(value, int):
+    if value is None or isinstance(value, (bool, str, int)):
         return value
     if isinstance(value, float):
         return value if math.isfinite(value) else str(value)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array, not_finite
-from robustlab.errors import InputError, UnitMismatch, did_you_mean
+from robustlab.errors import InputError, UnitMismatch, unknown_name
 
 MAX_NAME = 200
 # Hint for complex entries.
@@ -175,18 +175,13 @@ def _numbered(prefix: str, count: int) -> tuple[Signal, ...]:
     return tuple(Signal(f"{prefix}{i + 1}") for i in range(count))
 
 
-def indices(wanted: Sequence[str] | None, known: tuple[str, ...], kind: str) -> list[int]:
+def signal_positions(names: str | Sequence[str] | None, known: Sequence[str], where: str) -> list[int]:
     """Return the positions of the named signals among the known ones; all of them for None."""
-    if wanted is None:
-        return list(range(len(known)))
-    if isinstance(wanted, str):
-        wanted = [wanted]
-    for name in wanted:
+    names = known if names is None else [names] if isinstance(names, str) else list(names)
+    for name in names:
         if name not in known:
-            raise InputError(
-                f"select: {kind} {name!r}", "no such signal", f"one of {', '.join(known)}", did_you_mean(name, known)
-            )
-    return [known.index(name) for name in wanted]
+            raise unknown_name(f"{where} {name!r}", "no such signal", name, known)
+    return [list(known).index(name) for name in names]
 
 
 def picked(key: Any, outputs: tuple[str, ...], inputs: tuple[str, ...]) -> tuple[list[str], list[str]]:
@@ -207,7 +202,7 @@ def _chosen(key: Any, known: tuple[str, ...], kind: str) -> list[str]:
     chosen = []
     for item in [key] if isinstance(key, (str, int, np.integer)) else list(key):
         if isinstance(item, str):
-            chosen.append(known[indices([item], known, kind)[0]])
+            chosen.append(known[signal_positions(item, known, f"select: {kind}")[0]])
             continue
         if isinstance(item, bool) or not isinstance(item, (int, np.integer)) or not -len(known) <= item < len(known):
             raise InputError(

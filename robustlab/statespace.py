@@ -23,7 +23,6 @@ from robustlab.signals import (
     COMPLEX,
     Signal,
     SignalLike,
-    indices,
     inputs_of_product,
     is_constant,
     is_number,
@@ -31,6 +30,7 @@ from robustlab.signals import (
     picked,
     real_array,
     same_units,
+    signal_positions,
     signals,
 )
 
@@ -217,8 +217,8 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
 
         See `robustlab.linear_analysis.structural.drop_unconnected` to remove unconnected states.
         """
-        i = indices(inputs, self.input_names, "input")
-        o = indices(outputs, self.output_names, "output")
+        i = signal_positions(inputs, self.input_names, "select: input")
+        o = signal_positions(outputs, self.output_names, "select: output")
         point = self.operating_point
         if point is not None:
             point = replace(point, u=point.u[i], y=point.y[o])

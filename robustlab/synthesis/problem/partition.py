@@ -10,10 +10,10 @@ import numpy as np
 
 from robustlab.arrays import AnyArray, Array
 from robustlab.closing import wired
-from robustlab.errors import InputError, did_you_mean, told_as
+from robustlab.errors import InputError, told_as
 from robustlab.norms import bilinear_to_continuous
 from robustlab.shown import Facts, Shown, listed, with_units
-from robustlab.signals import Taken
+from robustlab.signals import Taken, signal_positions
 from robustlab.statespace import Signal, StateSpaceModel, as_model, lower_lft
 from robustlab.uncertainty.blocks import Block, structure_size
 from robustlab.uncertainty.lft import UncertainModel
@@ -231,7 +231,7 @@ def generalized_plant(
     u, y = signal_positions(controls, ins, an_input), signal_positions(measurements, outs, an_output)
     w = [i for i in range(len(ins)) if i not in u]
     w = w if disturbances is None else signal_positions(disturbances, ins, an_input)
-    z = list(range(len(outs))) if performance is None else signal_positions(performance, outs, an_output)
+    z = signal_positions(performance, outs, an_output)
     if set(u) & set(w):
         raise InputError(
             "generalized_plant", "an input is both disturbance and control", "two inputs (add one to the model)"
@@ -253,13 +253,3 @@ def _measured(s: Signal, copied: bool) -> Signal:
         return s
     takes, of = (s.takes, s.of) if isinstance(s, Taken) else ("y", s.name)
     return Taken(f"{s.name} measured", s.unit, takes, of)
-
-
-def signal_positions(names: str | Sequence[str], known: Sequence[str], where: str) -> list[int]:
-    """Return the positions of the named signals among the known ones; ``where`` begins the message of an error."""
-    names = [names] if isinstance(names, str) else list(names)
-    for name in names:
-        if name not in known:
-            hint = did_you_mean(name, tuple(known))
-            raise InputError(f"{where} {name!r}", "no such signal", f"one of {', '.join(known)}", hint)
-    return [list(known).index(name) for name in names]

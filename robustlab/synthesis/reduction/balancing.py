@@ -149,19 +149,11 @@ def block_factor(rows: AnyArray) -> AnyArray:
 
 @dataclass(frozen=True, eq=False)
 class Balancing:
-    """Balancing transformation of a pair of Gramian factors.
+    """Balancing transformation of a pair of Gramian factors."""
 
-    Attributes
-    ----------
-    values
-        Hankel values (singular values of ``L_o^T L_c``), shape (n,), in decreasing order.
-    right, left
-        T and its left inverse for the states above NEGLIGIBLE, shapes (n, m) and (m, n).
-    """
-
-    values: AnyArray
-    right: AnyArray
-    left: AnyArray
+    values: AnyArray  # Hankel values, the singular values of `L_o^T L_c`, (n,), in decreasing order
+    right: AnyArray  # T for the m states above NEGLIGIBLE, (n, m)
+    left: AnyArray  # left inverse of T, (m, n)
 
     @classmethod
     def of(cls, reach: AnyArray, see: AnyArray) -> Balancing:
