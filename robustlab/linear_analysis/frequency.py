@@ -132,14 +132,12 @@ def value_at(model: Any, s: ArrayLike) -> ComplexArray:
         raise InputError("G(s)", f"s = {s!r}", "a finite complex number, or a row of them", "G(1j * omega)")
     given = np.atleast_1d(point).astype(np.complex128)
     exact = getattr(model, "values_at", None)  # of a model with more than its state space
-    found = exact(given) if exact is not None else _values(as_model(model, "G(s)"), given)
+    if exact is not None:
+        found = exact(given)
+    else:
+        try:
+            found = _solved(as_model(model, "G(s)"), given)
+        except np.linalg.LinAlgError:
+            raise NoTrustworthyNumber("G(s)", "s hits a pole exactly", "a number that is no pole") from None
+        refuse_overflow("G(s)", found)
     return found if point.ndim else found[0]
-
-
-def _values(model: StateSpaceModel, s: ComplexArray) -> ComplexArray:
-    try:
-        found = _solved(model, s)
-    except np.linalg.LinAlgError:
-        raise NoTrustworthyNumber("G(s)", "s hits a pole exactly", "a number that is no pole") from None
-    refuse_overflow("G(s)", found)
-    return found

@@ -226,7 +226,8 @@ def reduce_controller(
         whole(f"{WHERE}: order", order, 0, full.n_states)
     if scalings is None and measure in (None, "mu"):
         scalings, blocks = _of_design(design_or_plant, blocks)
-    name = measure or _default_measure(design_or_plant, scalings, blocks)
+    norm = "h2" if getattr(design_or_plant, "method", "") == "h2" else "hinf"
+    name = measure or ("mu" if scalings is not None or blocks is not None else norm)
     judge = make_measure(plant, name, blocks, scalings, WHERE, budget)
     with one_thread():
         return _descended(judge, full, loss, order, progress or (lambda _: None))
@@ -255,12 +256,6 @@ def _of_design(given: Any, blocks: Sequence[Block] | None) -> tuple[Any, Sequenc
     if not getattr(scalings, "mixed", False):
         return scalings, blocks
     return None, given.blocks if blocks is None else blocks
-
-
-def _default_measure(given: Any, scalings: Any, blocks: Sequence[Block] | None) -> MeasureName:
-    if scalings is not None or blocks is not None:
-        return "mu"
-    return "h2" if getattr(given, "method", "") == "h2" else "hinf"
 
 
 def _sign_hint(plant: GeneralizedPlant, K: StateSpaceModel) -> str:

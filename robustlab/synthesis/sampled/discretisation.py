@@ -18,7 +18,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from robustlab.arrays import AnyArray, Array
+from robustlab.arrays import AnyArray
 from robustlab.checks import number
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
 from robustlab.linear_analysis.frequency import frequency_response
@@ -131,7 +131,11 @@ def d2c(model: Any, method: Hold = "zoh") -> StateSpaceModel:
     >>> d2c(StateSpaceModel([[0.5]], [[0.5]], [[1.0]], [[0.0]], dt=0.1)).A.round(6)
     array([[-6.931472]])
     """
-    m = _discrete(model, method, "d2c")
+    m = as_model(getattr(model, "K", model), "d2c")
+    if not m.is_discrete:
+        raise InputError("d2c", "the model is continuous (dt = 0)", "a discrete one", "rl.discretise makes one")
+    if method not in HOLDS:
+        raise InputError("d2c", f"method {method!r}", f"one of {', '.join(HOLDS)}", did_you_mean(str(method), HOLDS))
     if method == "tustin":
         return replace(bilinear_to_continuous(m), inputs=m.inputs, outputs=m.outputs, states=m.states)
     from scipy.linalg import expm, logm
@@ -146,7 +150,7 @@ def d2c(model: Any, method: Hold = "zoh") -> StateSpaceModel:
         )
         hint = "method='tustin' maps this pole"
         raise NoTrustworthyNumber("d2c (zoh)", found, "poles off the closed negative real axis", hint)
-    held = _held(m)
+    held = np.block([[m.A, m.B], [np.zeros((m.n_inputs, n)), np.eye(m.n_inputs)]])
     with warnings.catch_warnings():  # scipy's own estimate; the exponential below decides
         warnings.simplefilter("ignore", RuntimeWarning)
         rate: Any = logm(held)
@@ -156,20 +160,6 @@ def d2c(model: Any, method: Hold = "zoh") -> StateSpaceModel:
         raise NoTrustworthyNumber("d2c (zoh)", f"the exponential of log A gives A back to {off:.1e} of its size only")
     rate = rate.real / m.dt
     return replace(m, A=rate[:n, :n], B=rate[:n, n:], dt=0.0)
-
-
-def _discrete(model: Any, method: str, where: str) -> StateSpaceModel:
-    m = as_model(getattr(model, "K", model), where)
-    if not m.is_discrete:
-        raise InputError(where, "the model is continuous (dt = 0)", "a discrete one", "rl.discretise makes one")
-    if method not in HOLDS:
-        raise InputError(where, f"method {method!r}", f"one of {', '.join(HOLDS)}", did_you_mean(str(method), HOLDS))
-    return m
-
-
-def _held(m: StateSpaceModel) -> Array:
-    """Return the transition matrix of the states and held inputs."""
-    return np.block([[m.A, m.B], [np.zeros((m.n_inputs, m.n_states)), np.eye(m.n_inputs)]])
 
 
 # --- matched poles and zeros ------------------------------------------------------------------------------------------

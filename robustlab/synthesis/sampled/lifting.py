@@ -101,7 +101,9 @@ def lift(plant: GeneralizedPlant, dt: float, n_intervals: int, delay: float = 0.
     measured[:, :n] = m.C[n_z:]
     measured += m.D[n_z:, n_w:] @ controls[0] + m.D[n_z:, :n_w] @ held_w
     rest = _rest(intervals, n, m.D[:n_z, free])
-    maps = np.vstack([state, *aged[:-1]]), np.vstack(means), _compressed(np.vstack(rests)), measured
+    rows = np.vstack(rests)  # or, with the same Gram matrix, no more rows than columns
+    rows = rows if len(rows) <= width else np.asarray(np.linalg.qr(rows, mode="r"))
+    maps = np.vstack([state, *aged[:-1]]), np.vstack(means), rows, measured
     wide = [f"{m.input_names[j]}[{i}]" for i in range(N) for j in free] + [m.input_names[j] for j in held]
     return _assembled(plant, dt, (names, wide), maps, N, rest, tuple(int(j) for j in held))
 
@@ -147,11 +149,6 @@ def _assembled(
         where="lifting",
     )  # fmt: skip
     return LiftedPlant(model, N, len(means), len(rests), n_wide, n, plant.n_meas, plant.n_con, held, rest)
-
-
-def _compressed(rows: AnyArray) -> AnyArray:
-    """Return rows with the same Gram matrix, no more than columns."""
-    return rows if len(rows) <= rows.shape[1] else np.asarray(np.linalg.qr(rows, mode="r"))
 
 
 # --- one interval -----------------------------------------------------------------------------------------------------
