@@ -51,7 +51,7 @@ R = TypeVar("R")
 _ARGUMENT = re.compile(
     r"""[\w.]+\((?:[^()]|\([^()]*\))*\)|(?<![\w-])([a-z]\w*)=(\{[^{}]*\}|\[[^\[\]]*\]|'[^']*'|"[^"]*"|\.\.\.|-?\w[\w.]*)"""
 )
-MAX_LINE = 1800  # characters of a message that are shown
+MAX_LINE = 1800  # characters of a message on the terminal
 
 EXIT_OK = 0
 EXIT_REQUIREMENT_NOT_MET = 1
@@ -116,13 +116,13 @@ class RobustlabError(Exception):
 
 
 class UsageError(RobustlabError):
-    """The call itself is off; exit code 2."""
+    """The call itself is wrong; exit code 2."""
 
     exit_code = 2
 
 
 class InputError(RobustlabError, ValueError):
-    """A file, a model, a record or a recipe is not what it must be; exit code 3."""
+    """A file, a model, a record or a recipe is invalid; exit code 3."""
 
     exit_code = 3
 

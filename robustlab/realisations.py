@@ -47,7 +47,7 @@ def tf(
     inputs: Iterable[SignalLike] | None = None,
     outputs: Iterable[SignalLike] | None = None,
 ) -> StateSpaceModel:
-    r"""A model from the coefficients of its transfer function, highest power first.
+    r"""Make a model from the coefficients of its transfer function, highest power first.
 
     .. math:: G(s) = \frac{\mathrm{num}_0 s^m + \cdots + \mathrm{num}_m}{\mathrm{den}_0 s^n + \cdots + \mathrm{den}_n}
 
@@ -123,7 +123,7 @@ def zpk(
     inputs: Iterable[SignalLike] | None = None,
     outputs: Iterable[SignalLike] | None = None,
 ) -> StateSpaceModel:
-    r"""A model from its zeros, poles and gain, without polynomials: its poles are those given, to the last digits.
+    r"""Make a model from its zeros, poles and gain, without polynomials, so that its poles are those given.
 
     .. math:: G(s) = k \frac{(s - z_1) \cdots (s - z_m)}{(s - p_1) \cdots (s - p_n)}
 
@@ -195,7 +195,7 @@ def ss(
     outputs: Iterable[SignalLike] | None = None,
     states: Iterable[SignalLike] | None = None,
 ) -> StateSpaceModel:
-    """A `StateSpaceModel`, from its matrices or from what another program made.
+    """Make a `StateSpaceModel` from its matrices, or convert a model of another program.
 
     Parameters
     ----------

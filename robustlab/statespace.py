@@ -361,7 +361,7 @@ def append(*models: StateSpaceModel) -> StateSpaceModel:
 
     dt = _common_dt(models, "append")
     blocks = [np.asarray(block_diag(*(getattr(m, name) for m in models))) for name in "ABCD"]
-    # block_diag gives a (0, k) matrix a row count of 0 but keeps its columns, as it must be.
+    # block_diag changes the shapes of empty matrices
     n, n_u, n_y = (sum(getattr(m, a) for m in models) for a in ("n_states", "n_inputs", "n_outputs"))
     shapes = ((n, n), (n, n_u), (n_y, n), (n_y, n_u))
     a, b, c, d = (block.reshape(shape) for block, shape in zip(blocks, shapes, strict=True))

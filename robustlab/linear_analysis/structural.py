@@ -236,10 +236,9 @@ def observability(model: Any) -> StructuralTest:
 
 
 def drop_unconnected(model: Any) -> StateSpaceModel:
-    """The model without the states that no input reaches or no output sees, along non-zero entries of A, B and C.
+    """Remove the states without a path of non-zero entries of A, B and C from an input and to an output.
 
-    Nothing is computed: the input-output behaviour from zero initial state is exactly the same. Modes that cancel by
-    value rather than by structure stay.
+    The input-output behaviour from zero initial state is exactly the same. Modes that cancel by value are kept.
     """
     model = as_model(model, "drop_unconnected")
     moved = reached(model.A != 0, (model.B != 0).any(axis=1))

@@ -89,7 +89,7 @@ def h2(
     effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
 ) -> H2Synthesis:
-    r"""H2-optimal (LQG) controller ``u = K y`` with positive feedback into the lower LFT of P.
+    r"""Design the H2-optimal (LQG) controller ``u = K y`` with positive feedback into the lower LFT of P.
 
     .. math:: \min_K \|F_l(P, K)\|_2
 

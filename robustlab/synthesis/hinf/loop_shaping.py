@@ -83,7 +83,7 @@ class NcfSynthesis(Synthesis):
 @told_as("synth ncf")
 @one_thread()
 def ncf(G: Any, W1: Any = None, W2: Any = None, *, factor: float = 1.1) -> NcfSynthesis:
-    r"""Loop-shaping controller of largest, or nearly largest, coprime stability margin.
+    r"""Design the loop-shaping controller of largest, or nearly largest, coprime stability margin.
 
     Sign of K: ``u = K y`` with *positive* feedback, as everywhere in this package and in the literature on this method.
     For negative feedback, ``u = K_n (r - y)``, take ``K_n = -K``.
@@ -94,7 +94,7 @@ def ncf(G: Any, W1: Any = None, W2: Any = None, *, factor: float = 1.1) -> NcfSy
         Plant: StateSpaceModel, UncertainModel (its nominal model) or python-control object; stable or not, continuous
         or discrete, any numbers of inputs and outputs.
     W1, W2
-        Weights before and behind the plant, chosen so that the singular values of ``W2 G W1`` have the wanted shape:
+        Weights before and behind the plant, which give the singular values of ``W2 G W1`` the desired shape:
         large at low, small at high frequencies. None is no weight; a number or a model with one input and one output is
         used on every channel; else a model with as many outputs (W1: inputs of G) or inputs (W2: outputs of G) as fit.
         Integrators and other unstable weights are allowed: they become part of K.

@@ -27,7 +27,7 @@ def mixsyn(
     effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
 ) -> HinfSynthesis:
-    r"""H-infinity controller for weighted sensitivity, control effort and complementary sensitivity.
+    r"""Design an H-infinity controller for weighted sensitivity, control effort and complementary sensitivity.
 
     .. math:: \min_K \left\| \begin{matrix} W_1 S \\ W_2 K S \\ W_3 T \end{matrix} \right\|_\infty, \qquad
         S = (I + G K)^{-1}, \quad T = G K S

@@ -29,7 +29,7 @@ class Realisation(NamedTuple):
 
     @classmethod
     def of(cls, model: StateSpaceModel) -> Realisation:
-        """The matrices of a model."""
+        """Return the matrices of a model."""
         return cls(model.A, model.B, model.C, model.D)
 
 
@@ -142,7 +142,7 @@ class GeneralizedPlant(Shown):
         return GeneralizedPlant(bilinear_to_continuous(self.model), self.n_meas, self.n_con)
 
     def to_model(self) -> StateSpaceModel:
-        """The model."""
+        """Return the model."""
         return self.model
 
     def facts(self) -> Facts:
@@ -192,7 +192,7 @@ def generalized_plant(
     disturbances: Sequence[str] | None = None,
     performance: Sequence[str] | None = None,
 ) -> GeneralizedPlant:
-    r"""Generalised plant from a model or an uncertain model, by signal names.
+    r"""Build a generalised plant from a model or an uncertain model, by signal names.
 
     Inputs are ordered perturbation, disturbances, controls; outputs perturbation, performance, measurements. An output
     may be both performance and measurement; the measured copy is called ``<name> measured``.

@@ -35,14 +35,12 @@ Scalings = tuple[StateSpaceModel, StateSpaceModel]
 
 @dataclass(frozen=True)
 class Performance:
-    """An upper bound of the measure, why it is not proved (empty where it is), its evidence, and the frequency of the
-    peak (NaN where there is none).
-    """
+    """An upper bound of the measure with its evidence."""
 
     value: float
-    doubt: str
+    doubt: str  # why it is not proved; empty if it is
     evidence: Evidence
-    frequency: float
+    frequency: float  # of the peak; NaN without one
 
     @property
     def status(self) -> Status:

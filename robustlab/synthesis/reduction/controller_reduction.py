@@ -149,7 +149,7 @@ def reduce_controller(
     effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
 ) -> ReducedController:
-    r"""The controller of lowest order whose verified closed loop is at most ``1 + loss`` times as bad as the full one.
+    r"""Find the controller of lowest order whose verified loss against the full controller is at most ``loss``.
 
     .. math:: \min \text{order}(K_r) \quad \text{with} \quad J(F_l(P, K_r)) \le (1 + \text{loss}) \, J(F_l(P, K))
 

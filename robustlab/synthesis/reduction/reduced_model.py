@@ -88,7 +88,7 @@ class ReducedModel(Shown):
         return self.model.n_states
 
     def to_model(self) -> StateSpaceModel:
-        """The reduced model."""
+        """Return the reduced model."""
         return self.model
 
     def headline(self) -> str:

@@ -93,7 +93,7 @@ def sampled_data_norm(
     n_con: int | None = None,
     rtol: float = 1e-2,
 ) -> SampledDataNorm:
-    r"""H-infinity norm from w to z of a continuous plant with a digital controller, inter-sample behaviour included.
+    r"""Bound the H-infinity norm from w to z of a continuous plant with a digital controller, also between samples.
 
     The measurements are sampled at ``k dt``, the controls change at ``k dt + delay`` and are held (zero order).
 
