@@ -131,16 +131,16 @@ def wired(blocks: Iterable[Block], J: Array) -> tuple[Array, int]:
 
 def _whole(M: Array, n: int) -> tuple[list[list[int]], list[int], int]:
     """Return M and E with rows and columns scaled to one size and to whole numbers, and the sum of exponents."""
-    there = M != 0
+    nonzero = M != 0
     share, high = np.frexp(M)
     mantissas = np.ldexp(share, 53).astype(np.int64)
-    ends = np.frexp(np.where(there, mantissas & -mantissas, 1).astype(float))[1] - 1  # trailing zeros
+    ends = np.frexp(np.where(nonzero, mantissas & -mantissas, 1).astype(float))[1] - 1  # trailing zeros
     mantissas, low = mantissas >> ends, high - 53 + ends
     row, column = equilibrating_exponents(M)
-    lowest = np.where(there, low + row[:, None] + column, FAR).min(axis=1, initial=FAR)
+    lowest = np.where(nonzero, low + row[:, None] + column, FAR).min(axis=1, initial=FAR)
     lowest[:n] = np.minimum(lowest[:n], row[:n] + column[:n])
     row -= np.where(lowest < FAR, lowest, row)
-    exponents = np.where(there, low + row[:, None] + column, 0)
+    exponents = np.where(nonzero, low + row[:, None] + column, 0)
     rows = [[x << e for x, e in zip(*pair, strict=True)]
             for pair in zip(mantissas.tolist(), exponents.tolist(), strict=True)]  # fmt: skip
     return rows, [1 << e for e in (row[:n] + column[:n]).tolist()], int(row.sum() + column.sum())

@@ -497,8 +497,8 @@ def _hidden_modes(
         value = complex(value)
         stable = bool((1 - abs(value) if discrete else -value.real) > blur)
         involved = tuple(states[weight >= SHARE * weight.max()])
-        shown = complex(*(0.0 if abs(part) <= blur else part for part in (value.real, value.imag)))
-        number = f"{shown.real:.6g}" if shown.imag == 0 else f"{shown.real:.6g}{shown.imag:+.6g}j"
+        rounded = complex(*(0.0 if abs(part) <= blur else part for part in (value.real, value.imag)))
+        number = f"{rounded.real:.6g}" if rounded.imag == 0 else f"{rounded.real:.6g}{rounded.imag:+.6g}j"
         where = f"z = {number}" if discrete else f"{number} rad/s"
         text = f"{'stable' if stable else 'unstable'} mode {where} in {', '.join(involved)}: {word}"
         found.append(HiddenMode(value, stable, involved, text))

@@ -322,13 +322,13 @@ def _on_the_boundary(band: Band | None, m: StateSpaceModel) -> HinfNorm | None:
     nearest = int(np.where(inside, distance, np.inf).argmin())
     # Exact arithmetic decides whether a pole lies on the boundary, not which: it may be none outside the band.
     outside = ~inside & (distance <= NEXT_TO * blur)
-    there = bool(not outside.any() and exactly_on_boundary(m.A, m.is_discrete))
-    return _infinite(complex(poles[nearest]), there) if there or distance[nearest] <= blur else None
+    certain = bool(not outside.any() and exactly_on_boundary(m.A, m.is_discrete))
+    return _infinite(complex(poles[nearest]), certain) if certain or distance[nearest] <= blur else None
 
 
-def _infinite(pole: complex, there: bool) -> HinfNorm:
+def _infinite(pole: complex, certain: bool) -> HinfNorm:
     """Return the norm of a model with a pole on the boundary, or one indistinguishable from it."""
-    if there:
+    if certain:
         text = f"pole {pole_text(pole)} is on the stability boundary"
         return HinfNorm(np.inf, np.inf, np.nan, Status.CERTIFIED, text)
     text = f"pole {pole_text(pole)} cannot be told from the stability boundary"

@@ -183,10 +183,10 @@ def synthesize_h2(
             break
     by_norm = sorted(trials, key=lambda t: t.norm.value)
     if not by_norm:
-        late = f" ({NOT_REPEATABLE})" if budget.struck else ""
+        ended = f" ({NOT_REPEATABLE})" if budget.struck else ""
         raise NoTrustworthyNumber(
             where,
-            f"no controller could be verified{late}: none was found, or none left the rebuilt loop stable",
+            f"no controller could be verified{ended}: none was found, or none left the rebuilt loop stable",
             hint="look at the plant's scaling and at poles and zeros on the stability boundary",
         )
     best = by_norm[0]

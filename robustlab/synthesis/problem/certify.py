@@ -46,25 +46,25 @@ def certified(
     effort: int = EFFORT,
 ) -> Certificate:
     """Prove the norm of the loop of P and K; if that loop has a larger norm, return the larger one with a doubt."""
-    shown = norm.value if isinstance(norm, H2Norm) else norm.upper if level is None else level
-    if not np.isfinite(shown):
-        return Certificate(shown, norm.reason)
+    value = norm.value if isinstance(norm, H2Norm) else norm.upper if level is None else level
+    if not np.isfinite(value):
+        return Certificate(value, norm.reason)
     true = closed_exactly(plant, K)
     work = round(effort * max(1.0, (true.n_states / 20) ** 3))
     if isinstance(norm, H2Norm):
         if not norm.status.trustworthy or not true.n_states:
-            return _in_floats(true, norm, shown, norm.reason)
+            return _in_floats(true, norm, value, norm.reason)
         where = "no Gramian was found"
-        for gamma in (shown, shown * (1 + AGREEMENT)):
+        for gamma in (value, value * (1 + AGREEMENT)):
             for claim in _h2_claims(plant, K, true, gamma):
                 found = check(claim, effort=work)
                 where = found.where
                 if found.outcome is Outcome.PROVED:
                     return Certificate(gamma, "")
     else:
-        numbers, levels = loop_numbers(plant.model, K), [shown]
+        numbers, levels = loop_numbers(plant.model, K), [value]
         if level is None and true.n_states:
-            levels = sorted({shown, *(norm.lower * (1 + share) for share in SHARES)})
+            levels = sorted({value, *(norm.lower * (1 + share) for share in SHARES)})
         for gamma in levels:
             if norm_matrix(true, above(gamma), min(norm.lower, gamma), numbers):  # checked there
                 return Certificate(gamma, "")
@@ -72,7 +72,7 @@ def certified(
         where = found.where
         if found.outcome is Outcome.PROVED:
             return Certificate(levels[-1], "")
-    return _in_floats(true, norm, shown, f"not proved in ball arithmetic of P and K as they are: {where}")
+    return _in_floats(true, norm, value, f"not proved in ball arithmetic of P and K as they are: {where}")
 
 
 def closed_exactly(plant: GeneralizedPlant, K: StateSpaceModel) -> StateSpaceModel:
@@ -83,12 +83,12 @@ def closed_exactly(plant: GeneralizedPlant, K: StateSpaceModel) -> StateSpaceMod
         return StateSpaceModel(A, B, C, D, plant.model.dt)
 
 
-def _in_floats(true: StateSpaceModel, norm: HinfNorm | H2Norm, shown: float, doubt: str) -> Certificate:
+def _in_floats(true: StateSpaceModel, norm: HinfNorm | H2Norm, value: float, doubt: str) -> Certificate:
     """Return the doubt, or the norm of the loop of P and K where it is larger than that of the rebuilt loop."""
     larger = h2_by_gramians(true).value if isinstance(norm, H2Norm) else hinf_norm(true).upper
-    if not shown * (1 + AGREEMENT) < larger < np.inf:
-        return Certificate(shown, doubt)
-    text = f"P and K closed exactly have the norm {larger:.6g}, the rebuilt loop {shown:.6g}: digits were lost"
+    if not value * (1 + AGREEMENT) < larger < np.inf:
+        return Certificate(value, doubt)
+    text = f"P and K closed exactly have the norm {larger:.6g}, the rebuilt loop {value:.6g}: digits were lost"
     return Certificate(larger, text)
 
 

@@ -313,7 +313,7 @@ def _descended(
     reason = f"{how}; loop rebuilt, {judge.text} proved anew" if how else "no lower order keeps the loss allowed"
     status, reason = final_status(performance.status, [reason], budget, "a lower order")
     loop = judge.plant.close(chosen)
-    shown = loop if judge.scaled is None else judge.scaled.close(chosen)
+    measured = loop if judge.scaled is None else judge.scaled.close(chosen)
     peaks = judge.name != "h2" and performance.frequency >= 0
     return ReducedController(
         K=chosen,
@@ -321,7 +321,7 @@ def _descended(
         closed_loop=loop,
         status=status,
         reason=reason,
-        limit=limiting_channels(shown, performance.frequency) if peaks else "",
+        limit=limiting_channels(measured, performance.frequency) if peaks else "",
         plant=judge.plant,
         method=f"reduced {judge.name}",
         original=full,

@@ -360,8 +360,8 @@ def _lost_gain(
     scale = np.where(centre > 0, centre, slow)
     near = np.abs(np.real(apart)) <= NEAR * scale
     centre, scale = centre[near], scale[near]
-    beside = scale[:, None] * WIDTHS
-    sizes = _gains(lost, np.abs(np.stack([centre[:, None] - beside, centre[:, None] + beside]))).max(axis=0)
+    offset = scale[:, None] * WIDTHS
+    sizes = _gains(lost, np.abs(np.stack([centre[:, None] - offset, centre[:, None] + offset]))).max(axis=0)
     elsewhere = max(_gains(lost, np.abs(apart[~near])).max(initial=0.0), sizes[:, :1].max(initial=0.0))
     small = np.logical_and.accumulate(sizes <= max(wanted, 2 * elsewhere), axis=1).sum(axis=1) - 1
     low, high = 0.0, np.pi / dt if dt else np.inf

@@ -382,11 +382,11 @@ def _finished(
 ) -> SampledController:  # fmt: skip
     merged = merged_modes(search.plant.model, search.dt)
     if search.best is None:
-        late = f" ({budget.remark})" if budget.remark else ""
-        fates = [f"{trial.method}: {trial.reason or 'not stable'}" for trial in search.trials]
+        ended = f" ({budget.remark})" if budget.remark else ""
+        outcomes = [f"{trial.method}: {trial.reason or 'not stable'}" for trial in search.trials]
         raise NoTrustworthyNumber(
-            WHERE, f"no digital controller with dt = {search.dt:g} s left the sampled loop stable{late}",
-            hint="a shorter sample time", more=(*map(str, merged), *fates),
+            WHERE, f"no digital controller with dt = {search.dt:g} s left the sampled loop stable{ended}",
+            hint="a shorter sample time", more=(*map(str, merged), *outcomes),
         )  # fmt: skip
     name, K, norm = search.best
     achieved = _loss(norm.upper, search.continuous)
