@@ -1,4 +1,4 @@
-"""Types of arrays in signatures, one set for the whole house; entries that are not finite, and singular matrices."""
+"""Types of arrays in signatures; entries that are not finite, and singular matrices."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.floating[Any]]  # real, double precision throughout
+Array = NDArray[np.floating[Any]]  # real, double precision
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
-AnyArray = NDArray[Any]  # real or complex, as the model or the matrix is
+AnyArray = NDArray[Any]  # real or complex
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 
 
 def not_finite(array: Array, entries: str = "entries") -> tuple[str, str] | None:
-    """Index of the first entry that is NaN or infinite, and the words for it; None where all are finite."""
+    """Return the index of the first entry that is NaN or infinite, and a text; None if all are finite."""
     finite = np.isfinite(array)
     if finite.all():
         return None
@@ -25,7 +25,7 @@ def not_finite(array: Array, entries: str = "entries") -> tuple[str, str] | None
 
 
 def is_rank_deficient(matrix: Array) -> bool:
-    """Whether a square matrix is singular, its rows and columns brought to one size first."""
+    """Return whether a square matrix is singular after scaling rows and columns to one size."""
     scaled = matrix.copy()
     for axis in (1, 0, 1):
         size = np.abs(scaled).max(axis=axis, keepdims=True)

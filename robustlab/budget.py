@@ -1,11 +1,10 @@
-"""How much a search may do: work, counted so that the same call ends the same way everywhere; and one BLAS thread.
+"""Work budgets of searches, which make results repeatable on every machine; and one BLAS thread.
 
-A clock must not decide what an answer is. Searches count what they do (gamma tests, evaluations, frequencies, boxes,
-each with the size of its matrices) and end when a budget of that is used up. A time limit is a guard on top that the
-user may set; where it strikes, the result says so, because it cannot be repeated then.
+Searches count their work (gamma tests, evaluations, frequencies, boxes, each with the size of its matrices) and end
+when their budget is used up. The user may add a time limit; a result that it ended reports that it is not repeatable.
 
-Whoever shows how far a computation is listens to the budgets that are made while it runs (`listening`): they tell the
-work done of the work there is. A search may end long before, so the rest is what it may still take at most.
+Displays of progress listen to the budgets that are made during a computation (`listening`), which report the work done
+and in all. A search may end before its budget.
 """
 
 from __future__ import annotations
@@ -26,21 +25,20 @@ from robustlab.errors import InputError
 if TYPE_CHECKING:
     from threadpoolctl import ThreadpoolController
 
-# A unit of work is what a microsecond does on one core of 2026; a million of them is about a second there.
+# A unit of work takes about a microsecond on one core of 2026.
 MILLION = 1_000_000
-# What every text says of a result whose search the clock ended.
+# Texts of results whose search was ended by the time limit, or by the budget.
 NOT_REPEATABLE = "the time limit ended the search, so the answer depends on the machine and is not repeatable"
-# And where its work was done before the proof was.
 USED_UP = "work budget used up; a larger effort may prove more"
 
-# Takes the work done and the work there is; asked for once, when a budget is made.
+# Takes the work done and the work in all.
 Listener = Callable[[float, float], None]
 _LISTENER: ContextVar[Listener | None] = ContextVar("listener", default=None)
 
 
 @contextmanager
 def listening(listener: Listener | None) -> Iterator[None]:
-    """Budgets made inside the ``with`` block tell ``listener`` their work done and in all, whenever some is spent."""
+    """Let budgets made inside the ``with`` block report their work done and in all to ``listener``."""
     before = _LISTENER.set(listener)
     try:
         yield
@@ -49,18 +47,15 @@ def listening(listener: Listener | None) -> Iterator[None]:
 
 
 def dense(n: int, times: int = 1) -> int:
-    """Work of ``times`` dense factorisations (eigenvalues, Schur, Riccati, singular values) of size n.
-
-    A fixed part, which is what a call costs however small the matrix, and ``n^3`` operations.
-    """
+    """Return the work of ``times`` dense factorisations (eigenvalues, Schur, Riccati, singular values) of size n."""
     return times * (100 + n**3 // 25)
 
 
 class Budget:
-    """Work that may still be done, and perhaps a time limit; asked between steps.
+    """The work left of a search, and perhaps a time limit; checked between steps.
 
     ``work``: units of work (see `MILLION`); inf for a search that ends by itself.
-    ``time_limit``: seconds from now after which it counts as used up; None for no limit.
+    ``time_limit``: in s from now; None for no limit.
 
     Examples
     --------
@@ -79,7 +74,7 @@ class Budget:
         self._struck = self._used_up = False
 
     def spend(self, work: float) -> None:
-        """Count work that was done, here and in the budgets that this one is a part of."""
+        """Count work done, here and in the budgets that this one is a part of."""
         self._work -= work
         if self._parent is not None:
             self._parent.spend(work)
@@ -87,7 +82,7 @@ class Budget:
             self._listener(self._whole - self._work, self._whole)
 
     def share(self, part: float) -> Budget:
-        """A budget of this part of what is left, of work and of time; what it spends is spent here, too."""
+        """Return a budget of this part of the work and time left; its work is counted here, too."""
         child = Budget(part * max(self.left, 0.0))
         if self._end < inf:
             child._end = time.monotonic() + part * max(self._end - time.monotonic(), 0.0)
@@ -95,35 +90,35 @@ class Budget:
         return child
 
     def apart(self, work: float) -> Budget:
-        """A budget of so much work, taken off this one now, for a search beside others that must not see each other."""
+        """Return a budget of so much work, subtracted from this one now, for one of several independent searches."""
         self.spend(work)
         with listening(None):  # counted already
             return Budget(work, None if self.seconds_left == inf else self.seconds_left)
 
     @property
     def left(self) -> float:
-        """Units of work left; negative where a step took more than there was."""
+        """Units of work left; negative if a step took more than there was."""
         return self._work if self._parent is None else min(self._work, self._parent.left)
 
     @property
     def over(self) -> bool:
         """Whether the search has to end: its work is done or its time is up."""
         if self.left <= 0:
-            self._tell("_used_up")
+            self._mark("_used_up")
             return True
         if time.monotonic() < self._end:
             return self._parent is not None and self._parent.over
-        self._tell("_struck")
+        self._mark("_struck")
         return True
 
     @property
     def struck(self) -> bool:
-        """Whether the clock ever ended something here or in a part of this budget: the answer is not repeatable."""
+        """Whether a time limit ended a search here or in a part of this budget: the result is not repeatable."""
         return self._struck
 
     @property
     def remark(self) -> str | None:
-        """What a text has to say of how the search ended: by the clock, by its work; None where it came to its end."""
+        """How the search ended, for texts: by time, by work; None if it was completed."""
         return NOT_REPEATABLE if self._struck else USED_UP if self._used_up else None
 
     @property
@@ -133,21 +128,21 @@ class Budget:
         return own if self._parent is None else min(own, self._parent.seconds_left)
 
     def strike(self) -> None:
-        """Say that the time limit ended something elsewhere: in a solver that has a limit of its own."""
-        self._tell("_struck")
+        """Record that a time limit ended a solver with a limit of its own."""
+        self._mark("_struck")
 
     def use_up(self) -> None:
-        """Say that a search ended because what is left would not have done."""
-        self._tell("_used_up")
+        """Record that a search ended because the work left was too little."""
+        self._mark("_used_up")
 
-    def _tell(self, what: str) -> None:
-        setattr(self, what, True)
+    def _mark(self, flag: str) -> None:
+        setattr(self, flag, True)
         if self._parent is not None:
-            self._parent._tell(what)
+            self._parent._mark(flag)
 
 
 def search_budget(where: str, work: float, effort: float, time_limit: float | None) -> Budget:
-    """The budget of a public function: ``effort`` times its usual work, under the user's time limit.
+    """Return the budget of a public function: ``effort`` times its usual work, under the user's time limit.
 
     Raises InputError: an effort that is not a positive number, or a negative time limit.
     """
@@ -160,9 +155,9 @@ def search_budget(where: str, work: float, effort: float, time_limit: float | No
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """One BLAS thread: the quickest for small matrices, and the same bits on every number of cores.
+    """Run with one BLAS thread: the quickest for small matrices, and the same bits on every number of cores.
 
-    A context, and a decorator: ``@one_thread()``.
+    A context manager and a decorator: ``@one_thread()``.
     """
     with _thread_pools(len(sys.modules)).limit(limits=1):
         yield
@@ -170,14 +165,14 @@ def one_thread() -> Iterator[None]:
 
 @lru_cache(maxsize=1)
 def _thread_pools(_modules: int) -> ThreadpoolController:
-    """The thread pools of the libraries that are loaded; looked for again once more modules are imported."""
+    """Return the thread pools of the loaded libraries; recomputed when more modules are imported."""
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()
 
 
 def child_environment() -> dict[str, str]:
-    """The environment of a child process: ours with one thread, UTF-8, and the folder this package comes from."""
+    """Return the environment of a child process: ours with one thread, UTF-8, and the folder of this package."""
     paths = (str(Path(__file__).resolve().parents[1]), os.environ.get("PYTHONPATH", ""))
     threads = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
     own = {"PYTHONPATH": os.pathsep.join(part for part in paths if part), "PYTHONUTF8": "1"}

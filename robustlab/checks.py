@@ -1,7 +1,6 @@
-"""What an argument must be: a number of a range, a whole number, one of a few words; whoever asks says where it stands.
+"""Checks of arguments: a number of a range, a whole number, one of a few words.
 
-Each check gives the value back in the type that the rest works with, or raises the InputError that names the argument,
-what was found and what was expected.
+Each check returns the value in its type, or raises an InputError with the argument, the value and the expectation.
 """
 
 from __future__ import annotations
@@ -25,9 +24,9 @@ def number(
     below: float = inf,
     at_most: float = inf,
 ) -> float:
-    """A finite real number with ``above < value < below`` and ``at_least <= value <= at_most``, as a float.
+    """Return a finite real number with ``above < value < below`` and ``at_least <= value <= at_most`` as a float.
 
-    ``expected`` is for a unit or a meaning; without it the words come from the range.
+    ``expected``: text of the expectation with unit or meaning; by default that of the range.
     """
     try:
         real = inf if isinstance(value, (bool, str, bytes)) or getattr(value, "ndim", 0) else float(value)
@@ -39,7 +38,7 @@ def number(
 
 
 def whole(where: str, value: Any, at_least: float = 0, at_most: float = inf, hint: str | None = None) -> int:
-    """A whole number from ``at_least`` to ``at_most``, as an int; True and 2.0 are none."""
+    """Return a whole number from ``at_least`` to ``at_most`` as an int; True and 2.0 are refused."""
     try:
         count = None if isinstance(value, bool) else index(value)
     except TypeError:
@@ -51,7 +50,7 @@ def whole(where: str, value: Any, at_least: float = 0, at_most: float = inf, hin
 
 
 def choice(where: str, value: Any, words: Iterable[str], hint: str | None = None) -> str:
-    """One of the words; the closest of them is the hint."""
+    """Return one of the words; the hint of an error is the closest one."""
     known = tuple(words)
     if isinstance(value, str) and value in known:
         return value
@@ -59,7 +58,7 @@ def choice(where: str, value: Any, words: Iterable[str], hint: str | None = None
 
 
 def _range(above: float, at_least: float, below: float, at_most: float) -> str:
-    """The words for a range of numbers."""
+    """Return a range of numbers in words."""
     least, most = max(above, at_least), min(below, at_most)
     if least == -inf:
         return "a finite number" if most == inf else f"a number {'below' if below <= at_most else 'up to'} {most:g}"

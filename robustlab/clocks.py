@@ -1,12 +1,12 @@
-r"""Sampled clocks: sample time, jitter, drift, and signals of several clocks brought on one.
+r"""Time bases of records: sample time, jitter, and signals of several time bases resampled to one.
 
-On a clock :math:`\tau_k` inputs are held, as a D/A converter holds them, and outputs go straight between two samples:
+At times :math:`\tau_k` inputs are held, as by a D/A converter, and outputs are interpolated linearly:
 
 .. math::
     u(\tau) = u_j, \qquad y(\tau) = y_j + \frac{\tau - t_j}{t_{j+1} - t_j} (y_{j+1} - y_j), \qquad
     t_j \le \tau < t_{j+1}.
 
-A time :math:`\tau` that meets a stamp takes over its sample unchanged.
+At a time :math:`\tau` equal to a stamp its sample is unchanged.
 """
 
 from __future__ import annotations
@@ -19,46 +19,40 @@ import numpy as np
 from robustlab.arrays import Array, Mask
 from robustlab.errors import InputError
 
-# Samples further apart than this many sample times have one missing between them.
+# Steps of more than this many sample times have a missing sample.
 NEAR = 1.5
-# A time this close to a stamp (in sample times) is that stamp: the rounding of clocks.
+# Times this close to a stamp (in sample times) are that stamp, up to rounding.
 SAME_TIME = 1e-6
-# A clock that jitters by less than this share of the sample time counts as uniform.
+# Jitter, as a share of the sample time, up to which a time base counts as uniform.
 UNIFORM_TOLERANCE = 1e-3
-# More samples than this many times those recorded are no resampling.
+# Largest ratio of resampled to recorded samples.
 MOST_SAMPLES = 100
-# ppm; less is no drift but the rounding of stamps.
-LEAST_DRIFT = 1e-3
-# Fewer pairs of stamps tell no drift.
-FEWEST_PAIRS = 10
 
 
 def is_uniform(t: Array) -> bool:
-    """True where every step is within 0.1 % of the mean sample time."""
+    """Return whether every step is within 0.1 % of the mean sample time."""
     dt = float(t[-1] - t[0]) / (len(t) - 1)
     return bool(np.abs(np.diff(t) - dt).max() <= UNIFORM_TOLERANCE * dt)
 
 
 def clock_step(t: Array) -> float:
-    """Sample time of a clock in s: the mean of all steps that are no gaps; jitter averages out."""
+    """Return the sample time in s: the mean of all steps that are no gaps; jitter averages out."""
     steps = np.diff(t)
     return float(steps[steps <= NEAR * np.median(steps)].mean())
 
 
 @dataclass(frozen=True)
 class ClockSummary:
-    """What a clock is like."""
+    """Rate, jitter and largest gap of a time base."""
 
-    # n, step: number of samples; sample time in s (`clock_step`)
-    n: int
-    step: float
+    n: int  # number of samples
+    step: float  # sample time in s (`clock_step`)
     jitter: float  # standard deviation in s of the steps that are no gaps
-    # longest, at: longest step in s, and the stamp before it
-    longest: float
-    at: float
+    longest: float  # longest step in s
+    at: float  # the stamp before it
 
     def text(self) -> str:
-        """In words."""
+        """Return the summary in words."""
         words = f"{self.n} samples at {1 / self.step:.6g} Hz"
         if self.jitter > UNIFORM_TOLERANCE * self.step or self.longest > (1 + UNIFORM_TOLERANCE) * self.step:
             words += f", jitter {self.jitter:.3g} s rms, largest gap {self.longest:.4g} s after t = {self.at:.6g} s"
@@ -66,7 +60,7 @@ class ClockSummary:
 
 
 def summarise_clock(t: Array) -> ClockSummary:
-    """Rate, jitter and largest gap of a clock, shape (n,) in s, n >= 2."""
+    """Summarise the time stamps t in s, shape (n,), n >= 2."""
     steps = np.diff(t)
     k = int(np.argmax(steps))
     near = steps[steps <= NEAR * np.median(steps)]
@@ -74,9 +68,9 @@ def summarise_clock(t: Array) -> ClockSummary:
 
 
 def common_clock(where: str, clocks: Mapping[str, Array], dt: float | None = None) -> tuple[Array, str]:
-    """One clock for signals of several, over the time that all of them cover, and the name of the one it follows.
+    """Return one time base for signals of several, over their common time, and the name of the coarsest one.
 
-    Without ``dt`` it follows the coarsest clock (the first of equal ones): its own stamps where they are uniform, else
+    Without ``dt`` it has the stamps of the coarsest time base (the first of equal ones) if they are uniform, else
     stamps in steps of its sample time.
 
     Raises InputError: times that do not overlap by two samples; a sample time that is not positive, longer than the
@@ -100,7 +94,7 @@ def common_clock(where: str, clocks: Mapping[str, Array], dt: float | None = Non
 
 
 def checked_step(where: str, dt: float, t: Array) -> float:
-    """``dt`` where it is a sample time that a record with the stamps ``t`` can be brought on."""
+    """Return ``dt`` if a record with the stamps ``t`` can be resampled to it."""
     duration, own = float(t[-1] - t[0]), clock_step(t)
     if not (np.isfinite(dt) and dt > 0):
         raise InputError(f"{where}: dt", f"{dt} s", "a positive sample time in s")
@@ -113,13 +107,13 @@ def checked_step(where: str, dt: float, t: Array) -> float:
 
 
 def held(clock: Array, t: Array, samples: Array, step: float) -> Array:
-    """The last sample at or before each time of ``clock``; ``step`` (s) is its sample time."""
+    """Return the last sample at or before each time of ``clock``; ``step`` (s) is its sample time."""
     last = np.searchsorted(t, clock + SAME_TIME * step, side="right") - 1
     return samples[np.maximum(last, 0)]
 
 
 def interpolated(clock: Array, t: Array, samples: Array, step: float) -> tuple[Array, Mask, Array]:
-    """Samples on the clock, whether each is a stamp's own, and how far apart in s the stamps around it are."""
+    """Return samples at ``clock``, whether each is at a stamp, and the distance in s of the stamps around it."""
     after = np.clip(np.searchsorted(t, clock, side="left"), 1, len(t) - 1)
     before = after - 1
     share = (clock - t[before]) / (t[after] - t[before])

@@ -6,15 +6,15 @@
     ├── UsageError                          2    the call itself is off (unknown option, unknown name)
     ├── InputError          (ValueError)    3    a file, a model, a record or a recipe is not what it must be
     │   └── UnitMismatch                    3    units given, and they disagree
-    ├── NoTrustworthyNumber (ArithmeticError) 4  the computation ended without a number that can be vouched for
+    ├── NoTrustworthyNumber (ArithmeticError) 4  the computation ended without a trustworthy number
     │   └── NativeTimeout                   4    a native routine did not answer in its time limit
     └── EnvironmentFault    (OSError)       5    disk, permissions, a missing package
         └── DependencyMissing               5    an optional package is not installed
 
 Exit code 0 means done and all requirements met, 1 done but a stated requirement is not met, 70 a bug of ours,
-130 Ctrl-C or SIGTERM, 141 the reader of stdout went away before the result was told (``| head -1``).
+130 Ctrl-C or SIGTERM, 141 the reader of stdout closed it before the end of the result (``| head -1``).
 
-Every message says WHERE, what was FOUND and what was EXPECTED on one line; the hint says what to do next.
+Every message has WHERE, FOUND and EXPECTED on one line; the hint is the next step.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ R = TypeVar("R")
 _ARGUMENT = re.compile(
     r"""[\w.]+\((?:[^()]|\([^()]*\))*\)|(?<![\w-])([a-z]\w*)=(\{[^{}]*\}|\[[^\[\]]*\]|'[^']*'|"[^"]*"|\.\.\.|-?\w[\w.]*)"""
 )
-MAX_LINE = 1800  # characters of a message that are shown
+MAX_LINE = 1800  # characters of a message on the terminal
 
 EXIT_OK = 0
 EXIT_REQUIREMENT_NOT_MET = 1
@@ -65,13 +65,13 @@ class RobustlabError(Exception):
     Parameters
     ----------
     where
-        File, dataset, argument or step that is concerned.
+        File, dataset, argument or step with the error.
     found
-        What was found there.
+        The fault.
     expected
-        What would have been right; left out where ``found`` says it all.
+        The expectation; left out where ``found`` is clear without it.
     hint
-        What the user can do next; arguments in Python syntax, ``name=value``, see `rewritten`.
+        The next step of the user; arguments in Python syntax, ``name=value``, see `rewritten`.
     more
         Further findings of the same kind, one line each (all faults of a file are listed, not the first one only).
     """
@@ -98,7 +98,7 @@ class RobustlabError(Exception):
         return _shown(text)
 
     def retold(self, name: str) -> None:
-        """Put the called function's name before an argument, or in the place of a step's; see `told_as`."""
+        """Put the called function's name before an argument, or in place of a step's; see `told_as`."""
         head, colon, rest = self.where.partition(":")
         if (not head or head in _STEPS) and head != name:
             self.where = f"{name}{colon}{rest}"
@@ -111,34 +111,34 @@ class RobustlabError(Exception):
         return "\n".join(lines)
 
     def __reduce__(self) -> tuple[type, tuple[object, ...]]:
-        # Errors cross process boundaries (the file reader is a child process).
+        # for pickling: errors cross process boundaries (the file reader is a child process)
         return type(self), (self.where, self.found, self.expected, self.hint, self.more)
 
 
 class UsageError(RobustlabError):
-    """The call itself is off; exit code 2."""
+    """The call itself is wrong; exit code 2."""
 
     exit_code = 2
 
 
 class InputError(RobustlabError, ValueError):
-    """A file, a model, a record or a recipe is not what it must be; exit code 3."""
+    """A file, a model, a record or a recipe is invalid; exit code 3."""
 
     exit_code = 3
 
 
 class UnitMismatch(InputError):
-    """Two signals that are to be connected or compared carry different units; exit code 3."""
+    """Two signals to be connected or compared have different units; exit code 3."""
 
 
 class NoTrustworthyNumber(RobustlabError, ArithmeticError):
-    """The computation ended without a number that can be vouched for; exit code 4."""
+    """The computation ended without a trustworthy number; exit code 4."""
 
     exit_code = 4
 
 
 class NativeTimeout(NoTrustworthyNumber):
-    """A native routine did not answer in its time limit; exit code 4."""
+    """A native routine exceeded its time limit; exit code 4."""
 
 
 class EnvironmentFault(RobustlabError, OSError):
@@ -152,9 +152,9 @@ class DependencyMissing(EnvironmentFault):
 
 
 def rewritten(hint: str, written: Callable[[str, str], str | None]) -> str:
-    """Return a hint with its arguments ``name=value`` as ``written`` gives them; None leaves one, and calls stay.
+    """Return a hint with its arguments ``name=value`` rewritten; None leaves one, and calls are unchanged.
 
-    Hints are stored in Python syntax; the command line and recipes show them in their own.
+    Hints are stored in Python syntax; the command line and recipes display them in their own.
 
     Examples
     --------
@@ -169,7 +169,7 @@ def rewritten(hint: str, written: Callable[[str, str], str | None]) -> str:
 
 
 def did_you_mean(name: str, known: list[str] | tuple[str, ...]) -> str | None:
-    """``"did you mean X?"`` for the closest of the known names, or None.
+    """Return ``"did you mean X?"`` for the closest of the known names, or None.
 
     Examples
     --------
@@ -180,28 +180,28 @@ def did_you_mean(name: str, known: list[str] | tuple[str, ...]) -> str | None:
 
     if not isinstance(name, str):
         return None
-    # Names come from files: comparing takes the square of their length, and nobody mistypes thousands of characters.
+    # Names come from files, and the work is the square of their length.
     near = [other for other in known[:2000] if len(other) <= 200] if len(name) <= 200 else []
     close = difflib.get_close_matches(name, near, n=1)
     return f"did you mean {close[0]}?" if close else None
 
 
 def unknown_name(where: str, found: str, name: str, known: Iterable[str]) -> InputError:
-    """The error for a name that is none of those known, which it lists; the closest of them is its hint."""
+    """Return the error for an unknown name, with the known ones and the closest of them as hint."""
     names = tuple(known)
     return InputError(where, found, f"one of {', '.join(names) or 'none'}", did_you_mean(name, names))
 
 
 def _shown(text: str) -> str:
-    """``text`` for a terminal; a name of thousands of characters in a file must not fill the screen."""
+    """Return ``text`` for a terminal, shortened to MAX_LINE."""
     half = MAX_LINE // 2
     return plain_text(text if len(text) <= MAX_LINE else f"{text[:half]} ... {text[-half:]}")
 
 
 def plain_text(text: str) -> str:
-    r"""``text`` without control and bidirectional-override characters, each shown as an escape.
+    r"""Return ``text`` with control and bidirectional-override characters as escapes.
 
-    Names in files are data from outside: an escape sequence in one must not reach the terminal.
+    Names in files are external data: their escape sequences must not reach the terminal.
 
     Examples
     --------
@@ -215,7 +215,7 @@ def plain_text(text: str) -> str:
     )
 
 
-# What WHERE may begin with and is no function that a user called; `told_as` adds the functions themselves.
+# Inner steps with which WHERE may begin; `told_as` adds the functions.
 _STEPS = {
     *("bilinear map", "care", "central controller", "controller", "coprime factors", "dare", "evaluate"),
     *("frequency axis", "gramians", "H-infinity Riccati test", "lifting", "lower_lft", "lyapunov", "lyapunov_factors"),
@@ -224,11 +224,11 @@ _STEPS = {
 
 
 def told_as(name: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Decorator of a function that is built on others: its errors begin with its own name, whoever raised them.
+    """Decorate a function so that errors raised in it begin with its own name.
 
-    The user called ``disk_margin``; that it takes a `robust_stability` on its way is nothing that they could look up.
-    What such functions share says ``": K"`` of an argument K, whoever called: the name is put before it.
-    What is no step of ours, a file or a signal for example, stays as it is.
+    WHERE of an inner step, such as the `robust_stability` of a ``disk_margin``, is replaced by the name. Shared
+    functions write ``": K"`` for an argument K, before which the name is put. Other texts, such as a file or a signal,
+    are unchanged.
 
     Examples
     --------
@@ -259,6 +259,6 @@ def told_as(name: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     return decorate
 
 
-def is_function(thing: object) -> bool:
-    """Whether a thing is a function: a model can be called, ``G(s)``, and is none."""
-    return callable(thing) and not hasattr(thing, "operator_rank")
+def is_function(value: object) -> bool:
+    """Return whether a value is a function, and not a model, which can be called as ``G(s)``."""
+    return callable(value) and not hasattr(value, "operator_rank")

@@ -1,4 +1,4 @@
-"""Packages whose names are imported when they are asked for, so that a command loads only what it needs."""
+"""Lazy import of the names of a package, so that a command loads only the modules it uses."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 
 def lazily(package: str, names: Mapping[str, str]) -> tuple[list[str], Callable[[str], Any]]:
-    """``__all__`` and ``__getattr__`` of a package; ``names``: its module -> the names that it has, with spaces."""
+    """Return ``__all__`` and ``__getattr__`` of a package; ``names``: module -> its names, separated by spaces."""
     module_of = {name: module for module, words in names.items() for name in words.split()}
 
     def get(name: str) -> Any:

@@ -1,4 +1,4 @@
-"""What one writes of models of any kind: ``G(1j)``, ``G.feedback()``, ``2 * G``, ``G + H``, ``G @ K``, ``G ** -1``."""
+"""Operators of models of any kind: ``G(1j)``, ``G.feedback()``, ``2 * G``, ``G + H``, ``G @ K``, ``G ** -1``."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-# The power of a model has that many times its states.
+# Largest exponent: the power of a model has that many times its states.
 LARGEST_POWER = 100
 
 
 class _ToControl:
     """A method ``__call__`` that python-control's ss() does not take for the right-hand side of a nonlinear system.
 
-    ``control.ss(G)`` asks whether G can be called before it asks what G is, and would return an empty system.
+    ``control.ss(G)`` tests ``callable(G)`` before the type of G, and would return an empty system.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
@@ -45,21 +45,21 @@ def _not_for_control(function: F) -> F:
 
 
 class Behaviour:
-    """Base of all kinds of models: the questions that one asks of any of them.
+    """Base of all kinds of models, with the methods common to them.
 
-    The functions that answer stand in the packages above, and look at what they are given: of a set of models they take
-    the nominal one, and what a kind has no answer to is refused with the way to one.
+    The functions are in higher packages: of a set of models they use the nominal one, and refuse kinds that they do not
+    support with a hint.
     """
 
-    operator_rank: ClassVar[int] = 0  # the operand of the higher rank carries out the operation
-    no_model: ClassVar[str] = ""  # of a kind that is no state-space model: what to do instead
-    for_control: ClassVar[str] = "G.to_control() is G as a control.StateSpace"  # what to give python-control
+    operator_rank: ClassVar[int] = 0  # the operand of higher rank performs the operation
+    no_model: ClassVar[str] = ""  # hint of a kind without a state-space model
+    for_control: ClassVar[str] = "G.to_control() is G as a control.StateSpace"  # hint for python-control
 
     def _yields(self, other: Any) -> bool:
         return getattr(other, "operator_rank", 0) > self.operator_rank
 
     def _numbers(self) -> list[str]:
-        """What ``print`` writes below the repr: the model's matrices, or what stands for them."""
+        """Return the lines of ``print`` below the repr: the model's matrices, or their equivalent."""
         return []
 
     def __str__(self) -> str:
@@ -70,26 +70,25 @@ class Behaviour:
         raise InputError("feedback", found, "a model, or a set of models", self.no_model)
 
     def feedback(self, other: Any = 1.0, sign: int | None = None) -> Self:
-        """The closed loop from r to y for ``y = self e, e = r + sign other y``, with the signals of this model.
+        """Return the closed loop from r to y for ``y = self e, e = r + sign other y``, with this model's signals.
 
         Parameters
         ----------
         other
             A model of any kind, a matrix, or a number (for as many inputs as outputs).
         sign
-            -1: negative feedback, ``e = r - other y``; 1: positive. Left out: a controller that comes from a design is
-            closed as it says of itself, anything else with negative feedback.
+            -1: negative feedback, ``e = r - other y``; 1: positive. Left out: a controller from a design has its own
+            sign, anything else negative feedback.
 
         Returns
         -------
         Self
-            A model of the kind of the two that says more: of a model and a set of models it is a set.
+            A model of the more general kind of the two: of a model and a set of models it is a set.
 
         Raises
         ------
         InputError
-            Sizes, sample times or units that do not fit; a sign that contradicts the controller; a kind that has no
-            loops.
+            Sizes, sample times or units that do not fit; a sign that contradicts the controller; a kind without loops.
         NoTrustworthyNumber
             The loop is not well posed.
         """
@@ -97,7 +96,7 @@ class Behaviour:
 
     @_not_for_control
     def __call__(self, s: ArrayLike) -> NDArray[np.complex128]:
-        r"""The transfer matrix at complex numbers: ``G(2j)`` is the response at 2 rad/s.
+        r"""Compute the transfer matrix at complex numbers: ``G(2j)`` is the response at 2 rad/s.
 
         Parameters
         ----------
@@ -119,7 +118,7 @@ class Behaviour:
         return import_module("robustlab.linear_analysis.frequency").value_at(self, s)
 
     def poles(self) -> NDArray[np.complex128]:
-        """Poles in rad/s (in the z plane of a discrete model), shape (n_x,); of a set those of the nominal model.
+        """Return the poles in rad/s (z plane if discrete), shape (n_x,); of a set those of the nominal model.
 
         Raises
         ------
@@ -129,7 +128,7 @@ class Behaviour:
         return import_module("robustlab.statespace").as_model(self, "poles").poles()
 
     def zeros(self) -> NDArray[np.complex128]:
-        """Finite invariant zeros, shape (n_z,), in the same plane; `robustlab.zeros` tells their kinds and directions.
+        """Return the finite invariant zeros (n_z,), in the same plane; `robustlab.zeros` adds kinds and directions.
 
         Raises
         ------
@@ -139,7 +138,7 @@ class Behaviour:
         return import_module("robustlab.linear_analysis.invariant_zeros").zeros(self).values
 
     def step(self, t_end: float | None = None, input: str | None = None) -> Record:
-        """Response to a unit step on one input, from rest.
+        """Simulate the response to a unit step on one input, from rest.
 
         Parameters
         ----------
@@ -151,26 +150,26 @@ class Behaviour:
         Returns
         -------
         Record
-            401 samples, or those of a discrete model: the inputs, and all outputs.
+            All inputs and outputs at 401 samples, or at those of a discrete model.
 
         Raises
         ------
         InputError
-            An unstable model without ``t_end``, several inputs without ``input``, a kind that has no such response.
+            An unstable model without ``t_end``, several inputs without ``input``, a kind without step responses.
         """
         return import_module("robustlab.dynamics.simulation").step_response(self, t_end, input)
 
 
 class TransferMatrix(Behaviour):
-    """Base of models and of sets of them: operators on what their class says of products, sums and inverses.
+    """Base of models and of sets of them: operators by the products, sums and inverses of their class.
 
-    ``G * H`` is ``G @ H``, the product of the transfer matrices in which H comes first in the signal's way, as
-    python-control and MATLAB read it. Operands are models, sets, matrices and numbers, and python-control's objects on
-    the right. A number, or a model with one input and one output, multiplies every channel; added it has to have the
-    size of the other.
+    ``G * H`` is ``G @ H``, the product of the transfer matrices in which the signal passes H first, as in
+    python-control and MATLAB. Operands are models, sets, matrices and numbers, and python-control's objects on the
+    right. A number, or a model with one input and one output, multiplies every channel; in a sum it needs the size of
+    the other.
     """
 
-    __array_ufunc__ = None  # numpy arrays on the left leave the operation to us
+    __array_ufunc__ = None  # numpy arrays on the left defer to this class
 
     def _product(self, second: Any, first: Any) -> Any:
         raise NotImplementedError
@@ -182,11 +181,11 @@ class TransferMatrix(Behaviour):
         raise NotImplementedError
 
     def inverse(self) -> Self:
-        """The inverse of a square transfer matrix."""
+        """Return the inverse of a square transfer matrix."""
         raise NotImplementedError
 
     def __matmul__(self, other: Any) -> Self:
-        """``self @ other``: the product of the transfer matrices; ``other`` comes first in the signal's way."""
+        """Return ``self @ other``, the product of the transfer matrices; the signal passes ``other`` first."""
         if self._yields(other):
             return NotImplemented
         return self._product(self, other)
@@ -197,7 +196,7 @@ class TransferMatrix(Behaviour):
     __mul__, __rmul__ = __matmul__, __rmatmul__
 
     def __truediv__(self, other: Any) -> Self:
-        """Every channel divided by a number."""
+        """Divide every channel by a number."""
         if isinstance(other, bool) or not isinstance(other, (int, float)) or other == 0:
             found = "0" if other == 0 else type(other).__name__
             raise InputError("division", f"by {found}", "a number that is not zero", "write G @ H.inverse()")
@@ -226,7 +225,7 @@ class TransferMatrix(Behaviour):
         return self
 
     def __pow__(self, exponent: int) -> Self:
-        """``G ** -1`` is the inverse, ``G ** 2`` is ``G @ G``, ``G ** 0`` the identity.
+        """Return a power: ``G ** -1`` is the inverse, ``G ** 2`` is ``G @ G``, ``G ** 0`` the identity.
 
         Raises InputError: no whole number, or a model that is not square.
         """
@@ -243,7 +242,7 @@ class TransferMatrix(Behaviour):
 
 
 def carried_by_rank(function: F) -> F:
-    """An interconnection that an operand of a class with a method ``carried`` carries out, and not the function."""
+    """Let an operand with a method ``carried`` perform an interconnection in place of the function."""
 
     @wraps(function)
     def by_rank(*operands: Any, **options: Any) -> Any:

@@ -1,7 +1,6 @@
-"""Where a number came from: versions, hashes, seeds, time.
+"""The origin of results: versions, hashes, seeds, time.
 
-Every file that robustlab writes carries a provenance, so that a result can be traced to the code, the inputs and the
-seed that made it.
+Every file that robustlab writes has a provenance, which traces a result to its code, inputs and seed.
 """
 
 from __future__ import annotations
@@ -18,26 +17,26 @@ from typing import Any, ClassVar
 
 from robustlab.errors import InputError
 
-# In the note of a model whose derivatives are not exact, and of all that is saved from it.
+# In the note of a model whose derivatives are not exact, and of all files made from it.
 BY_DIFFERENCES = "derivatives by differences, not exact"
-# In the note of whatever comes from a file without a content hash, and of all that is saved from it.
+# In the note of an object from a file without a content hash, and of all files made from it.
 NOT_VERIFIED = "not verified by a content hash"
-# What made a plant of the user's own.
+# Origin of a user's plant.
 BY_PLANT_FILE, BY_UNIT = "plant file", "functional mock-up unit"
 
 _LIBRARIES = ("numpy", "scipy", "cvxpy", "clarabel", "control", "h5py")
-# Packages that bring the module of that name. Where both are installed, the files are those of the one that came last,
-# which their metadata does not tell: both versions are named then.
+# Packages with the module of that name. If both are installed, metadata does not show which one was last and has the
+# files: both versions are named.
 _PACKAGES = {"cvxpy": ("cvxpy-base", "cvxpy")}
 
 
 def robustlab_version() -> str:
-    """Version of the installed package."""
+    """Return the version of the installed package."""
     return metadata.version("robustlab")
 
 
 def library_versions() -> dict[str, str]:
-    """Versions of the libraries whose numerics a result depends on; read from the metadata, nothing is imported."""
+    """Return the versions of the numerical libraries, from their metadata, without an import."""
     versions = {"robustlab": robustlab_version(), "python": platform.python_version()}
     for name in _LIBRARIES:
         found: set[str] = set()
@@ -49,7 +48,7 @@ def library_versions() -> dict[str, str]:
 
 
 def file_sha256(path: str | Path) -> str:
-    """SHA-256 of a file's bytes, as a hex string."""
+    """Return the SHA-256 of a file's bytes, as a hex string."""
     digest = hashlib.sha256()
     with Path(path).open("rb") as stream:
         for chunk in iter(lambda: stream.read(1 << 20), b""):
@@ -59,7 +58,7 @@ def file_sha256(path: str | Path) -> str:
 
 @dataclass(frozen=True)
 class Provenance:
-    """Origin of an object: what made it, from which inputs, with which seed and versions."""
+    """Origin of an object: function, inputs, seed and versions."""
 
     created_by: str  # the function or command, for example `"elementwise"`
     created: str  # UTC time in ISO 8601
@@ -72,24 +71,17 @@ class Provenance:
     def now(
         cls, created_by: str, inputs: Mapping[str, str] | None = None, seed: int | None = None, note: str = ""
     ) -> Provenance:
-        """A provenance with the present time and the installed versions."""
+        """Return a provenance with the present time and the installed versions."""
         created = datetime.now(UTC).isoformat(timespec="seconds")
         return cls(created_by, created, dict(inputs or {}), seed, library_versions(), note)
 
     def to_json(self) -> dict[str, object]:
-        """The same as a dict of plain types."""
-        return {
-            "created_by": self.created_by,
-            "created": self.created,
-            "inputs": dict(self.inputs),
-            "seed": self.seed,
-            "versions": dict(self.versions),
-            "note": self.note,
-        }
+        """Return the fields as plain types."""
+        return {**vars(self), "inputs": dict(self.inputs), "versions": dict(self.versions)}
 
     @classmethod
     def from_json(cls, data: Mapping[str, object]) -> Provenance:
-        """Inverse of `to_json`; unknown keys are left out, so that newer minor versions of the format can be read."""
+        """Invert `to_json`; unknown keys are ignored, so that newer minor versions of the format can be read."""
         inputs, versions, seed = data.get("inputs", {}), data.get("versions", {}), data.get("seed")
         if not isinstance(inputs, Mapping) or not isinstance(versions, Mapping):
             raise InputError("provenance", "inputs or versions is not a table", "a mapping of names to texts")
@@ -104,21 +96,20 @@ class Provenance:
 
 
 class Traced:
-    """What a file can hold; once it was loaded, it knows where it comes from."""
+    """Base of objects that files hold, with the provenance of the file they were loaded from."""
 
-    # Of the file it was loaded from; None for what was made in this process. Its note says `NOT_VERIFIED` where no
-    # content hash shows that the file is as it was written.
+    # None for an object made in this process. The note includes `NOT_VERIFIED` if the file has no content hash.
     provenance: ClassVar[Provenance | None] = None
 
     def traced(self, origin: Provenance | None) -> None:
-        """Note where this object comes from; for the one who has just read it, or made it of one that knows."""
+        """Set the provenance, after reading the object or making it from one with a provenance."""
         if origin is not None:
             object.__setattr__(self, "provenance", origin)
 
 
-def code_of(thing: Any) -> dict[str, str]:
-    """File -> SHA-256 of the code that made a plant; empty for what no plant file and no unit made."""
-    origin = getattr(thing, "provenance", None)
+def code_of(plant: Any) -> dict[str, str]:
+    """Return file -> SHA-256 of the code of a plant; empty for plants that are not from a plant file or a unit."""
+    origin = getattr(plant, "provenance", None)
     if not isinstance(origin, Provenance) or origin.created_by not in (BY_PLANT_FILE, BY_UNIT):
         return {}
     return dict(origin.inputs)

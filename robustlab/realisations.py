@@ -1,9 +1,9 @@
-r"""Models from what one writes down: coefficients of transfer functions, matrices, objects of other programs.
+r"""Models from coefficients of transfer functions, zeros and poles, matrices, and objects of other programs.
 
 .. math:: G(s) = \frac{b_n s^n + \cdots + b_0}{s^n + a_{n-1} s^{n-1} + \cdots + a_0} = b_n + C (s I - A)^{-1} B
 
-with the companion matrix of the denominator for A, in states that powers of two balance. Zeros, poles and gain become
-a cascade of sections of first and second order whose A has the poles on its block diagonal: no polynomial is formed.
+with the companion matrix of the denominator for A, in states balanced by powers of two. Zeros, poles and gain become a
+cascade of sections of first and second order whose A has the poles on its block diagonal: no polynomial is formed.
 
 References
 ----------
@@ -28,10 +28,10 @@ from robustlab.statespace import StateSpaceModel, as_model, parallel
 
 Part = tuple[Array, Array, Array]  # A, B, C
 
-# A pole is sensitive where one rounding of each coefficient moves it by more than the first share of its modulus, or
-# the second share of its distance to the stability boundary. Poles nearer than the third share count as on it.
+# A pole is sensitive if one rounding of each coefficient moves it by more than the first share of its modulus, or the
+# second share of its distance to the stability boundary. Poles nearer than the third share count as on it.
 SENSITIVE, NEARER, ON_IT = 1e-3, 0.1, 1e-6
-# A pole of an entry is in the model where one of it is this near, as a share of the entry's norm.
+# Distance, as a share of the entry's norm, up to which a pole of the model is that of the entry.
 LOST = 1e-6
 # Two roots are a conjugate pair, and one is real, up to this share of their modulus.
 PAIRED = 1e-12
@@ -47,7 +47,7 @@ def tf(
     inputs: Iterable[SignalLike] | None = None,
     outputs: Iterable[SignalLike] | None = None,
 ) -> StateSpaceModel:
-    r"""A model from the coefficients of its transfer function, highest power first.
+    r"""Make a model from the coefficients of its transfer function, highest power first.
 
     .. math:: G(s) = \frac{\mathrm{num}_0 s^m + \cdots + \mathrm{num}_m}{\mathrm{den}_0 s^n + \cdots + \mathrm{den}_n}
 
@@ -64,9 +64,9 @@ def tf(
     Returns
     -------
     StateSpaceModel
-        Of one channel with n states, in balanced controllable form; a root that num and den share stays as a mode that
-        no output shows, see `zeros`. Of several channels with the least number of states (`minimal`), so that a pole
-        that entries share is there once.
+        Of one channel with n states, in balanced controllable form; a common root of num and den is an unobservable
+        mode, see `zeros`. Of several channels with the least number of states (`minimal`), so that a pole common to
+        entries occurs once.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def zpk(
     inputs: Iterable[SignalLike] | None = None,
     outputs: Iterable[SignalLike] | None = None,
 ) -> StateSpaceModel:
-    r"""A model from its zeros, poles and gain, without polynomials: its poles are those given, to the last digits.
+    r"""Make a model from its zeros, poles and gain, without polynomials, so that its poles are those given.
 
     .. math:: G(s) = k \frac{(s - z_1) \cdots (s - z_m)}{(s - p_1) \cdots (s - p_n)}
 
@@ -195,30 +195,29 @@ def ss(
     outputs: Iterable[SignalLike] | None = None,
     states: Iterable[SignalLike] | None = None,
 ) -> StateSpaceModel:
-    """A `StateSpaceModel`, from its matrices or from what another program made.
+    """Make a `StateSpaceModel` from its matrices, or convert a model of another program.
 
     Parameters
     ----------
     A
         Real matrix (n_x, n_x). Alone: a model of python-control or of scipy.signal (state space, transfer function,
-        zeros and poles), anything that functions here take for a model, or a matrix or number, a static gain.
+        zeros and poles), any model of this package, or a matrix or number, a static gain.
     B, C, D
         Real matrices (n_x, n_u), (n_y, n_x), (n_y, n_u).
     dt
-        Sample time in s; 0 means continuous time. Of an object that is its own.
+        Sample time in s; 0 means continuous time. An object has its own.
     inputs, outputs, states
         Names, or (name, unit) pairs.
 
     Returns
     -------
     StateSpaceModel
-        What it does is said there.
+        See there.
 
     Raises
     ------
     InputError
-        What `StateSpaceModel` refuses; some of the four matrices without the others; a discrete object whose sample
-        time is not known.
+        As `StateSpaceModel`; some of the four matrices without the others; a discrete object of unknown sample time.
 
     Examples
     --------
@@ -243,7 +242,7 @@ def ss(
 
 
 def _converted(system: Any) -> StateSpaceModel:
-    """A model of python-control or scipy, or anything that is one here."""
+    """Convert a model of python-control, scipy or this package."""
     program, kind = type(system).__module__.partition(".")[0], type(system).__mro__
     if program == "scipy" and any(parent.__name__ in ("lti", "dlti") for parent in kind):
         if system.dt is True:
@@ -258,7 +257,7 @@ def _converted(system: Any) -> StateSpaceModel:
 
 
 def _levels(given: Any) -> int:
-    """How deep lists are nested; an array counts its dimensions."""
+    """Return how deep lists are nested; an array counts its dimensions."""
     if isinstance(given, (list, tuple)):
         return 1 + max(map(_levels, given), default=0)
     return np.ndim(given)
@@ -275,7 +274,7 @@ def _least(
     parts: list[Part], D: Any, entries: dict[tuple[int, int], list[Part]], dt: float, inputs: Any, outputs: Any,
     where: str,
 ) -> StateSpaceModel:  # fmt: skip
-    """Sum up parts of a transfer matrix, pair by pair, each sum in least order; warn of what an entry itself cancels.
+    """Sum up parts of a transfer matrix, pair by pair, each sum in least order; warn of cancellations in an entry.
 
     ``entries``: the realisation of each entry alone.
     """
@@ -297,7 +296,7 @@ def _least(
 
 
 def _warn_of_sensitive_poles(den: Array, dt: float) -> None:
-    """Warn where the last digits of the coefficients decide about a pole."""
+    """Warn if the last digits of the coefficients decide a pole."""
     roots = np.roots(den)
     if len(roots) < 3:
         return
@@ -323,7 +322,7 @@ def _warn_of_sensitive_poles(den: Array, dt: float) -> None:
 
 
 def cascade(zeros: Any, poles: Any, gain: float, dt: float, where: str) -> StateSpaceModel:
-    """Realise a transfer function by sections of first and second order in series, the last one's states first."""
+    """Realise a transfer function by sections of first and second order in series, the last section's states first."""
     (z, real_z), (p, real_p) = (_roots(name, given, where) for name, given in (("zeros", zeros), ("poles", poles)))
     n_zeros, n_poles = 2 * len(z) + len(real_z), 2 * len(p) + len(real_p)
     if n_zeros > n_poles:
@@ -349,7 +348,7 @@ def cascade(zeros: Any, poles: Any, gain: float, dt: float, where: str) -> State
 
 
 def _section(poles: list[complex], zeros: list[complex]) -> tuple[tuple[Array, Array, Array, float], float]:
-    """Realise one or two poles with as many zeros at most, gain about one; and the factor that it is too small by."""
+    """Realise one or two poles with at most as many zeros, gain about one, and return the missing factor."""
     first, last = poles[0].real, poles[-1].real
     size = 2.0 ** round(float(np.log2(max(map(abs, poles)) or 1.0)))
     unit = size ** (len(poles) - len(zeros))
@@ -370,7 +369,7 @@ def _section(poles: list[complex], zeros: list[complex]) -> tuple[tuple[Array, A
 
 
 def _roots(name: str, given: Any, where: str) -> tuple[list[complex], list[complex]]:
-    """Return the upper one of every conjugate pair, and the real roots in their order."""
+    """Return the upper root of every conjugate pair, and the real roots in order."""
     try:
         roots: ComplexArray = np.atleast_1d(np.asarray(given, dtype=np.complex128))
     except (TypeError, ValueError):
@@ -390,7 +389,7 @@ def _roots(name: str, given: Any, where: str) -> tuple[list[complex], list[compl
 
 
 def _proper(num: Any, den: Any, where: str) -> tuple[Array, Array]:
-    """Numerator, as long as the denominator, and the denominator, which begins with 1."""
+    """Return the numerator, as long as the denominator, and the monic denominator."""
     given = [real_array(name, np.atleast_1d(value), 1, where) for name, value in (("num", num), ("den", den))]
     b, a = (np.trim_zeros(polynomial, "f") for polynomial in given)
     if not len(a) or not len(given[0]):
@@ -407,7 +406,7 @@ def _proper(num: Any, den: Any, where: str) -> tuple[Array, Array]:
 
 
 def _of_columns(entries: list[list[tuple[Array, Array]]]) -> list[Part]:
-    """Realise entries [i][j] without their direct terms: in each column one controllable form for each denominator."""
+    """Realise entries [i][j] without direct terms: in each column one controllable form for each denominator."""
     p, m = len(entries), len(entries[0])
     parts = list[Part]()
     for j in range(m):

@@ -1,7 +1,6 @@
 """Records: time series of inputs and outputs, measured or simulated.
 
-A record is what a simulation returns and what a measurement is read into, so that the two can be compared.
-It lives below `robustlab.dynamics` because a simulation makes one; reading measured files is `Record.read`.
+Simulations return records, and measured files are read into records (`Record.read`), so that both can be compared.
 """
 
 from __future__ import annotations
@@ -16,11 +15,10 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
 from robustlab.clocks import is_uniform
-from robustlab.errors import InputError, did_you_mean
+from robustlab.errors import InputError, did_you_mean, unknown_name
 from robustlab.provenance import Traced
 from robustlab.shown import Facts, Shown, number, short, with_units
-from robustlab.signals import MAX_NAME
-from robustlab.statespace import real_array
+from robustlab.signals import MAX_NAME, real_array
 
 if TYPE_CHECKING:
     import pandas
@@ -28,25 +26,25 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, init=False, eq=False)
 class Record(Shown, Traced):
-    """Time series with one strictly increasing clock; immutable.
+    """Time series with strictly increasing times; immutable.
 
     Parameters
     ----------
     t
         Times in s, shape (n,), strictly increasing.
     inputs, outputs
-        Name -> samples, each of shape (n,). Every name is used once over both.
+        Name -> samples, each of shape (n,). Names are unique over both.
     units
-        Name -> unit; signals without one carry an empty unit (not stated).
+        Name -> unit; empty (not stated) where left out.
     name
-        What messages and figures call this record.
+        Name of this record in messages and figures.
     meaning
         Name -> free text.
 
     Raises
     ------
     InputError
-        Lengths that differ, NaN or Inf (with the index), a clock that stands still or runs backwards (with the sample).
+        Lengths that differ, NaN or Inf (with the index), times that do not increase (with the sample).
 
     Examples
     --------
@@ -88,9 +86,9 @@ class Record(Shown, Traced):
         if twice:
             raise InputError(name, f"signal {twice[0]!r} is both an input and an output", "unique names")
         known = [*ins, *outs]
-        for what, given in (("units", units), ("meaning", meaning)):
+        for argument, given in (("units", units), ("meaning", meaning)):
             if not isinstance(given, Mapping | None):
-                raise InputError(f"{name}: {what}", repr(given), "texts by names of signals, {...}, or None")
+                raise InputError(f"{name}: {argument}", repr(given), "texts by names of signals, {...}, or None")
             for key in given or {}:
                 if key not in known and key != "t":
                     raise InputError(
@@ -121,26 +119,24 @@ class Record(Shown, Traced):
 
     @property
     def is_uniform(self) -> bool:
-        """True where every step is within 0.1 % of the mean sample time."""
+        """Whether every step is within 0.1 % of the mean sample time."""
         return is_uniform(self.t)
 
     def unit(self, name: str) -> str:
-        """Unit of the named signal; empty where not stated."""
+        """Return the unit of the named signal; empty where not stated."""
         self[name]
         return self.units[name]
 
     def __getitem__(self, name: str) -> Array:
-        """Samples of the named signal."""
+        """Return the samples of the named signal."""
         for group in (self.inputs, self.outputs):
             if name in group:
                 return group[name]
         known = [*self.inputs, *self.outputs]
-        raise InputError(
-            f"{self.name}: {name!r}", "no such signal", f"one of {', '.join(known)}", did_you_mean(name, known)
-        )
+        raise unknown_name(f"{self.name}: {name!r}", "no such signal", name, known)
 
     def between(self, start: float, stop: float) -> Record:
-        """The samples with ``start <= t <= stop``; the clock is not shifted."""
+        """Return the samples with ``start <= t <= stop``; times are not shifted."""
         keep = (self.t >= start) & (self.t <= stop)
         inputs, outputs = ({k: v[keep] for k, v in side.items()} for side in (self.inputs, self.outputs))
         return replace(self, t=self.t[keep], inputs=inputs, outputs=outputs)
@@ -160,16 +156,15 @@ class Record(Shown, Traced):
         Parameters
         ----------
         path
-            The file; its kind is told by its content.
+            The file; its content determines its kind.
         group
             HDF5 group or MATLAB struct that holds the signals.
         inputs, outputs
-            Names of the signals to take; ``"u=SIGNAL"`` takes SIGNAL and calls it u. With neither given, all are
+            Names of the signals to read; ``"u=SIGNAL"`` reads SIGNAL under the name u. With neither given, all are
             outputs; with inputs only, all others are.
         dt
-            Sample time in s; wins over what the file says. Signals of several clocks (logs of Simulink) are brought on
-            one of this sample time, or on the coarsest of theirs: inputs held, outputs interpolated, and
-            ``meaning["t"]`` says how much.
+            Sample time in s, in place of the file's. Signals of several time bases (logs of Simulink) are resampled to
+            this sample time, or to the coarsest of theirs: inputs held, outputs interpolated; see ``meaning["t"]``.
         **options
             ``clock``, ``units``, ``delimiter``, ``decimal``, ``allow_gaps``, ``no_verify``; see
             `robustlab.files.records.RecordOptions`. ``limits``, ``isolate``; see `robustlab.files.hdf5.read_tree`.
@@ -177,12 +172,12 @@ class Record(Shown, Traced):
         Returns
         -------
         Record
-            The signals in SI units where ``units`` says what they are in, else as they are.
+            The signals in SI units where ``units`` states theirs, else unchanged.
 
         Raises
         ------
         InputError
-            What is wrong with the file: signals that are missing or no columns of numbers, no clock, missing samples.
+            Missing signals, columns that are no numbers, no times, missing samples.
         """
         from robustlab.files.records import RecordOptions, read_record
 
@@ -191,13 +186,13 @@ class Record(Shown, Traced):
         return cls(**read_record(path, wanted, **reading))
 
     def to_pandas(self) -> pandas.DataFrame:
-        """The record as a data frame of pandas (extra ``frames``).
+        """Return the record as a data frame of pandas (extra ``frames``).
 
         Returns
         -------
         pandas.DataFrame
             Index ``t`` in s, a column for each signal, inputs first. ``attrs`` holds ``name``, ``units``, ``meaning``,
-            ``inputs`` and ``outputs``; with them `from_pandas` gives the same record, bit for bit.
+            ``inputs`` and ``outputs``, from which `from_pandas` makes the same record, bit for bit.
 
         Raises
         ------
@@ -222,23 +217,22 @@ class Record(Shown, Traced):
         outputs: Sequence[str] | None = None,
         units: Mapping[str, str] | None = None,
     ) -> Record:
-        """A record of the columns of a data frame (extra ``frames``).
+        """Make a record of the columns of a data frame (extra ``frames``).
 
         Parameters
         ----------
         frame
-            Rows are samples. The index holds the times: numbers in s, durations, or dates (which then count from the
-            first); of numbered rows a column ``t`` or ``time`` does.
+            Rows are samples. The index has the times: numbers in s, durations, or dates (counted from the first); of
+            numbered rows a column ``t`` or ``time``.
         inputs, outputs
-            As in `read`; what ``frame.attrs`` says where left out.
+            As in `read`; from ``frame.attrs`` where left out.
         units
-            Unit that the numbers of a column are in: they are converted to SI. A unit in ``frame.attrs["units"]`` is a
-            label.
+            Unit of the numbers of a column, which are converted to SI. A unit in ``frame.attrs["units"]`` is a label.
 
         Raises
         ------
         InputError
-            Columns that are no numbers, have one name, or are nested; NaN; no clock, or one that does not run forwards.
+            Columns that are no numbers, have one name, or are nested; NaN; no times, or times that do not increase.
         DependencyMissing
             pandas is not installed.
 
@@ -256,14 +250,13 @@ class Record(Shown, Traced):
         return cls(**keywords_of_frame(frame, inputs, outputs, units))
 
     def to_json(self) -> dict[str, object]:
-        """All samples as plain types."""
+        """Return all samples as plain types."""
         return {"name": self.name, "t": self.t, "inputs": self.inputs, "outputs": self.outputs, "units": self.units}
 
     def facts(self) -> Facts:
-        """Size, clock, signals with units."""
-        clock = (
-            f"every {number(self.dt, 's')}" if self.is_uniform else f"{number(self.dt, 's')} on average, not uniform"
-        )
+        """Return size, sample time, signals with units."""
+        step = number(self.dt, "s")
+        clock = f"every {step}" if self.is_uniform else f"{step} on average, not uniform"
         return [
             ("name", self.name),
             ("samples", f"{self.n}, {clock}, {number(self.duration, 's')} in all"),

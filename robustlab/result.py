@@ -1,4 +1,4 @@
-"""What every result has: a status, and a way to become plain JSON."""
+"""Common parts of results: the status, and the conversion to plain JSON."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from robustlab.shown import Facts, Shown, in_words
 
 
 class Status(StrEnum):
-    """How much a number can be trusted; only CERTIFIED and CONVERGED may end in exit code 0.
+    """How far a number can be trusted; only CERTIFIED and CONVERGED may end in exit code 0.
 
     CERTIFIED
-        The value was re-derived from its evidence outside the solver: it is a proof up to stated rounding.
+        The value was re-derived from its evidence outside the solver: it is proved up to stated rounding.
     CONVERGED
-        The method ended as intended and its value was re-evaluated; it is not a proof of optimality.
+        The method ended as intended and its value was re-evaluated; optimality is not proved.
     INACCURATE
-        There is a value, but digits were lost; the evidence says how many.
+        There is a value, but digits were lost; see the evidence.
     INFEASIBLE
-        It was shown that no solution exists; the evidence says why.
+        No solution exists, as the evidence shows.
     INCONCLUSIVE
-        Neither a value nor an impossibility could be shown, or the work budget ended a search before its end; a larger
-        effort may do.
+        Neither a value nor an impossibility could be shown, or the work budget ended the search; a larger effort may
+        succeed.
     TIMEOUT
-        The user's time limit ended the search; what was proved by then is kept. It depends on the machine and its load:
-        not repeatable.
+        The user's time limit ended the search; the bounds proved by then are kept. The result depends on the machine
+        and its load.
     FAILED
         The method broke down; there is no value.
     """
@@ -43,26 +43,24 @@ class Status(StrEnum):
 
     @property
     def trustworthy(self) -> bool:
-        """True for CERTIFIED and CONVERGED."""
+        """Whether CERTIFIED or CONVERGED."""
         return self in (Status.CERTIFIED, Status.CONVERGED)
 
 
 def least_trusted(statuses: Sequence[Status]) -> Status:
-    """The status that says least; it is that of several results together."""
+    """Return the least trusted status, which is that of several results together."""
     return max(statuses, key=list(Status).index)
 
 
 def plain(value: Any) -> Any:
-    """``value`` as JSON types: arrays become nested lists, complex numbers ``{"re": .., "im": ..}``.
+    """Convert ``value`` to JSON types: arrays become nested lists, complex numbers ``{"re": .., "im": ..}``.
 
     Infinities and NaN become the strings ``"inf"``, ``"-inf"``, ``"nan"``: JSON has no such numbers, and null would
     hide them.
     """
-    if value is None or isinstance(value, (bool, str)):
-        return value.value if isinstance(value, Enum) else value
     if isinstance(value, Enum):
         return value.value
-    if isinstance(value, int):
+    if value is None or isinstance(value, (bool, str, int)):
         return value
     if isinstance(value, float):
         return value if math.isfinite(value) else str(value)
@@ -81,7 +79,7 @@ def plain(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class Result(Shown, Traced):
-    """A result as it comes back from a file: what kind of result it was, its status, and its data.
+    """A result read from a file: its type, its status, and its data.
 
     Attributes
     ----------
@@ -90,7 +88,7 @@ class Result(Shown, Traced):
     status
         Its status.
     data
-        What its ``to_json`` gave; arrays are numpy arrays.
+        The result of its ``to_json``; arrays are numpy arrays.
     """
 
     type: str
@@ -98,21 +96,21 @@ class Result(Shown, Traced):
     data: Mapping[str, Any]
 
     def facts(self) -> Facts:
-        """The type that it was saved from, and its data in a few words each."""
-        told = [(name, in_words(value)) for name, value in self.data.items() if name not in ("status", "type")]
-        return [("type", self.type), *told]
+        """Return the type that was saved, and its data in a few words each."""
+        rows = [(name, in_words(value)) for name, value in self.data.items() if name not in ("status", "type")]
+        return [("type", self.type), *rows]
 
     def to_json(self) -> dict[str, Any]:
-        """The data with type and status."""
+        """Return the data with type and status."""
         return {"type": self.type, **self.data, "status": self.status}
 
 
 @dataclass(frozen=True)
 class Evidence(Shown):
-    """Base of the parts of a result: arrays, also those in tables, become read-only when it is made."""
+    """Base of the parts of a result: its arrays, also those in tables, are read-only."""
 
     def __post_init__(self) -> None:
-        import numpy as np  # not at the top: the command line asks for a status without it
+        import numpy as np  # not at the top: the command line needs a status without it
 
         for value in vars(self).values():
             for item in value.values() if isinstance(value, Mapping) else (value,):
@@ -120,20 +118,20 @@ class Evidence(Shown):
                     item.setflags(write=False)
 
     def to_json(self) -> dict[str, object]:
-        """All fields."""
+        """Return all fields."""
         return dict(vars(self))
 
 
 @dataclass(frozen=True, eq=False)
 class Bracket(Shown):
-    """Two bounds of one number, where it is attained, and how far both can be trusted: base of a question's results.
+    """Two bounds of one number, where it is attained, and how far both can be trusted.
 
     Attributes
     ----------
     lower, upper
-        ``lower <= number <= upper``; a class says which of them is proved, and which attained.
+        ``lower <= number <= upper``; a class defines which of them is proved, and which attained.
     frequency
-        Where it is attained, rad/s; None where that is unknown or has no meaning.
+        Where it is attained, rad/s; None where unknown or without meaning.
     status
         CERTIFIED where both were re-derived from their evidence.
     """

@@ -1,4 +1,4 @@
-"""Signals: names with units, the arrays that belong to them, and which of them are meant."""
+"""Signals: names with units, their arrays, and their selection."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array, not_finite
-from robustlab.errors import InputError, UnitMismatch, did_you_mean
+from robustlab.errors import InputError, UnitMismatch, unknown_name
 
 MAX_NAME = 200
-# Why complex entries are refused, and what to do with them.
+# Hint for complex entries.
 COMPLEX = (
     "margins, norms and designs take frequencies from 0 up, which is enough for real models alone; write a complex one "
     "as a real one of twice the size, [[Re, -Im], [Im, Re]] in the place of each matrix; .real where Im is rounding"
@@ -35,12 +35,12 @@ class Signal(NamedTuple):
     unit: str = ""
 
 
-# What an input of a controller takes of a signal y with the reference r -> the sign with which y comes in.
+# What an input of a controller takes of a signal y with the reference r -> the sign of y.
 TAKES = {"y": 1, "-y": -1, "r - y": -1, "y - r": 1, "r": 0}
 
 
 class Taken(Signal):
-    """An input of a controller that knows what it takes: with it the sign of the feedback travels with the model.
+    """An input of a controller with a record of what it takes, and thus of the sign of the feedback.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class Taken(Signal):
     of: str
 
     def __new__(cls, name: str, unit: str = "", takes: str = "y", of: str = "") -> Taken:
-        """An input of this name; one word for what it takes."""
+        """Make an input of this name."""
         if takes not in TAKES:
             raise InputError(f"input {name!r}", f"takes {takes!r}", f"one of {', '.join(TAKES)}")
         made = super().__new__(cls, name, unit)
@@ -66,22 +66,22 @@ class Taken(Signal):
 
     @property
     def sign(self) -> int:
-        """The sign with which the plant's signal comes in: 1, -1, or 0 for a reference."""
+        """The sign of the plant's signal: 1, -1, or 0 for a reference."""
         return TAKES[self.takes]
 
     def negated(self) -> Taken:
-        """The input of ``-K`` in the place of K's."""
+        """Return the input of ``-K`` for that of K."""
         other = {"y": "-y", "-y": "y", "r - y": "y - r", "y - r": "r - y", "r": "r"}
         return Taken(self.name, self.unit, other[self.takes], self.of)
 
     @property
     def text(self) -> str:
-        """What is taken, with the name of the signal: ``r - omega``."""
+        """The signal taken, by name: ``r - omega``."""
         return self.takes.replace("y", self.of) if "y" in self.takes else f"r of {self.of}"
 
 
 def law(inputs: Sequence[Signal]) -> str:
-    """The law of a controller with these inputs: ``u = K (r - y)``; empty where one does not know what it takes."""
+    """Return the law of a controller with these inputs, ``u = K (r - y)``; empty if one has no record of it."""
     taken = [s for s in inputs if isinstance(s, Taken)]
     if not taken or len(taken) < len(inputs):
         return ""
@@ -93,7 +93,7 @@ def law(inputs: Sequence[Signal]) -> str:
 
 
 def taken_through(second: Sequence[Signal], first: Sequence[Signal]) -> Sequence[Signal]:
-    """The inputs of a product, those of ``first``: what a controller that comes second takes reaches them."""
+    """Return the inputs of a product, those of ``first``, with what the controller ``second`` takes."""
     signs = {s.sign for s in second if isinstance(s, Taken)}
     if not signs or any(isinstance(s, Taken) for s in first) or not all(isinstance(s, Taken) for s in second):
         return first
@@ -106,7 +106,7 @@ def taken_through(second: Sequence[Signal], first: Sequence[Signal]) -> Sequence
 
 
 def scaled(inputs: Sequence[Signal], factor: ArrayLike) -> Sequence[Signal]:
-    """The inputs of a controller times a constant: a negative one turns what they take, one of both signs loses it."""
+    """Return the inputs of a controller times a constant: a negative one negates them, mixed signs drop the record."""
     entries = np.asarray(factor)
     if (entries >= 0).all() or not any(isinstance(s, Taken) for s in inputs):
         return inputs
@@ -119,7 +119,7 @@ SignalLike = str | Signal | tuple[str, str]
 
 
 def real_array(name: str, value: ArrayLike, ndim: int, where: str = "StateSpaceModel") -> Array:
-    """``value`` as a read-only, finite float64 array with ``ndim`` dimensions, or an `InputError` that names the entry.
+    """Return ``value`` as a read-only, finite float64 array with ``ndim`` dimensions.
 
     Raises InputError: complex, non-numeric, wrong number of dimensions, NaN or Inf (with the index of the first bad
     entry).
@@ -145,7 +145,7 @@ def real_array(name: str, value: ArrayLike, ndim: int, where: str = "StateSpaceM
 
 
 def signals(given: Iterable[SignalLike] | None, count: int, prefix: str, where: str) -> tuple[Signal, ...]:
-    """``count`` uniquely named signals; ``prefix1, prefix2, ...`` where none are given."""
+    """Return ``count`` uniquely named signals; ``prefix1, prefix2, ...`` where none are given."""
     if given is None:
         return _numbered(prefix, count)
     if isinstance(given, str):
@@ -175,24 +175,19 @@ def _numbered(prefix: str, count: int) -> tuple[Signal, ...]:
     return tuple(Signal(f"{prefix}{i + 1}") for i in range(count))
 
 
-def indices(wanted: Sequence[str] | None, known: tuple[str, ...], kind: str) -> list[int]:
-    """Places of the named signals among the known ones; all of them for None."""
-    if wanted is None:
-        return list(range(len(known)))
-    if isinstance(wanted, str):
-        wanted = [wanted]
-    for name in wanted:
+def signal_positions(names: str | Sequence[str] | None, known: Sequence[str], where: str) -> list[int]:
+    """Return the positions of the named signals among the known ones; all of them for None."""
+    names = known if names is None else [names] if isinstance(names, str) else list(names)
+    for name in names:
         if name not in known:
-            raise InputError(
-                f"select: {kind} {name!r}", "no such signal", f"one of {', '.join(known)}", did_you_mean(name, known)
-            )
-    return [known.index(name) for name in wanted]
+            raise unknown_name(f"{where} {name!r}", "no such signal", name, known)
+    return [list(known).index(name) for name in names]
 
 
 def picked(key: Any, outputs: tuple[str, ...], inputs: tuple[str, ...]) -> tuple[list[str], list[str]]:
-    """Names of the outputs and inputs that ``G[outputs, inputs]`` asks for: numbers, slices, names, lists of these.
+    """Return the names of outputs and inputs of ``G[outputs, inputs]``: numbers, slices, names, lists of these.
 
-    Raises InputError: no pair, a number or a name that is not there.
+    Raises InputError: no pair, an unknown number or name.
     """
     if not isinstance(key, tuple) or len(key) != 2:
         raise InputError(
@@ -207,7 +202,7 @@ def _chosen(key: Any, known: tuple[str, ...], kind: str) -> list[str]:
     chosen = []
     for item in [key] if isinstance(key, (str, int, np.integer)) else list(key):
         if isinstance(item, str):
-            chosen.append(known[indices([item], known, kind)[0]])
+            chosen.append(known[signal_positions(item, known, f"select: {kind}")[0]])
             continue
         if isinstance(item, bool) or not isinstance(item, (int, np.integer)) or not -len(known) <= item < len(known):
             raise InputError(
@@ -221,22 +216,22 @@ def _chosen(key: Any, known: tuple[str, ...], kind: str) -> list[str]:
 
 
 def is_number(operand: Any) -> bool:
-    """Whether an operand is one real number."""
+    """Return whether an operand is one real number."""
     return isinstance(operand, (int, float, np.number)) and not isinstance(operand, bool)
 
 
 def is_constant(operand: Any) -> bool:
-    """Whether an operand is a number or a matrix: its signals have no names."""
+    """Return whether an operand is a number or a matrix: its signals have no names."""
     return isinstance(operand, (int, float, list, tuple, np.ndarray, np.number)) and not isinstance(operand, bool)
 
 
 def names_of(other: Any, owner: Any, own: Sequence[Signal], others: Sequence[Signal]) -> Sequence[Signal]:
-    """The signals of ``owner``; those of the other operand where the owner is a constant and the sizes are equal."""
+    """Return the signals of ``owner``; those of the other operand if the owner is a constant of equal size."""
     return others if is_constant(owner) and not is_constant(other) and len(others) == len(own) else own
 
 
 def inputs_of_product(second: Any, first: Any, into: Sequence[Signal], own: Sequence[Signal]) -> Sequence[Signal]:
-    """The inputs of ``second @ first``, whose own ones are ``into`` and ``own``, with what a controller takes."""
+    """Return the inputs of ``second @ first``, whose own inputs are ``into`` and ``own``, with what they take."""
     if is_constant(second):
         return scaled(own, second)
     if is_constant(first):
@@ -245,7 +240,7 @@ def inputs_of_product(second: Any, first: Any, into: Sequence[Signal], own: Sequ
 
 
 def same_units(where: str, pairs: Iterable[tuple[Signal, Signal]]) -> None:
-    """Refuse signals that meet with different units. Raises UnitMismatch: both have a unit, and the units differ."""
+    """Refuse connected signals with different units. Raises UnitMismatch: both have a unit, and the units differ."""
     for one, other in pairs:
         if one.unit and other.unit and one.unit != other.unit:
             found = f"{one.name} [{one.unit}] meets {other.name} [{other.unit}]"

@@ -23,7 +23,6 @@ from robustlab.signals import (
     COMPLEX,
     Signal,
     SignalLike,
-    indices,
     inputs_of_product,
     is_constant,
     is_number,
@@ -31,6 +30,7 @@ from robustlab.signals import (
     picked,
     real_array,
     same_units,
+    signal_positions,
     signals,
 )
 
@@ -66,7 +66,7 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
     operating_point
         Where the model was linearised.
     where
-        What error messages call this model (a file name, for example).
+        Name of this model in error messages (a file name, for example).
 
     Raises
     ------
@@ -108,7 +108,7 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
         operating_point: OperatingPoint | None = None,
         where: str = "StateSpaceModel",
     ) -> None:
-        if all(isinstance(m, (list, tuple)) and not m for m in (A, B, C)):  # a static gain: [] has no shape of its own
+        if all(isinstance(m, (list, tuple)) and not m for m in (A, B, C)):  # a static gain: [] has no shape
             gain = real_array("D", D, 2, where)
             A, B, C = np.zeros((0, 0)), np.zeros((0, gain.shape[1])), np.zeros((gain.shape[0], 0))
         a, b, c, d = (real_array(name, m, 2, where) for name, m in zip("ABCD", (A, B, C, D), strict=True))
@@ -125,7 +125,7 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
         put(self, "operating_point", _checked_operating_point(operating_point, a, d, where))
 
     def _in_states(self, A: Array, B: Array, C: Array, D: Array | None = None, *, rate: float = 1.0) -> StateSpaceModel:
-        """In as many other states and the time unit ``1 / rate``, with known poles; nothing is checked or copied."""
+        """Return the model in as many other states and the time unit ``1 / rate``, with its poles, unchecked."""
         model = object.__new__(type(self))
         known = vars(self).get("_poles")
         parts = {"A": A, "B": B, "C": C, "D": self.D if D is None else D}
@@ -170,24 +170,23 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
 
     @property
     def is_discrete(self) -> bool:
-        """True where ``dt > 0``."""
+        """Whether ``dt > 0``."""
         return self.dt > 0
 
     # --- behaviour ---------------------------------------------------------------------------------------------------
 
     def poles(self) -> NDArray[np.complex128]:
-        """Eigenvalues of A, shape (n_x,)."""
+        """Return the eigenvalues of A, shape (n_x,)."""
         return self._poles.copy()
 
     @cached_property
     def _poles(self) -> NDArray[np.complex128]:
-        """Computed once: the model does not change."""
         return np.linalg.eigvals(self.A).astype(np.complex128) if self.n_states else np.zeros(0, np.complex128)
 
     def spectral_abscissa(self) -> float:
-        """Largest real part of the poles (dt = 0), or largest modulus minus one (dt > 0); -inf without states.
+        """Return the largest real part of the poles (dt = 0), or the largest modulus minus one; -inf without states.
 
-        Negative means asymptotically stable in both cases.
+        It is negative for asymptotically stable models.
         """
         poles = self._poles
         if not len(poles):
@@ -195,11 +194,11 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
         return float(np.abs(poles).max() - 1.0) if self.is_discrete else float(poles.real.max())
 
     def is_stable(self) -> bool:
-        """True where all poles lie in the open left half plane (dt = 0) or inside the unit circle (dt > 0)."""
+        """Return whether all poles lie in the open left half plane (dt = 0) or inside the unit circle (dt > 0)."""
         return self.spectral_abscissa() < 0
 
     def dc_gain(self) -> Array:
-        """Steady-state gain, shape (n_y, n_u): ``D - C A^-1 B``, or ``D + C (I - A)^-1 B`` in discrete time.
+        """Return the steady-state gain (n_y, n_u): ``D - C A^-1 B``, or ``D + C (I - A)^-1 B`` in discrete time.
 
         Raises
         ------
@@ -214,12 +213,12 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
     # --- parts and other names ---------------------------------------------------------------------------------------
 
     def select(self, inputs: Sequence[str] | None = None, outputs: Sequence[str] | None = None) -> StateSpaceModel:
-        """The same model with the named inputs and outputs only, in that order; all states are kept.
+        """Return the model with the named inputs and outputs only, in that order; all states are kept.
 
-        See `robustlab.linear_analysis.structural.drop_unconnected` for removing states that no longer matter.
+        See `robustlab.linear_analysis.structural.drop_unconnected` to remove unconnected states.
         """
-        i = indices(inputs, self.input_names, "input")
-        o = indices(outputs, self.output_names, "output")
+        i = signal_positions(inputs, self.input_names, "select: input")
+        o = signal_positions(outputs, self.output_names, "select: output")
         point = self.operating_point
         if point is not None:
             point = replace(point, u=point.u[i], y=point.y[o])
@@ -230,12 +229,12 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
     def renamed(
         self, inputs: Iterable[SignalLike] | None = None, outputs: Iterable[SignalLike] | None = None
     ) -> StateSpaceModel:
-        """The same model with other signal names; names left out stay."""
+        """Return the model with other signal names; names left out are kept."""
         given = {"inputs": inputs, "outputs": outputs}
         return replace(self, **{side: names for side, names in given.items() if names is not None})
 
     def __getitem__(self, key: Any) -> StateSpaceModel:
-        """``G[outputs, inputs]`` by numbers, slices, names or lists of these; all states are kept."""
+        """Return ``G[outputs, inputs]`` by numbers, slices, names or lists of these; all states are kept."""
         outputs, inputs = picked(key, self.output_names, self.input_names)
         return self.select(inputs, outputs)
 
@@ -257,17 +256,16 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
         return StateSpaceModel([], [], [], np.eye(self.n_inputs), self.dt, self.inputs, self.outputs)
 
     def inverse(self) -> StateSpaceModel:
-        """The model from outputs to inputs; see `robustlab.statespace.inverse`."""
+        """Return the model from outputs to inputs; see `robustlab.statespace.inverse`."""
         return inverse(self)
 
     # --- python-control ----------------------------------------------------------------------------------------------
 
     @classmethod
     def from_control(cls, system: Any) -> StateSpaceModel:
-        """From a ``control.StateSpace`` or ``control.TransferFunction``; ``dt=None`` and ``dt=True`` are refused.
+        """Convert a ``control.StateSpace`` or ``control.TransferFunction``.
 
-        Python-control's ``None`` means "unspecified" and ``True`` "discrete, unknown sample time"; neither can be
-        simulated.
+        ``dt=None`` (unspecified) and ``dt=True`` (discrete, unknown sample time) are refused: neither can be simulated.
         """
         import control
 
@@ -286,7 +284,7 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
         return cls(system.A, system.B, system.C, system.D, float(system.dt or 0.0), ins, outs, states)
 
     def to_control(self) -> control.StateSpace:
-        """As a ``control.StateSpace`` (units are lost: python-control has none)."""
+        """Convert to a ``control.StateSpace``, which has no units."""
         import control
 
         names = {"inputs": self.input_names, "outputs": self.output_names, "states": self.state_names}
@@ -296,28 +294,28 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
         return cast("control.StateSpace", system)
 
     def to_json(self) -> dict[str, object]:
-        """Matrices and signals as plain types."""
+        """Return matrices and signals as plain types."""
         sides = {side: [list(s) for s in getattr(self, side)] for side in ("inputs", "outputs", "states")}
         return {"A": self.A, "B": self.B, "C": self.C, "D": self.D, "dt": self.dt, **sides}
 
     def numbers(self) -> dict[str, Any]:
-        """Sizes, names and poles."""
+        """Return sizes, names and poles."""
         return {
             "states": self.n_states, "inputs": list(self.input_names), "outputs": list(self.output_names),
             "spectral_abscissa": self.spectral_abscissa(), "poles": self.poles(),
         }  # fmt: skip
 
     def headline(self) -> str:
-        """Its size."""
+        """Return the size in words."""
         return f"model with {self.n_states} states, {len(self.inputs)} inputs, {len(self.outputs)} outputs"
 
     def details(self) -> list[Part]:
-        """The poles, the rightmost first."""
+        """Return the poles, the rightmost first."""
         poles = sorted(self.poles(), key=lambda p: (-p.real, p.imag))[:SHOWN_BLOCKS]
         return [Part("", (f"pole{'' if self.is_discrete else ' [1/s]'}",), [(number(p, "", 6),) for p in poles])]
 
     def facts(self) -> Facts:
-        """Size, signals with units, poles."""
+        """Return size, signals with units, poles."""
         abscissa = self.spectral_abscissa()
         kind = "stable" if abscissa < 0 else "on the stability boundary" if abscissa == 0 else "unstable"
         where, time = f"rightmost {number(abscissa, '1/s')}", "continuous"
@@ -342,7 +340,7 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
 
 
 def as_model(system: Any, where: str = "model") -> StateSpaceModel:
-    """``system`` as a StateSpaceModel: our own type, anything with ``.to_model()``, or an object of python-control."""
+    """Return a StateSpaceModel of one, of anything with ``.to_model()``, or of an object of python-control."""
     if isinstance(system, StateSpaceModel):
         return system
     to_model = getattr(system, "to_model", None)
@@ -358,12 +356,12 @@ def as_model(system: Any, where: str = "model") -> StateSpaceModel:
 
 
 def append(*models: StateSpaceModel) -> StateSpaceModel:
-    """Block-diagonal collection: inputs and outputs of all models side by side, under unique names."""
+    """Return the block-diagonal model with the inputs and outputs of all models, under unique names."""
     from scipy.linalg import block_diag
 
     dt = _common_dt(models, "append")
     blocks = [np.asarray(block_diag(*(getattr(m, name) for m in models))) for name in "ABCD"]
-    # block_diag gives a (0, k) matrix a row count of 0 but keeps its columns, as it must be.
+    # block_diag changes the shapes of empty matrices
     n, n_u, n_y = (sum(getattr(m, a) for m in models) for a in ("n_states", "n_inputs", "n_outputs"))
     shapes = ((n, n), (n, n_u), (n_y, n), (n_y, n_u))
     a, b, c, d = (block.reshape(shape) for block, shape in zip(blocks, shapes, strict=True))
@@ -373,7 +371,7 @@ def append(*models: StateSpaceModel) -> StateSpaceModel:
 
 
 def series(first: StateSpaceModel, second: StateSpaceModel) -> StateSpaceModel:
-    """``second * first``: the outputs of ``first`` drive the inputs of ``second``, channel by channel."""
+    """Return ``second * first``: the outputs of ``first`` drive the inputs of ``second``, channel by channel."""
     dt = _common_dt((first, second), "series")
     if first.n_outputs != second.n_inputs:
         raise InputError("series", f"{first.n_outputs} outputs into {second.n_inputs} inputs", "equal numbers")
@@ -389,13 +387,13 @@ def series(first: StateSpaceModel, second: StateSpaceModel) -> StateSpaceModel:
 
 
 def product(second: Any, first: Any) -> StateSpaceModel:
-    r"""``second @ first``: the transfer matrix :math:`G_2(s) G_1(s)`; what leaves ``first`` enters ``second``.
+    r"""Return ``second @ first``, the transfer matrix :math:`G_2(s) G_1(s)`: outputs of ``first`` enter ``second``.
 
-    A number multiplies every channel. The signals of a matrix or a number are not named: the other side's are kept
-    where sizes allow it.
+    A number multiplies every channel. A matrix or a number has no signal names: those of the other side are kept where
+    sizes allow it.
 
     Raises InputError: sizes or sample times that do not fit, or no operand; UnitMismatch: an output of ``first`` and
-    the input of ``second`` that it drives carry different units.
+    the input of ``second`` that it drives have different units.
     """
     if is_number(second):
         second = float(second) * np.eye(_operand(first, "product").n_outputs)
@@ -410,12 +408,11 @@ def product(second: Any, first: Any) -> StateSpaceModel:
 
 
 def parallel(first: Any, second: Any, sign: int = 1) -> StateSpaceModel:
-    """``first + sign * second`` for two models of one size, with the signals of the first.
+    """Return ``first + sign * second`` for two models of one size, with the signals of the first.
 
-    A number stands for a 1 x 1 gain: for more channels it could mean the identity or every entry, so a matrix is asked
-    for.
+    A number is a 1 x 1 gain: for more channels, where it is ambiguous, a matrix is required.
 
-    Raises InputError: sizes or sample times that do not fit, or no operand; UnitMismatch: signals that are added carry
+    Raises InputError: sizes or sample times that do not fit, or no operand; UnitMismatch: signals that are added have
     different units.
     """
     a, b = _operand(first, "sum"), _operand(second, "sum")
@@ -431,7 +428,7 @@ def parallel(first: Any, second: Any, sign: int = 1) -> StateSpaceModel:
 
 
 def inverse(model: Any) -> StateSpaceModel:
-    r"""The inverse of a square model; inputs and outputs change places.
+    r"""Return the inverse of a square model, whose inputs and outputs change places.
 
     .. math:: G^{-1}: \quad (A - B D^{-1} C, \; B D^{-1}, \; -D^{-1} C, \; D^{-1})
 
@@ -448,10 +445,10 @@ def inverse(model: Any) -> StateSpaceModel:
 
 
 def feedback(plant: Any, controller: Any = 1.0, sign: int = -1) -> StateSpaceModel:
-    """Closed loop from r to y for ``y = G e``, ``e = r + sign * K y``, in the names of ``plant``.
+    """Return the closed loop from r to y for ``y = G e``, ``e = r + sign * K y``, with the names of ``plant``.
 
     Raises InputError: sizes that do not fit, or an algebraic loop without solution (I - sign D_G D_K singular);
-    UnitMismatch: signals that meet carry different units.
+    UnitMismatch: connected signals have different units.
     """
     if sign not in (1, -1):
         raise InputError("feedback", f"sign {sign!r}", "1 or -1")
@@ -473,7 +470,7 @@ def feedback(plant: Any, controller: Any = 1.0, sign: int = -1) -> StateSpaceMod
 
 
 def lower_lft(P: StateSpaceModel, K: StateSpaceModel) -> StateSpaceModel:
-    r"""Lower linear fractional transformation, ``u = K y`` with positive feedback.
+    r"""Return the lower linear fractional transformation, ``u = K y`` with positive feedback.
 
     .. math:: F_l(P, K) = P_{11} + P_{12} K (I - P_{22} K)^{-1} P_{21}
 
@@ -559,7 +556,7 @@ def _operand(operand: Any, where: str) -> StateSpaceModel:
 
 
 def _states(first: StateSpaceModel, second: StateSpaceModel) -> tuple[Signal, ...] | None:
-    """States of both under their own names where these are not the same."""
+    """Return the states of both under their own names if these are unique, else None."""
     states = (*first.states, *second.states)
     return states if len({s.name for s in states}) == len(states) else None
 

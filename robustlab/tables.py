@@ -1,4 +1,4 @@
-"""Results that are tables: columns with units over one index, as pandas takes them."""
+"""Results that are tables: columns with units over one index, convertible to pandas."""
 
 from __future__ import annotations
 
@@ -18,19 +18,18 @@ class Table:
 
     index: tuple[str, Sequence[Any] | np.ndarray]  # its name, and its values or names, (n,)
     columns: Mapping[str, Sequence[Any] | np.ndarray]  # name -> values, (n,)
-    # Name of the index or of a column -> unit; what has none is left out.
-    units: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)  # name of the index or of a column -> unit, if any
 
 
 class Tabular:
-    """Base of results that are tables; a class says which in `table`."""
+    """Base of results that are tables, defined in `table`."""
 
     def table(self) -> Table:
-        """The result as columns with units over one index."""
+        """Return the result as columns with units over one index."""
         raise NotImplementedError
 
     def to_pandas(self) -> pandas.DataFrame:
-        """The result as a data frame of pandas (extra ``frames``); units are in ``attrs["units"]``.
+        """Return the result as a data frame of pandas (extra ``frames``), with units in ``attrs["units"]``.
 
         Raises
         ------

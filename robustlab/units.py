@@ -1,7 +1,7 @@
-"""Units that people record and state numbers in: their sizes, their spellings, and numbers that carry one.
+"""Units of records and numbers: their sizes, their spellings, and numbers with a unit.
 
-The first unit of each family is the SI unit (angles in rad), in which everything is computed. (Pint 0.25 takes 0.34 s
-of CPU before its first unit, these tables 1.5 ms; and to it 1/min and Hz are no rotations, and cm2 is no unit.)
+The first unit of each family is the SI unit (angles in rad), in which everything is computed. (Pint 0.25 needs 0.34 s
+of CPU before its first unit, these tables 1.5 ms; and it has no 1/min and Hz for rotations, and no cm2.)
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 
 from robustlab.errors import InputError
 
-# Sizes of units in the first unit of each family: what people record in, and mistake for one another.
+# Sizes of units in the first unit of each family: units of records, and units mistaken for one another.
 UNIT_SIZES: tuple[dict[str, float], ...] = (
     {"rad": 1.0, "deg": math.pi / 180, "turns": 2 * math.pi, "mrad": 1e-3},
     {"rad/s": 1.0, "deg/s": math.pi / 180, "rpm": math.pi / 30, "turns/s": 2 * math.pi, "mrad/s": 1e-3},
@@ -39,19 +39,19 @@ _LONGEST = 100  # characters of a number with its unit
 
 
 def _bare(unit: str) -> str:
-    """A unit without the ways to write a product or a power: ``N m``, ``N*m``, ``N·m`` and ``Nm`` are one unit."""
+    """Return a unit in one spelling of products and powers: ``N m``, ``N*m``, ``N·m`` and ``Nm`` are one unit."""
     plain = unit.replace("²", "2").replace("^2", "2").replace("μ", "µ")
     plain = SPELLINGS.get(plain.strip(), plain)
     return "".join(ch for ch in plain if ch not in " *·⋅.")
 
 
 def same_unit(one: str, other: str) -> bool:
-    """Whether two texts are one unit."""
+    """Return whether two texts are one unit."""
     return _bare(one) == _bare(other)
 
 
 def unit_family(unit: str) -> tuple[dict[str, float], float] | None:
-    """The family of a unit, and its size there; None where it is in no family."""
+    """Return the family of a unit, and its size there; None if it is in no family."""
     for family in UNIT_SIZES:
         for name, size in family.items():
             if same_unit(name, unit):
@@ -60,7 +60,7 @@ def unit_family(unit: str) -> tuple[dict[str, float], float] | None:
 
 
 def factor_between(unit: str, wanted: str) -> float | None:
-    """What a number in ``unit`` is multiplied with to be in ``wanted``; None where one is not the other's measure."""
+    """Return the factor from a number in ``unit`` to ``wanted``; None if the units measure different quantities."""
     if same_unit(unit, wanted):
         return 1.0
     found = unit_family(wanted)
@@ -69,15 +69,15 @@ def factor_between(unit: str, wanted: str) -> float | None:
 
 
 def factor_to_si(unit: str) -> tuple[float, str]:
-    """Factor to the SI unit of the same family, and that unit; (1, unit) where it is in no family."""
+    """Return the factor to the SI unit of the same family, and that unit; (1, unit) if it is in no family."""
     found = unit_family(unit)
     return (1.0, unit) if found is None else (found[1], next(iter(found[0])))
 
 
 def amount(where: str, given: Any, unit: str) -> Any:
-    """``given`` as a number in ``unit`` where it is a text; anything else as it is.
+    """Convert a text to a number in ``unit``; other values are returned unchanged.
 
-    Raises InputError: no number, or a unit that is not a measure of the same.
+    Raises InputError: no number, or a unit of another quantity.
     """
     if not isinstance(given, str):
         return given
@@ -90,7 +90,7 @@ def amount(where: str, given: Any, unit: str) -> Any:
 
 
 def share(where: str, given: Any) -> Any:
-    """``given`` as a share where it is a text, per cent or not; anything else as it is.
+    """Convert a text, per cent or not, to a share; other values are returned unchanged.
 
     Raises InputError: no number, or a unit other than %.
     """
@@ -104,9 +104,9 @@ def share(where: str, given: Any) -> Any:
 
 
 def _parted(where: str, text: str, expected: str) -> tuple[float, str]:
-    """Number and unit of a text."""
+    """Return the number and the unit of a text."""
     try:
-        return float(text.replace("_", "?")), ""  # Python reads 1_0 as ten; nobody means that
+        return float(text.replace("_", "?")), ""  # not 1_0, which Python reads as ten
     except ValueError:
         found = _NUMBER.fullmatch(text.strip()) if len(text) <= _LONGEST else None
     if found is None:

@@ -242,13 +242,13 @@ def _overruled(found: dict[str, Any], given: Mapping[str, Any]) -> str:
     sign, K = found.get("sign"), found.get("controller")
     if sign is None or K is None:
         return ""
-    from robustlab.closing import SIGNS, as_controller, silenced
+    from robustlab.closing import SIGNS, as_controller, without_sign
     from robustlab.signals import Taken, law
 
     inputs = as_controller(K, "controller").inputs
     if all(s.sign in (0, sign) for s in inputs if isinstance(s, Taken)):
         return ""
-    found["controller"] = silenced(K, "controller")
+    found["controller"] = without_sign(K, "controller")
     word = "negative" if sign < 0 else "positive"
     return f"note: {given['controller']} says {law(inputs)}; --feedback {word} closes {SIGNS[sign]} all the same\n"
 

@@ -1,12 +1,12 @@
-r"""Determinants of pencils as polynomials in whole numbers, and their roots: where rounding would decide, none happens.
+r"""Determinants of pencils as polynomials in whole numbers, and their roots, without rounding.
 
 .. math:: \det(M - s E) = 2^{e} \sum_k c_k s^k, \qquad E = \begin{bmatrix} I_n & 0 \\ 0 & 0 \end{bmatrix},
    \qquad c_k \text{ whole}
 
 A floating-point number is a fraction, so zeros, poles and crossings of a model are roots of polynomials with whole
 coefficients. Rows and columns are multiplied by powers of two until all entries are whole; the determinant is computed
-modulo as many primes as Hadamard's bound of its coefficients asks for. Roots come from FLINT as balls that are proved
-to hold one root each. Nothing has a tolerance that a badly scaled model could meet.
+modulo as many primes as Hadamard's bound of its coefficients requires. Roots come from FLINT as balls that are proved
+to contain one root each. There are no tolerances.
 
 References
 ----------
@@ -32,21 +32,21 @@ from robustlab.statespace import StateSpaceModel
 if TYPE_CHECKING:
     from flint import acb, arb, fmpz_poly
 
-# Beyond this size, or with so many primes times cubed rows, the answer takes more than about ten seconds.
+# Largest size, and primes times cubed rows: above them the result takes more than about ten seconds.
 MOST_STATES, MOST_WORK = 200, 4e9
-# Stability of larger matrices is not decided exactly: the doubtful cases of practice are smaller.
+# Most states for which stability is decided exactly.
 MOST_DECIDED = 12
-TOP = 2**62  # primes lie below it
-FEW = 3  # primes that tell a rank: that all are unlucky has a chance below 1e-40
+TOP = 2**62  # upper bound of the primes
+FEW = 3  # primes that decide a rank: all are unlucky with a probability below 1e-40
 BITS = 128  # of a root, relative to its modulus
 POINT = 0x9E3779B97F4A7C15  # at which a pencil is singular by chance only
-FAR = 10**6  # beyond every exponent
+FAR = 10**6  # above every exponent
 
 Block = tuple[StateSpaceModel, Indices, Indices, int]
 
 
 class Root(NamedTuple):
-    """A root ``re + j im``, right to BITS, and how often it is one; ``re`` is 0 where it cannot be told from 0."""
+    """A root ``re + j im``, accurate to BITS, and its multiplicity; ``re`` is 0 where indistinguishable from 0."""
 
     re: Fraction
     im: Fraction
@@ -54,14 +54,14 @@ class Root(NamedTuple):
 
     @property
     def value(self) -> complex:
-        """In floating point; infinite where it overflows."""
+        """The root in floating point; infinite if it overflows."""
         return complex(_float(self.re), _float(self.im))
 
 
 def determinant(M: Array, n: int) -> tuple[fmpz_poly, int]:
-    """The polynomial c and the exponent e of ``det(M - s E)``; the polynomial is zero where the determinant is.
+    """Compute the polynomial c and the exponent e of ``det(M - s E)``; c is zero if the determinant is.
 
-    Raises NoTrustworthyNumber: entries of so different sizes, and so many of them, that it takes too long.
+    Raises NoTrustworthyNumber: more work than MOST_WORK, from the number and the range of the entries.
     """
     from flint import fmpz_mat, fmpz_poly, nmod_mat, nmod_poly
 
@@ -96,7 +96,7 @@ def determinant(M: Array, n: int) -> tuple[fmpz_poly, int]:
 
 
 def normal_rank(M: Array, n: int) -> int:
-    """Find the rank of ``M - s E`` at almost every s; M of any shape, exact but for three unlucky primes."""
+    """Find the rank of ``M - s E`` at almost every s; M of any shape, exact except for three unlucky primes."""
     from flint import fmpz_mat, nmod_mat
 
     if not M.size:
@@ -110,10 +110,10 @@ def normal_rank(M: Array, n: int) -> int:
 
 
 def wired(blocks: Iterable[Block], J: Array) -> tuple[Array, int]:
-    """Write models that are wired by signals as a matrix M with the number n of their states, for `determinant`.
+    """Return the matrix M and the number n of states of models wired by signals, for `determinant`.
 
-    A block is a model with the indices of the signals that enter it, those of the rows that its outputs are added to,
-    and the sign with which. ``J`` (k, k): what the signals add to their rows themselves. No entries are multiplied.
+    A block is a model, the indices of its input signals, those of the rows to which its outputs are added, and their
+    sign. ``J`` (k, k): the part of the signals in their own rows. No entries are multiplied.
     """
     blocks = list(blocks)
     n, k = sum(model.n_states for model, *_ in blocks), len(J)
@@ -130,17 +130,17 @@ def wired(blocks: Iterable[Block], J: Array) -> tuple[Array, int]:
 
 
 def _whole(M: Array, n: int) -> tuple[list[list[int]], list[int], int]:
-    """Bring rows and columns to one size and multiply rows until no fraction is left: M, E and the sum of exponents."""
-    there = M != 0
+    """Return M and E with rows and columns scaled to one size and to whole numbers, and the sum of exponents."""
+    nonzero = M != 0
     share, high = np.frexp(M)
     mantissas = np.ldexp(share, 53).astype(np.int64)
-    ends = np.frexp(np.where(there, mantissas & -mantissas, 1).astype(float))[1] - 1  # zeros at the mantissas' ends
+    ends = np.frexp(np.where(nonzero, mantissas & -mantissas, 1).astype(float))[1] - 1  # trailing zeros
     mantissas, low = mantissas >> ends, high - 53 + ends
     row, column = equilibrating_exponents(M)
-    lowest = np.where(there, low + row[:, None] + column, FAR).min(axis=1, initial=FAR)
+    lowest = np.where(nonzero, low + row[:, None] + column, FAR).min(axis=1, initial=FAR)
     lowest[:n] = np.minimum(lowest[:n], row[:n] + column[:n])
     row -= np.where(lowest < FAR, lowest, row)
-    exponents = np.where(there, low + row[:, None] + column, 0)
+    exponents = np.where(nonzero, low + row[:, None] + column, 0)
     rows = [[x << e for x, e in zip(*pair, strict=True)]
             for pair in zip(mantissas.tolist(), exponents.tolist(), strict=True)]  # fmt: skip
     return rows, [1 << e for e in (row[:n] + column[:n]).tolist()], int(row.sum() + column.sum())
@@ -157,10 +157,10 @@ def _prime(index: int) -> int:
 
 
 def from_the_circle(f: fmpz_poly, degree: int) -> fmpz_poly:
-    """``(1 - v)^degree f((1 + v) / (1 - v))``: the unit disk becomes the left half plane, -1 infinity."""
+    """Return ``(1 - v)^degree f((1 + v) / (1 - v))``: the unit disk becomes the left half plane, -1 infinity."""
     from flint import fmpz_poly
 
-    found, lower = fmpz_poly([]), fmpz_poly([1])  # Horner's rule, with the powers of 1 - v that the rest still lacks
+    found, lower = fmpz_poly([]), fmpz_poly([1])  # Horner's rule, with the missing powers of 1 - v
     for k in reversed(range(degree + 1)):
         found = found * fmpz_poly([1, 1]) + lower * f[k]
         lower *= fmpz_poly([1, -1])
@@ -168,7 +168,7 @@ def from_the_circle(f: fmpz_poly, degree: int) -> fmpz_poly:
 
 
 def roots(f: fmpz_poly) -> list[Root]:
-    """Find all complex roots; those with ``im`` above zero come with their conjugates, real ones have ``im == 0``."""
+    """Find all complex roots, in conjugate pairs; real ones have ``im == 0``."""
     found = []
     for z, multiplicity in _balls(f, BITS):
         re = Fraction(0) if z.real.contains(0) else _middle(z.real)
@@ -177,7 +177,7 @@ def roots(f: fmpz_poly) -> list[Root]:
 
 
 def even_and_odd(f: fmpz_poly) -> tuple[fmpz_poly, fmpz_poly]:
-    """e, o with ``f(j omega) = e(x) + j omega o(x)``, ``x = omega^2``."""
+    """Return e, o with ``f(j omega) = e(x) + j omega o(x)``, ``x = omega^2``."""
     from flint import fmpz_poly
 
     even, odd = (fmpz_poly([c * (-1) ** k for k, c in enumerate(part)]) for part in (f.coeffs()[::2], f.coeffs()[1::2]))
@@ -214,7 +214,7 @@ def exactly_on_boundary(A: AnyArray, discrete: bool = False) -> bool | None:
 
 
 def _characteristic(A: AnyArray, discrete: bool) -> fmpz_poly | None:
-    """The characteristic polynomial (discrete: its image in v, of lower degree where -1 is an eigenvalue)."""
+    """Return the characteristic polynomial (discrete: its image in v, of lower degree if -1 is an eigenvalue)."""
     if len(A) > MOST_DECIDED:
         return None
     p, _ = determinant(np.asarray(A, dtype=float), len(A))
@@ -222,7 +222,7 @@ def _characteristic(A: AnyArray, discrete: bool) -> fmpz_poly | None:
 
 
 def _balls(f: fmpz_poly, bits: int) -> list[tuple[acb, int]]:
-    """Disjoint balls of all roots with so many bits, and multiplicities; FLINT gives real roots no imaginary part."""
+    """Return disjoint balls of all roots and their multiplicities; FLINT gives real roots no imaginary part."""
     from flint import ctx
 
     before, ctx.prec = ctx.prec, bits

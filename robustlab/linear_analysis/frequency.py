@@ -14,16 +14,15 @@ from robustlab.linear_analysis.magnitude import refuse_overflow
 from robustlab.linear_analysis.narrow_peaks import narrow_frequencies
 from robustlab.statespace import StateSpaceModel, as_model, real_array
 
-# (n_omega, n, n) complex systems are solved in chunks of about this many numbers: more cost fresh pages of memory.
+# Numbers in a chunk of the (n_omega, n, n) complex systems: more need fresh pages of memory.
 CHUNK = 20_000
 
 
 def default_grid(model: StateSpaceModel, n: int = 200, decades: float = 2.0) -> Array:
-    """Logarithmic grid in rad/s around the model's own dynamics, shape (n,).
+    """Return a logarithmic grid in rad/s around the model's own dynamics, shape (n,).
 
     From ``decades`` below the slowest to ``decades`` above the fastest pole; the frequency of every lightly damped pole
-    is added, and some inside a narrow peak, so that it is not stepped over. A discrete model's grid ends at the Nyquist
-    frequency pi / dt.
+    is added, and some inside narrow peaks. A discrete model's grid ends at the Nyquist frequency pi / dt.
     """
     poles = model.poles()
     if model.is_discrete:
@@ -42,7 +41,7 @@ def default_grid(model: StateSpaceModel, n: int = 200, decades: float = 2.0) -> 
 
 @told_as("frequency_response")
 def frequency_response(model: Any, omega: ArrayLike) -> ComplexArray:
-    r"""Frequency response, shape (n_omega, n_y, n_u).
+    r"""Compute the frequency response, shape (n_omega, n_y, n_u).
 
     .. math:: G(j\omega) = C (j\omega I - A)^{-1} B + D, \qquad G(e^{j\omega dt}) \text{ for } dt > 0
 
@@ -72,7 +71,7 @@ def frequency_response(model: Any, omega: ArrayLike) -> ComplexArray:
     array([3. +0.j , 1.5-1.5j])
     """
     exact = getattr(model, "response_at", None)
-    if exact is not None:  # a model that is more than its state space
+    if exact is not None:  # a model with more than its state space
         return exact(omega)
     model = as_model(model, "frequency_response")
     w = np.atleast_1d(np.asarray(omega, dtype=float))
@@ -86,7 +85,7 @@ def frequency_response(model: Any, omega: ArrayLike) -> ComplexArray:
 
 
 def solved_response(model: StateSpaceModel, omega: Array) -> ComplexArray:
-    """`frequency_response` at valid frequencies, which may be infinite, unchecked."""
+    """Compute `frequency_response` at valid frequencies, which may be infinite, unchecked."""
     response = np.empty((len(omega), *model.D.shape), dtype=complex)
     response[:] = model.D
     where = np.flatnonzero(np.isfinite(omega))
@@ -101,7 +100,7 @@ def solved_response(model: StateSpaceModel, omega: Array) -> ComplexArray:
 
 
 def at_pole(omega: Array, point: ComplexArray, solved: Callable[[ComplexArray], object]) -> tuple[str, str]:
-    """Return what was found and what is expected for the first frequency at which ``solved`` has a pole."""
+    """Return found and expected of an error, for the first frequency at which ``solved`` has a pole."""
     for k, w in enumerate(omega):
         try:
             solved(point[k : k + 1])
@@ -111,7 +110,7 @@ def at_pole(omega: Array, point: ComplexArray, solved: Callable[[ComplexArray], 
 
 
 def _solved(model: StateSpaceModel, point: ComplexArray) -> ComplexArray:
-    """The transfer matrix at finite complex numbers, shape (n, n_y, n_u); numpy's LinAlgError at a pole."""
+    """Compute the transfer matrix at finite complex numbers, shape (n, n_y, n_u); numpy's LinAlgError at a pole."""
     found = np.empty((len(point), *model.D.shape), dtype=complex)
     found[:] = model.D
     n = model.n_states
@@ -127,20 +126,18 @@ def _solved(model: StateSpaceModel, point: ComplexArray) -> ComplexArray:
 
 
 def value_at(model: Any, s: ArrayLike) -> ComplexArray:
-    """What ``G(s)`` answers, see `robustlab.operators.Behaviour`."""
+    """Compute ``G(s)``, see `robustlab.operators.Behaviour`."""
     point = np.asarray(s)
     if point.ndim > 1 or point.dtype.kind not in "cfiu" or not np.isfinite(point).all():
         raise InputError("G(s)", f"s = {s!r}", "a finite complex number, or a row of them", "G(1j * omega)")
     given = np.atleast_1d(point).astype(np.complex128)
-    exact = getattr(model, "values_at", None)  # of a model that is more than its state space
-    found = exact(given) if exact is not None else _values(as_model(model, "G(s)"), given)
+    exact = getattr(model, "values_at", None)  # of a model with more than its state space
+    if exact is not None:
+        found = exact(given)
+    else:
+        try:
+            found = _solved(as_model(model, "G(s)"), given)
+        except np.linalg.LinAlgError:
+            raise NoTrustworthyNumber("G(s)", "s hits a pole exactly", "a number that is no pole") from None
+        refuse_overflow("G(s)", found)
     return found if point.ndim else found[0]
-
-
-def _values(model: StateSpaceModel, s: ComplexArray) -> ComplexArray:
-    try:
-        found = _solved(model, s)
-    except np.linalg.LinAlgError:
-        raise NoTrustworthyNumber("G(s)", "s hits a pole exactly", "a number that is no pole") from None
-    refuse_overflow("G(s)", found)
-    return found

@@ -1,14 +1,14 @@
-r"""Zeros of models: all finite invariant zeros, with their directions and what kind each is.
+r"""Zeros of models: all finite invariant zeros, with their directions and kinds.
 
 .. math:: P(s) = \begin{bmatrix} A - s I & B \\ C & D \end{bmatrix}, \qquad
    \text{zeros: } s \text{ where rank } P(s) \text{ falls below its rank at almost every } s
 
-Those of a square model of full normal rank are the roots of :math:`\det P(s)`, which is computed in whole numbers: none
-is missing and none is off, however the model is scaled. Those of other models, and of large ones, come from SLICOT's
-AB08ND. Each zero is then looked at in P(s) itself, outside the method that found it.
+Those of a square model of full normal rank are the roots of :math:`\det P(s)`, which is computed in whole numbers: all
+are found, and exact, for any scaling of the model. Those of other models, and of large ones, come from SLICOT's
+AB08ND. Each zero is then checked in P(s) itself, independently of the method that found it.
 
-What is exact of the entries need not be meant: where ``C B`` ought to be zero and is 1e-17 after a change of states,
-there is a zero near 1e17. Zeros beyond the fastest pole that entrywise changes of ROUNDING move away are left out.
+The entries themselves carry rounding: where ``C B`` is zero but 1e-17 after a change of states, there is a zero near
+1e17. Zeros beyond the fastest pole that entrywise changes of ROUNDING move away are left out.
 
 References
 ----------
@@ -35,16 +35,16 @@ from robustlab.result import Status
 from robustlab.shown import Facts, Part, Shown, listed, number
 from robustlab.statespace import StateSpaceModel, as_model
 
-# Relative changes of the entries that earlier calculations may have left in them.
+# Relative rounding errors of the entries from earlier calculations.
 ROUNDING = 1e-14
-# A zero that such changes move by this share of itself is decided by them ...
+# A zero that such changes move by this share of itself is decided by rounding ...
 DECIDED = 0.1
-# ... unless it goes by less than this share of the fastest pole: it lies at zero then.
+# ... unless it moves by less than this share of the fastest pole: then it lies at zero.
 STILL = 1e-9
-# Smallest singular value of P(s) at a zero, relative to P, up to which it was found to working precision, and share of
-# the largest one up to which a singular value counts as zero for the rank.
+# Smallest singular value of P(s) at a zero, relative to P, for working precision, and share of the largest singular
+# value below which one counts as zero for the rank.
 RESIDUAL, NEARLY = 1e-8, 1e-13
-# Where [A - s I, B] or [A - s I; C], rows and columns of size one, is that near to losing rank, the mode is hidden.
+# A mode is hidden if [A - s I, B] or [A - s I; C], rows and columns of size one, is this near to losing rank.
 HIDDEN = 1e-13
 
 
@@ -55,22 +55,21 @@ class Zeros(Shown):
     Attributes
     ----------
     values
-        Shape (n_zeros,), each as often as its multiplicity says, by rising modulus; in rad/s, or in the z plane of a
-        discrete model.
+        Shape (n_zeros,), with their multiplicities, by rising modulus; in rad/s, or in the z plane of a discrete model.
     kinds
-        For each "transmission", "input-decoupling" (a mode that no input moves), "output-decoupling" (one that no
-        output shows) or "input-output-decoupling".
+        For each "transmission", "input-decoupling" (an uncontrollable mode), "output-decoupling" (an unobservable one)
+        or "input-output-decoupling".
     input_directions, output_directions
         Unit columns, shapes (n_inputs, n_zeros) and (n_outputs, n_zeros): ``G(z) u = 0``, ``y^H G(z) = 0`` in the sense
-        of P(z). NaN where it is not one direction: with more inputs (outputs) than the normal rank, or at a hidden mode
-        that the inputs do not reach (the outputs do not show).
+        of P(z). NaN where it is not one direction: with more inputs (outputs) than the normal rank, or at an
+        uncontrollable (unobservable) mode.
     normal_rank
         Rank of the transfer matrix at almost every s, to within rounding.
     residuals
         Singular value of P(z) that should vanish over the largest one, rows and columns of the given model's P(z)
         brought to size one, shape (n_zeros,).
     status
-        CONVERGED: every value is right to within rounding of the entries; else INACCURATE.
+        CONVERGED: every value is accurate to rounding of the entries; else INACCURATE.
     reason
         Why it is inaccurate; else empty.
     dt
@@ -97,12 +96,12 @@ class Zeros(Shown):
 
     @property
     def not_minimum_phase(self) -> int:
-        """How many are on the boundary of stability or beyond."""
+        """Number of zeros on the boundary of stability or beyond."""
         return int(np.count_nonzero(abs(self.values) >= 1 if self.dt else self.values.real >= 0))
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """Number of zeros."""
         return len(self)
 
     def headline(self) -> str:
@@ -130,7 +129,7 @@ class Zeros(Shown):
 
 @told_as("zeros")
 def zeros(model: Any) -> Zeros:
-    r"""All finite invariant zeros of a model: transmission zeros and hidden modes, with their directions.
+    r"""Compute all finite invariant zeros of a model: transmission zeros and hidden modes, with their directions.
 
     Parameters
     ----------
@@ -140,8 +139,8 @@ def zeros(model: Any) -> Zeros:
     Returns
     -------
     Zeros
-        Values, kinds, directions, and the residuals in the given model's own pencil. INACCURATE where rounding of the
-        entries decides where a zero is.
+        Values, kinds, directions, and the residuals in the given model's own pencil. INACCURATE if rounding of the
+        entries decides the place of a zero.
 
     Raises
     ------
@@ -162,14 +161,14 @@ def zeros(model: Any) -> Zeros:
     m = as_model(model, "zeros")
     values, rank, reason = _found(m)
     S, n = _system(m), m.n_states
-    looked = [_looked_at(S, z, n, rank) for z in values.tolist()]
-    residuals = np.array([x.residual for x in looked], dtype=float)
+    tested = [_tested(S, z, n, rank) for z in values.tolist()]
+    residuals = np.array([x.residual for x in tested], dtype=float)
     reason = reason or _doubt(m, values, rank, residuals)
     return Zeros(
         values,
-        tuple(x.kind for x in looked),
-        np.array([x.into for x in looked], dtype=complex).reshape(len(looked), m.n_inputs).T,
-        np.array([x.out for x in looked], dtype=complex).reshape(len(looked), m.n_outputs).T,
+        tuple(x.kind for x in tested),
+        np.array([x.into for x in tested], dtype=complex).reshape(len(tested), m.n_inputs).T,
+        np.array([x.out for x in tested], dtype=complex).reshape(len(tested), m.n_outputs).T,
         rank,
         residuals,
         Status.INACCURATE if reason else Status.CONVERGED,
@@ -179,7 +178,7 @@ def zeros(model: Any) -> Zeros:
 
 
 def transmission_zeros(model: Any, *, complete: bool = False) -> ComplexArray:
-    """The finite invariant zeros alone, shape (n_zeros,): the ``values`` of `zeros` without their evidence."""
+    """Return the ``values`` of `zeros` alone, shape (n_zeros,)."""
     values, _, reason = _found(as_model(model, "zeros"))
     if complete and reason:
         raise NoTrustworthyNumber("zeros", reason)
@@ -191,7 +190,7 @@ def _system(m: StateSpaceModel) -> Array:
 
 
 def _found(m: StateSpaceModel) -> tuple[ComplexArray, int, str]:
-    """Zeros by rising modulus, the normal rank, and why there may be others."""
+    """Find the zeros by rising modulus, the normal rank, and a reason why there may be others."""
     S, n, rank = _system(m), m.n_states, _rank_within_rounding(m)
     exactly = normal_rank(S, n) - n if n <= MOST_STATES else rank
     rank = min(rank, exactly)
@@ -209,11 +208,11 @@ def _found(m: StateSpaceModel) -> tuple[ComplexArray, int, str]:
     return slicot.invariant_zeros(m.A, m.B, m.C, m.D)[0], rank, reason
 
 
-# --- P(s), looked at -------------------------------------------------------------------------------------------------
+# --- the test of a zero in P(s) --------------------------------------------------------------------------------------
 
 
-class _Look(NamedTuple):
-    """What P(z) says of a zero: kind, directions at input and output, residual."""
+class _Tested(NamedTuple):
+    """A zero tested in P(z): kind, directions at input and output, residual."""
 
     kind: str
     into: AnyArray
@@ -232,9 +231,9 @@ def _times_power(values: ComplexArray, exponents: AnyArray) -> ComplexArray:
 
 
 def _singular(P: ComplexArray, size: Array) -> tuple[ComplexArray, Array, ComplexArray, AnyArray, AnyArray]:
-    """Left vectors, singular values and right vectors of P with scaled rows and columns, and the exponents of these.
+    """Return left vectors, singular values and right vectors of P with scaled rows and columns, and their exponents.
 
-    ``size``: of P's entries before they cancel, by which its rows and columns are scaled.
+    ``size``: sizes of P's entries before cancellation, which determine the scaling.
     """
     r, c = equilibrating_exponents(size)
     left, sigma, right = np.linalg.svd(_times_power(P, r[:, None] + c))
@@ -242,7 +241,7 @@ def _singular(P: ComplexArray, size: Array) -> tuple[ComplexArray, Array, Comple
 
 
 def _rank_within_rounding(m: StateSpaceModel) -> int:
-    """Largest rank of the transfer matrix at points among the sizes of its dynamics, with NEARLY for rounding."""
+    """Return the largest rank of the transfer matrix, up to NEARLY, at points in the range of its dynamics."""
     S, n, best = _system(m), m.n_states, 0
     size = np.append(np.abs(m.poles()), np.abs(m.A).max(initial=0.0))
     size = size[size > 0]
@@ -255,7 +254,7 @@ def _rank_within_rounding(m: StateSpaceModel) -> int:
     return best
 
 
-def _looked_at(S: Array, z: complex, n: int, rank: int) -> _Look:
+def _tested(S: Array, z: complex, n: int, rank: int) -> _Tested:
     P, size, k = _pencil(S, z, n), _pencil(np.abs(S), -abs(z), n).real, n + rank - 1
     left, sigma, right, r, c = _singular(P, size)
     unreached, unseen = _loses_rank(P[:n], size[:n]), _loses_rank(P[:, :n], size[:, :n])
@@ -263,11 +262,11 @@ def _looked_at(S: Array, z: complex, n: int, rank: int) -> _Look:
             (False, True): "output-decoupling", (False, False): "transmission"}[unreached, unseen]  # fmt: skip
     u = _direction(right[n:, k], c[n:], S.shape[1] - n == rank)
     v = _direction(left[n:, k], r[n:], S.shape[0] - n == rank)
-    return _Look(kind, u, v, abs(float(sigma[k] / sigma[0])) if sigma[0] else 0.0)
+    return _Tested(kind, u, v, abs(float(sigma[k] / sigma[0])) if sigma[0] else 0.0)
 
 
 def _direction(vector: ComplexArray, exponents: AnyArray, single: bool) -> ComplexArray:
-    """A part of a singular vector as a unit vector of the model as given; NaN where it is none."""
+    """Return a part of a singular vector as a unit vector of the model as given; NaN if it has no direction."""
     if not single or np.linalg.norm(vector) <= HIDDEN:
         return np.full(len(vector), np.nan, dtype=complex)
     given = _times_power(vector, exponents - exponents.max())
@@ -279,11 +278,11 @@ def _loses_rank(block: ComplexArray, size: Array) -> bool:
     return bool(sigma[-1] <= HIDDEN * sigma[0])
 
 
-# --- what rounding of the entries does -------------------------------------------------------------------------------
+# --- effect of rounding of the entries -------------------------------------------------------------------------------
 
 
 def _decided_by_rounding(S: Array, n: int, z: complex, least: float) -> bool:
-    r"""Whether entrywise changes by ROUNDING may move the zero by DECIDED of itself, and by ``least`` at least.
+    r"""Return whether entrywise changes by ROUNDING may move the zero by DECIDED of itself, and by ``least`` at least.
 
     They make :math:`P(s)` singular at no point s with :math:`\rho(|P(s)^{-1}| |S|)` below 1 / ROUNDING.
     """
@@ -303,7 +302,7 @@ def _decided_by_rounding(S: Array, n: int, z: complex, least: float) -> bool:
 
 
 def _doubt(m: StateSpaceModel, values: ComplexArray, rank: int, residuals: Array) -> str:
-    """Why the zeros are not to be trusted; empty where they are."""
+    """Return why the zeros are not accurate; empty if they are."""
     if (residuals > RESIDUAL).any():
         return f"P(s) at a zero misses a lower rank by {residuals.max():.1e}"
     if rank < max(m.n_inputs, m.n_outputs):

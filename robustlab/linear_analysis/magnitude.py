@@ -1,4 +1,4 @@
-"""Sizes of the entries of matrices: balancing by powers of two, which costs no digit, and refusal of extremes."""
+"""Sizes of the entries of matrices: balancing by powers of two, which is exact, and refusal of extremes."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from robustlab.errors import NoTrustworthyNumber
 from robustlab.linear_analysis.matrix_equations import lapack
 from robustlab.statespace import StateSpaceModel
 
-# A matrix is ordinary where its largest entry lies between these: products of several neither overflow nor vanish.
-# Single entries may be smaller, as long as their squares do not vanish.
+# Bounds of the largest entry of an ordinary matrix: products of several neither overflow nor vanish. Single entries may
+# be smaller, as long as their squares do not vanish.
 SMALLEST, LARGEST, LEAST = 2.0**-166, 2.0**166, 2.0**-500
 SWEEPS = 20
 # Products of entries between these neither overflow nor vanish.
@@ -18,7 +18,7 @@ FAINTEST, STRONGEST = 1e-100, 1e100
 
 
 def is_moderate(*matrices: AnyArray) -> bool:
-    """Whether every matrix is of an ordinary size, or zero."""
+    """Return whether every matrix is of an ordinary size, or zero."""
     for matrix in matrices:
         size = np.abs(matrix[matrix != 0])
         if size.size and not (SMALLEST <= size.max() <= LARGEST and size.min() >= LEAST):
@@ -27,7 +27,7 @@ def is_moderate(*matrices: AnyArray) -> bool:
 
 
 def balancing_factors(matrix: AnyArray) -> AnyArray:
-    """Powers of two t, shape (n,): rows and columns of ``matrix / t[:, None] * t`` are alike in size (LAPACK gebal)."""
+    """Return powers of two t (n,): rows and columns of ``matrix / t[:, None] * t`` have one size (LAPACK gebal)."""
     if not matrix.size:
         return np.ones(len(matrix))
     if not np.isfinite(matrix).all():
@@ -36,7 +36,7 @@ def balancing_factors(matrix: AnyArray) -> AnyArray:
 
 
 def balancing_exponents(A: AnyArray, into: AnyArray, out: AnyArray) -> AnyArray:
-    """Exponents t of states ``x = 2^t x'`` that balance rows of [A, into] against columns of [A; out], shape (n,).
+    """Return exponents t (n,) of states ``x = 2^t x'`` that balance rows of [A, into] against columns of [A; out].
 
     ``into`` (n, m) and ``out`` (p, n) count as if their largest entries were as large as A's.
 
@@ -65,7 +65,7 @@ def balancing_exponents(A: AnyArray, into: AnyArray, out: AnyArray) -> AnyArray:
 
 
 def equilibrating_exponents(matrix: AnyArray) -> tuple[AnyArray, AnyArray]:
-    """Exponents r, c of rows and columns: the largest entries of rows and columns of ``2^r matrix 2^c`` are near 1.
+    """Return exponents r, c such that the largest entries of rows and columns of ``2^r matrix 2^c`` are near 1.
 
     References
     ----------
@@ -89,14 +89,14 @@ def refuse_extremes(model: StateSpaceModel, where: str) -> None:
 
 
 def refuse_overflow(where: str, *arrays: AnyArray) -> None:
-    """Refuse what finite input became by multiplication: NaN and infinite entries."""
+    """Refuse products of finite input that are NaN or infinite."""
     if not all(np.isfinite(array).all() for array in arrays):
         hint = "choose units in which the model's entries are closer to one another"
         raise NoTrustworthyNumber(where, "a product of the model's entries overflows", "numbers below 1e308", hint)
 
 
 def _exponents(matrix: AnyArray) -> AnyArray:
-    """Exponent of every entry, -inf for zeros."""
+    """Return the exponent of every entry, -inf for zeros."""
     return np.where(matrix == 0, -np.inf, np.frexp(matrix)[1])
 
 

@@ -1,8 +1,8 @@
-r"""Riccati and Lyapunov equations, continuous and discrete: every solution is judged by its residual.
+r"""Riccati and Lyapunov equations, continuous and discrete: every solution is checked by its residual.
 
 Continuous Riccati equations are solved by the ordered real Schur form of a balanced Hamiltonian (Laub 1979), or by the
-QZ algorithm on the extended pencil (Van Dooren 1981; scipy), the only way in discrete time; Newton's method (Kleinman
-1968) refines. This is also where LAPACK's own routines are called (`lapack`).
+QZ algorithm on the extended pencil (Van Dooren 1981; scipy), the only method in discrete time; Newton's method
+(Kleinman 1968) refines. `lapack` gives LAPACK's own routines.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from robustlab.arrays import AnyArray, Array
 from robustlab.errors import NoTrustworthyNumber, told_as
 from robustlab.linear_analysis import slicot
 
-# Relative residual from which on a Riccati solution is refined by Newton's method, and how many steps it gets.
+# Relative residual above which a Riccati solution is refined by Newton's method, and the largest number of steps.
 REFINED, NEWTON_STEPS = 1e-10, 4
-# Ratio of the states' sizes in a solution from which on it is solved again in other units, and how often.
+# Ratio of the states' sizes in a solution above which it is solved again in other units, at most so many times.
 SPREAD, RESCALED = 1e4, 3
-# Up to this many states LAPACK works without blocks, and asking how much room it would like takes longer than it saves.
+# Up to this many states LAPACK works without blocks, and no workspace query is needed.
 UNBLOCKED = 32
-# Room for LAPACK's work on a matrix with blocks, in columns of it.
+# LAPACK's workspace for a matrix with blocks, in columns of it.
 ROOM = 64
 SOLVABLE = "a stabilisable model, and no eigenvalue there"
 
 
-Weighed = tuple[AnyArray, AnyArray, float]  # the loop of an X, the left-hand side of its equation, relative residual
+Weighed = tuple[AnyArray, AnyArray, float]  # closed-loop matrix of an X, left-hand side of its equation, residual
 
 
 class RiccatiSolution(NamedTuple):
@@ -46,7 +46,7 @@ class RiccatiSolution(NamedTuple):
 def care(
     A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, S: ArrayLike | None = None, *, tolerance: float = 1e-6
 ) -> RiccatiSolution:
-    r"""Stabilising solution of ``A^T X + X A + Q - (X B + S) R^{-1} (B^T X + S^T) = 0``; R may be indefinite.
+    r"""Solve ``A^T X + X A + Q - (X B + S) R^{-1} (B^T X + S^T) = 0`` for the stabilising X; R may be indefinite.
 
     >>> float(round(care([[0.0]], [[1.0]], [[1.0]], [[1.0]]).X[0, 0], 12))
     1.0
@@ -87,7 +87,7 @@ def care(
 def dare(
     A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, S: ArrayLike | None = None, *, tolerance: float = 1e-6
 ) -> RiccatiSolution:
-    """Stabilising solution of ``A^T X A - X + Q - (A^T X B + S) (R + B^T X B)^{-1} (B^T X A + S^T) = 0``.
+    """Solve ``A^T X A - X + Q - (A^T X B + S) (R + B^T X B)^{-1} (B^T X A + S^T) = 0`` for the stabilising X.
 
     The gain is ``F = -(R + B^T X B)^-1 (B^T X A + S^T)``; R may be singular.
 
@@ -115,7 +115,7 @@ def dare(
 
 
 def hamiltonian_riccati(A: AnyArray, G: AnyArray, Q: AnyArray, *, tolerance: float = 1e-6) -> AnyArray | None:
-    r"""Stabilising solution of ``A^T X + X A - X G X + Q = 0``, where ``A - G X`` is stable, for searches.
+    r"""Solve ``A^T X + X A - X G X + Q = 0`` for the X with stable ``A - G X``, for searches; None if not found.
 
     >>> one = np.eye(1)
     >>> float(np.round(hamiltonian_riccati(0 * one, one, 4 * one)[0, 0], 12))
@@ -128,13 +128,13 @@ def hamiltonian_riccati(A: AnyArray, G: AnyArray, Q: AnyArray, *, tolerance: flo
         return None
 
     def weighed(X: AnyArray) -> Weighed:
-        with np.errstate(over="ignore", invalid="ignore"):  # NaN is no small residual
+        with np.errstate(over="ignore", invalid="ignore"):  # NaN counts as a large residual
             linear, quadratic = A.T @ X, X @ G @ X
             size = 2 * np.linalg.norm(linear) + np.linalg.norm(Q) + np.linalg.norm(quadratic)
             left = linear + linear.T - quadratic + Q
             return A - G @ X, left, float(np.linalg.norm(left) / size) if size else 0.0
 
-    X, residual = _refined(X, weighed)  # stable at first: the Schur form was ordered
+    X, residual = _refined(X, weighed)  # the first one is stable: the Schur form was ordered
     return X if residual <= tolerance else None
 
 
@@ -169,10 +169,10 @@ def _nearest_to_circle(a: Array, b: Array, q: Array, r: Array, s: Array) -> str:
 
 
 def _stable_graph(A: AnyArray, G: AnyArray, Q: AnyArray) -> AnyArray | None:
-    """Return the X of `_schur_graph`, solved again in states that bring its diagonal to one where it spans decades.
+    """Return the X of `_schur_graph`, solved again in states that scale its diagonal to one if it spans decades.
 
-    The Schur vectors are known to eps times the norm of the Hamiltonian: of X from 1 to 1e16 no digit of the small
-    entries is left, and balancing the Hamiltonian alone does not see that.
+    The error of the Schur vectors is eps times the norm of the Hamiltonian: with entries of X from 1 to 1e16 the small
+    ones have no digits, which balancing the Hamiltonian does not change.
     """
     X = _schur_graph(A, G, Q)
     for _ in range(RESCALED):
@@ -189,10 +189,10 @@ def _stable_graph(A: AnyArray, G: AnyArray, Q: AnyArray) -> AnyArray | None:
 
 
 def _schur_graph(A: AnyArray, G: AnyArray, Q: AnyArray) -> AnyArray | None:
-    """Symmetric X whose graph ``[I; X]`` is the stable subspace of the Hamiltonian ``[[A, -G], [-Q, -A^T]]``.
+    """Return the symmetric X whose graph ``[I; X]`` is the stable subspace of ``[[A, -G], [-Q, -A^T]]``.
 
-    Laub 1979: ordered real Schur form of the balanced Hamiltonian. None where as many eigenvalues as states are not
-    stable, or the subspace is no graph.
+    Laub 1979: ordered real Schur form of the balanced Hamiltonian. None if the stable eigenvalues are not as many as
+    the states, or the subspace is no graph.
     """
     n = len(A)
     hamiltonian = np.empty((2 * n, 2 * n))
@@ -215,7 +215,7 @@ def _schur_graph(A: AnyArray, G: AnyArray, Q: AnyArray) -> AnyArray | None:
 
 
 def _extended_pencil(a: Array, b: Array, q: Array, r: Array, s: Array, discrete: bool) -> AnyArray | None:
-    """X from the QZ algorithm on the balanced extended pencil (Van Dooren 1981); None where there is none."""
+    """Return X from the QZ algorithm on the balanced extended pencil (Van Dooren 1981), or None."""
     from scipy.linalg import LinAlgError, solve_continuous_are, solve_discrete_are
 
     with judged_afterwards():
@@ -227,10 +227,10 @@ def _extended_pencil(a: Array, b: Array, q: Array, r: Array, s: Array, discrete:
 
 
 def _refined(X: AnyArray, weighed: Callable[[AnyArray], Weighed]) -> tuple[AnyArray, float]:
-    """The solution after Newton's steps, as long as they help (Kleinman 1968), and its relative residual.
+    """Refine the solution by Newton's steps as long as the residual falls (Kleinman 1968); return it with the residual.
 
-    The Schur vectors of a Hamiltonian are known to eps times its norm; where its eigenvalues span ten decades X may
-    be wrong by tens of per cent while the relative residual is 1e-3. Newton converges quadratically from there.
+    If the eigenvalues of the Hamiltonian span ten decades, X may be wrong by tens of per cent at a relative residual
+    of 1e-3. Newton converges quadratically from there.
     """
     from scipy.linalg import LinAlgError, solve_continuous_lyapunov
 
@@ -256,7 +256,7 @@ def _is_stable(loop: AnyArray) -> bool:
 
 
 def lyapunov(A: ArrayLike, Q: ArrayLike, discrete: bool = False, *, tolerance: float = 1e-6) -> Array:
-    r"""Solution X of ``A X + X A^T + Q = 0``, or ``A X A^T - X + Q = 0`` where discrete, for a symmetric Q.
+    r"""Solve ``A X + X A^T + Q = 0``, or ``A X A^T - X + Q = 0`` if discrete, for a symmetric Q.
 
     >>> float(lyapunov([[-0.5]], [[2.0]])[0, 0])
     2.0
@@ -268,7 +268,7 @@ def lyapunov(A: ArrayLike, Q: ArrayLike, discrete: bool = False, *, tolerance: f
 
 
 def small_residual(where: str, half: AnyArray, known: AnyArray, tolerance: float) -> float:
-    """Refuse the solution of ``half + half^T + known = 0`` that leaves more than this share of its terms."""
+    """Refuse a solution of ``half + half^T + known = 0`` with a residual above this share of its terms."""
     size = 2 * np.linalg.norm(half) + np.linalg.norm(known)
     residual = float(np.linalg.norm(half + half.T + known) / size) if size else 0.0
     if not residual <= tolerance:
@@ -278,7 +278,7 @@ def small_residual(where: str, half: AnyArray, known: AnyArray, tolerance: float
 
 @contextmanager
 def judged_afterwards() -> Iterator[None]:
-    """An ill-conditioned step is judged by the residual after it, not by a warning."""
+    """Ignore warnings of ill-conditioned steps whose residual is checked afterwards."""
     from scipy.linalg import LinAlgWarning
 
     with warnings.catch_warnings():
@@ -288,12 +288,12 @@ def judged_afterwards() -> Iterator[None]:
 
 
 def balanced_eigenvalues(matrix: AnyArray) -> AnyArray | None:
-    """Eigenvalues of a square matrix after balancing, shape (n,); None where it is not finite."""
+    """Return the eigenvalues of a square matrix after balancing, shape (n,); None if it is not finite."""
     if not np.isfinite(matrix).all():
         return None
     if not matrix.size:
         return np.zeros(0)
-    # Those of the transpose are the same, and it lies in memory as LAPACK wants it.
+    # The transpose has the same eigenvalues, and LAPACK's memory layout.
     real, imag, _, _, info = lapack().dgeev(matrix.T, compute_vl=0, compute_vr=0, lwork=ROOM * len(matrix))
     if info:
         raise np.linalg.LinAlgError("the QR algorithm did not converge")
@@ -302,10 +302,7 @@ def balanced_eigenvalues(matrix: AnyArray) -> AnyArray | None:
 
 @functools.cache
 def lapack() -> Any:
-    """The module of raw LAPACK routines, without the checks and copies of their usual fronts.
-
-    For loops of thousands of small problems; callers check that what they hand over is finite.
-    """
+    """Return scipy's module of raw LAPACK routines, for thousands of small problems; callers check for finite input."""
     from scipy.linalg import lapack as routines
 
     return routines

@@ -1,4 +1,4 @@
-"""Modes next to the frequency axis: the frequencies of their narrow peaks, and states that keep them apart."""
+"""Modes next to the frequency axis: the frequencies of their narrow peaks, and states that decouple them."""
 
 from __future__ import annotations
 
@@ -8,32 +8,32 @@ from robustlab.arrays import AnyArray, Array
 from robustlab.linear_analysis.magnitude import balancing_factors
 from robustlab.statespace import StateSpaceModel
 
-# Distance of a pole from the axis, in shares of its frequency, below which a grid may step over its peak.
+# Distance of a pole from the axis, as a share of its frequency, below which a grid may miss its peak.
 NARROW = 0.02
-# Where in a peak to look, in half widths: there the response has turned by equal angles.
+# Points of a peak in half widths, between which the phase turns by equal angles.
 INSIDE = np.tan(np.pi / 8 * np.arange(-3, 4))
-# Distance from the axis, in shares of the size of A, below which rounding of A moves the peak noticeably.
+# Distance from the axis, as a share of the size of A, below which rounding of A moves the peak noticeably.
 BLURRED = 1e-6
-# Product of the left and right eigenvector below which a mode is too much like another one to be parted from it.
+# Product of the left and right eigenvector below which a mode cannot be decoupled from another one.
 ALIKE = 1e-4
 # Eigenvectors as parallel as this are one, found twice.
 SAME = 1e-12
-# Bits in which states are changed: what is left of much larger terms keeps all digits of a double.
+# Bits of the change of states: differences of much larger terms keep all digits of a double.
 BITS = 192
 
 
 def narrow_frequencies(poles: AnyArray) -> Array:
-    """Frequencies in rad/s inside the peak of every pole (of the s-plane) that is next to the frequency axis."""
+    """Return frequencies in rad/s inside the peak of every pole (of the s plane) next to the frequency axis."""
     distance, at = np.abs(np.real(poles))[:, None], np.imag(poles)[:, None]
     return np.unique((at + distance * INSIDE)[(at[:, 0] > 0) & (distance < NARROW * at)[:, 0]])
 
 
 def modes_apart(model: StateSpaceModel) -> StateSpaceModel:
-    """The model in states in which modes whose damping rounding blurs are decoupled from all others.
+    """Decouple modes from all others whose damping is changed by rounding.
 
-    A mode that a zero nearly cancels is driven or seen by what is left of large terms; in a state of its own, scaled to
-    be as well driven as seen, that is a small number with all its digits. States are changed in ball arithmetic: only
-    entries of the result are rounded, so the response stays whatever the basis is.
+    The input or output gain of a mode that a zero nearly cancels is a difference of large terms; in a state of its own,
+    scaled to equal input and output gains, it is a small number with all its digits. States are changed in ball
+    arithmetic: only entries of the result are rounded, so the response does not depend on the basis.
     """
     poles: AnyArray = model.poles()
     if model.is_discrete:
@@ -64,11 +64,11 @@ def modes_apart(model: StateSpaceModel) -> StateSpaceModel:
     others = np.linalg.qr(np.hstack([np.real(left), np.imag(left)]), mode="complete")[0][:, 2 * len(inner) :]
     T = np.hstack([others, np.stack([np.real(right), np.imag(right)], axis=2).reshape(len(A), -1)])
     apart = in_states(StateSpaceModel(A, B, C, model.D, model.dt, model.inputs, model.outputs), T)
-    return model if apart is None else apart  # None: the vectors are no basis: these modes do not come apart
+    return model if apart is None else apart  # None: the vectors are no basis
 
 
 def in_states(model: StateSpaceModel, T: AnyArray) -> StateSpaceModel | None:
-    """The model in states whose old ones are T times these, each entry rounded once; None where T is no basis."""
+    """Return the model in states x' with ``x = T x'``, each entry rounded once; None if T is no basis."""
     from robustlab.verification.balls import exact, midpoints, precision
 
     with precision(BITS):
@@ -84,6 +84,6 @@ def in_states(model: StateSpaceModel, T: AnyArray) -> StateSpaceModel | None:
 
 
 def _eigenvectors(matrix: AnyArray, values: AnyArray) -> AnyArray:
-    """The eigenvectors, of length one, whose eigenvalues are next to these."""
+    """Return the eigenvectors of length one whose eigenvalues are nearest to these."""
     found, vectors = np.linalg.eig(matrix)
     return vectors[:, np.abs(found - values[:, None]).argmin(axis=1)]

@@ -1,4 +1,4 @@
-"""The one file that calls SLICOT, in process through slycot: it finds; what is claimed is checked elsewhere.
+"""Calls of SLICOT, in process through slycot; the results are checked by the callers.
 
 Input is finite (SLICOT may not return from NaN), sizes fit, and every info code becomes `NoTrustworthyNumber`.
 """
@@ -18,13 +18,13 @@ __all__ = ["gramian_factors", "invariant_zeros", "lyapunov_solution", "peak_gain
 
 
 def peak_gain(A: Array, B: Array, C: Array, D: Array) -> tuple[float, float]:
-    """The largest gain of a continuous model over the axis, and its frequency in rad/s (AB13DD, Bruinsma-Steinbuch)."""
+    """Find the largest gain of a continuous model over the axis, and its frequency in rad/s (AB13DD)."""
     n, (p, m) = len(A), D.shape
     return _called("ab13dd", "C", "I", "S", "D", n, m, p, A, np.eye(n), B, C, D, 1e-6)
 
 
 def lyapunov_solution(A: Array, Q: Array, discrete: bool) -> Array:
-    """X with ``A X + X A^T + Q = 0``, or ``A X A^T - X + Q = 0``, for a symmetric Q (SB03MD, Bartels-Stewart)."""
+    """Solve ``A X + X A^T + Q = 0``, or ``A X A^T - X + Q = 0``, for a symmetric Q (SB03MD, Bartels-Stewart)."""
     if not len(A):
         return np.zeros((0, 0))
     _, _, X, scale, *_ = _called("sb03md57", A.copy("F"), C=-Q, dico="D" if discrete else "C", trana="T")
@@ -32,7 +32,7 @@ def lyapunov_solution(A: Array, Q: Array, discrete: bool) -> Array:
 
 
 def gramian_factors(A: Array, B: Array, C: Array, discrete: bool) -> tuple[Array, Array]:
-    """Triangular L_c, L_o (n, n), ``P = L_c L_c^T`` and ``Q = L_o L_o^T``, of a stable model (SB03OD, Hammarling)."""
+    """Return triangular L_c, L_o (n, n) of a stable model, ``P = L_c L_c^T``, ``Q = L_o L_o^T`` (SB03OD)."""
     dico, n = "D" if discrete else "C", len(A)
     into, out = np.zeros((n, n), order="F"), np.zeros((n, n), order="F")
     into[:, : B.shape[1]] = B if B.shape[1] <= n else np.asarray(np.linalg.qr(B.T, mode="r")).T
@@ -45,12 +45,12 @@ def gramian_factors(A: Array, B: Array, C: Array, discrete: bool) -> tuple[Array
 
 
 def invariant_zeros(A: Array, B: Array, C: Array, D: Array) -> tuple[ComplexArray, int]:
-    """The finite invariant zeros by rising modulus, and the normal rank (AB08ND, Emami-Naeini and Van Dooren)."""
+    """Return the finite invariant zeros by rising modulus, and the normal rank (AB08ND, Emami-Naeini, Van Dooren)."""
     from scipy.linalg import eigvals
 
     if not len(A):
         return np.zeros(0, dtype=complex), int(np.linalg.matrix_rank(D)) if D.size else 0
-    # A row or column of zeros where there is none: AB08ND wants one of each, and the zeros are the same.
+    # AB08ND needs a row and a column: zeros are added where there is none, with the same result.
     into, out = int(not D.shape[1]), int(not len(D))
     B, C, D = np.pad(B, ((0, 0), (0, into))), np.pad(C, ((0, out), (0, 0))), np.pad(D, ((0, out), (0, into)))
     count, rank, *_, a, b = _called("ab08nd", len(A), *D.shape[::-1], A, B, C, D, equil="S")
@@ -60,7 +60,7 @@ def invariant_zeros(A: Array, B: Array, C: Array, D: Array) -> tuple[ComplexArra
 
 @cache
 def _slycot() -> Any:
-    """The package, whose BLAS gets one thread: the same bits under any load, and the quickest for small matrices."""
+    """Return the package with one BLAS thread: repeatable bits, and the quickest for small matrices."""
     import slycot
     from threadpoolctl import ThreadpoolController
 

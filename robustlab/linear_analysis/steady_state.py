@@ -35,7 +35,7 @@ class SteadyState(AllFields, Shown):
 
 
 def steady_state(model: Any, inputs: Mapping[str, float], outputs: Sequence[str] | None = None) -> SteadyState:
-    """Outputs :math:`y = G(0) u`, of a discrete model :math:`G(1) u`, under constant inputs; others are zero."""
+    """Compute outputs :math:`y = G(0) u` (discrete :math:`G(1) u`) under constant inputs; inputs left out are zero."""
     given = as_model(model, "steady state")
     if outputs is not None:
         given = drop_unconnected(given.select(outputs=outputs))

@@ -1,8 +1,8 @@
 r"""Structural properties of linear models: controllability, observability, and states that are not connected at all.
 
-The rank of the controllability matrix (eq. 4.2 of the thesis) is the definition, and a poor computation: powers of A
-drown the weak directions of a badly scaled model. Here the controllable subspace is built up by orthogonal steps (the
-staircase form), and every mode is tested by itself,
+The rank of the controllability matrix (eq. 4.2 of the thesis) is the definition, but inaccurate: powers of A hide the
+weak directions of a badly scaled model. Here the controllable subspace is built up by orthogonal steps (the staircase
+form), and every mode is tested by itself,
 
 .. math:: \operatorname{rank} [A - \lambda I \;\; B] = n \quad \text{for every eigenvalue } \lambda \text{ of } A,
 
@@ -26,20 +26,20 @@ from numpy.typing import NDArray
 from robustlab.arrays import Array, ComplexArray, Indices, Mask
 from robustlab.errors import told_as
 from robustlab.linear_analysis.matrix_equations import lapack
-from robustlab.result import Status
+from robustlab.result import Status, least_trusted
 from robustlab.shown import AllFields, Facts, Part, Shown, number
 from robustlab.statespace import StateSpaceModel, as_model
 
 Kind = Literal["controllability", "observability"]
 
-# Singular values of the scaled matrices, whose entries are at most 1: those above CLEAR are there, those below ROUNDING
-# (times n) are rounding; between the two there is doubt, and where nothing resolves it, those below ZERO count as 0.
+# Singular values of the scaled matrices, whose entries are at most 1: those above CLEAR are nonzero, those below
+# ROUNDING (times n) are rounding; between the two the modes decide, and else those below ZERO count as 0.
 CLEAR = 1e-10
 ZERO = 1e-12
 ROUNDING = 1e-14
-# Entries of a basis this near to a binary fraction of so many digits may be that fraction.
+# Entries of a basis within ROUNDED of a binary fraction of SHORT digits may be that fraction.
 ROUNDED, SHORT = 1e-13, 20
-# A state belongs to a mode's combination from this share of the largest weight on.
+# States with at least this share of the largest weight belong to a mode's combination.
 SHARE = 0.1
 
 
@@ -48,7 +48,7 @@ class HiddenMode(AllFields):
     """A mode that no input moves (controllability), or that no output shows (observability)."""
 
     eigenvalue: complex  # in rad/s, or in the z plane for a discrete model
-    stable: bool  # True where the mode decays by itself, beyond the rounding of its eigenvalue: hidden it does no harm
+    stable: bool  # whether the mode decays by itself, beyond the rounding of its eigenvalue
     states: tuple[str, ...]  # names of the states whose combination it is
     meaning: str  # the same in words
 
@@ -69,14 +69,14 @@ class StructuralTest(Shown):
         The hidden modes, ``n_states - rank`` of them.
     margin
         Smallest singular value of ``[A - lambda I, B]`` over all modes, relative to the norm of ``[A, B]``, of the
-        scaled model: so small a change, relatively, would hide a mode. An upper bound of the distance to the next
-        uncontrollable (unobservable) model in that scaling; inf without states.
+        scaled model: an upper bound of the relative distance to the nearest uncontrollable (unobservable) model in that
+        scaling; inf without states.
     weakest
         The eigenvalue where the margin is attained; None without states.
     eigenvalues, margins
         The same for every mode, shape (n_states,).
     status
-        CONVERGED where the decision is clear of rounding, INACCURATE where it is not.
+        CONVERGED where the decision does not depend on rounding, else INACCURATE.
     """
 
     kind: Kind
@@ -91,12 +91,12 @@ class StructuralTest(Shown):
 
     @property
     def complete(self) -> bool:
-        """True where no mode is hidden: the model is controllable (observable)."""
+        """Whether no mode is hidden: the model is controllable (observable)."""
         return self.rank == self.n_states
 
     @property
     def unstable_modes(self) -> tuple[HiddenMode, ...]:
-        """Hidden modes that do not decay; none of them: the model is stabilisable (detectable)."""
+        """Hidden modes that do not decay; without them the model is stabilisable (detectable)."""
         return tuple(mode for mode in self.modes if not mode.stable)
 
     def facts(self) -> Facts:
@@ -137,7 +137,7 @@ class Structure(Shown):
     @property
     def status(self) -> Status:
         """The less trusted of both tests."""
-        return max((self.controllability.status, self.observability.status), key=list(Status).index)
+        return least_trusted((self.controllability.status, self.observability.status))
 
     def numbers(self) -> dict[str, Any]:
         tests = {test.kind: test for test in (self.controllability, self.observability)}
@@ -167,7 +167,7 @@ class Structure(Shown):
 
 
 def structure(model: Any) -> Structure:
-    """Poles, stability, controllability and observability of a model at once."""
+    """Compute poles, stability, controllability and observability of a model."""
     given = as_model(model, "structure")
     poles = np.array(sorted(given.poles().tolist(), key=lambda p: (-p.real, p.imag)), dtype=complex)
     return Structure(
@@ -178,7 +178,7 @@ def structure(model: Any) -> Structure:
 
 @told_as("controllability")
 def controllability(model: Any) -> StructuralTest:
-    """Which modes the inputs can move; see `StructuralTest`.
+    """Test which modes the inputs can move; see `StructuralTest`.
 
     Parameters
     ----------
@@ -208,7 +208,7 @@ def controllability(model: Any) -> StructuralTest:
 
 @told_as("observability")
 def observability(model: Any) -> StructuralTest:
-    """Which modes the outputs show; the controllability test of ``(A^T, C^T)``.
+    """Test which modes the outputs show: the controllability test of ``(A^T, C^T)``.
 
     Parameters
     ----------
@@ -236,10 +236,9 @@ def observability(model: Any) -> StructuralTest:
 
 
 def drop_unconnected(model: Any) -> StateSpaceModel:
-    """The model without the states that no input reaches or no output sees, along non-zero entries of A, B and C.
+    """Remove the states without a path of non-zero entries of A, B and C from an input and to an output.
 
-    Nothing is computed: the input-output behaviour from zero initial state is exactly the same. Modes that cancel by
-    value rather than by structure stay.
+    The input-output behaviour from zero initial state is exactly the same. Modes that cancel by value are kept.
     """
     model = as_model(model, "drop_unconnected")
     moved = reached(model.A != 0, (model.B != 0).any(axis=1))
@@ -256,9 +255,9 @@ def drop_unconnected(model: Any) -> StateSpaceModel:
 
 
 def _test(model: StateSpaceModel, a: Array, b: Array, kind: Kind) -> StructuralTest:
-    """Controllability of (a, b), worded for ``kind``."""
+    """Test controllability of (a, b), worded for ``kind``."""
     n, found = model.n_states, _Reached.of(a, b)
-    # The spectrum of the two groups, each mode with its margin in the scaled model.
+    # the spectrum of the two groups, with the margins in the scaled model
     parts = slice(found.rank), slice(found.rank, None)
     inside = np.concatenate([np.linalg.eigvals(found.stairs[k, k]).astype(np.complex128) for k in parts])
     off_graph = np.linalg.eigvals(a[found.outer[:, None], found.outer]).astype(np.complex128)
@@ -275,7 +274,7 @@ def _test(model: StateSpaceModel, a: Array, b: Array, kind: Kind) -> StructuralT
 
 @dataclass(frozen=True, eq=False)
 class _Reached:
-    """The part of (a, b) that the inputs reach: states off the graph, and the staircase form of the scaled others."""
+    """The controllable part of (a, b): states not connected to inputs, and the staircase form of the scaled others."""
 
     a: Array
     b: Array
@@ -289,15 +288,14 @@ class _Reached:
     q: Array
     rank: int
     dropped: float  # largest singular value that counted as zero
-    clear: bool  # whether the rank is clear of rounding
+    clear: bool  # whether the rank does not depend on rounding
 
     @classmethod
     def of(cls, a: Array, b: Array, tolerance: float | None = None) -> _Reached:
-        """Decide the rank: singular values up to the tolerance count as zero; None: as clear of rounding as can be.
+        """Decide the rank: singular values up to the tolerance count as zero; None: those below rounding.
 
-        It is clear where nothing lies between what is kept (above CLEAR) and what is dropped (below ROUNDING). Noise
-        that grew on the way through a weakly controllable part may fill that gap; then the modes themselves are asked:
-        as many eigenvalues of A as directions were dropped must be uncontrollable to rounding.
+        It is clear if no value lies between CLEAR and ROUNDING. Rounding amplified by a weakly controllable part may
+        lie there; then as many eigenvalues of A as directions were dropped must be uncontrollable to rounding.
         """
         connected = reached(a != 0, (b != 0).any(axis=1))
         inner, outer = np.flatnonzero(connected), np.flatnonzero(~connected)
@@ -311,7 +309,7 @@ class _Reached:
         return cls(a, b, inner, outer, scaled, into, rate, exponent, *steps, clear)
 
     def modes(self, model: StateSpaceModel, kind: Kind) -> tuple[HiddenMode, ...]:
-        """Modes of the states off the graph, and of the part that the staircase does not reach."""
+        """Return the modes of the states not connected, and of the part that the staircase does not reach."""
         names, rest = np.array(model.state_names, dtype=object), slice(self.rank, None)
         size = float(np.linalg.norm(self.stairs, 2)) if self.rank else 0.0
         off, beyond = self.a[self.outer[:, None], self.outer], self.stairs[rest, rest]
@@ -323,8 +321,8 @@ class _Reached:
     def basis(self) -> tuple[Array, Indices, float]:
         r"""Return T and rows ``kept``, where it is the identity, with ``A T = T (A T)[kept]`` and ``B = T B[kept]``.
 
-        Entries become short binary fractions where these fit no worse: exact cancellations leave no rounding.
-        Last, the largest entry of what these equations miss, scaled.
+        Entries become short binary fractions where these fit no worse, so that exact cancellations have no rounding.
+        Last, the largest residual of these equations, scaled.
         """
         from scipy.linalg import qr
 
@@ -357,18 +355,18 @@ class LeastOrder:
     model: StateSpaceModel  # with a subset of the given states where no output was needed to choose
     given: StateSpaceModel
     reached: StateSpaceModel  # without what no input moves
-    # Bases: states of `given` are `right` times those of `reached`; those of `model` are `left` times them.
+    # states of `given` are `right` times those of `reached`; those of `model` are `left` times them
     right: Array
     left: Array
     hidden: tuple[HiddenMode, ...]  # the modes that were left out
     dropped: float  # largest singular value that counted as zero, relative to the scaled model
-    clear: bool  # whether the rank is clear of rounding
+    clear: bool  # whether the rank does not depend on rounding
 
 
 def least_order(model: StateSpaceModel, tolerance: float | None = None) -> LeastOrder:
     """Remove the modes that no input moves, then those that no output shows, by the staircase form.
 
-    Singular values up to ``tolerance`` count as zero, relative to the scaled model; None: what is clear of rounding.
+    Singular values up to ``tolerance`` count as zero, relative to the scaled model; None: those below rounding.
     """
     first = _Reached.of(model.A, model.B, tolerance)
     t, kept, missed = first.basis()
@@ -386,16 +384,13 @@ def least_order(model: StateSpaceModel, tolerance: float | None = None) -> Least
 
 
 def _product(a: Array, t: Array, missed: float) -> Array:
-    """Multiply, with zeros where the terms cancel: no scaling shall take their rounding for a connection.
-
-    ``missed``: how far t is off.
-    """
+    """Multiply, with zeros where the terms cancel to rounding; ``missed``: error of t."""
     found = a @ t
     return np.where(np.abs(found) <= max(ROUNDING, 10 * missed) * (np.abs(a) @ np.abs(t)), 0.0, found)
 
 
 def hidden_unstable(model: StateSpaceModel) -> tuple[HiddenMode, ...]:
-    """Return the modes that do not decay and that no input moves or no output shows, one of each conjugate pair."""
+    """Return the unstable modes that no input moves or no output shows, one of each conjugate pair."""
     if model.is_stable():
         return ()
     modes = _Reached.of(model.A, model.B).modes(model, "controllability")
@@ -404,14 +399,14 @@ def hidden_unstable(model: StateSpaceModel) -> tuple[HiddenMode, ...]:
 
 
 def with_hidden(text: str, *models: StateSpaceModel) -> str:
-    """Complete what was found of an unstable loop by the hidden modes of its models that no feedback can change."""
+    """Complete the text about an unstable loop by the hidden unstable modes of its models."""
     return "; ".join([text, *(f"hidden: {mode.meaning}" for model in models for mode in hidden_unstable(model))])
 
 
 def _staircase(a: Array, b: Array, zero: float) -> tuple[Array, Array, int, float]:
-    """Orthogonal steps into the controllable subspace: range of B, then what A adds to it, until nothing is added.
+    """Build the controllable subspace by orthogonal steps: range of B, then ranges of A's blocks until none is left.
 
-    Singular values up to ``zero`` count as nothing. ``q^T A q``, q, the rank, and the largest value that was dropped.
+    Return ``q^T A q``, q, the rank, and the largest singular value dropped; those up to ``zero`` are.
     """
     n = len(a)
     a, q = a.copy(order="F"), np.eye(n, order="F")
@@ -434,7 +429,7 @@ def _staircase(a: Array, b: Array, zero: float) -> tuple[Array, Array, int, floa
 
 
 def _scaled(a: Array, b: Array) -> tuple[Array, Array, float, NDArray[np.int64]]:
-    r"""``T^-1 A T / rate`` and ``T^-1 B S`` with entries of at most 1 and at least one of about 1 in every row.
+    r"""Return ``T^-1 A T / rate`` and ``T^-1 B S`` with entries of at most 1 and one of about 1 in every row.
 
     T is the strongest path from the inputs to each state, :math:`t_i = \max(|b_i|, \max_j |a_{ij}| t_j / rate)`,
     rounded to powers of two. Units of states cancel in it: a model and its diagonal rescaling come out equal up to a
@@ -462,7 +457,7 @@ def _scaled(a: Array, b: Array) -> tuple[Array, Array, float, NDArray[np.int64]]
 
 
 def _margins(a: Array, b: Array, eigenvalues: ComplexArray) -> Array:
-    """Smallest singular value of ``[A - lambda I, B]`` at each eigenvalue, relative to the norm of ``[A, B]``."""
+    """Return the smallest singular value of ``[A - lambda I, B]`` at each eigenvalue, relative to ``|[A, B]|``."""
     n = len(a)
     if n == 0:
         return np.zeros(0)
@@ -487,7 +482,7 @@ def _hidden_modes(
     rate: float = 1.0,
     size: float = 0.0,
 ) -> list[HiddenMode]:
-    """The modes of ``rate a``, whose entries carry the rounding of numbers of ``size`` at least, in these states."""
+    """Return the modes of ``rate a``, whose entries carry the rounding of numbers of ``size`` at least."""
     from scipy.linalg import eig
 
     if len(a) == 0:
@@ -502,8 +497,8 @@ def _hidden_modes(
         value = complex(value)
         stable = bool((1 - abs(value) if discrete else -value.real) > blur)
         involved = tuple(states[weight >= SHARE * weight.max()])
-        shown = complex(*(0.0 if abs(part) <= blur else part for part in (value.real, value.imag)))
-        number = f"{shown.real:.6g}" if shown.imag == 0 else f"{shown.real:.6g}{shown.imag:+.6g}j"
+        rounded = complex(*(0.0 if abs(part) <= blur else part for part in (value.real, value.imag)))
+        number = f"{rounded.real:.6g}" if rounded.imag == 0 else f"{rounded.real:.6g}{rounded.imag:+.6g}j"
         where = f"z = {number}" if discrete else f"{number} rad/s"
         text = f"{'stable' if stable else 'unstable'} mode {where} in {', '.join(involved)}: {word}"
         found.append(HiddenMode(value, stable, involved, text))
@@ -511,9 +506,9 @@ def _hidden_modes(
 
 
 def strong_components(acts: Mask) -> Indices:
-    """Which strongly connected component each node is in, counted by their first nodes; ``acts[i, j]``: edge j to i.
+    """Return the strongly connected component of each node, numbered by their first nodes; ``acts[i, j]``: edge j to i.
 
-    The matrix of paths is squared until nothing is added: for a few nodes faster than scipy's search, and its import.
+    The matrix of paths is squared until it is constant: for a few nodes faster than scipy's search and its import.
     """
     paths = acts | np.eye(len(acts), dtype=bool)
     while True:
@@ -525,7 +520,7 @@ def strong_components(acts: Mask) -> Indices:
 
 
 def reached(edges: Mask, start: Mask) -> Mask:
-    """States that can be reached from ``start`` when ``edges[i, j]`` leads from j to i."""
+    """Return the states that can be reached from ``start`` by edges from j to i, ``edges[i, j]``."""
     found, frontier = start.copy(), start.copy()
     while frontier.any():
         frontier = edges[:, frontier].any(axis=1) & ~found

@@ -12,14 +12,12 @@ from robustlab.statespace import StateSpaceModel
 __all__ = ["bilinear_to_continuous", "bilinear_to_discrete"]
 
 EPS = float(np.finfo(float).eps)
-# Poles in z beyond this all become s = 2/dt to the last digit.
+# Poles in z above this modulus become s = 2/dt to the last digit.
 OUTSIDE = 1e15
 
 
 def bilinear_to_continuous(model: StateSpaceModel) -> StateSpaceModel:
-    """Continuous model with ``G_c(s) = G(z)`` under ``s = (2/dt)(z - 1)/(z + 1)``; stability and H-infinity norm are
-    the same.
-    """
+    """Return the continuous model ``G_c(s) = G(z)`` under ``s = (2/dt)(z - 1)/(z + 1)``, of the same norm."""
     a = 2 / model.dt
     t, m, b, c = _in_balanced_states(model)
     plus = np.eye(model.n_states) + m
@@ -31,13 +29,13 @@ def bilinear_to_continuous(model: StateSpaceModel) -> StateSpaceModel:
     e, root = np.linalg.inv(plus), np.sqrt(2 * a)
     with np.errstate(over="ignore", invalid="ignore"):
         D = model.D - c @ e @ b
-        # What cancels to rounding is zero: a direct path of 1e-17 would be taken for one by every later scaling.
+        # Cancellation to rounding is zero: later scalings would take a direct path of 1e-17 for one.
         D[np.abs(D) <= 16 * EPS * (np.abs(model.D) + np.abs(c @ e) @ np.abs(b))] = 0.0
         return _mapped(model, 0.0, t, a * e @ (m - np.eye(model.n_states)), root * e @ b, root * c @ e, D)
 
 
 def bilinear_to_discrete(model: StateSpaceModel, dt: float) -> StateSpaceModel:
-    """Inverse of `bilinear_to_continuous` (Tustin's rule, with the input and output scaling that keeps Gramians)."""
+    """Invert `bilinear_to_continuous` (Tustin's rule, with the input and output scaling that keeps Gramians)."""
     a = 2 / dt
     t, m, b, c = _in_balanced_states(model)
     minus = a * np.eye(model.n_states) - m
@@ -52,7 +50,7 @@ def bilinear_to_discrete(model: StateSpaceModel, dt: float) -> StateSpaceModel:
 def _mapped(
     model: StateSpaceModel, dt: float, t: AnyArray, A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray
 ) -> StateSpaceModel:
-    """The mapped model, brought back from the balanced states ``x / t``."""
+    """Return the mapped model in the original states, from the balanced states ``x / t``."""
     A, B, C = t[:, None] * A / t, t[:, None] * B, C / t
     refuse_overflow("bilinear map", A, B, C, D)
     signals = model.inputs, model.outputs, model.states
@@ -60,7 +58,7 @@ def _mapped(
 
 
 def _is_singular(matrix: AnyArray, limit: float) -> bool:
-    """Whether the condition number stays above ``limit`` with every row as long: one fast pole is no singularity."""
+    """Return whether the condition number exceeds ``limit`` with rows of one length: one fast pole is not singular."""
     if not matrix.size or np.linalg.cond(matrix) <= limit:
         return False
     length = np.abs(matrix).max(axis=1, keepdims=True)
@@ -68,6 +66,6 @@ def _is_singular(matrix: AnyArray, limit: float) -> bool:
 
 
 def _in_balanced_states(model: StateSpaceModel) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
-    """Factors t, and A, B, C in the states ``x / t``: a condition number says something about poles there only."""
+    """Return factors t, and A, B, C in the states ``x / t``, where condition numbers depend on poles only."""
     t = balancing_factors(model.A)
     return t, model.A / t[:, None] * t, model.B / t[:, None], model.C * t

@@ -1,4 +1,4 @@
-r"""Matrices P that prove an H-infinity or an H2 norm, found in floating point; who checks it trusts nothing of it.
+r"""Matrices P that prove an H-infinity or an H2 norm, found in floating point and checked in ball arithmetic.
 
 .. math:: -\begin{pmatrix} A^T P + P A + C^T C & P B + C^T D \\ B^T P + D^T C & D^T D - \gamma^2 I \end{pmatrix} > 0,
    \quad P > 0
@@ -7,8 +7,8 @@ holds strictly for the stabilising solution of the Riccati equation with :math:`
 :math:`C^T C`: the norm with :math:`\sqrt\varepsilon x` as further outputs is at most
 :math:`\sqrt{\gamma_0^2 + \varepsilon h^2}`, h that from the inputs to the states. Discrete likewise.
 
-Where the gain is flat the room is a millionth everywhere, and doubles do not hold a P that proves it. So the residual
-is taken in extended precision, Newton's method corrects P by it, and P comes as the sum of two matrices of doubles.
+Where the gain is flat the margin is a millionth everywhere, too little for a P of doubles. So the residual is computed
+in extended precision, Newton's method corrects P by it, and P is the sum of two matrices of doubles.
 """
 
 from __future__ import annotations
@@ -29,26 +29,26 @@ from robustlab.verification.checker import check
 from robustlab.verification.claim import Claim, Outcome
 from robustlab.verification.models import Model, model_of, on_the_axis, shifted
 
-SHARE = 0.5  # of what lies between the level and the norm, squared, that the further outputs take up
-# Levels, over the one that is wanted, at which the equation is solved in doubles: near the norm no digit is left.
+SHARE = 0.5  # of the difference of the squares of level and norm, for the further outputs
+# Levels, relative to the requested one, at which the equation is solved in doubles: near the norm all digits are lost.
 FIRST = (1.0, 1.0001, 1.01, 2.0)
 RANGE = (1e-150, 1e150)  # of levels whose squares are doubles
-BITS = 240  # in which residuals are taken
-ROUGH = 1e-2  # relative residual of an equation that a correction makes good
+BITS = 240  # precision of residuals
+ROUGH = 1e-2  # largest relative residual that corrections remove
 STEPS = 40  # of Newton's method
-SMALL = 1e-26  # of P: a correction below it changes no digit of two doubles
+SMALL = 1e-26  # share of P below which a correction changes no digit of two doubles
 
 
 def norm_matrix(model: StateSpaceModel, gamma: float, norm: float, numbers: Numbers | None = None) -> Numbers:
-    """``P`` and ``P_low`` (n, n), symmetric to the last bit, for the level ``gamma`` above ``norm``; else nothing.
+    """Return ``P`` and ``P_low`` (n, n), exactly symmetric, that prove the level ``gamma`` above ``norm``; or nothing.
 
-    ``numbers``: those of a loop, of which ``model`` has the rounded matrices; the equation is that of the loop itself.
+    ``numbers``: those of a loop of which ``model`` has the rounded matrices; the proof is for the loop itself.
     """
     n = model.n_states
     if not n or not model.n_inputs or not norm < gamma or not RANGE[0] < gamma < RANGE[1]:
         return {}
     claimed: Numbers = {**(model_numbers(model) if numbers is None else numbers), "gamma": np.array(gamma)}
-    C, D = model.C / gamma, model.D / gamma  # a tiny level beside A would leave the equation without digits
+    C, D = model.C / gamma, model.D / gamma  # the equation with a level tiny against A would lose its digits
     t = np.exp2(balancing_exponents(model.A, model.B, C).astype(float))
     A, B, C = model.A / t[:, None] * t, model.B / t[:, None], C * t
     try:
@@ -70,14 +70,13 @@ def norm_matrix(model: StateSpaceModel, gamma: float, norm: float, numbers: Numb
         except (InputError, NoTrustworthyNumber, np.linalg.LinAlgError):
             continue
         found = {"P": P / t[:, None] / t, "P_low": low / t[:, None] / t}
-        # A matrix that proves nothing would only cost the checker time.
         if check(Claim("bounded-real", {**claimed, **found})).outcome is Outcome.PROVED:
             return found
     return {}
 
 
 def _refined(claim: Claim, X: Array, t: Array, gamma: float, room: float) -> tuple[Array, Array]:
-    """The Riccati equation's solution next to X, of states times 1/t, as a sum of two matrices of doubles."""
+    """Return the Riccati equation's solution next to X, of states divided by t, as a sum of two matrices of doubles."""
     from scipy.linalg import solve_continuous_lyapunov as solve
 
     n = len(X)
@@ -99,7 +98,7 @@ def _refined(claim: Claim, X: Array, t: Array, gamma: float, room: float) -> tup
             residual = 0.5 * (residual + residual.T)
             if not (np.isfinite(residual).all() and np.isfinite(loop).all()):
                 raise NoTrustworthyNumber("norm_matrix", "Newton's steps diverge")
-            # scipy's where there is a choice: with SB03MD the steps end early where the states span ten decades.
+            # scipy's solver if continuous: with SB03MD the steps end early if the states span ten decades
             discrete = G.dt > 0
             step = lyapunov(loop.T, residual, True, tolerance=ROUGH) if discrete else solve(loop.T, -residual)
             P = (P + exact(0.5 * (step + step.T))).mid()
@@ -109,7 +108,7 @@ def _refined(claim: Claim, X: Array, t: Array, gamma: float, room: float) -> tup
 
 
 def gain_in_balls(model: StateSpaceModel, omega: float) -> float:
-    """``sigma_max`` at a finite frequency in rad/s, by extended precision; 0 where even that leaves no digits."""
+    """Compute ``sigma_max`` at a finite frequency in rad/s in extended precision; 0 if even that has no digits."""
     with precision(BITS):
         G = model_of(Claim("", model_numbers(model)))
         mapped = on_the_axis(G) if G.dt else G
@@ -126,7 +125,7 @@ def gain_in_balls(model: StateSpaceModel, omega: float) -> float:
 
 
 def gramian_matrix(model: StateSpaceModel, value: float, level: float, numbers: Numbers) -> Numbers:
-    r"""``P`` and ``P_low`` (n, n) that prove the H2 norm ``value`` at the ``level`` above it; nothing where none does.
+    r"""Return ``P`` and ``P_low`` (n, n) that prove the H2 norm ``value`` at the ``level`` above it, or nothing.
 
     :math:`A^T P + P A + C^T C + \varepsilon I = 0` in balanced states, with :math:`\varepsilon` so small that P still
     proves the level.
@@ -135,7 +134,7 @@ def gramian_matrix(model: StateSpaceModel, value: float, level: float, numbers: 
     t = np.exp2(balancing_exponents(model.A, model.B, model.C).astype(float))
     A, B = model.A / t[:, None] * t, model.B / t[:, None]
     try:
-        # tr(B'XB) of A'X + XA + I = 0 is what a unit of e costs.
+        # The derivative by e is tr(B'XB) with A'X + XA + I = 0.
         unit = lyapunov(A.T, np.eye(n), model.is_discrete, tolerance=ROUGH)
         size = float(np.abs(B).max(initial=0.0)) or 1.0
         cost = float(np.trace(B.T / size @ unit @ B / size))
@@ -148,7 +147,7 @@ def gramian_matrix(model: StateSpaceModel, value: float, level: float, numbers: 
 
 
 def gramian_square(model: StateSpaceModel) -> float | None:
-    """The square of the H2 norm of a stable model, to the last bit; None where the Gramian does not settle."""
+    """Return the square of the H2 norm of a stable model, to the last bit; None if the Gramian does not settle."""
     t = np.exp2(balancing_exponents(model.A, model.B, model.C).astype(float))
     try:
         with precision(BITS):
@@ -161,7 +160,7 @@ def gramian_square(model: StateSpaceModel) -> float | None:
 
 
 def _gramian(G: Model, A: Array, t: Array, e: float) -> Matrix:
-    """P of states divided by t, where G's A is about ``A``, by residuals in extended precision."""
+    """Compute P of states divided by t, with G's A about ``A``, by residuals in extended precision."""
     into, back = exact(np.diag(1 / t)), exact(np.diag(t))
     exact_A, C = into * G.A * back, G.C * back
     Q, P = C.transpose() * C + identity(G.n) * arb(e), exact(np.zeros((G.n, G.n)))
@@ -176,7 +175,7 @@ def _gramian(G: Model, A: Array, t: Array, e: float) -> Matrix:
 
 
 def _in_doubles(P: Matrix) -> tuple[Array, Array]:
-    """A matrix as the sum of two of doubles, symmetric to the last bit."""
+    """Return a matrix as the sum of two of doubles, exactly symmetric."""
     high = midpoints(P)
     high = 0.5 * (high + high.T)
     low = midpoints(P - exact(high))

@@ -1,4 +1,4 @@
-"""Claims about norms of a model, or of the loop of a plant and a controller as they are stored: H-infinity and H2.
+"""Claims about H-infinity and H2 norms of a model, or of the loop of a plant and a controller as stored.
 
 The checker closes loops itself, in balls: `u = K y`.
 """
@@ -17,7 +17,7 @@ from robustlab.verification.claim import Claim
 
 
 def norm_claims(found: HinfNorm) -> list[Claim]:
-    """That the gain stays below ``upper``: of a stable model, or over a band of one that may be unstable."""
+    """Claim that the gain stays below ``upper``: of a stable model, or over a band of one that may be unstable."""
     model = found.system
     if model is None or not np.isfinite(found.upper) or found.status is not Status.CERTIFIED:
         return []
@@ -31,7 +31,7 @@ def norm_claims(found: HinfNorm) -> list[Claim]:
 
 
 def band_scalings(q: int, p: int, band: tuple[float, float]) -> Numbers:
-    """One full block with D = 1 over the band: mu of it is the gain."""
+    """Return one full block with D = 1 over the band: its mu is the gain."""
     low, high = band
     whole = {"low": np.array([low]), "high": np.array([high]), "band": np.array([low, high])}
     scalings = {"D_w": np.eye(q)[None], "D_z": np.eye(p)[None], "G": np.zeros((1, q, p))}
@@ -39,7 +39,7 @@ def band_scalings(q: int, p: int, band: tuple[float, float]) -> Numbers:
 
 
 def h2_claims(found: H2Norm) -> list[Claim]:
-    """That the H2 norm is at most ``value``, by a Gramian that is a little too large."""
+    """Claim that the H2 norm is at most ``value``, by a slightly enlarged Gramian."""
     model = found.system
     if model is None or not np.isfinite(found.value) or not found.status.trustworthy:
         return []
@@ -47,9 +47,9 @@ def h2_claims(found: H2Norm) -> list[Claim]:
 
 
 def gramian_claims(model: StateSpaceModel, value: float, numbers: Numbers | None = None) -> list[Claim]:
-    """By a Gramian that is a little too large, for the level ``value`` (1 + 1e-6); none where none was found.
+    """Claim the level ``value`` (1 + 1e-6) by a slightly enlarged Gramian; no claim if none was found.
 
-    ``numbers``: what the model is made of, where it is a loop; else those of the model.
+    ``numbers``: those of plant and controller if the model is a loop; by default those of the model.
     """
     numbers, level = model_numbers(model) if numbers is None else numbers, above(value)
     proof = gramian_matrix(model, value, level, numbers) if model.n_states else {}
@@ -57,7 +57,7 @@ def gramian_claims(model: StateSpaceModel, value: float, numbers: Numbers | None
 
 
 def loop_claims(plant: StateSpaceModel, K: StateSpaceModel, gamma: float) -> list[Claim]:
-    """That K, on the last outputs and inputs of the plant, makes a stable loop with a norm of at most ``gamma``."""
+    """Claim that K, on the last outputs and inputs of the plant, makes a stable loop with a norm up to ``gamma``."""
     if not np.isfinite(gamma):
         return []
     numbers, level = loop_numbers(plant, K), above(gamma)
@@ -66,5 +66,5 @@ def loop_claims(plant: StateSpaceModel, K: StateSpaceModel, gamma: float) -> lis
 
 
 def h2_loop_claims(plant: StateSpaceModel, K: StateSpaceModel, value: float) -> list[Claim]:
-    """The same of the H2 norm."""
+    """Claim the same of the H2 norm."""
     return gramian_claims(lower_lft(plant, K), value, loop_numbers(plant, K)) if np.isfinite(value) else []

@@ -1,4 +1,4 @@
-"""H2 norm by two Gramians that must agree, or else by one in extended precision that ball arithmetic proves."""
+"""H2 norm by two Gramians that must agree, or else by one in extended precision, proved in ball arithmetic."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from robustlab.verification.claim import Claim, Outcome
 __all__ = ["H2Norm", "h2_by_channels", "h2_by_gramians", "h2_norm"]
 
 EPS = float(np.finfo(float).eps)
-# Gramians that differ by more than the first share of the norm disagree; below the second nothing was lost.
+# Gramians disagree if they differ by more than the first share of the norm; below the second no digits were lost.
 AGREE, SAME = 1e-6, 1e-10
-# A pole nearer to the boundary than this share of the fastest one is known to few digits: Gramians may err alike.
+# A pole nearer to the boundary than this share of the fastest one has few digits: both Gramians may have one error.
 DAMPED = 1e-8
 
 
@@ -40,14 +40,14 @@ class H2Norm(Shown):
     Attributes
     ----------
     value
-        The larger of what the two Gramians give, or the norm by one in extended precision.
+        The larger of the values from the two Gramians, or the norm by one in extended precision.
     status
         CONVERGED where the Gramians agree to 1e-10, or the one in extended precision was proved; CERTIFIED for a norm
-        that is infinite or needs no equation; INACCURATE where nothing confirms it, FAILED without a solution.
+        that is infinite or needs no equation; INACCURATE where it is not confirmed, FAILED without a solution.
     reason
         Why it is infinite or inaccurate; else empty.
     system
-        The model that it is the norm of, for `robustlab.verify`.
+        The model, for `robustlab.verify`.
     """
 
     value: float
@@ -69,16 +69,15 @@ class H2Norm(Shown):
 
 @told_as("h2_norm")
 def h2_norm(model: Any) -> H2Norm:
-    r"""H2 norm: the response to white noise, by two Gramians that must agree.
+    r"""Compute the H2 norm: the response to white noise, by two Gramians that must agree.
 
     .. math:: \|G\|_2^2 = \frac{1}{2\pi} \int_{-\infty}^{\infty} \mathrm{tr}\, G(j\omega) G(j\omega)^* d\omega
         = \mathrm{tr}(C P C^T) = \mathrm{tr}(B^T Q B), \quad
         A P + P A^T + B B^T = 0, \quad A^T Q + Q A + C^T C = 0
 
     and, discrete, :math:`\|G\|_2^2 = \mathrm{tr}(C P C^T + D D^T)` with ``A P A^T - P + B B^T = 0``, the mean of
-    ``tr G G^*`` over the unit circle. Where they do not agree to 1e-10, or a pole is next to the stability boundary, a
-    Gramian is computed anew by residuals in extended precision, and counts where ball arithmetic proves the norm from
-    it.
+    ``tr G G^*`` over the unit circle. If they do not agree to 1e-10, or a pole is next to the stability boundary, a
+    Gramian is computed by residuals in extended precision, and used if ball arithmetic proves the norm from it.
 
     Parameters
     ----------
@@ -121,7 +120,7 @@ def h2_norm(model: Any) -> H2Norm:
 
 
 def _in_balls(found: H2Norm, m: StateSpaceModel) -> H2Norm:
-    """The norm by a Gramian in extended precision where the checker proves it; else that of `found`, inaccurate."""
+    """Return the norm by a Gramian in extended precision if the checker proves it; else `found`, inaccurate."""
     square = gramian_square(m)
     if square is not None and square >= 0:
         value, numbers = float(np.sqrt(square)), model_numbers(m)
@@ -137,18 +136,18 @@ def _in_balls(found: H2Norm, m: StateSpaceModel) -> H2Norm:
 
 @told_as("h2_norm")
 def h2_by_gramians(model: Any) -> H2Norm:
-    """`h2_norm` for searches: INACCURATE where the two Gramians differ by more than 1e-6."""
+    """Compute `h2_norm` for searches: INACCURATE if the two Gramians differ by more than 1e-6."""
     return _by_gramians(as_model(model, "h2_norm"))[0]
 
 
 def h2_by_channels(m: StateSpaceModel) -> tuple[H2Norm, AnyArray, AnyArray]:
-    """`h2_by_gramians`, and what outputs (n_y,) and inputs (n_u,) have of its square; zeros without one."""
+    """Compute `h2_by_gramians`, and the parts of its square by outputs (n_y,) and inputs (n_u,); zeros without one."""
     found, _, out, into = _by_gramians(m)
     return found, out, into
 
 
 def _by_gramians(m: StateSpaceModel) -> tuple[H2Norm, float, AnyArray, AnyArray]:
-    """The norm, by how much of it both Gramians differ, NaN without them, and the shares of outputs and inputs."""
+    """Compute the norm, the relative difference of both Gramians (NaN without them), and parts by channels."""
     refuse_extremes(m, "h2_norm")
     none = np.nan, np.zeros(m.n_outputs), np.zeros(m.n_inputs)
     outside = unstable_norm(m) if m.n_states else None
@@ -163,7 +162,7 @@ def _by_gramians(m: StateSpaceModel) -> tuple[H2Norm, float, AnyArray, AnyArray]
     s, rate = (m, 1.0) if m.is_discrete else well_scaled(m)
     found = _solved(s, rate, doubt)
     if found[0].status is not Status.CONVERGED:
-        # States that weigh inputs and outputs alike may make A lopsided, whose Schur form then loses small entries.
+        # States that balance inputs and outputs may unbalance A, whose Schur form then loses small entries.
         t = balancing_factors(s.A)
         other = _solved(s._in_states(s.A / t[:, None] * t, s.B / t[:, None], s.C * t), rate, doubt)
         found = other if other[0].status is Status.CONVERGED or np.isnan(found[1]) else found
@@ -171,7 +170,7 @@ def _by_gramians(m: StateSpaceModel) -> tuple[H2Norm, float, AnyArray, AnyArray]
 
 
 def _solved(s: StateSpaceModel, rate: float, doubt: str) -> tuple[H2Norm, float, AnyArray, AnyArray]:
-    """The same in these states, whose time unit is 1/rate."""
+    """Compute the same in these states, whose time unit is 1/rate."""
     direct = s.D**2
     try:
         L_c, L_o = slicot.gramian_factors(s.A, s.B, s.C, s.is_discrete)
@@ -183,7 +182,7 @@ def _solved(s: StateSpaceModel, rate: float, doubt: str) -> tuple[H2Norm, float,
             small_residual("gramians", 0.5 * (A @ X @ A.T - X) if s.is_discrete else A @ X, known, AGREE)
     except NoTrustworthyNumber as error:
         doubt = doubt or error.line
-    # Squares of the factors alone are added: an output that is nearly zero keeps its digits.
+    # Only squares of the factors are added, so that an output that is nearly zero keeps its digits.
     out, into = ((s.C @ L_c) ** 2).sum(1), ((L_o.T @ s.B) ** 2).sum(0)
     one, two = (float(np.sqrt(rate * (x.sum() + direct.sum()))) for x in (out, into))
     gap = abs(one - two) / max(one, two) if max(one, two) else 0.0

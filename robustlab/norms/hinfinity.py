@@ -2,9 +2,9 @@ r"""H-infinity and L-infinity norm as a proved bracket: AB13DD finds the peak, o
 
 ``sigma_max(G(jw)) = g`` for some w if and only if the Hamiltonian H(g) has the eigenvalue jw. The imaginary part of
 every eigenvalue counts as a candidate crossing, without a tolerance on its real part, and ``sigma_max`` is evaluated at
-all of them and between each two: none above the level makes it an upper bound; a higher one is the next lower bound,
-which also finds the peaks that AB13DD overlooks. The level is as far above as rounding asks for; where that is too
-far, ball arithmetic decides.
+all of them and between each two: if none exceeds the level, it is an upper bound; else the largest is the next lower
+bound, which also finds the peaks that AB13DD misses. The level is as far above the peak as rounding requires; if that
+is too far, ball arithmetic decides.
 
 References
 ----------
@@ -36,22 +36,22 @@ from robustlab.shown import Facts
 from robustlab.statespace import StateSpaceModel, as_model
 
 EPS = float(np.finfo(float).eps)
-# Eigenvalues of a Jordan block of four may be off by this many times those of a matrix with a basis of eigenvectors.
+# Error of the eigenvalues of a Jordan block of four over that of a matrix with a basis of eigenvectors.
 FAR = 1e12
-# A pole within so many times what eigenvalues are known to may lie on the boundary: those of Jordan blocks are blurred.
-BESIDE = 1e9
-# Shares of the norm: rounding at the peak below the first is not told, above the second the bracket is not certified.
-QUIET, LOUD = 1e-9, 1e-3
-# A level is so many times what rounding may do to the gain above the peak.
+# A pole within so many times the error of eigenvalues may lie on the boundary, for those of Jordan blocks.
+NEXT_TO = 1e9
+# Shares of the norm: rounding at the peak below the first is ignored, above the second the bracket is not certified.
+QUIET, LOSSY = 1e-9, 1e-3
+# Distance of a level to the peak over the rounding error of the gain.
 MARGIN = 10.0
-# Levels before the bracket is given up, and frequencies next to poles at which rounding is looked at besides the peak.
-LEVELS, LOOKED_AT = 60, 3
-# A bracket that is doubtful, or wider than the first share, is left to ball arithmetic up to so many states: 0.1 s.
+# Most levels, and frequencies next to poles at which rounding is computed besides the peak.
+LEVELS, NEAR_POLES = 60, 3
+# A doubtful bracket, or one wider than the first share, is proved in ball arithmetic up to so many states: 0.1 s.
 WIDE, BALL_STATES = 1e-4, 40
-SHARES = (1e-5, 1e-4, 5e-4, 1e-3)  # of the norm, above which balls are asked where they cannot prove less
+SHARES = (1e-5, 1e-4, 5e-4, 1e-3)  # of the norm, by which levels in ball arithmetic exceed it
 
 Band = tuple[float, float]
-Infinite = Callable[[StateSpaceModel], "HinfNorm | None"]  # which poles make the norm infinite: its bracket, or None
+Infinite = Callable[[StateSpaceModel], "HinfNorm | None"]  # the bracket of an infinite norm, or None
 
 
 @dataclass(frozen=True)
@@ -64,19 +64,19 @@ class HinfNorm(PeakGain):
         ``sigma_max`` of the given model at ``frequency``, evaluated.
     upper
         Level that no singular value crosses, by the Hamiltonian test or in ball arithmetic; ``lower <= norm <= upper``.
-        Where rounding may move the gain at the peak by more than 1e-9 of it, both ends are that much further out. A
-        norm that is zero up to rounding has the ends zero and the bound of that rounding.
+        Where rounding may move the gain at the peak by more than 1e-9 of it, both ends are that much further out. If
+        the norm is zero up to rounding, ``lower`` is 0 and ``upper`` the rounding bound.
     frequency
         Frequency in rad/s at which ``sigma_max`` attains ``lower``; ``inf`` where only the direct term does, NaN for an
         infinite norm without such a frequency.
     status
-        CERTIFIED, or INACCURATE where rounding leaves the sign of a pole or a level test open.
+        CERTIFIED, or INACCURATE where rounding decides the sign of a pole or a level test.
     reason
         Why the norm is infinite or inaccurate; else empty.
     system
-        The model that it is the norm of, for `robustlab.verify`.
+        The model, for `robustlab.verify`.
     band
-        The band in rad/s of a peak over the axis, which asks for no stability; None of a norm.
+        The band in rad/s of a peak over the axis, of a model that may be unstable; None of a norm.
     """
 
     frequency: float
@@ -102,16 +102,16 @@ class HinfNorm(PeakGain):
 
 @told_as("hinf_norm")
 def hinf_norm(model: Any, rtol: float = 1e-6) -> HinfNorm:
-    """`robustlab.peak_gain` of a model: the H-infinity norm, infinite where the model is not stable."""
+    """Compute `robustlab.peak_gain` of a model: the H-infinity norm, infinite if the model is not stable."""
     return _norm_of(as_model(model, "hinf_norm"), rtol, unstable_norm, None, "hinf_norm")
 
 
 @told_as("linf_norm")
 def linf_norm(model: Any, rtol: float = 1e-6, *, band: tuple[float, float] | None = None) -> HinfNorm:
-    """The same over the frequency axis or a band of it, of a model that may be unstable.
+    """Compute the peak gain over the frequency axis or a band of it, of a model that may be unstable.
 
-    Whether a pole lies on the stability boundary is decided in exact arithmetic up to 12 states; beyond them a pole
-    that rounding cannot tell from the boundary makes the norm infinite with status INACCURATE.
+    Whether a pole lies on the stability boundary is decided in exact arithmetic up to 12 states; with more states a
+    pole indistinguishable from the boundary makes the norm infinite with status INACCURATE.
     """
     given = as_model(model, "linf_norm")
     part = None if band is None else checked_band(band, given.dt, "linf_norm")
@@ -121,7 +121,7 @@ def linf_norm(model: Any, rtol: float = 1e-6, *, band: tuple[float, float] | Non
 
 
 def checked_band(band: tuple[float, float], dt: float, where: str) -> tuple[float, float]:
-    """A band of frequencies in rad/s; its upper end may be infinite, or pi / dt of a discrete model."""
+    """Check a band of frequencies in rad/s; its upper end may be infinite, or pi / dt of a discrete model."""
     last = np.pi / dt if dt else np.inf
     try:
         low, high = (float(omega) for omega in band)
@@ -156,30 +156,30 @@ def _norm_of(m: StateSpaceModel, rtol: float, infinite: Infinite, band: Band | N
 
 
 def _bracket(m: StateSpaceModel, rtol: float, band: Band | None) -> HinfNorm:
-    """The norm by the level test."""
+    """Bound the norm by the level test."""
     try:
         s, rate = well_scaled(bilinear_to_continuous(m) if m.is_discrete else m)
         part = None if band is None else _mapped_band(band, m.dt, rate)
         lower, at, level, error, settled = _level_test(s, rtol, part)
     except (np.linalg.LinAlgError, NoTrustworthyNumber) as failed:
         return HinfNorm(0.0, np.inf, np.nan, Status.INACCURATE, f"frequency response failed: {failed}")
-    # A peak is flat to rtol over sqrt(2 rtol) times its pole's distance: a representable frequency must lie in there.
+    # A peak is flat to rtol over sqrt(2 rtol) times its pole's distance: a floating-point number must lie in there.
     blind = np.isfinite(at) and np.sqrt(2 * rtol) * np.abs(1j * at - s.poles()).min() < EPS * at
     omega = at * rate
     if m.is_discrete:  # the bilinear map s = (2/dt) (z - 1)/(z + 1) bends the frequency axis
         omega = 2 / m.dt * float(np.arctan(omega * m.dt / 2)) if np.isfinite(omega) else np.pi / m.dt
     reason = "" if settled else "the level test did not settle: digits were lost"
-    attained, (size, beside) = float(largest_gains(m, np.array([omega]))[0]), _rounding(m, axis_point(m, omega))
-    error = max(error, beside)
-    if abs(attained - lower) > 10 * rtol * lower + min(error, LOUD * lower) and lower > level - lower:
+    attained, (size, at_peak) = float(largest_gains(m, np.array([omega]))[0]), _rounding(m, axis_point(m, omega))
+    error = max(error, at_peak)
+    if abs(attained - lower) > 10 * rtol * lower + min(error, LOSSY * lower) and lower > level - lower:
         reason = f"scaled and original realisation differ at the peak: {lower:.9g} against {attained:.9g}"
     if blind:
         reason = f"the peak at {omega:.6g} rad/s is narrower than the spacing of floating-point numbers"
     upper = max(level, attained)
-    if error > LOUD * attained:
+    if error > LOSSY * attained:
         upper += error
         if settled and attained <= error and upper <= QUIET * size and not blind:
-            return HinfNorm(0.0, upper, omega, Status.CERTIFIED)  # nothing but rounding
+            return HinfNorm(0.0, upper, omega, Status.CERTIFIED)  # rounding only
         share = error / attained if attained else np.inf
         reason = reason or f"rounding alone may move the gain at the peak by {share:.2g} of it: digits were lost"
     elif error > QUIET * attained:
@@ -188,7 +188,7 @@ def _bracket(m: StateSpaceModel, rtol: float, band: Band | None) -> HinfNorm:
 
 
 def _level_test(s: StateSpaceModel, rtol: float, band: Band | None) -> tuple[float, float, float, float, bool]:
-    """Peak gain of a well-scaled model, where, a level that is not reached, rounding, and whether that settled."""
+    """Return a well-scaled model's peak gain, its frequency, a level not reached, rounding, and whether it settled."""
     poles = s.poles()
     try:
         peak = [slicot.peak_gain(s.A, s.B, s.C, s.D)[1]]
@@ -198,14 +198,14 @@ def _level_test(s: StateSpaceModel, rtol: float, band: Band | None) -> tuple[flo
         omega = np.array([*peak, 0.0, np.inf])
     else:
         omega = _within(np.abs(np.concatenate([poles, poles.imag, peak])), band or (0.0, np.inf))
-    gains, error, lower, at, looked = largest_gains(s, omega), 0.0, -1.0, 0.0, False
+    gains, error, lower, at, tested = largest_gains(s, omega), 0.0, -1.0, 0.0, False
     level = np.inf
     for _ in range(LEVELS):
         top = int(np.argmax(gains))
         if gains[top] > lower:
             lower, at = float(gains[top]), float(omega[top])
             error = max(error, _rounding(s, axis_point(s, at))[1])
-        margin = MARGIN if lower > error else 2.0  # a gain of rounding size has no peak to tell apart
+        margin = MARGIN if lower > error else 2.0  # a gain of rounding size has no peak
         level = lower + max(rtol * lower, margin * error)
         if level == 0:
             return 0.0, at, 0.0, 0.0, True
@@ -213,11 +213,10 @@ def _level_test(s: StateSpaceModel, rtol: float, band: Band | None) -> tuple[flo
         gains = largest_gains(s, omega)
         if gains.max() > level:
             continue
-        if not looked:  # once: at the points where poles are near, rounding is worst
-            looked = True
-            near = omega[
-                np.argsort(np.abs(1j * omega[:, None] - poles).min(axis=1) / (np.abs(omega) + EPS))[:LOOKED_AT]
-            ]
+        if not tested:  # once: rounding is worst near poles
+            tested = True
+            distance = np.abs(1j * omega[:, None] - poles).min(axis=1) / (np.abs(omega) + EPS)
+            near = omega[np.argsort(distance)[:NEAR_POLES]]
             worst = max(_rounding(s, axis_point(s, float(w)))[1] for w in near)
             if worst > error and level < lower + margin * worst:
                 error = worst
@@ -227,7 +226,7 @@ def _level_test(s: StateSpaceModel, rtol: float, band: Band | None) -> tuple[flo
 
 
 def _in_balls(m: StateSpaceModel, found: HinfNorm, rtol: float) -> HinfNorm:
-    """The norm where ball arithmetic proves a level just above the gain at the peak; else what was found."""
+    """Return the norm if ball arithmetic proves a level just above the gain at the peak; else ``found``."""
     if m.n_states > BALL_STATES or not np.isfinite(found.upper) or not np.isfinite(found.frequency):
         return found
     gain = gain_in_balls(m, found.frequency)
@@ -239,7 +238,7 @@ def _in_balls(m: StateSpaceModel, found: HinfNorm, rtol: float) -> HinfNorm:
 
 
 def _mapped_band(band: Band, dt: float, rate: float) -> Band:
-    """The band of the scaled continuous model that stands for one of the model as given."""
+    """Map a band of the model as given to the scaled continuous model."""
     low, high = band
     if dt:
         low, high = (2 / dt * float(np.tan(omega * dt / 2)) if omega * dt < np.pi else np.inf for omega in band)
@@ -247,7 +246,7 @@ def _mapped_band(band: Band, dt: float, rate: float) -> Band:
 
 
 def axis_point(m: StateSpaceModel, omega: float) -> complex:
-    """The point s or z of a frequency."""
+    """Return the point s or z of a frequency."""
     if m.is_discrete:
         return complex(np.exp(1j * omega * m.dt))
     return 1j * omega if np.isfinite(omega) else complex(np.inf)
@@ -256,9 +255,9 @@ def axis_point(m: StateSpaceModel, omega: float) -> complex:
 def gain_rounding(
     A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray, s: complex, sums: Sequence[Array] | None = None
 ) -> float:
-    r"""Bound of the rounding error of ``sigma_max(C (sI - A)^{-1} B + D)``, to first order; s may be infinite.
+    r"""Bound the rounding error of ``sigma_max(C (sI - A)^{-1} B + D)``, to first order; s may be infinite.
 
-    ``sums``: sizes of what was added up to A, B, C and D, where terms cancelled in them; their own where left out.
+    ``sums``: sizes of the terms added up to A, B, C and D, if these cancelled; by default those of A, B, C and D.
 
     With ``F = sI - A`` and ``X = F^{-1} B`` a backward stable solution is off by no more than
     ``n eps |F^{-1}| (|F| |X| + |B|)``, entry by entry; no scaling of the states changes that.
@@ -273,7 +272,7 @@ def _rounding(m: StateSpaceModel, s: complex) -> tuple[float, float]:
 def _terms(
     A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray, s: complex, sums: Sequence[Array] | None = None
 ) -> tuple[float, float]:
-    """Size of what is added up to the gain at s, ``|C| |X| + |D|``, and `gain_rounding`."""
+    """Return the size of the terms of the gain at s, ``|C| |X| + |D|``, and `gain_rounding`."""
     in_a, in_b, in_c, in_d = [np.abs(m) for m in (A, B, C, D)] if sums is None else sums
     n, size, error = len(A), np.abs(D), in_d
     if n and np.isfinite(s):
@@ -286,13 +285,13 @@ def _terms(
     return float(np.linalg.norm(size)), max(n, 1) * EPS * float(np.linalg.norm(error))
 
 
-# --- poles that make it infinite -------------------------------------------------------------------------------------
+# --- infinite norms --------------------------------------------------------------------------------------------------
 
 
 def unstable_norm(m: StateSpaceModel) -> HinfNorm | None:
-    """The infinite norm of a model that is not stable, or None."""
+    """Return the infinite norm of a model that is not stable, or None."""
     abscissa = m.spectral_abscissa()
-    # Balancing does not make the sum of all entries larger: where that is enough it need not be done.
+    # Balancing does not increase the sum of all entries: with enough distance it is not needed.
     if abscissa < -10 * EPS * max(float(np.abs(m.A).sum()), 1.0 if m.is_discrete else 0.0):
         return None
     blur = eigenvalue_blur(m)
@@ -300,7 +299,7 @@ def unstable_norm(m: StateSpaceModel) -> HinfNorm | None:
         return None
     poles = m.poles()
     worst = complex(poles[np.argmax(np.abs(poles) if m.is_discrete else poles.real)])
-    # Eigenvalues of Jordan blocks are known to far fewer digits; well outside there is no doubt.
+    # Eigenvalues of Jordan blocks have far fewer digits; well outside there is no doubt.
     stable = exactly_stable(m.A, m.is_discrete) if abscissa < FAR * blur else False
     if stable or (stable is None and abscissa < 0):
         return _infinite(worst, False)
@@ -309,7 +308,7 @@ def unstable_norm(m: StateSpaceModel) -> HinfNorm | None:
 
 
 def _on_the_boundary(band: Band | None, m: StateSpaceModel) -> HinfNorm | None:
-    """The infinite norm of a model with a pole on the stability boundary, in the band where there is one, or None."""
+    """Return the infinite norm of a model with a pole on the stability boundary (in the band if given), or None."""
     poles, blur = m.poles(), eigenvalue_blur(m)
     distance = np.abs(np.abs(poles) - 1 if m.is_discrete else poles.real)
     inside = np.ones(len(poles), dtype=bool)
@@ -317,19 +316,19 @@ def _on_the_boundary(band: Band | None, m: StateSpaceModel) -> HinfNorm | None:
         at = np.abs(np.angle(poles) if m.is_discrete else poles.imag)
         low, high = (omega * m.dt if m.is_discrete else omega for omega in band)
         inside = (at >= low - blur) & (at <= high + blur)
-    # Eigenvalues of Jordan blocks are known to far fewer digits; well away there is no doubt.
+    # Eigenvalues of Jordan blocks have far fewer digits; well away there is no doubt.
     if not (inside & (distance <= FAR * blur)).any():
         return None
     nearest = int(np.where(inside, distance, np.inf).argmin())
-    # Exact arithmetic tells whether a pole lies on the boundary, not which: none beside the band may be the one.
-    beside = ~inside & (distance <= BESIDE * blur)
-    there = bool(not beside.any() and exactly_on_boundary(m.A, m.is_discrete))
-    return _infinite(complex(poles[nearest]), there) if there or distance[nearest] <= blur else None
+    # Exact arithmetic decides whether a pole lies on the boundary, not which: it may be none outside the band.
+    outside = ~inside & (distance <= NEXT_TO * blur)
+    certain = bool(not outside.any() and exactly_on_boundary(m.A, m.is_discrete))
+    return _infinite(complex(poles[nearest]), certain) if certain or distance[nearest] <= blur else None
 
 
-def _infinite(pole: complex, there: bool) -> HinfNorm:
-    """What a pole that is on the boundary, or cannot be told from it, makes of the norm."""
-    if there:
+def _infinite(pole: complex, certain: bool) -> HinfNorm:
+    """Return the norm of a model with a pole on the boundary, or one indistinguishable from it."""
+    if certain:
         text = f"pole {pole_text(pole)} is on the stability boundary"
         return HinfNorm(np.inf, np.inf, np.nan, Status.CERTIFIED, text)
     text = f"pole {pole_text(pole)} cannot be told from the stability boundary"
@@ -337,13 +336,13 @@ def _infinite(pole: complex, there: bool) -> HinfNorm:
 
 
 def eigenvalue_blur(m: StateSpaceModel) -> float:
-    """Eigenvalues are known to about eps times the norm of the balanced A: a nearer pole has no sign."""
+    """Return the error of eigenvalues, about eps times the norm of the balanced A: a nearer pole has no sign."""
     t = balancing_factors(m.A)
     return 10 * EPS * max(float(np.linalg.norm(m.A / t[:, None] * t, 1)), 1.0 if m.is_discrete else 0.0)
 
 
 def pole_text(pole: complex) -> str:
-    """A pole as error messages show it."""
+    """Return a pole as a text of messages."""
     return f"{pole.real:.6g}{pole.imag:+.6g}j"
 
 
@@ -351,28 +350,28 @@ def pole_text(pole: complex) -> str:
 
 
 def well_scaled(m: StateSpaceModel) -> tuple[StateSpaceModel, float]:
-    """The same transfer function in the time unit 1/rate, with states balanced against inputs and outputs (Osborne)."""
+    """Return the model in the time unit 1/rate, with states balanced against inputs and outputs (Osborne)."""
     t, rate = balancing_units(m)
     a, b, c = m.A / rate, m.B / np.sqrt(rate), m.C / np.sqrt(rate)
     return m._in_states(a / t[:, None] * t, b / t[:, None], c * t, rate=rate), rate
 
 
 def balancing_units(m: StateSpaceModel) -> tuple[Array, float]:
-    """``t`` (n,) and ``rate`` of `well_scaled`, powers of two: its states are ``sqrt(rate) x / t``."""
+    """Return ``t`` (n,) and ``rate`` of `well_scaled`, powers of two: its states are ``sqrt(rate) x / t``."""
     size = np.sort(np.abs(m.poles()))
     size = size[size > 1e-12 * size[-1]]
     rate = float(2.0 ** np.round(np.log2(size[len(size) // 2]))) if size.size else 1.0  # nothing but integrators
     a, b, c = m.A / rate, m.B / np.sqrt(rate), m.C / np.sqrt(rate)
     level = np.linalg.norm(b) / np.linalg.norm(c) if b.any() and c.any() else 1.0
     n = m.n_states
-    bordered = np.zeros((n + 1, n + 1), order="F")  # B and C, which weigh the same, as the row and column of one state
+    bordered = np.zeros((n + 1, n + 1), order="F")  # B and C, of one weight, as column and row of one more state
     bordered[:n, :n], bordered[:n, n], bordered[n, :n] = a, np.linalg.norm(b, axis=1), level * np.linalg.norm(c, axis=0)
     scale = lapack().dgebal(bordered, scale=1, overwrite_a=1)[3]
     return scale[:n] / scale[n], rate
 
 
 def largest_gains(m: StateSpaceModel, omega: AnyArray) -> AnyArray:
-    """``sigma_max`` at each frequency, shape (n_omega,)."""
+    """Compute ``sigma_max`` at each frequency, shape (n_omega,)."""
     response = solved_response(m, omega)
     if not np.isfinite(response).all():
         raise NoTrustworthyNumber("hinf_norm", "the frequency response overflows")
@@ -382,9 +381,9 @@ def largest_gains(m: StateSpaceModel, omega: AnyArray) -> AnyArray:
 
 
 def crossings(m: StateSpaceModel, level: float, band: Band | None = None) -> AnyArray:
-    """Imaginary parts of all eigenvalues of the Hamiltonian at this level, and points between and beyond them.
+    """Return imaginary parts of all eigenvalues of the Hamiltonian at this level, and points between and beyond them.
 
-    Of a band, those inside, its ends, and points between them: nothing crosses the level between two of these.
+    Of a band, those inside, its ends, and points between them. The gain crosses the level at such points only.
     """
     n, root = m.n_states, np.sqrt(level)
     b, c, d = m.B / root, m.C / root, m.D / level
@@ -410,5 +409,5 @@ def crossings(m: StateSpaceModel, level: float, band: Band | None = None) -> Any
 
 
 def _within(omega: AnyArray, band: Band) -> AnyArray:
-    """The frequencies inside a band, and its ends, in order."""
+    """Return the frequencies inside a band, and its ends, in order."""
     return np.unique(np.append(omega[(omega > band[0]) & (omega < band[1])], band))

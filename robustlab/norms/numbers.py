@@ -1,4 +1,4 @@
-"""The datasets of a claim, from models and blocks as the library has them."""
+"""The datasets of a claim, from models and blocks of the library."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from robustlab.statespace import StateSpaceModel
 
 Numbers = dict[str, NDArray[Any]]
 
-ABOVE = 1 + 1e-6  # a level is claimed so much above what was found: the evidence then holds with a margin
+ABOVE = 1 + 1e-6  # ratio of the claimed to the computed level, so that the evidence holds with a margin
 
 
 def above(number: float) -> float:
-    """What is claimed of a number that was found."""
+    """Return the level claimed for a computed number."""
     return float(number * ABOVE) if number > 0 else 1e-300
 
 
 def matrices(model: StateSpaceModel, name: str = "{}") -> Numbers:
-    """``A, B, C, D``, called as ``name`` says."""
+    """Return ``A, B, C, D`` under the names ``name``."""
     return {name.format(letter): getattr(model, letter) for letter in "ABCD"}
 
 
 def model_numbers(model: StateSpaceModel) -> Numbers:
-    """A model with its dt in seconds, 0 for a continuous one."""
+    """Return a model's matrices with its dt in s."""
     return {**matrices(model), "dt": np.array(float(model.dt))}
 
 
 def loop_numbers(plant: StateSpaceModel, K: StateSpaceModel) -> Numbers:
-    """A plant and the controller u = K y of its last outputs and inputs."""
+    """Return a plant and the controller u = K y of its last outputs and inputs."""
     return {
         **matrices(plant, "P_{}"), **matrices(K, "K_{}"), "dt": np.array(float(plant.dt)),
         "n_meas": np.array(K.n_inputs, dtype=np.int64), "n_con": np.array(K.n_outputs, dtype=np.int64),
@@ -39,9 +39,9 @@ def loop_numbers(plant: StateSpaceModel, K: StateSpaceModel) -> Numbers:
 
 
 def block_rows(blocks: Sequence[Any]) -> NDArray[np.int64]:
-    """``[kind, rows, cols]`` of each block: 0 real, 1 complex number times the identity, 2 a full matrix.
+    """Return ``[kind, rows, cols]`` of each block: 0 real, 1 complex number times the identity, 2 a full matrix.
 
-    Any other set of matrices is taken as a full block, which holds it.
+    Any other set of matrices counts as a full block, which contains it.
     """
     rows = [(0 if b.interval else 1 if b.is_scalar else 2, b.rows, b.cols) for b in blocks]
     return np.array(rows, dtype=np.int64).reshape(-1, 3)

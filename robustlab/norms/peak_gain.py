@@ -1,4 +1,4 @@
-"""What every answer to "how large can the gain be?" is: two bounds, where the lower is attained, what they rest on."""
+"""Base of results about the largest gain: two bounds, where the lower is attained, and their conditions."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ class PeakGain(Bracket):
     ----------
     lower, upper
         ``lower <= gain <= upper``: ``lower`` is attained, at ``frequency`` or by a member; ``upper`` is proved, inf
-        where nothing was. Both inf where the system, or a member of it, is unstable.
+        without proof. Both inf where the system, or a member of it, is unstable.
     frequency
         Where ``lower`` is attained, rad/s; None where that has no meaning, NaN or None where the gain is infinite.
     status
         How far both can be trusted.
     conditions
-        What they take for granted, where that is not all that can happen.
+        Assumptions of the bounds.
     notes
         Remarks for the reader of a report.
     """
@@ -35,10 +35,10 @@ class PeakGain(Bracket):
 
     quantities: ClassVar[Mapping[str, Any]] = {"lower": float, "upper": float}
     unsaved: ClassVar[tuple[str, ...]] = ()  # fields that `to_json` leaves out
-    unstable: ClassVar[str] = "infinite: a member is unstable"  # what both bounds say where they are infinite
+    unstable: ClassVar[str] = "infinite: a member is unstable"  # text of infinite bounds
 
     def bounds(self) -> str:
-        """Both bounds in words, with what each rests on."""
+        """Return both bounds in words."""
         if math.isinf(self.lower):
             return self.unstable
         if math.isinf(self.upper):
@@ -46,7 +46,7 @@ class PeakGain(Bracket):
         return bracket(self.lower, self.upper, ("attained", "proved"))
 
     def place(self) -> str:
-        """Where ``lower`` is attained, in words; empty where that is unknown."""
+        """Return where ``lower`` is attained, in words; empty if unknown."""
         return number(self.frequency, "rad/s")
 
     def headline(self) -> str:
@@ -65,7 +65,7 @@ class PeakGain(Bracket):
         ]
 
     def evidence(self) -> Facts:
-        """The facts of this kind of system alone."""
+        """Return the facts of this kind of system."""
         return []
 
     def to_json(self) -> dict[str, Any]:

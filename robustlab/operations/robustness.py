@@ -73,14 +73,14 @@ def classical_margins(
 
 def _loop(plant: Any, around: Loop) -> tuple[Any, Any, Any, str]:
     """Plant, controller, sign and the loop in words; a sign that nothing says is that of the stable loop."""
-    from robustlab.closing import closing, silenced
+    from robustlab.closing import closing, without_sign
     from robustlab.delays.model import as_delayed
 
     K = around.controller
     if isinstance(plant, rl.DelayedModel) or isinstance(K, rl.DelayedModel):
         plant, K = (None if o is None else as_delayed(getattr(o, "K", o), "margins") for o in (plant, K))
     found = closing(plant, K, around.sign, "margins", None if K is not None else -1)
-    return found.plant, None if found.K is None else silenced(found.K, "margins"), found.sign, found.said
+    return found.plant, None if found.K is None else without_sign(found.K, "margins"), found.sign, found.said
 
 
 # --- a set ------------------------------------------------------------------------------------------------------------

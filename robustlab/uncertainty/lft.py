@@ -24,12 +24,12 @@ from robustlab.shown import SHOWN_BLOCKS, Facts, Shown, listed, number, with_uni
 from robustlab.shown import Part as TablePart
 from robustlab.signals import (
     Signal,
-    indices,
     is_constant,
     is_number,
     picked,
     real_array,
     same_units,
+    signal_positions,
 )
 from robustlab.statespace import OperatingPoint, StateSpaceModel, append, as_model, lower_lft
 from robustlab.uncertainty.blocks import Block, as_blocks, block_slices, delta_matrix, structure_size
@@ -312,8 +312,8 @@ class UncertainModel(TransferMatrix, Shown, Traced):
         """The same set with the named inputs and outputs only."""
         q, p = self.delta_shape
         ins, outs = self.M.input_names, self.M.output_names
-        some_ins = [ins[q + k] for k in indices(inputs, ins[q:], "input")]
-        some_outs = [outs[p + k] for k in indices(outputs, outs[p:], "output")]
+        some_ins = [ins[q + k] for k in signal_positions(inputs, ins[q:], "select: input")]
+        some_outs = [outs[p + k] for k in signal_positions(outputs, outs[p:], "select: output")]
         return UncertainModel(self.M.select([*ins[:q], *some_ins], [*outs[:p], *some_outs]), self.blocks)
 
     def centred(self, level: float = 1.0) -> UncertainModel:

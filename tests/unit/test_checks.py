@@ -1,4 +1,4 @@
-"""The checks of arguments: what passes comes back in its type, what does not is named."""
+"""The checks of arguments: accepted values are returned in their type, others are refused by name."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from robustlab.errors import InputError
 
 
 @given(st.floats(), st.floats(allow_nan=False), st.floats(allow_nan=False))
-def test_a_number_passes_where_it_is_finite_and_in_its_range(value: float, least: float, most: float) -> None:
+def test_finite_numbers_of_the_range_are_accepted(value: float, least: float, most: float) -> None:
     inside = least < value <= most and abs(value) < inf
     try:
         found = checks.number("f: x", value, above=least, at_most=most)
@@ -29,13 +29,13 @@ def test_a_number_passes_where_it_is_finite_and_in_its_range(value: float, least
 
 
 @pytest.mark.parametrize("value", [True, "1", b"1", None, [1.0], np.ones(2), 1j, nan, inf, -inf, 10**400])
-def test_what_is_no_finite_number_is_refused(value: object) -> None:
+def test_other_than_finite_numbers_are_refused(value: object) -> None:
     with pytest.raises(InputError, match="expected a finite number"):
         checks.number("f: x", value)
 
 
 @pytest.mark.parametrize("value", [2, 2.0, np.float32(2.0), np.int64(2), np.array(2.0), Fraction(2)])
-def test_numbers_of_any_type_come_back_as_floats(value: object) -> None:
+def test_numbers_of_any_type_are_returned_as_floats(value: object) -> None:
     found = checks.number("f: x", value)
     assert type(found) is float
     assert found == 2.0
@@ -54,20 +54,20 @@ def test_numbers_of_any_type_come_back_as_floats(value: object) -> None:
         ({"at_least": 0, "at_most": 1}, "a number from 0 to 1"),
     ],
 )
-def test_the_words_come_from_the_range(limits: dict[str, float], expected: str) -> None:
+def test_the_expectation_is_the_range_in_words(limits: dict[str, float], expected: str) -> None:
     with pytest.raises(InputError) as refused:
         checks.number("f: x", nan, **limits)
     assert refused.value.expected == expected
 
 
 @pytest.mark.parametrize("value", [True, 2.0, "2", None, np.array([2, 3]), -1, 5])
-def test_what_is_no_whole_number_of_the_range_is_refused(value: object) -> None:
+def test_other_than_whole_numbers_of_the_range_are_refused(value: object) -> None:
     with pytest.raises(InputError, match="expected a whole number from 0 to 4"):
         checks.whole("f: n", value, 0, 4)
 
 
 @pytest.mark.parametrize("value", [0, 4, np.int32(3), np.uint8(4)])
-def test_whole_numbers_come_back_as_ints(value: object) -> None:
+def test_whole_numbers_are_returned_as_ints(value: object) -> None:
     found = checks.whole("f: n", value, 0, 4)
     assert type(found) is int
     assert found == value

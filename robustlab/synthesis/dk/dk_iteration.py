@@ -27,7 +27,7 @@ from robustlab.synthesis.dk.robust_problem import Iterate, RobustProblem, nomina
 from robustlab.synthesis.dk.scalings_fit import FIRST_POINTS, MuCurve, as_complex, fitted_scalings, mu_curve
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.problem.controller import Controller
-from robustlab.synthesis.problem.design import Synthesis, design_budget, limiting_channels, told
+from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status, limiting_channels
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant, require_performance
 from robustlab.uncertainty.blocks import Block, FullBlock, as_blocks, delta_values, structure_size
 
@@ -376,7 +376,7 @@ class _Search:
             least = f"the smallest level {best.level:.6g} ({best.K.n_states} states)"
             parts.append(f"lowest order within {order_rel:.1%} of {least}")
         status = Status.INACCURATE if doubt else Status.CERTIFIED
-        status, reason = told(status, parts, self.budget, "a smaller mu")
+        status, reason = final_status(status, parts, self.budget, "a smaller mu")
         return DKSynthesis(
             K=chosen.K, gamma=gamma, closed_loop=loop, status=status, reason=reason,
             limit=limiting_channels(loop, frequency), plant=self.plant, method="dk", blocks=blocks,

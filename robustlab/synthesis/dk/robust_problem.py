@@ -19,7 +19,7 @@ from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.dk.dynamic_scalings import DynamicScalings, plant_at_level, proved_level
 from robustlab.synthesis.dk.riccati_level import LevelSearch
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
-from robustlab.synthesis.hinf.search import Search, channel_gains, soften, trial_loop
+from robustlab.synthesis.hinf.search import Search, channel_gains, relax, trial_loop
 from robustlab.synthesis.problem.certify import SHARES, certified
 from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices, Realisation
 from robustlab.synthesis.problem.rebuilt_loop import named_controller, with_direct_term
@@ -171,7 +171,7 @@ class RobustProblem:
         trials = Search(plant, paths_first(plant), self.budget)
         start = trials.adopt(Realisation(middle.A, middle.B, middle.C, middle.D))
         if start is not None:
-            soften(trials, start, 1.0)
+            relax(trials, start, 1.0)
         slow = sorted((c for c in trials.candidates if c.gamma <= 1.0), key=lambda c: c.pace)
         for candidate in slow[:SLOWEST]:
             best = self._slower(StateSpaceModel(*candidate.K), best, limit)

@@ -29,7 +29,7 @@ from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
 from robustlab.synthesis.nonsmooth.parameter_search import Start, multi_start
 from robustlab.synthesis.problem.assumptions import require_stabilisable
 from robustlab.synthesis.problem.certify import Certificate, certified
-from robustlab.synthesis.problem.design import Synthesis, design_budget, limiting_channels, told
+from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status, limiting_channels
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant, require_performance
 from robustlab.synthesis.problem.scaling import common_scaling
 from robustlab.tables import Table, Tabular
@@ -394,7 +394,7 @@ def _best_verified(problem: DesignProblem, found: Sequence[Start]) -> FixedSynth
         raise not_found(problem, found)
     best = min(kept, key=lambda d: (not d.status.trustworthy, d.gamma))
     parts = [best.reason, f"{len(found)} starts; a local optimum"]
-    status, reason = told(best.status, parts, problem.budget)
+    status, reason = final_status(best.status, parts, problem.budget)
     return replace(best, starts=tuple(found), status=status, reason=reason)
 
 
@@ -442,10 +442,12 @@ def _for_worst_member(
     if np.isfinite(worst.upper) and worst.status is Status.CERTIFIED:
         gamma = worst.upper if found.status.trustworthy else max(worst.upper, found.gamma)
         sound = Status.INACCURATE if found.status is Status.INACCURATE else Status.CERTIFIED
-        status, reason = told(sound, [found.reason, "worst-case gain over the whole set proved", scenarios], budget)
+        status, reason = final_status(
+            sound, [found.reason, "worst-case gain over the whole set proved", scenarios], budget
+        )
         return replace(found, gamma=gamma, status=status, reason=reason)
     text = "a member is unstable" if not np.isfinite(worst.lower) else "the worst-case gain was not proved"
-    status, reason = told(Status.INCONCLUSIVE, [text, scenarios], budget)
+    status, reason = final_status(Status.INCONCLUSIVE, [text, scenarios], budget)
     return replace(found, gamma=max(found.gamma, worst.lower), status=status, reason=reason)
 
 

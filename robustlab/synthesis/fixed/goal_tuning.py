@@ -27,7 +27,7 @@ from robustlab.synthesis.laws.controller_laws import Law
 from robustlab.synthesis.nonsmooth.design_limits import Limit
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
 from robustlab.synthesis.nonsmooth.parameter_search import BARRIER_CLOSER, central_path, multi_start, refined
-from robustlab.synthesis.problem.design import Synthesis, design_budget, told
+from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status
 from robustlab.synthesis.problem.gamma_bounds import gamma_bound
 from robustlab.synthesis.problem.partition import GeneralizedPlant, signal_positions
 from robustlab.synthesis.specifications.weight_design import performance_weight
@@ -421,7 +421,7 @@ def _verified(
         status = Status.CONVERGED if any(goal.norm == "h2" for goal in goals) else Status.CERTIFIED
         hard = "every hard goal is met" if any(goal.hard for goal in goals) else "no hard goals"
         parts = [f"{hard}; loops rebuilt from K: stable, norms verified", "a local optimum"]
-    status, reason = told(status, parts, budget)
+    status, reason = final_status(status, parts, budget)
     return TunedSynthesis(
         K=K, gamma=max(soft), closed_loop=closed[0], status=status, reason=reason, limit="", plant=first, method="tune",
         goals=tuple(goals), limits=kept, parameters=fixed.parameter_values(law, p),

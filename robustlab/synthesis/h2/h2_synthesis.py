@@ -19,7 +19,7 @@ from robustlab.shown import Facts
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.assumptions import require_stabilisable
 from robustlab.synthesis.problem.certify import CANCELLED, Certificate, certified
-from robustlab.synthesis.problem.design import Synthesis, design_budget, told
+from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status
 from robustlab.synthesis.problem.partition import (
     GeneralizedPlant,
     PlantMatrices,
@@ -34,11 +34,11 @@ from robustlab.synthesis.problem.scaling import Scaling, equilibrated, paths_fir
 WORK = 60 * MILLION
 # Sizes of added penalties and noises, scaled. Longer: singular plants get closer to their infimum, K faster.
 LADDER = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
-# Singular values of D12 or D21, scaled, above which that side needs no help. Smaller: digits are lost.
+# Singular values of D12 or D21, scaled, above which that side is not regularised. Smaller: digits are lost.
 REGULAR = 1e-6
 # The regularised optimum falls with the regularisation; two steps that gain less than this end the ladder.
 SETTLED = 1e-4
-# Controllers, best first, that the checker is asked about. More: fewer unconfirmed results, slower.
+# Controllers, best first, that are given to the checker. More: fewer unconfirmed results, slower.
 PROOFS = 3
 # Largest residual of a Riccati solution: those of singular plants lose digits; the rebuilt loop decides.
 RESIDUAL = 1e-3
@@ -46,7 +46,7 @@ RESIDUAL = 1e-3
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class H2Synthesis(Synthesis):
-    """An H2 design; ``gamma`` is the H2 norm of ``closed_loop``, the larger of what both Gramians give.
+    """An H2 design; ``gamma`` is the H2 norm of ``closed_loop``, the larger of the values from both Gramians.
 
     Attributes
     ----------
@@ -89,14 +89,14 @@ def h2(
     effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
 ) -> H2Synthesis:
-    r"""H2-optimal (LQG) controller ``u = K y`` with positive feedback into the lower LFT of P.
+    r"""Design the H2-optimal (LQG) controller ``u = K y`` with positive feedback into the lower LFT of P.
 
     .. math:: \min_K \|F_l(P, K)\|_2
 
     The H2 norm is the root-mean-square of z for white noise w of unit intensity. K has the order of P; it is unique
     where D12 has full column rank, D21 full row rank, and there are no zeros on the stability boundary. Elsewhere the
     infimum may not be attained: then small penalties on u and x and small noises on y and x are added, ever smaller
-    until the verified norm stops falling, and ``regularisation`` says how small. A discrete P is solved by
+    until the verified norm stops falling; ``regularisation`` is their size. A discrete P is solved by
     discrete-time Riccati equations; its K may have a direct term (the measurement of this sample acts at once).
 
     Parameters
@@ -110,7 +110,7 @@ def h2(
         How much larger than the smallest norm found the returned controller's may be (>= 1) where penalties or noises
         had to be added; within it the largest ones are taken, because K grows faster without end as they go to zero.
     time_limit
-        Time in s, asked between trials; none where left out. Where it ends the search the status is TIMEOUT.
+        Time in s, checked between trials; none where left out. Where it ends the search the status is TIMEOUT.
     effort
         Multiple of the usual work.
     progress
@@ -143,46 +143,36 @@ def h2(
     """
     plant = as_generalized_plant(P, n_meas, n_con, "synth h2")
     require_performance(plant, "synth h2")
-    return synthesize_h2(plant, "h2", gamma_rel, design_budget("synth h2", WORK, effort, time_limit), progress)
-
-
-def synthesize_h2(
-    plant: GeneralizedPlant,
-    method: str,
-    gamma_rel: float,
-    budget: Budget,
-    progress: Callable[[str], None] | None = None,
-) -> H2Synthesis:
-    """The search behind `h2`; see there."""
-    if not 1 <= gamma_rel <= 1e6:
-        raise InputError(f"synth {method}", f"gamma_rel is {gamma_rel}", "a number from 1 to 1e6")
-    with one_thread():
-        return _designed(plant, method, gamma_rel, budget, progress or (lambda _: None))
+    return synthesize_h2(plant, gamma_rel, design_budget("synth h2", WORK, effort, time_limit), progress)
 
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """A controller of one regularisation, judged by the loop rebuilt on the plant as given."""
+    """A controller of one regularisation, with its loop on the plant as given."""
 
     K: StateSpaceModel
     loop: StateSpaceModel
     norm: H2Norm
-    loudest: str
+    limit: str
     eps: float
 
 
-def _designed(
-    plant: GeneralizedPlant, method: str, gamma_rel: float, budget: Budget, say: Callable[[str], None]
+@one_thread()
+def synthesize_h2(
+    plant: GeneralizedPlant, gamma_rel: float, budget: Budget, progress: Callable[[str], None] | None = None
 ) -> H2Synthesis:
-    where, dt, matrices = f"synth {method}", plant.model.dt, plant.matrices()
+    """Search a controller for `h2`."""
+    where, dt, matrices = "synth h2", plant.model.dt, plant.matrices()
+    if not 1 <= gamma_rel <= 1e6:
+        raise InputError(where, f"gamma_rel is {gamma_rel}", "a number from 1 to 1e6")
     refuse_extremes(plant.model, where)
-    # What the search is for is the rest of K beside the direct term that cancels D11.
+    # The search is for K less the direct term that cancels D11.
     gain = _cancelling_gain(matrices, dt, where)
     shifted, trials = _with_gain(matrices, gain), list[_Trial]()
     refuse_overflow(where, shifted.A, shifted.B1, shifted.C1, shifted.D11)
     try:
         moving = plant.continuous().matrices() if dt else shifted
-    except NoTrustworthyNumber:  # a pole at z = -1: the rebuilt loop will tell
+    except NoTrustworthyNumber:  # a pole at z = -1: the rebuilt loop decides
         moving = None
     if moving is not None:
         first = paths_first(moving)
@@ -190,14 +180,14 @@ def _designed(
     for scale in (paths_first, equilibrated):
         scaling = scale(shifted)
         scaling = scaling.in_steps() if dt else scaling
-        if _ladder(plant, shifted, gain, scaling, trials, budget, say) or budget.over:
+        if _ladder(plant, shifted, gain, scaling, trials, budget, progress or (lambda _: None)) or budget.over:
             break
     by_norm = sorted(trials, key=lambda t: t.norm.value)
     if not by_norm:
-        late = f" ({NOT_REPEATABLE})" if budget.struck else ""
+        ended = f" ({NOT_REPEATABLE})" if budget.struck else ""
         raise NoTrustworthyNumber(
             where,
-            f"no controller could be verified{late}: none was found, or none left the rebuilt loop stable",
+            f"no controller could be verified{ended}: none was found, or none left the rebuilt loop stable",
             hint="look at the plant's scaling and at poles and zeros on the stability boundary",
         )
     best = by_norm[0]
@@ -215,16 +205,16 @@ def _designed(
         parts.append(f"the smallest norm found with smaller ones is {best.norm.value:.6g}")
     else:
         parts.append("the plant is regular: this is the optimum")
-    status, reason = told(Status.INACCURATE if doubt else chosen.norm.status, parts, budget, "a smaller norm")
+    status, reason = final_status(Status.INACCURATE if doubt else chosen.norm.status, parts, budget, "a smaller norm")
     return H2Synthesis(
         K=chosen.K,
         gamma=gamma,
         closed_loop=chosen.loop,
         status=status,
         reason=reason,
-        limit=chosen.loudest,
+        limit=chosen.limit,
         plant=plant,
-        method=method,
+        method="h2",
         norm=chosen.norm,
         regularisation=chosen.eps,
         smallest_norm=best.norm.value,
@@ -238,11 +228,11 @@ def _ladder(
     scaling: Scaling,
     trials: list[_Trial],
     budget: Budget,
-    say: Callable[[str], None],
+    report: Callable[[str], None],
 ) -> bool:
-    """Trials from no regularisation (where the plant allows it) or from a large one downwards; True where it settled.
+    """Try no regularisation (if the plant allows it), then ever smaller ones.
 
-    That is where the regular problem was solved, or smaller regularisations gained next to nothing.
+    Return whether the regular problem was solved, or smaller regularisations gained less than SETTLED.
     """
     scaled, dt = scaling.apply(shifted), plant.model.dt
     size_u, size_y = _least_direct(scaled.D12), _least_direct(scaled.D21.T)
@@ -250,13 +240,13 @@ def _ladder(
     for eps in LADDER if min(size_u, size_y) <= REGULAR and not dt else (0.0, *LADDER):
         if budget.over:
             return False
-        # Two equations, and norms of the loop.
+        # two equations, and norms of the loop
         budget.spend(dense(len(scaled.A), 8) + dense(2 * len(scaled.A), 3))
         u, y = (0.0 if size > max(REGULAR, eps) else eps for size in (size_u, size_y))
         regularised = scaled.with_channels(u, y, eps / 10, eps / 10) if eps else scaled
         trial = _trial(plant, gain, scaling, regularised, eps)
         text = "no verified loop" if trial is None else f"H2 norm {trial.norm.value:.6g}"
-        say(f"regularisation {eps:.0e}: {text}")
+        report(f"regularisation {eps:.0e}: {text}")
         if trial is None or not trial.norm.status.trustworthy:
             idle += bool(trials)
         else:
@@ -273,7 +263,7 @@ def _ladder(
 def _trial(
     plant: GeneralizedPlant, gain: AnyArray, scaling: Scaling, regularised: PlantMatrices, eps: float
 ) -> _Trial | None:
-    """K of this regularisation in its loop; None where that is unstable or its norm not finite."""
+    """Return K of this regularisation in its loop; None if that is unstable or its norm not finite."""
     dt = plant.model.dt
     try:
         K = scaling.controller_to_plant(Realisation.of(_controller(regularised, dt)))
@@ -293,16 +283,16 @@ def _trial(
     norm, out, into = h2_by_channels(loop)
     if not np.isfinite(norm.value):
         return None
-    return _Trial(full, loop, norm, _loudest(loop, out, into), eps)
+    return _Trial(full, loop, norm, _largest_channels(loop, out, into), eps)
 
 
 def _least_direct(D: AnyArray) -> float:
-    """Smallest singular value over the columns of a direct path; 0 where it is too thin."""
+    """Return the smallest singular value over the columns of a direct path; 0 if it has fewer rows than columns."""
     return float(np.linalg.svd(D, compute_uv=False).min(initial=np.inf)) if len(D) >= D.shape[1] else 0.0
 
 
 def _controller(p: PlantMatrices, dt: float) -> StateSpaceModel:
-    """The optimal controller of a regular plant with D22 = 0 (and, in continuous time, D11 = 0)."""
+    """Return the optimal controller of a regular plant with D22 = 0 (and, in continuous time, D11 = 0)."""
     solve = dare if dt else care
     control = solve(p.A, p.B2, p.C1.T @ p.C1, p.D12.T @ p.D12, p.C1.T @ p.D12, tolerance=RESIDUAL)
     filtering = solve(p.A.T, p.C2.T, p.B1 @ p.B1.T, p.D21 @ p.D21.T, p.B1 @ p.D21.T, tolerance=RESIDUAL)
@@ -312,7 +302,7 @@ def _controller(p: PlantMatrices, dt: float) -> StateSpaceModel:
     X, Y = control.X, filtering.X
     try:
         now = -np.linalg.solve(p.D12.T @ p.D12 + p.B2.T @ X @ p.B2, p.B2.T @ X @ p.B1 + p.D12.T @ p.D11)
-        # The measurement of this sample corrects the state and tells of w itself.
+        # The measurement of this sample corrects the state and contains w itself.
         seen = p.D21 @ p.D21.T + p.C2 @ Y @ p.C2.T
         direct = np.linalg.solve(seen, (F @ Y @ p.C2.T + now @ p.D21.T).T).T
     except np.linalg.LinAlgError:
@@ -322,7 +312,7 @@ def _controller(p: PlantMatrices, dt: float) -> StateSpaceModel:
 
 
 def _cancelling_gain(p: PlantMatrices, dt: float, where: str) -> AnyArray:
-    """D_K with ``D11 + D12 D_K D21 = 0``, of smallest norm; zero in discrete time, where nothing has to vanish."""
+    """Return D_K of smallest norm with ``D11 + D12 D_K D21 = 0``; zero in discrete time."""
     _, _, n_u, _, n_y = p.sizes
     if dt or not p.D11.any():
         return np.zeros((n_u, n_y))
@@ -340,15 +330,15 @@ def _cancelling_gain(p: PlantMatrices, dt: float, where: str) -> AnyArray:
 
 
 def _with_gain(p: PlantMatrices, gain: AnyArray) -> PlantMatrices:
-    """The plant with ``u = gain y + v`` closed around it, v its new control, and D11 cancelled."""
+    """Return the plant with ``u = gain y + v``, v its new control, and D11 cancelled."""
     if not gain.any():
         return p
     A, B1, C1 = p.A + p.B2 @ gain @ p.C2, p.B1 + p.B2 @ gain @ p.D21, p.C1 + p.D12 @ gain @ p.C2
     return replace(p, A=A, B1=B1, C1=C1, D11=np.zeros_like(p.D11))
 
 
-def _loudest(loop: StateSpaceModel, out: AnyArray, into: AnyArray) -> str:
-    """The output that carries most of the H2 norm, and the input that makes most of it."""
+def _largest_channels(loop: StateSpaceModel, out: AnyArray, into: AnyArray) -> str:
+    """Return the output and the input with the largest share of the H2 norm, in words."""
     total = out.sum()
     if not total > 0:
         return ""

@@ -1,4 +1,4 @@
-"""H-infinity synthesis: the controller of smallest verified closed-loop norm, or a sane one close to it."""
+"""H-infinity synthesis: the controller of smallest verified closed-loop norm, or a slower one close to it."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ from robustlab.linear_analysis.magnitude import refuse_extremes
 from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.hinf.search import Candidate, estimated_optimum, portfolio, soften
+from robustlab.synthesis.hinf.search import Candidate, estimated_optimum, portfolio, relax
 from robustlab.synthesis.problem.assumptions import broken_assumptions, require_stabilisable
 from robustlab.synthesis.problem.certify import EFFORT, certified
-from robustlab.synthesis.problem.design import HinfSynthesis, design_budget, limiting_channels, told
+from robustlab.synthesis.problem.design import HinfSynthesis, design_budget, final_status, limiting_channels
 from robustlab.synthesis.problem.gamma_bounds import pointwise_bound
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant, require_performance
 from robustlab.synthesis.problem.rebuilt_loop import moderate_states, named_controller, with_direct_term
 from robustlab.synthesis.problem.scaling import equilibrated, paths_first
 
-# Work of a design at effort 1; few plants need a tenth. More: longer searches on hard plants.
+# Work of a design at effort 1; most plants need less than a tenth. More: longer searches on hard plants.
 WORK = 60 * MILLION
-# What a certified norm may cost where the best loop is so stiff that its norm loses digits. Larger: calmer loops.
-CALMER = 1.001
-# Candidates of finite norm that are looked at, and how many of them the checker is asked about, best first.
+# Ratio of gamma allowed for a certified norm where the best loop is so stiff that its norm loses digits.
+LESS_STIFF = 1.001
+# Candidates of finite norm that are considered, and how many of them are given to the checker, best first.
 TRIES = 8
 PROOFS = 3
 # Candidates that are closed before the search counts as failed.
 MOST_TRIES = 40
-# Verified over searched gamma above which the next candidate is tried, too. Larger: quicker, a little worse.
+# Ratio of verified to searched gamma above which the next candidate is tried. Larger: quicker, a little worse.
 LOSS = 1.0005
-# How much more a certified norm may be than another one. Larger: worse gammas for the sake of certificates.
+# Largest ratio of a certified gamma to a smaller one without certificate. Larger: worse gammas, more certificates.
 CERTIFICATE_WORTH = 2.0
 
 
@@ -45,7 +45,7 @@ CERTIFICATE_WORTH = 2.0
 class Verified:
     """A controller in the units and the time domain of the plant as given, D22 included, with its loop and norm.
 
-    Once it was verified: the loop of P and K has at most the norm ``gamma``, proved where ``doubt`` is empty.
+    After verification the loop of P and K has at most the norm ``gamma``, proved if ``doubt`` is empty.
     """
 
     candidate: Candidate
@@ -53,11 +53,11 @@ class Verified:
     loop: StateSpaceModel
     norm: HinfNorm
     gamma: float = np.inf
-    doubt: str = "not asked"
+    doubt: str = "not verified"
 
 
 class Verifier:
-    """Closes and verifies candidates for a plant without D22 on the plant as given, each at most once."""
+    """Close and verify candidates for a plant without D22 on the plant as given, each at most once."""
 
     def __init__(self, plant: GeneralizedPlant, D22: Array, budget: Budget) -> None:
         self.plant, self.D22, self.budget = plant, D22, budget
@@ -65,7 +65,7 @@ class Verifier:
         self._known: dict[int, Verified] = {}
 
     def smallest(self, candidates: list[Candidate]) -> Verified | None:
-        """The candidate of smallest norm that is proved; of none the smallest norm."""
+        """Return the proved candidate of smallest norm; if none is proved, that of smallest norm."""
         found: list[Verified] = []
         near = 0
         for candidate in sorted(candidates, key=lambda c: c.gamma)[:MOST_TRIES]:
@@ -84,17 +84,16 @@ class Verifier:
         if not tried:
             return None
         best, least = min(tried, key=lambda v: (bool(v.doubt), v.gamma)), min(tried, key=lambda v: v.gamma)
-        # A certificate is worth a larger gamma, but not any.
         return best if best.gamma <= CERTIFICATE_WORTH * least.gamma else least
 
-    def sanest(self, candidates: list[Candidate], best: Verified, ratio: float) -> Verified:
-        """Of those within the ratio of the best gamma, the one of least stiffness that verifies; else the best."""
+    def least_stiff(self, candidates: list[Candidate], best: Verified, ratio: float) -> Verified:
+        """Return the verified candidate of least stiffness within the ratio of the best gamma; else the best."""
         limit = ratio * best.gamma
         allowed = sorted((c for c in candidates if c.gamma <= limit), key=lambda c: (c.stiffness, c.gamma))
         return self._first(allowed, limit, certified=True) or best
 
     def within(self, candidates: list[Candidate], best: Verified, gamma_rel: float, bandwidth: float) -> Verified:
-        """The smallest gamma of those within the ratio of the best whose poles all lie below the bandwidth."""
+        """Return the smallest gamma within the ratio of the best among those with all poles below the bandwidth."""
         limit = gamma_rel * best.gamma
         allowed = [c for c in candidates if c.gamma <= limit]
         slow = sorted((c for c in allowed if c.pace <= bandwidth), key=lambda c: c.gamma)
@@ -110,7 +109,7 @@ class Verifier:
         )
 
     def _first(self, candidates: Iterable[Candidate], limit: float, certified: bool) -> Verified | None:
-        """The first of few candidates that verifies with a gamma of at most the limit, and with a certificate."""
+        """Return the first of few candidates that verifies with a gamma of at most the limit."""
         closed = (self.closed(candidate) for candidate in islice(candidates, TRIES) if not self.budget.over)
         within = (found for found in closed if found is not None and found.norm.upper <= limit)
         for verified in map(self.verified, islice(within, PROOFS)):
@@ -119,14 +118,14 @@ class Verifier:
         return None
 
     def closed(self, candidate: Candidate) -> Verified | None:
-        """The candidate with the norm of its loop, or None where that is not stable or not well posed."""
+        """Return the candidate with the norm of its loop; None if that is not stable or not well posed."""
         key = id(candidate)
         if key not in self._closed:
             self._closed[key] = None
             with suppress(InputError, NoTrustworthyNumber):
                 plant, dt = self.plant, self.plant.model.dt
                 model = with_direct_term(StateSpaceModel(*candidate.K), self.D22)
-                # Large entries hide slow modes: in coordinates of its modes the same controller is the sounder one.
+                # Large entries hide slow modes: in modal coordinates the same controller keeps more digits.
                 model = moderate_states(bilinear_to_discrete(model, dt) if dt else model)
                 K = named_controller(model, plant.measurements, plant.controls, dt)
                 loop = plant.close(K)
@@ -137,7 +136,7 @@ class Verifier:
         return self._closed[key]
 
     def verified(self, closed: Verified, effort: int = 1) -> Verified:
-        """What the checker says of it; without much ``effort`` what a matrix proves."""
+        """Return the candidate with the result of the checker; at little ``effort`` only matrix proofs are tried."""
         key = id(closed.candidate)
         if key not in self._known:
             self.budget.spend(dense(closed.loop.n_states, 200))
@@ -158,13 +157,15 @@ def hinf(
     effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
 ) -> HinfSynthesis:
-    """`robustlab.hinf` of a rational plant, which see."""
+    """Design a controller of a rational plant; see `robustlab.hinf`."""
     plant = as_generalized_plant(P, n_meas, n_con, "synth hinf")
     require_performance(plant, "synth hinf")
     budget = design_budget("synth hinf", WORK, effort, time_limit)
     return synthesize(plant, "hinf", gamma_rel, budget, bandwidth=bandwidth, progress=progress)
 
 
+@one_thread()
+@np.errstate(over="ignore", invalid="ignore")  # results are verified afterwards
 def synthesize(
     plant: GeneralizedPlant,
     method: str,
@@ -174,31 +175,19 @@ def synthesize(
     bandwidth: float | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> HinfSynthesis:
-    """The search behind `hinf` and `mixsyn`; see there."""
+    """Search a controller for `hinf` or `mixsyn`."""
     where = f"synth {method}"
     if not 1 <= gamma_rel <= 1e6:
         raise InputError(where, f"gamma_rel is {gamma_rel}", "a number from 1 to 1e6")
     if bandwidth is not None and not bandwidth > 0:
         raise InputError(where, f"bandwidth is {bandwidth}", "a positive frequency in rad/s")
-    with one_thread(), np.errstate(over="ignore", invalid="ignore"):  # what is found is verified on its own
-        return _designed(plant, method, gamma_rel, bandwidth, weights or {}, budget, progress or (lambda _: None))
-
-
-def _designed(
-    plant: GeneralizedPlant,
-    method: str,
-    gamma_rel: float,
-    bandwidth: float | None,
-    weights: Mapping[str, StateSpaceModel],
-    budget: Budget,
-    say: Callable[[str], None],
-) -> HinfSynthesis:
-    refuse_extremes(plant.model, f"synth {method}")
+    refuse_extremes(plant.model, where)
+    report = progress or (lambda _: None)
     continuous = plant.continuous()
     matrices = continuous.matrices()
     scalings = (paths_first(matrices), equilibrated(matrices))
     scaled, rate = scalings[0].apply(matrices), scalings[0].rate
-    require_stabilisable(scaled, plant.model.state_names, f"synth {method}", rate)
+    require_stabilisable(scaled, plant.model.state_names, where, rate)
     lower, assumptions = pointwise_bound(matrices, scalings, plant.model.dt), broken_assumptions(scaled, plant, rate)
     verifier = Verifier(plant, continuous.D22, budget)
     leader, other, disagree = portfolio(matrices, scalings, budget, lower.value, continuous.D22)
@@ -206,24 +195,24 @@ def _designed(
     if best is None:
         ended = f": {NOT_REPEATABLE}" if budget.struck else " within the work budget" if budget.over else ""
         raise NoTrustworthyNumber(
-            f"synth {method}",
+            where,
             f"no controller could be verified{ended} ({len(leader.candidates) + len(other.candidates)} were found by "
             "two Riccati equations in two scalings)",
             hint="look at the plant's scaling, at poles and zeros on the imaginary axis, and at D12 and D21",
             more=assumptions,
         )
-    say(f"two Riccati equations: gamma {best.gamma:.6g}")
-    if best.doubt:  # so fast a controller that digits are lost: a little more gamma buys a calmer one
-        soften(leader, best.candidate, (0.2 + 0.8 * CALMER) * best.gamma)
-        best = verifier.sanest(leader.candidates + other.candidates, best, CALMER)
+    report(f"two Riccati equations: gamma {best.gamma:.6g}")
+    if best.doubt:  # the controller is so fast that digits are lost
+        relax(leader, best.candidate, (0.2 + 0.8 * LESS_STIFF) * best.gamma)
+        best = verifier.least_stiff(leader.candidates + other.candidates, best, LESS_STIFF)
     chosen = best
     if gamma_rel > 1:
-        soften(leader, best.candidate, gamma_rel * best.gamma)
-        chosen = verifier.sanest(leader.candidates + other.candidates, best, gamma_rel)
-        say(f"softened: gamma {chosen.gamma:.6g}, fastest pole {chosen.candidate.pace:.4g} rad/s")
+        relax(leader, best.candidate, gamma_rel * best.gamma)
+        chosen = verifier.least_stiff(leader.candidates + other.candidates, best, gamma_rel)
+        report(f"softened: gamma {chosen.gamma:.6g}, fastest pole {chosen.candidate.pace:.4g} rad/s")
     if bandwidth is not None and chosen.candidate.pace > bandwidth:
         chosen = verifier.within(leader.candidates + other.candidates, best, gamma_rel, bandwidth)
-    if chosen.gamma < best.gamma:  # on the way to a softer one a smaller one was found
+    if chosen.gamma < best.gamma:  # the relaxation found a smaller gamma
         best = chosen
     parts = [
         chosen.doubt or "loop of P and K is stable, its norm proved in ball arithmetic",
@@ -232,7 +221,7 @@ def _designed(
     if chosen is not best:
         allowed = f"allowed {gamma_rel - 1:.0%} above the smallest gamma {best.gamma:.6g}"
         parts.append(f"the softest controller within the {allowed}")
-    status, reason = told(Status.INACCURATE if chosen.doubt else Status.CERTIFIED, parts, budget)
+    status, reason = final_status(Status.INACCURATE if chosen.doubt else Status.CERTIFIED, parts, budget)
     return HinfSynthesis(
         K=chosen.K,
         gamma=chosen.gamma,
@@ -249,5 +238,5 @@ def _designed(
         norm=chosen.norm,
         plant=plant,
         method=method,
-        weights=dict(weights),
+        weights=dict(weights or {}),
     )

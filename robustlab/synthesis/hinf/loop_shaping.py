@@ -32,7 +32,7 @@ from robustlab.uncertainty.distances.coprime import (
     four_block,
 )
 
-# How much the verified gamma may exceed the one asked for before digits count as lost.
+# Ratio of the verified gamma to the one requested above which digits count as lost.
 SHAPED_LOSS = 1.001
 
 
@@ -41,7 +41,7 @@ class NcfSynthesis(Synthesis):
     r"""A loop-shaping design.
 
     ``K = W1 K_shaped W2`` is for the plant as given, ``u = K y`` with positive feedback; ``closed_loop`` is the loop of
-    that plant with noise on y and a disturbance on u, and its norm is not what was made small. ``gamma`` bounds
+    that plant with noise on y and a disturbance on u, whose norm is not minimised. ``gamma`` bounds
 
     .. math:: \left\| \begin{bmatrix} G_s \\ I \end{bmatrix} (I - K_s G_s)^{-1}
         \begin{bmatrix} K_s & I \end{bmatrix} \right\|_\infty
@@ -51,7 +51,7 @@ class NcfSynthesis(Synthesis):
     gamma_min
         The smallest gamma of any controller, exact.
     factor
-        What was asked for: ``gamma <= factor gamma_min``.
+        The requested ratio: ``gamma <= factor gamma_min``.
     margin
         Verified coprime stability margin of the shaped loop, ``1/gamma``; above about 0.25 the shape of the loop is
         kept.
@@ -81,8 +81,9 @@ class NcfSynthesis(Synthesis):
 
 
 @told_as("synth ncf")
+@one_thread()
 def ncf(G: Any, W1: Any = None, W2: Any = None, *, factor: float = 1.1) -> NcfSynthesis:
-    r"""Loop-shaping controller of largest, or nearly largest, coprime stability margin.
+    r"""Design the loop-shaping controller of largest, or nearly largest, coprime stability margin.
 
     Sign of K: ``u = K y`` with *positive* feedback, as everywhere in this package and in the literature on this method.
     For negative feedback, ``u = K_n (r - y)``, take ``K_n = -K``.
@@ -93,10 +94,10 @@ def ncf(G: Any, W1: Any = None, W2: Any = None, *, factor: float = 1.1) -> NcfSy
         Plant: StateSpaceModel, UncertainModel (its nominal model) or python-control object; stable or not, continuous
         or discrete, any numbers of inputs and outputs.
     W1, W2
-        Weights before and behind the plant, chosen so that the singular values of ``W2 G W1`` have the wanted shape:
+        Weights before and behind the plant, which give the singular values of ``W2 G W1`` the desired shape:
         large at low, small at high frequencies. None is no weight; a number or a model with one input and one output is
         used on every channel; else a model with as many outputs (W1: inputs of G) or inputs (W2: outputs of G) as fit.
-        Integrators and other unstable weights are welcome: they become part of K.
+        Integrators and other unstable weights are allowed: they become part of K.
     factor
         Back-off (> 1): at ``factor * gamma_min`` the controller is well conditioned, at gamma_min itself it is not.
 
@@ -134,18 +135,13 @@ def ncf(G: Any, W1: Any = None, W2: Any = None, *, factor: float = 1.1) -> NcfSy
     before, behind = _weight(W1, g, "W1"), _weight(W2, g, "W2")
     if not before.n_inputs or not behind.n_outputs:
         raise InputError(where, "a weight without channels", "at least one input of W1 and one output of W2")
-    with one_thread():
-        return _designed(g, before, behind, factor)
-
-
-def _designed(g: StateSpaceModel, before: StateSpaceModel, behind: StateSpaceModel, factor: float) -> NcfSynthesis:
     shaped = series(series(before, _bare(g)), behind)
     mapped = continuous_models(shaped)
     try:
         equations = coprime_riccati(mapped.models[0])
     except NoTrustworthyNumber as error:
         hint = "a zero of the plant or of a weight may cancel an unstable or integrating pole of the other"
-        raise NoTrustworthyNumber("synth ncf", f"W2 G W1: {error.found}", error.expected, hint) from None
+        raise NoTrustworthyNumber(where, f"W2 G W1: {error.found}", error.expected, hint) from None
     gamma_min = 1 / equations.best_margin
     inner = _central(equations, factor * gamma_min)
     if mapped.dt:
@@ -155,13 +151,13 @@ def _designed(g: StateSpaceModel, before: StateSpaceModel, behind: StateSpaceMod
     inner = named_controller(inner, shaped.outputs, shaped.inputs, shaped.dt)
     margin = coprime_margin(shaped, inner, sign=1)
     if margin.frequency is None:
-        raise NoTrustworthyNumber("synth ncf", f"the rebuilt loop was not verified: {margin.reason}")
+        raise NoTrustworthyNumber(where, f"the rebuilt loop was not verified: {margin.reason}")
     full = series(series(behind, _bare(inner)), before)
     K = named_controller(full, g.outputs, g.inputs, g.dt)
     plant = four_block_plant(g)
     loop = plant.close(K)
     if not surely_stable(loop):
-        raise NoTrustworthyNumber("synth ncf", "the loop of the plant as given with W1 K W2 is not surely stable")
+        raise NoTrustworthyNumber(where, "the loop of the plant as given with W1 K W2 is not surely stable")
     shaped_plant = GeneralizedPlant(four_block(shaped), shaped.n_outputs, shaped.n_inputs)
     norm = HinfNorm(1 / margin.upper, 1 / margin.lower, margin.frequency, margin.status)
     gamma, doubt = certified(shaped_plant, inner, norm)
@@ -187,7 +183,7 @@ def _designed(g: StateSpaceModel, before: StateSpaceModel, behind: StateSpaceMod
 
 
 def _central(equations: CoprimeRiccati, gamma: float) -> StateSpaceModel:
-    """The central controller at gamma in the model's own time unit."""
+    """Return the central controller at gamma in the model's own time unit."""
     m, X, Z, F = equations.model, equations.control.X, equations.filtering.X, equations.control.gain
     g2, root = gamma**2, np.sqrt(equations.rate)
     L = (1 - g2) * np.eye(m.n_states) + X @ Z
@@ -197,7 +193,7 @@ def _central(equations: CoprimeRiccati, gamma: float) -> StateSpaceModel:
 
 
 def four_block_plant(g: StateSpaceModel) -> GeneralizedPlant:
-    """The plant with noise on y and a disturbance on u, as a generalised plant from (n, d, u) to (y, u + d, y + n)."""
+    """Return the generalised plant from (n, d, u) to (y, u + d, y + n): noise n on y, a disturbance d on u."""
     m = four_block(g)
     inputs = [Signal(f"noise {s.name}", s.unit) for s in g.outputs]
     inputs += [Signal(f"disturbance {s.name}", s.unit) for s in g.inputs]
@@ -208,9 +204,7 @@ def four_block_plant(g: StateSpaceModel) -> GeneralizedPlant:
 
 
 def with_default_performance(plant: GeneralizedPlant, where: str) -> GeneralizedPlant:
-    """The plant itself, or, where all of its inputs are controls and all of its outputs measurements, with noise on y
-    and a disturbance on u as w, and y and the total u as z: a loop without w and z has no gain to judge it by.
-    """
+    """Return the plant; one without w and z gets noise on y and a disturbance on u as w, y and the total u as z."""
     if not plant.n_w and not plant.n_z:
         return four_block_plant(plant.model)
     require_performance(plant, where, "or a bare plant, to judge its loop by the four-block gain")
@@ -226,12 +220,12 @@ def _named_channels(loop: StateSpaceModel, shaped: StateSpaceModel) -> StateSpac
 
 
 def _bare(model: StateSpaceModel) -> StateSpaceModel:
-    """Without units, which weights change."""
+    """Return the model without units, which weights change."""
     return model.renamed(list(model.input_names), list(model.output_names))
 
 
 def _weight(given: Any, g: StateSpaceModel, name: str) -> StateSpaceModel:
-    """The weight on all channels, in the plant's time and with the plant's names where it meets the plant."""
+    """Return the weight on all channels, in the plant's time and with the plant's names on the plant's side."""
     where, first = f"synth ncf: {name}", name == "W1"
     names = list(g.input_names if first else g.output_names)
     n = len(names)

@@ -27,15 +27,15 @@ def mixsyn(
     effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
 ) -> HinfSynthesis:
-    r"""H-infinity controller for weighted sensitivity, control effort and complementary sensitivity.
+    r"""Design an H-infinity controller for weighted sensitivity, control effort and complementary sensitivity.
 
     .. math:: \min_K \left\| \begin{matrix} W_1 S \\ W_2 K S \\ W_3 T \end{matrix} \right\|_\infty, \qquad
         S = (I + G K)^{-1}, \quad T = G K S
 
     Sign of K: the controller sees the error, ``u = K (r - y)``. So K is *positive feedback* from ``e = r - G u`` into
     the generalised plant, as everywhere in this package, and at the same time the forward controller of the usual
-    *negative* feedback loop: its loop gain is ``G K``. K says so itself (``K.inputs``): ``disk_margin(G, K)``,
-    ``G.feedback(K)`` and every other function that closes a loop keep to it.
+    *negative* feedback loop: its loop gain is ``G K``. ``K.inputs`` record the sign; ``disk_margin(G, K)``,
+    ``G.feedback(K)`` and every other function that closes a loop use it.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def mixsyn(
 def mixed_sensitivity_plant(
     G: Any, W1: Any = None, W2: Any = None, W3: Any = None
 ) -> tuple[GeneralizedPlant, dict[str, StateSpaceModel]]:
-    """Plant from [r; u] to [W1 e; W2 u; W3 G u; e] with ``e = r - G u``, and the weights on all channels."""
+    """Return the plant from [r; u] to [W1 e; W2 u; W3 G u; e], ``e = r - G u``, and the weights on all channels."""
     g = as_model(G, "mixsyn: G")
     if not g.n_inputs or not g.n_outputs:
         raise InputError("mixsyn: G", f"{g.n_outputs} outputs and {g.n_inputs} inputs", "at least one of each")
@@ -131,7 +131,7 @@ def _labels(name: str, channels: list[str], n_outputs: int) -> list[str]:
 
 
 def _stable_weight(given: Any, n: int, name: str, dt: float) -> StateSpaceModel:
-    """The weight as a stable model with n inputs, in the plant's time."""
+    """Return the weight as a stable model with n inputs, in the plant's time."""
     where = f"mixsyn: {name}"
     several = "several weights side by side are one model: robustlab.statespace.append(W, W)"
     weight = weight_on_channels(given, n, dt, where, several)
@@ -144,7 +144,7 @@ def _stable_weight(given: Any, n: int, name: str, dt: float) -> StateSpaceModel:
 
 
 def weight_on_channels(given: Any, n: int, dt: float, where: str, hint: str | None = None) -> StateSpaceModel:
-    """A weight in the plant's time, as it was given: a number, a matrix or a model; one of one channel on all n."""
+    """Return a weight (a number, a matrix or a model) in the plant's time; one of one channel is used on all n."""
     if isinstance(given, (int, float, list, tuple, np.ndarray, np.number)):
         try:
             gain = np.atleast_2d(given)

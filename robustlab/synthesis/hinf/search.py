@@ -1,7 +1,7 @@
-"""Search for controllers of small gamma over regularisations of one plant, in two scalings side by side.
+"""Search for controllers of small gamma over regularisations of one plant, in two scalings.
 
 Most practical plants are singular for the two Riccati equations: each trial adds small penalties and noises, solves
-that regular problem, and judges its controller on the plant without them. Where two scalings agree trust grows.
+that regular problem, and evaluates its controller on the plant without them.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from robustlab.synthesis.problem.scaling import Scaling
 
 # Sizes of added penalties and noises, scaled. Longer: singular plants get closer to their infimum.
 LADDER = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
-# A central controller at gamma itself is ill-conditioned: gamma is backed off until the gain of the loop agrees.
-# Coarse while gamma falls fast, fine where it counts. Smaller: less is lost, more controllers are numerically void.
+# A central controller at gamma itself is ill-conditioned: gamma is increased until the gain of the loop agrees.
+# Smaller: less is lost, more controllers are numerically void.
 COARSE_BACKOFFS = (1e-2, 0.1)
 FINE_BACKOFFS = (1e-4, 1e-3, 1e-2, 3e-2, 0.1)
 # Shares of the loop's gain that the self-scaled regularisation may cost; the optimum rises by their squares.
@@ -35,18 +35,18 @@ SELF_SCALED_STEPS = 14
 IMPROVEMENT = 5e-4
 # A gamma this near (relative) to a proved bound ends the search. Larger: sooner.
 PROVED = 3e-4
-# Singular values of D12 or D21, scaled, above which that side needs no help. Smaller: digits are lost.
+# Singular values of D12 or D21, scaled, above which that side is not regularised. Smaller: digits are lost.
 REGULAR = 1e-6
 # Scaled gains below it are zero for every purpose.
 NEGLIGIBLE = 1e-7
-# Relative difference of two scalings above which both are searched once more with care. Smaller: more often.
+# Relative difference of two scalings above which both are searched again carefully. Smaller: more often.
 DISAGREEMENT = 5e-4
-# Rounds of bisection that follow the loop found last; steps in the first and in the later ones. More: slower poles.
-SOFTEN_ROUNDS = 3
-SOFTEN_STEPS = 5
-SOFTEN_LATER_STEPS = 3
-# Share of the loop's gain from which the second softening starts.
-SOFTEN_SHARE = 0.05
+# Rounds of bisection in `relax`; steps in the first and in the later ones. More: slower poles.
+RELAX_ROUNDS = 3
+RELAX_STEPS = 5
+RELAX_LATER_STEPS = 3
+# Share of the loop's gain from which the second relaxation starts.
+RELAX_SHARE = 0.05
 
 
 class Regularisation(NamedTuple):
@@ -60,21 +60,21 @@ class Regularisation(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A controller whose loop is stable, as far as the search can tell."""
+    """A controller whose loop is stable in floating point."""
 
     K: Realisation  # for the continuous plant without D22, in its units
     gamma: float  # gain of its loop, attained at a frequency
-    pace: float  # largest modulus of its poles in rad/s: what makes it hard to build
+    pace: float  # largest modulus of its poles in rad/s
     decay: float  # decay rate of the loop's slowest mode in 1/s
 
     @property
     def stiffness(self) -> float:
-        """Fastest controller pole over slowest mode of the loop: the span of time scales that K brings in."""
+        """Fastest controller pole over slowest mode of the loop."""
         return self.pace / max(self.decay, 1e-300)
 
 
 class Search:
-    """Trials on one scaled continuous plant without D22; every controller that stabilises is kept."""
+    """Trials on one scaled continuous plant without D22; every stabilising controller is stored."""
 
     def __init__(
         self, plant: PlantMatrices, scaling: Scaling, budget: Budget, floor: float = 0.0, D22: Array | None = None
@@ -85,11 +85,11 @@ class Search:
         self.budget, self.floor = budget, floor  # floor: a proved lower bound of gamma in the plant's units
         self.careful, self.probes = False, PROBES[:1]
         self.candidates: list[Candidate] = []
-        # Set where the plant needs no regularisation: the smallest gamma that passes its own Riccati test.
+        # Smallest gamma that passes the plant's own Riccati test; None if the plant needs regularisation.
         self.regular_gamma: float | None = None
         # Optima of the regularised problems scaled by the best loop, as (share, gamma).
         self.optima: list[tuple[float, float]] = []
-        # Channel gains of the loop they were last asked for.
+        # The last loop given to `relative`, and its channel gains.
         self._gains: tuple[Candidate, Regularisation | None] | None = None
 
     @property
@@ -98,24 +98,24 @@ class Search:
 
     @property
     def settled(self) -> bool:
-        """True where the best controller is at the plant's own Riccati optimum, or at a proved lower bound."""
+        """Whether the best controller is at the plant's own Riccati optimum, or at a proved lower bound."""
         best = self.best
         return best is not None and (best.gamma <= 1.0005 * (self.regular_gamma or 0.0) or self.proved(best))
 
     def proved(self, candidate: Candidate | None) -> bool:
-        """True where no controller can be better by more than a few parts in ten thousand."""
+        """Return whether no controller can be better by more than PROVED."""
         return candidate is not None and candidate.gamma <= (1 + PROVED) * self.floor
 
-    def take_care(self) -> None:
-        """From now on solve in two ways, and probe far below every gamma found."""
+    def search_carefully(self) -> None:
+        """Use both Riccati solvers and all probes from now on."""
         self.careful, self.probes = True, PROBES
 
     def negligible(self, candidate: Candidate) -> bool:
-        """True for a gain that is zero for every purpose, in the plant scaled to order one."""
+        """Return whether the gain is negligible in the plant scaled to order one."""
         return candidate.gamma * self.scaling.gain <= NEGLIGIBLE
 
     def ladder(self) -> None:
-        """Regularisations of fixed size, from large to small, until gamma falls no more."""
+        """Try regularisations of fixed size, from large to small, until gamma falls no more."""
         _, n_w, n_u, n_z, n_y = self.plant.sizes
         size_u = np.linalg.svd(self.plant.D12, compute_uv=False).min() if n_z >= n_u else 0.0
         size_y = np.linalg.svd(self.plant.D21, compute_uv=False).min() if n_w >= n_y else 0.0
@@ -138,8 +138,8 @@ class Search:
             if worse == 2:
                 return
 
-    def polish(self, best: Candidate | None, shares: Sequence[float] = SHARES) -> None:
-        """Regularisations scaled by the best loop so far, smaller and smaller, until gamma falls no more."""
+    def refine(self, best: Candidate | None, shares: Sequence[float] = SHARES) -> None:
+        """Try ever smaller regularisations scaled by the best loop so far, until gamma falls no more."""
         k = 0
         for _ in range(SELF_SCALED_STEPS):
             if best is None or k == len(shares) or self.budget.over or self.negligible(best) or self.proved(best):
@@ -157,7 +157,7 @@ class Search:
                 best = found
 
     def found_within(self, weights: Regularisation, gamma: float) -> Candidate | None:
-        """The central controller of this regularisation at gamma, where it exists and its loop stays below gamma."""
+        """Return the central controller of this regularisation at gamma if its loop stays below gamma."""
         try:
             problem = TwoRiccatiProblem(self.plant.with_channels(*weights), self.careful, self.budget)
         except NoTrustworthyNumber:
@@ -165,13 +165,13 @@ class Search:
         return self._central(problem, gamma * self.scaling.gain * (1 - 1e-5), gamma)
 
     def relative(self, loop: Candidate, share: float, state_share: float, cap: float = 1.0) -> Regularisation | None:
-        """Added channels that each carry about ``share`` of the gain of this loop."""
+        """Return added channels that each carry about ``share`` of the gain of this loop."""
         if self._gains is None or self._gains[0] is not loop:
             self.budget.spend(dense(len(self.plant.A) + len(loop.K.A), 2))
             K = self.scaling.controller_from_plant(loop.K)
             self._gains = (loop, channel_gains(trial_loop(self.plant.with_channels(1, 1, 1, 1), K), self.plant.sizes))
         gains, gamma = self._gains[1], loop.gamma * self.scaling.gain
-        if gains is None or gamma <= 0:  # a loop without gain (T with K = 0) sets no scale
+        if gains is None or gamma <= 0:  # a loop without gain (T with K = 0) gives no scale
             return None
         u, y, x_out, x_in = (gamma / np.maximum(g, gamma * share / cap) for g in gains)
         of_states = state_share * share
@@ -182,7 +182,7 @@ class Search:
     def _trial(
         self, weights: Regularisation | None, start: float, rtol: float, backoffs: tuple[float, ...]
     ) -> tuple[float | None, Candidate | None]:
-        """Smallest gamma of the regularised problem in the plant's units, and the best controller found for it."""
+        """Return the smallest gamma of the regularised problem in the plant's units, and the best controller for it."""
         plant = self.plant if weights is None else self.plant.with_channels(*weights)
         try:
             problem = TwoRiccatiProblem(plant, self.careful, self.budget)
@@ -202,22 +202,22 @@ class Search:
         return gamma / self.scaling.gain, smallest(found)
 
     def _central(self, problem: TwoRiccatiProblem, gamma: float, limit: float = np.inf) -> Candidate | None:
-        """The central controller at gamma (scaled units), where its loop's gain is at most limit (plant's units)."""
+        """Return the central controller at gamma (scaled) if its loop's gain is at most limit (plant's units)."""
         pair = problem.solve(gamma)
         if pair is None:
             return None
         try:
-            return self._kept(problem.central_controller(pair), limit)
+            return self._added(problem.central_controller(pair), limit)
         except NoTrustworthyNumber:
             return None
 
     def adopt(self, K: Realisation) -> Candidate | None:
-        """A controller from elsewhere, in the plant's units, as a candidate; None where its loop is not stable."""
-        return self._kept(self.scaling.controller_from_plant(K), np.inf)
+        """Add a given controller, in the plant's units, as a candidate; None if its loop is not stable."""
+        return self._added(self.scaling.controller_from_plant(K), np.inf)
 
-    def _kept(self, K: Realisation, limit: float) -> Candidate | None:
-        """A scaled controller as a candidate, where its loop is stable with a gain of at most limit (plant's units)."""
-        # One that cannot take D22 back in gives way to the best of its neighbours that can.
+    def _added(self, K: Realisation, limit: float) -> Candidate | None:
+        """Add a scaled controller as a candidate if its loop is stable with a gain of at most limit (plant's units)."""
+        # If K cannot include D22, the best of its neighbours that can is taken.
         near = [K] if self.D22 is None else well_posed_neighbours(K, self.D22)
         return smallest([candidate for each in near if (candidate := self._entered(each, limit)) is not None])
 
@@ -240,12 +240,12 @@ class Search:
 
 
 def smallest(candidates: list[Candidate]) -> Candidate | None:
-    """The candidate of smallest gamma."""
+    """Return the candidate of smallest gamma."""
     return min(candidates, key=lambda c: c.gamma, default=None)
 
 
 def estimated_optimum(leader: Search) -> float:
-    """The infimum of gamma over all controllers as the search sees it; NaN where it cannot tell."""
+    """Estimate the infimum of gamma over all controllers; NaN where the search gives none."""
     best, regular = leader.best, leader.regular_gamma
     if best is not None and regular is not None and regular <= best.gamma * (1 + 1e-9) <= 1.0006 * regular:
         return regular
@@ -260,9 +260,9 @@ def estimated_optimum(leader: Search) -> float:
 def portfolio(
     matrices: PlantMatrices, scalings: tuple[Scaling, Scaling], budget: Budget, floor: float, D22: Array
 ) -> tuple[Search, Search, float]:
-    """Search both scalings coarsely, refine the better one, and let the other one confirm its gamma.
+    """Search both scalings coarsely, refine the better one, and confirm its gamma in the other one.
 
-    The search that found the smallest gamma, the other one, and the relative difference of what they reached.
+    Return the search that found the smallest gamma, the other one, and the relative difference of their gammas.
     """
     one, two = (Search(matrices, scaling, budget, floor, D22) for scaling in scalings)
     for search, other in ((one, two), (two, one)):
@@ -271,20 +271,20 @@ def portfolio(
             return search, other, float("nan")
     if one.best is None and two.best is None:
         for search in (one, two):
-            search.take_care()
+            search.search_carefully()
             search.ladder()
     leader, other = (one, two) if _gamma(one.best) <= _gamma(two.best) else (two, one)
     if not leader.settled:
-        leader.polish(leader.best)
+        leader.refine(leader.best)
     if leader.proved(leader.best):
         return leader, other, _difference(leader, _gamma(other.best))
-    # Settled or not (the Riccati test may have failed by rounding alone), one regularisation has to confirm it.
+    # One regularisation has to confirm it in any case: the Riccati test may have failed by rounding alone.
     reached, best = min(_gamma(other.best), _confirmed(leader, other, SHARES[3:4])), leader.best
     if best is not None and not leader.negligible(best) and not abs(reached - best.gamma) <= DISAGREEMENT * best.gamma:
-        # One of them is stuck: go over both once more from the better loop, with every solver and all probes.
+        # One search is stuck: repeat both from the better loop, with both solvers and all probes.
         for search in (leader, other):
-            search.take_care()
-        leader.polish(best)
+            search.search_carefully()
+        leader.refine(best)
         reached = min(reached, _confirmed(leader, other, SHARES[1:]))
         if reached < _gamma(leader.best) * (1 - IMPROVEMENT):
             leader, other = other, leader
@@ -298,9 +298,9 @@ def _difference(leader: Search, reached: float) -> float:
 
 
 def _confirmed(leader: Search, other: Search, shares: tuple[float, ...]) -> float:
-    """What the other search reaches from the leader's best loop."""
+    """Return the gamma that the other search reaches from the leader's best loop."""
     before = len(other.candidates)
-    other.polish(leader.best, shares)
+    other.refine(leader.best, shares)
     return _gamma(smallest(other.candidates[before:]))
 
 
@@ -308,14 +308,14 @@ def _gamma(candidate: Candidate | None) -> float:
     return float("inf") if candidate is None else candidate.gamma
 
 
-def soften(search: Search, start: Candidate, gamma: float) -> None:
-    """Add saner candidates up to this gamma to the search: slower poles, no needlessly slow modes of the loop."""
+def relax(search: Search, start: Candidate, gamma: float) -> None:
+    """Add candidates up to this gamma with slower controller poles and without needlessly slow modes of the loop."""
     _slowest_poles(search, start, gamma, 0.0)
-    # Once more after half of the slack has gone into states: a mode that w does not excite (an integrator of the plant,
-    # behind a reference) otherwise stays in the loop as slow as it is.
-    half, base = 0.5 * (start.gamma + gamma), search.relative(start, SOFTEN_SHARE, 0.0)
+    # Repeat with half of the slack spent on penalties of states: a mode that w does not excite (an integrator of the
+    # plant, behind a reference) otherwise stays in the loop as slow as it is.
+    half, base = 0.5 * (start.gamma + gamma), search.relative(start, RELAX_SHARE, 0.0)
     low, high, size = 1e-4, 1e2, 0.0
-    for _ in range(SOFTEN_STEPS):
+    for _ in range(RELAX_STEPS):
         if base is None or search.budget.over:
             return
         middle = float(np.sqrt(low * high))
@@ -328,10 +328,10 @@ def soften(search: Search, start: Candidate, gamma: float) -> None:
 
 
 def _slowest_poles(search: Search, start: Candidate, gamma: float, x: float) -> None:
-    """Largest relative weights by bisection, repeated because their scale follows the loop found last."""
-    low, high, steps = 1e-2, 10.0, SOFTEN_STEPS
-    for _ in range(SOFTEN_ROUNDS):
-        softest: Candidate | None = None
+    """Find the largest relative weights by bisection, repeated because their scale depends on the last loop found."""
+    low, high, steps = 1e-2, 10.0, RELAX_STEPS
+    for _ in range(RELAX_ROUNDS):
+        slowest: Candidate | None = None
         for _ in range(steps):
             if search.budget.over:
                 return
@@ -341,16 +341,16 @@ def _slowest_poles(search: Search, start: Candidate, gamma: float, x: float) -> 
                 weights = weights._replace(x_out=x, x_in=x)
             found = None if weights is None else search.found_within(weights, gamma)
             if found is not None:
-                low, softest = middle, found
+                low, slowest = middle, found
             else:
                 high = middle
-        if softest is None or softest.pace > 0.7 * start.pace:
+        if slowest is None or slowest.pace > 0.7 * start.pace:
             return
-        start, low, high, steps = softest, low / 2, 3 * low, SOFTEN_LATER_STEPS
+        start, low, high, steps = slowest, low / 2, 3 * low, RELAX_LATER_STEPS
 
 
 def channel_gains(loop: Realisation, sizes: tuple[int, int, int, int, int]) -> Regularisation | None:
-    """Peak gains on a grid: w to each u, noise on each y to z, w to x, x disturbance to z; None of an unstable loop.
+    """Return peak gains on a grid: w to each u, noise on y to z, w to x, disturbance of x to z; None if unstable.
 
     ``sizes``: those of the plant, whose channels come before [u; x] and [noise on y; x].
     """
@@ -374,7 +374,7 @@ def channel_gains(loop: Realisation, sizes: tuple[int, int, int, int, int]) -> R
 
 
 def trial_loop(p: PlantMatrices, K: Realisation) -> Realisation:
-    """The loop from w to z for ``u = K y`` on a plant without D22."""
+    """Return the loop from w to z for ``u = K y`` on a plant without D22."""
     by_y, by_w = p.B2 @ K.D, p.D12 @ K.D
     return Realisation(
         np.block([[p.A + by_y @ p.C2, p.B2 @ K.C], [K.B @ p.C2, K.A]]),

@@ -16,24 +16,24 @@ from robustlab.errors import NoTrustworthyNumber
 from robustlab.linear_analysis.matrix_equations import care, hamiltonian_riccati
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 
-# An exact X = 0 comes out as noise of this size, scaled; it must not count as indefinite. Larger: false passes.
+# Rounding of an exact X = 0, scaled, which must not count as indefinite. Larger: false passes.
 SEMIDEFINITE = 1e-6
-# Largest residual of a Riccati solution: the loop is verified afterwards, so a poor one only costs a try.
+# Largest residual of a Riccati solution; the loop is verified afterwards.
 RESIDUAL = 1e-3
 # Range of gamma that is searched, scaled.
 SMALLEST_GAMMA = 1e-9
 LARGEST_GAMMA = 1e9
-# Shares of the smallest gamma found that are tried once more (the first one; with care all of them): the test in
-# floating point is not monotone in gamma. Longer: fewer false ends, more tests.
+# Shares of the smallest gamma found that are tested again (the first one; in a careful search all of them): the test
+# in floating point is not monotone in gamma. Longer: fewer false ends, more tests.
 PROBES = (0.93, 0.8, 0.6, 0.4, 0.2, 0.07, 0.02)
-# Smallest singular value of D12 or D21, relative to the largest, that is none.
+# Singular values of D12 or D21 below this share of the largest count as zero.
 RANK = 1e-13
-LARGEST = 1e150  # direct term whose square, of many channels, is still a number
+LARGEST = 1e150  # direct term whose square, over many channels, does not overflow
 
 
 @dataclass(frozen=True, eq=False)
 class RiccatiPair:
-    """Solutions X, Y >= 0 at gamma, and ``coupling = rho(X Y) / gamma^2``: the test is passed where it is below 1."""
+    """Solutions X, Y >= 0 at gamma, and ``coupling = rho(X Y) / gamma^2``; the test is passed if it is below 1."""
 
     gamma: float
     X: AnyArray
@@ -52,7 +52,7 @@ class TwoRiccatiProblem:
         W, s21, Rt = np.linalg.svd(plant.D21)
         if min(s12.min(), s21.min()) <= RANK * max(1.0, s12.max(), s21.max()):
             raise NoTrustworthyNumber("H-infinity Riccati test", "D12 or D21 is rank deficient")
-        self.careful, self.budget = careful, budget  # careful: solve in two ways where the quick one fails
+        self.careful, self.budget = careful, budget  # careful: a second Riccati solver where the first fails
         self.u_back = Vt.T / s12  # u = u_back @ u_normalised
         self.y_into = W.T / s21[:, None]  # y_normalised = y_into @ y
         z_turn = np.hstack([U[:, n_u:], U[:, :n_u]])
@@ -73,12 +73,12 @@ class TwoRiccatiProblem:
         self._filter = _Equation(self.A.T, np.vstack([self.C1, self.C2]).T, self.B1.T, column.T, n_z)
 
     def solve(self, gamma: float) -> RiccatiPair | None:
-        """The pair at this gamma, or None where the test fails (gamma too small, or lost to rounding)."""
+        """Return the pair at this gamma; None if the test fails (gamma too small, or lost to rounding)."""
         pair = self.pair(gamma)
         return pair if pair is not None and pair.coupling < 1 else None
 
     def pair(self, gamma: float) -> RiccatiPair | None:
-        """Both solutions, whatever their coupling; None where one does not exist or is not positive semidefinite."""
+        """Return both solutions for any coupling; None if one does not exist or is not positive semidefinite."""
         self.budget.spend(dense(len(self.A), 3))
         if gamma <= self.floor * (1 + 1e-12):
             return None
@@ -91,7 +91,7 @@ class TwoRiccatiProblem:
         return RiccatiPair(gamma, X, Y, float(np.abs(np.linalg.eigvals(X @ Y)).max(initial=0.0)) / gamma**2)
 
     def smallest_gamma(self, start: float, rtol: float, probes: tuple[float, ...]) -> float | None:
-        """Smallest gamma that passes the test; None where none up to the largest one tried does."""
+        """Return the smallest gamma that passes the test; None if none up to LARGEST_GAMMA does."""
         high, low = max(start, self.floor * 1.01 + 1e-12), self.floor
         while (at_high := self.solve(high)) is None:
             low, high = high, 4 * high
@@ -112,7 +112,7 @@ class TwoRiccatiProblem:
                 return high
 
     def _closed(self, low: float, at_high: RiccatiPair, rtol: float) -> float:
-        """The upper end of a bracket of relative width ``rtol``, from a passing pair and a gamma below it."""
+        """Return the upper end of a bracket of relative width ``rtol``, from a passing pair and a gamma below it."""
         at_low: RiccatiPair | None = None
         step = 0.03
         while not self.budget.over:
@@ -124,12 +124,12 @@ class TwoRiccatiProblem:
             if at_low is not None and at_high.coupling > 0:
                 slope = float(np.log(at_low.coupling / at_high.coupling))
                 share = -float(np.log(at_high.coupling)) / slope if slope > 0 else 0.5
-                # Aim half a tolerance to the passing side: then the bracket closes from both ends.
+                # Aim half a tolerance to the passing side, so that the bracket closes from both ends.
                 trial = high * (at_low.gamma / high) ** share * (1 + 0.4 * rtol)
                 if at_low.coupling < 1 + rtol:
                     trial = max(trial, low * (1 + 0.9 * rtol))
                 trial = min(max(trial, low * (low / high) ** -0.02), high * (low / high) ** 0.02)
-            elif low < high * (1 - 3 * step):  # nothing is known near: small steps down first, growing
+            elif low < high * (1 - 3 * step):  # no lower end is known near: growing steps down
                 trial, step = high * (1 - step), min(3 * step, 0.9)
             else:
                 trial = float(np.sqrt(low * high))
@@ -142,7 +142,7 @@ class TwoRiccatiProblem:
         return at_high.gamma
 
     def central_controller(self, pair: RiccatiPair) -> Realisation:
-        """The central controller of a pair, (19) to (27) without its free parameter, from y to u of the plant given."""
+        """Return the central controller of a pair, (19) to (27) without the free parameter, for the plant as given."""
         a, b, g2 = self.a, self.b, pair.gamma**2
         D1111, D1112 = self.D11[:a, :b], self.D11[:a, b:]
         D1121, D1122 = self.D11[a:, :b], self.D11[a:, b:]
@@ -178,7 +178,7 @@ class _Equation:
         self.disturbances = np.diag((np.arange(D.shape[1]) < n_disturbances).astype(float))
 
     def solution(self, gamma: float, careful: bool) -> AnyArray | None:
-        """Stabilising positive semidefinite solution, or None."""
+        """Return the stabilising positive semidefinite solution, or None."""
         R, n = self.R - gamma**2 * self.disturbances, self.A.shape[0]
         try:
             solved = np.linalg.solve(R, np.vstack([self.B, self.S]).T)
@@ -200,5 +200,5 @@ class _Equation:
         return (vectors * np.maximum(values, 0.0)) @ vectors.T
 
     def gain(self, gamma: float, X: AnyArray) -> AnyArray:
-        """``-R^-1 (B' X + S')``: F of (11), and the transposed L of (12)."""
+        """Return ``-R^-1 (B' X + S')``: F of (11), and the transposed L of (12)."""
         return -np.linalg.solve(self.R - gamma**2 * self.disturbances, self.B.T @ X + self.S.T)

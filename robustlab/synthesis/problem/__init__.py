@@ -1,1 +1,1 @@
-"""Where every design starts and ends: partition, assumptions, scaling; the rebuilt loop and its certificate."""
+"""Shared parts of every design: partition, assumptions, scaling, the rebuilt loop and its certificate."""

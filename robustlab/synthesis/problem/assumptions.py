@@ -1,4 +1,4 @@
-"""What a plant must have, stabilisable modes; and what the Riccati method would like, penalties and noises."""
+"""Required of a plant: stabilisable modes; assumptions of the Riccati method: direct penalties and noises."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrice
 # sigma_min of the Popov-Belevitch-Hautus matrix below this share of its norm counts as rank loss (plant scaled to
 # order one).
 PBH_TOLERANCE = 1e-11
-# Channels weaker than this share of the fastest pole are made as strong before they are judged.
+# Channels weaker than this share of the fastest pole are scaled up to it before the test.
 WEAK = 1e-6
 # Real parts within this share of the largest modulus count as "on the axis".
 AXIS = 1e-10
 # A singular value of D12 or D21 below this (plant scaled to order one) is regularised.
 DIRECT = 1e-6
-# sigma_min of the system matrix below this share of its norm is a zero; candidates this near to the axis are looked at.
+# sigma_min of the system matrix below this share of its norm is a zero; candidates this near to the axis are tested.
 ZERO, NEAR = 1e-9, 1e-5
 
 
 def require_stabilisable(p: PlantMatrices, states: tuple[str, ...], where: str, rate: float = 1.0) -> None:
-    """Popov-Belevitch-Hautus test of all unstable and marginal modes."""
+    """Apply the Popov-Belevitch-Hautus test to all unstable and marginal modes."""
     if not p.A.size:
         return
     poles = np.linalg.eigvals(p.A)
     size = max(float(np.abs(poles).max()), 1e-300)
-    # How strong a control or a measurement is depends on its unit: each counts as if it were as large as A.
+    # The strength of a control or a measurement depends on its unit: each counts as if it were as large as A.
     into, out = _like(p.B2, 0, size), _like(p.C2, 1, size)
     faults: list[str] = []
     for pole in poles[(poles.real >= -AXIS * size) & (poles.imag >= 0)]:
@@ -50,14 +50,14 @@ def require_stabilisable(p: PlantMatrices, states: tuple[str, ...], where: str, 
 
 
 def _like(matrix: AnyArray, axis: int, size: float) -> AnyArray:
-    """Columns (axis 0) or rows (axis 1) that are too weak beside ``size`` to be told from rounding, made as large."""
+    """Scale columns (axis 0) or rows (axis 1) up to ``size`` that would else be indistinguishable from rounding."""
     norms = np.linalg.norm(matrix, axis=axis, keepdims=True)
     weak = (norms > 0) & (norms < WEAK * size)
     return matrix * np.where(weak, size / np.where(weak, norms, 1.0), 1.0)
 
 
 def _null_state(matrix: AnyArray) -> int | None:
-    """Index of the largest entry of the null vector of a tall matrix, or None where it has full column rank."""
+    """Return the index of the largest entry of the null vector of a tall matrix; None if it has full column rank."""
     n = matrix.shape[1]
     _, sigma, vh = np.linalg.svd(matrix)
     if len(sigma) == n and sigma[-1] > PBH_TOLERANCE * max(float(sigma[0]), 1.0):
@@ -70,7 +70,7 @@ def _text(pole: complex) -> str:
 
 
 def broken_assumptions(p: PlantMatrices, plant: GeneralizedPlant, rate: float = 1.0) -> tuple[str, ...]:
-    """Assumptions of the Riccati method that the plant does not meet, each with what it means physically."""
+    """Return the assumptions of the Riccati method that the plant violates, each with its physical meaning."""
     controls, measurements = ([s.name for s in group] for group in (plant.controls, plant.measurements))
     found = [
         f"{name} has no direct penalty: no performance output limits how fast it may act (D12 lacks column rank)"
@@ -81,18 +81,18 @@ def broken_assumptions(p: PlantMatrices, plant: GeneralizedPlant, rate: float = 
         for name in _free_channels(p.D21.T, measurements, "measurement")
     ]
     states = plant.model.state_names
-    text = ("performance output showing it", "disturbance driving it through the measurements")
-    for side, what in zip((p, dual(p)), text, strict=True):
+    missing = ("performance output showing it", "disturbance driving it through the measurements")
+    for side, text in zip((p, dual(p)), missing, strict=True):
         found += [
             f"zero on the axis at {_rounded(omega * rate)} rad/s: a motion mostly of {states[state]} can go on "
-            f"undamped without any {what}"
+            f"undamped without any {text}"
             for omega, state in _axis_zeros(side.A, side.B2, side.C1, side.D12)
         ]
     return tuple(found)
 
 
 def _free_channels(D: Array, names: list[str], kind: str) -> list[str]:
-    """Channels, or combinations of channels, in the null space of the columns of D."""
+    """Return the channels, or combinations of channels, in the null space of the columns of D."""
     _, sigma, vh = np.linalg.svd(D)
     rank = int((sigma > DIRECT * max(1.0, sigma.max(initial=0.0))).sum())
     free = []
@@ -106,7 +106,7 @@ def _free_channels(D: Array, names: list[str], kind: str) -> list[str]:
 
 
 def _axis_zeros(A: Any, B: Any, C: Any, D: Any) -> list[tuple[float, int]]:
-    """Frequencies at which ``[A - jw, B; C, D]`` loses column rank, with the state that takes part in it most."""
+    """Return the frequencies at which ``[A - jw, B; C, D]`` loses column rank, with the state of largest share."""
     n, m = B.shape
     if n == 0 or len(C) < m:
         return []

@@ -1,6 +1,6 @@
-"""The certificate of every design: P and K as stored make a loop with the norm found, proved in ball arithmetic.
+"""The certificate of every design: the norm of the loop of P and K as stored, proved in ball arithmetic.
 
-The rebuilt loop carries rounding: the checker (`robustlab.verification`) closes P and K itself and uses nothing of it.
+The rebuilt loop carries rounding: the checker (`robustlab.verification`) closes P and K itself.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from robustlab.verification.checker import check
 from robustlab.verification.claim import Claim, Outcome
 from robustlab.verification.models import loop as closed_in_balls
 
-# Shares above the gain at the peak at which a proof is tried. The last is the most that a certificate may cost, and
-# from there on the norm of the rebuilt loop and that of P and K are two numbers.
+# Shares above the gain at the peak at which a proof is tried. The last is the largest loss for a certificate; norms of
+# the rebuilt loop and of P and K that differ by more disagree.
 SHARES = (1e-4, 1e-3)
 AGREEMENT = SHARES[-1]
-# Of the checker at 20 states, where no matrix proves the norm. Enough for a counterexample, and for some boxes.
+# Effort of the checker at 20 states where no matrix proves the norm: enough for a counterexample, and for some boxes.
 EFFORT = 400
 BITS = 192
 # A direct term from w to z below this share of D11 is rounding of the cancellation by D_K.
@@ -32,7 +32,7 @@ CANCELLED = 1e-10
 
 
 class Certificate(NamedTuple):
-    """What the norm of a loop is proved to be at most, and why it is not certified (empty: it is)."""
+    """An upper bound of the norm of a loop, and why it is not certified (empty if it is)."""
 
     gamma: float
     doubt: str
@@ -45,55 +45,55 @@ def certified(
     level: float | None = None,
     effort: int = EFFORT,
 ) -> Certificate:
-    """The certificate of the norm of the loop of P and K; where that loop has a larger norm, this is shown."""
-    shown = norm.value if isinstance(norm, H2Norm) else norm.upper if level is None else level
-    if not np.isfinite(shown):
-        return Certificate(shown, norm.reason)
+    """Prove the norm of the loop of P and K; if that loop has a larger norm, return the larger one with a doubt."""
+    value = norm.value if isinstance(norm, H2Norm) else norm.upper if level is None else level
+    if not np.isfinite(value):
+        return Certificate(value, norm.reason)
     true = closed_exactly(plant, K)
     work = round(effort * max(1.0, (true.n_states / 20) ** 3))
     if isinstance(norm, H2Norm):
         if not norm.status.trustworthy or not true.n_states:
-            return _in_floats(true, norm, shown, norm.reason)
+            return _in_floats(true, norm, value, norm.reason)
         where = "no Gramian was found"
-        for gamma in (shown, shown * (1 + AGREEMENT)):
+        for gamma in (value, value * (1 + AGREEMENT)):
             for claim in _h2_claims(plant, K, true, gamma):
                 found = check(claim, effort=work)
                 where = found.where
                 if found.outcome is Outcome.PROVED:
                     return Certificate(gamma, "")
     else:
-        numbers, levels = loop_numbers(plant.model, K), [shown]
+        numbers, levels = loop_numbers(plant.model, K), [value]
         if level is None and true.n_states:
-            levels = sorted({shown, *(norm.lower * (1 + share) for share in SHARES)})
+            levels = sorted({value, *(norm.lower * (1 + share) for share in SHARES)})
         for gamma in levels:
-            if norm_matrix(true, above(gamma), min(norm.lower, gamma), numbers):  # only what the checker has proved
+            if norm_matrix(true, above(gamma), min(norm.lower, gamma), numbers):  # checked there
                 return Certificate(gamma, "")
         found = check(Claim("loop-norm", {**numbers, "gamma": np.array(above(levels[-1]))}), effort=work)
         where = found.where
         if found.outcome is Outcome.PROVED:
             return Certificate(levels[-1], "")
-    return _in_floats(true, norm, shown, f"not proved in ball arithmetic of P and K as they are: {where}")
+    return _in_floats(true, norm, value, f"not proved in ball arithmetic of P and K as they are: {where}")
 
 
 def closed_exactly(plant: GeneralizedPlant, K: StateSpaceModel) -> StateSpaceModel:
-    """The loop of P and K, each entry rounded once."""
+    """Return the loop of P and K, each entry rounded once."""
     with precision(BITS):
         exact = closed_in_balls(Claim("", loop_numbers(plant.model, K)))
         A, B, C, D = (midpoints(X) for X in (exact.A, exact.B, exact.C, exact.D))
         return StateSpaceModel(A, B, C, D, plant.model.dt)
 
 
-def _in_floats(true: StateSpaceModel, norm: HinfNorm | H2Norm, shown: float, doubt: str) -> Certificate:
-    """The doubt, or by how much the norm of the loop of P and K is a larger one."""
+def _in_floats(true: StateSpaceModel, norm: HinfNorm | H2Norm, value: float, doubt: str) -> Certificate:
+    """Return the doubt, or the norm of the loop of P and K where it is larger than that of the rebuilt loop."""
     larger = h2_by_gramians(true).value if isinstance(norm, H2Norm) else hinf_norm(true).upper
-    if not shown * (1 + AGREEMENT) < larger < np.inf:
-        return Certificate(shown, doubt)
-    text = f"P and K closed exactly have the norm {larger:.6g}, the rebuilt loop {shown:.6g}: digits were lost"
+    if not value * (1 + AGREEMENT) < larger < np.inf:
+        return Certificate(value, doubt)
+    text = f"P and K closed exactly have the norm {larger:.6g}, the rebuilt loop {value:.6g}: digits were lost"
     return Certificate(larger, text)
 
 
 def _h2_claims(plant: GeneralizedPlant, K: StateSpaceModel, true: StateSpaceModel, level: float) -> list[Claim]:
-    """Those of the loop; of its rounded matrices without D where D_K cancels D11 but for the rounding of D_K."""
+    """Return the claims of the loop; of its rounded matrices without D if D_K cancels D11 up to rounding."""
     D11 = plant.model.D[: plant.n_z, : plant.n_w]
     cancelled = CANCELLED * max(np.abs(D11).max(initial=0.0), np.abs(K.D).max(initial=0.0))
     if true.dt or not 0 < np.abs(true.D).max(initial=0.0) <= cancelled:

@@ -1,4 +1,4 @@
-"""A controller as designs return it and files keep it: what it takes, and the gain that was proved of its loop."""
+"""A controller as designs return it and files store it: what its inputs take, and the proved gain of its loop."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from robustlab.statespace import StateSpaceModel, as_model
 
 @dataclass(frozen=True, eq=False)
 class Controller(Shown, Traced):
-    """A controller, with what it takes: its inputs say the sign with which it closes a loop (`law`).
+    """A controller whose inputs record the sign with which it closes a loop (`law`).
 
     Attributes
     ----------
     K
         The controller; its inputs are the measurements, its outputs the control signals.
     gamma
-        Closed-loop H-infinity norm that was verified for the generalised plant it was designed on; None where none was.
+        Verified closed-loop H-infinity norm for the generalised plant it was designed on; None where none was.
     status
         How much ``gamma`` can be trusted.
     method
-        What made it, for example ``"mixsyn"``.
+        Name of the design method, for example ``"mixsyn"``.
     takes
-        Not kept: what the inputs take of the plant's signals, one word for all or one for each: ``"y"`` (u = K y),
-        ``"r - y"`` (u = K (r - y)), ``"-y"``, ``"y - r"`` or ``"r"``. Left out: what they say already; designs say it.
+        Not stored: what the inputs take of the plant's signals, one word for all or one for each: ``"y"`` (u = K y),
+        ``"r - y"`` (u = K (r - y)), ``"-y"``, ``"y - r"`` or ``"r"``. Left out: as K's inputs record it; designs do.
     design
-        The design that it is of, whose claims go into its file, for `robustlab.verify`; None of other controllers, and
+        The design it comes from, whose claims go into its file, for `robustlab.verify`; None of other controllers, and
         of one that was read from a file.
 
     Raises
@@ -69,11 +69,11 @@ class Controller(Shown, Traced):
 
     @property
     def law(self) -> str:
-        """How it closes a loop, ``u = K (r - y)`` for example; empty where that is not known."""
+        """The feedback law, ``u = K (r - y)`` for example; empty where unknown."""
         return law(self.K.inputs)
 
     def to_model(self) -> StateSpaceModel:
-        """K, so that a controller can be given where a model is asked for."""
+        """Return K, so that a controller can be used as a model."""
         return self.K
 
     def facts(self) -> Facts:

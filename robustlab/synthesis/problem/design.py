@@ -1,4 +1,4 @@
-"""A finished design: the controller as it is stored, what was verified about it, and how its search ended."""
+"""A finished design: the controller as stored, its verified properties, and how its search ended."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from robustlab.synthesis.problem.partition import GeneralizedPlant
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Design(Shown):
-    """A controller and what is proved of its loop, whatever kind of plant it is for: base of what synthesis gives.
+    """A controller and the proved bound of its loop: base of the results of synthesis for every kind of plant.
 
     Attributes
     ----------
     K
-        The controller, ``u = K y`` with positive feedback into the plant's lower LFT; its inputs say what they take.
+        The controller, ``u = K y`` with positive feedback into the plant's lower LFT; its inputs record what they take.
     gamma
-        Verified upper bound of what the method makes small (its docstring says what).
+        Verified upper bound of the objective (see the docstring of the method).
     closed_loop
         The lower LFT of plant and K, from w to z.
     status
         CERTIFIED where the rebuilt loop is stable and ``gamma`` was proved for it; INACCURATE where digits were lost;
         TIMEOUT where that was proved, too, but the time limit ended the search: another run may give another K.
-        It vouches for ``gamma`` of this K, not for its optimality.
+        It is about ``gamma`` of this K, not about optimality.
     reason
         Why the method stopped, and how much of the result is proved.
     """
@@ -63,18 +63,18 @@ class Design(Shown):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Synthesis(Design):
-    """A controller that was verified in the loop rebuilt from it; there is no Synthesis without one.
+    """A controller that was verified in the loop rebuilt from it.
 
     Attributes
     ----------
     K, gamma, closed_loop, status, reason
         As in `Design`.
     limit
-        What limits the performance: the channels that make the peak.
+        The channels with the largest share in the peak.
     plant
         The generalised plant, so that the result can be checked again.
     method
-        What made it.
+        Name of the design method.
     """
 
     quantities: ClassVar[Mapping[str, Any]] = {
@@ -92,12 +92,12 @@ class Synthesis(Design):
     method: str
 
     def to_model(self) -> StateSpaceModel:
-        """K, so that a design can be given where a controller is asked for."""
+        """Return K, so that a design can be used as a controller."""
         return self.K
 
     @property
     def controller(self) -> Controller:
-        """K with what was verified about it, as it is stored."""
+        """K with its verified properties, as it is stored."""
         return Controller(self.K, self.gamma, self.status, self.method, design=self)
 
     @property
@@ -107,7 +107,7 @@ class Synthesis(Design):
 
     @property
     def law(self) -> str:
-        """How K closes the loop, ``u = K (r - y)`` for example."""
+        """The feedback law, ``u = K (r - y)`` for example."""
         return law(self.K.inputs)
 
     @property
@@ -122,14 +122,14 @@ class Synthesis(Design):
 
     @property
     def closed_loop_abscissa(self) -> float:
-        """Spectral abscissa of the loop that K closes, without weights and filters outside of it; see `stable`."""
+        """Spectral abscissa of the loop of K, without weights and filters outside of it; see `stable`."""
         return self._parts[0].spectral_abscissa()
 
     @property
     def _parts(self) -> tuple[StateSpaceModel, StateSpaceModel]:
-        """The loop of K, and what of the plant lies outside: states that u does not reach or that do not reach y."""
+        """The loop of K, and the rest of the plant: states that u does not reach or that do not reach y."""
         p, n_w, n_z = self.plant.model, self.plant.n_w, self.plant.n_z
-        if p.dt != self.K.dt and (self.K.n_states or self.K.dt):  # sampled: the plant as given is none of its parts
+        if p.dt != self.K.dt and (self.K.n_states or self.K.dt):  # sampled: the loop has a lifted plant
             return self.closed_loop, StateSpaceModel([], [], [], np.zeros((0, 0)), self.K.dt)
         B, C = p.B[:, n_w:], p.C[n_z:]
         acts = p.A != 0
@@ -166,16 +166,16 @@ class HinfSynthesis(Synthesis):
     peak_frequency
         Frequency in rad/s at which the closed loop attains its norm.
     smallest_gamma
-        Smallest verified gamma of the search; K may be a softer controller within the allowed ratio of it.
+        Smallest verified gamma of the search; K may be a slower controller within the allowed ratio of it.
     scalings_disagree
         Relative difference between the best gammas of the two scalings that were tried; NaN where one gave none.
     norm
         The bracket of the closed loop's norm.
     lower_bound
-        What no stabilising controller gets below, and how that is known.
+        Lower bound of gamma over all stabilising controllers, and how it is known.
     estimated_optimum
-        The infimum of gamma as the search sees it, an estimate: of a regular plant the smallest gamma that passes its
-        Riccati test; else extrapolated to no regularisation. NaN where it cannot tell.
+        Estimated infimum of gamma: of a regular plant the smallest gamma that passes its Riccati test; else
+        extrapolated to no regularisation. NaN without an estimate.
     assumptions
         The textbook assumptions that the plant does not meet, in words; the search regularised where there are any.
     weights
@@ -215,36 +215,38 @@ class HinfSynthesis(Synthesis):
 
     @property
     def gamma_lower(self) -> float:
-        """What no stabilising controller gets below."""
+        """Lower bound of gamma over all stabilising controllers."""
         return self.lower_bound.value
 
     @property
     def regularisation_cost(self) -> float:
-        """How far the smallest gamma found lies above the estimated optimum, as a share of it; NaN where unknown."""
+        """Relative distance of the smallest gamma found to the estimated optimum; NaN where unknown."""
         optimum = self.estimated_optimum
         return max(self.smallest_gamma / optimum - 1, 0.0) if optimum > 0 else float("nan")
 
 
 def design_budget(where: str, work: float, effort: float, time_limit: float | None) -> Budget:
-    """The budget of a design; a time limit of zero is refused, because there is no design without a search."""
+    """Return the budget of a design; a time limit of zero is refused, because there is no design without a search."""
     if time_limit is not None and not time_limit > 0:
         raise InputError(where, f"time_limit is {time_limit}", "a positive time in s, or none")
     return search_budget(where, work, effort, time_limit)
 
 
-def told(status: Status, parts: Sequence[str], budget: Budget, smaller: str = "a smaller gamma") -> tuple[Status, str]:
-    """Status and reason of a design, with what ended its search where that was the budget and not the method."""
+def final_status(
+    status: Status, parts: Sequence[str], budget: Budget, smaller: str = "a smaller gamma"
+) -> tuple[Status, str]:
+    """Return status and reason of a design; the reason names the budget where it ended the search."""
     reason, ended = "; ".join(parts), ""
     if budget.struck:
         status, ended = (Status.TIMEOUT if status.trustworthy else status), NOT_REPEATABLE
     elif budget.remark:
         ended = f"work budget used up: a larger effort may find {smaller}"
-    # A part of the search may have said it already.
+    # A part of the search may have reported it already.
     return status, reason if not ended or ended in reason else f"{reason}; {ended}"
 
 
 def limiting_channels(loop: StateSpaceModel, omega: float) -> str:
-    """The output and the input with the largest share in the singular vectors of the peak."""
+    """Return the output and the input with the largest share in the singular vectors of the peak, in words."""
     if (not np.isfinite(omega) and loop.is_discrete) or not loop.n_inputs or not loop.n_outputs:
         return ""
     left, _, right = np.linalg.svd(frequency_response(loop, [omega])[0])

@@ -1,6 +1,7 @@
-"""What no controller can get below: Parrott's bound at points of the closed right half plane.
+"""Lower bound of gamma for all controllers: Parrott's bound at points of the closed right half plane.
 
-The closed loop T = P11 + P12 Q P21 is analytic there, so its norm is at least what P12 and P21 cannot reach of P11(s).
+The closed loop T = P11 + P12 Q P21 is analytic there, so its norm is at least that of the part of P11(s) outside the
+ranges of P12 and P21.
 """
 
 from __future__ import annotations
@@ -20,14 +21,14 @@ from robustlab.synthesis.problem.scaling import Scaling, equilibrated, paths_fir
 # Points of the right half plane: radii and angles of a polar grid. More: a little higher bounds.
 RADII = 48
 ANGLES = (0.0, 0.5, 1.0, 1.35, 1.5, math.pi / 2)
-# Refinements around the best points, how many of them, and points that every scaling has to confirm.
+# Refinements around the best points, number of these, and of points that every scaling has to confirm.
 REFINEMENTS = 4
 REFINED = 3
 CONFIRMED = 12
 
-# Taken off every bound for rounding of what is counted to first order, and factor of eps in that count.
+# Share subtracted from every bound, as rounding is counted to first order; factor of eps in that count.
 MARGIN, ROUNDING = 1e-7, 4.0
-# In the plant's own time unit, a point nearer to zero than this is called zero.
+# A point nearer to zero than this counts as zero, in the plant's own time unit.
 AT_ZERO = 1e-9
 # A column space is known to about eps over this; points where P12 or P21 is worse conditioned prove nothing.
 CONDITION = 1e-7
@@ -39,18 +40,18 @@ class GammaBound(AllFields):
     """A lower bound of gamma and how it is known."""
 
     value: float  # no stabilising controller reaches a closed-loop norm below it; 0 where nothing was found
-    known: str  # one sentence: proved at which point, or estimated how
+    known: str  # one sentence: the point at which it is proved, or how it is estimated
     proved: bool  # False for an estimate
 
 
 def gamma_bound(plant: GeneralizedPlant) -> GammaBound:
-    """What no stabilising controller of this plant gets below."""
+    """Return a lower bound of gamma over all stabilising controllers of this plant."""
     p = plant.continuous().matrices()
     return pointwise_bound(p, (paths_first(p), equilibrated(p)), plant.model.dt)
 
 
 def pointwise_bound(p: PlantMatrices, scalings: Sequence[Scaling], dt: float = 0.0) -> GammaBound:
-    """The largest of Parrott's bounds over points of the closed right half plane, refined around the best ones."""
+    """Return the largest of Parrott's bounds over points of the closed right half plane, refined at the best ones."""
     first = scalings[0]
     scaled = first.apply(p)
     points = _points(scaled)
@@ -82,7 +83,7 @@ def pointwise_bound(p: PlantMatrices, scalings: Sequence[Scaling], dt: float = 0
 
 
 def point_in_words(s: complex, dt: float = 0.0) -> str:
-    """A point of the closed right half plane in rad/s (of the z plane, with dt), and what the bound there says."""
+    """Return a point of the closed right half plane in rad/s (z plane with dt), and the meaning of its bound."""
     if abs(s.real) <= 1e-9 * abs(s):
         omega = 2 / dt * np.arctan(abs(s.imag) * dt / 2) if dt else abs(s.imag)
         return f"{omega:.4g} rad/s: no controller, causal or not, can do better"
@@ -94,7 +95,7 @@ def point_in_words(s: complex, dt: float = 0.0) -> str:
 
 
 def _points(p: PlantMatrices) -> AnyArray:
-    """Points of the closed right half plane: polar grid, mirror images and neighbours of the poles."""
+    """Return points of the closed right half plane: polar grid, mirror images and neighbours of the poles."""
     poles = np.linalg.eigvals(p.A) if p.A.size else np.zeros(0)
     size = np.abs(poles)[np.abs(poles) > AT_ZERO]
     low, high = (size.min() / 30, size.max() * 30) if len(size) else (1e-2, 1e2)
@@ -104,7 +105,7 @@ def _points(p: PlantMatrices) -> AnyArray:
 
 
 def _at_zeros(p: PlantMatrices, scaling: Scaling) -> tuple[complex, float]:
-    """The right half plane zero of P12 or P21, where square, that costs most, and its bound, in the plant's units."""
+    """Return the right half plane zero of P12 or P21 (if square) of the largest bound, and that bound, unscaled."""
     q = scaling.apply(p)
     best: tuple[complex, float] = (0j, 0.0)
     for side in (q, dual(q)):
@@ -119,7 +120,7 @@ def _at_zeros(p: PlantMatrices, scaling: Scaling) -> tuple[complex, float]:
 
 
 def _cost_of_zero(p: PlantMatrices, zero: complex) -> float:
-    """``|v P11|`` at the zero of P12 next to this one, less what rounding makes of both; 0 where P12 is none there."""
+    """Return ``|v P11|`` at the zero of P12 next to this one, less rounding of both; 0 if P12 has no zero there."""
     # With v P12 = 0 to rounding, the true zero lies within (|v P12| + e) / |v P12' u|.
     A, B, C, n_w = p.A, np.hstack([p.B1, p.B2]), p.C1, p.B1.shape[1]
     (P,), (error,) = _responses(A, B, C, np.hstack([p.D11, p.D12]), np.array([zero]))
@@ -127,7 +128,7 @@ def _cost_of_zero(p: PlantMatrices, zero: complex) -> float:
         return 0.0
     left, sigma, right = np.linalg.svd(P[:, n_w:])
     v, u, rounding = left[:, -1].conj(), right[-1].conj(), float(np.linalg.norm(error[:, n_w:]))
-    if sigma[-1] > 4 * rounding:  # a hidden mode, which is no zero of the response
+    if sigma[-1] > 4 * rounding:  # a hidden mode, not a zero of the response
         return 0.0
     X = np.linalg.inv(zero * np.eye(len(A)) - A)
     slope = -C @ X @ X @ B
@@ -139,7 +140,7 @@ def _cost_of_zero(p: PlantMatrices, zero: complex) -> float:
 
 
 def _around(centre: complex, points: AnyArray) -> AnyArray:
-    """Points between the centre and its neighbours, in the closed right half plane."""
+    """Return points between the centre and its neighbours, in the closed right half plane."""
     distance = np.abs(points - centre)
     step = distance[distance > 0].min(initial=np.inf)
     if not np.isfinite(step):
@@ -163,11 +164,11 @@ def _bounds(p: PlantMatrices, s: AnyArray) -> AnyArray:
 
 
 def _responses(A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray, s: AnyArray) -> tuple[AnyArray, AnyArray]:
-    """``C (s I - A)^-1 B + D`` at each s, and the size of what rounding makes of each entry."""
+    """Return ``C (s I - A)^-1 B + D`` at each s, and the rounding error of each entry."""
     shifted = s[:, None, None] * np.eye(len(A)) - A
     try:
         inverse = np.linalg.inv(shifted)
-    except np.linalg.LinAlgError:  # some point is a pole to the last digit: nothing is known there
+    except np.linalg.LinAlgError:  # some point is a pole to the last digit: no bound there
         shifted[np.linalg.slogdet(shifted)[0] == 0] = np.nan
         inverse = np.linalg.inv(shifted)
     before, after = C @ inverse, inverse @ B
@@ -177,12 +178,12 @@ def _responses(A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray, s: AnyArray) 
 
 
 def _parrott(P11: AnyArray, P12: AnyArray, error11: AnyArray, error12: AnyArray) -> AnyArray:
-    """What P12 cannot reach of each P11, less what errors of the two make of it: ``|e11| + |e12| |P11| / s_min``."""
+    """Return the part of each P11 outside the range of P12, less the error ``|e11| + |e12| |P11| / s_min``."""
     rows, columns = P12.shape[1:]
     if rows <= columns:
         return np.zeros(len(P12))
-    size = np.linalg.norm(P12, axis=1, keepdims=True)  # what columns span does not depend on their lengths
-    # A column that is zero leaves more room than is counted here: the bound stays valid.
+    size = np.linalg.norm(P12, axis=1, keepdims=True)  # the span of columns does not depend on their lengths
+    # A zero column spans less than is counted here: the bound stays valid.
     kept = (size[:, 0] > 0).all(axis=1)
     size = np.where(size > 0, size, 1.0)
     u, sigma, _ = np.linalg.svd(P12 / size)

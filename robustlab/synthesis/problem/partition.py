@@ -10,10 +10,10 @@ import numpy as np
 
 from robustlab.arrays import AnyArray, Array
 from robustlab.closing import wired
-from robustlab.errors import InputError, did_you_mean, told_as
+from robustlab.errors import InputError, told_as
 from robustlab.norms import bilinear_to_continuous
 from robustlab.shown import Facts, Shown, listed, with_units
-from robustlab.signals import Taken
+from robustlab.signals import Taken, signal_positions
 from robustlab.statespace import Signal, StateSpaceModel, as_model, lower_lft
 from robustlab.uncertainty.blocks import Block, structure_size
 from robustlab.uncertainty.lft import UncertainModel
@@ -29,7 +29,7 @@ class Realisation(NamedTuple):
 
     @classmethod
     def of(cls, model: StateSpaceModel) -> Realisation:
-        """The matrices of a model."""
+        """Return the matrices of a model."""
         return cls(model.A, model.B, model.C, model.D)
 
 
@@ -57,7 +57,7 @@ class PlantMatrices:
     def with_channels(
         self, u: float | Array, y: float | Array, x_out: float | Array, x_in: float | Array
     ) -> PlantMatrices:
-        """With outputs ``u * controls``, ``x_out * x`` and noises ``y`` on y, ``x_in`` on x added."""
+        """Add outputs ``u * controls`` and ``x_out * x``, and noises ``y`` on y and ``x_in`` on x."""
         n, _, n_u, n_z, n_y = self.sizes
         C1 = np.vstack([self.C1, np.zeros((n_u, n)), x_out * np.eye(n)])
         D12 = np.vstack([self.D12, u * np.eye(n_u), np.zeros((n, n_u))])
@@ -68,7 +68,7 @@ class PlantMatrices:
         return replace(self, B1=B1, C1=C1, D11=D11, D12=D12, D21=D21)
 
     def model(self) -> StateSpaceModel:
-        """As a model from [w; u] to [z; y]."""
+        """Return the model from [w; u] to [z; y]."""
         _, _, n_u, _, n_y = self.sizes
         return StateSpaceModel(
             self.A,
@@ -77,14 +77,9 @@ class PlantMatrices:
             np.block([[self.D11, self.D12], [self.D21, np.zeros((n_y, n_u))]]),
         )
 
-    def plant(self) -> GeneralizedPlant:
-        """As a generalised plant."""
-        _, _, n_u, _, n_y = self.sizes
-        return GeneralizedPlant(self.model(), n_y, n_u)
-
 
 def dual(p: PlantMatrices) -> PlantMatrices:
-    """The transposed plant, in which controls and measurements change places."""
+    """Return the transposed plant, in which controls and measurements change places."""
     return PlantMatrices(p.A.T, p.C1.T, p.C2.T, p.B1.T, p.B2.T, p.D11.T, p.D21.T, p.D12.T)
 
 
@@ -117,7 +112,7 @@ class GeneralizedPlant(Shown):
 
     @property
     def measurements(self) -> tuple[Signal, ...]:
-        """The measured outputs y, each with what it tells of the signal: itself where nothing else is said."""
+        """The measured outputs y, each with the signal it takes: by default itself."""
         return tuple(s if isinstance(s, Taken) else Taken(*s) for s in self.model.outputs[self.n_z :])
 
     @property
@@ -131,23 +126,23 @@ class GeneralizedPlant(Shown):
         return self.model.D[self.n_z :, self.n_w :]
 
     def matrices(self) -> PlantMatrices:
-        """The matrices with D22 left out."""
+        """Return the matrices without D22."""
         m, w, z = self.model, self.n_w, self.n_z
         parts = (m.A, m.B[:, :w], m.B[:, w:], m.C[:z], m.C[z:], m.D[:z, :w], m.D[:z, w:], m.D[z:, :w])
         return PlantMatrices(*(np.array(part) for part in parts))
 
     def close(self, K: StateSpaceModel) -> StateSpaceModel:
-        """The closed loop from w to z for ``u = K y``; signals meet as `robustlab.closing.wired` says."""
+        """Return the closed loop from w to z for ``u = K y``; signals are matched by `robustlab.closing.wired`."""
         return lower_lft(self.model, wired(K, self.measurements, self.controls, "close"))
 
     def continuous(self) -> GeneralizedPlant:
-        """Itself, or the image of a discrete plant under the bilinear map, which keeps norms."""
+        """Return the plant, or the image of a discrete one under the bilinear map, which keeps norms."""
         if not self.model.dt:
             return self
         return GeneralizedPlant(bilinear_to_continuous(self.model), self.n_meas, self.n_con)
 
     def to_model(self) -> StateSpaceModel:
-        """The model."""
+        """Return the model."""
         return self.model
 
     def facts(self) -> Facts:
@@ -161,7 +156,7 @@ class GeneralizedPlant(Shown):
 
 
 def as_generalized_plant(P: Any, n_meas: int | None, n_con: int | None, where: str) -> GeneralizedPlant:
-    """P as a generalised plant; the two numbers may be left out where P is one already."""
+    """Return P as a generalised plant; the two numbers may be left out if P is one already."""
     if isinstance(P, GeneralizedPlant):
         if n_meas not in (None, P.n_meas) or n_con not in (None, P.n_con):
             raise InputError(where, f"n_meas={n_meas}, n_con={n_con}", f"{P.n_meas} and {P.n_con}, or leave them out")
@@ -197,20 +192,19 @@ def generalized_plant(
     disturbances: Sequence[str] | None = None,
     performance: Sequence[str] | None = None,
 ) -> GeneralizedPlant:
-    r"""Generalised plant from a model or an uncertain model, by signal names.
+    r"""Build a generalised plant from a model or an uncertain model, by signal names.
 
-    Inputs are ordered perturbation, disturbances, controls; outputs perturbation, performance, measurements, as in the
-    thesis' plant for synthesis. An output may be both performance and measurement; the measured copy is called
-    ``<name> measured``.
+    Inputs are ordered perturbation, disturbances, controls; outputs perturbation, performance, measurements. An output
+    may be both performance and measurement; the measured copy is called ``<name> measured``.
 
     Parameters
     ----------
     model
         StateSpaceModel, UncertainModel (its perturbation channels come first) or python-control object.
     measurements, controls
-        Names of the outputs y that the controller sees and of the inputs u that it drives.
+        Names of the measured outputs y and of the inputs u that the controller drives.
     disturbances
-        Names of the inputs w; all inputs that are no controls where left out.
+        Names of the inputs w; all inputs except the controls where left out.
     performance
         Names of the outputs z; all outputs where left out.
 
@@ -237,7 +231,7 @@ def generalized_plant(
     u, y = signal_positions(controls, ins, an_input), signal_positions(measurements, outs, an_output)
     w = [i for i in range(len(ins)) if i not in u]
     w = w if disturbances is None else signal_positions(disturbances, ins, an_input)
-    z = list(range(len(outs))) if performance is None else signal_positions(performance, outs, an_output)
+    z = signal_positions(performance, outs, an_output)
     if set(u) & set(w):
         raise InputError(
             "generalized_plant", "an input is both disturbance and control", "two inputs (add one to the model)"
@@ -254,18 +248,8 @@ def generalized_plant(
 
 
 def _measured(s: Signal, copied: bool) -> Signal:
-    """What the controller sees of an output; a copy of one that is performance too has a name of its own."""
+    """Return the measurement of an output; the copy of one that is performance too has a name of its own."""
     if not copied:
         return s
     takes, of = (s.takes, s.of) if isinstance(s, Taken) else ("y", s.name)
     return Taken(f"{s.name} measured", s.unit, takes, of)
-
-
-def signal_positions(names: str | Sequence[str], known: Sequence[str], where: str) -> list[int]:
-    """Where the named signals stand among the known ones; ``where`` begins the message about one that does not."""
-    names = [names] if isinstance(names, str) else list(names)
-    for name in names:
-        if name not in known:
-            hint = did_you_mean(name, tuple(known))
-            raise InputError(f"{where} {name!r}", "no such signal", f"one of {', '.join(known)}", hint)
-    return [list(known).index(name) for name in names]

@@ -1,4 +1,4 @@
-"""What a closed loop is worth: its H-infinity norm, its H2 norm, or its robust performance, each with its proof."""
+"""Measures of a closed loop: its H-infinity norm, its H2 norm, or its robust performance, each with its proof."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.uncertainty.blocks import Block, FullBlock, structure_size
 from robustlab.uncertainty.lft import UncertainModel
 
-# Points of the grid on which candidates are compared before one of them is proved.
+# Points of the grid on which candidates are compared before the proof.
 MEASURE_GRID = 60
 # Most work of the proof of one candidate without scalings.
 MARGIN_WORK = 30 * MILLION
@@ -35,14 +35,12 @@ Scalings = tuple[StateSpaceModel, StateSpaceModel]
 
 @dataclass(frozen=True)
 class Performance:
-    """An upper bound of the measure, why it is not proved (empty where it is), its evidence, and the frequency of the
-    peak (NaN where there is none).
-    """
+    """An upper bound of the measure with its evidence."""
 
     value: float
-    doubt: str
+    doubt: str  # why it is not proved; empty if it is
     evidence: Evidence
-    frequency: float
+    frequency: float  # of the peak; NaN without one
 
     @property
     def status(self) -> Status:
@@ -54,7 +52,7 @@ class Performance:
 
 @dataclass(frozen=True, eq=False)
 class PerformanceMeasure:
-    """A measure of closed loops of one generalised plant; small is good."""
+    """A measure of closed loops of one generalised plant, to be minimised."""
 
     plant: GeneralizedPlant  # the plant as given
     name: MeasureName  # `"hinf"`, `"h2"` or `"mu"`
@@ -62,7 +60,7 @@ class PerformanceMeasure:
     blocks: tuple[Block, ...] = ()
     # The plant with scalings, whose closed-loop norm bounds mu; None without scalings.
     scaled: GeneralizedPlant | None = None
-    budget: Budget = field(default_factory=Budget)  # estimates and proofs are counted there
+    budget: Budget = field(default_factory=Budget)  # of estimates and proofs
 
     @property
     def text(self) -> str:
@@ -73,11 +71,11 @@ class PerformanceMeasure:
 
     @property
     def gramian_plant(self) -> GeneralizedPlant:
-        """The plant whose closed-loop Gramians tell what matters: the scaled one where there is one."""
+        """The plant of the closed-loop Gramians: the scaled one where there is one."""
         return self.scaled or self.plant
 
     def certified(self, K: StateSpaceModel) -> Performance:
-        """The measure of the loop with K, proved; infinite where the loop is not stable."""
+        """Prove the measure of the loop with K; infinite if the loop is not stable."""
         plant = self.gramian_plant
         loop = plant.close(K)
         if self.name == "mu" and self.scaled is None:
@@ -101,7 +99,7 @@ class PerformanceMeasure:
         return Performance(value, certified(self.plant, K, hinf_norm(loop)).doubt, margin, frequency)
 
     def estimate(self, K: StateSpaceModel) -> float:
-        """A quick estimate from below, on a grid; inf where the loop is not stable or not well posed."""
+        """Estimate the measure from below, on a grid; inf if the loop is not stable or not well posed."""
         try:
             loop = self.gramian_plant.close(K)
             self.budget.spend(dense(loop.n_states, 4))
@@ -126,7 +124,7 @@ class PerformanceMeasure:
 def make_measure(
     plant: GeneralizedPlant, name: str, blocks: Sequence[Block] | None, scalings: Any, where: str, budget: Budget
 ) -> PerformanceMeasure:
-    """The measure that the arguments of a public function ask for, checked; its work is counted in ``budget``."""
+    """Check the arguments of a public function and return their measure, with its work counted in ``budget``."""
     if name not in ("hinf", "h2", "mu"):
         raise InputError(where, f"measure {name!r}", "'hinf', 'h2' or 'mu'")
     if name != "mu" and (blocks is not None or scalings is not None):
@@ -150,7 +148,7 @@ def make_measure(
 
 
 def plant_with_scalings(plant: GeneralizedPlant, scalings: Scalings, where: str = "scaled plant") -> GeneralizedPlant:
-    r"""The plant with ``z -> D_z z`` and ``w -> D_w^{-1} w``; ``scalings`` is ``(D_z, D_w^{-1})``, both stable."""
+    r"""Return the plant with ``z -> D_z z`` and ``w -> D_w^{-1} w``; ``scalings``: ``(D_z, D_w^{-1})``, both stable."""
     on_z, on_w = scalings
     m, n_y, n_u = plant.model, plant.n_meas, plant.n_con
     for name, d, size in (("D_z", on_z, plant.n_z), ("D_w^-1", on_w, plant.n_w)):
@@ -164,7 +162,7 @@ def plant_with_scalings(plant: GeneralizedPlant, scalings: Scalings, where: str 
 
 
 def given_scalings(scalings: Any, dt: float, where: str) -> Scalings:
-    """The pair ``(D_z, D_w^-1)`` for a plant with this sample time."""
+    """Return the pair ``(D_z, D_w^-1)`` for a plant with this sample time."""
     if hasattr(scalings, "on_outputs") and hasattr(scalings, "on_inputs"):
         if getattr(scalings, "mixed", False):
             raise InputError(where, "scalings with G for real blocks", "D scalings alone, or none", "leave them out")

@@ -1,4 +1,4 @@
-"""A controller for the plant as given, from one for its bare matrices: direct term, states, names, the rebuilt loop."""
+"""The controller of the plant as given, from one for its bare matrices: direct term, states, names, rebuilt loop."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import GeneralizedPlant, Realisation
 
-# Above this condition number of I + D_K D22 the controller with D22 taken back in has lost its digits.
+# Largest condition number of I + D_K D22 at which the controller with D22 included keeps its digits.
 ILL_POSED = 1e10
-# Smallest singular values of I + D22 D_K that are aimed at where it has smaller ones.
+# Smallest singular values of I + D22 D_K that replace smaller ones.
 DISTANCES = (1e-4, 1e-3, 1e-2, 1e-1)
-# Above this condition number modes are no basis.
+# Largest condition number of a basis of modes.
 NO_BASIS = 1e12
-# From this on the errors of entries count so much that other states are better.
+# Skeel's condition number above which other states are tried.
 HIDDEN = 1e6
 
 
 def with_direct_term(K: StateSpaceModel, D22: Array) -> StateSpaceModel:
-    """``K (I + D22 K)^{-1}``: the controller for a plant with D22 from the one for the plant without."""
+    """Return ``K (I + D22 K)^{-1}``, the controller for a plant with D22, from that for the plant without."""
     if not D22.any():
         return K
     loop = np.eye(K.n_outputs) + K.D @ D22
@@ -56,7 +56,7 @@ def well_posed_neighbours(K: Realisation, D22: AnyArray) -> list[Realisation]:
 
 
 def named_controller(K: StateSpaceModel, inputs: Any, outputs: Any, dt: float) -> StateSpaceModel:
-    """K with the signals that it connects, which it takes as they are unless they say more, and balanced states."""
+    """Return K in balanced states, with the names of its signals and the takes of its inputs (by default ``y``)."""
     inputs = [s if isinstance(s, Taken) else Taken(*s) for s in inputs]
     names = [f"k{i + 1}" for i in range(K.n_states)]
     K = balanced_states(K)
@@ -64,9 +64,7 @@ def named_controller(K: StateSpaceModel, inputs: Any, outputs: Any, dt: float) -
 
 
 def balanced_states(model: StateSpaceModel) -> StateSpaceModel:
-    """The same response, exactly: states scaled by powers of two, so that rows of [A B] and columns of [A; C] have
-    about the same size.
-    """
+    """Scale states by powers of two, exactly, so that rows of [A B] and columns of [A; C] have about one size."""
     n, m, p = model.n_states, model.n_inputs, model.n_outputs
     if not n:
         return model
@@ -82,7 +80,7 @@ def balanced_states(model: StateSpaceModel) -> StateSpaceModel:
 
 
 def moderate_states(model: StateSpaceModel) -> StateSpaceModel:
-    """A model in the states that keep its digits."""
+    """Return a model in the states that keep its digits."""
     balanced = balanced_states(model)
     hidden = _cancellation(balanced.A)
     modes = separated_modes(model) if hidden > HIDDEN else None
@@ -90,7 +88,7 @@ def moderate_states(model: StateSpaceModel) -> StateSpaceModel:
 
 
 def _cancellation(A: Array) -> float:
-    """Skeel's condition number: by how much the errors of A's entries, each relative to itself, count in A^-1."""
+    """Compute Skeel's condition number: the effect of relative errors of A's entries on A^-1."""
     try:
         return float((np.abs(np.linalg.inv(A)) @ np.abs(A)).sum(axis=1).max(initial=0.0))
     except np.linalg.LinAlgError:
@@ -98,12 +96,12 @@ def _cancellation(A: Array) -> float:
 
 
 def separated_modes(model: StateSpaceModel) -> StateSpaceModel | None:
-    """The same response in coordinates of the modes, each entry rounded once; None where these are no basis."""
+    """Return the model in coordinates of its modes, each entry rounded once; None if these are no basis."""
     if model.n_states < 2:
         return None
     m = balanced_states(model)
     values, vectors = np.linalg.eig(m.A)
-    # Of a conjugate pair the real and the imaginary part.
+    # real and imaginary part of a conjugate pair
     basis = np.where(np.imag(values) < 0, np.imag(vectors), np.real(vectors))
     if not np.isfinite(basis).all() or not np.linalg.cond(basis) < NO_BASIS:
         return None
@@ -114,7 +112,7 @@ def separated_modes(model: StateSpaceModel) -> StateSpaceModel | None:
 def rebuilt_loop(
     plant: GeneralizedPlant, K: StateSpaceModel, D22: Array
 ) -> tuple[StateSpaceModel, StateSpaceModel] | None:
-    """K with D22 taken back in and named, and the loop that it closes; None where that is not well posed or stable."""
+    """Return K with D22 included and with names, and its loop; None if that is not well posed or not stable."""
     try:
         full = with_direct_term(K, D22)
         named = named_controller(full, plant.measurements, plant.controls, plant.model.dt)
@@ -125,5 +123,5 @@ def rebuilt_loop(
 
 
 def surely_stable(loop: StateSpaceModel) -> bool:
-    """True where every pole is further inside the stability region than the rounding of eigenvalues may move it."""
+    """Return whether every pole is further inside the stability region than rounding of eigenvalues may move it."""
     return not loop.n_states or loop.spectral_abscissa() < -eigenvalue_blur(loop)

@@ -30,11 +30,11 @@ class Scaling:
         return float(self.w) * float(self.z)
 
     def in_steps(self) -> Scaling:
-        """The same for a discrete plant, whose step has no other unit of time."""
+        """Return the same for a discrete plant, whose time unit is the step."""
         return replace(self, rate=1.0)
 
     def apply(self, p: PlantMatrices) -> PlantMatrices:
-        """The scaled plant."""
+        """Scale the plant."""
         t, u, y, w, z = self.states, self.u, self.y[:, None], self.w, self.z
         rows = t[:, None] * self.rate
         with np.errstate(over="ignore", under="ignore"):
@@ -44,19 +44,19 @@ class Scaling:
             )  # fmt: skip
 
     def controller_to_plant(self, K: Realisation) -> Realisation:
-        """The controller for the plant that belongs to one for the scaled plant."""
+        """Return the controller for the plant from one for the scaled plant."""
         u, y = self.u[:, None], self.y
         with np.errstate(over="ignore", under="ignore"):
             return Realisation(K.A * self.rate, K.B * self.rate * y, K.C * u, K.D * u * y)
 
     def controller_from_plant(self, K: Realisation) -> Realisation:
-        """Inverse of `controller_to_plant`."""
+        """Invert `controller_to_plant`."""
         u, y = self.u[:, None], self.y
         return Realisation(K.A / self.rate, K.B / self.rate / y, K.C / u, K.D / u / y)
 
 
 def _power(x: AnyArray | float) -> AnyArray:
-    """Nearest powers of two; 1 where x is zero."""
+    """Round to the nearest powers of two; 1 where x is zero."""
     x = np.asarray(x, dtype=float)
     usable = np.isfinite(x) & (x > 0)
     return 2.0 ** np.round(np.log2(np.where(usable, x, 1.0)))
@@ -75,9 +75,9 @@ def _start(p: PlantMatrices) -> Scaling:
 
 
 def _osborne(p: PlantMatrices, states: AnyArray, sweeps: int) -> AnyArray:
-    """State factors that balance rows of [A B1 B2] against columns of [A; C1; C2], one state after the other."""
+    """Return state factors that balance rows of [A B1 B2] against columns of [A; C1; C2], state by state."""
     n, t = len(states), states.copy()
-    # All that enters a state, and all that it enters, as one row and one column more.
+    # The last column has all inputs of each state, the last row all outputs.
     squares = np.zeros((n + 1, n + 1))
     squares[:n, :n] = p.A**2
     squares[:n, n] = (p.B1**2).sum(1) + (p.B2**2).sum(1)
@@ -87,7 +87,7 @@ def _osborne(p: PlantMatrices, states: AnyArray, sweeps: int) -> AnyArray:
         sizes = squares.sum(1)[:n], squares.sum(0)[:n]
         with np.errstate(divide="ignore", invalid="ignore"):
             off = np.subtract(*np.log2(sizes))
-        if not np.round(0.25 * off[np.isfinite(off)]).any():  # what the sweep would find
+        if not np.round(0.25 * off[np.isfinite(off)]).any():  # the sweep would change nothing
             break
         for i in range(n):
             row, column = float(squares[i].sum()), float(squares[:, i].sum())
@@ -102,7 +102,7 @@ def _osborne(p: PlantMatrices, states: AnyArray, sweeps: int) -> AnyArray:
 
 
 def paths_first(p: PlantMatrices) -> Scaling:
-    """Three fixed passes: direct paths D12, D21 (C1, B1 where they vanish) to size one, then states, then u and y."""
+    """Scale in three passes: direct paths D12, D21 (C1, B1 if they vanish) to size one, then states, then u and y."""
     s = _start(p)
     q = s.apply(p)
     for last in (False, False, True):
@@ -120,7 +120,7 @@ def paths_first(p: PlantMatrices) -> Scaling:
 
 
 def _changed(s: Scaling, q: PlantMatrices, p: PlantMatrices, **factors: Any) -> tuple[Scaling, PlantMatrices]:
-    """A scaling with other factors, and the plant that it makes of p: q where these are the same as before."""
+    """Return a scaling with other factors, and p scaled by it: q where the factors are as before."""
     if all(np.array_equal(factor, getattr(s, name)) for name, factor in factors.items()):
         return s, q
     s = replace(s, **factors)
@@ -132,7 +132,7 @@ def _channel(direct: AnyArray, dynamic: AnyArray) -> AnyArray:
 
 
 def equilibrated(p: PlantMatrices) -> Scaling:
-    """Everything towards rows and columns of size one, until nothing changes or after 30 passes."""
+    """Scale towards rows and columns of size one, until nothing changes or for 30 passes."""
     s = _start(p)
     for _ in range(30):
         before = s
@@ -151,7 +151,7 @@ def equilibrated(p: PlantMatrices) -> Scaling:
 
 
 def common_scaling(plants: Sequence[GeneralizedPlant]) -> list[Scaling]:
-    """A scaling for every plant that differs only in the states: signals and time unit are those of the first."""
+    """Return a scaling for each plant that differ in the states only: signals and time unit are those of the first."""
     matrices = [plant.matrices() for plant in plants]
     first = equilibrated(matrices[0])
     if plants[0].model.dt:

@@ -3,7 +3,7 @@ r"""Square-root balancing: Hankel values, truncation and residualisation of a mo
 .. math:: P = L_c L_c^T, \quad Q = L_o L_o^T, \quad L_o^T L_c = U \Sigma V^T, \quad
    T = L_c V \Sigma^{-1/2}, \quad T^{-1} = \Sigma^{-1/2} U^T L_o^T
 
-Any two positive semidefinite matrices may stand in for the Gramians: those of a weighted model, or of a closed loop.
+Any two positive semidefinite matrices may replace the Gramians: those of a weighted model, or of a closed loop.
 """
 
 from __future__ import annotations
@@ -24,39 +24,39 @@ from robustlab.statespace import StateSpaceModel, parallel
 from robustlab.verification.balls import exact, midpoints, precision
 
 Projection = Literal["truncation", "residualisation"]
-BITS = 128  # in which residuals are taken
+BITS = 128  # precision of residuals
 RESIDUAL = 1e-8  # relative, of the equations of the Gramians
 
-# Hankel values below this share of the largest are rounding: their states cannot be balanced, and are truncated.
+# Hankel values below this share of the largest are rounding: their states are truncated.
 NEGLIGIBLE = 1e-14
 EPS = float(np.finfo(float).eps)
-# A pole counts as stable from this share of its modulus on (of 1 for a discrete one); others are kept apart.
+# A pole counts as stable from this distance to the boundary on, as a share of its modulus (of 1 for a discrete one).
 STABLE_MARGIN = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
 class SplitModel:
-    """A model as the sum of a stable part with D, which can be balanced, and the rest; without names of signals."""
+    """A model as the sum of a stable part with D, which can be balanced, and the rest, without signal names."""
 
     stable: StateSpaceModel
     apart: StateSpaceModel
-    lost: StateSpaceModel | None = None  # the model less that sum; None where it is zero
-    hidden: tuple[HiddenMode, ...] = ()  # modes removed before, where unstable ones do not move or show
+    lost: StateSpaceModel | None = None  # the model less that sum; None if zero
+    hidden: tuple[HiddenMode, ...] = ()  # modes removed before the split
 
     def joined(self, reduced: StateSpaceModel) -> StateSpaceModel:
-        """The sum, with a reduced stable part; states of that first."""
+        """Return the sum with a reduced stable part, whose states come first."""
         return parallel(reduced, self.apart) if self.apart.n_states else reduced
 
 
 def lost_at_least_order(least: LeastOrder) -> StateSpaceModel | None:
-    """Return the model given less that of least order; None where that is zero."""
+    """Return the model given less that of least order; None if zero."""
     first = _lost(least.given, least.right, least.reached)
     dual = _lost(_transposed(least.reached), least.left.T, _transposed(least.model))
     return first if dual is None else _sum(first, _transposed(dual))
 
 
 def _lost(m: StateSpaceModel, t: AnyArray, parts: StateSpaceModel) -> StateSpaceModel | None:
-    r"""Return what is lost in the states T, exactly but for one rounding of each residual; None where that is zero.
+    r"""Return the error of the change to states T, exact up to one rounding of each residual; None if zero.
 
     .. math:: C (sI - A)^{-1} (R_A (sI - \Lambda)^{-1} \hat B + R_B) + R_C (sI - \Lambda)^{-1} \hat B, \qquad
        R_A = A T - T \Lambda, \quad R_B = B - T \hat B, \quad R_C = C T - \hat C
@@ -83,12 +83,12 @@ def _transposed(m: StateSpaceModel) -> StateSpaceModel:
 
 
 def split_stable(model: StateSpaceModel) -> SplitModel:
-    r"""Stable and other modes as a parallel connection: ordered real Schur form, then a Sylvester equation.
+    r"""Split a model into stable and other modes in parallel: ordered real Schur form, then a Sylvester equation.
 
     .. math:: A = Q \begin{bmatrix} A_{11} & A_{12} \\ 0 & A_{22} \end{bmatrix} Q^T, \qquad
        A_{11} X - X A_{22} + A_{12} = 0, \qquad T = Q \begin{bmatrix} I & X \\ 0 & I \end{bmatrix}
 
-    Modes that are not stable and that no input moves, or no output shows, are removed before.
+    Unstable modes that are uncontrollable or unobservable are removed before.
 
     References
     ----------
@@ -131,7 +131,7 @@ def split_stable(model: StateSpaceModel) -> SplitModel:
 
 
 def gramian_factors(model: StateSpaceModel) -> tuple[AnyArray, AnyArray]:
-    """Factors ``(L_c, L_o)`` of the Gramians of a stable model, each (n, n), judged by their residuals."""
+    """Return factors ``(L_c, L_o)`` of the Gramians of a stable model, each (n, n), checked by their residuals."""
     if not model.n_states:
         return np.zeros((0, 0)), np.zeros((0, 0))
     t, discrete = balancing_factors(model.A), model.is_discrete
@@ -143,29 +143,21 @@ def gramian_factors(model: StateSpaceModel) -> tuple[AnyArray, AnyArray]:
 
 
 def block_factor(rows: AnyArray) -> AnyArray:
-    """Square factor of the diagonal block of ``L L^T`` that belongs to some rows of L."""
+    """Return a square factor of the diagonal block of ``L L^T`` that belongs to some rows of L."""
     return np.asarray(np.linalg.qr(rows.T, mode="r")).T
 
 
 @dataclass(frozen=True, eq=False)
 class Balancing:
-    """Balancing transformation of a pair of Gramian factors.
+    """Balancing transformation of a pair of Gramian factors."""
 
-    Attributes
-    ----------
-    values
-        Hankel values (singular values of ``L_o^T L_c``), shape (n,), in decreasing order.
-    right, left
-        T and its left inverse for the states that are not negligible, shapes (n, m) and (m, n).
-    """
-
-    values: AnyArray
-    right: AnyArray
-    left: AnyArray
+    values: AnyArray  # Hankel values, the singular values of `L_o^T L_c`, (n,), in decreasing order
+    right: AnyArray  # T for the m states above NEGLIGIBLE, (n, m)
+    left: AnyArray  # left inverse of T, (m, n)
 
     @classmethod
     def of(cls, reach: AnyArray, see: AnyArray) -> Balancing:
-        """From ``L_c`` and ``L_o``, each with n rows."""
+        """Balance ``L_c`` and ``L_o``, each with n rows."""
         u, values, vt = np.linalg.svd(see.T @ reach)
         values = values[: len(reach)]
         m = int((values > NEGLIGIBLE * values.max(initial=0.0)).sum())
@@ -173,10 +165,10 @@ class Balancing:
         return cls(values, reach @ vt[:m].T / root, (see @ u[:, :m] / root).T)
 
     def reduced(self, model: StateSpaceModel, order: int, projection: Projection) -> StateSpaceModel:
-        """The model of this order, at most as many states as are not negligible.
+        """Return the model of this order, at most the number of states above NEGLIGIBLE.
 
-        Residualisation sets the derivatives of the other states to zero (discrete: their change), and so keeps the
-        gain at zero frequency exactly.
+        Residualisation sets the derivatives of the other states to zero (discrete: their change), which keeps the gain
+        at zero frequency exactly.
         """
         if projection == "truncation" or not len(self.left):
             t, back = self.right[:, :order], self.left[:order]
@@ -200,7 +192,7 @@ def _model(like: StateSpaceModel, a: AnyArray, b: AnyArray, c: AnyArray, d: AnyA
 
 
 def _surely_stable(a: AnyArray, poles: AnyArray, dt: float) -> AnyArray:
-    r"""Which poles of a balanced matrix are further inside than the rounding of its entries may move them.
+    r"""Return a mask of the poles of a balanced matrix that rounding of its entries cannot move to the boundary.
 
     .. math:: |\delta \lambda_i| \le \epsilon |y_i|^T |A| |x_i|, \qquad [y_1 \; ... \; y_n]^H = [x_1 \; ... \; x_n]^{-1}
 
@@ -212,7 +204,7 @@ def _surely_stable(a: AnyArray, poles: AnyArray, dt: float) -> AnyArray:
     if (inside > np.maximum(least, rounding)).all():
         return np.ones(len(a), dtype=bool)
     values, modes = np.linalg.eig(a)
-    with np.errstate(all="ignore"), suppress(np.linalg.LinAlgError):  # of defective poles that of the whole matrix
+    with np.errstate(all="ignore"), suppress(np.linalg.LinAlgError):  # defective poles: the bound of the whole matrix
         moved = ((np.abs(np.linalg.inv(modes)) @ np.abs(a)) * np.abs(modes).T).sum(axis=1)
         rounding = np.fmin(10 * EPS * moved, rounding)
     return inside > np.maximum(least, rounding[np.abs(values[None, :] - poles[:, None]).argmin(axis=1)])

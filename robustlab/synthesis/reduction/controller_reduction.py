@@ -1,7 +1,6 @@
-r"""Reduction of controllers to the lowest order whose closed loop, rebuilt and proved anew, loses no more than said.
+r"""Reduction of controllers to the lowest order whose rebuilt closed loop has a proved loss within the allowed one.
 
-What in K matters is told by the loop it works in. With the closed loop's controllability and observability Gramians
-split into plant and controller, their controller blocks tell how much w moves each state of K, and how much each state
+The controller blocks of the closed loop's Gramians measure how much w moves each state of K, and how much each state
 of K moves z. Other candidates weight K with
 
 .. math:: T_{yw} = (I - P_{22} K)^{-1} P_{21}, \qquad T_{zu} = P_{12} (I - K P_{22})^{-1}
@@ -26,6 +25,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.budget import MILLION, dense, one_thread
+from robustlab.checks import whole
 from robustlab.closing import wired
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.result import Status
@@ -33,7 +33,7 @@ from robustlab.shown import AllFields, Facts
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft, parallel
 from robustlab.synthesis.hinf.loop_shaping import with_default_performance
 from robustlab.synthesis.nonsmooth.parameter_search import descend
-from robustlab.synthesis.problem.design import Synthesis, design_budget, limiting_channels, told
+from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status, limiting_channels
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.problem.performance_measure import (
     Evidence,
@@ -48,10 +48,10 @@ from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import Block
 
 WORK = 60 * MILLION  # the usual work at effort 1, in units of about a microsecond
-PATIENCE = 3  # the loss is not monotone in the order: orders tried after the first that loses too much
-WORTH_IMPROVING = 10.0  # candidates up to this multiple of the loss allowed are worth an improvement ...
-IMPROVEMENT_SHARE = 0.25  # ... and each gets this share of the work left
-GAIN = 1e-3  # relative gain that makes another candidate of the same order worth a proof
+PATIENCE = 3  # orders tried after the first that loses too much: the loss is not monotone in the order
+WORTH_IMPROVING = 10.0  # candidates up to this multiple of the loss allowed are improved ...
+IMPROVEMENT_SHARE = 0.25  # ... each with this share of the work left
+GAIN = 1e-3  # smallest relative gain for which another candidate of the same order is proved
 
 WHERE = "reduce_controller"
 Found = tuple[str, StateSpaceModel, Performance]
@@ -62,7 +62,7 @@ class OrderTried(AllFields):
     """The best controller that was found of one order."""
 
     order: int  # its number of states
-    method: str  # what made it; empty where none of this order left the loop stable
+    method: str  # its method; empty where none of this order left the loop stable
     value: float  # verified upper bound of the measure; inf where the loop is not stable
     loss: float  # `value / value of the full controller - 1`
     status: Status  # how much `value` can be trusted
@@ -79,13 +79,13 @@ class ReducedController(Tabular, Synthesis):
     original_gamma
         The measure of its loop, verified in the same way.
     measure
-        What was measured, in words.
+        The measure in words.
     allowed_loss
-        The loss that was allowed.
+        The largest loss allowed.
     orders
-        What each order costs, the highest first: the evidence for the order chosen.
+        The loss of each order, the highest first: the evidence for the order chosen.
     evidence
-        What proves ``gamma``: a norm's bracket, or the margin with its scalings.
+        The proof of ``gamma``: a norm's bracket, or the margin with its scalings.
     scaled
         The plant with the scalings given, whose loop has the norm ``gamma``; None without them.
     """
@@ -128,7 +128,7 @@ class ReducedController(Tabular, Synthesis):
         ]
 
     def table(self) -> Table:
-        """A row for each order that was tried."""
+        """Return a row for each order tried."""
         columns = {key: [getattr(tried, key) for tried in self.orders] for key in ("method", "value", "loss")}
         return Table(("order", [tried.order for tried in self.orders]), columns)
 
@@ -149,19 +149,19 @@ def reduce_controller(
     effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
 ) -> ReducedController:
-    r"""The controller of lowest order whose verified closed loop is at most ``1 + loss`` times as bad as the full one.
+    r"""Find the controller of lowest order whose verified loss against the full controller is at most ``loss``.
 
     .. math:: \min \text{order}(K_r) \quad \text{with} \quad J(F_l(P, K_r)) \le (1 + \text{loss}) \, J(F_l(P, K))
 
     Candidates of every order come from the controller's blocks of the closed loop's Gramians, from balanced coprime
     factors of K, and from balanced truncation of K with the loop as weights on both sides; each truncated and
-    residualised; nonsmooth descent improves one that loses too much, but less than ten times the loss allowed. The loop
-    of every candidate is rebuilt, and J of the best one is proved anew.
+    residualised; nonsmooth descent improves one that loses more than the loss allowed, but less than ten times that.
+    The loop of every candidate is rebuilt, and J of the best one is proved anew.
 
     Parameters
     ----------
     design_or_plant
-        A `Synthesis`, whose plant and controller are taken; or a generalised plant (see `hinf`), with K. Of a bare
+        A `Synthesis`, whose plant and controller are used; or a generalised plant (see `hinf`), with K. Of a bare
         plant, whose every input is a control and every output a measurement, the four-block gain of the loop is the
         measure: from noise on y and a disturbance on u to y and u (its inverse is the coprime margin).
     K
@@ -170,10 +170,10 @@ def reduce_controller(
     loss
         Largest loss allowed, as a share.
     order
-        The order wanted, in place of the lowest one; the loss is then reported, whatever it is.
+        The requested order, in place of the lowest one; any loss is then reported.
     measure
         J: ``"hinf"`` or ``"h2"`` norm of the closed loop, or ``"mu"``: robust performance at all frequencies. Where
-        left out: ``"mu"`` where scalings are given or the design brings them, ``"h2"`` for an H2 design, else
+        left out: ``"mu"`` where scalings are given or the design has them, ``"h2"`` for an H2 design, else
         ``"hinf"``.
     blocks
         Perturbation blocks of the plant's first channels, for ``"mu"``; those of the design or the plant where left
@@ -181,21 +181,21 @@ def reduce_controller(
     scalings
         For ``"mu"``: the pair of stable models ``(D_z, D_w^-1)`` that commute with the perturbation, whose scaled norm
         then is J (quick); where left out the mu analysis finds its own scalings for every candidate (slow), also for
-        a design whose scalings hold G for real blocks.
+        a design whose scalings include G for real blocks.
     n_meas, n_con
         Numbers of measurements and controls, where a plain plant is given.
     time_limit
-        Time in s, asked between candidates; none where left out. The lowest order verified by then is returned, with
+        Time in s, checked between candidates; none where left out. The lowest order verified by then is returned, with
         status TIMEOUT.
     effort
-        Multiple of the usual work. The search counts what it does, so that it ends the same way everywhere.
+        Multiple of the usual work, which is counted, so that the search ends the same way on every machine.
     progress
         Called with one line for each order.
 
     Returns
     -------
     ReducedController
-        Where no lower order is good enough, K itself with a loss of zero, and ``reason`` says so.
+        K itself with a loss of zero where no lower order keeps the loss; see ``reason``.
 
     Raises
     ------
@@ -203,8 +203,8 @@ def reduce_controller(
         A K that does not fit, a negative loss, blocks that do not fit, a plant with disturbances but no performance
         outputs or the other way round.
     NoTrustworthyNumber
-        The loop with the full K is not stable (the message says whether it is with the other sign of K), or its measure
-        cannot be vouched for; or no controller of the ``order`` wanted left the loop stable.
+        The loop with the full K is not stable (the message names the other sign of K if that helps), or its measure is
+        not trustworthy; or no controller of the requested ``order`` leaves the loop stable.
 
     References
     ----------
@@ -222,13 +222,12 @@ def reduce_controller(
     if not 0 <= loss < np.inf:
         raise InputError(WHERE, f"loss is {loss}", "a number >= 0 (0.01: one per cent)")
     budget = design_budget(WHERE, WORK, effort, time_limit)
-    if order is not None and (
-        isinstance(order, bool) or not isinstance(order, (int, np.integer)) or not 0 <= order <= full.n_states
-    ):
-        raise InputError(WHERE, f"order is {order!r}", f"a whole number from 0 to {full.n_states}")
+    if order is not None:
+        whole(f"{WHERE}: order", order, 0, full.n_states)
     if scalings is None and measure in (None, "mu"):
         scalings, blocks = _of_design(design_or_plant, blocks)
-    name = measure or _default_measure(design_or_plant, scalings, blocks)
+    norm = "h2" if getattr(design_or_plant, "method", "") == "h2" else "hinf"
+    name = measure or ("mu" if scalings is not None or blocks is not None else norm)
     judge = make_measure(plant, name, blocks, scalings, WHERE, budget)
     with one_thread():
         return _descended(judge, full, loss, order, progress or (lambda _: None))
@@ -252,21 +251,15 @@ def _plant_and_controller(
 
 
 def _of_design(given: Any, blocks: Sequence[Block] | None) -> tuple[Any, Sequence[Block] | None]:
-    """The scalings that a design brings, or its blocks where they hold G and so bound no norm."""
+    """Return the scalings of a design, or its blocks where the scalings include G and thus bound no norm."""
     scalings = getattr(given, "scalings", None)
     if not getattr(scalings, "mixed", False):
         return scalings, blocks
     return None, given.blocks if blocks is None else blocks
 
 
-def _default_measure(given: Any, scalings: Any, blocks: Sequence[Block] | None) -> MeasureName:
-    if scalings is not None or blocks is not None:
-        return "mu"
-    return "h2" if getattr(given, "method", "") == "h2" else "hinf"
-
-
 def _sign_hint(plant: GeneralizedPlant, K: StateSpaceModel) -> str:
-    """The convention, and whether the other sign is what was meant."""
+    """Return the sign convention, and whether the other sign makes the loop stable."""
     text = "K acts as u = K y, positive feedback"
     try:
         turned = plant.close(StateSpaceModel(K.A, K.B, -K.C, -K.D, K.dt))
@@ -280,9 +273,9 @@ def _loss(value: float, reference: float) -> float:
 
 
 def _descended(
-    judge: PerformanceMeasure, full: StateSpaceModel, allowed: float, order: int | None, say: Callable[[str], None]
+    judge: PerformanceMeasure, full: StateSpaceModel, allowed: float, order: int | None, report: Callable[[str], None]
 ) -> ReducedController:
-    """Order by order; the search ends at the order wanted, or where three orders in a row lose too much."""
+    """Reduce order by order, down to the requested one, or until PATIENCE orders in a row lose too much."""
     reference, budget, plant = judge.certified(full), judge.budget, judge.gramian_plant
     if not np.isfinite(reference.value) or not reference.status.trustworthy:
         reason = getattr(reference.evidence, "reason", "") or reference.doubt or reference.status
@@ -295,7 +288,7 @@ def _descended(
     worth = (1 + WORTH_IMPROVING * allowed) * reference.value
     families, tried = _families(plant, full), list[OrderTried]()
     chosen, performance, how, failed = full, reference, "", 0
-    stage = full  # the best of the order before: what matters in its loop is a second way down
+    stage = full  # the best of the order before: its loop gives further candidates
     for n in range(full.n_states - 1, (order or 0) - 1, -1):
         if (order is None and failed == PATIENCE) or budget.over:
             break
@@ -307,7 +300,7 @@ def _descended(
             found = _improved(judge, *found)
         stage = full if found is None else found[1]
         tried.append(_tried(n, found, reference.value))
-        say(_line(tried[-1], judge.name))
+        report(_line(tried[-1], judge.name))
         enough = found is not None and found[2].value <= limit and found[2].status.trustworthy
         failed = 0 if enough else failed + 1
         if found is not None and enough and order in (None, n):
@@ -318,9 +311,9 @@ def _descended(
             WHERE, f"no controller of order {order} could be verified{ended}", hint="a higher order"
         )
     reason = f"{how}; loop rebuilt, {judge.text} proved anew" if how else "no lower order keeps the loss allowed"
-    status, reason = told(performance.status, [reason], budget, "a lower order")
+    status, reason = final_status(performance.status, [reason], budget, "a lower order")
     loop = judge.plant.close(chosen)
-    shown = loop if judge.scaled is None else judge.scaled.close(chosen)
+    measured = loop if judge.scaled is None else judge.scaled.close(chosen)
     peaks = judge.name != "h2" and performance.frequency >= 0
     return ReducedController(
         K=chosen,
@@ -328,7 +321,7 @@ def _descended(
         closed_loop=loop,
         status=status,
         reason=reason,
-        limit=limiting_channels(shown, performance.frequency) if peaks else "",
+        limit=limiting_channels(measured, performance.frequency) if peaks else "",
         plant=judge.plant,
         method=f"reduced {judge.name}",
         original=full,
@@ -344,7 +337,7 @@ def _descended(
 def _best(
     judge: PerformanceMeasure, full: StateSpaceModel, families: list[Family], order: int, limit: float
 ) -> Found | None:
-    """The candidate of best verified measure; None where none of this order leaves the loop stable."""
+    """Return the candidate of best verified measure; None if none of this order leaves the loop stable."""
     estimated: list[tuple[float, str, StateSpaceModel]] = []
     for family in families:
         if not family.least <= order <= family.most or judge.budget.over:
@@ -363,12 +356,12 @@ def _best(
             if np.isfinite(value.value) and (best is None or _rank(value) < _rank(best[2])):
                 best = (name, K, value)
         if best is not None and best[2].value <= limit and best[2].value <= estimate * (1 + GAIN):
-            break  # what the others can gain is not worth a proof
+            break  # the others gain less than GAIN
     return best
 
 
 def _improved(judge: PerformanceMeasure, name: str, K: StateSpaceModel, value: Performance) -> Found:
-    """What nonsmooth descent makes of a controller, where that is better; there is none of H2 and of mu by margins."""
+    """Improve a controller by nonsmooth descent; not for H2, nor for mu by margins."""
     if judge.budget.over or (judge.name != "hinf" and judge.scaled is None):
         return name, K, value
     with suppress(InputError, NoTrustworthyNumber):
@@ -401,7 +394,7 @@ def _line(tried: OrderTried, name: str) -> str:
 
 
 class Family(NamedTuple):
-    """A way to reduce K: the lowest and highest order it offers, and what makes the controller of an order."""
+    """A method to reduce K: the lowest and highest order, and the function from an order to the controller."""
 
     name: str
     least: int
@@ -410,20 +403,20 @@ class Family(NamedTuple):
 
 
 def _families(plant: GeneralizedPlant, K: StateSpaceModel) -> list[Family]:
-    """All ways that K and the loop admit; ``plant`` carries the weights and scalings that count."""
+    """Return all reduction methods that apply to K and the loop; ``plant`` includes weights and scalings."""
     K, found = StateSpaceModel(K.A, K.B, K.C, K.D, K.dt), list[Family]()
     m, n_w, n_z, D22 = plant.model, plant.n_w, plant.n_z, plant.D22
     n_u, n_y, k = plant.n_con, plant.n_meas, K.n_states
 
     def loop(into: AnyArray, out: AnyArray, direct: AnyArray) -> StateSpaceModel:
-        """The loop of K and the plant with other disturbances and performance."""
+        """Return the loop of K and the plant with other disturbances and performance."""
         B, C = np.hstack([into, m.B[:, n_w:]]), np.vstack([out, m.C[n_z:]])
         return lower_lft(StateSpaceModel(m.A, B, C, direct, m.dt), K)
 
     def projected(
         name: str, balancing: Balancing, model: StateSpaceModel, apart: StateSpaceModel | None = None
     ) -> None:
-        """Both projections of a balanced model; ``apart``: what is added to it."""
+        """Add both projections of a balanced model; ``apart``: a model in parallel to it."""
         more = 0 if apart is None else apart.n_states
 
         def make(order: int, kind: Projection) -> StateSpaceModel:
@@ -435,12 +428,12 @@ def _families(plant: GeneralizedPlant, K: StateSpaceModel) -> list[Family]:
             found.append(Family(f"{name}, {kind}", more, more + len(balancing.left), made))
 
     def of_loop(name: str, closed: StateSpaceModel) -> None:
-        """By the controller's blocks in the Gramians of a loop whose last states are those of K."""
+        """Add reductions by the controller's blocks in the Gramians of a loop whose last states are those of K."""
         reach, see = gramian_factors(closed)
         own = slice(closed.n_states - k, None)
         projected(name, Balancing.of(block_factor(reach[own]), block_factor(see[own])), K)
 
-    # Each where its Gramians exist for this K and keep their digits.
+    # Each is added if its Gramians exist for this K and keep their digits.
     with suppress(NoTrustworthyNumber, InputError):
         of_loop("closed-loop Gramians", plant.close(K))
     with suppress(NoTrustworthyNumber, InputError):
@@ -456,7 +449,7 @@ def _families(plant: GeneralizedPlant, K: StateSpaceModel) -> list[Family]:
         if stable.n_states:
             balanced = Balancing.of(*weighted_factors(stable, None, None))
             projected("balanced", balanced, stable, split.apart)
-            # T_yw: the measurements once more as outputs; T_zu: a disturbance on the controls as input.
+            # T_yw: the measurements as further outputs; T_zu: a disturbance on the controls as input.
             direct = np.tile(m.D[n_z:], (2, 1)), np.tile(m.D[:, n_w:], (1, 2))
             into = loop(m.B[:, :n_w], m.C[n_z:], direct[0])
             out = loop(m.B[:, n_w:], m.C[:n_z], direct[1])

@@ -1,4 +1,4 @@
-"""Reduction of models, with certified errors: by five methods, or to the least order with the same gain."""
+"""Reduction of models with certified errors: by five methods, or to the least order with the same gain."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args, overload
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.checks import number
+from robustlab.checks import number, whole
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.magnitude import refuse_extremes
@@ -26,16 +26,16 @@ Method = Literal["truncation", "residualisation", "hankel", "stochastic", "copri
 Band = tuple[float, float]
 
 METHODS = get_args(Method)
-# A certified error may exceed what theory promises by this share of the largest Hankel value: rounding of the model.
+# A certified error may exceed the a-priori bound by this share of the largest Hankel value: rounding of the model.
 BOUND_ROUNDING = 1e-10
-# Relative widths of the bracket of an error, and of one that may be what is promised.
+# Relative widths of the bracket of an error, and of one next to the a-priori bound.
 RTOL, CLOSE_RTOL = 1e-6, 1e-9
-# Share of the error that splitting parts off may add to it, before frequencies next to a mode on the boundary are left
-# out; the error counts as at least the second share of the largest Hankel value for that.
+# Share of the error that splitting off modes may add, before frequencies next to a mode on the boundary are left out;
+# for this the error counts as at least the second share of the largest Hankel value.
 SPLIT_SHARE, OVERLOOKED = 1e-3, 1e-9
 # A pole counts as one on the boundary up to this share of its frequency (one at zero: of the slowest stable one).
 NEAR = 1e-6
-# Half widths of what is left out, as shares of the same.
+# Half widths of the bands left out, as shares of the same.
 WIDTHS = np.logspace(-2, -13, 23)
 TINY = float(np.finfo(float).tiny)
 
@@ -66,7 +66,7 @@ def reduce_model(
     output_weight: Any = None,
     floor: float = 0.0,
 ) -> ReducedModel | Reduction:
-    r"""A model of lower order, with its error certified and, where there is one, the a-priori bound beside it.
+    r"""Reduce a model; its error is certified, with the a-priori bound where there is one.
 
     .. math:: \|G - G_r\|_\infty \le 2 \sum_{i > r} \sigma_i \quad \text{(truncation, residualisation)}, \qquad
        \|G - G_r\|_H = \sigma_{r+1}, \; \|G - G_r\|_\infty \le \sum_{i > r} \sigma_i \quad \text{(hankel)}
@@ -75,23 +75,23 @@ def reduce_model(
        \prod_{i > r} \frac{1 + \mu_i}{1 - \mu_i} - 1 \quad \text{(stochastic)}
 
     Balanced truncation where no ``method`` is given; no model of order r is nearer than :math:`\sigma_{r+1}`.
-    Modes that are not stable are split off and kept, and what rounding may add there is part of the error; those that
-    no input moves or no output shows are removed (`minimal`).
+    Modes that are not stable are split off and kept, and the rounding of this is part of the error; uncontrollable or
+    unobservable ones of them are removed (`minimal`).
     ``method="coprime"`` reduces them too, through the normalised right coprime factors ``G = N M^{-1}``, whose error is
     then the H-infinity norm of ``[N - N_r; M - M_r]`` (a bound of the gap between the two models).
 
-    Of an uncertain model the repetitions of its blocks are reduced, exactly: those that cannot be reached or do not
-    show are removed, block by block, then jointly, until none is left (`UncertainModel.reduce` gives the set alone).
+    Of an uncertain model the repetitions of its blocks are reduced, exactly: uncontrollable and unobservable ones are
+    removed, block by block, then jointly, until none is left (`UncertainModel.reduce` returns the set alone).
 
     Parameters
     ----------
     model
         StateSpaceModel, controller or python-control object with n states; continuous or discrete, stable or not. Or an
-        UncertainModel: ``tolerance`` alone goes with it.
+        UncertainModel, with ``tolerance`` alone.
     order
-        Number of states of the result, those kept apart included. Fewer come out where the rest is not minimal.
+        Number of states of the result, those kept apart included; fewer where the rest is not minimal.
     tolerance
-        In place of ``order``: the lowest order whose certified error is at most this is taken; in output units per
+        In place of ``order``: the lowest order whose certified error is at most this; in output units per
         input unit, for ``"stochastic"`` a share. Of an uncertain model: singular values below ``tolerance`` times the
         largest count as zero, 1e-12 where left out.
     method
@@ -103,8 +103,8 @@ def reduce_model(
         Stable models W_i (as many outputs as G has inputs) and W_o (as many inputs as G has outputs): one or both
         (Enns), the error is that of ``W_o (G - G_r) W_i``. Large where the error shall be small.
     floor
-        beta of ``"stochastic"``, in output units per input unit: below this gain errors count absolutely. Needed where
-        the gain vanishes somewhere: without full row rank of D, with more outputs than inputs, with zeros on the axis.
+        beta of ``"stochastic"``, in output units per input unit: below this gain errors count absolutely. Required
+        where the gain vanishes: without full row rank of D, with more outputs than inputs, with zeros on the axis.
 
     Returns
     -------
@@ -124,7 +124,7 @@ def reduce_model(
 
     Notes
     -----
-    Where no lower order keeps ``tolerance``, the model comes back with all its (minimal) states.
+    Where no lower order keeps ``tolerance``, the model is returned with all its (minimal) states.
 
     References
     ----------
@@ -173,7 +173,7 @@ def reduce_model(
         return candidate(min(order, apart + way.most))
     assert tolerance is not None
     for n in range(way.most):
-        # No model of this order is nearer than its first value left out, if anything is promised.
+        # With an a-priori bound, no model of this order is nearer than its first value left out.
         if not np.isnan(way.bound(0)) and way.values[n] > tolerance * (1 + 1e-6):
             continue
         try:
@@ -190,12 +190,10 @@ def _check_request(
 ) -> None:
     if (order is None) == (tolerance is None):
         raise InputError("reduce_model", f"order={order}, tolerance={tolerance}", "one of the two")
-    if order is not None and (
-        isinstance(order, bool) or not isinstance(order, (int, np.integer)) or not 0 <= order <= full.n_states
-    ):
-        raise InputError("reduce_model", f"order {order!r}", f"a whole number from 0 to {full.n_states}")
-    if tolerance is not None and not 0 < tolerance < np.inf:
-        raise InputError("reduce_model", f"tolerance {tolerance}", "a positive number")
+    if order is not None:
+        whole("reduce_model: order", order, 0, full.n_states)
+    if tolerance is not None:
+        number("reduce_model: tolerance", tolerance, above=0)
     if method not in METHODS:
         raise InputError("reduce_model", f"method {method!r}", f"one of {', '.join(METHODS)}")
     if weighted and method not in ("truncation", "residualisation"):
@@ -226,7 +224,7 @@ def _weights(full: StateSpaceModel, into: Any, out: Any) -> Weights:
 
 
 def _reduced(full: StateSpaceModel, way: Way, method: str, weights: Weights, order: int) -> ReducedModel:
-    """The model whose part has this order, with its error."""
+    """Return the model whose reduced part has this order, with its error."""
     split, small, weighted, relative = way.split, way.reduced(order), weights != (None, None), method == "stochastic"
     if not small.is_stable():
         hint = "another order, or one weight instead of two" if weighted else "another order"
@@ -248,7 +246,7 @@ def _reduced(full: StateSpaceModel, way: Way, method: str, weights: Weights, ord
     reason, size = error.reason, np.nan
     if not reason and error.lower > promised + BOUND_ROUNDING * largest + 1e-12 * error.lower:
         reason = f"the error {error.lower:.6g} exceeds what theory promises, {promised:.6g}: digits were lost"
-    if method == "hankel":  # theory says that it is the first value left out
+    if method == "hankel":  # equal to the first value left out, by theory
         size, wanted = hankel_norm(difference), float(way.values[small.n_states :].max(initial=0.0))
         if not reason and abs(size - wanted) > 1e-6 * wanted + BOUND_ROUNDING * largest:
             reason = f"the Hankel norm of the error is {size:.6g}, not {wanted:.6g}: digits were lost"
@@ -261,8 +259,8 @@ def _reduced(full: StateSpaceModel, way: Way, method: str, weights: Weights, ord
     )
     values = np.array(way.values)
     values.setflags(write=False)
-    # Theory knows no rounding. That of the reduced model is a share of the whole gain, which may be more than what is
-    # left out.
+    # The a-priori bound is without rounding. That of the reduced model is a share of the whole gain, which may exceed
+    # the error.
     bound = promised if np.isnan(promised) else max(promised, error.upper)
     status = Status.CERTIFIED if not reason and error.status is Status.CERTIFIED else Status.INACCURATE
     name = f"weighted {method}" if weighted else method
@@ -273,7 +271,7 @@ def _reduced(full: StateSpaceModel, way: Way, method: str, weights: Weights, ord
 
 
 def _widened(norm: HinfNorm, by: float, reason: str) -> HinfNorm:
-    """The bracket of a norm to which so much may be added; not certified where there is a reason against it."""
+    """Widen the bracket of a norm; not certified if there is a reason against it."""
     status = Status.INACCURATE if reason else norm.status
     return HinfNorm(max(norm.lower - by, 0.0), norm.upper + by, norm.frequency, status, norm.reason or reason)
 
@@ -283,7 +281,7 @@ def minimal(model: Any, *, tolerance: float | None = None) -> ReducedModel:
     r"""Remove the modes that no input moves or no output shows, unstable and integrating ones too.
 
     The controllable subspace is built by orthogonal steps, ``range(B), A range(B), ...``, in states and signals scaled
-    so that no unit matters, then the observable one of what is left. The states kept are a subset of those given, or
+    independently of units, then the observable one of the result. The states kept are a subset of those given, or
     sums of them with short factors where these are exact, so that integer data are reduced without rounding.
 
     Parameters
@@ -338,16 +336,16 @@ def minimal(model: Any, *, tolerance: float | None = None) -> ReducedModel:
     )  # fmt: skip
 
 
-# --- what splitting or removing modes costs ---------------------------------------------------------------------------
+# --- error of splitting or removing modes -----------------------------------------------------------------------------
 
 
 def _lost_gain(
     lost: StateSpaceModel, apart: AnyArray, stable: AnyArray, wanted: float = 0.0
 ) -> tuple[float, tuple[Band, ...], str]:
-    """Bound of the gain of what was lost, the bands in rad/s that are left out of it, and why it is not proved.
+    """Return a bound of the gain of ``lost``, the bands in rad/s that are left out, and why it is not proved.
 
-    At a mode on the stability boundary that gain is not finite: an interval around it is left out, as narrow as the
-    bound ``wanted`` allows. ``apart``, ``stable``: the poles of the model that are not stable, and the others.
+    At a mode on the stability boundary that gain is infinite: an interval around it is left out, as narrow as the bound
+    ``wanted`` allows. ``apart``, ``stable``: the poles of the model that are not stable, and the others.
     """
     if not lost.D.size:
         return 0.0, (), ""
@@ -362,8 +360,8 @@ def _lost_gain(
     scale = np.where(centre > 0, centre, slow)
     near = np.abs(np.real(apart)) <= NEAR * scale
     centre, scale = centre[near], scale[near]
-    beside = scale[:, None] * WIDTHS
-    sizes = _gains(lost, np.abs(np.stack([centre[:, None] - beside, centre[:, None] + beside]))).max(axis=0)
+    offset = scale[:, None] * WIDTHS
+    sizes = _gains(lost, np.abs(np.stack([centre[:, None] - offset, centre[:, None] + offset]))).max(axis=0)
     elsewhere = max(_gains(lost, np.abs(apart[~near])).max(initial=0.0), sizes[:, :1].max(initial=0.0))
     small = np.logical_and.accumulate(sizes <= max(wanted, 2 * elsewhere), axis=1).sum(axis=1) - 1
     low, high = 0.0, np.pi / dt if dt else np.inf
@@ -374,13 +372,13 @@ def _lost_gain(
         ends = [low, *(end for interval in left_out for end in interval), high]
         found = [linf_norm(lost, 0.01, band=(a, b)) for a, b in zip(ends[::2], ends[1::2], strict=True) if a < b]
         doubt = next((norm.reason or "not proved" for norm in found if norm.status is not Status.CERTIFIED), "")
-        small = small - 2  # ten times as wide, where rounding leaves open what is so near to a pole
+        small = small - 2  # ten times as wide, as rounding decides so near to a pole
         if not doubt or not (small >= 0).any():
             return max((norm.upper for norm in found), default=0.0), left_out, doubt
 
 
 def _gains(model: StateSpaceModel, omega: AnyArray) -> AnyArray:
-    """``sigma_max``, in the shape of omega; infinite where a frequency cannot be told from a pole."""
+    """Return ``sigma_max`` in the shape of omega; infinite where a frequency is indistinguishable from a pole."""
     try:
         response = frequency_response(model, omega.ravel())
     except NoTrustworthyNumber:
@@ -389,7 +387,7 @@ def _gains(model: StateSpaceModel, omega: AnyArray) -> AnyArray:
 
 
 def _merged(intervals: Iterable[Band]) -> tuple[Band, ...]:
-    """The intervals in order, those that overlap as one, those without width left out."""
+    """Return the intervals in order, with overlapping ones merged and empty ones left out."""
     found: list[Band] = []
     for low, high in sorted(intervals):
         if found and low <= found[-1][1]:

@@ -1,4 +1,4 @@
-"""What a reduction of a model gives: the model, its certified error, what theory promises, and the Hankel values."""
+"""Result of model reduction: the model, its certified error, the a-priori bound, and the Hankel values."""
 
 from __future__ import annotations
 
@@ -26,18 +26,17 @@ class ReducedModel(Shown):
     model
         The reduced model, with the inputs and outputs of the one given.
     method
-        ``"truncation"`` or ``"residualisation"``, with ``"weighted "`` before it where that was asked for;
+        ``"truncation"`` or ``"residualisation"``, with ``"weighted "`` before it where there are weights;
         ``"hankel"``, ``"stochastic"``, ``"coprime"`` or ``"minimal"``.
     error
         Largest gain of the difference of the two models, as given and as returned, at all frequencies but those in
         ``left_out``; times the weights where there are any; relative to the gain of
         the stable part for ``"stochastic"``; for ``"coprime"`` of the normalised right coprime factors ``[N; M]``.
     bound
-        What theory promises for ``error`` before anything is computed, as in `reduce_model`; raised to ``error.upper``
-        where that is larger, as the model returned is rounded: ``error`` never exceeds it. NaN with weights:
-        there is no such promise.
+        A-priori bound of ``error``, as in `reduce_model`; raised to ``error.upper`` where that is larger, as the model
+        returned is rounded. NaN with weights, for which there is none.
     hankel
-        Hankel singular values of what was reduced (of the coprime factors for ``"coprime"``, of the phase of the model
+        Hankel singular values of the reduced part (of the coprime factors for ``"coprime"``, of the phase of the model
         for ``"stochastic"``), in decreasing order.
     n_apart
         Number of states kept apart, because their modes are not stable.
@@ -52,16 +51,16 @@ class ReducedModel(Shown):
         H-infinity norm of the difference at all frequencies, where ``error`` is a relative one.
     left_out
         Intervals (low, high) in rad/s, around modes on the stability boundary that are kept apart: rounding moves such
-        a mode, or its share of the response, and no bound of the difference is finite there. As narrow as keeps what
-        rounding adds to ``error`` below a thousandth of it.
+        a mode, or its share of the response, and no bound of the difference is finite there. Their width keeps the
+        contribution of rounding to ``error`` below a thousandth of it.
     weights
         The weights on inputs and outputs, where there are any; for `robustlab.verify`.
     hankel_error
         Hankel norm of the difference of the stable parts, from its own Gramians; NaN for other methods than
         ``"hankel"``.
     removed
-        The modes that were removed because no input moves them or no output shows them: of ``"minimal"`` all, of other
-        methods those that are not stable.
+        The uncontrollable or unobservable modes that were removed: with ``"minimal"`` all, with other methods those
+        that are not stable.
     """
 
     quantities: ClassVar[Mapping[str, Any]] = {
@@ -89,7 +88,7 @@ class ReducedModel(Shown):
         return self.model.n_states
 
     def to_model(self) -> StateSpaceModel:
-        """The reduced model."""
+        """Return the reduced model."""
         return self.model
 
     def headline(self) -> str:
@@ -110,7 +109,7 @@ class ReducedModel(Shown):
             "stochastic": "relative error",
         }
         kind = self.method.partition(" ")[0]
-        what = words.get(kind, "error")
+        label = words.get(kind, "error")
         bound = "" if not np.isfinite(self.bound) else f"; promised: at most {self.bound:.6g}"
         at = "" if np.isnan(self.error.frequency) else f" at {self.error.frequency:.4g} rad/s"
         around = ", ".join(
@@ -120,7 +119,7 @@ class ReducedModel(Shown):
         rows = [
             ("order", f"{self.order} of {self.full.n_states} states"),
             ("method", self.method),
-            (what, f"{self.error.upper:.6g}{at} (verified upper bound{bound})"),
+            (label, f"{self.error.upper:.6g}{at} (verified upper bound{bound})"),
             ("not proved at", around and f"{around} rad/s (modes on the stability boundary, kept apart)"),
             ("status", self.status.value),
             ("Hankel norm of the error", number(self.hankel_error, digits=6)),

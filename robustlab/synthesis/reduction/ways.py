@@ -1,4 +1,4 @@
-r"""The ways to reduce a model: what is balanced, the part of an order, how its error is measured and what is promised.
+r"""Methods of model reduction: the balanced system, the part of an order, the measure and the bound of its error.
 
 Stochastic balancing keeps the error small relative to the model's own gain. W is the minimum-phase factor of the power
 spectrum, P the controllability Gramian of G, X the observability Gramian of W; beta is a floor of the gain, below which
@@ -20,9 +20,9 @@ Optimal Hankel-norm approximation is the all-pass dilation of balanced states. W
    \hat D = D - \sigma U
 
 differs from the model by no more than sigma at any frequency. Its k stable modes are the nearest model of order k in
-the Hankel norm, at a distance of exactly sigma; a constant stands for the others, which are not stable. U is a
-contraction: a block of a unitary matrix that does the same for the model with rows and columns of zeros, so that models
-need not be square, and no part of U is left to choice.
+the Hankel norm, at a distance of exactly sigma; a constant replaces the others, which are not stable. U is a
+contraction: a block of a unitary matrix for the model with rows and columns of zeros, so that models need not be
+square, and U is unique.
 
 References
 ----------
@@ -60,17 +60,17 @@ from robustlab.uncertainty.distances.coprime import continuous_models, coprime_f
 Weights = tuple[StateSpaceModel | None, StateSpaceModel | None]  # W_i and W_o
 
 HINT = "floor=: the gain below which errors count absolutely"
-# D D^T of a smaller share in its smallest eigenvalue has no full row rank: the model has no gain somewhere far out.
+# D of full row rank: smallest over largest eigenvalue of D D^T. Else the gain vanishes at infinite frequency.
 FULL_RANK = 1e-12
-# Both ends of the bracket allow for what the factor may be off; up to this share of the spectrum it is certified.
+# Both ends of the bracket allow for the error of the factor; up to this share of the spectrum it is certified.
 TRUSTED_SHARE = 1e-2
-# Hankel values that agree to this share are one repeated value: dividing by their difference would cost more digits.
+# Hankel values that agree to this share are one repeated value: division by their difference would lose more digits.
 REPEATED = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
 class Way:
-    """One way to reduce a part of a model: its Hankel values, and that part of an order."""
+    """One method for a part of a model: its Hankel values, and the function from an order to the reduced part."""
 
     split: SplitModel
     part: StateSpaceModel
@@ -79,13 +79,13 @@ class Way:
     reduced: Callable[[int], StateSpaceModel]
     whole: Callable[[StateSpaceModel], StateSpaceModel]  # the model that belongs to a reduced part
     measured: Callable[[StateSpaceModel, float], HinfNorm] = hinf_norm  # certified size of a difference of parts
-    bound: Callable[[int], float] = lambda _: np.nan  # what is promised for it
-    per_gain: Callable[[], float] = lambda: 1.0  # how much it is at most for a gain of 1
-    inexact: bool = False  # whether the modes that the split took out before are hidden to rounding only
+    bound: Callable[[int], float] = lambda _: np.nan  # its a-priori bound
+    per_gain: Callable[[], float] = lambda: 1.0  # its upper bound for a difference of gain 1
+    inexact: bool = False  # whether the modes removed before the split are hidden to rounding only
 
 
 def way_of(split: SplitModel, method: str, weights: Weights, floor: float) -> Way:
-    """The way of a method for the stable part of a model."""
+    """Return a method for the stable part of a model."""
     stable, dt = split.stable, split.stable.dt
     continuous = bilinear_to_continuous(stable) if dt and method in ("stochastic", "hankel") else stable
 
@@ -137,7 +137,7 @@ def way_of(split: SplitModel, method: str, weights: Weights, floor: float) -> Wa
 def weighted_factors(
     model: StateSpaceModel, into: StateSpaceModel | None, out: StateSpaceModel | None
 ) -> tuple[AnyArray, AnyArray]:
-    r"""Factors of the blocks that belong to the model in the Gramians of ``G W_i`` and ``W_o G`` (Enns)."""
+    r"""Return factors of the model's blocks of the Gramians of ``G W_i`` and ``W_o G`` (Enns)."""
     reach, see = gramian_factors(model)
     if into is not None:  # states of the series connection: weight first, then model
         reach = block_factor(gramian_factors(series(into, model))[0][into.n_states :])
@@ -147,7 +147,7 @@ def weighted_factors(
 
 
 def coprime_way(full: StateSpaceModel) -> Way:
-    """Truncation of the normalised right coprime factors ``[N; M]`` of a model of any stability, in continuous time."""
+    """Return truncation of the normalised right coprime factors ``[N; M]`` (continuous) of a model of any stability."""
     least = least_order(full)
     hidden = least.hidden if any(not mode.stable for mode in least.hidden) else ()
     inexact = bool(hidden) and lost_at_least_order(least) is not None
@@ -157,7 +157,7 @@ def coprime_way(full: StateSpaceModel) -> Way:
     balancing = Balancing.of(*gramian_factors(factors))
 
     def quotient(small: StateSpaceModel) -> StateSpaceModel:
-        """``N M^{-1}``."""
+        """Return ``N M^{-1}``."""
         p = full.n_outputs
         if small.n_inputs and np.linalg.cond(small.D[p:]) > 1e12:
             raise NoTrustworthyNumber("reduce_model", "the factor M of the reduced model has no inverse")
@@ -180,7 +180,7 @@ def coprime_way(full: StateSpaceModel) -> Way:
 
 
 def error_bound(values: AnyArray, order: int) -> float:
-    """Twice the sum of the Hankel values after the first ``order``, each counted once where it is repeated.
+    """Return twice the sum of the Hankel values after the first ``order``, repeated ones counted once.
 
     Values that agree to 1e-10 count as repeated only where the cut does not separate them from kept ones.
     """
@@ -196,9 +196,9 @@ def error_bound(values: AnyArray, order: int) -> float:
 
 
 def _dilated(m: StateSpaceModel, values: AnyArray, k: int, unitary: bool = False) -> tuple[StateSpaceModel, AnyArray]:
-    """The dilation of a balanced model that leaves out the value at index k, however often it comes, and the others.
+    """Return the dilation of a balanced model without the (repeated) value at index k, and the other values.
 
-    Its states are times the root of ``|Gamma|``; U may be completed to a unitary matrix for a square model.
+    Its states are scaled by the root of ``|Gamma|``; U may be completed to a unitary matrix for a square model.
     """
     level = values[k]
     cut = np.abs(values - level) <= REPEATED * level
@@ -222,7 +222,7 @@ def _dilated(m: StateSpaceModel, values: AnyArray, k: int, unitary: bool = False
 
 
 def nearest_in_hankel_norm(model: StateSpaceModel, balancing: Balancing, order: int) -> StateSpaceModel:
-    """The nearest model of at most this order; of fewer where the value after the cut is a repeated one."""
+    """Return the nearest model of at most this order; of a lower one if the value after the cut is repeated."""
     values = balancing.values[: len(balancing.left)]
     if order >= len(values):
         return balancing.reduced(model, order, "truncation")
@@ -236,10 +236,10 @@ def nearest_in_hankel_norm(model: StateSpaceModel, balancing: Balancing, order: 
 
 
 def _constant_near(unstable: StateSpaceModel) -> AnyArray:
-    """A constant no farther from a strictly proper model without stable modes than the sum of its Hankel values.
+    """Return a constant no farther from a strictly proper antistable model than the sum of its Hankel values.
 
-    One value after another, the smallest first: each dilation moves the model by no more than the value that it takes,
-    and is balanced again with the other values, as long as the model is square and U unitary.
+    The values are removed one by one, the smallest first: each dilation changes the model by no more than its value,
+    and is balanced with the other values, as the model is square and U unitary.
     """
     mirrored = StateSpaceModel(-unstable.A, -unstable.B, unstable.C, unstable.D)
     balancing = Balancing.of(*gramian_factors(mirrored))
@@ -255,7 +255,7 @@ def _constant_near(unstable: StateSpaceModel) -> AnyArray:
 
 
 def hankel_bound(values: AnyArray, order: int) -> float:
-    """What the H-infinity error cannot exceed: the value after the cut once, and the sum of all that are smaller."""
+    """Return the bound of the H-infinity error: the value after the cut once, plus the sum of all smaller ones."""
     if order >= len(values):
         return 0.0
     level = values[order]
@@ -263,7 +263,7 @@ def hankel_bound(values: AnyArray, order: int) -> float:
 
 
 def hankel_norm(model: StateSpaceModel) -> float:
-    """The largest Hankel value of a stable model, continuous or discrete."""
+    """Return the largest Hankel value of a stable model, continuous or discrete."""
     return float(Balancing.of(*gramian_factors(model)).values.max(initial=0.0))
 
 
@@ -281,8 +281,8 @@ class Spectrum:
 
     @classmethod
     def of(cls, model: StateSpaceModel, floor: float) -> Spectrum:
-        """The factor by a Riccati equation."""
-        # Residuals are weighed by gains from and to all states, which must be alike in size for that.
+        """Compute the factor by a Riccati equation."""
+        # Residuals are weighted by gains from and to all states, which must have similar sizes for that.
         t = 2.0 ** balancing_exponents(model.A, model.B, model.C)
         a, b, c, d = model.A / t[:, None] * t, model.B / t[:, None], model.C * t, model.D
         model = StateSpaceModel(a, b, c, d)
@@ -305,12 +305,12 @@ class Spectrum:
         return cls(model, factor, Balancing.of(reach, slicot.gramian_factors(a, b, out, False)[1]), doubt)
 
     def per_gain(self) -> float:
-        """What an error of gain 1 is at most relative to the model."""
+        """Bound the relative error of an absolute error of gain 1."""
         found = linf_norm(inverse(_conjugate(self.factor)), 1e-2)
         return self._widened(found.upper) if found.status.trustworthy else np.inf
 
     def relative(self, error: StateSpaceModel, rtol: float) -> HinfNorm:
-        """The norm of an error relative to the model, proved for every frequency."""
+        """Return the norm of an error relative to the model, proved for every frequency."""
         found = linf_norm(series(error, inverse(_conjugate(self.factor))), rtol)
         lower = found.lower / np.sqrt(1 + self.doubt) if self.doubt < np.inf else 0.0
         found = replace(found, lower=lower, upper=self._widened(found.upper))
@@ -320,12 +320,12 @@ class Spectrum:
         return found
 
     def _widened(self, upper: float) -> float:
-        """What is relative to the factor at most, relative to the spectrum."""
+        """Convert an upper bound relative to the factor to one relative to the spectrum."""
         return upper / np.sqrt(1 - self.doubt) if self.doubt < 1 else np.inf
 
 
 def relative_bound(values: AnyArray, order: int) -> float:
-    """``prod (1 + mu) / (1 - mu) - 1`` over the values after the first ``order``; infinite where one of them is 1."""
+    """Return ``prod (1 + mu) / (1 - mu) - 1`` over the values after the first ``order``; infinite if one is 1."""
     tail = values[order:]
     if (tail >= 1 - 1e-8).any():  # a zero in the right half-plane, whose state must stay
         return np.inf
@@ -333,14 +333,14 @@ def relative_bound(values: AnyArray, order: int) -> float:
 
 
 def _conjugate(model: StateSpaceModel) -> StateSpaceModel:
-    """``G(-s)^T``."""
+    """Return ``G(-s)^T``."""
     return StateSpaceModel(-model.A.T, model.C.T, -model.B.T, model.D.T)
 
 
 def _doubt(factor: StateSpaceModel, c: AnyArray, into: AnyArray, out: AnyArray) -> float:
-    r"""Bound of :math:`\|(W^\sim)^{-1} (G G^\sim + \beta^2 I - W^\sim W) W^{-1}\|_\infty`.
+    r"""Bound :math:`\|(W^\sim)^{-1} (G G^\sim + \beta^2 I - W^\sim W) W^{-1}\|_\infty`.
 
-    Residuals E_P and E_X of the two equations leave ``C F E_P F~ C^T + B_W^T F~ E_X F B_W`` with ``F = (sI - A)^-1``.
+    The residuals E_P and E_X give the error ``C F E_P F~ C^T + B_W^T F~ E_X F B_W`` with ``F = (sI - A)^-1``.
     """
     n, p = factor.n_states, factor.n_outputs
     if not n:

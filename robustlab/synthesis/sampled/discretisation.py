@@ -1,10 +1,10 @@
-r"""From continuous to discrete time by formula; a controller with its plant is judged in the loop it stands in.
+r"""From continuous to discrete time by formula, and back.
 
 ====================  ==================================================================================================
 ``tustin``            :math:`s = (2/T) (z - 1)/(z + 1)`: keeps stability and the H-infinity norm, bends frequencies
 ``tustin-prewarp``    :math:`s = (\omega_0 / \tan(\omega_0 T / 2)) (z - 1)/(z + 1)`: exact at :math:`\omega_0`
 ``zoh``               exact at the samples for an input held over the sample time (a D/A converter)
-``foh``               exact at the samples for an input that goes straight from sample to sample
+``foh``               exact at the samples for an input that is linear from sample to sample
 ``impulse``           T times the samples of the impulse response (no direct term)
 ``matched``           poles and zeros by :math:`z = e^{s T}`, zeros at infinity to z = -1, equal gain at zero frequency
 ====================  ==================================================================================================
@@ -18,7 +18,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from robustlab.arrays import AnyArray, Array
+from robustlab.arrays import AnyArray
+from robustlab.checks import number
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.invariant_zeros import transmission_zeros
@@ -32,11 +33,11 @@ Hold = Literal["zoh", "tustin"]
 HOLDS: tuple[Hold, ...] = ("zoh", "tustin")
 METHODS: tuple[Method, ...] = ("tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")
 
-# Two sampled modes closer than this, relative to their modulus, are one mode to a controller in floating point.
+# Two sampled modes closer than this, relative to their modulus, count as one mode.
 MERGED = 1e-6
-# The poles and zeros of a matched model must give back its response to this accuracy.
+# Accuracy to which the poles and zeros of a matched model must reproduce its response.
 MATCHED = 1e-6
-# The exponential of a logarithm must give back the matrix to this accuracy.
+# Accuracy to which the exponential of a logarithm must reproduce the matrix.
 CLOSE = 1e-10
 EPS = float(np.finfo(float).eps)
 LARGEST = 300.0  # exponent of e up to which products of matched poles and zeros do not overflow
@@ -44,11 +45,11 @@ LARGEST = 300.0  # exponent of e up to which products of matched poles and zeros
 
 @told_as("discretise")
 def by_formula(model: Any, dt: float, method: str, prewarp: float | None = None) -> StateSpaceModel:
-    """`robustlab.discretise` without a plant; see there."""
+    """Discretise a model without a plant; see `robustlab.discretise`."""
     m = as_model(getattr(model, "K", model), "discretise")
     if m.is_discrete:
         raise InputError("discretise", f"the model has dt = {m.dt:g} s", "a continuous model (dt = 0)")
-    _require_sample_time(dt)
+    number("discretise: dt", dt, "a positive sample time in s", above=0)
     if method not in METHODS:
         hint = did_you_mean(str(method), METHODS)
         raise InputError("discretise", f"method {method!r}", f"one of {', '.join(METHODS)}", hint)
@@ -71,13 +72,8 @@ def by_formula(model: Any, dt: float, method: str, prewarp: float | None = None)
     )  # fmt: skip
 
 
-def _require_sample_time(dt: object, where: str = "discretise") -> None:
-    if isinstance(dt, bool) or not isinstance(dt, (int, float, np.number)) or not 0 < dt < np.inf:
-        raise InputError(where, f"dt is {dt!r}", "a positive sample time in s")
-
-
 def _sampled(m: StateSpaceModel, dt: float, method: str) -> StateSpaceModel:
-    """By one matrix exponential; the state of ``foh`` is ``x_k`` without the part that ``u_k`` has in it already."""
+    """Discretise by one matrix exponential; the state of ``foh`` is ``x_k`` less its part from ``u_k``."""
     from scipy.signal import cont2discrete
 
     if method == "impulse" and m.D.any():
@@ -100,7 +96,7 @@ def _sampled(m: StateSpaceModel, dt: float, method: str) -> StateSpaceModel:
 
 @told_as("d2c")
 def d2c(model: Any, method: Hold = "zoh") -> StateSpaceModel:
-    r"""Continuous model of a discrete one.
+    r"""Compute a continuous model of a discrete one.
 
     .. math:: \begin{bmatrix} A & B \\ 0 & 0 \end{bmatrix}
               = \frac{1}{T} \log \begin{bmatrix} A_d & B_d \\ 0 & I \end{bmatrix}
@@ -116,14 +112,14 @@ def d2c(model: Any, method: Hold = "zoh") -> StateSpaceModel:
     Returns
     -------
     StateSpaceModel
-        Signals are those of the model; with ``"zoh"`` its states and its operating point, too.
+        With the signals of the model; with ``"zoh"`` also its states and its operating point.
 
     Raises
     ------
     InputError
         A continuous model, an unknown method.
     NoTrustworthyNumber
-        ``"zoh"``: a pole on the closed negative real axis, or a logarithm that does not give the model back to 1e-10.
+        ``"zoh"``: a pole on the closed negative real axis, or a logarithm that does not reproduce the model to 1e-10.
         ``"tustin"``: a pole at z = -1.
 
     References
@@ -135,7 +131,11 @@ def d2c(model: Any, method: Hold = "zoh") -> StateSpaceModel:
     >>> d2c(StateSpaceModel([[0.5]], [[0.5]], [[1.0]], [[0.0]], dt=0.1)).A.round(6)
     array([[-6.931472]])
     """
-    m = _discrete(model, method, "d2c")
+    m = as_model(getattr(model, "K", model), "d2c")
+    if not m.is_discrete:
+        raise InputError("d2c", "the model is continuous (dt = 0)", "a discrete one", "rl.discretise makes one")
+    if method not in HOLDS:
+        raise InputError("d2c", f"method {method!r}", f"one of {', '.join(HOLDS)}", did_you_mean(str(method), HOLDS))
     if method == "tustin":
         return replace(bilinear_to_continuous(m), inputs=m.inputs, outputs=m.outputs, states=m.states)
     from scipy.linalg import expm, logm
@@ -150,7 +150,7 @@ def d2c(model: Any, method: Hold = "zoh") -> StateSpaceModel:
         )
         hint = "method='tustin' maps this pole"
         raise NoTrustworthyNumber("d2c (zoh)", found, "poles off the closed negative real axis", hint)
-    held = _held(m)
+    held = np.block([[m.A, m.B], [np.zeros((m.n_inputs, n)), np.eye(m.n_inputs)]])
     with warnings.catch_warnings():  # scipy's own estimate; the exponential below decides
         warnings.simplefilter("ignore", RuntimeWarning)
         rate: Any = logm(held)
@@ -160,20 +160,6 @@ def d2c(model: Any, method: Hold = "zoh") -> StateSpaceModel:
         raise NoTrustworthyNumber("d2c (zoh)", f"the exponential of log A gives A back to {off:.1e} of its size only")
     rate = rate.real / m.dt
     return replace(m, A=rate[:n, :n], B=rate[:n, n:], dt=0.0)
-
-
-def _discrete(model: Any, method: str, where: str) -> StateSpaceModel:
-    m = as_model(getattr(model, "K", model), where)
-    if not m.is_discrete:
-        raise InputError(where, "the model is continuous (dt = 0)", "a discrete one", "rl.discretise makes one")
-    if method not in HOLDS:
-        raise InputError(where, f"method {method!r}", f"one of {', '.join(HOLDS)}", did_you_mean(str(method), HOLDS))
-    return m
-
-
-def _held(m: StateSpaceModel) -> Array:
-    """One step of the states with the held inputs below them."""
-    return np.block([[m.A, m.B], [np.zeros((m.n_inputs, m.n_states)), np.eye(m.n_inputs)]])
 
 
 # --- matched poles and zeros ------------------------------------------------------------------------------------------
@@ -186,7 +172,7 @@ def _matched(m: StateSpaceModel, dt: float) -> StateSpaceModel:
     if not m.n_states or not (m.B.any() and m.C.any()):
         return StateSpaceModel([], [], [], m.D)
     poles, zeros = m.poles(), transmission_zeros(m, complete=True)
-    # On the positive real axis, right of all poles: finite and real.
+    # on the positive real axis, right of all poles: finite and real
     s = 1.7 * max(float(np.abs(np.concatenate([poles, zeros])).max()), 1e-6 / dt)
     value = (m.D + m.C @ np.linalg.solve(s * np.eye(m.n_states) - m.A, m.B))[0, 0]
     gain = value * np.prod(s - poles) / np.prod(s - zeros)
@@ -201,7 +187,7 @@ def _matched(m: StateSpaceModel, dt: float) -> StateSpaceModel:
         found = f"poles and zeros that grow by e^{growth:.3g} in dt = {dt:g} s"
         raise NoTrustworthyNumber("discretise (matched)", found, None, "a shorter sample time, or another method")
     z_poles, z_zeros = np.exp(poles * dt), np.append(np.exp(zeros * dt), -np.ones(len(poles) - len(zeros)))
-    # Equal gain at s = 0, z = 1; next to it on the real axis where there is a pole or a zero.
+    # Equal gain at s = 0, z = 1; next to it on the real axis if there is a pole or a zero.
     lowest = np.abs(np.concatenate([poles, zeros])).min()
     at = 0.0 if lowest > 1e-9 * s else 1e-3 / dt
     wanted = gain * np.prod(at - zeros) / np.prod(at - poles)
@@ -211,7 +197,7 @@ def _matched(m: StateSpaceModel, dt: float) -> StateSpaceModel:
 
 
 def _conjugate(roots: AnyArray) -> AnyArray:
-    """Roots of a real polynomial as exact conjugate pairs and real ones."""
+    """Return roots of a real polynomial as exact conjugate pairs and real ones."""
     off = np.imag(roots) / np.maximum(np.abs(roots), 1e-300)
     upper = roots[off > 1e-12]
     return np.concatenate([upper, np.conj(upper), np.real(roots[np.abs(off) <= 1e-12])])
@@ -222,26 +208,25 @@ def _conjugate(roots: AnyArray) -> AnyArray:
 
 @dataclass(frozen=True)
 class MergedModes:
-    """Two modes of a plant that sampling makes one: pathological sampling."""
+    """Two modes of a plant with one sampled mode: pathological sampling."""
 
     modes: tuple[complex, complex]  # the two eigenvalues in rad/s
-    multiple: int  # by how many sampling frequencies they differ
-    # True where the modes decay: then they are only out of reach, else no digital controller stabilises the plant.
+    multiple: int  # their difference in sampling frequencies
+    # True if the modes decay: then they are only uncontrollable, else no digital controller stabilises the plant.
     stable: bool
 
     def __str__(self) -> str:
         one, two = (f"{pole.real:.6g}{pole.imag:+.6g}j" for pole in self.modes)
-        what = "they cannot be controlled one by one" if self.stable else "no digital controller moves both"
-        return (
-            f"pathological sampling: modes {one} and {two} rad/s differ by {self.multiple} sampling frequencies; {what}"
-        )
+        effect = "they cannot be controlled one by one" if self.stable else "no digital controller moves both"
+        multiple = f"differ by {self.multiple} sampling frequencies"
+        return f"pathological sampling: modes {one} and {two} rad/s {multiple}; {effect}"
 
     def to_json(self) -> dict[str, Any]:
         return {**vars(self), "text": str(self)}
 
 
 def merged_modes(model: StateSpaceModel, dt: float) -> tuple[MergedModes, ...]:
-    r"""Pairs of different modes with :math:`e^{\lambda_i T} = e^{\lambda_j T}` up to 1e-6."""
+    r"""Return pairs of different modes with :math:`e^{\lambda_i T} = e^{\lambda_j T}` up to 1e-6."""
     poles, found = model.poles(), list[MergedModes]()
     sampling = 2 * np.pi / dt
     for i, one in enumerate(poles):

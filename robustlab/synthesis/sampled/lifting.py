@@ -1,6 +1,6 @@
-r"""A continuous plant behind a sampler and a hold, as a discrete one over whole sample periods (lifting).
+r"""A continuous plant with sampler and hold as a discrete one over whole sample periods (lifting).
 
-On each interval of a period w is its mean plus a rest of mean zero, and z likewise; what the rest can do is bounded.
+On each interval of a period w is its mean plus a rest of mean zero, and z likewise; the effect of the rest is bounded.
 Chen, Francis (1995), chapters 8, 10, 13; Bamieh, Pearson (1992).
 """
 
@@ -15,15 +15,15 @@ from robustlab.errors import NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 
-SHORT = 1e-3  # doubling starts where |A| h is below this; smaller: more doublings
-DOUBLINGS = 12  # at least so many: the error of the start falls by 4 in each
+SHORT = 1e-3  # |A| h below which doubling starts; smaller: more doublings
+DOUBLINGS = 12  # at least; the error of the start falls by 4 in each
 
 
 @dataclass(frozen=True, eq=False)
 class Rest:
-    """What the parts of w of mean zero can do, at most."""
+    """Bounds of the effect of w0, the part of w of mean zero."""
 
-    kick: AnyArray  # factor (n, n): they move the state at the end of a period by `kick v` with `|v| <= |w0|`
+    kick: AnyArray  # factor (n, n): w0 moves the state at the end of a period by `kick v` with `|v| <= |w0|`
     # mean, variance: largest gains from w0 to the means, and to the rests, of z in the same period
     mean: float
     variance: float
@@ -34,7 +34,7 @@ class LiftedPlant:
     """The plant over whole periods."""
 
     # Discrete model with inputs [w of all intervals; held w; kick (n); u] and outputs [means of z; rests of z; y];
-    # its states are those of the plant and the controls that are still under way.
+    # its states are those of the plant and the delayed controls.
     model: StateSpaceModel
     # n_intervals, n_means, n_rests: number of intervals; sizes of the two groups of outputs
     n_intervals: int
@@ -47,10 +47,10 @@ class LiftedPlant:
     n_meas: int
     n_con: int
     held: tuple[int, ...]  # positions of the disturbances that are constant over whole periods
-    rest: Rest  # what the disturbance between the means can add
+    rest: Rest  # bounds of the effect of w less its means
 
     def generalized_plant(self) -> GeneralizedPlant:
-        """The discrete plant for synthesis: without the kick."""
+        """Return the discrete plant for synthesis: without the kick."""
         keep = [*range(self.n_w), *range(self.n_w + self.n_kick, self.model.n_inputs)]
         m = self.model
         inputs = [m.inputs[i] for i in keep]
@@ -61,13 +61,13 @@ class LiftedPlant:
 
 
 def lift(plant: GeneralizedPlant, dt: float, n_intervals: int, delay: float = 0.0) -> LiftedPlant:
-    """The plant with its controls held from ``k dt + delay`` on, over whole periods."""
+    """Lift the plant with its controls held from ``k dt + delay`` on."""
     m = plant.model
     n, n_u, n_y = m.n_states, plant.n_con, plant.n_meas
     n_w, n_z = m.n_inputs - n_u, m.n_outputs - n_y
     held = np.flatnonzero(m.D[n_z:, :n_w].any(axis=0))
     free = np.setdiff1d(np.arange(n_w), held)
-    # Controls act a delay after their sample: those of the past that are still under way are states.
+    # Controls act a delay after their sample: delayed ones are states.
     whole = int(np.floor(delay / dt + 1e-12))
     part = delay - whole * dt if delay - whole * dt > 1e-9 * dt else 0.0
     n_past = whole + (part > 0)
@@ -83,7 +83,7 @@ def lift(plant: GeneralizedPlant, dt: float, n_intervals: int, delay: float = 0.
     at_w = n + n_past * n_u
     at_u = at_w + N * n_free + len(held)
     width = at_u + n_u
-    # The controls as a map of (x, past controls, all w, u), by how many samples ago they were computed.
+    # the controls of k samples ago as maps of (x, past controls, all w, u)
     aged = [np.eye(n_u, width, k) for k in (at_u, *range(n, at_w, n_u))]
     held_w = np.zeros((n_w, width))
     held_w[held, at_u - len(held) : at_u] = np.eye(len(held)) / np.sqrt(dt)
@@ -101,7 +101,9 @@ def lift(plant: GeneralizedPlant, dt: float, n_intervals: int, delay: float = 0.
     measured[:, :n] = m.C[n_z:]
     measured += m.D[n_z:, n_w:] @ controls[0] + m.D[n_z:, :n_w] @ held_w
     rest = _rest(intervals, n, m.D[:n_z, free])
-    maps = np.vstack([state, *aged[:-1]]), np.vstack(means), _compressed(np.vstack(rests)), measured
+    rows = np.vstack(rests)  # or, with the same Gram matrix, no more rows than columns
+    rows = rows if len(rows) <= width else np.asarray(np.linalg.qr(rows, mode="r"))
+    maps = np.vstack([state, *aged[:-1]]), np.vstack(means), rows, measured
     wide = [f"{m.input_names[j]}[{i}]" for i in range(N) for j in free] + [m.input_names[j] for j in held]
     return _assembled(plant, dt, (names, wide), maps, N, rest, tuple(int(j) for j in held))
 
@@ -114,7 +116,7 @@ def _breakpoints(dt: float, n_intervals: int, part: float) -> AnyArray:
 
 
 def _lengths(ends: AnyArray) -> list[float]:
-    """Lengths of the intervals; those that differ by rounding alone are made the same number."""
+    """Return the lengths of the intervals; those that differ by rounding alone become equal."""
     lengths: list[float] = []
     for h in np.diff(ends).tolist():
         same = [known for known in lengths if abs(known - h) <= 1e-9 * known]
@@ -131,7 +133,7 @@ def _assembled(
     rest: Rest,
     held: tuple[int, ...],
 ) -> LiftedPlant:
-    """The lifted model from its maps of (states, lifted w, u) to (next states, means, rests, y)."""
+    """Build the lifted model from its maps of (states, lifted w, u) to (next states, means, rests, y)."""
     m, n = plant.model, plant.model.n_states
     states, means, rests, measured = maps
     n_x, n_wide = len(names[0]), len(names[1])
@@ -149,25 +151,20 @@ def _assembled(
     return LiftedPlant(model, N, len(means), len(rests), n_wide, n, plant.n_meas, plant.n_con, held, rest)
 
 
-def _compressed(rows: AnyArray) -> AnyArray:
-    """Rows with the same Gram matrix, no more than columns."""
-    return rows if len(rows) <= rows.shape[1] else np.asarray(np.linalg.qr(rows, mode="r"))
-
-
 # --- one interval -----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
 class _Interval:
-    """What happens in one interval of length h with v = (x, w, u) at its start, w and u constant."""
+    """Maps of one interval of length h from v = (x, w, u) at its start, w and u constant."""
 
     h: float
     move: AnyArray  # v -> x at the end
     mean: AnyArray  # v -> mean of z times sqrt(h)
     variance_root: AnyArray  # |variance_root v|^2: energy of z about its mean
-    kick: AnyArray  # factor of what w0 does to x at the end
+    kick: AnyArray  # factor of the effect of w0 on x at the end
     output: tuple[AnyArray, AnyArray]  # mean and variance root of z for x alone
-    local: float  # bound of the gain from w0 to z within the interval, but for D11
+    local: float  # bound of the gain from w0 to z within the interval without D11
 
     @classmethod
     def of(cls, m: StateSpaceModel, free: AnyArray, n_z: int, h: float) -> _Interval:
@@ -185,13 +182,13 @@ class _Interval:
 
 
 def mean_and_variance(A: AnyArray, C: AnyArray, h: float) -> tuple[AnyArray, AnyArray, AnyArray]:
-    r"""``e^(A h)``, the mean of ``C e^(A t)`` over [0, h] times :math:`\sqrt h`, and its variance times h."""
+    r"""Return ``e^(A h)``, the mean of ``C e^(A t)`` over [0, h] times :math:`\sqrt h`, and its variance times h."""
     from scipy.linalg import expm
 
     n = len(A)
     size = float(np.linalg.norm(A, 1)) * h if n else 0.0
     doublings = max(DOUBLINGS, int(np.ceil(np.log2(max(size, 1e-300) / SHORT))))
-    # The series of e^(A t) cut after the third power, and a first-order formula for the variance.
+    # series of e^(A t) up to the third power, and a first-order formula for the variance
     small = h / 2.0**doublings
     step = A * small
     moved = expm(step)
@@ -212,7 +209,7 @@ def mean_and_variance(A: AnyArray, C: AnyArray, h: float) -> tuple[AnyArray, Any
 
 
 def _root(gram: AnyArray) -> AnyArray:
-    """R with ``R^T R = gram``, n x n; negative eigenvalues are rounding."""
+    """Return R (n, n) with ``R^T R = gram``; negative eigenvalues are rounding."""
     values, vectors = np.linalg.eigh(0.5 * (gram + gram.T))
     return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
 

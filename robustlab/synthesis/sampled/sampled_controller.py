@@ -1,4 +1,4 @@
-"""Digital controllers: every formula verified in the sampled loop, and direct design on the lifted plant."""
+"""Digital controllers: each formula verified in the sampled loop, and direct design on the lifted plant."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from robustlab.shown import AllFields, Facts
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.hinf.loop_shaping import with_default_performance
-from robustlab.synthesis.problem.design import Synthesis, design_budget, told
+from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.problem.performance_measure import given_scalings, plant_with_scalings
 from robustlab.synthesis.sampled.discretisation import (
@@ -38,7 +38,7 @@ from robustlab.synthesis.sampled.sampled_norm import (
 )
 
 CONTROLLER_WORK = 60 * MILLION  # the usual work at effort 1
-DESIGN_INTERVALS = 4  # of a period, on which the direct design sees disturbance and performance
+DESIGN_INTERVALS = 4  # of a period, for disturbance and performance in the direct design
 DESIGN_GAMMA_REL = 1.02  # allowed ratio of its gamma to the smallest: larger: slower poles
 MOST_DESIGN = 48  # lifted channels of the direct design at most
 
@@ -49,7 +49,7 @@ WHERE = "discretise"
 class SampledTrial(AllFields):
     """One digital controller with the proved norm of its sampled loop."""
 
-    method: str  # what made it
+    method: str  # its method
     order: int  # its number of states
     # lower, upper: bracket of the sampled-data norm; inf where the loop is not stable
     lower: float
@@ -75,15 +75,15 @@ class SampledController(Synthesis):
     norm
         Bracket of the sampled-data norm.
     allowed_loss
-        The loss that was allowed before a direct design was tried.
+        The loss up to which no direct design is tried.
     trials
-        Every method that was tried.
+        All methods tried.
     delay
         Computational delay in s.
     antialiasing
         Corner of the filter before the sampler in rad/s; None: no filter.
     pathological
-        Pairs of plant modes that sampling makes one.
+        Pairs of plant modes with one sampled mode.
     chosen
         The method of K.
     """
@@ -118,7 +118,7 @@ class SampledController(Synthesis):
 
     @property
     def met(self) -> bool:
-        """Whether no more is lost than was allowed."""
+        """Whether the loss is within the allowed one."""
         return self.loss <= self.allowed_loss
 
     def _gamma_text(self) -> str:
@@ -141,7 +141,7 @@ class SampledController(Synthesis):
 
 
 class LoopOptions(TypedDict, total=False):
-    """What goes with a plant, see `discretise`."""
+    """Options with a plant, see `discretise`."""
 
     prewarp: float | None
     loss: float
@@ -182,15 +182,15 @@ def discretise(
     effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
 ) -> StateSpaceModel | SampledController:
-    r"""Discrete model with sample time ``dt`` of a continuous one, with the same signals.
+    r"""Compute a discrete model with sample time ``dt`` of a continuous one, with the same signals.
 
     .. math:: \dot x = A x + B u \quad\to\quad x_{k+1} = A_d x_k + B_d u_k
 
-    The states of ``zoh`` and ``impulse`` are those of the model, and so is its operating point; the other methods have
-    states of their own, and none.
+    The states of ``zoh`` and ``impulse`` and their operating point are those of the model; the other methods have
+    states of their own and no operating point.
 
-    A controller with its plant, a design or a controller with ``plant=``, is judged in the loop it stands in, between
-    the samples too:
+    A controller with its plant, a design or a controller with ``plant=``, is evaluated in its loop, between the samples
+    too:
 
     .. math:: \text{loss} = \frac{\|F_l(P, H K_d S)\|}{\|F_l(P, K)\|_\infty} - 1
 
@@ -207,11 +207,11 @@ def discretise(
     method
         See the table of `robustlab.synthesis.sampled.discretisation`, ``"tustin"`` where left out. ``"matched"`` is for
         one input and one output. Of a controller with its plant also ``"direct"``, and ``"auto"`` where left out: the
-        best of the formulas, and the direct design where they lose more than ``loss``.
+        best of the formulas, or the direct design where they lose more than ``loss``.
     plant
         Generalised plant of the controller (see `hinf`), or the design whose plant it is; that of a design where left
         out. Of a bare plant, whose every input is a control and every output a measurement, the four-block loop is
-        judged, as by `reduce_controller`. The options below go with it.
+        evaluated, as by `reduce_controller`. The options below require it.
     prewarp
         Frequency in rad/s at which ``"tustin-prewarp"`` is exact, below pi / dt; with a plant, the frequency of the
         continuous loop's peak where left out.
@@ -225,8 +225,8 @@ def discretise(
         Pair of stable models ``(D_z, D_w^-1)``: the norm of the scaled loop then bounds mu for the linear
         time-invariant perturbations that commute with them, in the sampled loop as well.
     time_limit
-        Time in s, asked between methods and kept by the direct design; none where left out. Where it ends the search
-        the status is TIMEOUT.
+        Time in s, checked between methods and by the direct design; none where left out. Where it ends the search the
+        status is TIMEOUT.
     effort
         Multiple of the usual work.
     progress
@@ -236,7 +236,7 @@ def discretise(
     -------
     StateSpaceModel or SampledController
         Discrete, with n states (``"matched"``: as many as there are poles), and the signals of the model. Of a
-        controller with its plant the one of smallest proved norm among those tried, with what each of them loses.
+        controller with its plant the one of smallest proved norm among those tried, with the loss of each.
 
     Raises
     ------
@@ -245,7 +245,7 @@ def discretise(
         beyond the Nyquist frequency, a direct term with ``"impulse"``, several channels with ``"matched"``; a delay in
         a loop or between dynamic parts; options of a loop without a plant.
     NoTrustworthyNumber
-        A pole that the bilinear map sends to infinity; poles and zeros that do not give the response back; a continuous
+        A pole that the bilinear map sends to infinity; poles and zeros that do not reproduce the response; a continuous
         loop that is not stable; no method that leaves the sampled loop stable (pathological sampling is named).
 
     References
@@ -259,7 +259,7 @@ def discretise(
     >>> discretise(lag, 0.1, "zoh").A.round(6)
     array([[0.904837]])
 
-    A design, judged between the samples too:
+    A design, evaluated between the samples too:
 
     >>> from robustlab.synthesis.hinf.hinf_synthesis import hinf
     >>> P = StateSpaceModel([[-1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
@@ -311,7 +311,7 @@ def _loss_text(trial: SampledTrial) -> str:
 
 @dataclass
 class _Search:
-    """The loop, and the digital controllers tried so far, each with the norm of its loop."""
+    """The loop, and the digital controllers tried so far with the norms of their loops."""
 
     plant: GeneralizedPlant
     K: StateSpaceModel
@@ -323,9 +323,9 @@ class _Search:
 
 
 def _try_methods(
-    search: _Search, method: str, loss: float, prewarp: float | None, budget: Budget, say: Callable[[str], None]
+    search: _Search, method: str, loss: float, prewarp: float | None, budget: Budget, report: Callable[[str], None]
 ) -> None:
-    """Try what ``method`` asks for: of "auto" the formulas, and the direct design where they lose more."""
+    """Try a method; "auto": the formulas, and the direct design where they lose more than ``loss``."""
     names = [] if method == "direct" else [method]
     if method == "auto":
         below = 0 < search.continuous.frequency < 0.9 * np.pi / search.dt
@@ -341,16 +341,16 @@ def _try_methods(
                 K = _designed(search, budget)
             else:
                 K = by_formula(search.K, search.dt, name, corner if name == "tustin-prewarp" else None)
-            say(f"{name}: {_judged(search, name, K, budget)}")
+            report(f"{name}: {_evaluated(search, name, K, budget)}")
         except NoTrustworthyNumber as error:
             named = [str(merged) for merged in merged_modes(search.plant.model, search.dt) if not merged.stable]
             reason = "; ".join([error.line, *named]) if name == "direct" else error.line
             search.trials.append(SampledTrial(name, -1, np.inf, np.inf, np.inf, Status.FAILED, reason))
-            say(f"{name}: {reason}")
+            report(f"{name}: {reason}")
 
 
 def _designed(search: _Search, budget: Budget) -> StateSpaceModel:
-    """H-infinity synthesis on the lifted plant."""
+    """Design a controller by H-infinity synthesis on the lifted plant."""
     plant, K = search.plant, search.K
     n_intervals = int(np.clip(MOST_DESIGN // max(plant.n_w, plant.n_z, 1), 1, DESIGN_INTERVALS))
     lifted = lift(plant, search.dt, n_intervals, search.delay).generalized_plant()
@@ -358,10 +358,10 @@ def _designed(search: _Search, budget: Budget) -> StateSpaceModel:
     return StateSpaceModel(found.A, found.B, found.C, found.D, search.dt, K.inputs, K.outputs)
 
 
-def _judged(search: _Search, name: str, K: StateSpaceModel, budget: Budget) -> str:
-    """Enter a controller with the norm of its loop, which is told in words."""
+def _evaluated(search: _Search, name: str, K: StateSpaceModel, budget: Budget) -> str:
+    """Add a controller with the norm of its loop to the search, and return the norm in words."""
     budget.spend(dense(search.plant.model.n_states + K.n_states, 200))  # as measured
-    # One that is larger than the best is not looked at more closely, unless that one is in doubt.
+    # A norm larger than the best is not refined, unless the best is in doubt.
     best = np.inf if search.best is None else search.best[2].upper
     sure = search.best is not None and search.best[2].status.trustworthy
     try:
@@ -382,11 +382,11 @@ def _finished(
 ) -> SampledController:  # fmt: skip
     merged = merged_modes(search.plant.model, search.dt)
     if search.best is None:
-        late = f" ({budget.remark})" if budget.remark else ""
-        fates = [f"{trial.method}: {trial.reason or 'not stable'}" for trial in search.trials]
+        ended = f" ({budget.remark})" if budget.remark else ""
+        outcomes = [f"{trial.method}: {trial.reason or 'not stable'}" for trial in search.trials]
         raise NoTrustworthyNumber(
-            WHERE, f"no digital controller with dt = {search.dt:g} s left the sampled loop stable{late}",
-            hint="a shorter sample time", more=(*map(str, merged), *fates),
+            WHERE, f"no digital controller with dt = {search.dt:g} s left the sampled loop stable{ended}",
+            hint="a shorter sample time", more=(*map(str, merged), *outcomes),
         )  # fmt: skip
     name, K, norm = search.best
     achieved = _loss(norm.upper, search.continuous)
@@ -394,7 +394,7 @@ def _finished(
     reason = f"{name}: sampled loop rebuilt, {how}"
     if achieved > loss:
         reason += f"; no method tried keeps the loss to {100 * loss:g} %"
-    status, reason = told(norm.status, [reason], budget, "one that loses less")
+    status, reason = final_status(norm.status, [reason], budget, "one that loses less")
     return SampledController(
         K=K,
         gamma=norm.upper,
@@ -417,7 +417,7 @@ def _finished(
 
 
 def _limiting_channels(norm: SampledDataNorm, plant: GeneralizedPlant) -> str:
-    """The disturbance and the mean performance with the largest share in the singular vectors of the peak."""
+    """Return the disturbance and the mean performance with the largest share in the peak's singular vectors."""
     m, loop = plant.model, norm.loop
     if not loop.n_inputs or not loop.n_outputs or not np.isfinite(norm.frequency):
         return ""

@@ -22,7 +22,7 @@ from robustlab.synthesis.problem.certify import certified
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant, require_performance
 from robustlab.synthesis.sampled.lifting import LiftedPlant, lift
 
-INTERVALS = (2, 4, 8, 16, 32, 64)  # of a period, one after the other until the bracket is closed
+INTERVALS = (2, 4, 8, 16, 32, 64)  # of a period, tried in this order until the bracket is closed
 MOST_LIFTED = 256  # lifted disturbance or performance channels at most: norms cost their cube
 
 LONGEST_DELAY = 1000  # samples: each is a state of every control
@@ -51,8 +51,8 @@ class SampledDataNorm(PeakGain):
         The discrete closed loop over whole periods, whose norm is ``lower``: from the means of w to the means and rests
         of z.
     status
-        CERTIFIED: the bracket is proved and closed to the tolerance asked. CONVERGED: ``lower`` has settled to it, the
-        proved bracket is wider. INACCURATE: neither.
+        CERTIFIED: the bracket is proved and closed to the requested tolerance. CONVERGED: ``lower`` has settled to it,
+        the proved bracket is wider. INACCURATE: neither.
     reason
         Why it is not certified, or infinite; else empty.
     """
@@ -73,7 +73,7 @@ class SampledDataNorm(PeakGain):
         return self.upper
 
     def evidence(self) -> Facts:
-        """The sampling, and what is taken for granted between the samples."""
+        """Return the sampling, and the assumptions between the samples."""
         return [
             ("sample time", number(self.loop.dt, "s")),
             ("intervals of a period", str(self.n_intervals)),
@@ -93,7 +93,7 @@ def sampled_data_norm(
     n_con: int | None = None,
     rtol: float = 1e-2,
 ) -> SampledDataNorm:
-    r"""H-infinity norm from w to z of a continuous plant with a digital controller, inter-sample behaviour included.
+    r"""Bound the H-infinity norm from w to z of a continuous plant with a digital controller, also between samples.
 
     The measurements are sampled at ``k dt``, the controls change at ``k dt + delay`` and are held (zero order).
 
@@ -148,7 +148,7 @@ def sampled_data_norm(
 
 
 def check_sampling(plant: GeneralizedPlant, K: StateSpaceModel, dt: float, delay: float, where: str) -> None:
-    """A continuous plant, a positive sample time, a delay that is none or positive, a controller that fits."""
+    """Require a continuous plant, a positive sample time, no negative delay, and a controller that fits."""
     if plant.model.dt:
         raise InputError(where, f"the plant has dt = {plant.model.dt:g} s", "a continuous plant (dt = 0)")
     if isinstance(dt, bool) or not isinstance(dt, (int, float, np.number)) or not 0 < dt < np.inf:
@@ -160,7 +160,7 @@ def check_sampling(plant: GeneralizedPlant, K: StateSpaceModel, dt: float, delay
 
 
 def with_antialiasing(plant: GeneralizedPlant, corner: float | None, where: str) -> GeneralizedPlant:
-    r"""The plant with :math:`1 / (s / \omega_f + 1)` on the measurements that w or u reach directly (D21, D22)."""
+    r"""Add :math:`1 / (s / \omega_f + 1)` to the measurements that w or u reach directly (D21, D22)."""
     if corner is None:
         return plant
     m, n_z = plant.model, plant.model.n_outputs - plant.n_meas
@@ -181,7 +181,7 @@ def with_antialiasing(plant: GeneralizedPlant, corner: float | None, where: str)
 def sampled_loop_norm(
     plant: GeneralizedPlant, K: StateSpaceModel, delay: float, rtol: float, enough: float = np.inf
 ) -> SampledDataNorm:
-    """More and more intervals until the bracket is closed, or ``lower`` exceeds ``enough``."""
+    """Bound the norm with more and more intervals until the bracket is closed, or ``lower`` exceeds ``enough``."""
     K = StateSpaceModel(K.A, K.B, K.C, K.D, K.dt)
     history: list[tuple[int, float, float]] = []
     best: SampledDataNorm | None = None
@@ -207,10 +207,10 @@ def sampled_loop_norm(
 
 
 def _confirmed(norm: SampledDataNorm, lifted: LiftedPlant, K: StateSpaceModel) -> SampledDataNorm:
-    """The norm, unless that of the lifted plant and K as they are is not proved to be within the bracket."""
+    """Return the norm; INACCURATE unless that of the lifted plant and K as stored is proved to be in the bracket."""
     plant = lifted.generalized_plant()
     m, n_z = plant.model, plant.n_z
-    # An orthogonal turn of the performance outputs: no more of them than states and inputs.
+    # Orthogonal transformation of the performance outputs: no more of them than states and inputs.
     rows = np.asarray(np.linalg.qr(np.hstack([m.C[:n_z], m.D[:n_z]]), mode="r"))
     narrow = StateSpaceModel(
         m.A, m.B, np.vstack([rows[:, : m.n_states], m.C[n_z:]]), np.vstack([rows[:, m.n_states :], m.D[n_z:]]), m.dt
@@ -221,25 +221,23 @@ def _confirmed(norm: SampledDataNorm, lifted: LiftedPlant, K: StateSpaceModel) -
 
 
 def _bracket(lifted: LiftedPlant, loop: StateSpaceModel, rtol: float) -> SampledDataNorm:
-    """The bracket of one number of intervals."""
+    """Return the bracket of one number of intervals."""
     n, n_mean = lifted.n_w, lifted.n_means
     w, kick = slice(0, n), slice(n, n + lifted.n_kick)
     mean, rest = slice(0, n_mean), slice(n_mean, n_mean + lifted.n_rests)
     whole = _part(loop, slice(0, rest.stop), w)
     lower = _norm(whole, rtol)
-    upper, looked_at = lower.upper, [lower]
-    if np.isfinite(upper) and len(lifted.held) < n:  # where all of w is held, nothing is left to bound
-        looked_at.append(_norm(_part(loop, mean, w), rtol))
+    upper, norms = lower.upper, [lower]
+    if np.isfinite(upper) and len(lifted.held) < n:  # if all of w is held, it has no rest
+        norms.append(_norm(_part(loop, mean, w), rtol))
         b, c, d = (_norm(_part(loop, i, j), 1e-2).upper for i, j in ((mean, kick), (rest, w), (rest, kick)))
-        gains = np.array([[looked_at[1].upper, b + lifted.rest.mean], [c, d + lifted.rest.variance]])
+        gains = np.array([[norms[1].upper, b + lifted.rest.mean], [c, d + lifted.rest.variance]])
         upper = max(float(np.linalg.norm(gains, 2)), upper)
-    doubtful = [norm for norm in looked_at if norm.status is not Status.CERTIFIED]
+    doubtful = [norm for norm in norms if norm.status is not Status.CERTIFIED]
     status = Status.INACCURATE if doubtful else Status.CERTIFIED
     reason = doubtful[0].reason if doubtful else lower.reason
     held = tuple(loop.input_names[i] for i in range(n - len(lifted.held), n))
-    return SampledDataNorm(
-        lower.lower, upper, lower.frequency, status, lifted.n_intervals, (), whole, held, reason
-    )  # fmt: skip
+    return SampledDataNorm(lower.lower, upper, lower.frequency, status, lifted.n_intervals, (), whole, held, reason)
 
 
 def _part(loop: StateSpaceModel, rows: slice, columns: slice) -> StateSpaceModel:
@@ -250,7 +248,7 @@ def _part(loop: StateSpaceModel, rows: slice, columns: slice) -> StateSpaceModel
 
 
 def _norm(loop: StateSpaceModel, rtol: float) -> HinfNorm:
-    """With no more outputs than states and inputs: an orthogonal turn of the outputs keeps the norm."""
+    """Return the norm; an orthogonal transformation leaves no more outputs than states and inputs."""
     if loop.n_outputs > loop.n_states + loop.n_inputs:
         r = np.asarray(np.linalg.qr(np.hstack([loop.C, loop.D]), mode="r"))
         loop = StateSpaceModel(loop.A, loop.B, r[:, : loop.n_states], r[:, loop.n_states :], loop.dt)

@@ -1,7 +1,7 @@
 r"""Anti-windup of a digital controller by back-calculation: :math:`x_{k+1} = (A - L C) x_k + (B - L D) u_k + L v_k`.
 
-With A - L C stable the states stay bounded however long all outputs v = sat(y) saturate; where only some of several
-outputs saturate nothing is proved.
+With A - L C stable the states stay bounded while all outputs v = sat(y) saturate; nothing is proved where only some of
+several outputs saturate.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from robustlab.arrays import Array
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 
-# Modes are mirrored at exp(-MIRROR dt / T): a little inside of where a mode counts as slow, so that none lies on it.
+# Modes are mirrored at exp(-MIRROR dt / T), a little inside the limit of slow modes.
 MIRROR = 1.5
 
 
 def back_calculation(model: StateSpaceModel, limits: Any, time: float) -> Array:
-    """Gain L of back-calculation, shape (n, p): with all outputs saturated every mode decays within ``time``."""
+    """Return the gain L of back-calculation (n, p): with all outputs saturated every mode decays within ``time``."""
     if not time >= model.dt:
         raise InputError("anti-windup", f"a time of {time:g} s", f"at least one sample time, {model.dt:g} s")
     scale = np.array([0.5 * (high - low) for low, high in limits])
@@ -39,7 +39,7 @@ def back_calculation(model: StateSpaceModel, limits: Any, time: float) -> Array:
 
 
 def _mirroring_gain(A: Array, C: Array, slowest: float, mirror: float) -> Array | None:
-    """L for outputs scaled to one; None where no mode is slow."""
+    """Return L for outputs scaled to one; None if no mode is slow."""
     from scipy.linalg import schur, solve_discrete_lyapunov
 
     if not A.size:

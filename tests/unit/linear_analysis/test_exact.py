@@ -1,4 +1,4 @@
-"""Polynomials in whole numbers against Leibniz' formula in fractions, and against roots that were put there."""
+"""Polynomials in whole numbers against Leibniz' formula in fractions, and against given roots."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def from_roots(zeros):
 
 
 def test_wilkinson_and_roots_of_all_sizes():
-    """1 to 40, whose coefficients' last digits move the roots by more than they are; and 10^-20 to 10^20."""
+    """Roots 1 to 40, which the last digits of the coefficients move by more than their size; and 10^-20 to 10^20."""
     assert {r.value for r in roots(from_roots(range(1, 41)))} == {complex(k) for k in range(1, 41)}
     sizes = [Fraction(10) ** k for k in range(-20, 21, 4)]
     found = sorted(r.re for r in roots(from_roots(sizes)))
@@ -81,7 +81,7 @@ def test_multiple_roots_and_neighbours():
         assert abs((two - one) * 10**digits - 1) < Fraction(1, 10**8)
 
 
-def test_real_parts_next_to_the_axis_are_right():
+def test_real_parts_next_to_the_axis_are_accurate():
     """((s + d)^2 + 1) with d = 10^-20 and 0: the real part is 20 digits below the root."""
     d = Fraction(1, 10**20)
     damped = fmpz_poly([(1 + d**2).numerator, (2 * d * 10**40).numerator, 10**40])
@@ -91,13 +91,13 @@ def test_real_parts_next_to_the_axis_are_right():
 
 @pytest.mark.parametrize(("damping", "left", "on"), [(1, True, False), (0, False, True), (-1, False, False)])
 def test_roots_next_to_the_axis_are_decided(damping, left, on):
-    """(s + 1)^2 (s^2 + 2 d s + 1) with d of 10^-100, far below the digits that roots are computed to at first."""
+    """(s + 1)^2 (s^2 + 2 d s + 1) with d of 10^-100, far below the first precision of the roots."""
     f = from_roots([-1, -1]) * fmpz_poly([10**100, 2 * damping, 10**100])
     assert (all_left(f), on_axis(f)) == (left, on)
 
 
-def test_symmetric_roots_beside_the_axis_are_not_on_it():
-    """(s^2 - 1) (s^4 + 1): even and odd part have all roots in common, none of which is on the axis."""
+def test_symmetric_roots_off_the_axis_are_not_on_it():
+    """(s^2 - 1) (s^4 + 1): even and odd part have all roots in common, none of them on the axis."""
     f = from_roots([1, -1]) * fmpz_poly([1, 0, 0, 0, 1])
     assert (all_left(f), on_axis(f), on_axis(f * fmpz_poly([0, 1]))) == (False, False, True)
 

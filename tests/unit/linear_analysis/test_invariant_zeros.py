@@ -1,4 +1,4 @@
-"""Zeros of models, against closed forms, the pencil itself, and models whose zeros are put there."""
+"""Zeros of models, against closed forms, the pencil itself, and models of given zeros."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def pencil(model, s):
 
 
 def matched(found, wanted):
-    """Largest distance of two sets of numbers, each to its nearest partner."""
+    """Return the largest distance of two sets of numbers, each to its nearest partner."""
     found, rest, worst = list(found), list(wanted), 0.0
     assert len(found) == len(rest)
     for z in found:
@@ -46,7 +46,7 @@ def test_zeros_of_square_models_make_the_pencil_singular(seed, n, m, direct):
             assert np.linalg.norm(found.output_directions[:, k].conj() @ response) <= 1e-5 * size
 
 
-def test_zeros_put_in_series_are_found_in_any_shape():
+def test_zeros_of_a_factor_in_series_are_found_in_any_shape():
     factor = StateSpaceModel([[-2.0]], [[1.0]], [[-4.0]], [[1.0]])  # (s - 2)/(s + 2)
     wide = series(random_model(3, 3, 3, 1), factor)
     tall = series(factor, random_model(4, 3, 1, 3))
@@ -54,7 +54,7 @@ def test_zeros_put_in_series_are_found_in_any_shape():
         found = rl.zeros(model)
         assert matched(found.values, [2.0]) < 1e-8
         assert found.kinds == ("transmission",)
-    # A direction that is not one: of the inputs of a wide model, of the outputs of a tall one.
+    # no single direction: of the inputs of a wide model, of the outputs of a tall one
     assert np.isnan(rl.zeros(wide).input_directions).all()
     assert np.isfinite(rl.zeros(wide).output_directions).all()
     assert np.isnan(rl.zeros(tall).output_directions).all()
@@ -72,8 +72,8 @@ def test_a_double_zero_and_zeros_far_apart():
     np.testing.assert_allclose(found, [-1e6, -1e-3], rtol=1e-5)
 
 
-def test_hidden_modes_are_told_by_their_kind():
-    """Poles -1 (both), -2 (seen, not moved), -3 (moved, not seen), -4 (neither)."""
+def test_kinds_of_hidden_modes():
+    """Poles -1 (controllable and observable), -2 (observable), -3 (controllable), -4 (neither)."""
     A = np.diag([-1.0, -2.0, -3.0, -4.0])
     model = StateSpaceModel(A, [[1.0], [0.0], [1.0], [0.0]], [[1.0, 1.0, 0.0, 0.0]], [[0.0]])
     found = rl.zeros(model)
@@ -101,7 +101,7 @@ def test_edges():
     assert rl.zeros(huge).values[0].real == pytest.approx(1e200, rel=1e-12)
 
 
-# --- right however the model is scaled -------------------------------------------------------------------------------
+# --- any scaling of the model ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("S", [1e3, 1e5])
@@ -115,13 +115,13 @@ def test_zeros_of_a_chain_with_large_gains(S):
     assert found.residuals.max() < 1e-15
 
 
-def test_a_zero_far_beyond_the_dynamics_is_one():
+def test_a_zero_far_beyond_the_dynamics_is_kept():
     found = rl.zeros(StateSpaceModel([[-1e-6]], [[1]], [[1]], [[1e-8]]))  # 1e-8 + 1 / (s + 1e-6)
     np.testing.assert_allclose(found.values, [-1e8 - 1e-6], rtol=1e-15)
 
 
 def test_a_rank_that_rounding_decides_is_inaccurate_with_a_reason():
-    """Three sensors that show the same two quantities: the third row of C is a combination, but for rounding."""
+    """Three sensors of two quantities: the third row of C is a combination of the others up to rounding."""
     rng = np.random.default_rng(4)
     A, B, C = rng.normal(size=(4, 4)), rng.normal(size=(4, 2)), rng.normal(size=(2, 4))
     model = StateSpaceModel(A, B @ rng.normal(size=(2, 3)), rng.normal(size=(3, 2)) @ C, np.zeros((3, 3)))
@@ -132,7 +132,7 @@ def test_a_rank_that_rounding_decides_is_inaccurate_with_a_reason():
 
 
 def test_a_zero_that_rounding_decides_is_inaccurate_with_a_reason():
-    """(s^2 + 2e-16) and a fast pole: whether the zero lies at +-1.4e-8 j or at 0 is the last digit of an entry."""
+    """(s^2 + 2e-16) and a fast pole: the last digit of an entry decides between zeros at +-1.4e-8 j and at 0."""
     A = np.array([[0, 1, 0], [0, 0, 1], [-6.0, -11, -6]])
     Q = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
     found = rl.zeros(StateSpaceModel(Q @ A @ Q.T, Q @ [[0], [0], [1]], np.array([[0, 0, 1.0]]) @ Q.T, [[0.0]]))

@@ -1,4 +1,4 @@
-"""Models of extreme magnitude: the right number, or an error that blames the right thing and names who was called."""
+"""Models of extreme magnitude: the right number, or an error about the model under the name of the function called."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ SOME = [(0.0, "A", 1e-310, True), (0.0, "B", 1e150, False), (0.1, "C", 5e-324, T
 
 
 def uncertain(m: Model, block: Any) -> rl.UncertainModel:
-    """A tenth of the input and of the direct term is moved by the block, which sees the output."""
+    """The block, driven by the output, changes a tenth of the input and of the direct term."""
     B, C = np.hstack([0.1 * m.B, m.B]), np.vstack([m.C, m.C])
     return rl.UncertainModel(Model(m.A, B, C, np.tile([[0.1, 1.0]], (2, 1)) * m.D, m.dt), [block])
 
@@ -60,7 +60,7 @@ def simulated(m: Model) -> rl.Record:
     return rl.simulate(m, t, np.ones((11, 1)))
 
 
-# What is called, under which name its errors are told, and whether it is quick enough for all of the models.
+# The call, the name in its errors, and whether it is quick enough for all models.
 CALLS: dict[str, tuple[Callable[[Model], Any], str, bool]] = {
     "peak_gain": (rl.peak_gain, "peak_gain", True),
     "h2_norm": (h2_norm, "h2_norm", True),
@@ -90,15 +90,15 @@ CASES = [(name, case) for name, (_, _, quick) in CALLS.items() for case in (ALL 
 
 
 @pytest.mark.slow
-def test_every_end_is_a_result_or_an_error_that_names_the_call_and_no_nan_in_finite_input():
+def test_each_call_returns_a_result_or_an_error_that_names_the_call_and_no_nan_in_finite_input():
     wrong = []
     for name, case in CASES:
-        call, told, _ = CALLS[name]
+        call, where, _ = CALLS[name]
         try:
             call(plant(*case))
         except rl.RobustlabError as error:
             text = str(error)
-            if not error.where.startswith(told) or any(word in text for word in ("NaN", "infs", " is infinite (")):
+            if not error.where.startswith(where) or any(word in text for word in ("NaN", "infs", " is infinite (")):
                 wrong.append(f"{name} {case}: {text}")
         except Exception as error:  # noqa: BLE001 - a bare LinAlgError, ValueError, RuntimeWarning, ...
             wrong.append(f"{name} {case}: {type(error).__name__}: {error}")
@@ -114,9 +114,6 @@ def test_hinf_of_any_disturbance_gain(b1):
     design = rl.hinf(Model([[1.0]], [[b1, 1]], [[1], [1]], [[0, 1], [1, 0]]), 1, 1)
     assert design.status is rl.Status.CERTIFIED
     assert b1 * (1 - 1e-9) <= design.gamma <= 1.05 * b1
-
-
-D11, D12, D21 = np.array([[1, 0.5], [0.3, 1]]), np.array([[1.0], [2.0]]), np.array([[1, 0.5]])
 
 
 def test_h2_where_the_control_acts_1e20_times_weaker_than_the_disturbance():

@@ -1,4 +1,4 @@
-"""Riccati and Lyapunov equations, judged by their residuals and by closed forms."""
+"""Riccati and Lyapunov equations against their residuals and closed forms."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ def test_care_scalar_closed_form():
 
 
 def test_a_chain_of_lags_over_nine_decades_has_the_poles_of_its_spectral_factor():
-    """With ``y = k u / p(s)`` the best loop's poles are the stable roots of ``p(s) p(-s) + k^2``, for Q = c^T c, R = 1.
+    """With ``y = k u / p(s)`` the optimal poles are the stable roots of ``p(s) p(-s) + k^2``, for Q = c^T c, R = 1.
 
-    The Schur form of the Hamiltonian alone leaves X wrong by a half, with a relative residual of 0.3.
+    The Schur form of the Hamiltonian alone gives an X wrong by a half, with a relative residual of 0.3.
     """
     lags, gains = 10.0 ** np.array([-5.5, 0.5, 2.8, 3.7, 3.8]), 10.0 ** np.array([-0.3, 1.8, 0.5, -2.6])
     A, B, C = np.diag(-lags) + np.diag(gains, 1), np.zeros((5, 1)), np.zeros((1, 5))
@@ -74,7 +74,7 @@ def test_a_solution_of_sixteen_decades_is_found(A, b, K, rtol):
         (([[1.0]], [[1.0]], [[1.0]], [[0.0]]), "R is singular"),
     ],
 )
-def test_a_refusal_names_what_was_measured(parts, measured):
+def test_a_refusal_names_the_measured_eigenvalue(parts, measured):
     with pytest.raises(NoTrustworthyNumber, match=rf"^care: no stabilising solution was found; .*{measured}"):
         care(*parts)
     with pytest.raises(NoTrustworthyNumber, match=r"nearest to the unit circle has the modulus (2|0\.5)$|, expected"):

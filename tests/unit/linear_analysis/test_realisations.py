@@ -1,4 +1,4 @@
-"""`rl.tf` and `rl.ss`: judged by the polynomials in exact arithmetic, and by what the objects came from."""
+"""`rl.tf`, `rl.zpk` and `rl.ss` against the polynomials in exact arithmetic and the converted objects."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from robustlab.errors import InputError
 
 
 def value(num, den, s):
-    """num(s) / den(s) of the coefficients as they are stored, rounded once at the end."""
+    """Return num(s) / den(s) of the coefficients as stored, rounded once."""
 
     def at(coefficients):
         re, im = Fraction(0), Fraction(0)
@@ -62,7 +62,7 @@ def test_states_are_balanced_where_coefficients_are_far_apart():
         assert_allclose(G(1j * w)[0, 0], value(num, den, 1j * w), rtol=1e-11)
 
 
-def test_a_root_in_both_stays_as_a_hidden_mode():
+def test_a_common_root_is_a_hidden_mode():
     G = rl.tf([1, -1], [1, 1, -2])  # (s - 1) / ((s - 1)(s + 2))
     assert not G.is_stable()
     assert rl.zeros(G).kinds == ("output-decoupling",)
@@ -97,7 +97,7 @@ def test_several_channels():
         ([1], [1e-300, 1e300], "overflow"),
     ],
 )
-def test_what_is_no_proper_transfer_function_is_refused(num, den, text):
+def test_improper_or_invalid_transfer_functions_are_refused(num, den, text):
     with pytest.raises(InputError, match=text):
         rl.tf(num, den)
 
@@ -111,16 +111,16 @@ def test_ss_takes_a_multivariable_transfer_function_of_python_control():
 
 def test_a_sample_time_is_kept_and_an_unknown_one_is_refused():
     assert rl.ss(scipy.signal.dlti([1.0], [1.0, -0.5], dt=0.2)).dt == 0.2
-    for thing in (scipy.signal.dlti([1.0], [1.0, -0.5]), ct.tf([1.0], [1.0, -0.5], True)):
+    for system in (scipy.signal.dlti([1.0], [1.0, -0.5]), ct.tf([1.0], [1.0, -0.5], True)):
         with pytest.raises(InputError, match="dt=True"):
-            rl.ss(thing)
+            rl.ss(system)
     with pytest.raises(InputError, match="its own"):
         rl.ss(rl.tf([1], [1, 1]), dt=0.1)
     with pytest.raises(InputError, match="no C, D"):
         rl.ss([[1.0]], [[1.0]])
 
 
-# --- a pole that entries share: the loop is the one that was meant ------------------------------
+# --- a pole common to several entries ---------------------------------------------------------------------------------
 
 SHARED = {  # num, den, the gains of u = -K y, and of the loop: states, peak gain, disk margin at the input
     "an integrator": ([[[1]], [[1]]], [[[1, 0]], [[1, 1, 0]]], [2, 1], 2, 0.482720, 1.664101),
@@ -161,7 +161,7 @@ def test_least_order_of_larger_matrices():
     assert_allclose(rl.tf(num, den)(s), wanted, rtol=1e-12)
 
 
-def test_a_root_that_one_entry_cancels_is_told():
+def test_a_warning_names_a_root_that_one_entry_cancels():
     with pytest.warns(UserWarning, match=r"tf: \[0\]\[1\]: a zero cancels the unstable mode 1 rad/s"):
         assert rl.tf([[[1], [1, -1]]], [[[1, 1], [1, 1, -2]]]).is_stable()
     rl.tf([[[1]], [[1, 0]]], [1, 0, 0])  # the common denominator of 1/s^2 and 1/s: nothing is lost
@@ -212,6 +212,6 @@ def test_zeros_poles_and_gains_of_several_channels():
         (([], [[-1]], 1), "nested"),
     ],
 )
-def test_what_are_no_zeros_poles_and_gain(given, text):
+def test_invalid_zeros_poles_and_gains_are_refused(given, text):
     with pytest.raises(InputError, match=text):
         rl.zpk(*given)

@@ -1,4 +1,4 @@
-"""StateSpaceModel: what it accepts and refuses, its parts, and its exchange with python-control."""
+"""StateSpaceModel: accepted and refused input, its parts, and its exchange with python-control."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_each_size_is_checked_by_itself(name, shape, expected):
 
 @pytest.mark.parametrize("name", ["A", "B", "C", "D"])
 @pytest.mark.parametrize(("value", "word"), [(np.nan, "NaN"), (np.inf, "infinite"), (-np.inf, "infinite")])
-def test_entries_that_are_no_numbers_are_named(name, value, word):
+def test_entries_that_are_not_finite_are_named(name, value, word):
     matrix = GOOD[name].copy()
     matrix[1, 1] = value
     with pytest.raises(InputError) as caught:
@@ -48,13 +48,13 @@ def test_entries_that_are_no_numbers_are_named(name, value, word):
 @pytest.mark.parametrize(
     "bad", [np.zeros(3), np.zeros((3, 3, 1)), np.eye(3) * 1j, [["a"]], np.eye(3, dtype=bool), [[1.0], [1.0, 2.0]]]
 )
-def test_what_is_no_real_matrix_is_refused(bad):
+def test_matrices_that_are_not_real_are_refused(bad):
     with pytest.raises(InputError):
         build(A=bad)
 
 
 @pytest.mark.parametrize("dt", [-0.1, np.nan, np.inf, True])
-def test_sample_times_that_are_none(dt):
+def test_invalid_sample_times_are_refused(dt):
     with pytest.raises(InputError, match="dt"):
         build(dt=dt)
 

@@ -1,4 +1,4 @@
-"""Structural tests on models whose hidden modes are known by construction."""
+"""Controllability and observability of models whose hidden modes are known by construction."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def model(a, b, c=None, dt=0.0, **names):
 
 
 def test_thesis_motor():
-    """Thesis: rank 2 of 2, by its eqs 4.2 and 4.3; the angle adds an integrator that the angle alone shows."""
+    """Thesis: rank 2 of 2, by its eqs 4.2 and 4.3; the angle adds an integrator observable from the angle only."""
     motor = rl.linearise(rl.plant("dc-motor"))
     pair = drop_unconnected(motor.select(outputs=["omega", "i"]))
     for test in (rl.controllability(pair), rl.observability(pair), rl.controllability(motor)):
@@ -38,7 +38,7 @@ def test_thesis_motor():
 
 
 def test_twelve_states_with_the_thesis_scaling():
-    """Six decoupled pairs (phi, phidot) driven through 1/J ~ 4e4: what the platform's raw ctrb matrix chokes on."""
+    """Six decoupled pairs (phi, phidot) driven through 1/J ~ 4e4, for which the controllability matrix fails."""
     stiffness = np.diag([2.6, 2.6, 1.0, 0.3, 0.3, 5.0]) + 0.1
     a = np.block([[np.zeros((6, 6)), np.eye(6)], [stiffness, np.zeros((6, 6))]])
     b = np.vstack([np.zeros((6, 6)), 4.4e4 * (np.eye(6) + 0.05)])
@@ -51,7 +51,7 @@ def test_twelve_states_with_the_thesis_scaling():
         assert (test.rank, test.status) == (12, rl.Status.CONVERGED)
 
 
-def test_unstable_hidden_pair_and_its_words():
+def test_unstable_hidden_pair_and_its_text():
     a = np.zeros((4, 4))
     a[:2, :2] = [[0.5, 2.0], [-2.0, 0.5]]
     a[2:, 2:] = [[-1.0, 1.0], [0.0, -2.0]]
@@ -72,7 +72,7 @@ def test_discrete_modes(value, stable):
 
 
 def test_hidden_double_integrator_is_not_called_stable():
-    """Its computed eigenvalues are +-1e-8: rounding must not turn that into "stable"."""
+    """Its computed eigenvalues are +-1e-8: rounding must not make them "stable"."""
     a = np.array([[0, 1, 0.0], [0, 0, 0], [0, 0, -1]])
     for seed in range(10):
         q = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
@@ -82,7 +82,7 @@ def test_hidden_double_integrator_is_not_called_stable():
 
 
 def test_half_controllable_jordan_chain():
-    """A Jordan chain entered in its middle: the part behind is hidden, at an eigenvalue known to 1e-5 only."""
+    """A Jordan chain driven in its middle: the other part is hidden, at an eigenvalue accurate to 1e-5 only."""
     a = -np.eye(4) + np.eye(4, k=1)
     for seed in range(10):
         q = np.linalg.qr(np.random.default_rng(seed).normal(size=(4, 4)))[0]
@@ -92,7 +92,7 @@ def test_half_controllable_jordan_chain():
 
 
 def test_symmetric_chain_pushed_in_the_middle():
-    """Three masses, walls on both sides, force on the middle one: the mode q = (1, 0, -1) stays hidden."""
+    """Three masses between walls, force on the middle one: the mode q = (1, 0, -1) is hidden."""
     k = np.array([[2.0, -1, 0], [-1, 2, -1], [0, -1, 2]])
     a = np.block([[np.zeros((3, 3)), np.eye(3)], [-k, np.zeros((3, 3))]])
     names = ["q1", "q2", "q3", "v1", "v2", "v3"]
@@ -121,7 +121,7 @@ def test_drop_unconnected_keeps_signals_and_operating_point():
     np.testing.assert_allclose(rl.frequency_response(part, omega), rl.frequency_response(motor, omega), rtol=1e-12)
 
 
-def test_a_hidden_mode_is_named_where_a_loop_is_unstable_by_it():
+def test_the_hidden_mode_of_an_unstable_loop_is_named():
     G = rl.StateSpaceModel(
         [[0, 0, 0], [0, -1, 0], [0, 1, 0]], [[1], [1], [0]], [[1, 0, 0], [0, 0, 1]], [[0], [0]],
         states=["p", "q", "r"], inputs=["u"], outputs=["a", "b"],

@@ -26,9 +26,6 @@ def random_model(seed: int, *, square: bool = False) -> rl.StateSpaceModel:
     return rl.StateSpaceModel(A, rng.standard_normal((n, m)), rng.standard_normal((p, n)), D, dt)
 
 
-# --- exact roots on the boundary -------------------------------------------------------------------------------------
-
-
 def companion(*factors: list[float]) -> np.ndarray:
     p = np.array([1.0])
     for factor in factors:
@@ -54,7 +51,7 @@ def test_a_model_mirrored_in_the_axis_has_the_same_peak(seed):
 
 
 def test_a_discrete_unstable_pole():
-    """1 / (z - 2) is largest at z = 1, where it is -1."""
+    """1 / (z - 2) has its peak -1 at z = 1."""
     found = rl.peak_gain(rl.StateSpaceModel([[2.0]], [[1.0]], [[1.0]], [[0.0]], 0.1), norm="linf")
     assert (found.value, found.frequency) == (pytest.approx(1.0, rel=1e-9), pytest.approx(0.0, abs=1e-6))
     assert found.status is Status.CERTIFIED
@@ -70,11 +67,8 @@ def test_a_pole_on_the_boundary_makes_it_infinite(A):
     assert "stability boundary" in found.reason
 
 
-# --- H2 --------------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("seed", range(20))
-def test_the_peak_in_a_band_beside_a_dense_grid(seed):
+def test_the_peak_in_a_band_against_a_dense_grid(seed):
     G, rng = random_model(seed), np.random.default_rng(seed)
     last = np.pi / G.dt if G.dt else 50.0
     low, high = np.sort(rng.uniform(0, last, 2))
@@ -87,7 +81,7 @@ def test_the_peak_in_a_band_beside_a_dense_grid(seed):
 
 
 def test_the_peak_in_a_band_in_closed_form():
-    # Beyond its peak the gain of a resonance falls: the low end has the largest.
+    # Above its peak the gain of a resonance falls: the peak is at the low end.
     assert rl.peak_gain(resonance(0.1), band=(2.0, np.inf)).lower == pytest.approx(1 / np.hypot(3, 0.4), rel=1e-9)
     whole, over = rl.peak_gain(resonance(0.1), norm="linf"), rl.peak_gain(resonance(0.1), band=(0.5, 2.0))
     assert (whole.lower, whole.frequency) == pytest.approx((over.lower, over.frequency), rel=1e-6)
@@ -105,7 +99,7 @@ def test_a_pole_on_the_boundary_counts_in_its_band_alone():
     double = rl.StateSpaceModel(twice, np.eye(4)[:, 3:], np.eye(4)[:1], [[0.0]])
     assert rl.peak_gain(double, band=(0.5, 5.0)).status is Status.CERTIFIED
     assert rl.peak_gain(double, band=(2.0, 5.0)).lower == pytest.approx(1 / 9, rel=1e-9)
-    # an integrator, and beside it a pole of the band that may or may not lie on the axis
+    # an integrator, and a pole in the band that may or may not lie on the axis
     A = np.array([[0.0, 0, 0], [0, 0, 1], [0, -1, -1e-16]])
     beside = rl.StateSpaceModel(A, np.ones((3, 1)), np.ones((1, 3)), [[0.0]])
     assert rl.peak_gain(beside, band=(0.5, 5.0)).status is Status.INACCURATE
@@ -115,7 +109,7 @@ def test_a_pole_on_the_boundary_counts_in_its_band_alone():
 
 
 @pytest.mark.parametrize("band", [(2.0, 1.0), (-1.0, 1.0), (1.0, 1.0), (1.0, 40.0), (np.nan, 1.0), (1.0,), "ab"])
-def test_bands_that_are_none_are_refused(band):
+def test_invalid_bands_are_refused(band):
     with pytest.raises(InputError, match="band"):
         rl.peak_gain(rl.StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1), band=band)
 
@@ -128,10 +122,10 @@ def test_the_h2_norm_of_a_resonance_has_its_closed_form(zeta, omega):
     assert norm.value == pytest.approx(np.sqrt(omega / (4 * zeta)), rel=1e-9)
 
 
-def judged(index):
-    """A model of the attack, and its H2 norm in balls of 200 digits and more, by code that shares none with ours.
+def exact_case(index):
+    """Return a model of the attack, and its H2 norm in balls of 200 digits and more, by independent code.
 
-    The last bits of such a model, and with them its norm, are those of the processor that multiplied its matrices.
+    The last bits of such a model, and with them its norm, depend on the processor that multiplied its matrices.
     """
     pytest.importorskip("flint")
     from exact_loops import Model, system, with_precision
@@ -142,13 +136,13 @@ def judged(index):
     return rl.StateSpaceModel(data.A, data.B, data.C, data.D, data.dt), None if exact is None else float(exact)
 
 
-# Poles with damping of 1e-5 and less: on one processor or another the Gramians lose 1e-7 to all of it.
+# Poles with damping of 1e-5 and less: on some processor the Gramians lose 1e-7 of the norm, or all of it.
 HARD = (2591, 7711, 9631, 11631, 18831, 30831)
 
 
 @pytest.mark.parametrize("index", HARD)
 def test_a_norm_next_to_the_stability_boundary_is_right_or_inaccurate(index):
-    model, exact = judged(index)
+    model, exact = exact_case(index)
     found = rl.h2_norm(model)
     if exact is None or not found.status.trustworthy:
         assert found.status is Status.INACCURATE
@@ -157,6 +151,8 @@ def test_a_norm_next_to_the_stability_boundary_is_right_or_inaccurate(index):
 
 
 def test_h2_of_edges():
+    discrete = rl.StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[2.0]], 1.0)
+    assert rl.h2_norm(discrete).value == pytest.approx(np.sqrt(4 + 4 / 3))
     assert rl.h2_norm(rl.StateSpaceModel([[1.0]], [[1.0]], [[1.0]], [[0.0]])).value == np.inf
     assert rl.h2_norm(rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[1.0]])).value == np.inf
     assert rl.h2_norm(rl.StateSpaceModel([], [], [], [[3.0, 4.0]], 0.1)).value == 5.0

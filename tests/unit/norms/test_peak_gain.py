@@ -1,4 +1,4 @@
-"""One question of any kind of system: who answers, and what is refused with the way there."""
+"""`rl.peak_gain` of every kind of system: the class of the result, and refused options with their hints."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ ROUGH = rl.with_effects(rl.plant("servo-axis"), {"input-saturation": {"u_max": 1
         (rl.LPVModel({"a": [1.0, 4.0]}, [LAG, LAG]), {}, "LPVGain"),
     ],
 )
-def test_each_kind_answers_with_one_class_of_bounds(system, options, kind):
+def test_each_kind_has_one_class_of_bounds(system, options, kind):
     found = rl.peak_gain(system, **options)
     assert isinstance(found, PeakGain)
     assert type(found).__name__ == kind
@@ -62,7 +62,7 @@ def test_channels_are_chosen_by_name():
         (lambda: rl.peak_gain(ROUGH), "controller: none for a plant"),
     ],
 )
-def test_an_option_of_another_kind_is_refused_with_the_way_there(call, text):
+def test_an_option_of_another_kind_is_refused_with_a_hint(call, text):
     with pytest.raises(rl.InputError, match=text) as caught:
         call()
     assert caught.value.where.startswith("peak_gain")

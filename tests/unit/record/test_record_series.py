@@ -1,4 +1,4 @@
-"""Record: clocks and channels that are accepted, refused, and how the refusal reads."""
+"""Record: accepted and refused times and channels, and the messages."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def make(**changed):
         ([[0.0, 1.0]], "1 dimensions"),
     ],
 )
-def test_clocks_that_do_not_run(t, text):
+def test_times_that_do_not_increase_are_refused(t, text):
     with pytest.raises(InputError, match=text):
         Record(t, outputs={"q": np.zeros(np.size(t))})
 
@@ -49,7 +49,7 @@ def test_a_gap_makes_it_non_uniform_but_is_kept():
         ({"outputs": {"q": ["a"] * 11}}, "real numbers"),
     ],
 )
-def test_channels_that_do_not_fit(changed, text):
+def test_channels_that_do_not_fit_are_refused(changed, text):
     with pytest.raises(InputError, match=text):
         make(**changed)
 

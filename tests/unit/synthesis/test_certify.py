@@ -1,4 +1,4 @@
-"""No design trusts the loop that was rebuilt in floating point: the liars are found out, in ball arithmetic."""
+"""Designs prove the loop of P and K in ball arithmetic: a wrong rebuilt loop is detected."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ HOSTILE = Path(__file__).resolve().parents[4] / "shared" / "data" / "hostile" / 
 
 
 def loop_norm_proved(P: StateSpaceModel, K: StateSpaceModel, gamma: float) -> bool:
-    """By the checker alone."""
+    """Prove the norm by the checker alone."""
     numbers: dict[str, Any] = {f"P_{x}": getattr(P, x) for x in "ABCD"} | {f"K_{x}": getattr(K, x) for x in "ABCD"}
     sizes = {"n_meas": np.array(K.n_inputs), "n_con": np.array(K.n_outputs)}
     claim = Claim("loop-norm", numbers | sizes | {"dt": np.array(P.dt), "gamma": np.array(gamma)})
@@ -30,9 +30,9 @@ def loop_norm_proved(P: StateSpaceModel, K: StateSpaceModel, gamma: float) -> bo
 
 @pytest.mark.slow
 @pytest.mark.shared
-@pytest.mark.skipif(not HOSTILE.exists(), reason="measured data not beside the checkout")
-def test_the_plant_that_broke_a_certificate() -> None:
-    """Certified 16.2949 once, 17.25 in truth: that K is kept as it is, and what hinf certifies now is true."""
+@pytest.mark.skipif(not HOSTILE.exists(), reason="measured data are missing")
+def test_the_plant_of_a_false_certificate() -> None:
+    """An earlier version certified 16.2949 for this K, whose norm is 17.25; the present design is proved."""
     d = np.load(HOSTILE)
     _, _, n_y, n_u = (int(x) for x in d["dims"])
     P = StateSpaceModel(d["A"], d["B"], d["C"], d["D"])
@@ -45,28 +45,28 @@ def test_the_plant_that_broke_a_certificate() -> None:
     assert loop_norm_proved(P, design.K, design.gamma * (1 + 2e-6))
 
 
-# --- every synthesis asks the checker ---------------------------------------------------------------------------------
+# --- every synthesis uses the checker ---------------------------------------------------------------------------------
 
 PLANT = StateSpaceModel(
     [[-1.0, 1.0], [0.0, -3.0]], [[1.0, 0.0, 0.0], [1.0, 0.0, 1.0]], [[1, 0], [0, 0], [1, 0]],
     [[0, 0, 0], [0, 0, 1], [0, 1, 0]], inputs=["d", "n", "u"], outputs=["x", "effort", "y"],
 )  # fmt: skip
 LAG = StateSpaceModel([[-0.1]], [[1.0]], [[1.0]], [[0.0]])
-LYING = 0.9
+WRONG = 0.9
 
 
-def lying_lft(P: StateSpaceModel, K: StateSpaceModel) -> StateSpaceModel:
-    """A rebuilt loop with nine tenths of the gain: as if digits had been lost in it."""
+def wrong_lft(P: StateSpaceModel, K: StateSpaceModel) -> StateSpaceModel:
+    """Return a rebuilt loop with nine tenths of the gain, as if digits had been lost in it."""
     true = lower_lft(P, K)
     return StateSpaceModel(
-        true.A, true.B, LYING * true.C, LYING * true.D, true.dt, true.inputs, true.outputs, true.states
+        true.A, true.B, WRONG * true.C, WRONG * true.D, true.dt, true.inputs, true.outputs, true.states
     )
 
 
 @pytest.fixture
-def lie(monkeypatch: pytest.MonkeyPatch) -> None:
+def wrong_loops(monkeypatch: pytest.MonkeyPatch) -> None:
     for module in (partition, coprime, sampled_norm):
-        monkeypatch.setattr(module, "lower_lft", lying_lft)
+        monkeypatch.setattr(module, "lower_lft", wrong_lft)
 
 
 DESIGNS = {
@@ -84,14 +84,14 @@ DESIGNS = {
 
 
 @pytest.mark.parametrize("name", DESIGNS)
-def test_no_design_trusts_the_rebuilt_loop_alone(name: str, lie: None) -> None:
+def test_designs_detect_a_wrong_rebuilt_loop(name: str, wrong_loops: None) -> None:
     design = DESIGNS[name]()
     assert design.status is Status.INACCURATE
     assert "closed exactly" in design.reason
     assert "proved in ball" not in design.reason
     if name == "dk":
         return
-    # The larger number is shown: what the loop of P and K has, not what the lying realisation has.
+    # gamma is the larger norm, of the loop of P and K
     truth = lower_lft(design.plant.model, design.K)
     if name == "ncf":
         truth = lower_lft(coprime.four_block(design.shaped_plant), design.K_shaped)
@@ -104,15 +104,15 @@ def test_designs_of_true_loops_are_confirmed(name: str) -> None:
     assert DESIGNS[name]().status.trustworthy
 
 
-def test_reduction_and_discretisation_do_not_trust_it_either(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_reduction_and_discretisation_detect_it_too(monkeypatch: pytest.MonkeyPatch) -> None:
     design = rl.hinf(PLANT, 1, 1)
     assert rl.reduce_controller(design, loss=0.5).status is Status.CERTIFIED
     assert rl.discretise(design, 0.01, method="tustin").status.trustworthy
     for module in (partition, sampled_norm):
-        monkeypatch.setattr(module, "lower_lft", lying_lft)
+        monkeypatch.setattr(module, "lower_lft", wrong_lft)
     with pytest.raises(NoTrustworthyNumber, match="closed exactly"):
         rl.reduce_controller(design, loss=0.5)
-    # Of all methods none is taken that was not checked because another one seemed better.
+    # Every chosen method is checked.
     for method in ("tustin", "auto"):
         digital = rl.discretise(design, 0.01, method=method, loss=10)
         assert digital.status is Status.INACCURATE

@@ -1,4 +1,4 @@
-"""Reduction of controllers: measures, scalings, unstable controllers, the order wanted, what is refused."""
+"""Reduction of controllers: measures, scalings, unstable controllers, the requested order, refusals."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PLANT = rl.StateSpaceModel(
 
 
 def padded(K: rl.StateSpaceModel, extra: float = 1e-4) -> rl.StateSpaceModel:
-    """K with two more states that hardly matter, in mixed coordinates."""
+    """Return K with two more, negligible states in mixed coordinates."""
     n = K.n_states
     A = np.block([[K.A, np.zeros((n, 2))], [np.zeros((2, n)), np.diag([-3.0, -40.0])]])
     B, C = np.vstack([K.B, np.ones((2, K.n_inputs))]), np.hstack([K.C, extra * np.ones((K.n_outputs, 2))])
@@ -30,7 +30,7 @@ def design():
     return rl.hinf(PLANT, 1, 1, gamma_rel=1.0)
 
 
-def test_states_that_do_not_matter_go_and_the_loop_is_proved_anew(design):
+def test_negligible_states_are_removed_and_the_loop_is_proved_anew(design):
     lines: list[str] = []
     small = rl.reduce_controller(design, padded(design.K), loss=1e-3, progress=lines.append)
     assert isinstance(small, ReducedController)
@@ -66,7 +66,7 @@ def test_h2_norm_as_the_measure():
 
 
 def mu_problem() -> tuple[GeneralizedPlant, rl.StateSpaceModel]:
-    """A lag with a relative error of 30 % at its input, and an integrating controller with a needless fast pole."""
+    """Return a lag with 30 % uncertainty at its input, and an integrating controller with a needless fast pole."""
     P = rl.StateSpaceModel(
         [[-1, 0], [1, -0.01]], [[1, 0, 1], [0, 1, 0]], [[0, 0], [0, 0.2], [-1, 0]],
         [[0, 0, 0.3], [0, 0.3, 0], [0, -1, 0]],
@@ -134,7 +134,7 @@ def lag(gain: float) -> rl.StateSpaceModel:
 
 
 def four_block_gain(K: rl.StateSpaceModel) -> float:
-    """Peak of |[G; 1] (1 - K G)^-1 [K 1]| for G = 1/(s - 1), by formula on a fine grid."""
+    """Return the peak of |[G; 1] (1 - K G)^-1 [K 1]| for G = 1/(s - 1), by formula on a fine grid."""
     s = 1j * np.concatenate([[0.0], np.geomspace(1e-3, 1e4, 20001)])
     g, k = 1 / (s - 1), rl.frequency_response(K, s.imag)[:, 0, 0]
     return float((np.sqrt(1 + np.abs(g) ** 2) * np.sqrt(1 + np.abs(k) ** 2) / np.abs(1 - k * g)).max())
@@ -142,7 +142,7 @@ def four_block_gain(K: rl.StateSpaceModel) -> float:
 
 @pytest.mark.parametrize("order", [None, 0, 1])
 def test_an_unstable_loop_of_a_bare_plant_is_refused(order):
-    """G = 1/(s - 1), K = 5/(s + 10): poles +1.437 and -10.437; once answered by gamma 0, certified."""
+    """G = 1/(s - 1), K = 5/(s + 10): poles +1.437 and -10.437."""
     with pytest.raises(rl.NoTrustworthyNumber, match=r"pole 1\.43717.*unstable") as caught:
         rl.reduce_controller(UNSTABLE, lag(5.0), order=order)
     assert "u = K y, positive feedback" in str(caught.value)
@@ -153,7 +153,7 @@ def test_an_unstable_loop_of_a_bare_plant_is_refused(order):
         rl.discretise(lag(5.0), 0.01, plant=UNSTABLE)
 
 
-def test_a_bare_plant_is_judged_by_the_four_block_gain_of_its_loop():
+def test_the_measure_of_a_bare_plant_is_the_four_block_gain_of_its_loop():
     K = rl.StateSpaceModel([[-10.0, 1.0], [0.0, -100.0]], [[1.0], [3.0]], [[-50.0, 2.0]], [[-3.0]])
     for order in (None, 0, 1):
         small = rl.reduce_controller(UNSTABLE, K, order=order)

@@ -1,4 +1,4 @@
-"""From continuous to discrete: closed forms, exactness where promised, pathological sampling, bad requests."""
+"""From continuous to discrete: closed forms, exactness, pathological sampling, bad requests."""
 
 from __future__ import annotations
 
@@ -50,14 +50,14 @@ def test_holds_are_exact_at_the_samples():
     for method in ("zoh", "foh"):
         exact = rl.simulate(TWO_BY_TWO, t, u, hold=method)
         found = rl.discretise(TWO_BY_TWO, 0.5, method)
-        # The state of the first-order hold is x - slope u: the plant's x = 0 at the first sample means this x0.
+        # The state of the first-order hold is x - slope u, which gives x0 for x = 0 at the first sample.
         slope = found.D - TWO_BY_TWO.D
         stepped = rl.simulate(found, t, u, x0=-slope @ u[0] if method == "foh" else None)
         for name in ("y1", "y2"):
             np.testing.assert_allclose(stepped[name], exact[name], atol=1e-12)
 
 
-def test_matched_poles_and_zeros_are_where_they_belong():
+def test_matched_poles_and_zeros():
     # (s + 1)(s^2 + 2 s + 5) / ((s + 3)(s + 4)(s^2 + 0.1 s + 9)): one zero at infinity.
     num, den = np.polymul([1, 1], [1, 2, 5]), np.polymul(np.polymul([1, 3], [1, 4]), [1, 0.1, 9])
     import control
@@ -105,7 +105,7 @@ def test_pathological_sampling_is_named():
     assert not merged.stable
     assert "no digital controller moves both" in str(merged)
     assert merged_modes(oscillator, 0.3) == ()
-    # And it is true: the sampled oscillator is not controllable any more.
+    # the sampled oscillator is not controllable
     sampled = rl.discretise(oscillator, np.pi / 10, "zoh")
     assert np.linalg.svd(np.hstack([sampled.B, sampled.A @ sampled.B]), compute_uv=False)[1] < 1e-15
 

@@ -44,7 +44,7 @@ def test_skogestad_9_3():
     ("n", "p", "m", "direct", "unstable"),
     [(1, 1, 1, 0.0, True), (4, 2, 2, 0.0, True), (5, 3, 2, 0.0, False), (5, 2, 3, 0.7, True), (8, 1, 2, 1.5, True)],
 )
-def test_random_plants_reach_what_was_asked_for(dt, n, p, m, direct, unstable):
+def test_random_plants_reach_the_requested_factor(dt, n, p, m, direct, unstable):
     for seed in range(2):
         G = random_plant(seed, n, p, m, dt, direct, unstable)
         for factor in (1.02, 1.5):

@@ -31,13 +31,13 @@ def test_hankel_values_of_slicots_documented_example():
 
 
 def test_truncation_of_two_states_by_hand():
-    # Balanced already: A_ij = -b_i b_j / (s_i + s_j) solves A S + S A^T + B B^T = 0 with S = diag(s), and C = B^T.
+    # a balanced model: A_ij = -b_i b_j / (s_i + s_j) solves A S + S A^T + B B^T = 0 with S = diag(s), and C = B^T.
     sigma, b = np.array([2.0, 0.1]), np.array([1.0, 0.5])
     G = rl.StateSpaceModel(-np.outer(b, b) / np.add.outer(sigma, sigma), b[:, None], b[None], [[0.0]])
     found = rl.reduce_model(G, 1)
     np.testing.assert_allclose(found.hankel, sigma, rtol=1e-12)
     np.testing.assert_allclose(found.model.poles(), [-0.25], rtol=1e-10)  # -b1^2 / (2 s1)
-    assert found.bound == pytest.approx(0.2, rel=2e-9)  # never below what is proved of the error
+    assert found.bound == pytest.approx(0.2, rel=2e-9)  # not below the proved error
     assert found.error.upper == pytest.approx(0.2, rel=1e-5)  # the last value left out alone: the bound is attained
 
 
@@ -84,7 +84,7 @@ def test_coprime_factors_reduce_unstable_modes_and_bound_the_gap(dt):
     assert unstable == [True, True]
 
 
-def test_tolerance_takes_the_lowest_order_that_keeps_it():
+def test_the_lowest_order_within_the_tolerance_is_chosen():
     G = stable_model(9, 11)
     errors = [rl.reduce_model(G, r).error.upper for r in range(9)]
     tolerance = 0.5 * (errors[4] + errors[3])
@@ -132,7 +132,7 @@ COPIED = rl.StateSpaceModel(  # [1/(s-1); 1/((s-1)(s+2))] with the unstable pole
 )
 
 
-def test_a_minimal_model_is_exact_where_the_cancellation_is():
+def test_a_minimal_model_is_exact_if_the_cancellation_is():
     found = rl.minimal(COPIED)
     assert (found.order, found.error.upper, found.status.value) == (2, 0.0, "certified")
     assert found.removed == ("unstable mode 1 rad/s in p, q, r: no input moves it",)
@@ -147,7 +147,7 @@ def test_a_minimal_model_is_exact_where_the_cancellation_is():
 
 
 @pytest.mark.parametrize("method", ["truncation", "coprime"])
-def test_no_reduction_leaves_out_what_an_exact_model_of_that_order_has(method):
+def test_reduction_is_exact_where_an_exact_model_of_that_order_exists(method):
     found = rl.reduce_model(COPIED, 2, method=method)  # truncation kept both copies, and an error of 1/6
     assert found.order == 2
     assert found.error.upper < 1e-12

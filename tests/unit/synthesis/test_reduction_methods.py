@@ -1,4 +1,4 @@
-"""Hankel-norm approximation, stochastic balancing: closed forms, published examples, other ways to compute."""
+"""Hankel-norm approximation, stochastic balancing: closed forms, published examples, independent computations."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ def test_slicots_published_hankel_norm_approximation():
     ours = rl.StateSpaceModel(found.model.A, found.model.B, found.model.C, np.zeros((3, 2)))
     assert difference_on_grid(ours, theirs, [0.0, 0.5, 1.0, 3.0, 10.0]) < 4e-4  # printed to four digits
     assert found.hankel_error == pytest.approx(found.hankel[5], rel=1e-9)
-    # Their direct term comes from the dilation alone; ours stands for the unstable modes too, and keeps half the bound.
+    # Their direct term is that of the dilation; ours replaces the unstable modes too, which halves the bound.
     assert found.error.upper <= found.bound * (1 + 1e-6)
     assert found.bound == pytest.approx(found.hankel[5:].sum())
 
 
 @pytest.mark.parametrize("method", ["hankel", "stochastic"])
 @pytest.mark.parametrize("dt", [0.0, 0.1])
-def test_modes_that_are_not_stable_stay_and_what_is_not_minimal_goes(method, dt):
+def test_unstable_modes_are_kept_and_the_rest_is_minimal(method, dt):
     G = stable_model(4, 2, dt, 1, 1)
     twice = rl.StateSpaceModel(
         block_diag(G.A, G.A, 1.3), np.vstack([G.B, G.B, [[1.0]]]), np.hstack([G.C / 2, G.C / 2, [[1.0]]]), G.D, dt
@@ -92,18 +92,18 @@ def test_the_relative_error_of_a_square_model_is_that_of_its_inverse(seed):
     assert found.difference.upper >= difference_on_grid(G, found.model, np.geomspace(0.01, 100, 50)) * (1 - 1e-9)
 
 
-def test_a_zero_on_the_right_must_stay_and_is_named_by_an_infinite_bound():
+def test_a_right_half_plane_zero_is_kept_and_the_bound_without_it_is_infinite():
     # (s - 1)(s + 3) / ((s + 2)(s + 5)): one value is 1, the phase of the zero.
     A, B = [[-7.0, -10.0], [1.0, 0.0]], [[1.0], [0.0]]
     G = rl.StateSpaceModel(A, B, [[-5.0, -13.0]], [[1.0]])
     found = rl.reduce_model(G, 1, method="stochastic")
     assert found.hankel[0] == pytest.approx(1.0, abs=1e-9)
     assert np.isfinite(found.bound)
-    np.testing.assert_allclose(rl.zeros(found.model).values.real, [1.0], rtol=1e-6)  # and its zero stays where it is
+    np.testing.assert_allclose(rl.zeros(found.model).values.real, [1.0], rtol=1e-6)  # the zero is unchanged
     assert rl.reduce_model(G, 0, method="stochastic").bound == np.inf
 
 
-def test_models_whose_gain_vanishes_ask_for_a_floor():
+def test_models_whose_gain_vanishes_require_a_floor():
     with pytest.raises(rl.InputError, match=r"no full row rank.*\n?.*floor="):
         rl.reduce_model(lag(1.0, 1.0), 0, method="stochastic")
     washout = rl.StateSpaceModel([[-1.0]], [[1.0]], [[-1.0]], [[1.0]])  # s / (s + 1)

@@ -1,4 +1,4 @@
-"""rl.d2c: scipy's and python-control's discretisation, closed forms, and what has no answer."""
+"""rl.d2c against scipy's and python-control's discretisation, and its refusals."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def plant(seed=0):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_what_scipy_discretised_comes_back_at_its_sample_time(seed):
+def test_models_discretised_by_scipy_are_recovered(seed):
     truth = plant(seed)
     given = rl.StateSpaceModel(
         *cont2discrete((truth.A, truth.B, truth.C, truth.D), T)[:4], T, truth.inputs, truth.outputs
@@ -56,6 +56,6 @@ def test_tustin_is_the_map_of_python_control():
         (lambda: rl.d2c(DELAY, "zho"), rl.InputError, "(?s)method 'zho', expected one of zoh, tustin.*mean zoh"),
     ],
 )  # fmt: skip
-def test_what_has_no_answer(convert, error, text):
+def test_models_without_a_continuous_one_are_refused(convert, error, text):
     with pytest.raises(error, match=text):
         convert()

@@ -1,4 +1,4 @@
-"""Digital controllers: the best formula, the direct design, the limits that are named."""
+"""Digital controllers: the best formula, the direct design, refusals."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def crossover(plant, K):
     return omega[np.abs(loop) > 1].max()
 
 
-def test_fast_sampling_loses_nothing_and_says_what_was_tried(design):
+def test_fast_sampling_loses_nothing_and_reports_the_methods_tried(design):
     lines: list[str] = []
     found = rl.discretise(design, 1e-3, progress=lines.append)
     assert found.status is Status.CERTIFIED
@@ -74,13 +74,13 @@ def test_on_a_flexible_chain_the_direct_design_loses_little_where_no_formula_is_
     again = rl.sampled_data_norm(plant, found.K)
     assert again.status is Status.CERTIFIED
     assert again.upper == pytest.approx(found.gamma, rel=1e-9)
-    # At the samples the exact discrete loop is stable: poles of its own.
+    # the exact discrete loop is stable, too
     from robustlab.statespace import lower_lft
 
     assert lower_lft(rl.discretise(plant.model, dt, "zoh"), found.K).is_stable()
 
 
-def test_a_delay_costs_and_the_direct_design_knows_it(design):
+def test_the_direct_design_loses_less_by_a_delay(design):
     losses = [rl.discretise(design, 0.3, method="direct", delay=delay).loss for delay in (0.0, 0.45)]
     assert losses[0] < losses[1]
     tustin = rl.discretise(design, 0.3, method="tustin", delay=0.45).loss
@@ -88,7 +88,7 @@ def test_a_delay_costs_and_the_direct_design_knows_it(design):
 
 
 def test_pathological_sampling_of_an_oscillator_is_named():
-    # An undamped oscillator sampled every half period.
+    # an undamped oscillator sampled every half period
     P = rl.StateSpaceModel(
         [[0, 10], [-10, 0]], [[0, 0, 0], [1, 0, 1]], [[1, 0], [0, 0], [1, 0]], [[0, 0, 0], [0, 0, 0.1], [0, 0.1, 0]]
     )
@@ -99,7 +99,7 @@ def test_pathological_sampling_of_an_oscillator_is_named():
 
 
 def test_lifting_repeats_the_plant_over_a_period():
-    # Without delay the lifted state map is the exact discrete one, whatever the number of intervals.
+    # Without delay the lifted state map is the exact discrete one for any number of intervals.
     held = rl.discretise(LOW, 0.4, "zoh")
     for n_intervals, delay in ((1, 0.0), (3, 0.0), (4, 0.1)):
         model = lift(rl.synthesis.GeneralizedPlant(LOW, 1, 1), 0.4, n_intervals, delay).generalized_plant().model

@@ -1,4 +1,4 @@
-"""What an H-infinity design says about itself: lower bounds, estimates, bandwidth, proof of stability."""
+"""Evidence of an H-infinity design: lower bounds, estimates, bandwidth."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SINGULAR = StateSpaceModel([[-1.0]], [[1, 1]], [[1], [0], [1]], [[0, 0], [0, 1],
 
 @pytest.mark.parametrize("seed", range(2))
 def test_a_hidden_mode_next_to_a_multiple_pole_is_no_zero(seed):
-    """Four integrators in a row in any coordinates: what is lost at infinity, W1(inf) = 0.5, is all that is lost."""
+    """Four integrators in a row in any coordinates: only W1(inf) = 0.5 limits gamma."""
     rng = np.random.default_rng(seed)
     T = rng.normal(size=(4, 4))
     A = T @ np.diag(np.ones(3), 1) @ np.linalg.inv(T)
@@ -34,7 +34,7 @@ def test_a_hidden_mode_next_to_a_multiple_pole_is_no_zero(seed):
     assert 0.5 < design.gamma < 0.55
 
 
-def test_right_half_plane_zero_costs_the_weight_there():
+def test_a_right_half_plane_zero_bounds_gamma_by_the_weight_there():
     """S(z) = 1 at a zero z of the plant, so ||W1 S|| >= |W1(z)|; with a small penalty on u it is attained."""
     zero = 2.0
     G = StateSpaceModel([[-1.0]], [[1.0]], [[-1.0 - zero]], [[1.0]])  # (s - 2) / (s + 1)
@@ -48,7 +48,7 @@ def test_right_half_plane_zero_costs_the_weight_there():
     assert "proved at the zero s = 2 rad/s" in design.lower_bound.known
 
 
-def test_lower_bound_meets_gamma_where_one_frequency_decides():
+def test_lower_bound_equals_gamma_if_one_frequency_decides():
     design = hinf(SINGULAR, 1, 1, gamma_rel=1.0)
     exact = 1 / np.sqrt(2)
     assert design.gamma_lower <= exact * (1 + 1e-12)
@@ -59,7 +59,7 @@ def test_lower_bound_meets_gamma_where_one_frequency_decides():
 @settings(max_examples=25)
 @given(st.integers(0, 10**6))
 def test_no_stable_loop_is_below_the_bound(seed):
-    """Any stabilising controller, here the plant's own stability and a small random K, respects it."""
+    """No stabilising controller, here K = 0 or a small random K of a stable plant, violates it."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(1, 5))
     A = rng.standard_normal((n, n))
@@ -75,7 +75,7 @@ def test_no_stable_loop_is_below_the_bound(seed):
         assert found <= norm.upper * (1 + 1e-9)
 
 
-def test_bound_of_a_discrete_plant_speaks_of_the_unit_circle():
+def test_bound_of_a_discrete_plant():
     plant = bilinear_to_discrete(SINGULAR, 0.5)
     design = hinf(plant, 1, 1, gamma_rel=1.0)
     assert design.gamma_lower == pytest.approx(1 / np.sqrt(2), rel=1e-4)
@@ -90,15 +90,15 @@ def test_estimated_optimum_and_cost_of_regularisation():
     design = hinf(regular, 1, 1)
     assert design.estimated_optimum == pytest.approx(2.0, rel=3e-4)
     assert 0 <= design.regularisation_cost < 1e-3
-    told = json.loads(json.dumps(plain(design.to_json())))
-    assert {"gamma_lower", "lower_bound", "estimated_optimum", "regularisation_cost", "assumptions"} <= told.keys()
-    assert told["lower_bound"]["proved"] is True
+    data = json.loads(json.dumps(plain(design.to_json())))
+    assert {"gamma_lower", "lower_bound", "estimated_optimum", "regularisation_cost", "assumptions"} <= data.keys()
+    assert data["lower_bound"]["proved"] is True
 
 
 # --- bandwidth ---
 
 
-def test_bandwidth_is_kept_at_a_price_in_gamma():
+def test_a_bandwidth_limit_raises_gamma():
     free = hinf(SINGULAR, 1, 1, gamma_rel=1.0)
     slow = hinf(SINGULAR, 1, 1, gamma_rel=1.1, bandwidth=10.0)
     assert free.fastest_controller_pole > 10.0
@@ -107,7 +107,7 @@ def test_bandwidth_is_kept_at_a_price_in_gamma():
     assert slow.status is Status.CERTIFIED
 
 
-def test_impossible_bandwidth_is_refused_with_what_is_possible():
+def test_impossible_bandwidth_is_refused_with_the_possible_one():
     with pytest.raises(NoTrustworthyNumber, match=r"below 1e-06 rad/s .* fastest pole at [\d.]+ rad/s"):
         hinf(SINGULAR, 1, 1, bandwidth=1e-6)
     with pytest.raises(InputError, match="bandwidth"):

@@ -24,7 +24,7 @@ def regular_plant(seed=0, n=4, m1=3, m2=2, p1=3, p2=2, dt=0.0, D11=False, D22=Fa
 
 
 def change_of_norm(P, K, step, rng):
-    """H2 norm of the loop with every entry of K moved at random (in continuous time all but D_K)."""
+    """Return the H2 norm of the loop with every entry of K changed at random (in continuous time all but D_K)."""
     moved = [m + step * rng.standard_normal(m.shape) for m in (K.A, K.B, K.C)]
     D = K.D + step * rng.standard_normal(K.D.shape) * K.is_discrete
     return h2_norm(lower_lft(P, StateSpaceModel(*moved, D, K.dt))).value
@@ -74,13 +74,13 @@ def test_a_direct_term_that_k_can_cancel_is_cancelled():
     assert not design.closed_loop.D.any()
 
 
-def test_a_direct_term_that_nothing_cancels_is_named():
+def test_a_direct_term_that_cannot_be_cancelled_is_named():
     P = regular_plant(D11=True)  # D12 is 3 x 2
     with pytest.raises(NoTrustworthyNumber, match="infinite for every controller"):
         h2(P, 2, 2)
 
 
-def test_singular_plant_reports_what_was_added():
+def test_singular_plant_reports_its_regularisation():
     """Double integrator with neither control penalty nor measurement noise."""
     P = generalized_plant(
         StateSpaceModel([[0, 1], [0, 0]], [[0, 0], [1, 1]], [[1, 0]], [[0, 0]], inputs=["w", "u"], outputs=["q"]),
@@ -108,7 +108,7 @@ def test_refusals():
 
 
 @pytest.mark.parametrize("dt", [0.0, 0.1])
-def test_a_mode_that_no_controller_moves_is_named(dt):
+def test_an_uncontrollable_mode_is_named(dt):
     A = np.diag([1.2, 0.3])
     P = StateSpaceModel(A, [[1.0, 0.0], [0.0, 1.0]], np.ones((2, 2)), [[0, 1], [1, 0]], dt)
     with pytest.raises(NoTrustworthyNumber, match=r"x1.*cannot be moved by the controls"):

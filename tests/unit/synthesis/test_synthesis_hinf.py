@@ -1,4 +1,4 @@
-"""H-infinity synthesis against closed forms, at the edges, and where it must refuse."""
+"""H-infinity synthesis against closed forms, at the edges, and its refusals."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def output_feedback_problem(a: float) -> StateSpaceModel:
 
 
 def check(design: Synthesis, plant: StateSpaceModel) -> None:
-    """The evidence holds: the loop rebuilt from K on the plant is stable, with a norm of at most gamma."""
+    """Check that the loop rebuilt from K on the plant is stable, with a norm of at most gamma."""
     loop = lower_lft(plant, design.K)
     assert loop.is_stable()
     assert hinf_norm(loop).lower <= design.gamma
@@ -88,7 +88,7 @@ def test_discrete_plant_is_solved_and_verified_in_discrete_time(dt):
     assert design.gamma == pytest.approx(2.0, rel=1e-3)
 
 
-def test_controller_carries_names_units_and_evidence():
+def test_controller_has_names_units_and_evidence():
     base = output_feedback_problem(-1.0)
     plant = StateSpaceModel(
         base.A, base.B, base.C, base.D, inputs=["w", "n", ("u", "V")], outputs=["z", "zu", ("y", "rad")]

@@ -82,7 +82,7 @@ def test_discrete_mixed_sensitivity():
     assert hinf_norm(design.closed_loop).upper <= design.gamma * (1 + 1e-5)
 
 
-def test_performance_weight_means_what_it_says():
+def test_performance_weight_has_its_specified_values():
     for order in (1, 2, 3):
         W1 = performance_weight(10.0, error=1e-3, peak=2.0, order=order)
         assert W1.n_states == order
@@ -94,7 +94,7 @@ def test_performance_weight_means_what_it_says():
     assert bandwidth == pytest.approx(abs((10j / 2 + 10) / (10j + 0.01)), rel=1e-12)
 
 
-def test_control_and_complementary_weights_mean_what_they_say():
+def test_control_and_complementary_weights_have_their_specified_values():
     constant = control_weight(25.0)
     assert (constant.n_states, constant.D[0, 0]) == (0, 0.04)
     s = 1j * np.array([0.0, 3.0, 1e9])
@@ -116,13 +116,13 @@ def test_control_and_complementary_weights_mean_what_they_say():
         lambda: complementary_weight(1.0, roll_off=2.0),
     ],
 )
-def test_weights_refuse_senseless_numbers(call):
+def test_weights_refuse_invalid_numbers(call):
     with pytest.raises(InputError):
         call()
 
 
 def test_the_report_gives_the_poles_of_the_loop_apart_from_those_of_the_weights():
-    """The weight's pole at bandwidth times error = 0.15 1/s is never moved; the loop's are those of G and K alone."""
+    """The weight's pole at bandwidth times error = 0.15 1/s is fixed; the loop's are those of G and K alone."""
     G = StateSpaceModel([[0, 1], [-100, -20]], [[0], [200]], [[1, 0]], [[0]])
     design = mixsyn(G, performance_weight(15.0, error=0.01), control_weight(20.0, bandwidth=1000.0))
     K = design.K

@@ -1,4 +1,4 @@
-"""Generalised plants from models and uncertain models, scaling, and the loop they make."""
+"""Generalised plants from models and uncertain models, scaling, and their loops."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_unknown_names_and_double_use():
 @pytest.mark.parametrize(("n_w", "n_z", "missing"), [(0, 0, "w and no performance"), (0, 1, "w"), (1, 0, "output z")])
 @pytest.mark.parametrize("design", ["hinf", "h2", "fixed", "fixed of two", "sampled norm"])
 def test_a_plant_without_performance_channels_is_refused(design, n_w, n_z, missing):
-    """Every norm of its loop is zero: a design that is certified for that would be as empty."""
+    """Every norm of its loop is zero."""
     P = StateSpaceModel(
         np.diag([1.0, -2.0]), np.ones((2, n_w + 1)), np.ones((n_z + 1, 2)), np.zeros((n_z + 1, n_w + 1))
     )

@@ -1,4 +1,4 @@
-"""Designs do not depend on the machine's load: searches count their work, and a clock that ends one is told."""
+"""Designs do not depend on the machine's load: searches count their work, and report a time limit that ends one."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ def plant() -> StateSpaceModel:
 
 
 class Clock:
-    """A clock that stands still, and strikes when it is looked at once more than allowed."""
+    """A clock that is constant for a number of calls, and then beyond every limit."""
 
-    def __init__(self, looks: float) -> None:
-        self.looks = looks
+    def __init__(self, calls: float) -> None:
+        self.calls = calls
 
     def monotonic(self) -> float:
-        self.looks -= 1
-        return 0.0 if self.looks >= 0 else 1e9
+        self.calls -= 1
+        return 0.0 if self.calls >= 0 else 1e9
 
 
 @pytest.mark.slow
@@ -74,7 +74,7 @@ for name, design in designs.items():
 
 
 def designs(time_limit: float) -> dict[str, Callable[[], Any]]:
-    """One design by each method, as functions."""
+    """Return one design by each method, as functions."""
     P, K = plant(), rl.hinf(plant(), 2, 2)
     limit: dict[str, Any] = {"time_limit": time_limit}
     dk = oscillator()
@@ -89,12 +89,12 @@ def designs(time_limit: float) -> dict[str, Callable[[], Any]]:
 
 
 @pytest.mark.parametrize(
-    ("name", "looks"),
+    ("name", "calls"),
     [("hinf", 60), ("h2", 2), ("dk", 100), ("fixed", 300), ("reduce", 20), ("discretise", 3)],
 )
-def test_a_clock_that_ends_the_search_is_told(name: str, looks: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_time_limit_that_ends_the_search_is_reported(name: str, calls: int, monkeypatch: pytest.MonkeyPatch) -> None:
     make = designs(1.0)[name]
-    monkeypatch.setattr(budget, "time", Clock(looks))
+    monkeypatch.setattr(budget, "time", Clock(calls))
     found = make()
     assert found.status is Status.TIMEOUT
     assert NOT_REPEATABLE in found.reason

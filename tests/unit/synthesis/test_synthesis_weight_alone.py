@@ -38,7 +38,7 @@ def smallest_sensitivity(G: StateSpaceModel) -> float:
 
 
 @pytest.mark.parametrize("seed", [2, 3, 4, 9, 12])
-def test_sensitivity_alone_of_discrete_plants_reaches_the_optimum_that_poles_and_zeros_leave(seed):
+def test_sensitivity_alone_of_discrete_plants_reaches_the_optimum_of_poles_and_zeros(seed):
     G = random_discrete(seed)
     best = smallest_sensitivity(G)
     design = mixsyn(G, 1.0, gamma_rel=1.0)
