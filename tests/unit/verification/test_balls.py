@@ -41,10 +41,9 @@ def test_maps_of_a_model_keep_its_response(seed):
         G = ball_model(seed, 5, 2, 3)
         s = acb(0.25, 1.5)
         truth = response(G, s)
-        for mapped, at in ((models.modal(G)[0], s), (models.reciprocal(G), 1 / s)):
-            assert overlap(response(mapped, at), truth)
-            assert narrow(response(mapped, at))
-        assert overlap(response(models.modal(models.reciprocal(G))[0], 1 / s), truth)
+        mapped = response(models.reciprocal(G), 1 / s)
+        assert overlap(mapped, truth)
+        assert narrow(mapped)
         H = ball_model(seed, 5, 2, 3, dt=0.1)
         z = (1 + s) / (1 - s)
         assert overlap(response(models.on_the_axis(H), s), response(H, z))
