@@ -5,7 +5,7 @@ r"""Uncertain models as upper linear fractional transformations of a structured 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -493,20 +493,27 @@ def feedback(forward: Any, back: Any = 1.0, sign: int | None = None) -> Uncertai
     r"""From r to y for ``y = G e``, ``e = r + sign H y``: :math:`(I - sign\, G H)^{-1} G`, with the signals of G."""
     g = as_uncertain(forward, "feedback")
     n_u, n_y = len(g.inputs), len(g.outputs)
+    h, sign = return_path(g, back, sign, lambda given: as_uncertain(given, "feedback"), "a model")
+    n = n_u + n_y
+    K = ones(n, n, (n_u, 0, n_y)) + sign * ones(n, n, (0, n_y, n_u))
+    wiring = Wiring(K, ones(n, n_u, (0, 0, n_u)), ones(n_y, n, (0, 0, n_y)))
+    return interconnected([g, h], wiring, g.inputs, g.outputs, "feedback")
+
+
+def return_path(g: Any, back: Any, sign: int | None, read: Callable[[Any], Any], kind: str) -> tuple[Any, int]:
+    """Return what ``read`` makes of the return path H of a loop, checked against G, and the sign of the feedback."""
+    n_u, n_y = len(g.inputs), len(g.outputs)
     if is_number(back):
         if n_u != n_y:
             raise InputError("feedback", f"the number {back} around {n_y} x {n_u} channels", "a matrix or a model")
         back = float(back) * np.eye(n_u)
     back, sign, _ = fed_back(g, back, sign)
-    h = as_uncertain(back, "feedback")
+    h = read(back)
     if (len(h.outputs), len(h.inputs)) != (n_u, n_y):
         found = f"what is fed back is {len(h.outputs)} x {len(h.inputs)}"
-        raise InputError("feedback", found, f"{n_u} x {n_y} for a model of {n_y} x {n_u}")
+        raise InputError("feedback", found, f"{n_u} x {n_y} for {kind} of {n_y} x {n_u}")
     same_units("feedback", [*zip(g.outputs, h.inputs, strict=True), *zip(h.outputs, g.inputs, strict=True)])
-    n = n_u + n_y
-    K = ones(n, n, (n_u, 0, n_y)) + sign * ones(n, n, (0, n_y, n_u))
-    wiring = Wiring(K, ones(n, n_u, (0, 0, n_u)), ones(n_y, n, (0, 0, n_y)))
-    return interconnected([g, h], wiring, g.inputs, g.outputs, "feedback")
+    return h, sign
 
 
 def inverse(g: UncertainModel) -> UncertainModel:
