@@ -29,7 +29,7 @@ NOTHING = 1e-14  # relative singular values below this are not realised
 def realise_delta(
     blocks: Sequence[Block], delta: Mapping[str, Any], omega: float, dt: float = 0.0
 ) -> dict[str, float | StateSpaceModel]:
-    """Return stable systems for the blocks of a complex Delta, of the same H-infinity norm, equal to it at ``omega``."""
+    """Return stable systems for the blocks of a complex Delta, of its H-infinity norm, equal to it at ``omega``."""
     where = "realise_delta"
     if not np.isfinite(dt) or dt < 0:
         raise InputError(where, f"dt is {dt}", "0 (continuous) or a positive sample time in s")
