@@ -175,7 +175,7 @@ def iqc_gain(
     """
     problem, budget = posed("iqc_gain", model, nature, order, pole, time_limit, effort, (inputs, outputs))
     if not problem.n_w or not problem.n_z:
-        raise InputError("iqc_gain", "no input and output beside those of the blocks", "a performance channel")
+        raise InputError("iqc_gain", "no input and output except those of the blocks", "a performance channel")
     with one_thread():
         lower, delta = problem.worst_member()
         best: tuple[float, IqcProof] | None = None

@@ -134,7 +134,7 @@ def pair_remarks(nominal: StateSpaceModel, perturbed: StateSpaceModel) -> list[s
         remarks.append("no uncertainty: the two models are equal")
     largest = max(float(np.abs(entries).max(initial=0.0)) for entries in whole)
     if largest >= HUGE:
-        remarks.append(f"an entry of {largest:.3g}: results keep no digits of entries of order one beside it")
+        remarks.append(f"an entry of {largest:.3g}: entries of order one are lost in its rounding")
     return remarks
 
 

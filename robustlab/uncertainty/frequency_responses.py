@@ -283,5 +283,5 @@ def closed_at(omega: Array, m: AnyArray, delta: AnyArray, where: str) -> Complex
         condition = np.linalg.cond(np.eye(p) - m[:, :p, :q] @ delta) if p else np.zeros(len(omega))
     if not (condition <= ILL_POSED).all():
         found = f"the interconnection is singular at {omega[~(condition <= ILL_POSED)][0]:g} rad/s"
-        raise NoTrustworthyNumber(where, found, None, "a pole lies there: leave that frequency out")
+        raise NoTrustworthyNumber(where, found, None, "a pole is there: omit that frequency")
     return np.asarray(closed_response(m, delta), dtype=np.complex128)

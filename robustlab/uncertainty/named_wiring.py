@@ -130,7 +130,7 @@ def _summing(text: str) -> _Part:
         if term is None or not (term[1] or not signs):
             raise InputError(where, f"{rest!r} is no term", FORM)
         if term[2] in signs:
-            raise InputError(where, f"{term[2]!r} stands there twice", "each signal once")
+            raise InputError(where, f"{term[2]!r} occurs twice", "each signal once")
         signs[term[2]] = -1.0 if term[1] == "-" else 1.0
         rest = rest[term.end() :].strip()
     if not signs:
@@ -170,7 +170,7 @@ def _check_names(parts: Sequence[_Part], made: dict[str, str], ins: list[str], o
     for side, names in (("input", ins), ("output", outs)):
         twice = [name for name in names if names.count(name) > 1]
         if twice:
-            raise InputError(f"connect: {side} {twice[0]!r}", "is asked for twice", "each name once")
+            raise InputError(f"connect: {side} {twice[0]!r}", "is given twice", "each name once")
     for name in ins:
         where = f"connect: input {name!r}"
         if name in made:

@@ -15,7 +15,7 @@ from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import bilinear_to_discrete
-from robustlab.statespace import StateSpaceModel
+from robustlab.statespace import StateSpaceModel, series
 from robustlab.uncertainty.blocks import Block, delta_matrix
 
 REAL = 1e-7  # relative imaginary part that is rounding where only real values exist (omega = 0, end of the axis)
@@ -93,15 +93,7 @@ def _matrix(value: ComplexArray, omega: float) -> StateSpaceModel:
     outer, inner = _phases(theta - shift, omega), _phases(phi + shift, omega)
     # value = left e^{j theta} (mid_left diag(sigma) mid_right^T) e^{j phi} right^T
     middle = mid_left * sigma[:rank] @ mid_right.T
-    first = _scaled(inner, middle, right.T)
-    second = _scaled(outer, left, np.eye(len(theta)))
-    n1, n2 = first.n_states, second.n_states
-    return StateSpaceModel(
-        np.block([[first.A, np.zeros((n1, n2))], [second.B @ first.C, second.A]]),
-        np.vstack([first.B, second.B @ first.D]),
-        np.hstack([second.D @ first.C, second.C]),
-        second.D @ first.D,
-    )
+    return series(_scaled(inner, middle, right.T), _scaled(outer, left, np.eye(len(theta))))
 
 
 def _orthogonal_and_phases(columns: ComplexArray) -> tuple[Array, Array, Array]:

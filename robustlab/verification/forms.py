@@ -182,7 +182,7 @@ def check_scalings(blocks: Sequence[Block], D_w: NDArray[Any], D_z: NDArray[Any]
         for block in blocks:
             rest[getattr(block, rows), getattr(block, cols)] = 0
         if rest.any():
-            raise InputError(name, "entries beside the blocks", "zeros there")
+            raise InputError(name, "entries outside the blocks", "zeros there")
 
 
 def _equal(X: NDArray[Any], Y: NDArray[Any]) -> bool:
@@ -199,7 +199,7 @@ def check_delta(blocks: Sequence[Block], delta: NDArray[Any]) -> None:
             raise InputError(f"delta of block {i}", "not of the structure", "what its kind allows, to the last bit")
         rest[block.w, block.z] = 0
     if rest.any():
-        raise InputError("delta", "entries beside the blocks", "zeros there")
+        raise InputError("delta", "entries outside the blocks", "zeros there")
 
 
 def within(blocks: Sequence[Block], delta: Matrix, allowance: arb, work: Work) -> bool:

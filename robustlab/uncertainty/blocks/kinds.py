@@ -80,10 +80,9 @@ class ComplexScalar(ScalarBlock):
     repeats
         How many channels the number acts on.
     origin
-        Where the block comes from, in words; blocks that differ in nothing else are equal.
+        Source of the block, in words; ignored in comparisons.
     covers
-        Of a block that stands for a delay: its length and its spread in s, and the orders of the approximation and of
-        the weight; None of others.
+        For a delay: its length and its spread in s, and the orders of the approximation and of the weight; else None.
 
     Raises
     ------
@@ -139,7 +138,7 @@ class RealScalar(ScalarBlock):
         for ``delta >= 0`` and ``ratio * delta`` for ``delta < 0``, in [-ratio, 1], so that M is affine in the
         parameter.
     origin
-        Where the block comes from, in words; blocks that differ in nothing else are equal.
+        Source of the block, in words; ignored in comparisons.
 
     Raises
     ------
@@ -248,10 +247,9 @@ class FullBlock(Block):
     rows, cols
         Entries of w and of z.
     origin
-        Where the block comes from, in words; blocks that differ in nothing else are equal.
+        Source of the block, in words; ignored in comparisons.
     covers
-        Of a block that stands for a delay: its length and its spread in s, and the orders of the approximation and of
-        the weight; None of others.
+        For a delay: its length and its spread in s, and the orders of the approximation and of the weight; else None.
 
     Raises
     ------

@@ -119,20 +119,20 @@ def unstructured_cover(
             candidates.append((0, model_of(0.5 * (stack.min(axis=0) + stack.max(axis=0)), models[0])))
     omega = _grid(models, [c for _, c in candidates], points)
     best: tuple[float, int | None, StateSpaceModel] | None = None
-    refused: NoTrustworthyNumber | None = None
+    rejected: NoTrustworthyNumber | None = None
     for number, candidate in candidates:
         try:
             _require_stable(models, candidate, form)
         except NoTrustworthyNumber as error:
-            refused = refused or error
+            rejected = rejected or error
             continue
         size = _bound(models, candidate, form, omega)
         radius = float((size / _reference(models, form, omega)).max())
         if best is None or radius < best[0]:
             best = radius, number, candidate
     if best is None:
-        assert refused is not None
-        raise refused
+        assert rejected is not None
+        raise rejected
     radius, number, centre = best
     return _around(models, centre, number, form, (order, tolerance), omega, radius)
 
