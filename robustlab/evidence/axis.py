@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -78,7 +79,7 @@ def margin_claims(found: Margin) -> list[Claim]:
         return [Claim("stable", {"A": uncertain.M.A, "dt": np.array(float(uncertain.M.dt))})]
     common: Numbers = {**model_numbers(model), "blocks": block_rows(blocks)}
     claims: list[Claim] = []
-    at = _frequencies(uncertain)
+    at = partial(model_frequency, uncertain)
     if 0 < found.lower < np.inf:
         level = ABOVE / found.lower
         if found.boxes or not _symmetric(blocks):
@@ -102,7 +103,7 @@ def gain_claims(found: WorstCaseGain) -> list[Claim]:
     if uncertain is None or not np.isfinite(found.upper) or not found.proof:
         return []
     performance = FullBlock(PERFORMANCE, len(uncertain.inputs), len(uncertain.outputs))
-    blocks, at = (*uncertain.blocks, performance), _frequencies(uncertain)
+    blocks, at = (*uncertain.blocks, performance), partial(model_frequency, uncertain)
     gamma = np.array(found.upper * ABOVE)
     numbers: Numbers = {**model_numbers(uncertain.M), "blocks": block_rows(blocks), "gamma": gamma}
     if found.boxes or not _symmetric(blocks):
@@ -172,10 +173,6 @@ def _snapped(sides: NDArray[np.float64], whole: NDArray[np.float64]) -> NDArray[
     found[np.abs(found - whole[0]) < SAME * width] = whole[0] - SAME * width
     found[np.abs(found - whole[1]) < SAME * width] = whole[1] + SAME * width
     return found
-
-
-def _frequencies(uncertain: Any) -> Callable[[float], float]:
-    return lambda omega: model_frequency(uncertain, omega)
 
 
 def _ranges(blocks: Sequence[Block]) -> NDArray[np.float64]:

@@ -199,18 +199,9 @@ def box_of(G: Delayed, w0: float, r: float, degree: int = DEGREE) -> Box | None:
     for k in range(1, degree):
         Q = Q + rest(degree - k) * magnitudes(X[k])
     Z = neumann(N, size * Q)
-    if Z is None or neumann(N, _ones(G.size)) is None:
+    if Z is None or neumann(N, arb_mat(G.size, 1, [1] * G.size)) is None:
         return None
-    return Box([*X, _around_zero(Z)], N)
-
-
-def _ones(n: int) -> Matrix:
-    return arb_mat(n, 1, [1] * n)
-
-
-def _around_zero(radii: Matrix) -> Matrix:
-    """Return complex balls around zero that hold all numbers of at most these sizes."""
-    return acb_mat(radii.nrows(), radii.ncols(), [acb(arb(0, x), arb(0, x)) for x in radii.entries()])
+    return Box([*X, acb_mat(Z.nrows(), Z.ncols(), [acb(arb(0, x), arb(0, x)) for x in Z.entries()])], N)
 
 
 def sweep(G: Delayed, a: float, b: float, test: Test, work: Work) -> Verdict:

@@ -34,11 +34,10 @@ def read_checked(path: str | Path) -> Tree:
 def claims_in(root: Tree) -> list[Claim]:
     """Return the claims of a file, in their order. Raises InputError: an invalid claim."""
     node = root.find(GROUP)
-    return [] if node is None else [_claim(node.groups[name]) for name in sorted(node.groups, key=_order)]
-
-
-def _order(name: str) -> tuple[int, str]:
-    return (int(name) if name.isdigit() else len(name), name)
+    if node is None:
+        return []
+    names = sorted(node.groups, key=lambda name: (int(name) if name.isdigit() else len(name), name))
+    return [_claim(node.groups[name]) for name in names]
 
 
 def _claim(node: Tree) -> Claim:

@@ -45,7 +45,7 @@ def stable(G: Model, P: NDArray[np.float64] | None, work: Work) -> Verdict:
             return refuted(f"A has an eigenvalue near {complex(value):.6g}, enclosed beyond the stability boundary")
     if len(values) == G.n and all(_inside(value, G.dt) for value in values):
         return PROVED
-    nearest = max((_growth(complex(value), G.dt) for value in values), default=np.nan)
+    nearest = max((abs(v) - 1 if G.dt else v.real for v in map(complex, values)), default=np.nan)
     return not_proved(f"stability of A: no P that proves it, rightmost eigenvalue {nearest:.3g} from the boundary")
 
 
@@ -64,10 +64,6 @@ def outside(value: acb, dt: float) -> bool:
 
 def _inside(value: acb, dt: float) -> bool:
     return bool(value.abs_upper() < 1 if dt else value.real < 0)
-
-
-def _growth(value: complex, dt: float) -> float:
-    return abs(value) - 1 if dt else value.real
 
 
 def lyapunov_hint(G: Model) -> NDArray[np.float64] | None:
