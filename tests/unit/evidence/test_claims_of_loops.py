@@ -1,4 +1,4 @@
-"""Claims about loops and models: the loop that is certified is the one that is meant, by dense search in numpy."""
+"""Claims about loops, delays and models: the certified loop is the intended one, by dense search in numpy."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from robustlab.cli import main_guard, run_command
 from robustlab.errors import InputError
 from robustlab.evidence import claims_of
 from robustlab.synthesis import MarginGoal, TrackingGoal, VarianceGoal
+from robustlab.verification import Claim, check
 
 LAG = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
 SAMPLED = rl.StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1)
@@ -26,6 +27,13 @@ NOISY = rl.StateSpaceModel(
     [[0.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]],
     inputs=["d", "n", "u"], outputs=["x", "effort", "y"],
 )  # fmt: skip
+LATE = rl.with_delays(INTO, inputs={0: 0.3}, outputs={0: 0.1})
+MOTORS = rl.parametric([["-1/T"]], [["k/T"]], [[1]], [[0]], {"k": (2.0, 0.1), "T": (1.0, 0.2)})
+RANGE = rl.with_delays(MOTORS, inputs={"u1": (0.2, 0.4)})
+UNITS = [
+    rl.StateSpaceModel([[-1 / t]], [[g / t]], [[1.0]], [[0.0]])
+    for g, t in ((1.0, 1.0), (1.2, 1.3), (0.9, 0.8), (1.1, 0.7))
+]
 SQUARE, GRID = np.eye(2), np.concatenate([[0.0], np.geomspace(1e-4, 1e4, 4001)])
 
 
@@ -35,8 +43,8 @@ def six() -> rl.StateSpaceModel:
     return rl.StateSpaceModel(A, rng.standard_normal((6, 2)), rng.standard_normal((2, 6)), np.zeros((2, 2)))
 
 
-def beside(G: rl.StateSpaceModel, pole: float) -> rl.StateSpaceModel:
-    """With a mode of its own."""
+def with_mode(G: rl.StateSpaceModel, pole: float) -> rl.StateSpaceModel:
+    """Add an uncoupled mode."""
     A = np.block([[G.A, np.zeros((6, 1))], [np.zeros((1, 6)), np.array([[pole]])]])
     return rl.StateSpaceModel(A, np.vstack([G.B, [[0.3, 0.2]]]), np.hstack([G.C, [[0.4], [0.1]]]), G.D)
 
@@ -48,6 +56,15 @@ def regulated() -> rl.StateSpaceModel:
 
 def two_plants() -> list[rl.StateSpaceModel]:
     return [LAG, rl.StateSpaceModel([[-1.2]], [[1.0]], [[1.0]], [[0.0]])]
+
+
+def pair():
+    late = rl.StateSpaceModel(-np.diag([1.0, 2.0]), [[1, 0.3], [-0.2, 1]], np.eye(2), np.zeros((2, 2)))
+    return rl.with_delays(late, inputs={0: 0.3, 1: 0.1}), rl.StateSpaceModel([], [], [], 2.0 * np.eye(2))
+
+
+def smaller(margin):
+    return replace(margin, lower=1.0001 * margin.upper)
 
 
 RESULTS = {
@@ -68,8 +85,20 @@ RESULTS = {
     "coprime margin, discrete": lambda: rl.coprime_margin(SAMPLED, rl.ss([[0.3]], dt=0.1), sign=-1),
     "reduced between weights": lambda: rl.reduce_model(six(), 3, input_weight=INTO, output_weight=OUT),
     "reduced before a weight": lambda: rl.reduce_model(six(), 3, output_weight=OUT),
-    "unstable, reduced": lambda: rl.reduce_model(beside(six(), 0.5), 4),
+    "unstable, reduced": lambda: rl.reduce_model(with_mode(six(), 0.5), 4),
     "relative error": lambda: rl.reduce_model(rl.tf([1.0, 3.0, 2.0], [1.0, 2.0, 5.0]), 1, method="stochastic"),
+    "stability": lambda: rl.robust_stability((2.0 * LATE).feedback()),
+    "gain": lambda: rl.peak_gain((2.0 * LATE).feedback()),
+    "disk margin": lambda: rl.disk_margin(2.0 * LATE),
+    "disk margins": lambda: rl.disk_margin(*pair()),
+    "set": lambda: (2.0 * LATE).feedback().uncertain(4),
+    "range": lambda: RANGE,
+    "margin": lambda: rl.robust_stability(RANGE.feedback()),
+    "worst-case gain": lambda: rl.peak_gain(RANGE.feedback()),
+    "elements": lambda: rl.cover(UNITS, "elements", gain=False),
+    "elements about one": lambda: rl.cover(UNITS, "elements", nominal=UNITS[0], gain=False),
+    "pca": lambda: rl.cover(UNITS, "pca", gain=False),
+    "additive": lambda: rl.cover(UNITS, "additive", gain=False),
 }  # fmt: skip
 
 
@@ -94,6 +123,18 @@ def test_every_claim_is_proved(name):
         ("coprime margin", lambda r: replace(r, lower=1.001 * r.upper)),
         ("reduced between weights", lambda r: replace(r, weights=(1.01 * r.weights[0], r.weights[1]))),
         ("unstable, reduced", lambda r: replace(r, error=replace(r.error, upper=0.99 * r.error.lower))),
+        *(
+            pytest.param(name, change, marks=pytest.mark.slow)
+            for name, change in (
+                ("stability", lambda r: replace(r, system=(6.0 * LATE).feedback())),
+                ("gain", lambda r: replace(r, upper=0.9999 * r.lower)),
+                ("gain", lambda r: replace(r, system=(2.05 * LATE).feedback())),
+                ("disk margin", lambda r: replace(r, simultaneous=smaller(r.simultaneous), channels={})),
+                ("disk margins", lambda r: replace(r, simultaneous=smaller(r.simultaneous))),
+                ("pca", lambda r: replace(r, models=(*r.models[:-1], UNITS[0]))),
+                ("additive", lambda r: replace(r, fit=replace(r.fit, weight=0.9999 * r.fit.weight))),
+            )
+        ),
     ],
 )
 def test_what_is_not_true_is_not_proved(name, change):
@@ -111,7 +152,7 @@ def at(G: rl.StateSpaceModel, s: complex):
 
 
 def level(result, number: int = 0) -> float:
-    """What is claimed."""
+    """The claimed level."""
     numbers = claims_of(result)[number].numbers
     return float(numbers["gamma"] if "gamma" in numbers else numbers["level"])
 
@@ -143,10 +184,10 @@ def cut() -> object:
 
 def test_a_bound_after_branch_and_bound_is_proved_box_by_box():
     found = cut()
-    told = rl.verify(found)
-    assert told.proved, told.summary()
+    checked = rl.verify(found)
+    assert checked.proved, checked.summary()
     assert [claim.kind for claim in claims_of(found)] == ["mu-upper-boxes", "mu-lower"]
-    assert told.claims[0].bound == pytest.approx(1 / found.upper, rel=2e-6)
+    assert checked.claims[0].bound == pytest.approx(1 / found.upper, rel=2e-6)
     assert found.upper < found.scaled
     (boxes,) = found.proof
     assert not rl.verify(replace(found, proof=(boxes[1:],))).proved
@@ -193,3 +234,23 @@ def test_a_controller_that_is_not_the_design_s_has_none(tmp_path):
     rl.save(tmp_path / "own.h5", rl.Controller(design.K))
     with pytest.raises(InputError, match="without claims"):
         rl.verify(tmp_path / "own.h5")
+
+
+def test_the_delay_margin_is_where_stability_ends():
+    w = np.sqrt(15.0)  # 4 e^(-s tau) / (s + 1)
+    margin = (np.pi - np.arctan(w)) / w
+    below, above = (rl.robust_stability((4.0 * INTO @ rl.delay(t * margin)).feedback()) for t in (0.999, 1.001))
+    assert rl.verify(below).proved
+    assert above.stable is False
+    assert claims_of(above) == []
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.1])
+@pytest.mark.parametrize("order", [1, 3])
+def test_a_weight_that_is_smaller_does_not_cover(order, spread):
+    (claim,) = claims_of((INTO @ rl.delay(0.4)).uncertain(order, spread=spread))
+    assert check(claim).outcome.value == "proved"
+    smaller = {name: 0.998 * claim.numbers[name] for name in ("W_C", "W_D")}
+    assert check(Claim(claim.kind, {**claim.numbers, **smaller})).outcome.value == "not proved"
+    wider = {"range": claim.numbers["range"] + np.array([-2e-3, 2e-3])}
+    assert check(Claim(claim.kind, {**claim.numbers, **wider})).outcome.value == "not proved"

@@ -123,10 +123,10 @@ def test_what_is_displayed_is_what_is_proved(kind, edit, pattern, files, tmp_pat
         tree.attrs |= {"content_sha256": digest} if digest else {}
         write_tree(path, tree)
         assert call(str(path)) == 4
-        told = capsys.readouterr().out
-        assert re.search(pattern, told)
-        assert "proved independently" not in told
-        assert ("no content_sha256" in told) == (digest is None)
+        output = capsys.readouterr().out
+        assert re.search(pattern, output)
+        assert "proved independently" not in output
+        assert ("no content_sha256" in output) == (digest is None)
 
 
 def test_a_file_of_an_earlier_version_says_what_is_not_bound(saved, capsys):
@@ -136,9 +136,9 @@ def test_a_file_of_an_earlier_version_says_what_is_not_bound(saved, capsys):
     write_tree(saved, tree)
     assert rl.load(saved).upper == rl.peak_gain(OSCILLATOR).upper
     assert call(str(saved)) == 4
-    told = capsys.readouterr().out
-    assert "the claims carry no digest of the file" in told
-    assert "proved: data/upper is" in told
+    output = capsys.readouterr().out
+    assert "the claims carry no digest of the file" in output
+    assert "proved: data/upper is" in output
 
 
 def test_numbers_without_a_claim_are_listed(saved):
