@@ -1,4 +1,4 @@
-"""What results claim is proved by the checker, and is no longer where the result says more than is true."""
+"""The checker proves the claims of results, and does not prove them for wrong numbers."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_every_claim_of_a_result_is_proved(name):
     assert found.boxes >= len(found.claims) >= 1
 
 
-def test_branch_and_bound_keeps_what_it_proved():
+def test_branch_and_bound_keeps_its_proof():
     chain = _boxed()
     assert chain.boxes
     found = rl.verify(chain)
@@ -114,7 +114,7 @@ def _boxed() -> rl.RobustlabError:
         ("h2", lambda r: replace(r, gamma=0.99 * r.gamma)),
     ],
 )
-def test_what_is_not_true_is_not_proved(name, change):
+def test_false_claims_are_not_proved(name, change):
     found = rl.verify(change(RESULTS[name]()))
     assert not found.proved
 
@@ -128,7 +128,7 @@ def test_a_wrong_sign_is_refuted_with_its_pole():
     assert not found.proved
 
 
-def test_what_has_no_claims_says_so():
+def test_a_result_without_claims_is_rejected():
     with pytest.raises(InputError, match="without claims"):
         rl.verify(rl.zeros(OSCILLATOR))
     assert claims_of(rl.peak_gain(rl.tf([1.0], [1.0, -1.0]))) == []

@@ -137,7 +137,7 @@ def test_every_claim_is_proved(name):
         ),
     ],
 )
-def test_what_is_not_true_is_not_proved(name, change):
+def test_false_claims_are_not_proved(name, change):
     found = rl.verify(change(RESULTS[name]()))
     assert not found.proved, found.summary()
 
@@ -157,7 +157,7 @@ def level(result, number: int = 0) -> float:
     return float(numbers["gamma"] if "gamma" in numbers else numbers["level"])
 
 
-def test_the_loop_of_a_coprime_margin_is_the_one_of_its_definition():
+def test_the_loop_of_a_coprime_margin_matches_its_definition():
     def four(s):  # [P; I] (I + C P)^-1 [-C, I] of negative feedback, C = 3
         P = at(UNSTABLE, s)[0, 0]
         return np.array([[P], [1.0]]) @ np.array([[-3.0, 1.0]]) / (1 + 3 * P)
@@ -167,7 +167,7 @@ def test_the_loop_of_a_coprime_margin_is_the_one_of_its_definition():
         assert level(RESULTS[name]()) == pytest.approx(wanted, rel=1e-5)
 
 
-def test_errors_of_reduced_models_are_the_differences_meant():
+def test_errors_of_reduced_models_are_the_intended_differences():
     G, found = six(), RESULTS["reduced between weights"]()
     weighted = peak(lambda s: at(OUT, s)[0, 0] * (at(G, s) - at(found.model, s)) * at(INTO, s)[0, 0])
     assert level(found) == pytest.approx(weighted, rel=1e-4)
@@ -226,7 +226,7 @@ def test_the_file_of_a_controller_carries_the_claims_of_its_design(tmp_path, cap
     assert "the controller is not the model of a claim that was proved" in capsys.readouterr().out
 
 
-def test_a_controller_that_is_not_the_design_s_has_none(tmp_path):
+def test_another_controller_has_no_claims(tmp_path):
     design = RESULTS["h2"]()
     rl.save(tmp_path / "half.h5", replace(design.controller, K=0.5 * design.K, takes=None))
     with pytest.raises(InputError, match="without claims"):
@@ -236,7 +236,7 @@ def test_a_controller_that_is_not_the_design_s_has_none(tmp_path):
         rl.verify(tmp_path / "own.h5")
 
 
-def test_the_delay_margin_is_where_stability_ends():
+def test_the_delay_margin_is_the_limit_of_stability():
     w = np.sqrt(15.0)  # 4 e^(-s tau) / (s + 1)
     margin = (np.pi - np.arctan(w)) / w
     below, above = (rl.robust_stability((4.0 * INTO @ rl.delay(t * margin)).feedback()) for t in (0.999, 1.001))
@@ -247,7 +247,7 @@ def test_the_delay_margin_is_where_stability_ends():
 
 @pytest.mark.parametrize("spread", [0.0, 0.1])
 @pytest.mark.parametrize("order", [1, 3])
-def test_a_weight_that_is_smaller_does_not_cover(order, spread):
+def test_a_smaller_weight_does_not_cover(order, spread):
     (claim,) = claims_of((INTO @ rl.delay(0.4)).uncertain(order, spread=spread))
     assert check(claim).outcome.value == "proved"
     smaller = {name: 0.998 * claim.numbers[name] for name in ("W_C", "W_D")}

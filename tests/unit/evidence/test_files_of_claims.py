@@ -31,7 +31,7 @@ def saved(tmp_path):
     return path
 
 
-def test_a_file_says_what_the_result_says(saved):
+def test_a_file_has_the_claims_of_its_result(saved):
     claims = claims_in_file(saved)
     assert [c.kind for c in claims] == ["norm"]
     assert (claims[0].numbers["A"] == OSCILLATOR.A).all()
@@ -89,7 +89,7 @@ def files(tmp_path_factory):
     return files
 
 
-# What is edited, beside the claims; what the command says of the number that is not the one proved.
+# The edit outside of the claims, and the message of the command about the number that is not proved.
 EDITS = [
     ("norm", scaled("data/upper"), "data/upper is 5.527.*, the claim proves 5.025"),
     ("norm", scaled("data/lower"), "data/lower is 5.527"),
@@ -111,7 +111,7 @@ EDITS = [
 
 
 @pytest.mark.parametrize(("kind", "edit", "pattern"), EDITS)
-def test_what_is_displayed_is_what_is_proved(kind, edit, pattern, files, tmp_path, capsys):
+def test_displayed_numbers_are_the_proved_ones(kind, edit, pattern, files, tmp_path, capsys):
     path = Path(shutil.copy(files[kind], tmp_path))
     with h5py.File(path, "r+") as file:
         edit(file)
@@ -129,7 +129,7 @@ def test_what_is_displayed_is_what_is_proved(kind, edit, pattern, files, tmp_pat
         assert ("no content_sha256" in output) == (digest is None)
 
 
-def test_a_file_of_an_earlier_version_says_what_is_not_bound(saved, capsys):
+def test_a_file_of_an_earlier_version_reports_unbound_numbers(saved, capsys):
     tree = read_tree(saved)
     del tree.groups["claims"].attrs["content_sha256"]
     tree.attrs["content_sha256"] = content_sha256(tree)
@@ -165,7 +165,7 @@ text = "The margin is proved independently"
 """
 
 
-def test_a_recipe_verifies_what_it_wrote(tmp_path):
+def test_a_recipe_verifies_its_files(tmp_path):
     M = rl.StateSpaceModel([[-1.0]], [[-0.2, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
     rl.save(tmp_path / "lag.h5", rl.UncertainModel(M, [rl.RealScalar("pole")]))
     (tmp_path / "small.toml").write_text(RECIPE)

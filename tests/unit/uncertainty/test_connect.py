@@ -1,4 +1,4 @@
-"""rl.connect: against python-control's interconnect, closed forms, and what it refuses in one line."""
+"""rl.connect: against python-control's interconnect, closed forms, and errors in one line."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_a_loop_is_that_of_python_control():  # which solves no algebraic loop: 
     assert (ours.input_names, ours.output_names, ours.n_states) == (("d", "r"), ("z", "e", "y"), 5)
 
 
-def test_what_comes_from_outside_can_be_shown_and_feeds_several_inputs():
+def test_an_external_input_can_be_an_output_and_feeds_several_inputs():
     two = rl.connect(gain(2.0, "r", "a"), gain(3.0, "r", "b"), inputs="r", outputs=["b", "r", "a", "s"], sums="s=a- b")
     assert two.D.ravel().tolist() == [3.0, 1.0, 2.0, -1.0]
 
@@ -56,7 +56,7 @@ def test_an_algebraic_loop_is_solved_exactly():
     assert loop.D.ravel() == pytest.approx([0.8, 0.2])
 
 
-def test_sets_keep_their_blocks_and_equal_names_are_one_uncertainty():
+def test_sets_keep_their_blocks_and_equal_names_are_merged():
     plant = stiffness()
     model = plant.M.renamed(["w", "r"], ["z", "v"])
     twin = rl.UncertainModel(model, plant.blocks)

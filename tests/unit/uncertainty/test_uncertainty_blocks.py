@@ -29,13 +29,13 @@ def test_mussv_rows():
 
 
 @pytest.mark.parametrize("bad", [[[0, 0]], [[-2, 3]], [[1.5, 0]], [["a", 0]], [[1, 2, 3]], [3], "text", 7, [[-2, -2]]])
-def test_rows_that_mean_nothing(bad):
+def test_invalid_rows(bad):
     with pytest.raises(InputError, match="blocks"):
         as_blocks(bad)
 
 
 @pytest.mark.parametrize("name", ["", "x" * 201, 3])
-def test_names_that_are_none(name):
+def test_invalid_names(name):
     with pytest.raises(InputError, match="1 to 200"):
         ComplexScalar(name)
 
@@ -82,7 +82,7 @@ def test_delta_is_piecewise_and_the_member_has_the_parameter_value(delta):
 
 
 @pytest.mark.parametrize("widths", [(0.5, 0.0), (0.5, -0.1), (0.0, 0.5), (np.inf, 0.5), (0.5, np.nan), (0.5, True)])
-def test_widths_that_are_none(widths):
+def test_invalid_widths(widths):
     with pytest.raises(InputError, match="width"):
         ParameterRange(1.0, widths[0], below=widths[1])
 
@@ -90,7 +90,7 @@ def test_widths_that_are_none(widths):
 @pytest.mark.parametrize(
     "ends", [(1.0, 2.0, 1.0), (1.0, 2.0, 3.0), (2.0, 1.0, None), (np.nan, 1.0, 0.5), (0, np.inf, 1)]
 )
-def test_ends_that_are_none(ends):
+def test_invalid_ends(ends):
     with pytest.raises(InputError, match="low < nominal < high"):
         ParameterRange.between(*ends)
 

@@ -1,4 +1,4 @@
-"""The parts on which every proof rests, each against an independent evaluation."""
+"""The basic operations of every proof, each against an independent evaluation."""
 
 import math
 
@@ -21,7 +21,7 @@ def ball_model(seed, n, m, p, dt=0.0, margin=0.1):
 
 
 def response(G, s):
-    """The response at the complex number s, in balls, straight from the definition."""
+    """Evaluate the response at the complex number s, in balls, from the definition."""
     n = G.n
     pencil = acb_mat(balls.identity(n)) * s - G.A
     return G.D + G.C * pencil.solve(acb_mat(balls.identity(n)) * G.B)
