@@ -24,7 +24,7 @@ from robustlab.uncertainty.blocks import Block, FullBlock, block_slices, delta_m
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.verification.claim import Claim
 
-SAME = 1e-10  # of a range: faces nearer than this are one face
+SAME = 1e-10  # of a range: sides of boxes nearer than this are equal
 TOLERANCE = 1e-12  # for the rounding of a stored approximation and of its weight, which are not exactly zero at zero
 GRID = np.geomspace(1e-2, 1e4, 20_000)  # frequencies times the delay, for the search of the far end
 
@@ -138,7 +138,6 @@ def _large_enough(
 
 
 def _whole_box(blocks: Sequence[Block], size: float, proof: Sequence[Any]) -> list[tuple[Box, Piece]]:
-    """Return the pieces of a set of this size in one box."""
     box = root_box(blocks, size)
     return [(box, piece) for piece in proof]
 
@@ -164,7 +163,7 @@ def _boxes(
 
 
 def _snapped(sides: NDArray[np.float64], whole: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Merge faces that differ by rounding, and move those at the ends of the set a little outside."""
+    """Merge sides that differ by rounding, and move those at the ends of the set slightly outside."""
     width = whole[1] - whole[0]
     values, place = np.unique(sides, return_inverse=True)
     groups = np.concatenate([[0], np.cumsum(np.diff(values) > SAME * width)])

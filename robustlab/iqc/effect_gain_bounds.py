@@ -70,7 +70,6 @@ class EffectGain(PeakGain):
     quantities: ClassVar[Mapping[str, Any]] = {**PeakGain.quantities, "as_constants": float}
 
     def claims(self) -> list[Claim]:
-        """Return the claims of ``proved``."""
         return self.proved.claims()
 
     def numbers(self) -> dict[str, Any]:

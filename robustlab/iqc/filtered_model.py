@@ -41,7 +41,6 @@ class Rows:
 
 
 def stacked(*parts: Rows) -> Rows:
-    """Stack all rows."""
     n, m = max(p.c.shape[1] for p in parts), max(p.d.shape[1] for p in parts)
     wide = [p.padded(n, m) for p in parts]
     return Rows(np.vstack([p.c for p in wide]), np.vstack([p.d for p in wide]))
@@ -56,24 +55,19 @@ class FilteredModel:
 
     @property
     def n(self) -> int:
-        """States."""
         return len(self.A)
 
     @property
     def m(self) -> int:
-        """Inputs."""
         return self.B.shape[1]
 
     def outputs(self, part: slice) -> Rows:
-        """Outputs of the model."""
         return Rows(self._c[part], self._d[part])
 
     def inputs(self, part: slice) -> Rows:
-        """Inputs, of the model or added."""
         return Rows(np.zeros((part.stop - part.start, 0)), np.eye(self.m)[part])
 
     def added_inputs(self, count: int) -> Rows:
-        """Add inputs."""
         self.B = np.hstack([self.B, np.zeros((self.n, count))])
         return self.inputs(slice(self.m - count, self.m))
 

@@ -7,7 +7,7 @@ basis of filters and each size of the set, in balanced states, channels and time
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, NamedTuple
@@ -290,7 +290,10 @@ class Problem:
                 reach[b.name] = max(-1.0, m), min(1.0, k)
             elif b.is_scalar:
                 reach[b.name] = (-1.0, 1.0)
-        every = product(*reach.values()) if 2 ** len(reach) <= MEMBERS else self._drawn(list(reach.values()))
+        every: Iterable[tuple[float, ...]] = product(*reach.values())
+        if 2 ** len(reach) > MEMBERS:
+            rng = np.random.default_rng(0)
+            every = [tuple(pair[rng.integers(2)] for pair in reach.values()) for _ in range(MEMBERS)]
         worst, at = hinf_norm(self.middle.nominal).lower, dict.fromkeys(reach, 0.0)
         for values in every:
             delta = dict(zip(reach, values, strict=True))
@@ -304,10 +307,6 @@ class Problem:
             if np.isinf(worst):
                 break
         return float(worst), at
-
-    def _drawn(self, ends: list[tuple[float, float]]) -> list[tuple[float, ...]]:
-        rng = np.random.default_rng(0)
-        return [tuple(pair[rng.integers(2)] for pair in ends) for _ in range(MEMBERS)]
 
     # --- from above ---------------------------------------------------------------------------------------------------
 

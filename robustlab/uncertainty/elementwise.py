@@ -202,7 +202,6 @@ class _Difference:
     col_names: tuple[str, ...]
 
     def part(self, matrix: str) -> tuple[slice, slice]:
-        """Return the rows and columns of A, B, C or D in E."""
         n = self.n_states
         upper, lower = slice(0, n), slice(n, None)
         return {"A": (upper, upper), "B": (upper, lower), "C": (lower, upper), "D": (lower, lower)}[matrix]

@@ -238,7 +238,6 @@ def frequency_data(
 
 
 def _complex(name: str, given: ArrayLike, where: str) -> ComplexArray:
-    """Convert numbers to a new complex array."""
     try:
         return np.array(given, dtype=np.complex128)
     except (TypeError, ValueError, OverflowError):

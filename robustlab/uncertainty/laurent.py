@@ -45,7 +45,6 @@ class Algebra:
         return Laurent({(): Fraction(value)} if value else {}, self)
 
     def variable(self, name: str) -> Laurent:
-        """Return a parameter as an expression."""
         return self.constant(self.exact[name]) if name in self.exact else Laurent({((name, 1),): Fraction(1)}, self)
 
     def count(self, pairs: int) -> None:
@@ -131,12 +130,10 @@ class Laurent:
 
     @property
     def variables(self) -> set[str]:
-        """Return all variables."""
         return {name for m in self.terms for name, _ in m}
 
     @property
     def factors(self) -> int:
-        """Return the number of factors in all terms."""
         return sum(abs(e) for m in self.terms for _, e in m)
 
     def __str__(self) -> str:
@@ -144,7 +141,6 @@ class Laurent:
 
 
 def times(first: Monomial, second: Monomial) -> Monomial:
-    """Multiply two monomials."""
     exponents = dict(first)
     for name, e in second:
         exponents[name] = exponents.get(name, 0) + e

@@ -168,7 +168,6 @@ class UncertainModel(TransferMatrix, Shown, Traced):
         return delta_matrix(self.blocks, constant), dynamic
 
     def _with_dynamics(self, constant: NDArray[Any], dynamic: Mapping[str, StateSpaceModel]) -> StateSpaceModel:
-        """Return the member for a Delta with dynamic values."""
         q, p = constant.shape
         if np.iscomplexobj(constant):
             raise InputError("evaluate", "a complex Delta", "real numbers or models", "use response(omega, delta)")
@@ -421,7 +420,6 @@ class UncertainModel(TransferMatrix, Shown, Traced):
         ]
 
     def _ranges(self) -> str:
-        """Return the blocks with their parameter ranges."""
         return listed(
             f"{b.name} {number(r.low)} .. {number(r.high, r.unit)}" if (r := b.parameter) else b.name
             for b in self.blocks
@@ -499,7 +497,7 @@ def feedback(forward: Any, back: Any = 1.0, sign: int | None = None) -> Uncertai
 
 
 def return_path(g: Any, back: Any, sign: int | None, read: Callable[[Any], Any], kind: str) -> tuple[Any, int]:
-    """Return what ``read`` makes of the return path H of a loop, checked against G, and the sign of the feedback."""
+    """Convert the return path H of a loop by ``read``, check it against G, and return it with the feedback's sign."""
     n_u, n_y = len(g.inputs), len(g.outputs)
     if is_number(back):
         if n_u != n_y:

@@ -302,7 +302,7 @@ def _candidates(
     shapes: tuple[int, int, int],
     signals: tuple[Any, ...],
 ) -> list[UncertainModel]:
-    """The LFTs of the best few decompositions, reduced and as they are, the smallest first."""
+    """Return the LFTs of the best few decompositions, reduced and unreduced, the smallest first."""
     found: list[UncertainModel] = []
     for lft in _lfts(expressions, algebra, ranges)[:DECOMPOSITIONS]:
         model = _as_model(lft, ranges, shapes, signals)

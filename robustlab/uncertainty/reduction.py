@@ -245,7 +245,7 @@ def _invariant(a: Array, b: Array, sizes: Sequence[int], tolerance: float, b_siz
 
 
 def _fresh_directions(fresh: Array, basis: Array, limit: float) -> Array:
-    """Return an orthonormal basis of what ``fresh`` adds to ``basis``, singular values above the limit."""
+    """Return an orthonormal complement of ``basis`` for ``fresh``, singular values above the limit."""
     rest = fresh - basis @ (basis.T @ fresh)
     if not rest.size or basis.shape[1] == len(basis):
         return np.zeros((len(basis), 0))

@@ -48,23 +48,19 @@ def exact(X: NDArray[Any]) -> Matrix:
 
 
 def identity(n: int) -> Matrix:
-    """The identity."""
     return exact(np.eye(n))
 
 
 def zeros(rows: int, cols: int) -> Matrix:
-    """A matrix of zeros."""
     return arb_mat(rows, cols)
 
 
 def diagonal(entries: Sequence[arb]) -> Matrix:
-    """The diagonal matrix with these balls."""
     n = len(entries)
     return arb_mat(n, n, [entries[i] if i == j else 0 for i in range(n) for j in range(n)])
 
 
 def adjoint(X: Matrix) -> Matrix:
-    """The conjugate transpose."""
     return X.conjugate().transpose() if isinstance(X, acb_mat) else X.transpose()
 
 
@@ -77,25 +73,24 @@ def stack(grid: Sequence[Sequence[Matrix]]) -> Matrix:
 
 
 def part(X: Matrix, rows: slice, cols: slice) -> Matrix:
-    """The block of ``X`` in these rows and columns."""
     r, c = range(*rows.indices(X.nrows())), range(*cols.indices(X.ncols()))
     return type(X)(len(r), len(c), [X[i, j] for i in r for j in c])
 
 
 def magnitudes(X: Matrix) -> Matrix:
-    """Upper bounds of the entries' absolute values, exact numbers."""
+    """Return exact upper bounds of the entries' absolute values."""
     return arb_mat(X.nrows(), X.ncols(), [x.abs_upper() for x in X.entries()])
 
 
 def radii(X: Matrix) -> Matrix:
-    """Upper bounds of the entries' radii."""
+    """Return upper bounds of the entries' radii."""
     entries = X.entries()
     spread = [x.real.rad() + x.imag.rad() for x in entries] if isinstance(X, acb_mat) else [x.rad() for x in entries]
     return arb_mat(X.nrows(), X.ncols(), spread)
 
 
 def midpoints(X: Matrix) -> NDArray[Any]:
-    """The midpoints in floating point: a hint."""
+    """Return the midpoints in floating point, as a hint."""
     values = [complex(x) for x in X.entries()] if isinstance(X, acb_mat) else [float(x) for x in X.entries()]
     return np.array(values, dtype=complex if isinstance(X, acb_mat) else float).reshape(X.nrows(), X.ncols())
 

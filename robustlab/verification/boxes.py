@@ -136,7 +136,7 @@ def uncovered(root: Sides, regions: Sequence[Region], work: Work) -> Region | No
 
 
 def _touches(sides: Sides, box: Sides) -> bool:
-    """Test whether they have more than a face in common; of an interval that is a point, the point."""
+    """Test whether they overlap in more than a boundary; for an interval of one point, in that point."""
     return all((x < b and y > a) or (a == b and x <= a <= y) for (x, y), (a, b) in zip(sides, box, strict=True))
 
 

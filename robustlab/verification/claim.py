@@ -54,7 +54,6 @@ class Verdict:
 
     @property
     def proved(self) -> bool:
-        """Whether the claim was proved."""
         return self.outcome is Outcome.PROVED
 
 

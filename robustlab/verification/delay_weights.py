@@ -145,7 +145,6 @@ class Delayed:
 
     @property
     def n(self) -> int:
-        """States."""
         return self.size - len(self.delays)
 
     @property
@@ -161,7 +160,6 @@ class Delayed:
         )
 
     def at(self, w: float) -> Matrix:
-        """Return F at the exact frequency ``w``."""
         return self.diagonal(acb(0, w), lambda t: _turned(w, t)) - self.H
 
 

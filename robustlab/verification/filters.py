@@ -31,15 +31,12 @@ class Filtered:
         return exact(np.eye(self.width)[first : first + count])
 
     def output(self, rows: slice) -> Matrix:
-        """Outputs of the model."""
         return self._wide(part(self.G.C, rows, slice(None)), part(self.G.D, rows, slice(None)))
 
     def input(self, cols: slice) -> Matrix:
-        """Inputs of the model."""
         return self.units(self.n + cols.start, cols.stop - cols.start)
 
     def added(self, count: int) -> Matrix:
-        """New inputs r."""
         self.used += count
         return self.units(self.n + self.used - count, count)
 

@@ -94,7 +94,7 @@ class Form:
     G: Matrix | None  # (q, p); None: zero
 
     def of(self, M: Matrix) -> Matrix:
-        """F of a matrix M (p, q), shape (q, q)."""
+        """Return F of a matrix M (p, q), shape (q, q)."""
         result = self.weighted - adjoint(M) * (self.D_z * M)
         if self.G is None:
             return result
@@ -102,7 +102,7 @@ class Form:
         return result - acb(0, 1) * (cross - adjoint(cross))
 
     def of_sum(self, D: Matrix, C: Matrix) -> Quadratic:
-        """F as a function of X (n, q), with ``M = D + C X``."""
+        """Return F as a function of X (n, q), with ``M = D + C X``."""
         C_star = adjoint(C)
         linear = C_star * (self.D_z * D)
         if self.G is not None:
@@ -119,12 +119,11 @@ class Quadratic:
     square: Matrix
 
     def at(self, X: Matrix) -> Matrix:
-        """Return its value, shape (q, q)."""
         half = adjoint(X) * (self.linear + self.square * X * arb(0.5))
         return self.constant - half - adjoint(half)
 
     def higher(self, X: Sequence[Matrix], S: Matrix) -> list[Matrix]:
-        r"""With :math:`X(e) = \sum_k e^k X_k`, e real: the coefficients of :math:`S^* F(e) S` from e^1 on."""
+        r"""Return the coefficients of :math:`S^* F(e) S` from e^1 on, :math:`X(e) = \sum_k e^k X_k`, e real."""
         X = [x * S for x in X]
         into, degree = [self.square * x for x in X], len(X) - 1
         lowest = self.linear * S + into[0]
@@ -158,7 +157,7 @@ def scaled_form(
 
 
 def gain_form(m: int, p: int, gamma: float) -> Form:
-    """The form of one full block (m, p) of level gamma, D = 1: :math:`gamma^2 I - M^* M`, the norm itself."""
+    """Return the form of the norm, :math:`gamma^2 I - M^* M`: one full block (m, p) of level gamma, D = 1."""
     return Form(identity(m) * arb(gamma) ** 2, identity(p), None)
 
 

@@ -44,17 +44,14 @@ class Model:
 
     @property
     def n(self) -> int:
-        """States."""
         return self.A.nrows()
 
     @property
     def p(self) -> int:
-        """Outputs."""
         return self.D.nrows()
 
     @property
     def m(self) -> int:
-        """Inputs."""
         return self.D.ncols()
 
     @property

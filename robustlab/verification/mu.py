@@ -135,6 +135,5 @@ def covering(claim: Claim, dt: float) -> list[tuple[int, float, float]]:
 
 
 def beyond_nyquist(w: float, dt: float) -> bool:
-    """Prove w dt >= pi of a discrete model."""
     with precision(PRECISIONS[-1]):
         return bool(dt > 0 and arb(w) * arb(dt) >= arb.pi())

@@ -65,7 +65,6 @@ def _parameters(claim: Claim, k: int) -> NDArray[np.float64]:
 
 
 def fraction(x: float) -> fmpq:
-    """Convert a double to a rational number."""
     return fmpq(*x.as_integer_ratio())
 
 

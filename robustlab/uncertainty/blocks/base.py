@@ -374,7 +374,6 @@ def rank_one(u: NDArray[Any], v: NDArray[Any]) -> NDArray[Any]:
 
 
 def check_name_and_size(name: str, size: int) -> None:
-    """Reject a block without a name or a size."""
     if not isinstance(name, str) or not name or len(name) > 200:
         raise InputError("block", f"name {name!r}", "a text of 1 to 200 characters")
     if isinstance(size, bool) or not isinstance(size, (int, np.integer)) or size < 1:

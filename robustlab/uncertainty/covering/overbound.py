@@ -322,5 +322,4 @@ def _section(numerator: Array, denominator: Array) -> StateSpaceModel:
 
 
 def anonymous(model: StateSpaceModel) -> StateSpaceModel:
-    """Return the model without names and units of its signals."""
     return StateSpaceModel(model.A, model.B, model.C, model.D, model.dt)
