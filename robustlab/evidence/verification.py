@@ -94,10 +94,7 @@ class Verified(Shown):
         ]
 
     def to_json(self) -> dict[str, Any]:
-        rows = [
-            {"claim": c.claim, "outcome": c.outcome.value, "bound": c.bound, "where": c.where, "boxes": c.boxes}
-            for c in self.claims
-        ]
+        rows = [{**vars(c), "outcome": c.outcome.value} for c in self.claims]
         more = {"not_covered": list(self.not_covered), "notes": list(self.notes)}
         return {"type": "Verified", "status": self.status, "proved": self.proved, "claims": rows, **more}
 

@@ -174,19 +174,17 @@ def test_boxes_of_a_matrix_with_an_uneven_range():
     one |= {"low": np.zeros(1), "high": np.full(1, np.inf)}
     numbers = {**one, "M": np.eye(1), "blocks": np.array([[0, 1, 1]]), "level": np.ones(1), "size": 1.0}
 
-    def outcome_of(ranges, box, **more):  # 1 - delta is singular at delta = 1 and nowhere else
+    def verdict(ranges, box, **more):  # 1 - delta is singular at delta = 1 and nowhere else
         return cases.outcome("mu-upper-boxes", numbers | {"ranges": [ranges], "box": [[box]]} | more)
 
-    assert outcome_of((-2.0, 0.9), (-2.0, 0.9)) == "proved"
-    assert outcome_of((-2.0, 0.9), (-2.5, 0.95)) == "proved"
-    assert outcome_of((-2.0, 1.0), (-2.0, 1.0)) == "not proved"
-    assert outcome_of((-2.0, 0.9), (-2.0, 0.8)) == "not proved"
-    assert outcome_of((-2.0, 0.9), (-2.0, 0.9), high=[5.0]) == "not proved"
-    assert outcome_of((-2.0, 0.9), (-2.0, 0.9), size=1.01) == "not proved"
-    assert (
-        outcome_of((-1.0, 1.0), (-100.0, 100.0), size=100.0, M=np.array([[1j]]), G=np.full((1, 1, 1), 1e3)) == "proved"
-    )
-    assert outcome_of((-1.0, 1.0), (-100.0, 100.0), size=100.0, G=np.full((1, 1, 1), 1e3)) == "not proved"
+    assert verdict((-2.0, 0.9), (-2.0, 0.9)) == "proved"
+    assert verdict((-2.0, 0.9), (-2.5, 0.95)) == "proved"
+    assert verdict((-2.0, 1.0), (-2.0, 1.0)) == "not proved"
+    assert verdict((-2.0, 0.9), (-2.0, 0.8)) == "not proved"
+    assert verdict((-2.0, 0.9), (-2.0, 0.9), high=[5.0]) == "not proved"
+    assert verdict((-2.0, 0.9), (-2.0, 0.9), size=1.01) == "not proved"
+    assert verdict((-1.0, 1.0), (-100.0, 100.0), size=100.0, M=np.array([[1j]]), G=np.full((1, 1, 1), 1e3)) == "proved"
+    assert verdict((-1.0, 1.0), (-100.0, 100.0), size=100.0, G=np.full((1, 1, 1), 1e3)) == "not proved"
 
 
 def test_a_difference_over_a_band():
