@@ -50,7 +50,6 @@ class Verdict:
 
     outcome: Outcome
     where: str = ""
-    final: bool = False  # not proved, and more bits would not help
 
     @property
     def proved(self) -> bool:
@@ -60,9 +59,9 @@ class Verdict:
 PROVED = Verdict(Outcome.PROVED)
 
 
-def not_proved(where: str, *, final: bool = False) -> Verdict:
-    """Return the verdict of an undecided attempt; ``final``: more bits would not help."""
-    return Verdict(Outcome.NOT_PROVED, where, final)
+def not_proved(where: str) -> Verdict:
+    """Return the verdict of an undecided attempt."""
+    return Verdict(Outcome.NOT_PROVED, where)
 
 
 def refuted(where: str) -> Verdict:

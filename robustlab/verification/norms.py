@@ -63,7 +63,7 @@ def climb(attempt: Callable[[], Verdict]) -> Verdict:
                 verdict = attempt()
             except Blurred:
                 verdict = not_proved(f"{bits} bits are not enough")
-        if verdict.outcome is not Outcome.NOT_PROVED or verdict.final:
+        if verdict.outcome is not Outcome.NOT_PROVED:
             break
     return verdict
 

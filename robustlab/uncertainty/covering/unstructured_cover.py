@@ -103,7 +103,6 @@ def unstructured_cover(
     nominal: StateSpaceModel | None = None,
     order: int = 4,
     tolerance: float = 0.1,
-    points: int = GRID_POINTS,
 ) -> UnstructuredCover:
     """Return the cover of models with the same signals; their states may differ."""
     if form != "additive" and models[0].n_inputs != models[0].n_outputs:
@@ -117,7 +116,7 @@ def unstructured_cover(
         if all(m.state_names == models[0].state_names for m in models):  # the middle of the matrices: number 0
             stack = system_matrices(models)
             candidates.append((0, model_of(0.5 * (stack.min(axis=0) + stack.max(axis=0)), models[0])))
-    omega = _grid(models, [c for _, c in candidates], points)
+    omega = _grid(models, [c for _, c in candidates])
     best: tuple[float, int | None, StateSpaceModel] | None = None
     rejected: NoTrustworthyNumber | None = None
     for number, candidate in candidates:
@@ -273,7 +272,7 @@ def _reference(models: tuple[StateSpaceModel, ...], form: Form, omega: Array) ->
     return np.ones(len(omega))
 
 
-def _grid(models: tuple[StateSpaceModel, ...], others: list[StateSpaceModel], points: int) -> Array:
+def _grid(models: tuple[StateSpaceModel, ...], others: list[StateSpaceModel]) -> Array:
     """Return frequencies over all models' dynamics, dense about their resonances and anti-resonances."""
     dt = models[0].dt
     poles = np.concatenate([m.poles() for m in (*models, *others)])
@@ -285,7 +284,7 @@ def _grid(models: tuple[StateSpaceModel, ...], others: list[StateSpaceModel], po
     size = np.abs(known) if len(known) else np.ones(1)
     low, top = float(size.min()) * 1e-2, np.pi / dt if dt else np.inf
     high = 0.999 * top if dt else float(size.max()) * 1e2
-    omega = [np.geomspace(min(low, 0.1 * high), high, points)]
+    omega = [np.geomspace(min(low, 0.1 * high), high, GRID_POINTS)]
     if dt:  # negative real poles and zeros are resonances at the Nyquist frequency
         rates = np.abs(known.real[np.abs(known.imag) > high])
         rates = np.unique(np.log(np.maximum(rates[rates < 0.03 * top], NEAREST * top)).round(1))
