@@ -31,7 +31,6 @@ class CoprimeRiccati:
 
     model: StateSpaceModel  # the model's transfer function of `s / rate`, in balanced states
     rate: float  # in rad/s
-    states: Array  # factors of the balancing: state `i` of the given model is `states[i]` times that of `model`
     # control, filtering: X with its gain `F = -R^-1 (B^T X + D^T C)`, and Z with `H^T`
     control: RiccatiSolution
     filtering: RiccatiSolution
@@ -47,7 +46,7 @@ class CoprimeRiccati:
 
 def coprime_riccati(model: StateSpaceModel) -> CoprimeRiccati:
     """Solve both Riccati equations of a continuous, stabilisable and detectable model."""
-    m, rate, states = _scaled(model)
+    m, rate = _scaled(model)
     p, q = m.D.shape
     r, s = np.eye(q) + m.D.T @ m.D, np.eye(p) + m.D @ m.D.T
     try:
@@ -57,7 +56,7 @@ def coprime_riccati(model: StateSpaceModel) -> CoprimeRiccati:
         hidden = hidden_unstable(model)
         found = hidden[0].meaning if hidden else error.found
         raise NoTrustworthyNumber("coprime factors", found, "a stabilisable and detectable model") from None
-    return CoprimeRiccati(m, rate, states, control, filtering)
+    return CoprimeRiccati(m, rate, control, filtering)
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,10 +240,10 @@ def _nearness(models: tuple[StateSpaceModel, ...]) -> float:
     return max((float(np.linalg.cond(np.eye(len(a)) + a)) for a in balanced), default=1.0)
 
 
-def _scaled(model: StateSpaceModel) -> tuple[StateSpaceModel, float, Array]:
-    """Return the transfer function of ``s / rate`` with balanced states, the rate in rad/s, and the states' factors."""
+def _scaled(model: StateSpaceModel) -> tuple[StateSpaceModel, float]:
+    """Return the transfer function of ``s / rate`` with balanced states, and the rate in rad/s."""
     if not model.n_states:
-        return model, 1.0, np.zeros(0)
+        return model, 1.0
     if not is_moderate(model.A, model.B, model.C, model.D):
         hint = "choose other units of u and y, or of time"
         raise NoTrustworthyNumber("coprime factors", "entries whose squares overflow or vanish", None, hint)
@@ -257,7 +256,7 @@ def _scaled(model: StateSpaceModel) -> tuple[StateSpaceModel, float, Array]:
     in_size, out_size = float(np.linalg.norm(b)), float(np.linalg.norm(c))
     level = float(2.0 ** np.round(np.log2(in_size / out_size) / 2)) if in_size and out_size else 1.0
     root = np.sqrt(rate)
-    return StateSpaceModel(a / rate, b / level / root, c * level / root, model.D), rate, scale * level / root
+    return StateSpaceModel(a / rate, b / level / root, c * level / root, model.D), rate
 
 
 def _inverse_root(matrix: Array) -> Array:
