@@ -106,10 +106,10 @@ def _end_of_range(R: Model, W: Model, tau: float, epsilon: float, far: float, wo
     quadratic = Form(arb_mat([[arb(epsilon) ** 2]]), diagonal([arb(1), arb(-1)]), None).of_sum(G.D, G.C)
 
     def test(a: float, w0: float, b: float, r: float) -> Definite:
-        box = box_of(G, w0, r, SMALL)
-        if box is None:
+        X = expansion(G, w0, r, SMALL)
+        if X is None:
             return Definite(False, math.nan)
-        return definite(quadratic.at(box.X[0]), lambda S: quadratic.higher(box.X, S))
+        return definite(quadratic.at(X[0]), lambda S: quadratic.higher(X, S))
 
     return sweep(G, 0.0, far, test, work)
 
@@ -120,10 +120,10 @@ def _no_opposite(R: Model, low: float, high: float, far: float, work: Work) -> V
     half, middle = (arb(high) - arb(low)) / 2, (arb(low) + arb(high)) / 2
 
     def test(a: float, w0: float, b: float, r: float) -> Definite:
-        box = box_of(G, w0, r)
-        if box is None:
+        X = expansion(G, w0, r)
+        if X is None:
             return Definite(False, math.nan)
-        value = (G.D + G.C * sum((X * arb(0, 1) for X in box.X[1:]), box.X[0]))[0, 0]
+        value = (G.D + G.C * sum((x * arb(0, 1) for x in X[1:]), X[0]))[0, 0]
         angle = (value.conjugate() * acb(0, -middle * arb(w0, r)).exp()).arg()
         return Definite(bool(angle.abs_upper() + arb(b) * half < arb.pi()), math.nan)
 
@@ -167,16 +167,8 @@ def _turned(w: float, tau: arb) -> acb:
     return acb(0, arb(w) * tau).exp()
 
 
-@dataclass(frozen=True)
-class Box:
-    """In a box of frequency: the coefficients of X(e), the last with the remainder, and a bound of ``R N(e)``."""
-
-    X: list[Matrix]
-    N: Matrix
-
-
-def box_of(G: Delayed, w0: float, r: float, degree: int = DEGREE) -> Box | None:
-    """Return the box ``|w - w0| <= r`` of the module's text; None where F was not proved to be regular in it."""
+def expansion(G: Delayed, w0: float, r: float, degree: int = DEGREE) -> list[Matrix] | None:
+    """Return the coefficients of X(e) for ``|w - w0| <= r``, the last with the remainder; None: F may be singular."""
     R = inverse(G.at(w0))
     if R is None:
         return None
@@ -199,7 +191,7 @@ def box_of(G: Delayed, w0: float, r: float, degree: int = DEGREE) -> Box | None:
     Z = neumann(N, size * Q)
     if Z is None or neumann(N, arb_mat(G.size, 1, [1] * G.size)) is None:
         return None
-    return Box([*X, acb_mat(Z.nrows(), Z.ncols(), [acb(arb(0, x), arb(0, x)) for x in Z.entries()])], N)
+    return [*X, acb_mat(Z.nrows(), Z.ncols(), [acb(arb(0, x), arb(0, x)) for x in Z.entries()])]
 
 
 def sweep(G: Delayed, a: float, b: float, test: Test, work: Work) -> Verdict:
