@@ -77,7 +77,7 @@ def prove_delay_weight(claim: Claim, work: Work) -> Verdict:
         verdict = stable(R, None, work)
         if verdict.proved:
             form = Form(arb_mat([[arb(epsilon) ** 2 - 2]]), diagonal([arb(2), arb(-1)]), None)
-            verdict = axis(_beside(R, W), [(far, math.inf, form)], work)
+            verdict = axis(_common_input(R, W), [(far, math.inf, form)], work)
         for tau in dict.fromkeys((low, high)):
             if verdict.proved:
                 verdict = _end_of_range(R, W, tau, epsilon, far, work)
@@ -88,7 +88,7 @@ def prove_delay_weight(claim: Claim, work: Work) -> Verdict:
     return climb(attempt)
 
 
-def _beside(R: Model, W: Model) -> Model:
+def _common_input(R: Model, W: Model) -> Model:
     """Stack the outputs of R and W, which have one common input."""
     A = stack([[R.A, zeros(R.n, W.n)], [zeros(W.n, R.n), W.A]])
     C = stack([[R.C, zeros(1, W.n)], [zeros(1, R.n), W.C]])
@@ -97,7 +97,7 @@ def _beside(R: Model, W: Model) -> Model:
 
 def _end_of_range(R: Model, W: Model, tau: float, epsilon: float, far: float, work: Work) -> Verdict:
     """Prove the inequality for one delay up to ``far``, for the model ``[e^(-s tau) - R; W]``."""
-    both = _beside(R, W)
+    both = _common_input(R, W)
     n, sign = both.n, diagonal([arb(-1), arb(1)])
     G = Delayed(
         stack([[both.A, zeros(n, 1)], [zeros(1, n), zeros(1, 1)]]), stack([[both.B], [identity(1)]]),

@@ -57,8 +57,7 @@ SHOWN: Mapping[str, Rules] = {
 CONTROLLER: Rules = {"gamma": ANY, "": "K_{}"}
 MODELS = ("norm", "bounded-real", "loop-norm", "difference-norm", "mu-axis")  # claims about one model's gain
 PATTERNS = ("{}", "K_{}", "P_{}", "W_{}", "{}0", "{}1", "{}2")  # of the models in claims
-SAYS_NOTHING = {"peak": math.inf, "h2": math.inf, "1/attained": math.inf, "1/peak": 0.0, "attained": 0.0,
-                "gain": 0.0}  # fmt: skip
+TRIVIAL = {"peak": math.inf, "h2": math.inf, "1/attained": math.inf, "1/peak": 0.0, "attained": 0.0, "gain": 0.0}
 
 
 def displayed(
@@ -75,7 +74,7 @@ def displayed(
     rules = CONTROLLER if controller else SHOWN.get(kind, {})
     rows = [_digest(root)]
     if not rules:
-        rows.append(_row(f"no claim is known to say what a file of kind {kind!r} displays", False))
+        rows.append(_row(f"no claim covers a file of kind {kind!r}", False))
     covered: set[str] = set()
     for path, rule in rules.items():
         places = dict(places_at(top, path))
@@ -157,11 +156,11 @@ def _compared(place: str, thing: Dataset | Tree, rule: str, proved: Sequence[Cla
 
 
 def _number(name: str, x: float, word: str, known: Sequence[float]) -> Verification:
-    if x == SAYS_NOTHING.get(word):
-        return _row(f"{name} is {x:.9g}, which says nothing", True)
+    if x == TRIVIAL.get(word):
+        return _row(f"{name} is {x:.9g}, a trivial bound", True)
     wanted = max(x, 1.0) if word == "inside" else x
     if not known:
-        return _row(f"{name} is {x:.9g}, and no claim that was proved speaks of it", False)
+        return _row(f"{name} is {x:.9g}, and no proved claim contains it", False)
     near = min(known, key=lambda v: abs(v - wanted) if v != wanted else -1.0)
     return _row(f"{name} is {x:.9g}, the claim proves {near:.9g}", near == wanted or
                 abs(near - wanted) <= ROUNDING * abs(wanted) < math.inf)  # fmt: skip

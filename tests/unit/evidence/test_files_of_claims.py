@@ -96,7 +96,7 @@ EDITS = [
     ("norm", lambda file: file.attrs.modify("status", "failed"), "the file was changed"),
     ("norm", lambda file: file.pop("data/value"), "data/value is missing"),
     ("norm", lambda file: file.attrs.modify("type", "Margin"), "data/lower is"),
-    ("norm", lambda file: file.attrs.modify("type", "Opinion"), "no claim is known to say .* 'Opinion'"),
+    ("norm", lambda file: file.attrs.modify("type", "Opinion"), "no claim covers .* 'Opinion'"),
     ("margin", scaled("data/lower"), "data/lower is 5.49.*, the claim proves 4.99"),
     ("margin", scaled("data/upper"), "data/upper is 5.5, the claim proves 5"),
     ("margin", lambda file: file.move("data/delta/pole", "data/delta/zero"), "the file was changed"),
