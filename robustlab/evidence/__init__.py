@@ -1,7 +1,6 @@
 """The evidence of results as claims that `robustlab.verify` checks from the numbers alone.
 
-`claims_of` turns a result into claims; `verify` has them judged. What a class claims is said by its
-method ``claims``, or in one row of ``CLAIMS``.
+`claims_of` returns the claims of a result, by its method ``claims`` or a row of ``CLAIMS``; `verify` checks them.
 """
 
 from robustlab.lazily import lazily

@@ -1,8 +1,9 @@
-"""Claims about mu, of a matrix and over the frequency axis, from the pieces that the methods have found."""
+"""Claims about mu, of a matrix and over the frequency axis."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,13 +24,13 @@ from robustlab.uncertainty.blocks import Block, FullBlock, block_slices, delta_m
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.verification.claim import Claim
 
-SAME = 1e-10  # of a range: faces nearer than this are one face
-TOLERANCE = 1e-12  # for the rounding of a stored approximation and of its weight: at zero both are no exact zeros
-GRID = np.geomspace(1e-2, 1e4, 20_000)  # frequencies over one over the delay, at which the far end is sought
+SAME = 1e-10  # of a range: sides of boxes nearer than this are equal
+TOLERANCE = 1e-12  # for the rounding of a stored approximation and of its weight, which are not exactly zero at zero
+GRID = np.geomspace(1e-2, 1e4, 20_000)  # frequencies times the delay, for the search of the far end
 
 
 def mu_claims(found: MuBounds) -> list[Claim]:
-    """Both bounds of each matrix."""
+    """Return the claims of both bounds of each matrix."""
     if found.M is None:
         return []
     every = found.M.reshape(-1, *found.M.shape[-2:])
@@ -54,7 +55,7 @@ def mu_claims(found: MuBounds) -> list[Claim]:
 
 
 def _boxes_claim(M: NDArray[Any], blocks: Sequence[Block], upper: float, proof: BoxProof) -> Claim:
-    """The bound that branch and bound has lowered: no Delta smaller than one over it makes I - M Delta singular."""
+    """Return the claim of a bound by branch and bound: no Delta below its inverse makes I - M Delta singular."""
     level = upper * ABOVE
     everywhere = [(box, Piece(0.0, np.inf, 1.0, bound)) for box, bound in proof]
     numbers = {"M": M, "blocks": block_rows(blocks), "level": _levels(blocks, level)}
@@ -62,14 +63,14 @@ def _boxes_claim(M: NDArray[Any], blocks: Sequence[Block], upper: float, proof: 
 
 
 def _kept_levels(found: MuBounds, level: float) -> NDArray[np.float64]:
-    """The level of the blocks whose size is sought, one of those that keep theirs."""
+    """Return the level of each block; one for blocks of fixed size."""
     if not found.fixed:
         return np.array(level)
     return np.array([1.0 if b.name in found.fixed else level for b in found.blocks])
 
 
 def margin_claims(found: Margin) -> list[Claim]:
-    """That the set ``lower`` times as large is stable, and that one ``upper`` times as large is not."""
+    """Return the claims that the set ``lower`` times as large is stable, and that ``upper`` times as large is not."""
     uncertain = found.system
     if uncertain is None:
         return []
@@ -78,7 +79,7 @@ def margin_claims(found: Margin) -> list[Claim]:
         return [Claim("stable", {"A": uncertain.M.A, "dt": np.array(float(uncertain.M.dt))})]
     common: Numbers = {**model_numbers(model), "blocks": block_rows(blocks)}
     claims: list[Claim] = []
-    at = _frequencies(uncertain)
+    at = partial(model_frequency, uncertain)
     if 0 < found.lower < np.inf:
         level = ABOVE / found.lower
         if found.boxes or not _symmetric(blocks):
@@ -97,12 +98,12 @@ def margin_claims(found: Margin) -> list[Claim]:
 
 
 def gain_claims(found: WorstCaseGain) -> list[Claim]:
-    """That no member has a larger gain than ``upper``."""
+    """Return the claim that no member has a larger gain than ``upper``."""
     uncertain = found.system
     if uncertain is None or not np.isfinite(found.upper) or not found.proof:
         return []
     performance = FullBlock(PERFORMANCE, len(uncertain.inputs), len(uncertain.outputs))
-    blocks, at = (*uncertain.blocks, performance), _frequencies(uncertain)
+    blocks, at = (*uncertain.blocks, performance), partial(model_frequency, uncertain)
     gamma = np.array(found.upper * ABOVE)
     numbers: Numbers = {**model_numbers(uncertain.M), "blocks": block_rows(blocks), "gamma": gamma}
     if found.boxes or not _symmetric(blocks):
@@ -115,7 +116,7 @@ def gain_claims(found: WorstCaseGain) -> list[Claim]:
 
 
 def robust_gain_claims(found: RobustGain) -> list[Claim]:
-    """That no member of the set ``lower`` times as large has a larger gain."""
+    """Return the claim that no member of the set ``lower`` times as large has a larger gain."""
     return gain_claims(found.proof) if found.proof is not None else []
 
 
@@ -124,20 +125,19 @@ def _symmetric(blocks: Sequence[Block]) -> bool:
 
 
 def _levels(blocks: Sequence[Block], level: float) -> NDArray[np.float64]:
-    """One of real blocks, whose ranges are told in the user's unit, and the level of the others."""
+    """Return one for real blocks, which have their ranges, and the level for the others."""
     return np.array([1.0 if b.interval else level for b in blocks])
 
 
 def _large_enough(
     blocks: Sequence[Block], proved: Sequence[tuple[Box, Piece]], levels: NDArray[np.float64]
 ) -> list[tuple[Box, Piece]]:
-    """The boxes in which complex blocks were as large as these levels allow: a search passes smaller ones, too."""
+    """Select the boxes in which complex blocks were as large as these levels allow."""
     ball = np.array([b.interval is None for b in blocks], dtype=bool)
     return [(box, piece) for box, piece in proved if (box.half[ball] * levels[ball] >= 1 - SAME).all()]
 
 
 def _whole_box(blocks: Sequence[Block], size: float, proof: Sequence[Any]) -> list[tuple[Box, Piece]]:
-    """Pieces of a set of this size in one box."""
     box = root_box(blocks, size)
     return [(box, piece) for piece in proof]
 
@@ -145,7 +145,7 @@ def _whole_box(blocks: Sequence[Block], size: float, proof: Sequence[Any]) -> li
 def _boxes(
     blocks: Sequence[Block], proved: Sequence[tuple[Box, Piece]], size: float, at: Callable[[float], float]
 ) -> Numbers:
-    """Boxes of parameters with the intervals and scalings that were proved in them, for a set of this size."""
+    """Return boxes of parameters with the intervals and scalings proved in them, for a set of this size."""
     sides = np.stack([np.stack([box.centre - box.half, box.centre + box.half], axis=1) for box, _ in proved])
     ranges = _ranges(blocks)
     for i, block in enumerate(blocks):
@@ -163,7 +163,7 @@ def _boxes(
 
 
 def _snapped(sides: NDArray[np.float64], whole: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Faces that differ by rounding brought to one number, those at the ends of the set a little beyond them."""
+    """Merge sides that differ by rounding, and move those at the ends of the set slightly outside."""
     width = whole[1] - whole[0]
     values, place = np.unique(sides, return_inverse=True)
     groups = np.concatenate([[0], np.cumsum(np.diff(values) > SAME * width)])
@@ -174,17 +174,13 @@ def _snapped(sides: NDArray[np.float64], whole: NDArray[np.float64]) -> NDArray[
     return found
 
 
-def _frequencies(uncertain: Any) -> Callable[[float], float]:
-    return lambda omega: model_frequency(uncertain, omega)
-
-
 def _ranges(blocks: Sequence[Block]) -> NDArray[np.float64]:
-    """The ends of each real block's range in Delta, for a set of size one; -1, 1 of other blocks."""
+    """Return the ends of each real block's range in Delta, for a set of size one; -1, 1 of other blocks."""
     return np.array([b.interval or (-1.0, 1.0) for b in blocks], dtype=float)
 
 
 def _attained(blocks: Sequence[Block], delta: NDArray[Any]) -> NDArray[np.float64]:
-    """One over the norm of each block; huge where it is zero."""
+    """Return the inverse norm of each block; huge where the norm is zero."""
     norms = [float(np.linalg.norm(delta[w, z], 2)) for w, z in block_slices(blocks)]
     return np.array([1 / n if n > 0 else 1e300 for n in norms])
 
@@ -193,12 +189,12 @@ def _attained(blocks: Sequence[Block], delta: NDArray[Any]) -> NDArray[np.float6
 
 
 def delay_claims(found: UncertainModel) -> list[Claim]:
-    """That the weights of the set's delays cover them."""
+    """Return the claims that the weights of the set's delays cover them."""
     return weight_claims(found.blocks)
 
 
 def weight_claims(blocks: Sequence[Block]) -> list[Claim]:
-    """Of each block that stands for a delay: its weight covers what the approximation misses of every such delay."""
+    """Return for each block of a delay the claim that its weight bounds the approximation's error."""
     claims: list[Claim] = []
     for covered in dict.fromkeys(b.covers for b in blocks if b.covers is not None):
         tau, spread, order, slope = covered
@@ -211,7 +207,7 @@ def weight_claims(blocks: Sequence[Block]) -> list[Claim]:
 
 
 def _far(R: StateSpaceModel, W: StateSpaceModel, low: float, high: float) -> float:
-    """Where the weight has passed all that can be missed, before the arc of the delays reaches the opposite of R."""
+    """Return a frequency above which the weight exceeds 1 + |R|, before the arc of delays reaches the opposite of R."""
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     omega = GRID / middle
     r, w = (frequency_response(G, omega)[:, 0, 0] for G in (R, W))

@@ -1,7 +1,4 @@
-"""Claims about loops with the controller as it is stored.
-
-What is claimed of a design is claimed of its plant and its K; the checker closes the loop itself, in balls.
-"""
+"""Claims about loops with the stored controller: of the plant and K, of which the checker forms the loop in balls."""
 
 from __future__ import annotations
 
@@ -28,23 +25,23 @@ from robustlab.verification.claim import Claim
 
 
 def hinf_claims(found: Synthesis) -> list[Claim]:
-    """That plant and controller make a stable loop with an H-infinity norm of at most ``gamma``."""
+    """Return the claim of a stable loop with an H-infinity norm of at most ``gamma``."""
     return loop_claims(found.plant.model, found.K, found.gamma)
 
 
 def h2_claims(found: Synthesis) -> list[Claim]:
-    """That plant and controller make a stable loop with an H2 norm of at most ``gamma``."""
+    """Return the claim of a stable loop with an H2 norm of at most ``gamma``."""
     return h2_loop_claims(found.plant.model, found.K, found.gamma)
 
 
 def ncf_claims(found: NcfSynthesis) -> list[Claim]:
-    """That the shaped loop has a four-block norm of at most ``gamma``, and the loop of the plant as given is stable."""
+    """Return the claims of a four-block norm of at most ``gamma`` of the shaped loop, and of a stable original loop."""
     shaped = loop_claims(four_block(found.shaped_plant), found.K_shaped, found.gamma)
     return shaped + loop_claims(found.plant.model, found.K, hinf_norm(found.closed_loop).upper)
 
 
 def fixed_claims(found: FixedSynthesis) -> list[Claim]:
-    """The norm of every plant's loop; of a set the worst-case gain."""
+    """Return the claims of the norm of every plant's loop; of a set of the worst-case gain."""
     if found.worst is not None:
         if found.gamma != found.worst.upper or found.uncertain is None:
             return []
@@ -59,7 +56,7 @@ def fixed_claims(found: FixedSynthesis) -> list[Claim]:
 
 
 def tuned_claims(found: TunedSynthesis) -> list[Claim]:
-    """The value of every goal for every plant: a norm of its weighted loop."""
+    """Return the claims of the value of every goal for every plant: a norm of its weighted loop."""
     return [
         claim
         for goal in found.goals
@@ -69,7 +66,7 @@ def tuned_claims(found: TunedSynthesis) -> list[Claim]:
 
 
 def reduced_controller_claims(found: ReducedController) -> list[Claim]:
-    """The measure of the loop with the controller returned: a norm, or that it is stable for the set."""
+    """Return the claim of the loop with the reduced controller: a norm, or stability for the set."""
     if isinstance(found.evidence, Margin):
         numbers = loop_numbers(found.plant.model, found.K)
         stable = [claim for claim in margin_claims(found.evidence) if claim.kind in ("mu-axis", "mu-boxes")]
@@ -80,15 +77,14 @@ def reduced_controller_claims(found: ReducedController) -> list[Claim]:
 
 
 def _of_loop(claim: Claim, numbers: Numbers) -> Claim:
-    """The claim about a model as one about the plant and the controller that it is made of."""
+    """Return the claim about a loop as one about its plant and controller."""
     return Claim(claim.kind, {**{name: x for name, x in claim.numbers.items() if name not in "ABCD"}, **numbers})
 
 
 def dk_claims(found: DKSynthesis) -> list[Claim]:
-    """That mu of the loop is at most ``gamma`` at all frequencies, by constant D, G on intervals.
+    """Return the claim that mu of the loop is at most ``gamma`` at all frequencies, by constant D, G on intervals.
 
-    Where the design rests on scalings that depend on the frequency, or the loop is discrete, intervals are sought anew
-    at the level claimed.
+    For scalings that depend on the frequency, or a discrete loop, new intervals are computed at this level.
     """
     level, pieces = found.gamma * ABOVE, found.pieces
     if not pieces:

@@ -1,4 +1,4 @@
-"""Claims about robustness that rest on a norm of a loop."""
+"""Claims about robustness by a norm of a loop."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from robustlab.verification.claim import Claim
 
 
 def coprime_claims(found: CoprimeMargin) -> list[Claim]:
-    """That the loop is stable, with a four-block norm of at most one over ``lower``."""
+    """Return the claim of a stable loop with a four-block norm of at most one over ``lower``."""
     if found.plant is None or found.K is None or not found.lower > 0:
         return []
     return loop_claims(four_block(found.plant), found.K, 1 / found.lower)
 
 
 def disk_claims(found: DiskMargins) -> list[Claim]:
-    """Those of all loops at once, then of each loop."""
+    """Return the claims of all loops at once, then of each loop."""
     parts = {id(part): part for part in (found.simultaneous, *found.channels.values()) if isinstance(part, DiskMargin)}
     return [claim for part in parts.values() for claim in one_disk_claims(part)]
 
 
 def one_disk_claims(found: DiskMargin) -> list[Claim]:
-    """That no deltas below ``lower`` in the factors' disks destabilise: of one loop a norm, of several mu."""
+    """Return the claim that no deltas below ``lower`` destabilise: for one loop a norm, for several mu."""
     system = found.system
     if system is None or not 0 < found.lower < np.inf:
         return []
@@ -53,14 +53,14 @@ def one_disk_claims(found: DiskMargin) -> list[Claim]:
 
 
 def delayed_stability_claims(found: DelayStability) -> list[Claim]:
-    """That every member of the set is stable, where that was found: the model with its delays is one of them."""
+    """Return the claim, if proved, that every member of the set, which contains the delayed model, is stable."""
     if found.system is None or not found.stable:
         return []
     return _claims_of_set("delayed-stable", found.system, found.proof, [], {})
 
 
 def delayed_gain_claims(found: DelayGain) -> list[Claim]:
-    """That no member has a gain above ``upper``."""
+    """Return the claim that no member has a gain above ``upper``."""
     if found.system is None or not np.isfinite(found.upper):
         return []
     block = FullBlock("performance", found.system.n_inputs, found.system.n_outputs)
@@ -68,7 +68,7 @@ def delayed_gain_claims(found: DelayGain) -> list[Claim]:
 
 
 def _delayed_disk_claims(found: DiskMargin, system: DelayedModel) -> list[Claim]:
-    """The bound of mu of the deltas beside the blocks of the delays."""
+    """Return the claim of the bound of mu of the deltas, with the blocks of the delays."""
     if found.proof is None:
         return []
     blocks = [ComplexScalar(name) for name in found.factor] or [ComplexScalar("delta")]
@@ -80,7 +80,7 @@ def _delayed_disk_claims(found: DiskMargin, system: DelayedModel) -> list[Claim]
 def _claims_of_set(
     kind: str, model: DelayedModel, proof: DelayProof | None, blocks: Sequence[Block], numbers: Numbers
 ) -> list[Claim]:
-    """What is claimed of the set that holds the model, and that its weights cover the delays."""
+    """Return the claim about the set that contains the model, and that its weights cover the delays."""
     if proof is None:
         return []
     held = covering_set(model, proof.order, blocks)

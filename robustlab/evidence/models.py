@@ -1,4 +1,4 @@
-"""Claims about models that stand for others: reduced ones, sets that end in two given models, and covers."""
+"""Claims about reduced models, sets with two given end points, and covers."""
 
 from __future__ import annotations
 
@@ -19,14 +19,11 @@ from robustlab.synthesis.reduction.reduced_model import ReducedModel
 from robustlab.uncertainty.built import BuiltModel
 from robustlab.verification.claim import Claim
 
-ROUNDING = 1e-14  # of the largest entry: allowed for beside what the result says that a member misses
+ROUNDING = 1e-14  # of the largest entry: allowance in addition to a member's stated error
 
 
 def reduction_claims(found: ReducedModel) -> list[Claim]:
-    """That the two models differ by no more than was found: at all frequencies, or between the weights.
-
-    Nothing is claimed of an error that is relative, or that of coprime factors.
-    """
+    """Return the claim of the error norm, weighted or not; none for a relative error, or that of coprime factors."""
     if found.left_out:
         return []
     if found.weights != (None, None):
@@ -37,27 +34,24 @@ def reduction_claims(found: ReducedModel) -> list[Claim]:
 
 
 def _difference(found: ReducedModel, norm: HinfNorm) -> list[Claim]:
-    """That of full and reduced model; where it is not stable, as a gain alone."""
+    """Return the claim about full minus reduced model; of the gain alone if it is not stable."""
     if not np.isfinite(norm.upper):
         return []
     full, small, level = found.full, found.model, above(norm.upper)
     numbers: Numbers = {**matrices(full, "{}1"), **matrices(small, "{}2"), "dt": np.array(float(full.dt))}
-    n, k = full.n_states, small.n_states
-    apart = StateSpaceModel(
-        np.block([[full.A, np.zeros((n, k))], [np.zeros((k, n)), small.A]]), np.vstack([full.B, small.B]),
-        np.hstack([full.C, -small.C]), full.D - small.D, full.dt,
-    )  # fmt: skip
-    if apart.is_stable():
-        proof = norm_matrix(apart, level, norm.upper)
+    B, C = np.vstack([full.B, small.B]), np.hstack([full.C, -small.C])
+    error = StateSpaceModel(_diagonal(full.A, small.A), B, C, full.D - small.D, full.dt)
+    if error.is_stable():
+        proof = norm_matrix(error, level, norm.upper)
         return [Claim("difference-norm", {**numbers, "gamma": np.array(level), **proof})]
     scalings = band_scalings(full.n_inputs, full.n_outputs, (0.0, np.inf))
     return [Claim("mu-axis", {**numbers, "level": np.array(level), **scalings})]
 
 
 def _weighted(found: ReducedModel) -> list[Claim]:
-    """The weighted difference: all models side by side as u = K y, around a plant that only wires them.
+    """Return the claim about the weighted difference: all models as one u = K y, around a plant of wires.
 
-    The inputs of both models are what the first weight puts out (or w), that of the second is their difference.
+    The first weight (or w) drives both models, their difference drives the second.
     """
     full, small = found.full, found.model
     m, p, dt = full.n_inputs, full.n_outputs, full.dt
@@ -69,7 +63,7 @@ def _weighted(found: ReducedModel) -> list[Claim]:
     K = append(*(g.renamed([f"{i} in {k}" for k in range(g.n_inputs)], [f"{i} out {k}" for k in range(g.n_outputs)])
                  for i, g in enumerate(parts)))  # fmt: skip
     w, z = first.n_inputs, last.n_outputs
-    u = np.cumsum([w, p, p, m])  # where the outputs of each part are among the inputs of the wiring
+    u = np.cumsum([w, p, p, m])  # positions of the outputs of each part among the inputs of the wiring
     y = np.cumsum([z, m, m, w])
     D = np.zeros((z + K.n_inputs, w + K.n_outputs))
     D[:z, u[3] :] = np.eye(z)
@@ -82,10 +76,9 @@ def _weighted(found: ReducedModel) -> list[Claim]:
 
 
 def set_claims(found: BuiltModel) -> list[Claim]:
-    """That the set is the nominal model at Delta = 0 and the perturbed one at Delta = I, entry by entry.
+    """Return the claim that the set is the nominal model at Delta = 0 and the perturbed one at Delta = I.
 
-    Where a difference of two entries is no double, the set can only come as near as half of its last digit; then the
-    claim says how near.
+    If a difference of two entries is no double, the claim has the rounding as its tolerance.
     """
     if found.ends is None or any(b.interval != (-1.0, 1.0) for b in found.model.blocks):
         return []
@@ -102,11 +95,11 @@ def set_claims(found: BuiltModel) -> list[Claim]:
     return [Claim("set", numbers if off == 0 else {**numbers, "tolerance": np.array(off)})]
 
 
-# --- covers: of the models, the set and the weight as they are stored -------------------------------------------------
+# --- covers -----------------------------------------------------------------------------------------------------------
 
 
 def cover_claims(found: Cover) -> list[Claim]:
-    """That each model is inside: at its parameters, or, of the form ``additive``, by an H-infinity norm."""
+    """Return the claims that each model is a member: at its parameters, or (``additive``) by an H-infinity norm."""
     if len(found.deltas) != len(found.models):
         return []
     if found.form == "additive":
@@ -116,7 +109,7 @@ def cover_claims(found: Cover) -> list[Claim]:
 
 
 def _members(found: Cover, blocks: Sequence[Any]) -> list[Claim]:
-    """Each model is the member at its parameters, every entry to within a tolerance."""
+    """Return the claims that each model is the member at its parameters, every entry to within a tolerance."""
     common: Numbers = {
         **{key: value for key, value in model_numbers(found.model.M).items() if key != "dt"},
         **matrices(found.model.nominal, "{}0"), "blocks": block_rows(blocks),
@@ -132,7 +125,7 @@ def _members(found: Cover, blocks: Sequence[Any]) -> list[Claim]:
 
 
 def _error_norms(found: Cover) -> list[Claim]:
-    r"""Of each model: :math:`w^{-1} (G_i - G)` is stable with a norm of at most one."""
+    r"""Return the claims that :math:`w^{-1} (G_i - G)` of each model is stable with a norm of at most one."""
     if found.fit is None:
         return []
     weight, M, (q, p) = found.fit.weight, found.model.M, found.model.delta_shape
@@ -145,11 +138,11 @@ def _error_norms(found: Cover) -> list[Claim]:
 
 
 def _inside(model: StateSpaceModel, centre: StateSpaceModel, weight: StateSpaceModel, size: float) -> Claim:
-    r"""The error behind the weight's inverse, as a loop of which every entry is one of the models'.
+    r"""Return the claim about the error times the weight's inverse, as a loop with the models' own entries.
 
     In each channel :math:`w v = r` is :math:`d v = r - C_w x_w`. With K = 1/s, s the power of two next to d, and the
-    direct term s - d (no rounding: they are within a factor of two) :math:`y = r - C_w x_w + (s - d) v`, v = K y, says
-    the same. K gives v twice, so that the direct terms of both models stay apart.
+    direct term s - d (exact: they are within a factor of two) it is :math:`y = r - C_w x_w + (s - d) v`, v = K y. K
+    returns v twice, to separate the direct terms of both models.
     """
     m, p, n = model.n_inputs, model.n_outputs, model.n_states + centre.n_states
     d = float(weight.D[0, 0])

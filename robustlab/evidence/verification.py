@@ -1,4 +1,4 @@
-"""`robustlab.verify`: the claims of a result, or those that a file holds, each judged by the small checker."""
+"""`robustlab.verify`: checks the claims of a result or of a file with the independent checker."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from robustlab.result import Result, Status
 from robustlab.shown import Facts, Shown
 from robustlab.verification.claim import Claim, Outcome, Verification
 
-# Class of a result -> what makes its claims. The first class that is met on the way up counts.
+# Class of a result -> the function for its claims. The first class in the order of resolution counts.
 CLAIMS: Mapping[str, str] = {
     "HinfNorm": "norms.claims.norm_claims",
     "H2Norm": "norms.claims.h2_claims",
@@ -42,17 +42,17 @@ CLAIMS: Mapping[str, str] = {
 
 @dataclass(frozen=True, eq=False)
 class Verified(Shown):
-    """What became of the claims of a result.
+    """Verdicts on the claims of a result.
 
     Attributes
     ----------
     status
         CERTIFIED: all were proved. INCONCLUSIVE: one was not, and none was refuted. FAILED: one was refuted.
     claims
-        Each claim in words, what became of it, the number that was proved, where it ended, and the tests it took; of a
-        file then what it displays, compared with what was proved.
+        Each claim in words, its outcome, the proved number, the reason of a failure, and the number of tests; for a
+        file also its displayed numbers, compared with the proved ones.
     not_covered
-        The numbers in a file of which no claim speaks: they are as they were written, and nothing more is known.
+        The numbers in a file that no claim covers.
     notes
         Remarks on the file.
     """
@@ -66,17 +66,17 @@ class Verified(Shown):
 
     @property
     def proved(self) -> bool:
-        """Whether every claim was proved."""
+        """Return whether every claim was proved."""
         return self.status is Status.CERTIFIED
 
     @property
     def refuted(self) -> bool:
-        """Whether a claim was refuted."""
+        """Return whether a claim was refuted."""
         return any(c.outcome is Outcome.REFUTED for c in self.claims)
 
     @property
     def boxes(self) -> int:
-        """Tests of definiteness, boxes of frequency among them."""
+        """Return the number of tests of definiteness, boxes of frequency among them."""
         return sum(c.boxes for c in self.claims)
 
     def headline(self) -> str:
@@ -88,26 +88,19 @@ class Verified(Shown):
 
     def facts(self) -> Facts:
         return [
-            *((c.outcome.value, _said(c)) for c in self.claims),
+            *((c.outcome.value, f"{c.claim} ({c.where})" if c.where else c.claim) for c in self.claims),
             ("not covered by a proof", ", ".join(self.not_covered)),
             *(("note", note) for note in self.notes),
         ]
 
     def to_json(self) -> dict[str, Any]:
-        rows = [
-            {"claim": c.claim, "outcome": c.outcome.value, "bound": c.bound, "where": c.where, "boxes": c.boxes}
-            for c in self.claims
-        ]
+        rows = [{**vars(c), "outcome": c.outcome.value} for c in self.claims]
         more = {"not_covered": list(self.not_covered), "notes": list(self.notes)}
         return {"type": "Verified", "status": self.status, "proved": self.proved, "claims": rows, **more}
 
 
-def _said(found: Verification) -> str:
-    return f"{found.claim} ({found.where})" if found.where else found.claim
-
-
 def claims_of(result: Any) -> list[Claim]:
-    """The claims of a result; none where its class has none, its evidence does not tell, or it comes from a file."""
+    """Return the claims of a result; none where its class or evidence has none, or it comes from a file."""
     if isinstance(result, Result):
         return []
     own: Any = getattr(result, "claims", None)
@@ -122,27 +115,27 @@ def claims_of(result: Any) -> list[Claim]:
 
 @told_as("verify")
 def verify(result: Any, *, effort: float = 1.0) -> Verified:
-    """Have what a result says proved anew, from its numbers alone, in exact and ball arithmetic.
+    """Re-verify a result from its numbers alone, in exact and ball arithmetic.
 
-    A small program that knows nothing of how the result was found checks each claim: for all frequencies, all members
-    of the set, all numbers being the exact doubles they are. See the page on verification for the theorem of each.
+    A small independent program checks each claim: for all frequencies, all members of the set, all numbers being exact
+    doubles. See the page on verification for the theorem of each.
 
     Parameters
     ----------
     result
-        A result, or the name of a file that `robustlab.save` wrote of one.
+        A result, or the name of its file written by `robustlab.save`.
     effort
-        Work that the checks may take, as a multiple of the usual; counted, not timed.
+        Limit of the work, as a multiple of the usual; counted, not timed.
 
     Returns
     -------
     Verified
-        ``proved``, ``refuted``, and each claim with the number that was proved, rounded outwards.
+        ``proved``, ``refuted``, and each claim with the proved number, rounded outwards.
 
     Raises
     ------
     InputError
-        Nothing that can be verified: a file without claims, a result of another kind.
+        Nothing to verify: a file without claims, a result of another kind.
     """
     from robustlab.verification.checker import EFFORT, check
     from robustlab.verification.displayed import displayed
@@ -153,9 +146,9 @@ def verify(result: Any, *, effort: float = 1.0) -> Verified:
     file = read_checked(result) if isinstance(result, (str, Path)) else None
     claims = claims_of(result) if file is None else claims_in(file)
     if not claims:
-        what = f"a {type(result).__name__}" if file is None else f"{result}, a file"
+        name = f"a {type(result).__name__}" if file is None else f"{result}, a file"
         hint = "docs/proved.md says what can be; of a result that was loaded verify the file"
-        raise InputError("verify", f"{what} without claims", "a result with evidence that can be checked", hint)
+        raise InputError("verify", f"{name} without claims", "a result with evidence that can be checked", hint)
     found = [check(claim, effort=max(1, round(EFFORT * effort))) for claim in claims]
     rows, others, notes = ([], [], []) if file is None else displayed(file, claims, found)
     outcomes = {c.outcome for c in (*found, *rows)}

@@ -3,10 +3,10 @@ r"""Worst-case gain and stability by integral quadratic constraints.
 .. math:: z = M_{11} w + M_{12} u, \quad y = M_{21} w + M_{22} u, \quad w = \Delta(z), \qquad
           \|y\|_2 \le \gamma \|u\|_2 \text{ for all } u \in L_2 \text{ and all } \Delta \text{ of the class}
 
-Every range is taken about its middle first, so that zero lies in the class of each block: with every Delta, tau Delta
-belongs to it for tau in [0, 1], which is the homotopy that Megretski and Rantzer ask for, and at tau = 0 the model is
-stable. The loop is well posed for all of them: where w acts on z without delay, only constraints count that hold for
-differences of signals too, and the inequality is strict at infinite frequency.
+Every range is first centred, so that the class of each block contains zero: with every Delta, tau Delta belongs to it
+for tau in [0, 1], the homotopy of Megretski and Rantzer, and at tau = 0 the model is stable. The loop is well posed for
+all of them: where w acts on z without delay, only constraints are used that hold for differences of signals too, and
+the inequality is strict at infinite frequency.
 
 References
 ----------
@@ -31,11 +31,9 @@ from robustlab.result import Status
 from robustlab.shown import Facts, listed, member, number
 from robustlab.verification.claim import Claim
 
-# relative distance of a margin from a size that was not proved, of a gain from one attained; smaller: more work
-CLOSE = 1e-3
-NEAR = 0.05  # the same, from which on only the best basis so far is tried; smaller: closer, more work
-LEAST = 1e-3  # size of the set below which no margin is looked for
-LARGEST = 64.0  # and beyond which
+CLOSE = 1e-3  # relative distance of a margin from a size not proved, of a gain from one attained
+NEAR = 0.05  # the same distance, below which only the best basis so far is tried
+LEAST, LARGEST = 1e-3, 64.0  # sizes of the set between which a margin is searched
 
 __all__ = ["IqcGain", "IqcStability", "iqc_gain", "iqc_stability"]
 
@@ -49,21 +47,21 @@ class IqcGain(PeakGain):
     Attributes
     ----------
     lower, upper
-        ``upper`` holds for every block of its class, proved; ``lower`` is the gain of the member ``delta``, in which
-        all blocks are constant gains. inf: nothing was proved; a member is unstable.
+        ``upper`` is proved for every block of its class; ``lower`` is the gain of the member ``delta``, in which all
+        blocks are constant gains. inf: nothing was proved; a member is unstable.
     delta
-        That member: one normalised value per block; 0 the middle of a range.
+        That member: one normalised value per block; 0 is the middle of a range.
     nature
-        Block name -> what it was taken for, in words.
+        Block name -> its block type, in words.
     conditions
-        For which motions a law is in its sector, where that is not all.
+        The motions for which a law is in its sector, where not all.
     proof
         Evidence of ``upper``; None where nothing was proved.
     posed
-        What it is about, so that it can be proved again.
+        The problem, for another proof.
     status
-        CERTIFIED: ``upper`` was proved in ball arithmetic. INCONCLUSIVE: nothing was proved, which says nothing of
-        the loop. INFEASIBLE: the member ``delta`` is unstable. TIMEOUT: the time limit ended the search.
+        CERTIFIED: ``upper`` was proved in ball arithmetic. INCONCLUSIVE: nothing was proved, the loop may be stable.
+        INFEASIBLE: the member ``delta`` is unstable. TIMEOUT: the time limit ended the search.
     """
 
     delta: Mapping[str, float]
@@ -74,13 +72,13 @@ class IqcGain(PeakGain):
     unsaved: ClassVar[tuple[str, ...]] = ("posed",)
 
     def claims(self) -> list[Claim]:
-        """That the gain is at most ``upper``, for `robustlab.verify`."""
+        """Return the claim that the gain is at most ``upper``, for `robustlab.verify`."""
         if self.posed is None or self.proof is None or not np.isfinite(self.upper):
             return []
         return [gain_claim(self.posed, self.proof, self.upper)]
 
     def evidence(self) -> Facts:
-        """What each block was taken for, the worst linear member, and the proof."""
+        """Return the block types, the worst linear member, and the proof."""
         return [
             ("blocks", listed(f"{name}: {text}" for name, text in self.nature.items())),
             ("worst linear member", member(self.delta)),
@@ -95,15 +93,15 @@ class IqcStability(StabilityMargin):
     Attributes
     ----------
     lower
-        Largest size that is proved: every range grown about its middle by that factor, the slopes with it. At least 1
-        where ``stable``; 0 where nothing was proved.
+        Largest proved size: the factor by which every range is enlarged about its middle, and the slopes with it. At
+        least 1 where ``stable``; 0 where nothing was proved.
     upper
-        inf: no unstable member is looked for.
+        inf: unstable members are not searched.
     nature, conditions, proof, posed
         As in `IqcGain`; the proof is that of ``lower``.
     status
-        CERTIFIED: ``lower`` was proved in ball arithmetic. INCONCLUSIVE: it is 0. TIMEOUT: the clock ended the
-        search; what was proved by then holds.
+        CERTIFIED: ``lower`` was proved in ball arithmetic. INCONCLUSIVE: it is 0. TIMEOUT: the time limit ended the
+        search; ``lower`` holds.
     """
 
     quantities: ClassVar[Mapping[str, Any]] = {**StabilityMargin.quantities, "margin": "1"}
@@ -114,19 +112,19 @@ class IqcStability(StabilityMargin):
     posed: Posed | None = field(default=None, kw_only=True)
 
     def claims(self) -> list[Claim]:
-        """That the set ``lower`` times as large is stable, for `robustlab.verify`."""
+        """Return the claim that the set ``lower`` times as large is stable, for `robustlab.verify`."""
         if self.posed is None or self.proof is None or not self.lower > 0:
             return []
         return [size_claim(self.posed, self.proof, self.lower)]
 
     @property
     def stable(self) -> bool:
-        """Whether stability is proved for the set as given."""
+        """Return whether stability is proved for the set as given."""
         return self.lower >= 1
 
     @property
     def margin(self) -> float:
-        """The size that is proved: ``lower``."""
+        """Return the proved size, ``lower``."""
         return self.lower
 
     def headline(self) -> str:
@@ -173,11 +171,11 @@ def iqc_gain(
     """`robustlab.peak_gain` with blocks that are nonlinear or vary with time; ``nature``: its ``natures``.
 
     Each block is described by integral quadratic constraints (`robustlab.iqc.multipliers`), a linear matrix inequality
-    finds the multipliers of least gamma, and what is reported is proved in ball arithmetic.
+    finds the multipliers of least gamma, and the reported bound is proved in ball arithmetic.
     """
     problem, budget = posed("iqc_gain", model, nature, order, pole, time_limit, effort, (inputs, outputs))
     if not problem.n_w or not problem.n_z:
-        raise InputError("iqc_gain", "no input and output beside those of the blocks", "a performance channel")
+        raise InputError("iqc_gain", "no input and output except those of the blocks", "a performance channel")
     with one_thread():
         lower, delta = problem.worst_member()
         best: tuple[float, IqcProof] | None = None
@@ -206,10 +204,7 @@ def iqc_stability(
     time_limit: float | None = None,
     effort: float = 1.0,
 ) -> IqcStability:
-    """Of blocks of any class, by integral quadratic constraints: `robustlab.robust_stability` with ``natures``.
-
-    No performance channel is needed. Bounds of a rate do not grow.
-    """
+    """`robustlab.robust_stability` with ``natures``, by integral quadratic constraints; rate bounds do not grow."""
     problem, budget = posed("iqc_stability", model, nature, order, pole, time_limit, effort)
     low, high, size = 0.0, math.inf, 1.0  # the largest that is proved, the smallest that is not, the next
     proof: IqcProof | None = None

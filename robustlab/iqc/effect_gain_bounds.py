@@ -1,19 +1,19 @@
-r"""Gain of a loop with the effects of its plant taken for what they are: a saturation for a saturation.
+r"""Gain of a loop with the effects of its plant as nonlinear or time-varying blocks.
 
-`robustlab.dynamics.extended.effect_blocks` puts a gain with a range in the place of each effect that has a sector, and
-mu takes that gain for a constant. Here the same blocks are what the catalogue says of them:
+`robustlab.dynamics.extended.effect_blocks` replaces each effect that has a sector by a gain with a range, and mu
+assumes this gain to be constant. Here the same blocks have the classes of the catalogue:
 
 ==========================  ==========================================================================================
 effect                      class
 ==========================  ==========================================================================================
 saturation of an input      odd, slope in [0, 1], sector from limit / amplitude to 1
 dead zone of an input       odd, slope in [0, 1], sector from 0 to 1 - d / amplitude
-Coulomb friction            refused: what sticks away from zero stays there, no gain to a position is finite; with a
+Coulomb friction            rejected: a joint may stick away from zero, so no gain to a position is finite; with a
                             stick speed v_s odd, slope and sector [0, Fc / v_s]
 any other with a sector     a gain between the ends of its sector that may change at every instant
 ==========================  ==========================================================================================
 
-What is an effect's gain by harmonic balance only (a range of describing functions) is no sector and is refused.
+A gain by harmonic balance only (a range of describing functions) is no sector and is rejected.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ ODD_INPUTS = ("input-saturation", "input-dead-zone")
 
 @dataclass(frozen=True, eq=False)
 class EffectGain(PeakGain):
-    """The gain of a loop with effects: proved with each for what it is, and beside it what constant gains say.
+    """The gain of a loop with effects: proved for their own classes, and that of constant gains for comparison.
 
     Attributes
     ----------
@@ -52,12 +52,12 @@ class EffectGain(PeakGain):
     proved
         By integral quadratic constraints; its blocks are the effects and the uncertain parameters.
     as_constants
-        The worst-case gain of the same set with all effects as constant gains: what mu and harmonic balance look at. It
-        is no proof for a nonlinearity; it shows the price of one.
+        The worst-case gain of the same set with all effects as constant gains, as in mu and harmonic balance. It is no
+        proof for a nonlinearity; it shows the conservatism of one.
     left_out
-        Effect at its place -> why it is in no block; bounded errors, which are inputs and no gains, among them.
+        Effect at its place -> the reason why it is in no block; bounded errors, which are inputs, among them.
     loop
-        The law that closes the loop, and who says so.
+        The feedback law and its source.
     status
         That of ``proved``.
     """
@@ -70,7 +70,6 @@ class EffectGain(PeakGain):
     quantities: ClassVar[Mapping[str, Any]] = {**PeakGain.quantities, "as_constants": float}
 
     def claims(self) -> list[Claim]:
-        """Those of ``proved``."""
         return self.proved.claims()
 
     def numbers(self) -> dict[str, Any]:
@@ -80,7 +79,7 @@ class EffectGain(PeakGain):
         return [("loop", self.loop), *super().facts()]
 
     def evidence(self) -> Facts:
-        """The proof, and the gain of the same ranges as constants."""
+        """Return the proof, and the gain of the same ranges as constants."""
         constants = bracket(self.as_constants.lower, self.as_constants.upper, ("attained", "proved for constants"))
         return [*self.proved.evidence(), ("as constant gains", constants)]
 
@@ -118,14 +117,14 @@ def effect_gain(
     levels = {**(amplitude or {}), **{name: STICK * v for name, v in slow.items()}}
     made = effect_blocks(plant, outputs, amplitude=levels, dry="gain")
     inputs = [s.name for s in plant.inputs]
-    around, s, said = fed_back(made.model.select(inputs), controller, sign, "effect_gain")
+    around, s, source = fed_back(made.model.select(inputs), controller, sign, "effect_gain")
     loop = made.model.select(inputs).feedback(around, s)
     natures = _natures(plant, made, amplitude or {}, slow)
     proved = iqc_gain(loop, natures, None, None, order, None, time_limit, effort)
     constants = worst_case_gain(loop, time_limit=time_limit, effort=effort)
     left = {**made.left_out, **{n.name: "a bounded error: an input, no gain" for n in made.noise}}
     return EffectGain(
-        proved.lower, proved.upper, None, proved.status, proved, constants, left, said,
+        proved.lower, proved.upper, None, proved.status, proved, constants, left, source,
         conditions=proved.conditions, notes=tuple(f"not in it: {name}: {why}" for name, why in left.items()),
     )  # fmt: skip
 
@@ -133,7 +132,7 @@ def effect_gain(
 def _natures(
     plant: ExtendedPlant, made: EffectBlocks, amplitude: Mapping[str, float], slow: Mapping[str, float]
 ) -> dict[str, Nature]:
-    """Block name -> nature, for every block that is an effect's; parameters stay constants."""
+    """Return block name -> nature of every effect's block; parameters stay constants."""
     effects = {e.key: e for e in plant.effects}
     found: dict[str, Nature] = {}
     for block in made.model.blocks:

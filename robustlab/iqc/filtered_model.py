@@ -1,9 +1,9 @@
-r"""A model with the filters of its multipliers: one set of states, and rows for every signal that a multiplier weighs.
+r"""A model with the filters of its multipliers: one set of states, and rows for every weighted signal.
 
 .. math:: \dot x = A x + B u, \qquad v = C x + D u
 
-u are the inputs of the model, followed by what multipliers add. States and inputs are only ever appended, so that rows
-made earlier stay right when zeros are put behind them.
+u are the inputs of the model, followed by those of multipliers. States and inputs are only appended, so that earlier
+rows remain valid with zeros appended.
 """
 
 from __future__ import annotations
@@ -28,33 +28,26 @@ class Rows:
         return len(self.c)
 
     def padded(self, n: int, m: int) -> Rows:
-        """Over n states and m inputs."""
+        """Extend to n states and m inputs."""
         c, d = np.zeros((len(self), n)), np.zeros((len(self), m))
         c[:, : self.c.shape[1]], d[:, : self.d.shape[1]] = self.c, self.d
         return Rows(c, d)
 
     def plus(self, factor: float, other: Rows, own: float = 1.0) -> Rows:
-        """``own self + factor other``."""
+        """Return ``own self + factor other``."""
         n, m = max(self.c.shape[1], other.c.shape[1]), max(self.d.shape[1], other.d.shape[1])
         one, two = self.padded(n, m), other.padded(n, m)
         return Rows(own * one.c + factor * two.c, own * one.d + factor * two.d)
 
 
 def stacked(*parts: Rows) -> Rows:
-    """All rows, one below the other."""
     n, m = max(p.c.shape[1] for p in parts), max(p.d.shape[1] for p in parts)
     wide = [p.padded(n, m) for p in parts]
     return Rows(np.vstack([p.c for p in wide]), np.vstack([p.d for p in wide]))
 
 
 class FilteredModel:
-    """The model, growing by the filters that are asked for.
-
-    Parameters
-    ----------
-    A, B, C, D
-        Of the model.
-    """
+    """The model A, B, C, D, extended by filters on request."""
 
     def __init__(self, A: Array, B: Array, C: Array, D: Array) -> None:
         self.A, self.B = A.copy(), B.copy()
@@ -62,37 +55,29 @@ class FilteredModel:
 
     @property
     def n(self) -> int:
-        """States."""
         return len(self.A)
 
     @property
     def m(self) -> int:
-        """Inputs."""
         return self.B.shape[1]
 
     def outputs(self, part: slice) -> Rows:
-        """Outputs of the model."""
         return Rows(self._c[part], self._d[part])
 
     def inputs(self, part: slice) -> Rows:
-        """Inputs, of the model or added."""
         return Rows(np.zeros((part.stop - part.start, 0)), np.eye(self.m)[part])
 
     def added_inputs(self, count: int) -> Rows:
-        """New inputs."""
         self.B = np.hstack([self.B, np.zeros((self.n, count))])
         return self.inputs(slice(self.m - count, self.m))
 
     def derivative(self, rows: Rows) -> Rows:
-        """Time derivative of signals without a direct term."""
+        """Return the time derivative of signals without a direct term."""
         wide = rows.padded(self.n, self.m)
         return Rows(wide.c @ self.A, wide.c @ self.B)
 
     def low_passes(self, rows: Rows, pole: float, order: int, driven: list[Rows] | None = None) -> list[Rows]:
-        r"""The signals behind :math:`(a / (s + a))^j` for j = 1 .. order, each stage a state, (k, n + k) and so on.
-
-        ``driven`` are further signals that drive the states of each stage.
-        """
+        r"""Add filters :math:`(a / (s + a))^j`, j = 1 .. order, and return their outputs; ``driven``: more inputs."""
         found: list[Rows] = []
         for j in range(order):
             count, n, m = len(rows), self.n, self.m

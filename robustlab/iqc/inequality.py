@@ -4,8 +4,8 @@ r"""The inequality of Kalman, Yakubovich and Popov with unknown multipliers, as 
     + \sum_i \begin{bmatrix} C_i & D_i \end{bmatrix}^T M_i(\lambda) \begin{bmatrix} C_i & D_i \end{bmatrix}
     + \begin{bmatrix} C_z & D_z \end{bmatrix}^T \begin{bmatrix} C_z & D_z \end{bmatrix} - \gamma^2 E \prec 0
 
-P is symmetric, of either sign: A is stable by itself. What the solver says counts for nothing: its P and lambda are
-proved in ball arithmetic for the model as it was given (`robustlab.iqc.claim`).
+P is symmetric, of either sign: A is stable by itself. The solver's P and lambda are only candidates: they are proved in
+ball arithmetic for the given model (`robustlab.verification.iqc`).
 
 References
 ----------
@@ -23,7 +23,7 @@ from robustlab.arrays import Array
 from robustlab.budget import Budget
 from robustlab.conic import ACCEPTED, Cone, solve, triangle
 from robustlab.iqc.filtered_model import FilteredModel, Rows
-from robustlab.iqc.multipliers import Term
+from robustlab.iqc.multipliers import Term, symmetric
 
 __all__ = ["Inequality", "Point"]
 
@@ -42,19 +42,7 @@ class Point:
 
 
 class Inequality:
-    """One model with its terms.
-
-    Parameters
-    ----------
-    model
-        With all filters.
-    terms
-        Constraints of the blocks.
-    z
-        Rows of the performance outputs; None: stability alone.
-    w
-        Which inputs the performance inputs are.
-    """
+    """A model with all filters and its terms; ``z``, ``w``: performance outputs (None: stability alone) and inputs."""
 
     def __init__(self, model: FilteredModel, terms: Sequence[Term], z: Rows | None, w: slice) -> None:
         self.A, self.B, self.terms = model.A, model.B, list(terms)
@@ -74,7 +62,7 @@ class Inequality:
         return np.block([[pa + pa.T, pb], [pb.T, np.zeros((self.m, self.m))]])
 
     def supply(self, unknowns: Sequence[Array], square: float) -> Array:
-        """The inequality without P."""
+        """Return the inequality without P."""
         found = self.z.T @ self.z - square * self.E
         for term, rows, x in zip(self.terms, self.rows, unknowns, strict=True):
             found = found + rows.T @ term.middle(x) @ rows
@@ -83,21 +71,19 @@ class Inequality:
     # --- the solver ---------------------------------------------------------------------------------------------------
 
     def solve(self, budget: Budget, square: float | None = None) -> Point | None:
-        """Least gamma^2 (``square`` None), or at a given one the point with most slack; None where there is none."""
+        """Minimise gamma^2 (``square`` None), or maximise the slack at a given one; None where infeasible."""
         least = square is None and self.has_gain
         rows, constant, cost, sizes, fixed = self._cone_data(least, square)
         x = _clarabel(rows, constant, cost, sizes, fixed, budget)
         if x is None:
             return None
         parts = np.split(x[:-1], np.cumsum(self.counts)[:-1])
-        P = np.zeros((self.n, self.n))
-        P[np.triu_indices(self.n)] = parts[0]
-        return Point(P + np.triu(P, 1).T, tuple(parts[1:]), float(x[-1]) if least else square or 0.0)
+        return Point(symmetric(parts[0], self.n), tuple(parts[1:]), float(x[-1]) if least else square or 0.0)
 
     def _cone_data(
         self, least: bool, square: float | None
     ) -> tuple[Array, Array, Array, list[int], tuple[Array, float] | None]:
-        """Rows, constants and cost of "constant + rows x in the cones"; the last unknown is gamma^2 or the slack."""
+        """Return rows, constants, cost of "constant + rows x in cones"; the last unknown is gamma^2 or the slack."""
         n, total = self.n, sum(self.counts) + 1
         side = n + self.m
         base = -self.supply([np.zeros(t.count) for t in self.terms], 0.0 if least else square or 0.0)
@@ -138,7 +124,7 @@ class Inequality:
         return matrix, constant, cost, sizes, (weight, float(len(sizes)))
 
     def slack_of(self, point: Point) -> float:
-        """The inequality's distance from singular at a point; negative where it does not hold."""
+        """Return the smallest eigenvalue of the inequality at a point; negative where it does not hold."""
         F = -(self._kyp(point.P) + self.supply(point.unknowns, point.square))
         return float(np.linalg.eigvalsh(F)[0]) if np.isfinite(F).all() else -np.inf
 
@@ -146,7 +132,7 @@ class Inequality:
 def _clarabel(
     rows: Array, constant: Array, cost: Array, sizes: list[int], fixed: tuple[Array, float] | None, budget: Budget
 ) -> Array | None:
-    """Least ``cost x`` with ``constant + rows x`` in cones of symmetric matrices; None where there is no answer."""
+    """Minimise ``cost x`` with ``constant + rows x`` in cones of symmetric matrices; None where that failed."""
     cones: list[Cone] = [("semidefinite", size) for size in sizes]
     matrix, right = -rows, constant
     if fixed is not None:

@@ -1,9 +1,9 @@
-r"""Multipliers: what is known of a block, as integral quadratic constraints with unknowns.
+r"""Multipliers: integral quadratic constraints of blocks, with unknowns.
 
 .. math:: \int_0^\infty v^T M v \, dt \ge 0, \qquad v = \Psi (z, w), \quad M = M(\lambda) \text{ linear}
 
-for all z in L2 and all w that the block makes of it. `v` are rows of a `FilteredModel`. The filters are the basis
-:math:`\psi = (1, \frac{a}{s + a}, \dots, (\frac{a}{s + a})^\nu)`, or static for what may change at every instant.
+for all z in L2 and w the block's output. `v` are rows of a `FilteredModel`. The filters are the basis
+:math:`\psi = (1, \frac{a}{s + a}, \dots, (\frac{a}{s + a})^\nu)`, or static for arbitrarily fast blocks.
 
 ===============================  ======================================================================================
 block                            constraint
@@ -13,15 +13,15 @@ dynamics, time-invariant         :math:`\psi z^T X \psi z - \psi w^T X \psi w`, 
 real constant parameter          the same, and :math:`2 \psi z^T Y \psi w` with :math:`Y = -Y^T`
 varying arbitrarily fast         the same with :math:`\nu = 0`
 real parameter of bounded rate   the swapping lemma: :math:`\delta \psi z = \psi w + T (\dot\delta \, T_b z)`, T from
-                                 the filters' states on; :math:`\dot\delta T_b z` is an input of its own
+                                 the filters' states on; :math:`\dot\delta T_b z` is a separate input
 sector [-1, 1]                   :math:`x (z^2 - w^2)`, x >= 0
 the same, steady (Popov)         :math:`2 x w \dot z`, x of either sign, z without a direct term
 slope in [m, k] (Zames, Falb)    :math:`2 p (x_0 - h *) q`, p = k z - w, q = w - m z, :math:`\|h\|_1 \le x_0`, h of both
                                  directions of time, h >= 0 unless the law is odd
 ===============================  ======================================================================================
 
-The homotopy condition of Megretski and Rantzer holds for all of them alike: with each block of a class, tau times it
-belongs to the class for every tau in [0, 1], so it satisfies the same constraint.
+The homotopy condition of Megretski and Rantzer holds for all of them: with each block, tau times it belongs to the
+class for every tau in [0, 1], so it satisfies the same constraint.
 
 References
 ----------
@@ -41,9 +41,9 @@ from robustlab.arrays import Array
 from robustlab.iqc.filtered_model import FilteredModel, Rows, stacked
 from robustlab.iqc.nature import Nonlinearity
 
-__all__ = ["POPOV", "Basis", "Term", "nonlinear_terms", "rate_terms", "repeated_terms"]
+__all__ = ["POPOV", "Basis", "Term", "nonlinear_terms", "rate_terms", "repeated_terms", "symmetric"]
 
-POPOV = "Popov"  # the kind of a constraint that weighs a derivative
+POPOV = "Popov"  # the kind of a constraint on a derivative
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Basis:
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """One constraint: its signals v, its M what must be positive semidefinite; linear in ``count`` unknowns."""
+    """One constraint: its signals v, M, and matrices that must be >= 0, both linear in ``count`` unknowns."""
 
     block: str
     kind: str
@@ -66,10 +66,8 @@ class Term:
     positive: Callable[[Array], list[Array]]
 
 
-# --- one unknown and the other ----------------------------------------------------------------------------------------
-
-
-def _symmetric(x: Array, size: int) -> Array:
+def symmetric(x: Array, size: int) -> Array:
+    """Return the symmetric matrix of an upper triangle, row by row."""
     found = np.zeros((size, size))
     found[np.triu_indices(size)] = x
     return found + np.triu(found, 1).T
@@ -90,18 +88,18 @@ def _scaled(
 ) -> Term:
     """``above^T X above - below^T X below`` with X >= 0, and for a real scalar ``2 above^T Y below``.
 
-    X has ``size`` rows; each of its entries stands for so many ``copies`` (of z, of w) times the identity.
+    X has ``size`` rows; each of its entries is multiplied by the identity of size ``copies`` (of z, of w).
     """
     n_x = _triangle(size)
 
     def middle(x: Array) -> Array:
-        X = _symmetric(x[:n_x], size)
+        X = symmetric(x[:n_x], size)
         over, under = np.kron(X, np.eye(copies[0])), np.kron(X, np.eye(copies[1]))
         cross = _skew(x[n_x:], size) if real else np.zeros((len(over), len(under)))
         return np.block([[over, cross], [cross.T, -under]])
 
     count = n_x + (size * (size - 1) // 2 if real else 0)
-    return Term(name, kind, stacked(above, below), count, middle, lambda x: [_symmetric(x[:n_x], size)])
+    return Term(name, kind, stacked(above, below), count, middle, lambda x: [symmetric(x[:n_x], size)])
 
 
 # --- linear blocks ----------------------------------------------------------------------------------------------------
@@ -110,17 +108,17 @@ def _scaled(
 def repeated_terms(
     model: FilteredModel, name: str, z: Rows, w: Rows, basis: Basis, *, scalar: bool, real: bool
 ) -> list[Term]:
-    """A block of gain one: a scalar on every channel (real or not), or a full one; order 0 where it varies."""
+    """Return the terms of a block of gain one, a scalar (real or not) or a full one; order 0 where it varies."""
     above = stacked(z, *model.low_passes(z, basis.pole, basis.order))
     below = stacked(w, *model.low_passes(w, basis.pole, basis.order))
-    what = ("real parameter" if real else "dynamics") + ("" if basis.order else ", static multiplier")
+    kind = ("real parameter" if real else "dynamics") + ("" if basis.order else ", static multiplier")
     copies = (1, 1) if scalar else (len(z), len(w))
     size = (basis.order + 1) * (len(z) if scalar else 1)
-    return [_scaled(name, what, above, below, size, real, copies)]
+    return [_scaled(name, kind, above, below, size, real, copies)]
 
 
 def rate_terms(model: FilteredModel, name: str, z: Rows, w: Rows, basis: Basis, rate: float) -> list[Term]:
-    """A real scalar whose rate is at most ``rate`` per second."""
+    """Return the terms of a real scalar whose rate is at most ``rate`` per second."""
     order, count = basis.order, len(z)
     stages = model.low_passes(z, basis.pole, order)
     slow = model.added_inputs(order * count)  # delta' x / rate, x the states of the stages
@@ -140,10 +138,10 @@ def rate_terms(model: FilteredModel, name: str, z: Rows, w: Rows, basis: Basis, 
 def nonlinear_terms(
     model: FilteredModel, name: str, z: Rows, w: Rows, basis: Basis, law: Nonlinearity, loops: bool
 ) -> list[Term]:
-    """A memoryless law of sector [-1, 1]; ``loops``: whether z depends on any block without delay.
+    """Return the terms of a memoryless law of sector [-1, 1]; ``loops``: whether z depends on a block without delay.
 
-    With such a dependence only constraints count that hold for differences of two signals too: these make the loop well
-    posed.
+    With such a dependence only constraints are used that hold for differences of two signals too: these make the loop
+    well posed.
     """
     found: list[Term] = []
     if not loops:
@@ -159,7 +157,7 @@ def nonlinear_terms(
 
 
 def _single(name: str, kind: str, rows: Rows, M: Array, signed: bool) -> Term:
-    """``x M`` with one unknown, which must be positive where ``signed``."""
+    """Return the term ``x M`` with one unknown, which must be positive where ``signed``."""
     return Term(name, kind, rows, 1, lambda x: x[0] * M, lambda x: [x.reshape(1, 1)] if signed else [])
 
 
@@ -175,12 +173,12 @@ def _zames_falb(
     per_kernel = sum(map(_triangle, each))
 
     def split(x: Array) -> list[list[Array]]:
-        """Gram matrices of every kernel: causal (each sign), anticausal (each sign)."""
+        """Return the Gram matrices of every kernel: causal (each sign), anticausal (each sign)."""
         found, at = [], 1
         for _ in range(2 * len(signs) if order else 0):
             parts = []
             for size in each:
-                parts.append(_symmetric(x[at : at + _triangle(size)], size))
+                parts.append(symmetric(x[at : at + _triangle(size)], size))
                 at += _triangle(size)
             found.append(parts)
         return found
@@ -206,10 +204,10 @@ def _zames_falb(
 
 
 def _coefficients(grams: list[Array], order: int) -> Array:
-    r"""Coefficients c of :math:`h(t) = a e^{-a t} \sum_j c_j (a t)^j / j!` from Gram matrices.
+    r"""Compute c of :math:`h(t) = a e^{-a t} \sum_j c_j (a t)^j / j!` from Gram matrices.
 
-    Its polynomial is :math:`s^T Q_1 s + a t \, s^T Q_2 s` with :math:`s_i = (a t)^i / i!`. Such sums are all
-    polynomials that are not negative for t >= 0.
+    Its polynomial is :math:`s^T Q_1 s + a t \, s^T Q_2 s` with :math:`s_i = (a t)^i / i!`: every polynomial that is
+    nonnegative for t >= 0 has this form.
     """
     found = np.zeros(order)
     for shift, gram in enumerate(grams):

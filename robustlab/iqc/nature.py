@@ -1,4 +1,4 @@
-"""What a block of an uncertain model is, where it is not constant: a parameter that varies, or a nonlinearity."""
+"""Block types of an uncertain model that are not constant: time-varying parameters and nonlinearities."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ __all__ = ["Nature", "Nonlinearity", "Varying"]
 
 @dataclass(frozen=True)
 class Varying:
-    r"""A block that changes with time: at most at a rate, or arbitrarily fast.
+    r"""A block that varies with time, with a bounded rate or arbitrarily fast.
 
     .. math:: |\delta(t)| \le 1, \qquad |\dot\delta(t)| \le \rho
 
     Attributes
     ----------
     rate
-        Bound of the rate of change, in the parameter's unit per second; of delta per second where the block stands for
-        no parameter. inf: no bound, the value may jump. Blocks that are no real parameter take inf only: an operator
-        of gain one that varies with time.
+        Bound of the rate of change, in the parameter's unit per second; of delta per second where the block has no
+        parameter. inf: no bound, the value may jump. Other blocks than real parameters take inf only: an operator of
+        gain one that varies with time.
     holds
-        For which motions the range holds, in words; empty: for all.
+        The motions for which the range holds, in words; empty: all.
 
     Raises
     ------
@@ -56,15 +56,15 @@ class Nonlinearity:
     Attributes
     ----------
     sector
-        a and b, finite, a < b. With a slope only what both allow is kept: phi(z) / z is the slope of a chord, too.
+        a and b, finite, a < b. A slope is intersected with it: phi(z) / z is the slope of a chord, too.
     slope
         m and k, finite; None where the slope has no bound. m < b and k > a.
     odd
         Whether :math:`\varphi(-z) = -\varphi(z)`: it admits more multipliers.
     steady
-        Whether the law stays the same over time. Only the sector counts of one that does not.
+        Whether the law is constant over time. Of a time-varying one only the sector is used.
     holds
-        For which motions the sector holds, in words; empty: for all.
+        The motions for which the sector holds, in words; empty: all.
 
     Raises
     ------
@@ -95,7 +95,7 @@ class Nonlinearity:
                 )
                 raise InputError(f"Nonlinearity: {name}", f"{ends}", "two finite numbers, the smaller one first", hint)
         if self.slope is not None:
-            # The middle of the sector has to be a law of the class: the homotopy of the proof starts there.
+            # The middle of the sector must be a law of the class, as the start of the proof's homotopy.
             both = max(self.sector[0], self.slope[0]), min(self.sector[1], self.slope[1])
             if not both[0] < both[1]:
                 raise InputError("Nonlinearity: slope", f"{self.slope}", f"one that meets the sector {self.sector}")
@@ -110,7 +110,7 @@ class Nonlinearity:
         limit
             L, in the unit of the signal.
         reach
-            Bound of :math:`|z|`; the sector is then [L / reach, 1], and what is proved holds while it is kept.
+            Bound of :math:`|z|`, assumed in the proof; the sector is then [L / reach, 1].
         """
         _positive("limit", limit)
         low = min(1.0, limit / reach) if math.isfinite(reach) else 0.0
@@ -125,7 +125,7 @@ class Nonlinearity:
         half_width
             d, in the unit of the signal.
         reach
-            Bound of :math:`|z|`; the sector is then [0, 1 - d / reach], and what is proved holds while it is kept.
+            Bound of :math:`|z|`, assumed in the proof; the sector is then [0, 1 - d / reach].
         """
         _positive("half_width", half_width)
         high = 1.0 - half_width / reach if math.isfinite(reach) else 1.0
@@ -135,9 +135,9 @@ class Nonlinearity:
     def friction(cls, level: float, stick_speed: float | None = None) -> Nonlinearity:
         r"""Dry friction :math:`F \max(-1, \min(1, v / v_s))`: odd, monotone, slope and sector [0, F / v_s].
 
-        Coulomb's own law, :math:`F \operatorname{sgn} v`, is monotone with the sector :math:`[0, \infty)`. A joint that
-        sticks away from zero stays there with a constant force: neither force nor position is in L2, and no gain to
-        the position is finite. It is refused.
+        Coulomb's law, :math:`F \operatorname{sgn} v`, is monotone with the sector :math:`[0, \infty)`. A joint may
+        stick away from zero with a constant force: neither force nor position is in L2, and no gain to the position is
+        finite. It is rejected.
 
         Parameters
         ----------
@@ -164,7 +164,7 @@ class Nonlinearity:
         return cls(sector, (0.0, 1.0), odd=True, holds=holds)
 
     def normalised(self) -> Nonlinearity:
-        """The law about the middle of its sector, over half its width: sector [-1, 1]."""
+        """Return the law normalised to the sector [-1, 1]."""
         middle, half = 0.5 * (self.sector[0] + self.sector[1]), 0.5 * (self.sector[1] - self.sector[0])
         slope = None if self.slope is None else ((self.slope[0] - middle) / half, (self.slope[1] - middle) / half)
         return replace(self, sector=(-1.0, 1.0), slope=slope)

@@ -1,13 +1,13 @@
-r"""What is asked of a set with natures: its blocks about their middles, members from below, inequalities from above.
+r"""The analysis problem of a set with natures: lower bounds by members, upper bounds by inequalities.
 
-Every range is taken about its middle first, so that zero lies in the class of each block. A `Problem` makes one
-inequality for each basis of filters and each size of the set, in balanced states, channels and time.
+Every range is first centred, so that the class of each block contains zero. A `Problem` makes one inequality for each
+basis of filters and each size of the set, in balanced states, channels and time.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, NamedTuple
@@ -33,26 +33,23 @@ from robustlab.verification.checker import check
 from robustlab.verification.claim import Claim, Outcome
 
 WORK = 60 * MILLION  # the usual work of a proof at effort 1
-POLES = (1.0, 4.0, 0.25)
-# Times that a least gain is looked for at most, each in states measured by the P before; again while it falls below
-# this share of the one before.
-BALANCINGS = 4
-BETTER = 0.98
-# of the multipliers, in terms of the model's typical speed, tried in turn; more: closer bounds, more work
-BACK_OFFS = (1e-5, 1e-4, 1e-3, 1e-2, 5e-2, 0.2)
+POLES = (1.0, 4.0, 0.25)  # of the multipliers, relative to the model's typical speed
+BALANCINGS = 4  # minimisations of the gain at most, each in states scaled by the last P
+BETTER = 0.98  # and while the gain falls below this share of the last one
+BACK_OFFS = (1e-5, 1e-4, 1e-3, 1e-2, 5e-2, 0.2)  # relative increases of the least gain that are tried for a proof
 MEMBERS = 64  # linear members at the ends of all ranges that bound the gain from below
-STATES = 60  # of the model with its filters; more unknowns than that are not begun
+STATES = 60  # largest number of states of the model with its filters
 
 __all__ = ["IqcProof", "Natures", "Posed", "Problem", "posed"]
 
 MOST_ORDER = 8
-# Name of a block, or (output that is seen, input that is driven) -> what is there.
+# Name of a block, or (output, input) of a law -> its type.
 Natures = Mapping[Any, Nature]
 
 
 @dataclass(frozen=True)
 class IqcProof(Evidence):
-    """What proves a bound in ball arithmetic, without a solver.
+    """Evidence that proves a bound in ball arithmetic, without a solver.
 
     Attributes
     ----------
@@ -65,7 +62,7 @@ class IqcProof(Evidence):
     slack
         Distance of the inequality's matrix from singular.
     P, unknowns
-        Lyapunov matrix (of either sign) and multipliers, for the states and the time of the model as it was given.
+        Lyapunov matrix (of either sign) and multipliers, for the states and the time of the given model.
     """
 
     constraints: Mapping[str, str]
@@ -79,7 +76,7 @@ class IqcProof(Evidence):
 
 @dataclass(frozen=True)
 class Posed(Evidence):
-    """What a proof is about, with no number changed: the channels of the blocks come first in the model.
+    """The problem of a proof, with unchanged numbers: the channels of the blocks come first in the model.
 
     Attributes
     ----------
@@ -88,9 +85,9 @@ class Posed(Evidence):
     blocks
         Blocks in their order.
     ranges
-        Ends of what stands in Delta, (k, 2); -1, 1 of blocks that are no real number.
+        Ends of the entries of Delta, (k, 2); -1, 1 of blocks that are no real number.
     natures
-        What each block is, in Delta's unit; None: constant.
+        Type of each block, in Delta's unit; None: constant.
     """
 
     model: StateSpaceModel
@@ -99,20 +96,20 @@ class Posed(Evidence):
     natures: tuple[Nature | None, ...]
 
 
-# --- what balls prove -------------------------------------------------------------------------------------------------
+# --- claims -----------------------------------------------------------------------------------------------------------
 
 CONSTANT, VARYING, SECTOR, SLOPE = 0, 1, 2, 3
 
 
 def gain_claim(posed: Posed, proof: IqcProof, gamma: float) -> Claim:
-    """That the gain is at most ``gamma`` for all blocks of their natures."""
+    """Return the claim that the gain is at most ``gamma`` for all blocks of their natures."""
     M = posed.model
     model = {"A": M.A, "B": M.B, "C": M.C, "D": M.D, "dt": np.array(0.0)}
     return Claim("iqc-gain", {**model, **_proof_numbers(posed, proof), "gamma": np.array(gamma)})
 
 
 def size_claim(posed: Posed, proof: IqcProof, size: float) -> Claim:
-    """That the set ``size`` times as large is stable."""
+    """Return the claim that the set ``size`` times as large is stable."""
     q, p = (sum(sizes) for sizes in zip(*((b.rows, b.cols) for b in posed.blocks), strict=True))
     M = posed.model
     model = {"A": M.A, "B": M.B[:, :q], "C": M.C[:p], "D": M.D[:p, :q], "dt": np.array(0.0)}
@@ -120,12 +117,12 @@ def size_claim(posed: Posed, proof: IqcProof, size: float) -> Claim:
 
 
 def holds(claim: Claim) -> bool:
-    """Whether ball arithmetic proves it: of the model as it was given, put together by a program of its own."""
+    """Prove a claim in ball arithmetic, for the given model, with the independent checker."""
     return check(claim).outcome is Outcome.PROVED
 
 
 def _proof_numbers(posed: Posed, proof: IqcProof) -> dict[str, Any]:
-    """Blocks with their natures, and what proves the bound."""
+    """Return the blocks with their natures, and the evidence of the bound."""
     rows = [(0 if b.interval else 1 if b.is_scalar else 2, b.rows, b.cols) for b in posed.blocks]
     slopes = [(n.slope or (0.0, 0.0)) if isinstance(n, Nonlinearity) else (0.0, 0.0) for n in posed.natures]
     rates = [n.rate if isinstance(n, Varying) else np.inf for n in posed.natures]
@@ -139,20 +136,19 @@ def _proof_numbers(posed: Posed, proof: IqcProof) -> dict[str, Any]:
 
 
 def _row(nature: Nature | None) -> tuple[int, int, int]:
-    """``[kind, odd, steady]``."""
+    """Return ``[kind, odd, steady]``."""
     if isinstance(nature, Nonlinearity):
         return SECTOR if nature.slope is None else SLOPE, int(nature.odd), int(nature.steady)
     return (CONSTANT if nature is None else VARYING), 0, 0
 
 
-# --- what is asked ----------------------------------------------------------------------------------------------------
+# --- the problem ------------------------------------------------------------------------------------------------------
 
 
 def _opened(model: Any, laws: Mapping[tuple[str, str], Nonlinearity]) -> UncertainModel:
-    """The model with a real block ``output:input`` for each law, the gain between them; its channels are those of the
-    model, moved.
+    """Return the model with a real block ``output:input`` for each law, the gain between them.
 
-    The outputs stay, so that they can be looked at; the inputs are driven by the laws alone.
+    The outputs are kept; the inputs are driven by the laws alone.
     """
     given = model if isinstance(model, UncertainModel) else UncertainModel(as_model(model, "iqc"), [])
     M, (q, p) = given.M, given.delta_shape
@@ -180,7 +176,7 @@ def _opened(model: Any, laws: Mapping[tuple[str, str], Nonlinearity]) -> Uncerta
 
 
 def _normalised(opened: UncertainModel, laws: Mapping[tuple[str, str], Nonlinearity]) -> UncertainModel:
-    """The gains of the laws, the last blocks, about the middles of their sectors."""
+    """Normalise the gains of the laws, the last blocks, to their sectors."""
     (q, p), k = opened.delta_shape, len(laws)
     # w = (middle + half Delta) z in the new channels, the set's own as they are
     centre = np.zeros((q, p))
@@ -193,7 +189,7 @@ def posed(
     where: str, model: Any, nature: Natures | None, order: int, pole: float | None, time_limit: float | None,
     effort: float, channel: tuple[Sequence[str] | None, Sequence[str] | None] = (None, None),
 ) -> tuple[Problem, Budget]:  # fmt: skip
-    """The problem of a public function's arguments, checked, and its budget; the channel: names of inputs, outputs."""
+    """Check a public function's arguments and return the problem and its budget; channel: names of inputs, outputs."""
     if isinstance(order, bool) or not isinstance(order, int) or not 0 <= order <= MOST_ORDER:
         raise InputError(f"{where}: order", f"{order!r}", f"a whole number from 0 to {MOST_ORDER}")
     if pole is not None:
@@ -227,7 +223,7 @@ def posed(
 
 
 def _posed(opened: UncertainModel, laws: Mapping[tuple[str, str], Nonlinearity], problem: Problem) -> Posed:
-    """What is asked for, in the units of Delta of the opened model."""
+    """Return the problem in the units of Delta of the opened model."""
     ranges, natures = [], []
     gains = {":".join(key): law for key, law in laws.items()}
     for block in opened.blocks:
@@ -239,7 +235,7 @@ def _posed(opened: UncertainModel, laws: Mapping[tuple[str, str], Nonlinearity],
         elif isinstance(known, Nonlinearity):
             m, k = known.slope or (0.0, 0.0)
             slope = gains[block.name].slope if block.name in gains else (middle + half * m, middle + half * k)
-            # A sector is within the slope: rounding must not part them.
+            # A sector is within the slope, also after rounding.
             inside = None if known.slope is None or slope is None else (min(slope[0], low), max(slope[1], high))
             known = replace(known, sector=(low, high), slope=inside)
         ranges.append((low, high))
@@ -248,7 +244,7 @@ def _posed(opened: UncertainModel, laws: Mapping[tuple[str, str], Nonlinearity],
 
 
 class Units(NamedTuple):
-    """Of an inequality: of each block's channels, of time, of the states."""
+    """Units of an inequality: of each block's channels, of time, of the states."""
 
     blocks: Mapping[str, float]
     rate: float
@@ -256,7 +252,7 @@ class Units(NamedTuple):
 
 
 class Problem:
-    """The set about its middles, what each block is, and the inequalities at a basis and a size."""
+    """The centred set, the types of its blocks, and the inequalities at a basis and a size."""
 
     posed: Posed
 
@@ -285,7 +281,7 @@ class Problem:
     # --- from below ---------------------------------------------------------------------------------------------------
 
     def worst_member(self) -> tuple[float, dict[str, float]]:
-        """Largest gain of a linear member at the ends of the ranges, inf where one is unstable; and that member."""
+        """Return the largest gain of a linear member at the ends of the ranges (inf: unstable), and that member."""
         reach: dict[str, tuple[float, float]] = {}
         for b in self.middle.blocks:
             law = self.laws[b.name]
@@ -294,7 +290,10 @@ class Problem:
                 reach[b.name] = max(-1.0, m), min(1.0, k)
             elif b.is_scalar:
                 reach[b.name] = (-1.0, 1.0)
-        every = product(*reach.values()) if 2 ** len(reach) <= MEMBERS else self._drawn(list(reach.values()))
+        every: Iterable[tuple[float, ...]] = product(*reach.values())
+        if 2 ** len(reach) > MEMBERS:
+            rng = np.random.default_rng(0)
+            every = [tuple(pair[rng.integers(2)] for pair in reach.values()) for _ in range(MEMBERS)]
         worst, at = hinf_norm(self.middle.nominal).lower, dict.fromkeys(reach, 0.0)
         for values in every:
             delta = dict(zip(reach, values, strict=True))
@@ -309,19 +308,12 @@ class Problem:
                 break
         return float(worst), at
 
-    def _drawn(self, ends: list[tuple[float, float]]) -> list[tuple[float, ...]]:
-        rng = np.random.default_rng(0)
-        return [tuple(pair[rng.integers(2)] for pair in ends) for _ in range(MEMBERS)]
-
     # --- from above ---------------------------------------------------------------------------------------------------
 
     def least_gain(self, basis: Basis, budget: Budget, enough: float = 0.0) -> tuple[float, IqcProof] | None:
-        """The least gain that is proved with these filters, and its proof; None where there is none.
-
-        Below ``enough`` no smaller one is looked for.
-        """
+        """Return the least gain proved with these filters and its proof, or None; the search ends below ``enough``."""
         size = float(max(hinf_norm(self.middle.nominal).upper, 1e-12))
-        if math.isinf(size):  # a pole that cannot be told from the axis
+        if math.isinf(size):  # a pole indistinguishable from the axis
             return None
         unit, states = 2.0 ** round(math.log2(size)), np.ones(self.middle.M.n_states)
         best: tuple[float, IqcProof] | None = None
@@ -339,10 +331,9 @@ class Problem:
     def _least_gain(
         self, basis: Basis, budget: Budget, unit: float, states: Array
     ) -> tuple[tuple[float, IqcProof] | None, Array]:
-        """The same in states that are ``states`` times as large, and sizes in which P had a diagonal of ones.
+        """Return the same for states scaled by ``states``, and scales that would give P a diagonal of ones.
 
-        Clarabel stops far above the least gain where P's entries are of very different sizes: what it found tells how
-        the states should have been measured.
+        Clarabel stops far above the least gain if P's entries have very different sizes.
         """
         made = self._inequality(basis, 1.0, unit, states)
         least = None if made is None else made[0].solve(budget)
@@ -363,7 +354,7 @@ class Problem:
         return None, again
 
     def proved_stable(self, size: float, budget: Budget, thorough: bool = True) -> IqcProof | None:
-        """The proof that the set times ``size`` is stable, with any basis or the best so far; None: none was found."""
+        """Return a proof that the set times ``size`` is stable, with any basis or the best so far, or None."""
         for basis in tuple(self.bases if thorough else self.bases[:1]):
             made = self._inequality(basis, size, None)
             point = None if made is None or budget.over else made[0].solve(budget)
@@ -371,17 +362,16 @@ class Problem:
                 continue
             proof = self._proof(basis, made[0], point, made[1], 1.0)
             if proof is not None and holds(size_claim(self.posed, proof, size)):
-                self.bases.sort(key=lambda one: one is not basis)  # the first to be tried at the next size
+                self.bases.sort(key=lambda one: one is not basis)  # tried first at the next size
                 return proof
         return None
 
     def _inequality(
         self, basis: Basis, size: float, unit: float | None, states: Array | float = 1.0
     ) -> tuple[Inequality, Units] | None:
-        """In balanced states and in a time unit of its own, with these units; None: of too many states.
+        """Return the inequality in balanced states and its own time unit, with these units; None: too many states.
 
-        ``unit``: of the gain, None for stability alone.
-        ``states``: powers of two by which each state is measured in a larger unit still.
+        ``unit``: of the gain, None for stability alone; ``states``: powers of two of larger units of the states.
         """
         M, q, p = self.middle.M, self.q, self.p
         n_w, n_z = (self.n_w, self.n_z) if unit is not None else (0, 0)
@@ -416,10 +406,7 @@ class Problem:
         return Inequality(model, terms, seen, slice(q, q + n_w)), Units(blocks, rate, units)
 
     def _proof(self, basis: Basis, inequality: Inequality, point: Point, units: Units, unit: float) -> IqcProof | None:
-        """P and all unknowns in the units of the loop as it was given; None where not even the solver's matrix holds.
-
-        But for roots these are powers of two.
-        """
+        """Return P and all unknowns in the units of the given loop; None where the solver's point is infeasible."""
         slack, square = inequality.slack_of(point), unit**2
         if not slack > 0:
             return None
@@ -427,7 +414,7 @@ class Problem:
         parts: list[Array] = []
         for t, x in zip(inequality.terms, point.unknowns, strict=True):
             kinds[t.block] = f"{kinds[t.block]}, {t.kind}" if t.block in kinds else t.kind
-            # Popov's multiplier weighs a derivative.
+            # Popov's multiplier acts on a derivative.
             parts.append(x * (square * units.blocks[t.block] ** 2) / (units.rate if t.kind == POPOV else 1.0))
         P = point.P * np.outer(units.states, units.states) * (square / units.rate)  # symmetric to the last bit
         return IqcProof(kinds, basis.pole, basis.order, inequality.n, slack, P, np.concatenate(parts))
@@ -453,7 +440,7 @@ class Problem:
 
 
 def _law(where: str, block: Block, nature: Nature | None) -> Nature | None:
-    """The nature in normalised units, checked against the block; None: constant."""
+    """Check the nature against the block and return it in normalised units; None: constant."""
     name = f"{where}: {block.name!r}"
     if not (block.is_scalar or block.is_ball):
         raise InputError(name, f"a {type(block).__name__}", "a scalar block, or a full one of gain one")
@@ -488,10 +475,7 @@ def _in_words(block: Block, nature: Nature | None) -> str:
 
 
 def _channel_balance(blocks: Sequence[Block], m: StateSpaceModel) -> list[float]:
-    """For each block a power of two: z and w times it, as much goes into its channels as out of them.
-
-    The class of no block changes.
-    """
+    """Return a power of two for each block that balances the gains into and out of its channels."""
     found = []
     for w, z in block_slices(blocks):
         into, out = np.linalg.norm(m.B[:, w]), np.linalg.norm(m.C[z])

@@ -1,4 +1,4 @@
-"""An uncertain model with what is known of how it was made."""
+"""An uncertain model with the evidence of its construction."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ class BuiltModel(Shown):
     model
         The set.
     structure
-        What moves together.
+        Which entries vary together.
     status
-        CERTIFIED: the set is proved to hold what it was made of. CONVERGED: to an accuracy that was chosen. None: it is
-        what its parameters say, and there is nothing to prove.
+        CERTIFIED: the set is proved to contain its source models. CONVERGED: to a chosen accuracy. None: it is defined
+        by its parameters, and there is nothing to prove.
     residual
-        How far its end is from the perturbed model; None where it was not made of two models.
+        Distance of its end from the perturbed model; None where it was not made of two models.
     notes
-        What the reader must know.
+        Remarks for the reader.
     ends
-        The nominal and the perturbed model that it was made of, for `robustlab.verify`.
+        The nominal and the perturbed model of its construction, for `robustlab.verify`.
     """
 
     model: UncertainModel
@@ -45,7 +45,7 @@ class BuiltModel(Shown):
 
     @property
     def endpoint_residual(self) -> float | None:
-        """Largest relative difference to the perturbed model at Delta = I."""
+        """Return the largest relative difference to the perturbed model at Delta = I."""
         return None if self.residual is None else self.residual.largest
 
     def numbers(self) -> dict[str, Any]:

@@ -4,12 +4,11 @@ Cockburn, Morton, Automatica 33 (1997); Varga, Looye, "Symbolic and numerical so
 uncertainty modeling" (1999).
 """
 
-# One step takes a variable out of every term that contains it, and shares what is left: M = M0 + v L R = [I, v L]
-# [M0; R] or [M0, L] [I; v R] with a constant L or R of the smallest inner size r; v then stands r times. The stacked
-# matrix goes through the same step until it is constant, so that equal sub-expressions of different entries are
-# realised once. Which variable comes first decides how many repetitions come out; several orders are tried. Of rational
-# numbers (arrays of objects) ranks are exact, of floats they are those of numbers with rounding. Where M is affine in
-# v, no LFT has fewer repetitions.
+# One step factors a variable out of every term that contains it: M = M0 + v L R = [I, v L] [M0; R] or [M0, L] [I; v R]
+# with a constant L or R of the smallest inner size r, so v is repeated r times. The stacked matrix goes through the
+# same step until it is constant, so that equal sub-expressions of different entries are realised once. The number of
+# repetitions depends on the order of the variables; several orders are tried. Ranks are exact for rational numbers
+# (arrays of objects), numerical for floats. Where M is affine in v, no LFT has fewer repetitions.
 
 from __future__ import annotations
 
@@ -24,8 +23,7 @@ from numpy.typing import NDArray
 
 from robustlab.arrays import Array
 
-# Orders of the variables in which a decomposition is tried: more find smaller LFTs, in as many times the work.
-VARIABLE_ORDERS = 24
+VARIABLE_ORDERS = 24  # orders of the variables that are tried: more find smaller LFTs
 
 
 @dataclass(frozen=True)
@@ -39,13 +37,13 @@ class ConstantLft:
     d22: Array
 
     def inverse(self) -> ConstantLft:
-        """The LFT of the inverse of a 1 x 1 matrix, not zero at Delta = 0."""
+        """Return the LFT of the inverse of a 1 x 1 matrix, not zero at Delta = 0."""
         gain = 1.0 / self.d22
         out = -gain @ self.d21
         return ConstantLft(self.names, self.d11 + self.d12 @ out, self.d12 @ gain, out, gain)
 
     def closed(self, gains: Mapping[Any, ConstantLft]) -> ConstantLft:
-        """The LFT in what each channel stands for, a 1 x 1 LFT; d11 is that of a tree: its powers end in zero."""
+        """Substitute a 1 x 1 LFT for each channel; d11 is that of a tree, so it is nilpotent."""
         from scipy.linalg import block_diag
 
         parts = [gains[name] for name in self.names]
@@ -68,8 +66,7 @@ class ConstantLft:
         )  # fmt: skip
 
 
-# The power of each variable, in the order of the polynomial's names.
-Exponents = tuple[int, ...]
+Exponents = tuple[int, ...]  # the power of each variable, in the order of the polynomial's names
 Terms = Mapping[Exponents, NDArray[Any]]
 
 
@@ -81,14 +78,14 @@ class MatrixPolynomial:
     terms: Terms  # exponents -> coefficient (m, n); the constant one is always there
 
     def __call__(self, t: Array) -> Array:
-        """The matrix (m, n) at t, shape (number of names,)."""
+        """Evaluate the matrix (m, n) at t, shape (number of names,)."""
         powers = [np.prod(np.power(t, exponents)) for exponents in self.terms]
         coefficients: Any = np.stack(list(self.terms.values()))
         return np.tensordot(np.array(powers), coefficients, 1)
 
 
 def polynomial_lft(polynomial: MatrixPolynomial, scale: Array, tolerance: float) -> ConstantLft:
-    """The smallest LFT ``w = diag(t_k I) z`` of a polynomial that a few orders of the variables give."""
+    """Return the smallest LFT ``w = diag(t_k I) z`` of a polynomial among several orders of the variables."""
     rows, cols = scale[:, 0], scale[0] / scale[0, 0]
     plain = MatrixPolynomial(polynomial.names, {e: part / scale for e, part in polynomial.terms.items()})
     lft = decompositions(plain, tolerance)[0]
@@ -98,7 +95,7 @@ def polynomial_lft(polynomial: MatrixPolynomial, scale: Array, tolerance: float)
 def decompositions(
     polynomial: MatrixPolynomial, tolerance: float = 0.0, weight: Callable[[Any], int] = lambda _: 1
 ) -> list[ConstantLft]:
-    """LFTs of a polynomial by several orders of the variables, of least weight first."""
+    """Return LFTs of a polynomial for several orders of the variables, of least weight first."""
     names, terms = polynomial.names, polynomial.terms
     found: dict[tuple[Any, ...], ConstantLft] = {}
     least = sum(weight(name) for k, name in enumerate(names) if any(e[k] for e in terms))
@@ -112,7 +109,7 @@ def decompositions(
 
 
 def _orders(count: int) -> list[Sequence[int]]:
-    """Orders of the variables: all, or forwards and backwards with each one put first and last."""
+    """Return all orders of the variables, or forwards and backwards with each one put first and last."""
     every = range(count)
     if math.factorial(min(count, 20)) <= VARIABLE_ORDERS:
         return list(permutations(every))
@@ -124,7 +121,7 @@ def _orders(count: int) -> list[Sequence[int]]:
 def _expanded(
     terms: Terms, order: Sequence[int], tolerance: float
 ) -> tuple[list[int], NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """The variable of each channel, and d11 .. d22; the first variable of the order that occurs is taken out first."""
+    """Return the variable of each channel, and d11 .. d22; the first variable of the order is factored out."""
     occurring = {k for exponents in terms for k, e in enumerate(exponents) if e}
     some = next(iter(terms.values()))
     (m, n), zero = some.shape, (0,) * len(order)
@@ -151,10 +148,10 @@ def _expanded(
 
 
 def rank_factors(matrix: NDArray[Any], tolerance: float) -> tuple[NDArray[Any], NDArray[Any]]:
-    """``matrix = left @ right`` with as few columns of left as its entries above the tolerance ask for."""
+    """Return ``matrix = left @ right`` with as few columns of left as its entries above the tolerance require."""
     if matrix.dtype == object:
         return _exact_rank_factors(matrix)
-    # Elimination with full pivoting leaves zeros of rows and columns exact, where an SVD would not.
+    # Elimination with full pivoting keeps zeros of rows and columns exact, unlike an SVD.
     rest = matrix.copy()
     columns, rows = [rest[:, :0]], [rest[:0]]
     while np.abs(rest).max(initial=0.0) > tolerance:
@@ -169,7 +166,7 @@ def rank_factors(matrix: NDArray[Any], tolerance: float) -> tuple[NDArray[Any], 
 
 
 def _exact_rank_factors(matrix: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """The same of rational numbers (flint): right is made of rows of the matrix, of the shortest that will do."""
+    """Do the same for rational numbers (flint); right consists of rows of the matrix, the sparsest possible."""
     from flint import fmpq_mat
 
     order = np.argsort((matrix != 0).sum(axis=1), kind="stable")

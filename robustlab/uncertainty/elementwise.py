@@ -1,8 +1,8 @@
 """Uncertain models from two models: a nominal one and a maximally perturbed one (Březina 2010, 10.5-10.15)."""
 
 # [A B; C D](Delta) = nominal + L Delta R with L R = perturbed - nominal. Delta acts on constant matrices: there is no
-# direct way from w to z, and every Delta is well posed. The printed form (10.13) scales whole columns: it is
-# structure "columns"; what the text says in words, each entry by itself, is "elements".
+# direct term from w to z, and every Delta is well posed. The printed form (10.13) scales whole columns: it is
+# structure "columns"; the text's form, each entry by itself, is "elements".
 
 from __future__ import annotations
 
@@ -21,10 +21,8 @@ from robustlab.statespace import MAX_STATES, Signal, StateSpaceModel, as_model
 from robustlab.uncertainty.blocks import FullBlock, RealScalar
 from robustlab.uncertainty.lft import UncertainModel, with_channels
 
-# Rank factors may miss an entry of E by this share of its natural magnitude: above rounding, below the promised 1e-12.
-EXACT = 3e-14
-# An entry from this size on leaves no digit of one of order one in a double.
-HUGE = 1 / np.finfo(float).eps
+EXACT = 3e-14  # error of an entry of the rank factors, relative to its natural magnitude: below the promised 1e-12
+HUGE = 1 / np.finfo(float).eps  # rounding of an entry of this size exceeds entries of order one
 
 # Pivot rows, pivot columns, and the rows and columns that an elimination step may change.
 Stage = tuple[slice, slice, slice, slice]
@@ -35,16 +33,16 @@ _EVERYWHERE: Stage = (slice(None), slice(None), slice(None), slice(None))
 def elementwise(
     nominal: Any, perturbed: Any, structure: str = "elements", tolerance: float | None = None
 ) -> UncertainModel:
-    r"""The set of models between (and mirrored beyond) a nominal and a maximally perturbed model.
+    r"""Return the set of models between (and mirrored beyond) a nominal and a maximally perturbed model.
 
-    With one perturbed model for each physical cause it has one real parameter a cause,
+    With one perturbed model for each physical cause it has one real parameter per cause,
 
     .. math:: \begin{bmatrix} A & B \\ C & D \end{bmatrix}(\Delta) =
               \begin{bmatrix} A & B \\ C & D \end{bmatrix}_{nominal} + \sum_i \delta_i L_i R_i, \qquad
               L_i R_i = perturbed_i - nominal
 
-    repeated as often as the rank of its difference, found jointly in A, B, C, D: what moves together stays together,
-    and causes superpose linearly (their products are not in it).
+    repeated as often as the rank of its difference, found jointly in A, B, C, D: entries of one cause vary together,
+    and causes superpose linearly (without their products).
 
     Parameters
     ----------
@@ -53,7 +51,7 @@ def elementwise(
         ``perturbed`` may be a table: name of a cause -> model at the upper end of that cause alone. One that changes
         nothing gives no block.
     structure
-        What moves together; of causes it is what each of them moves:
+        Which entries vary together; with causes all entries of each cause do:
 
         ========== ===================================================================== =============================
         elements   each differing entry of A, B, C, D by itself                          rank one each
@@ -64,14 +62,14 @@ def elementwise(
         ========== ===================================================================== =============================
     tolerance
         Differences below ``tolerance`` times an entry's natural magnitude count as noise (a linearisation by finite
-        differences needs about 1e-9 to show its true rank). Left out, nothing is dropped and the ends hold to 1e-12;
-        with it they hold to what `endpoint_residual` says.
+        differences needs about 1e-9 to show its true rank). If omitted, nothing is dropped and the ends are met to
+        1e-12; else to `endpoint_residual`.
 
     Returns
     -------
     UncertainModel
         With real scalars named by their signals: ``A[omega,i]``, ``A[:,i]``, ``A[omega,:]``, ``A``, ``single``.
-        No block at all where the two models are equal. Of causes, one a cause, of its name.
+        No block where the two models are equal. With causes, one block of its name for each cause.
 
     Raises
     ------
@@ -124,7 +122,7 @@ def elementwise(
 
 
 def pair_remarks(nominal: StateSpaceModel, perturbed: StateSpaceModel) -> list[str]:
-    """Return what a nominal and a perturbed model hint at: instability, no difference, or a scale beyond doubles."""
+    """Return remarks on a nominal and a perturbed model: instability, no difference, or too wide a scale."""
     from robustlab.norms import unstable_norm
 
     remarks = []
@@ -136,13 +134,13 @@ def pair_remarks(nominal: StateSpaceModel, perturbed: StateSpaceModel) -> list[s
         remarks.append("no uncertainty: the two models are equal")
     largest = max(float(np.abs(entries).max(initial=0.0)) for entries in whole)
     if largest >= HUGE:
-        remarks.append(f"an entry of {largest:.3g}: results keep no digits of entries of order one beside it")
+        remarks.append(f"an entry of {largest:.3g}: entries of order one are lost in its rounding")
     return remarks
 
 
 @dataclass(frozen=True)
 class EndpointResidual:
-    """How far the ends of a set are from the two models it was made of."""
+    """Distances of the ends of a set from its two source models."""
 
     absolute: dict[str, float]  # for each of A, B, C, D the largest `|F_u(M, I) - perturbed|`
     # The same divided by the largest magnitude of that matrix in either model (0 for a matrix that is met exactly).
@@ -150,7 +148,7 @@ class EndpointResidual:
 
     @property
     def largest(self) -> float:
-        """Largest relative residual."""
+        """Return the largest relative residual."""
         return max(self.relative.values())
 
     def to_json(self) -> dict[str, object]:
@@ -173,9 +171,9 @@ def endpoint_residual(uncertain: UncertainModel, perturbed: Any) -> EndpointResi
 
 
 def elementwise_cover(nominal: Any, perturbed: Any) -> UncertainModel:
-    """A small set around the element-wise one: a full block for each of A, B, C, D that differ, named by it."""
-    # |E o delta| <= | |E| | for |delta_ij| <= 1 (Horn, Johnson 2013, theorem 8.1.18). It costs four scalings, not
-    # dozens; members come in that no entries can make, complex and dynamic ones among them.
+    """Return a small set around the element-wise one: a full block for each of A, B, C, D that differ."""
+    # |E o delta| <= | |E| | for |delta_ij| <= 1 (Horn, Johnson 2013, theorem 8.1.18). It needs four scalings, not
+    # dozens, but has additional members, complex and dynamic ones among them.
     first, second = as_model(nominal, "elementwise: nominal"), as_model(perturbed, "elementwise: perturbed")
     check_pair(first, second)
     d, parts = _difference(first, second, 0.0), []
@@ -194,7 +192,7 @@ def elementwise_cover(nominal: Any, perturbed: Any) -> UncertainModel:
 
 @dataclass(frozen=True)
 class _Difference:
-    """E = perturbed - nominal, shape (n_x + n_y, n_x + n_u), and what is needed to factor it."""
+    """E = perturbed - nominal, shape (n_x + n_y, n_x + n_u), and the data to factor it."""
 
     E: Array
     scale: Array
@@ -204,7 +202,6 @@ class _Difference:
     col_names: tuple[str, ...]
 
     def part(self, matrix: str) -> tuple[slice, slice]:
-        """Rows and columns of E that hold A, B, C or D."""
         n = self.n_states
         upper, lower = slice(0, n), slice(n, None)
         return {"A": (upper, upper), "B": (upper, lower), "C": (lower, upper), "D": (lower, lower)}[matrix]
@@ -223,7 +220,7 @@ def _difference(nominal: StateSpaceModel, perturbed: StateSpaceModel, tolerance:
     first, second = (np.block([[m.A, m.B], [m.C, m.D]]) for m in (nominal, perturbed))
     size = np.maximum(np.abs(first), np.abs(second))
     scale = natural_magnitude(size)
-    # An entry of a matrix of small numbers must not be judged by the large units of its row and column alone.
+    # The large units of its row and column must not hide an entry of a matrix of small numbers.
     limit = scale.copy()
     for rows in (slice(0, n), slice(n, None)):
         for cols in (slice(0, n), slice(n, None)):
@@ -235,7 +232,7 @@ def _difference(nominal: StateSpaceModel, perturbed: StateSpaceModel, tolerance:
 
 
 def natural_magnitude(size: Array) -> Array:
-    """Powers of two ``r_i c_j`` for which ``size / (r c^T)`` has rows and columns with a largest entry near one."""
+    """Return powers of two ``r_i c_j`` for which ``size / (r c^T)`` has rows and columns with maxima near 1."""
     with np.errstate(divide="ignore"):
         level = np.log2(size)
     row, col = np.zeros(size.shape[0]), np.zeros(size.shape[1])
@@ -248,11 +245,11 @@ def natural_magnitude(size: Array) -> Array:
     return np.exp2(np.clip(np.rint(row)[:, None] + np.rint(col), -1000, 1000))
 
 
-# --- one way to factor for each structure ----------------------------------------------------------------------------
+# --- factorisations of the structures --------------------------------------------------------------------------------
 
 
 def _rank_one(d: _Difference, way: str) -> list[_Part]:
-    """A part for each entry, column or row that differs, of A, B, C, D one after the other."""
+    """Return a part for each differing entry, column or row, of A, B, C, D in this order."""
     found: list[tuple[str, str, Array, Array]] = []
     rows, cols = np.eye(d.E.shape[0]), np.eye(d.E.shape[1])
     for m in "ABCD":
@@ -293,8 +290,8 @@ def _single(d: _Difference) -> list[_Part]:
     every, x, rest = slice(None), slice(0, d.n_states), slice(d.n_states, None)
     stages = [_EVERYWHERE]
     if not d.E[d.part("D")].any():
-        # D_D = 0 is kept exactly (noise in D would turn a strictly proper model into one that is not): with
-        # rank E = rank C_D + rank B_D + rank(what is left of A_D), no channel feeds both an output and from an input.
+        # D_D = 0 is kept exactly (noise in D would make a strictly proper model proper): with
+        # rank E = rank C_D + rank B_D + rank(rest of A_D), no channel connects an input to an output.
         stages = [(rest, x, every, x), (x, rest, x, every), (x, x, x, x)]
     return [_Part("single", *_rank_factors(d.E, d.allowance, d.scale, stages))]
 
@@ -310,11 +307,9 @@ STRUCTURES = tuple(_FACTORS)
 
 
 def _rank_factors(e: Array, allowance: Array, scale: Array, stages: Sequence[Stage]) -> tuple[Array, Array]:
-    """``left (m, r), right (r, n)`` with ``|left @ right - e| <= allowance`` and r as small as complete pivoting
-    finds.
-    """
+    """Return ``left (m, r), right (r, n)`` with ``|left @ right - e| <= allowance`` and a small r."""
     # Complete pivoting relative to the scale reveals the rank like a singular value decomposition, but its error in an
-    # entry is rounding of what met in that entry, and zeros of rows and columns stay zeros.
+    # entry is rounding of that entry's own terms, and zeros of rows and columns stay zeros.
     residual, lefts, rights = e.copy(), [], []
     used_rows, used_cols = e.any(axis=1), e.any(axis=0)
     full = min(used_rows.sum(), used_cols.sum())
@@ -340,7 +335,7 @@ def _rank_factors(e: Array, allowance: Array, scale: Array, stages: Sequence[Sta
 
 
 def _assemble(nominal: StateSpaceModel, parts: list[_Part], full: bool = False) -> UncertainModel:
-    """Eqs 10.8, 10.9: the nominal model with the channels of Delta in front."""
+    """Return the nominal model with the channels of Delta in front (eqs 10.8, 10.9)."""
     size = sum(p.right.shape[0] for p in parts)
     if size > MAX_STATES:
         raise InputError(
@@ -364,7 +359,7 @@ def check_pair(
     second: str = "perturbed",
     where: str = "elementwise",
 ) -> None:
-    """Whether two models have the same sizes, sample time, signals and units; ``first``, ``second`` are their names."""
+    """Check that two models, called ``first`` and ``second``, have the same sizes, sample time, signals and units."""
     shapes = {name: (getattr(perturbed, name).shape, getattr(nominal, name).shape) for name in "ABCD"}
     wrong = [
         f"{second} {name} is {found}, expected {wanted} to match {first} {name}"
@@ -384,7 +379,7 @@ def _check_signals(
 ) -> None:
     (first, second), (one, other) = pair, called
     names, others = [s.name for s in first], [s.name for s in second]
-    # What our own models and python-control's are called when nobody named their signals.
+    # Default names of signals here and in python-control.
     unnamed = ([f"{prefix}{i + 1}" for i in range(len(first))], [f"{prefix}[{i}]" for i in range(len(first))])
     if names != others and names not in unnamed and others not in unnamed:
         hint = f"bring them into one order with select({kind}=...)" if sorted(names) == sorted(others) else None

@@ -1,4 +1,4 @@
-"""Uncertain frequency-response data: a set of responses at given frequencies, and nothing between them."""
+"""Uncertain frequency-response data: a set of responses at given frequencies only."""
 
 from __future__ import annotations
 
@@ -11,25 +11,24 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import AnyArray, Array, ComplexArray
-from robustlab.closing import fed_back
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.operators import Behaviour
 from robustlab.provenance import Traced
 from robustlab.shown import Facts, Shown, listed, number, short, with_units
-from robustlab.signals import Signal, SignalLike, is_number, picked, real_array, same_units, signals
+from robustlab.signals import Signal, SignalLike, picked, real_array, signals
 from robustlab.statespace import as_model
 from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock, as_blocks, delta_matrix, structure_size
-from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.lft import UncertainModel, return_path
 from robustlab.uncertainty.upper_lft import ILL_POSED, closed_response
 
 
 @dataclass(frozen=True, init=False, eq=False)
 class UncertainFrequencyData(Behaviour, Shown, Traced):
-    r"""Frequency responses :math:`F_u(M_k, \Delta)` at N frequencies; immutable. Most come of `frequency_data`.
+    r"""Frequency responses :math:`F_u(M_k, \Delta)` at N frequencies; immutable. See `frequency_data`.
 
-    Nothing is known between the frequencies, and nothing of poles. ``.feedback(K)`` closes a controller of any kind
-    around the data; the other models of the loop belong into K.
+    They define neither the response between the frequencies nor poles. ``.feedback(K)`` connects a controller of any
+    kind; K includes all other models of the loop.
 
     Parameters
     ----------
@@ -40,7 +39,7 @@ class UncertainFrequencyData(Behaviour, Shown, Traced):
     blocks
         The blocks of Delta; none for plain frequency-response data.
     inputs, outputs
-        Signals without the channels of Delta; ``u1``, ``y1``, ... where left out.
+        Signals without the channels of Delta; ``u1``, ``y1``, ... by default.
 
     Raises
     ------
@@ -64,7 +63,7 @@ class UncertainFrequencyData(Behaviour, Shown, Traced):
     inputs: tuple[Signal, ...]
     outputs: tuple[Signal, ...]
 
-    operator_rank = 3  # data close the loop, whatever the controller is
+    operator_rank = 3  # with data and a controller of any kind the result is data
     no_model = "frequency-response data have no state-space model: rl.robust_stability and rl.peak_gain"
     for_control = "control.frd(np.moveaxis(G.nominal, 0, 2), G.omega) is its nominal response"
 
@@ -100,7 +99,7 @@ class UncertainFrequencyData(Behaviour, Shown, Traced):
 
     @classmethod
     def read(cls, path: str | Path, name: str = "measured", **options: Any) -> UncertainFrequencyData:
-        """Measured responses from a text table: frequencies first, then columns such as ``y from u real``."""
+        """Read measured responses from a text table: frequencies first, then columns such as ``y from u real``."""
         from robustlab.files.text_table import read_response
 
         table = read_response(path, **options)
@@ -111,39 +110,30 @@ class UncertainFrequencyData(Behaviour, Shown, Traced):
 
     @property
     def delta_shape(self) -> tuple[int, int]:
-        """``(q, p)``: shape of Delta."""
+        """Return ``(q, p)``, the shape of Delta."""
         return structure_size(self.blocks)
 
     @property
     def nominal(self) -> ComplexArray:
-        """The responses at Delta = 0, shape (N, n_y, n_u)."""
+        """Return the responses at Delta = 0, shape (N, n_y, n_u)."""
         q, p = self.delta_shape
         return self.M[:, p:, q:]
 
     @property
     def delta_channels(self) -> ComplexArray:
-        """M11 at each frequency, shape (N, p, q): what `robustlab.mu` takes together with ``blocks``."""
+        """Return M11 at each frequency, shape (N, p, q), the matrix of `robustlab.mu` for ``blocks``."""
         q, p = self.delta_shape
         return self.M[:, :p, :q]
 
     def response(self, delta: Any) -> ComplexArray:
-        """The responses of the member for a Delta, by block names, shape (N, n_y, n_u)."""
+        """Return the responses of the member for a Delta, by block names, shape (N, n_y, n_u)."""
         return closed_at(self.omega, self.M, delta_matrix(self.blocks, delta), "response")
 
     def _loop(self, forward: Any, back: Any, sign: int | None) -> UncertainFrequencyData:
         if forward is not self:
             raise InputError("feedback", "frequency-response data fed back", "data.feedback(K), K a model")
         n_y, n_u = self.nominal.shape[1:]
-        if is_number(back):
-            if n_u != n_y:
-                raise InputError("feedback", f"the number {back} around {n_y} x {n_u} channels", "a matrix or a model")
-            back = float(back) * np.eye(n_u)
-        back, sign, _ = fed_back(self, back, sign)
-        h = frequency_data(back, self.omega)
-        if h.nominal.shape[1:] != (n_u, n_y):
-            found = f"what is fed back is {len(h.outputs)} x {len(h.inputs)}"
-            raise InputError("feedback", found, f"{n_u} x {n_y} for data of {n_y} x {n_u}")
-        same_units("feedback", [*zip(self.outputs, h.inputs, strict=True), *zip(h.outputs, self.inputs, strict=True)])
+        h, sign = return_path(self, back, sign, lambda given: frequency_data(given, self.omega), "data")
         (q, p), rows, cols = self.delta_shape, self.M.shape[1], self.M.shape[2]
         both = np.zeros((len(self.omega), rows + h.M.shape[1], cols + h.M.shape[2]), dtype=complex)
         both[:, :rows, :cols], both[:, rows:, cols:] = self.M, h.M
@@ -155,7 +145,7 @@ class UncertainFrequencyData(Behaviour, Shown, Traced):
         return UncertainFrequencyData(self.omega, M, (*self.blocks, *h.blocks), self.inputs, self.outputs)
 
     def __getitem__(self, key: Any) -> UncertainFrequencyData:
-        """``G[outputs, inputs]`` by numbers, slices, names or lists of these; blocks are kept."""
+        """Return ``G[outputs, inputs]`` by numbers, slices, names or lists of these; blocks are kept."""
         ins, outs = [s.name for s in self.inputs], [s.name for s in self.outputs]
         some_outs, some_ins = picked(key, tuple(outs), tuple(ins))
         (q, p), i, o = self.delta_shape, [ins.index(n) for n in some_ins], [outs.index(n) for n in some_outs]
@@ -194,7 +184,7 @@ def frequency_data(
     inputs: Sequence[SignalLike] | None = None,
     outputs: Sequence[SignalLike] | None = None,
 ) -> UncertainFrequencyData:
-    r"""Frequency-response data: a measured response with what is not known of it, or a model at frequencies.
+    r"""Return frequency-response data: a measured response with its uncertainty, or a model at frequencies.
 
     .. math:: |G_{ij}(j\omega_k) - \hat G_{k,ij}| \le r_{k,ij} \qquad \text{or} \qquad \bar\sigma(G(j\omega_k) - \hat
        G_k) \le r_k
@@ -202,16 +192,16 @@ def frequency_data(
     Parameters
     ----------
     given
-        Responses, complex, shape (N, n_y, n_u), (N,) for one channel, or (n_y, n_u) for one that is the same at all
-        frequencies; or a model: StateSpaceModel, UncertainModel (its blocks are kept), DelayedModel (delays exact).
+        Responses, complex, shape (N, n_y, n_u), (N,) for one channel, or (n_y, n_u) for one constant over frequency;
+        or a model: StateSpaceModel, UncertainModel (its blocks are kept), DelayedModel (delays exact).
     omega
         Frequencies in rad/s, shape (N,), increasing.
     radius
         Of a measured response: one number or shape (N,), the largest singular value of the error, a full block; or
-        shape (N, n_y, n_u), each entry by itself, a complex scalar for each. An ellipse is held by the circle of its
+        shape (N, n_y, n_u), each entry by itself, a complex scalar for each. Cover an ellipse by the circle of its
         longer half axis. None: the response is exact.
     name
-        Beginning of the names of the blocks.
+        Prefix of the names of the blocks.
     inputs, outputs
         Signals of a response; those of a model are kept.
 
@@ -225,7 +215,7 @@ def frequency_data(
     InputError
         Shapes that do not fit, a radius that is negative, a radius of a model.
     NoTrustworthyNumber
-        A pole of a model lies at a frequency.
+        A model has a pole at one of the frequencies.
 
     Examples
     --------
@@ -248,7 +238,6 @@ def frequency_data(
 
 
 def _complex(name: str, given: ArrayLike, where: str) -> ComplexArray:
-    """Numbers as a new complex array."""
     try:
         return np.array(given, dtype=np.complex128)
     except (TypeError, ValueError, OverflowError):
@@ -256,7 +245,7 @@ def _complex(name: str, given: ArrayLike, where: str) -> ComplexArray:
 
 
 def _with_radius(plain: UncertainFrequencyData, given: ComplexArray, name: str) -> UncertainFrequencyData:
-    """The data with a block for each entry, or one for all."""
+    """Return the data with a block for each entry, or one for all."""
     radius = np.where(given.imag == 0, given.real, np.nan)
     n, n_y, n_u = plain.M.shape
     if n_y == n_u == 1 and radius.shape == (n,):
@@ -287,11 +276,11 @@ def _with_radius(plain: UncertainFrequencyData, given: ComplexArray, name: str) 
 
 
 def closed_at(omega: Array, m: AnyArray, delta: AnyArray, where: str) -> ComplexArray:
-    """`closed_response`, refused where it has no digits left at a frequency."""
+    """Return `closed_response`; NoTrustworthyNumber where it is ill-conditioned at a frequency."""
     q, p = delta.shape
     with np.errstate(all="ignore"):
         condition = np.linalg.cond(np.eye(p) - m[:, :p, :q] @ delta) if p else np.zeros(len(omega))
     if not (condition <= ILL_POSED).all():
         found = f"the interconnection is singular at {omega[~(condition <= ILL_POSED)][0]:g} rad/s"
-        raise NoTrustworthyNumber(where, found, None, "a pole lies there: leave that frequency out")
+        raise NoTrustworthyNumber(where, found, None, "a pole is there: omit that frequency")
     return np.asarray(closed_response(m, delta), dtype=np.complex128)

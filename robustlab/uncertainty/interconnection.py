@@ -1,13 +1,12 @@
-"""Models with Delta channels in one interconnection: all operands side by side, then wires.
+"""Interconnections of models with Delta channels: block-diagonal operands, then wires.
 
 Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), section 9.1.
 """
 
 # Every interconnection of LFTs is an LFT in the same named blocks; a plain model is one without blocks. A block name
-# that occurs in several operands is one and the same uncertainty: its channels become one repeated block, which is then
-# reduced. Signals keep their names; where two would be called the same, the later ones get _2, _3, ... A stable weight
-# says how large a dynamic uncertainty is at each frequency; it goes into M, so that Delta stays normalised: w = Delta W
-# z (side z), w = W Delta z (side w).
+# in several operands is the same uncertainty: its channels become one repeated block, which is then reduced. Signals
+# keep their names; of equal ones the later get _2, _3, ... A stable weight, the size of a dynamic uncertainty at each
+# frequency, becomes part of M, so that Delta stays normalised: w = Delta W z (side z), w = W Delta z (side w).
 
 from __future__ import annotations
 
@@ -23,8 +22,7 @@ from robustlab.statespace import Signal, StateSpaceModel, append
 from robustlab.uncertainty.blocks import Block, block_slices, structure_size
 from robustlab.uncertainty.upper_lft import is_singular
 
-# A model whose first channels are those of the blocks.
-Part = tuple[StateSpaceModel, tuple[Block, ...]]
+Part = tuple[StateSpaceModel, tuple[Block, ...]]  # a model whose first channels are those of the blocks
 
 
 class Wiring(NamedTuple):
@@ -36,7 +34,7 @@ class Wiring(NamedTuple):
 
 
 def ones(rows: int, cols: int, *wires: tuple[int, int, int]) -> Array:
-    """A matrix of zeros with an identity of ``size`` from each ``(row, column, size)`` on."""
+    """Return a matrix of zeros with an identity of ``size`` at each ``(row, column, size)``."""
     matrix = np.zeros((rows, cols))
     for row, col, size in wires:
         matrix[row : row + size, col : col + size] = np.eye(size)
@@ -46,7 +44,7 @@ def ones(rows: int, cols: int, *wires: tuple[int, int, int]) -> Array:
 def joined(
     parts: Sequence[Part], wiring: Wiring, inputs: Sequence[Signal], outputs: Sequence[Signal], where: str
 ) -> Part:
-    """All operands in one model with the wires closed; y and u of the wiring are their signals, one after the other."""
+    """Return the wired model of all operands; y and u of the wiring are their signals in this order."""
     channels: dict[str, tuple[list[Block], list[int], list[int]]] = {}
     u: list[int] = []
     y: list[int] = []
@@ -75,7 +73,7 @@ def joined(
         found = "the loop is not well posed at Delta = 0 (every block at its nominal value): I - K D22 is singular"
         raise NoTrustworthyNumber(where, found)
     gain = rest = np.hstack([wiring.K @ out, wiring.E])
-    if acyclic:  # (I - K D22)^-1 is a finite sum of powers: what is exact stays exact
+    if acyclic:  # (I - K D22)^-1 is a finite sum of powers: exact entries stay exact
         while (rest := around @ rest).any():
             gain = gain + rest
     else:
@@ -96,13 +94,13 @@ def joined(
 
 
 def unnamed(m: StateSpaceModel, mark: str, where: str = "StateSpaceModel") -> StateSpaceModel:
-    """The model with names of signals that no other part has."""
+    """Return the model with unique names of signals."""
     inputs, outputs = [f"i{mark}.{k}" for k in range(m.n_inputs)], [f"o{mark}.{k}" for k in range(m.n_outputs)]
     return StateSpaceModel(m.A, m.B, m.C, m.D, m.dt, inputs, outputs, where=where)
 
 
 def _merged(same: list[Block], where: str) -> Block:
-    """One block for the same uncertainty in several operands."""
+    """Merge the blocks of the same uncertainty in several operands."""
     first = same[0]
     if len(same) == 1:
         return first
@@ -117,7 +115,7 @@ def _merged(same: list[Block], where: str) -> Block:
 def channels_first(
     blocks: Sequence[Block], inputs: Sequence[Signal], outputs: Sequence[Signal]
 ) -> tuple[list[Signal], list[Signal]]:
-    """Inputs and outputs of M: the channels, called ``w:k`` or ``w:k#2``, then the signals, which keep their names."""
+    """Return inputs and outputs of M: the channels, named ``w:k`` or ``w:k#2``, then the signals with their names."""
     sides = []
     for prefix, size, signals in (("w", "rows", inputs), ("z", "cols", outputs)):
         names = [(b.name[: MAX_NAME - 20], k, getattr(b, size)) for b in blocks for k in range(getattr(b, size))]
@@ -128,7 +126,7 @@ def channels_first(
 
 
 def unique_names(given: Sequence[Signal]) -> list[Signal]:
-    """Names made unique by ``_2``, ``_3``, ..., the first one kept."""
+    """Make names unique by ``_2``, ``_3``, ..., keeping the first one."""
     taken: set[str] = set()
     result: list[Signal] = []
     for signal in given:
@@ -142,7 +140,7 @@ def unique_names(given: Sequence[Signal]) -> list[Signal]:
 
 
 def _is_acyclic(matrix: Array) -> bool:
-    """Whether the non-zero entries form no cycle: then I - matrix has determinant one whatever the entries are."""
+    """Return whether the non-zero entries form no cycle, so that I - matrix has determinant one."""
     edges = matrix != 0
     alive = np.ones(len(edges), dtype=bool)
     while alive.any():
@@ -154,7 +152,7 @@ def _is_acyclic(matrix: Array) -> bool:
 
 
 def recentred(M: StateSpaceModel, blocks: Sequence[Block], centre: Array, scale: Array, where: str) -> StateSpaceModel:
-    """M with channels in which Delta is ``centre + scale Delta'``: ``w = centre z + scale w'``, z as it is."""
+    """Return M for Delta' with Delta = ``centre + scale Delta'``: ``w = centre z + scale w'``."""
     q, p = structure_size(blocks)
     K, E = np.zeros((M.n_inputs, M.n_outputs)), np.eye(M.n_inputs)
     K[:q, :p], E[:q, :q] = centre, scale
@@ -162,7 +160,7 @@ def recentred(M: StateSpaceModel, blocks: Sequence[Block], centre: Array, scale:
 
 
 def weighted(M: StateSpaceModel, given: Sequence[Block], weights: Mapping[str, Part], side: str) -> Part:
-    """M and blocks with a stable weight in the channels of each named block; see `UncertainModel.weighted`."""
+    """Return M and blocks with a stable weight in the channels of each named block; see `UncertainModel.weighted`."""
     if side not in ("z", "w"):
         raise InputError("weighted", f"side {side!r}", "'z' (before Delta) or 'w' (after it)")
     names = tuple(b.name for b in given)
@@ -171,7 +169,7 @@ def weighted(M: StateSpaceModel, given: Sequence[Block], weights: Mapping[str, P
             expected = f"one of {', '.join(names) or 'none'}"
             raise InputError(f"weighted: {name!r}", "no such block", expected, did_you_mean(name, names))
     parts, blocks, wires = [M], list(given), []
-    channels: list[int] = []  # what the channels of the result are on that side
+    channels: list[int] = []  # the channels of the result on that side
     (q, p), n_in, n_out = structure_size(given), M.n_inputs, M.n_outputs
     for i, (block, (w, z)) in enumerate(zip(given, block_slices(given), strict=True)):
         if block.name not in weights:
@@ -194,7 +192,7 @@ def weighted(M: StateSpaceModel, given: Sequence[Block], weights: Mapping[str, P
 
 
 def _weight(block: Block, given: Part, side: str) -> tuple[StateSpaceModel, Block]:
-    """The weight on all channels of one block, and the block that is left for Delta."""
+    """Return the weight on all channels of one block, and the remaining block of Delta."""
     where = f"weighted: {block.name!r}"
     if block.is_real:
         raise InputError(where, "a real parameter", "a full or complex block", "a parameter's range is its weight")

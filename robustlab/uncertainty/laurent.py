@@ -1,8 +1,7 @@
 """Rational expressions of named parameters in an exact normal form: Laurent polynomials, safely read from text."""
 
-# Coefficients are exact rational numbers (a float counts as the shortest decimal number that is written like it, so
-# that 0.1 is 1/10). A variable is a parameter, or a denominator of several terms, which occurs with negative
-# exponents only.
+# Coefficients are exact rational numbers (a float is read as its shortest decimal form, so 0.1 is 1/10). A variable is
+# a parameter, or a denominator of several terms, which has negative exponents only.
 
 from __future__ import annotations
 
@@ -26,7 +25,7 @@ MAX_EXPONENT = 30
 MAX_TERMS = 1000
 LARGEST = 1e300
 MAX_BITS = 8000
-MAX_WORK = 2_000_000  # pairs of terms that are multiplied in all; a text of a page could ask for billions
+MAX_WORK = 2_000_000  # pairs of terms multiplied in all; a page of text could require billions
 OPERATORS: Mapping[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
 }  # fmt: skip
@@ -34,20 +33,18 @@ OPERATORS: Mapping[type[ast.operator], Callable[[Any, Any], Any]] = {
 
 @dataclass
 class Algebra:
-    """Expressions over given parameters; collects the denominators of several terms that occur."""
+    """Expressions over given parameters; collects the denominators of several terms."""
 
-    parameters: tuple[str, ...]  # names that may occur
-    exact: Mapping[str, Fraction] = field(default_factory=dict)  # those that have one value only: it takes their place
-    nonzero: frozenset[str] = frozenset()  # those that are never zero in their range: a division by them is safe
-    # Name of a denominator (its text in parentheses) -> the denominator.
-    denominators: dict[str, Laurent] = field(default_factory=dict)
+    parameters: tuple[str, ...]
+    exact: Mapping[str, Fraction] = field(default_factory=dict)  # parameters with one value, which replaces them
+    nonzero: frozenset[str] = frozenset()  # parameters that are never zero in their range
+    denominators: dict[str, Laurent] = field(default_factory=dict)  # by their text in parentheses
     work: int = 0  # pairs of terms multiplied so far
 
     def constant(self, value: Fraction | int) -> Laurent:
         return Laurent({(): Fraction(value)} if value else {}, self)
 
     def variable(self, name: str) -> Laurent:
-        """A parameter as an expression."""
         return self.constant(self.exact[name]) if name in self.exact else Laurent({((name, 1),): Fraction(1)}, self)
 
     def count(self, pairs: int) -> None:
@@ -56,7 +53,7 @@ class Algebra:
             raise InputError("expression", f"more than {MAX_WORK} products of terms in all", "shorter expressions")
 
     def read(self, entry: Any, where: str) -> Laurent:
-        """One matrix entry, a number or a text, in normal form."""
+        """Return the normal form of a matrix entry, a number or a text."""
         try:
             return walk(entry, self.constant, self.variable, self.parameters, where)
         except InputError as error:
@@ -101,7 +98,7 @@ class Laurent:
         return Laurent({m: c for m, c in total.items() if c}, self.algebra)
 
     def __truediv__(self, b: Laurent) -> Laurent:
-        """Monomials and common factors of b are taken out, the rest becomes a denominator of its own."""
+        """Divide by the monomials and common factors of b; the rest becomes a new denominator."""
         if not b.terms:
             raise InputError("expression", "a division by zero")
         self.algebra.count(len(self.terms) * (len(self.terms) + len(b.terms)))
@@ -133,12 +130,10 @@ class Laurent:
 
     @property
     def variables(self) -> set[str]:
-        """All variables that occur."""
         return {name for m in self.terms for name, _ in m}
 
     @property
     def factors(self) -> int:
-        """Number of factors in all terms."""
         return sum(abs(e) for m in self.terms for _, e in m)
 
     def __str__(self) -> str:
@@ -146,7 +141,6 @@ class Laurent:
 
 
 def times(first: Monomial, second: Monomial) -> Monomial:
-    """Product of two monomials."""
     exponents = dict(first)
     for name, e in second:
         exponents[name] = exponents.get(name, 0) + e
@@ -154,7 +148,7 @@ def times(first: Monomial, second: Monomial) -> Monomial:
 
 
 def _content(b: Laurent) -> tuple[Monomial, Fraction, Laurent]:
-    """A common factor of all terms, the first coefficient, and what is left, whose first coefficient is one."""
+    """Return the common factor of all terms, the first coefficient, and the rest, whose first coefficient is one."""
     # Only variables whose exponents have one sign in all terms: 1/(1 + 1/m) is not 1/m times something.
     common: list[tuple[str, int]] = []
     for name in sorted(b.variables):
@@ -167,7 +161,7 @@ def _content(b: Laurent) -> tuple[Monomial, Fraction, Laurent]:
 
 
 def _into_denominator(a: Laurent, b: Laurent) -> tuple[Laurent, Laurent]:
-    """``a / b`` with common factors of a moved into b where that leaves fewer: 1/(1/x + 1/y) for xy/(x + y)."""
+    """Return ``a / b`` with common factors of a moved into b if that reduces their number: 1/(1/x + 1/y)."""
     common = _content(a)[0] if a.terms else ()
     nonzero = a.algebra.nonzero
     down = tuple((name, -e) for name, e in common if e > 0 and name in nonzero and name in b.variables)
@@ -179,7 +173,7 @@ def _into_denominator(a: Laurent, b: Laurent) -> tuple[Laurent, Laurent]:
 
 
 def _exact_quotient(a: Laurent, b: Laurent) -> Laurent | None:
-    """``a / b`` where b divides a (as polynomials, in lexicographic order of the monomials), else None."""
+    """Return ``a / b`` where b divides a (as polynomials, in lexicographic order of the monomials), else None."""
     names = sorted(a.variables | b.variables)
     shift = {n: min([0, *(dict(m).get(n, 0) for m in [*a.terms, *b.terms])]) for n in names}
     if any(n.startswith("(") for n in b.variables) or any(shift[n] < 0 for n in b.variables):
@@ -214,7 +208,7 @@ def walk(
     names: Iterable[str],
     where: str,
 ) -> Any:
-    """The value of an entry in the arithmetic of these constants and variables; nothing is ever executed."""
+    """Evaluate an entry in the arithmetic of these constants and variables, without executing code."""
     if isinstance(entry, (int, float, np.integer, np.floating)) and not isinstance(entry, bool):
         return constant(_exact(entry, where))
     if not isinstance(entry, str):
@@ -225,50 +219,50 @@ def walk(
         tree = ast.parse(entry.strip(), mode="eval")
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         reason = str(error) if isinstance(error, ValueError) else "nested too deeply"
-        if isinstance(error, SyntaxError):  # a whole number of thousands of digits brings advice about Python's limits
+        if isinstance(error, SyntaxError):  # Python's message on a number too long advises on its limits
             reason = "a number too long" if "integer string conversion" in error.msg else error.msg
         raise InputError(where, f"{_short(entry)} cannot be read ({reason})", "an expression such as '-k/m'") from None
     known = {unicodedata.normalize("NFKC", name): name for name in names}  # as Python reads identifiers
-    said = _short(entry)
+    quoted = _short(entry)
 
     def value(node: ast.expr, depth: int) -> Any:
         if depth > MAX_DEPTH:
-            raise InputError(where, f"{said} is nested too deeply", f"at most {MAX_DEPTH} levels")
+            raise InputError(where, f"{quoted} is nested too deeply", f"at most {MAX_DEPTH} levels")
         if isinstance(node, ast.Constant) and type(node.value) in (int, float):
             return constant(_exact(node.value, where))
         if isinstance(node, ast.Name):
             if node.id not in known:
                 given = tuple(known.values())
                 expected = f"one of {', '.join(given) or 'none'}"
-                raise InputError(where, f"{said}: no parameter {node.id!r}", expected, did_you_mean(node.id, given))
+                raise InputError(where, f"{quoted}: no parameter {node.id!r}", expected, did_you_mean(node.id, given))
             return variable(known[node.id])
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, (ast.USub, ast.UAdd)):
             inner = value(node.operand, depth + 1)
             return -inner if isinstance(node.op, ast.USub) else inner
         if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow):
-            return value(node.left, depth + 1) ** _exponent(node.right, where, said)
+            return value(node.left, depth + 1) ** _exponent(node.right, where, quoted)
         if isinstance(node, ast.BinOp):
             if type(node.op) not in OPERATORS:
                 hint = "a power is written x**2" if isinstance(node.op, ast.BitXor) else None
-                raise InputError(where, f"{said}: an operator that is none", "+ - * / **", hint)
+                raise InputError(where, f"{quoted}: an operator that is none", "+ - * / **", hint)
             return OPERATORS[type(node.op)](value(node.left, depth + 1), value(node.right, depth + 1))
         word = f"{node.func.id}(...)" if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) else "that"
         hint = "give sin(x), sqrt(x), ... a parameter of its own"
-        raise InputError(where, f"{said}: {word} is no rational function", "numbers, parameters, + - * / **", hint)
+        raise InputError(where, f"{quoted}: {word} is no rational function", "numbers, parameters, + - * / **", hint)
 
     return value(tree.body, 0)
 
 
-def _exponent(node: ast.expr, where: str, said: str) -> int:
+def _exponent(node: ast.expr, where: str, quoted: str) -> int:
     sign = 1
     while isinstance(node, ast.UnaryOp) and isinstance(node.op, (ast.USub, ast.UAdd)):
         sign = -sign if isinstance(node.op, ast.USub) else sign
         node = node.operand
     value = node.value if isinstance(node, ast.Constant) else None
     if isinstance(value, bool) or not isinstance(value, (int, float)) or value % 1 != 0:
-        raise InputError(where, f"{said}: an exponent that is no whole number", "x**2, x**-1, ...")
+        raise InputError(where, f"{quoted}: an exponent that is no whole number", "x**2, x**-1, ...")
     if value > MAX_EXPONENT:
-        raise InputError(where, f"{said}: an exponent above {MAX_EXPONENT}", "a smaller one")
+        raise InputError(where, f"{quoted}: an exponent above {MAX_EXPONENT}", "a smaller one")
     return sign * int(value)
 
 

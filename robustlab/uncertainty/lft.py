@@ -5,7 +5,7 @@ r"""Uncertain models as upper linear fractional transformations of a structured 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -100,27 +100,27 @@ class UncertainModel(TransferMatrix, Shown, Traced):
 
     @property
     def delta_shape(self) -> tuple[int, int]:
-        """``(q, p)``: shape of Delta."""
+        """Return ``(q, p)``, the shape of Delta."""
         return structure_size(self.blocks)
 
     @property
     def inputs(self) -> tuple[Signal, ...]:
-        """Inputs of the models in the set."""
+        """Return the inputs of the models in the set."""
         return self.M.inputs[self.delta_shape[0] :]
 
     @property
     def outputs(self) -> tuple[Signal, ...]:
-        """Outputs of the models in the set."""
+        """Return the outputs of the models in the set."""
         return self.M.outputs[self.delta_shape[1] :]
 
     @property
     def dt(self) -> float:
-        """Sample time in s; 0 means continuous time."""
+        """Return the sample time in s; 0: continuous time."""
         return self.M.dt
 
     @property
     def nominal(self) -> StateSpaceModel:
-        """The model at Delta = 0."""
+        """Return the model at Delta = 0."""
         q, p = self.delta_shape
         m = self.M
         return StateSpaceModel(
@@ -128,28 +128,27 @@ class UncertainModel(TransferMatrix, Shown, Traced):
         )
 
     def to_model(self) -> StateSpaceModel:
-        """The nominal model, so that functions which take a model take the nominal one of a set."""
+        """Return the nominal model, for functions that take a model."""
         return self.nominal
 
     @property
     def delta_channels(self) -> StateSpaceModel:
-        """M11: the system from w to z that Delta sees."""
+        """Return M11, the system from w to z in feedback with Delta."""
         q, p = self.delta_shape
         m = self.M
         return StateSpaceModel(m.A, m.B[:, :q], m.C[:p], m.D[:p, :q], m.dt, m.inputs[:q], m.outputs[:p], m.states)
 
     def evaluate(self, delta: Mapping[str, Any]) -> StateSpaceModel:
-        """The member of the set for one real value (or matrix) per block name; blocks left out are zero.
+        """Return the member of the set for one real value (or matrix) per block name; omitted blocks are zero.
 
         Values outside [-1, 1] are allowed: a critical Delta may be larger than the set. A full or complex block also
-        takes a StateSpaceModel (rows x cols for a full block, 1 x 1 for a scalar one): a dynamic Delta, closed in. The
-        member's states are then those of M followed by those of the Deltas.
+        takes a StateSpaceModel (rows x cols for a full block, 1 x 1 for a scalar one), a dynamic Delta. The member's
+        states are then those of M followed by those of the Deltas.
 
         Raises
         ------
         InputError
-            Unknown names, wrong shapes, complex values (those have a frequency response only: `response`), a dynamic
-            value for a real block.
+            Unknown names, wrong shapes, complex values (for these use `response`), a dynamic value for a real block.
         NoTrustworthyNumber
             This Delta makes the model ill-posed; the message names its values.
         """
@@ -160,14 +159,13 @@ class UncertainModel(TransferMatrix, Shown, Traced):
             raise NoTrustworthyNumber("evaluate", f"{error.found} ({self.named(delta)})") from None
 
     def _split(self, delta: Mapping[str, Any]) -> tuple[NDArray[Any], dict[str, StateSpaceModel]]:
-        """Delta of the constant values, and the dynamic ones by name."""
+        """Return Delta of the constant values, and the dynamic ones by name."""
         dynamic = {name: value for name, value in delta.items() if isinstance(value, StateSpaceModel)}
         zero = {b.name: b.zero for b in self.blocks}
         constant = {name: zero.get(name, 0.0) if name in dynamic else value for name, value in delta.items()}
         return delta_matrix(self.blocks, constant), dynamic
 
     def _with_dynamics(self, constant: NDArray[Any], dynamic: Mapping[str, StateSpaceModel]) -> StateSpaceModel:
-        """The member for a Delta with models in it."""
         q, p = constant.shape
         if np.iscomplexobj(constant):
             raise InputError("evaluate", "a complex Delta", "real numbers or models", "use response(omega, delta)")
@@ -178,7 +176,7 @@ class UncertainModel(TransferMatrix, Shown, Traced):
         return lower_lft(self.M.select(*order), system).renamed(self.inputs, self.outputs)
 
     def response(self, omega: ArrayLike, delta: Mapping[str, Any]) -> NDArray[np.complex128]:
-        """Frequency response of the member for a real, complex or dynamic Delta, shape (n_omega, n_y, n_u)."""
+        """Return the member's frequency response for a real, complex or dynamic Delta, shape (n_omega, n_y, n_u)."""
         d, dynamic = self._split(delta)
         q, p = d.shape
         m = frequency_response(self.M, omega)
@@ -187,7 +185,7 @@ class UncertainModel(TransferMatrix, Shown, Traced):
         return closed_response(m, d)
 
     def _delta_system(self, constant: NDArray[Any], dynamic: Mapping[str, StateSpaceModel]) -> StateSpaceModel:
-        """Delta(s), q x p: the constant values with the dynamic ones in their places."""
+        """Return Delta(s), q x p, of the constant and the dynamic values."""
         parts: list[StateSpaceModel] = []
         for b, (w, z) in zip(self.blocks, block_slices(self.blocks), strict=True):
             system, shape = dynamic.get(b.name), b.value_shape
@@ -203,19 +201,19 @@ class UncertainModel(TransferMatrix, Shown, Traced):
         return append(*(unnamed(part, f"{i}") for i, part in enumerate(parts)))
 
     def named(self, delta: Mapping[str, Any]) -> str:
-        """A Delta in words: normalised values, and the parameters' where they stand for any."""
-        said = []
+        """Return a Delta in words: normalised values, and those of parameters."""
+        texts = []
         for b in self.blocks:
             value = delta.get(b.name, 0.0)
             if isinstance(value, StateSpaceModel) or np.size(value) != 1:
-                said.append(f"{b.name} = a {'model' if isinstance(value, StateSpaceModel) else 'matrix'}")
+                texts.append(f"{b.name} = a {'model' if isinstance(value, StateSpaceModel) else 'matrix'}")
                 continue
             text = f"{b.name} = {complex(np.asarray(value).reshape(())):.6g}".replace("+0j", "")
             if b.parameter is not None:
                 parameter = b.parameter
                 text += f": {parameter.value(float(np.real(value))):.6g} {parameter.unit}".rstrip()
-            said.append(text)
-        return "Delta: " + (", ".join(said[:12]) + (", ..." if len(said) > 12 else "") or "none")
+            texts.append(text)
+        return "Delta: " + (", ".join(texts[:12]) + (", ..." if len(texts) > 12 else "") or "none")
 
     # --- algebra: the functions below; the operators are those of `TransferMatrix` -----------------------------------
 
@@ -234,23 +232,23 @@ class UncertainModel(TransferMatrix, Shown, Traced):
         return as_uncertain(self.nominal**0)
 
     def __getitem__(self, key: Any) -> UncertainModel:
-        """``G[outputs, inputs]`` by numbers, slices, names or lists of these; blocks and states are kept."""
+        """Return ``G[outputs, inputs]`` by numbers, slices, names or lists of these; blocks and states are kept."""
         outputs, inputs = picked(key, self.nominal.output_names, self.nominal.input_names)
         return self.select(inputs, outputs)
 
     def inverse(self) -> UncertainModel:
-        """The set of the inverses of a square set; inputs and outputs change places."""
+        """Return the set of the inverses of a square set; inputs and outputs are exchanged."""
         return inverse(self)
 
     def weighted(self, weights: Mapping[str, Any], side: str = "z") -> UncertainModel:
-        """The set with a stable weight in the channels of each named block; block names are kept.
+        """Return the set with a stable weight in the channels of each named block; block names are kept.
 
         Parameters
         ----------
         weights
             Block name -> weight: StateSpaceModel, matrix or number. A 1 x 1 weight acts on every channel of the block.
-            A full block takes a matrix weight too: on side z as wide as the block's z, on side w as high as its w; the
-            block then has the size of the weight's other side.
+            A full block also takes a matrix weight: on side z with as many inputs as the block's z, on side w with as
+            many outputs as its w; the weight's other side becomes the size of the block.
         side
             ``"z"``: before Delta; ``"w"``: after it.
 
@@ -262,8 +260,8 @@ class UncertainModel(TransferMatrix, Shown, Traced):
         Raises
         ------
         InputError
-            No such block, a real block (its range is its weight), a weight that is unstable, of another sample time or
-            of a size that does not fit.
+            No such block, a real block (its range is its weight), a weight that is unstable, or of another sample time
+            or a wrong size.
 
         Examples
         --------
@@ -277,7 +275,7 @@ class UncertainModel(TransferMatrix, Shown, Traced):
         return UncertainModel(*weighted(self.M, self.blocks, {k: (g.M, g.blocks) for k, g in read.items()}, side))
 
     def physical(self, delta: Mapping[str, Any]) -> dict[str, tuple[float, str]]:
-        """Parameter values and units that belong to a Delta, for real blocks that stand for a physical parameter."""
+        """Return the parameter values and units of a Delta, for real blocks with a physical parameter."""
         return {
             b.name: (b.parameter.value(float(np.real(delta.get(b.name, 0.0)))), b.parameter.unit)
             for b in self.blocks
@@ -285,7 +283,7 @@ class UncertainModel(TransferMatrix, Shown, Traced):
         }
 
     def impossible(self, delta: Mapping[str, Any]) -> tuple[str, ...]:
-        """One remark for each parameter value of a Delta that no real plant has (see `ParameterRange.impossible`)."""
+        """Return remarks on the physically impossible parameter values of a Delta (see `ParameterRange.impossible`)."""
         found = []
         for b in self.blocks:
             if b.parameter is not None and b.name in delta:
@@ -297,19 +295,19 @@ class UncertainModel(TransferMatrix, Shown, Traced):
 
     @property
     def sampled(self) -> tuple[str, ...]:
-        """Names of the blocks that were found from samples and proved for these only; ``origin`` says more."""
+        """Return the names of the blocks that were computed from samples and hold for these only; see ``origin``."""
         return tuple(b.name for b in self.blocks if b.is_sampled)
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What a result about this set has to say of the set itself."""
+        """Return the remarks on this set for results about it."""
         if not self.sampled:
             return ()
         names = ", ".join(self.sampled)
         return (f"the set holds the plant for samples only (blocks {names}): what is proved is proved for the set",)
 
     def select(self, inputs: Sequence[str] | None = None, outputs: Sequence[str] | None = None) -> UncertainModel:
-        """The same set with the named inputs and outputs only."""
+        """Return the same set with the named inputs and outputs only."""
         q, p = self.delta_shape
         ins, outs = self.M.input_names, self.M.output_names
         some_ins = [ins[q + k] for k in signal_positions(inputs, ins[q:], "select: input")]
@@ -317,10 +315,10 @@ class UncertainModel(TransferMatrix, Shown, Traced):
         return UncertainModel(self.M.select([*ins[:q], *some_ins], [*outs[:p], *some_outs]), self.blocks)
 
     def centred(self, level: float = 1.0) -> UncertainModel:
-        r"""The set scaled by ``level``, with every real range symmetric about its own middle.
+        r"""Return the set scaled by ``level``, with every real range symmetric about its own middle.
 
         Members are the same, their deltas are not: a range [0.75, 1.5] around 1 becomes 1.125 +- 0.375. Block names,
-        full and complex blocks stay (the latter scaled by ``level``). The nominal model is the member at the middles.
+        full and complex blocks are kept (the latter scaled by ``level``). The nominal model is the one at the middles.
 
         ``level``: positive; 2 takes each end twice as far from the nominal value. Raises NoTrustworthyNumber: the
         member at the middles is not well posed.
@@ -346,40 +344,39 @@ class UncertainModel(TransferMatrix, Shown, Traced):
         return UncertainModel(recentred(self.M, self.blocks, centre, scale, "centred"), blocks)
 
     def realised(self, delta: Mapping[str, Any], frequency: float) -> dict[str, float | StateSpaceModel]:
-        r"""A stable system for each block of a complex Delta, of the same norm, equal to it at one frequency in rad/s.
+        r"""Return stable systems for the blocks of a complex Delta, of its norm, equal to it at one frequency in rad/s.
 
         With a critical Delta of `robust_stability` the member ``set.evaluate(set.realised(delta, frequency))`` has a
-        pole at :math:`j \omega_0`, so the loss of stability can be replayed in the time domain. Real parameters stay
-        numbers, a complex scalar becomes a model of at most two states, a full block one of ``cols`` inputs and
-        ``rows`` outputs; blocks left out stay out.
+        pole at :math:`j \omega_0`, so the loss of stability can be simulated. Real parameters remain numbers, a complex
+        scalar becomes a model of at most two states, a full block one of ``cols`` inputs and ``rows`` outputs.
 
         Raises
         ------
         InputError
-            A frequency outside the axis, values that do not fit the blocks, or a complex value where systems with real
-            coefficients are real: at ``frequency = 0`` or at the end of the axis.
+            A frequency outside the axis, values that do not fit the blocks, or a complex value at ``frequency = 0`` or
+            at the end of the axis, where systems with real coefficients are real.
         NoTrustworthyNumber
-            A realisation misses its value.
+            A realisation is inaccurate.
         """
         from robustlab.uncertainty.realised_delta import realise_delta  # loads the norms
 
         return realise_delta(self.blocks, delta, frequency, self.dt)
 
     def close(self, K: StateSpaceModel) -> UncertainModel:
-        """The uncertain closed loop ``u = K y``: y are the last ``K.n_inputs`` outputs, u the last inputs.
+        """Return the uncertain closed loop ``u = K y``: y are the last ``K.n_inputs`` outputs, u the last inputs.
 
-        Signals of K and of the plant meet by name where they can, and by what K says it takes (`robustlab.closing`).
+        Signals of K and of the plant are connected by name where possible (`robustlab.closing`).
         """
         k = as_model(K, "close: K")
         y, u = self.M.outputs[self.M.n_outputs - k.n_inputs :], self.M.inputs[self.M.n_inputs - k.n_outputs :]
         return UncertainModel(lower_lft(self.M, wired(k, y, u, "close")), self.blocks)
 
     def reduce(self, tolerance: float = 1e-12) -> UncertainModel:
-        """The same set with each scalar block repeated as rarely as its channels allow; evidence: `reduce_model`.
+        """Return the same set with minimal repetitions of each scalar block; evidence: `reduce_model`.
 
-        Like the states of a transfer function in 1/s, repetitions that the channels cannot reach or that do not show
-        are removed (Kalman decomposition, block by block and then jointly). A scalar block without any effect vanishes
-        altogether: its name is then unknown to `evaluate`.
+        Like the states of a transfer function in 1/s, uncontrollable and unobservable repetitions are removed (Kalman
+        decomposition, block by block and then jointly). A scalar block without effect is removed, and its name is then
+        unknown to `evaluate`.
 
         Singular values below ``tolerance`` times the largest count as zero.
 
@@ -425,7 +422,6 @@ class UncertainModel(TransferMatrix, Shown, Traced):
         ]
 
     def _ranges(self) -> str:
-        """The blocks, with what they stand for."""
         return listed(
             f"{b.name} {number(r.low)} .. {number(r.high, r.unit)}" if (r := b.parameter) else b.name
             for b in self.blocks
@@ -441,7 +437,7 @@ class UncertainModel(TransferMatrix, Shown, Traced):
 
 
 def as_uncertain(system: Any, where: str = "as_uncertain") -> UncertainModel:
-    """An uncertain model as it is; a model, a matrix or a number as one without blocks."""
+    """Return an uncertain model as it is; a model, a matrix or a number as one without blocks."""
     if isinstance(system, UncertainModel):
         return system
     if is_constant(system):
@@ -454,7 +450,7 @@ def as_uncertain(system: Any, where: str = "as_uncertain") -> UncertainModel:
 def with_channels(
     plain: StateSpaceModel, blocks: Sequence[Block], left: Array, right: Array, inner: Array | float = 0.0
 ) -> UncertainModel:
-    """The set ``[A B; C D] + left Delta (I - inner Delta)^-1 right`` around a model."""
+    """Return the set ``[A B; C D] + left Delta (I - inner Delta)^-1 right`` around a model."""
     (q, p), n = structure_size(blocks), plain.n_states
     model = StateSpaceModel(
         plain.A, np.hstack([left[:n], plain.B]), np.vstack([right[:, :n], plain.C]),
@@ -469,7 +465,7 @@ def _nominal(operand: Any) -> Any:
 
 
 def product(second: Any, first: Any) -> UncertainModel:
-    """``second @ first``: the transfer matrix :math:`G_2(s) G_1(s)`; what leaves ``first`` enters ``second``."""
+    """Return ``second @ first``, the transfer matrix :math:`G_2(s) G_1(s)`."""
     plain = statespace.product(_nominal(second), _nominal(first))
     n_y, n_u = plain.D.shape
     g2, g1 = (
@@ -482,7 +478,7 @@ def product(second: Any, first: Any) -> UncertainModel:
 
 
 def parallel(first: Any, second: Any, sign: int = 1) -> UncertainModel:
-    """``first + sign * second`` for two sets of one size."""
+    """Return ``first + sign * second`` for two sets of one size."""
     plain = statespace.parallel(_nominal(first), _nominal(second), sign)
     parts = [as_uncertain(first, "sum"), as_uncertain(second, "sum")]
     n_y, n_u = plain.D.shape
@@ -492,27 +488,34 @@ def parallel(first: Any, second: Any, sign: int = 1) -> UncertainModel:
 
 
 def feedback(forward: Any, back: Any = 1.0, sign: int | None = None) -> UncertainModel:
-    r"""From r to y for ``y = G e``, ``e = r + sign H y``: :math:`(I - sign\, G H)^{-1} G`, with the signals of G."""
+    r"""Return :math:`(I - sign\, G H)^{-1} G`, of ``y = G e``, ``e = r + sign H y``, with the signals of G."""
     g = as_uncertain(forward, "feedback")
     n_u, n_y = len(g.inputs), len(g.outputs)
-    if is_number(back):
-        if n_u != n_y:
-            raise InputError("feedback", f"the number {back} around {n_y} x {n_u} channels", "a matrix or a model")
-        back = float(back) * np.eye(n_u)
-    back, sign, _ = fed_back(g, back, sign)
-    h = as_uncertain(back, "feedback")
-    if (len(h.outputs), len(h.inputs)) != (n_u, n_y):
-        found = f"what is fed back is {len(h.outputs)} x {len(h.inputs)}"
-        raise InputError("feedback", found, f"{n_u} x {n_y} for a model of {n_y} x {n_u}")
-    same_units("feedback", [*zip(g.outputs, h.inputs, strict=True), *zip(h.outputs, g.inputs, strict=True)])
+    h, sign = return_path(g, back, sign, lambda given: as_uncertain(given, "feedback"), "a model")
     n = n_u + n_y
     K = ones(n, n, (n_u, 0, n_y)) + sign * ones(n, n, (0, n_y, n_u))
     wiring = Wiring(K, ones(n, n_u, (0, 0, n_u)), ones(n_y, n, (0, 0, n_y)))
     return interconnected([g, h], wiring, g.inputs, g.outputs, "feedback")
 
 
+def return_path(g: Any, back: Any, sign: int | None, read: Callable[[Any], Any], kind: str) -> tuple[Any, int]:
+    """Convert the return path H of a loop by ``read``, check it against G, and return it with the feedback's sign."""
+    n_u, n_y = len(g.inputs), len(g.outputs)
+    if is_number(back):
+        if n_u != n_y:
+            raise InputError("feedback", f"the number {back} around {n_y} x {n_u} channels", "a matrix or a model")
+        back = float(back) * np.eye(n_u)
+    back, sign, _ = fed_back(g, back, sign)
+    h = read(back)
+    if (len(h.outputs), len(h.inputs)) != (n_u, n_y):
+        found = f"what is fed back is {len(h.outputs)} x {len(h.inputs)}"
+        raise InputError("feedback", found, f"{n_u} x {n_y} for {kind} of {n_y} x {n_u}")
+    same_units("feedback", [*zip(g.outputs, h.inputs, strict=True), *zip(h.outputs, g.inputs, strict=True)])
+    return h, sign
+
+
 def inverse(g: UncertainModel) -> UncertainModel:
-    """The set of the inverses of a square set; inputs and outputs change places."""
+    """Return the set of the inverses of a square set; inputs and outputs are exchanged."""
     n_u, n_y = len(g.inputs), len(g.outputs)
     if n_u != n_y:
         raise InputError("inverse", f"{n_y} x {n_u}", "a square model")
@@ -532,15 +535,17 @@ def inverse(g: UncertainModel) -> UncertainModel:
 @told_as("star")
 @carried_by_rank
 def star(first: Any, second: Any, n_to_second: int | None = None, n_to_first: int | None = None) -> UncertainModel:
-    r"""Redheffer star product: the last outputs of ``first`` drive the first inputs of ``second``, and its first
-    outputs the last inputs of ``first``.
+    r"""Return the Redheffer star product of two models.
+
+    The last outputs of ``first`` drive the first inputs of ``second``, and its first outputs the last inputs of
+    ``first``.
 
     Parameters
     ----------
     first, second
         Sets, models, matrices or numbers.
     n_to_second
-        Number of signals from ``first`` to ``second``; left out, as many as fit: the smaller of the two counts.
+        Number of signals from ``first`` to ``second``; by default as many as possible.
     n_to_first
         Number of signals back; likewise.
 
@@ -552,7 +557,7 @@ def star(first: Any, second: Any, n_to_second: int | None = None, n_to_first: in
     Raises
     ------
     InputError
-        Numbers that do not fit.
+        Numbers beyond the available signals.
     NoTrustworthyNumber
         The nominal loop is not well posed.
 
@@ -580,5 +585,5 @@ def star(first: Any, second: Any, n_to_second: int | None = None, n_to_first: in
 def interconnected(
     parts: Sequence[UncertainModel], wiring: Wiring, inputs: Sequence[Signal], outputs: Sequence[Signal], where: str
 ) -> UncertainModel:
-    """The sets in one interconnection; see `robustlab.uncertainty.interconnection`."""
+    """Return the sets in one interconnection; see `robustlab.uncertainty.interconnection`."""
     return UncertainModel(*joined([(g.M, g.blocks) for g in parts], wiring, inputs, outputs, where))

@@ -1,7 +1,7 @@
 """Interconnection by the names of signals: an output feeds every input that has its name."""
 
-# u = K y + E v, o = F y with y all outputs and u all inputs of the parts, v the inputs and o the outputs that were
-# asked for; a summing junction is a part like any other, a static gain of ones and minus ones.
+# u = K y + E v, o = F y with y all outputs and u all inputs of the parts, v and o the requested inputs and outputs; a
+# summing junction is a part, too: a static gain of ones and minus ones.
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _TERM = re.compile(r"\s*([+-]?)\s*([^\s=+-]+)")
 
 
 class _Part(NamedTuple):
-    """A part of the interconnection; ``label`` is what messages call it."""
+    """A part of the interconnection, with its name in messages."""
 
     label: str
     model: UncertainModel
@@ -34,34 +34,33 @@ class _Part(NamedTuple):
 def connect(
     *parts: Any, inputs: Sequence[str] | str, outputs: Sequence[str] | str, sums: Sequence[str] | str = ()
 ) -> StateSpaceModel | UncertainModel:
-    r"""Models wired by the names of their signals: an output feeds every input of the same name.
+    r"""Connect models by the names of their signals: an output feeds every input of the same name.
 
     Parameters
     ----------
     *parts
         Models, sets, designs and python-control's objects. A gain needs names too: a StateSpaceModel without states.
     inputs
-        Names of the inputs from outside, in the order that the result is to have. Each feeds every input of its name.
+        Names of the external inputs of the result, in order. Each feeds every input of its name.
     outputs
-        Names of the signals that the result shows, in this order: outputs of parts, sums, or inputs from outside.
+        Names of the outputs of the result, in order: outputs of parts, sums, or external inputs.
     sums
-        Summing junctions, each a text: ``"e = r - y"`` makes the signal e. They carry one signal each; a name in a sum
-        has no spaces, signs or equals signs.
+        Summing junctions, each a text: ``"e = r - y"`` makes the scalar signal e; a name in a sum has no spaces, signs
+        or equals signs.
 
     Returns
     -------
     StateSpaceModel or UncertainModel
-        An uncertain model where a part is one. All states of all parts are kept, in their order. A block name that
-        occurs in several parts is one and the same uncertainty. A unit that is stated at one place of a signal, or at
-        one term of a sum, is the unit of all.
+        An uncertain model where a part is one. All states of all parts are kept, in their order. A block name in
+        several parts is the same uncertainty. A unit given once for a signal, or for one term of a sum, holds for all.
 
     Raises
     ------
     InputError
-        A signal that two outputs make, an input that nobody feeds, a name that there is not, a text that is no sum,
-        different sample times, a block name that stands for two different uncertainties.
+        A signal of two outputs, an input without a source, an unknown name, an invalid sum, different sample times, a
+        block name of two different uncertainties.
     UnitMismatch
-        A signal whose stated units differ from place to place, or a sum of different units.
+        A signal with different units, or a sum of different units.
     NoTrustworthyNumber
         An algebraic loop that is not well posed (of a set: at Delta = 0).
 
@@ -73,9 +72,9 @@ def connect(
     >>> loop.poles(), loop.dc_gain().ravel()
     (array([-5.+0.j]), array([0.8, 0.2]))
     """
-    for what, names in (("inputs", inputs), ("outputs", outputs), ("sums", sums)):
+    for key, names in (("inputs", inputs), ("outputs", outputs), ("sums", sums)):
         if not isinstance(names, Iterable) or not all(isinstance(name, str) for name in names):
-            raise InputError(f"connect: {what}", repr(names), "a text, or a list of texts")
+            raise InputError(f"connect: {key}", repr(names), "a text, or a list of texts")
     ins, outs, texts = ([given] if isinstance(given, str) else list(given) for given in (inputs, outputs, sums))
     given: list[_Part] = []
     for label, part in ((f"part {k + 1}", part) for k, part in enumerate(parts)):
@@ -92,7 +91,7 @@ def connect(
     made = _made_once(wired_parts)
     _check_names(wired_parts, made, ins, outs)
     units = _units(wired_parts)
-    # What comes from outside and is shown goes through a part of its own: outputs are outputs of parts.
+    # An external input that is an output, too, passes through its own part: outputs are outputs of parts.
     wired_parts += [_Part(f"output {name!r}", _gain([[1.0]], [name], name)) for name in outs if name in ins]
     makers = [s.name for part in wired_parts for s in part.model.outputs]
     fed = [s.name for part in wired_parts for s in part.model.inputs]
@@ -100,7 +99,7 @@ def connect(
     wiring = Wiring(
         K=_ones(fed, made_by_part),
         E=_ones(fed, ins),
-        # A name from outside is made by its own part only, which comes last.
+        # An external name is made by its own part only, which comes last.
         F=_ones(outs, makers),
     )
     sides = [[Signal(name, units.get(name, "")) for name in side] for side in (ins, outs)]
@@ -119,7 +118,7 @@ def _gain(d: Any, inputs: Sequence[str], output: str) -> UncertainModel:
 
 
 def _summing(text: str) -> _Part:
-    """The part that a text like ``"e = r - y"`` stands for."""
+    """Return the part for a text like ``"e = r - y"``."""
     where = f"connect: sum {text!r}"
     found = _SUM.fullmatch(text.strip()) if isinstance(text, str) and len(text) <= 10_000 else None
     if found is None:
@@ -131,7 +130,7 @@ def _summing(text: str) -> _Part:
         if term is None or not (term[1] or not signs):
             raise InputError(where, f"{rest!r} is no term", FORM)
         if term[2] in signs:
-            raise InputError(where, f"{term[2]!r} stands there twice", "each signal once")
+            raise InputError(where, f"{term[2]!r} occurs twice", "each signal once")
         signs[term[2]] = -1.0 if term[1] == "-" else 1.0
         rest = rest[term.end() :].strip()
     if not signs:
@@ -153,7 +152,7 @@ def _same_sample_times(parts: Sequence[_Part]) -> None:
 
 
 def _made_once(parts: Sequence[_Part]) -> dict[str, str]:
-    """Name of each signal that is made, with the label of the part that makes it."""
+    """Return the source of each signal: name -> label of its part."""
     made: dict[str, str] = {}
     for part in parts:
         for signal in part.model.outputs:
@@ -166,12 +165,12 @@ def _made_once(parts: Sequence[_Part]) -> dict[str, str]:
 
 
 def _check_names(parts: Sequence[_Part], made: dict[str, str], ins: list[str], outs: list[str]) -> None:
-    """Every input is fed, by one; every name that is asked for is there."""
+    """Check that every input has one source, and that every requested name exists."""
     fed = {s.name for part in parts for s in part.model.inputs}
     for side, names in (("input", ins), ("output", outs)):
         twice = [name for name in names if names.count(name) > 1]
         if twice:
-            raise InputError(f"connect: {side} {twice[0]!r}", "is asked for twice", "each name once")
+            raise InputError(f"connect: {side} {twice[0]!r}", "is given twice", "each name once")
     for name in ins:
         where = f"connect: input {name!r}"
         if name in made:
@@ -195,7 +194,7 @@ def _check_names(parts: Sequence[_Part], made: dict[str, str], ins: list[str], o
 
 
 def _units(parts: Sequence[_Part]) -> dict[str, str]:
-    """The unit of each signal for which one is stated anywhere; terms of a sum have one unit."""
+    """Return the unit of each signal that has one anywhere; terms of a sum have one unit."""
     group = {s.name: s.name for part in parts for s in (*part.model.inputs, *part.model.outputs)}
 
     def root(name: str) -> str:
@@ -225,7 +224,7 @@ def _units(parts: Sequence[_Part]) -> dict[str, str]:
 
 
 def _ones(rows: Sequence[str], columns: Iterable[str | None]) -> Array:
-    """1 where a row and a column have one name; shape (rows, columns)."""
+    """Return 1 where a row and a column have the same name; shape (rows, columns)."""
     wanted = list(columns)
     matrix = np.zeros((len(rows), len(wanted)))
     for j, name in enumerate(wanted):
@@ -236,7 +235,7 @@ def _ones(rows: Sequence[str], columns: Iterable[str | None]) -> Array:
 def _with_loop(
     error: NoTrustworthyNumber, parts: Sequence[_Part], wiring: Wiring, makers: Sequence[str]
 ) -> NoTrustworthyNumber:
-    """The refusal of an algebraic loop, with the signals that are on one."""
+    """Return the error of an algebraic loop, with the signals of the loop."""
     from scipy.linalg import block_diag
     from scipy.sparse.csgraph import connected_components
 

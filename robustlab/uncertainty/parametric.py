@@ -18,13 +18,12 @@ from robustlab.uncertainty.laurent import Algebra, Laurent, walk
 from robustlab.uncertainty.lft import UncertainModel, with_channels
 from robustlab.uncertainty.reduction import reduction
 
-# Boxes and vertices in which a zero of a denominator is looked for: fewer refuse more ranges that are good.
+# Boxes and vertices in the search for a zero of a denominator: with fewer, more valid ranges are rejected.
 DENOMINATOR_BOXES = 4000
 DENOMINATOR_VERTICES = 4096
-DECOMPOSITIONS = 3  # so many of the smallest decompositions are assembled and reduced; the smallest result is taken
+DECOMPOSITIONS = 3  # number of the smallest decompositions that are assembled and reduced
 
-# The LFT must give every entry at random parameter values to this share of the largest value that it takes there.
-EXACT = 1e-9
+EXACT = 1e-9  # allowed error of an entry at random parameter values, relative to its largest value there
 MAX_SIZE = 200_000  # factors times variables
 
 
@@ -40,13 +39,12 @@ def parametric(
     outputs: Iterable[SignalLike] | None = None,
     states: Iterable[SignalLike] | None = None,
 ) -> UncertainModel:
-    r"""The set of models whose matrices are rational functions of uncertain parameters, as an exact LFT of low order.
+    r"""Return the models whose matrices are rational functions of uncertain parameters, as an exact LFT of low order.
 
     .. math:: \dot x = A(p) x + B(p) u, \qquad y = C(p) x + D(p) u, \qquad p_{low} \le p \le p_{high}
 
-    Every parameter that occurs becomes one real block of its name. How often it is repeated is found by a tree
-    decomposition that shares equal sub-expressions, followed by an n-dimensional Kalman reduction; a parameter that
-    does not occur gives no block.
+    Every parameter in the matrices becomes one real block of its name. Its number of repetitions results from a tree
+    decomposition that shares equal sub-expressions, followed by an n-dimensional Kalman reduction.
 
     Parameters
     ----------
@@ -67,10 +65,10 @@ def parametric(
     Raises
     ------
     InputError
-        Shapes that do not fit, texts that are no rational function, unknown parameters, ranges that are none.
+        Shapes that do not fit, texts that are no rational function, unknown parameters, invalid ranges.
     NoTrustworthyNumber
-        A denominator vanishes inside the ranges (the parameter values are named), or no zero can be excluded; the LFT
-        does not give the entries back.
+        A denominator vanishes inside the ranges (at parameter values in the message), or a zero cannot be excluded; the
+        LFT does not reproduce the entries.
 
     Examples
     --------
@@ -101,7 +99,7 @@ def parametric(
 
 
 def as_range(name: str, given: Any) -> ParameterRange | float:
-    """A parameter's range from what users write; a plain number, or a range without width, is an exact value."""
+    """Return a parameter's range in the user's notation; a plain number, or a range without width, is exact."""
     where = f"parameter {name!r}"
     if isinstance(given, ParameterRange):
         if not (np.isfinite(given.nominal) and np.isfinite(given.radius) and given.radius >= 0):
@@ -155,7 +153,7 @@ Table = list[list[tuple[str, Any]]]
 
 
 def _entries(A: Any, B: Any, C: Any, D: Any) -> tuple[Table, tuple[int, int, int]]:
-    """``[A B; C D]`` with a place for every entry, and n_x, n_u, n_y."""
+    """Return ``[A B; C D]`` with the name of every entry, and n_x, n_u, n_y."""
     rows = {name: _rows(name, given) for name, given in zip("ABCD", (A, B, C, D), strict=True)}
     n, n_y = len(rows["A"]), len(rows["D"])
     n_u = len(rows["D"][0]) if n_y else (len(rows["B"][0]) if rows["B"] else 0)
@@ -188,7 +186,7 @@ def _rows(name: str, given: Any) -> list[list[Any]]:
 
 
 def _check_size(expressions: Sequence[Sequence[Laurent]], algebra: Algebra) -> None:
-    """Refuse what no search for a decomposition gets through: it looks at every factor for every variable."""
+    """Reject expressions too large for the search of a decomposition, which visits every factor for every variable."""
     every = [*(entry for row in expressions for entry in row), *algebra.denominators.values()]
     factors = sum(1 + sum(abs(e) for _, e in monomial) for entry in every for monomial in entry.terms)
     variables = len(set().union(*(entry.variables for entry in every)))
@@ -204,7 +202,7 @@ def _check_size(expressions: Sequence[Sequence[Laurent]], algebra: Algebra) -> N
 def _check_denominators(
     expressions: Sequence[Sequence[Laurent]], algebra: Algebra, ranges: Mapping[str, ParameterRange]
 ) -> None:
-    """No denominator may vanish in the ranges; inner denominators first."""
+    """Check that no denominator vanishes in the ranges; inner denominators first."""
     checked: set[str] = set()
 
     def check(expression: Laurent) -> None:
@@ -224,7 +222,7 @@ def _check_denominators(
 
 
 def _exclude_zero(name: str, algebra: Algebra, ranges: Mapping[str, ParameterRange]) -> None:
-    """Interval arithmetic over ever smaller boxes, after a look at the signs of the vertices."""
+    """Exclude a zero by interval arithmetic over ever smaller boxes, after the signs at the vertices."""
     expression = algebra.denominators[name]
     variables = sorted(_parameters_in(expression, algebra))
     low = np.array([ranges[v].low for v in variables])
@@ -275,7 +273,7 @@ def _parameters_in(expression: Laurent, algebra: Algebra) -> set[str]:
 
 
 def _interval(expression: Laurent, box: Mapping[str, tuple[float, float]], algebra: Algebra) -> tuple[float, float]:
-    """Bounds of an expression over a box; (-inf, inf) where one of its own denominators may vanish there."""
+    """Bound an expression over a box; (-inf, inf) where one of its own denominators may vanish there."""
     from flint import arb
 
     def ball(name: str) -> arb:
@@ -304,7 +302,7 @@ def _candidates(
     shapes: tuple[int, int, int],
     signals: tuple[Any, ...],
 ) -> list[UncertainModel]:
-    """The LFTs of the best few decompositions, reduced and as they are, the smallest first."""
+    """Return the LFTs of the best few decompositions, reduced and unreduced, the smallest first."""
     found: list[UncertainModel] = []
     for lft in _lfts(expressions, algebra, ranges)[:DECOMPOSITIONS]:
         model = _as_model(lft, ranges, shapes, signals)
@@ -347,7 +345,7 @@ def _lfts(
 def _as_model(
     lft: ConstantLft, ranges: Mapping[str, ParameterRange], shapes: tuple[int, int, int], signals: tuple[Any, ...]
 ) -> UncertainModel:
-    """Channels grouped by parameter, in the order of the given ranges."""
+    """Return the set with channels grouped by parameter, in the order of the given ranges."""
     n = shapes[0]
     order = [k for name in ranges for k, owner in enumerate(lft.names) if owner == name]
     blocks = [RealScalar(name, lft.names.count(name), r) for name, r in ranges.items() if name in lft.names]
@@ -360,8 +358,8 @@ def _as_model(
 def _first_exact(
     candidates: Sequence[UncertainModel], table: Table, ranges: Mapping[str, ParameterRange], exact: Mapping[str, float]
 ) -> UncertainModel:
-    """The first candidate that gives the texts back, computed in floats at random values and at vertices."""
-    # A reduction mixes entries of different units: where small ones drown, the LFT as it was decomposed is taken.
+    """Return the first candidate that reproduces the texts, evaluated in floats at random values and at vertices."""
+    # A reduction mixes entries of different units: where small ones are lost, the unreduced LFT is taken.
     samples = _samples(table, ranges, exact)
     misses: list[float] = []
     for model in candidates:
@@ -374,7 +372,7 @@ def _first_exact(
 def _samples(
     table: Table, ranges: Mapping[str, ParameterRange], exact: Mapping[str, float]
 ) -> list[tuple[dict[str, float], Array]]:
-    """Deltas and the entries that belong to them, by a second way through the texts."""
+    """Return deltas and their entries, by an independent evaluation of the texts."""
     rng = np.random.default_rng(0)
     k = len(ranges)
     deltas = [np.zeros(k), np.ones(k), -np.ones(k), *rng.uniform(-1, 1, (4, k)), *rng.choice([-1.0, 1.0], (2, k))]
@@ -391,7 +389,7 @@ def _samples(
 
 
 def _missed(model: UncertainModel, samples: Sequence[tuple[dict[str, float], Array]]) -> float:
-    """Largest miss of an entry over its largest value; an entry that is zero is judged by its row and column."""
+    """Return the largest error of an entry relative to its largest value; for zero entries to their row and column."""
     if not samples or not samples[0][1].size:
         return 0.0
     known = {b.name for b in model.blocks}

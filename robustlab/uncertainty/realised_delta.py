@@ -1,8 +1,8 @@
-"""A complex Delta, found at one frequency, as stable systems that take this value there and are never larger."""
+"""Realises a complex Delta at one frequency by stable systems of the same norm."""
 
-# A complex number is met by an all-pass +-|d| (a - s)/(a + s). A unitary matrix is O1 diag(e^(j theta)) O2 with real
-# orthogonal O1, O2, where O1 diagonalises the real and the imaginary part of U U^T: only phases have to be realised.
-# The singular values are those of Delta at every frequency, hence so is the H-infinity norm, whatever the rank.
+# An all-pass +-|d| (a - s)/(a + s) realises a complex number. A unitary matrix is O1 diag(e^(j theta)) O2 with real
+# orthogonal O1, O2, where O1 diagonalises the real and the imaginary part of U U^T: only phases must be realised.
+# The singular values are those of Delta at every frequency, hence so is the H-infinity norm, for any rank.
 
 from __future__ import annotations
 
@@ -15,22 +15,21 @@ from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import InputError, NoTrustworthyNumber, told_as
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import bilinear_to_discrete
-from robustlab.statespace import StateSpaceModel
+from robustlab.statespace import StateSpaceModel, series
 from robustlab.uncertainty.blocks import Block, delta_matrix
 
-# Where only real values exist (omega = 0, the end of the axis), imaginary parts up to this share are rounding.
-REAL = 1e-7
-END = 1e-9  # a discrete frequency is an end of the axis where omega dt / 2 comes as close as this to 0 or pi / 2
-MISSED = 1e-10  # a realised value may miss the wanted one by this share
-NEAR = 1e-2  # phases closer to 0 than this are made of two factors: one would have its pole 1/NEAR away from omega
-NOTHING = 1e-14  # singular values below this share of the largest are not realised
+REAL = 1e-7  # relative imaginary part that is rounding where only real values exist (omega = 0, end of the axis)
+END = 1e-9  # a discrete frequency is an end of the axis if omega dt / 2 is this close to 0 or pi / 2
+MISSED = 1e-10  # allowed relative error of a realised value
+NEAR = 1e-2  # phases closer to 0 than this need two factors: one would have its pole 1/NEAR away from omega
+NOTHING = 1e-14  # relative singular values below this are not realised
 
 
 @told_as("realise_delta")
 def realise_delta(
     blocks: Sequence[Block], delta: Mapping[str, Any], omega: float, dt: float = 0.0
 ) -> dict[str, float | StateSpaceModel]:
-    """A stable system for each block of a complex Delta, of the same H-infinity norm, equal to it at ``omega``."""
+    """Return stable systems for the blocks of a complex Delta, of its H-infinity norm, equal to it at ``omega``."""
     where = "realise_delta"
     if not np.isfinite(dt) or dt < 0:
         raise InputError(where, f"dt is {dt}", "0 (continuous) or a positive sample time in s")
@@ -55,9 +54,9 @@ def realise_delta(
 
 
 def _realised(value: ComplexArray, omega: float, dt: float, where: str) -> StateSpaceModel:
-    """A stable model (rows, cols) of the norm of ``value`` that equals it at ``omega``, checked."""
+    """Return a stable model (rows, cols) of the norm of ``value`` that equals it at ``omega``, checked."""
     turn = omega * dt / 2
-    # In discrete time a slow pole is stored as its distance to z = 1: too close to it there are no digits for a phase.
+    # A discrete slow pole is stored as its distance to z = 1, and too close to it the phase is lost in rounding.
     at_end = not END < turn < np.pi / 2 - END if dt else omega == 0 or not np.isfinite(omega)
     size = float(np.abs(value).max(initial=0.0))
     if at_end or not np.any(value.imag):
@@ -84,7 +83,7 @@ def _realised(value: ComplexArray, omega: float, dt: float, where: str) -> State
 
 
 def _matrix(value: ComplexArray, omega: float) -> StateSpaceModel:
-    """``U diag(sigma) V^H`` with both unitary factors in their real-orthogonal and phase parts."""
+    """Realise ``U diag(sigma) V^H`` with both unitary factors in their real-orthogonal and phase parts."""
     u, sigma, vh = np.linalg.svd(value, full_matrices=False)
     rank = int((sigma > NOTHING * sigma[0]).sum())
     left, theta, mid_left = _orthogonal_and_phases(u[:, :rank])
@@ -94,19 +93,11 @@ def _matrix(value: ComplexArray, omega: float) -> StateSpaceModel:
     outer, inner = _phases(theta - shift, omega), _phases(phi + shift, omega)
     # value = left e^{j theta} (mid_left diag(sigma) mid_right^T) e^{j phi} right^T
     middle = mid_left * sigma[:rank] @ mid_right.T
-    first = _scaled(inner, middle, right.T)
-    second = _scaled(outer, left, np.eye(len(theta)))
-    n1, n2 = first.n_states, second.n_states
-    return StateSpaceModel(
-        np.block([[first.A, np.zeros((n1, n2))], [second.B @ first.C, second.A]]),
-        np.vstack([first.B, second.B @ first.D]),
-        np.hstack([second.D @ first.C, second.C]),
-        second.D @ first.D,
-    )
+    return series(_scaled(inner, middle, right.T), _scaled(outer, left, np.eye(len(theta))))
 
 
 def _orthogonal_and_phases(columns: ComplexArray) -> tuple[Array, Array, Array]:
-    """``columns = left diag(e^{j theta}) right`` for orthonormal columns (n, r): left (n, m), right (m, r)."""
+    """Factor ``columns = left diag(e^{j theta}) right`` for orthonormal columns (n, r): left (n, m), right (m, r)."""
     basis, s, _ = np.linalg.svd(np.hstack([columns.real, columns.imag]), full_matrices=False)
     basis = basis[:, s > 1e-13]
     small = basis.T @ columns
@@ -130,7 +121,7 @@ def _orthogonal_and_phases(columns: ComplexArray) -> tuple[Array, Array, Array]:
 
 
 def _phases(theta: Array, omega: float) -> list[list[tuple[float, float]]]:
-    """For each phase its all-pass factors ``sign (a - s)/(a + s)`` as (sign, a); ``a = 0`` stands for a constant."""
+    """Return the all-pass factors ``sign (a - s)/(a + s)`` of each phase as (sign, a); ``a = 0``: a constant."""
     return [_factors(float(t), omega) for t in theta]
 
 
@@ -141,7 +132,7 @@ def _factors(theta: float, omega: float) -> list[tuple[float, float]]:
     sign = 1.0 if abs(theta) <= np.pi / 2 else -1.0
     small = theta if sign > 0 else theta - np.copysign(np.pi, theta)
     if abs(small) < NEAR:
-        # +90 degrees and then back: both poles lie next to omega, not far from it.
+        # +90 degrees and back: both poles are next to omega.
         return [(-sign, omega), (1.0, omega / np.tan(np.pi / 4 - small / 2))]
     # (a - s)/(a + s) turns by -2 atan(omega / a): between 0 and -180 degrees.
     if theta < 0:
@@ -150,7 +141,7 @@ def _factors(theta: float, omega: float) -> list[tuple[float, float]]:
 
 
 def _scaled(channels: list[list[tuple[float, float]]], left: Array, right: Array) -> StateSpaceModel:
-    """``left diag(all-pass channels) right``."""
+    """Return ``left diag(all-pass channels) right``."""
     models = [_channel(factors) for factors in channels]
     from scipy.linalg import block_diag
 
@@ -161,7 +152,7 @@ def _scaled(channels: list[list[tuple[float, float]]], left: Array, right: Array
 
 
 def _channel(factors: list[tuple[float, float]]) -> tuple[Array, Array, Array, Array]:
-    """A, B, C, D of a product of all-pass factors, each ``sign (-1 + 2 a / (s + a))``."""
+    """Return A, B, C, D of a product of all-pass factors, each ``sign (-1 + 2 a / (s + a))``."""
     A, B, C, D = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.eye(1)
     for sign, a in factors:
         if a == 0:

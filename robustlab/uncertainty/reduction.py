@@ -1,14 +1,14 @@
-"""Kalman reduction of LFTs in n variables: repetitions that cannot be reached or do not show are removed.
+"""Kalman reduction of LFTs in n variables: removes uncontrollable and unobservable repetitions.
 
 Beck, Doyle, IEEE TAC 44 (1999); D'Andrea, Khatri, "Kalman decomposition of linear fractional transformation
 representations" (1997).
 """
 
-# All scalar blocks together are seen from outside as F(Delta) = D + C Delta (I - A Delta)^-1 B, the form of a
-# transfer function in 1/s. The smallest subspaces V_i with B_i in V_i and A_ij V_j in V_i hold all that can be
-# reached; by duality, what they miss in the transposed system does not show. Both parts go without changing F, for
-# any Delta. The reduction of each block alone misses a channel that only another unreachable channel feeds; it comes
-# first, as it leaves the other blocks as they are.
+# All scalar blocks together give F(Delta) = D + C Delta (I - A Delta)^-1 B, the form of a transfer function in 1/s. The
+# smallest subspaces V_i with B_i in V_i and A_ij V_j in V_i contain all reachable directions; by duality, their
+# complements in the transposed system are unobservable. Removing both does not change F, for any Delta. The reduction
+# of each block alone misses a channel fed only by another unreachable channel; it comes first, as it does not change
+# the other blocks.
 
 from __future__ import annotations
 
@@ -28,34 +28,31 @@ from robustlab.statespace import Signal, StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices, delta_matrix, structure_size
 from robustlab.uncertainty.upper_lft import balancing_scale, closed_response
 
-# A reduced block must give the same F(delta) to this share of the entries' natural magnitude, or it is not reduced.
-UNCHANGED = 1e-10
-# A difference below this share of the summands is their rounding, where F itself is what is left when they cancel.
-CANCELLED = 1e-13
-POINTS = 8  # deltas and frequencies at which a reduced set is compared, and how well channels and responses must agree
-PROVED = 1e-9
+UNCHANGED = 1e-10  # allowed change of F(delta) by a reduction, relative to the largest entry
+CANCELLED = 1e-13  # or, where the summands of F cancel, relative to these
+POINTS = 8  # deltas and frequencies at which a reduced set is compared
+PROVED = 1e-9  # allowed relative error of channels and responses
 
 
 @dataclass(frozen=True, eq=False)
 class Reduction(Shown):
-    """A reduced set, and the evidence that its input-output behaviour is that of the given one.
+    """A reduced set, with the evidence of unchanged input-output behaviour.
 
     Attributes
     ----------
     model
-        The reduced set; a scalar block without any effect is gone.
+        The reduced set, without scalar blocks that have no effect.
     before, after
         Block name -> size (repetitions, or the larger side of a full block).
     invariance
-        Largest part of what enters or leaves the kept channels through the dropped ones, relative to the largest
-        singular value of the (scaled) channel matrices: zero for an exact reduction. This is the algebraic certificate,
-        valid for every Delta at once.
+        Largest coupling of the kept channels through the dropped ones, relative to the largest singular value of the
+        (scaled) channel matrices: zero for an exact reduction. It is an algebraic certificate for every Delta.
     difference
         Largest difference of the two frequency responses at random complex Delta inside the set and random
         frequencies, relative to each response's largest entry (or to a thousandth of the largest summand, where
         the summands cancel).
     points
-        How many (Delta, omega) were compared; none where nothing was removed.
+        Number of compared (Delta, omega); 0 where nothing was removed.
     status
         CONVERGED where both are below 1e-9, INACCURATE otherwise (then ``model`` is the given one).
     """
@@ -82,15 +79,12 @@ class Reduction(Shown):
 
     def __str__(self) -> str:
         changed = [f"{k} {v} -> {self.after.get(k, 0)}" for k, v in self.before.items() if self.after.get(k, 0) != v]
-        said = ", ".join(changed) or "nothing to remove"
-        return f"{said}; invariance {self.invariance:.1e}, difference {self.difference:.1e} ({self.status})"
+        text = ", ".join(changed) or "nothing to remove"
+        return f"{text}; invariance {self.invariance:.1e}, difference {self.difference:.1e} ({self.status})"
 
 
-def reduction(uncertain: Any, tolerance: float = 1e-12, seed: int = 0) -> Reduction:
-    """`reduce_model` of a set: block by block, then all blocks jointly, until nothing goes; and the evidence.
-
-    ``seed`` is that of the Deltas and frequencies at which both are compared.
-    """
+def reduction(uncertain: Any, tolerance: float = 1e-12) -> Reduction:
+    """Reduce a set block by block, then all blocks jointly, until nothing is removed, and compare both sets."""
     if not 0 < tolerance < 1:
         raise InputError("reduce_model", f"tolerance {tolerance}", "a number between 0 and 1")
     M, blocks = uncertain.M, uncertain.blocks
@@ -106,16 +100,16 @@ def reduction(uncertain: Any, tolerance: float = 1e-12, seed: int = 0) -> Reduct
     if blocks == uncertain.blocks:
         return Reduction(uncertain, before, before, 0.0, 0.0, 0, Status.CONVERGED)
     small = type(uncertain)(M, blocks, uncertain.operating_point)
-    difference = _difference(uncertain, small, seed)
+    difference = _difference(uncertain, small)
     proved = invariance <= PROVED and difference <= PROVED
     model, status = (small, Status.CONVERGED) if proved else (uncertain, Status.INACCURATE)
     after = {b.name: max(b.rows, b.cols) for b in model.blocks}
     return Reduction(model, before, after, invariance, difference, POINTS, status)
 
 
-def _difference(first: Any, second: Any, seed: int) -> float:
-    """Largest relative difference of the frequency responses at random Deltas and frequencies."""
-    rng = np.random.default_rng(seed)
+def _difference(first: Any, second: Any) -> float:
+    """Return the largest relative difference of the frequency responses at random Deltas and frequencies."""
+    rng = np.random.default_rng(0)
     M, blocks, left = first.M, first.blocks, second.blocks
     poles = np.abs(M.poles())
     poles = poles[poles > 0]
@@ -131,7 +125,7 @@ def _difference(first: Any, second: Any, seed: int) -> float:
         a = closed_response(m, d)
         remaining = delta_matrix(left, {name: v for name, v in values.items() if name in known})
         b = closed_response(frequency_response(second.M, [omega]), remaining)
-        # What is added up to the response: |M22| + |M21| |Delta| |(I - M11 Delta)^-1| |M12|.
+        # The summands of the response: |M22| + |M21| |Delta| |(I - M11 Delta)^-1| |M12|.
         cut = d.shape[0]
         (m11, m12), (m21, m22) = (np.split(rows, [cut], axis=1) for rows in np.split(m[0], [d.shape[1]]))
         inside = np.abs(d) @ np.abs(np.linalg.inv(np.eye(len(m11)) - m11 @ d)) @ np.abs(m12)
@@ -151,7 +145,7 @@ def reduce_blocks(
     names: Collection[str] | None = None,
     keep: bool = False,
 ) -> tuple[StateSpaceModel, tuple[Block, ...]]:
-    """M and blocks with each scalar block repeated as rarely as its own channels allow."""
+    """Return M and blocks with minimal repetitions of each scalar block by its own channels."""
     if not 0 < tolerance < 1:
         raise InputError("reduce", f"tolerance {tolerance}", "a number between 0 and 1")
     for block in blocks:
@@ -164,9 +158,9 @@ def reduce_blocks(
 def _step(
     M: StateSpaceModel, blocks: Sequence[Block], names: Collection[str], tolerance: float, keep: bool = False
 ) -> tuple[StateSpaceModel, tuple[Block, ...], float] | None:
-    """One joint reduction of the scalar blocks of these names; None where nothing goes."""
+    """Reduce the scalar blocks of these names jointly; None where nothing is removed."""
     n = M.n_states
-    whole = _constant(M)
+    whole = np.block([[M.A, M.B], [M.C, M.D]])
     scalar = [b for b in blocks if b.name in names]
     if not scalar:
         return None
@@ -180,7 +174,7 @@ def _step(
     scale = _channel_scale(a, b, c)
     a, b, c = a / scale[:, None] * scale, b / scale[:, None], c * scale
     sizes = [s.rows for s in scalar]
-    # What the second step sees may be rounding of the first: it is judged by the size that b and c had before.
+    # The second step may act on rounding of the first, so it uses the sizes of b and c before.
     b_size, c_size = _norm(b), _norm(c)
     reach, miss_1 = _invariant(a, b, sizes, tolerance, b_size)
     v = _block_diag(reach)
@@ -201,7 +195,7 @@ def _step(
 def _rebuilt(
     M: StateSpaceModel, blocks: Sequence[Block], left: Mapping[str, int], whole: Array, rows: Array, cols: Array
 ) -> tuple[StateSpaceModel, tuple[Block, ...]]:
-    """The model of ``whole``: rows and columns of M that stay, then new channels, ``left`` of each block by name."""
+    """Return the model of ``whole``: kept rows and columns of M, then new channels, ``left`` of each block by name."""
     n, kept = M.n_states, []
     signals: list[list[Signal]] = [[], []]
     order: list[list[int]] = [list(range(n)), list(range(n))]  # of columns, of rows
@@ -227,7 +221,7 @@ def _rebuilt(
 
 
 def _invariant(a: Array, b: Array, sizes: Sequence[int], tolerance: float, b_size: float) -> tuple[list[Array], float]:
-    """Orthonormal bases V_i of the smallest subspaces with ``B_i in V_i``, ``A_ij V_j in V_i``, and what they miss."""
+    """Return orthonormal bases V_i of the smallest subspaces with ``B_i, A_ij V_j in V_i``, and their residual."""
     ends = np.cumsum([0, *sizes])
     parts = [slice(int(first), int(last)) for first, last in itertools.pairwise(ends)]
     bases: list[Array] = [np.zeros((size, 0)) for size in sizes]
@@ -248,13 +242,13 @@ def _invariant(a: Array, b: Array, sizes: Sequence[int], tolerance: float, b_siz
 
 
 def _fresh_directions(fresh: Array, basis: Array, limit: float) -> Array:
-    """Orthonormal basis of what ``fresh`` adds to ``basis``, singular values above the limit."""
+    """Return an orthonormal complement of ``basis`` for ``fresh``, singular values above the limit."""
     rest = fresh - basis @ (basis.T @ fresh)
     if not rest.size or basis.shape[1] == len(basis):
         return np.zeros((len(basis), 0))
     u, s, _ = np.linalg.svd(rest, full_matrices=False)
     new = u[:, s > limit]
-    # Orthogonalised twice: the small directions of an SVD carry rounding of the large ones.
+    # Orthogonalised twice: the small directions of an SVD have rounding of the large ones.
     return np.linalg.qr(new - basis @ (basis.T @ new))[0] if new.shape[1] else new
 
 
@@ -269,7 +263,7 @@ def _norm(matrix: Array) -> float:
 
 
 def _channel_scale(a: Array, b: Array, c: Array) -> Array:
-    """Powers of two for the channels: what comes in and what goes out alike, the outside as one more channel."""
+    """Return powers of two that balance the channels, with the external signals as one more channel."""
     k = len(a)
     square = np.zeros((k + 1, k + 1))
     square[:k, :k] = np.abs(a)
@@ -284,7 +278,7 @@ def _same(
     second: tuple[Array, Array, Array],
     sizes: Sequence[int],
 ) -> bool:
-    """Whether both give the same ``C Delta (I - A Delta)^-1 B`` at random complex deltas, to 1e-10 of the largest."""
+    """Compare both ``C Delta (I - A Delta)^-1 B`` at random complex deltas, to 1e-10 of the largest."""
     rng = np.random.default_rng(0)
     for _ in range(6):
         deltas = np.sqrt(rng.random(len(sizes))) * np.exp(2j * np.pi * rng.random(len(sizes)))
@@ -303,10 +297,6 @@ def _same(
     return True
 
 
-def _constant(M: StateSpaceModel) -> Array:
-    return np.asarray(np.block([[M.A, M.B], [M.C, M.D]]), dtype=np.float64)
-
-
 def _powers(size: Array) -> Array:
-    """The power of two next to each size; one where the size is zero."""
+    """Return the power of two next to each size; one where the size is zero."""
     return np.exp2(np.rint(np.log2(np.where(size > 0, size, 1.0))))

@@ -13,12 +13,12 @@ form                              member                                  M (Del
 ``inverse-output-multiplicative`` :math:`(I + E)^{-1} G`                  :math:`[-I, G;\; -I, G]`
 ================================  ======================================  ============================================
 
-The inverse additive member is :math:`(I + G E)^{-1} G`, which asks for no inverse of G and holds for any shape.
+The inverse additive member is :math:`(I + G E)^{-1} G`, which needs no inverse of G and holds for any shape.
 
 References
 ----------
-Březina 2010, sections 4.2.1, 4.2.3. The thesis prints the M of the inverse input form beside the formula
-:math:`G_p^{-1} = G^{-1} (I + \Delta)`, which is the inverse output form; both are here, each with its own M.
+Březina 2010, sections 4.2.1, 4.2.3. The thesis gives the M of the inverse input form for the formula
+:math:`G_p^{-1} = G^{-1} (I + \Delta)`, which is the inverse output form; here each has its own M.
 Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), table 9.1.
 """
 
@@ -49,7 +49,7 @@ FORMS: tuple[Form, ...] = get_args(Form)
 def unstructured(
     G: Any, W2: Any = 1.0, form: Form = "additive", *, W1: Any = None, name: str = "unmodelled"
 ) -> UncertainModel:
-    r"""The set of all models next to G in one of six senses, with one full block.
+    r"""Return the set of all models near G in one of six forms, with one full block.
 
     Parameters
     ----------
@@ -57,14 +57,13 @@ def unstructured(
         Nominal model (p outputs, m inputs), stable or not, continuous or discrete; need not be square.
     W2
         Weight at the right of Delta, whose inputs are those of E: m for the additive and the input forms, p for the
-        inverse additive and the output forms. A number or a model of one input and output weighs all channels alike, a
-        list of such is a diagonal weight, and a model of several is taken as it is. Stable; how large ``|E|`` may be at
-        each frequency.
+        inverse additive and the output forms. A number or a scalar model is the weight of all channels, a list of such
+        a diagonal weight, a larger model a matrix weight. Stable; it bounds ``|E|`` at each frequency.
     form
         See the table of this module.
     W1
         Weight at the left of Delta, whose outputs are those of E: p for the additive and the output forms, m for the
-        inverse additive and the input forms; 1 where left out.
+        inverse additive and the input forms; 1 by default.
     name
         Name of the block.
 
@@ -104,7 +103,7 @@ def unstructured(
 
 
 def _weight(given: Any, size: int, side: Literal["inputs", "outputs"], where: str) -> StateSpaceModel:
-    """The weight as a stable model with ``size`` inputs (or outputs)."""
+    """Return the weight as a stable model with ``size`` inputs (or outputs)."""
     if isinstance(given, (list, tuple)):
         parts = [_channel(part, f"{where}[{i}]") for i, part in enumerate(given)]
         if len(parts) != size:
@@ -131,7 +130,7 @@ def _channel(given: Any, where: str) -> StateSpaceModel:
 
 
 def _side_by_side(parts: Sequence[StateSpaceModel]) -> StateSpaceModel:
-    """Block-diagonal weight; names, which may be the same in each, are given anew."""
+    """Return the block-diagonal weight, with new signal names."""
     if any(part.n_inputs != 1 or part.n_outputs != 1 for part in parts):
         raise InputError("unstructured", "a weight of several channels in a list", "one input and one output each")
     return append(*(part.renamed([f"u{i}"], [f"y{i}"]) for i, part in enumerate(parts)))
@@ -140,7 +139,7 @@ def _side_by_side(parts: Sequence[StateSpaceModel]) -> StateSpaceModel:
 def _interconnection(
     g: StateSpaceModel, left: StateSpaceModel, right: StateSpaceModel, form: Form, dt: float, name: str
 ) -> StateSpaceModel:
-    """M from (w, u) to (z, y): each signal is written as a matrix on (states of G, W1, W2; w; u)."""
+    """Return M from (w, u) to (z, y), each signal as a matrix on (states of G, W1, W2; w; u)."""
     sizes = [g.n_states, left.n_states, right.n_states, left.n_inputs, g.n_inputs]
     ends = np.cumsum([0, *sizes])
     unit = np.eye(ends[-1])
@@ -151,7 +150,7 @@ def _interconnection(
     v = u + sign * e if at_input else u
     through = g.C @ x_g + g.D @ v
     y = through if at_input else through + sign * e
-    # What Delta sees: the signal before E enters, or, for inverse forms, after.
+    # Input of Delta: the signal before the point where E acts, for inverse forms after it.
     seen = {
         "additive": u,
         "input-multiplicative": u,

@@ -1,4 +1,4 @@
-"""A constant Delta closed into a model: the upper linear fractional transformation, and whether it is well posed."""
+"""The upper linear fractional transformation of a model and a constant Delta, and its well-posedness."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.structural import strong_components
 from robustlab.statespace import StateSpaceModel
 
-ILL_POSED = 1e12  # I - M11 Delta with a condition number above this has no digits left that could be trusted
+ILL_POSED = 1e12  # condition number of I - M11 Delta above which results are rounding
 PASSES = 20  # passes of balancing
-LARGEST_EXPONENT = 200.0  # without a cycle there is no bound on how small a matrix may be scaled: this far, not further
+LARGEST_EXPONENT = 200.0  # limit of balancing, which is unbounded without a cycle
 
 
 def is_singular(product: ArrayLike) -> bool:
-    """Whether ``I - product`` is singular, or so near to it that nothing can be trusted; product has shape (n, n)."""
+    """Return whether ``I - product`` (n, n) is singular or too ill-conditioned."""
     matrix = np.asarray(product)
     if not matrix.any():
         return False
@@ -32,7 +32,7 @@ def is_singular(product: ArrayLike) -> bool:
 
 
 def upper_lft(M: StateSpaceModel, delta: ArrayLike) -> StateSpaceModel:
-    """``F_u(M, Delta)`` for a constant real Delta (q, p), which closes the first q inputs and p outputs of M."""
+    """Return ``F_u(M, Delta)`` for a constant real Delta (q, p) on the first q inputs and p outputs of M."""
     d = np.asarray(delta)
     if np.iscomplexobj(d):
         raise InputError(
@@ -65,17 +65,17 @@ def upper_lft(M: StateSpaceModel, delta: ArrayLike) -> StateSpaceModel:
 
 
 def closed_response(m: AnyArray, d: AnyArray) -> AnyArray:
-    """``F_u`` of responses m (n_omega, ..., ...) for Delta d, one (q, p) or one for each frequency."""
+    """Return ``F_u`` of responses m (n_omega, ..., ...) for Delta d, one (q, p) or one for each frequency."""
     q, p = d.shape[-2:]
     loop = np.eye(p) - m[:, :p, :q] @ d
     return m[:, p:, q:] + m[:, p:, :q] @ d @ np.linalg.solve(loop, m[:, :p, q:])
 
 
-# --- balancing by powers of two: the units of channels must not decide what counts as small --------------------------
+# --- balancing by powers of two: makes the tests independent of the units of channels ---------------------------------
 
 
 def balancing_scale(matrix: ArrayLike) -> NDArray[np.float64]:
-    """Diagonal t of powers of two for which :math:`T^{-1} M T` has rows and columns of like size; shape (n,)."""
+    """Return the diagonal t (n,) of powers of two for which :math:`T^{-1} M T` has rows and columns of like size."""
     with np.errstate(divide="ignore"):
         level = np.log2(np.abs(np.asarray(matrix)))
     np.fill_diagonal(level, -np.inf)
@@ -91,6 +91,6 @@ def balancing_scale(matrix: ArrayLike) -> NDArray[np.float64]:
 
 
 def balanced(matrix: ArrayLike) -> NDArray[Any]:
-    """``T^-1 M T`` with the scale of `balancing_scale`."""
+    """Return ``T^-1 M T`` with the scale of `balancing_scale`."""
     scale = balancing_scale(matrix)
     return np.asarray(matrix) / scale[:, None] * scale

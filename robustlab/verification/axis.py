@@ -1,4 +1,4 @@
-r"""A form F(M(jw)) > 0 at every frequency of an interval, by its value at one of them and a matrix without real roots.
+r"""Proves a form F(M(jw)) > 0 on a frequency interval, by its value at one point and a matrix without real roots.
 
 With :math:`X = (j\omega - A)^{-1} B` and M = D + C X the form is quadratic in X (`forms.Quadratic`):
 
@@ -21,12 +21,12 @@ is continuous. If it is not positive definite throughout, it is singular somewhe
 and :math:`F_0 u = L^* R \xi - X^* \eta`. With it :math:`(x, p) = K (\xi, \eta)`: :math:`(I - \delta j K)(x, p) = 0`.
 So x = p = 0, hence B u = S u = T u = 0 and :math:`F_0 u = 0`: a contradiction.
 
-Where a family :math:`I - \delta H` is to be regular (`regular_within`): if :math:`W V - \delta W H V` is strictly
-diagonally dominant for all :math:`|\delta| \le r`, it is regular, and so are its factors. Nothing is asked of W and V;
-floating point takes eigenvectors of H and their inverse, or diagonal matrices where that does.
+Regularity of a family :math:`I - \delta H` (`regular_within`): if :math:`W V - \delta W H V` is strictly diagonally
+dominant for all :math:`|\delta| \le r`, it is regular, and so are its factors. W and V are arbitrary; floating point
+chooses eigenvectors of H and their inverse, or diagonal matrices where these suffice.
 
-An interval that fails is halved: once r is small, :math:`\delta H` is, too. High frequencies are those of the
-reciprocal model around 0, infinity included; a discrete model is mapped to a continuous one first (`models`).
+An interval that fails is halved. High frequencies, infinity included, are those of the reciprocal model around 0; a
+discrete model is mapped to a continuous one first (`models`).
 
 References
 ----------
@@ -63,24 +63,24 @@ from robustlab.verification.claim import PROVED, Blurred, Verdict, Work, not_pro
 from robustlab.verification.forms import Form, Quadratic
 from robustlab.verification.models import Model, balanced, exponents, on_the_axis, reciprocal, shifted
 
-BLURRED = 1e-6  # radii of a row that are larger than this part of its diagonal: more bits are asked for
+BLURRED = 1e-6  # radii of a row above this part of its diagonal: more bits are needed
 UNDECIDED = Definite(False, math.nan)
-ALIKE = 1e-14  # an imaginary part below this part of an eigenvalue is noise of floating point
+ALIKE = 1e-14  # an imaginary part below this part of an eigenvalue is rounding
 
 
 @dataclass(frozen=True)
 class Chart:
-    """A continuous model, and what its frequency means to the reader."""
+    """A continuous model, and the map of its frequency to that of the user's model."""
 
     model: Model
     frequency: Callable[[float], float]  # rad/s of the user's model
 
 
 def axis(G: Model, intervals: Sequence[tuple[float, float, Form]], work: Work) -> Verdict:
-    """Whether each interval's form is positive definite at each of its frequencies, the ends included.
+    """Prove that each interval's form is positive definite at each of its frequencies, the ends included.
 
     ``G``: M(jw) is its response, discrete that at exp(jw dt). It need not be stable; a pole in an interval fails.
-    ``intervals``: low, high in rad/s; high may be inf, and what lies beyond pi/dt counts as pi/dt.
+    ``intervals``: low, high in rad/s; high may be inf, and is cut at pi/dt.
     Raises InputError: an interval of a discrete model that starts beyond pi/dt.
     """
     mapped = on_the_axis(G) if G.dt else G
@@ -105,13 +105,13 @@ def axis(G: Model, intervals: Sequence[tuple[float, float, Form]], work: Work) -
 
 
 def _around_infinity(mapped: Model, dt: float) -> Chart | None:
-    """The chart in which w = inf is 0, and w is ``-1/w``; None where there is none."""
+    """Return the chart in which w = inf is 0, and w is ``-1/w``; None where A was not proved regular."""
     inverted = reciprocal(mapped)
     return Chart(balanced(inverted), lambda v: _unwarped(-1 / v if v else math.inf, dt)) if inverted else None
 
 
 def _warped(w: float, dt: float, *, up: bool) -> float:
-    """A double above (else below) ``tan(w dt / 2)``, inf where w dt may be pi; of a continuous model w itself."""
+    """Return a double above (else below) ``tan(w dt / 2)``, inf where w dt may be pi; w itself if continuous."""
     if not dt or math.isinf(w):
         return w
     half = arb(w) * arb(dt) / 2
@@ -127,13 +127,13 @@ def _unwarped(t: float, dt: float) -> float:
 
 
 def _fastest(G: Model) -> float:
-    """The size of the largest eigenvalue, or 1: a hint of where high frequencies begin."""
+    """Estimate where high frequencies begin: the largest absolute eigenvalue, or 1."""
     A = midpoints(G.A)
     return float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)) or 1.0 if np.isfinite(A).all() else 1.0
 
 
 def _boxes(chart: Chart, a: float, b: float, form: Form, work: Work) -> Verdict:
-    """Whether the form is positive definite on [a, b]; its ends are doubles that neighbouring boxes share."""
+    """Prove the form positive definite on [a, b]; the ends are doubles that neighbouring boxes share."""
     todo, quadratic = [(a, b)], form.of_sum(chart.model.D, chart.model.C)
     while todo:
         a, b = todo.pop()
@@ -153,7 +153,7 @@ def _boxes(chart: Chart, a: float, b: float, form: Form, work: Work) -> Verdict:
 
 
 def _box(G: Model, w0: float, r: float, form: Quadratic) -> Definite:
-    """Whether the form is positive definite for ``|w - w0| <= r``, and A has no eigenvalue there."""
+    """Test whether the form is positive definite for ``|w - w0| <= r``, and A has no eigenvalue there."""
     R = inverse(shifted(G, w0))
     if R is None:
         return UNDECIDED
@@ -167,7 +167,7 @@ def _box(G: Model, w0: float, r: float, form: Quadratic) -> Definite:
 
 
 def pencil(form: Quadratic, R: Matrix, X: Matrix, F: Matrix) -> Matrix | None:
-    """``j K`` of the module's text, shape (2n, 2n); None where F was not proved regular."""
+    """Return ``j K`` of the module's text, shape (2n, 2n); None where F was not proved regular."""
     G = inverse(F)
     if G is None:
         return None
@@ -178,16 +178,15 @@ def pencil(form: Quadratic, R: Matrix, X: Matrix, F: Matrix) -> Matrix | None:
 
 
 def regular_within(H: Matrix, r: float) -> bool:
-    """Whether ``I - d H`` was proved to be regular for all real |d| <= r, by the module's text; H (n, n)."""
+    """Prove ``I - d H`` regular for all real |d| <= r, by the module's text; H (n, n)."""
     hint = midpoints(H)
     return bool(np.isfinite(hint).all()) and any(_dominant(H, r, exact(W), exact(V)) for W, V in _bases(hint, r))
 
 
 def _bases(hint: np.ndarray, r: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Hints W, V, from plain to costly; none if a real eigenvalue is in the way.
+    """Yield candidates W, V, cheapest first; none if a real eigenvalue excludes a proof.
 
-    Units for each row where ``d H`` is small; the same of H made triangular, small where its eigenvalues are, however
-    far from normal it is; eigenvectors.
+    Row scalings where ``d H`` is small; those of its Schur form, for a small spectral radius; eigenvectors.
     """
     try:
         if (units := _units(hint, r)) is not None:
@@ -208,13 +207,13 @@ def _bases(hint: np.ndarray, r: float) -> Iterator[tuple[np.ndarray, np.ndarray]
 
 
 def _units(H: np.ndarray, r: float) -> np.ndarray | None:
-    """Positive u (n,) with ``u - r |H| u = 1``; None where the spectral radius of ``r |H|`` is one or more."""
+    """Return u > 0 (n,) with ``u - r |H| u = 1``; None where the spectral radius of ``r |H|`` is one or more."""
     units = np.linalg.solve(np.eye(len(H)) - r * np.abs(H), np.ones(len(H)))
     return units if (units > 0).all() else None
 
 
 def _triangularising(H: np.ndarray) -> np.ndarray:
-    """Q, unitary, with ``Q^* H Q`` upper triangular but for rounding: an eigenvector of what is left is put first."""
+    """Return a unitary Q with ``Q^* H Q`` upper triangular up to rounding, by repeated deflation."""
     n = len(H)
     Q, T = np.eye(n, dtype=complex), H.astype(complex)
     for k in range(n - 1):
@@ -228,7 +227,7 @@ def _triangularising(H: np.ndarray) -> np.ndarray:
 
 
 def _dominant(H: Matrix, r: float, W: Matrix, V: Matrix) -> bool:
-    """Whether ``W V - d W H V`` is strictly diagonally dominant for all real |d| <= r; Blurred where digits decide."""
+    """Test ``W V - d W H V`` for strict diagonal dominance for all real |d| <= r; Blurred if bits are missing."""
     unit, moved, rows = W * V, W * (H * V), range(H.nrows())
     sizes, steps, ones = magnitudes(unit), magnitudes(moved), arb_mat(len(rows), 1, [1] * len(rows))
     sums = (sizes + steps * arb(r)) * ones
@@ -241,7 +240,7 @@ def _dominant(H: Matrix, r: float, W: Matrix, V: Matrix) -> bool:
 
 
 def _apart(a: acb, b: acb, r: float) -> arb:
-    """A lower bound of ``|a - d b|`` for all real |d| <= r: the distance from 0, or that from a line."""
+    """Bound ``|a - d b|`` from below for all real |d| <= r, by the distance from 0 or from a line."""
     near = a.abs_lower() - b.abs_upper() * arb(r)
     if near > 0 or not b.abs_lower() > 0:
         return near

@@ -1,7 +1,7 @@
-r"""Matrices of balls, and the one test of definiteness that every proof here ends in.
+r"""Matrices of balls, and the test of definiteness that every proof here uses.
 
 A ball is a midpoint with a radius that holds the exact number; each operation returns a ball that holds the exact
-result (python-flint: arb, acb). Floating point appears as a hint only: a preconditioner may be any matrix at all.
+result (python-flint: arb, acb). Floating point only provides hints, as a preconditioner may be any matrix.
 
 References
 ----------
@@ -22,17 +22,17 @@ import numpy as np
 from flint import acb_mat, arb, arb_mat
 from numpy.typing import NDArray
 
-PRECISIONS = (96, 192, 384)  # bits; each is tried where the one before left a claim undecided
-REPEATS = 4  # preconditioners one after the other: each takes away twelve digits of ill conditioning
-CLIPPED = 1e-13  # eigenvalues below this part of the largest are noise of floating point
-INDEFINITE = -1e-9  # scaled so that the diagonal is 1, an eigenvalue below this is no noise
+PRECISIONS = (96, 192, 384)  # bits; each is tried where the one before did not decide
+REPEATS = 4  # preconditioners in sequence: each removes twelve digits of ill conditioning
+CLIPPED = 1e-13  # eigenvalues below this part of the largest are rounding
+INDEFINITE = -1e-9  # with the diagonal scaled to 1, an eigenvalue below this is not rounding
 
 Matrix = Any  # arb_mat or acb_mat; their products mix
 
 
 @contextmanager
 def precision(bits: int) -> Iterator[None]:
-    """Work in so many bits; the precision before is restored whatever happens."""
+    """Set the precision in bits, and restore it afterwards."""
     before = flint.ctx.prec
     flint.ctx.prec = bits
     try:
@@ -42,34 +42,30 @@ def precision(bits: int) -> Iterator[None]:
 
 
 def exact(X: NDArray[Any]) -> Matrix:
-    """A matrix of doubles as balls of radius zero: the conversion from binary is exact in every precision."""
+    """Convert a matrix of doubles to balls of radius zero; exact in every precision."""
     kind: Any = acb_mat if np.iscomplexobj(X) else arb_mat
     return kind(*X.shape, X.ravel().tolist())
 
 
 def identity(n: int) -> Matrix:
-    """The identity."""
     return exact(np.eye(n))
 
 
 def zeros(rows: int, cols: int) -> Matrix:
-    """A matrix of zeros."""
     return arb_mat(rows, cols)
 
 
 def diagonal(entries: Sequence[arb]) -> Matrix:
-    """The diagonal matrix with these balls."""
     n = len(entries)
     return arb_mat(n, n, [entries[i] if i == j else 0 for i in range(n) for j in range(n)])
 
 
 def adjoint(X: Matrix) -> Matrix:
-    """The conjugate transpose."""
     return X.conjugate().transpose() if isinstance(X, acb_mat) else X.transpose()
 
 
 def stack(grid: Sequence[Sequence[Matrix]]) -> Matrix:
-    """One matrix out of blocks, given row by row of blocks."""
+    """Join blocks, given row by row, to one matrix."""
     kind = acb_mat if any(isinstance(X, acb_mat) for band in grid for X in band) else arb_mat
     rows, cols = sum(band[0].nrows() for band in grid), sum(X.ncols() for X in grid[0])
     lines = (line for band in grid for line in zip(*(X.tolist() for X in band), strict=True))
@@ -77,31 +73,30 @@ def stack(grid: Sequence[Sequence[Matrix]]) -> Matrix:
 
 
 def part(X: Matrix, rows: slice, cols: slice) -> Matrix:
-    """The block of ``X`` in these rows and columns."""
     r, c = range(*rows.indices(X.nrows())), range(*cols.indices(X.ncols()))
     return type(X)(len(r), len(c), [X[i, j] for i in r for j in c])
 
 
 def magnitudes(X: Matrix) -> Matrix:
-    """Upper bounds of the entries' absolute values, exact numbers."""
+    """Return exact upper bounds of the entries' absolute values."""
     return arb_mat(X.nrows(), X.ncols(), [x.abs_upper() for x in X.entries()])
 
 
 def radii(X: Matrix) -> Matrix:
-    """Upper bounds of how far the entries lie from their midpoints."""
+    """Return upper bounds of the entries' radii."""
     entries = X.entries()
     spread = [x.real.rad() + x.imag.rad() for x in entries] if isinstance(X, acb_mat) else [x.rad() for x in entries]
     return arb_mat(X.nrows(), X.ncols(), spread)
 
 
 def midpoints(X: Matrix) -> NDArray[Any]:
-    """The midpoints in floating point: a hint."""
+    """Return the midpoints in floating point, as a hint."""
     values = [complex(x) for x in X.entries()] if isinstance(X, acb_mat) else [float(x) for x in X.entries()]
     return np.array(values, dtype=complex if isinstance(X, acb_mat) else float).reshape(X.nrows(), X.ncols())
 
 
 def inverse(X: Matrix) -> Matrix | None:
-    """A ball matrix around the inverse of every matrix in ``X``; None where none could be proved regular."""
+    """Return a ball matrix that holds the inverse of every matrix in ``X``; None where regularity was not proved."""
     try:
         return X.solve(identity(X.nrows()) if isinstance(X, arb_mat) else acb_mat(identity(X.nrows())))
     except ZeroDivisionError:
@@ -109,36 +104,36 @@ def inverse(X: Matrix) -> Matrix | None:
 
 
 def rounded_up(x: arb) -> float:
-    """A double that is not below any number in the ball."""
+    """Return a double that is not below any number in the ball."""
     return math.nextafter(float(x.upper()), math.inf)
 
 
 def rounded_down(x: arb) -> float:
-    """A double that is not above any number in the ball."""
+    """Return a double that is not above any number in the ball."""
     return math.nextafter(float(x.lower()), -math.inf)
 
 
 @dataclass(frozen=True)
 class Definite:
-    """The answer of `definite`."""
+    """The result of `definite`."""
 
     proved: bool
-    least: float  # about the smallest eigenvalue in the middle, with a diagonal scaled to 1; a hint
+    least: float  # estimate of the midpoint's smallest eigenvalue, with a diagonal scaled to 1
 
 
 def definite(F: Matrix, higher: Callable[[Matrix], Sequence[Matrix]] | None = None) -> Definite:
-    r"""Whether F is positive definite; with ``higher`` :math:`F + \sum_{k \ge 1} e^k F_k` for every real |e| <= 1.
+    r"""Test F > 0; with ``higher`` :math:`F + \sum_{k \ge 1} e^k F_k > 0` for every real |e| <= 1.
 
     ``F``: ball matrix (n, n) around a Hermitian one, as each F_k is.
-    ``higher``: gives ball matrices around :math:`S^* F_k S`, k = 1, 2, ..., for the S that it is called with.
+    ``higher``: returns ball matrices around :math:`S^* F_k S`, k = 1, 2, ..., for its argument S.
 
     Proof: for any square S, with :math:`Y_k = S^* F_k S`, if
 
     .. math:: \inf Y_{0,ii} > \sum_{(k, j) \ne (0, i)} \sup |Y_{k,ij}| \quad\text{for each } i ,
 
     then :math:`Y(e) = S^* F(e) S` is Hermitian, strictly diagonally dominant with a positive diagonal, so Y(e) > 0
-    (Gershgorin). Then S is regular (S v = 0 would give v^* Y v = 0), and F(e) > 0. Nothing is asked of S, so floating
-    point may choose it: a root of the inverse of F's midpoint, repeated where one is not accurate enough.
+    (Gershgorin). Then S is regular (S v = 0 would give v^* Y v = 0), and F(e) > 0. S is arbitrary, so floating point
+    chooses it: a root of the inverse of F's midpoint, repeated where one is not accurate enough.
     """
     n = F.nrows()
     if n == 0:
@@ -169,7 +164,7 @@ def definite(F: Matrix, higher: Callable[[Matrix], Sequence[Matrix]] | None = No
 
 
 def _root_scale(x: Any) -> arb | None:
-    """A power of two near ``x^(-1/2)``; None where x is not positive."""
+    """Return a power of two near ``x^(-1/2)``; None where x is not positive."""
     x = x.real.mid()
     if not x > 0 or not x.is_finite():
         return None
@@ -178,7 +173,7 @@ def _root_scale(x: Any) -> arb | None:
 
 
 def _dominant(Y: Sequence[Matrix]) -> bool:
-    """Whether each diagonal entry of ``Y[0]`` outweighs all the other entries of its row in all the matrices."""
+    """Test whether each diagonal entry of ``Y[0]`` exceeds the sum of its row's other entries in all matrices."""
     rows = range(Y[0].nrows())
     for i in rows:
         rest = sum((X[i, j].abs_upper() for k, X in enumerate(Y) for j in rows if k or i != j), arb(0))

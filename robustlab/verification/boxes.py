@@ -1,15 +1,15 @@
-r"""Parameters in intervals of their own: the set is cut into boxes, and each box has scalings of its own.
+r"""Robust stability over boxes of the real parameters, each box with its own scalings.
 
 In a box real block i has its delta in :math:`[c_i - h_i, c_i + h_i]`. With C and H the diagonal matrices of these on
-the channels of w (zero and one on other blocks), :math:`\Delta = C + H \Delta'`, and the loop is singular for Delta
-where
+the channels of w (zero and one on other blocks), :math:`\Delta = C + H \Delta'`, and the loop of M is singular for
+:math:`\Delta` if and only if that of
 
 .. math:: M' = N M H, \quad N = (I - M C)^{-1}
 
-is for :math:`\Delta'`, which has levels of one; C is a constant feedback, so M' is a state-space model again, where
-:math:`I - D C` is regular. Boxes and intervals of frequency that together cover the set at all frequencies, each with
-a form that is positive definite there, leave no Delta that makes the loop singular; the nominal model is stable and a
-member, the set is connected, so every member is stable.
+is for :math:`\Delta'`, which has levels of one; C is a constant feedback, so M' is a state-space model where
+:math:`I - D C` is regular. If boxes and frequency intervals cover the set at all frequencies, each with a form that is
+positive definite there, no Delta makes the loop singular; the nominal model is a stable member, the set is connected,
+so every member is stable.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from robustlab.verification.norms import climb, evidence
 from robustlab.verification.stability import stable
 
 Sides = Sequence[tuple[Any, Any]]  # the ends of each block's interval: doubles, or exact fractions
-Region = tuple[Sides, float, float]  # a box, and the frequencies at which something is open in it
+Region = tuple[Sides, float, float]  # a box, and an interval of frequencies
 
 
 def prove_mu_boxes(claim: Claim, work: Work, build: Callable[[Claim], Model] = model_of) -> Verdict:
-    """No Delta whose real parameters lie within ``size`` times their ``ranges`` destabilises the model of ``build``.
+    """Prove that no Delta with real parameters within ``size`` times their ``ranges`` destabilises ``build``'s model.
 
     ``ranges`` (k, 2): the ends for size one, about zero; of blocks that are not real -1, 1, their norms are within
     1/``level``. Evidence: ``box`` (N, k, 2), ``low``, ``high`` (N,) in rad/s, ``D_w``, ``D_z``, ``G`` (N, ...): in each
@@ -91,7 +91,7 @@ def _ranges(claim: Claim, blocks: Sequence[Block]) -> list[tuple[float, float]]:
 
 
 def within_box(G: Model, blocks: Sequence[Block], sides: Sides) -> Model | None:
-    """The model that the normalised Delta of a box sees; None where it was not proved to be well posed."""
+    """Return the model in feedback with the normalised Delta of a box; None where not proved to be well posed."""
     centre, half = zeros(G.m, G.p), []
     for block, (a, b) in zip(blocks, sides, strict=True):
         rows = range(block.w.start, block.w.stop)
@@ -109,10 +109,9 @@ def within_box(G: Model, blocks: Sequence[Block], sides: Sides) -> Model | None:
 
 
 def uncovered(root: Sides, regions: Sequence[Region], work: Work) -> Region | None:
-    """A part of the root box with frequencies that no region covers; None where all of it is covered, at 0 .. inf.
+    """Return a part of the root box and frequencies that no region covers; None where all is covered at 0 .. inf.
 
-    A part that some region covers only in part is cut at a face of such a region; so each cut ends on a number of the
-    file, and comparisons are exact.
+    A partly covered part is cut at a face of a region, which is a number of the file, so comparisons are exact.
     """
     todo = [(list(root), list(range(len(regions))))]
     while todo:
@@ -137,12 +136,12 @@ def uncovered(root: Sides, regions: Sequence[Region], work: Work) -> Region | No
 
 
 def _touches(sides: Sides, box: Sides) -> bool:
-    """Whether they have more than a face in common; of an interval that is a point, the point."""
+    """Test whether they overlap in more than a boundary; for an interval of one point, in that point."""
     return all((x < b and y > a) or (a == b and x <= a <= y) for (x, y), (a, b) in zip(sides, box, strict=True))
 
 
 def _gaps(intervals: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """What sorted closed intervals leave of 0 .. inf."""
+    """Return the parts of 0 .. inf outside of the sorted closed intervals."""
     gaps, reached = [], 0.0
     for a, b in intervals:
         if a > reached:

@@ -1,4 +1,4 @@
-"""`check`: a claim in, its verdict out; never an exception, never more than a theorem whose conditions were proved."""
+"""The kinds of claims, and `check`, which proves or refutes one."""
 
 from __future__ import annotations
 
@@ -24,7 +24,6 @@ from robustlab.verification.sets import prove_set
 
 EFFORT = 20_000  # units of `Work`: about two minutes
 
-
 NORM = "H-infinity norm over all frequencies <="
 GAIN = "every member is stable"
 NONE = "no Delta of the structure within 1/level"
@@ -34,10 +33,10 @@ SOME = "a Delta of the structure within (1 + 1e-9)/level"
 @dataclass(frozen=True)
 class _Kind:
     prove: Callable[[Claim, Work], Verdict]
-    words: str  # what is claimed
-    number: str | None = None  # the dataset with the number that is claimed
-    symbol: str = ""  # what stands before the number
-    below: bool = False  # a lower bound: the number is what the level says with a Delta as large as allowed
+    words: str  # the claim
+    number: str | None = None  # the dataset with the claimed number
+    symbol: str = ""  # printed before the number
+    below: bool = False  # a lower bound: the level divided by the allowance
 
 
 # fmt: off
@@ -91,11 +90,10 @@ MEMBER = _Kind(prove_set, "the model is the member of the set at the given param
 
 
 def check(claim: Claim, *, effort: int = EFFORT) -> Verification:
-    """Judge a claim from its numbers alone.
+    """Prove or refute a claim from its numbers alone.
 
-    ``claim``: what is claimed, with its evidence.
-    ``effort``: tests of definiteness of 20 rows that it may cost; the count and not the clock ends a check.
-    Never raises for what a claim holds: what is ill-formed is not proved, and ``where`` says why.
+    ``effort``: the limit, in tests of definiteness of 20 rows.
+    Never raises for the content of a claim: an ill-formed one is not proved, with the reason in ``where``.
     """
     claim, work = Claim(claim.kind, dict(claim.numbers)), Work(effort)
     kind = KINDS.get(claim.kind, _Kind(_unknown, f"a claim of kind {claim.kind!r}"))
@@ -116,8 +114,8 @@ def check(claim: Claim, *, effort: int = EFFORT) -> Verification:
         verdict = not_proved(f"the arithmetic ended: {error}")
     finally:
         flint.ctx.prec = before
-    told = kind.words if number is None else f"{kind.words}: {kind.symbol} {number:.17g}"
-    return Verification(told, verdict.outcome, number if verdict.proved else None, verdict.where, work.boxes)
+    text = kind.words if number is None else f"{kind.words}: {kind.symbol} {number:.17g}"
+    return Verification(text, verdict.outcome, number if verdict.proved else None, verdict.where, work.boxes)
 
 
 def _unknown(claim: Claim, work: Work) -> Verdict:
@@ -125,7 +123,7 @@ def _unknown(claim: Claim, work: Work) -> Verdict:
 
 
 def _number(claim: Claim, kind: _Kind) -> float | None:
-    """The one number of the claim, a lower bound rounded down; None where there is none, or blocks differ in it."""
+    """Return the claim's number, a lower bound rounded down; None where there is none, or blocks differ in it."""
     values = set(np.ravel(claim.numbers[kind.number]).tolist()) if kind.number is not None else set()
     if len(values) != 1:
         return None

@@ -1,11 +1,11 @@
-r"""Weights that cover what a rational delay misses, for every delay of a range and at every frequency.
+r"""Weights that bound the error of a rational delay, for every delay of a range and at every frequency.
 
 At each frequency :math:`|e^{-j\omega\tau} - R|` is largest at an end of the range of tau, unless the arc of all
-:math:`e^{-j\omega\tau}` has the point opposite to R; and it is never above 1 + |R|. So below a frequency both ends are
-looked at, in boxes of the model :math:`[e^{-s\tau} - R;\; W]` with its exact delay, and the arc; above it the weight
-has passed 1 + |R|, a statement about rational models (`axis`).
+:math:`e^{-j\omega\tau}` contains the point opposite to R; and it is never above 1 + |R|. So below a frequency both ends
+are tested in boxes of the model :math:`[e^{-s\tau} - R;\; W]` with its exact delay, and so is the arc; above it the
+weight exceeds 1 + |R|, a statement about rational models (`axis`).
 
-**Boxes.** With the states x and what leaves the delays w as unknowns, H = (A B_1; C_1 D_11),
+**Boxes.** With the states x and the outputs w of the delays as unknowns, H = (A B_1; C_1 D_11),
 :math:`M(s) = D + C F(s)^{-1} B,\ F(s) = \mathrm{diag}(s I, e^{s \tau_i}) - H`. For :math:`\omega = \omega_0 + r e,\
 |e| \le 1`: :math:`F(j\omega) = F_0 + N(e)`, N diagonal, :math:`N = \sum_{k \ge 1} N_k e^k`, and by Taylor's rest
 :math:`|N(e) - \sum_{k<i} N_k e^k| \le T_i |e|^i`, with :math:`T_1 = r\,\mathrm{diag}(I, \tau)`, :math:`T_i =
@@ -48,18 +48,18 @@ from robustlab.verification.models import Model, stored
 from robustlab.verification.norms import climb
 from robustlab.verification.stability import stable
 
-DEGREE = 3  # of a polynomial before its rest: beyond it a box gets wider by less than its work grows
-REACH = 0.6  # half width of a box over the distance of the nearest pole, at most: the series converges with this ratio
-MARGIN = 1e-4  # by which a proposed bound of a rest is wider than floating point says
+DEGREE = 3  # of a polynomial before its remainder: beyond it a box grows by less than its cost
+REACH = 0.6  # half width of a box over the distance of the nearest pole, at most: the ratio of the series
+MARGIN = 1e-4  # by which a proposed bound of a remainder exceeds its floating-point value
 TINY = 1e-300
-NARROW = 1e-13  # a box in which M changes by less than this part will not gain from another halving
-SMALL = 12  # K for weights: what they cover is small at low frequencies, the difference of numbers that are not
+NARROW = 1e-13  # a box in which M changes by less than this part does not gain from another halving
+SMALL = 12  # K for weights: at low frequencies the error is small, the difference of numbers that are not
 
 Test = Callable[[float, float, float, float], Definite]
 
 
 def prove_delay_weight(claim: Claim, work: Work) -> Verdict:
-    r"""R is stable, and at all frequencies for all tau of the ``range`` (2,), in s
+    r"""Prove that R is stable, and at all frequencies for all tau of the ``range`` (2,), in s
 
     .. math:: |e^{-j\omega\tau} - R(j\omega)|^2 \le |W(j\omega)|^2 + \varepsilon^2 .
 
@@ -77,7 +77,7 @@ def prove_delay_weight(claim: Claim, work: Work) -> Verdict:
         verdict = stable(R, None, work)
         if verdict.proved:
             form = Form(arb_mat([[arb(epsilon) ** 2 - 2]]), diagonal([arb(2), arb(-1)]), None)
-            verdict = axis(_beside(R, W), [(far, math.inf, form)], work)
+            verdict = axis(_common_input(R, W), [(far, math.inf, form)], work)
         for tau in dict.fromkeys((low, high)):
             if verdict.proved:
                 verdict = _end_of_range(R, W, tau, epsilon, far, work)
@@ -88,16 +88,16 @@ def prove_delay_weight(claim: Claim, work: Work) -> Verdict:
     return climb(attempt)
 
 
-def _beside(R: Model, W: Model) -> Model:
-    """R and W of one input, the outputs in this order."""
+def _common_input(R: Model, W: Model) -> Model:
+    """Stack the outputs of R and W, which have one common input."""
     A = stack([[R.A, zeros(R.n, W.n)], [zeros(W.n, R.n), W.A]])
     C = stack([[R.C, zeros(1, W.n)], [zeros(1, R.n), W.C]])
     return Model(A, stack([[R.B], [W.B]]), C, stack([[R.D], [W.D]]), 0.0)
 
 
 def _end_of_range(R: Model, W: Model, tau: float, epsilon: float, far: float, work: Work) -> Verdict:
-    """The inequality for one delay up to ``far``: of the model ``[e^(-s tau) - R; W]``."""
-    both = _beside(R, W)
+    """Prove the inequality for one delay up to ``far``, for the model ``[e^(-s tau) - R; W]``."""
+    both = _common_input(R, W)
     n, sign = both.n, diagonal([arb(-1), arb(1)])
     G = Delayed(
         stack([[both.A, zeros(n, 1)], [zeros(1, n), zeros(1, 1)]]), stack([[both.B], [identity(1)]]),
@@ -106,24 +106,24 @@ def _end_of_range(R: Model, W: Model, tau: float, epsilon: float, far: float, wo
     quadratic = Form(arb_mat([[arb(epsilon) ** 2]]), diagonal([arb(1), arb(-1)]), None).of_sum(G.D, G.C)
 
     def test(a: float, w0: float, b: float, r: float) -> Definite:
-        box = box_of(G, w0, r, SMALL)
-        if box is None:
+        X = expansion(G, w0, r, SMALL)
+        if X is None:
             return Definite(False, math.nan)
-        return definite(quadratic.at(box.X[0]), lambda S: quadratic.higher(box.X, S))
+        return definite(quadratic.at(X[0]), lambda S: quadratic.higher(X, S))
 
     return sweep(G, 0.0, far, test, work)
 
 
 def _no_opposite(R: Model, low: float, high: float, far: float, work: Work) -> Verdict:
-    """The arc of all delays has nowhere up to ``far`` the point opposite to R."""
+    """Prove that the arc of all delays does not contain the point opposite to R up to ``far``."""
     G = Delayed(R.A, R.B, R.C, R.D, ())
     half, middle = (arb(high) - arb(low)) / 2, (arb(low) + arb(high)) / 2
 
     def test(a: float, w0: float, b: float, r: float) -> Definite:
-        box = box_of(G, w0, r)
-        if box is None:
+        X = expansion(G, w0, r)
+        if X is None:
             return Definite(False, math.nan)
-        value = (G.D + G.C * sum((X * arb(0, 1) for X in box.X[1:]), box.X[0]))[0, 0]
+        value = (G.D + G.C * sum((x * arb(0, 1) for x in X[1:]), X[0]))[0, 0]
         angle = (value.conjugate() * acb(0, -middle * arb(w0, r)).exp()).arg()
         return Definite(bool(angle.abs_upper() + arb(b) * half < arb.pi()), math.nan)
 
@@ -145,7 +145,6 @@ class Delayed:
 
     @property
     def n(self) -> int:
-        """States."""
         return self.size - len(self.delays)
 
     @property
@@ -154,14 +153,13 @@ class Delayed:
         return self.H.nrows()
 
     def diagonal(self, state: Any, late: Callable[[arb], Any]) -> Matrix:
-        """The diagonal matrix with ``state`` for each state, ``late(tau)`` for each delay."""
+        """Return the diagonal matrix with ``state`` for each state, ``late(tau)`` for each delay."""
         entries = [acb(state)] * self.n + [acb(late(arb(t))) for t in self.delays]
         return acb_mat(
             self.size, self.size, [x if i == j else 0 for i, x in enumerate(entries) for j in range(self.size)]
         )
 
     def at(self, w: float) -> Matrix:
-        """F at the exact frequency ``w``."""
         return self.diagonal(acb(0, w), lambda t: _turned(w, t)) - self.H
 
 
@@ -169,16 +167,8 @@ def _turned(w: float, tau: arb) -> acb:
     return acb(0, arb(w) * tau).exp()
 
 
-@dataclass(frozen=True)
-class Box:
-    """In a box of frequency: the coefficients of X(e), the rest in the last, and a bound of ``R N(e)``."""
-
-    X: list[Matrix]
-    N: Matrix
-
-
-def box_of(G: Delayed, w0: float, r: float, degree: int = DEGREE) -> Box | None:
-    """The box ``|w - w0| <= r`` as in the module's text; None where F was not proved to be regular in it."""
+def expansion(G: Delayed, w0: float, r: float, degree: int = DEGREE) -> list[Matrix] | None:
+    """Return the coefficients of X(e) for ``|w - w0| <= r``, the last with the remainder; None: F may be singular."""
     R = inverse(G.at(w0))
     if R is None:
         return None
@@ -199,24 +189,15 @@ def box_of(G: Delayed, w0: float, r: float, degree: int = DEGREE) -> Box | None:
     for k in range(1, degree):
         Q = Q + rest(degree - k) * magnitudes(X[k])
     Z = neumann(N, size * Q)
-    if Z is None or neumann(N, _ones(G.size)) is None:
+    if Z is None or neumann(N, arb_mat(G.size, 1, [1] * G.size)) is None:
         return None
-    return Box([*X, _around_zero(Z)], N)
-
-
-def _ones(n: int) -> Matrix:
-    return arb_mat(n, 1, [1] * n)
-
-
-def _around_zero(radii: Matrix) -> Matrix:
-    """Complex balls around zero that hold all numbers of at most these sizes."""
-    return acb_mat(radii.nrows(), radii.ncols(), [acb(arb(0, x), arb(0, x)) for x in radii.entries()])
+    return [*X, acb_mat(Z.nrows(), Z.ncols(), [acb(arb(0, x), arb(0, x)) for x in Z.entries()])]
 
 
 def sweep(G: Delayed, a: float, b: float, test: Test, work: Work) -> Verdict:
-    """Whether ``test(low, middle, high, half width)``, in rad/s, holds in boxes that cover [a, b], from left to right.
+    """Prove ``test(low, middle, high, half width)``, in rad/s, in boxes that cover [a, b], from left to right.
 
-    A box that fails is halved; so is one that floating point sees to be wider than its roots are far.
+    A box is halved if it fails, or if it is wider than the estimated distance of its nearest root.
     """
     todo, H = [(a, b)], midpoints(G.H)
     delays = np.array(G.delays)
@@ -242,7 +223,7 @@ def sweep(G: Delayed, a: float, b: float, test: Test, work: Work) -> Verdict:
 
 
 def neumann(N: Matrix, X: Matrix) -> Matrix | None:
-    """A nonnegative ``Y > X + N Y`` (n, m), proposed in floating point and checked in balls; None where none was found.
+    """Return Y >= 0, ``Y > X + N Y`` (n, m), proposed in floating point and checked in balls; None if none was found.
 
     Then ``Y >= sum_k N^k X``, and as Y > N Y the spectral radius of N is below one: for all ``|S| <= N``, ``|Z| <= X``
     entry by entry I - S is regular, and ``|(I - S)^-1 Z| <= Y``.

@@ -1,8 +1,8 @@
-"""What a file displays, compared with what its claims prove: a reader reads the one, and the proof is of the other.
+"""Compares the numbers that a file displays with those that its claims prove.
 
-Two bonds. The digest, an attribute of the group of claims, is the content hash of all the rest of the file: names,
-units, signs, sample times, shapes, status, every number. And the numbers that a kind of result stands for (`SHOWN`) are
-compared with those that were proved: a digest that somebody made anew is then of no use to him.
+The digest, an attribute of the group of claims, is the content hash of the rest of the file: names, units, signs,
+sample times, shapes, status, every number. In addition the main numbers of each kind of result (`SHOWN`) are compared
+with the proved ones, so a recomputed digest cannot hide a changed number.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from robustlab.verification.claim import Claim, Outcome, Verification
 from robustlab.verification.members import ALLOWANCE
 from robustlab.verification.models import gain_exceeds, model_of, on_the_axis
 
-ROUNDING = 2e-6  # of a number: claims are made 1e-6 above what was found
+ROUNDING = 2e-6  # relative: claims are made 1e-6 above the computed number
 
-# What is displayed -> which quantity of a claim it has to be. "peak": the bound of a norm, a gain or mu, and "1/peak"
-# the margin that it gives; "h2": of an H2 norm; "attained": a lower bound of mu; "inside": a norm of at most one, or
-# parameters within their ranges; "gain": what the model's gain at the displayed frequency is at least. Braces: the
+# Displayed number -> the quantity of a claim that it must equal. "peak": the bound of a norm, a gain or mu, and
+# "1/peak" the margin from it; "h2": of an H2 norm; "attained": a lower bound of mu; "inside": a norm of at most one, or
+# parameters within their ranges; "gain": a lower bound of the model's gain at the displayed frequency. Braces: the
 # model of that name in a claim, to the last bit, with "+" a part of it.
 Rules = Mapping[str, str]
 GAIN: Rules = {"upper": "peak"}
@@ -57,16 +57,15 @@ SHOWN: Mapping[str, Rules] = {
 CONTROLLER: Rules = {"gamma": ANY, "": "K_{}"}
 MODELS = ("norm", "bounded-real", "loop-norm", "difference-norm", "mu-axis")  # claims about one model's gain
 PATTERNS = ("{}", "K_{}", "P_{}", "W_{}", "{}0", "{}1", "{}2")  # of the models in claims
-SAYS_NOTHING = {"peak": math.inf, "h2": math.inf, "1/attained": math.inf, "1/peak": 0.0, "attained": 0.0,
-                "gain": 0.0}  # fmt: skip
+TRIVIAL = {"peak": math.inf, "h2": math.inf, "1/attained": math.inf, "1/peak": 0.0, "attained": 0.0, "gain": 0.0}
 
 
 def displayed(
     root: Tree, claims: Sequence[Claim], found: Sequence[Verification]
 ) -> tuple[list[Verification], list[str], list[str]]:
-    """What became of the digest and of each number that the file stands for; its other numbers; remarks.
+    """Return the verdicts on the digest and on each main number of the file; its other numbers; remarks.
 
-    ``claims``, ``found``: the claims of the file, and what became of each: only those that were proved count.
+    ``claims``, ``found``: the claims of the file and their verifications; only those that were proved count.
     """
     proved = [claim for claim, one in zip(claims, found, strict=True) if one.outcome is Outcome.PROVED]
     controller = text_attr(root.attrs, "kind") == "controller"
@@ -75,7 +74,7 @@ def displayed(
     rules = CONTROLLER if controller else SHOWN.get(kind, {})
     rows = [_digest(root)]
     if not rules:
-        rows.append(_row(f"no claim is known to say what a file of kind {kind!r} displays", False))
+        rows.append(_row(f"no claim covers a file of kind {kind!r}", False))
     covered: set[str] = set()
     for path, rule in rules.items():
         places = dict(places_at(top, path))
@@ -84,7 +83,7 @@ def displayed(
         for place, thing in places.items():
             rows += _compared(place, thing, rule, proved, top)
             covered |= _numbers_of(place, thing)
-    for _, part in top.walk():  # results and models within the result: not what it stands for, yet proved or not
+    for _, part in top.walk():  # results and models within the result are no main numbers, but may be proved
         if isinstance(part, Tree):
             for path, rule in SHOWN.get(_type(part), {}).items():
                 places = dict(places_at(part, path))
@@ -102,17 +101,17 @@ def _row(text: str, good: bool) -> Verification:
 
 
 def _digest(root: Tree) -> Verification:
-    told = text_attr(root.groups["claims"].attrs, "content_sha256")
-    if told is None:
+    digest = text_attr(root.groups["claims"].attrs, "content_sha256")
+    if digest is None:
         return _row("the claims carry no digest of the file, as in files of earlier versions: names, units, signs, "
                     "sample times, status and other numbers are not bound to them", False)  # fmt: skip
-    if told != digest_beside_claims(root):
+    if digest != digest_beside_claims(root):
         return _row("the file was changed after its claims were written: their digest of it does not match", False)
     return _row("the rest of the file is, to the last bit, what the claims were written with", True)
 
 
 def places_at(node: Tree, path: str) -> Iterator[tuple[str, Dataset | Tree]]:
-    """What lies at a path, with its full path; ``*`` is any group, an attribute counts as a number."""
+    """Yield the items at a path, with their full paths; ``*`` is any group, an attribute counts as a number."""
     first, _, rest = path.partition("/")
     if not first:
         yield node.path, node
@@ -128,18 +127,18 @@ def places_at(node: Tree, path: str) -> Iterator[tuple[str, Dataset | Tree]]:
 
 
 def _numbers_of(place: str, thing: Dataset | Tree) -> set[str]:
-    """The paths of a number, or of those of a model."""
+    """Return the path of a number, or those of a model's numbers."""
     return {thing.child_path(name) for name in ("A", "B", "C", "D", "dt")} if isinstance(thing, Tree) else {place}
 
 
 def _type(node: Tree) -> str:
-    """The class of the result that a group holds; empty where it holds none."""
-    said = node.datasets.get("type")
-    return str(said.values) if said is not None and not isinstance(said.values, Unread) else ""
+    """Return the class of the result in a group; empty where there is none."""
+    name = node.datasets.get("type")
+    return str(name.values) if name is not None and not isinstance(name.values, Unread) else ""
 
 
 def _compared(place: str, thing: Dataset | Tree, rule: str, proved: Sequence[Claim], near: Tree) -> list[Verification]:
-    """A row for each number, or for the model, that has to be one of the claims'; ``near``: the result that has it."""
+    """Return a row for each number, or for the model, compared with the claims; ``near``: the result that has it."""
     place = signal_name(place).strip("/") or "the controller"
     if isinstance(thing, Tree):
         same = any(_same(thing, pattern, proved) for pattern in rule.split() if "{" in pattern)
@@ -157,18 +156,18 @@ def _compared(place: str, thing: Dataset | Tree, rule: str, proved: Sequence[Cla
 
 
 def _number(name: str, x: float, word: str, known: Sequence[float]) -> Verification:
-    if x == SAYS_NOTHING.get(word):
-        return _row(f"{name} is {x:.9g}, which says nothing", True)
-    wanted = max(x, 1.0) if word == "inside" else x  # how far inside no claim says
+    if x == TRIVIAL.get(word):
+        return _row(f"{name} is {x:.9g}, a trivial bound", True)
+    wanted = max(x, 1.0) if word == "inside" else x
     if not known:
-        return _row(f"{name} is {x:.9g}, and no claim that was proved speaks of it", False)
+        return _row(f"{name} is {x:.9g}, and no proved claim contains it", False)
     near = min(known, key=lambda v: abs(v - wanted) if v != wanted else -1.0)
     return _row(f"{name} is {x:.9g}, the claim proves {near:.9g}", near == wanted or
                 abs(near - wanted) <= ROUNDING * abs(wanted) < math.inf)  # fmt: skip
 
 
 def _quantity(claim: Claim, word: str) -> list[float]:
-    """The numbers of a claim that bear this name (`Rules`)."""
+    """Return the numbers of a claim for a word of `Rules`."""
     number, below = KINDS[claim.kind].number, KINDS[claim.kind].below
     values = np.ravel(claim.numbers[number]).tolist() if number else []
     if word.startswith("1/"):
@@ -185,7 +184,7 @@ def _quantity(claim: Claim, word: str) -> list[float]:
 
 
 def _reached(claim: Claim, frequency: Any, level: float) -> bool:
-    """Whether the gain of the claim's model at a frequency (rad/s, a number) is proved to be at least this level."""
+    """Prove that the gain of the claim's model at a frequency (rad/s, a number) is at least this level."""
     if np.shape(frequency) != () or np.asarray(frequency).dtype.kind != "f" or not frequency >= 0 or not level > 0:
         return False
     with precision(PRECISIONS[1]):
@@ -195,7 +194,7 @@ def _reached(claim: Claim, frequency: Any, level: float) -> bool:
 
 
 def _sizes(claim: Claim) -> list[float]:
-    """How large each block of a Delta may be, as a share of its range where that is not -1 to 1."""
+    """Return the allowed size of each block of a Delta, relative to its range where that is not -1 to 1."""
     blocks, ranges = claim.numbers["blocks"], np.asarray(claim.numbers.get("ranges", 0.0))
     sizes = [ALLOWANCE / level for level in np.broadcast_to(claim.numbers["level"], len(blocks)).tolist()]
     if ranges.shape != (len(blocks), 2) or ranges.dtype.kind != "f":
@@ -210,7 +209,7 @@ def _sizes(claim: Claim) -> list[float]:
 
 
 def _same(node: Tree, pattern: str, claims: Sequence[Claim]) -> bool:
-    """Whether a claim has the model in this group under the pattern's names, dt included."""
+    """Test whether a claim has the model in this group under the pattern's names, dt included."""
     own: dict[str, Any] = {letter: node.datasets[letter].values for letter in "ABCD" if letter in node.datasets}
     dt: Any = node.datasets["dt"].values if "dt" in node.datasets else node.attrs.get("dt", 0.0)
     if len(own) < 4 or any(isinstance(X, Unread) or X.ndim != 2 for X in own.values()):
@@ -225,7 +224,7 @@ def _same(node: Tree, pattern: str, claims: Sequence[Claim]) -> bool:
 
 
 def _in_parts(own: Mapping[str, Any], named: Sequence[Any]) -> Iterator[bool]:
-    """Whether a model is one of those that stand side by side in a larger one: states, inputs and outputs in a row."""
+    """Test whether a model is a block of a larger one, with consecutive states, inputs and outputs."""
     n, (p, m), (N, (P, M)) = len(own["A"]), own["D"].shape, (len(named[0]), named[3].shape)
     places = [(slice(i, i + n), slice(j, j + m), slice(k, k + p))
               for i in range(N - n + 1) for j in range(M - m + 1) for k in range(P - p + 1)]  # fmt: skip
@@ -234,16 +233,16 @@ def _in_parts(own: Mapping[str, Any], named: Sequence[Any]) -> Iterator[bool]:
 
 
 def _others(node: Tree, covered: set[str], above: str = "") -> list[str]:
-    """The numbers that are not covered; a group in which none is has one name."""
-    told = [f"{above}{signal_name(link)}" for link, dataset in node.datasets.items()
+    """Return the names of numbers that are not covered; a group without any covered one has one name."""
+    names = [f"{above}{signal_name(link)}" for link, dataset in node.datasets.items()
             if _is_number(dataset) and node.child_path(link) not in covered]  # fmt: skip
     for link, group in node.groups.items():
         name = f"{above}{signal_name(link)}"
         if any(path.startswith(f"{group.path}/") for path in covered):
-            told += _others(group, covered, f"{name}/")
+            names += _others(group, covered, f"{name}/")
         elif group.path not in ("/claims", "/provenance") and any(map(_is_number, dict(group.walk()).values())):
-            told.append(name)
-    return told
+            names.append(name)
+    return names
 
 
 def _is_number(thing: Dataset | Tree) -> bool:

@@ -1,4 +1,4 @@
-"""A model with the filters of its multipliers: one set of states, and rows for every signal that is weighed."""
+"""A model with the filters of its multipliers: one set of states, and rows for every weighted signal."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from robustlab.verification.models import Model
 
 
 class Filtered:
-    """The model with the filters that its constraints ask for; a signal is a matrix of rows over (x, q).
+    """The model with the filters of its constraints; a signal is a matrix of rows over (x, q).
 
-    ``filters`` states and ``extra`` inputs are asked for in all, so that every row has its final length.
+    ``filters`` states and ``extra`` inputs are the totals, so that every row has its final length.
     """
 
     def __init__(self, G: Model, filters: int, extra: int) -> None:
@@ -31,20 +31,17 @@ class Filtered:
         return exact(np.eye(self.width)[first : first + count])
 
     def output(self, rows: slice) -> Matrix:
-        """Outputs of the model."""
         return self._wide(part(self.G.C, rows, slice(None)), part(self.G.D, rows, slice(None)))
 
     def input(self, cols: slice) -> Matrix:
-        """Inputs of the model."""
         return self.units(self.n + cols.start, cols.stop - cols.start)
 
     def added(self, count: int) -> Matrix:
-        """New inputs r."""
         self.used += count
         return self.units(self.n + self.used - count, count)
 
     def stages(self, signal: Matrix, pole: float, order: int, driven: Sequence[Matrix] = ()) -> list[Matrix]:
-        """The signal behind each power of ``a / (s + a)``; each stage is driven by more where that is given."""
+        """Return the signal behind each power of ``a / (s + a)``; ``driven``: a further input of each stage."""
         found: list[Matrix] = []
         for j in range(order):
             own, source = self.units(self.states, signal.nrows()), found[-1] if found else signal
@@ -55,5 +52,5 @@ class Filtered:
         return found
 
     def derivative(self, rows: slice) -> Matrix:
-        """Of outputs without a direct term."""
+        """Return the derivative of outputs without a direct term."""
         return part(self.G.C, rows, slice(None)) * self.rates[0]

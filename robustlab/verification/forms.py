@@ -1,4 +1,4 @@
-r"""Blocks of Delta, the scalings that belong to them, and the form whose definiteness bounds mu.
+r"""Blocks of Delta, their scalings, and the form whose definiteness bounds mu.
 
 The loop is :math:`w = \Delta z,\ z = M w`, singular where :math:`\det(I - M \Delta) = 0`. Block i may have the norm
 :math:`1/\ell_i`, with :math:`\ell_i` its level; L is diag(level) on the channels of w.
@@ -48,7 +48,7 @@ class Block:
 
 
 def read_shapes(claim: Claim, kinds: Sequence[int] = (REAL, COMPLEX, FULL)) -> list[list[int]]:
-    """``[kind, rows, cols]`` of each block; InputError where one is of no kind of these, or a scalar is not square."""
+    """Return ``[kind, rows, cols]`` of each block; InputError for another kind, or a scalar that is not square."""
     table = whole(claim, "blocks", (None, 3)).tolist()
     for kind, rows, cols in table:
         if kind not in kinds or rows < 1 or cols < 1 or not (rows == cols or kind == FULL):
@@ -57,7 +57,7 @@ def read_shapes(claim: Claim, kinds: Sequence[int] = (REAL, COMPLEX, FULL)) -> l
 
 
 def read_blocks(claim: Claim, q: int, p: int) -> list[Block]:
-    """The blocks of a Delta (q, p) with their levels; InputError where they do not fill it exactly."""
+    """Return the blocks of a Delta (q, p) with their levels; InputError where they do not fill it exactly."""
     table = read_shapes(claim)
     result = placed(table, _levels(claim, len(table)))
     found = (result[-1].w.stop, result[-1].z.stop) if result else (0, 0)
@@ -67,7 +67,7 @@ def read_blocks(claim: Claim, q: int, p: int) -> list[Block]:
 
 
 def placed(table: Sequence[Sequence[int]], levels: Sequence[float]) -> list[Block]:
-    """Blocks ``[kind, rows, cols]`` in this order, with the channels that follow each other."""
+    """Return blocks ``[kind, rows, cols]`` in this order, with consecutive channels."""
     result: list[Block] = []
     row = col = 0
     for (kind, rows, cols), level in zip(table, levels, strict=True):
@@ -94,7 +94,7 @@ class Form:
     G: Matrix | None  # (q, p); None: zero
 
     def of(self, M: Matrix) -> Matrix:
-        """F of a matrix M (p, q), shape (q, q)."""
+        """Return F of a matrix M (p, q), shape (q, q)."""
         result = self.weighted - adjoint(M) * (self.D_z * M)
         if self.G is None:
             return result
@@ -102,7 +102,7 @@ class Form:
         return result - acb(0, 1) * (cross - adjoint(cross))
 
     def of_sum(self, D: Matrix, C: Matrix) -> Quadratic:
-        """F as a function of X (n, q), with ``M = D + C X``."""
+        """Return F as a function of X (n, q), with ``M = D + C X``."""
         C_star = adjoint(C)
         linear = C_star * (self.D_z * D)
         if self.G is not None:
@@ -119,12 +119,11 @@ class Quadratic:
     square: Matrix
 
     def at(self, X: Matrix) -> Matrix:
-        """Its value, shape (q, q)."""
         half = adjoint(X) * (self.linear + self.square * X * arb(0.5))
         return self.constant - half - adjoint(half)
 
     def higher(self, X: Sequence[Matrix], S: Matrix) -> list[Matrix]:
-        r"""With :math:`X(e) = \sum_k e^k X_k`, e real: the coefficients of :math:`S^* F(e) S` from e^1 on."""
+        r"""Return the coefficients of :math:`S^* F(e) S` from e^1 on, :math:`X(e) = \sum_k e^k X_k`, e real."""
         X = [x * S for x in X]
         into, degree = [self.square * x for x in X], len(X) - 1
         lowest = self.linear * S + into[0]
@@ -140,7 +139,7 @@ class Quadratic:
 
 
 def read_scalings(claim: Claim, q: int, p: int, *front: int) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """``D_w`` (q, q), ``D_z`` (p, p), ``G`` (q, p) of a claim, with these leading axes."""
+    """Return ``D_w`` (q, q), ``D_z`` (p, p), ``G`` (q, p) of a claim, with these leading axes."""
     D_w, D_z = (complex_or_real(claim, name, (*front, n, n)) for name, n in (("D_w", q), ("D_z", p)))
     return D_w, D_z, complex_or_real(claim, "G", (*front, q, p))
 
@@ -148,7 +147,7 @@ def read_scalings(claim: Claim, q: int, p: int, *front: int) -> tuple[NDArray[An
 def scaled_form(
     blocks: Sequence[Block], D_w: NDArray[Any], D_z: NDArray[Any], G: NDArray[Any], work: Work
 ) -> Form | None:
-    """The form of these scalings; None where D_w > 0 was not proved. InputError: they do not have the structure."""
+    """Return the form of these scalings; None where D_w > 0 was not proved. InputError: another structure."""
     check_scalings(blocks, D_w, D_z, G)
     work.spend(len(D_w))
     if not definite(exact(D_w)).proved:
@@ -158,12 +157,12 @@ def scaled_form(
 
 
 def gain_form(m: int, p: int, gamma: float) -> Form:
-    """The form of one full block (m, p) of level gamma, D = 1: :math:`gamma^2 I - M^* M`, the norm itself."""
+    """Return the form of the norm, :math:`gamma^2 I - M^* M`: one full block (m, p) of level gamma, D = 1."""
     return Form(identity(m) * arb(gamma) ** 2, identity(p), None)
 
 
 def check_scalings(blocks: Sequence[Block], D_w: NDArray[Any], D_z: NDArray[Any], G: NDArray[Any]) -> None:
-    """InputError where D_w, D_z, G do not have the theorem's structure to the last bit (D_w > 0 is not looked at)."""
+    """Check the theorem's structure of D_w, D_z, G to the last bit, except for D_w > 0."""
     for i, block in enumerate(blocks):
         w, z = D_w[block.w, block.w], D_z[block.z, block.z]
         if block.kind == FULL:
@@ -182,7 +181,7 @@ def check_scalings(blocks: Sequence[Block], D_w: NDArray[Any], D_z: NDArray[Any]
         for block in blocks:
             rest[getattr(block, rows), getattr(block, cols)] = 0
         if rest.any():
-            raise InputError(name, "entries beside the blocks", "zeros there")
+            raise InputError(name, "entries outside the blocks", "zeros there")
 
 
 def _equal(X: NDArray[Any], Y: NDArray[Any]) -> bool:
@@ -190,7 +189,7 @@ def _equal(X: NDArray[Any], Y: NDArray[Any]) -> bool:
 
 
 def check_delta(blocks: Sequence[Block], delta: NDArray[Any]) -> None:
-    """InputError where ``delta`` (q, p) does not have the blocks' structure to the last bit."""
+    """Check the blocks' structure of ``delta`` (q, p) to the last bit."""
     rest = delta.copy()
     for i, block in enumerate(blocks):
         own: Any = delta[block.w, block.z]
@@ -199,11 +198,11 @@ def check_delta(blocks: Sequence[Block], delta: NDArray[Any]) -> None:
             raise InputError(f"delta of block {i}", "not of the structure", "what its kind allows, to the last bit")
         rest[block.w, block.z] = 0
     if rest.any():
-        raise InputError("delta", "entries beside the blocks", "zeros there")
+        raise InputError("delta", "entries outside the blocks", "zeros there")
 
 
 def within(blocks: Sequence[Block], delta: Matrix, allowance: arb, work: Work) -> bool:
-    """Whether each block of every Delta in the balls (of the structure) has a norm of at most ``allowance / level``."""
+    """Prove that each block of every Delta in the balls (of the structure) has norm <= ``allowance / level``."""
     for block in blocks:
         own, limit = part(delta, block.w, block.z), allowance / arb(block.level)
         if block.kind != FULL:

@@ -2,7 +2,7 @@ r"""Gain and stability of loops with blocks that vary or are nonlinear: one matr
 
 The loop is w = Delta(z), from the model's first inputs and outputs; the others, u and y, are the performance. A real
 block is :math:`c z + s h\, \delta(z)`, c and h middle and half width of its range, s the ``size``; other blocks are
-s times a unit one. So the unit blocks see the model of `boxes.within_box` with its columns times s.
+s times a unit one. So the unit blocks close the model of `boxes.within_box` with its columns times s.
 
 Theorem (Megretski, Rantzer 1997). Let A be stable with all blocks at their middles. Let the signals
 :math:`v_i = C_i x + D_i q` of the model with stable filters, :math:`\dot x = A x + B q`, x(0) = 0, q = (w, u, r), be
@@ -44,7 +44,7 @@ HIGHEST = 8  # power of a filter
 
 
 def prove_multipliers(claim: Claim, work: Work, gain: bool) -> Verdict:
-    """The module's theorem: the ``gain`` of the whole set is at most ``gamma``; or it is stable at ``size``.
+    """Prove by the theorem that the ``gain`` of the set is at most ``gamma``, or that it is stable at ``size``.
 
     The model of datasets ``A .. D`` (or a loop) has the channels of ``blocks`` first. ``pole`` is a, ``order`` nu;
     ``multipliers`` holds the numbers of each block's constraints in the order of the text, triangles row by row; ``P``
@@ -100,7 +100,7 @@ def prove_multipliers(claim: Claim, work: Work, gain: bool) -> Verdict:
 
 
 def _free(G: Model, z: slice, w: int) -> tuple[bool, bool]:
-    """Whether the rows z of D are zero, exactly: those from the first w inputs, and all."""
+    """Test whether the rows z of D are exactly zero: those from the first w inputs, and all."""
     entries = [[x == 0 for x in line] for line in part(G.D, z, slice(None)).tolist()]
     return all(all(line[:w]) for line in entries), all(all(line) for line in entries)
 
@@ -108,7 +108,7 @@ def _free(G: Model, z: slice, w: int) -> tuple[bool, bool]:
 def _about_the_middles(
     G: Model, blocks: Sequence[Block], natures: Sequence[Nature], w: int, size: float
 ) -> Model | None:
-    """The model that the unit blocks see, w of them; None where it was not proved to be well posed."""
+    """Return the model in feedback with the w unit blocks; None where it was not proved to be well posed."""
     z = blocks[-1].z.stop if blocks else 0
     rest = Block(FULL, slice(w, G.m), slice(z, G.p), 1.0)
     inside = within_box(G, [*blocks, rest], [*(n.range for n in natures), (-1.0, 1.0)])

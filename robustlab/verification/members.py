@@ -1,8 +1,8 @@
-r"""A Delta that makes the loop singular, a member of the set that is not stable: proved to exist, near given numbers.
+r"""Proves that a Delta near given numbers makes the loop singular, or gives an unstable member of the set.
 
-Numbers in a file never make a determinant zero exactly. What is proved is that a zero lies next to them: a family of
-matrices :math:`K(s) = K_0 + \sum_i s_i K_i`, affine in one or two real numbers, is singular for some
-:math:`|s_i| \le r_i` with proved r. Border K by two vectors b, c that make it regular; then
+Stored numbers never make a determinant exactly zero. Proved is a zero close to them: a family of matrices
+:math:`K(s) = K_0 + \sum_i s_i K_i`, affine in one or two real numbers, is singular for some :math:`|s_i| \le r_i` with
+proved r. Border K by two vectors b, c that make it regular; then
 
 .. math:: g(s) = e^T \begin{pmatrix} K(s) & b \\ c^* & 0 \end{pmatrix}^{-1} e = \frac{\det K(s)}{\det(\text{bordered})},
           \qquad \frac{\partial g}{\partial s_i} = -y^T K_i x ,
@@ -35,38 +35,38 @@ from robustlab.verification.models import Model, model_of, on_the_axis
 from robustlab.verification.norms import climb
 from robustlab.verification.stability import eigenvalues, outside
 
-ALLOWANCE = 1 + 1e-9  # a Delta may be so much larger than the level says
-LARGER = 1 + 5e-10  # half of it: by so much the given Delta is enlarged, so that its pole lies beyond the boundary
+ALLOWANCE = 1 + 1e-9  # largest norm of a Delta times its level
+LARGER = 1 + 5e-10  # half of it: enlarges the given Delta, to move its pole beyond the boundary
 WIDER = (4.0, 64.0, 1e4)  # half width of the box over the first Newton step
-LEAST = 1e-20  # a change of g below which no box is asked for
+LEAST = 1e-20  # smallest half width of a box, as a change of g
 CANDIDATES = 3  # poles next to the boundary that are tried
 
 
 def prove_mu_lower(claim: Claim, work: Work) -> Verdict:
-    """Some Delta of the ``blocks`` within (1 + 1e-9)/``level`` makes I - M Delta singular, near ``delta``."""
+    """Prove that a Delta of the ``blocks`` within (1 + 1e-9)/``level`` near ``delta`` makes I - M Delta singular."""
     M = complex_or_real(claim, "M", (None, None))
     blocks = read_blocks(claim, M.shape[1], M.shape[0])
     return singular_member(claim, exact(M), blocks, work, ALLOWANCE)
 
 
 def prove_unstable_member(claim: Claim, work: Work) -> Verdict:
-    """A member with a constant Delta within (1 + 1e-9)/``level`` has a pole on or beyond the boundary, near ``delta``.
+    """Prove that a constant Delta within (1 + 1e-9)/``level`` near ``delta`` gives a pole on or beyond the boundary.
 
-    A member that is not well posed (I - D Delta singular) counts as one.
+    A member that is not well posed (I - D Delta singular) counts, too.
     """
     G = model_of(claim)
     return unstable_member(claim, read_blocks(claim, G.m, G.p), work, ALLOWANCE)
 
 
 def given_delta(claim: Claim, blocks: Sequence[Block], q: int, p: int) -> NDArray[Any]:
-    """The dataset ``delta`` (q, p); InputError where it has not the structure."""
+    """Return the dataset ``delta`` (q, p); InputError where it has not the structure."""
     delta = complex_or_real(claim, "delta", (q, p))
     check_delta(blocks, delta)
     return delta
 
 
 def singular_member(claim: Claim, M: Matrix, blocks: Sequence[Block], work: Work, allowance: float) -> Verdict:
-    """Whether a Delta of the structure with norms within ``allowance / level`` makes I - M Delta singular."""
+    """Prove that a Delta of the structure with norms within ``allowance / level`` makes I - M Delta singular."""
     p, q = M.nrows(), M.ncols()
     delta = given_delta(claim, blocks, q, p)
 
@@ -89,9 +89,9 @@ def singular_member(claim: Claim, M: Matrix, blocks: Sequence[Block], work: Work
 
 
 def _directions(M: Matrix, K: Matrix, blocks: Sequence[Block]) -> list[Any]:
-    """Changes of Delta, of its structure to the last bit, that move g by about 1 and (complex) by j: hints.
+    """Estimate the smallest changes of Delta, relative to each block's level, that move g by 1 and (complex) by j.
 
-    The smallest such changes, each block measured by what it may be.
+    They have Delta's structure to the last bit.
     """
     middle = midpoints(K)
     real = not np.iscomplexobj(middle)
@@ -114,7 +114,7 @@ def _directions(M: Matrix, K: Matrix, blocks: Sequence[Block]) -> list[Any]:
 
 
 def zero_within(K: Matrix, directions: Sequence[Matrix], work: Work) -> list[arb] | None:
-    """Half widths r so that ``K + sum s_i directions_i`` is singular for some ``|s_i| <= r_i``; None: not proved.
+    """Return half widths r so that ``K + sum s_i directions_i`` is singular for some ``|s_i| <= r_i``, or None.
 
     ``K``: ball matrix (n, n); the claim holds for the exact matrix in it. One direction with real matrices, else two.
     """
@@ -153,7 +153,7 @@ def zero_within(K: Matrix, directions: Sequence[Matrix], work: Work) -> list[arb
 def _value_and_slopes(
     K: Matrix, directions: Sequence[Matrix], border: tuple[Matrix, Matrix]
 ) -> tuple[Matrix, Matrix] | None:
-    """The real equations g = 0: their values, a column, and slopes, one column each; None: the border is no help."""
+    """Return the values of the real equations g = 0, a column, and their slopes; None: the bordered K is singular."""
     n, kind = K.nrows(), type(K)
     bordered = stack([[K, border[0]], [border[1], zeros(1, 1)]])
     last = kind(n + 1, 1, [0] * n + [1])
@@ -170,7 +170,7 @@ def _value_and_slopes(
 
 
 def unstable_member(claim: Claim, blocks: Sequence[Block], work: Work, allowance: float) -> Verdict:
-    """Whether a Delta within ``allowance / level`` gives the model a pole on or beyond the boundary, or no solution."""
+    """Prove that a Delta within ``allowance / level`` gives a pole on or beyond the boundary, or no solution."""
     G = model_of(claim)
     delta = given_delta(claim, blocks, G.m, G.p)
 
@@ -200,17 +200,17 @@ def unstable_member(claim: Claim, blocks: Sequence[Block], work: Work, allowance
 
 
 def closed(G: Model, delta: Matrix) -> Matrix | None:
-    r"""A of the member: :math:`A + B \Delta (I - D \Delta)^{-1} C`; None where it was not proved to be well posed."""
+    r"""Return A of the member, :math:`A + B \Delta (I - D \Delta)^{-1} C`; None where not proved to be well posed."""
     N = inverse(identity(G.p) - G.D * delta)
     return None if N is None else G.A + G.B * delta * N * G.C
 
 
 def _scale_at_boundary(G: Model, delta: Matrix, pole: complex, work: Work) -> arb | None:
-    r"""A ball with a factor s for which ``s Delta`` gives a pole on the boundary, next to ``pole``; None: not proved.
+    r"""Return a ball with a factor s for which ``s Delta`` gives a pole on the boundary near ``pole``, or None.
 
     The matrix :math:`\begin{pmatrix} j\omega - A & -s B \Delta \\ -C & I - s D \Delta \end{pmatrix}` is singular where
     jw is a pole of the member (I - s D Delta regular), or where the member is not well posed. It is affine in s, w.
-    A discrete model is mapped to the axis first; its pole at -1 is a real case of its own, like one at 1, or at 0.
+    A discrete model is mapped to the axis first; its pole at -1 is a separate real case, like one at 1, or at 0.
     """
     real = not np.iscomplexobj(midpoints(delta)) and abs(pole.imag) <= 1e-6 * abs(pole)
     at = (math.copysign(1.0, pole.real) if G.dt else 0.0) + 0j

@@ -1,8 +1,8 @@
-r"""State-space models whose entries are balls: as stored, closed by a controller, subtracted, or with the axis mapped.
+r"""State-space models whose entries are balls: stored, in feedback with a controller, subtracted, or mapped.
 
 .. math:: \dot x = A x + B u, \quad y = C x + D u \qquad (\text{discrete: } x^+ = A x + B u)
 
-What is stored is exact; what is computed from it (a loop's inverse) is a ball matrix around the exact model.
+Stored models are exact; computed ones (a loop's inverse) are ball matrices around the exact model.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from robustlab.verification.balls import (
     exact,
     identity,
     inverse,
-    magnitudes,
     midpoints,
     part,
     stack,
@@ -29,10 +28,8 @@ from robustlab.verification.balls import (
 )
 from robustlab.verification.claim import Claim, complex_or_real, real, scalar, whole
 
-CLOSE = 1e8  # condition of the eigenvectors, above which more is lost in cancellation than is gained
-TINY = 1e-300  # what is smaller counts as so much where units of states are chosen
+TINY = 1e-300  # lower limit of entries in the choice of units of states
 SWEEPS = 10  # through all states
-SEPARATE = 1e-6  # modal coordinates are used where they leave no more than this beside the diagonal
 
 
 @dataclass(frozen=True)
@@ -47,17 +44,14 @@ class Model:
 
     @property
     def n(self) -> int:
-        """States."""
         return self.A.nrows()
 
     @property
     def p(self) -> int:
-        """Outputs."""
         return self.D.nrows()
 
     @property
     def m(self) -> int:
-        """Inputs."""
         return self.D.ncols()
 
     @property
@@ -67,7 +61,7 @@ class Model:
 
 
 def stored(claim: Claim, name: str = "{}") -> Model:
-    """The model whose datasets are called ``name`` with A, B, C, D in place of the braces; ``dt`` beside them."""
+    """Return the model of the datasets ``name`` with A, B, C, D in place of the braces, and ``dt``."""
     A, B, C, D = (real(claim, name.format(letter), (None, None)) for letter in "ABCD")
     n, (p, m) = len(A), D.shape
     for letter, shape in (("A", (n, n)), ("B", (n, m)), ("C", (p, n))):
@@ -76,9 +70,9 @@ def stored(claim: Claim, name: str = "{}") -> Model:
 
 
 def loop(claim: Claim) -> Model:
-    r"""The lower LFT of plant ``P_A ..`` and controller ``K_A ..``, states in this order.
+    r"""Return the lower LFT of plant ``P_A ..`` and controller ``K_A ..``, states in this order.
 
-    The last ``n_meas`` outputs y and ``n_con`` inputs u of the plant are closed by u = K y (no sign is added). With
+    u = K y (no sign is added) connects the last ``n_meas`` outputs y and ``n_con`` inputs u of the plant. With
     :math:`N = (I - D_{22} D_K)^{-1}`: :math:`y = N (C_2 x + D_{22} C_K x_K + D_{21} w)`, :math:`u = C_K x_K + D_K y`.
     Raises InputError: sizes that do not fit, a loop that was not proved to be well posed.
     """
@@ -103,7 +97,7 @@ def loop(claim: Claim) -> Model:
 
 
 def model_of(claim: Claim) -> Model:
-    """The model of a claim: the loop of a plant ``P_A ..``, the difference of ``A1 ..`` and ``A2 ..``, or ``A ..``."""
+    """Return the model: the loop of a plant ``P_A ..``, the difference of ``A1 ..`` and ``A2 ..``, or ``A ..``."""
     there = [name for name in ("P_A", "A1", "A") if name in claim.numbers]
     if len(there) > 1:
         raise InputError("the model", f"the datasets {' and '.join(there)}", "those of one model")
@@ -111,14 +105,14 @@ def model_of(claim: Claim) -> Model:
 
 
 def static(claim: Claim) -> Model:
-    """The matrix ``M`` (p, q), real or complex, as a model without states."""
+    """Return the matrix ``M`` (p, q), real or complex, as a model without states."""
     M = complex_or_real(claim, "M", (None, None))
     p, q = M.shape
     return Model(zeros(0, 0), zeros(0, q), zeros(p, 0), exact(M), 0.0)
 
 
 def difference(claim: Claim) -> Model:
-    """G1 - G2 of ``A1 .. D1`` and ``A2 .. D2``, states in this order."""
+    """Return G1 - G2 of ``A1 .. D1`` and ``A2 .. D2``, states in this order."""
     G1, G2 = stored(claim, "{}1"), stored(claim, "{}2")
     if (G1.p, G1.m) != (G2.p, G2.m):
         raise InputError("D2", f"shape {(G2.p, G2.m)}", f"shape {(G1.p, G1.m)}")
@@ -127,7 +121,7 @@ def difference(claim: Claim) -> Model:
 
 
 def on_the_axis(G: Model) -> Model | None:
-    r"""The continuous model with the response of the discrete one: :math:`z = (1 + s)/(1 - s)`; None without a proof.
+    r"""Return the continuous model with the response of the discrete one, :math:`z = (1 + s)/(1 - s)`, or None.
 
     With :math:`N = (I + A)^{-1}`: :math:`A_c = N (A - I)`, :math:`B_c = 2 N^2 B`, :math:`C_c = C`,
     :math:`D_c = D - C N B`. The angle theta of :math:`z = e^{j\theta}` is at :math:`s = j \tan(\theta/2)`.
@@ -143,7 +137,7 @@ def on_the_axis(G: Model) -> Model | None:
 
 
 def reciprocal(G: Model) -> Model | None:
-    r"""The model :math:`R(s) = G(1/s)`, so that :math:`G(j\omega) = R(-j/\omega)`; None where A was not proved regular.
+    r"""Return :math:`R(s) = G(1/s)`, so that :math:`G(j\omega) = R(-j/\omega)`; None where A was not proved regular.
 
     :math:`A_r = A^{-1}`, :math:`B_r = A^{-1} B`, :math:`C_r = -C A^{-1}`, :math:`D_r = D - C A^{-1} B`, from
     :math:`(1/s - A)^{-1} = -s (s - A_r)^{-1} A_r` and :math:`s (s - A_r)^{-1} = I + A_r (s - A_r)^{-1}`.
@@ -155,56 +149,13 @@ def reciprocal(G: Model) -> Model | None:
     return Model(A_r, B_r, -G.C * A_r, G.D - G.C * B_r, 0.0)
 
 
-def modal(G: Model) -> tuple[Model, np.ndarray]:
-    """The same response in coordinates whose A is almost diagonal, where there are any; and hints of the eigenvalues.
-
-    Exact: V is whatever floating point says, its inverse a ball matrix. Rows of B are scaled to the size of 1.
-    """
-    A = midpoints(G.A)
-    if not G.n or not np.isfinite(A).all():
-        return G, np.zeros(0)
-    values, V = np.linalg.eig(A)
-    if not _apart(V):
-        return G, values
-    moved = _moved(G, V)
-    if moved is not None:
-        rows = midpoints(magnitudes(moved.B)).max(axis=1, initial=0.0)
-        usual = (rows > 1e-100) & (rows < 1e100)
-        moved = _moved(G, V * np.exp2(np.rint(np.log2(np.where(usual, rows, 1.0)))))
-    if moved is None:
-        return G, values
-    beside = midpoints(magnitudes(moved.A - exact(np.diag(values)))).max()
-    return (moved if beside <= SEPARATE * np.abs(values).max() else G), values
-
-
-def _apart(V: np.ndarray) -> bool:
-    """Whether the eigenvectors, in units of their own for each state, are far from dependent: a hint."""
-    for axis in (1, 0, 1, 0):
-        sizes = np.abs(V).max(axis=axis, keepdims=True)
-        if not (sizes > 0).all():
-            return False
-        V = V / sizes
-    return bool(np.linalg.cond(V) < CLOSE)
-
-
-def _moved(G: Model, V: np.ndarray) -> Model | None:
-    """``V^-1 A V, V^-1 B, C V, D``; None where V was not proved regular."""
-    T = exact(V)
-    try:
-        both = T.solve(stack([[G.A * T, G.B]]))
-    except ZeroDivisionError:
-        return None
-    n, rows = G.n, slice(0, G.n)
-    return Model(part(both, rows, slice(0, n)), part(both, rows, slice(n, n + G.m)), G.C * T, G.D, G.dt)
-
-
 def shifted(G: Model, w: float) -> Matrix:
-    """The ball matrix ``j w - A`` at the exact frequency ``w``."""
+    """Return the ball matrix ``j w - A`` at the exact frequency ``w``."""
     return exact(1j * w * np.eye(G.n)) - G.A
 
 
 def gain_exceeds(G: Model, w: float, gamma: float) -> bool:
-    r"""Whether :math:`|G(jw) u| > gamma |u|` for the direction u that floating point finds; w = inf: u through D.
+    r"""Prove :math:`|G(jw) u| > gamma |u|` for the direction u that floating point finds; w = inf: u through D.
 
     ``G`` continuous (`on_the_axis` first). Exact: u is exact, the response at it a ball.
     """
@@ -220,7 +171,7 @@ def gain_exceeds(G: Model, w: float, gamma: float) -> bool:
 
 
 def norm_exceeds(M: Matrix, gamma: float) -> bool:
-    """Whether :math:`|M u| > gamma |u|` of every matrix in M, for the direction u that floating point finds."""
+    """Prove :math:`|M u| > gamma |u|` of every matrix in M, for the direction u that floating point finds."""
     hint = midpoints(M)
     if not hint.size or not np.isfinite(hint).all():
         return False
@@ -231,9 +182,9 @@ def norm_exceeds(M: Matrix, gamma: float) -> bool:
 
 
 def balanced(G: Model) -> Model:
-    """The same response with states in units, powers of two, that make each one's row as large as its column.
+    """Scale the states by powers of two so that each one's row, without the diagonal of A, is as large as its column.
 
-    Exact; entries of A beside the diagonal, B and C count. What floating point makes of the matrices stays in range.
+    Exact; it keeps floating-point hints in range.
     """
     sizes = [np.abs(midpoints(X)) for X in (G.A, G.B, G.C)]
     if not all(np.isfinite(X).all() for X in sizes):
@@ -244,7 +195,7 @@ def balanced(G: Model) -> Model:
 
 
 def exponents(A: NDArray[np.float64], B: NDArray[np.float64], C: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Powers of two (n,) for the rows of A and B that make each row as large as its column, in A and C."""
+    """Return exponents of two (n,) for the rows of A and B that make each as large as its column in A and C."""
     A, B, C = (np.log2(np.maximum(X, TINY)) for X in (A, B, C))
     np.fill_diagonal(A, np.log2(TINY))
     unit = np.zeros(len(A))

@@ -1,4 +1,4 @@
-r"""Bounds of mu from above: of one matrix, and of a model at every frequency of the axis or of a band."""
+r"""Upper bounds of mu: of one matrix, and of a model at every frequency of the axis or of a band."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from robustlab.verification.stability import stable
 
 
 def prove_mu_upper(claim: Claim, work: Work) -> Verdict:
-    """No Delta of the ``blocks`` with norms within 1/``level`` makes I - M Delta singular, by ``D_w``, ``D_z``, ``G``.
+    """Prove by ``D_w``, ``D_z``, ``G`` that no Delta with norms within 1/``level`` makes I - M Delta singular.
 
     ``M`` (p, q). A dataset ``delta`` (q, p) may refute it.
     """
@@ -53,10 +53,10 @@ def prove_mu_upper(claim: Claim, work: Work) -> Verdict:
 
 
 def prove_mu_axis(claim: Claim, work: Work) -> Verdict:
-    """A is stable, and at every frequency no Delta within 1/``level`` makes I - M(jw) Delta singular.
+    """Prove that A is stable, and at every frequency no Delta within 1/``level`` makes I - M(jw) Delta singular.
 
     Evidence: intervals ``low``, ``high`` (k,) in rad/s with their scalings ``D_w``, ``D_z``, ``G`` (k, ...); ``P`` may
-    prove that A is stable. A dataset ``band`` (2,) limits the claim to the band, and then nothing is said of stability.
+    prove that A is stable. A dataset ``band`` (2,) limits the claim to the band, without stability.
     A dataset ``delta`` (q, p) may refute a claim over all frequencies.
     """
     G = model_of(claim)
@@ -86,10 +86,10 @@ def prove_mu_axis(claim: Claim, work: Work) -> Verdict:
 
 
 def as_performance(claim: Claim) -> Claim:
-    """The claim that the gain of no member is above ``gamma``: the last block, a full one, closes the performance.
+    """Return the mu claim for "no member's gain is above ``gamma``"; the last block, a full one, is the performance.
 
-    The other blocks have the level one; a performance block within 1/gamma that makes nothing singular says that the
-    gain from its w to its z is below gamma (main loop theorem).
+    The other blocks have the level one. If no performance block within 1/gamma makes the loop singular, the gain from
+    its w to its z is below gamma (main loop theorem).
     """
     rows = read_shapes(claim)
     if not rows or rows[-1][0] != FULL:
@@ -102,15 +102,15 @@ def as_performance(claim: Claim) -> Claim:
 
 
 def _opposed(verdict: Verdict, opposite: Verdict) -> Verdict:
-    """The refutation where the opposite was proved."""
+    """Return the refutation where the opposite was proved."""
     return refuted("the given Delta, proved to be within the bound") if opposite.proved else verdict
 
 
 def covering(claim: Claim, dt: float) -> list[tuple[int, float, float]]:
-    """Index, start and stop of what each interval has to prove, in rad/s: up to where the ones before it reach.
+    """Return index, start and stop in rad/s of the part that each interval has to prove, after those before it.
 
-    Together they cover all frequencies, or ``band``: what lies between zero and infinity, of a discrete model pi/dt,
-    with both ends. InputError where ``low`` and ``high`` do not.
+    Together they cover all frequencies, zero to infinity (discrete: pi/dt), or ``band``, both ends included. InputError
+    where ``low`` and ``high`` do not.
     """
     low = real(claim, "low", (None,))
     high = real(claim, "high", (len(low),), infinite=True)
@@ -135,6 +135,5 @@ def covering(claim: Claim, dt: float) -> list[tuple[int, float, float]]:
 
 
 def beyond_nyquist(w: float, dt: float) -> bool:
-    """Whether w dt >= pi of a discrete model, for certain."""
     with precision(PRECISIONS[-1]):
         return bool(dt > 0 and arb(w) * arb(dt) >= arb.pi())

@@ -1,17 +1,17 @@
-r"""What is known of a block of Delta, as integral quadratic constraints; and whether a multiplier is of its class.
+r"""Integral quadratic constraints of the block types of Delta, with checks that multipliers belong to their classes.
 
 .. math:: \int_0^\infty v^T M v \, dt \ge 0 \quad\text{for all } z \in L_2,\ w = \Delta(z)
 
-zeta is a signal behind 1, :math:`\frac{a}{s+a}, .., (\frac{a}{s+a})^\nu`, a > 0, from rest. All matrices X and Q that
-follow are positive definite, Y is skew; X counts once for each channel of a full block. Each constraint holds for tau
-times the block, too, tau from 0 to 1.
+zeta is a signal filtered by 1, :math:`\frac{a}{s+a}, .., (\frac{a}{s+a})^\nu`, a > 0, from zero states. All matrices X
+and Q below are positive definite, Y is skew; X counts once for each channel of a full block. Each constraint holds for
+tau times the block, too, tau from 0 to 1.
 
 - Time-invariant block (nu), or one that varies (nu = 0): :math:`\zeta_z^T X \zeta_z - \zeta_w^T X \zeta_w`. Of a
   linear block of gain at most one: in the frequency domain :math:`\psi^* X \psi \ge 0` is a scaling that commutes.
 - Real number in [-1, 1], constant or (nu = 0) varying: also :math:`2 \zeta_z^T Y \zeta_w`, of which the integral is 0.
 - Real number with :math:`|\dot\delta| \le \rho`: both with :math:`\zeta_w` driven by
   :math:`\rho r_j = \dot\delta \zeta_{z,j}`, so that :math:`\zeta_w = \delta \zeta_z` at each instant; the same two
-  constraints say that :math:`r = (\dot\delta/\rho) \zeta_z`, from the first power of the filter on.
+  constraints state :math:`r = (\dot\delta/\rho) \zeta_z`, from the first power of the filter on.
 - Law in the sector [-1, 1]: :math:`x (z^2 - w^2)`, x > 0. Steady, and z without a direct term: :math:`2 x w \dot z`, x
   of either sign, whose integral is that of the law from z(0) = 0 to :math:`z(\infty) = 0` (Popov).
 - Law with slopes in [m, k]: p = k z - w and q = w - m z do not fall with z, so (Zames, Falb 1968)
@@ -48,7 +48,7 @@ CONSTANT, VARYING, SECTOR, SLOPE = 0, 1, 2, 3
 
 @dataclass(frozen=True)
 class Nature:
-    """What a block is: the kind of it, for a law whether it is odd and steady; and numbers in the model's own units."""
+    """The type of a block, for a law whether it is odd and steady, and its numbers in the model's units."""
 
     kind: int
     odd: bool
@@ -58,13 +58,13 @@ class Nature:
     rate: float  # of change, per second; inf: no bound
 
     def order(self, order: int) -> int:
-        """The highest power of a filter that its constraints allow."""
+        """Return the highest power of a filter that its constraints allow."""
         fast = self.kind == VARYING and math.isinf(self.rate)
         return 0 if fast or self.kind == SECTOR or (self.kind == SLOPE and not self.steady) else order
 
 
 def read_natures(claim: Claim, blocks: Sequence[Block]) -> list[Nature]:
-    """``nature`` (k, 3): kind, odd, steady; ``ranges``, ``slope`` (k, 2), ``rate`` (k,). InputError: no such class."""
+    """Read ``nature`` (k, 3): kind, odd, steady; ``ranges``, ``slope`` (k, 2), ``rate`` (k,)."""
     k = len(blocks)
     table, rates = whole(claim, "nature", (k, 3)).tolist(), real(claim, "rate", (k,), infinite=True).tolist()
     ranges, slopes = (real(claim, name, (k, 2)).tolist() for name in ("ranges", "slope"))
@@ -86,26 +86,26 @@ def read_natures(claim: Claim, blocks: Sequence[Block]) -> list[Nature]:
 
 
 class Multipliers:
-    """The numbers of all multipliers in their order, read one after the other; what must be positive is proved so."""
+    """Reader of the numbers of all multipliers in their order; proves definiteness where it is required."""
 
     def __init__(self, values: NDArray[np.float64], work: Work) -> None:
         self.values, self.at, self.work, self.positive = values, 0, work, True
 
     def take(self, count: int) -> NDArray[np.float64]:
-        """The next ones. InputError: there are not so many."""
+        """Return the next numbers. InputError: there are fewer."""
         self.at += count
         if self.at > len(self.values):
             raise InputError("multipliers", f"{len(self.values)} numbers", f"{self.at} or more")
         return self.values[self.at - count : self.at]
 
     def skew(self, size: int) -> NDArray[np.float64]:
-        """A skew matrix, from what is above its diagonal, row by row."""
+        """Read a skew matrix, the entries above its diagonal row by row."""
         X = np.zeros((size, size))
         X[np.triu_indices(size, 1)] = self.take(size * (size - 1) // 2)
         return X - X.T
 
     def definite(self, size: int) -> NDArray[np.float64]:
-        """A symmetric matrix, from its upper triangle, row by row."""
+        """Read a symmetric matrix, its upper triangle row by row, and prove it positive definite."""
         X = np.zeros((size, size))
         X[np.triu_indices(size)] = self.take(size * (size + 1) // 2)
         X = X + np.triu(X, 1).T
@@ -115,7 +115,7 @@ class Multipliers:
 
 
 def scaled(above: Matrix, below: Matrix, size: int, copies: tuple[int, int], number: bool, x: Multipliers) -> Matrix:
-    """X on ``above`` less X on ``below``; of a real number also Y between them."""
+    """Return X on ``above`` minus X on ``below``; of a real number plus Y between them."""
     X = x.definite(size)
     over, under = (exact(np.kron(X, np.eye(k))) for k in copies)
     S = above.transpose() * over * above - below.transpose() * under * below
@@ -126,7 +126,7 @@ def scaled(above: Matrix, below: Matrix, size: int, copies: tuple[int, int], num
 
 
 def linear(F: Filtered, block: Block, order: int, pole: float, rho: arb | None, x: Multipliers) -> Matrix:
-    """The constraints of a block that is linear; ``rho``: the bound of the rate of its number, which has filters."""
+    """Return the constraints of a linear block; ``rho``: the bound of the rate of a number with filters."""
     z, w = F.output(block.z), F.input(block.w)
     kz, kw, number = z.nrows(), w.nrows(), block.kind == REAL
     behind_z = F.stages(z, pole, order)
@@ -143,7 +143,7 @@ def linear(F: Filtered, block: Block, order: int, pole: float, rho: arb | None, 
 def law(
     F: Filtered, block: Block, nature: Nature, order: int, pole: float, free: tuple[bool, bool], x: Multipliers
 ) -> Matrix:
-    """The constraints of a law; ``free``: z has no direct term from any block, none from any input."""
+    """Return the constraints of a law; ``free``: z has no direct term from any block, none from any input."""
     z, w = F.output(block.z), F.input(block.w)
     S = zeros(F.width, F.width)
     if not free[0] and nature.kind == SECTOR:
@@ -171,7 +171,7 @@ def law(
 
 
 def _kernel(x: Multipliers, order: int) -> list[arb]:
-    """Coefficients of ``a e^-at (at)^l / l!``, l = 0, .., order - 1, of Q_1 and, from the order 2 on, Q_2."""
+    """Read the coefficients of ``a e^-at (at)^l / l!``, l = 0, .., order - 1, of Q_1 and, from order 2 on, Q_2."""
     h = [arb(0)] * order
     for shift in range(min(order, 2)):
         size = (order - 1 - shift) // 2 + 1

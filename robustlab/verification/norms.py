@@ -49,13 +49,13 @@ from robustlab.verification.forms import gain_form
 from robustlab.verification.models import Model, gain_exceeds, model_of, on_the_axis
 from robustlab.verification.stability import lyapunov_form, stable
 
-GRID = 60  # frequencies among which floating point looks for a peak
-PEAKS = 3  # of them are climbed
+GRID = 60  # frequencies of the search for a peak
+PEAKS = 3  # of them are refined
 CLIMBS = 60  # steps of the golden section
 
 
 def climb(attempt: Callable[[], Verdict]) -> Verdict:
-    """The verdict in the lowest precision that decides; the last one where none does."""
+    """Return the verdict in the lowest precision that decides; the last one where none does."""
     verdict = not_proved("")
     for bits in PRECISIONS:
         with precision(bits):
@@ -63,24 +63,24 @@ def climb(attempt: Callable[[], Verdict]) -> Verdict:
                 verdict = attempt()
             except Blurred:
                 verdict = not_proved(f"{bits} bits are not enough")
-        if verdict.outcome is not Outcome.NOT_PROVED or verdict.final:
+        if verdict.outcome is not Outcome.NOT_PROVED:
             break
     return verdict
 
 
 def evidence(claim: Claim, n: int) -> NDArray[np.float64] | None:
-    """The claim's P, None where it has none."""
+    """Return the claim's P, None where it has none."""
     return symmetric(claim, "P", n) if "P" in claim.numbers else None
 
 
 def in_two_parts(claim: Claim, n: int) -> Matrix:
-    """The claim's P, or the sum of it and ``P_low``, which has the digits that doubles have not."""
+    """Return the claim's P, plus ``P_low``, its further digits, where given."""
     P = exact(symmetric(claim, "P", n))
     return P + exact(symmetric(claim, "P_low", n)) if "P_low" in claim.numbers else P
 
 
 def prove_stable(claim: Claim, work: Work) -> Verdict:
-    """A (n, n) is stable; P (n, n), where it is there, may be the proof."""
+    """Prove that A (n, n) is stable, by P (n, n) where it is given and suffices."""
     A = real(claim, "A", (None, None))
     n = len(real(claim, "A", (len(A), len(A))))
     dt, P = scalar(claim, "dt", zero=True), evidence(claim, n)
@@ -88,7 +88,7 @@ def prove_stable(claim: Claim, work: Work) -> Verdict:
 
 
 def bounded_real_form(G: Model, P: Matrix, gamma: float) -> Matrix:
-    """The matrix of the module's text, shape (n + m, n + m)."""
+    """Return the matrix of the module's text, shape (n + m, n + m)."""
     PA, PB = P * G.A, P * G.B
     if G.dt:
         parts = adjoint(G.A) * PA - P, adjoint(G.A) * PB, adjoint(G.B) * PB
@@ -101,7 +101,7 @@ def bounded_real_form(G: Model, P: Matrix, gamma: float) -> Matrix:
 
 
 def prove_norm(claim: Claim, build: Callable[[Claim], Model], work: Work) -> Verdict:
-    """The model that ``build`` makes is stable with H-infinity norm <= ``gamma``.
+    """Prove that the model of ``build`` is stable with H-infinity norm <= ``gamma``.
 
     ``P`` may be the proof (`prove_bounded_real`), ``frequency`` that of a counterexample.
     """
@@ -130,7 +130,7 @@ def prove_norm(claim: Claim, build: Callable[[Claim], Model], work: Work) -> Ver
 
 
 def prove_bounded_real(claim: Claim, build: Callable[[Claim], Model], work: Work) -> Verdict:
-    """The same by ``P`` alone (`in_two_parts`)."""
+    """Prove the same by ``P`` alone (`in_two_parts`)."""
     gamma = scalar(claim, "gamma")
 
     def attempt() -> Verdict:
@@ -144,9 +144,9 @@ def prove_bounded_real(claim: Claim, build: Callable[[Claim], Model], work: Work
 
 
 def gain_above(G: Model, gamma: float, given: float | None) -> Verdict | None:
-    """The refutation of ``norm <= gamma`` by a frequency with a larger gain; None where none was found.
+    """Return the refutation of ``norm <= gamma`` by a frequency with a larger gain; None where none was found.
 
-    ``given``: a frequency in rad/s that may be one.
+    ``given``: a candidate in rad/s.
     """
     mapped = on_the_axis(G) if G.dt else G
     if mapped is None or not (G.m and G.p):
@@ -161,7 +161,7 @@ def gain_above(G: Model, gamma: float, given: float | None) -> Verdict | None:
 
 
 def peaks(G: Model) -> list[float]:
-    """Frequencies at which floating point sees the gain of a continuous model peak: hints."""
+    """Estimate frequencies of the largest gain of a continuous model."""
     A, B, C, D = (midpoints(X) for X in (G.A, G.B, G.C, G.D))
     if not G.n or not all(np.isfinite(X).all() for X in (A, B, C, D)):
         return [0.0]
@@ -183,7 +183,7 @@ def peaks(G: Model) -> list[float]:
 
 
 def _climbed(gain: Callable[[float], float], a: float, b: float) -> float:
-    """Where a golden section between ``a`` and ``b`` ends, or the better end."""
+    """Return the result of a golden section between ``a`` and ``b``, or the better end."""
     ends, ratio = (a, b), (math.sqrt(5) - 1) / 2
     for _ in range(CLIMBS):
         left, right = b - ratio * (b - a), a + ratio * (b - a)
@@ -195,9 +195,9 @@ def _climbed(gain: Callable[[float], float], a: float, b: float) -> float:
 
 
 def prove_gramian(claim: Claim, work: Work) -> Verdict:
-    r"""The model is stable with H2 norm <= ``value``, by ``P`` (n, n; `in_two_parts`).
+    r"""Prove that the model is stable with H2 norm <= ``value``, by ``P`` (n, n; `in_two_parts`).
 
-    With P > 0 and :math:`-(A^T P + P A + C^T C) > 0` (discrete :math:`P - A^T P A - C^T C > 0`) P lies above the
+    With P > 0 and :math:`-(A^T P + P A + C^T C) > 0` (discrete :math:`P - A^T P A - C^T C > 0`) P is above the
     observability Gramian, so the norm's square is at most :math:`\mathrm{tr}(B^T P B)`, discrete plus
     :math:`\mathrm{tr}(D^T D)`. A continuous model needs D = 0, to the last bit.
     """

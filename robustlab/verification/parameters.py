@@ -1,4 +1,4 @@
-r"""Gain of a model whose matrices depend on parameters that move, for all their trajectories, between grid points too.
+r"""Gain of a model with time-varying parameters, for all their trajectories, between grid points too.
 
 .. math:: \dot x = A(\rho) x + B(\rho) u, \quad y = C(\rho) x + D(\rho) u, \qquad
     M(\rho) = \begin{bmatrix} A & B \\ C & D \end{bmatrix} = \bar M(\rho) + E(\rho), \quad |E| \le \bar E
@@ -24,9 +24,8 @@ In a cell, with :math:`\sigma \in [0, 1]^k` the place in it, M and P are :math:`
 
 with L_c the mean of L(M_v, P_w) over all pairs of vertices with v + w = c, as :math:`b_v b_w = \beta_{v+w} / \prod_i
 \binom{2}{v_i + w_i}`. :math:`\partial_i P` is the difference of the vertices of P along i over the cell's length. L is
-affine in the rates and in E (which is the same at all vertices: it is that of the place rho), so both need only be
-looked at where they are largest, of either sign; where more than three entries of E are not zero, they are balls. So if
-all L_c > 0, L > 0 in the whole cell.
+affine in the rates and in E (the same at all vertices: it is that at rho), so it suffices to test the extreme values of
+both; where more than three entries of E are not zero, they are balls. So if all L_c > 0, L > 0 in the whole cell.
 
 A loop: such a plant and a controller u = K(rho) y, multi-linear on the same grid. Where B2, D12, C2, D21 are the same
 everywhere and D22 = 0, the loop is multi-linear too, and is that of the vertices.
@@ -48,7 +47,7 @@ from robustlab.verification.balls import Matrix, definite, exact, identity, part
 from robustlab.verification.claim import PROVED, Claim, Verdict, Work, not_proved, real, scalar, whole
 from robustlab.verification.norms import climb
 
-SIGNED = 3  # entries of E up to which every choice of signs is looked at
+SIGNED = 3  # entries of E up to which every choice of signs is tested
 MOST = 6  # parameters
 
 Index = tuple[int, ...]
@@ -56,7 +55,7 @@ Stack = Mapping[Index, Matrix]  # a matrix for each point of the grid
 
 
 def prove_parameters(claim: Claim, work: Work) -> Verdict:
-    """The gain is at most ``gamma`` for all trajectories within the ranges and the bounds ``rate`` (k,) of the rates.
+    """Prove a gain of at most ``gamma`` for all trajectories within the ranges and the bounds ``rate`` (k,) of rates.
 
     Model: ``points0``, ``points1``, ... (n_i,), ascending; ``n`` states; ``M`` (n_1, ..., n_k, n + n_y, n + n_u) at
     them, or a plant ``M`` with the controller ``K`` of ``n_K`` states, ``n_meas`` and ``n_con``; ``deviation``
@@ -86,9 +85,9 @@ def prove_parameters(claim: Claim, work: Work) -> Verdict:
 
     def attempt() -> Verdict:
         models = {at: exact(np.ascontiguousarray(M[at])) for at in np.ndindex(*grid)}
-        beside = {} if deviation is None else {cell: deviation[cell] for cell in np.ndindex(*cells)}
+        bounds = {} if deviation is None else {cell: deviation[cell] for cell in np.ndindex(*cells)}
         if "K" in claim.numbers:
-            models, beside = _loops(claim, models, beside, n, n_K)
+            models, bounds = _loops(claim, models, bounds, n, n_K)
         squares = {at: exact(np.ascontiguousarray(P[at])) for at in np.ndindex(*P.shape[:k])}
         for at, X in squares.items():
             work.spend(n + n_K)
@@ -96,7 +95,7 @@ def prove_parameters(claim: Claim, work: Work) -> Verdict:
                 return not_proved(f"P > 0 was not proved at the point {at}")
         for cell in np.ndindex(*cells):
             lengths = [arb(p[i + 1]) - arb(p[i]) for p, i in zip(places, cell, strict=True)]
-            for shift in _shifts(beside.get(cell)):
+            for shift in _shifts(bounds.get(cell)):
                 for L in _coefficients(cell, models, squares, varies, rates, lengths, shift, gamma):
                     work.spend(L.nrows())
                     answer = definite(L)
@@ -115,7 +114,7 @@ def _size(claim: Claim, name: str) -> int:
 
 
 def _shifts(bound: NDArray[np.float64] | None) -> Iterator[Matrix | None]:
-    """Matrices whose convex hull holds every E within its bound."""
+    """Yield matrices whose convex hull contains every E within its bound."""
     if bound is None or not bound.any():
         yield None
         return
@@ -134,7 +133,7 @@ def _coefficients(
     cell: Index, models: Stack, squares: Stack, varies: Sequence[bool], rates: Sequence[float],
     lengths: Sequence[arb], shift: Matrix | None, gamma: float,
 ) -> Iterator[Matrix]:  # fmt: skip
-    """L_c of a cell, each c and each choice of rates at their ends. Where P is constant, c = 1 is a mean of others."""
+    """Yield L_c of a cell, each c and each choice of extreme rates. Where P is constant, c = 1 is a mean of others."""
     k, n = len(cell), next(iter(squares.values())).nrows()
     ends = [(1, -1) if v and rate else (0,) for v, rate in zip(varies, rates, strict=True)]
     for c in product(*((0, 1, 2) if v else (0, 2) for v in varies)):
@@ -157,7 +156,7 @@ def _coefficients(
 
 
 def _dissipation(PAB: Matrix, CD: Matrix, motion: Matrix, gamma: float) -> Matrix:
-    """L from P [A B] (n, n + n_u), [C D] and the derivative of P."""
+    """Return L from P [A B] (n, n + n_u), [C D] and the derivative of P."""
     n, u, y = PAB.nrows(), PAB.ncols() - PAB.nrows(), CD.nrows()
     half = stack([[PAB, zeros(n, y)], [zeros(u, n + u + y)], [stack([[CD, zeros(y, y)]])]])
     level = identity(u + y) * arb(gamma)
@@ -166,9 +165,9 @@ def _dissipation(PAB: Matrix, CD: Matrix, motion: Matrix, gamma: float) -> Matri
 
 
 def _loops(
-    claim: Claim, plants: Stack, beside: Mapping[Index, NDArray[np.float64]], n: int, n_K: int
+    claim: Claim, plants: Stack, bounds: Mapping[Index, NDArray[np.float64]], n: int, n_K: int
 ) -> tuple[Stack, Mapping[Index, NDArray[np.float64]]]:
-    """The loop at each point, states of the plant first, and E of it. InputError: the loop is not multi-linear."""
+    """Return the loop at each point, states of the plant first, and its E. InputError: it is not multi-linear."""
     y, u = _size(claim, "n_meas"), _size(claim, "n_con")
     first = next(iter(plants.values()))
     z, w = first.nrows() - n - y, first.ncols() - n - u
@@ -179,7 +178,7 @@ def _loops(
     fixed = np.zeros((n + z + y, n + w + u), dtype=bool)
     fixed[n + z :], fixed[:, n + w :] = True, True
     M = np.asarray(claim.numbers["M"])
-    same = (M[(0,) * len(grid)] == M)[..., fixed].all() and not any(E[fixed].any() for E in beside.values())
+    same = (M[(0,) * len(grid)] == M)[..., fixed].all() and not any(E[fixed].any() for E in bounds.values())
     if not same or M[..., n + z :, n + w :].any():
         raise InputError("M", "B2, C2, D12 or D21 that depend on a parameter, or D22", "constant ones, and D22 = 0")
     into, out = exact(M[(0,) * len(grid)][: n + z, n + w :]), exact(M[(0,) * len(grid)][n + z :, : n + w])
@@ -192,10 +191,10 @@ def _loops(
         own = part(X, slice(0, n + z), slice(0, n + w))
         both = stack([[own, zeros(n + z, n_K)], [zeros(n_K, n + w + n_K)]]) + U * exact(np.ascontiguousarray(K[at])) * V
         loops[at] = arb_mat(len(rows), len(cols), [both[i, j] for i in rows for j in cols])
-    wide = {cell: np.pad(E[: n + z, : n + w], ((0, n_K), (0, n_K)))[np.ix_(rows, cols)] for cell, E in beside.items()}
+    wide = {cell: np.pad(E[: n + z, : n + w], ((0, n_K), (0, n_K)))[np.ix_(rows, cols)] for cell, E in bounds.items()}
     return loops, wide
 
 
 def _order(n: int, rest: int, n_K: int) -> list[int]:
-    """From (x, signals; x_K) to (x, x_K; signals)."""
+    """Return the permutation from (x, signals; x_K) to (x, x_K; signals)."""
     return [*range(n), *range(n + rest, n + rest + n_K), *range(n, n + rest)]

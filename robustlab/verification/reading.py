@@ -1,4 +1,4 @@
-"""Claims out of a file, as arrays; what a file says of how they were found is not looked at."""
+"""Reads the claims of a file, as arrays; their origin in the file is ignored."""
 
 from __future__ import annotations
 
@@ -15,17 +15,16 @@ GROUP = "claims"
 
 
 def claims_in_file(path: str | Path) -> list[Claim]:
-    """The claims that lie in the groups ``claims/0``, ``claims/1``, ... of an HDF5 file; none where there is no such
-    group.
+    """Read the claims in the groups ``claims/0``, ``claims/1``, ... of an HDF5 file; none without such a group.
 
     A claim is a group with the attribute ``claim`` (its kind) and one dataset for each of its numbers. Raises
-    InputError: no HDF5 file, one whose content hash does not match, or a claim that is none.
+    InputError: no HDF5 file, one whose content hash does not match, or an invalid claim.
     """
     return claims_in(read_checked(path))
 
 
 def read_checked(path: str | Path) -> Tree:
-    """What is in a file. Raises InputError: no HDF5 file, or a format 1 file with a wrong header or content hash."""
+    """Read a file. Raises InputError: no HDF5 file, or a format 1 file with a wrong header or content hash."""
     root = read_tree(path)
     if is_stamped(root):
         check_header(root)
@@ -33,13 +32,12 @@ def read_checked(path: str | Path) -> Tree:
 
 
 def claims_in(root: Tree) -> list[Claim]:
-    """The claims of a file, in their order. Raises InputError: a claim that is none."""
+    """Return the claims of a file, in their order. Raises InputError: an invalid claim."""
     node = root.find(GROUP)
-    return [] if node is None else [_claim(node.groups[name]) for name in sorted(node.groups, key=_order)]
-
-
-def _order(name: str) -> tuple[int, str]:
-    return (int(name) if name.isdigit() else len(name), name)
+    if node is None:
+        return []
+    names = sorted(node.groups, key=lambda name: (int(name) if name.isdigit() else len(name), name))
+    return [_claim(node.groups[name]) for name in names]
 
 
 def _claim(node: Tree) -> Claim:

@@ -1,4 +1,4 @@
-r"""A set of models that ends in two given ones: an identity of rational numbers, with no rounding at all."""
+r"""A set of models with two given end points: an identity of rational numbers, without rounding."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from robustlab.verification.forms import REAL, read_shapes
 
 
 def prove_set(claim: Claim, work: Work) -> Verdict:
-    r"""The LFT ``A .. D`` is ``A0 .. D0`` with all parameters 0 and ``A1 .. D1`` with all of them 1, in the same state.
+    r"""Prove that the LFT ``A .. D`` is ``A0 .. D0`` at all parameters 0 and ``A1 .. D1`` at all 1, in the same state.
 
     With datasets ``delta`` (k,) and ``ranges`` (k, 2) the second is with these parameters, each within its range.
 
@@ -55,7 +55,7 @@ def prove_set(claim: Claim, work: Work) -> Verdict:
 
 
 def _parameters(claim: Claim, k: int) -> NDArray[np.float64]:
-    """All ones, or ``delta``; InputError where one of it lies outside its range."""
+    """Return all ones, or ``delta``; InputError where one of its entries is outside its range."""
     if "delta" not in claim.numbers:
         return np.ones(k)
     delta, ranges = real(claim, "delta", (k,)), real(claim, "ranges", (k, 2))
@@ -65,7 +65,6 @@ def _parameters(claim: Claim, k: int) -> NDArray[np.float64]:
 
 
 def fraction(x: float) -> fmpq:
-    """The rational number that a double is."""
     return fmpq(*x.as_integer_ratio())
 
 

@@ -1,7 +1,7 @@
 r"""Stability: every eigenvalue of A left of the imaginary axis (discrete: inside the unit circle).
 
-Lyapunov: A is stable where some P > 0 has :math:`-(A^T P + P A) > 0` (discrete: :math:`P - A^T P A > 0`). P comes with
-the claim, or floating point finds one; else the eigenvalues themselves are enclosed.
+Lyapunov: A is stable if some P > 0 has :math:`-(A^T P + P A) > 0` (discrete: :math:`P - A^T P A > 0`). P comes with
+the claim, or floating point finds one; else the eigenvalues are enclosed.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from robustlab.verification.balls import Matrix, adjoint, definite, exact, midpo
 from robustlab.verification.claim import PROVED, Verdict, Work, not_proved, refuted
 from robustlab.verification.models import Model
 
-DOUBLINGS = 60  # 2^60 steps of the recursion that a Lyapunov equation's sum is; slower decay is left to the eigenvalues
+DOUBLINGS = 60  # sums 2^60 terms of a Lyapunov equation's solution; eigenvalues decide slower decay
 SWEEPS = 20  # of the balancing before it
 
 
@@ -27,14 +27,17 @@ def lyapunov_form(G: Model, P: Matrix) -> Matrix:
 
 
 def stable(G: Model, P: NDArray[np.float64] | None, work: Work) -> Verdict:
-    """Whether every matrix in the balls of A is stable; refuted by an eigenvalue that lies outside for certain.
+    """Prove that every matrix in the balls of A is stable, or refute it by an eigenvalue enclosed outside.
 
-    ``P``: a symmetric matrix (n, n) that may be the proof; None where there is none.
+    ``P``: a symmetric matrix (n, n) that may be the proof, or None.
     """
     work.spend(G.n)
-    for candidate in (P, lyapunov_hint(G)):
-        if candidate is not None and has_lyapunov(G, exact(candidate), work):
-            return PROVED
+    for hint in (P, lyapunov_hint(G)):
+        if hint is not None:
+            candidate = exact(hint)
+            work.spend(G.n)
+            if definite(candidate).proved and definite(lyapunov_form(G, candidate)).proved:
+                return PROVED
     work.spend(2 * G.n)
     values = eigenvalues(G.A)
     for value in values:
@@ -42,18 +45,12 @@ def stable(G: Model, P: NDArray[np.float64] | None, work: Work) -> Verdict:
             return refuted(f"A has an eigenvalue near {complex(value):.6g}, enclosed beyond the stability boundary")
     if len(values) == G.n and all(_inside(value, G.dt) for value in values):
         return PROVED
-    nearest = max((_growth(complex(value), G.dt) for value in values), default=np.nan)
+    nearest = max((abs(v) - 1 if G.dt else v.real for v in map(complex, values)), default=np.nan)
     return not_proved(f"stability of A: no P that proves it, rightmost eigenvalue {nearest:.3g} from the boundary")
 
 
-def has_lyapunov(G: Model, P: Matrix, work: Work) -> bool:
-    """Whether P proves stability."""
-    work.spend(G.n)
-    return definite(P).proved and definite(lyapunov_form(G, P)).proved
-
-
 def eigenvalues(A: Matrix) -> list[acb]:
-    """Balls of which each holds an eigenvalue and that hold all of them (flint); empty where that failed."""
+    """Enclose all eigenvalues, each ball holding one (flint); empty where that failed."""
     try:
         return acb_mat(A).eig(multiple=True)
     except ValueError:
@@ -61,7 +58,7 @@ def eigenvalues(A: Matrix) -> list[acb]:
 
 
 def outside(value: acb, dt: float) -> bool:
-    """Whether all of the ball lies beyond the stability boundary."""
+    """Test whether all of the ball is beyond the stability boundary."""
     return bool(value.abs_lower() > 1 if dt else value.real > 0)
 
 
@@ -69,12 +66,8 @@ def _inside(value: acb, dt: float) -> bool:
     return bool(value.abs_upper() < 1 if dt else value.real < 0)
 
 
-def _growth(value: complex, dt: float) -> float:
-    return abs(value) - 1 if dt else value.real
-
-
 def lyapunov_hint(G: Model) -> NDArray[np.float64] | None:
-    r"""A P in floating point, without any promise: :math:`\sum_k (F^k)^T F^k` summed by doubling; None where it fails.
+    r"""Estimate P in floating point as :math:`\sum_k (F^k)^T F^k`, summed by doubling; None where it fails.
 
     F is A, or :math:`(I + hA)(I - hA)^{-1}` of a continuous model: then P solves
     :math:`A^T P + P A = -(I - hA)^T (I - hA) / (2h)`.
@@ -100,7 +93,7 @@ def lyapunov_hint(G: Model) -> NDArray[np.float64] | None:
 
 
 def _balanced(A: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """``diag(d) A diag(1/d)`` with rows about as large as columns, and d, powers of two."""
+    """Return ``diag(d) A diag(1/d)`` with rows about as large as columns, and d, powers of two."""
     d = np.ones(len(A))
     for i in list(range(len(A))) * SWEEPS:
         row, column = np.abs(A[i]).max(), np.abs(A[:, i]).max()

@@ -1,6 +1,6 @@
-"""The contract of a block: all that differs between kinds of uncertainty is a method or property of the kind.
+"""The interface of blocks: all differences between kinds of uncertainty are methods or properties of the kind.
 
-A `ParameterRange` says what a normalised real delta means in the user's own parameter.
+A `ParameterRange` maps a normalised real delta to the user's parameter.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Sign = Literal["any", "either", "nonnegative", "positive"]
 
 @dataclass(frozen=True)
 class ParameterRange:
-    r"""What a normalised real delta in [-1, 1] means in the user's parameter; 0 is nominal, +1 and -1 are the ends.
+    r"""Map of a normalised real delta in [-1, 1] to the user's parameter; 0 is nominal, +1 and -1 are the ends.
 
     .. math:: value = nominal + radius \, \delta \quad (\delta \ge 0), \qquad
               value = nominal + below \, \delta \quad (\delta < 0)
@@ -34,12 +34,11 @@ class ParameterRange:
     unit
         Physical unit of the parameter.
     below
-        Width of the range beneath the nominal value; None where it is the same (a width given equal to ``radius``
-        becomes None).
+        Width of the range below the nominal value; None where it equals ``radius``.
     sign
-        What physics allows beyond the range too: a mass is ``"positive"``, a friction ``"nonnegative"``, a torque
-        constant ``"either"``, but never zero and never both in one machine. It limits nothing; results that name a
-        value outside say so (`impossible`). Ranges that differ in nothing else are equal.
+        Physical limit, also outside the range: a mass is ``"positive"``, a friction ``"nonnegative"``, a torque
+        constant ``"either"`` (of constant sign, not zero). It does not limit the range; results with a value outside
+        remark on it (`impossible`). Ignored in comparisons.
 
     Raises
     ------
@@ -79,13 +78,13 @@ class ParameterRange:
 
     @property
     def words(self) -> str:
-        """Its ends with their unit; the nominal value too, where it is not the middle."""
+        """Return the ends with their unit, and the nominal value where it is not the middle."""
         around = "" if self.below is None else f" around {self.nominal:.6g}"
         return f"{self.low:.6g} .. {self.high:.6g} {self.unit}{around}".rstrip()
 
     @classmethod
     def between(cls, low: float, high: float, nominal: float | None = None, unit: str = "") -> ParameterRange:
-        """The range from ``low`` to ``high`` around ``nominal``, which is the middle where left out.
+        """Return the range from ``low`` to ``high`` around ``nominal``, by default the middle.
 
         Raises
         ------
@@ -106,31 +105,31 @@ class ParameterRange:
 
     @property
     def ratio(self) -> float:
-        """Width below divided by width above: what a negative delta is multiplied with to give the entry of Delta."""
+        """Return width below divided by width above, the factor of a negative delta in Delta."""
         return 1.0 if self.below is None else self.below / self.radius
 
     @property
     def low(self) -> float:
-        """The value at delta = -1."""
+        """Return the value at delta = -1."""
         return self.value(-1.0)
 
     @property
     def high(self) -> float:
-        """The value at delta = +1."""
+        """Return the value at delta = +1."""
         return self.value(1.0)
 
     def value(self, delta: float) -> float:
-        """Parameter value that belongs to a normalised delta."""
+        """Return the parameter value of a normalised delta."""
         width = self.radius if self.below is None or delta >= 0 else self.below
         return self.nominal + width * delta
 
     def delta(self, value: float) -> float:
-        """Normalised delta that belongs to a parameter value."""
+        """Return the normalised delta of a parameter value."""
         width = self.radius if self.below is None or value >= self.nominal else self.below
         return (value - self.nominal) / width
 
     def impossible(self, value: float) -> str:
-        """What physics asks of the parameter that this value does not meet; empty where it may exist.
+        """Return the physical limit that this value violates; empty where it is possible.
 
         Examples
         --------
@@ -150,20 +149,19 @@ class ParameterRange:
         return data if self.sign == "any" else {**data, "sign": self.sign}
 
 
-# Entries (row, column, coefficient) of a sparse matrix.
-Pattern = list[tuple[int, int, complex]]
-SAMPLED = "sampled"  # first word of the origin of a block that is known to hold for samples only
-OUTSIDE = 1e-9  # a value may miss its kind by this share: rounding
+Pattern = list[tuple[int, int, complex]]  # entries (row, column, coefficient) of a sparse matrix
+SAMPLED = "sampled"  # first word of the origin of a block that holds for samples only
+OUTSIDE = 1e-9  # allowed relative deviation of a value from its kind: rounding
 
 
 class Block(ABC):
     """One block ``Delta_i``, ``w = Delta_i z``, of a structured perturbation: a set of matrices of norm at most one.
 
-    With a member its multiples by 0 .. 1 are in the set. A new kind is one subclass: it says what its set is by
-    `is_real`, `is_scalar` and `project`; the rest has defaults that hold for any such set (D a multiple of the
-    identity, no G), which a kind with more structure replaces by sharper ones.
+    With a member its multiples by 0 .. 1 are in the set. A new kind is one subclass: it defines its set by `is_real`,
+    `is_scalar` and `project`; the defaults of the rest hold for any such set (D a multiple of the identity, no G), and
+    a kind with more structure overrides them by sharper ones.
 
-    A *value* is what users give and get for a block: a number for a scalar kind, else a matrix of `value_shape`.
+    A *value* is the user's form of a member: a number for a scalar kind, else a matrix of `value_shape`.
     """
 
     name: str  # unique within a structure
@@ -171,9 +169,9 @@ class Block(ABC):
     rows: int
     cols: int
     origin: str = ""  # where the block comes from, in words
-    # Of a block for a delay: its length and how far it may be off, in s, orders of the approximation and of the weight.
+    # Of a block for a delay: its length and spread, in s, orders of the approximation and of the weight.
     covers: tuple[float, float, int, int] | None = None
-    parameter: ParameterRange | None = None  # the physical range that a real delta stands for
+    parameter: ParameterRange | None = None  # the physical range of a real delta
 
     # Whether all members are real matrices, constant in time; else a member is a stable system of gain at most one.
     is_real: ClassVar[bool]
@@ -182,11 +180,11 @@ class Block(ABC):
 
     @property
     def is_sampled(self) -> bool:
-        """Whether the block is known to hold what it stands for at samples only: its origin begins with that word."""
+        """Return whether the block was verified at samples only, as the first word of its origin."""
         return self.origin.startswith(SAMPLED)
 
     def _no_arithmetic(self, other: object = None) -> Any:
-        """Refuse arithmetic: a block is a set, and expressions in parameters are given as text."""
+        """Reject arithmetic: a block is a set, and expressions in parameters are given as text."""
         hint = 'rl.parametric(A, B, C, D, ranges) takes entries such as "2 * k" or "-k / m"'
         raise TypeError(f"{type(self).__name__} {self.name!r} is an uncertainty block, no number\nhint: {hint}")
 
@@ -198,43 +196,43 @@ class Block(ABC):
 
     @property
     def value_shape(self) -> tuple[int, int]:
-        """Shape of a value as a matrix; it stands ``rows / value_shape[0]`` times on the diagonal of the block."""
+        """Return the shape of a value as a matrix; it is repeated ``rows / value_shape[0]`` times in the block."""
         return (self.rows, self.cols)
 
     @property
     def interval(self) -> tuple[float, float] | None:
-        """For one real number times the identity: the ends (low, high) of what stands in Delta; None for other sets."""
+        """Return for one real number times the identity the ends (low, high) of its entry in Delta; None for others."""
         return None
 
     @property
     def ends(self) -> tuple[float, float]:
-        """The ends of a one-number range in the user's unit, or normalised."""
+        """Return the ends of a one-number range in the user's unit, or normalised."""
         if self.parameter is not None:
             return self.parameter.low, self.parameter.high
         return self.interval or (-1.0, 1.0)
 
     @property
     def is_symmetric(self) -> bool:
-        """Whether with each member its negative is one."""
+        """Return whether the negative of each member is a member."""
         return True
 
     @property
     def is_ball(self) -> bool:
-        """Whether every complex matrix of this size with ``sigma_max <= 1`` is a member."""
+        """Return whether every complex matrix of this size with ``sigma_max <= 1`` is a member."""
         return False
 
     @abstractmethod
     def project(self, part: NDArray[Any]) -> NDArray[Any]:
-        """The nearest matrix (rows, cols) that is a multiple of a member."""
+        """Return the nearest matrix (rows, cols) that is a multiple of a member."""
 
     def norm(self, part: NDArray[Any]) -> float:
-        """Largest singular value of a multiple of a member."""
+        """Return the largest singular value of a multiple of a member."""
         return float(np.linalg.norm(part, 2) if part.size > 1 else abs(part[0, 0]))
 
     # --- values ------------------------------------------------------------------------------------------------------
 
     def matrix_of(self, value: NDArray[Any]) -> NDArray[Any]:
-        """The block (rows, cols) of a value."""
+        """Return the block (rows, cols) of a value."""
         value = value.reshape(1, 1) if value.ndim == 0 and self.value_shape == (1, 1) else value
         if value.shape != self.value_shape:
             raise InputError(f"delta {self.name!r}", f"shape {value.shape}", f"{self.value_shape}")
@@ -245,54 +243,54 @@ class Block(ABC):
         return value
 
     def value_of(self, part: NDArray[Any]) -> Any:
-        """Inverse of `matrix_of`."""
+        """Return the value of a block (inverse of `matrix_of`)."""
         return np.real(part).copy() if self.is_real else part.copy()
 
     @property
     def zero(self) -> Any:
-        """The value of the nominal model."""
+        """Return the value of the nominal model."""
         return 0.0 if self.is_scalar else np.zeros(self.value_shape)
 
     def draw(self, rng: np.random.Generator, boundary: bool = False) -> Any:
-        """A random value of the set, on its boundary where asked for."""
+        """Draw a random value of the set, with ``boundary`` on its boundary."""
         matrix = rng.standard_normal(self.value_shape)
         if not self.is_real:
             matrix = matrix + 1j * rng.standard_normal(self.value_shape)
         matrix = self._of_the_kind(matrix)
         radius = 1.0 if boundary else rng.random() ** (1.0 / self.n_coordinates)
-        # A hair inside: the norm of the rounded matrix must not come out above one.
+        # Slightly inside: the norm of the rounded matrix must not exceed one.
         matrix *= radius * (1 - 1e-15) / np.linalg.norm(matrix, 2)
         return complex(matrix[0, 0]) if self.is_scalar else matrix
 
     def in_range(self, place: float) -> float:
-        """Value at a place of an `interval` whose ends are at -1 and 1 and its middle at 0: for uniform draws."""
+        """Return the value at a relative position in `interval` (ends -1 and 1, middle 0), for uniform draws."""
         return place
 
     # --- real coordinates of a value, for searches and tables --------------------------------------------------------
 
     @property
     def n_coordinates(self) -> int:
-        """How many real numbers make a value."""
+        """Return the number of real coordinates of a value."""
         return math.prod(self.value_shape) * (1 if self.is_real else 2)
 
     def coordinates(self, value: Any) -> Array:
-        """A value as real numbers (n_coordinates,): its entries, or their real parts and then their imaginary parts."""
+        """Return a value as real numbers (n_coordinates,): its entries, or their real and then imaginary parts."""
         entries = np.asarray(value, dtype=complex).ravel()
         return np.real(entries) if self.is_real else np.concatenate([np.real(entries), np.imag(entries)])
 
     def value_at(self, coordinates: Array) -> Any:
-        """Inverse of `coordinates`."""
+        """Return the value at coordinates (inverse of `coordinates`)."""
         entries = self._entries(coordinates)
         return entries[0].item() if self.is_scalar else entries.reshape(self.value_shape)
 
     def members(self, coordinates: Array) -> NDArray[Any]:
-        """Members (k, rows, cols) at coordinates (k, n_coordinates); those outside the set are drawn back onto it."""
+        """Return members (k, rows, cols) at coordinates (k, n_coordinates), scaled onto the set where outside."""
         matrix = self._of_the_kind(self._entries(coordinates).reshape(-1, *self.value_shape))
         sizes = np.abs(matrix[:, 0, 0]) if self.value_shape == (1, 1) else np.linalg.norm(matrix, 2, axis=(1, 2))
         return matrix / np.maximum(sizes, 1.0)[:, None, None]
 
     def _of_the_kind(self, matrix: NDArray[Any]) -> NDArray[Any]:
-        """Values (..., rows, cols) without what the kind has no room for."""
+        """Project values (..., rows, cols) onto the kind."""
         if self.is_ball or self.is_scalar:
             return matrix
         return np.array([self.project(m) for m in matrix]) if matrix.ndim == 3 else self.project(matrix)
@@ -304,13 +302,13 @@ class Block(ABC):
     # --- members that matter -----------------------------------------------------------------------------------------
 
     def aligned(self, left: ComplexArray, right: ComplexArray, size: float = 1.0) -> NDArray[Any] | None:
-        """The member, times ``size``, with a large real part of ``left^T Delta_i right``; None where all give zero."""
+        """Return ``size`` times a member with a large real part of ``left^T Delta_i right``; None if all give zero."""
         part = self.project(np.outer(np.conj(left), np.conj(right)))
         norm = self.norm(part)
         return size * part / norm if norm > 0 else None
 
     def extreme(self, rng: np.random.Generator, vector: Callable[[int], NDArray[Any]]) -> NDArray[Any]:
-        """A random member of norm one, of rank one where there are such; ``vector(n)`` draws complex n-vectors."""
+        """Draw a member of norm one, of rank one if possible; ``vector(n)`` draws complex n-vectors."""
         part = self.project(rank_one(vector(self.rows), vector(self.cols)))
         return part / self.norm(part)
 
@@ -318,31 +316,31 @@ class Block(ABC):
 
     @property
     def d_order(self) -> int:
-        """Order of the Hermitian matrix that D consists of; 1: D_w and D_z are one number times the identity."""
+        """Return the order of the Hermitian matrix of D; 1: D_w and D_z are one number times the identity."""
         return 1
 
     def d_basis(self) -> list[tuple[Pattern, Pattern]]:
-        """Hermitian patterns that span ``D_w`` (rows x rows) and, with the same coefficients, ``D_z``."""
+        """Return Hermitian patterns that span ``D_w`` (rows x rows) and, with the same coefficients, ``D_z``."""
         return [([(i, i, 1 + 0j) for i in range(self.rows)], [(i, i, 1 + 0j) for i in range(self.cols)])]
 
     def g_basis(self) -> list[Pattern]:
-        """Patterns that span G (rows x cols); none where the set leaves no room for G."""
+        """Return patterns that span G (rows x cols); none where G is zero."""
         return []
 
     def as_complex(self) -> Block:
-        """A block without G that holds this one: what D alone can prove."""
+        """Return a block without G that contains this one, for proofs by D alone."""
         return self
 
     # --- other blocks of the kind ------------------------------------------------------------------------------------
 
     def resized(self, rows: int, cols: int) -> Self:
-        """The same block with another size. Raises InputError: the kind has no block of that size."""
+        """Return the same block with another size. Raises InputError: the kind has no block of that size."""
         if (rows, cols) == (self.rows, self.cols):
             return self
         raise InputError(f"block {self.name!r}", f"a size of {rows} x {cols}", f"{self.rows} x {self.cols}")
 
     def merged(self, others: Sequence[Any], where: str) -> Block:
-        """One block for the same uncertainty in several operands; ``others`` are of the same kind and name."""
+        """Merge blocks of the same uncertainty in several operands; ``others`` are of the same kind and name."""
         raise InputError(
             where,
             "is a full block in several operands",
@@ -352,7 +350,7 @@ class Block(ABC):
         )
 
     def centred(self, level: float) -> tuple[float, float, Block]:
-        """``(middle, half, block)``: the set times ``level`` is ``middle I + half`` times a symmetric block."""
+        """Return ``(middle, half, block)``: the set times ``level`` is ``middle I + half`` times a symmetric block."""
         return 0.0, level, self
 
     # --- words and files ---------------------------------------------------------------------------------------------
@@ -366,17 +364,16 @@ class Block(ABC):
 
     @classmethod
     def from_row(cls, name: str, rows: int, cols: int, parameter: ParameterRange | None, origin: str) -> Block:
-        """The block of one row of a file; for kinds with `stored_as`."""
+        """Return the block of one row of a file; for kinds with `stored_as`."""
         raise NotImplementedError(cls.__name__)
 
 
 def rank_one(u: NDArray[Any], v: NDArray[Any]) -> NDArray[Any]:
-    """The matrix ``u v^T``, divided by its norm."""
+    """Return the matrix ``u v^T``, divided by its norm."""
     return np.outer(u / np.linalg.norm(u), v / np.linalg.norm(v))
 
 
 def check_name_and_size(name: str, size: int) -> None:
-    """Refuse a block without a name or a size."""
     if not isinstance(name, str) or not name or len(name) > 200:
         raise InputError("block", f"name {name!r}", "a text of 1 to 200 characters")
     if isinstance(size, bool) or not isinstance(size, (int, np.integer)) or size < 1:

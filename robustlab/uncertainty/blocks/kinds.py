@@ -1,7 +1,4 @@
-"""The kinds of blocks: real scalars (parameters), complex scalars and full blocks (unmodelled dynamics).
-
-And block-diagonal Delta: the order of its blocks, their places, Delta from the blocks' values and back.
-"""
+"""The kinds of blocks: real scalars (parameters), complex scalars, full blocks (unmodelled dynamics); and Delta."""
 
 from __future__ import annotations
 
@@ -66,7 +63,7 @@ class ScalarBlock(Block):
 
 
 def hermitian_basis(order: int) -> list[Pattern]:
-    """Basis of the Hermitian matrices of an order over the real numbers; diagonal ones first."""
+    """Return a basis of the Hermitian matrices of an order over the real numbers; diagonal ones first."""
     diagonal: list[Pattern] = [[(i, i, 1.0)] for i in range(order)]
     pairs = [(i, j) for i in range(order) for j in range(i + 1, order)]
     return diagonal + [[(i, j, c), (j, i, np.conj(c))] for i, j in pairs for c in (1.0 + 0j, 1j)]
@@ -83,10 +80,9 @@ class ComplexScalar(ScalarBlock):
     repeats
         How many channels the number acts on.
     origin
-        Where the block comes from, in words; blocks that differ in nothing else are equal.
+        Source of the block, in words; ignored in comparisons.
     covers
-        Of a block that stands for a delay: its length and its spread in s, and the orders of the approximation and of
-        the weight; None of others.
+        For a delay: its length and its spread in s, and the orders of the approximation and of the weight; else None.
 
     Raises
     ------
@@ -138,11 +134,11 @@ class RealScalar(ScalarBlock):
     repeats
         How many channels the number acts on.
     parameter
-        Which physical range the normalised delta stands for. Where that range is wider on one side, the number that
-        stands in Delta is ``delta`` for ``delta >= 0`` and ``ratio * delta`` for ``delta < 0``: it fills [-ratio, 1],
-        and every value of the parameter enters M by one and the same affine law.
+        The physical range of the normalised delta. If that range is wider on one side, the entry of Delta is ``delta``
+        for ``delta >= 0`` and ``ratio * delta`` for ``delta < 0``, in [-ratio, 1], so that M is affine in the
+        parameter.
     origin
-        Where the block comes from, in words; blocks that differ in nothing else are equal.
+        Source of the block, in words; ignored in comparisons.
 
     Raises
     ------
@@ -169,7 +165,7 @@ class RealScalar(ScalarBlock):
 
     @property
     def ratio(self) -> float:
-        """Width of the range below nominal divided by the width above; 1 for a symmetric range or without one."""
+        """Return the width of the range below nominal divided by the width above; 1 without a range."""
         return 1.0 if self.parameter is None else self.parameter.ratio
 
     @property
@@ -181,11 +177,11 @@ class RealScalar(ScalarBlock):
         return self.ratio == 1
 
     def entry(self, delta: float) -> float:
-        """The number that stands in Delta for a normalised delta."""
+        """Return the entry of Delta for a normalised delta."""
         return delta if delta >= 0 else self.ratio * delta
 
     def delta(self, entry: float) -> float:
-        """The normalised delta that belongs to a number in Delta."""
+        """Return the normalised delta of an entry of Delta."""
         return entry if entry >= 0 else entry / self.ratio
 
     def project(self, part: NDArray[Any]) -> NDArray[Any]:
@@ -251,10 +247,9 @@ class FullBlock(Block):
     rows, cols
         Entries of w and of z.
     origin
-        Where the block comes from, in words; blocks that differ in nothing else are equal.
+        Source of the block, in words; ignored in comparisons.
     covers
-        Of a block that stands for a delay: its length and its spread in s, and the orders of the approximation and of
-        the weight; None of others.
+        For a delay: its length and its spread in s, and the orders of the approximation and of the weight; else None.
 
     Raises
     ------
@@ -304,7 +299,7 @@ class FullBlock(Block):
 
 
 def as_blocks(given: Any) -> tuple[Block, ...]:
-    """Blocks as given, or from rows in the notation of MATLAB's ``mussv``."""
+    """Return blocks as given, or from rows in the notation of MATLAB's ``mussv``."""
     if isinstance(given, Block):
         given = [given]
     if isinstance(given, np.ndarray):
@@ -341,12 +336,12 @@ def _from_mussv_row(row: Any, index: int) -> Block:
 
 
 def structure_size(blocks: Sequence[Block]) -> tuple[int, int]:
-    """``(q, p)``: Delta is q x p, so M has q input and p output columns of perturbation channels."""
+    """Return ``(q, p)``, the shape of Delta: M has q inputs and p outputs of perturbation channels."""
     return sum(b.rows for b in blocks), sum(b.cols for b in blocks)
 
 
 def block_slices(blocks: Sequence[Block]) -> list[tuple[slice, slice]]:
-    """For each block its slice of w (rows of Delta) and of z (columns of Delta)."""
+    """Return each block's slices of w (rows of Delta) and of z (columns of Delta)."""
     result, row, col = [], 0, 0
     for b in blocks:
         result.append((slice(row, row + b.rows), slice(col, col + b.cols)))
@@ -355,7 +350,7 @@ def block_slices(blocks: Sequence[Block]) -> list[tuple[slice, slice]]:
 
 
 def delta_matrix(blocks: Sequence[Block], values: Mapping[str, ArrayLike]) -> NDArray[Any]:
-    """The block-diagonal Delta, shape (q, p), from one normalised value per block name; blocks left out are zero."""
+    """Return the block-diagonal Delta (q, p) of one normalised value per block name; omitted blocks are zero."""
     known = tuple(b.name for b in blocks)
     for name in values:
         if name not in known:
@@ -375,7 +370,7 @@ def delta_matrix(blocks: Sequence[Block], values: Mapping[str, ArrayLike]) -> ND
 
 
 def delta_values(blocks: Sequence[Block], delta: ArrayLike) -> dict[str, Any]:
-    """Inverse of `delta_matrix`: one value per block name (float, complex, or a complex matrix)."""
+    """Return one value per block name (float, complex, or a complex matrix): the inverse of `delta_matrix`."""
     full = np.asarray(delta)
     return {
         block.name: block.value_of(full[rows, cols])

@@ -1,7 +1,7 @@
-"""Stable minimum-phase weights that lie above a bound, as close as their order allows."""
+"""Stable minimum-phase weights above a bound, as close as their order allows."""
 
-# min gamma with b <= |w| <= gamma b. The log of |w|^2 = N(x) / D(x), x = omega^2, in corner frequencies and bends of N
-# and D is fitted to that of the bound by least squares, then in the largest miss, by linear programmes in small steps.
+# min gamma with b <= |w| <= gamma b. The log of |w|^2 = N(x) / D(x), x = omega^2, in corner frequencies and dampings of
+# N and D is fitted to that of the bound by least squares, then minimax, by linear programmes in small steps.
 
 from __future__ import annotations
 
@@ -22,11 +22,10 @@ from robustlab.result import Status
 from robustlab.shown import Facts, Shown, number
 from robustlab.statespace import StateSpaceModel, series
 
-WEIGHT_LEVEL = 1e-3  # of log(gamma): far below the tolerances that weights are asked for
-WEIGHT_ROUNDS = 8  # rounds in which the points where the weight is off most are added to the fit
+WEIGHT_LEVEL = 1e-3  # accuracy of log(gamma), far below usual tolerances of weights
+WEIGHT_ROUNDS = 8  # rounds in which the points of largest error are added to the fit
 WEIGHT_STEPS = 60  # linear programmes for one fit
-# The grid on which a weight is judged has so many points for one of the fit's: fewer miss peaks between them.
-FINER_GRID = 10
+FINER_GRID = 10  # points of the evaluation grid for each one of the fit
 
 Bound = Callable[[Array], Array]
 
@@ -35,7 +34,7 @@ ABOVE = 1e-12  # rounding in a frequency response
 
 @dataclass(frozen=True, eq=False)
 class Overbound(Shown):
-    """A weight above a bound, with the grid on which that was checked.
+    """A weight above a bound, with its evaluation grid.
 
     Attributes
     ----------
@@ -50,7 +49,7 @@ class Overbound(Shown):
     omega, bound, magnitude
         The grid in rad/s, ten times finer than that of the fit; the bound and ``|w|`` on it.
     status
-        CONVERGED where the excess is within the tolerance, INACCURATE where the order does not allow it.
+        CONVERGED where the excess is within the tolerance, else INACCURATE.
     """
 
     weight: StateSpaceModel
@@ -84,21 +83,20 @@ def overbound(
     exact: Bound | None = None,
     dt: float = 0.0,
 ) -> Overbound:
-    """The weight of least order up to ``order`` that lies above a bound and within the tolerance of it.
+    """Return the weight of least order up to ``order`` above a bound and within the tolerance of it.
 
     Parameters
     ----------
     omega
         Increasing positive frequencies in rad/s, (n,), n >= 2; below the Nyquist frequency of a discrete weight.
     bound
-        Positive values, (n,); straight lines between them in log-log scales. Below the first and above the last
-        frequency the bound stays as it is at the ends.
+        Positive values, (n,), interpolated in log-log scales and constant outside the frequencies.
     order
         Largest number of states, 0..12.
     tolerance
-        The excess at which a lower order is good enough.
+        The excess at which a lower order suffices.
     exact
-        The bound at any frequencies, where it is known between the given ones.
+        The bound as a function of frequencies, if known between the given ones.
     dt
         Sample time in s of the weight; 0: continuous.
 
@@ -112,7 +110,7 @@ def overbound(
     InputError
         Frequencies or values that are not finite, positive, increasing; an order out of its range.
     NoTrustworthyNumber
-        No weight could be computed (values that span too many decades).
+        No weight could be computed (values over too many decades).
 
     Examples
     --------
@@ -129,11 +127,11 @@ def overbound(
     target = known(fine)
     if not (np.isfinite(target).all() and (target > 0).all()):
         raise InputError("overbound: exact", "values that are not finite and positive", "a positive bound")
-    # A discrete weight is found for the bent frequency axis of the bilinear map.
-    bend: Callable[[Array], Array] = (lambda x: 2.0 / dt * np.tan(0.5 * dt * x)) if dt else (lambda x: x)
+    # A discrete weight is computed on the warped frequency axis of the bilinear map.
+    warp: Callable[[Array], Array] = (lambda x: 2.0 / dt * np.tan(0.5 * dt * x)) if dt else (lambda x: x)
     best: Overbound | None = None
     for n in range(order + 1):
-        found = _of_order(n, bend(w), b, bend(fine), target)
+        found = _of_order(n, warp(w), b, warp(fine), target)
         if found is None:
             continue
         weight = bilinear_to_discrete(found, dt) if dt else found
@@ -167,7 +165,7 @@ def _checked(omega: ArrayLike, bound: ArrayLike, order: int, tolerance: float, d
 
 
 def _judged(weight: StateSpaceModel, n: int, fine: Array, target: Array, known: Bound, tolerance: float) -> Overbound:
-    """The weight, scaled so that it touches the bound from above on the grid (but for what rounding could take)."""
+    """Return the weight scaled to the bound from above on the grid, up to rounding."""
     ratio = np.abs(frequency_response(weight, fine)[:, 0, 0]) / target
     near = _around_lows(ratio, fine)
     ratio = np.append(ratio, np.abs(frequency_response(weight, near)[:, 0, 0]) / known(near))
@@ -181,7 +179,7 @@ def _judged(weight: StateSpaceModel, n: int, fine: Array, target: Array, known: 
 
 
 def _around_lows(ratio: Array, fine: Array) -> Array:
-    """Points between those of the grid, close to the local minima of the ratio."""
+    """Return points between those of the grid, close to the local minima of the ratio."""
     inner = (ratio[1:-1] <= ratio[:-2]) & (ratio[1:-1] <= ratio[2:]) & (ratio[1:-1] < 1.001 * ratio.min())
     lows = 1 + np.flatnonzero(inner)
     if not len(lows):
@@ -193,7 +191,7 @@ def _around_lows(ratio: Array, fine: Array) -> Array:
 
 
 def _of_order(n: int, w: Array, b: Array, fine: Array, target: Array) -> StateSpaceModel | None:
-    """Weight of order n over the grid w and over the points of the fine grid that it turns out to need."""
+    """Fit a weight of order n on the grid w and on points of the fine grid where its error is largest."""
     if n == 0:
         return StateSpaceModel([], [], [], [[float(target.max())]])
     points, values = w, b
@@ -216,7 +214,7 @@ def _of_order(n: int, w: Array, b: Array, fine: Array, target: Array) -> StateSp
 
 
 def _minimax(n: int, w: Array, b: Array) -> StateSpaceModel:
-    """The weight whose log-magnitude comes nearest to that of the bound, from several starts."""
+    """Fit the weight with the least largest error of its log-magnitude, from several starts."""
     from scipy.optimize import least_squares
 
     unit, mean = float(np.exp(0.5 * (np.log(w[0]) + np.log(w[-1])))), float(np.exp(np.log(b).mean()))
@@ -243,7 +241,7 @@ def _minimax(n: int, w: Array, b: Array) -> StateSpaceModel:
 
 
 def _bends(x: Array, wanted: Array, count: int) -> tuple[Array, Array]:
-    """Corners of N and of D (log) where the curve bends upwards and downwards, evenly in how much it does."""
+    """Estimate corners of N and of D (log) from the positive and negative curvature of the bound."""
     at = np.log(x)
     bend = np.gradient(np.gradient(wanted, at), at) * np.gradient(at)
     found = []
@@ -254,7 +252,7 @@ def _bends(x: Array, wanted: Array, count: int) -> tuple[Array, Array]:
 
 
 def _miss(p: Array, x: Array, wanted: Array, pairs: int) -> tuple[Array, Array]:
-    """``log |w|^2`` less what is wanted, and its derivative; p: log of corners and bends of N, of D, of the gain.
+    """Return the error of ``log |w|^2`` and its derivative; p: log of corners and dampings of N, of D, of the gain.
 
     In x = omega^2 a pair is ``(x - c)^2 + 2 e^a c x``, a single corner ``x + c``.
     """
@@ -270,7 +268,7 @@ def _miss(p: Array, x: Array, wanted: Array, pairs: int) -> tuple[Array, Array]:
 
 
 def _flattened(p: Array, x: Array, wanted: Array, pairs: int, box: Array) -> Array:
-    """Where the largest miss is as small as steps by linear programmes make it."""
+    """Minimise the largest error by steps of linear programmes."""
     from scipy.optimize import linprog
 
     (f, J), radius = _miss(p, x, wanted, pairs), 0.5
@@ -297,7 +295,7 @@ def _flattened(p: Array, x: Array, wanted: Array, pairs: int, box: Array) -> Arr
 
 
 def _polynomials(part: Array, pairs: int, unit: float) -> list[Array]:
-    """Stable monic polynomials in s of degree two, sorted by size, then the one of degree one where there is one."""
+    """Return stable monic polynomials in s of degree two, sorted by size, then one of degree one for odd orders."""
     corner = unit * np.exp(0.5 * part[: len(part) - pairs])
     damping = np.sqrt(2 * np.exp(part[len(part) - pairs :]))
     made = [np.array([1.0, d * c, c**2]) for c, d in zip(corner[:pairs], damping, strict=True)]
@@ -305,7 +303,7 @@ def _polynomials(part: Array, pairs: int, unit: float) -> list[Array]:
 
 
 def _cascade(numerator: list[Array], denominator: list[Array], gain: float) -> StateSpaceModel:
-    """Gain at infinity times a cascade of biproper sections of first and second order."""
+    """Return the gain at infinity times a cascade of biproper sections of first and second order."""
     model = StateSpaceModel([], [], [], [[gain]])
     for pair in zip(numerator, denominator, strict=True):
         model = series(_section(*pair), anonymous(model))
@@ -313,7 +311,7 @@ def _cascade(numerator: list[Array], denominator: list[Array], gain: float) -> S
 
 
 def _section(numerator: Array, denominator: Array) -> StateSpaceModel:
-    """``n(s) / d(s)`` of degree one or two, both monic, balanced in its own frequency."""
+    """Realise ``n(s) / d(s)`` of degree one or two, both monic, balanced in its own frequency."""
     rest = (numerator - denominator)[1:]
     if len(rest) == 1:
         size = np.sqrt(abs(rest[0])) or 1.0
@@ -324,5 +322,4 @@ def _section(numerator: Array, denominator: Array) -> StateSpaceModel:
 
 
 def anonymous(model: StateSpaceModel) -> StateSpaceModel:
-    """The same model without names and units of its signals."""
     return StateSpaceModel(model.A, model.B, model.C, model.D, model.dt)

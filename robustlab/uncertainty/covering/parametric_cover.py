@@ -1,8 +1,8 @@
-"""The smallest set of real parameters, of a chosen form, that holds every model of a set."""
+"""The smallest set of real parameters, of a chosen form, that contains every model of a set."""
 
-# S_i = S_0 + sum_j delta_ij E_j, |delta_ij| <= 1, S = [A B; C D]. "elements": the interval hull, each entry that
-# differs is a parameter. "pca": the E_j are the principal components of the cloud, each as long as it reaches along
-# it, and S_0 is the middle of that box.
+# S_i = S_0 + sum_j delta_ij E_j, |delta_ij| <= 1, S = [A B; C D]. "elements": the interval hull, each differing entry
+# is a parameter. "pca": the E_j are the principal components of the models, scaled to their extent, and S_0 is the
+# middle of that box.
 
 from __future__ import annotations
 
@@ -22,8 +22,7 @@ from robustlab.uncertainty.lft import UncertainModel
 ParametricForm = Literal["elements", "pca"]
 PARAMETRIC_FORMS: tuple[ParametricForm, ...] = get_args(ParametricForm)
 
-# Entries that differ by less than this share of their natural magnitude are equal: rounding of a linearisation.
-ROUNDING = 1e-13
+ROUNDING = 1e-13  # relative difference of equal entries, from the rounding of a linearisation
 
 
 Made = tuple[UncertainModel, tuple[dict[str, float], ...], tuple[float, ...]]  # the set, deltas of the models, spread
@@ -36,7 +35,7 @@ def parametric_cover(
     tolerance: float = 1e-9,
     directions: int | None = None,
 ) -> Made:
-    """The cover of models that have the same states, the values that make each of them, and the reach of the cloud."""
+    """Return the cover of models with the same states, the parameter values of each, and their principal extents."""
     number("cover: tolerance", tolerance, "a number in [0, 1)", at_least=0, below=1)
     if directions is not None:
         whole("cover: directions", directions, 1)
@@ -85,7 +84,7 @@ def _hull(models: tuple[StateSpaceModel, ...], nominal: StateSpaceModel | None, 
 
 
 def _magnitude(stack: Array, n: int) -> Array:
-    """What a difference of each entry is measured by, never 0: its natural magnitude, at most its matrix's largest."""
+    """Return the positive scale of each entry: its natural magnitude, at most the largest of its matrix."""
     size = np.abs(stack).max(axis=0)
     magnitude = natural_magnitude(size)
     for rows in (slice(0, n), slice(n, None)):
@@ -97,7 +96,7 @@ def _magnitude(stack: Array, n: int) -> Array:
 
 
 def _entries(e: Array, n: int) -> list[tuple[int, int]]:
-    """Non-zero entries in the order of the blocks of `elementwise`: those of A, of B, of C, of D."""
+    """Return the non-zero entries in the order of the blocks of `elementwise`: those of A, of B, of C, of D."""
     parts = ((0, 0, e[:n, :n]), (0, n, e[:n, n:]), (n, 0, e[n:, :n]), (n, n, e[n:, n:]))
     return [(int(i) + row, int(j) + col) for row, col, part in parts for i, j in np.argwhere(part)]
 
@@ -133,7 +132,7 @@ def _directions(models: tuple[StateSpaceModel, ...], tolerance: float, direction
 
 
 def _needed(cloud: Array, axes: Array, tolerance: float) -> int:
-    """Fewest principal components that leave no entry of any model off by more than the tolerance."""
+    """Return the fewest principal components that represent every entry of every model within the tolerance."""
     rest = cloud.copy()
     for count in range(len(axes)):
         if np.abs(rest).max(initial=0.0) <= tolerance:

@@ -1,8 +1,8 @@
-"""The smallest unstructured set, of a chosen form, that holds every model of a set (Zhou, Doyle, Glover 1996, 9.1)."""
+"""The smallest unstructured set, of a chosen form, around every model of a set (Zhou, Doyle, Glover 1996, 9.1)."""
 
-# With a nominal model G and the error E_i by which the form makes model i of it, |w| >= max sigma(E_i), Delta_i = E_i
-# / w. Model i is a member where Delta_i is stable and nowhere larger than one. The errors have poles only where the
-# models or their inverses have; whether such a pole stays or cancels is told by the Laurent series of E_i there.
+# With a nominal model G and the error E_i of model i in the chosen form, |w| >= max sigma(E_i), Delta_i = E_i / w.
+# Model i is a member if Delta_i is stable with a norm of at most one. The errors have poles only where the models or
+# their inverses have; the Laurent series of E_i there shows whether such a pole cancels.
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from robustlab.uncertainty.elementwise import check_pair
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.unstructured import Form, unstructured
 
-BOUND_FLOOR = 1e-4  # the bound is taken as hypot(bound, this share of its largest value): a weight needs a positive one
+BOUND_FLOOR = 1e-4  # the bound is hypot(bound, this share of its largest value), as a weight needs a positive one
 GRID_POINTS = 150  # points of a frequency grid between its ends and around resonances
 EPS = float(np.finfo(float).eps)
-CIRCLE_POINTS = 64  # points of a circle on which Laurent coefficients around a pole are taken
+CIRCLE_POINTS = 64  # points of a circle around a pole, for Laurent coefficients
 
 
 def model_set(models: Iterable[Any], same_states: bool, where: str) -> tuple[StateSpaceModel, ...]:
-    """At least two models with the same signals, units and sample time; with ``same_states`` the same states, too."""
+    """Check for at least two models with the same signals, units, sample time, and with ``same_states`` states."""
     if isinstance(models, (StateSpaceModel, str, bytes)) or not isinstance(models, Iterable):
         raise InputError(where, f"{type(models).__name__}", "a list of at least two models")
     found = tuple(as_model(model, f"{where}: model {i + 1}") for i, model in enumerate(models))
@@ -53,19 +53,19 @@ def model_set(models: Iterable[Any], same_states: bool, where: str) -> tuple[Sta
 
 
 def system_matrices(models: Iterable[StateSpaceModel]) -> Array:
-    """``[A B; C D]`` of each model, shape (n_models, n_x + n_y, n_x + n_u)."""
+    """Return ``[A B; C D]`` of each model, shape (n_models, n_x + n_y, n_x + n_u)."""
     return np.array([np.block([[m.A, m.B], [m.C, m.D]]) for m in models])
 
 
 def model_of(s: Array, like: StateSpaceModel) -> StateSpaceModel:
-    """The model of ``[A B; C D]`` with the signals and states of another one."""
+    """Return the model of ``[A B; C D]`` with the signals and states of another one."""
     n = like.n_states
     signals = like.inputs, like.outputs, like.states
     return StateSpaceModel(s[:n, :n], s[:n, n:], s[n:, :n], s[n:, n:], like.dt, *signals, where="cover")
 
 
 def matrices_miss(reached: StateSpaceModel, wanted: StateSpaceModel) -> float:
-    """Largest difference of an entry, relative to the largest magnitude in its matrix (A, B, C, D) of ``wanted``."""
+    """Return the largest difference of an entry, relative to the largest one in its matrix of ``wanted``."""
     worst = 0.0
     for name in "ABCD":
         a, b = getattr(reached, name), getattr(wanted, name)
@@ -75,29 +75,25 @@ def matrices_miss(reached: StateSpaceModel, wanted: StateSpaceModel) -> float:
 
 
 ANALYTIC = 1e-6  # Laurent coefficients below this share of the models' size around a point are rounding
-BOUNDARY = 1e-9  # a pole this near to the stability boundary, relative to its size, may lie on either side
-STILL = 1e-7  # poles and zeros this slow, relative to the fastest, are integrators that rounding has moved
-# Multiples of the grid's ends at which the error must not be larger than the weight, and what a lift may make good.
+BOUNDARY = 1e-9  # a pole this near to the stability boundary, relative to its size, may be on either side
+STILL = 1e-7  # poles and zeros this slow, relative to the fastest, are integrators with rounding
+# Multiples of the grid's ends at which the error is compared with the weight, and the largest growth there.
 BEYOND, GROWTH = np.array([3.0, 10.0, 100.0, 1e3, 1e4]), 1.5
-NEAREST = 1e-6  # no resonance at the Nyquist frequency is looked at more closely than this share of that frequency
+NEAREST = 1e-6  # smallest distance of grid points from the Nyquist frequency, relative to it
 LIFTS = 4  # of a weight until every error is proved to be below it
-LIFT = 1.001  # up to here a lift is rounding, or a peak just beside a frequency of the grid
+LIFT = 1.001  # a smaller lift is rounding, or a peak next to a frequency of the grid
 
 
 @dataclass(frozen=True, eq=False)
 class UnstructuredCover:
     """An unstructured set around a set of models."""
 
-    model: UncertainModel  # the uncertain model
-    # Number of the model that is the nominal one, counted from 1; 0: the middle of the matrices; None: the given one.
-    nominal: int | None
-    fit: Overbound  # the weight and the bound that it lies above
+    model: UncertainModel
+    nominal: int | None  # number of the nominal model, from 1; 0: the middle of the matrices; None: the given one
+    fit: Overbound  # the weight and its bound
     sizes: tuple[float, ...]  # for each model the largest gain of its Delta: at most 1
-    # True where no size passes 1 at any frequency, as an H-infinity norm; False where it was evaluated on the grid of
-    # `fit` only.
-    proved: bool
-    # For each model its Delta as a system, where it can be written as one; else empty.
-    deltas: tuple[StateSpaceModel, ...]
+    proved: bool  # sizes are H-infinity norms; False: evaluated on the grid of `fit` only
+    deltas: tuple[StateSpaceModel, ...]  # each model's Delta as a system; empty where one has no realisation
     radius: float  # largest ratio of the bound to the models' own size (relative forms: the largest bound)
 
 
@@ -107,9 +103,8 @@ def unstructured_cover(
     nominal: StateSpaceModel | None = None,
     order: int = 4,
     tolerance: float = 0.1,
-    points: int = GRID_POINTS,
 ) -> UnstructuredCover:
-    """The cover of models with the same signals; their states may differ."""
+    """Return the cover of models with the same signals; their states may differ."""
     if form != "additive" and models[0].n_inputs != models[0].n_outputs:
         found = f"models of {models[0].n_outputs} outputs and {models[0].n_inputs} inputs"
         raise InputError(f"cover: form {form}", found, "as many inputs as outputs, or form additive")
@@ -121,22 +116,22 @@ def unstructured_cover(
         if all(m.state_names == models[0].state_names for m in models):  # the middle of the matrices: number 0
             stack = system_matrices(models)
             candidates.append((0, model_of(0.5 * (stack.min(axis=0) + stack.max(axis=0)), models[0])))
-    omega = _grid(models, [c for _, c in candidates], points)
+    omega = _grid(models, [c for _, c in candidates])
     best: tuple[float, int | None, StateSpaceModel] | None = None
-    refused: NoTrustworthyNumber | None = None
+    rejected: NoTrustworthyNumber | None = None
     for number, candidate in candidates:
         try:
             _require_stable(models, candidate, form)
         except NoTrustworthyNumber as error:
-            refused = refused or error
+            rejected = rejected or error
             continue
         size = _bound(models, candidate, form, omega)
         radius = float((size / _reference(models, form, omega)).max())
         if best is None or radius < best[0]:
             best = radius, number, candidate
     if best is None:
-        assert refused is not None
-        raise refused
+        assert rejected is not None
+        raise rejected
     radius, number, centre = best
     return _around(models, centre, number, form, (order, tolerance), omega, radius)
 
@@ -155,14 +150,14 @@ def _around(
         return np.hypot(_bound(models, centre, form, w), floor)
 
     fit = overbound(omega, np.hypot(size, floor), *wanted, exact=exact, dt=centre.dt)
-    beyond = _beyond(fit.omega, centre.dt)  # lifted where the error beyond the grid's ends is a little larger
+    beyond = _beyond(fit.omega, centre.dt)  # lifted for a slightly larger error beyond the grid's ends
     ratio = _bound(models, centre, form, beyond) / np.abs(frequency_response(fit.weight, beyond)[:, 0, 0])
     if ratio.max() > 1.0:
         fit = _lifted(fit, float(ratio.max()), wanted[1])
     deltas = _deltas(models, centre, form, fit.weight)
     norms = [hinf_norm(d, 1e-9) for d in deltas]
     proved = bool(norms) and all(n.status.trustworthy and np.isfinite(n.upper) for n in norms)
-    for _ in range(LIFTS):  # a peak between two frequencies of the grid; a norm may be proved less closely next time
+    for _ in range(LIFTS):  # a peak between two frequencies of the grid
         if not proved or max(n.upper for n in norms) <= 1.0:
             break
         fit = _lifted(fit, max(n.upper for n in norms), wanted[1])
@@ -178,7 +173,7 @@ def _around(
 
 
 def _beyond(omega: Array, dt: float) -> Array:
-    """Frequencies outside the grid; for a discrete model the last is that of Nyquist itself."""
+    """Return frequencies outside the grid; of a discrete model the last is the Nyquist frequency."""
     low, high = omega[0] / BEYOND, omega[-1] * BEYOND
     rest = np.pi / dt - omega[-1] if dt else 0.0
     return np.concatenate([low, np.pi / dt - rest * np.linspace(0.9, 0.0, GRID_POINTS) if dt else high])
@@ -187,7 +182,7 @@ def _beyond(omega: Array, dt: float) -> Array:
 def _require_bounded(
     models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form, omega: Array, size: Array
 ) -> None:
-    """The error does not grow on and on beyond the grid."""
+    """Check that the error does not grow beyond the grid."""
     beyond = _beyond(omega, centre.dt)
     outside = _bound(models, centre, form, beyond)
     worst = int(np.argmax(outside))
@@ -198,7 +193,7 @@ def _require_bounded(
 
 
 def _lifted(fit: Overbound, factor: float, tolerance: float) -> Overbound:
-    """The weight times a factor; INACCURATE where it is the factor that takes it beyond the tolerance."""
+    """Return the weight times a factor; INACCURATE if the factor makes it exceed the tolerance."""
     w, g = fit.weight, factor * (1.0 + 1e-9)
     raised = StateSpaceModel(w.A, w.B, g * w.C, g * w.D, w.dt)
     size = g * fit.magnitude
@@ -212,12 +207,12 @@ def _lifted(fit: Overbound, factor: float, tolerance: float) -> Overbound:
 
 
 def _circle(omega: Array, dt: float) -> AnyArray:
-    """Points of the stability boundary."""
+    """Return points of the stability boundary."""
     return np.exp(1j * omega * dt) if dt else 1j * omega
 
 
 def _at(model: StateSpaceModel, s: Any) -> AnyArray:
-    """``G(s)``, shape (len(s), n_y, n_u), for complex s (or z)."""
+    """Return ``G(s)``, shape (len(s), n_y, n_u), for complex s (or z)."""
     if not model.n_states:
         return np.broadcast_to(model.D, (len(s), *model.D.shape)).astype(np.complex128)
     inner = s[:, None, None] * np.eye(model.n_states) - model.A
@@ -225,7 +220,7 @@ def _at(model: StateSpaceModel, s: Any) -> AnyArray:
 
 
 def _error(model: StateSpaceModel, centre: StateSpaceModel, form: Form, s: AnyArray) -> AnyArray:
-    """``E_i`` at complex s, (len(s), ., .)."""
+    """Return ``E_i`` at complex s, (len(s), ., .)."""
     g, other = _at(centre, s), _at(model, s)
     try:
         if form == "additive":
@@ -253,7 +248,7 @@ def _sigma(matrices: AnyArray) -> Array:
 
 
 def error_sizes(models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form, omega: Array) -> Array:
-    """``sigma_max(E_i)`` of every model against the nominal one, (n_models, n_omega); omega in rad/s."""
+    """Return ``sigma_max(E_i)`` of every model relative to the nominal one, (n_models, n_omega); omega in rad/s."""
     s = _circle(omega, centre.dt)
     with np.errstate(all="ignore"):
         sizes = np.array([_sigma(_error(m, centre, form, s)) for m in models])
@@ -268,7 +263,7 @@ def _bound(models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: F
 
 
 def _reference(models: tuple[StateSpaceModel, ...], form: Form, omega: Array) -> Array:
-    """What the bound is measured by: the models' own size for the additive forms, 1 for the relative ones."""
+    """Return the scale of the bound: the models' own size for the additive forms, 1 for the relative ones."""
     s = _circle(omega, models[0].dt)
     if form == "additive":
         return np.max([_sigma(_at(m, s)) for m in models], axis=0) + np.finfo(float).tiny
@@ -277,8 +272,8 @@ def _reference(models: tuple[StateSpaceModel, ...], form: Form, omega: Array) ->
     return np.ones(len(omega))
 
 
-def _grid(models: tuple[StateSpaceModel, ...], others: list[StateSpaceModel], points: int) -> Array:
-    """Frequencies of all models' dynamics, dense about their resonances and anti-resonances."""
+def _grid(models: tuple[StateSpaceModel, ...], others: list[StateSpaceModel]) -> Array:
+    """Return frequencies over all models' dynamics, dense about their resonances and anti-resonances."""
     dt = models[0].dt
     poles = np.concatenate([m.poles() for m in (*models, *others)])
     zeros = np.concatenate([transmission_zeros(m) for m in (*models, *others)])
@@ -289,7 +284,7 @@ def _grid(models: tuple[StateSpaceModel, ...], others: list[StateSpaceModel], po
     size = np.abs(known) if len(known) else np.ones(1)
     low, top = float(size.min()) * 1e-2, np.pi / dt if dt else np.inf
     high = 0.999 * top if dt else float(size.max()) * 1e2
-    omega = [np.geomspace(min(low, 0.1 * high), high, points)]
+    omega = [np.geomspace(min(low, 0.1 * high), high, GRID_POINTS)]
     if dt:  # negative real poles and zeros are resonances at the Nyquist frequency
         rates = np.abs(known.real[np.abs(known.imag) > high])
         rates = np.unique(np.log(np.maximum(rates[rates < 0.03 * top], NEAREST * top)).round(1))
@@ -302,11 +297,11 @@ def _grid(models: tuple[StateSpaceModel, ...], others: list[StateSpaceModel], po
     return np.unique(np.concatenate(omega))
 
 
-# --- are the errors stable? ------------------------------------------------------------------------------------------
+# --- stability of the errors -----------------------------------------------------------------------------------------
 
 
 def _require_stable(models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form) -> None:
-    """Every error is analytic in the closed unstable region."""
+    """Check that every error is analytic in the closed unstable region."""
     inverse = form.startswith("inverse")
     for i, model in enumerate(models, 1):
         if model is centre:
@@ -337,7 +332,7 @@ def _pole_that_stays(model: StateSpaceModel, centre: StateSpaceModel, form: Form
         turns = (points - p) / radius
         with np.errstate(all="ignore"):
             error = _error(model, centre, form, points)
-            own = 1.0  # the size of what the error is the difference of
+            own = 1.0  # size of the terms of the difference
             if form.endswith("additive"):
                 here = _at(centre, points)
                 own = float(np.abs(here if form == "additive" else np.linalg.inv(here)).max())
@@ -354,7 +349,7 @@ def _pole_that_stays(model: StateSpaceModel, centre: StateSpaceModel, form: Form
 def _deltas(
     models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form, weight: StateSpaceModel
 ) -> tuple[StateSpaceModel, ...]:
-    """``E_i / w`` as systems; none where a model would have to be inverted that has no proper inverse."""
+    """Return ``E_i / w`` as systems; none where a required inverse is not proper."""
     back = weight.inverse()
     back = anonymous(append(*(back.renamed([f"u{k}"], [f"y{k}"]) for k in range(centre.n_inputs))))
     try:
@@ -364,7 +359,7 @@ def _deltas(
 
 
 def _error_model(model: StateSpaceModel, centre: StateSpaceModel, form: Form) -> StateSpaceModel:
-    """``E_i`` as a system."""
+    """Return ``E_i`` as a system."""
     if form == "additive":
         return model - centre
     if form == "inverse-additive":
@@ -379,7 +374,7 @@ def _error_model(model: StateSpaceModel, centre: StateSpaceModel, form: Form) ->
 
 
 def _proper_quotient(below: StateSpaceModel, above: StateSpaceModel) -> tuple[StateSpaceModel, StateSpaceModel]:
-    """``(P below)^-1`` and ``P above``, with powers of s + a (discrete: z) in a diagonal P that make it invertible."""
+    """Return ``(P below)^-1``, ``P above``, P a diagonal of powers of s + a (discrete: z) for a proper inverse."""
     a = 0.0 if below.is_discrete else float(np.abs(below.poles()).max(initial=0.0)) or 1.0
     for _ in range(below.n_states):
         rows = np.flatnonzero(~(below.D.any(axis=1) | above.D.any(axis=1)))
@@ -390,10 +385,10 @@ def _proper_quotient(below: StateSpaceModel, above: StateSpaceModel) -> tuple[St
 
 
 def _times_s(m: StateSpaceModel, rows: Indices, a: float) -> StateSpaceModel:
-    """The rows of a model that have no direct way times s + a, for proper rows."""
+    """Multiply the rows of a model that have no direct term by s + a."""
     C, D = m.C.copy(), m.D.copy()
     C[rows], D[rows] = m.C[rows] @ m.A + a * m.C[rows], m.C[rows] @ m.B
-    D[rows] *= np.abs(D[rows]) > 16 * EPS * (np.abs(m.C[rows]) @ np.abs(m.B))  # what cancels to rounding is zero
+    D[rows] *= np.abs(D[rows]) > 16 * EPS * (np.abs(m.C[rows]) @ np.abs(m.B))  # rounding of a cancellation is zero
     return StateSpaceModel(m.A, m.B, C, D, m.dt)
 
 

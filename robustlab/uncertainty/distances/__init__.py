@@ -1,1 +1,1 @@
-"""Distances between models that count for feedback, and coprime factors."""
+"""Distances between models for feedback, and coprime factors."""

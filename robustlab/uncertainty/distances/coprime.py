@@ -1,4 +1,4 @@
-"""Normalised coprime factors of a model, and the stability margin that belongs to them.
+"""Normalised coprime factors of a model, and their stability margin.
 
 Zhou, Doyle, Glover (1996), theorem 13.37 and section 16.1; Vinnicombe, *Uncertainty and Feedback* (2001).
 """
@@ -22,7 +22,7 @@ from robustlab.result import Status
 from robustlab.shown import Facts, Shown, bracket, number
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
 
-INNER = 1e-7  # how far the factors may be from inner, evaluated at frequencies around the model's poles
+INNER = 1e-7  # allowed deviation of the factors from inner, at frequencies around the model's poles
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,14 +31,13 @@ class CoprimeRiccati:
 
     model: StateSpaceModel  # the model's transfer function of `s / rate`, in balanced states
     rate: float  # in rad/s
-    states: Array  # factors of the balancing: state `i` of the model as given is `states[i]` times that of `model`
     # control, filtering: X with its gain `F = -R^-1 (B^T X + D^T C)`, and Z with `H^T`
     control: RiccatiSolution
     filtering: RiccatiSolution
 
     @property
     def best_margin(self) -> float:
-        """The largest `coprime_margin` that any controller reaches: ``(1 + rho(X Z))^(-1/2)``."""
+        """Return the largest `coprime_margin` of any controller, ``(1 + rho(X Z))^(-1/2)``."""
         with np.errstate(over="ignore", invalid="ignore"):
             product = self.control.X @ self.filtering.X
         refuse_overflow("coprime factors", product)
@@ -46,8 +45,8 @@ class CoprimeRiccati:
 
 
 def coprime_riccati(model: StateSpaceModel) -> CoprimeRiccati:
-    """Both Riccati equations of a continuous model that is stabilisable and detectable, which is refused if not."""
-    m, rate, states = _scaled(model)
+    """Solve both Riccati equations of a continuous, stabilisable and detectable model."""
+    m, rate = _scaled(model)
     p, q = m.D.shape
     r, s = np.eye(q) + m.D.T @ m.D, np.eye(p) + m.D @ m.D.T
     try:
@@ -57,7 +56,7 @@ def coprime_riccati(model: StateSpaceModel) -> CoprimeRiccati:
         hidden = hidden_unstable(model)
         found = hidden[0].meaning if hidden else error.found
         raise NoTrustworthyNumber("coprime factors", found, "a stabilisable and detectable model") from None
-    return CoprimeRiccati(m, rate, states, control, filtering)
+    return CoprimeRiccati(m, rate, control, filtering)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +68,7 @@ class CoprimeFactors:
 
 
 def coprime_factors(model: StateSpaceModel) -> CoprimeFactors:
-    """Normalised coprime factors of a continuous model, from two Riccati equations."""
+    """Return the normalised coprime factors of a continuous model, from two Riccati equations."""
     found = coprime_riccati(model)
     m = found.model
     r, s = np.eye(m.n_inputs) + m.D.T @ m.D, np.eye(m.n_outputs) + m.D @ m.D.T
@@ -96,17 +95,17 @@ class CoprimeMargin(Shown):
     lower, upper
         ``lower <= b <= upper``; both 0 where C does not stabilise P.
     frequency
-        Where it is smallest, in rad/s; None where C does not stabilise P.
+        Frequency of the minimum in rad/s; None where C does not stabilise P.
     best
-        The largest margin that any controller reaches for this plant.
+        The largest margin of any controller for this plant.
     status
-        Status of the H-infinity norm that gave it.
+        Status of the H-infinity norm of the computation.
     reason
         Why the margin is 0 or inaccurate; else empty.
     loop
-        The law that closes the loop, and who says so.
+        The feedback law and its source.
     plant, K
-        What makes the loop, u = K y, for `robustlab.verify`.
+        The loop u = K y, for `robustlab.verify`.
     """
 
     lower: float
@@ -121,7 +120,7 @@ class CoprimeMargin(Shown):
 
     @property
     def value(self) -> float:
-        """The proved margin, ``lower``."""
+        """Return the proved margin, ``lower``."""
         return self.lower
 
     def facts(self) -> Facts:
@@ -140,7 +139,7 @@ class CoprimeMargin(Shown):
 
 @told_as("coprime_margin")
 def coprime_margin(P: Any, C: Any, *, sign: Literal[-1, 1] | None = None) -> CoprimeMargin:
-    r"""Stability margin of the loop of P and C, with the meaning of a distance in the gap and nu-gap metric.
+    r"""Return the stability margin of the loop of P and C, a distance in the gap and nu-gap metric.
 
     .. math:: b(P, C) = \left\| \begin{bmatrix} P \\ I \end{bmatrix} (I - s C P)^{-1}
        \begin{bmatrix} -C & I \end{bmatrix} \right\|_\infty^{-1}
@@ -152,12 +151,12 @@ def coprime_margin(P: Any, C: Any, *, sign: Literal[-1, 1] | None = None) -> Cop
     P, C
         Plant (p outputs, m inputs) and controller (m outputs, p inputs), ``u = sign C y``.
     sign
-        -1 for negative feedback, 1 for positive feedback; left out: as C says, negative where it says nothing.
+        -1 for negative feedback, 1 for positive feedback; by default that of C, or negative.
 
     Returns
     -------
     CoprimeMargin
-        The margin, 0 .. 1, and 0 where C does not stabilise P.
+        The margin, 0 .. 1; 0 where C does not stabilise P.
 
     Raises
     ------
@@ -187,9 +186,7 @@ def coprime_margin(P: Any, C: Any, *, sign: Literal[-1, 1] | None = None) -> Cop
 
 
 def four_block(plant: StateSpaceModel) -> StateSpaceModel:
-    """From (w1, w2, u) to (y, v, y + w1) with ``v = u + w2``, ``y = P v``: closed by ``u = C (y + w1)``, its H-infinity
-    norm is the inverse of the margin.
-    """
+    """Return (w1, w2, u) -> (y, v, y + w1), ``v = u + w2``, ``y = P v``; the margin is 1/norm at ``u = C (y + w1)``."""
     p, m = plant.D.shape
     n = plant.n_states
     v = np.hstack([np.zeros((m, p)), np.eye(m), np.eye(m)])
@@ -202,22 +199,22 @@ def four_block(plant: StateSpaceModel) -> StateSpaceModel:
 
 @dataclass(frozen=True, eq=False)
 class MappedModels:
-    """Continuous models with the same values on the stability boundary, and the way back to its frequencies."""
+    """Continuous models with the same values on the stability boundary, and the map of frequencies."""
 
     models: tuple[StateSpaceModel, ...]
     dt: float
     mirrored: bool
 
     def frequency(self, omega: float) -> float:
-        """Frequency of the models as given that belongs to ``omega`` of the mapped ones, in rad/s."""
+        """Return the frequency of the given models for ``omega`` of the mapped ones, in rad/s."""
         if not self.dt:
             return omega
-        bent = 2 / self.dt * float(np.arctan(omega * self.dt / 2)) if np.isfinite(omega) else np.pi / self.dt
-        return np.pi / self.dt - bent if self.mirrored else bent
+        warped = 2 / self.dt * float(np.arctan(omega * self.dt / 2)) if np.isfinite(omega) else np.pi / self.dt
+        return np.pi / self.dt - warped if self.mirrored else warped
 
 
 def continuous_models(*models: StateSpaceModel) -> MappedModels:
-    """Continuous models as they are, discrete ones through ``s = (2/dt) (z - 1)/(z + 1)``, all mapped alike."""
+    """Return continuous models as they are, discrete ones mapped by ``s = (2/dt) (z - 1)/(z + 1)``, all alike."""
     times = {m.dt for m in models if m.n_states or m.dt}
     if len(times) > 1:
         raise InputError("gap", f"sample times {sorted(times)} s (0: continuous)", "one common sample time")
@@ -226,7 +223,7 @@ def continuous_models(*models: StateSpaceModel) -> MappedModels:
         return MappedModels(models, 0.0, False)
     straight = tuple(StateSpaceModel(m.A, m.B, m.C, m.D, dt) for m in models)
     turned = tuple(StateSpaceModel(-m.A, -m.B, m.C, m.D, dt) for m in models)
-    # A pole close to z = -1 becomes a fast one, at the price of digits: -z then is the better variable.
+    # A pole close to z = -1 becomes a fast, inaccurate one: -z then is the better variable.
     mirrored = _nearness(straight) > 100 * _nearness(turned)
     try:
         return MappedModels(tuple(bilinear_to_continuous(m) for m in (turned if mirrored else straight)), dt, mirrored)
@@ -237,16 +234,16 @@ def continuous_models(*models: StateSpaceModel) -> MappedModels:
 
 
 def _nearness(models: tuple[StateSpaceModel, ...]) -> float:
-    """How large the bilinear map makes a model: the largest condition number of I + A in balanced states."""
+    """Return the largest condition number of I + A in balanced states, the error of the bilinear map."""
     scales = [balancing_factors(m.A) for m in models]
     balanced = [m.A / t[:, None] * t for m, t in zip(models, scales, strict=True) if m.n_states]
     return max((float(np.linalg.cond(np.eye(len(a)) + a)) for a in balanced), default=1.0)
 
 
-def _scaled(model: StateSpaceModel) -> tuple[StateSpaceModel, float, Array]:
-    """The same transfer function of ``s / rate`` with balanced states, the rate in rad/s, and the states' factors."""
+def _scaled(model: StateSpaceModel) -> tuple[StateSpaceModel, float]:
+    """Return the transfer function of ``s / rate`` with balanced states, and the rate in rad/s."""
     if not model.n_states:
-        return model, 1.0, np.zeros(0)
+        return model, 1.0
     if not is_moderate(model.A, model.B, model.C, model.D):
         hint = "choose other units of u and y, or of time"
         raise NoTrustworthyNumber("coprime factors", "entries whose squares overflow or vanish", None, hint)
@@ -259,11 +256,11 @@ def _scaled(model: StateSpaceModel) -> tuple[StateSpaceModel, float, Array]:
     in_size, out_size = float(np.linalg.norm(b)), float(np.linalg.norm(c))
     level = float(2.0 ** np.round(np.log2(in_size / out_size) / 2)) if in_size and out_size else 1.0
     root = np.sqrt(rate)
-    return StateSpaceModel(a / rate, b / level / root, c * level / root, model.D), rate, scale * level / root
+    return StateSpaceModel(a / rate, b / level / root, c * level / root, model.D), rate
 
 
 def _inverse_root(matrix: Array) -> Array:
-    """``matrix^(-1/2)`` of a symmetric positive definite matrix."""
+    """Return ``matrix^(-1/2)`` of a symmetric positive definite matrix."""
     values, vectors = np.linalg.eigh(matrix)
     return vectors / np.sqrt(values) @ vectors.T
 
@@ -272,7 +269,7 @@ def _check_inner(m: StateSpaceModel, right: StateSpaceModel, left: StateSpaceMod
     speeds = np.abs(np.concatenate([m.poles(), right.poles(), left.poles()]))
     omega = np.unique(np.concatenate([[0.0], speeds]))
     g, h = frequency_response(right, omega), frequency_response(left, omega)
-    with np.errstate(over="ignore", invalid="ignore"):  # what overflows or is NaN does not pass
+    with np.errstate(over="ignore", invalid="ignore"):  # overflow and NaN fail the test
         off = np.abs(np.swapaxes(g.conj(), 1, 2) @ g - np.eye(g.shape[2])).max(initial=0.0)
         off = np.maximum(off, np.abs(h @ np.swapaxes(h.conj(), 1, 2) - np.eye(h.shape[1])).max(initial=0.0))
     if not off <= INNER:

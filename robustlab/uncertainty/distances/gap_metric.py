@@ -1,4 +1,4 @@
-"""The distance between two models that counts for feedback: the nu-gap (Vinnicombe, IEEE TAC 38, 1993)."""
+"""The distance between two models for feedback: the nu-gap (Vinnicombe, IEEE TAC 38, 1993)."""
 
 # With G = [N; M], G~ = [M~, -N~]: |G~2 G1|_inf where det(G2* G1) is not 0 on the axis and winds zero times around the
 # origin, else 1.
@@ -17,8 +17,8 @@ from robustlab.shown import Facts, Shown, bracket, number
 from robustlab.statespace import StateSpaceModel, as_model, series
 from robustlab.uncertainty.distances.coprime import CoprimeFactors, continuous_models, coprime_factors
 
-NOTHING, AGREE = 1e-12, 1e-6  # a distance that cannot be told from zero, and one from 1
-SIDE = 1e-11  # an eigenvalue whose real part is below this share of the largest has no sure side of the axis
+NOTHING, AGREE = 1e-12, 1e-6  # a distance indistinguishable from 0, and a difference to 1
+SIDE = 1e-11  # relative real part below which the sign of an eigenvalue is uncertain
 
 
 @dataclass(frozen=True)
@@ -30,13 +30,13 @@ class NuGap(Shown):
     lower, upper
         ``lower <= nu-gap <= upper``.
     frequency
-        Where the pointwise (chordal) distance is largest, in rad/s; ``inf`` for the direct terms.
+        Frequency of the largest pointwise (chordal) distance, in rad/s; ``inf`` for the direct terms.
     chordal
-        That largest pointwise distance; it is the nu-gap where ``winding`` is 0.
+        That distance; the nu-gap where ``winding`` is 0.
     winding
         Winding number of det(G2* G1) around the origin: its zeros minus its poles in the right half plane.
     status
-        CERTIFIED, or INACCURATE where a norm or the side of a zero is not sure.
+        CERTIFIED, or INACCURATE where a norm or the sign of a zero is uncertain.
     reason
         Why the value is 1 or inaccurate; else empty.
     """
@@ -51,7 +51,7 @@ class NuGap(Shown):
 
     @property
     def value(self) -> float:
-        """The nu-gap; equal to ``lower``."""
+        """Return the nu-gap, ``lower``."""
         return self.lower
 
     def facts(self) -> Facts:
@@ -68,21 +68,21 @@ class NuGap(Shown):
 
 @told_as("nu_gap")
 def nu_gap(P1: Any, P2: Any) -> NuGap:
-    r"""Nu-gap metric between two models of equal size.
+    r"""Return the nu-gap metric between two models of equal size.
 
-    The largest chordal distance over the axis is an H-infinity norm, by the level-set method; the winding number is
-    counted from the poles and zeros of det(G2* G1), not from a curve.
+    The largest chordal distance over the axis is an H-infinity norm, by the level-set method; the winding number
+    follows from the poles and zeros of det(G2* G1).
 
     Parameters
     ----------
     P1, P2
-        Models with the same numbers of inputs and outputs, stable or not, with poles on the axis or not; both
-        continuous or both discrete with one sample time. Hidden modes must be stable.
+        Models with the same numbers of inputs and outputs, stable or not; both continuous or both discrete with one
+        sample time. Hidden modes must be stable.
 
     Returns
     -------
     NuGap
-        ``value`` is 1 where the winding condition fails: no controller is good for both.
+        ``value`` is 1 where the winding condition fails: no controller suits both.
 
     Raises
     ------
@@ -135,7 +135,7 @@ def nu_gap(P1: Any, P2: Any) -> NuGap:
 
 
 def _winding(one: CoprimeFactors, two: CoprimeFactors) -> tuple[int | None, bool]:
-    """Zeros minus poles of det(G2* G1) in the right half plane, and whether every one has a sure side."""
+    """Return zeros minus poles of det(G2* G1) in the right half plane, and whether all signs are certain."""
     g1, g2 = one.right, two.right
     # G2*(s) = G2(-s)^T has the matrices (-A^T, C^T, -B^T, D^T).
     A = np.block([[g1.A, np.zeros((g1.n_states, g2.n_states))], [g2.C.T @ g1.C, -g2.A.T]])

@@ -31,7 +31,7 @@ def saved(tmp_path):
     return path
 
 
-def test_a_file_says_what_the_result_says(saved):
+def test_a_file_has_the_claims_of_its_result(saved):
     claims = claims_in_file(saved)
     assert [c.kind for c in claims] == ["norm"]
     assert (claims[0].numbers["A"] == OSCILLATOR.A).all()
@@ -89,14 +89,14 @@ def files(tmp_path_factory):
     return files
 
 
-# What is edited, beside the claims; what the command says of the number that is not the one proved.
+# The edit outside of the claims, and the message of the command about the number that is not proved.
 EDITS = [
     ("norm", scaled("data/upper"), "data/upper is 5.527.*, the claim proves 5.025"),
     ("norm", scaled("data/lower"), "data/lower is 5.527"),
     ("norm", lambda file: file.attrs.modify("status", "failed"), "the file was changed"),
     ("norm", lambda file: file.pop("data/value"), "data/value is missing"),
     ("norm", lambda file: file.attrs.modify("type", "Margin"), "data/lower is"),
-    ("norm", lambda file: file.attrs.modify("type", "Opinion"), "no claim is known to say .* 'Opinion'"),
+    ("norm", lambda file: file.attrs.modify("type", "Opinion"), "no claim covers .* 'Opinion'"),
     ("margin", scaled("data/lower"), "data/lower is 5.49.*, the claim proves 4.99"),
     ("margin", scaled("data/upper"), "data/upper is 5.5, the claim proves 5"),
     ("margin", lambda file: file.move("data/delta/pole", "data/delta/zero"), "the file was changed"),
@@ -111,7 +111,7 @@ EDITS = [
 
 
 @pytest.mark.parametrize(("kind", "edit", "pattern"), EDITS)
-def test_what_is_displayed_is_what_is_proved(kind, edit, pattern, files, tmp_path, capsys):
+def test_displayed_numbers_are_the_proved_ones(kind, edit, pattern, files, tmp_path, capsys):
     path = Path(shutil.copy(files[kind], tmp_path))
     with h5py.File(path, "r+") as file:
         edit(file)
@@ -123,22 +123,22 @@ def test_what_is_displayed_is_what_is_proved(kind, edit, pattern, files, tmp_pat
         tree.attrs |= {"content_sha256": digest} if digest else {}
         write_tree(path, tree)
         assert call(str(path)) == 4
-        told = capsys.readouterr().out
-        assert re.search(pattern, told)
-        assert "proved independently" not in told
-        assert ("no content_sha256" in told) == (digest is None)
+        output = capsys.readouterr().out
+        assert re.search(pattern, output)
+        assert "proved independently" not in output
+        assert ("no content_sha256" in output) == (digest is None)
 
 
-def test_a_file_of_an_earlier_version_says_what_is_not_bound(saved, capsys):
+def test_a_file_of_an_earlier_version_reports_unbound_numbers(saved, capsys):
     tree = read_tree(saved)
     del tree.groups["claims"].attrs["content_sha256"]
     tree.attrs["content_sha256"] = content_sha256(tree)
     write_tree(saved, tree)
     assert rl.load(saved).upper == rl.peak_gain(OSCILLATOR).upper
     assert call(str(saved)) == 4
-    told = capsys.readouterr().out
-    assert "the claims carry no digest of the file" in told
-    assert "proved: data/upper is" in told
+    output = capsys.readouterr().out
+    assert "the claims carry no digest of the file" in output
+    assert "proved: data/upper is" in output
 
 
 def test_numbers_without_a_claim_are_listed(saved):
@@ -165,7 +165,7 @@ text = "The margin is proved independently"
 """
 
 
-def test_a_recipe_verifies_what_it_wrote(tmp_path):
+def test_a_recipe_verifies_its_files(tmp_path):
     M = rl.StateSpaceModel([[-1.0]], [[-0.2, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
     rl.save(tmp_path / "lag.h5", rl.UncertainModel(M, [rl.RealScalar("pole")]))
     (tmp_path / "small.toml").write_text(RECIPE)

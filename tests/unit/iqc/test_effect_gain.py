@@ -74,7 +74,7 @@ def test_friction_with_a_stick_speed_is_a_monotone_law():
         assert (np.linalg.norm(q, axis=0) / np.linalg.norm(d, axis=0)).max() <= found.proved.upper
 
 
-def test_friction_without_one_is_refused_with_the_reason():
+def test_friction_without_a_stick_speed_is_rejected_with_a_reason():
     with pytest.raises(InputError, match=r"sector \[0, inf\): no strict inequality holds"):
         gain_of({"coulomb-friction": {"Fc": 20.0}})
     with pytest.raises(InputError, match="no Coulomb friction there"):
@@ -83,7 +83,7 @@ def test_friction_without_one_is_refused_with_the_reason():
         rl.peak_gain(AXIS, K)
 
 
-def test_any_other_sector_may_change_at_every_instant():
+def test_any_other_sector_may_vary_arbitrarily_fast():
     found = gain_of({"quadratic-drag": {"c": 100.0}}, amplitude={"v": 1.0})
     assert list(found.proved.nature.values()) == ["varies arbitrarily fast"]
     assert found.proved.conditions == ("quadratic-drag@v: while its signal stays within 1",)

@@ -50,13 +50,13 @@ def largest_linear_gain(model):
 # --- closed forms -----------------------------------------------------------------------------------------------------
 
 
-def test_the_circle_criterion_is_met_to_its_end():
+def test_the_circle_criterion_is_tight():
     # min Re 1 / (1 + jw)^3 = -1/4 at w = 1: sector [0, k] of a law that varies needs k < 4.
     assert proved(CUBE, rl.Nonlinearity((0.0, 3.999), steady=False))
     assert not proved(CUBE, rl.Nonlinearity((0.0, 4.001), steady=False))
 
 
-def test_popovs_criterion_is_met_to_its_end():
+def test_popovs_criterion_is_tight():
     # Re (1 + jw) / (1 + jw)^3 >= -1/8, and k = 8 is Hurwitz' limit.
     assert proved(CUBE, rl.Nonlinearity((0.0, 7.99)))
     with pytest.raises(NoTrustworthyNumber, match="unstable with all blocks at their middles"):
@@ -167,7 +167,7 @@ def test_no_input_reaches_more_than_the_proved_gain(name):
     shapes = np.hstack([waves, np.sign(waves), waves + 0.5 * rng.normal(size=waves.shape)]) * (t < 50)[:, None]
     inputs = np.hstack([size * shapes for size in (0.3, 1.0, 5.0, 30.0)])
     worst = simulated_gains(CUBE, lambda z: stiff * function(z), inputs, dt).max()
-    assert 0.3 * found.upper <= worst <= found.upper  # the attack is worth its name
+    assert 0.3 * found.upper <= worst <= found.upper  # the inputs are close to the worst case
     assert found.lower <= found.upper
 
 
@@ -196,8 +196,8 @@ def test_no_varying_spring_reaches_more_than_the_proved_gain():
 
 
 @pytest.mark.parametrize("slip", ["z", "A", "B"])
-def test_a_model_that_was_put_together_wrongly_proves_nothing(monkeypatch, slip):
-    """A slip once doubled a direct term on its way into the inequality; the claim is about the model as given."""
+def test_a_wrongly_assembled_model_proves_nothing(monkeypatch, slip):
+    """An error once doubled a direct term of the inequality; the claim is about the given model."""
     made = Inequality.__init__
 
     def slipped(self, *args):
@@ -209,7 +209,7 @@ def test_a_model_that_was_put_together_wrongly_proves_nothing(monkeypatch, slip)
     assert (found.status, found.upper) == (Status.INCONCLUSIVE, math.inf)
 
 
-def test_a_solver_that_lies_proves_nothing(monkeypatch):
+def test_a_wrong_solver_proves_nothing(monkeypatch):
     rng = np.random.default_rng(0)
     monkeypatch.setattr(
         inequality_module, "_clarabel", lambda rows, *more: np.abs(rng.normal(size=rows.shape[1])) + 0.1
@@ -218,10 +218,10 @@ def test_a_solver_that_lies_proves_nothing(monkeypatch):
     assert (found.status, found.upper, found.proof) == (Status.INCONCLUSIVE, math.inf, None)
 
 
-# --- what is refused and said -----------------------------------------------------------------------------------------
+# --- errors and reports -----------------------------------------------------------------------------------------------
 
 
-def test_an_unstable_member_is_shown():
+def test_an_unstable_member_is_reported():
     found = rl.peak_gain(CUBE, natures={("y", "u"): rl.Nonlinearity((0.0, 9.0))})
     assert (found.status, found.lower, found.upper) == (Status.INFEASIBLE, math.inf, math.inf)
     assert found.delta == {"y:u": 1.0}
@@ -229,7 +229,7 @@ def test_an_unstable_member_is_shown():
 
 
 @pytest.mark.parametrize("odd", [False, True])
-def test_a_slope_that_no_law_at_the_middle_of_the_sector_has_moves_the_sector(odd):
+def test_a_slope_restricts_the_sector(odd):
     """Of w = law(5 / (s + 1) w) each law with slopes above 0.5 is unstable; proved "stable" from the law zero, which is
     of the sector [-1, 1] alone, and so no start of the homotopy."""
     law = rl.Nonlinearity((-1.0, 1.0), (0.5, 1.5), odd=odd)
@@ -241,7 +241,7 @@ def test_a_slope_that_no_law_at_the_middle_of_the_sector_has_moves_the_sector(od
         rl.Nonlinearity((0.0, 1.0), (1.0, 2.0))
 
 
-def test_an_algebraic_loop_counts_slopes_only():
+def test_an_algebraic_loop_uses_slopes_only():
     direct = rl.StateSpaceModel([[-1.0]], [[1.0, 1.0]], [[-1.0]], [[-0.5, 0.0]], 0.0, ["u", "d"], ["y"])
     found = rl.peak_gain(direct, natures={("y", "u"): rl.Nonlinearity.saturation()})
     assert found.status is Status.CERTIFIED
@@ -278,7 +278,7 @@ def stability(block, natures):
         (lambda: rl.robust_stability(_discrete(), natures={}), "a discrete model"),
     ],
 )  # fmt: skip
-def test_what_does_not_fit_is_refused_in_one_line(ask, text):
+def test_invalid_input_is_rejected_in_one_line(ask, text):
     with pytest.raises(InputError, match=text) as error:
         ask()
     assert "\n" not in error.value.line

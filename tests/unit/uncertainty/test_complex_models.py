@@ -1,4 +1,4 @@
-"""Complex entries: refused wherever a model comes from, with the reason; the real model of twice the size is right."""
+"""Complex entries: rejected with the reason by every source of models; the real model of twice the size is right."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ UNCERTAIN = rl.UncertainModel(
         (lambda folder: rl.load(stored(folder / "m.h5", rl.Controller(LAG), "A"), no_verify=True), "A"),
     ],
 )
-def test_every_constructor_and_every_file_refuses_them(make, name, tmp_path):
+def test_every_constructor_and_every_file_rejects_them(make, name, tmp_path):
     with pytest.raises(InputError, match=f"{name} has dtype complex128, expected real numbers") as caught:
         make(tmp_path)
     assert "[[Re, -Im], [Im, Re]]" in str(caught.value.hint)

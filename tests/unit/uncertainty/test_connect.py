@@ -1,4 +1,4 @@
-"""rl.connect: against python-control's interconnect, closed forms, and what it refuses in one line."""
+"""rl.connect: against python-control's interconnect, closed forms, and errors in one line."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_a_loop_is_that_of_python_control():  # which solves no algebraic loop: 
     assert (ours.input_names, ours.output_names, ours.n_states) == (("d", "r"), ("z", "e", "y"), 5)
 
 
-def test_what_comes_from_outside_can_be_shown_and_feeds_several_inputs():
+def test_an_external_input_can_be_an_output_and_feeds_several_inputs():
     two = rl.connect(gain(2.0, "r", "a"), gain(3.0, "r", "b"), inputs="r", outputs=["b", "r", "a", "s"], sums="s=a- b")
     assert two.D.ravel().tolist() == [3.0, 1.0, 2.0, -1.0]
 
@@ -56,7 +56,7 @@ def test_an_algebraic_loop_is_solved_exactly():
     assert loop.D.ravel() == pytest.approx([0.8, 0.2])
 
 
-def test_sets_keep_their_blocks_and_equal_names_are_one_uncertainty():
+def test_sets_keep_their_blocks_and_equal_names_are_merged():
     plant = stiffness()
     model = plant.M.renamed(["w", "r"], ["z", "v"])
     twin = rl.UncertainModel(model, plant.blocks)
@@ -87,13 +87,13 @@ PLANT, OTHER = lag(-1.0, "u", "y"), lag(-1.0, "v", "y")
         ([PLANT, lag(-1, "speeed", "w")], ["u"], ["w"], ["speed = y"], "did you mean speed?"),
         ([PLANT], ["u"], ["yy"], [], r"output 'yy': no such signal, expected one of y, u\nhint: did you mean y\?"),
         ([lag(-1, "force", "y")], ["forse"], ["y"], [], r"takes it, expected one of force\nhint: did you mean force\?"),
-        ([PLANT], ["u", "u"], ["y"], [], "input 'u': is asked for twice"),
-        ([PLANT], ["u"], ["y", "y"], [], "output 'y': is asked for twice"),
+        ([PLANT], ["u", "u"], ["y"], [], "input 'u': is given twice"),
+        ([PLANT], ["u"], ["y", "y"], [], "output 'y': is given twice"),
         ([PLANT, lag(-1, "y", "w")], ["u", "y"], ["w"], [], "input 'y': part 1 makes this signal"),
         ([PLANT], ["u"], ["y"], ["e = "], "sum 'e = ': nothing to add"),
         ([PLANT], ["u"], ["y"], ["e - y"], "sum 'e - y': no sum"),
         ([PLANT], ["u"], ["y"], ["e = u y"], "sum 'e = u y': 'y' is no term"),
-        ([PLANT], ["u"], ["y"], ["e = u - u"], "'u' stands there twice"),
+        ([PLANT], ["u"], ["y"], ["e = u - u"], "'u' occurs twice"),
         ([PLANT], ["u"], ["y"], ["e = u +"], r"'\+' is no term"),
         ([[[2.0]]], ["u"], ["y"], [], "part 1: a number or a matrix: its signals have no names"),
         ([lag(-0.5, "u", "y", dt=0.1), lag(-0.5, "y", "z", dt=0.2)], ["u"], ["z"], [],
@@ -101,7 +101,7 @@ PLANT, OTHER = lag(-1.0, "u", "y"), lag(-1.0, "v", "y")
         ([], ["u"], ["y"], [], "connect: no part"),
     ],
 )  # fmt: skip
-def test_what_is_refused_says_where(parts, inputs, outputs, sums, message):
+def test_errors_name_the_place(parts, inputs, outputs, sums, message):
     with pytest.raises(InputError, match=message) as caught:
         rl.connect(*parts, inputs=inputs, outputs=outputs, sums=sums)
     assert "\n" not in caught.value.line

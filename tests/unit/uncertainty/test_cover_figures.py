@@ -1,4 +1,4 @@
-"""What the figures of covers draw: weights over the errors, the effect of each block."""
+"""Figures of covers: weights over the errors, the effect of each block."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def lags():
     return [rl.StateSpaceModel([[-1 / t]], [[g / t]], [[1.0]], [[0.0]]) for g, t in ((1, 1), (1.2, 1.3), (0.9, 0.8))]
 
 
-def test_the_weight_lies_above_every_error_that_is_drawn():
+def test_the_weight_is_above_every_drawn_error():
     found = rl.cover(lags(), "additive", gain=False)
     assert found.fit is not None
     errors = error_sizes(tuple(lags()), found.model.nominal, "additive", found.fit.omega)

@@ -1,4 +1,4 @@
-"""The nu-gap: closed forms, published values, other routes to the same numbers, bad inputs."""
+"""The nu-gap: closed forms, published values, independent computations, bad inputs."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_static_gains_are_the_sine_of_an_angle(k1, k2):
 
 
 def test_the_winding_condition_decides_where_the_curves_are_close():
-    """A right-half-plane pole that nearly cancels: no frequency shows it, and no controller is good for both."""
+    """A right-half-plane pole that nearly cancels: invisible at all frequencies, and no controller suits both."""
     one, two = first_order(1, -1), tf([1, -1.01], [1, 0, -1])
     result = nu_gap(one, two)
     assert result.chordal < 0.01
@@ -73,7 +73,7 @@ def test_values_published_by_mathworks_for_gapmetric():
     assert round(coprime_margin(one, k).value, 4) == 0.1961
 
 
-# --- other routes to the same numbers --------------------------------------------------------------------------------
+# --- independent computations ----------------------------------------------------------------------------------------
 
 
 def curve_and_encirclements(one: rl.StateSpaceModel, two: rl.StateSpaceModel) -> tuple[float, float]:
@@ -108,7 +108,7 @@ def test_against_a_grid_and_the_encirclements_of_the_models_themselves(seed):
     assert result.value == (pytest.approx(chordal, rel=1e-4) if round(index) == 0 else 1.0)
 
 
-def test_the_best_margin_is_what_the_literature_gives():
+def test_the_best_margin_matches_the_literature():
     """Glover, McFarlane: 1/s has b_opt = 1/sqrt(2), reached by C = 1; the margin of any C is not above it."""
     integrator = first_order(1, 0)
     assert coprime_margin(integrator, rl.StateSpaceModel([], [], [], [[1.0]])).best == pytest.approx(1 / np.sqrt(2))

@@ -1,4 +1,4 @@
-"""LFTs of numeric matrix polynomials give the polynomial back, with no more repetitions than its ranks ask for."""
+"""LFTs of numeric matrix polynomials reproduce the polynomial, with no more repetitions than its ranks require."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def of_rank(rng, r: int, m: int = 5, n: int = 7) -> np.ndarray:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_any_polynomial_comes_back(seed):
+def test_any_polynomial_is_reproduced(seed):
     rng = np.random.default_rng(seed)
     exponents = [(0, 0, 0), (1, 0, 0), (2, 0, 0), (1, 1, 0), (2, 1, 0), (0, 0, 3), (1, 0, 1)]
     poly = MatrixPolynomial(("a", "b", "c"), {e: of_rank(rng, 2) for e in exponents})
@@ -33,7 +33,7 @@ def test_any_polynomial_comes_back(seed):
         np.testing.assert_allclose(poly(t), by_hand, atol=1e-12)
 
 
-def test_an_affine_one_is_repeated_as_its_ranks_ask():
+def test_an_affine_polynomial_has_the_repetitions_of_its_ranks():
     rng = np.random.default_rng(1)
     ranks = {"a": 1, "b": 3, "c": 5}
     terms = {(0, 0, 0): rng.normal(size=(5, 7))}

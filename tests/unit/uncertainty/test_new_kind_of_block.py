@@ -1,4 +1,4 @@
-"""A new kind of block is one class: nothing else in the library knows of it."""
+"""A new kind of block is one class, without changes elsewhere in the library."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from robustlab.uncertainty import Block
 
 @dataclass(frozen=True)
 class RealMatrix(Block):
-    """A full real matrix with ``sigma_max <= 1``: constant parameters that are known together by one bound."""
+    """A full real matrix with ``sigma_max <= 1``: constant parameters with one joint bound."""
 
     name: str
     rows: int

@@ -1,4 +1,4 @@
-"""Over-bounding weights: exact where the bound is one, never below it, as close as an independent search comes."""
+"""Over-bounding weights: exact for the bound of a weight, never below it, as close as an independent search."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def size_of(zeros, poles, gain=1.0):
         ([-0.01, -1.0, -300.0], [-0.1, -10.0, -30.0], 3),
     ],
 )
-def test_a_bound_that_is_the_size_of_a_weight_is_found_again(zeros, poles, order):
+def test_a_bound_from_a_weight_is_recovered(zeros, poles, order):
     exact = size_of(zeros, poles, 2.5)
     omega = np.unique(np.concatenate([np.logspace(-3, 4, 120), np.linspace(0.9, 1.7, 60)]))
     fit = overbound(omega, exact(omega), 4, 0.005, exact=exact)
@@ -45,7 +45,7 @@ def test_a_bound_that_is_the_size_of_a_weight_is_found_again(zeros, poles, order
 
 @given(st.integers(0, 10_000))
 @settings(max_examples=3)
-def test_never_below_the_bound_on_a_grid_of_its_own(seed):
+def test_never_below_the_bound_on_an_independent_grid(seed):
     rng = np.random.default_rng(seed)
     parts = [
         size_of(-(10 ** rng.uniform(-1, 2, n)), -(10 ** rng.uniform(-1, 2, n)), 10 ** rng.uniform(-1, 0.5))

@@ -1,4 +1,4 @@
-"""A complex Delta at one frequency as stable systems: value, norm, sizes, edges, and the pole it puts on the axis."""
+"""A complex Delta at one frequency as stable systems: value, norm, sizes, edges, and its pole on the axis."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_bad_inputs_are_named(delta, omega, dt, text):
         realise_delta(blocks, delta, omega, dt)
 
 
-def test_the_critical_delta_of_a_margin_is_replayed():
+def test_the_critical_delta_of_a_margin_is_simulated():
     M = rl.StateSpaceModel([[0, 1], [-1, -0.2]], [[0, 0], [1, 1]], [[1, 0.5], [1, 0]], np.zeros((2, 2)))
     model = rl.UncertainModel(M, [rl.ComplexScalar("d")])
     margin = rl.robust_stability(model)

@@ -28,16 +28,23 @@ def test_mussv_rows():
     assert as_blocks(RealScalar("k")) == (RealScalar("k"),)
 
 
-@pytest.mark.parametrize("bad", [[[0, 0]], [[-2, 3]], [[1.5, 0]], [["a", 0]], [[1, 2, 3]], [3], "text", 7, [[-2, -2]]])
-def test_rows_that_mean_nothing(bad):
-    with pytest.raises(InputError, match="blocks"):
-        as_blocks(bad)
+ROWS = ([[0, 0]], [[-2, 3]], [[1.5, 0]], [["a", 0]], [[1, 2, 3]], [3], "text", 7, [[-2, -2]])
+WIDTHS = ((0.5, 0.0), (0.5, -0.1), (0.0, 0.5), (np.inf, 0.5), (0.5, np.nan), (0.5, True))
+ENDS = ((1.0, 2.0, 1.0), (1.0, 2.0, 3.0), (2.0, 1.0, None), (np.nan, 1.0, 0.5), (0, np.inf, 1))
 
 
-@pytest.mark.parametrize("name", ["", "x" * 201, 3])
-def test_names_that_are_none(name):
-    with pytest.raises(InputError, match="1 to 200"):
-        ComplexScalar(name)
+@pytest.mark.parametrize(
+    ("make", "text"),
+    [
+        *((lambda rows=rows: as_blocks(rows), "blocks") for rows in ROWS),
+        *((lambda name=name: ComplexScalar(name), "1 to 200") for name in ("", "x" * 201, 3)),
+        *((lambda w=w: ParameterRange(1.0, w[0], below=w[1]), "width") for w in WIDTHS),
+        *((lambda ends=ends: ParameterRange.between(*ends), "low < nominal < high") for ends in ENDS),
+    ],
+)
+def test_invalid_input_is_named(make, text):
+    with pytest.raises(InputError, match=text):
+        make()
 
 
 @pytest.mark.parametrize(
@@ -79,20 +86,6 @@ def test_delta_is_piecewise_and_the_member_has_the_parameter_value(delta):
     entries = delta_matrix([block], {"tau": delta})
     np.testing.assert_allclose(entries, (delta if delta >= 0 else 0.5 * delta) * np.eye(2))
     assert delta_values([block], entries)["tau"] == pytest.approx(delta, rel=1e-15)
-
-
-@pytest.mark.parametrize("widths", [(0.5, 0.0), (0.5, -0.1), (0.0, 0.5), (np.inf, 0.5), (0.5, np.nan), (0.5, True)])
-def test_widths_that_are_none(widths):
-    with pytest.raises(InputError, match="width"):
-        ParameterRange(1.0, widths[0], below=widths[1])
-
-
-@pytest.mark.parametrize(
-    "ends", [(1.0, 2.0, 1.0), (1.0, 2.0, 3.0), (2.0, 1.0, None), (np.nan, 1.0, 0.5), (0, np.inf, 1)]
-)
-def test_ends_that_are_none(ends):
-    with pytest.raises(InputError, match="low < nominal < high"):
-        ParameterRange.between(*ends)
 
 
 @pytest.mark.parametrize(

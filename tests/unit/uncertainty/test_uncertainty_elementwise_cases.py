@@ -1,4 +1,4 @@
-"""Element-wise uncertainty: names, refusals, the thesis' column form, noise, the generalised plant."""
+"""Element-wise uncertainty: names, errors, the thesis' column form, noise, the generalised plant."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_a_difference_of_one_rounding_is_not_lost(structure):
         (motor(states=["omega", "j"]), "perturbed states"),
     ],
 )
-def test_models_that_do_not_belong_together(other, text):
+def test_models_that_do_not_match(other, text):
     with pytest.raises(InputError, match=text):
         elementwise(motor(), other)
 
@@ -105,12 +105,12 @@ def test_units_that_disagree():
 
 
 @pytest.mark.parametrize(("structure", "tolerance"), [("element", None), ("single", -0.1), ("single", 1.0)])
-def test_options_that_are_none(structure, tolerance):
+def test_invalid_options(structure, tolerance):
     with pytest.raises(InputError):
         elementwise(motor(), motor(), structure, tolerance)
 
 
-def test_noise_hides_the_rank_until_it_is_named():
+def test_a_tolerance_reveals_the_rank_under_noise():
     rng = np.random.default_rng(2)
     n = 12
     nominal = rng.standard_normal((n, n))
@@ -171,7 +171,7 @@ def test_one_block_for_each_cause():
         (-1.0, 1e30, r"an entry of 1e\+30"),
     ],
 )
-def test_a_doubtful_pair_is_warned_of(pole, gain, remark, tmp_path, capsys):
+def test_a_doubtful_pair_gives_a_warning(pole, gain, remark, tmp_path, capsys):
     nominal, perturbed = (rl.StateSpaceModel([[a]], [[b]], [[1.0]], [[0.0]]) for a, b in ((-1.0, 1.0), (pole, gain)))
     with pytest.warns(UserWarning, match=remark):
         rl.elementwise(nominal, perturbed)

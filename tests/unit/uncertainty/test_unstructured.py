@@ -51,7 +51,7 @@ def sizes(form: str, p: int, m: int) -> tuple[int, int]:
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize(("p", "m"), [(1, 1), (2, 2), (3, 2), (2, 3)])
 @pytest.mark.parametrize("dt", [0.0, 0.1])
-def test_members_are_those_of_the_formula(form, p, m, dt):
+def test_members_match_the_formula(form, p, m, dt):
     G = model(4, p, m, 1, dt, shift=-0.3)  # not stable, which is allowed
     rows, cols = sizes(form, p, m)
     W1, W2 = model(2, rows, rows + 1, 2, dt), model(3, cols + 1, cols, 3, dt)
@@ -105,7 +105,7 @@ def test_scalar_and_diagonal_weights():
     assert each.response(omega, {"unmodelled": delta}) == pytest.approx(g + 2 * delta * scale)
 
 
-def test_a_dynamic_delta_goes_in_as_a_system():
+def test_a_delta_may_be_a_system():
     G, W = model(3, 2, 2, 5), rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.1]])
     E = model(2, 2, 2, 6)
     made = unstructured(G, W, "output-multiplicative").evaluate({"unmodelled": E})

@@ -1,4 +1,4 @@
-"""Answers of the checker that an attack found to be wrong, each with the smallest claim that shows it."""
+"""Former errors of the checker, each with the smallest claim that shows it."""
 
 import numpy as np
 import verify_cases as cases
@@ -16,7 +16,7 @@ def arrays(**numbers):
     return {name: np.array(value) for name, value in numbers.items()}
 
 
-def test_a_direct_term_that_hides_in_a_ball_around_zero_is_no_zero():
+def test_a_ball_around_zero_is_not_a_zero_direct_term():
     # D = -1 + (1 + e)(1 - e) = -2^-104 is less than the radius of the balls, and makes the H2 norm infinite.
     e = 2.0**-52
     loop = arrays(
@@ -43,7 +43,7 @@ def test_a_worst_case_gain_is_that_over_the_whole_set():
         assert cases.outcome("worst-gain-boxes", two, blocks, more, size=size) == expected
 
 
-def test_a_counterexample_is_one_of_the_loop_that_is_claimed():
+def test_a_counterexample_belongs_to_the_claimed_loop():
     # The loop has a gain of a half and the claim is true; the G given proves nothing, and A .. D are another model.
     loop = arrays(P_A=-ONE, P_B=[[1.0, 0.0]], P_C=[[0.5], [0.0]], P_D=np.zeros((2, 2)), K_D=ZERO)
     claim = arrays(blocks=[[0, 1, 1]], level=1.0, low=[0.0], high=[np.inf], delta=ONE)
@@ -54,7 +54,7 @@ def test_a_counterexample_is_one_of_the_loop_that_is_claimed():
     assert cases.outcome("mu-axis", loop | {"P_C": 4 * loop["P_C"]}, STATIC, CHANNELS, claim, useless) == "refuted"
 
 
-def test_a_set_that_is_met_to_within_a_tolerance_says_so():
+def test_a_tolerance_appears_in_the_claim_of_a_set():
     exact = {x: LAG[x] for x in ("A", "dt")} | arrays(B=np.ones((1, 2)), C=np.ones((2, 1)), D=np.zeros((2, 2)))
     ends = {f"{x}{i}": LAG[x] for x in "ABCD" for i in (0, 1)} | {"A1": ZERO, "blocks": np.array([[0, 1, 1]])}
     assert "tolerance" not in check(cases.claimed("set", exact, ends)).claim

@@ -1,4 +1,4 @@
-"""The parts on which every proof rests, each against an independent evaluation."""
+"""The basic operations of every proof, each against an independent evaluation."""
 
 import math
 
@@ -21,7 +21,7 @@ def ball_model(seed, n, m, p, dt=0.0, margin=0.1):
 
 
 def response(G, s):
-    """The response at the complex number s, in balls, straight from the definition."""
+    """Evaluate the response at the complex number s, in balls, from the definition."""
     n = G.n
     pencil = acb_mat(balls.identity(n)) * s - G.A
     return G.D + G.C * pencil.solve(acb_mat(balls.identity(n)) * G.B)
@@ -41,10 +41,9 @@ def test_maps_of_a_model_keep_its_response(seed):
         G = ball_model(seed, 5, 2, 3)
         s = acb(0.25, 1.5)
         truth = response(G, s)
-        for mapped, at in ((models.modal(G)[0], s), (models.reciprocal(G), 1 / s)):
-            assert overlap(response(mapped, at), truth)
-            assert narrow(response(mapped, at))
-        assert overlap(response(models.modal(models.reciprocal(G))[0], 1 / s), truth)
+        mapped = response(models.reciprocal(G), 1 / s)
+        assert overlap(mapped, truth)
+        assert narrow(mapped)
         H = ball_model(seed, 5, 2, 3, dt=0.1)
         z = (1 + s) / (1 - s)
         assert overlap(response(models.on_the_axis(H), s), response(H, z))

@@ -1,4 +1,4 @@
-"""A box of frequency: the family of matrices that stands for it, judged by determinants and eigenvalues."""
+"""A box of frequency: its family of matrices, compared with determinants and eigenvalues."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def test_regular_within_agrees_with_the_eigenvalues(seed, n, r):
             assert axis.regular_within(H, r) == (not singular)
 
 
-def test_defective_and_hostile_families():
+def test_defective_and_extreme_families():
     with balls.precision(BITS):
         shift = balls.exact(np.diag(np.ones(3), 1).astype(complex))
         assert axis.regular_within(shift, 10.0)  # nilpotent: there is no base of eigenvectors
@@ -42,7 +42,7 @@ def test_defective_and_hostile_families():
             axis.regular_within(wide, 2.0)
 
 
-def test_a_pole_that_the_form_does_not_see_is_seen():
+def test_an_unobservable_pole_is_detected():
     """B = 0: F is constant and positive, and A has the eigenvalue j."""
     A = np.array([[0.0, 1.0], [-1.0, 0.0]])
     G = models.Model(balls.exact(A), balls.zeros(2, 1), balls.exact(np.ones((1, 2))), balls.zeros(1, 1), 0.0)
@@ -56,8 +56,8 @@ def test_a_pole_that_the_form_does_not_see_is_seen():
 
 
 @pytest.mark.parametrize("n", [3, 5])
-def test_far_from_normal_is_regular_where_its_eigenvalues_are_small(n):
-    """A Jordan block of 1/2 with 50 beside it, turned: |H| has a radius far above 1, and there are no eigenvectors."""
+def test_a_nonnormal_matrix_with_small_eigenvalues_is_regular(n):
+    """A rotated Jordan block of 1/2 with 50 off the diagonal: |H| has a radius far above 1, without eigenvectors."""
     Q = np.linalg.qr(np.random.default_rng(n).standard_normal((n, n)))[0]
     H = Q @ (0.5 * np.eye(n) + 50.0 * np.eye(n, k=1)) @ Q.T
     assert np.abs(np.linalg.eigvals(np.abs(H))).max() > 10

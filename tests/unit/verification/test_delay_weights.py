@@ -1,4 +1,4 @@
-"""Claims about the weights of delays, against what is known to cover and what is known not to."""
+"""Claims about the weights of delays, against weights known to be large enough or too small."""
 
 import numpy as np
 import verify_cases as cases
@@ -26,7 +26,7 @@ def test_a_weight_covers_or_does_not():
     assert cases.outcome("delay-weight", good, **{**common, "far": 8.0}) == "not proved"  # the arc goes round
 
 
-def test_the_arc_of_delays_counts_and_not_its_ends():
+def test_the_whole_arc_of_delays_is_covered():
     # e^(-jw) and e^(-jw 5) nearly meet at w = pi / 2, where the delays between them are everywhere.
     weight = first_order(3.0, 3.0) | {"W_A": -20.0 * ONE, "W_B": 20.0 * ONE}
     ends = {"range": np.array([1.0, 5.0]), "far": 40.0, "tolerance": 1e-12}

@@ -1,4 +1,4 @@
-"""Models that break floating point: the checker proves what is true of them, or says that it did not, and ends."""
+"""Models at the limits of floating point: the checker proves true claims, or returns not proved."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ def norm(A, B, C, D, gamma, dt=0.0, **more):
 
 
 def lags(rates, gains, scales=None):
-    """Sum of g a / (s + a): where all gains are positive the peak is at rest, and it is their sum."""
+    """Sum of g a / (s + a): if all gains are positive the peak is at zero frequency, their sum."""
     a, g = np.asarray(rates, float), np.asarray(gains, float)
     d = np.ones(len(a)) if scales is None else np.asarray(scales, float)
     return np.diag(-a), (d * a)[:, None], (g / d)[None], np.zeros((1, 1))
@@ -48,7 +48,7 @@ def test_denormal_numbers():
 
 @pytest.mark.parametrize("n", [2, 5, 8])
 def test_defective_eigenvalues(n):
-    """(1/(s + 1))^n, one Jordan block: the peak is 1, at rest."""
+    """(1/(s + 1))^n, one Jordan block: the peak is 1, at zero frequency."""
     A = -np.eye(n) + np.diag(np.ones(n - 1), 1)
     B, C = np.eye(n)[:, -1:], np.eye(n)[:1]
     D = np.zeros((1, 1))
@@ -69,7 +69,7 @@ def test_poles_on_the_boundary(dt):
 
 @pytest.mark.slow
 def test_forty_states_by_frequency_alone():
-    """Twenty resonances of one damping: no P is given, the form's own boxes do."""
+    """Twenty resonances of equal damping, without P: proved by the boxes of the form."""
     omega, zeta = np.geomspace(0.1, 1000, 20), 1e-3
     A = np.zeros((40, 40))
     B, C = np.zeros((40, 1)), np.zeros((1, 40))

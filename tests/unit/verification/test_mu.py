@@ -42,7 +42,7 @@ def test_bounds_of_a_matrix_from_both_sides(name, seed):
         assert cases.outcome("mu-upper", numbers, delta=found.delta, level=1 / size * (1 - 1e-6)) == "refuted"
 
 
-def test_levels_of_their_own_for_each_block():
+def test_individual_levels_for_each_block():
     M = np.array([[0.0, 4.0], [1.0, 0.0]], complex)  # singular where delta1 delta2 = 1/4
     numbers = {"M": M, "blocks": np.array([[1, 1, 1], [1, 1, 1]]), "G": np.zeros((2, 2))}
     for levels, d in (([2.0, 2.0], 4.0), ([8.0, 0.5], 64.0), ([1.0, 4.0], 1.0)):
@@ -169,22 +169,22 @@ def test_no_delta_proves_more_than_mu(data, seed, name):
     assert cases.outcome("mu-lower", numbers, level=level) != "proved"
 
 
-def test_boxes_of_a_matrix_with_a_range_of_its_own():
+def test_boxes_of_a_matrix_with_an_uneven_range():
     one = {"D_w": np.ones((1, 1, 1)), "D_z": np.ones((1, 1, 1)), "G": np.zeros((1, 1, 1))}
     one |= {"low": np.zeros(1), "high": np.full(1, np.inf)}
     numbers = {**one, "M": np.eye(1), "blocks": np.array([[0, 1, 1]]), "level": np.ones(1), "size": 1.0}
 
-    def told(ranges, box, **more):  # 1 - delta is singular at delta = 1 and nowhere else
+    def verdict(ranges, box, **more):  # 1 - delta is singular at delta = 1 and nowhere else
         return cases.outcome("mu-upper-boxes", numbers | {"ranges": [ranges], "box": [[box]]} | more)
 
-    assert told((-2.0, 0.9), (-2.0, 0.9)) == "proved"
-    assert told((-2.0, 0.9), (-2.5, 0.95)) == "proved"
-    assert told((-2.0, 1.0), (-2.0, 1.0)) == "not proved"
-    assert told((-2.0, 0.9), (-2.0, 0.8)) == "not proved"
-    assert told((-2.0, 0.9), (-2.0, 0.9), high=[5.0]) == "not proved"
-    assert told((-2.0, 0.9), (-2.0, 0.9), size=1.01) == "not proved"
-    assert told((-1.0, 1.0), (-100.0, 100.0), size=100.0, M=np.array([[1j]]), G=np.full((1, 1, 1), 1e3)) == "proved"
-    assert told((-1.0, 1.0), (-100.0, 100.0), size=100.0, G=np.full((1, 1, 1), 1e3)) == "not proved"
+    assert verdict((-2.0, 0.9), (-2.0, 0.9)) == "proved"
+    assert verdict((-2.0, 0.9), (-2.5, 0.95)) == "proved"
+    assert verdict((-2.0, 1.0), (-2.0, 1.0)) == "not proved"
+    assert verdict((-2.0, 0.9), (-2.0, 0.8)) == "not proved"
+    assert verdict((-2.0, 0.9), (-2.0, 0.9), high=[5.0]) == "not proved"
+    assert verdict((-2.0, 0.9), (-2.0, 0.9), size=1.01) == "not proved"
+    assert verdict((-1.0, 1.0), (-100.0, 100.0), size=100.0, M=np.array([[1j]]), G=np.full((1, 1, 1), 1e3)) == "proved"
+    assert verdict((-1.0, 1.0), (-100.0, 100.0), size=100.0, G=np.full((1, 1, 1), 1e3)) == "not proved"
 
 
 def test_a_difference_over_a_band():

@@ -1,4 +1,4 @@
-"""Integral quadratic constraints: bounds that are met to their end, and multipliers that are none of their class."""
+"""Integral quadratic constraints: tight bounds, and multipliers outside of their class."""
 
 import numpy as np
 import pytest
@@ -112,7 +112,7 @@ def test_zames_falb_up_to_kalmans_limit():
     assert outcome(made, size=1.01 * made.numbers["size"]) is Outcome.NOT_PROVED
 
 
-def test_a_kernel_above_its_norm_is_refused():
+def test_a_kernel_above_its_norm_is_rejected():
     """h of the order 3: q00 + 2 q01 t + q11 t^2 and q t, times e^-t; integrals q00 + 2 q01 + 2 q11 and q."""
     made = zames_falb(odd=True)
     x = made.numbers["multipliers"]
@@ -139,8 +139,8 @@ def test_a_bound_of_the_rate():
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2, 4, 5])
-def test_linear_members_never_exceed_what_is_proved(seed):
-    """Members drawn from a set of repeated, full and complex blocks: none has a larger gain."""
+def test_linear_members_never_exceed_the_proved_gain(seed):
+    """Random members of a set of repeated, full and complex blocks: none has a larger gain."""
     rng = np.random.default_rng(seed)
     blocks = [rl.RealScalar("a", 2), rl.ComplexScalar("b", 1), rl.FullBlock("c", 1, 2)]
     A = rng.normal(size=(3, 3))

@@ -1,4 +1,4 @@
-"""Models with moving parameters: gains that are known, and what fails between the points of a grid."""
+"""Models with time-varying parameters: known gains, and failures between the points of a grid."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ def test_the_gain_of_a_lag_that_is_switched():
     assert check(lags([-0.5], 1.3)).outcome is Outcome.NOT_PROVED
 
 
-def test_between_the_points_a_product_of_two_that_vary_is_looked_at():
+def test_products_of_varying_parameters_are_tested_between_grid_points():
     # P = 1/a proves a gain of one for each frozen lag; between a = 1 and 4 the straight line is far from it.
     assert check(lags([1.0, 0.25], 1.01, rate=0.0)).outcome is Outcome.NOT_PROVED
     points = np.geomspace(1.0, 4.0, 9)
@@ -107,7 +107,7 @@ def test_a_scheduled_loop_is_that_of_plant_and_controller():
 
 
 @pytest.mark.slow
-def test_nothing_is_claimed_where_nothing_is_proved_between_the_points():
+def test_no_claim_without_a_proof_between_the_points():
     model = rl.lpv_model(lambda a: rl.StateSpaceModel([[-(a**2)]], [[1.0]], [[1.0]], [[0.0]]), {"a": [1.0, 1.5, 2.0]})
     assert model.known == "sampled"
     assert claims_of(rl.peak_gain(model)) == []

@@ -1,4 +1,4 @@
-"""Numbers that earlier versions vouched for, and that are not true, as files: the command proves none of them."""
+"""Files with wrong numbers that earlier versions certified: the command proves none of them."""
 
 from __future__ import annotations
 
