@@ -3,8 +3,7 @@
 from importlib import import_module
 from pathlib import Path
 
-# The order of the kinds in the schema, and so a file imports only from those before it at its top; files that are not
-# named here come last.
+# The order of the kinds in the schema; a file imports only from those before it. Other files come last.
 ORDER = ("models", "covers", "samples", "digital", "control", "records", "validation")
 
 _found = sorted(path.stem for path in Path(__file__).parent.glob("[!_]*.py"))

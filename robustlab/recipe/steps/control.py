@@ -1,10 +1,10 @@
-"""Steps on tracking problems: pose them, close them with a known law, judge and simulate several controllers alike."""
+"""Steps on tracking problems: pose them, and compare controllers in analysis and simulation."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
@@ -27,10 +27,7 @@ from robustlab.operations.vocabulary import (
     ToPlantOrFile,
     ToUncertainOrProblem,
 )
-from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, step, told
-
-if TYPE_CHECKING:
-    pass
+from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, outcome_of, step
 
 Sizes = Positive | dict[str, Positive]
 
@@ -96,7 +93,7 @@ class TrackingProblemStep(Step):
             loads=loads,
             noise=_sizes_of(self.noise, [*(f"{name}_ref" for name in controlled), *measured]),
         )
-        return told(problem, problem, f"Tracking problem of {self.of}: a gain of at most 1 is asked for.", work)
+        return outcome_of(problem, problem, f"Tracking problem of {self.of}: a gain of at most 1 is asked for.", work)
 
 
 @step
@@ -163,7 +160,7 @@ class RobustPerformanceStep(Step):
             work.keep(margin, name)
         where = self.of if self.set is None else f"{self.of} on {self.set}"
         summary = f"Robust performance of {where} under {len(loops)} controllers, the same requirement for all."
-        return told(found, found.margins, summary, work)
+        return outcome_of(found, found.margins, summary, work)
 
 
 @step
@@ -196,7 +193,7 @@ class SimulateControlStep(Step):
     def foretell(self, ahead: Ahead) -> Foretold:
         known = {**(ahead[self.of].inputs or {}), **(ahead[self.of].outputs or {})}
         plant = ahead[self.of].value
-        if plant is not None:  # unknown effects, places and parameters are refused
+        if plant is not None:  # raises on unknown effects, places and parameters
             for member in self.members:
                 plant.with_parameters(**member)
             if self.effects:
@@ -221,7 +218,7 @@ class SimulateControlStep(Step):
             self.effects,
             self.members,
         )
-        return told(found, found, f"{self.of} {found.headline()}.", work)
+        return outcome_of(found, found, f"{self.of} {found.headline()}.", work)
 
 
 @step
@@ -260,11 +257,13 @@ class FollowTrajectoryStep(Step):
         controllers = {name: work.values[name] for name in self.controllers}
         path = Path(self.at, self.scale, self.rise_time, self.t_end, self.points)
         found = follow_path(work.values[self.of], controllers, path, self.after, self.p_low)
-        return told(found, found, f"Nonlinear simulation of {self.of} under {len(controllers)} controllers.", work)
+        return outcome_of(
+            found, found, f"Nonlinear simulation of {self.of} under {len(controllers)} controllers.", work
+        )
 
 
 def _closed(step: RobustPerformanceStep, work: Workspace, name: str) -> tuple[Any, int]:
-    """The loop of a problem (or of a generalised plant) under a controller, and that controller's order."""
+    """Close a problem or a generalised plant with a controller; return the loop and the controller's order."""
     from robustlab.statespace import as_model
     from robustlab.synthesis.specifications.tracking_problem import TrackingProblem
 
@@ -278,7 +277,7 @@ def _closed(step: RobustPerformanceStep, work: Workspace, name: str) -> tuple[An
 
 
 def _signals(G: Any) -> tuple[list[str], list[str]]:
-    """Names of the inputs and outputs of a model or an uncertain model."""
+    """Return the names of the inputs and outputs of a model or an uncertain model."""
     from robustlab.statespace import as_model
 
     base = G if hasattr(G, "blocks") else as_model(G, "tracking problem")
@@ -286,7 +285,7 @@ def _signals(G: Any) -> tuple[list[str], list[str]]:
 
 
 def _matching(names: Sequence[str], known: Sequence[str]) -> list[str]:
-    """The names with each pattern replaced by what it matches; a pattern without a match stays, to be refused."""
+    """Replace each pattern by the names it matches; a pattern without a match is kept, and rejected later."""
     found: list[str] = []
     for name in names:
         found += [k for k in known if fnmatchcase(k, name)] or [name] if "*" in name else [name]
@@ -294,7 +293,7 @@ def _matching(names: Sequence[str], known: Sequence[str]) -> list[str]:
 
 
 def _sizes_of(given: Any, known: Sequence[str]) -> Any:
-    """Sizes with each pattern replaced by what it matches; the first pattern that matches a signal counts."""
+    """Replace each pattern by the names it matches; the first pattern that matches a signal counts."""
     if not isinstance(given, dict):
         return given
     sizes: dict[str, float] = {}

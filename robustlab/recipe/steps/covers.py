@@ -70,7 +70,7 @@ class DataCoverStep(Step):
         from robustlab.report.set_figures import validation_figure
 
         def thinned(name: str) -> Any:
-            # An input is the mean of what was sent until the next sample that is kept: a held one stands for that.
+            # An input is averaged until the next kept sample, over which it is then held.
             r, k = work.record(name), self.decimate
             n = r.n // k
             inputs = {key: u[: n * k].reshape(n, k).mean(axis=1) for key, u in r.inputs.items()}
@@ -170,9 +170,9 @@ class CoverModelsStep(Step):
         from robustlab.synthesis.specifications.tracking_loop import tracking_loop, with_law
 
         models = _models(self, work)
-        said, loop = "", None
+        words, loop = "", None
         if self.controller is not None:  # one sign for all: that of the first
-            K, said = with_law(models[0], work.values[self.controller], self.sign)
+            K, words = with_law(models[0], work.values[self.controller], self.sign)
             loop = partial(tracking_loop, controller=K)
         nominal = None if self.nominal is None else _selected(rl.linearise, work.values[self.nominal], self.outputs)
         found = rl.cover(
@@ -183,7 +183,7 @@ class CoverModelsStep(Step):
         work.keep(found)
         for name, (figure, caption) in cover_figures(found, models).items():
             work.draw(figure, name, caption)
-        numbers, facts = found.numbers(), (*facts_of(found), *([Fact("Loop", said)] if said else []))
+        numbers, facts = found.numbers(), (*facts_of(found), *([Fact("Loop", words)] if words else []))
         loads = () if self.of is None else _at_pose(work.values[self.of], self.poses[0])[1]
         numbers["loads"] = {load.name: load.bound for load in loads}
         facts += tuple(Fact(x.name, f"at most {quantity(x.bound, x.unit)}", x.origin) for x in loads)
@@ -240,7 +240,7 @@ def _models(step: CoverModelsStep, work: Workspace) -> list[rl.StateSpaceModel]:
 
 
 def _at_pose(plant: Any, pose: list[float]) -> tuple[rl.StateSpaceModel, tuple[NoiseInput, ...]]:
-    """The plant linearised at a pose, with its effects' loads before its inputs, and these."""
+    """Linearise a plant at a pose; return the model with the effects' loads before its inputs, and the loads."""
     from robustlab.dynamics.extended.effect_blocks import loaded_model
     from robustlab.dynamics.extended.extended_plant import ExtendedNonlinearPlant
 
@@ -249,7 +249,7 @@ def _at_pose(plant: Any, pose: list[float]) -> tuple[rl.StateSpaceModel, tuple[N
 
 
 def _selected(linearise: Any, given: Any, outputs: list[str] | None) -> rl.StateSpaceModel:
-    """A model as it is, a plant linearised; with the outputs that are kept."""
+    """Return a model, of a plant its linearisation, with the outputs that are kept."""
     from robustlab.dynamics import Plant
     from robustlab.linear_analysis.structural import drop_unconnected
     from robustlab.statespace import as_model

@@ -47,7 +47,7 @@ class PlantStep(Step):
 
     def foretell(self, ahead: Ahead) -> Foretold:
         parameter: dict[str, Any] = {"value": float, "unit": str, "tolerance": "1"}
-        if ahead.step in ahead.sources:  # code of the user's is run when the recipe is
+        if ahead.step in ahead.sources:  # a user's code runs only with the recipe
             return Foretold(leaves={"code": {"*": str}, "parameters": {"*": parameter}})
         made: Any = rl.plant(self.plant, **self._given, **self.choices)
         parameters = {name: {**parameter, "value": p.unit} for name, p in made.parameters.items()}
@@ -148,7 +148,7 @@ class SaveStep(Step):
         rl.save(path, given, work.provenance())
         work.files.append(self.file)
         with h5py.File(path) as written:
-            # Of the content without its provenance: two runs that compute the same write the same.
+            # Excludes provenance: equal content gives an equal hash.
             digest = str(written.attrs["content_sha256"])
         return Outcome(
             path,

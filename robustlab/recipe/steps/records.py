@@ -1,4 +1,4 @@
-"""Steps on measurements: reading and joining records, comparing, naming what a model lacks."""
+"""Steps on measurements: reading, joining and comparing records, identifying missing effects."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def _as_record(found: rl.Record, summary: str, notes: tuple[str, ...]) -> Outcom
 
 
 class Naming(OperationStep):
-    """Naming what a model lacks: the updated plant is kept as STEP-plant.h5; the recipe says which verdicts count."""
+    """Effect identification: saves the updated plant as STEP-plant.h5; the recipe chooses the accepted verdicts."""
 
     accept: Annotated[list[Literal["no missing effect", "named", "ambiguous", "unknown"]], Field(min_length=1)] = Field(
         ["no missing effect", "named"],
@@ -126,10 +126,10 @@ class Naming(OperationStep):
 
         named = found.result
         if named.interrupted:
-            raise KeyboardInterrupt  # a recipe that is stopped stays stopped: later steps would take the part for all
-        told = super().outcome(found, work)
+            raise KeyboardInterrupt  # later steps must not use an incomplete result
+        outcome = super().outcome(found, work)
         work.discoveries[work.step] = named
-        notes = [*(f.message for f in named.findings), *told.notes]
+        notes = [*(f.message for f in named.findings), *outcome.notes]
         status = named.status
         if not status.trustworthy and named.verdict in self.accept:
             status = rl.Status.CONVERGED
@@ -145,13 +145,13 @@ class Naming(OperationStep):
             work.files.append(file)
             notes.append(f"The signal of the next experiment is in {file}.")
         return replace(
-            told, summary=f"{named.headline()}.", status=status, notes=tuple(notes),
+            outcome, summary=f"{named.headline()}.", status=status, notes=tuple(notes),
             story=tuple(Fact(*part) for part in story(named)),
         )  # fmt: skip
 
 
 class Comparing(OperationStep):
-    """Comparing with a record: every number in windows has a sister of the free run."""
+    """Comparison with a record: every number in windows has a counterpart in free run."""
 
     def in_free_run(self, path: str) -> str | None:
         return path.replace(".windowed_", ".") if ".outputs." in path and ".windowed_" in path else None

@@ -117,7 +117,7 @@ class SampleStep(Step):
         facts = [Fact(f"{name} at the end", f"{span} (nominal {quantity(final['nominal'], unit)})")]
         for (value, text), inside in zip(references, covers, strict=True):
             facts.append(Fact(text, f"{quantity(value, unit)}: {'covered' if inside else 'not covered'}"))
-        if self.percent is None:  # else the curves would lie on one another
+        if self.percent is None:  # else the percent figure shows the curves
             figure = response_figure(
                 responses.t, y, nominal, (lower, upper), output=(name, unit), references=references
             )
@@ -129,7 +129,7 @@ class SampleStep(Step):
         return numbers | ({"peak_percent": 100 * deviation / size} if size > 0 else {}), facts
 
     def _percent_bands(self, work: Workspace, responses: Any, numbers: Any, published: float) -> Fact:
-        """The members' deviations in percent of the largest nominal value, drawn beside a published band."""
+        """Draw the members' deviations in percent of the largest nominal value with a published band."""
         from robustlab.thesis.figures import percent_figure
 
         bands: dict[str, Any] = {}
