@@ -1,4 +1,4 @@
-"""One declaration of a capability: what a command and a step of recipes offer of a function of Python."""
+"""Operations: each is declared once, for the command line and for recipes."""
 
 from robustlab.lazily import lazily
 

@@ -131,7 +131,7 @@ def watch(
 
 @dataclass(frozen=True)
 class Cut:
-    """How the record is taken."""
+    """The part of the record that is used, and how."""
 
     domain: Annotated[
         Literal["time", "frequency"],
@@ -144,8 +144,8 @@ class Cut:
 
 
 @dataclass(frozen=True)
-class Asked:
-    """What is sought."""
+class Bounds:
+    """The noise norm and the precision of the bounds."""
 
     noise_norm: Annotated[
         Literal["peak", "rms"] | None,
@@ -155,7 +155,7 @@ class Asked:
     precision: Annotated[float, Number(least=1e-4, most=0.2), "Relative width of the bounds."] = 0.01
 
 
-WHOLE, USUAL_DELTA, USUAL_SEARCH = Cut(), Asked(), Search()
+WHOLE, USUAL_BOUNDS, USUAL_SEARCH = Cut(), Bounds(), Search()
 
 
 @operation(
@@ -170,7 +170,7 @@ def validate(
         "Noise bound of an output, in its unit; from the record's own repeats where all are left out.",
     ] = None,
     cut: Cut = WHOLE,
-    asked: Asked = USUAL_DELTA,
+    bounds: Bounds = USUAL_BOUNDS,
     search: Search = USUAL_SEARCH,
     progress: Callable[[str], None] | None = None,
 ) -> Any:
@@ -182,7 +182,7 @@ def validate(
     Example: robustlab data validate axis.h5 run3.csv --noise q=2e-5
     """
     return rl.validate(
-        uncertain, record, noise or None, progress=progress, **vars(cut), **vars(asked), **search.options,
+        uncertain, record, noise or None, progress=progress, **vars(cut), **vars(bounds), **search.options,
     )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Operations of designs: controllers by every method."""
+"""Operations of controller design."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Controls = Annotated[Channel, "Control inputs by name, or how many of the last; 
 
 @dataclass(frozen=True)
 class Channels:
-    """Which inputs and outputs of a system a design takes."""
+    """The inputs and outputs of a system that a design uses."""
 
     measurements: Measured = None
     controls: Controls = None
@@ -40,7 +40,7 @@ class Channels:
     ] = None
 
     def posed(self, system: Any, where: str, nominal: bool | None = False) -> Any:
-        """The generalised plant: of a tracking problem its own, else with channels by number or by name."""
+        """Return the generalised plant: of a tracking problem its own, else with channels by number or by name."""
         from robustlab.synthesis.problem.partition import as_generalized_plant
         from robustlab.synthesis.specifications.tracking_problem import TrackingProblem
 
@@ -69,7 +69,7 @@ class Channels:
 Nominal = Annotated[
     bool, Flag(), "Of a tracking problem or an uncertain model: at Delta = 0, without its perturbation channels."
 ]
-# Left out, a tracking problem is taken at Delta = 0; all of an uncertain model's Delta counts as one full block.
+# By default a tracking problem is taken at Delta = 0; all of an uncertain model's Delta counts as one full block.
 NominalProblem = Annotated[
     bool | None, Flag(), "At Delta = 0; left out so of a tracking problem; else all of Delta counts as one full block."
 ]
@@ -85,12 +85,11 @@ Structure = Annotated[
 Starts = Annotated[int, Whole(0, 1000), "Number of random starts."]
 Order = Annotated[int | None, Whole(0, 1000)]
 
-
-UNSAID, USUAL, ALL_SIGNALS = Channels(), Search(), Signals()
+DEFAULT_CHANNELS, USUAL, ALL_SIGNALS = Channels(), Search(), Signals()
 
 
 def _design(found: Any, system: Any = None, proved: bool = True, drawn: bool = False) -> Any:
-    """A design, beside it the loop of a tracking problem against its weights, where that is drawn."""
+    """Return a design, with the loop of a tracking problem against its weights where that is drawn."""
     from robustlab.synthesis.specifications.tracking_problem import TrackingLoop, TrackingProblem
 
     if not drawn or not isinstance(system, TrackingProblem):
@@ -104,7 +103,7 @@ def _design(found: Any, system: Any = None, proved: bool = True, drawn: bool = F
 @operation("synth hinf", "hinf", result=DESIGN + "HinfSynthesis", gives="controller", made="controller")
 def hinf(
     system: Plant,
-    channels: Channels = UNSAID,
+    channels: Channels = DEFAULT_CHANNELS,
     nominal: NominalProblem = None,
     gamma_rel: GammaRel = 1.05,
     search: Search = USUAL,
@@ -125,7 +124,7 @@ def hinf(
 @operation("synth h2", "h2", result="synthesis.h2.h2_synthesis.H2Synthesis", gives="controller", made="controller")
 def h2(
     system: Plant,
-    channels: Channels = UNSAID,
+    channels: Channels = DEFAULT_CHANNELS,
     nominal: NominalProblem = None,
     search: Search = USUAL,
     progress: Any = None,
@@ -143,7 +142,7 @@ def h2(
 
 @dataclass(frozen=True)
 class Way:
-    """How mu is made small."""
+    """Options of minimising mu."""
 
     start: Annotated[Any, Thing(("controller", "any")), "Stabilising controller to start from."] = None
     structure: Annotated[Structure | None, "What the controller may look like, as for fixed; D-K alone then."] = None
@@ -154,7 +153,7 @@ class Way:
 
 @dataclass(frozen=True)
 class Orders:
-    """What order the controller may have."""
+    """Limits on the controller's order."""
 
     max_order: Annotated[Order, "Largest order of the controller."] = None
     order_rel: Annotated[
@@ -178,7 +177,7 @@ USUAL_WAY, ANY_ORDER, USUAL_TRIES = Way(), Orders(), Tries()
 @operation("synth dk", "dk", result="synthesis.dk.dk_design.DKSynthesis", gives="controller", made="controller")
 def dk(
     system: Plant,
-    channels: Channels = UNSAID,
+    channels: Channels = DEFAULT_CHANNELS,
     blocks: Annotated[
         str | None,
         Kind(),
@@ -234,7 +233,7 @@ def _rows(text: str) -> list[list[int]]:
 def fixed_structure(
     system: Plant,
     structure: Structure = "static",
-    channels: Channels = UNSAID,
+    channels: Channels = DEFAULT_CHANNELS,
     nominal: Nominal = False,
     objective: Annotated[str, Choice(("hinf", "h2")), "The norm that is made small."] = "hinf",
     tries: Tries = USUAL_TRIES,

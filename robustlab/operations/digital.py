@@ -1,4 +1,4 @@
-"""Operations of what becomes of a design: smaller, digital, a loop; the same of models."""
+"""Operations on controllers and models: reduction, discretisation, the closed loop."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from robustlab.operations.words import SampleTime, Search, Sign
 
 @dataclass(frozen=True)
 class LoopChannels:
-    """Which inputs and outputs of a plant its controller is connected to."""
+    """The inputs and outputs of a plant that its controller is connected to."""
 
     measurements: Measured = None
     controls: Controls = None
 
     def around(self, system: Any, K: Any, where: str, nominal: bool | None = False) -> Any:
-        """The generalised plant of a controller: with as many channels at the end as it has where none are named."""
+        """Return the generalised plant of a controller; without names, its channels are the plant's last ones."""
         from robustlab.synthesis.specifications.tracking_problem import TrackingProblem
 
         if (self.measurements is None) != (self.controls is None):
@@ -68,7 +68,7 @@ Method = Annotated[
 
 @dataclass(frozen=True)
 class Sampling:
-    """How the controller will be run."""
+    """Sample time, delay and filter of the digital controller."""
 
     dt: SampleTime
     delay: Annotated[float, Number(least=0), "Computation delay in s."] = 0.0
@@ -105,11 +105,11 @@ def discretise(
     P = channels.around(plant, controller, "discretise")
     given: Any = method
     return rl.discretise(
-        controller, method=given, plant=_at_rest(P), loss=loss, progress=progress, **vars(sampling), **search.options,
+        controller, method=given, plant=_nominal(P), loss=loss, progress=progress, **vars(sampling), **search.options,
     )  # fmt: skip
 
 
-def _at_rest(plant: Any) -> Any:
+def _nominal(plant: Any) -> Any:
     from robustlab.synthesis.problem.partition import GeneralizedPlant
 
     nominal = rl.UncertainModel(plant.model, plant.blocks).nominal
@@ -202,11 +202,11 @@ def discretise_by_formula(
     from robustlab.statespace import as_model
     from robustlab.synthesis.sampled.discretisation import merged_modes
 
-    late = isinstance(system, rl.DelayedModel)
-    model: Any = system if late else as_model(system, "model discretise")
+    delayed = isinstance(system, rl.DelayedModel)
+    model: Any = system if delayed else as_model(system, "model discretise")
     given: Any = method
     found = rl.discretise(model, dt, given, prewarp=prewarp)
-    return InLoop(found, notes=tuple(f"warning: {pair}" for pair in merged_modes(model.H if late else model, dt)))
+    return InLoop(found, notes=tuple(f"warning: {pair}" for pair in merged_modes(model.H if delayed else model, dt)))
 
 
 @operation("", "close-loop", result="synthesis.specifications.tracking_loop.ClosedLoop", gives="uncertain",

@@ -1,4 +1,4 @@
-"""Operations of what drives the members of an uncertain model: worst case, probability of a violation."""
+"""Operations on the members of an uncertain model: worst case, violation probability, samples, campaigns."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ Workers = Annotated[int, Whole(1, 1024), "Threads; the answer does not depend on
 
 @dataclass(frozen=True)
 class Judged:
-    """What is judged of each member."""
+    """The metric of a member."""
 
     metric: Metric = "peak-deviation"
     output: Output = None
@@ -61,7 +61,7 @@ class Judged:
 
 @dataclass(frozen=True)
 class Excitation:
-    """What drives the members: steps, plus sines, on the named inputs, until an end."""
+    """The input of the members: steps plus sines on the named inputs, until an end."""
 
     input: Drive = None
     sine: Sine = None
@@ -70,7 +70,7 @@ class Excitation:
     points: Points = 401
 
     def of(self, uncertain: Any) -> dict[str, Any]:
-        """Times and inputs of a response as the functions take them."""
+        """Return times and inputs of a response as keyword arguments."""
         import numpy as np
 
         if not isinstance(uncertain, rl.UncertainModel):
@@ -95,7 +95,7 @@ class Excitation:
 
 @dataclass(frozen=True)
 class Certainty:
-    """How sure a probability is to be."""
+    """The required probability and the confidence of its bounds."""
 
     probability: Annotated[
         float | None, Number(above=0, below=1), "Show P(violation) at most so large; else exit code 1."
@@ -103,11 +103,11 @@ class Certainty:
     confidence: Annotated[float, Number(above=0, below=1), "Confidence of all bounds."] = 0.95
 
 
-USUAL, UNDRIVEN, AS_USUAL, USUALLY_SURE = Judged(), Excitation(), Search(), Certainty()
+USUAL, UNDRIVEN, USUAL_SEARCH, USUAL_CERTAINTY = Judged(), Excitation(), Search(), Certainty()
 
 
 def unit_of_metric(step: Any, ahead: Any) -> Any:
-    """Unit of a metric's values before the run; ``float`` where it is not known yet."""
+    """Return the unit of a metric's values; ``float`` where it is not known before the run."""
     _check_sine(step.sine, step.frequency)
     if step.metric in ("overshoot", "settling-time"):
         return "%" if step.metric == "overshoot" else "s"
@@ -119,8 +119,7 @@ def unit_of_metric(step: Any, ahead: Any) -> Any:
 
 def _foretold_worst(step: Any, ahead: Any) -> Any:
     unit = unit_of_metric(step, ahead)
-    known = type(step).leaves
-    return replace(ahead[None], leaves={**known, "value": unit, "nominal_value": unit})
+    return replace(ahead[None], leaves={**type(step).leaves, "value": unit, "nominal_value": unit})
 
 
 def _foretold_violation(step: Any, ahead: Any) -> Any:
@@ -139,7 +138,7 @@ def worst_case(
     drive: Excitation = UNDRIVEN,
     n: Annotated[int, Whole(1, 100_000), "Points that the search starts from.", Named(option="-n,--samples")] = 256,
     seed: Seed = 0,
-    search: Search = AS_USUAL,
+    search: Search = USUAL_SEARCH,
 ) -> Any:
     """The worst member that a search over all normalised Delta finds, with its Delta; a lower bound, not a guarantee.
 
@@ -162,7 +161,7 @@ def violation_probability(
     unit: Annotated[
         str | None, Kind(), "Unit of the limit: that of the metric, else it is refused.", Named(only="step")
     ] = None,
-    sure: Certainty = USUALLY_SURE,
+    certainty: Certainty = USUAL_CERTAINTY,
     drive: Excitation = UNDRIVEN,
     n: Annotated[
         int | None,
@@ -181,8 +180,8 @@ def violation_probability(
     """
     options: dict[str, Any] = {**judged.options, **drive.of(uncertain)}
     return rl.violation_probability(
-        uncertain, judged.metric, limit if unit is None else f"{limit!r} {unit}", probability=sure.probability,
-        confidence=sure.confidence, n=n, seed=seed, workers=workers, **options,
+        uncertain, judged.metric, limit if unit is None else f"{limit!r} {unit}", n=n, seed=seed, workers=workers,
+        **vars(certainty), **options,
     )  # fmt: skip
 
 
@@ -234,7 +233,7 @@ Bound = Annotated[float | None, Number(), "Count how often the metric is worse t
 
 @dataclass(frozen=True)
 class WorkerOptions:
-    """Who computes."""
+    """The processes that compute."""
 
     workers: Annotated[
         int | None, Whole(1, 1024), "Processes on this machine; one per processor where left out.",
@@ -250,7 +249,7 @@ class WorkerOptions:
 
 @dataclass(frozen=True)
 class Existing:
-    """What becomes of a store that is there already."""
+    """Treatment of an existing store."""
 
     restart: Annotated[bool, Flag(), "Delete what the store holds and begin anew."] = False
     fork: Annotated[bool, Flag(), "Keep the store, begin another one beside it."] = False
@@ -261,12 +260,12 @@ class Existing:
         return "restart" if self.restart else "fork" if self.fork else "resume"
 
 
-HERE, GO_ON = WorkerOptions(), Existing()
+LOCAL, RESUME = WorkerOptions(), Existing()
 
 
 @contextmanager
 def _counted(progress: Any, store: str, n: int) -> Iterator[Any]:
-    """Takes how many samples were just stored, first those of earlier runs; Ctrl-C says how to go on."""
+    """Yield a counter of stored samples, those of earlier runs first; report how to resume after Ctrl-C."""
     from robustlab.campaign import saved_samples
 
     saved: list[int] = []
@@ -298,8 +297,8 @@ def campaign(
     kind: Annotated[str, Choice(("samples", "vertices", "search")), "What is drawn."] = "samples",
     starts: Annotated[int, Whole(1), "For searches: points each one starts from."] = 64,
     seed: Seed = 0,
-    workers: WorkerOptions = HERE,
-    existing: Existing = GO_ON,
+    workers: WorkerOptions = LOCAL,
+    existing: Existing = RESUME,
     limit: Bound = None,
     progress: Any = None,
 ) -> Any:  # fmt: skip
@@ -328,7 +327,7 @@ def campaign(
 
 
 @operation("campaign resume", result=RESULT, progress="steps")
-def resume(store: Store, workers: WorkerOptions = HERE, limit: Bound = None, progress: Any = None) -> Any:
+def resume(store: Store, workers: WorkerOptions = LOCAL, limit: Bound = None, progress: Any = None) -> Any:
     """Go on with a campaign where it was interrupted; model and settings are in the store.
 
     Example: robustlab campaign resume motor.sqlite --workers 2

@@ -1,4 +1,4 @@
-"""Operations of what makes uncertain models: from two models, a plant's ranges, expressions, models, data, delays."""
+"""Operations that make uncertain models: from two models, a plant's ranges, expressions, models, a discovery."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ COVERS = (
     "inverse-input-multiplicative", "inverse-output-multiplicative",
 )  # fmt: skip
 USUAL_SEARCH = Search()
-EXACT = 1e-12  # share of the largest entry that the ends of an element-wise set may miss
+EXACT = 1e-12  # largest error of the ends of an element-wise set, relative to the largest entry
 ANY = ("plant", "model", "uncertain", "any")
 NOTHING = "no uncertainty: mu = 0"
 
@@ -71,12 +71,12 @@ def elementwise(
         note = "Contains every member of the element-wise set: what is proved for it is proved for them."
         return BuiltModel(elementwise_cover(first, second), structure, rl.Status.CERTIFIED, notes=(note, *notes))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the notes say it
+        warnings.simplefilter("ignore")  # repeated in the notes
         model = rl.elementwise(first, second, structure, rtol)
     residual = endpoint_residual(model, second)
     status = rl.Status.CERTIFIED if residual.largest <= EXACT else rl.Status.INACCURATE
     if rtol and not status.trustworthy:
-        status = rl.Status.CONVERGED  # as near as was asked
+        status = rl.Status.CONVERGED  # within rtol
     found = BuiltModel(model, structure, status, residual, ends=(first, second))
     return InLoop(found, notes=notes if model.blocks or notes else (NOTHING,))
 
@@ -123,10 +123,9 @@ def uncertain(
         raise UsageError("range", f"{plant.name} carries effects", "tolerances")
     exact = {} if own else {name: (p.value, 0.0) for name, p in plant.parameters.items()}
     made: Any = plant.with_parameters(**{**exact, **{n: (nominal.get(n, 1.0), share) for n, share in shares.items()}})
-    rest = {"at": at_rest(made, at, pose), "hold": hold}
+    options: dict[str, Any] = {"at": at_rest(made, at, pose), "hold": hold, "ranges": ends}
     if hold and (not isinstance(made, NonlinearPlant) or isinstance(made, SteppedPlant)):
         raise UsageError("hold", f"{plant.name} has one linear model", "it for a nonlinear plant only")
-    options: dict[str, Any] = {**rest, "ranges": ends}
     model = made.uncertain(outputs, **{name: value for name, value in options.items() if value})
     missing = getattr(made, "left_out", tuple)()
     notes = [*left_out(missing), *model.remarks]
@@ -147,8 +146,7 @@ def expressions(file: Annotated[str, TextFile(), "TOML file with A, B, C, D in n
     from robustlab.uncertainty.built import BuiltModel
 
     model = load_parametric(file)
-    found = BuiltModel(model, "parameters", None)
-    return InLoop(found, notes=() if model.blocks else (NOTHING,))
+    return InLoop(BuiltModel(model, "parameters", None), notes=() if model.blocks else (NOTHING,))
 
 
 @operation("uncertain cover", result="mu_analysis.margins.cover.Cover", gives="uncertain", made="model")

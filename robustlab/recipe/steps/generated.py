@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field, create_model
 
 from robustlab.errors import InputError, UsageError
-from robustlab.operations.declaration import STEPS, InLoop, Operation, load_family, objects
+from robustlab.operations.declaration import STEPS, InLoop, Operation, load_family
 from robustlab.operations.kinds import RecordFile, Thing
 from robustlab.recipe.steps.contract import (
     Ahead,
@@ -65,7 +65,7 @@ class OperationStep(Step):
         return self.leaves
 
     def _records(self) -> list[str]:
-        given = [getattr(self, p.key) for p in objects(self.declared) if isinstance(p.kind, RecordFile)]
+        given = [getattr(self, p.key) for p in self.declared.parameters if isinstance(p.kind, RecordFile)]
         return [name for one in given if one for name in (one if isinstance(one, list) else [one])]
 
     def run(self, work: Workspace) -> Outcome:
