@@ -11,7 +11,7 @@ from robustlab.cli.console import emit
 from robustlab.cli.options import JsonOption
 from robustlab.shown import text_table as table
 
-MOST_NUMBERS = 40  # changed numbers that are listed; --json has all
+MOST_NUMBERS = 40  # of changed numbers in the list; --json has all
 
 
 class _FolderOrCommand(TyperGroup):

@@ -1,4 +1,4 @@
-"""``robustlab verify``: the claims in files of results, proved once more by a small program that stands alone."""
+"""``robustlab verify``: re-verify results from their files, by an independent program."""
 
 from __future__ import annotations
 
