@@ -1,8 +1,4 @@
-"""Loading and saving: which object a file holds, and which file an object becomes.
-
-What knows one kind of object is loaded where one is met (`codecs`): a command that reads a model needs no plants and
-no delays.
-"""
+"""Load and save objects; the modules of each kind of object are imported on use (`codecs`)."""
 
 from __future__ import annotations
 
@@ -37,7 +33,7 @@ if TYPE_CHECKING:
     Models = StateSpaceModel | UncertainModel | DelayedModel | UncertainFrequencyData | LPVModel
     Stored = Models | Controller | LPVController | Record | Result | Plant
 else:
-    Stored = Any  # what reads the signatures while the program runs
+    Stored = Any  # for signatures read at run time
 
 
 @dataclass(frozen=True)
@@ -49,10 +45,10 @@ class Loaded:
     object: Any
     kind: str  # kind of format 1, or `"pair"`
     path: str
-    verified: bool  # True where the content hash was there and matched
-    warnings: tuple[str, ...] = ()  # what a reader should know; empty where all is well
-    # Where the file says it comes from; its note says so where no content hash verified the file. The object carries
-    # the same (`robustlab.provenance.Traced`).
+    verified: bool  # whether the content hash is present and matches
+    warnings: tuple[str, ...] = ()
+    # Provenance in the file, with a note if no content hash verified it; also set on the object
+    # (`robustlab.provenance.Traced`).
     provenance: Provenance | None = None
 
     def __post_init__(self) -> None:
@@ -124,12 +120,12 @@ def load_pair(
 
 
 def is_plant_file(name: str) -> bool:
-    """True where a text means a file with a plant, and not the name of a plant."""
+    """Return whether a text is the path of a file, not the name of a plant."""
     return Path(name).suffix.lower() in (".h5", ".hdf5") or Path(name).is_file()
 
 
 def load_plant(path: str) -> Any:
-    """The plant in a file. Raises InputError: the file holds something else."""
+    """Return the plant in a file. Raises InputError: the file holds another object."""
     from robustlab.dynamics.plant_contract import Plant
 
     found = load(path)
@@ -173,7 +169,7 @@ def read(
 def _plain(
     node: Tree, problems: Problems, group: str | None, *, transpose: bool, limits: Limits | None, isolate: bool
 ) -> tuple[str, Any]:
-    """A file without header: a model by its matrices, a pair by its groups, a record by its clock."""
+    """Decode a file without header: a model by its matrices, a pair by its groups, a record by its times."""
     matrices = [name for name in NAMES if name in node.datasets]
     if not matrices:
         from robustlab.storage.pairs import decode_pair, looks_like_a_pair
@@ -191,7 +187,7 @@ def _plain(
 
 
 def _unit_warnings(kind: str, thing: Any) -> tuple[str, ...]:
-    """Row 17 of the fault table: missing units are accepted, and said."""
+    """Return a warning on signals without units (row 17 of the fault table)."""
     if kind in ("result", "plant"):
         return ()
     if kind == "record":
@@ -249,7 +245,7 @@ def save(path: str | Path, obj: Any, provenance: Provenance | None = None) -> Pa
 
 
 def _origin(obj: Any, given: Provenance) -> Provenance:
-    """The provenance to write: what nothing verified, and what is not exact, says so in every file made of it."""
+    """Return the provenance to write, with the remarks of an unverified or inexact source."""
     source = getattr(obj, "provenance", None)
     if not isinstance(source, Provenance):
         return given
