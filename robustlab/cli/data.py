@@ -78,7 +78,7 @@ class DiscoveryFiles:
         str | None,
         typer.Option("--out", "-o", metavar="PATH", help="Folder for report, result, figures and updated plant."),
     ] = None
-    details: Annotated[bool, typer.Option("--details", help="Print all that the answer rests on, too.")] = False
+    details: Annotated[bool, typer.Option("--details", help="Print the details of the answer, too.")] = False
 
 
 def _discovered(found: Discovery, values: Mapping[str, Any], options: Mapping[str, Any], files: list[str]) -> Beyond:

@@ -52,7 +52,7 @@ class RecordOptions:
     group: Annotated[str | None, typer.Option(metavar="NAME", help="HDF5 group or MATLAB struct.")] = None
     inputs: Annotated[
         str | None,
-        typer.Option(metavar="NAME,...", help=f"Inputs: u or u,w; beside a model its own if left out. {COLUMN}"),
+        typer.Option(metavar="NAME,...", help=f"Inputs: u or u,w; with a model its own if left out. {COLUMN}"),
     ] = None
     outputs: Annotated[
         str | None, typer.Option(metavar="NAME,...", help="Outputs likewise, q,i=current; all others if left out.")

@@ -62,7 +62,7 @@ def compare(
     """Requirements and numbers of two runs side by side, what changed, and what got worse.
 
     Worse is: a requirement was met and is not, or is no longer stated; its number came nearer to its limit or went
-    further beyond; a step's number can no longer be vouched for.
+    further beyond; a step's number is no longer trustworthy.
 
     Exit code 0: nothing got worse; 1: something did.
 

@@ -37,10 +37,10 @@ def run(
             "--out", "-o", help="Folder to write.  [default: out/NAME, and one of its own for other settings]"
         ),
     ] = None,
-    png: Annotated[bool, typer.Option("--png", help="Draw the figures as PNG beside the SVG, too.")] = False,
+    png: Annotated[bool, typer.Option("--png", help="Draw the figures as PNG, too.")] = False,
     figures: Annotated[
         Literal["required", "all"],
-        typer.Option("--figures", help="Whose figures are drawn: of the steps that requirements name, or of all."),
+        typer.Option("--figures", help="Steps whose figures are drawn: those that requirements name, or all."),
     ] = "required",
     progress: ProgressOption = "auto",
     as_json: JsonOption = False,
@@ -48,9 +48,9 @@ def run(
     """Run a recipe, judge its requirements, and write report.html, result.json, junit.xml and the figures.
 
     Without --out each recipe and each choice of settings has a folder of its own. The
-    report is written however the run ends; until then it says that the run has not finished.
+    report is written however the run ends; until then it shows that the run has not finished.
 
-    Exit code 0: all requirements met; 1: one is not; 3: the recipe asks for what is not there; 4: a step ended without
+    Exit code 0: all requirements met; 1: one is not; 3: the recipe requires a missing number; 4: a step ended without
     a trustworthy number.
 
     Example: robustlab run first-light --set seed=7 --out out/first-light

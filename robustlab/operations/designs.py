@@ -74,7 +74,9 @@ NominalProblem = Annotated[
     bool | None, Flag(), "At Delta = 0; left out so of a tracking problem; else all of Delta counts as one full block."
 ]
 GammaRel = Annotated[
-    float, Number(least=1, most=10), "Allowed ratio to the smallest gamma; within it the slowest controller wins."
+    float,
+    Number(least=1, most=10),
+    "Allowed ratio to the smallest gamma; within it the controller of lowest bandwidth is chosen.",
 ]
 Structure = Annotated[
     str,
@@ -112,7 +114,7 @@ def hinf(
 ) -> Any:
     """H-infinity controller u = K y (positive feedback) of a generalised plant, verified in the loop rebuilt from K.
 
-    Exit code 4: no controller could be vouched for.
+    Exit code 4: no controller could be verified.
 
     Example: robustlab synth hinf plant.h5 --measurements 1 --controls 1 --out controller.h5
     """
@@ -132,7 +134,7 @@ def h2(
 ) -> Any:
     """H2 (LQG) controller u = K y (positive feedback) of a generalised plant; gamma is the verified H2 norm.
 
-    Exit code 4: no controller could be vouched for, or no finite H2 norm exists.
+    Exit code 4: no controller could be verified, or no finite H2 norm exists.
 
     Example: robustlab synth h2 plant.h5 --measurements y --controls u --out controller.h5
     """
@@ -145,9 +147,9 @@ class Way:
     """Options of minimising mu."""
 
     start: Annotated[Any, Thing(("controller", "any")), "Stabilising controller to start from."] = None
-    structure: Annotated[Structure | None, "What the controller may look like, as for fixed; D-K alone then."] = None
+    structure: Annotated[Structure | None, "Structure of the controller, as for fixed; then only D-K iteration."] = None
     starts: Annotated[Starts, "With a structure: random starts."] = 3
-    direct: Annotated[bool, Flag(), "Go on with direct minimisation after D-K iteration."] = True
+    direct: Annotated[bool, Flag(), "Continue with direct minimisation after D-K iteration."] = True
     mixed: Annotated[bool, Flag(), "Use that real blocks are real."] = True
 
 
@@ -193,8 +195,8 @@ def dk(
 ) -> Any:
     """Robust controller u = K y (positive feedback): makes the peak of mu small, by D-K iteration and directly.
 
-    Of an uncertain plant the blocks are known; what they leave of w and z is the performance. gamma is an upper bound
-    of mu at all frequencies. Exit code 4: no controller could be vouched for.
+    The blocks of an uncertain plant are known; the other channels of w and z are the performance. gamma is an upper
+    bound of mu at all frequencies. Exit code 4: no controller could be verified.
 
     Example: robustlab synth dk uncertain.h5 --measurements y --controls u --figure design.svg --out controller.h5
     """
@@ -286,8 +288,8 @@ def mixsyn(
 ) -> Any:
     """Mixed-sensitivity controller u = K (r - y) of a plant: makes the norm of [W1 S; W2 K S; W3 T] small, verified.
 
-    States that the chosen inputs and outputs do not touch are left out, with a note.
-    Exit code 4: no controller could be vouched for.
+    States that are not connected to the chosen inputs and outputs are removed, with a note.
+    Exit code 4: no controller could be verified.
 
     Example: robustlab synth mixsyn motor.h5 --outputs omega --w1 bandwidth=100,error=0.01 --w2 limit=2 --out k.h5
     """
@@ -322,7 +324,7 @@ def ncf(
     """Loop shaping with normalised coprime factors: u = K y (positive feedback), gamma_min exact.
 
     Choose W1 and W2 so that W2 G W1 has the wanted shape. A margin (1 / gamma) above 0.25 keeps it.
-    Exit code 4: no controller could be vouched for.
+    Exit code 4: no controller could be verified.
 
     Example: robustlab synth ncf motor.h5 --outputs omega --w1 10 --out controller.h5
     """

@@ -48,7 +48,7 @@ def reduce_controller(
 ) -> Any:
     """Controller of the lowest order whose closed loop, rebuilt and proved anew, loses no more than a stated share.
 
-    Exit code 4: no controller of the order wanted could be vouched for.
+    Exit code 4: no controller of that order could be verified.
 
     Example: robustlab synth reduce plant.h5 controller.h5 --loss 0.02 --out small.h5
     """
@@ -94,11 +94,11 @@ def discretise(
     search: Search = USUAL,
     progress: Any = None,
 ) -> Any:
-    """Digital form of a controller, with the proved norm of the sampled loop, between samples too, and what it loses.
+    """Digital form of a controller, with the proved norm of the sampled loop, between samples too, and its loss.
 
     Of an uncertain plant the norm is that of the nominal loop.
 
-    Exit code 1: it loses more than --loss. Exit code 4: no method left the sampled loop stable.
+    Exit code 1: the loss is above --loss. Exit code 4: no method kept the sampled loop stable.
 
     Example: robustlab synth discretise plant.h5 controller.h5 --dt 0.01 --out digital.h5
     """
@@ -124,7 +124,7 @@ def reduce_model(
     tolerance: Annotated[
         float | None,
         Number(above=0),
-        "In place of the order: largest error, as it is told.",
+        "Instead of the order: largest error, as reported.",
         Named(option="--max-error"),
     ] = None,
     method: Annotated[
@@ -136,10 +136,10 @@ def reduce_model(
     output_weight: Annotated[Any, Thing(("model", "any")), "The same for W_o."] = None,
     floor: Annotated[float, Number(least=0), "Of stochastic: gain below which errors count absolutely."] = 0.0,
 ) -> Any:
-    """A model of lower order, with its certified error beside what theory promises.
+    """A model of lower order, with its certified error and the bound of theory.
 
     Modes that are not stable are kept, or reduced too with the method coprime.
-    Exit code 4: the error cannot be vouched for, or the model of that order is not stable.
+    Exit code 4: the error could not be certified, or the model of that order is not stable.
 
     Example: robustlab model reduce plant.h5 --max-error 0.01 --out small.h5
     """
@@ -161,7 +161,7 @@ def minimal(
         Named(option="--rank-tolerance"),
     ] = None,
 ) -> Any:
-    """The model without modes that no input moves or no output shows, unstable ones too; with the certified error.
+    """The model without uncontrollable or unobservable modes, unstable ones too; with the certified error.
 
     Exit code 4: the order depends on rounding.
 
@@ -195,7 +195,7 @@ def discretise_by_formula(
     """A discrete model of a continuous one, by formula.
 
     A model with exact delays at inputs and outputs takes zoh, which is exact.
-    What a loop loses by it is what "synth discretise" computes.
+    For the loss in a closed loop see "synth discretise".
 
     Example: robustlab model discretise motor.h5 --dt 0.001 --method zoh --out motor-1ms.h5
     """

@@ -21,12 +21,15 @@ OF_A_RESPONSE = METRICS[:5]
 Of = Annotated[Uncertain, Named(key="of")]
 Metric = Annotated[str, Choice(METRICS), "What is judged."]
 Output = Annotated[
-    str | None, Names("outputs", one=True), "The one output to look at.", Named(option="--outputs", key="output")
+    str | None,
+    Names("outputs", one=True),
+    "The output, where there are several.",
+    Named(option="--outputs", key="output"),
 ]
 FromInput = Annotated[
     str | None,
     Names("inputs", one=True),
-    "For norms: the one input to look from; all if left out.",
+    "For norms: the input; all if left out.",
     Named(option="--inputs", key="from_input"),
 ]
 Drive = Annotated[
@@ -156,10 +159,10 @@ def worst_case(
 )
 def violation_probability(
     uncertain: Of,
-    limit: Annotated[Any, Quantity(), "How probable is it that samples violate this? '0.5 rad'."],
+    limit: Annotated[Any, Quantity(), "Limit whose violations are counted, such as '0.5 rad'."],
     judged: Judged = USUAL,
     unit: Annotated[
-        str | None, Kind(), "Unit of the limit: that of the metric, else it is refused.", Named(only="step")
+        str | None, Kind(), "Unit of the limit, which must be that of the metric.", Named(only="step")
     ] = None,
     certainty: Certainty = USUAL_CERTAINTY,
     drive: Excitation = UNDRIVEN,
@@ -172,7 +175,7 @@ def violation_probability(
     seed: Seed = 0,
     workers: Workers = 1,
 ) -> Any:
-    """Probability that random members violate a limit of a metric, with Clopper-Pearson bounds; what matters for it.
+    """Probability that random members violate a limit of a metric, with Clopper-Pearson bounds and relevant parameters.
 
     The parameters are taken as uniform in their ranges and independent.
 
@@ -251,8 +254,8 @@ class WorkerOptions:
 class Existing:
     """Treatment of an existing store."""
 
-    restart: Annotated[bool, Flag(), "Delete what the store holds and begin anew."] = False
-    fork: Annotated[bool, Flag(), "Keep the store, begin another one beside it."] = False
+    restart: Annotated[bool, Flag(), "Delete the content of the store and start again."] = False
+    fork: Annotated[bool, Flag(), "Keep the store, and start another one."] = False
 
     def mode(self) -> Any:
         if self.restart and self.fork:
@@ -289,11 +292,11 @@ def _counted(progress: Any, store: str, n: int) -> Iterator[Any]:
 @operation("campaign run", result=RESULT, progress="steps")
 def campaign(
     uncertain: Of,
-    store: Annotated[str, TextFile(), "SQLite file to write; an unfinished one is gone on with.",
+    store: Annotated[str, TextFile(), "SQLite file to write; an unfinished one is continued.",
                      Named(option="--store")],
     judged: Judged = USUAL,
     drive: Excitation = UNDRIVEN,
-    n: Annotated[int, Whole(1, 10**9), "How many samples, vertices or searches.", Named(option="-n,--samples")] = 1000,
+    n: Annotated[int, Whole(1, 10**9), "Number of samples, vertices or searches.", Named(option="-n,--samples")] = 1000,
     kind: Annotated[str, Choice(("samples", "vertices", "search")), "What is drawn."] = "samples",
     starts: Annotated[int, Whole(1), "For searches: points each one starts from."] = 64,
     seed: Seed = 0,
@@ -304,8 +307,8 @@ def campaign(
 ) -> Any:  # fmt: skip
     """Compute a metric for n members of an uncertain model; the same result however often the run is interrupted.
 
-    A sample that raises is lost alone. Exit code 4: more than 1 % are lost, or the worst sample could not be
-    confirmed.
+    A sample that raises is lost, the others are kept. Exit code 4: more than 1 % are lost, or the worst sample could
+    not be confirmed.
 
     Example: robustlab campaign run motor.h5 --outputs omega --input-value u=42 --t-end 0.1 -n 100000 --store m.sqlite
     """
@@ -328,7 +331,7 @@ def campaign(
 
 @operation("campaign resume", result=RESULT, progress="steps")
 def resume(store: Store, workers: WorkerOptions = LOCAL, limit: Bound = None, progress: Any = None) -> Any:
-    """Go on with a campaign where it was interrupted; model and settings are in the store.
+    """Continue an interrupted campaign; model and settings are in the store.
 
     Example: robustlab campaign resume motor.sqlite --workers 2
     """
@@ -340,7 +343,7 @@ def resume(store: Store, workers: WorkerOptions = LOCAL, limit: Bound = None, pr
 
 @operation("campaign show", result=RESULT)
 def stored(store: Store, limit: Bound = None) -> Any:
-    """What a store holds: counts, worst sample, quantiles, lost samples; also while a run writes it.
+    """The content of a store: counts, worst sample, quantiles, lost samples; also while a run writes it.
 
     Exit code 4 as long as samples are missing.
 

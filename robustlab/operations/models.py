@@ -33,8 +33,8 @@ class Rest(Table):
 At = Annotated[
     Any,
     Rest(),
-    "Rest of a nonlinear plant: input, output or state, NAME=VALUE; repeatable. In a recipe a pose, too: tx, ty, tz"
-    " in m, ax, ay, az in rad.",
+    "Equilibrium of a nonlinear plant: input, output or state, NAME=VALUE; repeatable. In a recipe a pose, too: tx, ty,"
+    " tz in m, ax, ay, az in rad.",
 ]
 Pose = Annotated[
     tuple[float, ...] | None,
@@ -66,7 +66,7 @@ def linearise(
     ] = None,
     pade: Annotated[int, Whole(0, 40), "Order of the Pade approximation of delays; 0: left out."] = 0,
 ) -> Any:
-    """The linear state-space model of a plant; states that the kept outputs do not show are left out.
+    """The linear state-space model of a plant; states that the kept outputs do not show are removed.
 
     Example: robustlab model build dc-motor --set R=2.2 --out motor.h5
     """

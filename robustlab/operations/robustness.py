@@ -18,7 +18,7 @@ AT = "mu_analysis.margins.at_frequencies."
 Of = Annotated[Model, Named(key="of")]
 OfSet = Annotated[Uncertain, Named(key="of")]
 NO_LOOP, ALL_SIGNALS, USUAL = Loop(), Signals(), Search()
-Tolerance = Annotated[float, Number(above=0), "Relative gap of the bounds that is aimed at; inf: no branch and bound."]
+Tolerance = Annotated[float, Number(above=0), "Target of the relative gap of the bounds; inf: no branch and bound."]
 Accuracy = Annotated[float, Number(above=0, below=1), "Relative distance to the best margin that D, G can prove."]
 Intervals = Annotated[bool, Flag(), "Print the proved frequency intervals.", Named(only="command")]
 
@@ -26,7 +26,7 @@ Intervals = Annotated[bool, Flag(), "Print the proved frequency intervals.", Nam
 # --- margins of a loop ------------------------------------------------------------------------------------------------
 
 
-Skew = Annotated[float, Number(), "0: gain up as much as down; positive: rather up."]
+Skew = Annotated[float, Number(), "0: equal factors of gain up and down; positive: more up."]
 At = Annotated[str, Choice(("input", "output", "both")), "Where gain and phase change."]
 
 

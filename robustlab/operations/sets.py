@@ -52,13 +52,13 @@ def elementwise(
     structure: Annotated[
         str,
         Choice(STRUCTURES),
-        "What moves together; cover: a full block for each matrix, which holds every element-wise member.",
+        "Entries that vary together; cover: a full block for each matrix, which contains every element-wise member.",
     ] = "elements",
     rtol: Annotated[
         float | None, Number(least=0, below=1), "Relative differences up to this are noise; none where left out."
     ] = None,
 ) -> Any:
-    """Uncertain model from a nominal model and the same model perturbed as far as it may go.
+    """Uncertain model from a nominal model and a maximally perturbed one.
 
     Example: robustlab uncertain build nominal.h5 perturbed.h5 --structure elements --out uncertain.h5
     """
@@ -98,13 +98,13 @@ def uncertain(
         Named(option="--range"),
     ] = None,
     own: Annotated[
-        bool, Flag(), "Keep the tolerances that the plant's other parameters have of their own.", Named(in_step=False)
+        bool, Flag(), "Keep the plant's own tolerances of the other parameters.", Named(in_step=False)
     ] = True,
     outputs: Outputs = None,
     at: At = None,
     pose: Pose = None,
     hold: Annotated[
-        list[str] | None, Names(), "States and inputs of a nonlinear plant that stay while parameters change."
+        list[str] | None, Names(), "States and inputs of a nonlinear plant that are constant while parameters change."
     ] = None,
 ) -> Any:
     """Uncertain model of a plant: each parameter varies in a range, or by a share of its value, 0.05 or 5%.
@@ -160,14 +160,14 @@ def cover(
     directions: Annotated[int | None, Whole(1, 100), "Number of directions of the form pca."] = None,
     controller: Annotated[
         Controller,
-        "File of a controller, closed as it says: the cover's worst gain is that of its loop.",
+        "File of a controller, with its sign: the cover's worst gain is that of its loop.",
         Named(option="--controller,-k"),
     ] = None,
     feedback: Sign = None,
     search: Search = USUAL_SEARCH,
     progress: Any = None,
 ) -> Any:
-    """The smallest uncertain model of a form that holds every one of a set of models, with its conservatism.
+    """The smallest uncertain model of a form that contains a set of models, with its conservatism.
 
     Example: robustlab uncertain cover unit1.h5 unit2.h5 unit3.h5 --form pca --out set.h5
     """
@@ -224,7 +224,7 @@ def uncertain_from(
     ] = 2.0,
     pade: Annotated[int, Whole(1, 8), "Order of the Pade part of delays."] = 2,
 ) -> Any:
-    """Uncertain model of what a discovery found and left unexplained; each block says where it comes from.
+    """Uncertain model of the effects and the residual of a discovery; each block has its origin.
 
     Example: robustlab uncertain discovery found/ --amplitude v=0.05 --out set.h5
     """

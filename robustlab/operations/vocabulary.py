@@ -66,7 +66,7 @@ Feedback = Annotated[
     Literal[-1, 1] | None,
     Field(description="-1 for negative feedback, 1 for positive; as the controller says of itself where left out."),
 ]
-GUARD = "s; a guard: where it strikes, the step ends without a repeatable answer."
+GUARD = "Time limit in s. If it is reached, the result depends on the machine."
 Tolerance = Annotated[float, Field(gt=0, lt=1)]
 Order = Annotated[int, Field(ge=1, le=10)]
 
@@ -114,7 +114,7 @@ PriorTolerance = Annotated[float, Field(gt=0), WrapValidator(_share), _share_sch
 
 
 class PerformanceWeight(Strict):
-    """Asks the sensitivity S to stay below ``error`` at low frequency and below ``peak`` everywhere."""
+    """A bound on the sensitivity S: ``error`` at low frequency and ``peak`` everywhere."""
 
     bandwidth: Positive = Field(description="rad/s, where the bound on S crosses one.")
     error: Tolerance = Field(1e-3, description="Largest control error in steady state, as a share of the reference.")
@@ -123,7 +123,7 @@ class PerformanceWeight(Strict):
 
 
 class ErrorWeight(Strict):
-    """Asks the error of shaped references to stay below ``error``, and to fall with the frequency below ``corner``."""
+    """A bound on the error of shaped references: ``error``, falling with the frequency below ``corner``."""
 
     error: Tolerance = Field(description="Largest error above the corner, as a share of the reference.")
     corner: Positive = Field(description="rad/s")
@@ -131,7 +131,7 @@ class ErrorWeight(Strict):
 
 
 class ControlWeight(Strict):
-    """Asks the gain from reference to control signal to stay below ``limit``, and to fall above ``bandwidth``."""
+    """A bound on the gain from reference to control signal: ``limit``, falling above ``bandwidth``."""
 
     limit: Positive = Field(description="Control units per output unit.")
     bandwidth: Positive | None = Field(None, description="rad/s; a constant bound where left out.")
@@ -139,7 +139,7 @@ class ControlWeight(Strict):
 
 
 class ComplementaryWeight(Strict):
-    """Asks the complementary sensitivity T to stay below ``peak`` and to fall above ``bandwidth``."""
+    """A bound on the complementary sensitivity T: ``peak``, falling above ``bandwidth``."""
 
     bandwidth: Positive = Field(description="rad/s, where the bound on T crosses one.")
     peak: Annotated[float, Field(gt=1)] = 2.0
@@ -148,7 +148,7 @@ class ComplementaryWeight(Strict):
 
 
 class ReferenceLine(Strict):
-    """A known value to draw beside a response."""
+    """A known value to draw with a response."""
 
     output: str
     value: float

@@ -23,9 +23,9 @@ Sign = Annotated[
     "negative (u = -K y; -1 in a recipe) or positive (1); if left out, as the controller says of itself.",
     Named(argument="sign"),
 ]
-Effort = Annotated[float, Number(above=0, most=10_000), "Work that the search may take, as a multiple of the usual."]
+Effort = Annotated[float, Number(above=0, most=10_000), "Work allowed for the search, as a multiple of the usual."]
 TimeLimit = Annotated[
-    float | None, Number(above=0, most=86400), "Guard in s: where it strikes, the answer is not repeatable."
+    float | None, Number(above=0, most=86400), "Time limit in s. If it is reached, the result depends on the machine."
 ]
 Seed = Annotated[int, Whole(0, 2**63 - 1), "Seed of the random numbers; same seed, same answer."]
 Frequency = Annotated[list[float] | None, Numbers("rad/s"), "At these frequencies only, rad/s: 1,10; or 2Hz."]

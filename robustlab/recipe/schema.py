@@ -28,13 +28,13 @@ class Requirement(Strict):
     within: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
     equals: float | bool | str | None = None
     contains: Annotated[str, Field(min_length=1, max_length=300)] | None = Field(
-        None, description="A text that a list of texts must have among its items."
+        None, description="A text that a list of texts must contain."
     )
     tolerance: Annotated[float, Field(ge=0)] | None = Field(
         None, description="Largest allowed difference from `equals`."
     )
     unit: Annotated[str, Field(max_length=40)] = Field(
-        "", description="Unit of the number, shown beside it and its limits. It is a label: nothing is converted."
+        "", description="Unit of the number, shown with it and its limits. It is a label: nothing is converted."
     )
 
     @model_validator(mode="after")
@@ -96,7 +96,7 @@ class Recipe(Strict):
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     verify: bool = Field(
         False,
-        description="Have what the steps prove proved once more, from the files that the run writes; see rl.verify.",
+        description="Verify the results of all steps again, from the files that the run writes; see rl.verify.",
     )
     step: dict[StepName, Step]
     require: Annotated[list[Requirement], Field(max_length=1000)] = Field([])

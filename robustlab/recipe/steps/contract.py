@@ -80,8 +80,8 @@ class Step(Strict):
     gives: ClassVar[str] = "nothing"
     leaves: ClassVar[Any] = ...  # names that requirements may refer to, see `with_signals`
 
-    title: Text = Field("", description="What the report calls this step; the step's name where left out.")
-    verify: bool = Field(False, description="Have what this step proves proved once more, from the file it writes.")
+    title: Text = Field("", description="Title of this step in the report; the step's name where left out.")
+    verify: bool = Field(False, description="Verify the results of this step again, from the files it writes.")
 
     @property
     def kind(self) -> str:

@@ -38,7 +38,7 @@ Outputs = Annotated[list[str], Field(min_length=1, max_length=100), Names("outpu
 
 @step
 class TrackingProblemStep(Step):
-    """What a loop is asked for: references that outputs follow, disturbances, noise, and weights on error and control.
+    """A tracking problem: references that outputs follow, disturbances, noise, and weights on error and control.
 
     The controller sees the references of `controlled` and the outputs `measured`. The gain of the weighted loop is at
     most 1 where every requirement holds.
@@ -48,7 +48,7 @@ class TrackingProblemStep(Step):
     leaves: ClassVar[Any] = {"states": "1", "blocks": [str], "channels": "1", "measurements": "1", "controls": "1"}
     do: Literal["tracking-problem"]
     of: Annotated[str, RefersTo(("plant", "model", "uncertain", "any"))]
-    controlled: Outputs = Field(description='Names of outputs; "phi_*" stands for all that begin so.')
+    controlled: Outputs = Field(description='Names of outputs; "phi_*" matches all with this prefix.')
     measured: Outputs = Field(description="The same.")
     W1: Positive | ErrorWeight | PerformanceWeight | None = Field(
         None, description="On the error, as a share of the reference."
@@ -57,12 +57,12 @@ class TrackingProblemStep(Step):
     W3: Positive | ComplementaryWeight | None = Field(None, description="On the output, as a share of the reference.")
     reference: Sizes = Field(1.0, description="Size of the references in the outputs' units.")
     reference_bandwidth: Positive | None = Field(None, description="rad/s, above which references get smaller.")
-    disturbance: Sizes | None = Field(None, description="Size of what is added to the controls, in their units.")
+    disturbance: Sizes | None = Field(None, description="Size of the disturbance at the controls, in their units.")
     loads: Annotated[dict[str, Positive], Names("inputs")] = Field(
         {}, description='Inputs of the model that are no controls, with their sizes: { "load *" = 1.0 }.'
     )
     noise: Sizes | None = Field(
-        None, description='Size of the noise on what is seen, in its units: { "*_ref" = 0.1, "phi_*" = 0.1 }.'
+        None, description='Size of the noise on the measurements, in their units: { "*_ref" = 0.1, "phi_*" = 0.1 }.'
     )
 
     @model_validator(mode="after")
@@ -100,7 +100,7 @@ class TrackingProblemStep(Step):
 class CascadeStep(Step):
     """The two layers of L. Březina's thesis (eqs 9.1-9.4) for the linear actuator or the Stewart platform with motors.
 
-    Of the platform it is the upper layer, which asks for torques; its torque loops stay where they are.
+    Of the platform it is the upper layer, whose outputs are torques; the torque loops remain in the plant.
     """
 
     gives: ClassVar[str] = "controller"
@@ -165,7 +165,7 @@ class RobustPerformanceStep(Step):
 
 @step
 class SimulateControlStep(Step):
-    """A linear plant with effects under several controllers: a sine is followed, members of the set included."""
+    """A linear plant with effects under several controllers: tracking of a sine, also by members of the set."""
 
     gives: ClassVar[str] = "runs"
     do: Literal["simulate-control"]
@@ -225,7 +225,7 @@ class SimulateControlStep(Step):
 class FollowTrajectoryStep(Step):
     """The nonlinear Stewart platform under several controllers, following the path of section 9.1.3.
 
-    With motors the controllers are upper layers that ask for torques, above the motors' torque loops. Without, the
+    With motors the controllers are upper layers with torques as outputs, above the motors' torque loops. Without, the
     machine takes their torques; it may have effects then, as after `discover`, and controllers may see angles alone.
     """
 
@@ -235,7 +235,7 @@ class FollowTrajectoryStep(Step):
     controllers: Controllers
     p_low: Positive = Field(3000.0, description="Triple pole of the motors' torque loops in 1/s.")
     at: Annotated[list[float], Field(min_length=6, max_length=6)] | None = Field(
-        None, description="Pose at which the path begins; home, where the controllers are trimmed, where left out."
+        None, description="Pose at which the path begins; home, the trim point of the controllers, where left out."
     )
     scale: Positive = Field(1.0, description="Of the path: at 1 a lift of 5 mm, sines of 5 mm and 20 mrad.")
     rise_time: Annotated[float, Field(ge=0)] = 0.0

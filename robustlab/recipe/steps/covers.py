@@ -50,11 +50,11 @@ class DataCoverStep(Step):
     )
     least: Annotated[float, Field(ge=0, lt=1)] = Field(0.02, description="Smallest radius of any set.")
     window: Positive | None = Field(
-        None, description="s; each window with a free start. The whole record where left out."
+        None, description="s; each window with a free initial state. The whole record where left out."
     )
     at_rest: bool = Field(False, description="The records start at rest.")
     decimate: Annotated[int, Field(ge=1, le=100)] = Field(
-        1, description="Keep every so-many-th sample; inputs are averaged in between."
+        1, description="Keep every n-th sample; inputs are averaged in between."
     )
     effort: Effort = Field(1.0, description="Multiple of the usual work, for each record.")
     time_limit: TimeLimit | None = Field(None, description=GUARD)
@@ -105,7 +105,7 @@ Pose = Annotated[list[float], Field(min_length=6, max_length=6)]
 
 @step
 class CoverModelsStep(Step):
-    """The smallest uncertain model of a chosen form that holds every one of a set of models.
+    """The smallest uncertain model of a chosen form that contains a set of models.
 
     The set: the models of earlier steps, or one plant linearised at several poses, or both. Of a plant with effects,
     as after `discover`, those that have no linear model (dry friction) become bounded inputs ("load *"), exact for
@@ -129,10 +129,12 @@ class CoverModelsStep(Step):
         "inverse-input-multiplicative",
         "inverse-output-multiplicative",
     ] = "elements"
-    nominal: ToOneModel | None = Field(None, description="Where left out, the middle, or what makes the set smallest.")
+    nominal: ToOneModel | None = Field(
+        None, description="Where left out, the middle, or the model of the smallest set."
+    )
     outputs: Annotated[list[str], Names("outputs")] | None = None
     tolerance: Annotated[float, Field(ge=0, lt=1)] = Field(
-        1e-9, description="Share of its matrix' largest that an entry may be off: pca needs fewer directions."
+        1e-9, description="Allowed error of an entry, relative to its matrix' largest: pca needs fewer directions."
     )
     directions: Annotated[int, Field(ge=1, le=100)] | None = Field(None, description="Of pca.")
     order: Annotated[int, Field(ge=0, le=12)] = Field(4, description="Largest order of the weight of a full block.")
@@ -192,7 +194,7 @@ class CoverModelsStep(Step):
 
 @step
 class WithLoadsStep(Step):
-    """A record with the bounded forces of a plant's effects as further inputs, as the plant itself makes them.
+    """A record with the bounded forces of a plant's effects as further inputs, computed by the plant.
 
     A set that takes such forces as inputs (`uncertain-from` without amplitudes) needs them for `validate` or `cover`.
     """

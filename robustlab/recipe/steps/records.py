@@ -18,7 +18,7 @@ RECORD = {"samples": "1", "duration": "s", "dt": "s"}
 
 @step
 class RecordStep(Step):
-    """A record from HDF5, MATLAB or CSV; its file may lie anywhere: measured data are not ours to ship."""
+    """A record from HDF5, MATLAB or CSV; its file may be anywhere."""
 
     gives: ClassVar[str] = "record"
     leaves: ClassVar[Any] = RECORD
@@ -32,9 +32,9 @@ class RecordStep(Step):
     units: dict[str, str] = Field(
         {}, description='Unit that the numbers in the file are in: { phi = "deg" }; they are converted to SI.'
     )
-    simulated: bool = Field(False, description="The record is simulated, not measured; report and figures say so.")
+    simulated: bool = Field(False, description="The record is simulated, not measured; the report notes it.")
     about: Text = Field(
-        "", description="What the record is, who published it, how to get it; shown where the file is absent."
+        "", description="Description, publisher and source of the record; shown where the file is missing."
     )
 
     def foretell(self, ahead: Ahead) -> Foretold:
@@ -56,7 +56,7 @@ class RecordStep(Step):
 
 @step
 class JoinStep(Step):
-    """One record from two loggers with sample times of their own; a shift between their clocks is not looked for."""
+    """One record from two loggers with different sample times; a shift between their clocks is not detected."""
 
     gives: ClassVar[str] = "record"
     leaves: ClassVar[Any] = RECORD
@@ -97,7 +97,7 @@ class Naming(OperationStep):
 
     accept: Annotated[list[Literal["no missing effect", "named", "ambiguous", "unknown"]], Field(min_length=1)] = Field(
         ["no missing effect", "named"],
-        description="Verdicts that this recipe takes for an answer; any other is no trustworthy number (exit code 4).",
+        description="Verdicts that this recipe accepts; any other is no trustworthy number (exit code 4).",
     )
 
     def foretell(self, ahead: Ahead) -> Foretold:
@@ -133,7 +133,7 @@ class Naming(OperationStep):
         status = named.status
         if not status.trustworthy and named.verdict in self.accept:
             status = rl.Status.CONVERGED
-            notes.append(f"The verdict {named.verdict!r} is one that this recipe takes for an answer.")
+            notes.append(f"The verdict {named.verdict!r} is accepted by this recipe.")
         if named.model is not None:
             file = f"{work.step}-plant.h5"
             rl.save(work.folder / file, named.model, work.provenance())

@@ -17,7 +17,7 @@ from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step
 class SampleStep(Step):
     """Responses of random members of an uncertain model and of vertices of Delta, with their envelope.
 
-    What drives them: a step of `input` at t = 0, plus a `sine` of `frequency`, until `t_end`.
+    Inputs: a step of `input` at t = 0, plus a `sine` of `frequency`, until `t_end`.
     """
 
     do: Literal["sample"]
@@ -35,7 +35,7 @@ class SampleStep(Step):
         None, description="All where left out."
     )
     percent: float | None = Field(
-        None, gt=0, description="Draw the members' deviation in percent too, beside this published band (+-)."
+        None, gt=0, description="Draw the members' deviation in percent too, with this published band (+-)."
     )
 
     @model_validator(mode="after")

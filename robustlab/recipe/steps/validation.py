@@ -21,7 +21,7 @@ _MEANING = {
 
 @step
 class PublishedNumbersStep(Step):
-    """Every number that L. Březina's thesis prints about its Stewart platform beside ours, with its figures redrawn."""
+    """The numbers that L. Březina's thesis prints about its Stewart platform, and ours, with its figures redrawn."""
 
     do: Literal["published-numbers"]
     n: Annotated[int, Field(ge=1, le=1000)] = Field(20, description="Random members in each figure of perturbed models")
