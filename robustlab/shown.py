@@ -142,22 +142,6 @@ class Shown:
         return import_module("robustlab.report.drawings").draw(self, kind, ax, options)
 
 
-class Tuning:
-    """Base of the dataclasses of numbers that choose speed and accuracy: those alone are shown that were changed.
-
-    They are defaults of public functions, whose help would else begin with a hundred numbers.
-    """
-
-    def __init_subclass__(cls, **keywords: Any) -> None:
-        super().__init_subclass__(**keywords)
-        cls.__repr__ = Tuning.__repr__
-
-    def __repr__(self) -> str:
-        given = fields(self) if is_dataclass(self) else ()
-        changed = [f"{f.name}={getattr(self, f.name)!r}" for f in given if getattr(self, f.name) != f.default]
-        return f"{type(self).__name__}({', '.join(changed)})"
-
-
 def heading(shown: Any) -> str:
     """Return the name of the class, with the status where there is one."""
     status = getattr(shown, "status", None)

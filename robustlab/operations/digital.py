@@ -170,9 +170,6 @@ def minimal(
     return rl.minimal(system, tolerance=tolerance)
 
 
-Hold = Annotated[str, Choice(("zoh", "foh", "tustin")), "What is held between the samples."]
-
-
 def _foretold_loop(step: Any, ahead: Any) -> Any:
     inputs, outputs = ahead[step.of].inputs, ahead[step.of].outputs
     if inputs is None or outputs is None:
