@@ -64,7 +64,7 @@ def test_build_a_platform_at_a_pose():
     assert rl.load("low.h5").spectral_abscissa() > rl.load("home.h5").spectral_abscissa() > 0
 
 
-def test_a_plant_with_effects_is_shown_and_linearised_where_it_is_asked_to():
+def test_a_plant_with_effects_is_shown_and_linearised_at_the_given_point():
     content = robustlab("model", "show", "machine.h5", "--json", code=0).json["content"]
     assert [e["id"] for e in content["effects"]] == ["coulomb-friction", "inertia", "input-delay"]
     words = ("model", "build", "machine.h5", "--at", "u=0.02", "--at", "phi=0.5", "--pade", "2", "--out", "rest.h5")

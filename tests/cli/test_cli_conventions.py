@@ -53,7 +53,7 @@ def test_mu_closes_the_loop_as_the_file_says(run):
     assert run("mu", "osc.h5", "-k", "ncf.h5").startswith("loop  u = K y, as ncf.h5 says\n")
 
 
-def test_a_sign_that_contradicts_the_file_stands_above_the_number(run):
+def test_a_sign_that_contradicts_the_file_is_noted_above_the_number(run):
     text = run("mu", "osc.h5", "-k", "weak.h5", "--feedback", "positive")
     first, second = text.splitlines()[:2]
     assert first == "note: weak.h5 says u = K (r - y); --feedback positive closes u = K y all the same"
@@ -67,14 +67,14 @@ def test_a_sign_that_contradicts_the_file_stands_above_the_number(run):
 
 @pytest.mark.parametrize("file", ["plain.h5", "unsaid.h5"])
 @pytest.mark.parametrize("command", ["mu osc.h5", "model margins nominal.h5"])
-def test_a_controller_that_says_nothing_is_asked_about(run, command, file):
+def test_a_controller_without_a_sign_is_rejected(run, command, file):
     said = run(*command.split(), "-k", file, code=3)
     assert "does not say its sign, and both signs leave the loop stable" in said
     assert "--feedback negative (u = -K y) or --feedback positive" in said
     assert "loop" in run(*command.split(), "-k", file, "--feedback", "negative")
 
 
-def test_a_controller_of_another_signal_is_asked_about(run):
+def test_a_controller_of_another_signal_is_rejected(run):
     assert "it takes y1, this plant has position" in run("mu", "position.h5", "-k", "weak.h5", code=3)
     assert run("mu", "position.h5", "-k", "named.h5").startswith("loop  u = K (r - y), as named.h5 says")
 
@@ -144,7 +144,7 @@ def left(folder):
 
 
 @pytest.mark.parametrize("gain", [2.0, -2.0])
-def test_a_recipe_closes_an_unsaid_loop_so_that_it_is_stable(tmp_path, gain):
+def test_a_recipe_closes_a_loop_without_a_sign_so_that_it_is_stable(tmp_path, gain):
     """1 / (s - 1) with a gain of 2: by hand, the poles are -1 with the right sign, 3 with the other."""
     G = rl.StateSpaceModel([[1.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["y"])
     K = rl.StateSpaceModel([], [], [], [[gain]], inputs=["y"], outputs=["u"])

@@ -52,7 +52,7 @@ def folder(tmp_path):
 
 
 @pytest.mark.parametrize(("words", "both"), [("--help", False), ("model show m.h5 --json", True)])
-def test_a_reader_that_is_gone_ends_it_with_141_and_no_word(folder, words, both):
+def test_a_closed_pipe_exits_with_141_and_no_message(folder, words, both):
     read, write = os.pipe()
     os.close(read)
     errors = write if both else subprocess.PIPE

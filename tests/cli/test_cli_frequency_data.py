@@ -141,13 +141,13 @@ def test_tables_of_several_channels_and_of_one_without_a_name(tmp_path):
         ("f [Hz],radius", "no columns of OUTPUT from INPUT"),
     ],
 )
-def test_what_is_wrong_with_a_table_is_said(tmp_path, header, text):
+def test_faults_of_a_table_are_reported(tmp_path, header, text):
     count = header.count(",")
     write_table(tmp_path / "t.csv", header, OMEGA, *[np.ones(3)] * count)
     assert text in refused("t.csv").replace("\n", " ")
 
 
-def test_numbers_and_names_that_do_not_fit_are_said(tmp_path):
+def test_numbers_and_names_that_do_not_fit_are_reported(tmp_path):
     write_table(tmp_path / "t.csv", "f [Hz],real,imag,radius", OMEGA[::-1], G.real, G.imag, -RADIUS)
     assert "t.csv: UncertainFrequencyData: omega: frequencies that do not increase" in refused("t.csv")
     write_table(tmp_path / "t.csv", "f [Hz],real,imag,radius", OMEGA, G.real, G.imag, -RADIUS)

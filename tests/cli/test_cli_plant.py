@@ -129,7 +129,7 @@ tolerance = 0.0
 """
 
 
-def test_a_recipe_runs_a_file_beside_it(folder, tmp_path_factory, monkeypatch):
+def test_a_recipe_runs_a_file_in_its_folder(folder, tmp_path_factory, monkeypatch):
     (folder / "machines").mkdir()
     (folder / "axis.py").rename(folder / "machines" / "axis.py")
     (folder / "own.toml").write_text(RECIPE)
@@ -270,7 +270,7 @@ FAULTS = [
 @pytest.mark.parametrize(("content", "code", "expected"), FAULTS)
 @pytest.mark.parametrize("words", ["model build bad.py:axis --out new.h5", "data compare bad.py:axis r.csv --out n.h5"])
 def test_faults_have_their_exit_code_and_leave_nothing_behind(folder, content, code, expected, words):
-    """What each faulty file is told, is in tests/unit/dynamics/test_plant_file."""
+    """The message for each faulty file is tested in tests/unit/dynamics/test_plant_file."""
     (folder / "bad.py").write_text(content)
     before = set(folder.iterdir())
     found, out, err = robustlab(*words.split(), "--set", "M=96")
@@ -311,7 +311,7 @@ def test_show_lists_the_plants_of_a_file_and_takes_files_of_ours(folder):
 
 
 def test_show_without_a_point_of_rest_prints_the_rest_and_ends_with_4(folder):
-    """x' = 1 + x^2 stands nowhere."""
+    """x' = 1 + x^2 has no equilibrium."""
     (folder / "runaway.py").write_text(
         "import robustlab as rl\np = rl.PlantEquations('runaway')\nx, u = p.state('x', 'm'), p.input('u', 'N')\n"
         "p.rate(x, 1 + x**2 + u**2)\np.output('x', x, 'm')\nrunaway = p.plant()\n"

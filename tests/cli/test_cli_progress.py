@@ -79,7 +79,7 @@ def test_a_pipe_gets_lines_without_a_bar(slow):
     assert robustlab("run", "slow.toml", "--json", "--progress", "none", code=0).err == ""
 
 
-def test_json_lines_say_where_it_stands(slow):
+def test_json_lines_report_the_progress(slow):
     ending = robustlab("run", "slow.toml", "--json", "--progress", "json", code=0)
     assert ending.json["command"] == "run"
     lines = [json.loads(line) for line in ending.err.splitlines()]
@@ -121,7 +121,7 @@ QUICK = {
 }
 
 
-def test_every_command_that_can_take_long_shows_where_it_stands():
+def test_every_command_that_can_take_long_shows_its_progress():
     from robustlab.cli import GROUPS, parser
 
     def walk(found, words=()):
@@ -146,7 +146,7 @@ def test_every_command_that_can_take_long_shows_where_it_stands():
         "uncertain sample pole.h5",
     ],
 )
-def test_json_lines_of_commands_that_said_nothing(models, words):
+def test_json_lines_of_commands_without_progress_texts(models, words):
     last = states_of(robustlab(*words.split(), "--progress", "json", code=0).err)[-1]
     assert last["ended"]
     assert words.startswith(last["command"])
@@ -154,7 +154,7 @@ def test_json_lines_of_commands_that_said_nothing(models, words):
 
 @pytest.mark.slow
 def test_figures_of_a_design_are_drawn_while_progress_is_shown(models):
-    """The last line of progress said the end before they were."""
+    """The last line of progress comes after them."""
     words = ("synth", "ncf", "lag.h5", "--figure", "f.svg", "--out", "new.h5", "--progress", "json")
     *lines, last = robustlab(*words, code=0).err.splitlines()
     assert json.loads(last)["progress"]["ended"]

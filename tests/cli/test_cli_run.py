@@ -168,7 +168,7 @@ def cases_of(folder):
         (("omega.covers.0", "omega.cover"), "require.0.that: cover.outputs.omega has no 'cover'"),
     ],
 )
-def test_what_is_wrong_before_the_first_step_is_told_in_the_report_too(recipe, change, message):
+def test_faults_before_the_first_step_are_in_the_report_too(recipe, change, message):
     robustlab("run", "small.toml")
     (recipe / "small.toml").write_text(RECIPE.replace(*change))
     err = robustlab("run", "small.toml", code=3).err

@@ -18,7 +18,7 @@ def in_its_folder(tmp_path, monkeypatch):
 
 
 def call(*words, code=0):
-    """What the command printed, or where it is refused, what it said."""
+    """Return the output of the command, or its error."""
     ending = robustlab(*words, code=code)
     return ending.out if code == 0 else ending.err
 

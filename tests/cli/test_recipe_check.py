@@ -1,4 +1,4 @@
-"""``robustlab recipe check``: what can be told before the first step is told, all of it at once, and nothing else."""
+"""``robustlab recipe check`` reports all faults that can be found before the first step, and nothing else."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def checked(tmp_path, monkeypatch):
         ),
         (
             HEAD + MOTOR + RECORD + NAMING + require("naming.effects.cogging.amplitude", "at_most = 1.0"),
-            "naming.effects has no 'cogging'",  # the step is told not to try it
+            "naming.effects has no 'cogging'",  # excluded by the step
         ),
         (HEAD + MOTOR + RECORD + NAMING.replace("cogging", "coging"), "step.naming: "),
     ],
@@ -153,7 +153,7 @@ def test_what_only_the_run_can_show_is_no_fault(checked, text):
     assert checked(text) == (0, [])
 
 
-def test_all_faults_are_told_at_once_each_with_its_key_and_what_may_be_meant(checked):
+def test_all_faults_are_reported_at_once_each_with_its_key_and_a_hint(checked):
     text = WHOLE.replace('"omega"', '"omga"', 1).replace("Kf =", "Kff =") + driven("sample", "input = { v = 1.0 }")
     text += '[step.m]\ndo = "load"\npath = "gone.h5"\n[step.n]\ndo = "load"\npath = "gone.h5"\n'
     code, lines = checked(text + require("margin.lowre", "at_least = 1.0") + require("k.gama", "at_most = 1.0"))

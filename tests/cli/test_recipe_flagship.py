@@ -137,7 +137,7 @@ def test_thinning_keeps_what_the_input_did_on_average(tmp_path, keep):
     assert numbers(result, "wide")["needed"] < 0.05
 
 
-def test_before_and_after_are_asked_for_the_same():
+def test_before_and_after_have_the_same_requirement():
     steps = load_recipe(recipe_path("flagship")).recipe.step
     before, after = (steps[f"task_{word}"].model_dump(exclude={"of", "title", "loads"}) for word in ("before", "after"))
     assert before == after

@@ -160,7 +160,7 @@ def test_restart_and_fork(tmp_path, motor):
 # --- stores that are none -------------------------------------------------------------------------------------------
 
 
-def test_what_is_no_store_is_said(tmp_path, motor):
+def test_a_file_that_is_no_store_is_rejected(tmp_path, motor):
     cases = {
         "missing.sqlite": "no such file",
         "folder.sqlite": "is a directory",
@@ -249,7 +249,7 @@ def test_a_read_only_folder(tmp_path, motor):
         tmp_path.chmod(0o700)
 
 
-def test_a_worker_that_ends_ends_the_run_and_the_store_is_gone_on_with(tmp_path, motor, monkeypatch):
+def test_a_worker_that_ends_ends_the_run_and_the_store_is_continued(tmp_path, motor, monkeypatch):
     monkeypatch.setattr("robustlab.campaign.workers._begin", os.abort)
     path = tmp_path / "s.sqlite"
     with pytest.raises(EnvironmentFault, match="a worker failed") as caught:

@@ -33,7 +33,7 @@ def test_units_that_disagree(units):
     assert units[wrong] in str(caught.value)
 
 
-def test_another_unit_of_the_same_measure_is_converted_and_said():
+def test_another_unit_of_the_same_measure_is_converted_and_reported():
     """The record says millimetres and holds them: the gap is that of the same record in metres."""
     plain = rl.compare(rl.plant("servo-axis"), record(units={"q": "m"}))
     other = record(inputs={"u": 1e3 * U}, outputs={"q": 1e3 * Q}, units={"u": "mV", "q": "mm"})

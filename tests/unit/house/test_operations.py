@@ -1,4 +1,4 @@
-"""One declaration, three ways in: what a function says is what its command and its step offer."""
+"""One declaration, three interfaces: a command and a step offer the parameters of their function."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The public interface: the names of DESIGN, each importable, nothing heavy at import."""
+"""The public interface: the names of DESIGN, each importable, no numerical library loaded at import."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The table of codecs: every row leads somewhere, and a process loads what it reads and writes, nothing beside it."""
+"""The table of codecs: every row exists, and a process loads only the modules of the objects it reads and writes."""
 
 from __future__ import annotations
 

@@ -172,7 +172,7 @@ def found(recipe, path, kind="load", more="", changes=()):
     return find_file(loaded, "m", loaded.recipe.step["m"])
 
 
-def test_a_model_is_looked_for_beside_the_recipe_and_in_the_folder_above(project):
+def test_a_model_is_searched_in_the_folder_of_the_recipe_and_above(project):
     assert found(project, "models/m.h5") == project.parents[1] / "models/m.h5"
     (project.parent / "models").mkdir()
     (project.parent / "models/m.h5").write_bytes(b"nearer")
