@@ -13,6 +13,7 @@ import robustlab as rl
 from robustlab.cli.console import note
 from robustlab.cli.offers import one_of, recipe_or_file
 from robustlab.errors import InputError, UsageError
+from robustlab.operations.kinds import comma_separated
 from robustlab.units import same_unit
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
@@ -32,11 +33,6 @@ ChangesOption = Annotated[
     typer.Option("--set", metavar="NAME=VALUE", help="Change a value: a top-level key or STEP.KEY; repeatable."),
 ]
 COLUMN = "u=voltage takes the column voltage as u."
-
-
-def names(text: str) -> list[str]:
-    """Return ``"a, b"`` as ``["a", "b"]``."""
-    return [part.strip() for part in text.split(",") if part.strip()]
 
 
 @dataclass(frozen=True)
@@ -69,7 +65,7 @@ class RecordOptions:
             if not (name and equals):
                 raise UsageError(f"--unit {text}", "no name and unit", "NAME=UNIT")
             units[name] = unit
-        taken, kept = (None if text is None else names(text) for text in (inputs, self.outputs))
+        taken, kept = (None if text is None else comma_separated(text) for text in (inputs, self.outputs))
         record = rl.Record.read(
             file, group or self.group, taken, kept, self.dt, units=units, clock=self.clock,
             delimiter=self.delimiter, decimal=self.decimal, allow_gaps=self.allow_gaps,

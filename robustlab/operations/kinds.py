@@ -191,7 +191,8 @@ class Feedback(Kind):
         return Literal[-1, 1]
 
 
-def _parts(text: str) -> list[str]:
+def comma_separated(text: str) -> list[str]:
+    """Return ``"a, b"`` as ``["a", "b"]``."""
     return [part.strip() for part in text.split(",") if part.strip()]
 
 
@@ -215,7 +216,7 @@ class Names(Kind):
     def read(self, option: str, given: Any) -> Any:
         if not given or self.one:
             return given or None
-        return [name for text in (given if self.repeated else [given]) for name in _parts(text)]
+        return [name for text in (given if self.repeated else [given]) for name in comma_separated(text)]
 
     def field(self) -> Any:
         from robustlab.operations import vocabulary
@@ -231,7 +232,7 @@ class ByNumber(Kind):
     metavar = "NAME,...|NUMBER"
 
     def read(self, option: str, given: Any) -> Any:
-        return None if given is None else int(given) if given.isdecimal() else _parts(given)
+        return None if given is None else int(given) if given.isdecimal() else comma_separated(given)
 
     def field(self) -> Any:
         from pydantic import Field

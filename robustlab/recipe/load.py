@@ -27,10 +27,8 @@ MAX_BYTES = 1 << 20
 MAX_FAULTS_SHOWN = 50
 
 _REFUSED = {
-    ".yaml": "YAML reads 1e-3 as a text and 'no' as false, and its tags can run code",
-    ".yml": "YAML reads 1e-3 as a text and 'no' as false, and its tags can run code",
-    ".pkl": "a pickle runs code when it is read",
-    ".pickle": "a pickle runs code when it is read",
+    **dict.fromkeys((".yaml", ".yml"), "YAML reads 1e-3 as a text and 'no' as false, and its tags can run code"),
+    **dict.fromkeys((".pkl", ".pickle"), "a pickle runs code when it is read"),
     ".py": "a program is not a recipe",
     ".json": "JSON has no comments, and a recipe explains itself",
 }
