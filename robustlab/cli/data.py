@@ -96,9 +96,9 @@ def _discovered(found: Discovery, values: Mapping[str, Any], options: Mapping[st
         note(f"wrote {file}")
     remark, code = "", 0
     if found.interrupted:
-        remark, code = "interrupted: what was known by then is told", EXIT_INTERRUPTED
+        remark, code = "interrupted: the result has what was known by then", EXIT_INTERRUPTED
     elif not found.status.trustworthy:
-        remark = f"the verdict is {found.verdict!r}: no single name can be vouched for (exit code 4)"
+        remark = f"the verdict is {found.verdict!r}: no single effect is identified (exit code 4)"
         if found.verdict == "named":
             remark = "the verdict is 'named, incomplete': more than half of the error is unexplained (exit code 4)"
     text = found.report() if options["details"] else found.summary()

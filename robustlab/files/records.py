@@ -513,7 +513,7 @@ def _times(source: Source, arrays: Mapping[str, Array], dt: float | None, clock:
     given = source.clocks[key] if key else None
     if not key and clock and clock in source.channels:
         try:
-            given = _clock(source, clock, tell=dt is None)
+            given = _clock(source, clock, note=dt is None)
         except InputError:
             if dt is None:
                 raise  # with dt given the channel need not hold times
@@ -541,7 +541,7 @@ def _times(source: Source, arrays: Mapping[str, Array], dt: float | None, clock:
     return np.arange(n, dtype=np.float64) * np.float64(dt)
 
 
-def _clock(source: Source, name: str, tell: bool) -> Array:
+def _clock(source: Source, name: str, note: bool) -> Array:
     channel, where = source.channels[name], f"{source.where}: {source.prefix}{name}"
     if channel.unit not in SECONDS:
         known = f"one of {', '.join(filter(None, SECONDS))}"
@@ -553,7 +553,7 @@ def _clock(source: Source, name: str, tell: bool) -> Array:
         found = f"times of {t[0]:.4g} {channel.unit or 'and no unit'}"
         raise InputError(where, found, "times in s", f"units={{{name!r}: {unit!r}}}, if it is {unit}")
     if isinstance(raw, np.ndarray) and raw.dtype.kind == "i" and len(raw) and abs(float(raw[0])) * factor > LONG:
-        if tell:
+        if note:
             source.notes.append(f"t counts from {name} = {int(raw[0])} {channel.unit or 's'} on")
         t = (raw - raw[0]).astype(np.float64)
     return t / round(1 / factor) if factor < 1 else t * factor

@@ -1,4 +1,4 @@
-"""Checks a recipe before its first step runs: files, signals, units, and results asked for.
+"""Check a recipe before its first step runs: files, signals, units, and required results.
 
 Values that need a computation are not checked here (`robustlab.recipe.steps.contract.Step.foretell`).
 """

@@ -128,7 +128,7 @@ def run_recipe(
     except OSError as error:
         reason = error.strerror or type(error).__name__
         raise EnvironmentFault(str(out), f"cannot be made ({reason})", "a folder to write results into") from error
-    named = frozenset(asked.that.partition(".")[0] for asked in loaded.recipe.require)
+    named = frozenset(r.that.partition(".")[0] for r in loaded.recipe.require)
     drawn = named if named and figures == "required" else None
     work = Workspace(target, {}, loaded.recipe.seed, png=png, drawn=drawn)
     steps: list[dict[str, Any]] = []
@@ -248,7 +248,7 @@ def _result(
     steps = [*steps, *(_entry(name, step, error=over) for name, step in rest)]
     numbers = {s["name"]: s["numbers"] for s in steps if not s["error"]}
     missing = {s["name"]: f"step {s['name']!r} gave no number ({s['status']})" for s in steps if s["error"]}
-    judgements = [_with_free_run(judge(asked, numbers, missing), recipe, numbers) for asked in recipe.require]
+    judgements = [_with_free_run(judge(r, numbers, missing), recipe, numbers) for r in recipe.require]
     if ending.exit_code is not None or ending.how == RUNNING:
         code = ending.exit_code
     elif any(j.misstated for j in judgements):
@@ -366,7 +366,7 @@ def verified(outcome: Outcome, files: Sequence[Path], required: bool) -> Outcome
     if not found:
         if not required:
             return outcome
-        note = "Nothing of this step can be verified: what it found holds no claims."
+        note = "Nothing of this step can be verified: its result has no claims."
         return replace(outcome, status=least_trusted([*own, Status.INCONCLUSIVE]), notes=(*outcome.notes, note))
     facts = [
         Fact("Proved independently" if one.proved else "Refuted" if one.refuted else "Not proved independently", text,

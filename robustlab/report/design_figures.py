@@ -58,7 +58,7 @@ def functions_figure(omega: Array, panels: Sequence[FunctionPanel], gamma: float
         axes.plot(omega, panel.gain, color=style.NOMINAL, label=style.plain_label(panel.label), zorder=3)
         bounds = [bound for bound in (panel.allowed, panel.proved) if bound is not None]
         if panel.allowed is not None:
-            text = "1 / |W|, what is asked for"
+            text = "1 / |W|, required"
             axes.plot(omega, panel.allowed, color=style.SAMPLE, lw=2.6, label=text, zorder=1)
         if panel.proved is not None:
             text = "γ / |W|, proved" if gamma is None else f"γ / |W|, proved, γ = {gamma:.4g}"

@@ -59,7 +59,7 @@ def draw(shown: Any, kind: str | None, ax: Any, options: Mapping[str, Any]) -> A
     """See `robustlab.shown.Shown.plot`."""
     where, known = f"{type(shown).__name__}.plot", drawings_of(type(shown))
     if not known:
-        raise InputError(where, "nothing to draw", None, "summary() tells what there is")
+        raise InputError(where, "nothing to draw", None, "summary() describes it in text")
     if kind is not None and kind not in known:
         raise InputError(where, f"{kind!r}", f"one of {', '.join(known)}", did_you_mean(str(kind), list(known)))
     if ax is not None and not isinstance(ax, Axes):

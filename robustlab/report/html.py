@@ -61,7 +61,7 @@ def verdict(result: Mapping[str, Any]) -> Verdict:
     unmet = [q for q in requirements if not q["met"]]
     doubtful = ", ".join(s["name"] for s in result["steps"] if not s["trustworthy"])
     count = f"{len(requirements) - len(unmet)} of {len(requirements)} requirements met"
-    vouched = "every step ended with a number that can be vouched for."
+    trusted = "every step ended with a trustworthy number."
     if doubtful:
         detail = f"These steps ended without one: {doubtful}. {count}."
         return Verdict("bad", "✗", "No trustworthy number", detail)
@@ -72,9 +72,9 @@ def verdict(result: Mapping[str, Any]) -> Verdict:
             (sum(bool(q["why_not"]) for q in unmet), "requirement cannot be judged", "requirements cannot be judged"),
         ):
             words += [f"{n} {one if n == 1 else more}"] if n else []
-        return Verdict("bad", "✗", ", ".join(words), f"{count}; {vouched}")
+        return Verdict("bad", "✗", ", ".join(words), f"{count}; {trusted}")
     if not requirements:
-        return Verdict("warn", "–", "Done; no requirement was stated", vouched.capitalize())
+        return Verdict("warn", "–", "Done; no requirement was stated", trusted.capitalize())
     headline = "The requirement is met" if len(requirements) == 1 else f"All {len(requirements)} requirements are met"
     remains = ", ".join(s["name"] for s in result["steps"] if tone(s) == "warn")
     if remains:
@@ -82,7 +82,7 @@ def verdict(result: Mapping[str, Any]) -> Verdict:
     windows = in_windows_only(requirements)
     if windows:
         return Verdict("warn", "!", f"{headline}; in free run the model is further off", " ".join(windows))
-    return Verdict("good", "✓", headline, vouched.capitalize())
+    return Verdict("good", "✓", headline, trusted.capitalize())
 
 
 def ending_of(result: Mapping[str, Any]) -> Mapping[str, str]:
@@ -105,7 +105,7 @@ def in_windows_only(requirements: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return a sentence for each requirement that is met in windows but not in free run."""
     return [
         f"In windows alone: {q['text'] or q['that']}. In free run it is "
-        f"{_with_unit(q, q['free_run']['value'])}, which no requirement asks for."
+        f"{_with_unit(q, q['free_run']['value'])}, which no requirement limits."
         for q in requirements
         if q["met"] and q.get("free_run") and not q["free_run"]["met"]
     ]
@@ -262,7 +262,7 @@ def _address(svg: str) -> Markup:
 def _svg(folder: Path, stem: str) -> str:
     path = folder / "figures" / f"{stem}.svg"
     if Path(stem).name != stem or not path.is_file():
-        raise InputError(str(path), "no such figure", "the figures of the run beside its result.json")
+        raise InputError(str(path), "no such figure", "the figures of the run in the folder of its result.json")
     return path.read_bytes().decode("utf-8", errors="replace")
 
 

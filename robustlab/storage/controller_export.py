@@ -239,8 +239,8 @@ def export_controller(
 
     ``.c``
         C99 without allocation: a struct of state, ``<prefix>_init`` and ``<prefix>_step``. The sample time, the names,
-        units and signs of all signals, and what the first samples must be, stand in the comment at the top; every
-        number is exact (hexadecimal).
+        units and signs of all signals, and the first samples for a check, are in the comment at the top; every number
+        is exact (hexadecimal).
     ``.mat``, ``.h5``
         As `robustlab.save` writes them.
 
@@ -257,7 +257,7 @@ def export_controller(
         with back-calculation against windup (`robustlab.synthesis.windup.back_calculation`).
     anti_windup
         For ``.c`` with a saturation: time in s within which, during saturation, all modes of the controller decay. Ten
-        samples where left out; inf leaves a stable controller's states alone. Or the gain itself, (n, p), such as that
+        samples by default; inf does not change a stable controller's states. Or the gain itself, (n, p), such as that
         of `anti_windup`.
     feed_forward
         For ``.c``: what is added to a control signal before its limits, a function of the reference and its rate

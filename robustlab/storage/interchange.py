@@ -77,11 +77,11 @@ def load(
     Parameters
     ----------
     path
-        The file; its kind is told by its content, not by its name.
+        The file; its kind is detected by its content, not by its name.
     group
         Take the model or record in this group.
     transpose
-        The file was written column by column: swap the axes of A, B, C and D. MATLAB's own files need no such word.
+        The file was written column by column: swap the axes of A, B, C and D. Not needed for MATLAB's own files.
     no_verify
         Load although the content hash does not match. Certify nothing with such an object.
     limits, isolate
@@ -91,13 +91,13 @@ def load(
     -------
     StateSpaceModel, or whatever else `save` takes
         A text file gives a Record whose columns are all outputs: only the user knows which are inputs (`Record.read`).
-        The object's ``provenance`` is that of the file. Where no content hash verified the file, its note says so; a
-        format 1 file without one, or with one that does not match, also brings a warning.
+        The object's ``provenance`` is that of the file. Where no content hash verified the file, it has a note; a
+        format 1 file without a hash, or with one that does not match, also raises a warning.
 
     Raises
     ------
     InputError
-        Anything that is wrong with the file, all findings at once.
+        Any fault of the file, all faults at once.
     """
     loaded = read(path, group=group, transpose=transpose, no_verify=no_verify, limits=limits, isolate=isolate)
     if loaded.kind == "pair":
@@ -144,7 +144,7 @@ def read(
     limits: Limits | None = None,
     isolate: bool = True,
 ) -> Loaded:
-    """Like `load`, but with what is known about the file, and for a pair file with both models."""
+    """Read as `load` does, with the properties of the file, and both models of a pair."""
     where = str(path)
     content = content_of(path, limits)
     if content == "text":

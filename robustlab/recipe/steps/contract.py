@@ -31,7 +31,7 @@ Kind = TypeVar("Kind", bound="type[Step]")
 
 @dataclass(frozen=True)
 class Foretold:
-    """What is known of a step before it runs; None: nothing."""
+    """Inferred properties of a step before it runs; None: not known."""
 
     value: Any = None  # its value, where that needs no computation: a shipped plant, a file's object
     # Signals of its value: name -> unit.
@@ -45,7 +45,7 @@ class Foretold:
         if isinstance(value, rl.Record):
             inputs, outputs = ({n: value.unit(n) for n in side} for side in (value.inputs, value.outputs))
             return cls(value, inputs, outputs, leaves)
-        model = getattr(value, "K", value)  # a controller is kept with what it was designed for
+        model = getattr(value, "K", value)  # of a controller
         return cls(value, _units(getattr(model, "inputs", None)), _units(getattr(model, "outputs", None)), leaves)
 
     def select(self, outputs: Sequence[str] | None) -> Foretold:
@@ -62,7 +62,7 @@ def _units(signals: Any) -> dict[str, str] | None:
 
 @dataclass
 class Ahead:
-    """What is known before anything runs: the files that steps read, and what is inferred of each earlier step."""
+    """Knowledge before anything runs: the files that steps read, and the inferred properties of earlier steps."""
 
     sources: Mapping[str, Path]  # as in `Workspace`
     steps: dict[str, Foretold] = field(default_factory=dict)

@@ -93,7 +93,7 @@ class TrackingProblemStep(Step):
             loads=loads,
             noise=_sizes_of(self.noise, [*(f"{name}_ref" for name in controlled), *measured]),
         )
-        return outcome_of(problem, problem, f"Tracking problem of {self.of}: a gain of at most 1 is asked for.", work)
+        return outcome_of(problem, problem, f"Tracking problem of {self.of}: a gain of at most 1 is required.", work)
 
 
 @step

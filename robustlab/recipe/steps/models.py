@@ -25,7 +25,7 @@ class PlantStep(Step):
     gives: ClassVar[str] = "plant"
     do: Literal["plant"]
     plant: str = Field(
-        description='Name of the plant, for example "dc-motor"; or "file.py:name", beside the recipe: that file is run.'
+        description='Name of the plant, for example "dc-motor"; or "file.py:name", near the recipe: that file is run.'
     )
     parameters: dict[str, NumberOrPair] = Field(
         {}, description='Values in SI units, [value, relative tolerance], or texts: "0.5 mH", "10%".'
