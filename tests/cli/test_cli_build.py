@@ -198,8 +198,8 @@ def test_covers(lags):
     assert found["status"] == "certified"
     assert max(found["sizes"]) <= 1
     assert 1 <= found["conservatism"]["ratio"] < 1.5
-    told = robustlab(*words, "additive", "--controller", "silent.h5", "--feedback", "negative", code=0).out
-    assert told.splitlines()[0] == "loop  u = -K y, as asked"
+    text = robustlab(*words, "additive", "--controller", "silent.h5", "--feedback", "negative", code=0).out
+    assert text.splitlines()[0] == "loop  u = -K y, as asked"
     assert "still grows" in robustlab(*words, "inverse-additive", code=4).err
 
 
@@ -208,7 +208,7 @@ def test_an_updated_plant_becomes_blocks(folder):
     effects = {"coulomb-friction": {"Fc": (20.0, 1.0)}, "quantisation@q": {"lsb": 1e-4}}
     rl.save("found/updated-plant.h5", rl.with_effects(rl.plant("servo-axis", M=(95.0, 0.1)), effects))
     words = ("uncertain", "discovery", "found")
-    told = robustlab(*words, "--amplitude", "v=0.05", "--out", "u.h5", code=0).out
-    assert "coulomb-friction@v: Coulomb (dry) friction at v as a sector" in told
-    assert "at most 5e-05 m" in next(line for line in told.splitlines() if "input noise q: quantisation" in line)
+    text = robustlab(*words, "--amplitude", "v=0.05", "--out", "u.h5", code=0).out
+    assert "coulomb-friction@v: Coulomb (dry) friction at v as a sector" in text
+    assert "at most 5e-05 m" in next(line for line in text.splitlines() if "input noise q: quantisation" in line)
     assert "--amplitude" in robustlab(*words, "--dry", "gain", code=2).err

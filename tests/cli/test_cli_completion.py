@@ -78,11 +78,11 @@ def test_bash_completes_words(tab, tmp_path):
 
 
 def test_zsh_gets_each_word_with_its_line_of_help():
-    said = called(_ROBUSTLAB_COMPLETE="complete_zsh", _TYPER_COMPLETE_ARGS="robustlab m").stdout
-    assert said.startswith("_arguments '*: :((")
-    assert '"mu":"Robust stability margin with proved mu bounds."' in said
-    assert '"model":' in said
-    assert "synth" not in said
+    message = called(_ROBUSTLAB_COMPLETE="complete_zsh", _TYPER_COMPLETE_ARGS="robustlab m").stdout
+    assert message.startswith("_arguments '*: :((")
+    assert '"mu":"Robust stability margin with proved mu bounds."' in message
+    assert '"model":' in message
+    assert "synth" not in message
     assert called(_ROBUSTLAB_COMPLETE="complete_zsh", _TYPER_COMPLETE_ARGS="robustlab mu ").stdout == "_files\n"
 
 

@@ -58,9 +58,9 @@ def test_a_sign_that_contradicts_the_file_is_noted_above_the_number(run):
     first, second = text.splitlines()[:2]
     assert first == "note: weak.h5 says u = K (r - y); --feedback positive closes u = K y all the same"
     assert second == "loop  u = K y, as asked"
-    said = run("mu", "osc.h5", "-k", "strong.h5", "--feedback", "positive", code=4)
-    assert "the nominal loop u = K y, as asked is unstable" in said
-    assert "designed for this plant? --feedback negative or --feedback positive" in said
+    message = run("mu", "osc.h5", "-k", "strong.h5", "--feedback", "positive", code=4)
+    assert "the nominal loop u = K y, as asked is unstable" in message
+    assert "designed for this plant? --feedback negative or --feedback positive" in message
     text = run("model", "margins", "nominal.h5", "-k", "weak.h5", "--feedback", "positive")
     assert text.startswith("note: weak.h5 says u = K (r - y); --feedback positive")
 
@@ -68,9 +68,9 @@ def test_a_sign_that_contradicts_the_file_is_noted_above_the_number(run):
 @pytest.mark.parametrize("file", ["plain.h5", "unsaid.h5"])
 @pytest.mark.parametrize("command", ["mu osc.h5", "model margins nominal.h5"])
 def test_a_controller_without_a_sign_is_rejected(run, command, file):
-    said = run(*command.split(), "-k", file, code=3)
-    assert "does not say its sign, and both signs leave the loop stable" in said
-    assert "--feedback negative (u = -K y) or --feedback positive" in said
+    message = run(*command.split(), "-k", file, code=3)
+    assert "does not say its sign, and both signs leave the loop stable" in message
+    assert "--feedback negative (u = -K y) or --feedback positive" in message
     assert "loop" in run(*command.split(), "-k", file, "--feedback", "negative")
 
 
@@ -159,10 +159,10 @@ def test_a_recipe_asks_where_both_signs_are_stable(tmp_path):
     """1 / (s + 3) with a gain of 2: poles -5 and -1."""
     G = rl.StateSpaceModel([[-3.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["y"])
     K = rl.StateSpaceModel([], [], [], [[2.0]], inputs=["y"], outputs=["u"])
-    code, _, said = closed(tmp_path, G, K)
+    code, _, message = closed(tmp_path, G, K)
     assert code == 3
-    assert "both signs leave the loop stable" in said
-    assert "hint: say it: sign = -1 (u = -K y) or sign = 1 (u = K y)" in said
+    assert "both signs leave the loop stable" in message
+    assert "hint: say it: sign = -1 (u = -K y) or sign = 1 (u = K y)" in message
     for sign, pole in ((-1, -5.0), (1, -1.0)):
         assert closed(tmp_path, G, K, sign=f"sign = {sign}\n").code == 0
         assert left(tmp_path)["numbers"]["spectral_abscissa"] == pytest.approx(pole)

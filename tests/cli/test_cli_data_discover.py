@@ -263,6 +263,6 @@ def test_files_are_written_while_progress_is_shown(files, real, answer, tmp_path
     *lines, last = run(*words)[2].splitlines()
     assert json.loads(last)["progress"]["ended"]
     assert any(str(tmp_path) in line for line in lines)
-    told = [json.loads(line)["progress"] for line in lines if line.startswith("{")]
-    assert told[-1]["text"] == "figures and files"
-    assert not any(state["ended"] for state in told)
+    states = [json.loads(line)["progress"] for line in lines if line.startswith("{")]
+    assert states[-1]["text"] == "figures and files"
+    assert not any(state["ended"] for state in states)

@@ -159,9 +159,9 @@ def test_figures_of_a_design_are_drawn_while_progress_is_shown(models):
     *lines, last = robustlab(*words, code=0).err.splitlines()
     assert json.loads(last)["progress"]["ended"]
     assert "written: f.svg" in lines
-    told = states_of("\n".join(lines))
-    assert told[-1]["text"] == "figures"
-    assert not any(state["ended"] for state in told)
+    states = states_of("\n".join(lines))
+    assert states[-1]["text"] == "figures"
+    assert not any(state["ended"] for state in states)
 
 
 KEYS = {"command", "text", "elapsed_s", "done", "total", "remaining_s", "at_most", "part", "ended"}
@@ -197,8 +197,8 @@ def test_parts_of_a_search_are_counted_and_timed_one_by_one(monkeypatch):
 
 
 def test_a_budget_tells_all_that_is_spent_in_it_once():
-    told = []
-    with listening(lambda done, whole: told.append((done, whole))):
+    counts = []
+    with listening(lambda done, whole: counts.append((done, whole))):
         budget = Budget(100)
         endless = Budget()
     part = budget.share(0.5)
@@ -206,7 +206,7 @@ def test_a_budget_tells_all_that_is_spent_in_it_once():
     budget.apart(30).spend(25)  # counted when it was taken
     endless.spend(7)
     Budget(50).spend(1)  # made when nobody listened
-    assert told == [(20, 100), (50, 100)]
+    assert counts == [(20, 100), (50, 100)]
 
 
 def test_what_earlier_runs_did_is_no_measure_of_speed(monkeypatch):

@@ -144,9 +144,9 @@ def test_a_unit_given_converts_to_si(tmp_path, file, stated):
 @pytest.mark.parametrize("file", ["r.csv", "r.h5", "plain.h5"])
 def test_a_unit_that_contradicts_the_file_is_refused(tmp_path, file):
     write(tmp_path / file, stated=True)
-    said = call("data", "check", file, "--unit", "q=m", code=3)
-    assert "q: the file states mm, the unit given is m" in said
-    assert "hint: --unit q=mm converts from it" in said
+    message = call("data", "check", file, "--unit", "q=m", code=3)
+    assert "q: the file states mm, the unit given is m" in message
+    assert "hint: --unit q=mm converts from it" in message
     assert "a unit for 'phj'" in call("data", "check", file, "--unit", "phj=deg", code=3)
 
 

@@ -157,10 +157,10 @@ SIGNED = {
 
 @pytest.mark.parametrize("name", SIGNED)
 def test_left_out_the_sign_is_the_controllers_and_a_contradiction_is_refused(name):
-    left_out, said = SIGNED[name](), SIGNED[name](sign=1)
+    left_out, stated = SIGNED[name](), SIGNED[name](sign=1)
     if hasattr(left_out, "to_json"):
-        left_out, said = left_out.to_json()["gain_margin"], said.to_json()["gain_margin"]
-    np.testing.assert_allclose(left_out, said, rtol=1e-9)
+        left_out, stated = left_out.to_json()["gain_margin"], stated.to_json()["gain_margin"]
+    np.testing.assert_allclose(left_out, stated, rtol=1e-9)
     with pytest.raises(InputError, match=r"sign: -1 \(u = -K y\), expected 1: u = K y"):
         SIGNED[name](sign=-1)
 

@@ -31,6 +31,6 @@ def test_a_type_checker_knows_every_public_name(tmp_path):
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=PATIENCE)
     found = {d["range"]["start"]["line"]: d for d in json.loads(done.stdout)["generalDiagnostics"]}
     for k, line in enumerate(lines[1:], start=1):
-        said = found[k]["message"]
-        assert found[k]["severity"] == "information", said
-        assert said.rpartition(" is ")[2].strip('"') not in ("Any", "Unknown"), line
+        message = found[k]["message"]
+        assert found[k]["severity"] == "information", message
+        assert message.rpartition(" is ")[2].strip('"') not in ("Any", "Unknown"), line
