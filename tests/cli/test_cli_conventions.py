@@ -1,4 +1,4 @@
-"""The sign of feedback through the real commands: the loop that is certified is the loop that is meant."""
+"""The sign of feedback through the real commands: the certified loop is the intended one."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def run(monkeypatch, folder):
     return call
 
 
-def test_mu_closes_the_loop_as_the_file_says(run):
+def test_mu_closes_the_loop_with_the_sign_in_the_file(run):
     text = run("mu", "osc.h5", "-k", "strong.h5")
     assert text.startswith("loop  u = K (r - y), as strong.h5 says\n")
     assert "robust stability margin  3.18" in text
@@ -79,7 +79,7 @@ def test_a_controller_of_another_signal_is_rejected(run):
     assert run("mu", "position.h5", "-k", "named.h5").startswith("loop  u = K (r - y), as named.h5 says")
 
 
-def test_margins_say_the_loop(run):
+def test_margins_report_the_loop(run):
     text = run("model", "margins", "nominal.h5", "-k", "weak.h5")
     assert "u = K (r - y), as weak.h5 says" in text
     assert text.rstrip().endswith("feedback  negative")

@@ -200,7 +200,7 @@ def test_details_are_printed_on_request(files, answer, real):
 
 
 @pytest.mark.slow
-def test_an_interrupted_search_tells_what_was_known_and_ends_in_130(files, tmp_path, answer, real):
+def test_an_interrupted_search_reports_its_state_and_exits_with_130(files, tmp_path, answer, real):
     stopped = Finding("interrupted", "search", "stopped after 3 sets", "", "", False, {})
     answer(replace(real, status=rl.Status.INCONCLUSIVE, findings=(stopped,)))
     code, text, err = run("discover", "servo-axis", files / "run7.h5", "--out", tmp_path / "out", "--json")
@@ -238,7 +238,7 @@ def test_a_tolerance_of_no_parameter_is_named(files):
     assert (code, "mass" in err) == (3, True)
 
 
-def test_a_record_that_says_nothing_ends_in_4_and_a_wrong_one_in_3(tmp_path):
+def test_a_record_without_information_exits_with_4_and_a_wrong_one_with_3(tmp_path):
     good = axis_record(0, "still")
     noise = 1e-6 * np.random.default_rng(3).standard_normal(good.n)
     still = rl.Record(good.t, {"u": 0 * good.t}, {"q": noise}, good.units, "still")

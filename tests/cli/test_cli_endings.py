@@ -1,4 +1,4 @@
-"""How the real command ends where the world around it fails: pipes, streams, memory, signals."""
+"""Exit codes of the real command when pipes, streams or memory fail, and after signals."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ def test_a_figure_whose_folder_cannot_be_made(tmp_path):
     assert "cannot be made" in one_line(ending.err.splitlines()[-1])
 
 
-def test_a_terminal_that_knows_ascii_only(tmp_path):
+def test_a_terminal_with_ascii_only(tmp_path):
     done = ended("run", "motor-models", "--out", tmp_path / "out", env={**os.environ, "PYTHONIOENCODING": "ascii"})
     assert done.returncode == 0
     assert "Traceback" not in done.stderr

@@ -23,7 +23,7 @@ def files(monkeypatch, tmp_path):
 
 
 @pytest.mark.slow
-def test_mu_of_data_says_where_it_holds():
+def test_mu_of_data_reports_its_frequencies():
     printed = robustlab("mu", "loop.h5", code=0).out
     assert "at the 3 given frequencies only; nothing is claimed between them" in printed
     assert "taken for granted" in printed

@@ -97,7 +97,7 @@ def test_data_check_compare_validate_take_it(folder):
 
 
 @pytest.mark.slow
-def test_data_discover_names_what_the_own_plant_lacks(folder):
+def test_data_discover_identifies_the_missing_effect_of_a_users_plant(folder):
     record(folder / "run.csv", coulomb=8.0)
     words = ("--inputs", "u", "--outputs", "q", "--json", "--out", "found")
     found = robustlab("data", "discover", "axis.py:axis", "run.csv", *words, code=0).json
@@ -171,7 +171,7 @@ within = [-3.000001, -2.999999]
 """
 
 
-def test_a_recipe_takes_a_nonlinear_plant_its_rest_by_name_and_keeps_it_whole(folder):
+def test_a_recipe_takes_a_nonlinear_plant_and_its_equilibrium_by_name_and_saves_it(folder):
     robustlab("plant", "new", "slope", code=0)
     (folder / "slope.toml").write_text(NONLINEAR)
     found = robustlab("run", "slope.toml", "--json", "--out", "out", code=0).json
@@ -197,7 +197,7 @@ def test_a_recipe_takes_a_nonlinear_plant_its_rest_by_name_and_keeps_it_whole(fo
         ("bad.py:axis", "own.toml: step.axis: bad.py, line 1: ZeroDivisionError"),
     ],
 )
-def test_a_recipe_with_a_faulty_plant_writes_a_report_that_says_so(folder, plant, expected):
+def test_a_recipe_with_a_faulty_plant_writes_a_report_of_the_fault(folder, plant, expected):
     (folder / "inner").mkdir()
     (folder.parent / "outside.py").write_text(AXIS)
     (folder / "inner" / "bad.py").write_text("1 / 0")
@@ -293,7 +293,7 @@ def test_equations_that_raise_only_later_are_no_bug_of_ours(folder):
 # --- plant show and plant new ----------------------------------------------------------------------------------------
 
 
-def test_show_says_what_the_plant_is(folder):
+def test_show_describes_the_plant(folder):
     assert f"made of axis.py, SHA-256 {digest()}" in robustlab("plant", "show", "axis.py:axis", code=0).out
     shown = robustlab("plant", "show", "axis.py:axis", "--json", code=0).json
     assert shown["joints"] == [{"name": "v", "kind": "joint", "unit": "N", "position": "q"}]

@@ -1,4 +1,4 @@
-"""How long commands show where they stand: a bar on terminals, JSON lines, or nothing; stdout stays the result's."""
+"""Progress of long commands: a bar on terminals, JSON lines, or nothing; stdout has the result alone."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""``robustlab run``, ``recipe`` and ``report`` from outside: exit codes, files, JSON, what a failed run leaves."""
+"""``robustlab run``, ``recipe`` and ``report`` as commands: exit codes, files, JSON, files of a failed run."""
 
 from __future__ import annotations
 
@@ -241,7 +241,7 @@ main_guard(lambda: run_command(["run", "small.toml"]))
 """
 
 
-def test_a_killed_run_has_a_report_that_says_that_it_did_not_finish(recipe):
+def test_a_killed_run_has_the_report_of_an_unfinished_run(recipe):
     robustlab("run", "small.toml")
     robustlab("run", "small.toml", "--set", "seed=3")
     done = subprocess.run([sys.executable, "-c", KILLED], capture_output=True, cwd=recipe, check=False)

@@ -124,7 +124,7 @@ def checked(tmp_path, monkeypatch):
         (HEAD + MOTOR + RECORD + NAMING.replace("cogging", "coging"), "step.naming: "),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_named_before_anything_runs(checked, text, fault):
+def test_faults_are_reported_before_anything_runs(checked, text, fault):
     code, lines = checked(text)
     assert code == 3, lines
     assert fault in lines[0]
@@ -176,7 +176,7 @@ def test_a_plant_in_a_file_is_not_run(checked, tmp_path):
 
 
 @pytest.mark.parametrize("name", sorted(path.stem for path in (ROOT / "recipes").glob("*.toml")))
-def test_shipped_recipes_ask_for_what_their_steps_leave(name):
+def test_shipped_recipes_require_numbers_that_their_steps_give(name):
     code, _, err = robustlab("recipe", "check", name)
     faults = [line for line in err.splitlines() if re.match(r"(error: \S+: |  )(step|require)\.", line)]
     # Without the records that are not ours to ship, their absence is all that is wrong.

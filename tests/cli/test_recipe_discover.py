@@ -1,4 +1,4 @@
-"""The recipe step that names what a model lacks, and the steps that go on with the updated plant."""
+"""The recipe step that identifies missing effects, and the steps that use the updated plant."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def test_a_requirement_that_is_not_met_ends_in_1(run):
 @pytest.mark.parametrize(
     ("accept", "code", "status"), [("", 4, "inconclusive"), ('accept = ["ambiguous"]\n', 0, "converged")]
 )
-def test_an_open_verdict_is_an_answer_only_where_the_recipe_says_so(run, real, accept, code, status):
+def test_an_open_verdict_is_accepted_only_where_the_recipe_does(run, real, accept, code, status):
     open_one = replace(real, status=rl.Status.INCONCLUSIVE, verdict="ambiguous")
     result = run(DISCOVER + accept + require("naming.verdict", 'equals = "ambiguous"'), open_one)
     assert (result.exit_code, entry(result, "naming")["status"]) == (code, status)

@@ -123,7 +123,7 @@ def test_a_simulated_record_is_called_simulated(tmp_path):
 
 
 @pytest.mark.parametrize("keep", [1, 2])
-def test_thinning_keeps_what_the_input_did_on_average(tmp_path, keep):
+def test_decimation_averages_the_input(tmp_path, keep):
     """The model is true; every other sample of its input alone would be off by half a volt of one."""
     t = np.arange(300) * 5e-3
     u = np.where(t < 0.7, 1.0, -1.0) + 0.5 * (-1.0) ** np.arange(300)

@@ -1,4 +1,4 @@
-"""The shipped recipes do what they promise: first-light, motor-models, and emps where its record is at hand."""
+"""The shipped recipes meet their requirements: first-light, motor-models, and emps where its record is available."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def test_a_requirement_met_in_windows_alone_is_not_green_unless_the_free_run_is_
 
 
 @pytest.mark.slow
-def test_the_record_of_the_demo_says_that_it_is_simulated(first_light):
+def test_the_record_of_the_demo_is_marked_as_simulated(first_light):
     (record,) = [s for s in first_light.data["steps"] if s["name"] == "record"]
     assert "Simulated, not measured" in record["notes"][0]
 

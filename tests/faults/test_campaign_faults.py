@@ -91,7 +91,7 @@ def wait_until_saved(store, run):
     pytest.fail(f"nothing was saved: {run.communicate()}")
 
 
-def test_a_second_run_is_refused_ctrl_c_says_how_to_go_on_and_a_dead_pid_is_freed(folder, motor):
+def test_a_second_run_is_rejected_ctrl_c_prints_the_command_to_resume_and_a_dead_pid_is_freed(folder, motor):
     store = folder / "long.sqlite"
     run = start(folder, "run", "motor.h5", *TASK, "-n", 1_000_000, "--store", store)
     wait_until_saved(store, run)
@@ -226,7 +226,7 @@ def test_a_truncated_store(tmp_path, motor):
 # --- the machine ----------------------------------------------------------------------------------------------------
 
 
-def test_a_full_disk_keeps_what_was_saved(tmp_path, motor):
+def test_a_full_disk_keeps_saved_samples(tmp_path, motor):
     path = begun(tmp_path / "s.sqlite", motor, n=100_000)
     store = Store.open(path, write=True)
     (pages,) = store._db.execute("PRAGMA page_count").fetchone()

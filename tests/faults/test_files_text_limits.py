@@ -67,7 +67,7 @@ def told_and_taken(call, path):
     return " ".join(message), int(taken)
 
 
-def test_documents_say_what_is_wrong():
+def test_faults_of_documents_are_reported():
     with pytest.raises(InputError, match="f: 40 MB of JSON, expected at most 32 MiB"):
         parse_document("json", b" " * 40_000_000, "f")
     for raw, words in [

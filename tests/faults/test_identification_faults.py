@@ -1,4 +1,4 @@
-"""What `compare` refuses, and what it warns of."""
+"""Input that `compare` rejects, and its warnings."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def record(inputs=None, outputs=None, units=None, t=T):
     return rl.Record(t, {"u": U} if inputs is None else inputs, {"q": Q} if outputs is None else outputs, units, "run3")
 
 
-def test_missing_input_names_what_is_there():
+def test_a_missing_input_is_reported_with_the_existing_ones():
     with pytest.raises(InputError, match=r"no input 'u'.*voltage.*expected every input") as caught:
         rl.compare(rl.plant("servo-axis"), record(inputs={"voltage": U}))
     assert caught.value.exit_code == 3

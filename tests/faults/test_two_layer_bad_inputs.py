@@ -1,4 +1,4 @@
-"""Two-layer control: what is refused, and with which words."""
+"""Two-layer control: rejected input and its messages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A plant of one's own that is not linear comes back whole from its file, without CasADi; and files that lie."""
+"""A user's nonlinear plant is restored from its file without CasADi; files with false claims."""
 
 import subprocess
 import sys

@@ -31,7 +31,7 @@ def lacking(obj: object) -> list[str]:
 
 
 @pytest.mark.parametrize("name", rl._PUBLIC)
-def test_public_docstrings_say_what_goes_in_what_comes_out_and_what_is_raised(name):
+def test_public_docstrings_describe_parameters_returns_and_errors(name):
     assert lacking(getattr(rl, name)) == []
 
 

@@ -75,7 +75,7 @@ def test_defaults_are_those_of_the_public_function(declared: Operation) -> None:
 
 
 @pytest.mark.parametrize("declared", OPERATIONS, ids=NAMES)
-def test_a_result_says_itself_in_all_readers(declared: Operation) -> None:
+def test_a_result_is_displayed_by_all_readers(declared: Operation) -> None:
     kind = declared.result_classes[0]
     assert issubclass(kind, Shown)
     for name in kind.quantities if kind.numbers is Shown.numbers else ():

@@ -19,7 +19,7 @@ def test_importing_the_package_loads_nothing_heavy():
     assert not {"numpy", "scipy", "control", "cvxpy", "h5py", "matplotlib", "pydantic"} & set(loaded)
 
 
-def test_the_stub_says_what_the_table_says():
+def test_the_stub_equals_the_table():
     assert STUB.read_text(encoding="utf-8") == stub_text(), "run: python benchmarks/stub.py"
 
 

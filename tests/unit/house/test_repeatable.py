@@ -152,7 +152,7 @@ def test_a_time_limit_that_is_reached_is_reported():
     assert NOT_REPEATABLE in found.label
 
 
-def test_more_effort_proves_more_and_says_what_is_left():
+def test_more_effort_proves_more_and_reports_the_rest():
     uncertain = of(MODEL)["model"](0.3)
     margins = [rl.robust_stability(uncertain, effort=e, tolerance=1e-4) for e in (5e-5, 1e-3, 1.0)]
     assert [m.status.value for m in margins] == ["inconclusive", "certified", "certified"]

@@ -1,4 +1,4 @@
-"""Every public object shows itself: repr, HTML, text, drawings, tables."""
+"""Every public object is displayed: repr, HTML, text, drawings, tables."""
 
 from __future__ import annotations
 

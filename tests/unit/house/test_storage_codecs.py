@@ -79,5 +79,5 @@ def check(kind, path):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_process_loads_what_it_reads_and_writes(kind, files):
+def test_a_process_loads_only_the_modules_it_needs(kind, files):
     check(kind, files[kind])
