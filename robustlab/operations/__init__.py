@@ -5,7 +5,7 @@ from robustlab.lazily import lazily
 __all__, __getattr__ = lazily(
     __name__,
     {
-        "declaration": "ALL COMMANDS Operation STEPS every_operation reading_option",
+        "declaration": "COMMANDS Operation STEPS every_operation reading_option",
         "kinds": "Choice Numbers Table Thing Whole",
         "members": "METRICS",
         "sets": "COVERS elementwise",

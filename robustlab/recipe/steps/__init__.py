@@ -10,7 +10,6 @@ _found = sorted(path.stem for path in Path(__file__).parent.glob("[!_]*.py"))
 for _name in sorted(_found, key=lambda name: ORDER.index(name) if name in ORDER else len(ORDER)):
     import_module(f"{__name__}.{_name}")
 
-from robustlab.operations.declaration import ALL  # noqa: E402
 from robustlab.recipe.steps.generated import add_steps  # noqa: E402
 
-add_steps(*ALL)
+add_steps()

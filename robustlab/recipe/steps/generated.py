@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field, create_model
 
 from robustlab.errors import InputError, UsageError
-from robustlab.operations.declaration import STEPS, InLoop, Operation, load_family
+from robustlab.operations.declaration import STEPS, InLoop, Operation, every_operation
 from robustlab.operations.kinds import RecordFile, Thing
 from robustlab.recipe.steps.contract import (
     Ahead,
@@ -129,10 +129,9 @@ def compared(ahead: Ahead, model: str | None, record: str) -> tuple[Mapping[str,
     return ours.inputs, {name: unit for name, unit in ours.outputs.items() if name in recorded.outputs}
 
 
-def add_steps(*families: str) -> None:
+def add_steps() -> None:
     """Register the steps that the modules of operations declare."""
-    for family in families:
-        load_family(family)
+    every_operation()
     for word, declared in STEPS.items():
         step(step_of(word, declared))
 
