@@ -1,4 +1,4 @@
-"""Names of MATLAB, of python-control and of earlier versions: ``rl.wcgain`` is answered with ``rl.peak_gain``."""
+"""Hints for names of MATLAB, python-control and earlier versions: ``rl.wcgain`` is ``rl.peak_gain`` here."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from robustlab.errors import did_you_mean
 
-NAMES = {  # answer -> names that it answers; docs/coming-from has them in full
+NAMES = {  # name here -> other names; see docs/coming-from
     "rl.ss": "StateSpace zpk2ss",
     "rl.tf": "TransferFunction tf2ss pid",
     "rl.frequency_data": "frd FrequencyResponseData ufrd",
@@ -65,7 +65,7 @@ NAMES = {  # answer -> names that it answers; docs/coming-from has them in full
 
 
 def unknown_public_name(name: str, known: Iterable[str]) -> str:
-    """The sentence on a name that robustlab does not have: what it is called here, or the nearest name."""
+    """Return the sentence on a name that robustlab does not have: its name here, or the nearest one."""
     answers = {old: answer for answer, names in NAMES.items() for old in names.split()}
     if name in answers:
         return f"robustlab has no {name!r}; here it is {answers[name]}"

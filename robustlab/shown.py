@@ -1,11 +1,11 @@
-"""Objects that show themselves: short in a console, as a table in a notebook, in words, and as a picture.
+"""Display of objects: a short text in a console, a table in a notebook, a full text, and a picture.
 
-One class, `Shown`, is the base of models, results and their parts. A class declares once what it is to its readers, and
-console, notebook, JSON, recipes and reports are generic readers of that:
+`Shown` is the base of models, results and their parts; console, notebook, recipes and reports display what a class
+declares:
 
 ======================  ==============================================================================================
 `Shown.facts`           labels with texts, numbers with their units; the most important first
-`Shown.headline`        one sentence: what was found
+`Shown.headline`        the finding in one sentence
 `Shown.details`         tables that are too long for facts: crossings, blocks, intervals
 `Shown.quantities`      the numbers that a recipe's requirements refer to, attributes of the class with their units
 drawings                the class's row in `robustlab.report.drawings`
@@ -41,77 +41,78 @@ class Part(NamedTuple):
 
 
 class AllFields:
-    """Base of what becomes JSON as all of its fields."""
+    """Base of classes whose JSON is all of their fields."""
 
     def to_json(self) -> dict[str, Any]:
-        """All fields."""
+        """Return all fields."""
         return dict(vars(self))
 
 
 class Each(NamedTuple):
-    """In `Shown.quantities`: a table with such a number for each input or output."""
+    """In `Shown.quantities`: a table with a number for each input or output."""
 
     side: Literal["inputs", "outputs"]
     leaf: Any  # "*" in it is the unit of that signal
-    more: tuple[str, ...] = ()  # further names that may be there, as in "*-rate"
+    more: tuple[str, ...] = ()  # further possible names, as in "*-rate"
 
 
 class Shown:
-    """Base of what shows itself; a class says what there is to say in `facts`."""
+    """Base of displayed objects; a class defines `facts`."""
 
     # Attributes that requirements refer to -> unit ("1" of a pure number), or a pattern of
-    # `robustlab.recipe.steps.contract`: float where the unit is not known, bool, {"*": float}, a class of parts for its
-    # fields, whose own quantities say their units, `Each` for what has the names of signals.
+    # `robustlab.recipe.steps.contract`: float where the unit is not known, bool, {"*": float}, a class for its fields
+    # (with the units of its own quantities), `Each` for a table by signals.
     quantities: ClassVar[Mapping[str, Any]] = {}
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
-        # A dataclass writes a repr with every number of every array into each class that has none of its own.
+        # Otherwise a dataclass would generate a repr with all numbers of all arrays.
         if "__repr__" not in vars(cls):
             cls.__repr__ = cls.__repr__
 
     def facts(self) -> Facts:
-        """What a person wants to read, as (label, text), the most important first."""
+        """Return the main findings as (label, text), the most important first."""
         given = fields(self) if is_dataclass(self) else ()
-        told = [(f.name.replace("_", " "), in_words(getattr(self, f.name))) for f in given if f.name != "status"]
-        return [fact for fact in told if fact[1]]
+        found = [(f.name.replace("_", " "), in_words(getattr(self, f.name))) for f in given if f.name != "status"]
+        return [fact for fact in found if fact[1]]
 
     def headline(self) -> str:
-        """What was found, in one sentence without its full stop; empty where the facts say it."""
+        """Return the finding in one sentence without its full stop; empty where the facts contain it."""
         return ""
 
     def details(self) -> list[Part]:
-        """Tables that are too long for facts; none by default."""
+        """Return tables that are too long for facts."""
         return []
 
     def numbers(self) -> dict[str, Any]:
-        """What requirements refer to: the attributes named in ``quantities``, but those that are None."""
+        """Return the attributes named in ``quantities`` that are not None."""
         found = {name: getattr(self, name) for name in self.quantities}
         return {name: value for name, value in found.items() if value is not None}
 
     def report(self) -> str:
-        """All that a person may want to read, as plain text: the `summary`, then the tables of `details`."""
+        """Return the `summary` and the tables of `details` as plain text."""
         return "\n\n".join(filter(None, (self.summary(), self.tables())))
 
     def tables(self) -> str:
-        """The tables of `details` as plain text, each below its title."""
+        """Return the tables of `details` as plain text, each below its title."""
         parts = [(part.title, text_table(part.rows, part.header)) for part in self.details() if part.rows]
         return "\n\n".join(f"{title}\n{text}".lstrip() for title, text in parts)
 
     def summary(self) -> str:
-        """What a person wants to read, as plain text: a heading, then a line for each fact."""
-        told = _told(self)
-        width = max((len(label) for label, _ in told), default=0)
-        return "\n".join([heading(self), *(f"  {label:<{width}}  {text}".rstrip() for label, text in told)])
+        """Return a heading and a line for each fact as plain text."""
+        facts = _plain_facts(self)
+        width = max((len(label) for label, _ in facts), default=0)
+        return "\n".join([heading(self), *(f"  {label:<{width}}  {text}".rstrip() for label, text in facts)])
 
     def __repr__(self) -> str:
-        told = [f"  {label}: {text}" if label else f"  {text}" for label, text in _told(self)[: LINES - 1]]
-        return "\n".join(_clipped(line) for line in [heading(self), *told])
+        lines = [f"  {label}: {text}" if label else f"  {text}" for label, text in _plain_facts(self)[: LINES - 1]]
+        return "\n".join(_clipped(line) for line in [heading(self), *lines])
 
     def _repr_html_(self) -> str:
-        """The facts as a table, for notebooks; texts are escaped, they may come from files."""
+        """Return the facts as a table for notebooks; texts are escaped, as they may come from files."""
         left = ' style="text-align: left"'
-        rows = [f"<tr><th{left}>{escape(label)}</th><td{left}>{escape(text)}</td></tr>" for label, text in _told(self)]
+        facts = _plain_facts(self)
+        rows = [f"<tr><th{left}>{escape(label)}</th><td{left}>{escape(text)}</td></tr>" for label, text in facts]
         caption = f"<caption{left}>{escape(heading(self))}</caption>"
         return f"<table>{caption}<tbody>{''.join(rows)}</tbody></table>"
 
@@ -137,47 +138,31 @@ class Shown:
         InputError
             No such drawing or option, or nothing to draw.
         """
-        # By its name: the package that draws stands above all packages whose objects it draws.
+        # By its name: the package of drawings imports the packages of all objects.
         return import_module("robustlab.report.drawings").draw(self, kind, ax, options)
 
 
-class Tuning:
-    """Base of the dataclasses of numbers that choose speed and accuracy: those alone are shown that were changed.
-
-    They are defaults of public functions, whose help would else begin with a hundred numbers.
-    """
-
-    def __init_subclass__(cls, **keywords: Any) -> None:
-        super().__init_subclass__(**keywords)
-        cls.__repr__ = Tuning.__repr__
-
-    def __repr__(self) -> str:
-        given = fields(self) if is_dataclass(self) else ()
-        changed = [f"{f.name}={getattr(self, f.name)!r}" for f in given if getattr(self, f.name) != f.default]
-        return f"{type(self).__name__}({', '.join(changed)})"
-
-
 def heading(shown: Any) -> str:
-    """Name of the class, with the status where there is one."""
+    """Return the name of the class, with the status where there is one."""
     status = getattr(shown, "status", None)
     return type(shown).__name__ + (f" ({status})" if isinstance(status, Enum) else "")
 
 
-def _told(shown: Shown) -> Facts:
-    """Its facts on one line each, without those that say nothing; the status is in the heading."""
-    told = [(plain_text(label), plain_text(" ".join(text.split()))) for label, text in shown.facts()]
-    return [(label, text) for label, text in told if text and label != "status"]
+def _plain_facts(shown: Shown) -> Facts:
+    """Return the facts with a text on one line each, without the status, which is in the heading."""
+    facts = [(plain_text(label), plain_text(" ".join(text.split()))) for label, text in shown.facts()]
+    return [(label, text) for label, text in facts if text and label != "status"]
 
 
 def _clipped(text: str, width: int = WIDTH) -> str:
     return text if len(text) <= width else f"{text[: width - 3].rstrip()}..."
 
 
-# --- words ------------------------------------------------------------------------------------------------------------
+# --- texts ------------------------------------------------------------------------------------------------------------
 
 
 def number(value: Any, unit: str = "", digits: int = 4) -> str:
-    """A number with as many digits as a person reads, and its unit; empty for None and NaN."""
+    """Return a number with its unit as text; empty for None and NaN."""
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return ""
     if isinstance(value, complex) and not value.imag:
@@ -187,7 +172,7 @@ def number(value: Any, unit: str = "", digits: int = 4) -> str:
 
 
 def bracket(lower: float, upper: float, words: tuple[str, str], unit: str = "") -> str:
-    """Two bounds with what each rests on, in as many digits as tell them apart; six tell enough."""
+    """Return two bounds with their origins as text, in as many digits as distinguish them, at most six."""
     digits = next((d for d in (4, 5, 6) if number(lower, "", d) != number(upper, "", d)), 6)
     low, high = (number(value, unit, digits) for value in (lower, upper))
     if low == high:
@@ -196,36 +181,33 @@ def bracket(lower: float, upper: float, words: tuple[str, str], unit: str = "") 
 
 
 def listed(items: Iterable[Any], most: int = SHOWN) -> str:
-    """The first few, and how many more there are."""
+    """Return the first few items and the number of others as text."""
     texts = [str(item) for item in items]
     more = f" and {len(texts) - most} more" if len(texts) > most else ""
     return ", ".join(texts[:most]) + more
 
 
 def short(names: Sequence[str], most: int = SHOWN) -> str:
-    """Names in one line of a repr, each cut where it is long."""
+    """Return names for a line of a repr, long ones shortened."""
     return plain_text(listed((_clipped(name, 24) for name in names), most))
 
 
 def with_units(signals: Iterable[tuple[str, str]], most: int = SHOWN) -> str:
-    """Names of signals with their units."""
+    """Return names of signals with their units as text."""
     return listed((f"{name} [{unit}]" if unit else name for name, unit in signals), most)
 
 
 def member(delta: Mapping[str, Any], physical: Mapping[str, tuple[float, str]] | None = None) -> str:
-    """A member of a set in words: its parameters in their units where they are known, else normalised values."""
-    said = []
-    for name, value in delta.items():
-        known = (physical or {}).get(name)
-        if known is not None:
-            said.append(f"{name} = {number(*known)}")
-        else:
-            said.append(f"{name}: delta = {in_words(value)}")
-    return listed(said)
+    """Return a member of a set as text: known parameters in their units, else normalised values."""
+    known = physical or {}
+    return listed(
+        f"{name} = {number(*known[name])}" if name in known else f"{name}: delta = {in_words(value)}"
+        for name, value in delta.items()
+    )
 
 
 def member_rows(delta: Mapping[str, Any], physical: Mapping[str, tuple[float, str]]) -> Part:
-    """The table of a member: each block's value, and the parameter that it stands for; the first `SHOWN_BLOCKS`."""
+    """Return the table of a member: values of the first `SHOWN_BLOCKS` blocks, and their parameters."""
     rows = []
     for name in list(delta)[:SHOWN_BLOCKS]:
         value, known = delta[name], physical.get(name)
@@ -237,7 +219,7 @@ def member_rows(delta: Mapping[str, Any], physical: Mapping[str, tuple[float, st
 
 
 def in_words(value: Any) -> str:
-    """A value of a field in a few words: what is long is counted, not listed."""
+    """Return the value of a field as a short text: long sequences are counted, not listed."""
     if value is None or is_function(value):
         return ""
     if isinstance(value, Enum):
@@ -263,7 +245,7 @@ def in_words(value: Any) -> str:
 
 
 def text_table(rows: Sequence[tuple[str, ...]], header: tuple[str, ...] | None = None) -> str:
-    """Left-aligned columns as plain text, with a rule under the header."""
+    """Return left-aligned columns as plain text, with a rule under the header."""
     lines = [header, *rows] if header else list(rows)
     if not lines:
         return ""
@@ -275,7 +257,7 @@ def text_table(rows: Sequence[tuple[str, ...]], header: tuple[str, ...] | None =
 
 
 def matrix_lines(name: str, rows: Sequence[Sequence[complex]], width: int, most: int = 12) -> list[str]:
-    r"""A matrix of ``width`` columns with its name before it, six digits; of a large one its size."""
+    """Return the lines of a matrix of ``width`` columns after its name, with six digits; of a large one its size."""
     if not rows or not width or max(len(rows), width) > most:
         return [f"{name}: {len(rows)} x {width}"]
     cells = [[text if text.startswith("-") else f" {text}" for text in (f"{x:.6g}" for x in row)] for row in rows]

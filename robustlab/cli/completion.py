@@ -1,7 +1,6 @@
-"""Words completed by TAB: what a shell asks for, and the lines it loads to ask.
+"""Shell completion, with typer's protocol and scripts.
 
-The protocol and the scripts are typer's: at TAB the script calls robustlab again with the words so far in environment
-variables, and the parsers of the commands answer. As everywhere, only the group that is named is loaded.
+At TAB the script calls robustlab with the words so far in environment variables; only the group named there is loaded.
 """
 
 from __future__ import annotations
@@ -15,12 +14,12 @@ from typer.main import get_command
 from robustlab.cli.ending import answer
 from robustlab.cli.groups import GROUPS, parser
 
-# Set by the script that the shell has loaded; typer makes the name of the program's.
+# Set by the shell's script; typer derives it from the program's name.
 COMPLETING = "_ROBUSTLAB_COMPLETE"
 
 
 class _Commands(TyperGroup):
-    """The table of groups as typer knows groups; the parser of one is made when its own words are completed."""
+    """The table of groups for typer; a group's parser is made when its words are completed."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         return list(GROUPS)
@@ -38,14 +37,14 @@ _top = typer.Typer(cls=_Commands)
 
 @_top.callback()
 def _options(version: Annotated[bool, typer.Option("--version", help="Print the version and leave.")] = False) -> None:
-    """The options of the top level, besides those that typer adds: they are completed, and read in `main`."""
+    """Declare the options of the top level for completion; `main` reads them."""
 
 
 def complete() -> int:
-    """Answer the shell: on stdout what may stand at the place of the cursor."""
+    """Print the completions of the word at the cursor."""
     return answer(lambda: get_command(_top).main([], prog_name="robustlab", complete_var=COMPLETING))
 
 
 def install_or_show(option: str) -> int:
-    """``--install-completion``, ``--show-completion``: typer's own, for the shell that this one was started by."""
+    """Run typer's ``--install-completion`` or ``--show-completion`` for the calling shell."""
     return answer(lambda: get_command(_top).main([option], prog_name="robustlab"))

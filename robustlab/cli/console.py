@@ -1,4 +1,4 @@
-"""What every command shares: results on stdout, progress and notes on stderr, errors as exit codes."""
+"""Output of all commands: results on stdout, progress and notes on stderr, errors as exit codes."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ SCHEMA = "robustlab.result/1"
 FIGURE = "Figures to write, SVG and PNG: NAME, one of several NAME-...; or FOLDER/."
 
 
-class _Aside:
-    """Stands in the place of stdout and writes to stderr, until `emit` takes the place back."""
+class _Redirected:
+    """A replacement of stdout that writes to stderr, until `emit` restores it."""
 
     def __init__(self, stdout: Any) -> None:
         self.stdout = stdout
@@ -32,14 +32,14 @@ class _Aside:
         except (OSError, ValueError, AttributeError):  # a stream in memory has no number
             is_first = False
         self.number = os.dup(1) if is_first else None
-        if is_first:  # what a compiled library or a child process writes, too
+        if is_first:  # also redirects compiled libraries and child processes
             stdout.flush()
             os.dup2(2, 1)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(sys.stderr, name)
 
-    def give_back(self) -> None:
+    def restore(self) -> None:
         if self.number is not None:
             os.dup2(self.number, 1)
             os.close(self.number)
@@ -47,21 +47,21 @@ class _Aside:
 
 
 def result_alone() -> None:
-    """From now on what is printed goes to stderr, and `emit` prints on stdout: for commands that run a user's code."""
-    if not isinstance(sys.stdout, _Aside):
-        sys.stdout = _Aside(sys.stdout)
+    """Redirect stdout to stderr until `emit`, for commands that run a user's code."""
+    if not isinstance(sys.stdout, _Redirected):
+        sys.stdout = _Redirected(sys.stdout)
 
 
 def emit(command: str, result: Mapping[str, Any], text: str, as_json: bool) -> None:
-    """Print the result, and nothing but the result, on stdout: ``text``, or one JSON object with ``--json``."""
-    if isinstance(sys.stdout, _Aside):
-        sys.stdout.give_back()
+    """Print the result on stdout: ``text``, or one JSON object with ``--json``."""
+    if isinstance(sys.stdout, _Redirected):
+        sys.stdout.restore()
     if as_json:
         from robustlab.result import plain
 
         print(json.dumps({"schema": SCHEMA, "command": command, **plain(result)}, indent=2, allow_nan=False))
     else:
-        # Names from files may carry escape sequences; line breaks are ours.
+        # Names from files may contain escape sequences.
         print("\n".join(plain_text(line) for line in text.splitlines()))
 
 
@@ -71,21 +71,21 @@ def note(text: str) -> None:
 
 
 def named(signals: Iterable[rl.Signal]) -> list[str]:
-    """Signals with their units."""
+    """Return the signals with their units."""
     return [f"{s.name} [{s.unit}]" if s.unit else s.name for s in signals]
 
 
 def require_trust(status: rl.Status) -> None:
-    """Leave with exit code 4 where the status vouches for no number; what there is has been printed."""
+    """Exit with code 4 where the status is not trustworthy; the result has been printed."""
     if not status.trustworthy:
         raise typer.Exit(NoTrustworthyNumber.exit_code)
 
 
 def figure_place(path: str, name: str, suffix: str = "") -> tuple[Path, str]:
-    """Folder and name, without ending, of a figure where ``--figure`` says ``path``.
+    """Return folder and name, without ending, of a figure written to ``path``.
 
-    In a folder, one that is there or ends in a slash, it has its own ``name``; else it is called as the path says, with
-    the ``suffix`` of one of several.
+    In a folder (one that exists, or a path that ends in a slash) it has its own ``name``, else that of the path with
+    the ``suffix``.
     """
     target = Path(path)
     if path.endswith(("/", os.sep)) or target.is_dir():
@@ -96,10 +96,7 @@ def figure_place(path: str, name: str, suffix: str = "") -> tuple[Path, str]:
 
 
 def save_figures(pictures: Mapping[str, Picture], path: str, part: str = "") -> list[str]:
-    """Write each figure as SVG and PNG where ``--figure`` says: the first by that name, others with their own behind.
-
-    Gives the paths.
-    """
+    """Write each figure as SVG and PNG, the first as ``path``, others with their own name added; return the paths."""
     from robustlab.report.style import save_figure
 
     made: list[str] = []

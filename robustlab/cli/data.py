@@ -1,4 +1,4 @@
-"""``robustlab data``: check, convert and compare measured records; name what a model lacks, or explain it by a set."""
+"""``robustlab data``: check, convert and compare measured records; identify missing effects, validate a set."""
 
 from __future__ import annotations
 
@@ -62,12 +62,12 @@ def convert(
     emit("data convert", {"from": source, "to": target, "samples": record.n}, f"{target}: {record!r}", as_json)
 
 
-# --- discover: a folder in the place of one file of a result ---------------------------------------------------------
+# --- discover: writes a folder instead of one file -------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class DiscoveryFiles:
-    """What a discovery is to write, and to print.
+    """Output options of a discovery.
 
     The folder gets ``report.html``, ``result.json``, ``figures/``, ``updated-plant.h5``, and ``next-experiment.csv``
     where one is proposed.
@@ -78,7 +78,7 @@ class DiscoveryFiles:
         str | None,
         typer.Option("--out", "-o", metavar="PATH", help="Folder for report, result, figures and updated plant."),
     ] = None
-    details: Annotated[bool, typer.Option("--details", help="Print all that the answer rests on, too.")] = False
+    details: Annotated[bool, typer.Option("--details", help="Print the details of the answer, too.")] = False
 
 
 def _discovered(found: Discovery, values: Mapping[str, Any], options: Mapping[str, Any], files: list[str]) -> Beyond:
@@ -94,15 +94,15 @@ def _discovered(found: Discovery, values: Mapping[str, Any], options: Mapping[st
         written += _fill_folder(found, result, Path(options["folder"]), origin)
     for file in written:
         note(f"wrote {file}")
-    said, code = "", 0
+    remark, code = "", 0
     if found.interrupted:
-        said, code = "interrupted: what was known by then is told", EXIT_INTERRUPTED
+        remark, code = "interrupted: the result has what was known by then", EXIT_INTERRUPTED
     elif not found.status.trustworthy:
-        said = f"the verdict is {found.verdict!r}: no single name can be vouched for (exit code 4)"
+        remark = f"the verdict is {found.verdict!r}: no single effect is identified (exit code 4)"
         if found.verdict == "named":
-            said = "the verdict is 'named, incomplete': more than half of the error is unexplained (exit code 4)"
+            remark = "the verdict is 'named, incomplete': more than half of the error is unexplained (exit code 4)"
     text = found.report() if options["details"] else found.summary()
-    return Beyond({**result, "files": written}, f"{found.headline()}.\n{text}", said, code)
+    return Beyond({**result, "files": written}, f"{found.headline()}.\n{text}", remark, code)
 
 
 app.command("discover")(command_of(COMMANDS["data discover"], options_of(DiscoveryFiles), _discovered))

@@ -1,4 +1,4 @@
-"""``robustlab doctor``: can this installation do its work?"""
+"""``robustlab doctor``: check the installation."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def _solvers() -> str:
 
 
 def _cvxpy() -> str:
-    cvxpy: Any = import_module("cvxpy")  # its types do not say what a problem's value is
+    cvxpy: Any = import_module("cvxpy")  # untyped
     x = cvxpy.Variable()
     try:
         found = cvxpy.Problem(cvxpy.Minimize(x), [x >= 1]).solve(solver="CLARABEL")
@@ -90,7 +90,7 @@ def _recipes() -> str:
 def _threads() -> str:
     from threadpoolctl import threadpool_info
 
-    import_module("numpy.linalg")  # loads the BLAS that is asked about
+    import_module("numpy.linalg")  # loads BLAS
     pools = ", ".join(f"{pool['internal_api']} {pool['num_threads']}" for pool in threadpool_info())
     return f"{os.cpu_count()} cores; threads: {pools or 'one'}"
 

@@ -1,7 +1,7 @@
-"""How a command ends: an exit code and one line on stderr.
+"""Exit codes: each way that a command can end gives an exit code and one line on stderr.
 
-5 where stdout is closed or full or memory is used up, 130 after Ctrl-C and SIGTERM, 141 without a word where the reader
-of stdout went away, 3 where a plant file of the user's raised, 70 with a report file for a bug of ours.
+5 if stdout is closed or full or memory is used up, 130 after Ctrl-C and SIGTERM, 141 without a line if the reader of
+stdout has closed it, 3 if a user's plant file raised, 70 with a report file for a bug in robustlab.
 """
 
 from __future__ import annotations
@@ -21,22 +21,20 @@ from robustlab.errors import EXIT_BUG, EXIT_INTERRUPTED, EnvironmentFault, Robus
 
 EXIT_READER_GONE = 141  # 128 + SIGPIPE
 
-# Errors of the machine that any write, thread or process can meet: the disk is full, the folder is read-only, a quota
-# or the memory is used up.
+# Errors of the machine: the disk is full, the folder is read-only, a quota or the memory is used up.
 _MACHINE_FAULTS = {
     errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.EMFILE, errno.ENOMEM,
     errno.EAGAIN, errno.EBADF,
 }  # fmt: skip
-# How the loader, numpy and the threading library say that memory is used up.
+# Messages of the loader, numpy and the threading library when memory is used up.
 _MORE = "more memory, a higher ulimit -v, or a smaller task"
 _NO_MEMORY = ("failed to map segment", "cannot allocate memory", "can't start new thread", "out of memory")
 
 
 def ready_streams() -> None:
-    """Take SIGTERM for Ctrl-C, print a warning in one line, and put something in the place of closed streams.
+    """Treat SIGTERM as Ctrl-C, print warnings in one line, and replace closed streams.
 
-    A file that is opened later would otherwise get the number of the closed stream, and be written into by whatever
-    complains there.
+    A file opened later would otherwise get the number of a closed stream, and receive its output.
     """
     for number in (0, 1, 2):
         try:
@@ -51,17 +49,17 @@ def ready_streams() -> None:
         sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115, PTH123  for the rest of the process
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")  # a terminal without a sign for +- still gets the number
+            stream.reconfigure(errors="backslashreplace")  # for terminals that lack a character
     if hasattr(signal, "SIGTERM") and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
         signal.signal(signal.SIGTERM, _interrupt)
-    warnings.showwarning = _say_warning
+    warnings.showwarning = _print_warning
     if sys.stdout is None:
         raise EnvironmentFault("robustlab", "stdout is closed", "somewhere to print the result (> /dev/null)")
 
 
-def _say_warning(message: Warning | str, *_where: object, **_more: object) -> None:
-    """Without the line of our source that Python would show: it tells the user nothing about the file."""
-    _say(f"warning: {plain_text(str(message))}")
+def _print_warning(message: Warning | str, *_where: object, **_more: object) -> None:
+    """Print a warning without the source line that Python would show."""
+    _print_error(f"warning: {plain_text(str(message))}")
 
 
 def _interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
@@ -69,7 +67,7 @@ def _interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
 
 
 def main_guard(run: Callable[[], int | None]) -> int:
-    """Run a command and turn every way it can end into its exit code."""
+    """Run a command and return its exit code, also of an error."""
     try:
         code = int(run() or 0)
         sys.stdout.flush()
@@ -81,10 +79,10 @@ def main_guard(run: Callable[[], int | None]) -> int:
 
 
 def answer(command: Callable[[], int | None]) -> int:
-    """The exit code of a command that ends on purpose, by returning or by the parser's Exit."""
+    """Return the exit code of a command that returns or raises the parser's Exit."""
     try:
         return int(command() or 0)
-    except SystemExit as stop:  # the campaign's way to leave after Ctrl-C, when it has said what is saved
+    except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
     except Exception as stop:
         code = getattr(stop, "exit_code", None)  # Exit: its class is click's, or typer's own copy of it
@@ -99,27 +97,27 @@ def _code_of(error: BaseException) -> int:
             from robustlab.operations.declaration import reading_option
 
             error.hint = rewritten(error.hint, reading_option)
-        _say(f"error: {error}")
+        _print_error(f"error: {error}")
         return error.exit_code
     if isinstance(error, KeyboardInterrupt) or type(error).__name__ == "Abort":  # the parser's, likewise
-        _say(str(error) or "interrupted")
+        _print_error(str(error) or "interrupted")
         return EXIT_INTERRUPTED
     if isinstance(error, BrokenPipeError):
         return EXIT_READER_GONE
     fault = _user_fault(error) or _machine_fault(error)
     if fault is not None:
-        _say(f"error: {fault}")
+        _print_error(f"error: {fault}")
         return fault.exit_code
     show, code = getattr(error, "show", None), getattr(error, "exit_code", None)
     if callable(show) and isinstance(code, int):
         show(sys.stderr)  # a usage error of the parser
         return code
-    _say(f"internal error: {plain_text(f'{type(error).__name__}: {error}')}; {_bug_report()}")
+    _print_error(f"internal error: {plain_text(f'{type(error).__name__}: {error}')}; {_bug_report()}")
     return EXIT_BUG
 
 
 def _user_fault(error: BaseException) -> RobustlabError | None:
-    """What a plant file of the user's did wrong while the command worked with its plant."""
+    """Return the fault of a user's plant file that caused the error, or None."""
     loader = sys.modules.get("robustlab.dynamics.plant_file")  # no such file was run where it is not loaded
     if loader is None or not isinstance(error, Exception) or isinstance(error, MemoryError):
         return None
@@ -130,17 +128,15 @@ def _machine_fault(error: BaseException) -> EnvironmentFault | None:
     words = plain_text(next(iter(str(error).strip().splitlines()), ""))
     if isinstance(error, MemoryError):
         return EnvironmentFault("robustlab", f"not enough memory{f' ({words})' if words else ''}", _MORE)
-    said = "\n".join(str(cause).lower() for cause in _causes(error))
-    told = next((sign for sign in _NO_MEMORY if sign in said), None)
-    if told and isinstance(error, (ImportError, OSError, RuntimeError)):
-        return EnvironmentFault("robustlab", f"not enough memory ({told})", _MORE)
+    text = "\n".join(str(cause).lower() for cause in _causes(error))
+    sign = next((sign for sign in _NO_MEMORY if sign in text), None)
+    if sign and isinstance(error, (ImportError, OSError, RuntimeError)):
+        return EnvironmentFault("robustlab", f"not enough memory ({sign})", _MORE)
     if isinstance(error, ImportError) and error.name and error.name.split(".")[0] != "robustlab":
         return EnvironmentFault(
             "robustlab", f"{error.name} cannot be loaded ({words})", "a sound installation (robustlab doctor)"
         )
-    if not isinstance(error, OSError):
-        return None
-    if error.errno not in _MACHINE_FAULTS:
+    if not isinstance(error, OSError) or error.errno not in _MACHINE_FAULTS:
         return None
     if error.filename is None:
         return EnvironmentFault("robustlab", str(error.strerror))
@@ -155,13 +151,13 @@ def _causes(error: BaseException | None) -> list[BaseException]:
     return found
 
 
-def _say(text: str) -> None:
-    with suppress(OSError):  # where stderr is closed or full as well, the exit code has to do
+def _print_error(text: str) -> None:
+    with suppress(OSError):  # stderr may be closed or full, too
         print(text, file=sys.stderr, flush=True)
 
 
 def _silence() -> None:
-    """Python flushes once more when it ends, and would complain again about a stream that cannot be written."""
+    """Replace streams that cannot be written: Python flushes them once more at exit."""
     for stream in (sys.stdout, sys.stderr):
         if stream is None:
             continue

@@ -1,4 +1,4 @@
-"""Commands made of operations: options, help and completion from the declaration, the answer from the result."""
+"""Commands generated from operations: options, help and completion from the declaration, output from the result."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from robustlab.operations.declaration import COMMANDS, REQUIRED, InLoop, Operati
 from robustlab.operations.kinds import Choice, Feedback, Flag, Kind, Machine, Pair, RecordFile, Table, TextFile, Thing
 from robustlab.shown import text_table
 
-# What every command has beside its own.
+# Options that all commands share.
 OUT = ("out", str | None, typer.Option("--out", "-o", metavar="PATH", help="File to write."), None)
 AS_JSON = ("as_json", *get_args(JsonOption), False)
 PROGRESS = ("progress", *get_args(ProgressOption), "auto")
@@ -30,12 +30,12 @@ Options = tuple[tuple[str, Any, Any, Any], ...]  # name, type, option, default
 
 
 def options_of(group: type) -> Options:
-    """The options of a group, as `robustlab.cli.options` writes them."""
+    """Return the options declared as fields of a dataclass."""
     hints = get_type_hints(group, include_extras=True)
     return tuple((f.name, *get_args(hints[f.name]), f.default) for f in fields(group))
 
 
-# How files are read, by `robustlab.operations.kinds.Thing.reading`.
+# Options for reading files, by `robustlab.operations.kinds.Thing.reading`.
 READ: Mapping[str, Options] = {
     "model": (
         ("group", str | None, typer.Option("--group", metavar="NAME", help="Group of the file that holds the model."),
@@ -55,7 +55,7 @@ DRAWN = ("figure", str | None, typer.Option(metavar="PATH", help=FIGURE), None)
 
 
 def add_commands(app: typer.Typer, group: str, *families: str) -> None:
-    """Add to a group's parser the commands that the families of operations declare for it."""
+    """Add to a group's parser the commands that the modules of operations declare for it."""
     for family in families:
         load_family(family)
     for words, declared in COMMANDS.items():
@@ -64,20 +64,20 @@ def add_commands(app: typer.Typer, group: str, *families: str) -> None:
 
 
 class Beyond(NamedTuple):
-    """What a command says and does beyond its result."""
+    """Further output of a command."""
 
     json: Mapping[str, Any] = {}
-    text: str | None = None  # in the place of the result's own
+    text: str | None = None  # instead of the result's own
     note: str = ""  # on stderr, after the result
     exit_code: int = 0
 
 
-# Result, values of the operation's parameters, options of the command's own, files read -> what is beyond the result.
+# Result, values of the operation's parameters, options of the command, files read -> further output.
 More = Callable[[Any, Mapping[str, Any], Mapping[str, Any], list[str]], Beyond]
 
 
 def command_of(declared: Operation, private: Options | None = None, more: More | None = None) -> Callable[..., None]:
-    """The command of an operation, as the parser takes it."""
+    """Return the command of an operation for the parser."""
     words = declared.command
     offered = [p for p in declared.parameters if p.called.only != "step"]
     things = [(p.kind, p.called.option) for p in offered if isinstance(p.kind, Thing)]
@@ -86,8 +86,8 @@ def command_of(declared: Operation, private: Options | None = None, more: More |
     if any(kind.settings for kind, _ in things):
         reading["plant"] = None
     written = private if private is not None else (OUT, *([DRAWN] if _draws(declared) else []))
-    told = [VERBOSE] if declared.takes_progress and not declared.progress else []
-    own = [*(option for kind in reading for option in READ[kind]), *written, *told, AS_JSON, PROGRESS]
+    verbose = [VERBOSE] if declared.takes_progress and not declared.progress else []
+    own = [*(option for kind in reading for option in READ[kind]), *written, *verbose, AS_JSON, PROGRESS]
 
     def command(**given: Any) -> None:
         shared = {name: given.pop(name) for name, *_ in own}
@@ -100,7 +100,7 @@ def command_of(declared: Operation, private: Options | None = None, more: More |
 
 
 def taking(*own: tuple[str, Any, Any, Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Decorator: a hand-written command takes these options, too, as further keyword arguments."""
+    """Add options to a hand-written command as keyword arguments (decorator)."""
 
     def offered(command: Callable[..., None]) -> Callable[..., None]:
         known = signature(command, eval_str=True).parameters.values()
@@ -124,10 +124,10 @@ def _offering(command: Any, offers: Sequence[Given], own: Options | Sequence[Any
 def answer(
     words: str, chosen: Operation, given: dict[str, Any], shared: Mapping[str, Any], more: More | None = None
 ) -> None:
-    """Read the files and words, compute, and answer with the result's own face."""
+    """Read files and options, compute, and print the result."""
     files: list[str] = []
     out, figure = shared.get("out"), shared.get("figure")
-    if out is not None and not Path(out).resolve().parent.is_dir():  # before the work whose result it is for
+    if out is not None and not Path(out).resolve().parent.is_dir():  # checked before the computation
         raise EnvironmentFault(out, "no such folder", "a folder that exists")
     with shown(
         shared["progress"], words, lines=chosen.progress in ("lines", "parts"), verbose=shared.get("verbose", False),
@@ -147,11 +147,11 @@ def answer(
         beyond = Beyond()
         if more is not None:
             beyond = more(found[""].result, values, {**shared, "named": given, "report": report}, files)
-        said = _note(chosen, given, shared, files)
         written = []
         if out:
             made = chosen.made_of(found[""].result)
-            rl.save(out, made, provenance_of(words, files, values, given.get("seed"), said))
+            typed = _typed(chosen, given, shared, files)
+            rl.save(out, made, provenance_of(words, files, values, given.get("seed"), typed))
             written.append(out)
         rows = [f"written: {file}" for file in written]
         if figure is not None:
@@ -173,7 +173,7 @@ def answer(
 
 
 def _require(one: InLoop) -> None:
-    """Leave with the exit code of what cannot be trusted, or was asked for and is not met."""
+    """Exit with the code of a result that is not trustworthy, or of a requirement that is not met."""
     if hasattr(one.result, "require"):
         one.result.require()
     for result in (one.result, *one.beside.values()):
@@ -185,7 +185,7 @@ def _require(one: InLoop) -> None:
 
 
 def _cases(chosen: Operation, values: dict[str, Any], files: list[str], out: str | None) -> dict[str, dict[str, Any]]:
-    """The calls: one, or that of the nominal and that of the perturbed model of a file with both."""
+    """Return the arguments of the call, or of two where a file holds a nominal and a perturbed model."""
     kinds = {p.name: p.kind for p in chosen.parameters}
     pairs = [name for name, v in values.items() if isinstance(v, Pair) and not getattr(kinds.get(name), "pair", False)]
     if not pairs:
@@ -197,7 +197,7 @@ def _cases(chosen: Operation, values: dict[str, Any], files: list[str], out: str
 
 
 def _text(one: InLoop) -> str:
-    """The result's report, the loop before it, behind it what was asked for and what stands beside it."""
+    """Return the loop, the result's report, the requested tables and the additional results as text."""
     tables = [f"{part.title}\n{text_table(part.rows, part.header)}".lstrip() for part in one.parts if part.rows]
     beside = [
         f"{name}  {found}" if isinstance(found, str) else found.report()
@@ -207,7 +207,7 @@ def _text(one: InLoop) -> str:
 
 
 def _json(one: InLoop) -> Mapping[str, Any]:
-    """What a result is as JSON, of one with time series all but these; what stands beside it by name."""
+    """Return a result as JSON, without time series, and the additional results by name."""
     result = one.result
     without = {"series": False} if "series" in signature(result.to_json).parameters else {}
     plain = (str, int, float)
@@ -218,10 +218,10 @@ def _json(one: InLoop) -> Mapping[str, Any]:
 
 
 def _values(chosen: Operation, given: Mapping[str, Any], shared: Mapping[str, Any], files: list[str]) -> dict[str, Any]:
-    """The values of the operation's parameters that were given; the files that they are read from are noted down."""
+    """Return the given values of the operation's parameters; add the files read to ``files``."""
     found: dict[str, Any] = {}
     things = {p.key: p for p in chosen.parameters if isinstance(p.kind, Thing)}
-    # Models first: they say what a record's columns are called, and what units a signal's value may have.
+    # Models first: they define a record's columns and the units of signals.
     for p in sorted(chosen.parameters, key=lambda p: (p.key not in things, isinstance(p.kind, RecordFile))):
         if p.name not in given:
             continue
@@ -232,13 +232,13 @@ def _values(chosen: Operation, given: Mapping[str, Any], shared: Mapping[str, An
             value = p.kind.read(p.options[0], given[p.name], units)
         else:
             value = p.kind.read(p.options[0], given[p.name])
-        if value is not None or p.needed:  # an option that was not given keeps the function's own default
+        if value is not None or p.needed:  # else the function's own default
             found[p.name] = value
     return found
 
 
 def _overruled(found: dict[str, Any], given: Mapping[str, Any]) -> str:
-    """The note above the number where ``--feedback`` contradicts the controller, which then says nothing any more."""
+    """Return a note where ``--feedback`` contradicts the controller, and remove the controller's own sign."""
     sign, K = found.get("sign"), found.get("controller")
     if sign is None or K is None:
         return ""
@@ -276,7 +276,7 @@ def _read(p: Parameter, given: Any, shared: Mapping[str, Any], files: list[str],
 
 
 def _loaded(kind: Thing, name: str, reading: Mapping[str, Any]) -> Any:
-    """What one name stands for; code of the user's may print, and the result alone goes to stdout."""
+    """Load the object of a name; a user's code may print, but stdout is for the result alone."""
     from robustlab.operations.reading import runs_code
 
     if "plant" in kind.gives and runs_code(name):
@@ -284,8 +284,8 @@ def _loaded(kind: Thing, name: str, reading: Mapping[str, Any]) -> Any:
     return kind.load(name, note, **reading)
 
 
-def _note(chosen: Operation, given: Mapping[str, Any], shared: Mapping[str, Any], files: Sequence[str]) -> str:
-    """What was asked for beside the files: names of plants, and the options that are not as by default, as typed."""
+def _typed(chosen: Operation, given: Mapping[str, Any], shared: Mapping[str, Any], files: Sequence[str]) -> str:
+    """Return the arguments but for files: names of plants, and the options that are not the default, as typed."""
     words = []
     for p in chosen.parameters:
         value = given.get(p.name)
@@ -297,17 +297,17 @@ def _note(chosen: Operation, given: Mapping[str, Any], shared: Mapping[str, Any]
 
 
 def provenance_of(
-    words: str, files: list[str], values: Mapping[str, Any], seed: int | None = None, said: str = ""
+    words: str, files: list[str], values: Mapping[str, Any], seed: int | None = None, typed: str = ""
 ) -> Any:
-    """Where something comes from: the files read, and the code of plants."""
+    """Return the provenance: the files read, and the code of plants."""
     from robustlab.provenance import Provenance, code_of, file_sha256
 
     code = {file: sha for value in values.values() for file, sha in code_of(value).items()}
-    return Provenance.now(words, {f: file_sha256(f) for f in files} | code, seed, said)
+    return Provenance.now(words, {f: file_sha256(f) for f in files} | code, seed, typed)
 
 
 def _draw(one: InLoop, figure: str, part: str) -> list[str]:
-    """Write every picture of the result that can be drawn, and of what stands beside it; the paths."""
+    """Write every picture of the result and of additional results; return the paths."""
     from robustlab.report.drawings import pictures_of
 
     pictures = dict(pictures_of(one.result, note))
@@ -319,7 +319,7 @@ def _draw(one: InLoop, figure: str, part: str) -> list[str]:
 
 
 def _draws(declared: Operation) -> bool:
-    """Whether the results have pictures; asked by name, the classes need not be loaded."""
+    """Return whether the results have pictures, by the class' name, without loading it."""
     from robustlab.report.drawing_table import DRAWINGS
 
     return declared.result.rpartition(".")[2] in DRAWINGS
@@ -343,7 +343,7 @@ def _given(p: Parameter, alone: bool) -> Given:
     option = typer.Option(*p.options, help=help_text, metavar=p.kind.metavar, autocompletion=_offer(p.kind))
     if p.needed:
         return Given(p.name, Given.KEYWORD_ONLY, annotation=Annotated[kind, option])
-    if isinstance(p.kind, Flag):  # ``--certify`` of what is off by default, ``--direct/--no-direct`` of what is on
+    if isinstance(p.kind, Flag):  # ``--certify`` if off by default, ``--direct/--no-direct`` if on
         first = p.options[0]
         flag = (f"{first}/--no-{first.removeprefix('--')}",) if p.default else p.options
         option = typer.Option(*flag, help=help_text)

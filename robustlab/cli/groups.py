@@ -1,11 +1,11 @@
-"""The groups of commands, and the parser of one: loaded when its own words are asked for, and not before."""
+"""The groups of commands, and their parsers, each loaded on use."""
 
 from __future__ import annotations
 
 from importlib import import_module
 from typing import Any
 
-# Command -> (module that holds its `app`, or the families of operations that are its commands; one line of help).
+# Command -> (module with its `app`, or the modules of operations with its commands; one line of help).
 GROUPS: dict[str, tuple[str | tuple[str, ...], str]] = {
     "plant": ("robustlab.cli.plant", "List plants, show one; start one of your own in a file."),
     "model": ("robustlab.cli.model", "Build, show, check, compare and convert models."),
@@ -27,7 +27,7 @@ GROUPS: dict[str, tuple[str | tuple[str, ...], str]] = {
 
 
 def parser(name: str) -> Any:
-    """What reads the words after ``robustlab NAME``: typer's command, or its group of them."""
+    """Return typer's command or group that parses the words after ``robustlab NAME``."""
     from typer.main import get_command
 
     made, title = GROUPS[name]
@@ -40,5 +40,5 @@ def parser(name: str) -> Any:
 
         app = typer.Typer(help=title, no_args_is_help=True, add_completion=False)
         add_commands(app, name, *made)
-    app.rich_markup_mode = None  # help as plain text: it is also what the documentation shows
+    app.rich_markup_mode = None  # plain text, as in the documentation
     return get_command(app)

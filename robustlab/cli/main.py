@@ -1,7 +1,6 @@
-"""The ``robustlab`` command: a table of command groups, each loaded only when it is called.
+"""The ``robustlab`` command: the first word selects a group, whose parser (typer) reads the rest.
 
-The first word decides the group, and the group's own parser (typer) reads the rest. The top level needs no parser for
-that, and so ``robustlab --help`` loads neither typer nor any numerical library.
+The top level needs no parser, so ``robustlab --help`` loads neither typer nor any numerical library.
 """
 
 from __future__ import annotations
@@ -14,11 +13,11 @@ from typing import Any
 
 from robustlab.cli.groups import GROUPS, parser
 
-# One BLAS thread unless the user says otherwise: our matrices are small, threads that wait for each other made a run
-# several times slower on a busy machine, and one thread gives the same bits every time. Read when numpy is loaded.
+# One BLAS thread unless the user sets another number: matrices are small, threads made a run several times slower on a
+# busy machine, and one thread gives repeatable bits. Read when numpy is loaded.
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
-# New objects before the collector looks at them: the modules of a command are some hundred thousand.
+# Threshold of the garbage collector: loading the modules of a command makes some hundred thousand objects.
 YOUNG = 200_000
 
 _HEAD = """\
@@ -63,14 +62,14 @@ robustlab --help lists the commands; docs/words.md says what the words of a resu
 
 
 def help_text() -> str:
-    """What ``robustlab --help`` prints."""
+    """Return the text of ``robustlab --help``."""
     width = max(map(len, GROUPS))
     rows = [f"  {name.ljust(width)}  {line}\n" for name, (_, line) in GROUPS.items()]
     return _HEAD + "".join(rows) + _FOOT
 
 
 def run_command(arguments: Sequence[str]) -> int:
-    """Run the command that ``arguments`` name; the exit code."""
+    """Run the command that ``arguments`` name; return the exit code."""
     if not arguments:
         print(FIRST_WORDS, end="")
         return 2
@@ -99,7 +98,7 @@ def run_command(arguments: Sequence[str]) -> int:
         os.environ.setdefault(variable, "1")
     command = parser(name)
 
-    # Not command.main(): the parser's own frame turns a reader of stdout that went away into exit code 1.
+    # Not command.main(), which turns a closed pipe at stdout into exit code 1.
     def called() -> int | None:
         with command.make_context(f"robustlab {name}", rest) as context:
             return command.invoke(context)
@@ -108,12 +107,12 @@ def run_command(arguments: Sequence[str]) -> int:
         return answer(called)
     except Exception as error:
         if type(error).__name__ == "MissingParameter":  # the parser's; the class is click's, or typer's own copy of it
-            _tell_what_is_missing(error)
+            _raise_with_choices(error)
         raise
 
 
-def _tell_what_is_missing(error: Any) -> None:
-    """Raise a UsageError with the names that may stand in the place of a missing argument, where there are any."""
+def _raise_with_choices(error: Any) -> None:
+    """Raise a UsageError with the possible values of a missing argument, where there are any."""
     from robustlab.cli.offers import listed
     from robustlab.errors import UsageError
 
@@ -134,13 +133,13 @@ def main() -> None:
 
     def command() -> int:
         ready_streams()
-        if "_ROBUSTLAB_COMPLETE" in os.environ:  # a shell asks what TAB may put here
+        if "_ROBUSTLAB_COMPLETE" in os.environ:  # called by a shell's completion
             from robustlab.cli.completion import complete
 
             return complete()
         return run_command(sys.argv[1:])
 
-    # What loading makes stays to the end, and then goes all at once: the collector need not look through it.
+    # Objects made by loading live to the end and need no collection.
     gc.set_threshold(YOUNG)
     try:
         sys.exit(main_guard(command))

@@ -41,14 +41,16 @@ def show(
     Example: robustlab model show motor.h5
     """
     loaded = _read(file, reading)
-    parts = [line for name, thing in _objects(loaded) for line in _describe(name, thing)]
+    pair = loaded.kind == "pair"
+    named = dict(zip(("nominal", "perturbed"), loaded.object, strict=True)) if pair else {"": loaded.object}
+    parts = [line for name, thing in named.items() for line in _describe(f"{name}: " if name else "", thing)]
     origin = loaded.provenance
     if origin is not None and (origin.created_by or origin.created):
         parts.append(
             f"made by {origin.created_by or 'unknown'} on {origin.created or 'an unknown day'} {origin.note}".rstrip()
         )
     kind = f"{loaded.kind}, {'' if loaded.verified else 'not '}verified by a content hash"
-    content = {"nominal": loaded.object[0], "perturbed": loaded.object[1]} if loaded.kind == "pair" else loaded.object
+    content = named if pair else loaded.object
     result = {
         "file": file,
         "kind": loaded.kind,
@@ -107,12 +109,6 @@ add_commands(app, "model", "digital", "models", "robustness")
 
 
 # --- printing --------------------------------------------------------------------------------------------------------
-
-
-def _objects(loaded: Loaded) -> list[tuple[str, Any]]:
-    if loaded.kind == "pair":
-        return list(zip(("nominal: ", "perturbed: "), loaded.object, strict=True))
-    return [("", loaded.object)]
 
 
 def _describe(name: str, thing: Any) -> list[str]:

@@ -1,6 +1,6 @@
-"""What the shell is offered for a parameter at TAB; where that is nothing, the shell offers files.
+"""Completions of parameters at TAB; where there are none, the shell offers files.
 
-A TAB must not wait for numerical libraries, so nothing of them is imported here.
+No numerical library is imported here, so that TAB is fast.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from pathlib import Path
 
 Offer = Callable[[str], list[str]]
 
-# Words of choices whose modules load numpy; a test holds them to those modules.
-PLANTS = {  # with a line on each
+# Plants whose modules load numpy, with a line on each; a test compares the names with those modules.
+PLANTS = {
     "dc-motor": "permanent-magnet DC motor of a published data sheet, linear",
     "brushless-motor": "brushless DC motor from data-sheet values, with its drive, linear",
     "servo-axis": "prismatic axis of the published EMPS benchmark, linear",
@@ -25,7 +25,7 @@ _PLANT_FILES = (".h5", ".mat", ".py", ".fmu")
 
 
 def one_of(*words: str) -> Offer:
-    """The words of a choice."""
+    """Return the completion of a choice."""
 
     def offered(incomplete: str) -> list[str]:
         return [word for word in words if word.startswith(incomplete)]
@@ -34,19 +34,19 @@ def one_of(*words: str) -> Offer:
 
 
 def plant_or_file(incomplete: str) -> list[str]:
-    """Names of the plants that come with robustlab, and files that hold a plant or a model."""
+    """Return the names of shipped plants, and files of plants or models."""
     return _names_and_files(PLANTS, _PLANT_FILES, incomplete)
 
 
 def recipe_or_file(incomplete: str) -> list[str]:
-    """Names of the recipes that come with robustlab, and recipes in files."""
+    """Return the names of shipped recipes, and files of recipes."""
     from robustlab.recipe.shipped import shipped_recipes
 
     return _names_and_files(shipped_recipes(), (".toml",), incomplete)
 
 
 def listed(offered: Iterable[str]) -> list[tuple[str, str]]:
-    """What stands for a missing argument, each with a line on it where it comes with robustlab."""
+    """Return the possible values of a missing argument, with a line on each shipped one."""
     from robustlab.recipe.shipped import shipped_titles
 
     names = list(offered)
@@ -55,7 +55,7 @@ def listed(offered: Iterable[str]) -> list[tuple[str, str]]:
 
 
 def _names_and_files(names: Iterable[str], suffixes: tuple[str, ...], incomplete: str) -> list[str]:
-    """Where no name begins so, nothing: the shell itself is better at files."""
+    """Return names and files; nothing where no name matches, so that the shell completes files."""
     found = [name for name in names if name.startswith(incomplete)]
     if not found:
         return []

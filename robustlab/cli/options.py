@@ -1,4 +1,4 @@
-"""Options that hand-written commands share, and how the file of a record is read."""
+"""Options that hand-written commands share, and the reading of a record's file."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import robustlab as rl
 from robustlab.cli.console import note
 from robustlab.cli.offers import one_of, recipe_or_file
 from robustlab.errors import InputError, UsageError
+from robustlab.operations.kinds import comma_separated
 from robustlab.units import same_unit
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
@@ -34,14 +35,9 @@ ChangesOption = Annotated[
 COLUMN = "u=voltage takes the column voltage as u."
 
 
-def names(text: str) -> list[str]:
-    """``"a, b"`` as ``["a", "b"]``."""
-    return [part.strip() for part in text.split(",") if part.strip()]
-
-
 @dataclass(frozen=True)
 class RecordOptions:
-    """How the file of a record is to be read; the fields are options of every command that reads one."""
+    """Options of reading a record's file, of every command that reads one."""
 
     unit: Annotated[
         list[str] | None,
@@ -52,7 +48,7 @@ class RecordOptions:
     group: Annotated[str | None, typer.Option(metavar="NAME", help="HDF5 group or MATLAB struct.")] = None
     inputs: Annotated[
         str | None,
-        typer.Option(metavar="NAME,...", help=f"Inputs: u or u,w; beside a model its own if left out. {COLUMN}"),
+        typer.Option(metavar="NAME,...", help=f"Inputs: u or u,w; with a model its own if left out. {COLUMN}"),
     ] = None
     outputs: Annotated[
         str | None, typer.Option(metavar="NAME,...", help="Outputs likewise, q,i=current; all others if left out.")
@@ -61,23 +57,23 @@ class RecordOptions:
     clock: Annotated[str | None, typer.Option(metavar="NAME", help="Signal with the times.")] = None
     allow_gaps: Annotated[bool, typer.Option("--allow-gaps", help="Accept a clock with missing samples.")] = False
 
-    def read(self, file: str, inputs: str | None, group: str | None = None, *, tell: bool = True) -> rl.Record:
-        """The record in a file with these inputs, of this group where one is given; conversions are noted."""
+    def read(self, file: str, inputs: str | None, group: str | None = None, *, remarks: bool = True) -> rl.Record:
+        """Return the record in a file with these inputs and of this group; note conversions of units."""
         units = {}
         for text in self.unit or []:
             name, equals, unit = text.partition("=")
             if not (name and equals):
                 raise UsageError(f"--unit {text}", "no name and unit", "NAME=UNIT")
             units[name] = unit
-        wanted, told = (None if text is None else names(text) for text in (inputs, self.outputs))
+        taken, kept = (None if text is None else comma_separated(text) for text in (inputs, self.outputs))
         record = rl.Record.read(
-            file, group or self.group, wanted, told, self.dt, units=units, clock=self.clock,
+            file, group or self.group, taken, kept, self.dt, units=units, clock=self.clock,
             delimiter=self.delimiter, decimal=self.decimal, allow_gaps=self.allow_gaps,
         )  # fmt: skip
         for name in record.units:
             if name in units and not same_unit(units[name], record.unit(name)):
                 note(f"{file}: {name}: converted from {units[name]} to {record.unit(name)}")
-        if tell:
+        if remarks:
             for line in record.meaning.get("t", "").splitlines():
                 note(f"{file}: {line}")
         return record
@@ -87,9 +83,9 @@ HINT = "name the columns: --inputs u=COLUMN,... --outputs q=COLUMN,..."
 
 
 def read_named(options: RecordOptions, system: Any, named: str, files: list[str], remarks: bool) -> rl.Record:
-    """The record that a command names, ``FILE`` or ``FILE#GROUP``; beside a model where there is one.
+    """Return the record ``FILE`` or ``FILE#GROUP``, with the columns of a model where there is one.
 
-    ``files`` gets the file. A file whose own name has a # is taken as it is.
+    The file is added to ``files``. A # may be part of a file's own name.
     """
     from robustlab.statespace import as_model
 
@@ -98,11 +94,11 @@ def read_named(options: RecordOptions, system: Any, named: str, files: list[str]
         file, group = named, None
     files.append(file)
     if system is None:
-        return options.read(file, options.inputs, group, tell=remarks)
+        return options.read(file, options.inputs, group, remarks=remarks)
     model = system if hasattr(system, "inputs") else as_model(system)
-    asked = options.inputs or ",".join(s.name for s in model.inputs)
+    inputs = options.inputs or ",".join(s.name for s in model.inputs)
     try:
-        record = options.read(file, asked, group, tell=remarks)
+        record = options.read(file, inputs, group, remarks=remarks)
     except InputError as error:
         if options.inputs is None and error.found.startswith("missing "):
             error.hint = HINT
@@ -115,5 +111,5 @@ def read_named(options: RecordOptions, system: Any, named: str, files: list[str]
 
 
 def signals_of(system: Any) -> Sequence[rl.Signal]:
-    """All signals of a plant or model; none of anything else."""
+    """Return all signals of a plant or model; none of anything else."""
     return [s for side in ("inputs", "outputs", "states") for s in getattr(system, side, ()) if hasattr(s, "unit")]

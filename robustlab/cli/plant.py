@@ -1,4 +1,4 @@
-"""``robustlab plant``: list plants, show one, start one of your own; and how all commands read a plant."""
+"""``robustlab plant``: list plants, show one, start one of your own; reading of a plant for all commands."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ app = typer.Typer(
 
 
 def machine(kind: Machine, name: str, settings: list[str] | None) -> Any:
-    """What a command names beside a record: a plant or a model; the set of a plant where an uncertain one is wanted."""
+    """Return the plant or model that a command names, or the set of a plant where an uncertain model is required."""
     from robustlab.dynamics.plant_contract import Plant
     from robustlab.provenance import code_of
 
@@ -59,15 +59,11 @@ def list_plants(as_json: JsonOption = False) -> None:
     Example: robustlab plant list
     """
     made = {name: rl.plant(name) for name in PLANTS}
-    rows = [
-        (name, ", ".join(named(p.inputs)), ", ".join(named(p.outputs)), PLANTS[name])
-        for name, p in made.items()
-    ]  # fmt: skip
+    rows = [(name, _few(p.inputs), _few(p.outputs), PLANTS[name]) for name, p in made.items()]
     plants = [
         {"name": name, "what": PLANTS[name], **{side: [list(s) for s in getattr(p, side)] for side in SIDES[:2]}}
         for name, p in made.items()
     ]
-    rows = [(name, _few(ins), _few(outs), what) for name, ins, outs, what in rows]
     emit("plant list", {"plants": plants}, table(rows, ("plant", "inputs", "outputs", "")), as_json)
 
 
@@ -124,7 +120,7 @@ def show(
         result_alone()
     made = reading.read_plant(plant, plant_settings(settings))
     given = Table(Number()).read("--at", at) or {}
-    trim, model, problem = _rest(made, given)
+    trim, model, problem = _equilibrium(made, given)
     point = None
     if trim is not None:
         sides = {"x": (made.states, trim.x), "u": (made.inputs, trim.u), "y": (made.outputs, trim.y)}
@@ -148,11 +144,11 @@ def show(
 
 SIDES = ("inputs", "outputs", "states")
 FEW = 36  # characters of a plant's signals in a list
-ROUNDING = 1e-9  # a pole of this share of the largest is at zero
+ROUNDING = 1e-9  # poles below this, relative to the largest, count as zero
 
 
-def _rest(plant: Any, at: Mapping[str, float]) -> tuple[Any, Any, Any]:
-    """Where a plant stays (None at zero) and its linear model there; or why there is no such point."""
+def _equilibrium(plant: Any, at: Mapping[str, float]) -> tuple[Any, Any, Any]:
+    """Return the equilibrium (None at zero), the linear model there, and the error if there is no such point."""
     from robustlab.dynamics import LinearPlant
 
     if isinstance(plant, LinearPlant):
@@ -170,7 +166,7 @@ def _rest(plant: Any, at: Mapping[str, float]) -> tuple[Any, Any, Any]:
         return None, None, error
 
 
-def _rest_lines(plant: Any, trim: Any, model: Any, problem: Any) -> list[str]:
+def _equilibrium_lines(plant: Any, trim: Any, model: Any, problem: Any) -> list[str]:
     if model is None:
         return [f"operating point: none found ({problem.line})"]
     lines = ["operating point: rest at zero"]
@@ -179,29 +175,30 @@ def _rest_lines(plant: Any, trim: Any, model: Any, problem: Any) -> list[str]:
         rows = [(s.name, f"{value:.6g}", s.unit) for s, value in sides]
         lines = ["operating point", *table(rows, ("signal", "value", "unit")).splitlines()]
     poles = sorted(model.poles(), key=lambda p: (-p.real, p.imag))
-    still = max(map(abs, poles), default=0.0) * ROUNDING
+    zero = max(map(abs, poles), default=0.0) * ROUNDING
     rows = [
         (f"{p.real:.6g}" + (f"{p.imag:+.6g}j" if p.imag else ""), f"{abs(p):.6g}",
-         f"{-p.real / abs(p):.3g}" if abs(p) > still else "moves freely")
+         f"{-p.real / abs(p):.3g}" if abs(p) > zero else "moves freely")
         for p in poles
     ]  # fmt: skip
     if rows:
         lines += ["", *table(rows, ("pole [1/s]", "frequency [rad/s]", "damping")).splitlines()]
-    return [*lines, "NOT stable" if any(p.real > still for p in poles) else "no pole in the right half plane"]
+    return [*lines, "NOT stable" if any(p.real > zero for p in poles) else "no pole in the right half plane"]
 
 
-def _few(text: str) -> str:
+def _few(signals: Any) -> str:
+    text = ", ".join(named(signals))
     return text if len(text) <= FEW else f"{text[: FEW - 4].rstrip(' ,')} ..."
 
 
 def _joints(plant: Any) -> list[dict[str, str]]:
-    """Where forces and voltages can act: what an effect may be attached to."""
+    """Return the places where forces and voltages can act, to which effects can be attached."""
     import numpy as np
 
     from robustlab.dynamics import LinearPlant, NonlinearPlant
     from robustlab.dynamics.ports.port_model import port_model
 
-    base = getattr(plant, "plant", plant)  # beneath its effects
+    base = getattr(plant, "plant", plant)  # without its effects
     if isinstance(base, LinearPlant):
         ports = port_model(base).ports.values()
         at = [None if p.position is None else int(np.argmax(p.position)) for p in ports]
@@ -220,16 +217,16 @@ def _text(given: str, plant: Any, trim: Any, model: Any, problem: Any) -> list[s
     ]
     joints = [(j["name"], j["unit"], j["position"] or "-") for j in _joints(plant)]
     lines += ["", *table(joints, ("joint", "acts there", "position")).splitlines()] if joints else ["", "no joints"]
-    return [*lines, "", *parameter_lines(plant), "", *_rest_lines(plant, trim, model, problem)]
+    return [*lines, "", *parameter_lines(plant), "", *_equilibrium_lines(plant, trim, model, problem)]
 
 
 def signal_lines(thing: Any) -> list[str]:
-    """Inputs, outputs and states of a plant or model, a line each."""
+    """Return a line each for inputs, outputs and states of a plant or model."""
     return [f"  {side}: {', '.join(named(getattr(thing, side))) or 'none'}" for side in SIDES]
 
 
 def parameter_lines(plant: Any) -> list[str]:
-    """Parameters of a plant, and its effects with theirs."""
+    """Return the table of a plant's parameters, and its effects with theirs."""
     rows = [
         (p.name, f"{p.value:.6g} {p.unit}".strip(), f"+-{p.tolerance_text}" if p.tolerance else "exact", p.role or "-",
          p.meaning or "-", p.source or "-")

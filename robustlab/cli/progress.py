@@ -1,8 +1,7 @@
-"""How far a long command is: the one display of all of them, on stderr.
+"""The progress display of all commands, on stderr.
 
-``auto`` is on a terminal a bar with the time passed and to go, which appears after two seconds and vanishes at the end;
-elsewhere nothing, but for the lines that some commands always print. ``json`` is an object a line (`Display.state`), at
-every step and every few seconds. ``none`` is nothing.
+``auto`` is on a terminal a bar with elapsed and remaining time, from two seconds to the end; elsewhere only the lines
+that some commands always print. ``json`` is an object a line (`Display.state`) at every step and every few seconds.
 """
 
 from __future__ import annotations
@@ -20,10 +19,10 @@ from robustlab.errors import UsageError, plain_text
 
 SCHEMA = "robustlab.progress/1"
 MODES = ("auto", "json", "none")
-PATIENCE = 2.0  # s; what takes less shows nothing on a terminal
-EVERY = 0.25  # s between two looks at where the work stands
-BEAT = 2.0  # s after which a line of JSON comes without anything new
-SHORT = 0.1  # s; lines of JSON that come thicker are left out, unless the text is new
+PATIENCE = 2.0  # s until the bar appears
+EVERY = 0.25  # s between two updates of the bar
+BEAT = 2.0  # s after which a line of JSON is printed without news
+SHORT = 0.1  # s; least time between lines of JSON with the same text
 
 
 @contextmanager
@@ -31,7 +30,7 @@ def shown(
     progress: str, command: str, total: int | None = None, *,
     lines: bool = False, verbose: bool = False, budgets: bool = True,
 ) -> Iterator[Display]:  # fmt: skip
-    """The display for the time of a ``with`` block, in the mode that ``--progress`` names."""
+    """Yield the display in the mode of ``--progress``."""
     from robustlab.budget import listening
 
     if progress not in MODES:
@@ -45,37 +44,37 @@ def shown(
 
 
 class Display:
-    """Takes texts and counts of a command, and shows them.
+    """The display of texts and counts of a command.
 
-    Where a command knows its steps, the time to go is in proportion to them. Of a search that counts the work it may do
-    at most, it is an upper estimate (``at_most``); of one in parts, that of the present part (``part``).
+    The remaining time is in proportion to known steps; of a search that counts its largest work, an upper estimate
+    (``at_most``); of a search in parts, that of the current part (``part``).
     """
 
     def __init__(self, command: str, mode: str, total: int | None = None) -> None:
         self.command, self.mode, self.total = command, mode, float(total or 0)
         self._text, self._done, self._at_most, self._part = "", 0.0, False, False
-        self._kept: list[str] = []  # lines that are to stay above the bar
+        self._kept: list[str] = []  # lines above the bar
         self._began = self._base = time.monotonic()
-        self._from, self._told = 0.0, 0.0
+        self._from, self._printed = 0.0, 0.0
         self._lock, self._over = threading.Lock(), threading.Event()
-        self._watch = threading.Thread(target=self._look, daemon=True)
+        self._thread = threading.Thread(target=self._update, daemon=True)
 
     def __enter__(self) -> Display:
         if self.mode in ("bar", "json"):
-            self._watch.start()
+            self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._over.set()
-        if self._watch.is_alive():
-            self._watch.join()
+        if self._thread.is_alive():
+            self._thread.join()
         for text in self._kept:
             note(text)
         if self.mode == "json":
             self._line(ended=True)
 
     def __call__(self, text: str) -> None:
-        """What is being done now."""
+        """Show the current activity."""
         self._text = text
         if self.mode == "lines":
             note(text)
@@ -83,35 +82,35 @@ class Display:
             self._line()
 
     def done(self, text: str) -> None:
-        """What has been done: a line that stays on a terminal; elsewhere it was printed when it began."""
+        """Keep a line on a terminal; elsewhere it was printed at the start of the step."""
         if self.mode == "bar":
             self._kept.append(text)
 
     def step(self, done: float, text: str = "") -> None:
-        """So many steps are done."""
+        """Set the number of finished steps."""
         self._done = done
         if text:
             self(text)
-        elif self.mode == "json" and time.monotonic() - self._told > SHORT:
+        elif self.mode == "json" and time.monotonic() - self._printed > SHORT:
             self._line()
 
     def resumed(self, done: float) -> None:
-        """Steps that were done before this run: no measure of its speed."""
+        """Set the number of steps finished before this run, which do not count for its speed."""
         self._from = self._done = done
 
     def work(self, done: float, whole: float) -> None:
-        """Work that a search has counted, of what it may do at most; a new search begins a new count."""
+        """Set the work done and its largest amount; a new amount starts a new count."""
         if whole != self.total:
             self._base, self._from = time.monotonic(), 0.0
         self._done, self.total, self._at_most = done, whole, True
 
     @property
     def listener(self) -> Display | Callable[[str], None]:
-        """For a search that counts in parts: the display where it shows numbers, else what takes lines of text."""
+        """Return the listener of a search in parts: the display where it shows numbers, else a printer of lines."""
         return self if self.mode in ("bar", "json") else self.__call__
 
     def part(self, done: float, expected: float, text: str) -> None:
-        """Work done in the present part of a search, of what is expected in it; a smaller count is the next part's."""
+        """Set the work done and expected in the current part of a search; a smaller count starts the next part."""
         new = done < self._done or expected <= 0 or not self._part
         if new:
             self._base, self._from = time.monotonic(), done
@@ -120,25 +119,25 @@ class Display:
             self._line()
 
     def _remaining(self) -> float | None:
-        """Seconds to go in proportion to what is done; None where nothing is known."""
+        """Return the estimated remaining seconds, or None."""
         done = self._done - self._from
         if done <= 0 or self.total < self._done:
             return None
         return (time.monotonic() - self._base) * (self.total - self._done) / done
 
-    def _look(self) -> None:
-        """The thread that shows: a bar once the command takes long, or a line of JSON now and then."""
+    def _update(self) -> None:
+        """Show the bar after a while, or print lines of JSON (run in the thread)."""
         if self.mode == "bar":
             if not self._over.wait(PATIENCE):
                 self._bar()
             return
-        with suppress(OSError):  # nobody reads any more; the command itself meets that where it prints its result
+        with suppress(OSError):  # stderr is closed
             while not self._over.wait(EVERY):
-                if time.monotonic() - self._told >= BEAT:
+                if time.monotonic() - self._printed >= BEAT:
                     self._line()
 
     def state(self, ended: bool = False) -> dict[str, Any]:
-        """Where the command stands, as a line of JSON has it under ``progress``."""
+        """Return the state of the command, the object ``progress`` of a line of JSON."""
         remaining = self._remaining()
         return {
             "command": self.command,
@@ -154,7 +153,7 @@ class Display:
 
     def _line(self, ended: bool = False) -> None:
         with self._lock:
-            self._told = time.monotonic()
+            self._printed = time.monotonic()
             print(json.dumps({"schema": SCHEMA, "progress": self.state(ended)}), file=sys.stderr, flush=True)
 
     def _bar(self) -> None:

@@ -11,7 +11,7 @@ from robustlab.cli.console import emit
 from robustlab.cli.options import JsonOption
 from robustlab.shown import text_table as table
 
-MOST_NUMBERS = 40  # changed numbers that are listed; --json has all
+MOST_NUMBERS = 40  # of changed numbers in the list; --json has all
 
 
 class _FolderOrCommand(TyperGroup):
@@ -62,7 +62,7 @@ def compare(
     """Requirements and numbers of two runs side by side, what changed, and what got worse.
 
     Worse is: a requirement was met and is not, or is no longer stated; its number came nearer to its limit or went
-    further beyond; a step's number can no longer be vouched for.
+    further beyond; a step's number is no longer trustworthy.
 
     Exit code 0: nothing got worse; 1: something did.
 

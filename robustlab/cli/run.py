@@ -37,10 +37,10 @@ def run(
             "--out", "-o", help="Folder to write.  [default: out/NAME, and one of its own for other settings]"
         ),
     ] = None,
-    png: Annotated[bool, typer.Option("--png", help="Draw the figures as PNG beside the SVG, too.")] = False,
+    png: Annotated[bool, typer.Option("--png", help="Draw the figures as PNG, too.")] = False,
     figures: Annotated[
         Literal["required", "all"],
-        typer.Option("--figures", help="Whose figures are drawn: of the steps that requirements name, or of all."),
+        typer.Option("--figures", help="Steps whose figures are drawn: those that requirements name, or all."),
     ] = "required",
     progress: ProgressOption = "auto",
     as_json: JsonOption = False,
@@ -48,9 +48,9 @@ def run(
     """Run a recipe, judge its requirements, and write report.html, result.json, junit.xml and the figures.
 
     Without --out each recipe and each choice of settings has a folder of its own. The
-    report is written however the run ends; until then it says that the run has not finished.
+    report is written however the run ends; until then it shows that the run has not finished.
 
-    Exit code 0: all requirements met; 1: one is not; 3: the recipe asks for what is not there; 4: a step ended without
+    Exit code 0: all requirements met; 1: one is not; 3: the recipe requires a missing number; 4: a step ended without
     a trustworthy number.
 
     Example: robustlab run first-light --set seed=7 --out out/first-light
@@ -60,7 +60,7 @@ def run(
     from pathlib import Path
 
     if listed or recipe is None:
-        _tell_recipes(listed, as_json)
+        _list_recipes(listed, as_json)
         return
     from robustlab.errors import InputError
     from robustlab.recipe.load import load_recipe, recipe_path
@@ -73,7 +73,7 @@ def run(
     replacing = replaced(folder, loaded)
     count = len(loaded.recipe.step)
     begun, since = list[str](), [0.0]
-    result_alone()  # a plant of the recipe may be code of the user's
+    result_alone()  # the recipe may run a user's code
     with shown(progress, "run", count, lines=True, budgets=False) as display:
 
         def ended() -> None:
@@ -89,7 +89,7 @@ def run(
         try:
             result = run_recipe(loaded, folder, begin, png, figures)
         except BaseException:
-            with suppress(InputError):  # none was written
+            with suppress(InputError):  # no report was written
                 if ending_of(read_result(folder))["how"] != "finished":
                     note(f"report of what was run: {folder.resolve() / 'report.html'}")
             raise
@@ -100,12 +100,12 @@ def run(
     raise typer.Exit(result.exit_code)
 
 
-def _tell_recipes(asked: bool, as_json: bool) -> None:
-    """The recipes that come with robustlab: as the result, or as what is missing."""
+def _list_recipes(requested: bool, as_json: bool) -> None:
+    """Print the shipped recipes, or raise with them as choices where no list was requested."""
     from robustlab.recipe.shipped import shipped_titles
 
     titles = shipped_titles()
-    if not asked:
+    if not requested:
         lines = tuple(f"  {line}" for line in table(list(titles.items())).splitlines())
         hint = "robustlab run first-light"
         raise UsageError("robustlab run", "RECIPE is missing", "a recipe file, or one of these", hint, lines)
@@ -113,7 +113,7 @@ def _tell_recipes(asked: bool, as_json: bool) -> None:
 
 
 def _text(result: RunResult) -> str:
-    """What became of each requirement, and the steps without a trustworthy number."""
+    """Return the judgements of the requirements, and the steps without a trustworthy number."""
     from robustlab.report.html import found_in_words, in_windows_only, verdict_of
 
     data = result.data

@@ -1,4 +1,4 @@
-"""``robustlab verify``: the claims in files of results, proved once more by a small program that stands alone."""
+"""``robustlab verify``: re-verify results from their files, by an independent program."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ def verify(
     progress: ProgressOption = "auto",
     as_json: JsonOption = False,
 ) -> None:
-    """Prove what a result says once more, from its file alone: in exact and ball arithmetic, for all frequencies.
+    """Verify the claims of a result from its file alone: in exact and ball arithmetic, for all frequencies.
 
-    Exit code 0: all claims were proved, and what the file displays is what they say. 4: something was not proved, or
+    Exit code 0: all claims were proved, and the file displays the same numbers. 4: something was not proved, or
     the file is not the one that its claims were written with. 1: a claim was refuted by a counterexample.
 
     Example: robustlab verify out/first-light

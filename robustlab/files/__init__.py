@@ -1,4 +1,4 @@
-"""Files from outside: untrusted HDF5, MATLAB and text files into plain arrays, and atomic writing."""
+"""Read untrusted HDF5, MATLAB and text files into plain arrays; write files atomically."""
 
 from robustlab.lazily import lazily
 

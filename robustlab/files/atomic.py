@@ -1,4 +1,4 @@
-"""Atomic writing: a file is either the old one or the complete new one, whatever happens in between."""
+"""Atomic writing: a file is always either the old one or the complete new one."""
 
 from __future__ import annotations
 
@@ -14,16 +14,15 @@ from pathlib import Path
 from robustlab.errors import EnvironmentFault
 
 PREFIX, SUFFIX = ".robustlab-", ".tmp"
-STRAY_AGE = 3600.0  # s; a temporary file this old was left by a process that was killed
+STRAY_AGE = 3600.0  # s; an older temporary file is of a killed process
 NO_FOLDER = (errno.ENOENT, errno.ENOTDIR)
 
 
 def atomic_write(path: str | Path, write: Callable[[Path], object]) -> Path:
-    """Call ``write(temporary_path)`` and put what it wrote in the place of ``path``.
+    """Call ``write(temporary_path)`` and replace ``path`` by the file written.
 
-    The temporary file lies in the same folder; it is flushed to disk, renamed, and the folder is flushed. A link is
-    followed: the file it points to is replaced. Temporary files that a killed process left in the folder more than an
-    hour ago are removed.
+    The temporary file is in the same folder; it is flushed to disk, renamed, and the folder is flushed. A link is
+    followed. Temporary files of killed processes in the folder are removed after an hour.
     """
     old, temporary = None, None
     try:
@@ -32,7 +31,7 @@ def atomic_write(path: str | Path, write: Callable[[Path], object]) -> Path:
         if old is not None and not stat.S_ISREG(old.st_mode):
             raise EnvironmentFault(str(path), "is a directory or a device", "a file name")  # noqa: TRY301  one way out
         for stray in target.parent.glob(f"{PREFIX}*{SUFFIX}"):
-            with suppress(OSError):  # another process was faster, or it is not ours to remove: it does no harm
+            with suppress(OSError):  # removed by another process, or not permitted
                 if time.time() - stray.stat().st_mtime > STRAY_AGE:
                     stray.unlink()
         handle, name = tempfile.mkstemp(SUFFIX, PREFIX, target.parent)
@@ -64,7 +63,7 @@ def _umask() -> int:
 
 
 def _flush(folder: Path) -> None:
-    """Make the renaming itself durable; Windows has no such call for folders."""
+    """Flush the folder, which makes the renaming durable; Windows has no such call."""
     if os.name == "nt":
         return
     handle = os.open(folder, os.O_RDONLY)

@@ -1,4 +1,4 @@
-"""Documents of JSON and TOML from outside as plain data, checked so that what follows may walk them by recursion."""
+"""Parse untrusted JSON and TOML into plain data of limited depth, safe for recursion."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ WORD = {"json": "JSON", "toml": "TOML"}
 
 
 def parse_document(kind: Literal["json", "toml"], raw: bytes, where: str) -> Any:
-    """Tables, lists, texts, numbers, yes/no (and in TOML dates) from the bytes of a file; ``where``: its name."""
+    """Return tables, lists, texts, numbers, booleans (and dates of TOML) of a file's bytes; ``where``: its name."""
     if len(raw) > Limits.document:
         raise InputError(where, f"{size_text(len(raw))} of {WORD[kind]}", f"at most {size_text(Limits.document)}")
     try:
@@ -33,7 +33,7 @@ def parse_document(kind: Literal["json", "toml"], raw: bytes, where: str) -> Any
     except RecursionError:
         found = f"not readable as {WORD[kind]}: nested too deeply"
         raise InputError(where, found, f"at most {MAX_DEPTH} levels") from None
-    except ValueError as error:  # whole numbers of thousands of digits, half a surrogate pair, what is refused below
+    except ValueError as error:  # huge whole numbers, half a surrogate pair, errors raised below
         raise InputError(where, f"not readable as {WORD[kind]}: {str(error)[:100]}") from None
     return data
 

@@ -1,7 +1,6 @@
-"""Tables of pandas as the arguments of `robustlab.record.Record`, and back; times in s, units in ``attrs``.
+"""Convert tables of pandas to arguments of `robustlab.record.Record`, and back; times in s.
 
-A frame that a record was made into says in its ``attrs`` which columns are inputs and which are outputs,
-their units and meanings, and the record's name; so the record comes back as it was.
+The frame's ``attrs`` hold inputs, outputs, units, meanings and the record's name, so that no information is lost.
 """
 
 from __future__ import annotations
@@ -22,13 +21,13 @@ if TYPE_CHECKING:
 
 
 def need(where: str, package: str, extra: str) -> None:
-    """Go on only where an optional package is installed."""
+    """Raise where an optional package is not installed."""
     if importlib.util.find_spec(package) is None:
         raise DependencyMissing(where, f"needs the package {package}", None, f"pip install 'robustlab[{extra}]'")
 
 
 def frame_of(keywords: Mapping[str, Any]) -> pandas.DataFrame:
-    """A data frame with index ``t`` in s; see `robustlab.record.Record.to_pandas`."""
+    """Return a data frame with index ``t`` in s; see `robustlab.record.Record.to_pandas`."""
     need("Record.to_pandas", "pandas", "frames")
     import pandas
 
@@ -47,7 +46,7 @@ def frame_of(keywords: Mapping[str, Any]) -> pandas.DataFrame:
 def keywords_of_frame(
     frame: Any, inputs: Sequence[str] | None, outputs: Sequence[str] | None, units: Mapping[str, str] | None
 ) -> dict[str, Any]:
-    """Inverse of `frame_of`; see `robustlab.record.Record.from_pandas`."""
+    """Invert `frame_of`; see `robustlab.record.Record.from_pandas`."""
     where = "Record.from_pandas"
     need(where, "pandas", "frames")
     import pandas
@@ -60,14 +59,14 @@ def keywords_of_frame(
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise InputError(where, f"column name {twice[0]!r} is used twice", "unique names")
-    told = {key: value for key, value in frame.attrs.items() if isinstance(key, str)}
-    stated, meaning = (told[key] if isinstance(told.get(key), dict) else {} for key in ("units", "meaning"))
-    source = Source(where, str(told.get("name", "frame")), "", {})
+    attrs = {key: value for key, value in frame.attrs.items() if isinstance(key, str)}
+    stated, meaning = (attrs[key] if isinstance(attrs.get(key), dict) else {} for key in ("units", "meaning"))
+    source = Source(where, str(attrs.get("name", "frame")), "", {})
     for k, name in enumerate(names):
         values, unit = _values(frame.iloc[:, k])
         source.channels[name] = Channel(values, unit or str(stated.get(name, "")), str(meaning.get(name, "")))
     for side in ("inputs", "outputs"):
-        given = told.get(side)
+        given = attrs.get(side)
         getattr(source, side).extend([n for n in given if n in names] if isinstance(given, list) else [])
     if "t" in meaning:
         source.notes += str(meaning["t"]).splitlines()
@@ -77,12 +76,12 @@ def keywords_of_frame(
     elif not any(name in names for name in CLOCK_NAMES):
         hint = "frame.index = dt * numpy.arange(len(frame)), or a column t"
         raise InputError(where, "rows are numbered, and no column is a clock", "an index of times in s", hint)
-    # A frame from memory may have holes, as a record may; `check_record` tells of them.
+    # Gaps are allowed; `check_record` reports them.
     return choose(source, RecordOptions(None, inputs, outputs, units=units, allow_gaps=True))
 
 
 def _values(column: Any) -> tuple[AnyArray | Unread, str]:
-    """Numbers as they are; dates and durations as whole numbers with their unit; all else `Unread`."""
+    """Return numbers; dates and durations as whole numbers with their unit; anything else as `Unread`."""
     kind = column.dtype
     code = getattr(kind, "kind", "O")
     if code in "mM":

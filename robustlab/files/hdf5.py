@@ -1,4 +1,4 @@
-"""HDF5 files as trees: what others wrote is read, what is written MATLAB, Octave and Julia can read."""
+"""Read HDF5 files of any origin into trees, and write trees that MATLAB, Octave and Julia can read."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from robustlab.files.matlab import from_matlab73, read_matlab5
 from robustlab.files.signature import MIB, Limits, content_of
 from robustlab.files.tree import Dataset, Tree, Unread, canonical
 
-COMPRESS_FROM = 64 << 10  # bytes; smaller datasets gain nothing
+COMPRESS_FROM = 64 << 10  # bytes
 MAX_ATTRIBUTE_TEXT = 60_000  # bytes; HDF5 keeps attributes in a header of 64 KiB
 
 
 def read_tree(path: str | Path, group: str | None = None, limits: Limits | None = None, isolate: bool = True) -> Tree:
-    """Read an HDF5 or MATLAB (5, 7.3) file from outside."""
+    """Read an untrusted HDF5 or MATLAB (5, 7.3) file."""
     limits = limits or Limits()
     kind = content_of(path, limits)
     if kind == "text":
@@ -39,7 +39,7 @@ def read_tree(path: str | Path, group: str | None = None, limits: Limits | None 
 def write_tree(path: str | Path, tree: Tree) -> Path:
     """Write ``tree`` to ``path`` atomically: datasets with fletcher32 checksums, texts as UTF-8.
 
-    The file is laid out in memory first, so that a full disk meets one plain write and never a half-flushed library.
+    The file is laid out in memory first, so that a full disk fails in one plain write.
     """
     image = _image(tree)
     return atomic_write(path, lambda temporary: temporary.write_bytes(image))
@@ -82,13 +82,13 @@ def _write_attributes(target: Any, attrs: dict[str, Any], path: str) -> None:
         values = _storable(text_or_numbers)
         if values.nbytes > MAX_ATTRIBUTE_TEXT:
             raise InputError(path, f"attribute {name} of {values.nbytes} bytes", f"at most {MAX_ATTRIBUTE_TEXT}")
-        # A single text is stored with variable length, so that h5py gives it back as str and not as bytes.
+        # A single text is stored with variable length, so that h5py reads it as str and not as bytes.
         single_text = text_or_numbers.dtype.kind == "U" and not text_or_numbers.ndim
         target.attrs.create(name, text_or_numbers.item() if single_text else values)
 
 
 def _storable(values: AnyArray) -> AnyArray:
-    """Text as fixed-length UTF-8, which MATLAB, Octave and Julia read; numbers as they are."""
+    """Return text as fixed-length UTF-8, which MATLAB, Octave and Julia read; numbers unchanged."""
     import h5py
 
     if values.dtype.kind != "U":

@@ -1,7 +1,7 @@
-"""Walk an HDF5 file without trusting it, and read it into a `Tree`.
+"""Read an untrusted HDF5 file into a `Tree`.
 
-Runs in a child process; see `robustlab.files.isolation`. Links are looked at before they are followed, types and
-declared sizes before anything is read.
+Runs in a child process; see `robustlab.files.isolation`. Links are checked before they are followed, types and declared
+sizes before values are read.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from robustlab.errors import InputError
 from robustlab.files.signature import Limits, size_text
 from robustlab.files.tree import Dataset, Tree, Unread
 
-# id -> name; all of these are built into HDF5 or h5py, so that no plugin is loaded.
+# id -> name of the filters built into HDF5 or h5py; no plugin is loaded.
 KNOWN_FILTERS = {1: "deflate", 2: "shuffle", 3: "fletcher32", 5: "nbit", 6: "scaleoffset", 32000: "lzf"}
-# Deflate shrinks by 1032 at most; beyond this a file was made to grow when it is read.
+# Deflate compresses by 1032 at most; a larger factor means a hostile file.
 MAX_EXPANSION = 2000
 MAX_ATTRIBUTE = 1 << 20
 MAX_PROBLEMS = 20
@@ -33,7 +33,7 @@ DAMAGED = "copy or export the file again; if it was made by robustlab, run the c
 
 @dataclass
 class _Walk:
-    """What is known while walking: the limits, what was read so far, and everything that is wrong."""
+    """The state of reading: the limits, the amount read, and all problems."""
 
     file: str
     limits: Limits
@@ -47,12 +47,12 @@ class _Walk:
         self.problems.append(f"{path}: {text}")
 
     def is_wanted(self, path: str) -> bool:
-        """True for datasets below the wanted group, and for those that lie in the root itself."""
+        """Return whether a dataset is below the wanted group or in the root itself."""
         return self.wanted is None or path.startswith(f"/{self.wanted}/") or path.count("/") == 1
 
 
 def read_hdf5(path: str, limits: Limits, group: str | None = None, shown: str | None = None) -> Tree:
-    """Read ``path`` into a tree; ``group`` limits the values that are read, everything is walked all the same."""
+    """Read ``path`` into a tree; everything is checked, values are read of ``group`` only."""
     where = shown or path
     try:
         file = h5py.File(path, "r", locking=False)
@@ -64,7 +64,7 @@ def read_hdf5(path: str, limits: Limits, group: str | None = None, shown: str | 
             tree = _group(walk, h5g.open(file.id, b"/"), "/", 0)
     except MemoryError:
         raise InputError(where, "needs more memory than the reader may use", None, DAMAGED) from None
-    except Exception as error:  # whatever the library says about a damaged file is a finding about the file
+    except Exception as error:  # any error of the library means a damaged file
         raise InputError(
             where, f"damaged HDF5 file ({type(error).__name__}: {_short(error)})", None, DAMAGED
         ) from error
@@ -129,7 +129,7 @@ def _group(walk: _Walk, gid: h5g.GroupID, path: str, depth: int) -> Tree:
 
 
 def _link(walk: _Walk, gid: h5g.GroupID, raw: bytes, tree: Tree, depth: int) -> None:
-    """Follow one link if it is a hard one; every other kind leads out of the tree and is refused."""
+    """Follow a hard link; report every other kind, which may leave the file."""
     walk.objects += 1
     try:
         name = raw.decode()
@@ -195,7 +195,7 @@ def _dataset(walk: _Walk, did: h5d.DatasetID, path: str) -> Dataset:
 
 
 def _may_be_read(walk: _Walk, did: h5d.DatasetID, plist: Any, path: str, kind: str) -> bool:
-    """Check filters, declared size (in memory, where every number takes 8 bytes), and stored against declared size."""
+    """Check filters, declared size in memory (8 bytes a number), and stored against declared size."""
     for i in range(plist.get_nfilters()):
         code, _, _, label = plist.get_filter(i)
         if code not in KNOWN_FILTERS or not h5z.filter_avail(code):
@@ -239,7 +239,7 @@ SIZES = {h5t.INTEGER: (1, 2, 4, 8), h5t.FLOAT: (4, 8)}  # bytes of a number that
 
 
 def _kind(tid: Any) -> str:
-    """``number``, ``bool``, ``complex``, ``text``, or the name of a type that is not read."""
+    """Return ``number``, ``bool``, ``complex``, ``text``, or the name of a type that is not read."""
     code, size = tid.get_class(), tid.get_size()
     if code in TYPES:
         return TYPES[code]
@@ -258,10 +258,10 @@ def _kind(tid: Any) -> str:
 
 
 def _plain(values: Any, kind: str) -> AnyArray:
-    """Values as float64, int64, bool, complex128 or text arrays of the same shape."""
+    """Return values as float64, int64, bool, complex128 or text arrays of the same shape."""
     array = np.asarray(values)
     if kind == "text":
-        # h5py hands on what is not UTF-8 as lone surrogates; encoding them again finds them.
+        # h5py decodes invalid UTF-8 to lone surrogates, which cannot be encoded.
         raw = [item if isinstance(item, bytes) else str(item).encode() for item in array.ravel().tolist()]
         flat = [item.decode() for item in raw]
         width = max((len(text) for text in flat), default=1)
@@ -273,7 +273,7 @@ def _plain(values: Any, kind: str) -> AnyArray:
 
 
 def _attributes(walk: _Walk, oid: Any, path: str) -> dict[str, Any]:
-    """The attributes of types that are read; others (references of a dimension scale, for example) are left out."""
+    """Return the attributes of types that are read; others, such as references of a dimension scale, are ignored."""
     attrs: dict[str, Any] = {}
     values = (h5py.Group(oid) if isinstance(oid, h5g.GroupID) else h5py.Dataset(oid)).attrs
     for i in range(h5a.get_num_attrs(oid)):

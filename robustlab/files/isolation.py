@@ -1,8 +1,8 @@
-"""Untrusted files are opened in a child process only: what crashes or hangs there is a finding about the file.
+"""Open untrusted files in a child process only, so that a crash or a hang is reported as an error of the file.
 
 One process (`robustlab.files.reader_process`) serves a whole run: it loads numpy and h5py once, and forks for each
-file. A fork answers with a JSON header (a tree, or what is wrong) and the tree's arrays; no pickle. Where one crashes
-or hangs, the process ends as it did, and the next file gets a new one.
+file. A fork sends a JSON header (a tree or an error) and the tree's arrays; no pickle. After a crash or a hang the
+process ends, and the next file gets a new one.
 """
 
 from __future__ import annotations
@@ -28,18 +28,17 @@ from robustlab.errors import EnvironmentFault, InputError
 from robustlab.files.signature import Limits
 from robustlab.files.tree import Dataset, Tree, Unread
 
-# The reader's own limit is processor time, which a busy machine does not use up; this many times as long is waited for
-# one that sleeps.
+# The reader's own limit is processor time; a sleeping one is ended after this many times as long.
 PATIENCE = 4
-OVERDUE = 10.0  # s beyond a reader's time that the process is waited for
+OVERDUE = 10.0  # s after a reader's time until the process is killed
 MAGIC = b"RLTREE1\n"
 DTYPES = {"f": "<f8", "i": "<i8", "b": "|b1", "c": "<c16"}
 HOSTILE = "do not open it with other programs either; get the file again from where it was made"
-# -P: the folder the user happens to be in must not lend modules to the reader.
+# -P: the reader must not import modules from the working directory.
 READER = (sys.executable, "-P", "-m", "robustlab.files.reader_process")
 
 
-# --- what is sent -----------------------------------------------------------------------------------------------------
+# --- messages ---------------------------------------------------------------------------------------------------------
 
 
 def send_tree(stream: BinaryIO, tree: Tree) -> None:
@@ -71,16 +70,14 @@ def send_tree(stream: BinaryIO, tree: Tree) -> None:
 
 
 def send(stream: BinaryIO, content: dict[str, Any]) -> None:
-    """Write a header to ``stream``: a tree, or an ``error`` or ``fault`` in its place."""
+    """Write a header to ``stream``: a tree, or an ``error`` or ``fault`` instead."""
     raw = json.dumps(content).encode()
     stream.write(MAGIC + len(raw).to_bytes(8, "little") + raw)
     stream.flush()
 
 
 def receive(source: bytes | IO[bytes], file: str) -> Tree:
-    """Inverse of `send_tree`. Raises InputError: the error that was sent; EOFError: no more comes; ValueError and the
-    like: nonsense.
-    """
+    """Invert `send_tree`. Raises InputError: the error sent; EOFError: no more data; ValueError and others: invalid."""
     stream = io.BytesIO(source) if isinstance(source, bytes) else source
 
     def take(size: int) -> bytes:
@@ -123,7 +120,7 @@ def receive(source: bytes | IO[bytes], file: str) -> Tree:
 
 
 class ReaderServer:
-    """The parent's side: started when it is first asked, and started again where it has died."""
+    """The parent's side of the reader process, which is started on use and after it ended."""
 
     def __init__(self, command: tuple[str, ...] = READER) -> None:
         self.command, self.process, self._lock, self._owner = command, None, threading.Lock(), 0
@@ -132,7 +129,7 @@ class ReaderServer:
     process: subprocess.Popen[bytes] | None
 
     def read(self, kind: str, path: str | Path, limits: Limits, **options: Any) -> Tree:
-        """Have a file read. Raises InputError, EnvironmentFault: the file's, or it crashed, hung, or sent nonsense."""
+        """Read a file. Raises InputError, EnvironmentFault: of the file, or of a crash, a hang or an invalid answer."""
         where, wait = str(path), PATIENCE * limits.seconds
         request = {"kind": kind, "limits": asdict(limits), "path": str(Path(path).absolute()), "shown": where,
                    "wait": wait, **options}  # fmt: skip
@@ -145,7 +142,7 @@ class ReaderServer:
             watch = threading.Timer(wait + OVERDUE, lambda: (late.set(), process.kill()))
             watch.start()
             try:
-                with suppress(BrokenPipeError):  # it has ended: what it sent, or its exit code, says why
+                with suppress(BrokenPipeError):  # it has ended; its message or exit code gives the reason
                     stdin.write(json.dumps(request).encode() + b"\n")
                     stdin.flush()
                 return receive(stdout, where)
@@ -156,7 +153,7 @@ class ReaderServer:
                 self.close()
                 raise _ended(where, status, late.is_set(), wait) from None
             except (ValueError, KeyError, TypeError, IndexError, RecursionError) as error:
-                self.close()  # what is left of the answer would be taken for the next one's
+                self.close()  # the remaining output would be read as the next answer
                 found = f"reader gave no valid answer ({error}); file is damaged or hostile"
                 raise InputError(where, found, None, HOSTILE) from None
             except BaseException:
@@ -167,7 +164,7 @@ class ReaderServer:
 
     def _running(self, where: str) -> subprocess.Popen[bytes]:
         if self.process is not None and (self._owner != os.getpid() or self.process.poll() is not None):
-            self.close()  # of the process that this one was forked from, or dead
+            self.close()  # it belongs to the parent of a fork, or has ended
         if self.process is None:
             environment = {key: value for key, value in child_environment().items() if not key.startswith("HDF5_")}
             # "::" is HDF5's word for no plugins
@@ -198,11 +195,11 @@ class ReaderServer:
         if ours:
             process.wait()
         else:
-            process.returncode = 0  # who started it waits for it
+            process.returncode = 0  # the parent waits for it
 
 
 def _ended(where: str, status: int, late: bool, wait: float) -> InputError | EnvironmentFault:
-    """Why a reader sent nothing, by its exit code: 128 and the signal of the fork, or minus that of the process."""
+    """Return the reason of a reader without answer by its exit code: 128 + signal of the fork, or -signal."""
     number = status - 128 if status > 128 else -status
     timers = [getattr(signal, name, None) for name in ("SIGALRM", "SIGXCPU")]
     if late or number in timers:
@@ -219,5 +216,5 @@ _SERVER = ReaderServer()
 
 
 def read_isolated(kind: str, path: str | Path, limits: Limits, **options: Any) -> Tree:
-    """Read a file of kind ``hdf5``, ``matlab5`` or ``table`` in a process of its own, with the reader's options."""
+    """Read a file of kind ``hdf5``, ``matlab5`` or ``table`` in the reader process."""
     return _SERVER.read(kind, path, limits, **options)

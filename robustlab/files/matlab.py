@@ -1,7 +1,7 @@
-"""Files of MATLAB (version 5 read and written, version 7.3 in HDF5) brought to one form.
+"""Read and write files of MATLAB version 5; convert trees of version 7.3 (HDF5).
 
-MATLAB stores matrices column by column: version 7.3 files show them transposed to every other HDF5 reader; datasets
-that MATLAB marked (attribute ``MATLAB_class``) are transposed back here. MathWorks, *MAT-File Format* (R2024a).
+MATLAB stores matrices column by column, so other HDF5 readers see them transposed; datasets with the attribute
+``MATLAB_class`` are transposed back here. MathWorks, *MAT-File Format* (R2024a).
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from robustlab.files.tree import Dataset, Tree, Unread, text_attr
 NUMERIC = {"double", "single", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64"}
 MAX_EMPTY = 1 << 31  # longest side of an array without entries
 MATLAB_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
-OPAQUE_FIELDS = ("s0", "s1", "s2", "arr")  # of an object as scipy hands it over: variable, system, class, content
-# What one value takes once it is read: numbers become float64, a struct is a Python object.
+OPAQUE_FIELDS = ("s0", "s1", "s2", "arr")  # of an object in scipy: variable, system, class, content
+# Bytes of a value in memory: numbers become float64, a struct is a Python object.
 BYTES_OF_VALUE = {"struct": 400, "object": 400}
 
 
@@ -32,23 +32,23 @@ BYTES_OF_VALUE = {"struct": 400, "object": 400}
 
 
 def read_matlab5(path: str, limits: Limits, shown: str | None = None) -> Tree:
-    """The variables of a version 5 file; a struct becomes a group, a cell array of texts a text dataset."""
+    """Read the variables of a version 5 file; a struct becomes a group, a cell array of texts a text dataset."""
     from scipy.io import loadmat, whosmat
 
     where = shown or path
     tree = Tree(file=where)
     try:
-        with suppress(TypeError):  # an object of MATLAB declares no size: the reader process has its limit of memory
+        with suppress(TypeError):  # an object of MATLAB declares no size; the reader process limits memory
             _check_sizes(whosmat(path), where, limits)
         variables = loadmat(path, struct_as_record=False, squeeze_me=False)
-    except (InputError, MemoryError):  # of memory the reader process tells
+    except (InputError, MemoryError):  # the reader process reports MemoryError
         raise
-    except Exception as error:  # whatever the library says about a damaged file is a finding about the file
+    except Exception as error:  # any error of the library means a damaged file
         raise InputError(where, f"damaged MATLAB file ({type(error).__name__}: {str(error)[:100]})") from error
     for name, value in variables.items():
         if not (name.startswith("__") and name.endswith("__")):
             if isinstance(value, np.ndarray) and value.dtype.names == OPAQUE_FIELDS and value.size == 1:
-                name = _latin(value["s0"].flat[0])  # scipy calls objects None, or by nothing
+                name = _latin(value["s0"].flat[0])  # scipy gives objects no name
             _variable(tree, name, value, limits, 0)
     return tree
 
@@ -114,7 +114,7 @@ def write_matlab5(path: str | Path, variables: Mapping[str, Any]) -> None:
         for name, value in variables.items()
     }
     with Path(path).open("wb") as stream:
-        # zlib carries a checksum, which version 5 itself has not
+        # zlib adds a checksum, which version 5 lacks
         savemat(stream, content, appendmat=False, do_compression=True)
 
 
@@ -122,7 +122,7 @@ def write_matlab5(path: str | Path, variables: Mapping[str, Any]) -> None:
 
 
 def from_matlab73(tree: Tree) -> Tree:
-    """The same tree with everything that MATLAB marked in MATLAB's own shape; unmarked datasets stay as they are."""
+    """Return the tree with all datasets marked by MATLAB in MATLAB's shape."""
     result = Tree(tree.attrs, {}, {}, tree.path, tree.file)
     result.datasets = {name: _from_matlab73(dataset) for name, dataset in tree.datasets.items()}
     result.groups = {name: from_matlab73(g) for name, g in tree.groups.items() if name not in ("#refs#", "#subsystem#")}

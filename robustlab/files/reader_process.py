@@ -1,7 +1,7 @@
-"""The process that reads untrusted files: it forks for each file that it is asked for with a line of JSON.
+"""The process that reads untrusted files: it forks for each request, a line of JSON.
 
-It never sees a file's content. A fork writes its answer to stdout itself (`robustlab.files.isolation`); where one ends
-without an answer, the process ends with 128 and the fork's signal.
+It never reads a file's content itself. A fork writes its answer to stdout (`robustlab.files.isolation`); if one ends
+without an answer, the process exits with 128 + the fork's signal.
 """
 
 from __future__ import annotations
@@ -18,16 +18,15 @@ from robustlab.errors import InputError
 from robustlab.files.isolation import send, send_tree
 from robustlab.files.signature import MIB, Limits
 
-# What Python, numpy and h5py (or scipy) take of the address space before a file is opened, with room to spare.
+# Address space of Python, numpy and h5py (or scipy) before a file is opened, with a reserve.
 BASE_ADDRESS_SPACE = 2048 * MIB
-# Each byte of a table: a line of one digit becomes a text, a pair with its number, and a float.
+# Memory a byte of a table: a line of one digit becomes a text, a pair with its number, and a float.
 BASE_TABLE, GROWTH_OF_TABLE = 1024 * MIB, 64
-# Nobody has added up what is nested in a MATLAB file: what it holds as bytes, as arrays and as float64.
+# Sizes nested in a MATLAB file are unknown: it is in memory as bytes, as arrays and as float64.
 GROWTH_OF_MATLAB = 3
-# Processor time: honest files are read at many times this rate; a library that runs in circles (it does, in a spoiled
-# header) is ended soon.
+# Processor time: valid files are read at many times this rate; an endless loop in a library is ended soon.
 BASE_SECONDS, BYTES_PER_SECOND = 4, 4 * MIB
-# Kind of file -> the module and the function that read it; loaded before the first fork for one.
+# Kind of file -> module and function that read it; loaded before the first fork.
 READERS = {
     "hdf5": ("robustlab.files.hdf5_reader", "read_hdf5"),
     "matlab5": ("robustlab.files.matlab", "read_matlab5"),
@@ -36,7 +35,7 @@ READERS = {
 
 
 def limit_resources(kind: str, limits: Limits, size: int) -> None:
-    """Limit memory and processor time of this process, and let it write no files."""
+    """Limit memory and processor time of this process, and forbid writing files."""
     try:
         import resource
     except ImportError:  # Windows: the parent's time limit remains
@@ -44,12 +43,12 @@ def limit_resources(kind: str, limits: Limits, size: int) -> None:
     seconds = min(int(limits.seconds) + 1, BASE_SECONDS + size // BYTES_PER_SECOND)
     memory = BASE_ADDRESS_SPACE + 4 * limits.total
     if kind == "matlab5":
-        import_module("scipy.io")  # so that it does not count
+        import_module("scipy.io")  # before the measurement of memory
         memory = GROWTH_OF_MATLAB * limits.total
     if kind == "table":
         memory = min(memory, BASE_TABLE + GROWTH_OF_TABLE * size)
-    with suppress(OSError, ValueError, IndexError), open("/proc/self/statm", encoding="ascii") as told:  # noqa: PTH123
-        memory += int(told.read().split()[0]) * os.sysconf("SC_PAGE_SIZE")  # a fork begins with all that is loaded
+    with suppress(OSError, ValueError, IndexError), open("/proc/self/statm", encoding="ascii") as pages:  # noqa: PTH123
+        memory += int(pages.read().split()[0]) * os.sysconf("SC_PAGE_SIZE")  # a fork starts with this much
     wanted = {
         resource.RLIMIT_AS: memory, resource.RLIMIT_CPU: seconds, resource.RLIMIT_CORE: 0, resource.RLIMIT_FSIZE: 0,
     }  # fmt: skip
@@ -59,7 +58,7 @@ def limit_resources(kind: str, limits: Limits, size: int) -> None:
 
 
 def answer(request: dict[str, Any], stream: BinaryIO) -> None:
-    """Read one file and send its tree, or what is wrong."""
+    """Read one file and send its tree or an error."""
     path, shown, limits = request.pop("path"), request.pop("shown"), Limits(**request.pop("limits"))
     kind, _ = request.pop("kind"), request.pop("wait")
     module, name = READERS[kind]
@@ -70,14 +69,14 @@ def answer(request: dict[str, Any], stream: BinaryIO) -> None:
         send(stream, {"error": [error.where, error.found, error.expected, error.hint, list(error.more)]})
     except MemoryError:
         send(stream, {"error": [shown, "needs more memory than the reader may use", None, None, []]})
-    except Exception as error:  # noqa: BLE001 - whatever it was, this process ends here, and the parent reports it
+    except Exception as error:  # noqa: BLE001  reported by the parent
         send(stream, {"fault": f"{type(error).__name__}: {error}"[:200]})
     else:
         send_tree(stream, tree)
 
 
 def serve(requests: BinaryIO, answers: BinaryIO) -> None:
-    """Answer requests until there are no more, or a reader ends without an answer."""
+    """Answer requests until the end of the stream, or until a reader ends without an answer."""
     while line := requests.readline():
         request = json.loads(line)
         import_module(READERS[request["kind"]][0])
@@ -100,5 +99,5 @@ def serve(requests: BinaryIO, answers: BinaryIO) -> None:
 
 
 if __name__ == "__main__":
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, whose end closes the pipe
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C and closes the pipe
     serve(sys.stdin.buffer, sys.stdout.buffer)

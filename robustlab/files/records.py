@@ -1,17 +1,16 @@
-"""Measured records from HDF5, MATLAB and text files, as the arguments of `robustlab.record.Record`.
+"""Read measured records from HDF5, MATLAB and text files, as arguments of `robustlab.record.Record`.
 
-What a file holds before anything is chosen is a `Source`: named channels, each on a clock. What is done to a record's
-clock is in its meaning of ``t``, a line each. In format 1 a record has ``t``, ``inputs/<name>``, ``outputs/<name>``;
-attributes ``unit``, ``meaning``.
+A `Source` has all channels of a file, each with a time base. Changes to the time base are noted in the meaning of
+``t``, a line each. In format 1 a record has ``t``, ``inputs/<name>``, ``outputs/<name>``; attributes ``unit``,
+``meaning``.
 
-Logs in trees are structs with times and values, as Simulink and MATLAB's timeseries have them when saved as structs.
-Three forms, at any depth below the group that is read::
+Logs are structs with times and values, as of Simulink and MATLAB's timeseries, at any depth below the group read::
 
     log.time, log.signals(k).values, .label      Simulink's "Structure with time"
     log.Time, log.Data, .Name, .Units            a timeseries as a plain struct
-    log.time, log.values                         the same in other words (time or t; data or values)
+    log.time, log.values                         the same with other names (time or t; data or values)
 
-A value of several columns becomes a channel for each, numbered as MATLAB numbers them: ``q(1)``, ``q(2)``.
+Values of several columns become channels numbered as in MATLAB: ``q(1)``, ``q(2)``.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ CLOCK_NAMES = ("t", "time", "Time", "TIME", "T", "timestamp", "tout", "zeit", "Z
 SIDES = ("inputs", "outputs")
 TIMES, VALUES = ("time", "t"), ("data", "values")
 MOST_COLUMNS = 1000
-# MATLAB keeps objects in a form of its own; each of these lines makes a plain struct of one.
+# MATLAB code that converts an object of each class to a plain struct.
 MATLAB_RECIPES = {
     "timetable": "T = timetable2table({0}); T.(1) = seconds(T.(1) - T.(1)(1)); S = table2struct(T, 'ToScalar', true); "
     "save('run.mat', '-struct', 'S', '-v7')",
@@ -47,35 +46,30 @@ MATLAB_RECIPES = {
     "struct('Time', e.Values.Time, 'Data', e.Values.Data); end; save('run.mat', '-struct', 'S', '-v7')",
 }
 SECONDS = {"": 1.0, "s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9, "min": 60.0}
-# A step longer than this many median steps, in a clock that is otherwise regular, is a hole.
-GAP = 1.5
-# s; three years. A clock of whole numbers that begins later counts from its first sample, which keeps all digits.
+GAP = 1.5  # median steps; a longer step of an otherwise regular time base is a gap
+# s; three years. Times in whole numbers that start later are counted from the first sample, which keeps all digits.
 LONG = 1e8
-# s; some 3000 years. A clock beyond it shows smaller units since 1970, whatever it says.
-TOO_LATE = 1e11
-# A sample time given beside a clock that differs by more than this is told.
-SAME_RATE = 1e-6
+TOO_LATE = 1e11  # s; some 3000 years. Larger times are in smaller units since 1970.
+SAME_RATE = 1e-6  # relative difference of a given sample time from the time base; a larger one is reported
 
 
 @dataclass(frozen=True)
 class RecordOptions:
-    """What is taken of a file, and how it is understood."""
+    """The signals to read from a file, and their interpretation."""
 
-    group: str | None = None  # HDF5 group or MATLAB struct that holds the signals
-    # inputs, outputs: names of the signals to take; `"u=SIGNAL"` takes SIGNAL and calls it u. With neither given, all
-    # signals are outputs, because only the user knows which are inputs (a format 1 record knows). With inputs only,
-    # all others are outputs.
+    group: str | None = None  # HDF5 group or MATLAB struct with the signals
+    # inputs, outputs: names of signals; `"u=SIGNAL"` renames SIGNAL to u. With neither given, all signals are outputs
+    # (but of a format 1 record). With inputs only, all others are outputs.
     inputs: Sequence[str] | None = None
     outputs: Sequence[str] | None = None
-    # Sample time in s; wins over what the file says. Without it and without a clock, the attribute `Ts` (or `dt`, in
-    # s, or `fs` in Hz) of the signals, else of their group, else of the file is used. Signals of several clocks are
-    # brought on one of this sample time, or on the coarsest of theirs.
+    # Sample time in s; overrides the file's. Without it and without a clock, the attribute `Ts` (or `dt`, in s, or `fs`
+    # in Hz) of the signals, else of their group, else of the file is used. Signals of several time bases are resampled
+    # to this sample time, or to the coarsest of theirs.
     dt: float | None = None
-    # Name of the signal with the times; `t` or `time` where left out. A unit of ms, us, ns or min is converted to s.
+    # Name of the signal with the times; `t` or `time` by default. A unit of ms, us, ns or min is converted to s.
     clock: str | None = None
-    # Name -> unit that the numbers in the file are in. They are converted to the SI unit of the same kind (deg to
-    # rad, rpm to rad/s, mm to m), a unit that is in no table of `robustlab.units` is kept as it is. Signals that are
-    # not named keep the numbers and the unit of the file.
+    # Name -> unit of the numbers in the file. They are converted to the SI unit of the same kind (deg to rad, rpm to
+    # rad/s, mm to m); a unit unknown to `robustlab.units`, and other signals, keep numbers and unit of the file.
     units: Mapping[str, str] | None = None
     # delimiter, decimal: for text files; see `robustlab.files.text_table.read_table`
     delimiter: str | None = None
@@ -86,44 +80,42 @@ class RecordOptions:
 
 @dataclass
 class Channel:
-    """Samples as the file has them; ``clock`` is a key of `Source.clocks`, or empty for the source's own clock."""
+    """Samples of the file; ``clock`` is a key of `Source.clocks`, or empty for the source's own."""
 
     values: AnyArray | Unread
     unit: str = ""
     meaning: str = ""
-    dt: float = 0.0  # sample time stated at the channel itself; 0 = not stated
+    dt: float = 0.0  # sample time of the channel's attributes; 0: not stated
     clock: str = ""
 
 
 @dataclass
 class Source:
-    """All channels of a file (or of one group of it) before anything is chosen."""
+    """All channels of a file, or of one of its groups."""
 
-    # where, name, prefix: the file, the record's name, and what messages put before a channel's name
-    where: str
-    name: str
-    prefix: str
-    channels: dict[str, Channel]  # name -> channel
-    # dt, clock: sample time in s (0: not stated), and the channel with the times, as the file states them
-    dt: float = 0.0
-    clock: str = ""
+    where: str  # the file
+    name: str  # the record's name
+    prefix: str  # of a channel's name in messages
+    channels: dict[str, Channel]
+    dt: float = 0.0  # sample time in s that the file states; 0: none
+    clock: str = ""  # channel with the times that the file states
     groups: list[str] = field(default_factory=list)  # groups that could be read instead
-    # Name -> times in s, of channels with a clock of their own; None where they have none.
+    # Name -> times in s, of channels with their own time base; None where they have none.
     clocks: dict[str, Array | None] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)  # what was done to the clocks so far, a line each
+    notes: list[str] = field(default_factory=list)  # changes to the time bases, a line each
     # inputs, outputs: where the file states them; empty otherwise
     inputs: list[str] = field(default_factory=list)
     outputs: list[str] = field(default_factory=list)
 
     def add_clock(self, name: str, channel: Channel) -> None:
-        """Add the channel with the times, by a name that no other has."""
+        """Add the channel with the times, with a unique name."""
         while name in self.channels:
             name += "'"
         self.channels[name], self.clock = channel, name
 
 
 def one_of(word: str, names: Sequence[str]) -> str:
-    """``word`` and the first dozen of the names."""
+    """Return ``word`` and the first dozen of the names."""
     shown = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
     return f"{word} {shown}" if names else "a file with signals"
 
@@ -134,7 +126,7 @@ def one_of(word: str, names: Sequence[str]) -> str:
 def read_record(
     path: str | Path, options: RecordOptions, limits: Limits | None = None, isolate: bool = True
 ) -> dict[str, Any]:
-    """Read one record; the result holds the keyword arguments of `robustlab.record.Record`."""
+    """Read one record as keyword arguments of `robustlab.record.Record`."""
     where, group = str(path), options.group
     if content_of(path, limits) == "text":
         if group:
@@ -163,7 +155,7 @@ def read_record(
 
 
 def encode_record(tree: Tree, keywords: Mapping[str, Any]) -> None:
-    """Put the arguments of a Record into ``tree``."""
+    """Write the arguments of a Record into ``tree``."""
     units, meaning = keywords["units"], keywords["meaning"]
     tree.attrs["name"] = keywords["name"]
     tree.put("t", keywords["t"], unit="s", **({"meaning": meaning["t"]} if "t" in meaning else {}))
@@ -175,12 +167,12 @@ def encode_record(tree: Tree, keywords: Mapping[str, Any]) -> None:
 
 
 def decode_record(node: Tree, where: str) -> dict[str, Any]:
-    """Inverse of `encode_record`."""
+    """Invert `encode_record`."""
     return choose(_stored(node, where), RecordOptions(allow_gaps=True))
 
 
 def _stored(node: Tree, where: str) -> Source:
-    """A record in the layout of format 1; its clock may have holes."""
+    """Return the source of a record in the layout of format 1."""
     if "t" not in node.datasets:
         raise InputError(where, f"missing {node.child_path('t')}", "the times of a record")
     source = Source(where, text_attr(node.attrs, "name") or "record", node.child_path(""), {})
@@ -203,10 +195,10 @@ def _stored(node: Tree, where: str) -> Source:
 
 
 def _of_tree(path: str | Path, tree: Tree, node: Tree, group: str | None) -> Source:
-    """The datasets of a group, and the logs in it and below it."""
+    """Return the datasets of a group, and the logs in it and below it."""
     channels = {} if _is_log(node) else _datasets(node)
     own = _sample_time(node.attrs) or _sample_time(tree.attrs)
-    for name in ("Ts", "dt"):  # MATLAB has no attributes: there the sample time is a variable
+    for name in ("Ts", "dt"):  # in MATLAB files the sample time is a variable
         values = channels[name].values if name in channels and not own else None
         if isinstance(values, np.ndarray) and values.size == 1:
             own = float(values.flat[0])
@@ -224,7 +216,7 @@ def _datasets(node: Tree) -> dict[str, Channel]:
     for name, dataset in node.datasets.items():
         attrs, values = dataset.attrs, dataset.values
         if isinstance(values, np.ndarray) and values.ndim == 2 and 1 in values.shape:
-            values = values.reshape(-1)  # MATLAB's columns and rows are two-dimensional; a record's channels are not
+            values = values.reshape(-1)  # MATLAB's columns and rows are two-dimensional
         unit, meaning = text_attr(attrs, "unit") or "", text_attr(attrs, "meaning") or ""
         channels[name] = Channel(values, unit, meaning, _sample_time(attrs))
     return channels
@@ -241,7 +233,7 @@ def _sample_time(attrs: Mapping[str, Any]) -> float:
 
 # --- logs of Simulink and MATLAB --------------------------------------------------------------------------------------
 
-Logs = Iterator[tuple[str, Channel, AnyArray]]  # name relative to the group that was read, and its times
+Logs = Iterator[tuple[str, Channel, AnyArray]]  # name relative to the group read, channel, times
 
 
 def _logs(node: Tree, where: str, prefix: str) -> Logs:
@@ -273,7 +265,7 @@ def _logs(node: Tree, where: str, prefix: str) -> Logs:
 
 
 def _is_log(node: Tree) -> bool:
-    """True where a group is itself a log, and nothing else."""
+    """Return whether a group is a log and nothing else."""
     times = _times_of(node)
     if not times:
         return False
@@ -284,7 +276,7 @@ def _is_log(node: Tree) -> bool:
 
 
 def _samples(node: Tree, times: str) -> list[str]:
-    """Names of what may be samples beside the times."""
+    """Return the names of datasets that may be samples."""
     found = {name: item.values for name, item in node.datasets.items() if name != times}
     return [n for n, x in found.items() if isinstance(x, Unread) or (x.dtype.kind in "fib" and x.size > 1)]
 
@@ -294,7 +286,7 @@ def _parts(signals: Tree) -> list[Tree]:
 
 
 def _times_of(node: Tree) -> str:
-    """Name of the times of a log; they state no unit: MATLAB's logs are in s."""
+    """Return the name of a log's times, which have no unit: MATLAB's logs are in s."""
     for name, dataset in node.datasets.items():
         values = dataset.values
         known = isinstance(values, np.ndarray) and values.dtype.kind in "fi" and "unit" not in dataset.attrs
@@ -328,10 +320,10 @@ def _text(node: Tree, name: str) -> str:
 
 
 def choose(source: Source, options: RecordOptions) -> dict[str, Any]:
-    """Keywords of a record from what a file (or a table in memory) holds; errors as `read_record`."""
+    """Return the keyword arguments of a record from a file's or table's channels."""
     dt, units = options.dt, dict(options.units or {})
     known = list(source.channels)
-    # With dt given the file's clock is not used, and a column of that name is no signal either.
+    # With dt given the file's times are not used, and a column of that name is no signal.
     clock = options.clock or source.clock or next((name for name in CLOCK_NAMES if name in known), None)
     stated = source.inputs or source.outputs
     alone = options.inputs is None and options.outputs is None
@@ -363,7 +355,7 @@ def choose(source: Source, options: RecordOptions) -> dict[str, Any]:
             _refuse_gaps(source.where, "t", t)
     meaning = {name: source.channels[signal].meaning for name, signal in signals.items()}
     meaning = {name: text for name, text in {"t": "\n".join(source.notes), **meaning}.items() if text}
-    told = {name: source.channels[signal].unit for name, signal in signals.items()}
+    unit_of = {name: source.channels[signal].unit for name, signal in signals.items()}
     inputs, outputs = ({name: arrays[signal] for name, signal in side.items()} for side in (ins, outs))
     for name, unit in units.items():
         side = inputs if name in inputs else outputs
@@ -371,14 +363,14 @@ def choose(source: Source, options: RecordOptions) -> dict[str, Any]:
             names = [*inputs, *outputs]
             hint = did_you_mean(name, names)
             raise InputError(source.where, f"a unit for {name!r}", one_of("one of", names), hint)
-        _agree(source.where, name, told[name], unit)
-        factor, told[name] = factor_to_si(unit)
+        _agree(source.where, name, unit_of[name], unit)
+        factor, unit_of[name] = factor_to_si(unit)
         side[name] = side[name] * factor
-    return {"t": t, "inputs": inputs, "outputs": outputs, "units": told, "name": source.name, "meaning": meaning}
+    return {"t": t, "inputs": inputs, "outputs": outputs, "units": unit_of, "name": source.name, "meaning": meaning}
 
 
 def _named(texts: Sequence[str] | None, known: Collection[str]) -> dict[str, str]:
-    """Name in the record -> signal of the file: ``u=SIGNAL``, or both are the same."""
+    """Return name in the record -> signal of the file, of ``u=SIGNAL`` or equal names."""
     found: dict[str, str] = {}
     for text in [texts] if isinstance(texts, str) else list(texts or []):
         name, sign, signal = text.partition("=")
@@ -388,7 +380,7 @@ def _named(texts: Sequence[str] | None, known: Collection[str]) -> dict[str, str
 
 
 def _of_default_clock(source: Source, clock: str | None, dt: float | None) -> list[str]:
-    """What is read where nothing is named: the signals of the source's own clock, or where it has none all logs."""
+    """Return the signals read by default: those of the source's own time base, or without one all logs."""
     own = [name for name, channel in source.channels.items() if not channel.clock]
     logged = [name for name, channel in source.channels.items() if channel.clock]
     return own if not logged or clock in own or (own and (dt or source.dt)) else logged
@@ -445,7 +437,7 @@ def _same_clock(clocks: list[Array | None]) -> bool:
 def _on_one_clock(
     source: Source, arrays: dict[str, Array], ins: set[str], keys: list[str], clock: str | None, options: RecordOptions
 ) -> tuple[Array, dict[str, Array]]:
-    """Signals of several clocks on one: inputs held, outputs interpolated; what was done goes to the notes."""
+    """Resample signals of several time bases to one, inputs held, outputs interpolated; describe it in the notes."""
     clocks: dict[str, Array] = {}
     for key in keys:
         mine = {name: values for name, values in arrays.items() if source.channels[name].clock == key}
@@ -491,10 +483,10 @@ def _refuse_backwards(where: str, label: str, t: Array) -> None:
 
 
 def _refuse_gaps(where: str, label: str, t: Array) -> None:
-    """Missing samples: steps far longer than the others of a clock that is otherwise regular."""
+    """Raise on missing samples: long steps in an otherwise regular time base."""
     steps = np.diff(t)
     if len(steps) < 2 or (steps <= 0).any():
-        return  # Record names a clock that stands still or runs backwards
+        return  # Record raises on times that do not increase
     median = float(np.median(steps))
     regular = np.abs(steps - median) <= 0.05 * median
     holes = np.flatnonzero(steps > GAP * median)
@@ -521,10 +513,10 @@ def _times(source: Source, arrays: Mapping[str, Array], dt: float | None, clock:
     given = source.clocks[key] if key else None
     if not key and clock and clock in source.channels:
         try:
-            given = _clock(source, clock, tell=dt is None)
+            given = _clock(source, clock, note=dt is None)
         except InputError:
             if dt is None:
-                raise  # with dt given the clock need not be one
+                raise  # with dt given the channel need not hold times
     if dt is None and given is not None:
         if len(given) != n:
             label = key or f"{source.prefix}{clock or 't'}"
@@ -549,7 +541,7 @@ def _times(source: Source, arrays: Mapping[str, Array], dt: float | None, clock:
     return np.arange(n, dtype=np.float64) * np.float64(dt)
 
 
-def _clock(source: Source, name: str, tell: bool) -> Array:
+def _clock(source: Source, name: str, note: bool) -> Array:
     channel, where = source.channels[name], f"{source.where}: {source.prefix}{name}"
     if channel.unit not in SECONDS:
         known = f"one of {', '.join(filter(None, SECONDS))}"
@@ -561,7 +553,7 @@ def _clock(source: Source, name: str, tell: bool) -> Array:
         found = f"times of {t[0]:.4g} {channel.unit or 'and no unit'}"
         raise InputError(where, found, "times in s", f"units={{{name!r}: {unit!r}}}, if it is {unit}")
     if isinstance(raw, np.ndarray) and raw.dtype.kind == "i" and len(raw) and abs(float(raw[0])) * factor > LONG:
-        if tell:
+        if note:
             source.notes.append(f"t counts from {name} = {int(raw[0])} {channel.unit or 's'} on")
         t = (raw - raw[0]).astype(np.float64)
     return t / round(1 / factor) if factor < 1 else t * factor

@@ -1,4 +1,4 @@
-"""What a file is, by its first bytes; whether it may be read at all; and how large what comes from outside may be."""
+"""Detect the kind of a file by its first bytes, reject files that are not read, and limit sizes."""
 
 from __future__ import annotations
 
@@ -26,22 +26,20 @@ _OTHERS = {
 
 @dataclass(frozen=True)
 class Limits:
-    """What is read at most; everything is checked against the declared sizes before any of it is read."""
+    """Limits of reading, checked against declared sizes before anything is read."""
 
-    # file, dataset, total: bytes of the file, of one dataset in memory, of all datasets in memory
-    file: int = 2048 * MIB
-    dataset: int = 256 * MIB
-    total: int = 512 * MIB
+    file: int = 2048 * MIB  # bytes of the file
+    dataset: int = 256 * MIB  # bytes of one dataset in memory
+    total: int = 512 * MIB  # bytes of all datasets in memory
     document: int = 32 * MIB  # bytes of a document of JSON
-    # objects, depth: number of groups and datasets, and how deep groups may be nested
-    objects: int = 10_000
-    depth: int = 16
-    name: int = 200  # characters of a name
-    seconds: float = 30.0  # processor time that the reader process may take
+    objects: int = 10_000  # groups and datasets
+    depth: int = 16  # of nested groups
+    name: int = 200  # characters
+    seconds: float = 30.0  # processor time of the reader process
 
 
 def size_text(n: int) -> str:
-    """A number of bytes as people write it.
+    """Return a number of bytes as text.
 
     Examples
     --------
@@ -58,7 +56,7 @@ def size_text(n: int) -> str:
 
 
 def require_file(path: str | Path, limits: Limits | None = None) -> bytes:
-    """First 520 bytes of ``path``, once it is a regular, readable, non-empty file within the size limit."""
+    """Return the first 520 bytes of ``path``, a regular, readable, non-empty file within the size limit."""
     path, limits = Path(path), limits or Limits()
     where = str(path)
     try:
@@ -96,7 +94,7 @@ def _missing(path: Path) -> InputError:
 
 
 def content_of(path: str | Path, limits: Limits | None = None) -> Content:
-    """Kind of the file, by content and not by name."""
+    """Return the kind of the file by its content."""
     path = Path(path)
     where = str(path)
     head = require_file(path, limits)
@@ -122,7 +120,7 @@ def content_of(path: str | Path, limits: Limits | None = None) -> Content:
 
 
 def _is_hdf5(path: Path, head: bytes) -> bool:
-    """HDF5's signature stands at 0, 512, 1024, ...: a user block (MATLAB writes one of 512 bytes) may come first."""
+    """Search HDF5's signature at 0, 512, 1024, ..., after a user block (of 512 bytes in MATLAB's files)."""
     if head.startswith(HDF5_MAGIC):
         return True
     size, offset = path.stat().st_size, 512
@@ -139,7 +137,7 @@ def _is_hdf5(path: Path, head: bytes) -> bool:
 
 _CODE = "refused: such files can carry code that runs when they are read"
 _TABLE = "import pandas; pandas.read_{}({{file!r}}).to_csv({{made!r}})"
-# Suffix -> what is said of such a file, and the line of code that makes one that is read.
+# Suffix -> reason in the message, and code that converts such a file.
 FOREIGN: dict[str, tuple[str, str]] = {
     ".npz": (_CODE, "d = numpy.load({file!r}); rl.save({made!r}, rl.Record(d['t'], {{'u': d['u']}}, {{'y': d['y']}}))"),
     ".npy": (_CODE, "numpy.savetxt({made!r}, numpy.load({file!r}), delimiter=',', header='t,u,y', comments='')"),
@@ -170,7 +168,7 @@ FOREIGN: dict[str, tuple[str, str]] = {
 
 
 def _refusal(path: Path, suffix: str, found: str = "") -> InputError:
-    """The error for a file of another program, with the line that converts it."""
+    """Return the error for a file of another program, with the code that converts it."""
     why, line = FOREIGN[suffix]
     made = path.with_suffix(".h5" if "rl.save" in line else ".csv")
     hint = line.format(file=str(path), made=str(made), stem=path.stem.replace("'", "''"))

@@ -1,6 +1,6 @@
-"""Tables in text files: delimiter, header and units are found; every bad cell is named with its line and column.
+"""Read tables in text files: detect delimiter, header and units; report a bad cell with its line and column.
 
-A table of measured frequency responses comes back as the arguments of `robustlab.frequency_data`.
+A table of measured frequency responses is read as arguments of `robustlab.frequency_data`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from robustlab.units import factor_between
 
 COMMENTS = ("#", "%")
 DECIMAL_COMMA = re.compile(r"^[+-]?\d+,\d+(?:[eE][+-]?\d+)?$")
-# A line whose first cell is a number, with any delimiter and any decimal sign.
+# A line whose first cell is a number, for any delimiter and decimal sign.
 NUMERIC = re.compile(r'"?\s*[+-]?(\d|[.,]\d|(nan|inf(inity)?)\b)', re.IGNORECASE)
 WHITESPACE = " "
 
@@ -45,9 +45,8 @@ def read_table(
 ) -> TextTable:
     """Read a table of numbers from a text file, in the reader process (see `robustlab.files.isolation`).
 
-    Lines that begin with ``#`` or ``%`` are comments; the first line that is not made of numbers is the header. Without
-    one, a comment directly above the numbers with as many names as there are columns is taken. Names may carry units:
-    ``q [m]``, ``q (m)``.
+    Lines that begin with ``#`` or ``%`` are comments; a first line without numbers is the header. Without one, a
+    comment directly above the numbers is used if it has a name for each column. Names may have units: ``q [m]``.
     """
     limits = limits or Limits()
     require_file(path, limits)
@@ -62,7 +61,7 @@ def read_table(
 
 
 def table_tree(path: str | Path, limits: Limits, delimiter: str | None, decimal: str, shown: str | None = None) -> Tree:
-    """What `read_table` reads, as datasets ``names``, ``units``, ``values``; runs in the reader process."""
+    """Read a table as datasets ``names``, ``units``, ``values`` (runs in the reader process)."""
     where, size = shown or str(path), Path(path).stat().st_size
     if decimal not in (".", ","):
         raise InputError(where, f"decimal sign {decimal!r}", "'.' or ','")
@@ -73,7 +72,7 @@ def table_tree(path: str | Path, limits: Limits, delimiter: str | None, decimal:
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError:
-        text = raw.decode("latin-1")  # degree signs of old loggers; a wrong letter in a name does no harm
+        text = raw.decode("latin-1")  # degree signs of old loggers
     numbered = [(number, line.strip()) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
     rows = [row for row in numbered if not row[1].startswith(COMMENTS)]
     if not rows:
@@ -116,7 +115,7 @@ def _delimiter(where: str, data: list[tuple[int, str]], header: str | None, *, g
             raise InputError(where, f"delimiter and decimal sign are both {given!r}", "different ones")
         return "\t" if given == "\\t" else given
     sample = [text for _, text in data[:20]]
-    # The header says how many cells a line has; where no delimiter fits it, the first line of numbers does.
+    # The header defines the number of cells; if no delimiter fits it, the first line of numbers does.
     for pattern in ([header] if header else []) + sample[:1]:
         fits: dict[str, int] = {}
         for sign in (";", "\t", ",", WHITESPACE):
@@ -132,7 +131,7 @@ def _delimiter(where: str, data: list[tuple[int, str]], header: str | None, *, g
 def _cells(text: str, delimiter: str) -> list[str]:
     parts = text.split() if delimiter == WHITESPACE else text.split(delimiter)
     cells = [part.strip().strip('"').strip() for part in parts]
-    # a delimiter at the end of every line is common and means nothing
+    # a delimiter at the end of every line is common
     return cells[:-1] if len(cells) > 1 and not cells[-1] else cells
 
 
@@ -154,7 +153,7 @@ def _numbers(
         for j, cell in enumerate(cells):
             plain = cell.replace(",", ".") if decimal == "," and "." not in cell else cell
             try:
-                # Python reads 1_000 as a thousand; no logger writes that
+                # Python would read 1_000 as a thousand
                 result[i, j] = float(plain.replace("_", "?"))
             except ValueError:
                 place = f"{where}: line {number}, column {j + 1}" + (f" ({names[j]})" if names else "")
@@ -165,7 +164,7 @@ def _numbers(
 
 
 def name_and_unit(text: str) -> tuple[str, str]:
-    """``q [m]`` or ``q (m)`` as name and unit, without a regular expression: those take their time with blanks."""
+    """Return ``q [m]`` or ``q (m)`` as name and unit; a regular expression would be slow on many blanks."""
     text = text.strip()
     for opening, closing in ("[]", "()"):
         if text.endswith(closing):
@@ -192,19 +191,19 @@ def _check_names(where: str, labels: list[tuple[str, str]], limits: Limits) -> N
 
 
 PARTS = ("real", "imag", "magnitude", "phase", "radius")
-# How the columns of a channel begin, and the one channel of a table that does not say.
+# The names of a channel's columns, and the default channel.
 CHANNEL, ONLY = "OUTPUT from INPUT", "y1 from u1"
 
 
 def read_response(
     path: str | Path, units: Mapping[str, str] | None = None, delimiter: str | None = None, decimal: str = "."
 ) -> dict[str, Any]:
-    """What a table says of a response: ``given``, ``omega``, ``radius``, ``inputs``, ``outputs``.
+    """Read a table of a response as ``given``, ``omega``, ``radius``, ``inputs``, ``outputs``.
 
     The first column is the frequency, in rad/s or Hz. Each channel has the columns ``OUTPUT from INPUT real`` and
-    ``... imag``, or ``... magnitude`` (dB where its unit says so) and ``... phase`` (rad or deg), and may have ``...
-    radius``, what is not known of the entry. One channel alone needs no name. A column ``radius`` without a channel
-    bounds the largest singular value of the error of all channels.
+    ``... imag``, or ``... magnitude`` (dB if that is its unit) and ``... phase`` (rad or deg), and optionally ``...
+    radius``, the uncertainty of the entry. A single channel needs no name. A column ``radius`` without a channel bounds
+    the largest singular value of the error of all channels.
     """
     where, table = str(path), read_table(path, delimiter, decimal)
     if not table.has_header:
@@ -216,7 +215,7 @@ def read_response(
     values = dict(zip(table.names, table.values.T, strict=True))
 
     def column(name: str, wanted: str = "", expected: str = "") -> Array:
-        """A column in a unit that must be said, or in the units of the signals themselves."""
+        """Return a column in a required unit, or in the units of the signals."""
         unit = unit_of[name]
         found = f"column {name!r} " + (f"in {unit!r}" if unit else "without a unit")
         if wanted:
@@ -230,7 +229,7 @@ def read_response(
         return values[name]
 
     def response(channel: str, parts: Mapping[str, str]) -> ComplexArray:
-        """From real and imaginary part, or from magnitude and phase."""
+        """Return the response from real and imaginary part, or from magnitude and phase."""
         kinds = set(parts) - {"radius"}
         if kinds == {"real", "imag"}:
             return np.asarray(column(parts["real"]) + 1j * column(parts["imag"]), dtype=np.complex128)
@@ -238,7 +237,7 @@ def read_response(
             found = f"{channel} with {', '.join(sorted(kinds)) or 'a radius alone'}"
             raise InputError(where, found, "real and imag, or magnitude and phase")
         size, phase = parts["magnitude"], column(parts["phase"], "rad", "rad or deg")
-        with np.errstate(all="ignore"):  # what is not finite is refused by whoever takes it
+        with np.errstate(all="ignore"):  # `frequency_data` rejects values that are not finite
             gain = 10.0 ** (values[size] / 20.0) if unit_of[size] == "dB" else column(size)
             return np.asarray(gain * np.exp(1j * phase), dtype=np.complex128)
 
@@ -274,5 +273,5 @@ def read_response(
         given[at] = response(channel, channels[channel])
         if not without:
             radius[at] = column(channels[channel]["radius"])
-    told = column(shared) if shared else None if without else radius
-    return {"given": given, "omega": omega, "radius": told, "inputs": inputs, "outputs": outputs}
+    bound = column(shared) if shared else None if without else radius
+    return {"given": given, "omega": omega, "radius": bound, "inputs": inputs, "outputs": outputs}

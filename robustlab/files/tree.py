@@ -1,6 +1,6 @@
-"""A file's content as plain arrays (groups, datasets, attributes), the hash over them, and the header of format 1.
+"""The content of a file as plain arrays (groups, datasets, attributes), its hash, and the header of format 1.
 
-The root of a format 1 file says its format, version and kind, and carries the content hash and the provenance.
+The root of a format 1 file has its format, version and kind, the content hash and the provenance.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ ATTRIBUTES = ("format", "format_version", "kind", "content_sha256")
 
 @dataclass(frozen=True)
 class Unread:
-    """Stands for the values of a dataset that was not read, because of its type or because nobody asked for it."""
+    """A placeholder for values that were not read, because of their type or because they are not needed."""
 
     dtype: str  # name of the type, for messages
-    shape: tuple[int, ...]  # shape as the file states it
+    shape: tuple[int, ...]
 
 
 @dataclass
@@ -47,40 +47,39 @@ class Tree:
     """One group of a file."""
 
     attrs: dict[str, Any] = field(default_factory=dict)  # name -> text, number, or array
-    # groups, datasets: name -> what is in it
     groups: dict[str, Tree] = field(default_factory=dict)
     datasets: dict[str, Dataset] = field(default_factory=dict)
-    path: str = "/"  # where the group lies in the file; `/` is the root
-    file: str = "file"  # what messages call the file
+    path: str = "/"  # of the group in the file
+    file: str = "file"  # name of the file in messages
 
     def child_path(self, name: str) -> str:
-        """Path of the named child."""
+        """Return the path of a child."""
         return f"{self.path.rstrip('/')}/{name}"
 
     def group(self, name: str) -> Tree:
-        """The named child group, made where it is not there yet."""
+        """Return the child group, new if needed."""
         return self.groups.setdefault(name, Tree(path=self.child_path(name), file=self.file))
 
     def put(self, name: str, values: Any, **attrs: Any) -> Dataset:
-        """Add a dataset; the values are brought to their canonical type."""
+        """Add a dataset with values of canonical type."""
         where = self.child_path(name)
         given = {key: canonical(item, f"{where}@{key}") for key, item in attrs.items()}
         self.datasets[name] = Dataset(canonical(values, where), given)
         return self.datasets[name]
 
     def find(self, path: str) -> Tree | None:
-        """The group at ``path`` relative to this one, or None."""
+        """Return the group at ``path`` relative to this one, or None."""
         node: Tree | None = self
         for part in filter(None, path.split("/")):
             node = node.groups.get(part) if node is not None else None
         return node
 
     def group_names(self) -> list[str]:
-        """Paths of all groups below this one, without the leading stroke."""
+        """Return the paths of all groups below this one, without the leading slash."""
         return [path.strip("/") for path, item in self.walk() if isinstance(item, Tree) and item is not self]
 
     def walk(self) -> Iterator[tuple[str, Tree | Dataset]]:
-        """All objects below and including this group, as (path, object)."""
+        """Yield this group and all objects below it as (path, object)."""
         yield self.path, self
         for name, dataset in self.datasets.items():
             yield self.child_path(name), dataset
@@ -89,12 +88,12 @@ class Tree:
 
 
 def type_name(values: AnyArray | Unread) -> str:
-    """What messages call the type of a dataset's values."""
+    """Return the name of the type of a dataset's values for messages."""
     return "text" if isinstance(values, np.ndarray) and values.dtype.kind == "U" else str(values.dtype)
 
 
 def canonical(values: Any, where: str) -> AnyArray:
-    """``values`` as a C-ordered array of float64, int64, bool, complex128, or text: the types format 1 knows."""
+    """Return ``values`` as a C-ordered array of a type of format 1: float64, int64, bool, complex128, or text."""
     array = np.asarray(values)
     kind = array.dtype.kind
     if kind in "O" and array.size == 0:
@@ -114,10 +113,9 @@ def canonical(values: Any, where: str) -> AnyArray:
 
 
 def content_sha256(tree: Tree) -> str:
-    """SHA-256 over the content, as a hex string; independent of how the file is laid out.
+    """Return the SHA-256 over the content as a hex string, independent of the file's layout.
 
-    Everything counts but the root attribute ``content_sha256`` and the root group ``provenance``. The bytes that are
-    hashed are described in ``docs/hdf5-format.md``.
+    The root attribute ``content_sha256`` and the root group ``provenance`` are excluded; see ``docs/hdf5-format.md``.
     """
     digest = hashlib.sha256()
     objects = sorted(tree.walk(), key=lambda item: item[0].encode())
@@ -137,7 +135,7 @@ def content_sha256(tree: Tree) -> str:
 
 
 def digest_beside_claims(tree: Tree) -> str:
-    """`content_sha256` of all but the root group ``claims``: what a reader sees of a file whose claims are proved."""
+    """Return the `content_sha256` of all but the root group ``claims``."""
     return content_sha256(replace(tree, groups={name: g for name, g in tree.groups.items() if name != "claims"}))
 
 
@@ -156,7 +154,7 @@ def _array(values: AnyArray) -> bytes:
 
 
 def link_name(name: str) -> str:
-    """``name`` as an HDF5 link name: ``%`` and ``/`` are written ``%25`` and ``%2F``; a leading dot as ``%2E``.
+    """Return ``name`` as an HDF5 link name: ``%`` and ``/`` are written ``%25`` and ``%2F``; a leading dot ``%2E``.
 
     Examples
     --------
@@ -168,7 +166,7 @@ def link_name(name: str) -> str:
 
 
 def signal_name(link: str) -> str:
-    """Inverse of `link_name`."""
+    """Invert `link_name`."""
     return link.replace("%2E", ".").replace("%2F", "/").replace("%25", "%") if link != "%" else ""
 
 
@@ -176,13 +174,13 @@ def signal_name(link: str) -> str:
 
 
 def text_attr(attrs: dict[str, Any], name: str) -> str | None:
-    """The text attribute ``name``, or None where it is absent or no text."""
+    """Return the text attribute ``name``, or None where it is absent or no text."""
     value = np.asarray(attrs[name]) if name in attrs else np.zeros(0)
     return str(value.flat[0]) if value.dtype.kind == "U" and value.size == 1 else None
 
 
 def stamp(tree: Tree, kind: str, provenance: Provenance) -> None:
-    """Make ``tree`` a format 1 file of this kind: add provenance, header and hash, and the digest to its claims."""
+    """Add provenance, header, hash, and the digest of the claims of a format 1 file to ``tree``."""
     group = tree.group("provenance")
     data = provenance.to_json()
     for name in ("created_by", "created", "note"):
@@ -200,7 +198,7 @@ def stamp(tree: Tree, kind: str, provenance: Provenance) -> None:
 
 
 def decode_provenance(tree: Tree) -> Provenance | None:
-    """The provenance that a file carries, or None."""
+    """Return the provenance in a file, or None."""
     group = tree.groups.get("provenance")
     if group is None:
         return None
@@ -212,7 +210,7 @@ def decode_provenance(tree: Tree) -> Provenance | None:
 
 
 def is_stamped(tree: Tree) -> bool:
-    """True where the file says that it is a format 1 file; plain files carry no header."""
+    """Return whether the file has the header of format 1."""
     return (
         any(name in tree.attrs for name in ("format_version", "content_sha256"))
         or text_attr(tree.attrs, "format") == FORMAT
@@ -220,9 +218,9 @@ def is_stamped(tree: Tree) -> bool:
 
 
 def check_header(tree: Tree, no_verify: bool = False) -> tuple[str, list[str]]:
-    """Kind of a format 1 file, and warnings.
+    """Return the kind of a format 1 file, and warnings.
 
-    A file without a hash is accepted with a warning; one with a wrong hash with ``no_verify`` only.
+    A file without a hash is accepted with a warning; one with a wrong hash only with ``no_verify``.
     """
     where, attrs = tree.file, tree.attrs
     if text_attr(attrs, "format") != FORMAT:

@@ -26,9 +26,11 @@ Column = Annotated[str | None, Names("outputs", "record", one=True)]
 @operation("data check", "check-record", result="identification.record_check.suitability.RecordCheck")
 def check_record(
     record: Annotated[Any, RecordFile(remarks=False), Named(key="of"), "HDF5, MATLAB, CSV or TXT file."],
-    model: Annotated[Any, Machine(), "A model, too: is the record fit for naming what that lacks?"] = None,
+    model: Annotated[
+        Any, Machine(), "A model: check also whether the record suits the identification of its missing effects."
+    ] = None,
 ) -> Any:
-    """Read a record and say what is in it and what is odd about it.
+    """Read a record and report its content and its irregularities.
 
     Example: robustlab data check run3.csv --inputs u --outputs q
     Example: robustlab data check run3.csv --model servo-axis
@@ -53,7 +55,7 @@ def compare(
     period: Period = None,
     repeats: Annotated[Repeats, Named(option="--repeat")] = None,
 ) -> Any:
-    """Simulate a model with a recorded input and say where it disagrees with the recorded outputs.
+    """Simulate a model with a recorded input and report where it disagrees with the recorded outputs.
 
     Example: robustlab data compare servo-axis emps.h5 --group train --outputs q --window 0.48
     Example: robustlab data compare mymachine.py:axis run3.csv --outputs q
@@ -71,7 +73,7 @@ def compare(
 def discover(
     model: Annotated[Plant, Named(key="of")],
     records: Annotated[list[Any], RecordFile(many=True), "Records of one machine; FILE#GROUP takes that group."],
-    held_out: Annotated[list[Any] | None, RecordFile(many=True), "Record that no fit sees; the gap is judged on it."]
+    held_out: Annotated[list[Any] | None, RecordFile(many=True), "Record that no fit uses, for the model error."]
     = None,
     repeats: Annotated[Repeats, Named(option="--repeat")] = None,
     tolerances: Tolerances = None,
@@ -80,7 +82,7 @@ def discover(
     period: Annotated[float | None, Number(above=0), "Period of the excitation in s."] = None,
     progress: Callable[[str], None] | None = None,
 ) -> Any:  # fmt: skip
-    """Name the effect that a model lacks, from measured records, and update the model with it.
+    """Identify the effect that a model lacks from measured records, and update the model with it.
 
     Exit code 0: the verdict is "named" or "no missing effect"; 4: it is "ambiguous" or "unknown", or more than half of
     the error remains unexplained, or the records are too poor for any verdict; 3: a record is wrong; 130: Ctrl-C ended
@@ -114,10 +116,10 @@ def watch(
     window: Annotated[float | None, Number(above=0), "Length of the windows in s."] = None,
     progress: Callable[[str], None] | None = None,
 ) -> Any:
-    """Say when a model stops explaining a running log, and what has changed since.
+    """Detect when a model stops explaining a log, and identify the change.
 
     Exit code 0: the model explains the log from beginning to end; 1: an alarm;
-    3: a record is wrong; 4: the log says too little for a test.
+    3: a record is wrong; 4: the log has too little information for a test.
 
     Example: robustlab data watch axis.h5 monday.csv tuesday.csv --every 60 --inputs u --outputs q --noise q=1e-4
     """
@@ -131,21 +133,21 @@ def watch(
 
 @dataclass(frozen=True)
 class Cut:
-    """How the record is taken."""
+    """The part of the record that is used, and how."""
 
     domain: Annotated[
         Literal["time", "frequency"],
         Choice(("time", "frequency")),
         "time, or frequency: whole periods in steady state, line by line.",
     ] = "time"
-    period: Annotated[float | None, Number(above=0), "Frequency domain: period in s where no signal tells it."] = None
+    period: Annotated[float | None, Number(above=0), "Frequency domain: period in s where no signal shows it."] = None
     at_rest: Annotated[bool, Flag(), "The record starts at rest; otherwise its initial state is free."] = False
     window: Annotated[float | None, Number(above=0), "Length of windows with a free start in s."] = None
 
 
 @dataclass(frozen=True)
-class Asked:
-    """What is sought."""
+class Bounds:
+    """The noise norm and the precision of the bounds."""
 
     noise_norm: Annotated[
         Literal["peak", "rms"] | None,
@@ -155,7 +157,7 @@ class Asked:
     precision: Annotated[float, Number(least=1e-4, most=0.2), "Relative width of the bounds."] = 0.01
 
 
-WHOLE, USUAL_DELTA, USUAL_SEARCH = Cut(), Asked(), Search()
+WHOLE, USUAL_BOUNDS, USUAL_SEARCH = Cut(), Bounds(), Search()
 
 
 @operation(
@@ -170,7 +172,7 @@ def validate(
         "Noise bound of an output, in its unit; from the record's own repeats where all are left out.",
     ] = None,
     cut: Cut = WHOLE,
-    asked: Asked = USUAL_DELTA,
+    bounds: Bounds = USUAL_BOUNDS,
     search: Search = USUAL_SEARCH,
     progress: Callable[[str], None] | None = None,
 ) -> Any:
@@ -182,7 +184,7 @@ def validate(
     Example: robustlab data validate axis.h5 run3.csv --noise q=2e-5
     """
     return rl.validate(
-        uncertain, record, noise or None, progress=progress, **vars(cut), **vars(asked), **search.options,
+        uncertain, record, noise or None, progress=progress, **vars(cut), **vars(bounds), **search.options,
     )  # fmt: skip
 
 
@@ -191,18 +193,18 @@ def cover(
     uncertain: Annotated[UncertainPlant, Named(key="of")],
     record: Measured,
     n: Annotated[int, Whole(), Named(option="--samples,-n"), "Random members."] = 20,
-    vertices: Annotated[int, Whole(), "Vertices of the set beside them."] = 0,
+    vertices: Annotated[int, Whole(), "Further members at vertices of the set."] = 0,
     rate: Annotated[
         float | None, Number(above=0), "Time in s over which mean rates of the outputs are judged as well."
     ] = None,
     allowance: Annotated[
         dict[str, float] | None,
         Table(Number(least=0), "outputs", "record"),
-        "What the sensor of an output may be off, in its unit.",
+        "Largest error of the sensor of an output, in its unit.",
     ] = None,
     seed: Annotated[int | None, Whole(0, 2**63 - 1), "Seed of the members; in a recipe its own if left out."] = None,
 ) -> Any:
-    """Does the envelope of an uncertain model's members hold a record? Sampled, not proved."""
+    """Check whether the envelope of an uncertain model's members contains a record. Sampled, not proved."""
     from robustlab.identification.comparison.envelope import cover as within
 
     return within(uncertain, record, n=n, vertices=vertices, seed=seed or 0, rate=rate, allowance=allowance)

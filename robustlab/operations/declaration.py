@@ -1,7 +1,7 @@
-"""One declaration of a capability: `operation` marks a function; its command, its step and their help follow.
+"""The registry of operations: `operation` declares a function; its command, its step and their help are generated.
 
-Each parameter is annotated ``Annotated[type, kind, "help"]``; options that travel together are the fields of a
-dataclass, which the function takes as one parameter. The work is imported inside.
+Each parameter is annotated ``Annotated[type, kind, "help"]``. The fields of a dataclass parameter are options of their
+own. Numerical modules are imported inside the functions.
 """
 
 from __future__ import annotations
@@ -16,37 +16,35 @@ from importlib import import_module
 from typing import Any, Literal, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
 
 from robustlab.errors import rewritten
-from robustlab.operations.kinds import Feedback, Kind, Thing
+from robustlab.operations.kinds import Feedback, Kind
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 REQUIRED = inspect.Parameter.empty
-# Word of a step, and words of a command -> the operation.
+# Kind of step, and words of a command -> the operation.
 STEPS: dict[str, Operation] = {}
 COMMANDS: dict[str, Operation] = {}
 
 
 @dataclass(frozen=True)
 class Named:
-    """In an annotation: what a command or a recipe calls the parameter, where it is not its own name."""
+    """In an annotation: names of the parameter in Python, as option and as key, where they differ from its own."""
 
-    argument: str = ""  # what the Python function calls it, where that is another name
+    argument: str = ""
     option: str = ""  # ``--filter-order``, or ``-k,--controller``
     key: str = ""
-    # The one operation that has the parameter, where the other needs none.
-    only: str = ""
-    # Default of a recipe's key, where that is another than the command's; ``...``: a recipe must say it.
-    in_step: Any = None
+    only: str = ""  # "command" or "step", where only that one has the parameter
+    in_step: Any = None  # default of a recipe's key, where it differs from the command's; ``...``: required
 
 
 class InLoop(NamedTuple):
-    """What an operation's function may return in the place of a result: the result, and what stands beside it."""
+    """A result with its loop, notes, and additional results, returned by an operation instead of a result alone."""
 
     result: Any
-    loop: str = ""  # the loop that it is of, in words
-    notes: tuple[str, ...] = ()  # what the reader must know
-    beside: Mapping[str, Any] = {}  # name -> a word, or a further result; one with a status must be trusted, too
-    parts: tuple[Any, ...] = ()  # tables that were asked for, each a `robustlab.shown.Part`
+    loop: str = ""  # description of the loop
+    notes: tuple[str, ...] = ()
+    beside: Mapping[str, Any] = {}  # name -> a text, or a further result, whose status is checked, too
+    parts: tuple[Any, ...] = ()  # requested tables, each a `robustlab.shown.Part`
 
 
 @dataclass(frozen=True)
@@ -61,7 +59,6 @@ class Parameter:
 
     @property
     def needed(self) -> bool:
-        """Whether it has no default."""
         return self.default is REQUIRED
 
     @property
@@ -75,26 +72,26 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Operation:
-    """What one function offers to the command line and to recipes."""
+    """A function that is a command, a kind of step, or both."""
 
     function: Callable[..., Any]
-    command: str  # words behind ``robustlab``; empty where there is none
-    step: str  # what a recipe says with ``do``; empty where there is none
+    command: str  # words after ``robustlab``; empty where there is none
+    step: str  # value of ``do`` in a recipe; empty where there is none
     title: str  # first paragraph of the docstring
-    more: str  # the rest of it
+    more: str  # its further paragraphs
     example: str
     result: str  # ``module.Class`` of the result, below ``robustlab``; several with commas between them
-    gives: str = "nothing"  # kind of what later steps get of it
-    made: str = ""  # attribute of the result that is what was made, for ``--out`` and later steps; "": the result
-    # What is known before a recipe runs: a key whose signals the result keeps (those of ``outputs`` where that is a key
-    # too), or a function of the step and of what its predecessors foretell; None: nothing.
+    gives: str = "nothing"  # kind of the value passed to later steps
+    made: str = ""  # attribute of the result to save with ``--out`` and pass to later steps; "": the result
+    # Inference before a recipe runs: the key of a step whose signals the result keeps (those of ``outputs`` where that
+    # is a key), or a function of the step and the inference of earlier steps; None: nothing.
     foretell: str | Callable[[Any, Any], Any] | None = None
-    own: bool = False  # the command does more, and is made where its group is
+    own: bool = False  # the command is defined by hand in its group
     progress: str = ""  # "lines": each text is a line where stderr is no terminal; "parts", "steps": work is counted
 
     @property
     def parameters(self) -> list[Parameter]:
-        """The parameters that a user gives; not ``progress`` and ``drawn``, which are at hand."""
+        """Return the parameters that a user gives: all but ``progress`` and ``drawn``."""
         return _parameters(self.function)
 
     @property
@@ -103,23 +100,22 @@ class Operation:
 
     @property
     def takes_progress(self) -> bool:
-        """Whether the function tells how far it is."""
         return "progress" in inspect.signature(self.function).parameters
 
     @property
     def result_classes(self) -> list[Any]:
-        """The classes that the result may be of."""
+        """Return the possible classes of the result."""
         paths = [path.strip().rpartition(".") for path in self.result.split(",")]
         return [getattr(import_module(f"robustlab.{module}"), name) for module, _, name in paths]
 
     @property
     def quantities(self) -> Mapping[str, Any]:
-        """What requirements may refer to: that of the class, or of all of them."""
+        """Return the names that requirements may refer to, of all classes of the result."""
         found = [kind.quantities for kind in self.result_classes]
         return found[0] if len(found) == 1 else {name: leaf for each in reversed(found) for name, leaf in each.items()}
 
     def made_of(self, result: Any) -> Any:
-        """What was made, of a result."""
+        """Return the part of a result that is saved and passed to later steps."""
         return getattr(result, self.made) if self.made else result
 
     def hint(self, text: str, of_command: bool) -> str:
@@ -130,12 +126,15 @@ class Operation:
             p = known.get(name)
             if p is None:
                 return reading_option(name, value) if of_command else f"{name} = {in_toml(value)}"
-            return as_option(p.options[0], _worded(p.kind, value)) if of_command else f"{p.key} = {in_toml(value)}"
+            if not of_command:
+                return f"{p.key} = {in_toml(value)}"
+            signs = {"-1": "negative", "1": "positive"} if isinstance(p.kind, Feedback) else {}
+            return as_option(p.options[0], signs.get(value, value))
 
         return rewritten(text, written)
 
     def __call__(self, **values: Any) -> InLoop:
-        """The result with what stands beside it; values of a group's fields are handed on as the group."""
+        """Call the function; values of a dataclass' fields are passed as that dataclass."""
         for name, group in _groups(self.function).items():
             own = [f.name for f in fields(group) if f.name in values]
             values[name] = group(**{field: values.pop(field) for field in own})
@@ -143,7 +142,7 @@ class Operation:
         return found if isinstance(found, InLoop) else InLoop(found)
 
 
-# Arguments of reading a file -> the options that commands have for them.
+# Arguments of reading a file -> options of commands.
 READING = {
     **{name: f"--{name.replace('_', '-')}" for name in ("transpose", "group", "clock", "dt", "decimal", "delimiter")},
     **{name: f"--{name.replace('_', '-')}" for name in ("allow_gaps", "no_verify", "inputs", "outputs")},
@@ -176,19 +175,15 @@ def in_toml(value: str) -> str:
 
 
 def _literal(value: str) -> Any:
-    """Return what a value in Python syntax is; ``...`` and what is no literal as text."""
+    """Return the value of a Python literal; ``...`` and other text unchanged."""
     try:
         return ast.literal_eval(value.replace("...", "'...'"))
     except (SyntaxError, ValueError):
         return value
 
 
-def _worded(kind: Kind, value: str) -> str:
-    return {"-1": "negative", "1": "positive"}.get(value, value) if isinstance(kind, Feedback) else value
-
-
 def operation(command: str = "", step: str = "", **more: Any) -> Callable[[F], F]:
-    """Make a function what a command and a step of recipes do; ``more`` are further fields of `Operation`."""
+    """Register a function as a command and a kind of step (decorator); ``more`` are further fields of `Operation`."""
 
     def declared(function: F) -> F:
         paragraphs = inspect.cleandoc(function.__doc__ or "").split("\n\n")
@@ -212,9 +207,13 @@ def _parameters(function: Callable[..., Any]) -> list[Parameter]:
         if name in ("progress", "drawn"):
             continue
         if is_dataclass(hints[name]):
-            found += [_parameter(function, *one) for one in _fields_of(hints[name])]
-            continue
-        found.append(_parameter(function, name, hints[name], given.default))
+            of_field = get_type_hints(hints[name], include_extras=True)
+            found += [
+                _parameter(function, f.name, of_field[f.name], REQUIRED if f.default is MISSING else f.default)
+                for f in fields(hints[name])
+            ]
+        else:
+            found.append(_parameter(function, name, hints[name], given.default))
     return found
 
 
@@ -234,24 +233,14 @@ def _groups(function: Callable[..., Any]) -> dict[str, Any]:
     return {name: hints[name] for name in inspect.signature(function).parameters if is_dataclass(hints.get(name))}
 
 
-def _fields_of(group: Any) -> list[tuple[str, Any, Any]]:
-    hints = get_type_hints(group, include_extras=True)
-    return [(f.name, hints[f.name], REQUIRED if f.default is MISSING else f.default) for f in fields(group)]
-
-
 def _marks(hint: Any) -> list[Any]:
-    """What an annotation says beside its type, also of one among alternatives; the outer comes last."""
+    """Return the metadata of an annotation, also of alternatives in a union; the outermost comes last."""
     inner = [mark for part in get_args(hint) for mark in _marks(part)] if get_origin(hint) is not Literal else []
     return [*inner, *getattr(hint, "__metadata__", ())]
 
 
-def objects(of: Operation) -> list[Parameter]:
-    """The parameters that are files of a command and earlier steps of a recipe."""
-    return [p for p in of.parameters if isinstance(p.kind, Thing)]
-
-
 def closed(system: Any, controller: Any, sign: int | None, where: str) -> tuple[Any, str]:
-    """A system with a controller around it, and the loop in words; the system itself where there is no controller."""
+    """Close a system with a controller; return the loop and its description, or the system without a controller."""
     from robustlab.closing import fed_back
     from robustlab.errors import NoTrustworthyNumber, UsageError
     from robustlab.linear_analysis.structural import with_hidden
@@ -274,12 +263,12 @@ def closed(system: Any, controller: Any, sign: int | None, where: str) -> tuple[
 
 
 def load_family(family: str) -> None:
-    """Import the module of operations."""
+    """Import a module of operations."""
     import_module(f"robustlab.operations.{family}")
 
 
 def every_operation() -> list[Operation]:
-    """All operations, each once."""
+    """Return all operations, each once."""
     for family in ALL:
         load_family(family)
     return list(dict.fromkeys([*COMMANDS.values(), *STEPS.values()]))

@@ -1,4 +1,4 @@
-"""Operations of designs: controllers by every method."""
+"""Operations of controller design."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Controls = Annotated[Channel, "Control inputs by name, or how many of the last; 
 
 @dataclass(frozen=True)
 class Channels:
-    """Which inputs and outputs of a system a design takes."""
+    """The inputs and outputs of a system that a design uses."""
 
     measurements: Measured = None
     controls: Controls = None
@@ -40,7 +40,7 @@ class Channels:
     ] = None
 
     def posed(self, system: Any, where: str, nominal: bool | None = False) -> Any:
-        """The generalised plant: of a tracking problem its own, else with channels by number or by name."""
+        """Return the generalised plant: of a tracking problem its own, else with channels by number or by name."""
         from robustlab.synthesis.problem.partition import as_generalized_plant
         from robustlab.synthesis.specifications.tracking_problem import TrackingProblem
 
@@ -69,12 +69,14 @@ class Channels:
 Nominal = Annotated[
     bool, Flag(), "Of a tracking problem or an uncertain model: at Delta = 0, without its perturbation channels."
 ]
-# Left out, a tracking problem is taken at Delta = 0; all of an uncertain model's Delta counts as one full block.
+# By default a tracking problem is taken at Delta = 0; all of an uncertain model's Delta counts as one full block.
 NominalProblem = Annotated[
     bool | None, Flag(), "At Delta = 0; left out so of a tracking problem; else all of Delta counts as one full block."
 ]
 GammaRel = Annotated[
-    float, Number(least=1, most=10), "Allowed ratio to the smallest gamma; within it the slowest controller wins."
+    float,
+    Number(least=1, most=10),
+    "Allowed ratio to the smallest gamma; within it the controller of lowest bandwidth is chosen.",
 ]
 Structure = Annotated[
     str,
@@ -85,12 +87,11 @@ Structure = Annotated[
 Starts = Annotated[int, Whole(0, 1000), "Number of random starts."]
 Order = Annotated[int | None, Whole(0, 1000)]
 
-
-UNSAID, USUAL, ALL_SIGNALS = Channels(), Search(), Signals()
+DEFAULT_CHANNELS, USUAL, ALL_SIGNALS = Channels(), Search(), Signals()
 
 
 def _design(found: Any, system: Any = None, proved: bool = True, drawn: bool = False) -> Any:
-    """A design, beside it the loop of a tracking problem against its weights, where that is drawn."""
+    """Return a design, with the loop of a tracking problem against its weights where that is drawn."""
     from robustlab.synthesis.specifications.tracking_problem import TrackingLoop, TrackingProblem
 
     if not drawn or not isinstance(system, TrackingProblem):
@@ -104,7 +105,7 @@ def _design(found: Any, system: Any = None, proved: bool = True, drawn: bool = F
 @operation("synth hinf", "hinf", result=DESIGN + "HinfSynthesis", gives="controller", made="controller")
 def hinf(
     system: Plant,
-    channels: Channels = UNSAID,
+    channels: Channels = DEFAULT_CHANNELS,
     nominal: NominalProblem = None,
     gamma_rel: GammaRel = 1.05,
     search: Search = USUAL,
@@ -113,7 +114,7 @@ def hinf(
 ) -> Any:
     """H-infinity controller u = K y (positive feedback) of a generalised plant, verified in the loop rebuilt from K.
 
-    Exit code 4: no controller could be vouched for.
+    Exit code 4: no controller could be verified.
 
     Example: robustlab synth hinf plant.h5 --measurements 1 --controls 1 --out controller.h5
     """
@@ -125,7 +126,7 @@ def hinf(
 @operation("synth h2", "h2", result="synthesis.h2.h2_synthesis.H2Synthesis", gives="controller", made="controller")
 def h2(
     system: Plant,
-    channels: Channels = UNSAID,
+    channels: Channels = DEFAULT_CHANNELS,
     nominal: NominalProblem = None,
     search: Search = USUAL,
     progress: Any = None,
@@ -133,7 +134,7 @@ def h2(
 ) -> Any:
     """H2 (LQG) controller u = K y (positive feedback) of a generalised plant; gamma is the verified H2 norm.
 
-    Exit code 4: no controller could be vouched for, or no finite H2 norm exists.
+    Exit code 4: no controller could be verified, or no finite H2 norm exists.
 
     Example: robustlab synth h2 plant.h5 --measurements y --controls u --out controller.h5
     """
@@ -143,18 +144,18 @@ def h2(
 
 @dataclass(frozen=True)
 class Way:
-    """How mu is made small."""
+    """Options of minimising mu."""
 
     start: Annotated[Any, Thing(("controller", "any")), "Stabilising controller to start from."] = None
-    structure: Annotated[Structure | None, "What the controller may look like, as for fixed; D-K alone then."] = None
+    structure: Annotated[Structure | None, "Structure of the controller, as for fixed; then only D-K iteration."] = None
     starts: Annotated[Starts, "With a structure: random starts."] = 3
-    direct: Annotated[bool, Flag(), "Go on with direct minimisation after D-K iteration."] = True
+    direct: Annotated[bool, Flag(), "Continue with direct minimisation after D-K iteration."] = True
     mixed: Annotated[bool, Flag(), "Use that real blocks are real."] = True
 
 
 @dataclass(frozen=True)
 class Orders:
-    """What order the controller may have."""
+    """Limits on the controller's order."""
 
     max_order: Annotated[Order, "Largest order of the controller."] = None
     order_rel: Annotated[
@@ -178,7 +179,7 @@ USUAL_WAY, ANY_ORDER, USUAL_TRIES = Way(), Orders(), Tries()
 @operation("synth dk", "dk", result="synthesis.dk.dk_design.DKSynthesis", gives="controller", made="controller")
 def dk(
     system: Plant,
-    channels: Channels = UNSAID,
+    channels: Channels = DEFAULT_CHANNELS,
     blocks: Annotated[
         str | None,
         Kind(),
@@ -194,8 +195,8 @@ def dk(
 ) -> Any:
     """Robust controller u = K y (positive feedback): makes the peak of mu small, by D-K iteration and directly.
 
-    Of an uncertain plant the blocks are known; what they leave of w and z is the performance. gamma is an upper bound
-    of mu at all frequencies. Exit code 4: no controller could be vouched for.
+    The blocks of an uncertain plant are known; the other channels of w and z are the performance. gamma is an upper
+    bound of mu at all frequencies. Exit code 4: no controller could be verified.
 
     Example: robustlab synth dk uncertain.h5 --measurements y --controls u --figure design.svg --out controller.h5
     """
@@ -234,7 +235,7 @@ def _rows(text: str) -> list[list[int]]:
 def fixed_structure(
     system: Plant,
     structure: Structure = "static",
-    channels: Channels = UNSAID,
+    channels: Channels = DEFAULT_CHANNELS,
     nominal: Nominal = False,
     objective: Annotated[str, Choice(("hinf", "h2")), "The norm that is made small."] = "hinf",
     tries: Tries = USUAL_TRIES,
@@ -287,8 +288,8 @@ def mixsyn(
 ) -> Any:
     """Mixed-sensitivity controller u = K (r - y) of a plant: makes the norm of [W1 S; W2 K S; W3 T] small, verified.
 
-    States that the chosen inputs and outputs do not touch are left out, with a note.
-    Exit code 4: no controller could be vouched for.
+    States that are not connected to the chosen inputs and outputs are removed, with a note.
+    Exit code 4: no controller could be verified.
 
     Example: robustlab synth mixsyn motor.h5 --outputs omega --w1 bandwidth=100,error=0.01 --w2 limit=2 --out k.h5
     """
@@ -323,7 +324,7 @@ def ncf(
     """Loop shaping with normalised coprime factors: u = K y (positive feedback), gamma_min exact.
 
     Choose W1 and W2 so that W2 G W1 has the wanted shape. A margin (1 / gamma) above 0.25 keeps it.
-    Exit code 4: no controller could be vouched for.
+    Exit code 4: no controller could be verified.
 
     Example: robustlab synth ncf motor.h5 --outputs omega --w1 10 --out controller.h5
     """

@@ -1,4 +1,4 @@
-"""Operations of what becomes of a design: smaller, digital, a loop; the same of models."""
+"""Operations on controllers and models: reduction, discretisation, the closed loop."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from robustlab.operations.words import SampleTime, Search, Sign
 
 @dataclass(frozen=True)
 class LoopChannels:
-    """Which inputs and outputs of a plant its controller is connected to."""
+    """The inputs and outputs of a plant that its controller is connected to."""
 
     measurements: Measured = None
     controls: Controls = None
 
     def around(self, system: Any, K: Any, where: str, nominal: bool | None = False) -> Any:
-        """The generalised plant of a controller: with as many channels at the end as it has where none are named."""
+        """Return the generalised plant of a controller; without names, its channels are the plant's last ones."""
         from robustlab.synthesis.specifications.tracking_problem import TrackingProblem
 
         if (self.measurements is None) != (self.controls is None):
@@ -48,7 +48,7 @@ def reduce_controller(
 ) -> Any:
     """Controller of the lowest order whose closed loop, rebuilt and proved anew, loses no more than a stated share.
 
-    Exit code 4: no controller of the order wanted could be vouched for.
+    Exit code 4: no controller of that order could be verified.
 
     Example: robustlab synth reduce plant.h5 controller.h5 --loss 0.02 --out small.h5
     """
@@ -68,7 +68,7 @@ Method = Annotated[
 
 @dataclass(frozen=True)
 class Sampling:
-    """How the controller will be run."""
+    """Sample time, delay and filter of the digital controller."""
 
     dt: SampleTime
     delay: Annotated[float, Number(least=0), "Computation delay in s."] = 0.0
@@ -94,22 +94,22 @@ def discretise(
     search: Search = USUAL,
     progress: Any = None,
 ) -> Any:
-    """Digital form of a controller, with the proved norm of the sampled loop, between samples too, and what it loses.
+    """Digital form of a controller, with the proved norm of the sampled loop, between samples too, and its loss.
 
     Of an uncertain plant the norm is that of the nominal loop.
 
-    Exit code 1: it loses more than --loss. Exit code 4: no method left the sampled loop stable.
+    Exit code 1: the loss is above --loss. Exit code 4: no method kept the sampled loop stable.
 
     Example: robustlab synth discretise plant.h5 controller.h5 --dt 0.01 --out digital.h5
     """
     P = channels.around(plant, controller, "discretise")
     given: Any = method
     return rl.discretise(
-        controller, method=given, plant=_at_rest(P), loss=loss, progress=progress, **vars(sampling), **search.options,
+        controller, method=given, plant=_nominal(P), loss=loss, progress=progress, **vars(sampling), **search.options,
     )  # fmt: skip
 
 
-def _at_rest(plant: Any) -> Any:
+def _nominal(plant: Any) -> Any:
     from robustlab.synthesis.problem.partition import GeneralizedPlant
 
     nominal = rl.UncertainModel(plant.model, plant.blocks).nominal
@@ -124,7 +124,7 @@ def reduce_model(
     tolerance: Annotated[
         float | None,
         Number(above=0),
-        "In place of the order: largest error, as it is told.",
+        "Instead of the order: largest error, as reported.",
         Named(option="--max-error"),
     ] = None,
     method: Annotated[
@@ -136,10 +136,10 @@ def reduce_model(
     output_weight: Annotated[Any, Thing(("model", "any")), "The same for W_o."] = None,
     floor: Annotated[float, Number(least=0), "Of stochastic: gain below which errors count absolutely."] = 0.0,
 ) -> Any:
-    """A model of lower order, with its certified error beside what theory promises.
+    """A model of lower order, with its certified error and the bound of theory.
 
     Modes that are not stable are kept, or reduced too with the method coprime.
-    Exit code 4: the error cannot be vouched for, or the model of that order is not stable.
+    Exit code 4: the error could not be certified, or the model of that order is not stable.
 
     Example: robustlab model reduce plant.h5 --max-error 0.01 --out small.h5
     """
@@ -161,16 +161,13 @@ def minimal(
         Named(option="--rank-tolerance"),
     ] = None,
 ) -> Any:
-    """The model without modes that no input moves or no output shows, unstable ones too; with the certified error.
+    """The model without uncontrollable or unobservable modes, unstable ones too; with the certified error.
 
     Exit code 4: the order depends on rounding.
 
     Example: robustlab model minimal plant.h5 --out minimal.h5
     """
     return rl.minimal(system, tolerance=tolerance)
-
-
-Hold = Annotated[str, Choice(("zoh", "foh", "tustin")), "What is held between the samples."]
 
 
 def _foretold_loop(step: Any, ahead: Any) -> Any:
@@ -195,18 +192,18 @@ def discretise_by_formula(
     """A discrete model of a continuous one, by formula.
 
     A model with exact delays at inputs and outputs takes zoh, which is exact.
-    What a loop loses by it is what "synth discretise" computes.
+    For the loss in a closed loop see "synth discretise".
 
     Example: robustlab model discretise motor.h5 --dt 0.001 --method zoh --out motor-1ms.h5
     """
     from robustlab.statespace import as_model
     from robustlab.synthesis.sampled.discretisation import merged_modes
 
-    late = isinstance(system, rl.DelayedModel)
-    model: Any = system if late else as_model(system, "model discretise")
+    delayed = isinstance(system, rl.DelayedModel)
+    model: Any = system if delayed else as_model(system, "model discretise")
     given: Any = method
     found = rl.discretise(model, dt, given, prewarp=prewarp)
-    return InLoop(found, notes=tuple(f"warning: {pair}" for pair in merged_modes(model.H if late else model, dt)))
+    return InLoop(found, notes=tuple(f"warning: {pair}" for pair in merged_modes(model.H if delayed else model, dt)))
 
 
 @operation("", "close-loop", result="synthesis.specifications.tracking_loop.ClosedLoop", gives="uncertain",

@@ -1,7 +1,6 @@
-"""Kinds of values that an operation takes: how a command reads them from words, and what a key of a recipe may hold.
+"""Kinds of parameters of operations: how a command parses them, and the type of a recipe's key.
 
-A parameter of an operation is annotated ``Annotated[type, kind, "help"]``; `robustlab.operations.declaration` reads
-that. Nothing heavy is imported here: ``--help`` and TAB must not wait for numerical libraries.
+No numerical library is imported here, so that ``--help`` and TAB are fast.
 """
 
 from __future__ import annotations
@@ -29,23 +28,23 @@ def _as_usage(found: str = "") -> Any:
 
 @dataclass(frozen=True)
 class Kind:
-    """Base: a text as it is given."""
+    """A text; base of the other kinds."""
 
-    taken: ClassVar[Any] = str  # what the parser of a command hands over
+    taken: ClassVar[Any] = str  # type that the command's parser gives
     metavar: ClassVar[str | None] = None
 
     def read(self, option: str, given: Any) -> Any:
-        """The value of a command's words."""
+        """Return the value of a command's option."""
         return given
 
     def field(self) -> Any:
-        """What a key of a recipe may hold."""
+        """Return the type of a recipe's key."""
         from robustlab.operations.vocabulary import Text
 
         return Text
 
     def of_field(self, given: Any) -> Any:
-        """The value of a recipe's key."""
+        """Return the value of a recipe's key."""
         return given
 
 
@@ -58,7 +57,7 @@ class TextFile(Kind):
 
 @dataclass(frozen=True)
 class Number(Kind):
-    """A number; a command takes it with another unit, too, where it has one."""
+    """A number; a command also accepts another unit where it has one."""
 
     unit: str = ""
     above: float | None = None
@@ -95,13 +94,13 @@ class Share(Number):
 
 @dataclass(frozen=True)
 class Quantity(Kind):
-    """A number; a command takes its unit with it, as a text that the function reads (`in_units`)."""
+    """A number; a command passes it as a text with its unit, which the function reads (`in_units`)."""
 
     ends: Literal["", "may", "must"] = ""
     least: float | None = None
 
     def of_text(self, where: str, text: str) -> Any:
-        """The text, or the texts of both ends."""
+        """Return the text, or the texts of both ends."""
         parts = text.split(":") if self.ends else [text]
         if len(parts) > 2 or (self.ends == "must" and len(parts) == 1):
             raise UsageError(where, "no name and two numbers", "NAME=LOW:HIGH")
@@ -119,7 +118,7 @@ class Quantity(Kind):
 
 
 def in_units(where: str, given: Mapping[str, Any] | None, units: Mapping[str, str]) -> dict[str, Any]:
-    """Values by name, texts among them read as numbers in the unit of their name.
+    """Return values by name, with texts read as numbers in the unit of their name.
 
     Examples
     --------
@@ -192,13 +191,14 @@ class Feedback(Kind):
         return Literal[-1, 1]
 
 
-def _parts(text: str) -> list[str]:
+def comma_separated(text: str) -> list[str]:
+    """Return ``"a, b"`` as ``["a", "b"]``."""
     return [part.strip() for part in text.split(",") if part.strip()]
 
 
 @dataclass(frozen=True)
 class Names(Kind):
-    """Names with commas between them; of signals or parameters of what ``of`` refers to, where a side is named."""
+    """Names separated by commas; of signals or parameters of the step in key ``of``, where ``side`` is given."""
 
     side: Side = ""
     of: str = "of"
@@ -216,7 +216,7 @@ class Names(Kind):
     def read(self, option: str, given: Any) -> Any:
         if not given or self.one:
             return given or None
-        return [name for text in (given if self.repeated else [given]) for name in _parts(text)]
+        return [name for text in (given if self.repeated else [given]) for name in comma_separated(text)]
 
     def field(self) -> Any:
         from robustlab.operations import vocabulary
@@ -227,12 +227,12 @@ class Names(Kind):
 
 @dataclass(frozen=True)
 class ByNumber(Kind):
-    """Signals by name, or how many of the last ones: ``2`` or ``a,b``."""
+    """Signals by name, or the number of last ones: ``a,b`` or ``2``."""
 
     metavar = "NAME,...|NUMBER"
 
     def read(self, option: str, given: Any) -> Any:
-        return None if given is None else int(given) if given.isdecimal() else _parts(given)
+        return None if given is None else int(given) if given.isdecimal() else comma_separated(given)
 
     def field(self) -> Any:
         from pydantic import Field
@@ -244,7 +244,7 @@ class ByNumber(Kind):
 
 @dataclass(frozen=True)
 class Numbers(Kind):
-    """Numbers with commas between them; each may carry another unit."""
+    """Numbers separated by commas, each in any unit."""
 
     unit: str = ""
     count: int | None = None
@@ -255,7 +255,7 @@ class Numbers(Kind):
         return self.words
 
     def read(self, option: str, given: Any) -> Any:
-        """``1,10`` or ``2Hz`` as a list; as a tuple where their count is known."""
+        """Return ``1,10`` or ``2Hz`` as a list, or as a tuple of a fixed length."""
         if given is None:
             return None
         try:
@@ -295,11 +295,13 @@ class Table(Kind):
         return self.words
 
     def read(self, option: str, given: list[str] | None, units: Mapping[str, str] | None = None) -> Any:
-        """The table; None where nothing was given. ``units``: of a name, in which its value may be given too."""
+        """Return the table, None if empty. ``units``: name -> unit that its value is converted to."""
         found: dict[str, Any] = {}
         for text in given or []:
             name, equals, value = text.partition("=") if type(self.value) is Kind else text.rpartition("=")
-            if not (name and equals) or (not value and not isinstance(self.value, Share)):  # a share says what it is
+            if not (name and equals) or (
+                not value and not isinstance(self.value, Share)
+            ):  # `share` reports an empty one
                 raise UsageError(f"{option} {text}", "no name and value", self.words)
             if name in found:
                 raise UsageError(f"{option} {text}", f"{name!r} is given twice", "each name once")
@@ -338,13 +340,13 @@ class Table(Kind):
 
 @dataclass(frozen=True)
 class Weight(Kind):
-    """A weight: a number, or what the function ``maker`` of robustlab takes, ``bandwidth=10,error=0.01``."""
+    """A weight: a number, or arguments of the function ``maker`` of robustlab, ``bandwidth=10,error=0.01``."""
 
     maker: str
     metavar = "WEIGHT"
 
     def read(self, option: str, given: Any) -> Any:
-        """The number, or the model that the function makes."""
+        """Return the number, or the model that the function makes."""
         if given is None:
             return None
         if "=" not in given:
@@ -404,7 +406,7 @@ class Thing(Kind):
     positional: bool = False
     pair: bool = False
     discovery: bool = False
-    reading: ClassVar[str] = "model"  # which of a command's options say how the file is read
+    reading: ClassVar[str] = "model"  # the command's options for reading the file, see `robustlab.cli.generated.READ`
 
     @property
     def taken(self) -> Any:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -415,7 +417,7 @@ class Thing(Kind):
         return "PLANT" if self.gives == ("plant",) else "FILE"
 
     def field(self) -> Any:
-        """The name of an earlier step."""
+        """Return the type of a reference to an earlier step."""
         from robustlab.operations.vocabulary import RefersTo
 
         name = Annotated[str, RefersTo(self.gives)]
@@ -423,7 +425,7 @@ class Thing(Kind):
         return float | taken if self.number else taken
 
     def load(self, file: str, remark: Callable[[str], None], settings: Sequence[str] = (), **reading: Any) -> Any:
-        """What is in a file, or a plant by its name; warnings go to ``remark``. Of a file with two models a `Pair`."""
+        """Return the object of a file, a `Pair` of two models, or a plant by its name; pass warnings to ``remark``."""
         from robustlab.storage import read
 
         if self.number:
@@ -445,7 +447,7 @@ class Thing(Kind):
         return self.as_wanted(loaded.object, file)
 
     def as_wanted(self, found: Any, where: str) -> Any:
-        """The object as its function takes it."""
+        """Return the object converted for its function; raise where it has the wrong type."""
         import robustlab as rl
         from robustlab.dynamics.plant_contract import Plant
         from robustlab.statespace import as_model
@@ -480,7 +482,7 @@ class Machine(Thing):
 
 @dataclass(frozen=True)
 class RecordFile(Thing):
-    """A record; its columns are those of the `Machine` beside it. A command says ``FILE#GROUP`` for a group."""
+    """A record, with the columns of the operation's `Machine`; ``FILE#GROUP`` in a command selects a group."""
 
     gives: tuple[str, ...] = ("record", "any")
     remarks: bool = True

@@ -1,4 +1,4 @@
-"""Operations of what drives the members of an uncertain model: worst case, probability of a violation."""
+"""Operations on the members of an uncertain model: worst case, violation probability, samples, campaigns."""
 
 from __future__ import annotations
 
@@ -21,12 +21,15 @@ OF_A_RESPONSE = METRICS[:5]
 Of = Annotated[Uncertain, Named(key="of")]
 Metric = Annotated[str, Choice(METRICS), "What is judged."]
 Output = Annotated[
-    str | None, Names("outputs", one=True), "The one output to look at.", Named(option="--outputs", key="output")
+    str | None,
+    Names("outputs", one=True),
+    "The output, where there are several.",
+    Named(option="--outputs", key="output"),
 ]
 FromInput = Annotated[
     str | None,
     Names("inputs", one=True),
-    "For norms: the one input to look from; all if left out.",
+    "For norms: the input; all if left out.",
     Named(option="--inputs", key="from_input"),
 ]
 Drive = Annotated[
@@ -47,7 +50,7 @@ Workers = Annotated[int, Whole(1, 1024), "Threads; the answer does not depend on
 
 @dataclass(frozen=True)
 class Judged:
-    """What is judged of each member."""
+    """The metric of a member."""
 
     metric: Metric = "peak-deviation"
     output: Output = None
@@ -61,7 +64,7 @@ class Judged:
 
 @dataclass(frozen=True)
 class Excitation:
-    """What drives the members: steps, plus sines, on the named inputs, until an end."""
+    """The input of the members: steps plus sines on the named inputs, until an end."""
 
     input: Drive = None
     sine: Sine = None
@@ -70,7 +73,7 @@ class Excitation:
     points: Points = 401
 
     def of(self, uncertain: Any) -> dict[str, Any]:
-        """Times and inputs of a response as the functions take them."""
+        """Return times and inputs of a response as keyword arguments."""
         import numpy as np
 
         if not isinstance(uncertain, rl.UncertainModel):
@@ -95,7 +98,7 @@ class Excitation:
 
 @dataclass(frozen=True)
 class Certainty:
-    """How sure a probability is to be."""
+    """The required probability and the confidence of its bounds."""
 
     probability: Annotated[
         float | None, Number(above=0, below=1), "Show P(violation) at most so large; else exit code 1."
@@ -103,11 +106,11 @@ class Certainty:
     confidence: Annotated[float, Number(above=0, below=1), "Confidence of all bounds."] = 0.95
 
 
-USUAL, UNDRIVEN, AS_USUAL, USUALLY_SURE = Judged(), Excitation(), Search(), Certainty()
+USUAL, UNDRIVEN, USUAL_SEARCH, USUAL_CERTAINTY = Judged(), Excitation(), Search(), Certainty()
 
 
 def unit_of_metric(step: Any, ahead: Any) -> Any:
-    """Unit of a metric's values before the run; ``float`` where it is not known yet."""
+    """Return the unit of a metric's values; ``float`` where it is not known before the run."""
     _check_sine(step.sine, step.frequency)
     if step.metric in ("overshoot", "settling-time"):
         return "%" if step.metric == "overshoot" else "s"
@@ -119,8 +122,7 @@ def unit_of_metric(step: Any, ahead: Any) -> Any:
 
 def _foretold_worst(step: Any, ahead: Any) -> Any:
     unit = unit_of_metric(step, ahead)
-    known = type(step).leaves
-    return replace(ahead[None], leaves={**known, "value": unit, "nominal_value": unit})
+    return replace(ahead[None], leaves={**type(step).leaves, "value": unit, "nominal_value": unit})
 
 
 def _foretold_violation(step: Any, ahead: Any) -> Any:
@@ -139,7 +141,7 @@ def worst_case(
     drive: Excitation = UNDRIVEN,
     n: Annotated[int, Whole(1, 100_000), "Points that the search starts from.", Named(option="-n,--samples")] = 256,
     seed: Seed = 0,
-    search: Search = AS_USUAL,
+    search: Search = USUAL_SEARCH,
 ) -> Any:
     """The worst member that a search over all normalised Delta finds, with its Delta; a lower bound, not a guarantee.
 
@@ -157,12 +159,12 @@ def worst_case(
 )
 def violation_probability(
     uncertain: Of,
-    limit: Annotated[Any, Quantity(), "How probable is it that samples violate this? '0.5 rad'."],
+    limit: Annotated[Any, Quantity(), "Limit whose violations are counted, such as '0.5 rad'."],
     judged: Judged = USUAL,
     unit: Annotated[
-        str | None, Kind(), "Unit of the limit: that of the metric, else it is refused.", Named(only="step")
+        str | None, Kind(), "Unit of the limit, which must be that of the metric.", Named(only="step")
     ] = None,
-    sure: Certainty = USUALLY_SURE,
+    certainty: Certainty = USUAL_CERTAINTY,
     drive: Excitation = UNDRIVEN,
     n: Annotated[
         int | None,
@@ -173,7 +175,7 @@ def violation_probability(
     seed: Seed = 0,
     workers: Workers = 1,
 ) -> Any:
-    """Probability that random members violate a limit of a metric, with Clopper-Pearson bounds; what matters for it.
+    """Probability that random members violate a limit of a metric, with Clopper-Pearson bounds and relevant parameters.
 
     The parameters are taken as uniform in their ranges and independent.
 
@@ -181,8 +183,8 @@ def violation_probability(
     """
     options: dict[str, Any] = {**judged.options, **drive.of(uncertain)}
     return rl.violation_probability(
-        uncertain, judged.metric, limit if unit is None else f"{limit!r} {unit}", probability=sure.probability,
-        confidence=sure.confidence, n=n, seed=seed, workers=workers, **options,
+        uncertain, judged.metric, limit if unit is None else f"{limit!r} {unit}", n=n, seed=seed, workers=workers,
+        **vars(certainty), **options,
     )  # fmt: skip
 
 
@@ -234,7 +236,7 @@ Bound = Annotated[float | None, Number(), "Count how often the metric is worse t
 
 @dataclass(frozen=True)
 class WorkerOptions:
-    """Who computes."""
+    """The processes that compute."""
 
     workers: Annotated[
         int | None, Whole(1, 1024), "Processes on this machine; one per processor where left out.",
@@ -250,10 +252,10 @@ class WorkerOptions:
 
 @dataclass(frozen=True)
 class Existing:
-    """What becomes of a store that is there already."""
+    """Treatment of an existing store."""
 
-    restart: Annotated[bool, Flag(), "Delete what the store holds and begin anew."] = False
-    fork: Annotated[bool, Flag(), "Keep the store, begin another one beside it."] = False
+    restart: Annotated[bool, Flag(), "Delete the content of the store and start again."] = False
+    fork: Annotated[bool, Flag(), "Keep the store, and start another one."] = False
 
     def mode(self) -> Any:
         if self.restart and self.fork:
@@ -261,12 +263,12 @@ class Existing:
         return "restart" if self.restart else "fork" if self.fork else "resume"
 
 
-HERE, GO_ON = WorkerOptions(), Existing()
+LOCAL, RESUME = WorkerOptions(), Existing()
 
 
 @contextmanager
 def _counted(progress: Any, store: str, n: int) -> Iterator[Any]:
-    """Takes how many samples were just stored, first those of earlier runs; Ctrl-C says how to go on."""
+    """Yield a counter of stored samples, those of earlier runs first; report how to resume after Ctrl-C."""
     from robustlab.campaign import saved_samples
 
     saved: list[int] = []
@@ -290,23 +292,23 @@ def _counted(progress: Any, store: str, n: int) -> Iterator[Any]:
 @operation("campaign run", result=RESULT, progress="steps")
 def campaign(
     uncertain: Of,
-    store: Annotated[str, TextFile(), "SQLite file to write; an unfinished one is gone on with.",
+    store: Annotated[str, TextFile(), "SQLite file to write; an unfinished one is continued.",
                      Named(option="--store")],
     judged: Judged = USUAL,
     drive: Excitation = UNDRIVEN,
-    n: Annotated[int, Whole(1, 10**9), "How many samples, vertices or searches.", Named(option="-n,--samples")] = 1000,
+    n: Annotated[int, Whole(1, 10**9), "Number of samples, vertices or searches.", Named(option="-n,--samples")] = 1000,
     kind: Annotated[str, Choice(("samples", "vertices", "search")), "What is drawn."] = "samples",
     starts: Annotated[int, Whole(1), "For searches: points each one starts from."] = 64,
     seed: Seed = 0,
-    workers: WorkerOptions = HERE,
-    existing: Existing = GO_ON,
+    workers: WorkerOptions = LOCAL,
+    existing: Existing = RESUME,
     limit: Bound = None,
     progress: Any = None,
 ) -> Any:  # fmt: skip
     """Compute a metric for n members of an uncertain model; the same result however often the run is interrupted.
 
-    A sample that raises is lost alone. Exit code 4: more than 1 % are lost, or the worst sample could not be
-    confirmed.
+    A sample that raises is lost, the others are kept. Exit code 4: more than 1 % are lost, or the worst sample could
+    not be confirmed.
 
     Example: robustlab campaign run motor.h5 --outputs omega --input-value u=42 --t-end 0.1 -n 100000 --store m.sqlite
     """
@@ -328,8 +330,8 @@ def campaign(
 
 
 @operation("campaign resume", result=RESULT, progress="steps")
-def resume(store: Store, workers: WorkerOptions = HERE, limit: Bound = None, progress: Any = None) -> Any:
-    """Go on with a campaign where it was interrupted; model and settings are in the store.
+def resume(store: Store, workers: WorkerOptions = LOCAL, limit: Bound = None, progress: Any = None) -> Any:
+    """Continue an interrupted campaign; model and settings are in the store.
 
     Example: robustlab campaign resume motor.sqlite --workers 2
     """
@@ -341,7 +343,7 @@ def resume(store: Store, workers: WorkerOptions = HERE, limit: Bound = None, pro
 
 @operation("campaign show", result=RESULT)
 def stored(store: Store, limit: Bound = None) -> Any:
-    """What a store holds: counts, worst sample, quantiles, lost samples; also while a run writes it.
+    """The content of a store: counts, worst sample, quantiles, lost samples; also while a run writes it.
 
     Exit code 4 as long as samples are missing.
 

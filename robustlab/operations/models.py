@@ -1,4 +1,4 @@
-"""Operations of what makes, checks and joins models."""
+"""Operations that make, check and compare models."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import robustlab as rl
 from robustlab.errors import UsageError
 from robustlab.operations.declaration import InLoop, Named, operation
-from robustlab.operations.kinds import Number, Numbers, Quantity, Table, Thing, Whole, in_units
+from robustlab.operations.kinds import Number, Numbers, Pair, Quantity, Table, Thing, Whole, in_units
 from robustlab.operations.words import Model, Outputs
 
 PLANT = "Name of the plant (dc-motor), file.py:name, or an HDF5 file with one."
@@ -19,7 +19,7 @@ Part = Annotated[
 
 
 class Rest(Table):
-    """Where a nonlinear plant rests: values by name; in a recipe six numbers of a pose, too."""
+    """The equilibrium of a nonlinear plant: values by name; in a recipe also the six numbers of a pose."""
 
     def field(self) -> Any:
         from pydantic import Field
@@ -33,8 +33,8 @@ class Rest(Table):
 At = Annotated[
     Any,
     Rest(),
-    "Rest of a nonlinear plant: input, output or state, NAME=VALUE; repeatable. In a recipe a pose, too: tx, ty, tz"
-    " in m, ax, ay, az in rad.",
+    "Equilibrium of a nonlinear plant: input, output or state, NAME=VALUE; repeatable. In a recipe a pose, too: tx, ty,"
+    " tz in m, ax, ay, az in rad.",
 ]
 Pose = Annotated[
     tuple[float, ...] | None,
@@ -45,7 +45,7 @@ Pose = Annotated[
 
 
 def at_rest(plant: Any, at: Any, pose: Any) -> Any:
-    """The pose, or the values at rest; None where the plant is looked at where it rests by itself."""
+    """Return the pose or the values of the equilibrium; None for the plant's own."""
     from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
 
     if pose is not None and at:
@@ -66,7 +66,7 @@ def linearise(
     ] = None,
     pade: Annotated[int, Whole(0, 40), "Order of the Pade approximation of delays; 0: left out."] = 0,
 ) -> Any:
-    """The linear state-space model of a plant; states that the kept outputs do not show are left out.
+    """The linear state-space model of a plant; states that the kept outputs do not show are removed.
 
     Example: robustlab model build dc-motor --set R=2.2 --out motor.h5
     """
@@ -93,7 +93,7 @@ def _place(at: Any, pose: Any) -> dict[str, str]:
 
 
 def left_out(missing: Any) -> tuple[str, ...]:
-    """A line for each effect that is not in a model."""
+    """Return a line for each effect that is not in a model."""
     return tuple(f"not in it: {m.effect.effect.title} at {m.effect.site}: {m.reason}" for m in missing)
 
 
@@ -166,9 +166,7 @@ def diff(
 
 
 def two_models(first: Any, second: Any) -> tuple[Any, Any]:
-    """Both models: of two files, or of one that holds two."""
-    from robustlab.operations.kinds import Pair
-
+    """Return both models, of two files or of one that holds two."""
     if isinstance(first, Pair):
         if second is not None:
             raise UsageError("two models", "a file of two and another one", "one of them")

@@ -1,4 +1,4 @@
-"""How commands read a plant by the name that was typed: of a plant that comes with robustlab, or of a file."""
+"""Read a plant named on the command line: a shipped plant, or a file."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from robustlab.errors import InputError, UsageError, did_you_mean
 
 
 def runs_code(name: str) -> bool:
-    """Whether what the name stands for is made by a user's code: ``file.py:name``, or a unit of FMI."""
+    """Return whether reading the plant runs a user's code: ``file.py:name``, or a unit of FMI."""
     from robustlab.dynamics.plant_file import plant_reference, unit_reference
 
     return bool(plant_reference(name) or unit_reference(name))
 
 
 def read_plant(name: str, parameters: Mapping[str, Any]) -> Any:
-    """The plant of that name, in that file of Python (``file.py:name``: it is run), or in that HDF5 file."""
+    """Return the shipped plant, or the plant in a Python file (``file.py:name``, which is run) or an HDF5 file."""
     from robustlab.storage.interchange import is_plant_file, load_plant
 
     if runs_code(name):
@@ -31,7 +31,7 @@ def read_plant(name: str, parameters: Mapping[str, Any]) -> Any:
 
 
 def named_plant(name: str, settings: Sequence[str]) -> Any:
-    """The plant of that name or of that code; None where the name is that of another file."""
+    """Return the plant of a name or a user's code; None where the name is that of another file."""
     from robustlab.dynamics import plant_names
 
     if name in plant_names() or runs_code(name):
@@ -49,7 +49,7 @@ def named_plant(name: str, settings: Sequence[str]) -> Any:
 
 
 def plant_settings(texts: Sequence[str] | None) -> dict[str, Any]:
-    """``["R=2.1", "preset=physical", "motors=true"]`` as the keyword arguments of a plant."""
+    """Return ``["R=2.1", "preset=physical", "motors=true"]`` as keyword arguments of a plant."""
     values: dict[str, Any] = {}
     for text in texts or []:
         name, equals, value = text.partition("=")
@@ -59,19 +59,19 @@ def plant_settings(texts: Sequence[str] | None) -> dict[str, Any]:
         try:
             values[name] = words[value] if value in words else float(value)
         except ValueError:
-            values[name] = value  # a choice, such as a preset; the plant knows which there are
+            values[name] = value  # a choice, such as a preset, which the plant checks
     return values
 
 
 def made_of(name: str, thing: Any) -> dict[str, str]:
-    """File -> SHA-256 of what was read for a plant or model; empty for a plant that comes with robustlab."""
+    """Return file -> SHA-256 of the files read for a plant or model; empty for a shipped plant."""
     from robustlab.provenance import code_of, file_sha256
 
     return code_of(thing) or ({name: file_sha256(name)} if Path(name).is_file() else {})
 
 
 def _require_known(name: str) -> None:
-    """Refuse a name of neither a plant nor a file, with the nearest one of all plants and of the files beside it."""
+    """Raise on a name of neither a plant nor a file, with the nearest name of a plant or of a file in its folder."""
     from robustlab.dynamics import plant_names
 
     path = Path(name)

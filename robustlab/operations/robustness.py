@@ -1,4 +1,4 @@
-"""Operations of margins, gains and stability: of one model, of a set, of blocks that are not linear."""
+"""Operations of margins and gains, of one model and of a set."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from robustlab.operations.declaration import InLoop, Named, operation
 from robustlab.operations.kinds import Choice, Flag, Number
 from robustlab.operations.words import Frequency, Loop, Model, Search, Seed, Signals, System, Uncertain
 
-# Words of a sign, as `robustlab.closing` has them; it is not imported here, for numpy's sake.
+# As in `robustlab.closing`, which would import numpy.
 WORDS = {-1: "negative", 1: "positive"}
 
 AT = "mu_analysis.margins.at_frequencies."
 Of = Annotated[Model, Named(key="of")]
 OfSet = Annotated[Uncertain, Named(key="of")]
 NO_LOOP, ALL_SIGNALS, USUAL = Loop(), Signals(), Search()
-Tolerance = Annotated[float, Number(above=0), "Relative gap of the bounds that is aimed at; inf: no branch and bound."]
+Tolerance = Annotated[float, Number(above=0), "Target of the relative gap of the bounds; inf: no branch and bound."]
 Accuracy = Annotated[float, Number(above=0, below=1), "Relative distance to the best margin that D, G can prove."]
 Intervals = Annotated[bool, Flag(), "Print the proved frequency intervals.", Named(only="command")]
 
@@ -26,7 +26,7 @@ Intervals = Annotated[bool, Flag(), "Print the proved frequency intervals.", Nam
 # --- margins of a loop ------------------------------------------------------------------------------------------------
 
 
-Skew = Annotated[float, Number(), "0: gain up as much as down; positive: rather up."]
+Skew = Annotated[float, Number(), "0: equal factors of gain up and down; positive: more up."]
 At = Annotated[str, Choice(("input", "output", "both")), "Where gain and phase change."]
 
 
@@ -72,7 +72,7 @@ def classical_margins(
 
 
 def _loop(plant: Any, around: Loop) -> tuple[Any, Any, Any, str]:
-    """Plant, controller, sign and the loop in words; a sign that nothing says is that of the stable loop."""
+    """Return plant, controller, sign and the loop's description; an undeclared sign is that of the stable loop."""
     from robustlab.closing import closing, without_sign
     from robustlab.delays.model import as_delayed
 
@@ -87,11 +87,11 @@ def _loop(plant: Any, around: Loop) -> tuple[Any, Any, Any, str]:
 
 
 def _grid(system: Any, drawn: bool) -> Any:
-    """Frequencies for the curves of a figure; none where nothing is drawn."""
+    """Return frequencies for the curves of a figure; None where nothing is drawn."""
     from robustlab.linear_analysis.frequency import default_grid
 
-    asked = drawn and isinstance(system, rl.UncertainModel) and system.M.n_states
-    return default_grid(system.M, 60) if asked else None
+    curves = drawn and isinstance(system, rl.UncertainModel) and system.M.n_states
+    return default_grid(system.M, 60) if curves else None
 
 
 @operation("mu", "robust-stability", result=f"mu_analysis.axis.margin.Margin, {AT}MarginAt")
@@ -154,8 +154,7 @@ def worst_case_gain(
         "omega": _grid(kept, drawn), "tolerance": tolerance, **search.options
     }  # fmt: skip
     found: Any = rl.peak_gain(kept, frequency=frequency, seed=seed, **options)
-    tables = (found.proved(),) if intervals else ()
-    return InLoop(found, words, (), {}, tables)
+    return InLoop(found, words, (), {}, (found.proved(),) if intervals else ())
 
 
 @operation("performance-margin", "performance-margin", result="mu_analysis.axis.margin.PerformanceMargin")

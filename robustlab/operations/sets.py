@@ -1,4 +1,4 @@
-"""Operations of what makes uncertain models: from two models, a plant's ranges, expressions, models, data, delays."""
+"""Operations that make uncertain models: from two models, a plant's ranges, expressions, models, a discovery."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ COVERS = (
     "inverse-input-multiplicative", "inverse-output-multiplicative",
 )  # fmt: skip
 USUAL_SEARCH = Search()
-EXACT = 1e-12  # share of the largest entry that the ends of an element-wise set may miss
+EXACT = 1e-12  # largest error of the ends of an element-wise set, relative to the largest entry
 ANY = ("plant", "model", "uncertain", "any")
 NOTHING = "no uncertainty: mu = 0"
 
@@ -52,13 +52,13 @@ def elementwise(
     structure: Annotated[
         str,
         Choice(STRUCTURES),
-        "What moves together; cover: a full block for each matrix, which holds every element-wise member.",
+        "Entries that vary together; cover: a full block for each matrix, which contains every element-wise member.",
     ] = "elements",
     rtol: Annotated[
         float | None, Number(least=0, below=1), "Relative differences up to this are noise; none where left out."
     ] = None,
 ) -> Any:
-    """Uncertain model from a nominal model and the same model perturbed as far as it may go.
+    """Uncertain model from a nominal model and a maximally perturbed one.
 
     Example: robustlab uncertain build nominal.h5 perturbed.h5 --structure elements --out uncertain.h5
     """
@@ -71,12 +71,12 @@ def elementwise(
         note = "Contains every member of the element-wise set: what is proved for it is proved for them."
         return BuiltModel(elementwise_cover(first, second), structure, rl.Status.CERTIFIED, notes=(note, *notes))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the notes say it
+        warnings.simplefilter("ignore")  # repeated in the notes
         model = rl.elementwise(first, second, structure, rtol)
     residual = endpoint_residual(model, second)
     status = rl.Status.CERTIFIED if residual.largest <= EXACT else rl.Status.INACCURATE
     if rtol and not status.trustworthy:
-        status = rl.Status.CONVERGED  # as near as was asked
+        status = rl.Status.CONVERGED  # within rtol
     found = BuiltModel(model, structure, status, residual, ends=(first, second))
     return InLoop(found, notes=notes if model.blocks or notes else (NOTHING,))
 
@@ -98,13 +98,13 @@ def uncertain(
         Named(option="--range"),
     ] = None,
     own: Annotated[
-        bool, Flag(), "Keep the tolerances that the plant's other parameters have of their own.", Named(in_step=False)
+        bool, Flag(), "Keep the plant's own tolerances of the other parameters.", Named(in_step=False)
     ] = True,
     outputs: Outputs = None,
     at: At = None,
     pose: Pose = None,
     hold: Annotated[
-        list[str] | None, Names(), "States and inputs of a nonlinear plant that stay while parameters change."
+        list[str] | None, Names(), "States and inputs of a nonlinear plant that are constant while parameters change."
     ] = None,
 ) -> Any:
     """Uncertain model of a plant: each parameter varies in a range, or by a share of its value, 0.05 or 5%.
@@ -123,10 +123,9 @@ def uncertain(
         raise UsageError("range", f"{plant.name} carries effects", "tolerances")
     exact = {} if own else {name: (p.value, 0.0) for name, p in plant.parameters.items()}
     made: Any = plant.with_parameters(**{**exact, **{n: (nominal.get(n, 1.0), share) for n, share in shares.items()}})
-    rest = {"at": at_rest(made, at, pose), "hold": hold}
+    options: dict[str, Any] = {"at": at_rest(made, at, pose), "hold": hold, "ranges": ends}
     if hold and (not isinstance(made, NonlinearPlant) or isinstance(made, SteppedPlant)):
         raise UsageError("hold", f"{plant.name} has one linear model", "it for a nonlinear plant only")
-    options: dict[str, Any] = {**rest, "ranges": ends}
     model = made.uncertain(outputs, **{name: value for name, value in options.items() if value})
     missing = getattr(made, "left_out", tuple)()
     notes = [*left_out(missing), *model.remarks]
@@ -147,8 +146,7 @@ def expressions(file: Annotated[str, TextFile(), "TOML file with A, B, C, D in n
     from robustlab.uncertainty.built import BuiltModel
 
     model = load_parametric(file)
-    found = BuiltModel(model, "parameters", None)
-    return InLoop(found, notes=() if model.blocks else (NOTHING,))
+    return InLoop(BuiltModel(model, "parameters", None), notes=() if model.blocks else (NOTHING,))
 
 
 @operation("uncertain cover", result="mu_analysis.margins.cover.Cover", gives="uncertain", made="model")
@@ -162,14 +160,14 @@ def cover(
     directions: Annotated[int | None, Whole(1, 100), "Number of directions of the form pca."] = None,
     controller: Annotated[
         Controller,
-        "File of a controller, closed as it says: the cover's worst gain is that of its loop.",
+        "File of a controller, with its sign: the cover's worst gain is that of its loop.",
         Named(option="--controller,-k"),
     ] = None,
     feedback: Sign = None,
     search: Search = USUAL_SEARCH,
     progress: Any = None,
 ) -> Any:
-    """The smallest uncertain model of a form that holds every one of a set of models, with its conservatism.
+    """The smallest uncertain model of a form that contains a set of models, with its conservatism.
 
     Example: robustlab uncertain cover unit1.h5 unit2.h5 unit3.h5 --form pca --out set.h5
     """
@@ -226,7 +224,7 @@ def uncertain_from(
     ] = 2.0,
     pade: Annotated[int, Whole(1, 8), "Order of the Pade part of delays."] = 2,
 ) -> Any:
-    """Uncertain model of what a discovery found and left unexplained; each block says where it comes from.
+    """Uncertain model of the effects and the residual of a discovery; each block has its origin.
 
     Example: robustlab uncertain discovery found/ --amplitude v=0.05 --out set.h5
     """

@@ -1,4 +1,4 @@
-"""The words of a recipe that its steps share: kinds of numbers, names, references and weights."""
+"""Types of keys that the steps of recipes share: numbers, names, references and weights."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from robustlab.units import share
 
 
 class Strict(BaseModel):
-    """No unknown keys, no silent conversion (TOML has types), no NaN or infinity."""
+    """Reject unknown keys, silent conversion (TOML has types), NaN and infinity."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, populate_by_name=True)
 
 
 @dataclass(frozen=True)
 class RefersTo:
-    """Marks a field that names an earlier step, and what that step must give; see `robustlab.recipe.load`."""
+    """Mark a field that names an earlier step, with the kinds that this must give; see `robustlab.recipe.load`."""
 
     gives: tuple[str, ...]
 
     def __get_pydantic_json_schema__(self, core_schema: Any, handler: Any) -> dict[str, Any]:
-        """The schema of a text, with what it is; a field's own description comes before this one."""
+        """Return the schema of a text with a description, which a field's own replaces."""
         *first, last = [kind for kind in self.gives if kind != "any"] or [""]
         kinds = f"{', '.join(first)} or {last}" if first else last
         return {
@@ -36,13 +36,13 @@ class RefersTo:
 
 @dataclass(frozen=True)
 class Names:
-    """Marks a field whose texts (or keys) name what another step has; see `robustlab.recipe.check`."""
+    """Mark a field whose texts (or keys) name signals or parameters of another step; see `robustlab.recipe.check`."""
 
     side: Literal["inputs", "outputs", "signals", "parameters"]
-    of: str = "of"  # key of this step in which that other step stands
+    of: str = "of"  # key of this step that names the other step
 
 
-# "any": a loaded file shows only at run time what it holds.
+# "any": the object of a loaded file is known only at run time.
 ToPlant = Annotated[str, RefersTo(("plant",))]
 ToModel = Annotated[str, RefersTo(("plant", "model", "uncertain", "any"))]
 ToOneModel = Annotated[str, RefersTo(("plant", "model", "any"))]
@@ -62,12 +62,11 @@ Count = Annotated[int, Field(ge=0, le=1_000_000)]
 Points = Annotated[int, Field(ge=2, le=100_000)]
 TimeLimit = Annotated[float, Field(gt=0, le=86400)]
 Effort = Annotated[float, Field(gt=0, le=10_000)]
-Band = Annotated[list[Annotated[float, Field(ge=0)]], Field(min_length=2, max_length=2)]
 Feedback = Annotated[
     Literal[-1, 1] | None,
     Field(description="-1 for negative feedback, 1 for positive; as the controller says of itself where left out."),
 ]
-GUARD = "s; a guard: where it strikes, the step ends without a repeatable answer."
+GUARD = "Time limit in s. If it is reached, the result depends on the machine."
 Tolerance = Annotated[float, Field(gt=0, lt=1)]
 Order = Annotated[int, Field(ge=1, le=10)]
 
@@ -79,7 +78,7 @@ def _number_or_pair(value: Any, handler: Any) -> Any:
         raise PydanticCustomError("number_or_pair", "expected a number, or [number, relative tolerance]") from None
 
 
-# A number with the parameter's unit, or a per cent sign; the plant knows the unit, and reads it.
+# A number with a unit or a per cent sign, which the plant reads.
 NumberText = Annotated[str, Field(pattern=r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", max_length=100)]
 NumberOrPair = Annotated[
     float | NumberText | Annotated[list[float | NumberText], Field(min_length=2, max_length=2)],
@@ -115,7 +114,7 @@ PriorTolerance = Annotated[float, Field(gt=0), WrapValidator(_share), _share_sch
 
 
 class PerformanceWeight(Strict):
-    """Asks the sensitivity S to stay below ``error`` at low frequency and below ``peak`` everywhere."""
+    """A bound on the sensitivity S: ``error`` at low frequency and ``peak`` everywhere."""
 
     bandwidth: Positive = Field(description="rad/s, where the bound on S crosses one.")
     error: Tolerance = Field(1e-3, description="Largest control error in steady state, as a share of the reference.")
@@ -124,7 +123,7 @@ class PerformanceWeight(Strict):
 
 
 class ErrorWeight(Strict):
-    """Asks the error of shaped references to stay below ``error``, and to fall with the frequency below ``corner``."""
+    """A bound on the error of shaped references: ``error``, falling with the frequency below ``corner``."""
 
     error: Tolerance = Field(description="Largest error above the corner, as a share of the reference.")
     corner: Positive = Field(description="rad/s")
@@ -132,7 +131,7 @@ class ErrorWeight(Strict):
 
 
 class ControlWeight(Strict):
-    """Asks the gain from reference to control signal to stay below ``limit``, and to fall above ``bandwidth``."""
+    """A bound on the gain from reference to control signal: ``limit``, falling above ``bandwidth``."""
 
     limit: Positive = Field(description="Control units per output unit.")
     bandwidth: Positive | None = Field(None, description="rad/s; a constant bound where left out.")
@@ -140,7 +139,7 @@ class ControlWeight(Strict):
 
 
 class ComplementaryWeight(Strict):
-    """Asks the complementary sensitivity T to stay below ``peak`` and to fall above ``bandwidth``."""
+    """A bound on the complementary sensitivity T: ``peak``, falling above ``bandwidth``."""
 
     bandwidth: Positive = Field(description="rad/s, where the bound on T crosses one.")
     peak: Annotated[float, Field(gt=1)] = 2.0
@@ -149,7 +148,7 @@ class ComplementaryWeight(Strict):
 
 
 class ReferenceLine(Strict):
-    """A known value to draw beside a response."""
+    """A known value to draw with a response."""
 
     output: str
     value: float

@@ -1,4 +1,4 @@
-"""Parameters that many operations share, declared once: what they are called, take, and mean."""
+"""Parameters that many operations share."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 from robustlab.operations.declaration import Named, closed
-from robustlab.operations.kinds import Feedback, Flag, Machine, Names, Number, Numbers, RecordFile, Thing, Whole
+from robustlab.operations.kinds import Feedback, Machine, Names, Number, Numbers, RecordFile, Thing, Whole
 
 Model = Annotated[Any, Thing(("plant", "model", "uncertain", "any"), model=True), "HDF5 or MATLAB file."]
 System = Annotated[Any, Thing(("plant", "model", "uncertain", "any")), "HDF5 or MATLAB file."]
@@ -23,24 +23,20 @@ Sign = Annotated[
     "negative (u = -K y; -1 in a recipe) or positive (1); if left out, as the controller says of itself.",
     Named(argument="sign"),
 ]
-Effort = Annotated[float, Number(above=0, most=10_000), "Work that the search may take, as a multiple of the usual."]
+Effort = Annotated[float, Number(above=0, most=10_000), "Work allowed for the search, as a multiple of the usual."]
 TimeLimit = Annotated[
-    float | None, Number(above=0, most=86400), "Guard in s: where it strikes, the answer is not repeatable."
+    float | None, Number(above=0, most=86400), "Time limit in s. If it is reached, the result depends on the machine."
 ]
 Seed = Annotated[int, Whole(0, 2**63 - 1), "Seed of the random numbers; same seed, same answer."]
 Frequency = Annotated[list[float] | None, Numbers("rad/s"), "At these frequencies only, rad/s: 1,10; or 2Hz."]
-Band = Annotated[
-    tuple[float, float] | None, Numbers("rad/s", 2, "LOW,HIGH"), "Frequencies in rad/s: between these alone."
-]
 Inputs = Annotated[list[str] | None, Names("inputs"), "Inputs to keep; all if left out."]
 Outputs = Annotated[list[str] | None, Names("outputs"), "Outputs to keep; all if left out."]
 SampleTime = Annotated[float, Number(above=0), "Sample time in s."]
-Yes = Annotated[bool, Flag()]
 
 
 @dataclass(frozen=True)
 class Search:
-    """The work that a search or a proof may take, and the guard on its time."""
+    """The work allowed for a search or a proof, and its time limit."""
 
     effort: Effort = 1.0
     time_limit: TimeLimit = None
@@ -52,13 +48,13 @@ class Search:
 
 @dataclass(frozen=True)
 class Signals:
-    """Which inputs and outputs of a system are looked at."""
+    """The inputs and outputs of a system that are used."""
 
     inputs: Inputs = None
     outputs: Outputs = None
 
     def of(self, system: Any) -> Any:
-        """The system between these."""
+        """Return the system between these."""
         if self.inputs is None and self.outputs is None:
             return system
         if hasattr(system, "select"):
@@ -75,5 +71,5 @@ class Loop:
     sign: Annotated[Sign, Named(option="--feedback")] = None
 
     def around(self, system: Any, where: str) -> tuple[Any, str]:
-        """The system with it, and the loop in words."""
+        """Return the closed loop and its description."""
         return closed(system, self.controller, self.sign, where)

@@ -1,6 +1,6 @@
-"""Checks a recipe before its first step runs: files, signals, units, and results asked for.
+"""Check a recipe before its first step runs: files, signals, units, and required results.
 
-What cannot be known without a computation is no fault here (`robustlab.recipe.steps.contract.Step.foretell`).
+Values that need a computation are not checked here (`robustlab.recipe.steps.contract.Step.foretell`).
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from robustlab.recipe.schema import Requirement
 from robustlab.recipe.steps.contract import Ahead, Foretold, Step, look_ahead
 from robustlab.units import same_unit
 
-# What a loaded file may hold, and what a step may ask for that takes nothing else.
+# Objects that a loaded file may hold, and those that a step may require.
 HELD = (rl.StateSpaceModel, rl.UncertainModel, rl.Controller, rl.Record)
 WANTED: dict[str, type] = {"uncertain": rl.UncertainModel, "record": rl.Record}
 
 
 def look_through(loaded: LoadedRecipe) -> Ahead:
-    """What is known of each step before anything runs."""
+    """Infer what each step will give before anything runs; raise all faults found."""
     recipe = loaded.recipe
     sources: dict[str, Path] = {}
     ahead = Ahead(sources)
@@ -67,9 +67,9 @@ def look_through(loaded: LoadedRecipe) -> Ahead:
 
 
 def at_step(error: RobustlabError, loaded: LoadedRecipe, name: str) -> RobustlabError:
-    """The error with the step's name before it; what is off is the recipe, not the command."""
+    """Return the error with the step's name before it; a wrong use in a recipe is a wrong input."""
     kind = InputError if isinstance(error, UsageError) else type(error)
-    colon = "" if error.where.startswith(".") else ": "  # a key of the step, or what the step asked
+    colon = "" if error.where.startswith(".") else ": "  # a key of the step
     where = f"{loaded.path.name}: step.{name}{colon}{error.where}"
     return kind(
         where, error.found, error.expected, step_hint(error, getattr(loaded.recipe.step[name], "do", "")), error.more
@@ -96,7 +96,7 @@ def _in_lines(fault: RobustlabError, loaded: LoadedRecipe) -> list[str]:
 
 
 def _wrong_kinds(step: Step, ahead: Ahead) -> list[InputError]:
-    """References to files that hold something else than the step takes."""
+    """Return a fault for each reference to a file whose object the step does not take."""
     found: list[InputError] = []
     for key, target, wanted in references(step):
         held = ahead[target].value
@@ -108,7 +108,7 @@ def _wrong_kinds(step: Step, ahead: Ahead) -> list[InputError]:
 
 
 def _wrong_names(step: Step, ahead: Ahead) -> list[InputError]:
-    """Names that are none of the signals or parameters that another step is known to have."""
+    """Return a fault for each name that is no signal or parameter of the step referred to."""
     found: list[InputError] = []
     for key, mark in marked(step, Names):
         target, given = getattr(step, mark.of), getattr(step, key)
@@ -124,11 +124,11 @@ def _wrong_names(step: Step, ahead: Ahead) -> list[InputError]:
     return found
 
 
-def _known(told: Foretold, side: str) -> list[str] | None:
+def _known(inferred: Foretold, side: str) -> list[str] | None:
     if side == "parameters":
-        parameters = getattr(told.value, "parameters", None)
+        parameters = getattr(inferred.value, "parameters", None)
         return None if parameters is None else list(parameters)
-    sides = (told.outputs, told.inputs) if side == "signals" else (getattr(told, side),)
+    sides = (inferred.outputs, inferred.inputs) if side == "signals" else (getattr(inferred, side),)
     return None if None in sides else [name for known in sides for name in known or ()]
 
 

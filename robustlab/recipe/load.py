@@ -1,6 +1,6 @@
-"""Reading a recipe: TOML to a checked `Recipe`, with every fault named at once by its dotted key; the files it names.
+"""Read a recipe: TOML to a checked `Recipe`, all faults reported at once by their dotted keys; find its files.
 
-A recipe comes from outside. It is data only: nothing of it is evaluated, and its size is limited.
+A recipe is untrusted data: nothing in it is evaluated, and its size is limited.
 """
 
 from __future__ import annotations
@@ -27,10 +27,8 @@ MAX_BYTES = 1 << 20
 MAX_FAULTS_SHOWN = 50
 
 _REFUSED = {
-    ".yaml": "YAML reads 1e-3 as a text and 'no' as false, and its tags can run code",
-    ".yml": "YAML reads 1e-3 as a text and 'no' as false, and its tags can run code",
-    ".pkl": "a pickle runs code when it is read",
-    ".pickle": "a pickle runs code when it is read",
+    **dict.fromkeys((".yaml", ".yml"), "YAML reads 1e-3 as a text and 'no' as false, and its tags can run code"),
+    **dict.fromkeys((".pkl", ".pickle"), "a pickle runs code when it is read"),
     ".py": "a program is not a recipe",
     ".json": "JSON has no comments, and a recipe explains itself",
 }
@@ -38,7 +36,7 @@ _REFUSED = {
 
 @dataclass(frozen=True)
 class LoadedRecipe:
-    """A recipe with where it came from."""
+    """A recipe with its file."""
 
     recipe: Recipe  # the checked recipe, with `--set` applied
     path: Path  # its file
@@ -69,7 +67,7 @@ def load_recipe(path: str | Path, overrides: Sequence[str] = ()) -> LoadedRecipe
 
 
 def parse_recipe(text: str, where: str = "recipe", overrides: dict[str, str] | None = None) -> Recipe:
-    """A checked recipe from TOML text of the caller's own, parsed in this process; see `load_recipe`."""
+    """Return the checked recipe of a TOML text; see `load_recipe`."""
     return _checked(parse_document("toml", text.encode("utf-8", "surrogatepass"), where), where, overrides)
 
 
@@ -80,7 +78,7 @@ def _checked(data: dict[str, Any], where: str, overrides: dict[str, str] | None)
     try:
         recipe = recipe_model().model_validate(data)
     except ValidationError as error:
-        # Only those that are shown are put into words: a file of faults must not cost a comparison of names for each.
+        # Only the faults shown are worded: each may compare names.
         errors = error.errors(include_url=False)
         faults = list(dict.fromkeys(_fault(e, data) for e in errors[:MAX_FAULTS_SHOWN]))
         more = max(len(errors) - MAX_FAULTS_SHOWN, 0)
@@ -94,9 +92,6 @@ def _checked(data: dict[str, Any], where: str, overrides: dict[str, str] | None)
         raise InputError(f"{where}: {key}", found)
     shown = [*faults, f"and {more} more"] if more else faults
     raise InputError(where, f"{len(faults) + more} faults", None, None, tuple(f"  {fault}" for fault in shown))
-
-
-# --- faults in words -------------------------------------------------------------------------------------------------
 
 
 def _fault(error: Any, data: dict[str, Any]) -> str:
@@ -125,12 +120,8 @@ def _fault(error: Any, data: dict[str, Any]) -> str:
         case "string_pattern_mismatch":
             return f"{key}: {error['input']!r} has characters that are not allowed here"
     text = str(error["msg"])
-    return f"{key}: {text[:1].lower()}{text[1:]}, found {_short(error['input'])}"
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
+    found = repr(error["input"])
+    return f"{key}: {text[:1].lower()}{text[1:]}, found {found if len(found) <= 60 else f'{found[:57]}...'}"
 
 
 def _suggestion(name: str, known: list[str]) -> str:
@@ -150,7 +141,7 @@ def _known_keys(loc: tuple[Any, ...]) -> list[str]:
 
 
 def _reference_faults(recipe: Recipe) -> list[str]:
-    """A step may refer to steps before it, and only to such as give what it needs; so may requirements."""
+    """Return the faults of references: steps refer to earlier steps that give what they need, requirements to any."""
     faults: list[str] = []
     earlier: dict[str, Step] = {}
     for name, step in recipe.step.items():
@@ -180,19 +171,19 @@ def _reference_faults(recipe: Recipe) -> list[str]:
 
 
 def references(step: Step) -> list[tuple[str, str, tuple[str, ...]]]:
-    """Key in the step, name of another step that stands there, and what that one must give."""
+    """Return each reference of a step: its key, the step it names, and what that step must give."""
     found: list[tuple[str, str, tuple[str, ...]]] = []
     for name, mark in marked(step, RefersTo):
         target = getattr(step, name)
         if isinstance(target, list):
             found += [(f"{name}.{i}", item, mark.gives) for i, item in enumerate(target)]
-        elif isinstance(target, str):  # a number may stand in its place
+        elif isinstance(target, str):  # some keys take a number instead
             found.append((name, target, mark.gives))
     return found
 
 
 def marked(step: Step, kind: type[Mark]) -> list[tuple[str, Mark]]:
-    """Fields of a step that carry a mark of this kind, with the first of them."""
+    """Return the fields of a step that have a mark of this kind, each with its first one."""
     found: list[tuple[str, Mark]] = []
     for name, field in type(step).model_fields.items():
         # An optional field keeps its mark inside the union, a list of references inside the list.
@@ -211,19 +202,18 @@ def _metadata(annotation: Any) -> Iterator[Any]:
 
 
 def split_overrides(items: Sequence[str]) -> dict[str, str]:
-    """Dotted key -> text of the value. Raises UsageError: an item without ``=``."""
-    return dict(_split_override(item) for item in items)
-
-
-def _split_override(item: str) -> tuple[str, str]:
-    key, equals, value = item.partition("=")
-    if not equals or not key.strip():
-        raise UsageError(f"--set {item}", "no key and value", "--set key=value", "for example --set seed=7")
-    return key.strip(), value.strip()
+    """Return dotted key -> text of the value. Raises UsageError: an item without ``=``."""
+    found: dict[str, str] = {}
+    for item in items:
+        key, equals, value = item.partition("=")
+        if not equals or not key.strip():
+            raise UsageError(f"--set {item}", "no key and value", "--set key=value", "for example --set seed=7")
+        found[key.strip()] = value.strip()
+    return found
 
 
 def _override(data: dict[str, Any], key: str, text: str) -> None:
-    """Put a value into the recipe's data; the value is read as TOML, and as a plain text where it is none."""
+    """Put a value into the recipe's data; text that is no TOML value is taken as plain text."""
     where = f"--set {key}"
     parts = key.split(".")
     steps = data.get("step")
@@ -264,11 +254,11 @@ def _value(text: str) -> Any:
 
 
 def find_file(loaded: LoadedRecipe, name: str, step: Step) -> Path | None:
-    """The file that a step reads, None where it reads none; asked for before anything runs.
+    """Return the file that a step reads, None where it reads none.
 
-    A path is looked for beside the recipe, in the folder above it, and in the working directory; one given with
-    ``--set`` in the working directory first. Models, and plants in a file of Python, must lie in the recipe's folder or
-    the folder above it, unless ``--set`` says otherwise.
+    A path is searched in the recipe's folder, the folder above it, and the working directory; one given with ``--set``
+    in the working directory first. Models and Python files of plants must be in the recipe's folder or the folder above
+    it, unless given with ``--set``.
     """
     key, given = _named_file(step)
     if given is None:
@@ -283,7 +273,7 @@ def find_file(loaded: LoadedRecipe, name: str, step: Step) -> Path | None:
 
 
 def _named_file(step: Step) -> tuple[str, str | None]:
-    """Key of the step that names a file, and the file; None without one."""
+    """Return the key of the step that names a file, and the file or None."""
     if isinstance(step, PlantStep):
         from robustlab.dynamics.plant_file import plant_reference, unit_reference
 
@@ -334,10 +324,10 @@ def _check_inside(recipe: Path, key: str, given: str, path: Path) -> None:
 
 
 def recipe_path(given: str) -> Path:
-    """The file that ``robustlab run`` means by ``given``: a path, or the name of a shipped recipe."""
+    """Return the file of a recipe given by its path, or by the name of a shipped recipe."""
     path = Path(given)
     if path.is_file() or path.suffix or len(path.parts) > 1:
-        return path  # a path: `load_recipe` says what is wrong with it
+        return path  # `load_recipe` checks it
     if given in shipped_recipes():
         return shipped_folder() / f"{given}.toml"
     names = shipped_recipes()

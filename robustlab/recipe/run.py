@@ -1,8 +1,8 @@
-"""Running a recipe: its steps run in the order written, its requirements judged, everything written to one folder.
+"""Run a recipe: run its steps in the order written, judge its requirements, write everything to one folder.
 
 ``result.json`` has everything, ``report.html`` the same for reading, ``junit.xml`` the requirements for a CI system;
-``figures/`` are SVG (and PNG with --png), ``evidence/`` results that can be checked again, and what save steps wrote.
-From the first moment the report there says that the run has not finished; however it ends, it is then that of this run.
+``figures/`` has SVG (and PNG with --png), ``evidence/`` results that can be verified again.
+A report of an unfinished run is written at the start and replaced at the end, however the run ends.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ FINISHED, RUNNING = "finished", "running"
 REPORT_FILES = ("report.html", "junit.xml", "result.json")
 
 NUMBER = (int, float)
-# What the report reads in result.json, and the type of each.
+# Keys of result.json that the report reads, with their types.
 RESULT_PARTS = {
     "requirements": [{"text": str, "that": str, "condition": str, "met": bool, "why_not": str}],
     "steps": [
@@ -84,10 +84,10 @@ class RunResult(Shown):
 
     def facts(self) -> Facts:
         """Recipe, requirements, steps with their status."""
-        asked, steps = self.data["requirements"], self.data["steps"]
+        required, steps = self.data["requirements"], self.data["steps"]
         return [
             ("recipe", str(self.data["recipe"]["name"])),
-            ("requirements", f"{sum(bool(q['met']) for q in asked)} of {len(asked)} met"),
+            ("requirements", f"{sum(bool(q['met']) for q in required)} of {len(required)} met"),
             ("steps", listed(f"{s['name']} ({s['status'] or 'no status'})" for s in steps)),
             ("exit code", str(self.exit_code)),
             ("folder", str(self.folder)),
@@ -105,7 +105,7 @@ class Ending:
 
     how: str  # finished, running, interrupted, bad input, environment, internal error
     message: str = ""  # what ended it
-    exit_code: int | None = None  # None where the requirements and the steps tell it
+    exit_code: int | None = None  # None where the requirements and the steps decide it
 
 
 def run_recipe(
@@ -128,7 +128,7 @@ def run_recipe(
     except OSError as error:
         reason = error.strerror or type(error).__name__
         raise EnvironmentFault(str(out), f"cannot be made ({reason})", "a folder to write results into") from error
-    named = frozenset(asked.that.partition(".")[0] for asked in loaded.recipe.require)
+    named = frozenset(r.that.partition(".")[0] for r in loaded.recipe.require)
     drawn = named if named and figures == "required" else None
     work = Workspace(target, {}, loaded.recipe.seed, png=png, drawn=drawn)
     steps: list[dict[str, Any]] = []
@@ -190,7 +190,7 @@ def _write(path: Path, text: str) -> None:
 
 
 def _run_steps(loaded: LoadedRecipe, work: Workspace, report: Callable[[str, str], None]) -> Iterator[dict[str, Any]]:
-    """The entry of each step as it is done; also that of one which ends the run."""
+    """Run each step and yield its entry, also that of a step which ends the run."""
     for name, step in loaded.recipe.step.items():
         report(name, step.kind)
         missing = [target for _, target, _ in references(step) if target not in work.values]
@@ -228,7 +228,7 @@ def _run_steps(loaded: LoadedRecipe, work: Workspace, report: Callable[[str, str
 
 
 def _entry(name: str, step: Step, **more: Any) -> dict[str, Any]:
-    """The entry of a step; without more that of one that gave nothing."""
+    """Return the entry of a step; without further keys that of a step that gave nothing."""
     empty: dict[str, Any] = {
         "status": NOT_RUN, "trustworthy": False, "summary": "", "error": "", "numbers": {}, "facts": [], "story": [],
         "notes": [], "text": "", "figures": [], "seconds": 0.0,
@@ -248,7 +248,7 @@ def _result(
     steps = [*steps, *(_entry(name, step, error=over) for name, step in rest)]
     numbers = {s["name"]: s["numbers"] for s in steps if not s["error"]}
     missing = {s["name"]: f"step {s['name']!r} gave no number ({s['status']})" for s in steps if s["error"]}
-    judgements = [_with_free_run(judge(asked, numbers, missing), recipe, numbers) for asked in recipe.require]
+    judgements = [_with_free_run(judge(r, numbers, missing), recipe, numbers) for r in recipe.require]
     if ending.exit_code is not None or ending.how == RUNNING:
         code = ending.exit_code
     elif any(j.misstated for j in judgements):
@@ -285,15 +285,15 @@ def _digest(loaded: LoadedRecipe) -> str:
 
 
 def _with_free_run(judged: Judgement, recipe: Recipe, numbers: Mapping[str, Any]) -> Judgement:
-    """With the same number in free run beside one that holds in windows, where the recipe does not ask for that."""
+    """Add the number in free run to one that holds in windows, where the recipe does not require it."""
     that = judged.requirement.that
     name = that.split(".")[0]
     path = recipe.step[name].in_free_run(that)
     if path is None or judged.why_not:
         return judged
-    asked = (f"{path.rpartition('.')[0]}.", f"{name}.free_run.")
+    required = (f"{path.rpartition('.')[0]}.", f"{name}.free_run.")
     others = [r.that for r in recipe.require if recipe.step[r.that.split(".")[0]].in_free_run(r.that) is None]
-    if any(other.startswith(asked) for other in others):
+    if any(other.startswith(required) for other in others):
         return judged
     free = judge(judged.requirement.model_copy(update={"that": path}), numbers, {})
     return replace(judged, free_run={"value": free.value, "met": free.met})
@@ -304,11 +304,11 @@ def _files_of_previous_run(target: Path) -> set[str]:
         listed = read_result(target)["files"]
         return {name for name in map(str, listed) if (target / name).resolve().is_relative_to(target)}
     except (InputError, OSError, ValueError):
-        return set()  # no earlier run, or not one of ours: nothing to remove
+        return set()  # no earlier run of robustlab
 
 
 def read_result(folder: str | Path) -> dict[str, Any]:
-    """Content of ``result.json`` of a run."""
+    """Return the content of ``result.json`` of a run."""
     path = Path(folder) / "result.json"
     where = str(path)
     try:
@@ -338,7 +338,7 @@ LONGEST_SLUG = 40  # characters; longer settings are named by their hash
 
 
 def default_folder(loaded: LoadedRecipe, root: str | Path = "out") -> Path:
-    """``NAME`` below ``root``; with changed settings ``NAME`` and these, as ``first-light-seed-7``, or their hash."""
+    """Return ``NAME`` below ``root``; changed settings are added, as ``first-light-seed-7``, or their hash."""
     name, changes = loaded.recipe.name, sorted(loaded.overrides.items())
     if not changes:
         return Path(root) / name
@@ -348,7 +348,7 @@ def default_folder(loaded: LoadedRecipe, root: str | Path = "out") -> Path:
 
 
 def replaced(folder: Path, loaded: LoadedRecipe) -> str:
-    """What a run into ``folder`` replaces, in words; empty where nothing, or the same recipe with the same settings."""
+    """Describe the different run that a run into ``folder`` replaces; empty where there is none."""
     try:
         earlier = read_result(folder)["recipe"]
     except InputError:
@@ -359,20 +359,20 @@ def replaced(folder: Path, loaded: LoadedRecipe) -> str:
     return f"{folder} held the report of another recipe {earlier['name']} with {settings}; this run replaced it"
 
 
-def verified(outcome: Outcome, files: Sequence[Path], asked: bool) -> Outcome:
-    """The outcome with what became of its claims; its status is no better than theirs."""
+def verified(outcome: Outcome, files: Sequence[Path], required: bool) -> Outcome:
+    """Add the verification of its claims to an outcome; its status is no better than theirs."""
     own = [] if outcome.status is None else [outcome.status]
     found = [rl.verify(path) for path in files if claims_in_file(path)]
     if not found:
-        if not asked:
+        if not required:
             return outcome
-        note = "Nothing of this step can be verified: what it found holds no claims."
+        note = "Nothing of this step can be verified: its result has no claims."
         return replace(outcome, status=least_trusted([*own, Status.INCONCLUSIVE]), notes=(*outcome.notes, note))
     facts = [
         Fact("Proved independently" if one.proved else "Refuted" if one.refuted else "Not proved independently", text,
              "verify")
         for one in found
-        for text in (one.headline(), *(f"{label}: {said}" for label, said in one.facts() if said and label != "proved"))
+        for text in (one.headline(), *(f"{label}: {text}" for label, text in one.facts() if text and label != "proved"))
     ]  # fmt: skip
     numbers = {**outcome.numbers, "verified": all(one.proved for one in found)}
     status = least_trusted([*own, *(one.status for one in found)])

@@ -28,13 +28,13 @@ class Requirement(Strict):
     within: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
     equals: float | bool | str | None = None
     contains: Annotated[str, Field(min_length=1, max_length=300)] | None = Field(
-        None, description="A text that a list of texts must have among its items."
+        None, description="A text that a list of texts must contain."
     )
     tolerance: Annotated[float, Field(ge=0)] | None = Field(
         None, description="Largest allowed difference from `equals`."
     )
     unit: Annotated[str, Field(max_length=40)] = Field(
-        "", description="Unit of the number, shown beside it and its limits. It is a label: nothing is converted."
+        "", description="Unit of the number, shown with it and its limits. It is a label: nothing is converted."
     )
 
     @model_validator(mode="after")
@@ -54,7 +54,7 @@ class Requirement(Strict):
 
     @property
     def condition(self) -> str:
-        """The condition in words, for example ``at least 1 rad/s``."""
+        """Return the condition as text, for example ``at least 1 rad/s``."""
         return f"{self._bare_condition} {self.unit}".rstrip()
 
     @property
@@ -76,7 +76,7 @@ class Requirement(Strict):
 
     @property
     def limits(self) -> list[float | None] | None:
-        """Lowest and highest number that is met, None where there is no such end; None of a condition on no number."""
+        """Return the lowest and highest number that meets it, None for an open end; None of a condition on text."""
         if self.within is not None:
             return [*self.within]
         if self.equals is not None and not isinstance(self.equals, (bool, str)):
@@ -96,14 +96,14 @@ class Recipe(Strict):
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     verify: bool = Field(
         False,
-        description="Have what the steps prove proved once more, from the files that the run writes; see rl.verify.",
+        description="Verify the results of all steps again, from the files that the run writes; see rl.verify.",
     )
     step: dict[StepName, Step]
     require: Annotated[list[Requirement], Field(max_length=1000)] = Field([])
 
 
 def recipe_model() -> type[Recipe]:
-    """`Recipe` with its steps told apart by ``do``: every kind that is known by now."""
+    """Return `Recipe` with every registered kind of step, distinguished by ``do``."""
     return _with_kinds(tuple(KINDS.values()))
 
 
@@ -115,7 +115,7 @@ def _with_kinds(kinds: tuple[type[Step], ...]) -> type[Recipe]:
 
 
 def json_schema() -> dict[str, Any]:
-    """The JSON Schema of a recipe."""
+    """Return the JSON Schema of a recipe."""
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         **recipe_model().model_json_schema(by_alias=True),
@@ -124,17 +124,17 @@ def json_schema() -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Judgement:
-    """A requirement and what became of it."""
+    """A requirement and its judgement."""
 
-    requirement: Requirement  # the requirement
-    value: Any  # what was found; None where nothing was
-    met: bool  # True where it was found and fulfils the condition
+    requirement: Requirement
+    value: Any  # the value found, or None
+    met: bool
     why_not: str = ""  # why it cannot be judged; empty where it was
-    misstated: bool = False  # it asks for something that the step, though done, does not have
+    misstated: bool = False  # it names something that the finished step does not have
     free_run: Mapping[str, Any] | None = None  # of a number in windows: the same in free run, `value` and `met`
 
     def to_json(self) -> dict[str, Any]:
-        """Plain types."""
+        """Return plain types."""
         r = self.requirement
         return {
             "text": r.text,
@@ -150,7 +150,7 @@ class Judgement:
 
 
 def judge(requirement: Requirement, numbers: Mapping[str, Mapping[str, Any]], missing: Mapping[str, str]) -> Judgement:
-    """Judge one requirement; what cannot be judged is not met, and says why."""
+    """Judge one requirement; one that cannot be judged is not met, with the reason."""
     step = requirement.that.split(".")[0]
     if step in missing:
         return Judgement(requirement, None, False, missing[step])
@@ -166,7 +166,7 @@ def judge(requirement: Requirement, numbers: Mapping[str, Mapping[str, Any]], mi
 
 
 def look_up(path: str, numbers: Mapping[str, Any], lists: bool = False) -> Any:
-    """The value at a dotted path through tables and lists, for example ``gap.outputs.q.fit`` or ``loop.poles.0``."""
+    """Return the value at a dotted path through tables and lists, for example ``loop.poles.0``."""
     here: Any = numbers
     done: list[str] = []
     for part in path.split("."):

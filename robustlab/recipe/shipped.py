@@ -1,4 +1,4 @@
-"""The recipes that ship with robustlab; nothing is read, and no library is loaded, to know their names."""
+"""The recipes that ship with robustlab."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ import robustlab
 
 
 def shipped_folder() -> Path:
-    """Beside the package in a checkout, inside it when installed from a wheel."""
+    """Return the folder: next to the package in a checkout, inside it when installed from a wheel."""
     package = Path(robustlab.__file__).parent
     installed = package / "shipped" / "recipes"
     return installed if installed.is_dir() else package.parent / "recipes"
 
 
 def shipped_recipes() -> list[str]:
-    """Names of the recipes that come with robustlab."""
+    """Return the names of the shipped recipes."""
     return sorted(path.stem for path in shipped_folder().glob("*.toml"))
 
 
 def shipped_titles() -> dict[str, str]:
-    """Name -> title of the recipes that come with robustlab."""
+    """Return name -> title of the shipped recipes."""
     import tomllib
 
     files = {name: shipped_folder() / f"{name}.toml" for name in shipped_recipes()}

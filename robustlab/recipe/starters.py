@@ -61,7 +61,7 @@ def write_starter(name: str, force: bool = False) -> Path:
 
 
 def stem_of(name: str) -> str:
-    """The recipe's name without folder and ``.toml``; refused where a recipe cannot have it."""
+    """Return the recipe's name without folder and ``.toml``; raise where a recipe cannot have it."""
     stem = os.path.basename(name).removesuffix(".toml")  # noqa: PTH119  empty after a slash at the end
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]{0,59}", stem):
         raise UsageError(f"recipe new {name}", "not a name", "letters, digits, - and _, with a letter first")

@@ -1,4 +1,4 @@
-"""What a run shows: figures, a self-contained HTML page, a JUnit file."""
+"""Reports: figures, a self-contained HTML page, a JUnit file."""
 
 from robustlab.lazily import lazily
 

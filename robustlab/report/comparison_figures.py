@@ -1,6 +1,6 @@
-"""Figures of a comparison: where it disagrees at a glance, over time, over speed, over frequency, residual tests.
+"""Figures of a comparison: error by condition, over time, speed and frequency; residual tests.
 
-And of the linear part of a record and what is beyond it: its frequency response, and the lines of a periodic one.
+Also the frequency response of a record, and the lines of a periodic one with nonlinear distortion.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from robustlab.identification.comparison.error_analysis import Bin
 from robustlab.report import style
 
 FEW_LINES = 60  # drawn with a marker each
-MOST_INPUTS = 3  # beside each other
+MOST_INPUTS = 3  # side by side
 SHOWN_BEYOND = 3.0  # times the highest excited line
 FEWEST_SHOWN = 20  # lines
 BINS_PER_DECADE = 30  # densities are drawn as their means over such bins of frequency
@@ -134,9 +134,7 @@ def time_figure(comparison: Comparison, output: str | None = None) -> Figure:
 
 @style.house_style()
 def speed_figure(comparison: Comparison, output: str | None = None) -> Figure:
-    """Windowed error over speed and direction, and over the same speed what would have to be added at the input or
-    joint that explains the error.
-    """
+    """Windowed error over speed and direction, and the signal missing at the input or joint that explains it."""
     output = style.chosen(list(comparison.speed), output, "output")
     motion, unit = comparison.motions[output], comparison.outputs[output].unit
     own = [d for d in comparison.located if d.speed_source == motion.speed_source]
@@ -175,12 +173,10 @@ def _bars(axes: Axes, bins: tuple[Bin, ...]) -> None:
 
 @style.house_style()
 def spectrum_figure(comparison: Comparison, output: str | None = None) -> Figure:
-    """Power spectral densities of recorded output, free run and error; below, the coherence of
-    the inputs (of many those with the largest) with the error.
-    """
+    """Spectral densities of recorded output, free run and error; below, the largest coherences of inputs with it."""
     output = style.chosen(list(comparison.frequency), output, "output")
     s, unit = comparison.frequency[output], comparison.outputs[output].unit or "unit"
-    f = s.frequency[1:]  # frequency 0 has no place on a logarithmic axis
+    f = s.frequency[1:]  # without frequency 0
     figure, (above, below) = style.new_figure(2, 1, width=7.6, height=2.7, sharex=True)
     curves: list[tuple[Array, dict[str, Any]]] = [
         (s.measured, {"color": style.MEASURED, "label": "record"}),
@@ -209,7 +205,7 @@ def spectrum_figure(comparison: Comparison, output: str | None = None) -> Figure
 
 
 def _smoothed(f: Array, values: Array) -> tuple[Array, Array]:
-    """Means over bins of equal width on a logarithmic axis; where frequencies are sparse, each is its own bin."""
+    """Return means over bins of equal width on a logarithmic axis."""
     index = np.floor(BINS_PER_DECADE * np.log10(f / f[0])).astype(int)
     count = np.bincount(index)
     filled = count > 0
@@ -219,9 +215,7 @@ def _smoothed(f: Array, values: Array) -> tuple[Array, Array]:
 
 @style.house_style()
 def residual_figure(comparison: Comparison, output: str | None = None) -> Figure:
-    """Autocorrelation of the recursive residual and its correlation with each input, with 99 % bands; of many inputs
-    with those that explain most of it.
-    """
+    """Autocorrelation of the recursive residual and its largest correlations with inputs, with 99 % bands."""
     output = style.chosen(list(comparison.residual), output, "output")
     tests, name = comparison.residual[output], style.plain_label(output)
     most = sorted(tests.inputs, key=lambda name: -tests.inputs[name].explained_share)[:MOST_INPUTS]
@@ -249,7 +243,7 @@ def _stems(axes: Axes, lags: NDArray[np.int_], values: Array, band: float) -> No
 
 @style.house_style()
 def response_figure(comparison: Comparison, output: str | None = None) -> Figure:
-    """Magnitude, phase and coherence of the recorded response from each input, beside the model's."""
+    """Magnitude, phase and coherence of the response from each input, recorded and of the model."""
     output = style.chosen([y for y, row in comparison.linear.items() if row], output, "output")
     row = comparison.linear[output]
     ratios, width = {"height_ratios": [3, 2, 2]}, max(7.6, 4.6 * len(row))
@@ -260,7 +254,7 @@ def response_figure(comparison: Comparison, output: str | None = None) -> Figure
         above, middle, below = axes[j :: len(row)]
         few = len(g.frequency) <= FEW_LINES
         f, marker = g.frequency, "o" if few else ""
-        # Of many lines, those whose deviation is larger than they are say nothing.
+        # Of many lines, those smaller than their deviation are not drawn.
         size = np.where(few | (g.std < np.abs(g.response)), np.abs(g.response), np.nan)
         bottom = 0.3 * float(np.nanmin(np.append(size[size > 0], np.abs(g.model).min() or np.nan)))
         band = np.maximum(size - 2 * g.std, bottom), size + 2 * g.std
@@ -282,7 +276,7 @@ def response_figure(comparison: Comparison, output: str | None = None) -> Figure
         above.legend(loc="best", ncols=2)
         turn = np.unwrap(np.angle(g.model))
         for values, how in ((np.where(np.isfinite(size), g.response, np.nan), recorded), (g.model, modelled)):
-            near = turn + np.angle(np.exp(1j * (np.angle(values) - turn)))  # within half a turn of the model
+            near = turn + np.angle(np.exp(1j * (np.angle(values) - turn)))  # within 180 degrees of the model
             middle.plot(f, np.degrees(near), **how)
         middle.set_ylabel("phase [degrees]")
         below.plot(f, g.coherence, color=style.NOMINAL, marker=marker, ms=3, lw=1.2)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from robustlab.synthesis.specifications.loop_functions import LoopFunctions
     from robustlab.synthesis.specifications.tracking_problem import TrackingLoop
 
-# Colour, dashes and width of the designs that a figure compares, in their order; a narrow curve shows on a wide one.
+# Colour, dashes and width of the compared designs in their order; a narrow curve is visible on a wide one.
 DESIGNS: tuple[dict[str, Any], ...] = (
     {"color": style.MEASURED, "ls": (0, (4, 1.5)), "lw": 1.4},
     {"color": style.NOMINAL, "ls": "-", "lw": 3.0},
@@ -45,8 +45,8 @@ class FunctionPanel(NamedTuple):
     name: str  # heading, for example `"S: control error"`
     label: str  # of the curve
     gain: Array  # largest singular value, shape (n_omega,)
-    allowed: Array | None = None  # `1 / |W|`, what the weight asks for, shape (n_omega,); None without a weight
-    proved: Array | None = None  # `gamma / |W|`, below which the verified gamma keeps the function; None without
+    allowed: Array | None = None  # `1 / |W|`, shape (n_omega,); None without a weight
+    proved: Array | None = None  # `gamma / |W|`, the bound proved by the verified gamma; None without
     unit: str = ""  # of the gain; empty for a ratio
 
 
@@ -58,7 +58,7 @@ def functions_figure(omega: Array, panels: Sequence[FunctionPanel], gamma: float
         axes.plot(omega, panel.gain, color=style.NOMINAL, label=style.plain_label(panel.label), zorder=3)
         bounds = [bound for bound in (panel.allowed, panel.proved) if bound is not None]
         if panel.allowed is not None:
-            text = "1 / |W|, what is asked for"
+            text = "1 / |W|, required"
             axes.plot(omega, panel.allowed, color=style.SAMPLE, lw=2.6, label=text, zorder=1)
         if panel.proved is not None:
             text = "γ / |W|, proved" if gamma is None else f"γ / |W|, proved, γ = {gamma:.4g}"
@@ -73,9 +73,9 @@ def functions_figure(omega: Array, panels: Sequence[FunctionPanel], gamma: float
 def _over_frequency(
     axes: Axes, omega: Array, curves: Iterable[Array], decades: float, bounds: Sequence[Array] = ()
 ) -> float:
-    """Logarithmic axes: not more than so many decades below the highest point, not less than one and a half.
+    """Set logarithmic axes over at most so many decades, at least one and a half; return the lower end.
 
-    A bound within two decades above the curves is shown whole. Returns the lower end.
+    A bound within two decades above the curves is included.
     """
     style.frequency_axis(axes, (omega[0], omega[-1]))
     style.logarithmic(axes.yaxis)
@@ -129,8 +129,8 @@ def performance_picture(found: PerformanceComparison) -> Figure:
     for (name, margin), how in zip(found.margins.items(), cycle(DESIGNS), strict=False):
         omega = margin.omega
         proved = 1 / margin.lower if margin.lower > 0 else float("inf")
-        said = f"at most {proved:.4g}" if np.isfinite(proved) else "nothing proved"
-        label = f"{style.plain_label(name)}: {said} on the whole axis"
+        bound = f"at most {proved:.4g}" if np.isfinite(proved) else "nothing proved"
+        label = f"{style.plain_label(name)}: {bound} on the whole axis"
         axes.plot(omega, margin.mu_upper, label=label, **how)
         if np.isfinite(proved):
             axes.axhline(proved, color=how["color"], lw=0.7, alpha=0.7)
@@ -147,7 +147,7 @@ def performance_picture(found: PerformanceComparison) -> Figure:
 
 @style.house_style()
 def history_picture(design: Any) -> Figure:
-    """A D-K search iterate by iterate: mu at single frequencies (NaN: not computed), what was proved, order of K."""
+    """Iterates of a D-K search: mu at single frequencies (NaN: not computed), proved bound, order of K."""
     mu, proved, orders, stages = (
         np.array([getattr(s, name) for s in design.history]) for name in ("mu", "gamma", "order", "stage")
     )
@@ -174,7 +174,7 @@ def history_picture(design: Any) -> Figure:
 
 @style.house_style()
 def runs_picture(found: ControlledRuns) -> Figure:
-    """Several runs over time, one panel per signal; a limit that is far from all curves is named, not drawn."""
+    """Several runs over time, one panel per signal; a limit far from all curves is in the title."""
     figure, axes_list = style.new_figure(len(found.panels), 1, width=8.6, height=2.2, sharex=True)
     for axes, panel in zip(axes_list, found.panels, strict=True):
         for (name, curve), how in zip(panel.curves.items(), cycle(DESIGNS), strict=False):
@@ -192,12 +192,12 @@ def runs_picture(found: ControlledRuns) -> Figure:
 
 
 def functions_picture(design: Synthesis) -> Figure:
-    """S, T, K S and S G of the loop at what the controller measures, against 1 / |W| and gamma / |W| where known."""
+    """S, T, K S and S G of the loop at the measurements, against 1 / |W| and gamma / |W| where known."""
     return gangs_picture(loop_functions(design), around=getattr(design, "peak_frequency", None))
 
 
 def tracking_picture(loop: TrackingLoop) -> Figure:
-    """S, K S and T of a tracking problem against what the weights ask for, and what gamma proves."""
+    """S, K S and T of a tracking problem against the bounds of the weights and those proved by gamma."""
     omega = frequencies(loop.design.closed_loop)
     gains, allowed = loop.problem.gains(loop.design.K, omega), loop.problem.bounds(omega)
     units = {s.unit for s in loop.problem.plant.controls}
@@ -211,7 +211,7 @@ def tracking_picture(loop: TrackingLoop) -> Figure:
 
 
 def gangs_picture(loop: LoopFunctions, around: float | None = None) -> Figure:
-    """The gang of four of a loop; ``around``: a frequency in rad/s that has to be seen."""
+    """The gang of four of a loop; ``around``: a frequency in rad/s to include."""
     omega = frequencies(loop.S, around=around)
     panels = []
     for name in FUNCTIONS:
@@ -223,7 +223,7 @@ def gangs_picture(loop: LoopFunctions, around: float | None = None) -> Figure:
 
 
 def mu_picture(design: Any) -> Figure:
-    """Bounds of mu of a D-K design over frequency, proved on the whole axis once more from its closed loop alone."""
+    """Bounds of mu of a D-K design over frequency, proved on the whole axis again from its closed loop."""
     loop = UncertainModel(design.closed_loop, [b for b in design.blocks if b.name != "performance"])
     omega = frequencies(design.closed_loop, 160)
     return mu_figure(robust_performance(loop, omega=omega, accuracy=1e-3, tolerance=float("inf")))

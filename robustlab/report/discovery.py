@@ -1,4 +1,4 @@
-"""A discovery drawn and told: its figures, its facts, and its page for ``robustlab data discover --out``."""
+"""Figures, summary and page of a discovery for ``robustlab data discover --out``."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ DASHES: dict[str, Any] = {"nominal": (0, (4, 1.5)), "refitted": (0, (1, 1)), "up
 STRETCH = 4  # windows shown of a held-out stretch
 SHOWN = 9  # sets of effects
 DRAWN = 4000  # samples of a curve
-BEYOND = 0.6  # of the measured range, drawn of a model that leaves it
+BEYOND = 0.6  # of the measured range, drawn above and below it
 ALONG = "one run, linear about the recorded motion"
 ORDER = ("speed", "position", "time", "input")  # of the panels
-ASIDE = 0.03  # of the bands' ends may lie outside the vertical axis on either side
+ASIDE = 0.03  # share of the bands' ends outside the vertical axis on either side
 
 
 @style.house_style()
@@ -54,7 +54,7 @@ def gap_figure(discovery: Discovery) -> Figure:
 
 
 def _bars(axes: Axes, gap: Gap, title: str) -> None:
-    """Errors of the three models with their share of the range; of one that diverges a hatched bar to the end."""
+    """Draw the errors of the three models with their share of the range; a diverging one as a hatched bar."""
     values = [getattr(gap, model) for model in MODELS]
     longest = max((v for v in values if math.isfinite(v)), default=1.0) or 1.0
     for row, (value, (model, colour)) in enumerate(zip(values, MODELS.items(), strict=True)):
@@ -85,7 +85,7 @@ def free_run_figure(discovery: Discovery, output: str | None = None) -> Figure:
 
 
 def stretch_figure(discovery: Discovery, output: str | None = None) -> Figure:
-    """Some held-out windows around the one that the nominal model misses most: signals above, errors below."""
+    """Some held-out windows around the one with the largest error of the nominal model: signals and errors."""
     d = discovery
     output = style.chosen(list(d.series.get("outputs", {})), output, "output")
     t = np.asarray(d.series["t"], dtype=float)
@@ -97,7 +97,7 @@ def stretch_figure(discovery: Discovery, output: str | None = None) -> Figure:
     first = min(max(int(np.argmax(squares)) - STRETCH // 2, 0), max(len(squares) - STRETCH, 0))
 
     def broken(values: Array) -> Array:
-        """The values with a gap after each window: every window has its own start."""
+        """Return the values with a gap after each window."""
         return np.concatenate([np.append(part, np.nan) for part in np.split(values, cuts)[first : first + STRETCH]])
 
     title = f"{output}, held out: each window starts from its best fitted state"
@@ -106,7 +106,7 @@ def stretch_figure(discovery: Discovery, output: str | None = None) -> Figure:
 
 @style.house_style()
 def _signals_and_errors(x: Array, signals: dict[str, Array], gap: Gap, title: str) -> Figure:
-    """Record and models over time; errors of all three; error of the updated one on a scale of its own."""
+    """Draw record and models over time, the errors of all three, and that of the updated one on its own scale."""
     figure, (above, middle, below) = style.new_figure(3, 1, width=7.8, height=2.0, sharex=True)
     measured = signals["measured"]
     above.plot(x, measured, color=style.MEASURED, lw=2.4, alpha=0.45, label="record")
@@ -130,7 +130,7 @@ def _signals_and_errors(x: Array, signals: dict[str, Array], gap: Gap, title: st
 
 
 def _keep_near(axes: Axes, *shown: Array) -> None:
-    """Limits that hold these curves, and of others no more than is readable beside them."""
+    """Limit the axis to these curves and a margin."""
     values = np.concatenate(shown)
     values = values[np.isfinite(values)]
     low, high = (float(values.min()), float(values.max())) if values.size else (-1.0, 1.0)
@@ -141,7 +141,7 @@ def _keep_near(axes: Axes, *shown: Array) -> None:
 
 @style.house_style()
 def posterior_figure(discovery: Discovery) -> Figure:
-    """Bars of the probability of the best sets of effects, with their log evidence behind the first."""
+    """Bars of the probability of the best sets of effects, with their log evidence relative to the first."""
     if not discovery.posterior:
         raise InputError("plot('posterior')", "no sets of effects were weighed", "a finished discovery")
     shown = discovery.posterior[:SHOWN]
@@ -166,7 +166,7 @@ def posterior_figure(discovery: Discovery) -> Figure:
 
 @style.house_style()
 def force_of(discovery: Discovery) -> Figure:
-    """The missing force over speed, position, time and input, before and after; what share of it each explains."""
+    """The missing force over speed, position, time and input, before and after; the share that each explains."""
     residual, before = discovery.residual_force, discovery.missing_force
     if residual is None or not residual.curves:
         raise InputError("plot('force')", "no force is known", "a discovery that smoothed the missing force")
@@ -201,7 +201,7 @@ def force_of(discovery: Discovery) -> Figure:
 
 
 def _limits(curves: list[ForceCurve]) -> tuple[float, float]:
-    """One scale for all panels; single bins with a giant band do not set it."""
+    """Return one scale for all panels, without single bins that have a giant band."""
     ends = np.concatenate([end for c in curves for end in (c.low, c.high)])
     middles = np.concatenate([c.value for c in curves])
     low, high = np.quantile(ends, [ASIDE, 1.0 - ASIDE])
@@ -250,7 +250,7 @@ MEANINGS = {
 
 
 def story(d: Discovery) -> list[tuple[str, str, str]]:
-    """Where, what, how sure, and the gap before and after: label, value and remark of each."""
+    """Return label, value and remark of place, effect, probability, and error before and after."""
     places = list(dict.fromkeys(e.site for e in d.effects))
     open_forms = [k for k in d.kinds if not k.settled]
     members = {m.name for k in open_forms for m in k.members}
@@ -284,7 +284,7 @@ def _share(percent: float) -> str:
 
 
 def write_page(d: Discovery, folder: Path, provenance: Provenance) -> list[Path]:
-    """Write the figures into ``folder/figures`` and ``folder/report.html``; the paths written, the page last."""
+    """Write ``folder/figures`` and ``folder/report.html``; return the paths, the page last."""
     pictures = dict(pictures_of(d))
     files = [path for name, p in pictures.items() for path in style.save_figure(p.figure, folder / "figures", name)]
     tone, mark = TONES[d.verdict] if d.complete or d.verdict != "named" else ("warn", "!")

@@ -1,7 +1,7 @@
-"""Which drawings every class has; nothing is imported here.
+"""The table of drawings; nothing is imported here.
 
-`DRAWINGS`: class -> name of a drawing -> function that makes the figure, ``module.function`` in this package; the first
-one is drawn where none is named. The first paragraph of its docstring is the caption in a report.
+`DRAWINGS`: class -> name of a drawing -> ``module.function`` in this package; the first one is the default. The first
+paragraph of the function's docstring is the caption in a report.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ _MODEL = {
     "pzmap": "model_figures.pole_figure",
 }
 _LOOP = {"loop": "design_figures.loop_picture", "functions": "design_figures.functions_picture"}
-_SAMPLED = {"loop": "design_figures.loop_picture"}
 _DISK = {"disk": "robustness_figures.disk_figure"}
 _MARGIN = {"mu": "robustness_figures.mu_figure", "shares": "robustness_figures.margin_shares"}
 
@@ -58,7 +57,7 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     "PerformanceComparison": {"mu": "design_figures.performance_picture"},
     "ControlledRuns": {"runs": "design_figures.runs_picture"},
     "TrackingLoop": {"functions": "design_figures.tracking_picture"},
-    "SampledController": _SAMPLED,
+    "SampledController": {"loop": "design_figures.loop_picture"},
     "LoopFunctions": {"functions": "design_figures.gangs_picture"},
     # measurements
     "Comparison": {
@@ -77,7 +76,7 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     "EnvelopeCoverage": {"envelope": "set_figures.envelope_figure"},
 }
 
-# Class -> attribute with its outputs (names, or pairs that begin with one): a drawing that takes one is made of each.
+# Class -> attribute with its outputs (names, or pairs that begin with one), each of which is drawn.
 OUTPUTS: Mapping[str, str] = {
     **dict.fromkeys(("Comparison", "Validation", "Responses"), "outputs"),
     "Discovery": "gaps",

@@ -1,7 +1,6 @@
-"""Which drawings every object has: the same figures as those of reports, drawn by ``.plot()`` too.
+"""Draw objects, for ``.plot()`` (`draw`) and for commands and reports (`pictures_of`).
 
-The table is `robustlab.report.drawing_table`. A function is imported when it is asked for.
-`robustlab.shown.Shown.plot` calls `draw`; commands and reports draw all `pictures_of` a result.
+The table is `robustlab.report.drawing_table`. A function is imported on use.
 """
 
 from __future__ import annotations
@@ -21,21 +20,21 @@ from robustlab.report.style import drawn_on, stem
 
 
 def drawings_of(kind: type) -> Mapping[str, str]:
-    """The drawings of a class: those of its own name or of the next class that it is made from."""
+    """Return the drawings of a class or of its nearest base."""
     return next((DRAWINGS[parent.__name__] for parent in kind.__mro__ if parent.__name__ in DRAWINGS), {})
 
 
 class Picture(NamedTuple):
-    """A drawing of a result with what a report writes below it."""
+    """A drawing of a result with its caption."""
 
     figure: Figure
     caption: str
 
 
 def pictures_of(shown: Any, remark: Callable[[str], None] | None = None) -> Iterator[tuple[str, Picture]]:
-    """Every drawing of an object that has something to show, by name; ``remark`` hears why another has not.
+    """Yield every drawing of an object by name; pass to ``remark`` the reason of a missing one.
 
-    Where an object has outputs, a drawing of one is made of each, by the name NAME-OUTPUT.
+    A drawing of one output is made of each output, with the name NAME-OUTPUT.
     """
     of = OUTPUTS.get(type(shown).__name__)
     outputs = [x if isinstance(x, str) else x[0] for x in getattr(shown, of)] if of else []
@@ -60,7 +59,7 @@ def draw(shown: Any, kind: str | None, ax: Any, options: Mapping[str, Any]) -> A
     """See `robustlab.shown.Shown.plot`."""
     where, known = f"{type(shown).__name__}.plot", drawings_of(type(shown))
     if not known:
-        raise InputError(where, "nothing to draw", None, "summary() tells what there is")
+        raise InputError(where, "nothing to draw", None, "summary() describes it in text")
     if kind is not None and kind not in known:
         raise InputError(where, f"{kind!r}", f"one of {', '.join(known)}", did_you_mean(str(kind), list(known)))
     if ax is not None and not isinstance(ax, Axes):
@@ -88,7 +87,6 @@ def draw(shown: Any, kind: str | None, ax: Any, options: Mapping[str, Any]) -> A
         raise
     if ax is not None and figure is ax.figure and ax in figure.axes:
         return ax
-    # The Axes that were drawn into, in the order of the panels; an array where there are several.
     panels = [axes for axes in figure.axes if axes.get_visible()]
     if len(panels) == 1:
         return panels[0]

@@ -1,7 +1,7 @@
 """The report of a run: a self-contained HTML page, and its requirements as JUnit tests for a CI system.
 
-Every text in it may come from a file of somebody else: Jinja2 escapes all of it, control and bidirectional-override
-characters are shown as escapes, figures are images in ``data:`` addresses, and no script may run.
+All texts are untrusted: Jinja2 escapes them, control and bidirectional-override characters are shown as escapes,
+figures are images in ``data:`` addresses, and no script may run.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from jinja2 import Template
 
 MAX_FIGURES = 6_000_000  # characters of all figures in the page
-LEADING = 4  # figures that stand below the requirements
+LEADING = 4  # figures below the requirements
 MAX_NUMBERS = 20_000  # characters of a step's number list in the page; result.json has all of them
 
 _MEANING = {
@@ -37,14 +37,13 @@ _MEANING = {
     Status.FAILED: "the method broke down; there is no value",
 }
 
-
 _MARKS = {"good": "✓", "warn": "!", "bad": "✗"}
-_DIGITS = 8  # at most, of a number beside its limit
+_DIGITS = 8  # at most, of a number with a limit
 _NOT_PLAIN = re.compile(rb"[^ -~]|[%#&'\\]")
 
 
 class Verdict(NamedTuple):
-    """The first thing a reader sees."""
+    """The verdict at the top of the page."""
 
     tone: str
     mark: str
@@ -53,7 +52,7 @@ class Verdict(NamedTuple):
 
 
 def verdict(result: Mapping[str, Any]) -> Verdict:
-    """The verdict that the result states; or that of a run: trustworthy or not, and how many requirements are met."""
+    """Return the verdict in the result, or that of a run by its trustworthiness and requirements."""
     if "verdict" in result:
         return Verdict(**result["verdict"])
     if ending_of(result)["how"] != "finished":
@@ -62,7 +61,7 @@ def verdict(result: Mapping[str, Any]) -> Verdict:
     unmet = [q for q in requirements if not q["met"]]
     doubtful = ", ".join(s["name"] for s in result["steps"] if not s["trustworthy"])
     count = f"{len(requirements) - len(unmet)} of {len(requirements)} requirements met"
-    vouched = "every step ended with a number that can be vouched for."
+    trusted = "every step ended with a trustworthy number."
     if doubtful:
         detail = f"These steps ended without one: {doubtful}. {count}."
         return Verdict("bad", "✗", "No trustworthy number", detail)
@@ -73,9 +72,9 @@ def verdict(result: Mapping[str, Any]) -> Verdict:
             (sum(bool(q["why_not"]) for q in unmet), "requirement cannot be judged", "requirements cannot be judged"),
         ):
             words += [f"{n} {one if n == 1 else more}"] if n else []
-        return Verdict("bad", "✗", ", ".join(words), f"{count}; {vouched}")
+        return Verdict("bad", "✗", ", ".join(words), f"{count}; {trusted}")
     if not requirements:
-        return Verdict("warn", "–", "Done; no requirement was stated", vouched.capitalize())
+        return Verdict("warn", "–", "Done; no requirement was stated", trusted.capitalize())
     headline = "The requirement is met" if len(requirements) == 1 else f"All {len(requirements)} requirements are met"
     remains = ", ".join(s["name"] for s in result["steps"] if tone(s) == "warn")
     if remains:
@@ -83,11 +82,11 @@ def verdict(result: Mapping[str, Any]) -> Verdict:
     windows = in_windows_only(requirements)
     if windows:
         return Verdict("warn", "!", f"{headline}; in free run the model is further off", " ".join(windows))
-    return Verdict("good", "✓", headline, vouched.capitalize())
+    return Verdict("good", "✓", headline, trusted.capitalize())
 
 
 def ending_of(result: Mapping[str, Any]) -> Mapping[str, str]:
-    """How a run ended; one of an earlier version is there only if it finished."""
+    """Return how a run ended; earlier versions wrote results of finished runs only."""
     return result.get("ending", {"how": "finished", "message": ""})
 
 
@@ -103,24 +102,24 @@ def _unfinished(result: Mapping[str, Any]) -> Verdict:
 
 
 def in_windows_only(requirements: Sequence[Mapping[str, Any]]) -> list[str]:
-    """A sentence for each requirement that is met in windows, and whose condition does not hold in free run."""
+    """Return a sentence for each requirement that is met in windows but not in free run."""
     return [
         f"In windows alone: {q['text'] or q['that']}. In free run it is "
-        f"{_with_unit(q, q['free_run']['value'])}, which no requirement asks for."
+        f"{_with_unit(q, q['free_run']['value'])}, which no requirement limits."
         for q in requirements
         if q["met"] and q.get("free_run") and not q["free_run"]["met"]
     ]
 
 
 def tone(step: Mapping[str, Any]) -> str:
-    """Colour of a step: ``bad`` without a trustworthy number, ``warn`` where it found that something remains."""
+    """Return the tone of a step: ``bad`` without a trustworthy number, ``warn`` if its result is incomplete."""
     if not step["trustworthy"]:
         return "bad"
     return "warn" if step["numbers"].get("complete") is False else "good"
 
 
 def render(result: Mapping[str, Any], folder: str | Path) -> str:
-    """The page for a result as ``result.json`` holds it."""
+    """Return the page for the content of ``result.json``."""
     from jinja2 import UndefinedError
 
     try:
@@ -158,7 +157,7 @@ def _template() -> Template:
 
 
 def _readable(value: Any) -> Any:
-    """All texts without characters that change how other text is shown; line breaks stay."""
+    """Return the value with all texts free of control characters but line breaks."""
     if isinstance(value, str):
         return "\n".join(plain_text(line) for line in value.split("\n"))
     if isinstance(value, Mapping):
@@ -169,9 +168,9 @@ def _readable(value: Any) -> Any:
 
 
 def in_words(value: Any, limits: Sequence[float | None] | None = None) -> str:
-    """What was found for a requirement, for reading.
+    """Return a value as text.
 
-    A number beside its limits has four digits, or as many as its distance to the nearest limit needs for two.
+    A number with limits has four digits, or as many as give its distance to the nearest limit with two.
     """
     if isinstance(value, bool):
         return "yes" if value else "no"
@@ -189,21 +188,21 @@ def in_words(value: Any, limits: Sequence[float | None] | None = None) -> str:
 
 
 def leading_figures(result: Mapping[str, Any]) -> dict[str, tuple[str, Any]]:
-    """Stem -> heading of its step and figure, of the first figures of the steps that requirements are about."""
+    """Return stem -> heading and figure of the first figures of the steps that requirements name."""
     steps = {step["name"]: step for step in result["steps"]}
-    asked = (steps.get(q["that"].partition(".")[0]) for q in result["requirements"])
-    found = {s["figures"][0]["stem"]: (heading(s), s["figures"][0]) for s in asked if s is not None and s["figures"]}
+    named = (steps.get(q["that"].partition(".")[0]) for q in result["requirements"])
+    found = {s["figures"][0]["stem"]: (heading(s), s["figures"][0]) for s in named if s is not None and s["figures"]}
     return dict(list(found.items())[:LEADING])
 
 
 def heading(step: Mapping[str, Any]) -> str:
-    """The title of a step; where its recipe states none, its name as words."""
+    """Return the title of a step, by default its name as words."""
     name = step["name"].replace("_", " ").replace("-", " ")
     return step["title"] or name[:1].upper() + name[1:]
 
 
 def found_in_words(requirement: Mapping[str, Any]) -> str:
-    """What was found for a requirement with its unit, and beside it the same in free run; or why nothing was."""
+    """Return the value of a requirement with its unit, also in free run, or the reason of a missing one."""
     if requirement["why_not"]:
         return str(requirement["why_not"])
     free = requirement.get("free_run")
@@ -218,7 +217,7 @@ def _with_unit(requirement: Mapping[str, Any], value: Any) -> str:
 
 
 def verdict_of(requirement: Mapping[str, Any]) -> str:
-    """What became of a requirement, in a word or two."""
+    """Return the judgement of a requirement as text."""
     if requirement["met"]:
         return "met"
     return "cannot be judged" if requirement["why_not"] else "not met"
@@ -244,7 +243,7 @@ def _pretty(numbers: Any) -> str:
 
 
 def _pictures(folder: Path, result: Mapping[str, Any]) -> dict[str, Markup]:
-    """Figures of a run by stem, as ``data:`` addresses for attributes in single quotes, while there is room."""
+    """Return the figures of a run by stem as ``data:`` addresses, up to `MAX_FIGURES`."""
     room, found = MAX_FIGURES, {}
     for stem in dict.fromkeys(f["stem"] for step in result["steps"] for f in step["figures"]):
         text = _address(_svg(folder, stem))
@@ -255,7 +254,7 @@ def _pictures(folder: Path, result: Mapping[str, Any]) -> dict[str, Markup]:
 
 
 def _address(svg: str) -> Markup:
-    """A picture as an address for an attribute in single quotes: what could end either is written as %xx."""
+    """Return a picture as an address for an attribute in single quotes, with special characters as %xx."""
     text = _NOT_PLAIN.sub(lambda found: b"%%%02X" % ord(found[0]), svg.encode()).decode("ascii")
     return Markup(f"data:image/svg+xml,{text}")  # noqa: S704 - nothing in it can end the attribute
 
@@ -263,15 +262,14 @@ def _address(svg: str) -> Markup:
 def _svg(folder: Path, stem: str) -> str:
     path = folder / "figures" / f"{stem}.svg"
     if Path(stem).name != stem or not path.is_file():
-        raise InputError(str(path), "no such figure", "the figures of the run beside its result.json")
+        raise InputError(str(path), "no such figure", "the figures of the run in the folder of its result.json")
     return path.read_bytes().decode("utf-8", errors="replace")
 
 
 def junit_xml(result: Mapping[str, Any]) -> str:
-    """JUnit XML: one test case per requirement, one more per step that ended without a trustworthy number.
+    """Return JUnit XML with a test case per requirement, and one per step without a trustworthy number.
 
-    A requirement that is not met is a failure, one that cannot be judged an error; so is a run that did not finish.
-    Texts are escaped for XML; characters that XML cannot carry are shown as escapes.
+    A requirement that is not met is a failure; one that cannot be judged is an error, as is a run that did not finish.
     """
     name, ending = plain_text(str(result["recipe"]["name"])), ending_of(result)
     cases: list[tuple[str, str, str, Any]] = []  # class, name, kind of the fault or "", and its message

@@ -1,8 +1,8 @@
-"""Figures of models and of uncertain ones, of records and measured responses, of reduced models.
+"""Figures of models, uncertain models, records, measured responses and reduced models.
 
-Step responses, frequency responses, singular values, poles and zeros. Of an uncertain model the nominal one is drawn
-over sampled members and their envelope; the true one may be wider. A member is drawn with a constant real Delta: of
-complex and full blocks that is the real part of the one that was drawn.
+Step responses, frequency responses, singular values, poles and zeros. An uncertain model is drawn as its nominal model
+over sampled members and their envelope; the true envelope may be wider. The Delta of a member is constant and real: of
+complex and full blocks the real part of the sample.
 """
 
 from __future__ import annotations
@@ -36,13 +36,12 @@ from robustlab.worst_case_analysis.sampling import Samples
 MEMBERS, ALL_VERTICES, VERTICES = 30, 5, 32  # members drawn; vertices besides: all of up to 5 blocks, else so many
 MOST = 4  # outputs or inputs side by side
 POINTS = 500
-SIGNALS = 8  # below one another
-CURVES = (style.NOMINAL, style.WORST, style.GOOD, style.LIMIT, style.SAMPLE, style.BAND, style.MEASURED)
+SIGNALS = 8  # panels of a record
 
 
 @dataclass(frozen=True)
 class _Drawn:
-    """What is drawn: the nominal model, members around it, and how many outputs and inputs were left out."""
+    """The nominal model, its members, and a remark on outputs and inputs that are not drawn."""
 
     nominal: StateSpaceModel | DelayedModel
     members: Sequence[StateSpaceModel] = ()
@@ -53,7 +52,7 @@ class _Drawn:
         return (self.nominal, *self.members)
 
     def close(self, figure: Figure, panels: Sequence[Axes]) -> Figure:
-        """The figure with its legend, and what was left out."""
+        """Add legend and remark to the figure."""
         if self.members:
             style.legend_below(figure, panels)
         if self.left_out:
@@ -70,7 +69,6 @@ def step_figure(shown: Any, t: ArrayLike | None = None, n: int = MEMBERS, seed: 
     height = 3.2 if rows == 1 else 2.1
     figure, panels = style.new_figure(rows, columns, max(7.2, 3.6 * columns), height, sharex=True)
     for j, u in enumerate(model.inputs):
-        # a model without states answers at once
         responses = np.array([_step(m, clock, u.name) for m in drawn.every])
         for i, y in enumerate(model.outputs):
             panel = panels[i * columns + j]
@@ -137,7 +135,7 @@ def sigma_figure(shown: Any, omega: ArrayLike | None = None, n: int = MEMBERS, s
 
 @style.house_style()
 def pole_figure(shown: Any, n: int = MEMBERS, seed: int = 0) -> Figure:
-    """Poles (crosses), transmission zeros (circles) and the stability boundary; behind them the poles of members."""
+    """Poles (crosses), transmission zeros (circles), the stability boundary, and the poles of members."""
     drawn = _drawn(shown, n, seed, MOST * 1000)
     model = as_model(drawn.nominal, "plot")
     figure, (axes,) = style.new_figure(width=6.4, height=4.2)
@@ -165,7 +163,7 @@ def pole_figure(shown: Any, n: int = MEMBERS, seed: int = 0) -> Figure:
     return figure
 
 
-# --- what is drawn ----------------------------------------------------------------------------------------------------
+# --- curves -----------------------------------------------------------------------------------------------------------
 
 
 def _drawn(shown: Any, n: int, seed: int, most: int = MOST) -> _Drawn:
@@ -183,9 +181,9 @@ def _drawn(shown: Any, n: int, seed: int, most: int = MOST) -> _Drawn:
         raise InputError("plot", f"a model of {model.n_outputs} x {model.n_inputs}", "inputs and outputs")
     if model.n_outputs <= most and model.n_inputs <= most:
         return _Drawn(model, members)
-    told = f"the first of {model.n_outputs} outputs and {model.n_inputs} inputs: G[outputs, inputs].plot() has others"
+    text = f"the first of {model.n_outputs} outputs and {model.n_inputs} inputs: G[outputs, inputs].plot() has others"
     first = (slice(0, most), slice(0, most))
-    return _Drawn(model[first], [m[first] for m in members], told)
+    return _Drawn(model[first], [m[first] for m in members], text)
 
 
 def _frequencies(model: StateSpaceModel | DelayedModel, omega: ArrayLike | None) -> Array:
@@ -207,13 +205,13 @@ def _step(model: StateSpaceModel | DelayedModel, t: Array, name: str) -> Array:
 
 
 def _phases(curves: AnyArray) -> Array:
-    """Unwrapped phases in degrees, each on the branch that the nominal one (the first) begins on."""
+    """Return unwrapped phases in degrees, each on the branch of the nominal one (the first)."""
     phases = np.degrees(np.unwrap(np.angle(curves), axis=1))
     return phases - 360.0 * np.round((phases[:, :1] - phases[:1, :1]) / 360.0)
 
 
 def _per(y: Signal, u: Signal) -> str:
-    """Unit of a gain from u to y; empty for a ratio or where neither has a unit."""
+    """Return the unit of a gain from u to y; empty for a ratio or without units."""
     if y.unit == u.unit:
         return ""
     return f"{y.unit or '1'}/{u.unit}" if u.unit and u.unit != "1" else y.unit
@@ -222,7 +220,7 @@ def _per(y: Signal, u: Signal) -> str:
 def _curves(
     axes: Axes, x: Array, rows: Array, drawstyle: Any = "default", colour: str = style.NOMINAL, name: str = ""
 ) -> None:
-    """The nominal curve (the first row) over the members and their envelope."""
+    """Draw the nominal curve (the first row) over the members and their envelope."""
     members, word = rows[1:], f"{name}, " if name else ""
     if len(members):
         step: Any = "post" if drawstyle == "steps-post" else None
@@ -263,7 +261,7 @@ def measured_response_figure(found: FrequencyData | UncertainFrequencyData) -> F
     figure, (above, below) = style.new_figure(2, 1, 7.2, 2.2, sharex=True, gridspec_kw=ratios)
     for k, name in enumerate(found.outputs):
         curve = found.response[seen, k]
-        how: dict[str, Any] = {"color": CURVES[k % len(CURVES)], "ms": 4, "lw": 1.0}
+        how: dict[str, Any] = {"color": style.CURVES[k % len(style.CURVES)], "ms": 4, "lw": 1.0}
         above.plot(omega, np.abs(curve), ".-", label=style.plain_label(name), **how)
         below.plot(omega, np.degrees(np.unwrap(np.angle(curve))), ".-", **how)
     style.logarithmic(above.yaxis)

@@ -1,7 +1,7 @@
 """Figures of robustness analysis, proved and sampled.
 
-Bounds over frequency with what is proved, shares of the blocks, replay in time; members' responses, the worst one, how
-a metric is distributed, what matters for it. The responses are those of figures 10.2 and 10.3 of the thesis.
+Bounds over frequency, sensitivities of the blocks, critical responses; members' responses, the worst one, the
+distribution of a metric and its relevant parameters. The responses are those of figures 10.2 and 10.3 of the thesis.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 Interval = tuple[float, float, float]
 PROVED = "#d6ecf8"  # opaque: the intervals overlap
 SHOWN_BLOCKS, SHOWN = 16, 12
-MAX_CURVES = 60  # more sample curves than this make the file large and show nothing more than the envelope
-SETTLED = 0.8  # the zoomed panel shows the last part of the response
+MAX_CURVES = 60  # sample curves; more make the file large and show nothing beyond the envelope
+SETTLED = 0.8  # share of the time at which the zoomed panel begins
 BINS = 40
 LARGEST_GAIN = 60  # dB; of a disk margin's curve
 
@@ -68,14 +68,14 @@ def mu_figure(margin: Margin) -> Figure:
 
 
 def _mark(axes: Axes, frequency: float | None, value: float, label: str) -> None:
-    """A point at a frequency, where the axis shows it."""
+    """Draw a point at a frequency inside the axis."""
     low, high = axes.get_xlim()
     if frequency is not None and low <= frequency <= high and np.isfinite(value):
         axes.plot(frequency, value, "o", color=style.WORST, ms=6, label=label)
 
 
 def _with_points_of_the_peak(margin: Margin) -> tuple[Array, Array, Array]:
-    """Frequencies and bounds of mu of the margin, and some more around its peak, which may lie between two of them."""
+    """Return frequencies and bounds of mu of the margin, with further ones around its peak."""
     omega, lower, upper = margin.omega, margin.mu_lower, margin.mu_upper
     peak, system = margin.frequency, margin.system
     if not len(omega) or system is None or peak is None or not 0 < peak < np.inf:
@@ -95,7 +95,7 @@ def _with_points_of_the_peak(margin: Margin) -> tuple[Array, Array, Array]:
 
 @style.house_style()
 def bounds_at(found: MarginAt | GainAt | DiskMarginsAt) -> Figure:
-    """Both bounds at given frequencies, of all loops at once: points, for nothing is known between them."""
+    """Both bounds at given frequencies, of all loops at once; between the points nothing is known."""
     whole: Any = getattr(found, "simultaneous", found)
     gain = isinstance(found, PeakGain)
     figure, (axes,) = style.new_figure(1, 1, width=8.0, height=3.6)
@@ -116,7 +116,7 @@ def bounds_at(found: MarginAt | GainAt | DiskMarginsAt) -> Figure:
 
 @style.house_style()
 def gain_figure(worst: WorstCaseGain) -> Figure:
-    """Nominal gain, largest gain found and its bound over frequency, and what is proved between them."""
+    """Nominal gain, largest gain found and its bound over frequency, and the bound proved on intervals."""
     figure, (axes,) = style.new_figure(1, 1, width=8.0, height=3.6)
     shown = _frame(axes, worst.omega, worst.intervals)
     omega, upper = worst.omega[shown], worst.gain_upper[shown]
@@ -132,9 +132,9 @@ def gain_figure(worst: WorstCaseGain) -> Figure:
 
 
 def _frame(axes: Axes, omega: Array, intervals: Sequence[Interval]) -> Mask:
-    """Shade the proved intervals, set the frequency axis; which frequencies can be shown on it.
+    """Shade the proved intervals and set the frequency axis; return a mask of the frequencies on it.
 
-    Without curves the axis reaches over the ends of the intervals, a decade further where they go on.
+    Without curves the axis covers the ends of the intervals, a decade further for unbounded ones.
     """
     shown = np.isfinite(omega) & (omega > 0)
     ends = [edge for start, stop, _ in intervals for edge in (start, stop)]
@@ -154,7 +154,7 @@ def _frame(axes: Axes, omega: Array, intervals: Sequence[Interval]) -> Mask:
 
 @style.house_style()
 def margin_shares(margin: Margin) -> Figure:
-    """What each block weighs in the margin: the range of the one on top is to be tightened first."""
+    """Sensitivity of the margin to the range of each block, the largest first."""
     if not margin.shares:
         raise InputError("plot('shares')", "a margin without shares of its blocks", "one at a simple critical pole")
     ranked = sorted(margin.shares.items(), key=lambda pair: -abs(pair[1]))[:SHOWN_BLOCKS]
@@ -187,14 +187,13 @@ def replay_figure(replay: CriticalResponse, shown: int = 4) -> Figure:
 
 @style.house_style()
 def disk_figure(found: DiskMargins | DiskBounds) -> Figure:
-    """Changes of gain and phase that leave the loop stable: inside of each curve, in that loop and in all at once."""
+    """Changes of gain and phase that keep the loop stable (inside each curve), of each loop and of all at once."""
     every: Mapping[str, DiskBounds] = {"disk margin": found}
     if isinstance(found, DiskMargins):
         every = {"all at once": found.simultaneous, **found.channels}
-    colours = (style.NOMINAL, style.WORST, style.GOOD, style.LIMIT, style.SAMPLE, style.BAND, style.MEASURED)
     figure, (axes,) = style.new_figure(width=6.4, height=3.8)
     for k, (name, margin) in enumerate(every.items()):
-        colour, label = colours[k % len(colours)], style.plain_label(f"{name}: {margin.lower:.4g}")
+        colour, label = style.CURVES[k % len(style.CURVES)], style.plain_label(f"{name}: {margin.lower:.4g}")
         if not 0 < margin.lower < np.inf:
             axes.plot([], [], color=colour, label=label)
             continue
@@ -207,7 +206,7 @@ def disk_figure(found: DiskMargins | DiskBounds) -> Figure:
         if k == 0:
             axes.fill(gain, phase, color=style.BAND, alpha=0.25, lw=0)
     wide = any(np.abs(np.asarray(line.get_xdata())).max(initial=0.0) > LARGEST_GAIN for line in axes.lines)
-    if wide:  # near a margin of 2 the curve runs to infinity
+    if wide:  # near a margin of 2 the curve is unbounded
         axes.set_xlim(-LARGEST_GAIN, LARGEST_GAIN)
     axes.plot(0.0, 0.0, "+", color=style.MEASURED, ms=9, mew=1.4)
     axes.set_xlabel(f"change of gain [dB]{f', shown to {LARGEST_GAIN} dB' * wide}")
@@ -244,13 +243,13 @@ def response_figure(
     zoom.set(title="enlarged: the end of the response", xlim=(t[last][0], t[-1]))
     seen = np.concatenate([*(curve[last] for curve in envelope), [value for value, _ in references]])
     zoom.set_ylim(*_span(seen, 0.12))
-    # Not `legend_below`: two reference lines may be called the same.
+    # Not `legend_below`: two reference lines may have the same name.
     figure.legend(*whole.get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return figure
 
 
 def _span(values: Array, share: float) -> tuple[float, float]:
-    """What an axis shows: all finite values, with a share of their width; some width where they are all the same."""
+    """Return limits of an axis: all finite values with a margin, which is positive for equal values."""
     seen = values[np.isfinite(values)]
     low, high = (float(seen.min()), float(seen.max())) if len(seen) else (0.0, 1.0)
     margin = share * (high - low) or 0.05 * max(abs(high), 1e-12)
@@ -259,7 +258,7 @@ def _span(values: Array, share: float) -> tuple[float, float]:
 
 @style.house_style()
 def worst_case_figure(found: WorstCase) -> Figure:
-    """Nominal and worst response of the output that is judged, and their difference below."""
+    """Nominal and worst response of the judged output, and their difference below."""
     response = found.response
     if response is None:
         raise InputError("plot('response')", f"no response: {found.metric}", "a metric of a response")
@@ -279,7 +278,7 @@ def worst_case_figure(found: WorstCase) -> Figure:
 
 @style.house_style()
 def distribution_figure(found: ViolationProbability) -> Figure:
-    """Histogram of the metric over the samples, with the limit; what violates it is in the colour of the worst."""
+    """Histogram of the metric over the samples, with the limit; violations in the colour of the worst."""
     figure, (axes,) = style.new_figure(1, 1, width=8.0, height=3.6)
     values = found.values[np.isfinite(found.values)]
     edges = np.linspace(*_span(np.append(values, found.limit), 0.04), BINS + 1)
@@ -299,7 +298,7 @@ def distribution_figure(found: ViolationProbability) -> Figure:
 
 
 def violation_influence(found: ViolationProbability) -> Figure:
-    """Which parameters matter for a limited metric."""
+    """Relevant parameters of a limited metric."""
     if found.influence is None:
         raise InputError("plot('influence')", "no influences", "32 samples at least, and real scalar blocks")
     return influence_figure(found.influence, found.metric)
@@ -307,10 +306,10 @@ def violation_influence(found: ViolationProbability) -> Figure:
 
 @style.house_style()
 def influence_figure(found: Influence, metric: str) -> Figure:
-    """Which parameters matter: their shares of the spread, and what each alone would save at the worst sample.
+    """Relevant parameters: their shares of the spread, and the gain of each alone at the worst sample.
 
     Left: share of the variance that each parameter explains by itself; a bar that ends in the grey zone may be chance.
-    Right: the metric at the worst sample (line), and where it comes to if that one parameter were nominal (dot).
+    Right: the metric at the worst sample (line), and with that one parameter at its nominal value (dot).
     """
     order = tuple(k for k in found.order if found.matters[k])[:SHOWN] or found.order[:1]
     figure, (shares, saved) = style.new_figure(1, 2, width=10.4, height=1.4 + 0.3 * max(3, len(order)), sharey=True)

@@ -1,4 +1,4 @@
-"""Two runs side by side: requirements, steps and numbers, what changed, and what got worse."""
+"""Compare two runs: requirements, steps and numbers that changed or got worse."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ BETTER, WORSE, SAME, CHANGED, FRESH, GONE = "better", "WORSE", "same", "changed"
 
 
 def compare_runs(first: Mapping[str, Any], second: Mapping[str, Any], tolerance: float = 0.01) -> dict[str, Any]:
-    """What differs between the contents of two ``result.json``; numbers within the relative ``tolerance`` are the same.
+    """Return the differences of two ``result.json``; numbers within the relative ``tolerance`` are equal.
 
-    A requirement got worse where it was met and is not or is no longer stated, and where its number moved towards or
-    beyond its limit; a step, where its number can no longer be vouched for. ``numbers`` begins with the largest change.
+    A requirement got worse if it was met and is not or is no longer stated, or if its number moved towards or beyond
+    its limit; a step, if its number is no longer trustworthy. ``numbers`` are sorted by the size of the change.
     """
     old, new = ({_key(q, run): q for q in run["requirements"]} for run in (first, second))
     requirements = [_requirement(a, b, tolerance) for a, b in _paired(old, new).values()]
@@ -43,9 +43,9 @@ def _row(what: str, first: Any, second: Any, verdict: str, condition: str = "", 
 
 
 def _key(requirement: Mapping[str, Any], run: Mapping[str, Any]) -> str:
-    """What is asked of which number; where that is asked twice, the condition too."""
-    asked = [q["that"] for q in run["requirements"]].count(requirement["that"])
-    return requirement["that"] if asked == 1 else f"{requirement['that']} {requirement['condition']}"
+    """Return the number that a requirement names, with the condition if it is named twice."""
+    count = [q["that"] for q in run["requirements"]].count(requirement["that"])
+    return requirement["that"] if count == 1 else f"{requirement['that']} {requirement['condition']}"
 
 
 def _requirement(a: Mapping[str, Any] | None, b: Mapping[str, Any] | None, tolerance: float) -> dict[str, Any]:
@@ -66,7 +66,7 @@ def _requirement(a: Mapping[str, Any] | None, b: Mapping[str, Any] | None, toler
 
 
 def _towards_limit(a: Mapping[str, Any], b: Mapping[str, Any]) -> float:
-    """How far a number moved towards or beyond its limit; within a range no place is better than another."""
+    """Return how far a number moved towards or beyond its limit; 0 inside a range."""
     x, y = _real(a["value"]), _real(b["value"])
     low, high = (_real(end) for end in b.get("limits") or (None, None))
     if x is None or y is None or (low is None and high is None):
@@ -85,7 +85,7 @@ def _step(name: str, a: Mapping[str, Any] | None, b: Mapping[str, Any] | None) -
 
 
 def _leaves(path: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """Path and value of every number, text, and yes or no, but for times."""
+    """Yield path and value of every number, text and boolean but times."""
     items = value.items() if isinstance(value, Mapping) else enumerate(value) if isinstance(value, list) else None
     if items is None:
         yield path, value
@@ -104,18 +104,18 @@ def _settings(run: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _paired(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
-    """Entries of both, in the order of the second; what only the first has comes last."""
+    """Return the entries of both in the order of the second; those of the first alone come last."""
     return {key: (first.get(key), second.get(key)) for key in {**second, **first}}
 
 
 def _real(value: Any) -> float | None:
-    """A number, among them the infinities that plain results keep as texts; None for all else."""
+    """Return a number, also the infinities that plain results hold as texts, or None."""
     known = isinstance(value, (int, float)) and not isinstance(value, bool)
     return float(value) if known or value in ("inf", "-inf", "nan") else None
 
 
 def _change(a: Any, b: Any) -> float:
-    """Relative size of a change; infinite where one is no finite number and they differ."""
+    """Return the relative size of a change; infinite for different values that are not finite numbers."""
     x, y = _real(a), _real(b)
     if a == b or x is None or y is None or not (math.isfinite(x) and math.isfinite(y)):
         return 0.0 if a == b else math.inf

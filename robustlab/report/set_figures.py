@@ -1,7 +1,7 @@
-"""Figures of sets of models and of their members: covers, records beside a set, responses, worst members, campaigns.
+"""Figures of sets of models and of their members: covers, records, responses, worst members, campaigns.
 
-The weight over the models' errors, the parameters in their box, what each block does; a record as the smallest
-Delta explains it, and in the envelope of all members (figures 11.5-11.20 of the thesis).
+The weight over the models' errors, the parameters in their box, the influence of each block; a record as explained by
+the smallest Delta, and in the envelope of all members (figures 11.5-11.20 of the thesis).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 SHOWN = 24  # parameters side by side
 MODELS = 60  # errors drawn one by one
-LIGHTEST = 1e-7  # share of a curve's largest value at which it leaves the picture
+LIGHTEST = 1e-7  # smallest value drawn, relative to the largest
 NOMINAL: dict[str, Any] = {"color": style.NOMINAL, "lw": 1.2, "ls": (0, (5, 1.5)), "label": "nominal"}
 RECORD: dict[str, Any] = {"color": style.MEASURED, "lw": 1.4, "label": "record"}
 EXPLAINED: dict[str, Any] = {"color": style.WORST, "lw": 1.1, "label": "with the smallest Delta"}
@@ -46,7 +46,7 @@ EXPLAINED: dict[str, Any] = {"color": style.WORST, "lw": 1.1, "label": "with the
 
 
 def cover_figures(cover: Cover, models: Sequence[StateSpaceModel]) -> dict[str, tuple[Figure, str]]:
-    """``weight`` of an unstructured form, ``cloud`` of a parametric one, each with its caption."""
+    """Return ``weight`` of an unstructured form or ``cloud`` of a parametric one with its caption."""
     if cover.fit is not None:
         text = "The weight, and below it the error of every model against the nominal one."
         return {"weight": (weight_figure(cover, models), text)}
@@ -63,7 +63,7 @@ def cover_figure(cover: Cover, models: Sequence[StateSpaceModel] = ()) -> Figure
 
 
 def weight_figure(cover: Cover, models: Sequence[StateSpaceModel] = ()) -> Figure:
-    """Errors of the models, their bound, and the weight above it; below, by how much it lies above."""
+    """Errors of the models, their bound, and the weight above it; below, its excess."""
     assert cover.fit is not None
     form = cast(Form, cover.form)
     errors = error_sizes(tuple(models), cover.model.nominal, form, cover.fit.omega) if models else ()
@@ -72,7 +72,7 @@ def weight_figure(cover: Cover, models: Sequence[StateSpaceModel] = ()) -> Figur
 
 @style.house_style()
 def overbound_figure(fit: Overbound, errors: Sequence[Array] | Array = (), title: str = "") -> Figure:
-    """A weight above its bound, and the curves that made the bound; below, by how much it lies above."""
+    """A weight above its bound, and the curves under the bound; below, its excess."""
     ratios = {"height_ratios": [2.2, 1.0]}
     figure, (above, below) = style.new_figure(2, 1, width=7.6, height=2.3, sharex=True, gridspec_kw=ratios)
     floor = LIGHTEST * float(fit.bound.max())
@@ -110,7 +110,7 @@ def cloud_figure(cover: Cover) -> Figure:
 
 
 def _places(axes: Any, names: Sequence[str]) -> None:
-    """A row for each parameter, over its range from -1 to 1."""
+    """Set a row for each parameter over its range from -1 to 1."""
     axes.set_yticks(range(len(names)), [style.plain_label(name[:40]) for name in names])
     axes.set(ylim=(len(names) - 0.4, -0.6), xticks=[-1, -0.5, 0, 0.5, 1])
     axes.grid(visible=False, axis="y")
@@ -118,7 +118,7 @@ def _places(axes: Any, names: Sequence[str]) -> None:
 
 @style.house_style()
 def blocks_figure(made: EffectBlocks) -> Figure:
-    """How far each block alone moves the response of the nominal model, of its size, over frequency.
+    """Change of the nominal model's response by each block alone, relative to its size, over frequency.
 
     A real parameter at both of its ends, a dynamic block at the largest gain that it can add.
     """
@@ -149,7 +149,7 @@ def blocks_figure(made: EffectBlocks) -> Figure:
 
 
 def _moved(m11: Any, m12: Any, m21: Any, full: bool) -> Array:
-    """Largest change ``||m21 (I - Delta m11)^-1 Delta m12||`` over Delta = +-1 (a full block: its bound)."""
+    """Return the largest ``||m21 (I - Delta m11)^-1 Delta m12||`` over Delta = +-1 (of a full block a bound)."""
     if full:
         loop = np.linalg.norm(m11, 2, axis=(1, 2))
         gain = np.linalg.norm(m21, 2, axis=(1, 2)) * np.linalg.norm(m12, 2, axis=(1, 2))
@@ -159,12 +159,12 @@ def _moved(m11: Any, m12: Any, m21: Any, full: bool) -> Array:
     return np.max([np.linalg.norm(c, 2, axis=(1, 2)) for c in changes], axis=0)
 
 
-# --- a record beside a set --------------------------------------------------------------------------------------------
+# --- records and sets -------------------------------------------------------------------------------------------------
 
 
 @style.house_style()
 def validation_figure(found: Validation, output: str | None = None) -> Figure:
-    """One output recorded, of the nominal model and as explained; below, what each leaves, in the noise bound.
+    """One output recorded, of the nominal model and as explained; below, the residuals in the noise bound.
 
     Of a measured frequency response the magnitudes alone.
     """
@@ -195,7 +195,7 @@ def validation_figure(found: Validation, output: str | None = None) -> Figure:
 
 
 def cover_record(found: DataCover, record: str | None = None, output: str | None = None) -> Figure:
-    """How a set explains one of its records."""
+    """One record of a set, of the nominal model and as explained."""
     return validation_figure(found.validations[style.chosen(list(found.validations), record, "record")], output)
 
 
@@ -252,7 +252,7 @@ def band_figure(found: Responses, output: str | None = None) -> Figure:
 
 @style.house_style()
 def member_figure(worst: WorstCase | CampaignResult) -> Figure:
-    """The worst member found: where each parameter lies in its range, from -1 over nominal to 1."""
+    """The worst member found: each parameter in its range, from -1 over nominal to 1."""
     scalar = {name: np.ravel(value)[0] for name, value in worst.delta.items() if np.size(value) == 1}
     if not scalar:
         raise InputError("plot('delta')", "a member without scalar blocks", "a Delta with scalar values")
@@ -275,7 +275,7 @@ def member_figure(worst: WorstCase | CampaignResult) -> Figure:
 
 @style.house_style()
 def campaign_figure(result: CampaignResult) -> Figure:
-    """Share of the samples worse than each value, read from the campaign's store."""
+    """Share of the samples worse than each value."""
     if result.kind != "samples":
         raise InputError("plot('exceedance')", f"a campaign of {result.kind}", "one of samples", "plot('delta')")
     store = Store.open(Path(result.store))

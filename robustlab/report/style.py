@@ -1,4 +1,4 @@
-"""House style of all figures, and how they are saved: deterministic SVG for the report, PNG where one is asked for.
+"""The style of all figures, and their saving as deterministic SVG, and as PNG on request.
 
 Figures are made with `new_figure` (no pyplot: no global state, no window system) and saved with `save_figure`.
 """
@@ -27,9 +27,10 @@ from numpy.typing import NDArray
 from robustlab.errors import EnvironmentFault, InputError, did_you_mean, plain_text
 from robustlab.files.atomic import atomic_write
 
-# Okabe and Ito (2008): told apart by colour-blind readers too, and in grey print by their lightness.
+# Okabe and Ito (2008): distinguishable for colour-blind readers, and in grey print by their lightness.
 NOMINAL, WORST, GOOD, LIMIT, BAND = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9"
 SAMPLE, MEASURED = "#8a8f98", "#222222"
+CURVES = (NOMINAL, WORST, GOOD, LIMIT, SAMPLE, BAND, MEASURED)
 DASHED: Any = (0, (5, 2))
 COLOURS = {
     "nominal": NOMINAL, "worst": WORST, "sample": SAMPLE, "band": BAND, "reference": MEASURED, "good": GOOD,
@@ -59,30 +60,30 @@ _STYLE: dict[Any, Any] = {
     "figure.facecolor": "white",
     "axes.formatter.useoffset": False,
     "axes.formatter.limits": (-4, 5),
-    "text.parse_math": False,  # names come from files: a dollar sign in one is a dollar sign
+    "text.parse_math": False,  # names from files may contain a dollar sign
     "svg.hashsalt": "robustlab",
-    "svg.fonttype": "none",  # texts stay texts: smaller, and a reader can search for them
+    "svg.fonttype": "none",  # texts as text: smaller and searchable
     "path.simplify": True,
 }
 
 PNG_DPI = 144
 MOST_POINTS = 2000  # of a curve
 
-# Where the next figures are drawn: a function that makes them, or Axes of somebody's figure.
+# Target of the next figures: a function that makes them, or Axes of a user's figure.
 Canvas = Callable[[tuple[float, float]], Figure] | Axes
 _CANVAS: ContextVar[Canvas] = ContextVar("canvas", default=lambda size: Figure(figsize=size, layout="constrained"))
 
 
 @contextmanager
 def house_style() -> Iterator[None]:
-    """The house style inside a ``with`` block; the caller's own settings come back afterwards."""
+    """Set the style inside a ``with`` block; the caller's settings are restored."""
     with mpl.rc_context(_STYLE):
         yield
 
 
 @contextmanager
 def drawn_on(canvas: Canvas) -> Iterator[None]:
-    """Inside the ``with`` block figures are made by this function, or drawn into these Axes; see `new_figure`."""
+    """Make figures inside the ``with`` block by a function, or draw them into Axes; see `new_figure`."""
     token = _CANVAS.set(canvas)
     try:
         yield
@@ -93,20 +94,20 @@ def drawn_on(canvas: Canvas) -> Iterator[None]:
 def new_figure(
     rows: int = 1, columns: int = 1, width: float = 7.2, height: float = 3.2, **options: Any
 ) -> tuple[Figure, list[Axes]]:
-    """A figure in the house style and its axes, row by row; ``height`` is inches per row.
+    """Return a figure in the common style and its axes, row by row; ``height`` is inches per row.
 
-    Inside `drawn_on` with Axes it is these for one panel; several panels take their place in their figure.
+    Inside `drawn_on` with Axes, one panel is these Axes, several panels replace them in their figure.
     """
     canvas = _CANVAS.get()
     with house_style():
         if isinstance(canvas, Axes) and rows * columns == 1:
             return canvas.figure, [canvas]  # pyright: ignore[reportReturnType]
-        figure = _in_the_place_of(canvas) if isinstance(canvas, Axes) else canvas((width, height * rows))
+        figure = _replaced(canvas) if isinstance(canvas, Axes) else canvas((width, height * rows))
         axes = figure.subplots(rows, columns, squeeze=False, **options)
     return figure, list(axes.ravel())  # pyright: ignore[reportReturnType]
 
 
-def _in_the_place_of(axes: Axes) -> SubFigure:
+def _replaced(axes: Axes) -> SubFigure:
     place, figure = axes.get_subplotspec(), axes.figure
     if place is None:
         found = "axes that are in no grid, for a drawing of several panels"
@@ -116,17 +117,17 @@ def _in_the_place_of(axes: Axes) -> SubFigure:
 
 
 def plain_label(text: str) -> str:
-    """A name from outside as matplotlib may show it: printable characters only."""
+    """Return an untrusted name with printable characters only."""
     return plain_text(text)
 
 
 def axis_label(name: str, unit: str) -> str:
-    """``name [unit]``, or the name alone."""
+    """Return ``name [unit]``, or the name alone."""
     return plain_label(f"{name} [{unit}]" if unit and unit != "1" else name)
 
 
 def logarithmic(axis: Axis) -> None:
-    """Make an axis logarithmic with ticks in plain characters (the house style shows no mathematics)."""
+    """Make an axis logarithmic with ticks in plain characters (the style shows no mathematics)."""
     with house_style():
         axis.axes.set(**{f"{axis.axis_name}scale": "log"})  # pyright: ignore[reportAttributeAccessIssue]
         axis.set_major_formatter(FuncFormatter(lambda value, _: _power_of_ten(value)))
@@ -134,7 +135,7 @@ def logarithmic(axis: Axis) -> None:
 
 
 def frequency_axis(axes: Axes, span: tuple[float, float] | None = None) -> None:
-    """A logarithmic axis of frequencies in rad/s, from the first to the last where they are given."""
+    """Set a logarithmic axis of frequencies in rad/s, from the first to the last where they are given."""
     logarithmic(axes.xaxis)
     axes.set_xlabel("frequency [rad/s]")
     if span is not None:
@@ -142,20 +143,20 @@ def frequency_axis(axes: Axes, span: tuple[float, float] | None = None) -> None:
 
 
 def zero_line(axes: Axes) -> None:
-    """A thin line where the vertical axis is zero."""
+    """Draw a thin line at zero of the vertical axis."""
     axes.axhline(0.0, color="#888888", lw=0.8)
 
 
 def headroom(axes: Axes, below: float = 0.0, above: float = 0.0) -> None:
-    """Room for a legend, as shares of the height."""
+    """Add room for a legend, in shares of the height."""
     low, high = axes.get_ylim()
     axes.set_ylim(low - below * (high - low), high + above * (high - low))
 
 
 def legend_below(figure: Figure, panels: Sequence[Axes], ncols: int | None = None) -> None:
-    """One legend for all panels, below them; each label once.
+    """Draw one legend for all panels below them, each label once.
 
-    In the Axes of somebody's figure, or where no layout makes room for it, it is inside of the first panel.
+    In the Axes of a user's figure, or without a layout engine, it is inside the first panel.
     """
     if _CANVAS.get() is panels[0] or figure.get_layout_engine() is None:
         panels[0].legend(loc="best", fontsize="small")
@@ -169,20 +170,20 @@ def legend_below(figure: Figure, panels: Sequence[Axes], ncols: int | None = Non
 
 
 def stem(name: str, number: int) -> str:
-    """A signal's name as part of a file's name; one from outside that is no plain word is told by its number."""
+    """Return a signal's name as part of a file's name, or ``outputN`` if it is no plain word."""
     return name if name.isidentifier() and name.isascii() else f"output{number}"
 
 
-def chosen(names: Sequence[str], asked: str | None, kind: str) -> str:
-    """The name asked for, the first one where none is. Raises InputError: no such name, or nothing there."""
+def chosen(names: Sequence[str], name: str | None, kind: str) -> str:
+    """Return the given name, by default the first one. Raises InputError: no such name, or no names."""
     if not names:
         raise InputError(f"plot: {kind}", "nothing to draw", f"a result with one {kind} at least")
-    if asked is None:
+    if name is None:
         return names[0]
-    if asked not in names:
-        hint = did_you_mean(asked, list(names))
-        raise InputError(f"plot: {kind} {asked!r}", f"no such {kind}", f"one of {', '.join(names)}", hint)
-    return asked
+    if name not in names:
+        hint = did_you_mean(name, list(names))
+        raise InputError(f"plot: {kind} {name!r}", f"no such {kind}", f"one of {', '.join(names)}", hint)
+    return name
 
 
 def _power_of_ten(value: float) -> str:
@@ -195,7 +196,7 @@ def _power_of_ten(value: float) -> str:
 
 
 def outline(t: NDArray[Any], y: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """A curve with `MOST_POINTS` points that looks like ``y``: the extremes of each stretch, in their order."""
+    """Return a curve of `MOST_POINTS` points that looks like ``y``: the extremes of each stretch, in order."""
     edges = np.linspace(0, len(y), MOST_POINTS // 2 + 1).astype(int)
     index = [
         i for a, b in pairwise(edges.tolist()) for i in sorted((a + int(y[a:b].argmin()), a + int(y[a:b].argmax())))
@@ -204,7 +205,7 @@ def outline(t: NDArray[Any], y: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any
 
 
 def _thinned(figure: Figure) -> None:
-    """Leave of every long curve over a growing abscissa what can be seen of it."""
+    """Replace every long curve over an increasing abscissa by its outline."""
     for line in (line for axes in figure.axes for line in axes.lines):
         x, y = (np.asarray(part, dtype=float) for part in line.get_data(orig=False))
         if len(x) > MOST_POINTS and (np.diff(x) >= 0).all() and line.get_linestyle() != "None":
@@ -212,10 +213,7 @@ def _thinned(figure: Figure) -> None:
 
 
 def save_figure(figure: Figure, folder: str | Path, name: str, png: bool = True) -> tuple[Path, ...]:
-    """Write ``name.svg``, and ``name.png``, into ``folder``; the same figure gives the same bytes.
-
-    Each file is written beside its final name first and then renamed, so that a reader never sees half of one.
-    """
+    """Write ``name.svg``, and ``name.png``, into ``folder`` atomically; the same figure gives the same bytes."""
     folder = Path(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -223,7 +221,7 @@ def save_figure(figure: Figure, folder: str | Path, name: str, png: bool = True)
         raise EnvironmentFault(str(folder), f"the folder cannot be made ({error.strerror})") from error
     svg, raster = folder / f"{name}.svg", folder / f"{name}.png"
     with house_style(), warnings.catch_warnings():
-        # A name in a script that the font lacks is drawn as boxes; the caption in the report has it in full.
+        # Characters that the font lacks are drawn as boxes; the caption in the report has them.
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
         _thinned(figure)
         engine = figure.get_layout_engine()

@@ -1,4 +1,4 @@
-"""Storage: format 1 and plain files to models, records and results, and back."""
+"""Load and save models, records and results in format 1 and plain files."""
 
 from robustlab.lazily import lazily
 

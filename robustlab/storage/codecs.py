@@ -1,7 +1,6 @@
-"""What writes an object of a class and what reads a file of a kind; each imports its class where it is met.
+"""Writers by class and readers by kind of file; each imports its class on use.
 
-What a file holds is known by its kind, what an object is by the names of its class and of those beneath it: so a
-process loads what it reads and writes, and nothing else.
+Classes are identified by name, so a process loads only the modules of the objects that it reads or writes.
 """
 
 from __future__ import annotations
@@ -38,23 +37,23 @@ if TYPE_CHECKING:
 
 
 class Codec(NamedTuple):
-    """One kind of file of format 1, and the class whose objects it holds."""
+    """A kind of file of format 1, and the class of its objects."""
 
     kind: str
     type: str  # of the class: its module's path below `robustlab` and its name
     write: Callable[[Tree, Any], None]
-    read: Callable[[Tree, Problems, bool], Any]  # the bool: matrices of a plain file are to be transposed
+    read: Callable[[Tree, Problems, bool], Any]  # the bool: transpose the matrices
 
 
 def codec_of(obj: Any) -> Codec | None:
-    """The codec of an object's class, or of the nearest one that it inherits from; None where files know none."""
+    """Return the codec of an object's class or its nearest base, or None."""
     names = (f"{cls.__module__}.{cls.__qualname__}".removeprefix("robustlab.") for cls in type(obj).__mro__)
     by_type = {codec.type: codec for codec in BY_KIND.values()}
     return next((by_type[name] for name in names if name in by_type), None)
 
 
 def _later(module: str, kind: str) -> tuple[Callable[..., None], Callable[..., Any]]:
-    """What writes and reads a kind, in a module of its own, imported where it is met."""
+    """Return the writer and the reader of a kind, in a module that is imported on use."""
 
     def called(way: str, *given: Any) -> Any:
         return getattr(import_module(f"robustlab.storage.{module}"), f"{way}_{kind}")(*given)
@@ -63,7 +62,7 @@ def _later(module: str, kind: str) -> tuple[Callable[..., None], Callable[..., A
 
 
 def _encode_delayed(tree: Tree, model: Any) -> None:
-    """Group ``H`` as a state-space model, dataset ``delays`` in s: those of its first inputs and outputs."""
+    """Write group ``H`` as a state-space model, dataset ``delays`` in s, of its first inputs and outputs."""
     encode_model(tree.group("H"), model.H)
     tree.put("delays", np.asarray(model.delays, dtype=np.float64))
 
@@ -82,7 +81,7 @@ def _decode_delayed(tree: Tree, problems: Problems, transpose: bool) -> Any:
 
 
 def _encode_controller(tree: Tree, controller: Any) -> None:
-    """K as a state-space model; ``gamma``, ``status``, ``method`` as attributes; the claims of its design."""
+    """Write K as a state-space model; ``gamma``, ``status``, ``method`` as attributes; the claims of its design."""
     from robustlab.evidence.verification import claims_of
     from robustlab.storage.results import encode_claims
 
@@ -122,7 +121,7 @@ COLUMNS = {"name": "U", "unit": "U", "rate": "fi"}
 
 
 def _encode_lpv(tree: Tree, model: Any) -> None:
-    """Stacked ``matrices`` [A B; C D] over the grid, ``deviation`` over its cells, parameters and signals."""
+    """Write ``matrices`` [A B; C D] over the grid, ``deviation`` over its cells, parameters and signals."""
     tree.put("matrices", model.matrices)
     tree.put("deviation", model.deviation)
     tree.attrs.update(states=model.n_states, known=model.known)
@@ -149,8 +148,8 @@ def _decode_lpv(tree: Tree, problems: Problems, _transpose: bool = False) -> Any
     try:
         return _lpv_model(tree, found, points, sides)
     except (InputError, ValueError, KeyError, IndexError) as error:
-        said = error.line if isinstance(error, InputError) else str(error)
-        raise InputError(problems.file, f"no LPV model: {said}", "what kind lpv of format 1 says") from None
+        text = error.line if isinstance(error, InputError) else str(error)
+        raise InputError(problems.file, f"no LPV model: {text}", "what kind lpv of format 1 says") from None
 
 
 def _lpv_model(tree: Tree, found: dict[str, Any], points: list[float], sides: list[Any]) -> Any:
@@ -172,7 +171,7 @@ def _lpv_model(tree: Tree, found: dict[str, Any], points: list[float], sides: li
 
 
 def _encode_lpv_controller(tree: Tree, controller: Any) -> None:
-    """As an LPV model, with the attributes of kind ``controller`` as well."""
+    """Write an LPV model with the attributes of kind ``controller``."""
     _encode_lpv(tree, controller.K)
     _put_design(tree, controller)
 
@@ -187,7 +186,7 @@ def _decode_lpv_controller(tree: Tree, problems: Problems, _transpose: bool) -> 
 
 
 def _encode_record(tree: Tree, record: Any) -> None:
-    """Dataset ``t``, one dataset for each signal in groups ``inputs`` and ``outputs``."""
+    """Write dataset ``t``, and one for each signal in groups ``inputs`` and ``outputs``."""
     from robustlab.files.records import encode_record
 
     encode_record(tree, {key: getattr(record, key) for key in ("t", "inputs", "outputs", "units", "name", "meaning")})
@@ -200,7 +199,7 @@ def _decode_record(tree: Tree, _problems: Problems, _transpose: bool) -> Record:
 
 
 def record_from(path: str | Path, group: str | None, limits: Limits | None, isolate: bool) -> Record:
-    """The record in a file without header; see `robustlab.files.records.read_record`."""
+    """Return the record in a file without header; see `robustlab.files.records.read_record`."""
     from robustlab.files.records import RecordOptions, read_record
 
     return _record(read_record(path, RecordOptions(group), limits, isolate), str(path))

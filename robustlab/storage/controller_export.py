@@ -1,9 +1,9 @@
-r"""Controllers as C99 source: one struct of state, an init and a step function, nothing allocated.
+r"""Export controllers as C99 source: a struct of state, an init and a step function, without allocation.
 
 .. math:: y_k = C x_k + D u_k, \qquad x_{k+1} = A x_k + B u_k
 
-Every number is a hexadecimal constant, which is the number itself. Where outputs are limited, back-calculation tells
-the states what the limits took away. Names of signals stand in comments alone: a name must not become code.
+Numbers are exact hexadecimal constants. With limits, the states are corrected by back-calculation. Names of signals
+appear in comments only, never in code.
 """
 
 from __future__ import annotations
@@ -33,16 +33,13 @@ RESERVED = (
     "auto break case char const continue default do double else enum extern float for goto if inline int long "
     "register restrict return short signed sizeof static struct switch typedef union unsigned void volatile while main"
 )
-# Rows of one statement are broken after so many terms.
-TERMS = 4
-# During saturation slow modes decay within this many samples, unless a time is given.
-ANTI_WINDUP_SAMPLES = 10.0
-# Samples of the sign check in the comment.
-CHECKED = 3
+TERMS = 4  # of a statement on one line
+ANTI_WINDUP_SAMPLES = 10.0  # in which modes decay during saturation, unless a time is given
+CHECKED = 3  # samples of the sign check in the comment
 
 
 def saturation_limits(model: StateSpaceModel, saturation: Any, where: str) -> tuple[tuple[float, float], ...] | None:
-    """``(low, high)`` for each output, from a pair for all or a mapping by name with all outputs; None for none."""
+    """Return ``(low, high)`` for each output, from a pair for all or a mapping by name; None without limits."""
     if saturation is None:
         return None
     names, limits = model.output_names, list[tuple[float, float]]()
@@ -66,7 +63,7 @@ def saturation_limits(model: StateSpaceModel, saturation: Any, where: str) -> tu
 def _back_calculation(
     model: StateSpaceModel, limits: Sequence[tuple[float, float]] | None, anti_windup: Any
 ) -> tuple[float | None, Array]:
-    """The time of the back-calculation, None where its gain is given; and the gain."""
+    """Return the time of the back-calculation (None where its gain is given) and the gain."""
     shape = (model.n_states, model.n_outputs)
     if not limits:
         return ANTI_WINDUP_SAMPLES * model.dt, np.zeros(shape)
@@ -87,7 +84,7 @@ def c_source(
     anti_windup: Any = None,
     feed_forward: FeedForward | None = None,
 ) -> str:
-    """The C99 source of a discrete model.
+    """Return the C99 source of a discrete model.
 
     Examples
     --------
@@ -107,7 +104,7 @@ def c_source(
         expected = "a lower-case letter, then lower-case letters, digits or underscores"
         raise InputError("C export: prefix", f"{prefix!r}", expected)
     time, back = _back_calculation(model, limits, anti_windup)
-    ahead = None if feed_forward is None else _ahead(model, feed_forward)
+    ahead = None if feed_forward is None else _place_feed_forward(model, feed_forward)
     unused = [] if model.n_states else ["s"]
     unused += [] if ahead or model.B.any() or model.D.any() else ["u"]
     return _template().render(
@@ -128,16 +125,16 @@ def c_source(
     )
 
 
-class _Ahead(NamedTuple):
-    """A feed-forward in a model's code: itself, the output that it is added to, and the input that is its reference."""
+class _PlacedFeedForward(NamedTuple):
+    """A feed-forward, the output that it is added to, and the input that is its reference."""
 
     law: FeedForward
     output: int
     reference: int
 
 
-def _ahead(model: StateSpaceModel, law: FeedForward) -> _Ahead:
-    """Where the model has the signals of a feed-forward."""
+def _place_feed_forward(model: StateSpaceModel, law: FeedForward) -> _PlacedFeedForward:
+    """Find the signals of a feed-forward in a model."""
     names, wanted = model.output_names, law.position
     if law.input.name not in names:
         raise InputError("C export: feed-forward", f"of {law.input.name!r}", f"one of {', '.join(names)}")
@@ -147,7 +144,7 @@ def _ahead(model: StateSpaceModel, law: FeedForward) -> _Ahead:
         hint = "a controller of a tracking problem is: it sees references and measurements apart"
         expected = f"a controller that is given the reference of {wanted.name}"
         raise InputError("C export: feed-forward", f"inputs {', '.join(model.input_names)}", expected, hint)
-    at = _Ahead(law, names.index(law.input.name), found[0])
+    at = _PlacedFeedForward(law, names.index(law.input.name), found[0])
     for ours, its in ((model.outputs[at.output], law.input), (model.inputs[at.reference], wanted)):
         if ours.unit != its.unit:
             raise UnitMismatch(f"C export: feed-forward of {its.name}", its.unit, ours.unit)
@@ -175,7 +172,7 @@ def _terms(from_x: Array, from_u: Array, from_limits: Array | None = None) -> li
 
 
 def _sign(signal: Signal, inputs: Sequence[Signal]) -> list[str]:
-    """What an input is, with its sign, as the controller says it: lines for the comment."""
+    """Return lines of the comment on an input and its sign."""
     if not isinstance(signal, Taken):
         return ["SIGN NOT STATED by what this was written from: find out how the loop is closed, before it moves"]
     of = signal.of
@@ -194,12 +191,12 @@ def _sign(signal: Signal, inputs: Sequence[Signal]) -> list[str]:
 
 
 def _first_samples(model: StateSpaceModel) -> list[list[str]]:
-    """For each input held at +1 from the zero state: all outputs over the first samples, as text."""
+    """Return as text the first samples of all outputs for each input at +1 from the zero state."""
     rows = []
     for i in range(model.n_inputs):
         x, seen = np.zeros(model.n_states), []
         for _ in range(CHECKED):
-            with np.errstate(over="ignore", invalid="ignore"):  # text for a comment: inf is what it is
+            with np.errstate(over="ignore", invalid="ignore"):  # inf may appear in the comment
                 seen.append(model.C @ x + model.D[:, i])
                 x = model.A @ x + model.B[:, i]
         rows.append([", ".join(f"{y[j]:+.6g}" for y in seen) for j in range(model.n_outputs)])
@@ -207,7 +204,7 @@ def _first_samples(model: StateSpaceModel) -> list[list[str]]:
 
 
 def _exact(value: float) -> str:
-    """The hexadecimal constant of a number, in parentheses where it is negative."""
+    """Return the hexadecimal constant of a number, in parentheses if negative."""
     text = float(value).hex()
     if text in ("0x0.0p+0", "-0x0.0p+0"):
         return "0.0"
@@ -219,7 +216,7 @@ def _unit(signal: Signal) -> str:
 
 
 def _comment(text: str) -> str:
-    """Text that cannot end a comment, continue a line or hide in it: printable ASCII, the rest as numbers."""
+    """Return text that cannot end a comment or continue a line: printable ASCII, other characters as numbers."""
     plain = "".join(c if " " <= c <= "~" else f"<U+{ord(c):04X}>" for c in text)
     return plain.replace("*/", "* /").replace("/*", "/ *").replace("\\", "<U+005C>").replace("??", "? ?")
 
@@ -242,8 +239,8 @@ def export_controller(
 
     ``.c``
         C99 without allocation: a struct of state, ``<prefix>_init`` and ``<prefix>_step``. The sample time, the names,
-        units and signs of all signals, and what the first samples must be, stand in the comment at the top; every
-        number is exact (hexadecimal).
+        units and signs of all signals, and the first samples for a check, are in the comment at the top; every number
+        is exact (hexadecimal).
     ``.mat``, ``.h5``
         As `robustlab.save` writes them.
 
@@ -260,7 +257,7 @@ def export_controller(
         with back-calculation against windup (`robustlab.synthesis.windup.back_calculation`).
     anti_windup
         For ``.c`` with a saturation: time in s within which, during saturation, all modes of the controller decay. Ten
-        samples where left out; inf leaves a stable controller's states alone. Or the gain itself, (n, p), such as that
+        samples by default; inf does not change a stable controller's states. Or the gain itself, (n, p), such as that
         of `anti_windup`.
     feed_forward
         For ``.c``: what is added to a control signal before its limits, a function of the reference and its rate

@@ -1,4 +1,4 @@
-"""Parametric models in a text file: matrices of expressions, ranges of parameters, names of signals (TOML).
+"""Read parametric models from TOML: matrices of expressions, ranges of parameters, names of signals.
 
 ::
 
@@ -33,7 +33,7 @@ RANGE = ("nominal", "low", "high", "unit")
 
 
 def load_parametric(path: str | Path) -> UncertainModel:
-    """The uncertain model that a file of expressions describes; see `robustlab.uncertainty.parametric.parametric`."""
+    """Return the uncertain model of a file of expressions; see `robustlab.uncertainty.parametric.parametric`."""
     where = str(path)
     if not Path(path).is_file():
         raise InputError(where, "no such file", "a .toml file with matrices of expressions")

@@ -1,8 +1,4 @@
-"""Loading and saving: which object a file holds, and which file an object becomes.
-
-What knows one kind of object is loaded where one is met (`codecs`): a command that reads a model needs no plants and
-no delays.
-"""
+"""Load and save objects; the modules of each kind of object are imported on use (`codecs`)."""
 
 from __future__ import annotations
 
@@ -37,7 +33,7 @@ if TYPE_CHECKING:
     Models = StateSpaceModel | UncertainModel | DelayedModel | UncertainFrequencyData | LPVModel
     Stored = Models | Controller | LPVController | Record | Result | Plant
 else:
-    Stored = Any  # what reads the signatures while the program runs
+    Stored = Any  # for signatures read at run time
 
 
 @dataclass(frozen=True)
@@ -49,10 +45,10 @@ class Loaded:
     object: Any
     kind: str  # kind of format 1, or `"pair"`
     path: str
-    verified: bool  # True where the content hash was there and matched
-    warnings: tuple[str, ...] = ()  # what a reader should know; empty where all is well
-    # Where the file says it comes from; its note says so where no content hash verified the file. The object carries
-    # the same (`robustlab.provenance.Traced`).
+    verified: bool  # whether the content hash is present and matches
+    warnings: tuple[str, ...] = ()
+    # Provenance in the file, with a note if no content hash verified it; also set on the object
+    # (`robustlab.provenance.Traced`).
     provenance: Provenance | None = None
 
     def __post_init__(self) -> None:
@@ -81,11 +77,11 @@ def load(
     Parameters
     ----------
     path
-        The file; its kind is told by its content, not by its name.
+        The file; its kind is detected by its content, not by its name.
     group
         Take the model or record in this group.
     transpose
-        The file was written column by column: swap the axes of A, B, C and D. MATLAB's own files need no such word.
+        The file was written column by column: swap the axes of A, B, C and D. Not needed for MATLAB's own files.
     no_verify
         Load although the content hash does not match. Certify nothing with such an object.
     limits, isolate
@@ -95,13 +91,13 @@ def load(
     -------
     StateSpaceModel, or whatever else `save` takes
         A text file gives a Record whose columns are all outputs: only the user knows which are inputs (`Record.read`).
-        The object's ``provenance`` is that of the file. Where no content hash verified the file, its note says so; a
-        format 1 file without one, or with one that does not match, also brings a warning.
+        The object's ``provenance`` is that of the file. Where no content hash verified the file, it has a note; a
+        format 1 file without a hash, or with one that does not match, also raises a warning.
 
     Raises
     ------
     InputError
-        Anything that is wrong with the file, all findings at once.
+        Any fault of the file, all faults at once.
     """
     loaded = read(path, group=group, transpose=transpose, no_verify=no_verify, limits=limits, isolate=isolate)
     if loaded.kind == "pair":
@@ -124,12 +120,12 @@ def load_pair(
 
 
 def is_plant_file(name: str) -> bool:
-    """True where a text means a file with a plant, and not the name of a plant."""
+    """Return whether a text is the path of a file, not the name of a plant."""
     return Path(name).suffix.lower() in (".h5", ".hdf5") or Path(name).is_file()
 
 
 def load_plant(path: str) -> Any:
-    """The plant in a file. Raises InputError: the file holds something else."""
+    """Return the plant in a file. Raises InputError: the file holds another object."""
     from robustlab.dynamics.plant_contract import Plant
 
     found = load(path)
@@ -148,7 +144,7 @@ def read(
     limits: Limits | None = None,
     isolate: bool = True,
 ) -> Loaded:
-    """Like `load`, but with what is known about the file, and for a pair file with both models."""
+    """Read as `load` does, with the properties of the file, and both models of a pair."""
     where = str(path)
     content = content_of(path, limits)
     if content == "text":
@@ -173,7 +169,7 @@ def read(
 def _plain(
     node: Tree, problems: Problems, group: str | None, *, transpose: bool, limits: Limits | None, isolate: bool
 ) -> tuple[str, Any]:
-    """A file without header: a model by its matrices, a pair by its groups, a record by its clock."""
+    """Decode a file without header: a model by its matrices, a pair by its groups, a record by its times."""
     matrices = [name for name in NAMES if name in node.datasets]
     if not matrices:
         from robustlab.storage.pairs import decode_pair, looks_like_a_pair
@@ -191,7 +187,7 @@ def _plain(
 
 
 def _unit_warnings(kind: str, thing: Any) -> tuple[str, ...]:
-    """Row 17 of the fault table: missing units are accepted, and said."""
+    """Return a warning on signals without units (row 17 of the fault table)."""
     if kind in ("result", "plant"):
         return ()
     if kind == "record":
@@ -249,7 +245,7 @@ def save(path: str | Path, obj: Any, provenance: Provenance | None = None) -> Pa
 
 
 def _origin(obj: Any, given: Provenance) -> Provenance:
-    """The provenance to write: what nothing verified, and what is not exact, says so in every file made of it."""
+    """Return the provenance to write, with the remarks of an unverified or inexact source."""
     source = getattr(obj, "provenance", None)
     if not isinstance(source, Provenance):
         return given

@@ -1,7 +1,4 @@
-"""State-space models in a file: the matrices A B C D, signals, operating point, and all that can be wrong with them.
-
-What is wrong is collected (`Problems`) and raised at once.
-"""
+"""State-space models in files: the matrices A B C D, signals, operating point; all faults are raised at once."""
 
 from __future__ import annotations
 
@@ -23,33 +20,33 @@ Made = TypeVar("Made")
 
 @dataclass
 class Problems:
-    """Findings about one file, in the order in which they were met."""
+    """Faults of one file, in the order in which they were found."""
 
-    file: str  # what messages call the file
-    lines: list[str] = field(default_factory=list)  # one finding each, beginning with the path in the file
-    hint: str | None = None  # what to do; the first hint given stays
-    notes: list[str] = field(default_factory=list)  # what a reader should know of a file that is right
+    file: str  # name of the file in messages
+    lines: list[str] = field(default_factory=list)  # one fault each, beginning with the path in the file
+    hint: str | None = None  # the first hint given
+    notes: list[str] = field(default_factory=list)  # remarks on a valid file
 
     def add(self, line: str, hint: str | None = None) -> None:
-        """Note a finding."""
+        """Add a fault."""
         self.lines.append(line)
         self.hint = self.hint or hint
 
     def absorb(self, error: InputError) -> None:
-        """Note what a constructor said."""
+        """Add the error of a constructor."""
         where = error.where.removeprefix(f"{self.file}: ").removeprefix(self.file)
         text = f"{error.found}" + (f", expected {error.expected}" if error.expected else "")
         self.add(f"{where}: {text}" if where else text, error.hint)
         self.lines.extend(error.more)
 
     def raise_any(self) -> None:
-        """Raise one `InputError` with all findings, if there are any."""
+        """Raise one `InputError` with all faults, if there are any."""
         if self.lines:
             more = tuple(f"{self.file}: {line.removeprefix(f'{self.file}: ')}" for line in self.lines[1:])
             raise InputError(self.file, self.lines[0], None, self.hint, more)
 
     def built(self, make: Callable[..., Made], *parts: Any) -> Made:
-        """The object made of what was read; its own refusal names the file."""
+        """Construct an object of the parts read; its error names the file."""
         self.raise_any()
         try:
             return make(*parts)
@@ -68,7 +65,7 @@ COLUMN_MAJOR = "file looks column-major: use transpose=True"
 
 
 def encode_model(tree: Tree, model: StateSpaceModel) -> None:
-    """Put ``model`` into ``tree`` in the layout of kind ``state-space``."""
+    """Write ``model`` into ``tree`` in the layout of kind ``state-space``."""
     for name in NAMES:
         tree.put(name, getattr(model, name))
     tree.attrs["dt"] = model.dt
@@ -78,14 +75,14 @@ def encode_model(tree: Tree, model: StateSpaceModel) -> None:
 
 
 def encode_signals(tree: Tree, given: Sequence[Sequence[Signal]]) -> None:
-    """Put names and units of states, inputs and outputs into ``tree``, and what a controller takes, where known."""
+    """Write names and units of states, inputs and outputs into ``tree``, and the signals a controller takes."""
     for side, signals in zip(SIDES, given, strict=True):
         taken = any(isinstance(s, Taken) for s in signals)
         put_columns(tree.group("signals").group(side), dict.fromkeys(SIGNAL if taken else SIGNAL[:2], "U"), signals)
 
 
 def encode_point(tree: Tree, point: OperatingPoint) -> None:
-    """Put an operating point into ``tree``."""
+    """Write an operating point into ``tree``."""
     for name in ("x", "u", "y"):
         tree.group("operating_point").put(name, getattr(point, name))
 
@@ -97,7 +94,7 @@ def decode_model(
     like: StateSpaceModel | None = None,
     dt: float | None = None,
 ) -> StateSpaceModel | None:
-    """The model in ``node``, or None with the reasons in ``problems``; a descriptor form (with E) is noted there."""
+    """Return the model in ``node``, or None with the faults in ``problems``; a descriptor form (with E) is noted."""
     found = len(problems.lines)
     matrices = _matrices(node, problems, transpose)
     if len(problems.lines) > found:
@@ -127,7 +124,7 @@ def decode_model(
 def _eliminated(
     model: StateSpaceModel, e: Array, point: OperatingPoint | None, problems: Problems, where: str
 ) -> StateSpaceModel:
-    """The model of a descriptor form at its operating point, as far as it has the states of that form."""
+    """Return the model of a descriptor form, at its operating point if the states allow it."""
     from robustlab.dynamics.descriptor_elimination import eliminated
 
     found = eliminated(model, e, where)
@@ -140,7 +137,7 @@ def _eliminated(
 
 
 def decode_state_space(tree: Tree, problems: Problems, transpose: bool = False) -> StateSpaceModel:
-    """Inverse of `encode_model`. Raises InputError: with all that is missing or does not fit."""
+    """Invert `encode_model`. Raises InputError: with all faults."""
     model = decode_model(tree, problems, transpose)
     problems.raise_any()
     assert model is not None
@@ -153,7 +150,7 @@ def decode_state_space(tree: Tree, problems: Problems, transpose: bool = False) 
 def find_children(
     node: Tree, wanted: Sequence[str], problems: Problems, known: Sequence[str] = (), kind: str = ""
 ) -> None:
-    """Note every missing child, and what is there under a similar name; ``kind`` is ``dataset`` or ``group``."""
+    """Add a fault for every missing child, and for similar names; ``kind`` is ``dataset`` or ``group``."""
     present = [*node.datasets, *node.groups]
     missing = [name for name in wanted if name not in present]
     for name in wanted:
@@ -172,7 +169,7 @@ def find_children(
 
 
 def _matrices(node: Tree, problems: Problems, transpose: bool) -> dict[str, Array]:
-    """A, B, C, D, and E of a descriptor form (MATLAB writes [] for the identity)."""
+    """Return A, B, C, D, and E of a descriptor form (MATLAB writes [] for the identity)."""
     find_children(node, NAMES, problems, known=("E",), kind="dataset")
     matrices = {}
     for name in (*NAMES, "E"):
@@ -208,7 +205,7 @@ def _real(node: Tree, name: str, problems: Problems) -> Array | None:
 
 
 def _fit(matrices: dict[str, Array], node: Tree, problems: Problems, like: StateSpaceModel | None) -> None:
-    """Bring empty matrices of a static gain to their proper shape; note shapes that do not fit."""
+    """Reshape empty matrices of a static gain; add faults for shapes that do not fit."""
     if matrices["A"].shape == (0, 0):  # MATLAB writes [] for all three
         p, m = matrices["D"].shape
         for name, proper in (("B", (0, m)), ("C", (p, 0))):
@@ -234,7 +231,7 @@ def _fit(matrices: dict[str, Array], node: Tree, problems: Problems, like: State
 
 def _expected(shapes: Mapping[str, Shape]) -> dict[str, Shape]:
     a, b, c, d = (shapes[name] for name in NAMES)
-    # A counts first: where it is square it says how many states there are.
+    # A square A defines the number of states.
     n = a[0] if a[0] == a[1] else Counter([a[0], a[1], b[0], c[1]]).most_common(1)[0][0]
     m = b[1] if b[0] == n else d[1]
     p = c[0] if c[1] == n else d[0]
@@ -245,7 +242,7 @@ def _expected(shapes: Mapping[str, Shape]) -> dict[str, Shape]:
 
 
 def sample_time(node: Tree, problems: Problems) -> float | None:
-    """``dt`` in s from an attribute or a scalar dataset (``dt`` or ``Ts``); None where the group states none."""
+    """Return ``dt`` in s from an attribute or a scalar dataset (``dt`` or ``Ts``), or None."""
     held = {f"{node.path} attribute {name}": node.attrs[name] for name in ("dt", "Ts") if name in node.attrs}
     held |= {node.child_path(name): node.datasets[name].values for name in ("dt", "Ts") if name in node.datasets}
     for path, item in held.items():
@@ -260,7 +257,7 @@ def sample_time(node: Tree, problems: Problems) -> float | None:
 
 
 def real_attribute(node: Tree, name: str, problems: Problems) -> float | None:
-    """An attribute that is one real number; None where there is none."""
+    """Return an attribute that is one real number, or None."""
     value = np.asarray(node.attrs.get(name, ""))
     if value.dtype.kind in "fi" and value.size == 1:
         return float(value.flat[0])
@@ -270,7 +267,7 @@ def real_attribute(node: Tree, name: str, problems: Problems) -> float | None:
 
 
 def decode_signals(node: Tree, problems: Problems) -> tuple[list[Signal] | None, ...]:
-    """States, inputs, outputs from ``signals/``, or from the variables that a MATLAB export has."""
+    """Return states, inputs, outputs from ``signals/``, or from the variables of a MATLAB export."""
     result: list[list[Signal] | None] = []
     for side in SIDES:
         group, names = node.groups.get("signals", Tree()).groups.get(side), SIGNAL
@@ -293,7 +290,7 @@ def decode_signals(node: Tree, problems: Problems) -> tuple[list[Signal] | None,
 
 
 def put_columns(group: Tree, kinds: Mapping[str, str], rows: Sequence[Any]) -> None:
-    """A dataset for each of these fields of the rows: texts (``U``), whole numbers (``i``) or real ones (``fi``)."""
+    """Write a dataset for each of these fields of the rows: texts (``U``), whole (``i``) or real (``fi``) numbers."""
     for name, kind in kinds.items():
         empty = "" if kind == "U" else np.nan
         group.put(name, np.array([getattr(row, name, empty) for row in rows], dtype=TYPES[kind]))
@@ -302,7 +299,7 @@ def put_columns(group: Tree, kinds: Mapping[str, str], rows: Sequence[Any]) -> N
 def columns(
     group: Tree, kinds: Mapping[str, str], problems: Problems, optional: Sequence[str] = (), one_length: bool = True
 ) -> dict[str, list[Any]]:
-    """Inverse of `put_columns`; what is missing, of another kind, or of another length than the first, is noted."""
+    """Invert `put_columns`; add faults for missing columns, wrong kinds, and lengths unlike the first."""
     find_children(group, [name for name in kinds if name not in optional], problems, kind="dataset")
     found: dict[str, list[Any]] = {}
     for name, kind in kinds.items():
@@ -321,7 +318,7 @@ def columns(
 
 
 def entries(group: Tree, name: str, kinds: str, problems: Problems) -> list[Any] | None:
-    """The entries of a dataset as a list; None, with the reason in ``problems``, where they are of no kind given."""
+    """Return the entries of a dataset as a list; None, with a fault, if they are of another kind."""
     values = group.datasets[name].values
     if isinstance(values, Unread) or (values.dtype.kind not in kinds and values.size):
         wanted = "texts" if kinds == "U" else "real numbers"
@@ -331,7 +328,7 @@ def entries(group: Tree, name: str, kinds: str, problems: Problems) -> list[Any]
 
 
 def decode_point(node: Tree, problems: Problems) -> OperatingPoint | None:
-    """The operating point in ``node``, or None where there is none."""
+    """Return the operating point in ``node``, or None."""
     group = node.groups.get("operating_point")
     if group is None:
         return None

@@ -1,4 +1,4 @@
-"""Two models whose entries mean the same: in one file as nominal and perturbed, and what differs between them."""
+"""Pairs of models with the same signals: nominal and perturbed in one file, and their difference."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ GROUPS = ("nominal", "perturbed")
 
 
 def looks_like_a_pair(tree: Tree) -> bool:
-    """True where the root holds no matrices, but groups called ``nominal`` or ``perturbed`` or much like it."""
+    """Return whether the root has no matrices, but groups with names close to ``nominal`` or ``perturbed``."""
     import difflib
 
     if any(name in tree.datasets for name in "ABCD"):
@@ -28,7 +28,7 @@ def looks_like_a_pair(tree: Tree) -> bool:
 
 
 def decode_pair(tree: Tree, problems: Problems, transpose: bool = False) -> tuple[StateSpaceModel, StateSpaceModel]:
-    """The models in groups ``nominal`` and ``perturbed``."""
+    """Return the models in groups ``nominal`` and ``perturbed``."""
     find_children(tree, GROUPS, problems, kind="group")
     dt = sample_time(tree, problems)
     models: dict[str, Any] = {}
@@ -44,7 +44,7 @@ def decode_pair(tree: Tree, problems: Problems, transpose: bool = False) -> tupl
 
 
 def check_pair(nominal: StateSpaceModel, perturbed: StateSpaceModel, where: str = "nominal and perturbed") -> None:
-    """Refuse two models whose entries do not mean the same; a unit that is not stated agrees with every unit."""
+    """Raise where two models differ in size, sample time, names or units; a missing unit agrees with every unit."""
     sizes = [(m.n_states, m.n_inputs, m.n_outputs) for m in (nominal, perturbed)]
     if sizes[0] != sizes[1]:
         found = "perturbed has {} states, {} inputs, {} outputs".format(*sizes[1])
@@ -72,10 +72,9 @@ class Change:
     """One entry of A, B, C or D that differs."""
 
     matrix: str  # `"A"`, `"B"`, `"C"` or `"D"`
-    # row, column: names of the signals: the entry says how `column` acts on `row` (on its derivative, in A and B)
+    # row, column: names of the signals; the entry is the gain from `column` to `row` (to its derivative, in A and B)
     row: str
     column: str
-    # first, second: the two values
     first: float
     second: float
 
@@ -111,7 +110,7 @@ class Difference(Shown):
 
     @property
     def count(self) -> int:
-        """How many entries differ."""
+        """Number of entries that differ."""
         return len(self.changes)
 
     @property
@@ -139,7 +138,7 @@ class Difference(Shown):
 
 
 def difference(first: StateSpaceModel, second: StateSpaceModel, rtol: float = 0.0) -> Difference:
-    """Entries with ``|second - first| > rtol * max(|first|, |second|)``."""
+    """Return the entries with ``|second - first| > rtol * max(|first|, |second|)``."""
     check_pair(first, second, "difference of two models")
     changes = []
     for name, rows, columns in (

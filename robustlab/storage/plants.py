@@ -1,6 +1,6 @@
-"""Plants in a file: their name, parameters and effects, and beside them the linear model that any program can read.
+"""Plants in files: name, parameters and effects, and the linear model, which any program can read.
 
-Equations of nonlinear plants of somebody's own are rows of numbers, in which there is no code.
+Equations of a user's nonlinear plant are rows of numbers without code.
 """
 
 from __future__ import annotations
@@ -38,22 +38,20 @@ KINDS = ("joint", "current")
 PLACE: dict[str, str] = dict.fromkeys(("name", "kind", "unit", "position"), "U")
 TEXTS = ("name", "unit", "source", "meaning")
 PARAMETERS: dict[str, str] = {**dict.fromkeys(TEXTS, "U"), "value": "fi", "tolerance": "fi"}
-# Of a plant whose equations are stored: what its parameters may be is not known elsewhere.
+# Further columns of the parameters of a plant with stored equations.
 MORE: dict[str, str] = dict.fromkeys(("sign", "role"), "U")
 MATRICES = ("E", "F", "G", "C", "D")
-# Name of a bare model that stands as a plant; its matrices are stored with it.
-BARE = "model"
-# Entries of the stored linear model and of the rebuilt plant's agree to this share of the largest.
-AGREEMENT = 1e-6
+BARE = "model"  # name of a plant made of a linear model, whose matrices are stored
+AGREEMENT = 1e-6  # of the stored linear model with the rebuilt plant's, relative to the largest entry
 
 
 def encode_plant(tree: Tree, obj: Plant) -> None:
-    """A B C D and signals as kind ``state-space`` at a rest of the plant; groups ``plant`` and ``effects``."""
+    """Write A B C D and signals as of kind ``state-space`` at an equilibrium, and groups ``plant`` and ``effects``."""
     from robustlab.dynamics.extended.extended_equations import ExtendedEquations
 
     base = obj.plant if isinstance(obj, ExtendedEquations) else obj
     own = not _is_rebuilt(base)
-    # Without methods of its own a plant is its parameters, signals and equations.
+    # A plant of exactly these classes is its parameters, signals and equations.
     kind, of = type(base).__name__, getattr(base, "affine_equations", None)
     equations = of() if own and of is not None and kind == "LinearPlant" else None
     tapes = getattr(base, "equations", None) if own and kind == "SymbolicPlant" else None
@@ -91,7 +89,7 @@ def encode_plant(tree: Tree, obj: Plant) -> None:
 
 
 def decode_plant(tree: Tree, problems: Problems, _transpose: bool = False) -> Plant:
-    """Inverse of `encode_plant`."""
+    """Invert `encode_plant`."""
     known = ("effects", "signals", "operating_point", "provenance", *"ABCD")
     find_children(tree, ("plant",), problems, known, "group")
     model = decode_model(tree, problems)
@@ -109,7 +107,7 @@ def _options(base: Plant) -> dict[str, Any]:
 
 
 def _is_rebuilt(base: Plant) -> bool:
-    """True where name, options and parameters make the same plant again."""
+    """Return whether name, options and parameters rebuild the same plant."""
     from robustlab.dynamics import builtin_plant, plant_names
     from robustlab.dynamics.linear_plant import LinearPlant
     from robustlab.dynamics.ports.port_model import linear_plant_of
@@ -131,7 +129,7 @@ def _is_rebuilt(base: Plant) -> bool:
 
 
 def _bare_model(base: Any) -> StateSpaceModel:
-    """The model from which a bare plant was made: that of gains and inertias of 1."""
+    """Return the model from which a bare plant was made, with gains and inertias of 1."""
     units = {name: 1.0 for name in base.parameters if name.startswith(("gain_", "inertia_"))}
     e, f, g, c, d = base.matrices({**base.values, **units})
     return StateSpaceModel(
@@ -140,7 +138,7 @@ def _bare_model(base: Any) -> StateSpaceModel:
 
 
 def _linear(obj: Plant, point: Any = None) -> StateSpaceModel:
-    """The linear model at the point, or at the plant's rest; at zero where it has none."""
+    """Return the linear model at the point, else at the plant's equilibrium, else at zero."""
     from robustlab.dynamics.linearisation import linearise
 
     try:
@@ -162,7 +160,7 @@ def _plant(tree: Tree, problems: Problems) -> Plant:
 
 
 def _own_plant(group: Tree, held: str, problems: Problems) -> Plant:
-    """A plant of somebody's own, from its equations and the signals of its model."""
+    """Return a user's plant from its equations and the signals of its model."""
     find_children(group, ("parameters", held, "base"), problems, kind="group")
     problems.raise_any()
     model = decode_model(group.groups["base"], problems)
@@ -203,7 +201,7 @@ def _coefficients(held: Tree, parameters: Mapping[str, Parameter], problems: Pro
 
 
 def _tapes(held: Tree, n_moving: int, n_parameters: int, problems: Problems) -> Equations:
-    """Equations as rows of numbers, for as many states and inputs, and parameters."""
+    """Return the equations of rows of numbers, for a number of states and inputs, and of parameters."""
     from robustlab.dynamics.symbolic.symbolic_plant import Equations
     from robustlab.dynamics.symbolic.tape import Tape
 
@@ -245,7 +243,7 @@ def _unique(group: Tree, what: str, found: Mapping[str, Any], problems: Problems
 
 
 def _own_parameters(group: Tree, problems: Problems) -> dict[str, Parameter]:
-    """Parameters with all that is said of them; what is wrong is in ``problems``."""
+    """Return the parameters of a user's plant; add faults to ``problems``."""
     from robustlab.dynamics.parameters import Parameter, Role
 
     found = columns(group, PARAMETERS | MORE, problems)

@@ -1,4 +1,4 @@
-"""Results in a file: nested groups of what their ``to_json`` gave."""
+"""Results in files: nested groups of the values of ``to_json``."""
 
 from __future__ import annotations
 
@@ -26,10 +26,9 @@ LEAVES: dict[str, Any] = {
 
 
 def encode_result(tree: Tree, result: Any) -> None:
-    """Attributes ``type`` and ``status``; group ``data`` with one dataset per value and one group per table.
+    """Write attributes ``type`` and ``status``, and group ``data`` with a dataset per value and a group per table.
 
-    Where the result has evidence that `robustlab.verify` checks, it is in ``claims/0``, ``claims/1``, ..., one group a
-    claim with its kind as the attribute ``claim``.
+    Evidence for `robustlab.verify` is in ``claims/0``, ``claims/1``, ..., with the kind in the attribute ``claim``.
     """
     data = dict(result.to_json())
     if isinstance(result, Result):
@@ -43,7 +42,7 @@ def encode_result(tree: Tree, result: Any) -> None:
 
 
 def encode_claims(tree: Tree, claims: Sequence[Claim]) -> None:
-    """A group for each claim."""
+    """Write a group for each claim."""
     for k, claim in enumerate(claims):
         node = tree.group("claims").group(str(k))
         node.attrs["claim"] = claim.kind
@@ -57,7 +56,7 @@ def _table(tree: Tree, data: Mapping[Any, Any]) -> None:
 
 
 def _put(tree: Tree, link: str, value: Any) -> None:
-    """Lists of numbers or of texts, rectangular if nested, become one dataset; others a group of numbered children."""
+    """Write a rectangular list of numbers or texts as one dataset, another list as a group of numbered children."""
     if hasattr(value, "to_json"):
         value = value.to_json()
     if isinstance(value, Enum):
@@ -80,7 +79,7 @@ def _put(tree: Tree, link: str, value: Any) -> None:
 
 
 def _kinds(items: Sequence[Any]) -> set[str]:
-    """What a nested list holds: text, bool, number, complex; "" and "other" where something else is among it."""
+    """Return the kinds of values in a nested list: text, bool, number, complex; "" and "other" for anything else."""
     kinds: set[str] = set()
     for item in items:
         if isinstance(item, (list, tuple)):
@@ -99,11 +98,11 @@ def _is_rectangular(items: Sequence[Any]) -> bool:
 
 
 class NotStored(InputError, AttributeError):
-    """An attribute that a result had and its file has not."""
+    """An attribute of a result that is not in its file."""
 
 
 class LoadedResult(Result):
-    """A result from a file. What was stored are its attributes; what was made of more than that is not there."""
+    """A result from a file, with the stored values as attributes."""
 
     def __getattr__(self, name: str) -> Any:
         data = vars(self).get("data", {})
@@ -119,7 +118,7 @@ class LoadedResult(Result):
 
 
 def restored(kind: str, status: Status, data: Mapping[str, Any]) -> LoadedResult:
-    """A result whose class has the name of the one that was saved."""
+    """Return a result whose class has the name of the saved one."""
     return _class(kind)(kind, status, data)
 
 
@@ -144,7 +143,7 @@ def _attribute(value: Any) -> Any:
 
 
 def decode_result(tree: Tree, _problems: Problems, _transpose: bool = False) -> LoadedResult:
-    """Inverse of `encode_result`; lists of numbers come back as arrays."""
+    """Invert `encode_result`; lists of numbers become arrays."""
     text = str(np.asarray(tree.attrs.get("status", "")))
     if text not in list(Status):
         raise InputError(tree.file, f"attribute status is {text!r}", f"one of {', '.join(Status)}")

@@ -1,4 +1,4 @@
-"""Uncertain models and frequency responses in a file: M beside one row for each block of Delta."""
+"""Uncertain models and frequency responses in files: M, and one row for each block of Delta."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ from robustlab.storage.matrices import (
 from robustlab.uncertainty.blocks import KINDS, Block, ParameterRange
 from robustlab.uncertainty.lft import UncertainModel
 
-# Columns of a block, those of its range, and those that are there only where some block has something to say.
+# Columns of a block, those of its range, and optional ones.
 OF_BLOCK = {"name": "U", "stored_as": "U", "rows": "i", "cols": "i"}
 OF_RANGE = {"nominal": "fi", "radius": "fi", "unit": "U"}
 RARE = {"below": "fi", "sign": "U", "origin": "U"}
 
 
 def encode_uncertain(tree: Tree, model: UncertainModel) -> None:
-    """Group ``M`` as a state-space model, group ``blocks`` with one entry per block in each dataset.
+    """Write group ``M`` as a state-space model, and group ``blocks`` with one entry per block in each dataset.
 
-    The dataset ``below`` (width of a range beneath its nominal value) is there only if some range is not symmetric,
-    ``origin`` only if some block says where it comes from, ``sign`` only if physics limits some parameter's sign.
+    Optional datasets: ``below`` (width of a range below its nominal value) if some range is not symmetric, ``origin``
+    if some block has one, ``sign`` if physics limits some parameter's sign.
     """
     encode_model(tree.group("M"), model.M)
     if model.operating_point is not None:
@@ -45,7 +45,7 @@ def encode_uncertain(tree: Tree, model: UncertainModel) -> None:
 
 
 def encode_blocks(tree: Tree, blocks: Sequence[Block]) -> None:
-    """Group ``blocks``; see `encode_uncertain`."""
+    """Write group ``blocks``; see `encode_uncertain`."""
     for b in blocks:
         if KINDS.get(b.stored_as) is not type(b):
             found = f"a {type(b).__name__}, a kind of block without a place in the file format"
@@ -63,7 +63,7 @@ def encode_blocks(tree: Tree, blocks: Sequence[Block]) -> None:
 
 
 def decode_uncertain(tree: Tree, problems: Problems, transpose: bool = False) -> UncertainModel:
-    """Inverse of `encode_uncertain`. Raises InputError: with all that is missing or does not fit."""
+    """Invert `encode_uncertain`. Raises InputError: with all faults."""
     find_children(tree, ("M", "blocks"), problems, kind="group")
     model = decode_model(tree.groups["M"], problems, transpose) if "M" in tree.groups else None
     blocks = decode_blocks(tree, problems)
@@ -71,7 +71,7 @@ def decode_uncertain(tree: Tree, problems: Problems, transpose: bool = False) ->
 
 
 def decode_blocks(tree: Tree, problems: Problems) -> tuple[Block, ...]:
-    """Inverse of `encode_blocks`; what does not fit is noted in ``problems``."""
+    """Invert `encode_blocks`; add faults to ``problems``."""
     group = tree.groups.get("blocks", Tree())
     kinds = {"name": "U", "kind": "U", "rows": "fi", "cols": "fi", **OF_RANGE, **RARE}
     found = columns(group, kinds, problems, (*OF_RANGE, *RARE)) if "blocks" in tree.groups else {}
@@ -112,7 +112,7 @@ def _range(row: dict[str, Any], where: str) -> ParameterRange | None:
 
 
 def encode_frequency_data(tree: Tree, data: Any) -> None:
-    """Datasets ``omega`` and ``M``, group ``blocks`` as of an uncertain model, ``signals``."""
+    """Write datasets ``omega`` and ``M``, group ``blocks`` as of an uncertain model, ``signals``."""
     tree.put("omega", np.asarray(data.omega, dtype=np.float64))
     tree.put("M", np.asarray(data.M, dtype=np.complex128))
     encode_blocks(tree, data.blocks)
@@ -120,7 +120,7 @@ def encode_frequency_data(tree: Tree, data: Any) -> None:
 
 
 def decode_frequency_data(tree: Tree, problems: Problems, _transpose: bool = False) -> Any:
-    """Inverse of `encode_frequency_data`."""
+    """Invert `encode_frequency_data`."""
     from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
 
     find_children(tree, ("omega", "M"), problems, kind="dataset")

@@ -1,4 +1,4 @@
-"""What steps leave is held against what they declare, in every recipe that a test here runs in its own process."""
+"""Compare the numbers of steps with their declarations, in every recipe that a test here runs in its own process."""
 
 from collections.abc import Mapping
 

@@ -1,4 +1,4 @@
-"""``model build|show|check|diff|convert`` and ``uncertain``: exit codes, keys, what the files hold."""
+"""``model build|show|check|diff|convert`` and ``uncertain``: exit codes, keys, content of the files."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_build_a_platform_at_a_pose():
     assert rl.load("low.h5").spectral_abscissa() > rl.load("home.h5").spectral_abscissa() > 0
 
 
-def test_a_plant_with_effects_is_shown_and_linearised_where_it_is_asked_to():
+def test_a_plant_with_effects_is_shown_and_linearised_at_the_given_point():
     content = robustlab("model", "show", "machine.h5", "--json", code=0).json["content"]
     assert [e["id"] for e in content["effects"]] == ["coulomb-friction", "inertia", "input-delay"]
     words = ("model", "build", "machine.h5", "--at", "u=0.02", "--at", "phi=0.5", "--pade", "2", "--out", "rest.h5")
@@ -156,7 +156,7 @@ def test_outputs_of_a_plant_drop_the_states_they_do_not_show():
     assert (nominal.state_names, nominal.is_stable()) == (("omega", "i"), True)
 
 
-def test_a_platform_at_a_pose_says_what_is_exact_and_what_is_covered():
+def test_a_platform_at_a_pose_reports_its_exact_and_its_covered_parts():
     words = ("--set", "motors=true", "--tolerance", "platform_mass=0.1", "--tolerance", "r_b=0.2%")
     words = (*words, "--tolerance", "L_max=1%", "--pose", "0,0,0.13,0.02,0,0", "--out", "u.h5", "--json")
     ending = robustlab("uncertain", "plant", "stewart-platform", *words, code=0)
@@ -165,7 +165,7 @@ def test_a_platform_at_a_pose_says_what_is_exact_and_what_is_covered():
     assert rl.load("u.h5").provenance.note.startswith("stewart-platform, tolerance platform_mass=0.1")
 
 
-def test_a_plant_file_at_a_rest_with_what_is_held():
+def test_a_plant_file_at_an_equilibrium_with_constant_signals():
     pytest.importorskip("casadi")
     file = f"{Path(__file__).parents[2] / 'models' / 'plants' / 'quadrotor_height.py'}:quadrotor_height"
     found = robustlab("uncertain", "plant", file, "--at", "z=1", "--json", code=0).json
@@ -174,7 +174,7 @@ def test_a_plant_file_at_a_rest_with_what_is_held():
     assert "no rest with what is held" in robustlab("uncertain", "plant", file, "--hold", "z,rotor", code=4).err
 
 
-def test_a_set_of_a_plant_with_effects_says_what_is_left_out():
+def test_a_set_of_a_plant_with_effects_reports_omitted_effects():
     ending = robustlab("uncertain", "plant", "machine.h5", "--out", "u.h5", code=0)
     assert [b.name for b in rl.load("u.h5").blocks] == ["R", "Kf", "J"]
     assert "not in it: Coulomb (dry) friction at omega" in ending.out + ending.err
@@ -198,8 +198,8 @@ def test_covers(lags):
     assert found["status"] == "certified"
     assert max(found["sizes"]) <= 1
     assert 1 <= found["conservatism"]["ratio"] < 1.5
-    told = robustlab(*words, "additive", "--controller", "silent.h5", "--feedback", "negative", code=0).out
-    assert told.splitlines()[0] == "loop  u = -K y, as asked"
+    text = robustlab(*words, "additive", "--controller", "silent.h5", "--feedback", "negative", code=0).out
+    assert text.splitlines()[0] == "loop  u = -K y, as asked"
     assert "still grows" in robustlab(*words, "inverse-additive", code=4).err
 
 
@@ -208,7 +208,7 @@ def test_an_updated_plant_becomes_blocks(folder):
     effects = {"coulomb-friction": {"Fc": (20.0, 1.0)}, "quantisation@q": {"lsb": 1e-4}}
     rl.save("found/updated-plant.h5", rl.with_effects(rl.plant("servo-axis", M=(95.0, 0.1)), effects))
     words = ("uncertain", "discovery", "found")
-    told = robustlab(*words, "--amplitude", "v=0.05", "--out", "u.h5", code=0).out
-    assert "coulomb-friction@v: Coulomb (dry) friction at v as a sector" in told
-    assert "at most 5e-05 m" in next(line for line in told.splitlines() if "input noise q: quantisation" in line)
+    text = robustlab(*words, "--amplitude", "v=0.05", "--out", "u.h5", code=0).out
+    assert "coulomb-friction@v: Coulomb (dry) friction at v as a sector" in text
+    assert "at most 5e-05 m" in next(line for line in text.splitlines() if "input noise q: quantisation" in line)
     assert "--amplitude" in robustlab(*words, "--dry", "gain", code=2).err

@@ -1,4 +1,4 @@
-"""``robustlab campaign`` and the page about it: what is printed there can be typed, and prints that."""
+"""``robustlab campaign``: the commands on its page run and print the output shown there."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Words completed by TAB: bash asked as a user's bash asks, zsh and fish by the protocol their scripts speak."""
+"""Completion by TAB: bash as a user runs it, zsh and fish by the protocol of their scripts."""
 
 from __future__ import annotations
 
@@ -77,16 +77,16 @@ def test_bash_completes_words(tab, tmp_path):
     assert tab("no-such-command", "") == list(GROUPS)
 
 
-def test_zsh_is_told_each_word_with_its_line_of_help():
-    said = called(_ROBUSTLAB_COMPLETE="complete_zsh", _TYPER_COMPLETE_ARGS="robustlab m").stdout
-    assert said.startswith("_arguments '*: :((")
-    assert '"mu":"Robust stability margin with proved mu bounds."' in said
-    assert '"model":' in said
-    assert "synth" not in said
+def test_zsh_gets_each_word_with_its_line_of_help():
+    message = called(_ROBUSTLAB_COMPLETE="complete_zsh", _TYPER_COMPLETE_ARGS="robustlab m").stdout
+    assert message.startswith("_arguments '*: :((")
+    assert '"mu":"Robust stability margin with proved mu bounds."' in message
+    assert '"model":' in message
+    assert "synth" not in message
     assert called(_ROBUSTLAB_COMPLETE="complete_zsh", _TYPER_COMPLETE_ARGS="robustlab mu ").stdout == "_files\n"
 
 
-def test_fish_is_told_words_or_to_complete_files():
+def test_fish_gets_words_or_completes_files():
     def asked(line, action):
         return called(
             _ROBUSTLAB_COMPLETE="complete_fish", _TYPER_COMPLETE_ARGS=line, _TYPER_COMPLETE_FISH_ACTION=action

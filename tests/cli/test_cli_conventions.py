@@ -1,4 +1,4 @@
-"""The sign of feedback through the real commands: the loop that is certified is the loop that is meant."""
+"""The sign of feedback through the real commands: the certified loop is the intended one."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def run(monkeypatch, folder):
     return call
 
 
-def test_mu_closes_the_loop_as_the_file_says(run):
+def test_mu_closes_the_loop_with_the_sign_in_the_file(run):
     text = run("mu", "osc.h5", "-k", "strong.h5")
     assert text.startswith("loop  u = K (r - y), as strong.h5 says\n")
     assert "robust stability margin  3.18" in text
@@ -53,33 +53,33 @@ def test_mu_closes_the_loop_as_the_file_says(run):
     assert run("mu", "osc.h5", "-k", "ncf.h5").startswith("loop  u = K y, as ncf.h5 says\n")
 
 
-def test_a_sign_that_contradicts_the_file_stands_above_the_number(run):
+def test_a_sign_that_contradicts_the_file_is_noted_above_the_number(run):
     text = run("mu", "osc.h5", "-k", "weak.h5", "--feedback", "positive")
     first, second = text.splitlines()[:2]
     assert first == "note: weak.h5 says u = K (r - y); --feedback positive closes u = K y all the same"
     assert second == "loop  u = K y, as asked"
-    said = run("mu", "osc.h5", "-k", "strong.h5", "--feedback", "positive", code=4)
-    assert "the nominal loop u = K y, as asked is unstable" in said
-    assert "designed for this plant? --feedback negative or --feedback positive" in said
+    message = run("mu", "osc.h5", "-k", "strong.h5", "--feedback", "positive", code=4)
+    assert "the nominal loop u = K y, as asked is unstable" in message
+    assert "designed for this plant? --feedback negative or --feedback positive" in message
     text = run("model", "margins", "nominal.h5", "-k", "weak.h5", "--feedback", "positive")
     assert text.startswith("note: weak.h5 says u = K (r - y); --feedback positive")
 
 
 @pytest.mark.parametrize("file", ["plain.h5", "unsaid.h5"])
 @pytest.mark.parametrize("command", ["mu osc.h5", "model margins nominal.h5"])
-def test_a_controller_that_says_nothing_is_asked_about(run, command, file):
-    said = run(*command.split(), "-k", file, code=3)
-    assert "does not say its sign, and both signs leave the loop stable" in said
-    assert "--feedback negative (u = -K y) or --feedback positive" in said
+def test_a_controller_without_a_sign_is_rejected(run, command, file):
+    message = run(*command.split(), "-k", file, code=3)
+    assert "does not say its sign, and both signs leave the loop stable" in message
+    assert "--feedback negative (u = -K y) or --feedback positive" in message
     assert "loop" in run(*command.split(), "-k", file, "--feedback", "negative")
 
 
-def test_a_controller_of_another_signal_is_asked_about(run):
+def test_a_controller_of_another_signal_is_rejected(run):
     assert "it takes y1, this plant has position" in run("mu", "position.h5", "-k", "weak.h5", code=3)
     assert run("mu", "position.h5", "-k", "named.h5").startswith("loop  u = K (r - y), as named.h5 says")
 
 
-def test_margins_say_the_loop(run):
+def test_margins_report_the_loop(run):
     text = run("model", "margins", "nominal.h5", "-k", "weak.h5")
     assert "u = K (r - y), as weak.h5 says" in text
     assert text.rstrip().endswith("feedback  negative")
@@ -144,7 +144,7 @@ def left(folder):
 
 
 @pytest.mark.parametrize("gain", [2.0, -2.0])
-def test_a_recipe_closes_an_unsaid_loop_so_that_it_is_stable(tmp_path, gain):
+def test_a_recipe_closes_a_loop_without_a_sign_so_that_it_is_stable(tmp_path, gain):
     """1 / (s - 1) with a gain of 2: by hand, the poles are -1 with the right sign, 3 with the other."""
     G = rl.StateSpaceModel([[1.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["y"])
     K = rl.StateSpaceModel([], [], [], [[gain]], inputs=["y"], outputs=["u"])
@@ -159,10 +159,10 @@ def test_a_recipe_asks_where_both_signs_are_stable(tmp_path):
     """1 / (s + 3) with a gain of 2: poles -5 and -1."""
     G = rl.StateSpaceModel([[-3.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["y"])
     K = rl.StateSpaceModel([], [], [], [[2.0]], inputs=["y"], outputs=["u"])
-    code, _, said = closed(tmp_path, G, K)
+    code, _, message = closed(tmp_path, G, K)
     assert code == 3
-    assert "both signs leave the loop stable" in said
-    assert "hint: say it: sign = -1 (u = -K y) or sign = 1 (u = K y)" in said
+    assert "both signs leave the loop stable" in message
+    assert "hint: say it: sign = -1 (u = -K y) or sign = 1 (u = K y)" in message
     for sign, pole in ((-1, -5.0), (1, -1.0)):
         assert closed(tmp_path, G, K, sign=f"sign = {sign}\n").code == 0
         assert left(tmp_path)["numbers"]["spectral_abscissa"] == pytest.approx(pole)

@@ -1,4 +1,4 @@
-"""``data convert|check|compare``: exit codes, keys, files; what is wrong with a record is said with its place."""
+"""``data convert|check|compare``: exit codes, keys, files; faults of a record are reported with their place."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_a_clock_that_runs_backwards_never_gets_so_far():
 
 
 def test_the_plants_parameters_can_be_set():
-    out = check(RUN["q"], RUN["v"], "--set", "Fv=1.0").out  # M / Fv = 95 s: told, and no reason to refuse
+    out = check(RUN["q"], RUN["v"], "--set", "Fv=1.0").out  # M / Fv = 95 s: reported, no error
     assert "less than the model's slowest time constant of 95.1" in out
 
 

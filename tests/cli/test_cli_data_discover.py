@@ -49,7 +49,7 @@ run = partial(robustlab, "data")
 
 @pytest.fixture
 def answer(monkeypatch):
-    """Let the search answer at once with a given result; what it was asked is kept."""
+    """Replace the search by a given result, and record its arguments."""
     asked = {}
 
     def put(found):
@@ -131,7 +131,7 @@ def test_a_group_of_a_file_is_taken_by_its_name(tmp_path, answer, real):
 
 
 @pytest.mark.parametrize("verdict", ["ambiguous", "unknown"])
-def test_an_open_verdict_is_told_in_full_and_ends_in_4(files, answer, real, verdict):
+def test_an_open_verdict_is_reported_in_full_and_exits_with_4(files, answer, real, verdict):
     effect = real.effects[0]
     rival = Rival("presliding", "Presliding", "v", effect.name, 1.2, -0.3, 0.4, effect.parameters)
     rivals = (rival,) if verdict == "ambiguous" else ()
@@ -191,7 +191,7 @@ def test_a_name_that_makes_the_free_run_worse_than_as_given_is_not_named(tmp_pat
     assert any("worse than as given" in f["found"] for f in result["findings"])
 
 
-def test_details_are_told_on_demand(files, answer, real):
+def test_details_are_printed_on_request(files, answer, real):
     answer(real)
     short = run("discover", "servo-axis", files / "run7.h5")[1]
     long = run("discover", "servo-axis", files / "run7.h5", "--details")[1]
@@ -200,7 +200,7 @@ def test_details_are_told_on_demand(files, answer, real):
 
 
 @pytest.mark.slow
-def test_an_interrupted_search_tells_what_was_known_and_ends_in_130(files, tmp_path, answer, real):
+def test_an_interrupted_search_reports_its_state_and_exits_with_130(files, tmp_path, answer, real):
     stopped = Finding("interrupted", "search", "stopped after 3 sets", "", "", False, {})
     answer(replace(real, status=rl.Status.INCONCLUSIVE, findings=(stopped,)))
     code, text, err = run("discover", "servo-axis", files / "run7.h5", "--out", tmp_path / "out", "--json")
@@ -238,7 +238,7 @@ def test_a_tolerance_of_no_parameter_is_named(files):
     assert (code, "mass" in err) == (3, True)
 
 
-def test_a_record_that_says_nothing_ends_in_4_and_a_wrong_one_in_3(tmp_path):
+def test_a_record_without_information_exits_with_4_and_a_wrong_one_with_3(tmp_path):
     good = axis_record(0, "still")
     noise = 1e-6 * np.random.default_rng(3).standard_normal(good.n)
     still = rl.Record(good.t, {"u": 0 * good.t}, {"q": noise}, good.units, "still")
@@ -256,13 +256,13 @@ def test_a_record_that_says_nothing_ends_in_4_and_a_wrong_one_in_3(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("what", ["--out", "--figure"])
 def test_files_are_written_while_progress_is_shown(files, real, answer, tmp_path, what):
-    """The last line of progress said the end before they were."""
+    """The last line of progress comes after them."""
     answer(real)
     target = {"--out": "out", "--figure": "f.svg"}[what]
     words = ("discover", "servo-axis", files / "run7.h5", what, tmp_path / target, "--progress", "json")
     *lines, last = run(*words)[2].splitlines()
     assert json.loads(last)["progress"]["ended"]
     assert any(str(tmp_path) in line for line in lines)
-    told = [json.loads(line)["progress"] for line in lines if line.startswith("{")]
-    assert told[-1]["text"] == "figures and files"
-    assert not any(state["ended"] for state in told)
+    states = [json.loads(line)["progress"] for line in lines if line.startswith("{")]
+    assert states[-1]["text"] == "figures and files"
+    assert not any(state["ended"] for state in states)

@@ -1,4 +1,4 @@
-"""``synth`` and ``model reduce``: exit codes, keys, files; the loop of what was stored has the number that was said."""
+"""``synth`` and ``model reduce``: exit codes, keys, files; the loop of the stored controller has the printed number."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def test_mixsyn_leaves_out_untouched_states_with_a_note_and_draws(folder):
 
 
 @pytest.mark.parametrize("command", ["hinf", "h2", "dk --blocks 1,0", "fixed"])
-def test_a_time_limit_that_strikes_is_told(command):
+def test_a_time_limit_that_is_reached_is_reported(command):
     ending = robustlab("synth", *command.split(), "p.h5", *CHANNELS, "--time-limit", "1e-9", code=4)
     assert "not repeatable" in ending.out + ending.err
 

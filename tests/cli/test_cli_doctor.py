@@ -1,4 +1,4 @@
-"""``robustlab doctor``: what works, and what is missing."""
+"""``robustlab doctor``: working and missing parts."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from shell import robustlab
 from robustlab.provenance import library_versions
 
 
-def test_doctor_says_what_works():
+def test_doctor_reports_every_check():
     data = robustlab("doctor", "--json", code=0).json
     assert data["healthy"]
     assert data["versions"]["numpy"] == np.__version__
@@ -31,7 +31,7 @@ def test_doctor_tells_the_version_of_the_module_cvxpy_whichever_package_brought_
     assert library_versions()["cvxpy"] == "1.7.0"
 
 
-def test_doctor_says_where_cvxpy_lacks_clarabel(monkeypatch):
+def test_doctor_reports_cvxpy_without_clarabel(monkeypatch):
     import cvxpy
 
     def unsolved(*_: object, **__: object) -> float:

@@ -1,4 +1,4 @@
-"""How the real command ends where the world around it fails: pipes, streams, memory, signals."""
+"""Exit codes of the real command when pipes, streams or memory fail, and after signals."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def folder(tmp_path):
 
 
 @pytest.mark.parametrize(("words", "both"), [("--help", False), ("model show m.h5 --json", True)])
-def test_a_reader_that_is_gone_ends_it_with_141_and_no_word(folder, words, both):
+def test_a_closed_pipe_exits_with_141_and_no_message(folder, words, both):
     read, write = os.pipe()
     os.close(read)
     errors = write if both else subprocess.PIPE
@@ -157,7 +157,7 @@ def test_a_figure_whose_folder_cannot_be_made(tmp_path):
     assert "cannot be made" in one_line(ending.err.splitlines()[-1])
 
 
-def test_a_terminal_that_knows_ascii_only(tmp_path):
+def test_a_terminal_with_ascii_only(tmp_path):
     done = ended("run", "motor-models", "--out", tmp_path / "out", env={**os.environ, "PYTHONIOENCODING": "ascii"})
     assert done.returncode == 0
     assert "Traceback" not in done.stderr

@@ -23,10 +23,10 @@ def files(monkeypatch, tmp_path):
 
 
 @pytest.mark.slow
-def test_mu_of_data_says_where_it_holds():
-    told = robustlab("mu", "loop.h5", code=0).out
-    assert "at the 3 given frequencies only; nothing is claimed between them" in told
-    assert "taken for granted" in told
+def test_mu_of_data_reports_its_frequencies():
+    printed = robustlab("mu", "loop.h5", code=0).out
+    assert "at the 3 given frequencies only; nothing is claimed between them" in printed
+    assert "taken for granted" in printed
     found = robustlab("mu", "loop.h5", "--json", code=0).json
     expected = abs(1 + 3 * G) / (0.3 * abs(G))
     assert found["lower_at"] == pytest.approx(expected.tolist(), rel=1e-6)
@@ -47,9 +47,9 @@ def test_margins_of_data():
     found = robustlab("model", "show", "data.h5", "--json", code=0).json
     assert found["kind"] == "frequency-data"
     rl.save("plain.h5", rl.frequency_data(3.0 * G, OMEGA))
-    told = robustlab("model", "margins", "plain.h5", "--json", code=0).json
+    printed = robustlab("model", "margins", "plain.h5", "--json", code=0).json
     S = 1 / (1 + 3 * G)
-    assert told["simultaneous"]["lower_at"] == pytest.approx((1 / abs(S - 0.5)).tolist(), rel=1e-6)
+    assert printed["simultaneous"]["lower_at"] == pytest.approx((1 / abs(S - 0.5)).tolist(), rel=1e-6)
 
 
 def test_a_recipe_bounds_measured_data(tmp_path):
@@ -141,13 +141,13 @@ def test_tables_of_several_channels_and_of_one_without_a_name(tmp_path):
         ("f [Hz],radius", "no columns of OUTPUT from INPUT"),
     ],
 )
-def test_what_is_wrong_with_a_table_is_said(tmp_path, header, text):
+def test_faults_of_a_table_are_reported(tmp_path, header, text):
     count = header.count(",")
     write_table(tmp_path / "t.csv", header, OMEGA, *[np.ones(3)] * count)
     assert text in refused("t.csv").replace("\n", " ")
 
 
-def test_numbers_and_names_that_do_not_fit_are_said(tmp_path):
+def test_numbers_and_names_that_do_not_fit_are_reported(tmp_path):
     write_table(tmp_path / "t.csv", "f [Hz],real,imag,radius", OMEGA[::-1], G.real, G.imag, -RADIUS)
     assert "t.csv: UncertainFrequencyData: omega: frequencies that do not increase" in refused("t.csv")
     write_table(tmp_path / "t.csv", "f [Hz],real,imag,radius", OMEGA, G.real, G.imag, -RADIUS)

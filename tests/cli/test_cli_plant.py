@@ -97,7 +97,7 @@ def test_data_check_compare_validate_take_it(folder):
 
 
 @pytest.mark.slow
-def test_data_discover_names_what_the_own_plant_lacks(folder):
+def test_data_discover_identifies_the_missing_effect_of_a_users_plant(folder):
     record(folder / "run.csv", coulomb=8.0)
     words = ("--inputs", "u", "--outputs", "q", "--json", "--out", "found")
     found = robustlab("data", "discover", "axis.py:axis", "run.csv", *words, code=0).json
@@ -129,7 +129,7 @@ tolerance = 0.0
 """
 
 
-def test_a_recipe_runs_a_file_beside_it(folder, tmp_path_factory, monkeypatch):
+def test_a_recipe_runs_a_file_in_its_folder(folder, tmp_path_factory, monkeypatch):
     (folder / "machines").mkdir()
     (folder / "axis.py").rename(folder / "machines" / "axis.py")
     (folder / "own.toml").write_text(RECIPE)
@@ -171,7 +171,7 @@ within = [-3.000001, -2.999999]
 """
 
 
-def test_a_recipe_takes_a_nonlinear_plant_its_rest_by_name_and_keeps_it_whole(folder):
+def test_a_recipe_takes_a_nonlinear_plant_and_its_equilibrium_by_name_and_saves_it(folder):
     robustlab("plant", "new", "slope", code=0)
     (folder / "slope.toml").write_text(NONLINEAR)
     found = robustlab("run", "slope.toml", "--json", "--out", "out", code=0).json
@@ -197,7 +197,7 @@ def test_a_recipe_takes_a_nonlinear_plant_its_rest_by_name_and_keeps_it_whole(fo
         ("bad.py:axis", "own.toml: step.axis: bad.py, line 1: ZeroDivisionError"),
     ],
 )
-def test_a_recipe_with_a_faulty_plant_writes_a_report_that_says_so(folder, plant, expected):
+def test_a_recipe_with_a_faulty_plant_writes_a_report_of_the_fault(folder, plant, expected):
     (folder / "inner").mkdir()
     (folder.parent / "outside.py").write_text(AXIS)
     (folder / "inner" / "bad.py").write_text("1 / 0")
@@ -270,7 +270,7 @@ FAULTS = [
 @pytest.mark.parametrize(("content", "code", "expected"), FAULTS)
 @pytest.mark.parametrize("words", ["model build bad.py:axis --out new.h5", "data compare bad.py:axis r.csv --out n.h5"])
 def test_faults_have_their_exit_code_and_leave_nothing_behind(folder, content, code, expected, words):
-    """What each faulty file is told, is in tests/unit/dynamics/test_plant_file."""
+    """The message for each faulty file is tested in tests/unit/dynamics/test_plant_file."""
     (folder / "bad.py").write_text(content)
     before = set(folder.iterdir())
     found, out, err = robustlab(*words.split(), "--set", "M=96")
@@ -293,7 +293,7 @@ def test_equations_that_raise_only_later_are_no_bug_of_ours(folder):
 # --- plant show and plant new ----------------------------------------------------------------------------------------
 
 
-def test_show_says_what_the_plant_is(folder):
+def test_show_describes_the_plant(folder):
     assert f"made of axis.py, SHA-256 {digest()}" in robustlab("plant", "show", "axis.py:axis", code=0).out
     shown = robustlab("plant", "show", "axis.py:axis", "--json", code=0).json
     assert shown["joints"] == [{"name": "v", "kind": "joint", "unit": "N", "position": "q"}]
@@ -311,7 +311,7 @@ def test_show_lists_the_plants_of_a_file_and_takes_files_of_ours(folder):
 
 
 def test_show_without_a_point_of_rest_prints_the_rest_and_ends_with_4(folder):
-    """x' = 1 + x^2 stands nowhere."""
+    """x' = 1 + x^2 has no equilibrium."""
     (folder / "runaway.py").write_text(
         "import robustlab as rl\np = rl.PlantEquations('runaway')\nx, u = p.state('x', 'm'), p.input('u', 'N')\n"
         "p.rate(x, 1 + x**2 + u**2)\np.output('x', x, 'm')\nrunaway = p.plant()\n"

@@ -1,4 +1,4 @@
-"""How long commands show where they stand: a bar on terminals, JSON lines, or nothing; stdout stays the result's."""
+"""Progress of long commands: a bar on terminals, JSON lines, or nothing; stdout has the result alone."""
 
 import json
 import os
@@ -79,7 +79,7 @@ def test_a_pipe_gets_lines_without_a_bar(slow):
     assert robustlab("run", "slow.toml", "--json", "--progress", "none", code=0).err == ""
 
 
-def test_json_lines_say_where_it_stands(slow):
+def test_json_lines_report_the_progress(slow):
     ending = robustlab("run", "slow.toml", "--json", "--progress", "json", code=0)
     assert ending.json["command"] == "run"
     lines = [json.loads(line) for line in ending.err.splitlines()]
@@ -121,7 +121,7 @@ QUICK = {
 }
 
 
-def test_every_command_that_can_take_long_shows_where_it_stands():
+def test_every_command_that_can_take_long_shows_its_progress():
     from robustlab.cli import GROUPS, parser
 
     def walk(found, words=()):
@@ -146,7 +146,7 @@ def test_every_command_that_can_take_long_shows_where_it_stands():
         "uncertain sample pole.h5",
     ],
 )
-def test_json_lines_of_commands_that_said_nothing(models, words):
+def test_json_lines_of_commands_without_progress_texts(models, words):
     last = states_of(robustlab(*words.split(), "--progress", "json", code=0).err)[-1]
     assert last["ended"]
     assert words.startswith(last["command"])
@@ -154,14 +154,14 @@ def test_json_lines_of_commands_that_said_nothing(models, words):
 
 @pytest.mark.slow
 def test_figures_of_a_design_are_drawn_while_progress_is_shown(models):
-    """The last line of progress said the end before they were."""
+    """The last line of progress comes after them."""
     words = ("synth", "ncf", "lag.h5", "--figure", "f.svg", "--out", "new.h5", "--progress", "json")
     *lines, last = robustlab(*words, code=0).err.splitlines()
     assert json.loads(last)["progress"]["ended"]
     assert "written: f.svg" in lines
-    told = states_of("\n".join(lines))
-    assert told[-1]["text"] == "figures"
-    assert not any(state["ended"] for state in told)
+    states = states_of("\n".join(lines))
+    assert states[-1]["text"] == "figures"
+    assert not any(state["ended"] for state in states)
 
 
 KEYS = {"command", "text", "elapsed_s", "done", "total", "remaining_s", "at_most", "part", "ended"}
@@ -197,8 +197,8 @@ def test_parts_of_a_search_are_counted_and_timed_one_by_one(monkeypatch):
 
 
 def test_a_budget_tells_all_that_is_spent_in_it_once():
-    told = []
-    with listening(lambda done, whole: told.append((done, whole))):
+    counts = []
+    with listening(lambda done, whole: counts.append((done, whole))):
         budget = Budget(100)
         endless = Budget()
     part = budget.share(0.5)
@@ -206,7 +206,7 @@ def test_a_budget_tells_all_that_is_spent_in_it_once():
     budget.apart(30).spend(25)  # counted when it was taken
     endless.spend(7)
     Budget(50).spend(1)  # made when nobody listened
-    assert told == [(20, 100), (50, 100)]
+    assert counts == [(20, 100), (50, 100)]
 
 
 def test_what_earlier_runs_did_is_no_measure_of_speed(monkeypatch):

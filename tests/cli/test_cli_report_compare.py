@@ -54,7 +54,7 @@ def test_other_settings_have_a_folder_of_their_own(recipe):
     assert {p.name for p in (recipe / "out").iterdir()} == {"steady", "steady-seed-7"}
 
 
-def test_an_edited_recipe_and_a_named_folder_replace_a_report_aloud(recipe):
+def test_an_edited_recipe_and_a_named_folder_replace_a_report_with_a_note(recipe):
     robustlab("run", "steady.toml")
     assert "held the report" not in robustlab("run", "steady.toml").err
     (recipe / "steady.toml").write_text((recipe / "steady.toml").read_text().replace("42.0", "21.0"))
@@ -108,7 +108,7 @@ def test_a_requirement_side_by_side(tmp_path, first, second, code, verdict, why)
     assert [c["what"] for c in data["numbers"]] == (["a.x"] if abs(first - second) > 0.01 * max(first, second) else [])
 
 
-def test_the_text_tells_what_changed(tmp_path):
+def test_the_text_lists_the_changes(tmp_path):
     runs = made(tmp_path / "one", 2.0), made(tmp_path / "two", 1.5, seed=7)
     lines = [line.split() for line in robustlab("report", "compare", *runs, code=1).out.splitlines()]
     assert ["WORSE", "fast", "2", "1.5", "at", "least", "1", "met,", "with", "less", "room"] in lines

@@ -1,4 +1,4 @@
-"""``robustlab run``, ``recipe`` and ``report`` from outside: exit codes, files, JSON, what a failed run leaves."""
+"""``robustlab run``, ``recipe`` and ``report`` as commands: exit codes, files, JSON, files of a failed run."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ def cases_of(folder):
         (("omega.covers.0", "omega.cover"), "require.0.that: cover.outputs.omega has no 'cover'"),
     ],
 )
-def test_what_is_wrong_before_the_first_step_is_told_in_the_report_too(recipe, change, message):
+def test_faults_before_the_first_step_are_in_the_report_too(recipe, change, message):
     robustlab("run", "small.toml")
     (recipe / "small.toml").write_text(RECIPE.replace(*change))
     err = robustlab("run", "small.toml", code=3).err
@@ -241,7 +241,7 @@ main_guard(lambda: run_command(["run", "small.toml"]))
 """
 
 
-def test_a_killed_run_has_a_report_that_says_that_it_did_not_finish(recipe):
+def test_a_killed_run_has_the_report_of_an_unfinished_run(recipe):
     robustlab("run", "small.toml")
     robustlab("run", "small.toml", "--set", "seed=3")
     done = subprocess.run([sys.executable, "-c", KILLED], capture_output=True, cwd=recipe, check=False)

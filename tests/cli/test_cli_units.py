@@ -18,7 +18,7 @@ def in_its_folder(tmp_path, monkeypatch):
 
 
 def call(*words, code=0):
-    """What the command printed, or where it is refused, what it said."""
+    """Return the output of the command, or its error."""
     ending = robustlab(*words, code=code)
     return ending.out if code == 0 else ending.err
 
@@ -144,9 +144,9 @@ def test_a_unit_given_converts_to_si(tmp_path, file, stated):
 @pytest.mark.parametrize("file", ["r.csv", "r.h5", "plain.h5"])
 def test_a_unit_that_contradicts_the_file_is_refused(tmp_path, file):
     write(tmp_path / file, stated=True)
-    said = call("data", "check", file, "--unit", "q=m", code=3)
-    assert "q: the file states mm, the unit given is m" in said
-    assert "hint: --unit q=mm converts from it" in said
+    message = call("data", "check", file, "--unit", "q=m", code=3)
+    assert "q: the file states mm, the unit given is m" in message
+    assert "hint: --unit q=mm converts from it" in message
     assert "a unit for 'phj'" in call("data", "check", file, "--unit", "phj=deg", code=3)
 
 

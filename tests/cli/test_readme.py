@@ -1,4 +1,4 @@
-"""What README and docs/commands.md tell a new user to type works, and prints what they show."""
+"""The commands in README and docs/commands.md run and print the output shown there."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_the_front_page_is_short():
     assert len(README.split()) <= 900
 
 
-def test_links_lead_somewhere():
+def test_links_have_targets():
     for target in re.findall(r"\]\(([^)#]+)\)", README):
         assert (ROOT / target).exists(), target
 

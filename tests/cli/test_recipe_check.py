@@ -1,4 +1,4 @@
-"""``robustlab recipe check``: what can be told before the first step is told, all of it at once, and nothing else."""
+"""``robustlab recipe check`` reports all faults that can be found before the first step, and nothing else."""
 
 from __future__ import annotations
 
@@ -119,12 +119,12 @@ def checked(tmp_path, monkeypatch):
         ),
         (
             HEAD + MOTOR + RECORD + NAMING + require("naming.effects.cogging.amplitude", "at_most = 1.0"),
-            "naming.effects has no 'cogging'",  # the step is told not to try it
+            "naming.effects has no 'cogging'",  # excluded by the step
         ),
         (HEAD + MOTOR + RECORD + NAMING.replace("cogging", "coging"), "step.naming: "),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_named_before_anything_runs(checked, text, fault):
+def test_faults_are_reported_before_anything_runs(checked, text, fault):
     code, lines = checked(text)
     assert code == 3, lines
     assert fault in lines[0]
@@ -153,7 +153,7 @@ def test_what_only_the_run_can_show_is_no_fault(checked, text):
     assert checked(text) == (0, [])
 
 
-def test_all_faults_are_told_at_once_each_with_its_key_and_what_may_be_meant(checked):
+def test_all_faults_are_reported_at_once_each_with_its_key_and_a_hint(checked):
     text = WHOLE.replace('"omega"', '"omga"', 1).replace("Kf =", "Kff =") + driven("sample", "input = { v = 1.0 }")
     text += '[step.m]\ndo = "load"\npath = "gone.h5"\n[step.n]\ndo = "load"\npath = "gone.h5"\n'
     code, lines = checked(text + require("margin.lowre", "at_least = 1.0") + require("k.gama", "at_most = 1.0"))
@@ -176,7 +176,7 @@ def test_a_plant_in_a_file_is_not_run(checked, tmp_path):
 
 
 @pytest.mark.parametrize("name", sorted(path.stem for path in (ROOT / "recipes").glob("*.toml")))
-def test_shipped_recipes_ask_for_what_their_steps_leave(name):
+def test_shipped_recipes_require_numbers_that_their_steps_give(name):
     code, _, err = robustlab("recipe", "check", name)
     faults = [line for line in err.splitlines() if re.match(r"(error: \S+: |  )(step|require)\.", line)]
     # Without the records that are not ours to ship, their absence is all that is wrong.

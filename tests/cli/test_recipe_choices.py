@@ -53,7 +53,7 @@ tolerances = { platform_mass = 0.1, r_b = "0.1%" }
 )
 
 
-def test_an_uncertain_platform_says_what_is_sampled(tmp_path):
+def test_an_uncertain_platform_reports_its_sampled_parts(tmp_path):
     steps = steps_of(tmp_path, SETS)
     assert steps["exact"]["summary"] == "platform: exact uncertain model (parameters); uncertain: platform_mass, R."
     assert "sampled" not in steps["exact"]["numbers"]

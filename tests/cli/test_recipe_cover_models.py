@@ -79,6 +79,6 @@ def test_a_loop_is_closed_before_the_gains_are_compared(tmp_path):
         ('models = ["a", "nobody"]\n', "no step 'nobody'"),
     ],
 )
-def test_what_is_no_set_is_refused(rest, words):
+def test_a_model_that_is_no_set_is_rejected(rest, words):
     with pytest.raises(InputError, match=words):
         parse_recipe(f'{HEAD}[step.set]\ndo = "cover-models"\n{rest}')

@@ -1,4 +1,4 @@
-"""The recipe step that names what a model lacks, and the steps that go on with the updated plant."""
+"""The recipe step that identifies missing effects, and the steps that use the updated plant."""
 
 from __future__ import annotations
 
@@ -119,13 +119,13 @@ def test_a_requirement_that_is_not_met_ends_in_1(run):
 @pytest.mark.parametrize(
     ("accept", "code", "status"), [("", 4, "inconclusive"), ('accept = ["ambiguous"]\n', 0, "converged")]
 )
-def test_an_open_verdict_is_an_answer_only_where_the_recipe_says_so(run, real, accept, code, status):
+def test_an_open_verdict_is_accepted_only_where_the_recipe_does(run, real, accept, code, status):
     open_one = replace(real, status=rl.Status.INCONCLUSIVE, verdict="ambiguous")
     result = run(DISCOVER + accept + require("naming.verdict", 'equals = "ambiguous"'), open_one)
     assert (result.exit_code, entry(result, "naming")["status"]) == (code, status)
     assert result.data["requirements"][0]["met"]
-    said = any("takes for an answer" in note for note in entry(result, "naming")["notes"])
-    assert said is (code == 0)
+    noted = any("is accepted by this recipe" in note for note in entry(result, "naming")["notes"])
+    assert noted is (code == 0)
     kept = json.loads((result.folder / "result.json").read_text(encoding="utf-8"))
     assert kept["exit_code"] == code
 
@@ -199,9 +199,9 @@ def test_a_discovery_becomes_a_set_with_the_origin_of_every_block(run):
     )
     result = run(DISCOVER + later + conditions)
     assert [q["why_not"] or q["value"] for q in result.data["requirements"] if not q["met"]] == []
-    told = entry(result, "damped")["text"]
-    assert "coulomb-friction@v  RealScalar  1 x 1  50.4203 .. 514.389 N/(m/s)" in told
-    assert "amplitudes 0.05 to 0.5 m/s" in told
+    printed = entry(result, "damped")["text"]
+    assert "coulomb-friction@v  RealScalar  1 x 1  50.4203 .. 514.389 N/(m/s)" in printed
+    assert "amplitudes 0.05 to 0.5 m/s" in printed
     assert "harmonic balance" in entry(result, "damped")["notes"][0]
     assert [f["stem"] for f in entry(result, "damped")["figures"]] == ["damped-blocks"]
     assert rl.load(result.folder / "evidence" / "set.h5").status is rl.Status.CONVERGED

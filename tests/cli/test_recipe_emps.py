@@ -1,4 +1,4 @@
-"""The recipe that names what a linear model of EMPS lacks; the record is not ours to ship."""
+"""The recipe that identifies the missing effects of a linear model of EMPS; its record is not shipped."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_the_flagship_keeps_its_bars():
     assert ("referee.controllers.after.worst_error", 1.4) in bars  # half of the 2.81 mm before
 
 
-def test_the_texts_say_what_is_not_met():
+def test_the_texts_list_unmet_requirements():
     measured, discover, story = (
         " ".join((ROOT / name).read_text(encoding="utf-8").split())
         for name in ("docs/measured.md", "docs/discover.md", "docs/from_data_to_controller.md")

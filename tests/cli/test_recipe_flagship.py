@@ -123,7 +123,7 @@ def test_a_simulated_record_is_called_simulated(tmp_path):
 
 
 @pytest.mark.parametrize("keep", [1, 2])
-def test_thinning_keeps_what_the_input_did_on_average(tmp_path, keep):
+def test_decimation_averages_the_input(tmp_path, keep):
     """The model is true; every other sample of its input alone would be off by half a volt of one."""
     t = np.arange(300) * 5e-3
     u = np.where(t < 0.7, 1.0, -1.0) + 0.5 * (-1.0) ** np.arange(300)
@@ -137,7 +137,7 @@ def test_thinning_keeps_what_the_input_did_on_average(tmp_path, keep):
     assert numbers(result, "wide")["needed"] < 0.05
 
 
-def test_before_and_after_are_asked_for_the_same():
+def test_before_and_after_have_the_same_requirement():
     steps = load_recipe(recipe_path("flagship")).recipe.step
     before, after = (steps[f"task_{word}"].model_dump(exclude={"of", "title", "loads"}) for word in ("before", "after"))
     assert before == after

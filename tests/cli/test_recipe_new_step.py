@@ -1,4 +1,4 @@
-"""A new kind of step is one class with a decorator: recipes check it, run it, and the schema tells of it."""
+"""A new kind of step is one class with a decorator: recipes check it, run it, and the schema contains it."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ def test_a_machine_that_cannot_be_followed_is_refused(tmp_path):
     assert "no Stewart platform" in ending.err + ending.out
 
 
-def test_the_pose_of_the_worst_window_is_told():
+def test_the_pose_of_the_worst_window_is_reported():
     """The platform 5 mm up in the middle of the window that is furthest off."""
     machine = rl.plant("stewart-platform")
     t = np.linspace(0.0, 1.0, 101)

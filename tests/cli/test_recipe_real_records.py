@@ -1,4 +1,4 @@
-"""Recipes that name what models of measured machines lack; the records are not ours to ship."""
+"""Recipes that identify missing effects of measured machines; the records are not shipped."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The shipped recipes do what they promise: first-light, motor-models, and emps where its record is at hand."""
+"""The shipped recipes meet their requirements: first-light, motor-models, and emps where its record is available."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_the_margin_is_proved_and_its_delta_destabilises(first_light):
 
 
 @pytest.mark.slow
-def test_first_light_writes_everything_beside_the_report(first_light):
+def test_first_light_writes_everything_into_the_folder_of_the_report(first_light):
     assert all((first_light.folder / name).is_file() for name in first_light.data["files"])
     assert len(list((first_light.folder / "figures").glob("*.svg"))) >= 10
     page = (first_light.folder / "report.html").read_text(encoding="utf-8")
@@ -79,7 +79,7 @@ FREE_RUN = '[[require]]\ntext = "Not in free run"\nthat = "gap.outputs.phi.rms_p
 
 @pytest.mark.slow
 @pytest.mark.parametrize("asked", [False, True])
-def test_what_holds_in_windows_alone_is_not_green_unless_the_free_run_is_asked_for(tmp_path, asked):
+def test_a_requirement_met_in_windows_alone_is_not_green_unless_the_free_run_is_required(tmp_path, asked):
     """The demo's model fits in windows to 99 %, and in free run to 56 %."""
     text = load_recipe(recipe_path("first-light")).text
     steps = text[text.index("[step.record]") : text.index("# --- requirements")].replace(
@@ -99,7 +99,7 @@ def test_what_holds_in_windows_alone_is_not_green_unless_the_free_run_is_asked_f
 
 
 @pytest.mark.slow
-def test_the_record_of_the_demo_says_that_it_is_simulated(first_light):
+def test_the_record_of_the_demo_is_marked_as_simulated(first_light):
     (record,) = [s for s in first_light.data["steps"] if s["name"] == "record"]
     assert "Simulated, not measured" in record["notes"][0]
 

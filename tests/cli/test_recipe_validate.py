@@ -1,4 +1,4 @@
-"""The recipe step ``validate``: its numbers, its place in the report, and what it does where there is no number."""
+"""The recipe step ``validate``: its numbers, its part of the report, and its outcome without a number."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ def run(folder, out, *days, more=""):
     return run_recipe(load_recipe(path), out)
 
 
-def test_a_machine_as_it_was_meets_what_is_required(folder, tmp_path):
+def test_an_unchanged_machine_meets_the_requirements(folder, tmp_path):
     result = run(folder, tmp_path / "quiet", "monday")
     (step,) = (s for s in result.data["steps"] if s["name"] == "monday-watched")
     assert (result.exit_code, step["numbers"]["verdict"]) == (0, "explained")

@@ -44,21 +44,21 @@ def test_the_commands_run(call):
     call(*convert)
     back = rl.load("run.h5")
     assert (back.unit("q"), back.n) == ("m", N)
-    told = call(*compare, "--json")
-    assert told.json["outputs"]["q"]["windowed_rms_percent"] < 1e-6
-    assert "q: converted from mm to m" in told.err
+    printed = call(*compare, "--json")
+    assert printed.json["outputs"]["q"]["windowed_rms_percent"] < 1e-6
+    assert "q: converted from mm to m" in printed.err
     assert "[u] -> [q]" not in call(*simulink).err
 
 
 def test_a_group_by_its_place_in_the_name(call):
-    told = call("discover", "servo-axis", "run.mat#simin", "--outputs", "q", code=3)
-    assert "missing group /simin" in told.err
+    printed = call("discover", "servo-axis", "run.mat#simin", "--outputs", "q", code=3)
+    assert "missing group /simin" in printed.err
 
 
 def test_the_code_runs(monkeypatch, tmp_path, capsys):
     (block,) = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
     monkeypatch.chdir(tmp_path)
     exec(block, {})
-    said = [line.partition("  # ")[2].strip() for line in block.splitlines() if line.startswith("print")]
-    said = [text for text in said if text]
-    assert capsys.readouterr().out.splitlines() == said
+    expected = [line.partition("  # ")[2].strip() for line in block.splitlines() if line.startswith("print")]
+    expected = [text for text in expected if text]
+    assert capsys.readouterr().out.splitlines() == expected

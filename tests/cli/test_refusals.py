@@ -1,4 +1,4 @@
-"""What commands refuse: the exit code, nothing on stdout, and the word that helps."""
+"""Rejected input of commands: the exit code, nothing on stdout, and the hint."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What commands print, word for word: the numbers are those of the unit tests, and stand as # here."""
+"""The output of commands, word for word: the numbers, tested in the unit tests, are replaced by #."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def masked(text: str) -> str:
 
 
 @pytest.mark.parametrize("path", TRANSCRIPTS, ids=lambda path: path.stem)
-def test_commands_print_what_the_transcript_shows(path, tmp_path, monkeypatch, request):
+def test_commands_print_the_transcript(path, tmp_path, monkeypatch, request):
     monkeypatch.chdir(tmp_path)
     write_models(tmp_path)
     made = ""

@@ -91,7 +91,7 @@ def wait_until_saved(store, run):
     pytest.fail(f"nothing was saved: {run.communicate()}")
 
 
-def test_a_second_run_is_refused_ctrl_c_says_how_to_go_on_and_a_dead_pid_is_freed(folder, motor):
+def test_a_second_run_is_rejected_ctrl_c_prints_the_command_to_resume_and_a_dead_pid_is_freed(folder, motor):
     store = folder / "long.sqlite"
     run = start(folder, "run", "motor.h5", *TASK, "-n", 1_000_000, "--store", store)
     wait_until_saved(store, run)
@@ -160,7 +160,7 @@ def test_restart_and_fork(tmp_path, motor):
 # --- stores that are none -------------------------------------------------------------------------------------------
 
 
-def test_what_is_no_store_is_said(tmp_path, motor):
+def test_a_file_that_is_no_store_is_rejected(tmp_path, motor):
     cases = {
         "missing.sqlite": "no such file",
         "folder.sqlite": "is a directory",
@@ -226,7 +226,7 @@ def test_a_truncated_store(tmp_path, motor):
 # --- the machine ----------------------------------------------------------------------------------------------------
 
 
-def test_a_full_disk_keeps_what_was_saved(tmp_path, motor):
+def test_a_full_disk_keeps_saved_samples(tmp_path, motor):
     path = begun(tmp_path / "s.sqlite", motor, n=100_000)
     store = Store.open(path, write=True)
     (pages,) = store._db.execute("PRAGMA page_count").fetchone()
@@ -249,7 +249,7 @@ def test_a_read_only_folder(tmp_path, motor):
         tmp_path.chmod(0o700)
 
 
-def test_a_worker_that_ends_ends_the_run_and_the_store_is_gone_on_with(tmp_path, motor, monkeypatch):
+def test_a_worker_that_ends_ends_the_run_and_the_store_is_continued(tmp_path, motor, monkeypatch):
     monkeypatch.setattr("robustlab.campaign.workers._end_with_parent", os.abort)
     path = tmp_path / "s.sqlite"
     with pytest.raises(EnvironmentFault, match="a worker failed") as caught:

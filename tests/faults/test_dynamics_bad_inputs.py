@@ -1,4 +1,4 @@
-"""What plants and simulation refuse, and that the message names it."""
+"""Input that plants and simulation reject, and its message."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ def test_overflow_names_the_time():
     assert caught.value.exit_code == 4
 
 
-def test_linearise_refuses_what_is_no_plant():
+def test_linearise_rejects_other_objects_than_plants():
     with pytest.raises(rl.InputError, match="a linear plant"):
         rl.linearise("dc-motor")
     with pytest.raises(rl.InputError, match="2 numbers for phi, omega, i, expected 3"):

@@ -65,7 +65,7 @@ def test_an_effect_without_any_place_is_refused():
         ({"brush-drop": {"U": 1.0}}, "brush-drop"),
     ],
 )
-def test_what_the_nonlinear_platform_cannot_have_is_refused(effects, message):
+def test_effects_that_the_nonlinear_platform_cannot_have_are_rejected(effects, message):
     with pytest.raises(rl.InputError, match=message):
         rl.with_effects(rl.plant("stewart-platform"), effects)
 
@@ -168,7 +168,7 @@ def drop(place, name):
         (put("plant/parameters", "value", np.array([3.0, 6.2e-4, 0.052, 0.052, 4.8e-5, 7.2e-6])), "is not the linear"),
     ],
 )
-def test_spoilt_files_of_plants_are_refused_and_say_why(tmp_path, change, message):
+def test_damaged_files_of_plants_are_rejected_with_the_reason(tmp_path, change, message):
     path = spoilt(tmp_path / "p.h5", change)
     with pytest.raises(rl.InputError, match=message) as caught:
         rl.load(path, isolate=False)

@@ -63,11 +63,11 @@ def told_and_taken(call, path):
     done = subprocess.run(
         [sys.executable, "-c", MEASURED.format(call=call), str(path)], capture_output=True, text=True, check=True
     )
-    *said, taken = done.stdout.splitlines()
-    return " ".join(said), int(taken)
+    *message, taken = done.stdout.splitlines()
+    return " ".join(message), int(taken)
 
 
-def test_documents_say_what_is_wrong():
+def test_faults_of_documents_are_reported():
     with pytest.raises(InputError, match="f: 40 MB of JSON, expected at most 32 MiB"):
         parse_document("json", b" " * 40_000_000, "f")
     for raw, words in [
@@ -169,8 +169,8 @@ BOMBS = {
 def test_matlab_files_that_grow_are_refused(what, tmp_path):
     make, words = BOMBS[what]
     (tmp_path / "p.mat").write_bytes(HEADER + make())
-    said, taken = told_and_taken("import robustlab; robustlab.load(sys.argv[1])", tmp_path / "p.mat")
-    assert re.search(rf"p\.mat: {words}", said)
+    message, taken = told_and_taken("import robustlab; robustlab.load(sys.argv[1])", tmp_path / "p.mat")
+    assert re.search(rf"p\.mat: {words}", message)
     assert taken < 1 << 31
 
 

@@ -1,4 +1,4 @@
-"""What `compare` refuses, and what it warns of."""
+"""Input that `compare` rejects, and its warnings."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def record(inputs=None, outputs=None, units=None, t=T):
     return rl.Record(t, {"u": U} if inputs is None else inputs, {"q": Q} if outputs is None else outputs, units, "run3")
 
 
-def test_missing_input_names_what_is_there():
+def test_a_missing_input_is_reported_with_the_existing_ones():
     with pytest.raises(InputError, match=r"no input 'u'.*voltage.*expected every input") as caught:
         rl.compare(rl.plant("servo-axis"), record(inputs={"voltage": U}))
     assert caught.value.exit_code == 3
@@ -33,7 +33,7 @@ def test_units_that_disagree(units):
     assert units[wrong] in str(caught.value)
 
 
-def test_another_unit_of_the_same_measure_is_converted_and_said():
+def test_another_unit_of_the_same_measure_is_converted_and_reported():
     """The record says millimetres and holds them: the gap is that of the same record in metres."""
     plain = rl.compare(rl.plant("servo-axis"), record(units={"q": "m"}))
     other = record(inputs={"u": 1e3 * U}, outputs={"q": 1e3 * Q}, units={"u": "mV", "q": "mm"})

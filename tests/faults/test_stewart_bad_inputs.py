@@ -1,4 +1,4 @@
-"""What the Stewart platform refuses, with the words that name it and the exit code."""
+"""Input that the Stewart platform rejects, with message and exit code."""
 
 from __future__ import annotations
 

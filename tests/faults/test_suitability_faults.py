@@ -50,8 +50,8 @@ LIGHT = rl.plant("mass-spring-damper", m=1.0, c=0.02, k=100.0)  # decays within 
 def test_a_free_swing_is_judged_by_its_periods_and_not_by_its_decay(samples):
     found = suitability(LIGHT, swing(14.66, samples))
     assert found.fit
-    (told,) = found.findings
-    assert (told.kind, "tells no gain of an input" in told.message) == ("unexcited", True)
+    (finding,) = found.findings
+    assert (finding.kind, "tells no gain of an input" in finding.message) == ("unexcited", True)
 
 
 def test_less_than_a_period_of_an_oscillation_is_too_short():

@@ -1,4 +1,4 @@
-"""Equations of one's own that are none: each an error of one line that names what is wrong."""
+"""Wrong equations of a user: each an error of one line that names the fault."""
 
 import casadi as ca
 import numpy as np

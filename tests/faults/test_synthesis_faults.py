@@ -83,7 +83,7 @@ def test_nan_is_refused_before_any_native_call():
 # --- row 23: time ---
 
 
-def test_time_limit_is_kept_and_said():
+def test_time_limit_is_kept_and_reported():
     rng = np.random.default_rng(0)
     n = 24
     A = rng.standard_normal((n, n)) - 2 * np.eye(n)

@@ -1,4 +1,4 @@
-"""Two-layer control: what is refused, and with which words."""
+"""Two-layer control: rejected input and its messages."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ def test_trajectories_that_are_none(given, words):
         SineTrajectory(**({"start": np.zeros(6)} | given))
 
 
-def test_a_trajectory_out_of_the_workspace_is_told_with_its_time(machine):
+def test_a_trajectory_out_of_the_workspace_is_reported_with_its_time(machine):
     path = SineTrajectory(machine.geometry.home, lift=(0, 0, 0.04, 0, 0, 0))
     with pytest.raises(rl.InputError, match=r"trajectory at t = 1.*out of the workspace: actuator"):
         follow(machine, two_layer(machine), path, np.linspace(0, 3, 301))
 
 
-def test_an_unstable_loop_is_told_with_its_time(machine):
+def test_an_unstable_loop_is_reported_with_its_time(machine):
     path = SineTrajectory(machine.geometry.home)
     with pytest.raises(rl.NoTrustworthyNumber, match=r"t = \d"):
         follow(machine, two_layer(machine, p_low=1200.0), path, np.linspace(0, 3, 301))

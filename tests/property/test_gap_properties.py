@@ -1,4 +1,4 @@
-"""The nu-gap is a metric, and it says how much of a stability margin is left."""
+"""The nu-gap is a metric, and it bounds the remaining stability margin."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reduction keeps its promises on random models: bound, stability, sizes; a controller loses what it says."""
+"""Reduction of random models: bound, stability, sizes; the reported loss of a controller."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_error_lies_between_the_next_hankel_value_and_twice_the_tail(seed, n, da
 @pytest.mark.slow
 @settings(max_examples=3)
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(2, 6), loss=st.sampled_from([1e-3, 0.05, 0.5]))
-def test_a_reduced_controller_loses_what_it_says_and_no_more_than_allowed(seed, n, loss):
+def test_a_reduced_controller_loses_the_reported_share_and_no_more_than_allowed(seed, n, loss):
     rng = np.random.default_rng(seed)
     A = rng.normal(size=(n, n)) - 0.5 * np.eye(n)
     B, C = rng.normal(size=(n, 3)), rng.normal(size=(3, n))

@@ -86,7 +86,7 @@ def test_another_sample_time():
     assert found.valid["y"].all()
 
 
-def test_what_join_clocks_refuses():
+def test_join_clocks_rejects_wrong_records():
     one = Record([0.0, 1.0, 2.0], outputs={"y": [0, 1, 2]}, name="drive")
     with pytest.raises(InputError, match=r"'y' is in both"):
         join_clocks(one, one)

@@ -1,4 +1,4 @@
-"""A plant of one's own that is not linear comes back whole from its file, without CasADi; and files that lie."""
+"""A user's nonlinear plant is restored from its file without CasADi; files with false claims."""
 
 import subprocess
 import sys
@@ -136,7 +136,7 @@ LIES = [
 
 
 @pytest.mark.parametrize("case", range(len(LIES)))
-def test_a_file_that_lies_is_refused_by_name(case):
+def test_a_file_with_a_false_claim_is_rejected_by_name(case):
     lie, message = LIES[case]
     tree = trees()
     lie(tree)

@@ -67,7 +67,7 @@ def test_the_corners_too_and_the_nominal_exactly(corner):
 
 
 @pytest.mark.parametrize("pose", list(POSES))
-def test_repetitions_are_the_ranks_of_what_a_mass_does(pose):
+def test_repetitions_are_the_ranks_of_the_coefficients_of_a_mass(pose):
     """The rank of [dM dK] by differences of linear models: M = k B^-1, K = M A at rest; fewer no LFT of it has."""
     plant, uncertain = machine("thesis", False, pose)
 
@@ -98,7 +98,7 @@ def test_places_gravity_and_gear_are_polynomials(data):
     assert off(uncertain.evaluate(delta), rebuilt(plant, uncertain, delta, "tilted")) < 1e-11
 
 
-def test_geometry_is_covered_and_says_so():
+def test_geometry_is_covered_with_a_remark():
     plant = rl.plant("stewart-platform", platform_mass=(3.167, 0.1), r_b=(0.17502, 0.002), alpha_p=(0.1129, 0.005))
     uncertain = plant.uncertain(at=POSES["tilted"])
     assert uncertain.sampled == ("r_b", "alpha_p", "remainder")

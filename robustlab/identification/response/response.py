@@ -99,7 +99,7 @@ class Response:
 
 def rates(model: StateSpaceModel) -> NDArray[np.complex128]:
     """Return the poles in 1/s, also of a discrete model."""
-    poles = model.poles()
+    poles: Any = model.poles()
     return np.log(poles[np.abs(poles) > 0]) / model.dt if model.is_discrete else poles
 
 

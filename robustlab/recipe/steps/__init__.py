@@ -3,15 +3,13 @@
 from importlib import import_module
 from pathlib import Path
 
-# The order of the kinds in the schema, and so a file imports only from those before it at its top; files that are not
-# named here come last.
+# The order of the kinds in the schema; a file imports only from those before it. Other files come last.
 ORDER = ("models", "covers", "samples", "digital", "control", "records", "validation")
 
 _found = sorted(path.stem for path in Path(__file__).parent.glob("[!_]*.py"))
 for _name in sorted(_found, key=lambda name: ORDER.index(name) if name in ORDER else len(ORDER)):
     import_module(f"{__name__}.{_name}")
 
-from robustlab.operations.declaration import ALL  # noqa: E402
 from robustlab.recipe.steps.generated import add_steps  # noqa: E402
 
-add_steps(*ALL)
+add_steps()

@@ -1,4 +1,4 @@
-"""The contract of a step: what it says in a recipe, what it may use while it runs, and what it leaves behind."""
+"""The contract of a step: its keys in a recipe, the workspace it runs in, and its outcome."""
 
 from __future__ import annotations
 
@@ -24,32 +24,32 @@ if TYPE_CHECKING:
     from robustlab.provenance import Provenance
     from robustlab.report.drawings import Picture
 
-# What a recipe says with ``do`` -> the class of such steps; filled by `step`.
+# Value of ``do`` -> the class of such steps; filled by `step`.
 KINDS: dict[str, type[Step]] = {}
 Kind = TypeVar("Kind", bound="type[Step]")
 
 
 @dataclass(frozen=True)
 class Foretold:
-    """What is known of a step before it runs; None: nothing."""
+    """Inferred properties of a step before it runs; None: not known."""
 
-    value: Any = None  # what later steps get, where it is there without a computation: a plant of ours, a file's object
-    # Signals of what later steps get: name -> unit.
+    value: Any = None  # its value, where that needs no computation: a shipped plant, a file's object
+    # Signals of its value: name -> unit.
     inputs: Mapping[str, str] | None = None
     outputs: Mapping[str, str] | None = None
-    leaves: Any = ...  # what requirements may refer to, where that depends on more than the kind of step
+    leaves: Any = ...  # names that requirements may refer to, where they depend on more than the kind of step
 
     @classmethod
     def of(cls, value: Any, leaves: Any = ...) -> Foretold:
-        """What is known of a step whose value is there."""
+        """Return what is known of a step whose value is known."""
         if isinstance(value, rl.Record):
             inputs, outputs = ({n: value.unit(n) for n in side} for side in (value.inputs, value.outputs))
             return cls(value, inputs, outputs, leaves)
-        model = getattr(value, "K", value)  # a controller is kept with what it was designed for
+        model = getattr(value, "K", value)  # of a controller
         return cls(value, _units(getattr(model, "inputs", None)), _units(getattr(model, "outputs", None)), leaves)
 
     def select(self, outputs: Sequence[str] | None) -> Foretold:
-        """The same signals for a value that has yet to be made, with the outputs that are kept."""
+        """Return the same signals, with the outputs that are kept, for a value not yet computed."""
         if outputs is None or self.outputs is None:
             return Foretold(None, self.inputs, self.outputs)
         return Foretold(None, self.inputs, {name: self.outputs.get(name, "") for name in outputs})
@@ -62,60 +62,60 @@ def _units(signals: Any) -> dict[str, str] | None:
 
 @dataclass
 class Ahead:
-    """What is known before anything runs: the files that steps read, and what each step before this one foretells."""
+    """Knowledge before anything runs: the files that steps read, and the inferred properties of earlier steps."""
 
     sources: Mapping[str, Path]  # as in `Workspace`
     steps: dict[str, Foretold] = field(default_factory=dict)
-    step: str = ""  # name of the step that is asked now
+    step: str = ""  # name of the current step
 
     def __getitem__(self, name: str | None) -> Foretold:
         return self.steps.get(name or "", Foretold())
 
 
 class Step(Strict):
-    """What every step has; a kind of step adds its keys, ``do`` with its word among them, and `run`."""
+    """Base of the steps; a kind of step adds its keys, among them ``do``, and `run`."""
 
     model_config = ConfigDict(defer_build=True)  # only the union of all kinds needs a validator, see `recipe_model`
 
     gives: ClassVar[str] = "nothing"
-    leaves: ClassVar[Any] = ...  # what requirements may refer to, see `with_signals`
+    leaves: ClassVar[Any] = ...  # names that requirements may refer to, see `with_signals`
 
-    title: Text = Field("", description="What the report calls this step; the step's name where left out.")
-    verify: bool = Field(False, description="Have what this step proves proved once more, from the file it writes.")
+    title: Text = Field("", description="Title of this step in the report; the step's name where left out.")
+    verify: bool = Field(False, description="Verify the results of this step again, from the files it writes.")
 
     @property
     def kind(self) -> str:
-        """What the step does, as the recipe says with ``do``."""
+        """Return the value of ``do``."""
         return str(vars(self)["do"])
 
     def foretell(self, ahead: Ahead) -> Foretold:
-        """What the step will give and leave, as far as that is known before anything runs; cheap to say."""
+        """Infer cheaply what the step will give, before anything runs."""
         return Foretold()
 
     def run(self, work: Workspace) -> Outcome:
-        """Do what the step says."""
+        """Run the step."""
         raise NotImplementedError(self.kind)
 
     def in_free_run(self, path: str) -> str | None:
-        """Where a number that holds in windows stands for the free run; None of any other number."""
+        """Return the path in free run of a number that holds in windows, None of any other number."""
         return None
 
 
 def step(cls: Kind) -> Kind:
-    """Class decorator: recipes know this kind of step from now on."""
+    """Register a kind of step (class decorator)."""
     KINDS[get_args(cls.model_fields["do"].annotation)[0]] = cls
     return cls
 
 
 def quantity(value: float, unit: str = "", digits: int = 5) -> str:
-    """A number with its unit for reading, for example ``779.07 rad/s``."""
+    """Return a number with its unit as text, for example ``779.07 rad/s``."""
     text = f"{value:.{digits}g}"
     return f"{text} {unit}" if unit and unit != "1" else text
 
 
 @dataclass(frozen=True)
 class Fact:
-    """A line of the report: what, its value with unit, and where that comes from."""
+    """A line of the report: label, value with unit, and source."""
 
     label: str
     value: str
@@ -124,81 +124,80 @@ class Fact:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a step leaves behind."""
+    """The outcome of a step."""
 
-    value: Any  # what later steps get when they refer to this one
-    summary: str  # one sentence: what was done
-    numbers: Mapping[str, Any] = field(default_factory=dict)  # what requirements refer to (`step.key.key`); plain types
-    facts: tuple[Fact, ...] = ()  # the key numbers in words
-    # How much the numbers can be trusted; None for a step that only builds, reads, writes or draws.
-    status: rl.Status | None = None
-    notes: tuple[str, ...] = ()  # what the reader must know to judge the numbers
-    text: str = ""  # a longer account for reading, line by line
-    story: tuple[Fact, ...] = ()  # what a reader wants to know first, a handful at most; shown before all else
+    value: Any  # passed to later steps that refer to this one
+    summary: str  # one sentence
+    numbers: Mapping[str, Any] = field(default_factory=dict)  # for requirements (`step.key.key`); plain types
+    facts: tuple[Fact, ...] = ()  # the key numbers as text
+    status: rl.Status | None = None  # None for a step that only builds, reads, writes or draws
+    notes: tuple[str, ...] = ()  # needed to judge the numbers
+    text: str = ""  # details, line by line
+    story: tuple[Fact, ...] = ()  # a handful at most; shown first
 
 
 @dataclass
 class Workspace:
-    """What a step may use: the values of earlier steps, the files found for it, the seed, and a folder to write to."""
+    """The values of earlier steps, the files found for them, the seed, and a folder to write to."""
 
-    folder: Path  # where this run writes; `files` lists what was written, relative to it
+    folder: Path  # the output folder; `files` lists the files written, relative to it
     # Step name -> the file it reads, or the code of a plant; see `robustlab.recipe.load.find_file`.
     sources: Mapping[str, Path]
     seed: int  # seed of the recipe
-    # Step name -> value of each step that is done; `numbers` alike, what requirements refer to.
+    # Step name -> value of each finished step, and its numbers for requirements.
     values: dict[str, Any] = field(default_factory=dict)
     numbers: dict[str, Mapping[str, Any]] = field(default_factory=dict)
     files: list[str] = field(default_factory=list)
     inputs: dict[str, str] = field(default_factory=dict)
     # Step name -> its figures as (file stem, caption).
     figures: dict[str, list[tuple[str, str]]] = field(default_factory=dict)
-    # Step name -> the whole discovery, of which later steps otherwise get the updated plant.
+    # Step name -> the whole discovery; the value of the step is the updated plant.
     discoveries: dict[str, Discovery] = field(default_factory=dict)
     simulated: set[str] = field(default_factory=set)  # names of the steps whose records are simulated, not measured
     # Step name -> the files that hold its results with their evidence.
     kept: dict[str, list[Path]] = field(default_factory=dict)
     step: str = ""  # name of the step that runs now
-    ahead: Ahead = field(default_factory=lambda: Ahead({}))  # what was known before the first step
-    png: bool = False  # whether figures are drawn as PNG, too
+    ahead: Ahead = field(default_factory=lambda: Ahead({}))  # known before the first step
+    png: bool = False  # draw figures as PNG, too
     drawn: frozenset[str] | None = None  # names of the steps whose figures are drawn; None: of all
 
     def uncertain(self, name: str) -> rl.UncertainModel:
-        """The uncertain model that an earlier step gave; a loaded file may hold something else."""
+        """Return the uncertain model of an earlier step; a loaded file may hold something else."""
         value = self.values[name]
         if not isinstance(value, rl.UncertainModel):
             raise InputError(f"step {name!r}", f"gave a {type(value).__name__}", "an UncertainModel")
         return value
 
     def record(self, name: str) -> rl.Record:
-        """The record that an earlier step gave; a loaded file may hold something else."""
+        """Return the record of an earlier step; a loaded file may hold something else."""
         value = self.values[name]
         if not isinstance(value, rl.Record):
             raise InputError(f"step {name!r}", f"gave a {type(value).__name__}", "a Record")
         return value
 
     def origin(self, name: str) -> str:
-        """What the record of an earlier step is: "simulated" where its recipe says so, else "measured"."""
+        """Return "simulated" where the recipe declares the record so, else "measured"."""
         return "simulated" if name in self.simulated else "measured"
 
     def provenance(self) -> Provenance:
-        """That of what the present step makes."""
+        """Return the provenance of the current step's result."""
         from robustlab.provenance import Provenance
 
         return Provenance.now(f"recipe step {self.step}", self.inputs, self.seed)
 
     def pictures(self, found: Any) -> Iterator[tuple[str, Picture]]:
-        """The pictures of a result, where those of the present step are wanted."""
+        """Return the pictures of a result, where those of the current step are drawn."""
         from robustlab.report.drawings import pictures_of
 
         return pictures_of(found) if self.drawn is None or self.step in self.drawn else iter(())
 
     def draw(self, figure: Figure, name: str, caption: str) -> None:
-        """Save a figure of the present step, where those are wanted."""
+        """Save a figure of the current step, where those are drawn."""
         from robustlab.report.style import save_figure
 
         if self.drawn is not None and self.step not in self.drawn:
             return
-        # A signal's name is data from outside; the name of a file is not.
+        # A signal's name is untrusted; the name of a file must not be.
         stem = re.sub(r"[^A-Za-z0-9_-]", "_", f"{self.step}-{name}")[:80]
         taken = [known for known, _ in self.figures.get(self.step, [])]
         stem = f"{stem}-{len(taken) + 1}" if stem in taken else stem
@@ -207,10 +206,7 @@ class Workspace:
         self.figures.setdefault(self.step, []).append((stem, caption))
 
     def keep(self, result: Any, part: str = "") -> None:
-        """Save a result with its evidence as ``evidence/STEP.h5``: it can then be checked again without a new run.
-
-        A step with several results names each: ``evidence/STEP-PART.h5``.
-        """
+        """Save a result with its evidence as ``evidence/STEP.h5``, or ``evidence/STEP-PART.h5`` of several."""
         path = self.folder / "evidence" / f"{self.step}{'-' * bool(part)}{part}.h5"
         path.parent.mkdir(exist_ok=True)
         rl.save(path, result, self.provenance())
@@ -219,7 +215,7 @@ class Workspace:
 
 
 def facts_of(found: Any) -> tuple[Fact, ...]:
-    """What a result says of itself, for the report; a label that begins with a name, "q: ..." or "k (...)", stays."""
+    """Return a result's facts for the report, labels capitalised but for names, "q: ..." or "k (...)"."""
     return tuple(
         Fact(label if ": " in label or " (" in label else f"{label[:1].upper()}{label[1:]}", text)
         for label, text in found.facts()
@@ -227,8 +223,8 @@ def facts_of(found: Any) -> tuple[Fact, ...]:
     )
 
 
-def told(found: Any, value: Any, summary: str, work: Workspace) -> Outcome:
-    """A result that shows itself: its pictures, numbers, facts and tables; ``value`` is what later steps get of it."""
+def outcome_of(found: Any, value: Any, summary: str, work: Workspace) -> Outcome:
+    """Return the outcome of a `Shown` result: its pictures, numbers, facts and tables."""
     for name, picture in work.pictures(found):
         work.draw(picture.figure, name, getattr(found, "caption", picture.caption))
     numbers = {name: number for name, number in found.numbers().items() if number is not None}
@@ -237,14 +233,14 @@ def told(found: Any, value: Any, summary: str, work: Workspace) -> Outcome:
 
 
 # --- names that requirements may refer to ---------------------------------------------------------------------------
-# Nested tables down to a unit: a text is the unit of a number, "1" of a pure one; ``{name: ...}`` a table, where a name
-# with ``*`` is all that match; `Each` a table by signals; a class of parts its fields; below anything else is anything.
+# Nested tables of units: a text is the unit of a number, "1" of a pure one; ``{name: ...}`` a table, where ``*`` in a
+# name matches any text; `Each` a table by signals; a class its fields; anything else is not checked.
 
 
 def with_signals(
     names: Any, inputs: Mapping[str, str] | None, outputs: Mapping[str, str] | None, unit: str | None = None
 ) -> Any:
-    """Return the names with those of the signals in each `Each`, "*" where they are not known; ``unit``: of "*"."""
+    """Replace each `Each` by the names of its signals, "*" where they are not known; ``unit``: of "*"."""
     if isinstance(names, Each):
         known = inputs if names.side == "inputs" else outputs
         every = {**({"*": ""} if known is None else known), **dict.fromkeys(names.more, "")}
@@ -281,6 +277,6 @@ def look_ahead(path: str, leaves: Any) -> Any:
 
 
 def nothing_there(where: str, done: Sequence[str], part: str, known: Sequence[str]) -> InputError:
-    """The error for a path that goes on after ``done`` with something that is not there."""
+    """Return the error for a path whose part after ``done`` does not exist."""
     expected = f"one of {', '.join(known)}" if known else f"nothing below {'.'.join(done)}"
     return InputError(where, f"{'.'.join(done)} has no {part!r}", expected, did_you_mean(part, list(known)))

@@ -1,10 +1,10 @@
-"""Steps on tracking problems: pose them, close them with a known law, judge and simulate several controllers alike."""
+"""Steps on tracking problems: pose them, and compare controllers in analysis and simulation."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
@@ -27,10 +27,7 @@ from robustlab.operations.vocabulary import (
     ToPlantOrFile,
     ToUncertainOrProblem,
 )
-from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, step, told
-
-if TYPE_CHECKING:
-    pass
+from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, outcome_of, step
 
 Sizes = Positive | dict[str, Positive]
 
@@ -41,7 +38,7 @@ Outputs = Annotated[list[str], Field(min_length=1, max_length=100), Names("outpu
 
 @step
 class TrackingProblemStep(Step):
-    """What a loop is asked for: references that outputs follow, disturbances, noise, and weights on error and control.
+    """A tracking problem: references that outputs follow, disturbances, noise, and weights on error and control.
 
     The controller sees the references of `controlled` and the outputs `measured`. The gain of the weighted loop is at
     most 1 where every requirement holds.
@@ -51,7 +48,7 @@ class TrackingProblemStep(Step):
     leaves: ClassVar[Any] = {"states": "1", "blocks": [str], "channels": "1", "measurements": "1", "controls": "1"}
     do: Literal["tracking-problem"]
     of: Annotated[str, RefersTo(("plant", "model", "uncertain", "any"))]
-    controlled: Outputs = Field(description='Names of outputs; "phi_*" stands for all that begin so.')
+    controlled: Outputs = Field(description='Names of outputs; "phi_*" matches all with this prefix.')
     measured: Outputs = Field(description="The same.")
     W1: Positive | ErrorWeight | PerformanceWeight | None = Field(
         None, description="On the error, as a share of the reference."
@@ -60,12 +57,12 @@ class TrackingProblemStep(Step):
     W3: Positive | ComplementaryWeight | None = Field(None, description="On the output, as a share of the reference.")
     reference: Sizes = Field(1.0, description="Size of the references in the outputs' units.")
     reference_bandwidth: Positive | None = Field(None, description="rad/s, above which references get smaller.")
-    disturbance: Sizes | None = Field(None, description="Size of what is added to the controls, in their units.")
+    disturbance: Sizes | None = Field(None, description="Size of the disturbance at the controls, in their units.")
     loads: Annotated[dict[str, Positive], Names("inputs")] = Field(
         {}, description='Inputs of the model that are no controls, with their sizes: { "load *" = 1.0 }.'
     )
     noise: Sizes | None = Field(
-        None, description='Size of the noise on what is seen, in its units: { "*_ref" = 0.1, "phi_*" = 0.1 }.'
+        None, description='Size of the noise on the measurements, in their units: { "*_ref" = 0.1, "phi_*" = 0.1 }.'
     )
 
     @model_validator(mode="after")
@@ -96,14 +93,14 @@ class TrackingProblemStep(Step):
             loads=loads,
             noise=_sizes_of(self.noise, [*(f"{name}_ref" for name in controlled), *measured]),
         )
-        return told(problem, problem, f"Tracking problem of {self.of}: a gain of at most 1 is asked for.", work)
+        return outcome_of(problem, problem, f"Tracking problem of {self.of}: a gain of at most 1 is required.", work)
 
 
 @step
 class CascadeStep(Step):
     """The two layers of L. Březina's thesis (eqs 9.1-9.4) for the linear actuator or the Stewart platform with motors.
 
-    Of the platform it is the upper layer, which asks for torques; its torque loops stay where they are.
+    Of the platform it is the upper layer, whose outputs are torques; the torque loops remain in the plant.
     """
 
     gives: ClassVar[str] = "controller"
@@ -163,12 +160,12 @@ class RobustPerformanceStep(Step):
             work.keep(margin, name)
         where = self.of if self.set is None else f"{self.of} on {self.set}"
         summary = f"Robust performance of {where} under {len(loops)} controllers, the same requirement for all."
-        return told(found, found.margins, summary, work)
+        return outcome_of(found, found.margins, summary, work)
 
 
 @step
 class SimulateControlStep(Step):
-    """A linear plant with effects under several controllers: a sine is followed, members of the set included."""
+    """A linear plant with effects under several controllers: tracking of a sine, also by members of the set."""
 
     gives: ClassVar[str] = "runs"
     do: Literal["simulate-control"]
@@ -196,7 +193,7 @@ class SimulateControlStep(Step):
     def foretell(self, ahead: Ahead) -> Foretold:
         known = {**(ahead[self.of].inputs or {}), **(ahead[self.of].outputs or {})}
         plant = ahead[self.of].value
-        if plant is not None:  # unknown effects, places and parameters are refused
+        if plant is not None:  # raises on unknown effects, places and parameters
             for member in self.members:
                 plant.with_parameters(**member)
             if self.effects:
@@ -221,14 +218,14 @@ class SimulateControlStep(Step):
             self.effects,
             self.members,
         )
-        return told(found, found, f"{self.of} {found.headline()}.", work)
+        return outcome_of(found, found, f"{self.of} {found.headline()}.", work)
 
 
 @step
 class FollowTrajectoryStep(Step):
     """The nonlinear Stewart platform under several controllers, following the path of section 9.1.3.
 
-    With motors the controllers are upper layers that ask for torques, above the motors' torque loops. Without, the
+    With motors the controllers are upper layers with torques as outputs, above the motors' torque loops. Without, the
     machine takes their torques; it may have effects then, as after `discover`, and controllers may see angles alone.
     """
 
@@ -238,7 +235,7 @@ class FollowTrajectoryStep(Step):
     controllers: Controllers
     p_low: Positive = Field(3000.0, description="Triple pole of the motors' torque loops in 1/s.")
     at: Annotated[list[float], Field(min_length=6, max_length=6)] | None = Field(
-        None, description="Pose at which the path begins; home, where the controllers are trimmed, where left out."
+        None, description="Pose at which the path begins; home, the trim point of the controllers, where left out."
     )
     scale: Positive = Field(1.0, description="Of the path: at 1 a lift of 5 mm, sines of 5 mm and 20 mrad.")
     rise_time: Annotated[float, Field(ge=0)] = 0.0
@@ -260,11 +257,13 @@ class FollowTrajectoryStep(Step):
         controllers = {name: work.values[name] for name in self.controllers}
         path = Path(self.at, self.scale, self.rise_time, self.t_end, self.points)
         found = follow_path(work.values[self.of], controllers, path, self.after, self.p_low)
-        return told(found, found, f"Nonlinear simulation of {self.of} under {len(controllers)} controllers.", work)
+        return outcome_of(
+            found, found, f"Nonlinear simulation of {self.of} under {len(controllers)} controllers.", work
+        )
 
 
 def _closed(step: RobustPerformanceStep, work: Workspace, name: str) -> tuple[Any, int]:
-    """The loop of a problem (or of a generalised plant) under a controller, and that controller's order."""
+    """Close a problem or a generalised plant with a controller; return the loop and the controller's order."""
     from robustlab.statespace import as_model
     from robustlab.synthesis.specifications.tracking_problem import TrackingProblem
 
@@ -278,7 +277,7 @@ def _closed(step: RobustPerformanceStep, work: Workspace, name: str) -> tuple[An
 
 
 def _signals(G: Any) -> tuple[list[str], list[str]]:
-    """Names of the inputs and outputs of a model or an uncertain model."""
+    """Return the names of the inputs and outputs of a model or an uncertain model."""
     from robustlab.statespace import as_model
 
     base = G if hasattr(G, "blocks") else as_model(G, "tracking problem")
@@ -286,7 +285,7 @@ def _signals(G: Any) -> tuple[list[str], list[str]]:
 
 
 def _matching(names: Sequence[str], known: Sequence[str]) -> list[str]:
-    """The names with each pattern replaced by what it matches; a pattern without a match stays, to be refused."""
+    """Replace each pattern by the names it matches; a pattern without a match is kept, and rejected later."""
     found: list[str] = []
     for name in names:
         found += [k for k in known if fnmatchcase(k, name)] or [name] if "*" in name else [name]
@@ -294,7 +293,7 @@ def _matching(names: Sequence[str], known: Sequence[str]) -> list[str]:
 
 
 def _sizes_of(given: Any, known: Sequence[str]) -> Any:
-    """Sizes with each pattern replaced by what it matches; the first pattern that matches a signal counts."""
+    """Replace each pattern by the names it matches; the first pattern that matches a signal counts."""
     if not isinstance(given, dict):
         return given
     sizes: dict[str, float] = {}

@@ -50,11 +50,11 @@ class DataCoverStep(Step):
     )
     least: Annotated[float, Field(ge=0, lt=1)] = Field(0.02, description="Smallest radius of any set.")
     window: Positive | None = Field(
-        None, description="s; each window with a free start. The whole record where left out."
+        None, description="s; each window with a free initial state. The whole record where left out."
     )
     at_rest: bool = Field(False, description="The records start at rest.")
     decimate: Annotated[int, Field(ge=1, le=100)] = Field(
-        1, description="Keep every so-many-th sample; inputs are averaged in between."
+        1, description="Keep every n-th sample; inputs are averaged in between."
     )
     effort: Effort = Field(1.0, description="Multiple of the usual work, for each record.")
     time_limit: TimeLimit | None = Field(None, description=GUARD)
@@ -70,7 +70,7 @@ class DataCoverStep(Step):
         from robustlab.report.set_figures import validation_figure
 
         def thinned(name: str) -> Any:
-            # An input is the mean of what was sent until the next sample that is kept: a held one stands for that.
+            # An input is averaged until the next kept sample, over which it is then held.
             r, k = work.record(name), self.decimate
             n = r.n // k
             inputs = {key: u[: n * k].reshape(n, k).mean(axis=1) for key, u in r.inputs.items()}
@@ -105,7 +105,7 @@ Pose = Annotated[list[float], Field(min_length=6, max_length=6)]
 
 @step
 class CoverModelsStep(Step):
-    """The smallest uncertain model of a chosen form that holds every one of a set of models.
+    """The smallest uncertain model of a chosen form that contains a set of models.
 
     The set: the models of earlier steps, or one plant linearised at several poses, or both. Of a plant with effects,
     as after `discover`, those that have no linear model (dry friction) become bounded inputs ("load *"), exact for
@@ -129,10 +129,12 @@ class CoverModelsStep(Step):
         "inverse-input-multiplicative",
         "inverse-output-multiplicative",
     ] = "elements"
-    nominal: ToOneModel | None = Field(None, description="Where left out, the middle, or what makes the set smallest.")
+    nominal: ToOneModel | None = Field(
+        None, description="Where left out, the middle, or the model of the smallest set."
+    )
     outputs: Annotated[list[str], Names("outputs")] | None = None
     tolerance: Annotated[float, Field(ge=0, lt=1)] = Field(
-        1e-9, description="Share of its matrix' largest that an entry may be off: pca needs fewer directions."
+        1e-9, description="Allowed error of an entry, relative to its matrix' largest: pca needs fewer directions."
     )
     directions: Annotated[int, Field(ge=1, le=100)] | None = Field(None, description="Of pca.")
     order: Annotated[int, Field(ge=0, le=12)] = Field(4, description="Largest order of the weight of a full block.")
@@ -170,9 +172,9 @@ class CoverModelsStep(Step):
         from robustlab.synthesis.specifications.tracking_loop import tracking_loop, with_law
 
         models = _models(self, work)
-        said, loop = "", None
+        words, loop = "", None
         if self.controller is not None:  # one sign for all: that of the first
-            K, said = with_law(models[0], work.values[self.controller], self.sign)
+            K, words = with_law(models[0], work.values[self.controller], self.sign)
             loop = partial(tracking_loop, controller=K)
         nominal = None if self.nominal is None else _selected(rl.linearise, work.values[self.nominal], self.outputs)
         found = rl.cover(
@@ -183,7 +185,7 @@ class CoverModelsStep(Step):
         work.keep(found)
         for name, (figure, caption) in cover_figures(found, models).items():
             work.draw(figure, name, caption)
-        numbers, facts = found.numbers(), (*facts_of(found), *([Fact("Loop", said)] if said else []))
+        numbers, facts = found.numbers(), (*facts_of(found), *([Fact("Loop", words)] if words else []))
         loads = () if self.of is None else _at_pose(work.values[self.of], self.poses[0])[1]
         numbers["loads"] = {load.name: load.bound for load in loads}
         facts += tuple(Fact(x.name, f"at most {quantity(x.bound, x.unit)}", x.origin) for x in loads)
@@ -192,7 +194,7 @@ class CoverModelsStep(Step):
 
 @step
 class WithLoadsStep(Step):
-    """A record with the bounded forces of a plant's effects as further inputs, as the plant itself makes them.
+    """A record with the bounded forces of a plant's effects as further inputs, computed by the plant.
 
     A set that takes such forces as inputs (`uncertain-from` without amplitudes) needs them for `validate` or `cover`.
     """
@@ -240,7 +242,7 @@ def _models(step: CoverModelsStep, work: Workspace) -> list[rl.StateSpaceModel]:
 
 
 def _at_pose(plant: Any, pose: list[float]) -> tuple[rl.StateSpaceModel, tuple[NoiseInput, ...]]:
-    """The plant linearised at a pose, with its effects' loads before its inputs, and these."""
+    """Linearise a plant at a pose; return the model with the effects' loads before its inputs, and the loads."""
     from robustlab.dynamics.extended.effect_blocks import loaded_model
     from robustlab.dynamics.extended.extended_plant import ExtendedNonlinearPlant
 
@@ -249,7 +251,7 @@ def _at_pose(plant: Any, pose: list[float]) -> tuple[rl.StateSpaceModel, tuple[N
 
 
 def _selected(linearise: Any, given: Any, outputs: list[str] | None) -> rl.StateSpaceModel:
-    """A model as it is, a plant linearised; with the outputs that are kept."""
+    """Return a model, of a plant its linearisation, with the outputs that are kept."""
     from robustlab.dynamics import Plant
     from robustlab.linear_analysis.structural import drop_unconnected
     from robustlab.statespace import as_model

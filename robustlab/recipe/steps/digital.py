@@ -81,8 +81,10 @@ class FeedForwardStep(Step):
     of: ToPlantOrFile = Field(description="A discover step, or a plant with effects.")
 
     def run(self, work: Workspace) -> Outcome:
-        """Numbers in units of the input: ``largest``, a bound; ``waves`` (amplitudes) with ``counts`` in 2 pi of the
-        position, ``dry``, the level of the dry friction, ``left``, what fitted intervals leave open of the largest.
+        """Compute the feed-forward; its numbers are in units of the input.
+
+        ``largest`` is a bound, ``waves`` (amplitudes) have ``counts`` in 2 pi of the position, ``dry`` is the level of
+        the dry friction, ``left`` the uncertainty of the largest.
         """
         from robustlab.dynamics.extended.feed_forward import feed_forward
 

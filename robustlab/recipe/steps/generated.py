@@ -1,4 +1,4 @@
-"""Steps made of operations: their keys from the declaration, what they leave from the face of the result's class."""
+"""Steps generated from operations: keys from the declaration, numbers and facts from the result's class."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field, create_model
 
 from robustlab.errors import InputError, UsageError
-from robustlab.operations.declaration import STEPS, InLoop, Operation, load_family, objects
+from robustlab.operations.declaration import STEPS, InLoop, Operation, every_operation
 from robustlab.operations.kinds import RecordFile, Thing
 from robustlab.recipe.steps.contract import (
     Ahead,
@@ -25,18 +25,18 @@ from robustlab.record import Record
 from robustlab.shown import Shown
 from robustlab.signals import Signal
 
-# Word of a step -> its base, where a recipe says or does more than call the function.
+# Kind of step -> its base, where a step does more than call the function.
 BASES: dict[str, type[OperationStep]] = {}
 
 
 class Quantities:
-    """What requirements may refer to: that of the result's class, which is imported when it is asked for."""
+    """The names that requirements may refer to, from the result's class, imported on access."""
 
     def __init__(self, declared: Operation) -> None:
         self.declared = declared
 
     def __get__(self, instance: Any, owner: Any) -> Any:
-        """The pattern of the class."""
+        """Return the pattern of the class."""
         return self.declared.quantities
 
 
@@ -46,7 +46,7 @@ class OperationStep(Step):
     declared: ClassVar[Operation]
 
     def foretell(self, ahead: Ahead) -> Foretold:
-        """What requirements may refer to, and which signals later steps will see; a record has to fit its model."""
+        """Infer the names for requirements and the signals for later steps; check that a record fits its model."""
         known = self.declared.foretell
         if known is not None and not isinstance(known, str):
             return known(self, ahead)
@@ -61,18 +61,18 @@ class OperationStep(Step):
         return Foretold(leaves=with_signals(self.pattern(ahead), inputs, outputs))
 
     def pattern(self, ahead: Ahead) -> Any:
-        """What requirements may refer to; a kind of step may know more than its result's class."""
+        """Return the names for requirements; a kind of step may know more than its result's class."""
         return self.leaves
 
     def _records(self) -> list[str]:
-        given = [getattr(self, p.key) for p in objects(self.declared) if isinstance(p.kind, RecordFile)]
+        given = [getattr(self, p.key) for p in self.declared.parameters if isinstance(p.kind, RecordFile)]
         return [name for one in given if one for name in (one if isinstance(one, list) else [one])]
 
     def run(self, work: Workspace) -> Outcome:
-        """Call the function, and let the result say itself."""
+        """Call the function."""
         try:
             found = self.declared(**self._values(work))
-        except UsageError as error:  # what is off is the recipe, not a command
+        except UsageError as error:  # the recipe is wrong, not a command
             raise InputError(error.where, error.found, error.expected, error.hint) from None
         return self.outcome(found, work)
 
@@ -91,15 +91,15 @@ class OperationStep(Step):
         return values
 
     def outcome(self, found: InLoop, work: Workspace) -> Outcome:
-        """What the result leaves: its evidence, pictures, numbers and words."""
+        """Save and draw the result, and return its outcome."""
         result = found.result
-        if self.declared.made or self.gives == "nothing":  # a model alone is no evidence: a later step asks and draws
+        if self.declared.made or self.gives == "nothing":  # a model alone is no evidence
             for name, one in (("", result), *found.beside.items()):
                 if getattr(one, "status", None) is not None:
                     work.keep(one, name)
             for shown in (result, *found.beside.values()):
                 for name, picture in work.pictures(shown):
-                    if shown is not result or name not in found.beside:  # what stands beside it is drawn in its place
+                    if shown is not result or name not in found.beside:  # an additional result replaces the picture
                         work.draw(picture.figure, name, picture.caption)
         first = _first(self.declared)
         of = getattr(self, first) if first else ""
@@ -110,14 +110,14 @@ class OperationStep(Step):
         notes = (*found.notes, *getattr(result, "notes", ()), *simulated)
         words = {"loop": found.loop, **{name: one for name, one in found.beside.items() if isinstance(one, str)}}
         facts = (*(Fact(name.capitalize(), word) for name, word in words.items() if word), *facts_of(result))
-        # A text of the class's own says all; else the facts are said already.
+        # A class without its own summary has its facts in the report already.
         text = result.tables() if type(result).summary is Shown.summary else result.report()
         numbers = {name: value for name, value in result.numbers().items() if value is not None}
         return Outcome(value, summary, numbers, facts, getattr(result, "status", None), notes, text)
 
 
 def compared(ahead: Ahead, model: str | None, record: str) -> tuple[Mapping[str, str] | None, Mapping[str, str] | None]:
-    """Inputs of a model, and the outputs that a record shares with it, with their units as far as they are known."""
+    """Return the inputs of a model and the outputs it shares with a record, with known units."""
     from robustlab.identification.response.response import matched
 
     ours, recorded = ahead[model], ahead[record]
@@ -129,16 +129,15 @@ def compared(ahead: Ahead, model: str | None, record: str) -> tuple[Mapping[str,
     return ours.inputs, {name: unit for name, unit in ours.outputs.items() if name in recorded.outputs}
 
 
-def add_steps(*families: str) -> None:
-    """Make the steps that the families of operations declare."""
-    for family in families:
-        load_family(family)
+def add_steps() -> None:
+    """Register the steps that the modules of operations declare."""
+    every_operation()
     for word, declared in STEPS.items():
         step(step_of(word, declared))
 
 
 def step_of(word: str, declared: Operation) -> type[OperationStep]:
-    """The class of the steps of an operation."""
+    """Return the class of the steps of an operation."""
     keys: dict[str, Any] = {"do": (Literal[word], ...)}
     for p in declared.parameters:
         if p.called.only == "command":
@@ -152,7 +151,10 @@ def step_of(word: str, declared: Operation) -> type[OperationStep]:
             kind = Annotated[kind, Field(min_length=1)]
         taken = kind | None if default is None else kind
         keys[p.key] = (taken, Field(default, description=None if isinstance(p.kind, Thing) and p.needed else p.help))
-    made: Any = create_model(_class_name(word), __base__=BASES.get(word, OperationStep), __doc__=_doc(declared), **keys)
+    name = "".join(part.capitalize() for part in word.split("-")) + "Step"
+    more = [part for part in declared.more.split("\n\n") if not part.startswith("Exit code")]  # that of the command
+    doc = "\n\n".join(filter(None, (declared.title, *more)))
+    made: Any = create_model(name, __base__=BASES.get(word, OperationStep), __doc__=doc, **keys)
     made.gives, made.leaves, made.declared = declared.gives, Quantities(declared), declared
     return made
 
@@ -169,12 +171,3 @@ def _thing(kind: Thing, given: Any, work: Workspace) -> Any:
     if isinstance(given, str):
         return kind.as_wanted(work.values[given], f"step {given!r}")
     return given
-
-
-def _class_name(word: str) -> str:
-    return "".join(part.capitalize() for part in word.split("-")) + "Step"
-
-
-def _doc(declared: Operation) -> str:
-    more = [part for part in declared.more.split("\n\n") if not part.startswith("Exit code")]  # that of the command
-    return "\n\n".join(filter(None, (declared.title, *more)))

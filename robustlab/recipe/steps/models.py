@@ -25,13 +25,14 @@ class PlantStep(Step):
     gives: ClassVar[str] = "plant"
     do: Literal["plant"]
     plant: str = Field(
-        description='Name of the plant, for example "dc-motor"; or "file.py:name", beside the recipe: that file is run.'
+        description='Name of the plant, for example "dc-motor"; or "file.py:name", near the recipe: that file is run.'
     )
     parameters: dict[str, NumberOrPair] = Field(
         {}, description='Values in SI units, [value, relative tolerance], or texts: "0.5 mH", "10%".'
     )
     choices: dict[str, str | bool | list[float]] = Field(
-        {}, description='What is no single number: preset = "physical", motors = true, m = [1.0, 2.0] for a chain.'
+        {},
+        description='Options beyond numbers: preset = "physical", motors = true, m = [1.0, 2.0] for a chain.',
     )
 
     @model_validator(mode="after")
@@ -47,7 +48,7 @@ class PlantStep(Step):
 
     def foretell(self, ahead: Ahead) -> Foretold:
         parameter: dict[str, Any] = {"value": float, "unit": str, "tolerance": "1"}
-        if ahead.step in ahead.sources:  # code of the user's is run when the recipe is
+        if ahead.step in ahead.sources:  # a user's code runs only with the recipe
             return Foretold(leaves={"code": {"*": str}, "parameters": {"*": parameter}})
         made: Any = rl.plant(self.plant, **self._given, **self.choices)
         parameters = {name: {**parameter, "value": p.unit} for name, p in made.parameters.items()}
@@ -148,7 +149,7 @@ class SaveStep(Step):
         rl.save(path, given, work.provenance())
         work.files.append(self.file)
         with h5py.File(path) as written:
-            # Of the content without its provenance: two runs that compute the same write the same.
+            # Excludes provenance: equal content gives an equal hash.
             digest = str(written.attrs["content_sha256"])
         return Outcome(
             path,

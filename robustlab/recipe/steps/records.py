@@ -1,4 +1,4 @@
-"""Steps on measurements: reading and joining records, comparing, naming what a model lacks."""
+"""Steps on measurements: reading, joining and comparing records, identifying missing effects."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ RECORD = {"samples": "1", "duration": "s", "dt": "s"}
 
 @step
 class RecordStep(Step):
-    """A record from HDF5, MATLAB or CSV; its file may lie anywhere: measured data are not ours to ship."""
+    """A record from HDF5, MATLAB or CSV; its file may be anywhere."""
 
     gives: ClassVar[str] = "record"
     leaves: ClassVar[Any] = RECORD
@@ -32,9 +32,9 @@ class RecordStep(Step):
     units: dict[str, str] = Field(
         {}, description='Unit that the numbers in the file are in: { phi = "deg" }; they are converted to SI.'
     )
-    simulated: bool = Field(False, description="The record is simulated, not measured; report and figures say so.")
+    simulated: bool = Field(False, description="The record is simulated, not measured; the report notes it.")
     about: Text = Field(
-        "", description="What the record is, who published it, how to get it; shown where the file is absent."
+        "", description="Description, publisher and source of the record; shown where the file is missing."
     )
 
     def foretell(self, ahead: Ahead) -> Foretold:
@@ -56,7 +56,7 @@ class RecordStep(Step):
 
 @step
 class JoinStep(Step):
-    """One record from two loggers with sample times of their own; a shift between their clocks is not looked for."""
+    """One record from two loggers with different sample times; a shift between their clocks is not detected."""
 
     gives: ClassVar[str] = "record"
     leaves: ClassVar[Any] = RECORD
@@ -93,11 +93,11 @@ def _as_record(found: rl.Record, summary: str, notes: tuple[str, ...]) -> Outcom
 
 
 class Naming(OperationStep):
-    """Naming what a model lacks: the updated plant is kept as STEP-plant.h5; the recipe says which verdicts count."""
+    """Effect identification: saves the updated plant as STEP-plant.h5; the recipe chooses the accepted verdicts."""
 
     accept: Annotated[list[Literal["no missing effect", "named", "ambiguous", "unknown"]], Field(min_length=1)] = Field(
         ["no missing effect", "named"],
-        description="Verdicts that this recipe takes for an answer; any other is no trustworthy number (exit code 4).",
+        description="Verdicts that this recipe accepts; any other is no trustworthy number (exit code 4).",
     )
 
     def foretell(self, ahead: Ahead) -> Foretold:
@@ -126,14 +126,14 @@ class Naming(OperationStep):
 
         named = found.result
         if named.interrupted:
-            raise KeyboardInterrupt  # a recipe that is stopped stays stopped: later steps would take the part for all
-        told = super().outcome(found, work)
+            raise KeyboardInterrupt  # later steps must not use an incomplete result
+        outcome = super().outcome(found, work)
         work.discoveries[work.step] = named
-        notes = [*(f.message for f in named.findings), *told.notes]
+        notes = [*(f.message for f in named.findings), *outcome.notes]
         status = named.status
         if not status.trustworthy and named.verdict in self.accept:
             status = rl.Status.CONVERGED
-            notes.append(f"The verdict {named.verdict!r} is one that this recipe takes for an answer.")
+            notes.append(f"The verdict {named.verdict!r} is accepted by this recipe.")
         if named.model is not None:
             file = f"{work.step}-plant.h5"
             rl.save(work.folder / file, named.model, work.provenance())
@@ -145,13 +145,13 @@ class Naming(OperationStep):
             work.files.append(file)
             notes.append(f"The signal of the next experiment is in {file}.")
         return replace(
-            told, summary=f"{named.headline()}.", status=status, notes=tuple(notes),
+            outcome, summary=f"{named.headline()}.", status=status, notes=tuple(notes),
             story=tuple(Fact(*part) for part in story(named)),
         )  # fmt: skip
 
 
 class Comparing(OperationStep):
-    """Comparing with a record: every number in windows has a sister of the free run."""
+    """Comparison with a record: every number in windows has a counterpart in free run."""
 
     def in_free_run(self, path: str) -> str | None:
         return path.replace(".windowed_", ".") if ".outputs." in path and ".windowed_" in path else None

@@ -17,7 +17,7 @@ from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step
 class SampleStep(Step):
     """Responses of random members of an uncertain model and of vertices of Delta, with their envelope.
 
-    What drives them: a step of `input` at t = 0, plus a `sine` of `frequency`, until `t_end`.
+    Inputs: a step of `input` at t = 0, plus a `sine` of `frequency`, until `t_end`.
     """
 
     do: Literal["sample"]
@@ -35,7 +35,7 @@ class SampleStep(Step):
         None, description="All where left out."
     )
     percent: float | None = Field(
-        None, gt=0, description="Draw the members' deviation in percent too, beside this published band (+-)."
+        None, gt=0, description="Draw the members' deviation in percent too, with this published band (+-)."
     )
 
     @model_validator(mode="after")
@@ -117,7 +117,7 @@ class SampleStep(Step):
         facts = [Fact(f"{name} at the end", f"{span} (nominal {quantity(final['nominal'], unit)})")]
         for (value, text), inside in zip(references, covers, strict=True):
             facts.append(Fact(text, f"{quantity(value, unit)}: {'covered' if inside else 'not covered'}"))
-        if self.percent is None:  # else the curves would lie on one another
+        if self.percent is None:  # else the percent figure shows the curves
             figure = response_figure(
                 responses.t, y, nominal, (lower, upper), output=(name, unit), references=references
             )
@@ -129,7 +129,7 @@ class SampleStep(Step):
         return numbers | ({"peak_percent": 100 * deviation / size} if size > 0 else {}), facts
 
     def _percent_bands(self, work: Workspace, responses: Any, numbers: Any, published: float) -> Fact:
-        """The members' deviations in percent of the largest nominal value, drawn beside a published band."""
+        """Draw the members' deviations in percent of the largest nominal value with a published band."""
         from robustlab.thesis.figures import percent_figure
 
         bands: dict[str, Any] = {}

@@ -21,7 +21,7 @@ _MEANING = {
 
 @step
 class PublishedNumbersStep(Step):
-    """Every number that L. Březina's thesis prints about its Stewart platform beside ours, with its figures redrawn."""
+    """The numbers that L. Březina's thesis prints about its Stewart platform, and ours, with its figures redrawn."""
 
     do: Literal["published-numbers"]
     n: Annotated[int, Field(ge=1, le=1000)] = Field(20, description="Random members in each figure of perturbed models")
@@ -109,7 +109,7 @@ class ThesisCaseStep(Step):
 
 
 def _fact(row: Any) -> Fact:
-    """A row as a line of the report: published, ours, difference; the reason as its source."""
+    """Return a row as a line of the report: published, ours, difference; the reason as its source."""
     limit = {"equal": "", "at most": "at most ", "at least": "at least "}[row.bound]
     published = "not printed" if row.published is None else f"published {limit}{quantity(row.published, row.unit)}"
     ours = "ours: none" if row.ours is None else f"ours {quantity(row.ours, row.unit, 6)}"

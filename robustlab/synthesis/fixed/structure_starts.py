@@ -62,9 +62,9 @@ def _reduced(plant: GeneralizedPlant, order: int, objective: str, budget: Budget
     """Return the full-order controller for the objective reduced to this order; None where either fails."""
     if budget.over:
         return None
-    full, rel = (synthesize, FULL_HINF_REL) if objective == "hinf" else (synthesize_h2, FULL_H2_REL)
     try:
-        K = full(plant, objective, rel, budget).K
+        hinf = objective == "hinf"
+        K = (synthesize(plant, "hinf", FULL_HINF_REL, budget) if hinf else synthesize_h2(plant, FULL_H2_REL, budget)).K
     except (InputError, NoTrustworthyNumber):
         return None
     if K.n_states <= order:

@@ -1,4 +1,4 @@
-"""Text tables: what loggers and spreadsheets write, and what goes wrong in it."""
+"""Text tables of loggers and spreadsheets, and their faults."""
 
 import numpy as np
 import pytest

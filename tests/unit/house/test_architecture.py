@@ -18,20 +18,20 @@ def sections(doc: str) -> set[str]:
 def lacking(obj: object) -> list[str]:
     """What the docstring of a public name does not have."""
     doc = inspect.cleandoc(obj.__doc__ or "")
-    said = sections(doc)
+    found = sections(doc)
     if inspect.isclass(obj):
         exempt = issubclass(obj, (enum.Enum, BaseException))
-        return [] if exempt or said & {"Parameters", "Attributes"} else ["Parameters or Attributes"]
+        return [] if exempt or found & {"Parameters", "Attributes"} else ["Parameters or Attributes"]
     arguments = list(inspect.signature(obj).parameters)
-    described = doc.split("Parameters\n----------")[-1] if "Parameters" in said else ""
+    described = doc.split("Parameters\n----------")[-1] if "Parameters" in found else ""
     lack = [
         name for name in arguments if not re.search(rf"(?m)^[\w*, ]*\b{re.escape(name)}\b[\w*, ]*( :.*)?$", described)
     ]
-    return lack + [s for s in ("Returns", "Raises") if s not in said]
+    return lack + [s for s in ("Returns", "Raises") if s not in found]
 
 
 @pytest.mark.parametrize("name", rl._PUBLIC)
-def test_public_docstrings_say_what_goes_in_what_comes_out_and_what_is_raised(name):
+def test_public_docstrings_describe_parameters_returns_and_errors(name):
     assert lacking(getattr(rl, name)) == []
 
 

@@ -1,4 +1,4 @@
-"""Names of other programs and mistyped ones, and unknown arguments, are answered with what there is."""
+"""Names of other programs and mistyped ones, and unknown arguments, are answered with existing names."""
 
 import re
 

@@ -67,7 +67,7 @@ def lag(time):
 
 
 @pytest.mark.parametrize(("make", "expected"), [pytest.param(m, e, id=n) for n, m, e in designs()])
-def test_a_design_says_what_its_controller_takes_and_files_keep_it(make, expected, tmp_path):
+def test_a_design_declares_the_inputs_of_its_controller_and_files_keep_them(make, expected, tmp_path):
     found = make()
     held = found if isinstance(found, rl.Controller) else found.controller
     assert held.law == expected
@@ -119,7 +119,7 @@ def test_signs_may_differ_from_input_to_input():
         rl.disk_margin(TWO, mixed, sign=-1)
 
 
-def test_products_carry_what_is_taken():
+def test_products_keep_the_declared_inputs():
     K = rl.ncf(PLANT, 4.0).K
     expected = rl.disk_margin(PLANT, K).simultaneous.lower
     for L in (PLANT @ K, K @ PLANT, 2 * (PLANT @ K) * 0.5, rl.UncertainModel(PLANT, []).nominal @ K):
@@ -156,16 +156,16 @@ SIGNED = {
 
 
 @pytest.mark.parametrize("name", SIGNED)
-def test_left_out_the_sign_is_the_controllers_and_a_contradiction_is_refused(name):
-    left_out, said = SIGNED[name](), SIGNED[name](sign=1)
+def test_by_default_the_sign_is_that_of_the_controller_and_a_contradiction_is_rejected(name):
+    left_out, stated = SIGNED[name](), SIGNED[name](sign=1)
     if hasattr(left_out, "to_json"):
-        left_out, said = left_out.to_json()["gain_margin"], said.to_json()["gain_margin"]
-    np.testing.assert_allclose(left_out, said, rtol=1e-9)
+        left_out, stated = left_out.to_json()["gain_margin"], stated.to_json()["gain_margin"]
+    np.testing.assert_allclose(left_out, stated, rtol=1e-9)
     with pytest.raises(InputError, match=r"sign: -1 \(u = -K y\), expected 1: u = K y"):
         SIGNED[name](sign=-1)
 
 
-def test_a_result_says_which_loop_it_is_about():
+def test_a_result_reports_its_loop():
     assert ("loop", "u = K y, as the controller says") in rl.disk_margin(OSCILLATORS.nominal, NCF.K).facts()
     gain = rl.StateSpaceModel([], [], [], [[0.5]])
     assert rl.disk_margin(OSCILLATORS.nominal, gain).loop == "u = -K y, negative feedback; nothing else is said of it"

@@ -1,4 +1,4 @@
-"""Hints of refusals: stored in Python syntax, shown in that of the interface in use."""
+"""Hints of errors: stored in Python syntax, shown in that of the interface in use."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_a_hint_in_three_syntaxes(hint, command, step):
     assert rewritten("transpose=True", reading_option) == "--transpose"
 
 
-def test_which_input_steps_is_said_in_each_interface(tmp_path, monkeypatch, capsys):
+def test_the_missing_input_of_a_step_is_reported_in_each_interface(tmp_path, monkeypatch, capsys):
     """Of one input it is a unit step, as the help says; of two the hint shows how to choose."""
     monkeypatch.chdir(tmp_path)
     rows = [[0, 0, 0], [0, 0, 0]]

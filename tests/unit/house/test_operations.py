@@ -1,4 +1,4 @@
-"""One declaration, three ways in: what a function says is what its command and its step offer."""
+"""One declaration, three interfaces: a command and a step offer the parameters of their function."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_defaults_are_those_of_the_public_function(declared: Operation) -> None:
 
 
 @pytest.mark.parametrize("declared", OPERATIONS, ids=NAMES)
-def test_a_result_says_itself_in_all_readers(declared: Operation) -> None:
+def test_a_result_is_displayed_by_all_readers(declared: Operation) -> None:
     kind = declared.result_classes[0]
     assert issubclass(kind, Shown)
     for name in kind.quantities if kind.numbers is Shown.numbers else ():

@@ -1,4 +1,4 @@
-"""The public interface: the names of DESIGN, each importable, nothing heavy at import."""
+"""The public interface: the names of DESIGN, each importable, no numerical library loaded at import."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def test_importing_the_package_loads_nothing_heavy():
     assert not {"numpy", "scipy", "control", "cvxpy", "h5py", "matplotlib", "pydantic"} & set(loaded)
 
 
-def test_the_stub_says_what_the_table_says():
+def test_the_stub_equals_the_table():
     assert STUB.read_text(encoding="utf-8") == stub_text(), "run: python benchmarks/stub.py"
 
 
@@ -31,6 +31,6 @@ def test_a_type_checker_knows_every_public_name(tmp_path):
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=PATIENCE)
     found = {d["range"]["start"]["line"]: d for d in json.loads(done.stdout)["generalDiagnostics"]}
     for k, line in enumerate(lines[1:], start=1):
-        said = found[k]["message"]
-        assert found[k]["severity"] == "information", said
-        assert said.rpartition(" is ")[2].strip('"') not in ("Any", "Unknown"), line
+        message = found[k]["message"]
+        assert found[k]["severity"] == "information", message
+        assert message.rpartition(" is ")[2].strip('"') not in ("Any", "Unknown"), line

@@ -1,4 +1,4 @@
-"""Answers do not depend on the machine's load: budgets count work, and a clock that ends a search is told."""
+"""Results do not depend on the machine's load: budgets count work, and a time limit that is reached is reported."""
 
 from __future__ import annotations
 
@@ -131,10 +131,10 @@ print(code, [(s["name"], s["status"]) for s in steps], digest(steps))
     assert "inconclusive" in found
 
 
-# --- the time limit is told, and effort is what it says ---------------------------------------------------------------
+# --- time limit and effort --------------------------------------------------------------------------------------------
 
 
-def test_a_time_limit_that_strikes_is_told():
+def test_a_time_limit_that_is_reached_is_reported():
     matrix = of("rng = np.random.default_rng(3)\nM = rng.standard_normal((8, 8)) + 1j * rng.standard_normal((8, 8))")[
         "M"
     ]
@@ -152,7 +152,7 @@ def test_a_time_limit_that_strikes_is_told():
     assert NOT_REPEATABLE in found.label
 
 
-def test_more_effort_proves_more_and_says_what_is_left():
+def test_more_effort_proves_more_and_reports_the_rest():
     uncertain = of(MODEL)["model"](0.3)
     margins = [rl.robust_stability(uncertain, effort=e, tolerance=1e-4) for e in (5e-5, 1e-3, 1.0)]
     assert [m.status.value for m in margins] == ["inconclusive", "certified", "certified"]

@@ -1,4 +1,4 @@
-"""Every public object shows itself: repr, HTML, text, drawings, tables."""
+"""Every public object is displayed: repr, HTML, text, drawings, tables."""
 
 from __future__ import annotations
 
@@ -159,7 +159,7 @@ def test_a_drawing_returns_its_axes_with_labels_and_units(name, kind, make):
         (lambda g: (-1 * (g ** 0)).select(inputs=[]).plot("step"), "inputs and outputs"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_drawn_is_said_in_one_line_and_leaves_no_figure(ask, text, make):
+def test_a_drawing_that_fails_is_reported_in_one_line_and_leaves_no_figure(ask, text, make):
     with pytest.raises(InputError, match=text) as error:
         ask(make("StateSpaceModel"))
     assert "\n" not in error.value.line
@@ -206,7 +206,7 @@ def test_tables_become_frames(name, make):
         np.testing.assert_array_equal(np.asarray(frame[key]), np.asarray(values))
 
 
-def test_without_pandas_it_is_said_how_to_get_it(make, monkeypatch):
+def test_without_pandas_the_error_has_the_command_to_install_it(make, monkeypatch):
     monkeypatch.setattr(frames.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(DependencyMissing, match="needs the package") as error:
         make("Margin").to_pandas()

@@ -18,7 +18,7 @@ def size(what: str) -> int:
     return sum(len(path.read_bytes().splitlines()) for path in (ROOT / what).rglob("*.py"))
 
 
-def test_tests_import_only_what_a_package_exports():
+def test_tests_import_only_exported_names():
     """``from robustlab.norms import hinf_norm``, never ``from robustlab.norms.hinfinity import hinf_norm``."""
     deep = re.compile(r"^\s*from (robustlab(?:\.\w+){2,}) import", re.MULTILINE)
     found = [

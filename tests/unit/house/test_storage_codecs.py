@@ -1,4 +1,4 @@
-"""The table of codecs: every row leads somewhere, and a process loads what it reads and writes, nothing beside it."""
+"""The table of codecs: every row exists, and a process loads only the modules of the objects it reads and writes."""
 
 from __future__ import annotations
 
@@ -79,5 +79,5 @@ def check(kind, path):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_process_loads_what_it_reads_and_writes(kind, files):
+def test_a_process_loads_only_the_modules_it_needs(kind, files):
     check(kind, files[kind])

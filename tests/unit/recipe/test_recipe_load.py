@@ -1,4 +1,4 @@
-"""Loading recipes: what is accepted, and every fault by its dotted key (fault rows 31-33)."""
+"""Loading recipes: accepted files, and every fault by its dotted key (fault rows 31-33)."""
 
 from __future__ import annotations
 
@@ -172,7 +172,7 @@ def found(recipe, path, kind="load", more="", changes=()):
     return find_file(loaded, "m", loaded.recipe.step["m"])
 
 
-def test_a_model_is_looked_for_beside_the_recipe_and_in_the_folder_above(project):
+def test_a_model_is_searched_in_the_folder_of_the_recipe_and_above(project):
     assert found(project, "models/m.h5") == project.parents[1] / "models/m.h5"
     (project.parent / "models").mkdir()
     (project.parent / "models/m.h5").write_bytes(b"nearer")
@@ -193,7 +193,7 @@ def test_a_link_out_of_the_recipe_folder_is_refused(project):
         found(project, "m.h5")
 
 
-def test_a_record_may_lie_anywhere_and_an_absent_one_says_what_it_is(project):
+def test_a_record_may_be_anywhere_and_a_missing_one_is_described(project):
     assert found(project, "../../secret.h5", kind="record") == project.parents[2] / "secret.h5"
     with pytest.raises(InputError) as caught:
         found(project, "gone.h5", kind="record", more='about = "Measured by A. Nonymous 2019."\n')

@@ -74,7 +74,7 @@ def test_what_is_of_another_kind_cannot_be_judged(condition, why):
     assert judgement.why_not.startswith(why)
 
 
-def test_nan_is_not_met_and_says_that_there_is_no_number():
+def test_nan_is_not_met_and_is_reported_as_no_number():
     judgement = verdict(that="gap.bad", at_most=1.0)
     assert (judgement.met, judgement.misstated) == (False, False)
     assert judgement.why_not == "there is no number to judge (NaN)"
@@ -93,7 +93,7 @@ def test_nan_is_not_met_and_says_that_there_is_no_number():
         ("gap.poles", "names a table"),
     ],
 )
-def test_a_path_to_nothing_is_refused_with_what_there_is(path, expected):
+def test_a_wrong_path_is_rejected_with_the_existing_names(path, expected):
     with pytest.raises(InputError) as caught:
         look_up(path, NUMBERS)
     assert expected in str(caught.value)

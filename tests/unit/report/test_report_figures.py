@@ -51,7 +51,7 @@ def margin(omega, lower, upper, intervals) -> Margin:
     )
 
 
-def test_the_mu_figure_shades_what_is_proved_up_to_infinity():
+def test_the_mu_figure_shades_proved_intervals_up_to_infinity():
     omega = np.geomspace(1.0, 100.0, 5)
     figure = mu_figure(margin(omega, 0.4 * np.ones(5), 0.5 * np.ones(5), [(0.0, 10.0, 0.5), (10.0, np.inf, 0.6)]))
     (axes,) = figure.axes

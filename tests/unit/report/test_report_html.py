@@ -1,4 +1,4 @@
-"""The page: verdict first, marks beside colours, nothing loaded from anywhere, faults of a run folder."""
+"""The page: verdict first, marks and colours, no external resources, faults of a run folder."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def test_the_tags_are_closed_in_turn_and_names_come_once(folder):
     )
 
 
-def test_a_figure_that_is_gone_is_bad_input(tmp_path):
+def test_a_missing_figure_is_bad_input(tmp_path):
     with pytest.raises(InputError, match="no such figure"):
         render(RESULT, tmp_path)
 

@@ -123,7 +123,7 @@ def test_an_integrator_that_was_saturated_recovers_within_the_stated_time(tmp_pa
     assert (wound[2000:] == 1.0).all()  # what it is there for: without it, held for another second and more
 
 
-def test_a_slow_mode_that_no_output_shows_is_refused():
+def test_an_unobservable_slow_mode_is_rejected():
     model = rl.StateSpaceModel(np.diag([1.0, 0.5]), [[1.0], [1.0]], [[0.0, 1.0]], [[0.0]], 1e-3)
     with pytest.raises(InputError, match="does not show"):
         c_source(model, limits=[(-1.0, 1.0)])
@@ -184,7 +184,7 @@ def test_matlab_and_hdf5_give_back_every_bit(tmp_path):
 
 
 @needs_cc
-def test_the_header_of_a_mixed_sensitivity_design_says_which_sign_stabilises(tmp_path):
+def test_the_header_of_a_mixed_sensitivity_design_has_the_stabilising_sign(tmp_path):
     """The truth is the loop: fed as the header says it settles on the reference, fed the other way it does not."""
     plant = rl.StateSpaceModel([[-20.0]], [[40.0]], [[1.0]], [[0.0]], inputs=[("u", "V")], outputs=[("omega", "rad/s")])
     design = rl.mixsyn(plant, rl.performance_weight(bandwidth=50.0, error=1e-3), rl.control_weight(0.1), None)

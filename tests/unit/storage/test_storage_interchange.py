@@ -172,7 +172,7 @@ def test_signals_and_operating_point_must_fit(model, tmp_path):
 # --- where a loaded object comes from --------------------------------------------------------------------------------
 
 
-def test_what_no_hash_verified_says_so_and_hands_it_on(tmp_path):
+def test_an_unverified_file_is_noted_in_all_files_made_of_it(tmp_path):
     model = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
     rl.save(tmp_path / "good.h5", model)
     good = rl.load(tmp_path / "good.h5")
