@@ -117,10 +117,10 @@ def apart(folder: Path, truth: dict[str, Any], answers: dict[str, Any], seed: in
 def distance(case: Any, truth: Sequence[str], answer: Sequence[tuple[str, str, Any]]) -> float:
     """Refit distance from the hidden effects to those of the answer; NaN where the catalogue cannot say one here."""
     from robustlab.dynamics import linear_plant_of, port_model
-    from robustlab.identification.hypotheses.candidates import candidates, nuisance_parameters, stated_tolerances
-    from robustlab.identification.hypotheses.effect_fit import FitPlan, Hypothesis, Problem, refit_distance
-    from robustlab.identification.hypotheses.noise import first_noise, whitening
-    from robustlab.identification.hypotheses.prepared_record import prepare
+    from robustlab.identification.greybox.candidates import candidates, nuisance_parameters, stated_tolerances
+    from robustlab.identification.greybox.effect_fit import FitPlan, Hypothesis, Problem, refit_distance
+    from robustlab.identification.greybox.noise import first_noise, whitening
+    from robustlab.identification.greybox.prepared_record import prepare
 
     plant = linear_plant_of(case.plant, "bench")
     ports, length = port_model(plant), case.record.n // WINDOWS

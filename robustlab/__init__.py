@@ -67,8 +67,8 @@ _PUBLIC = {
     "observability": "linear_analysis.structural",
     "frequency_response": "linear_analysis.frequency",
     # nonlinear and time-varying blocks
-    "Varying": "iqc.nature",
-    "Nonlinearity": "iqc.nature",
+    "Varying": "iqc.block_types",
+    "Nonlinearity": "iqc.block_types",
     # synthesis
     "hinf": "analysis.synthesis",
     "h2": "synthesis.h2.h2_synthesis",
@@ -96,10 +96,10 @@ _PUBLIC = {
     "sampled_data_norm": "synthesis.sampled.sampled_norm",
     # measurements
     "compare": "identification.comparison.comparison",
-    "discover": "identification.naming.discovery",
+    "discover": "identification.missing_effects.discovery",
     "watch": "identification.monitoring.watch",
     "data_cover": "identification.validation.data_cover",
-    "uncertain_from": "identification.naming.updated_plant",
+    "uncertain_from": "identification.missing_effects.updated_plant",
     "validate": "identification.validation",
     "FrequencyData": "identification.validation",
     # trust
@@ -122,7 +122,7 @@ def __getattr__(name: str) -> Any:
         return getattr(import_module(f"robustlab.{_PUBLIC[name]}"), name)
     if name.startswith("_"):  # asked for by Python itself
         raise AttributeError(f"module 'robustlab' has no attribute {name!r}")
-    from robustlab.coming_from import unknown_public_name
+    from robustlab.name_hints import unknown_public_name
 
     raise AttributeError(unknown_public_name(name, _PUBLIC))
 

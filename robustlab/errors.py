@@ -41,7 +41,7 @@ __all__ = [
     "is_function",
     "plain_text",
     "rewritten",
-    "told_as",
+    "error_context",
     "unknown_name",
 ]
 
@@ -97,8 +97,8 @@ class RobustlabError(Exception):
             text += f", expected {self.expected}"
         return _shown(text)
 
-    def retold(self, name: str) -> None:
-        """Put the called function's name before an argument, or in place of a step's; see `told_as`."""
+    def in_context(self, name: str) -> None:
+        """Put the called function's name before an argument, or in place of a step's; see `error_context`."""
         head, colon, rest = self.where.partition(":")
         if (not head or head in _STEPS) and head != name:
             self.where = f"{name}{colon}{rest}"
@@ -215,7 +215,7 @@ def plain_text(text: str) -> str:
     )
 
 
-# Inner steps with which WHERE may begin; `told_as` adds the functions.
+# Inner steps with which WHERE may begin; `error_context` adds the functions.
 _STEPS = {
     *("bilinear map", "care", "central controller", "controller", "coprime factors", "dare", "evaluate"),
     *("frequency axis", "gramians", "H-infinity Riccati test", "lifting", "lower_lft", "lyapunov", "lyapunov_factors"),
@@ -223,7 +223,7 @@ _STEPS = {
 }
 
 
-def told_as(name: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
+def error_context(name: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Decorate a function so that errors raised in it begin with its own name.
 
     WHERE of an inner step, such as the `robust_stability` of a ``disk_margin``, is replaced by the name. Shared
@@ -232,7 +232,7 @@ def told_as(name: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
     Examples
     --------
-    >>> @told_as("outer")
+    >>> @error_context("outer")
     ... def outer(level):
     ...     raise InputError("care: R" if level else ": level", "singular", "an invertible R")
     >>> for level in (1.0, 0.0):
@@ -251,7 +251,7 @@ def told_as(name: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
             try:
                 return function(*args, **kwargs)
             except RobustlabError as error:
-                error.retold(name)
+                error.in_context(name)
                 raise
 
         return call

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array, ComplexArray
-from robustlab.errors import InputError, told_as
+from robustlab.errors import InputError, error_context
 from robustlab.linear_analysis.magnitude import balancing_exponents, balancing_factors
 from robustlab.linear_analysis.structural import hidden_unstable, least_order
 from robustlab.signals import SignalLike, is_constant, real_array
@@ -39,7 +39,7 @@ PAIRED = 1e-12
 NESTED = "num[i][j], the coefficients from input j to output i: [[[1], [2]], [[3, 1], [4]]]"
 
 
-@told_as("tf")
+@error_context("tf")
 def tf(
     num: Any,
     den: Any,
@@ -114,7 +114,7 @@ def tf(
     return _least(parts, D, alone, dt, inputs, outputs, "tf")
 
 
-@told_as("zpk")
+@error_context("zpk")
 def zpk(
     zeros: Any,
     poles: Any,
@@ -184,7 +184,7 @@ def zpk(
     return model.renamed(inputs, outputs)
 
 
-@told_as("ss")
+@error_context("ss")
 def ss(
     A: Any,
     B: ArrayLike | None = None,

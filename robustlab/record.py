@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
 from robustlab.clocks import is_uniform
+from robustlab.display import Displayable, Facts, number, short, with_units
 from robustlab.errors import InputError, did_you_mean, unknown_name
 from robustlab.provenance import Traced
-from robustlab.shown import Facts, Shown, number, short, with_units
 from robustlab.signals import MAX_NAME, real_array
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class Record(Shown, Traced):
+class Record(Displayable, Traced):
     """Time series with strictly increasing times; immutable.
 
     Parameters

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from enum import Enum, StrEnum
 from typing import Any
 
+from robustlab.display import Displayable, Facts, in_words
 from robustlab.provenance import Traced
-from robustlab.shown import Facts, Shown, in_words
 
 
 class Status(StrEnum):
@@ -78,7 +78,7 @@ def plain(value: Any) -> Any:
 
 
 @dataclass(frozen=True)
-class Result(Shown, Traced):
+class Result(Displayable, Traced):
     """A result read from a file: its type, its status, and its data.
 
     Attributes
@@ -106,7 +106,7 @@ class Result(Shown, Traced):
 
 
 @dataclass(frozen=True)
-class Evidence(Shown):
+class Evidence(Displayable):
     """Base of the parts of a result: its arrays, also those in tables, are read-only."""
 
     def __post_init__(self) -> None:
@@ -123,7 +123,7 @@ class Evidence(Shown):
 
 
 @dataclass(frozen=True, eq=False)
-class Bracket(Shown):
+class Bracket(Displayable):
     """Two bounds of one number, where it is attained, and how far both can be trusted.
 
     Attributes

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array, is_rank_deficient
+from robustlab.display import SHOWN_BLOCKS, Displayable, Facts, Part, matrix_lines, number, short, with_units
 from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch
 from robustlab.operators import TransferMatrix
 from robustlab.provenance import Traced
-from robustlab.shown import SHOWN_BLOCKS, Facts, Part, Shown, matrix_lines, number, short, with_units
 from robustlab.signals import (
     COMPLEX,
     Signal,
@@ -50,7 +50,7 @@ class OperatingPoint:
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class StateSpaceModel(TransferMatrix, Shown, Traced):
+class StateSpaceModel(TransferMatrix, Displayable, Traced):
     r"""A linear time-invariant model with named signals; immutable.
 
     .. math:: \dot x = A x + B u, \quad y = C x + D u \quad (dt = 0) \qquad x_{k+1} = A x_k + B u_k \quad (dt > 0)
@@ -247,7 +247,7 @@ class StateSpaceModel(TransferMatrix, Shown, Traced):
         return parallel(first, second, sign)
 
     def _loop(self, forward: Any, back: Any, sign: int | None) -> StateSpaceModel:
-        around, closed, _ = import_module("robustlab.closing").fed_back(forward, back, sign)
+        around, closed, _ = import_module("robustlab.feedback").feedback_loop(forward, back, sign)
         return feedback(forward, around, closed)
 
     def _identity(self) -> StateSpaceModel:

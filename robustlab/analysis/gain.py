@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.delays.model import DelayedModel
-from robustlab.errors import InputError, told_as
+from robustlab.display import listed
+from robustlab.errors import InputError, error_context
 from robustlab.linear_analysis.structural import with_hidden
 from robustlab.norms import PeakGain
-from robustlab.shown import listed
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
 from robustlab.uncertainty.lft import UncertainModel
@@ -45,7 +45,7 @@ WAYS = {
 }
 
 
-@told_as("peak_gain")
+@error_context("peak_gain")
 def peak_gain(
     system: Any,
     controller: Any = None,

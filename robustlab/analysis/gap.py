@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from robustlab.errors import NoTrustworthyNumber, told_as
+from robustlab.display import Facts, bracket
+from robustlab.errors import NoTrustworthyNumber, error_context
 from robustlab.result import Bracket, Status
-from robustlab.shown import Facts, bracket
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.hinf.hinf_synthesis import hinf
 from robustlab.uncertainty.distances.coprime import CoprimeFactors, continuous_models, coprime_factors
@@ -46,7 +46,7 @@ class GapMetric(Bracket):
         return [("gap", bracket(self.lower, self.upper, ("not below", "proved"))), ("nu-gap", f"{self.nu.value:.6g}")]
 
 
-@told_as("gap")
+@error_context("gap")
 def gap(P1: Any, P2: Any) -> GapMetric:
     r"""Gap metric between two models of equal size.
 

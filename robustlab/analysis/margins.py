@@ -18,14 +18,14 @@ from numpy.typing import ArrayLike
 
 from robustlab.analysis.kinds import options_of
 from robustlab.delays.model import DelayedModel
-from robustlab.errors import InputError, told_as
+from robustlab.errors import InputError, error_context
 from robustlab.mu_analysis.margins.classical import ClassicalMargins
 from robustlab.mu_analysis.margins.disk_margin import DiskMargins, Place
 from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
 from robustlab.uncertainty.lft import UncertainModel
 
 
-@told_as("disk_margin")
+@error_context("disk_margin")
 def disk_margin(
     plant: Any,
     K: Any = None,
@@ -128,7 +128,7 @@ def disk_margin(
     return of_model(plant, K, effort=effort, **loop, **chosen)
 
 
-@told_as("classical_margins")
+@error_context("classical_margins")
 def classical_margins(
     plant: Any,
     K: Any = None,

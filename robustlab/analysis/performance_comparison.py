@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from robustlab.analysis.gain import peak_gain
+from robustlab.display import Displayable, Facts, Part
 from robustlab.errors import InputError
 from robustlab.mu_analysis.axis.margin import Margin
 from robustlab.mu_analysis.axis.robustness import robust_performance
 from robustlab.result import Status, least_trusted
-from robustlab.shown import Facts, Part, Shown
 from robustlab.synthesis.specifications.loop_functions import frequencies
 from robustlab.uncertainty.lft import UncertainModel
 
@@ -38,7 +38,7 @@ class Performance(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class PerformanceComparison(Shown):
+class PerformanceComparison(Displayable):
     """Robust performance of one problem under several controllers, the same requirement for all.
 
     Attributes

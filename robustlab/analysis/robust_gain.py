@@ -8,11 +8,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from robustlab.errors import InputError, told_as
+from robustlab.display import Facts, Part, bracket, member, number
+from robustlab.errors import InputError, error_context
 from robustlab.mu_analysis import WorstCaseGain, worst_case_gain
 from robustlab.mu_analysis.axis.margin import delta_rows
 from robustlab.result import Bracket, Status
-from robustlab.shown import Facts, Part, bracket, member, number
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.lft import UncertainModel
 
@@ -71,7 +71,7 @@ class RobustGain(Bracket):
         return [Part("member that reaches it:", ("block", "delta", "parameter"), rows)]
 
 
-@told_as("robust_gain")
+@error_context("robust_gain")
 def robust_gain(
     uncertain: UncertainModel, level: float, tolerance: float = 0.01, seed: int = 0, effort: float = 1.0
 ) -> RobustGain:

@@ -18,12 +18,12 @@ from numpy.typing import ArrayLike
 
 from robustlab.analysis.kinds import options_of
 from robustlab.delays.model import DelayedModel
-from robustlab.errors import InputError, told_as
+from robustlab.errors import InputError, error_context
 from robustlab.mu_analysis.axis.margin import StabilityMargin
 from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
 
 
-@told_as("robust_stability")
+@error_context("robust_stability")
 def robust_stability(
     system: Any,
     *,

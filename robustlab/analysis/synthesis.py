@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, overload
 
-from robustlab.errors import InputError, told_as
+from robustlab.errors import InputError, error_context
 from robustlab.synthesis.hinf.hinf_synthesis import hinf as rational
 from robustlab.synthesis.problem.design import HinfSynthesis
 from robustlab.synthesis.scheduling.parameter_varying import LPVModel
@@ -34,7 +34,7 @@ def hinf(
     effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
 ) -> HinfSynthesis: ...
-@told_as("synth hinf")
+@error_context("synth hinf")
 def hinf(
     P: Any,
     n_meas: int | None = None,

@@ -13,9 +13,9 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.campaign.evaluation import Evaluator
 from robustlab.campaign.store import Sample, Store
+from robustlab.display import Displayable, Facts, Part, member, member_rows, number
 from robustlab.errors import InputError
 from robustlab.result import Status
-from robustlab.shown import Facts, Part, Shown, member, member_rows, number
 from robustlab.tables import Table, Tabular
 from robustlab.worst_case_analysis.members import decoded
 from robustlab.worst_case_analysis.statistics import clopper_pearson
@@ -104,7 +104,7 @@ def exceedance_curve(store: Store, sense: int, done: int, lost: int, points: int
 
 
 @dataclass(frozen=True)
-class CampaignResult(Tabular, Shown):
+class CampaignResult(Tabular, Displayable):
     """The results of a campaign's store.
 
     Attributes

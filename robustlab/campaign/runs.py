@@ -23,9 +23,9 @@ from robustlab.campaign.settings import (
 )
 from robustlab.campaign.store import Store, locked
 from robustlab.campaign.workers import Crew, Workers, started_workers
+from robustlab.display import AllFields, Displayable, Facts, Part, member_rows, number
 from robustlab.errors import EnvironmentFault, InputError, NoTrustworthyNumber
 from robustlab.result import Status
-from robustlab.shown import AllFields, Facts, Part, Shown, member_rows, number
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.members import decoded
 
@@ -111,7 +111,7 @@ def saved_samples(store: str | Path) -> tuple[int, int]:
 
 
 @dataclass(frozen=True)
-class Replay(AllFields, Shown):
+class Replay(AllFields, Displayable):
     """One sample computed again in this process."""
 
     status: Status  # CONVERGED where both paths agree with each other and with the store; INACCURATE else

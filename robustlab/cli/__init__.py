@@ -5,7 +5,7 @@ from robustlab.lazily import lazily
 __all__, __getattr__ = lazily(
     __name__,
     {
-        "ending": "main_guard",
+        "exit_codes": "main_guard",
         "groups": "GROUPS parser",
         "main": "help_text run_command",
         "offers": "PLANTS",

@@ -11,7 +11,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
-from robustlab.cli.ending import answer
+from robustlab.cli.exit_codes import answer
 from robustlab.cli.groups import GROUPS, parser
 
 # Set by the shell's script; typer derives it from the program's name.

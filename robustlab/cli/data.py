@@ -29,7 +29,7 @@ from robustlab.errors import EXIT_INTERRUPTED, EnvironmentFault
 from robustlab.operations.declaration import COMMANDS
 
 if TYPE_CHECKING:
-    from robustlab.identification.naming.discovery_result import Discovery
+    from robustlab.identification.missing_effects.discovery_result import Discovery
     from robustlab.provenance import Provenance
 
 PLANT_FILE, EXPERIMENT_FILE = "updated-plant.h5", "next-experiment.csv"

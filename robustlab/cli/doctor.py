@@ -12,8 +12,8 @@ import typer
 import robustlab as rl
 from robustlab.cli.console import emit
 from robustlab.cli.options import JsonOption
+from robustlab.display import text_table as table
 from robustlab.errors import EnvironmentFault, RobustlabError
-from robustlab.shown import text_table as table
 
 app = typer.Typer(help="Say whether this installation can work.", add_completion=False)
 

@@ -17,10 +17,10 @@ from robustlab.cli.offers import one_of, plant_or_file
 from robustlab.cli.options import JsonOption, ProgressOption, RecordOptions, read_named, signals_of
 from robustlab.cli.plant import machine
 from robustlab.cli.progress import shown
+from robustlab.display import text_table
 from robustlab.errors import EXIT_REQUIREMENT_NOT_MET, EnvironmentFault, RobustlabError, UsageError
 from robustlab.operations.declaration import COMMANDS, REQUIRED, InLoop, Operation, Parameter, load_family
 from robustlab.operations.kinds import Choice, Feedback, Flag, Kind, Machine, Pair, RecordFile, Table, TextFile, Thing
-from robustlab.shown import text_table
 
 # Options that all commands share.
 OUT = ("out", str | None, typer.Option("--out", "-o", metavar="PATH", help="File to write."), None)
@@ -242,7 +242,7 @@ def _overruled(found: dict[str, Any], given: Mapping[str, Any]) -> str:
     sign, K = found.get("sign"), found.get("controller")
     if sign is None or K is None:
         return ""
-    from robustlab.closing import SIGNS, as_controller, without_sign
+    from robustlab.feedback import SIGNS, as_controller, without_sign
     from robustlab.signals import Taken, law
 
     inputs = as_controller(K, "controller").inputs

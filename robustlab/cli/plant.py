@@ -11,11 +11,11 @@ import robustlab as rl
 from robustlab.cli.console import emit, named, note, result_alone
 from robustlab.cli.offers import PLANTS, plant_or_file
 from robustlab.cli.options import JsonOption
+from robustlab.display import text_table as table
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError
 from robustlab.operations import reading
 from robustlab.operations.kinds import Machine, Number, Table
 from robustlab.operations.reading import made_of, plant_settings
-from robustlab.shown import text_table as table
 
 app = typer.Typer(
     help="List plants, show one; start one of your own in a file.", no_args_is_help=True, add_completion=False

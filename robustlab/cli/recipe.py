@@ -10,8 +10,8 @@ import typer
 
 from robustlab.cli.console import emit
 from robustlab.cli.options import ChangesOption, JsonOption, RecipeArgument
+from robustlab.display import text_table as table
 from robustlab.errors import UsageError, did_you_mean
-from robustlab.shown import text_table as table
 
 app = typer.Typer(
     help="Check a recipe, list the kinds of steps, start a new one.", no_args_is_help=True, add_completion=False

@@ -9,7 +9,7 @@ from typer.core import TyperGroup
 
 from robustlab.cli.console import emit
 from robustlab.cli.options import JsonOption
-from robustlab.shown import text_table as table
+from robustlab.display import text_table as table
 
 MOST_NUMBERS = 40  # of changed numbers in the list; --json has all
 

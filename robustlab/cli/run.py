@@ -10,8 +10,8 @@ from robustlab.cli.console import emit, note, result_alone
 from robustlab.cli.offers import recipe_or_file
 from robustlab.cli.options import ChangesOption, JsonOption, ProgressOption
 from robustlab.cli.progress import shown
+from robustlab.display import text_table as table
 from robustlab.errors import UsageError
-from robustlab.shown import text_table as table
 
 if TYPE_CHECKING:
     from robustlab.recipe.run import RunResult

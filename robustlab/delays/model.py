@@ -21,13 +21,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array, ComplexArray
-from robustlab.closing import wired
 from robustlab.delays.approximation import SHORTEST, checked_order, error_weight, pade, phase_bound
+from robustlab.display import Displayable, Facts, listed, number, short, with_units
 from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.feedback import wired
 from robustlab.linear_analysis.frequency import CHUNK, at_pole, frequency_response
 from robustlab.operators import TransferMatrix
 from robustlab.provenance import Traced
-from robustlab.shown import Facts, Shown, listed, number, short, with_units
 from robustlab.signals import Signal, is_constant, picked, real_array
 from robustlab.statespace import StateSpaceModel, append, as_model
 from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock
@@ -46,7 +46,7 @@ from robustlab.uncertainty.upper_lft import upper_lft
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class DelayedModel(TransferMatrix, Shown, Traced):
+class DelayedModel(TransferMatrix, Displayable, Traced):
     r"""A linear model with exact delays anywhere in it; immutable, continuous in time.
 
     .. math:: \dot x = A x + B_1 w + B_2 u, \quad z = C_1 x + D_{11} w + D_{12} u, \quad y = C_2 x + D_{21} w + D_{22}
@@ -367,7 +367,7 @@ class DelayedModel(TransferMatrix, Shown, Traced):
         """The closed loop ``u = K y``, its delays exact: y are the last ``K.n_inputs`` outputs, u the last inputs.
 
         ``rl.robust_stability`` and ``rl.peak_gain`` prove its stability and its gain. Signals of K and plant meet
-        by name where they can, else by the names that K states (`robustlab.closing`); K may have delays.
+        by name where they can, else by the names that K states (`robustlab.feedback`); K may have delays.
         """
         given = getattr(K, "K", K)
         k = given if isinstance(given, DelayedModel) else as_model(given, "close: K")

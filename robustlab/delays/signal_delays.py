@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from robustlab.checks import whole
 from robustlab.delays.approximation import SHORTEST
 from robustlab.delays.model import DelayedModel, as_delayed
-from robustlab.errors import InputError, told_as
+from robustlab.errors import InputError, error_context
 from robustlab.signals import real_array
 from robustlab.statespace import StateSpaceModel, append, as_model, series
 from robustlab.uncertainty.interconnection import Wiring
@@ -23,7 +23,7 @@ MOST_SAMPLES = 2000
 WHOLE = 1e-9
 
 
-@told_as("delay")
+@error_context("delay")
 def delay(tau: ArrayLike, n: int = 1, dt: float = 0.0) -> DelayedModel | StateSpaceModel:
     r"""A pure delay :math:`e^{-s \tau}` in each of n channels.
 
@@ -61,7 +61,7 @@ def delay(tau: ArrayLike, n: int = 1, dt: float = 0.0) -> DelayedModel | StateSp
     return found
 
 
-@told_as("with_delays")
+@error_context("with_delays")
 def with_delays(
     G: Any,
     inputs: Mapping[Any, float | Sequence[float]] | None = None,

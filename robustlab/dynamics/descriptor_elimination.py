@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import AnyArray, Array, Mask
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.structural import drop_unconnected
 from robustlab.signals import SignalLike, real_array, signals
 from robustlab.statespace import OperatingPoint, StateSpaceModel, is_rank_deficient
@@ -99,7 +99,7 @@ class Eliminated:
         return f"descriptor form of index {self.index}: {result}; relative residual {self.residual:.1e}"
 
 
-@told_as("descriptor")
+@error_context("descriptor")
 def descriptor(
     A: ArrayLike,
     B: ArrayLike,

@@ -20,6 +20,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.budget import NOT_REPEATABLE, child_environment
 from robustlab.checks import number
+from robustlab.display import Displayable, Facts
 from robustlab.dynamics.parameters import Parameter, overridden
 from robustlab.dynamics.plant_contract import SteppedPlant
 from robustlab.dynamics.simulation import simulate
@@ -27,7 +28,6 @@ from robustlab.errors import DependencyMissing, InputError, NativeTimeout, NoTru
 from robustlab.provenance import BY_UNIT, Provenance, file_sha256
 from robustlab.record import Record
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown
 from robustlab.statespace import Signal
 from robustlab.units import same_unit
 
@@ -37,7 +37,7 @@ NO_STATE = "a co-simulation unit steps itself: it shows no rates, and no state o
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FreeRun(Shown):
+class FreeRun(Displayable):
     """A record and the simulation of its inputs from the unit's own initial state.
 
     Attributes

@@ -9,12 +9,12 @@ from numpy.typing import ArrayLike
 
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.plant_contract import NonlinearPlant, Plant, SteppedPlant, Trim, point_of
-from robustlab.errors import InputError, told_as
+from robustlab.errors import InputError, error_context
 from robustlab.provenance import code_of
 from robustlab.statespace import OperatingPoint, StateSpaceModel
 
 
-@told_as("trim")
+@error_context("trim")
 def trim(plant: Plant, **where: Any) -> Trim:
     r"""State and input with :math:`f(x, u) = 0`.
 
@@ -56,7 +56,7 @@ def trim(plant: Plant, **where: Any) -> Trim:
     return plant.equilibrium(**where)
 
 
-@told_as("linearise")
+@error_context("linearise")
 def linearise(
     plant: Plant,
     at: Trim | OperatingPoint | ArrayLike | None = None,

@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
+from robustlab.display import AllFields, Displayable, Facts, listed, number, with_units
 from robustlab.dynamics.descriptor_family import TrimmedDescriptor, uncertain_family
 from robustlab.dynamics.parameters import Parameter, overridden, parameter_ranges
 from robustlab.dynamics.rest import held_descriptor
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.provenance import Traced
 from robustlab.result import Status
-from robustlab.shown import AllFields, Facts, Shown, listed, number, with_units
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, real_array, signals
 from robustlab.uncertainty.lft import UncertainModel
 
@@ -76,7 +76,7 @@ def input_signal(t: Array, samples: Array, hold: NonlinearHold) -> InputSignal:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Plant(Shown, Traced, ABC):
+class Plant(Displayable, Traced, ABC):
     """Base class of `robustlab.dynamics.linear_plant.LinearPlant` and `NonlinearPlant`.
 
     Attributes
@@ -147,7 +147,7 @@ class Plant(Shown, Traced, ABC):
 
 
 @dataclass(frozen=True, eq=False)
-class Trim(Shown, AllFields):
+class Trim(Displayable, AllFields):
     """An equilibrium of a plant: ``f(x, u) = 0``.
 
     Attributes

@@ -13,7 +13,7 @@ from robustlab.checks import number
 from robustlab.delays.model import DelayedModel
 from robustlab.delays.response import checked_rtol, delayed_response
 from robustlab.dynamics.plant_contract import NonlinearHold, NonlinearPlant, Plant, SteppedPlant, input_signal
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as, unknown_name
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context, unknown_name
 from robustlab.record import Record
 from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
 
@@ -29,7 +29,7 @@ Hold = Literal["zoh", "foh"]
 LOOK = 3  # Padé order for the default duration of a step response
 
 
-@told_as("simulate")
+@error_context("simulate")
 def simulate(
     plant_or_model: Any,
     t: ArrayLike,

@@ -8,9 +8,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, ClassVar
 
-from robustlab.errors import InputError, told_as
+from robustlab.display import Displayable, Facts
+from robustlab.errors import InputError, error_context
 from robustlab.result import Result, Status
-from robustlab.shown import Facts, Shown
 from robustlab.verification.claim import Claim, Outcome, Verification
 
 # Class of a result -> the function for its claims. The first class in the order of resolution counts.
@@ -41,7 +41,7 @@ CLAIMS: Mapping[str, str] = {
 
 
 @dataclass(frozen=True, eq=False)
-class Verified(Shown):
+class Verified(Displayable):
     """Verdicts on the claims of a result.
 
     Attributes
@@ -113,7 +113,7 @@ def claims_of(result: Any) -> list[Claim]:
     return []
 
 
-@told_as("verify")
+@error_context("verify")
 def verify(result: Any, *, effort: float = 1.0) -> Verified:
     """Re-verify a result from its numbers alone, in exact and ball arithmetic.
 

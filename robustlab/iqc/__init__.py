@@ -6,7 +6,7 @@ __all__, __getattr__ = lazily(
     __name__,
     {
         "analysis": "IqcGain IqcStability iqc_gain iqc_stability",
-        "nature": "Nature Nonlinearity Varying",
+        "block_types": "Nature Nonlinearity Varying",
         "problem": "IqcProof posed",
         "inequality": "Inequality",
     },

@@ -23,12 +23,12 @@ from typing import Any, ClassVar
 import numpy as np
 
 from robustlab.budget import one_thread
-from robustlab.errors import InputError, told_as
+from robustlab.display import Facts, listed, member, number
+from robustlab.errors import InputError, error_context
 from robustlab.iqc.problem import IqcProof, Natures, Posed, gain_claim, posed, size_claim
 from robustlab.mu_analysis.axis.margin import StabilityMargin
 from robustlab.norms import PeakGain
 from robustlab.result import Status
-from robustlab.shown import Facts, listed, member, number
 from robustlab.verification.claim import Claim
 
 CLOSE = 1e-3  # relative distance of a margin from a size not proved, of a gain from one attained
@@ -157,7 +157,7 @@ def _proof_facts(proof: IqcProof | None) -> Facts:
     ]
 
 
-@told_as("iqc_gain")
+@error_context("iqc_gain")
 def iqc_gain(
     model: Any,
     nature: Natures | None = None,
@@ -195,7 +195,7 @@ def iqc_gain(
     )
 
 
-@told_as("iqc_stability")
+@error_context("iqc_stability")
 def iqc_stability(
     model: Any,
     nature: Natures | None = None,

@@ -22,15 +22,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from robustlab.closing import fed_back
+from robustlab.display import Facts, bracket, listed
 from robustlab.dynamics.extended.effect_blocks import EffectBlocks, effect_blocks
 from robustlab.dynamics.extended.extended_plant import ExtendedPlant
-from robustlab.errors import InputError, told_as
+from robustlab.errors import InputError, error_context
+from robustlab.feedback import feedback_loop
 from robustlab.iqc.analysis import IqcGain, iqc_gain
-from robustlab.iqc.nature import Nature, Nonlinearity, Varying
+from robustlab.iqc.block_types import Nature, Nonlinearity, Varying
 from robustlab.mu_analysis import WorstCaseGain, worst_case_gain
 from robustlab.norms import PeakGain
-from robustlab.shown import Facts, bracket, listed
 from robustlab.verification.claim import Claim
 
 __all__ = ["EffectGain", "effect_gain"]
@@ -84,7 +84,7 @@ class EffectGain(PeakGain):
         return [*self.proved.evidence(), ("as constant gains", constants)]
 
 
-@told_as("effect_gain")
+@error_context("effect_gain")
 def effect_gain(
     plant: Any,
     controller: Any,
@@ -117,7 +117,7 @@ def effect_gain(
     levels = {**(amplitude or {}), **{name: STICK * v for name, v in slow.items()}}
     made = effect_blocks(plant, outputs, amplitude=levels, dry="gain")
     inputs = [s.name for s in plant.inputs]
-    around, s, source = fed_back(made.model.select(inputs), controller, sign, "effect_gain")
+    around, s, source = feedback_loop(made.model.select(inputs), controller, sign, "effect_gain")
     loop = made.model.select(inputs).feedback(around, s)
     natures = _natures(plant, made, amplitude or {}, slow)
     proved = iqc_gain(loop, natures, None, None, order, None, time_limit, effort)

@@ -38,8 +38,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.iqc.block_types import Nonlinearity
 from robustlab.iqc.filtered_model import FilteredModel, Rows, stacked
-from robustlab.iqc.nature import Nonlinearity
 
 __all__ = ["POPOV", "Basis", "Term", "nonlinear_terms", "rate_terms", "repeated_terms", "symmetric"]
 

@@ -17,14 +17,14 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.budget import MILLION, Budget, search_budget
 from robustlab.checks import number
+from robustlab.display import listed
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.iqc.block_types import Nature, Nonlinearity, Varying
 from robustlab.iqc.filtered_model import FilteredModel
 from robustlab.iqc.inequality import Inequality, Point
 from robustlab.iqc.multipliers import POPOV, Basis, Term, nonlinear_terms, rate_terms, repeated_terms
-from robustlab.iqc.nature import Nature, Nonlinearity, Varying
 from robustlab.norms import balancing_units, hinf_norm, well_scaled
 from robustlab.result import Evidence
-from robustlab.shown import listed
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.uncertainty.blocks import Block, ParameterRange, RealScalar, block_slices
 from robustlab.uncertainty.interconnection import recentred

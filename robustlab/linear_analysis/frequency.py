@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array, ComplexArray
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.magnitude import refuse_overflow
 from robustlab.linear_analysis.narrow_peaks import narrow_frequencies
 from robustlab.statespace import StateSpaceModel, as_model, real_array
@@ -39,7 +39,7 @@ def default_grid(model: StateSpaceModel, n: int = 200, decades: float = 2.0) -> 
     return grid
 
 
-@told_as("frequency_response")
+@error_context("frequency_response")
 def frequency_response(model: Any, omega: ArrayLike) -> ComplexArray:
     r"""Compute the frequency response, shape (n_omega, n_y, n_u).
 

@@ -27,12 +27,12 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from robustlab.arrays import AnyArray, Array, ComplexArray
-from robustlab.errors import NoTrustworthyNumber, told_as
+from robustlab.display import Displayable, Facts, Part, listed, number
+from robustlab.errors import NoTrustworthyNumber, error_context
 from robustlab.linear_analysis import slicot
 from robustlab.linear_analysis.exact import MOST_STATES, determinant, normal_rank, roots
 from robustlab.linear_analysis.magnitude import equilibrating_exponents
 from robustlab.result import Status
-from robustlab.shown import Facts, Part, Shown, listed, number
 from robustlab.statespace import StateSpaceModel, as_model
 
 # Relative rounding errors of the entries from earlier calculations.
@@ -49,7 +49,7 @@ HIDDEN = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
-class Zeros(Shown):
+class Zeros(Displayable):
     """Finite invariant zeros of a model.
 
     Attributes
@@ -127,7 +127,7 @@ class Zeros(Shown):
         return {"type": "Zeros", **{field.name: getattr(self, field.name) for field in fields(self)}}
 
 
-@told_as("zeros")
+@error_context("zeros")
 def zeros(model: Any) -> Zeros:
     r"""Compute all finite invariant zeros of a model: transmission zeros and hidden modes, with their directions.
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import AnyArray, Array
-from robustlab.errors import NoTrustworthyNumber, told_as
+from robustlab.errors import NoTrustworthyNumber, error_context
 from robustlab.linear_analysis import slicot
 
 # Relative residual above which a Riccati solution is refined by Newton's method, and the largest number of steps.
@@ -42,7 +42,7 @@ class RiccatiSolution(NamedTuple):
     residual: float
 
 
-@told_as("care")
+@error_context("care")
 def care(
     A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, S: ArrayLike | None = None, *, tolerance: float = 1e-6
 ) -> RiccatiSolution:
@@ -83,7 +83,7 @@ def care(
     raise NoTrustworthyNumber("care", f"relative residual {least:.1e}", f"at most {tolerance:.1e}")
 
 
-@told_as("dare")
+@error_context("dare")
 def dare(
     A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, S: ArrayLike | None = None, *, tolerance: float = 1e-6
 ) -> RiccatiSolution:

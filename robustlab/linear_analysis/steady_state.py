@@ -8,15 +8,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from robustlab.display import AllFields, Displayable, Facts, number
 from robustlab.errors import InputError, unknown_name
 from robustlab.linear_analysis.structural import drop_unconnected
 from robustlab.result import Status
-from robustlab.shown import AllFields, Facts, Shown, number
 from robustlab.statespace import as_model
 
 
 @dataclass(frozen=True)
-class SteadyState(AllFields, Shown):
+class SteadyState(AllFields, Displayable):
     """Outputs in steady state, by name, with the inputs and the units of both."""
 
     inputs: Mapping[str, float]

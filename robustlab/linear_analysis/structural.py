@@ -24,10 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array, ComplexArray, Indices, Mask
-from robustlab.errors import told_as
+from robustlab.display import AllFields, Displayable, Facts, Part, number
+from robustlab.errors import error_context
 from robustlab.linear_analysis.matrix_equations import lapack
 from robustlab.result import Status, least_trusted
-from robustlab.shown import AllFields, Facts, Part, Shown, number
 from robustlab.statespace import StateSpaceModel, as_model
 
 Kind = Literal["controllability", "observability"]
@@ -54,7 +54,7 @@ class HiddenMode(AllFields):
 
 
 @dataclass(frozen=True, eq=False)
-class StructuralTest(Shown):
+class StructuralTest(Displayable):
     """Result of a controllability or observability test.
 
     Attributes
@@ -119,7 +119,7 @@ class StructuralTest(Shown):
 
 
 @dataclass(frozen=True, eq=False)
-class Structure(Shown):
+class Structure(Displayable):
     """Poles of a model, whether it is stable, and which of its modes are hidden."""
 
     poles: ComplexArray  # in rad/s, or in the z plane for a discrete model, the rightmost first
@@ -176,7 +176,7 @@ def structure(model: Any) -> Structure:
     )  # fmt: skip
 
 
-@told_as("controllability")
+@error_context("controllability")
 def controllability(model: Any) -> StructuralTest:
     """Test which modes the inputs can move; see `StructuralTest`.
 
@@ -206,7 +206,7 @@ def controllability(model: Any) -> StructuralTest:
     return _test(m, m.A, m.B, "controllability")
 
 
-@told_as("observability")
+@error_context("observability")
 def observability(model: Any) -> StructuralTest:
     """Test which modes the outputs show: the controllability test of ``(A^T, C^T)``.
 

@@ -9,7 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.errors import NoTrustworthyNumber, told_as
+from robustlab.display import Displayable, Facts, number
+from robustlab.errors import NoTrustworthyNumber, error_context
 from robustlab.linear_analysis import slicot
 from robustlab.linear_analysis.exact import exactly_stable
 from robustlab.linear_analysis.magnitude import balancing_factors, refuse_extremes
@@ -19,7 +20,6 @@ from robustlab.norms.bounded_real import gramian_matrix, gramian_square
 from robustlab.norms.hinfinity import unstable_norm, well_scaled
 from robustlab.norms.numbers import above, model_numbers
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown, number
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.verification.checker import check
 from robustlab.verification.claim import Claim, Outcome
@@ -34,7 +34,7 @@ DAMPED = 1e-8
 
 
 @dataclass(frozen=True)
-class H2Norm(Shown):
+class H2Norm(Displayable):
     """H2 norm of a model with its evidence.
 
     Attributes
@@ -67,7 +67,7 @@ class H2Norm(Shown):
         return {name: value for name, value in vars(self).items() if name != "system"}
 
 
-@told_as("h2_norm")
+@error_context("h2_norm")
 def h2_norm(model: Any) -> H2Norm:
     r"""Compute the H2 norm: the response to white noise, by two Gramians that must agree.
 
@@ -134,7 +134,7 @@ def _in_balls(found: H2Norm, m: StateSpaceModel) -> H2Norm:
     return replace(found, status=Status.INACCURATE, reason=reason)
 
 
-@told_as("h2_norm")
+@error_context("h2_norm")
 def h2_by_gramians(model: Any) -> H2Norm:
     """Compute `h2_norm` for searches: INACCURATE if the two Gramians differ by more than 1e-6."""
     return _by_gramians(as_model(model, "h2_norm"))[0]

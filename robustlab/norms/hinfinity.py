@@ -21,7 +21,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from robustlab.arrays import AnyArray, Array
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.display import Facts
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis import slicot
 from robustlab.linear_analysis.exact import exactly_on_boundary, exactly_stable
 from robustlab.linear_analysis.frequency import solved_response
@@ -32,7 +33,6 @@ from robustlab.norms.bilinear_map import bilinear_to_continuous
 from robustlab.norms.bounded_real import gain_in_balls, norm_matrix
 from robustlab.norms.peak_gain import PeakGain
 from robustlab.result import Status
-from robustlab.shown import Facts
 from robustlab.statespace import StateSpaceModel, as_model
 
 EPS = float(np.finfo(float).eps)
@@ -100,13 +100,13 @@ class HinfNorm(PeakGain):
         return {**super().to_json(), "value": self.value}
 
 
-@told_as("hinf_norm")
+@error_context("hinf_norm")
 def hinf_norm(model: Any, rtol: float = 1e-6) -> HinfNorm:
     """Compute `robustlab.peak_gain` of a model: the H-infinity norm, infinite if the model is not stable."""
     return _norm_of(as_model(model, "hinf_norm"), rtol, unstable_norm, None, "hinf_norm")
 
 
-@told_as("linf_norm")
+@error_context("linf_norm")
 def linf_norm(model: Any, rtol: float = 1e-6, *, band: tuple[float, float] | None = None) -> HinfNorm:
     """Compute the peak gain over the frequency axis or a band of it, of a model that may be unstable.
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar
 
+from robustlab.display import Facts, bracket, listed, number
 from robustlab.result import Bracket
-from robustlab.shown import Facts, bracket, listed, number
 
 
 @dataclass(frozen=True, eq=False)

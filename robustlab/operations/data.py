@@ -23,7 +23,7 @@ Exclude = Annotated[list[str] | None, Names(repeated=True), "Id of an effect not
 Column = Annotated[str | None, Names("outputs", "record", one=True)]
 
 
-@operation("data check", "check-record", result="identification.record_check.suitability.RecordCheck")
+@operation("data check", "check-record", result="identification.data_checks.suitability.RecordCheck")
 def check_record(
     record: Annotated[Any, RecordFile(remarks=False), Named(key="of"), "HDF5, MATLAB, CSV or TXT file."],
     model: Annotated[
@@ -36,7 +36,7 @@ def check_record(
     Example: robustlab data check run3.csv --model servo-axis
     Example: robustlab data check run.csv --inputs u=command --outputs q=position
     """
-    from robustlab.identification.record_check.suitability import check_record as check
+    from robustlab.identification.data_checks.suitability import check_record as check
 
     return check(record, model)
 
@@ -67,8 +67,8 @@ def compare(
 
 
 @operation(
-    "data discover", "discover", result="identification.naming.discovery_result.Discovery", gives="plant", made="model",
-    own=True, progress="parts",
+    "data discover", "discover", result="identification.missing_effects.discovery_result.Discovery", gives="plant",
+    made="model", own=True, progress="parts",
 )  # fmt: skip
 def discover(
     model: Annotated[Plant, Named(key="of")],

@@ -44,7 +44,7 @@ class InLoop(NamedTuple):
     loop: str = ""  # description of the loop
     notes: tuple[str, ...] = ()
     beside: Mapping[str, Any] = {}  # name -> a text, or a further result, whose status is checked, too
-    parts: tuple[Any, ...] = ()  # requested tables, each a `robustlab.shown.Part`
+    parts: tuple[Any, ...] = ()  # requested tables, each a `robustlab.display.Part`
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class Operation:
     made: str = ""  # attribute of the result to save with ``--out`` and pass to later steps; "": the result
     # Inference before a recipe runs: the key of a step whose signals the result keeps (those of ``outputs`` where that
     # is a key), or a function of the step and the inference of earlier steps; None: nothing.
-    foretell: str | Callable[[Any, Any], Any] | None = None
+    infer: str | Callable[[Any, Any], Any] | None = None
     own: bool = False  # the command is defined by hand in its group
     progress: str = ""  # "lines": each text is a line where stderr is no terminal; "parts", "steps": work is counted
 
@@ -241,8 +241,8 @@ def _marks(hint: Any) -> list[Any]:
 
 def closed(system: Any, controller: Any, sign: int | None, where: str) -> tuple[Any, str]:
     """Close a system with a controller; return the loop and its description, or the system without a controller."""
-    from robustlab.closing import fed_back
     from robustlab.errors import NoTrustworthyNumber, UsageError
+    from robustlab.feedback import feedback_loop
     from robustlab.linear_analysis.structural import with_hidden
     from robustlab.statespace import StateSpaceModel
 
@@ -250,7 +250,7 @@ def closed(system: Any, controller: Any, sign: int | None, where: str) -> tuple[
         if sign is not None:
             raise UsageError("--feedback", "without --controller", "a controller to close the loop with")
         return system, ""
-    around, sign, words = fed_back(system, controller, sign, where, None)
+    around, sign, words = feedback_loop(system, controller, sign, where, None)
     loop = system.feedback(around, sign)
     nominal = getattr(loop, "nominal", None)
     if isinstance(nominal, StateSpaceModel) and not nominal.is_stable():

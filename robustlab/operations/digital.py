@@ -117,7 +117,7 @@ def _nominal(plant: Any) -> Any:
 
 
 @operation("model reduce", "reduce-model", result="synthesis.reduction.reduced_model.ReducedModel", gives="model",
-      made="model", foretell="of")  # fmt: skip
+      made="model", infer="of")  # fmt: skip
 def reduce_model(
     system: Of,
     order: Annotated[Order, "States of the result."] = None,
@@ -151,7 +151,7 @@ def reduce_model(
 
 
 @operation("model minimal", "minimal", result="synthesis.reduction.reduced_model.ReducedModel", gives="model",
-      made="model", foretell="of")  # fmt: skip
+      made="model", infer="of")  # fmt: skip
 def minimal(
     system: Of,
     tolerance: Annotated[
@@ -170,7 +170,7 @@ def minimal(
     return rl.minimal(system, tolerance=tolerance)
 
 
-def _foretold_loop(step: Any, ahead: Any) -> Any:
+def _inferred_loop(step: Any, ahead: Any) -> Any:
     inputs, outputs = ahead[step.of].inputs, ahead[step.of].outputs
     if inputs is None or outputs is None:
         return ahead[None]
@@ -207,7 +207,7 @@ def discretise_by_formula(
 
 
 @operation("", "close-loop", result="synthesis.specifications.tracking_loop.ClosedLoop", gives="uncertain",
-      made="model", foretell=_foretold_loop)  # fmt: skip
+      made="model", infer=_inferred_loop)  # fmt: skip
 def close_loop(
     system: Annotated[Any, Thing(("plant", "model", "uncertain", "any")), "HDF5 or MATLAB file.", Named(key="of")],
     controller: Annotated[Any, Thing(("controller", "any")), "File with the controller."],

@@ -120,21 +120,19 @@ def unit_of_metric(step: Any, ahead: Any) -> Any:
     return outputs.get(step.output or next(iter(outputs)), float)
 
 
-def _foretold_worst(step: Any, ahead: Any) -> Any:
+def _inferred_worst(step: Any, ahead: Any) -> Any:
     unit = unit_of_metric(step, ahead)
     return replace(ahead[None], leaves={**type(step).leaves, "value": unit, "nominal_value": unit})
 
 
-def _foretold_violation(step: Any, ahead: Any) -> Any:
+def _inferred_violation(step: Any, ahead: Any) -> Any:
     unit = unit_of_metric(step, ahead)
     if step.unit is not None and unit is not float and step.unit != unit:
         raise UnitMismatch("unit", step.unit, f"{unit or 'none'}: that of the metric")
     return replace(ahead[None], leaves={**type(step).leaves, "worst_value": unit})
 
 
-@operation(
-    "worst-case", "worst-case", result="worst_case_analysis.worst_case_search.WorstCase", foretell=_foretold_worst
-)
+@operation("worst-case", "worst-case", result="worst_case_analysis.worst_case_search.WorstCase", infer=_inferred_worst)
 def worst_case(
     uncertain: Of,
     judged: Judged = USUAL,
@@ -155,7 +153,7 @@ def worst_case(
     "violation-probability",
     "violation-probability",
     result="worst_case_analysis.statistics.ViolationProbability",
-    foretell=_foretold_violation,
+    infer=_inferred_violation,
 )
 def violation_probability(
     uncertain: Of,

@@ -55,7 +55,7 @@ def at_rest(plant: Any, at: Any, pose: Any) -> Any:
     return list(pose) if pose is not None else at
 
 
-@operation("model build", "linearise", result="statespace.StateSpaceModel", gives="model", foretell="of")
+@operation("model build", "linearise", result="statespace.StateSpaceModel", gives="model", infer="of")
 def linearise(
     plant: Annotated[Plant, Named(key="of")],
     at: At = None,
@@ -118,12 +118,12 @@ def check(
     return structure(rl.linearise(system) if isinstance(system, AnyPlant) else system)
 
 
-def _foretold_steady_state(step: Any, ahead: Any) -> Any:
+def _inferred_steady_state(step: Any, ahead: Any) -> Any:
     kept = ahead[step.of].select(step.outputs).outputs
     return replace(ahead[None], leaves={"outputs": {"*": float} if kept is None else dict(kept)})
 
 
-@operation("", "steady-state", result="linear_analysis.steady_state.SteadyState", foretell=_foretold_steady_state)
+@operation("", "steady-state", result="linear_analysis.steady_state.SteadyState", infer=_inferred_steady_state)
 def steady_state(
     model: Annotated[Model, Named(key="of")],
     inputs: Annotated[

@@ -11,7 +11,7 @@ from robustlab.operations.declaration import InLoop, Named, operation
 from robustlab.operations.kinds import Choice, Flag, Number
 from robustlab.operations.words import Frequency, Loop, Model, Search, Seed, Signals, System, Uncertain
 
-# As in `robustlab.closing`, which would import numpy.
+# As in `robustlab.feedback`, which would import numpy.
 WORDS = {-1: "negative", 1: "positive"}
 
 AT = "mu_analysis.margins.at_frequencies."
@@ -73,8 +73,8 @@ def classical_margins(
 
 def _loop(plant: Any, around: Loop) -> tuple[Any, Any, Any, str]:
     """Return plant, controller, sign and the loop's description; an undeclared sign is that of the stable loop."""
-    from robustlab.closing import closing, without_sign
     from robustlab.delays.model import as_delayed
+    from robustlab.feedback import closing, without_sign
 
     K = around.controller
     if isinstance(plant, rl.DelayedModel) or isinstance(K, rl.DelayedModel):

@@ -42,7 +42,7 @@ NOTHING = "no uncertainty: mu = 0"
     result="uncertainty.built.BuiltModel",
     gives="uncertain",
     made="model",
-    foretell="nominal",
+    infer="nominal",
 )
 def elementwise(
     nominal: Annotated[Any, Thing(ANY, pair=True), "Nominal model; or one file with groups nominal and perturbed."],
@@ -82,7 +82,7 @@ def elementwise(
 
 
 @operation("uncertain plant", "uncertain", result="uncertainty.built.BuiltModel", gives="uncertain", made="model",
-      foretell="of")  # fmt: skip
+      infer="of")  # fmt: skip
 def uncertain(
     plant: Annotated[Plant, "A plant: its name, file.py:name, or HDF5 file.", Named(key="of")],
     tolerances: Annotated[
@@ -176,9 +176,9 @@ def cover(
     if feedback is not None and controller is None:
         raise UsageError("--feedback", "without --controller", "a controller to close the loop with")
     if controller is not None:
-        from robustlab.closing import fed_back
+        from robustlab.feedback import feedback_loop
 
-        around, sign, words = fed_back(models[0], controller, feedback, "cover", None)
+        around, sign, words = feedback_loop(models[0], controller, feedback, "cover", None)
         loop = lambda g: g.feedback(around, sign)  # noqa: E731
     found = rl.cover(
         models, form, tolerance=rtol, directions=directions, order=weight_order, loop=loop, progress=progress,
@@ -187,7 +187,7 @@ def cover(
     return InLoop(found, words)
 
 
-def _foretold_blocks(step: Any, ahead: Any) -> Any:
+def _inferred_blocks(step: Any, ahead: Any) -> Any:
     # Bounded errors come before its inputs.
     return replace(ahead[step.of].select(step.outputs), inputs=None, leaves=type(step).leaves)
 
@@ -198,7 +198,7 @@ def _foretold_blocks(step: Any, ahead: Any) -> Any:
     result="dynamics.extended.effect_blocks.EffectBlocks",
     gives="uncertain",
     made="model",
-    foretell=_foretold_blocks,
+    infer=_inferred_blocks,
 )
 def uncertain_from(
     discovery: Annotated[

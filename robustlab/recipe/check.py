@@ -1,6 +1,6 @@
 """Check a recipe before its first step runs: files, signals, units, and required results.
 
-Values that need a computation are not checked here (`robustlab.recipe.steps.contract.Step.foretell`).
+Values that need a computation are not checked here (`robustlab.recipe.steps.contract.Step.infer`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from robustlab.operations.declaration import STEPS, in_toml
 from robustlab.operations.vocabulary import Names
 from robustlab.recipe.load import MAX_FAULTS_SHOWN, LoadedRecipe, find_file, marked, references
 from robustlab.recipe.schema import Requirement
-from robustlab.recipe.steps.contract import Ahead, Foretold, Step, look_ahead
+from robustlab.recipe.steps.contract import Ahead, Inferred, Step, look_ahead
 from robustlab.units import same_unit
 
 # Objects that a loaded file may hold, and those that a step may require.
@@ -30,7 +30,7 @@ def look_through(loaded: LoadedRecipe) -> Ahead:
     ahead = Ahead(sources)
     faults: list[RobustlabError] = []
     for name, step in recipe.step.items():
-        ahead.step, ahead.steps[name] = name, Foretold()
+        ahead.step, ahead.steps[name] = name, Inferred()
         try:
             path = find_file(loaded, name, step)
         except RobustlabError as error:
@@ -41,7 +41,7 @@ def look_through(loaded: LoadedRecipe) -> Ahead:
         wrong: list[RobustlabError] = [*_wrong_kinds(step, ahead), *_wrong_names(step, ahead)]
         if not any(fault.where.startswith((".inputs", ".outputs")) for fault in wrong):  # else it gave wrong names
             try:
-                ahead.steps[name] = step.foretell(ahead)
+                ahead.steps[name] = step.infer(ahead)
             except RobustlabError as error:
                 wrong = wrong or [error]
         faults += [at_step(fault, loaded, name) for fault in wrong]
@@ -124,7 +124,7 @@ def _wrong_names(step: Step, ahead: Ahead) -> list[InputError]:
     return found
 
 
-def _known(inferred: Foretold, side: str) -> list[str] | None:
+def _known(inferred: Inferred, side: str) -> list[str] | None:
     if side == "parameters":
         parameters = getattr(inferred.value, "parameters", None)
         return None if parameters is None else list(parameters)

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import robustlab as rl
+from robustlab.display import Displayable, Facts, listed
 from robustlab.errors import (
     EXIT_BUG,
     EXIT_INTERRUPTED,
@@ -37,7 +38,6 @@ from robustlab.recipe.schema import Judgement, Recipe, judge
 from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace
 from robustlab.report.html import ending_of, junit_xml, render
 from robustlab.result import Status, least_trusted, plain
-from robustlab.shown import Facts, Shown, listed
 from robustlab.verification.reading import claims_in_file
 
 DONE, NOT_RUN = "done", "not run"
@@ -68,7 +68,7 @@ RESULT_PARTS = {
 
 
 @dataclass(frozen=True)
-class RunResult(Shown):
+class RunResult(Displayable):
     """A finished run.
 
     Attributes

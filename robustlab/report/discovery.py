@@ -14,9 +14,9 @@ from matplotlib.ticker import MaxNLocator
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError
-from robustlab.identification.naming.discovery_parts import LINEAR, Gap, chance, overall, with_interval
-from robustlab.identification.naming.discovery_result import Discovery
-from robustlab.identification.naming.residual_force import ForceCurve, ResidualForce
+from robustlab.identification.missing_effects.discovery_parts import LINEAR, Gap, chance, overall, with_interval
+from robustlab.identification.missing_effects.discovery_result import Discovery
+from robustlab.identification.missing_effects.residual_force import ForceCurve, ResidualForce
 from robustlab.provenance import Provenance
 from robustlab.report import style
 from robustlab.report.drawings import pictures_of

@@ -56,7 +56,7 @@ def pictures_of(shown: Any, remark: Callable[[str], None] | None = None) -> Iter
 
 
 def draw(shown: Any, kind: str | None, ax: Any, options: Mapping[str, Any]) -> Any:
-    """See `robustlab.shown.Shown.plot`."""
+    """See `robustlab.display.Displayable.plot`."""
     where, known = f"{type(shown).__name__}.plot", drawings_of(type(shown))
     if not known:
         raise InputError(where, "nothing to draw", None, "summary() describes it in text")

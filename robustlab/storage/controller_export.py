@@ -18,7 +18,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.dynamics.extended.feed_forward import FeedForward
 from robustlab.dynamics.plant_contract import Plant
-from robustlab.errors import InputError, UnitMismatch, UsageError, told_as
+from robustlab.errors import InputError, UnitMismatch, UsageError, error_context
 from robustlab.files.atomic import atomic_write
 from robustlab.provenance import Provenance
 from robustlab.signals import Taken, law
@@ -114,7 +114,7 @@ def c_source(
         notes=notes,
         outputs=[_terms(*rows) for rows in zip(model.C, model.D, strict=True)],
         states=[_terms(*rows) for rows in zip(model.A, model.B, back, strict=True)],
-        fed_back=[i for i in range(model.n_outputs) if back[:, i].any()],
+        state_feedback=[i for i in range(model.n_outputs) if back[:, i].any()],
         anti_windup=time,
         signs=[_sign(signal, model.inputs) for signal in model.inputs],
         law=law(model.inputs),
@@ -224,7 +224,7 @@ def _comment(text: str) -> str:
 EXPORTS = (".c", ".mat", ".h5", ".hdf5")
 
 
-@told_as("export_controller")
+@error_context("export_controller")
 def export_controller(
     path: str | Path,
     controller: Any,

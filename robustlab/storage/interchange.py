@@ -8,7 +8,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robustlab.errors import InputError, UsageError, told_as
+from robustlab.errors import InputError, UsageError, error_context
 from robustlab.files.atomic import atomic_write
 from robustlab.files.hdf5 import read_tree, write_tree
 from robustlab.files.matlab import write_matlab5
@@ -62,7 +62,7 @@ class Loaded:
                 thing.traced(origin)
 
 
-@told_as("load")
+@error_context("load")
 def load(
     path: str | Path,
     *,
@@ -201,7 +201,7 @@ def _unit_warnings(kind: str, thing: Any) -> tuple[str, ...]:
 # --- saving ----------------------------------------------------------------------------------------------------------
 
 
-@told_as("save")
+@error_context("save")
 def save(path: str | Path, obj: Any, provenance: Provenance | None = None) -> Path:
     """Write an object atomically: ``.h5`` or ``.hdf5`` as format 1, ``.mat`` as MATLAB version 5 (models, controllers).
 

@@ -8,10 +8,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from robustlab.display import Displayable, Facts, Part
 from robustlab.errors import InputError, UnitMismatch
 from robustlab.files.tree import Tree
 from robustlab.result import Status
-from robustlab.shown import Facts, Part, Shown
 from robustlab.statespace import StateSpaceModel
 from robustlab.storage.matrices import Problems, decode_model, find_children, sample_time
 
@@ -89,7 +89,7 @@ class Change:
 
 
 @dataclass(frozen=True)
-class Difference(Shown):
+class Difference(Displayable):
     """The entries in which two models differ.
 
     Attributes

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.display import AllFields
 from robustlab.dynamics.control.platform import SineTrajectory, TrajectoryFollowing, closed_loop, follow, two_layer
 from robustlab.dynamics.linearisation import linearise, trim
 from robustlab.dynamics.simulation import simulate
 from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
-from robustlab.shown import AllFields
 from robustlab.statespace import StateSpaceModel
 
 LOW = (0.0, 0.0, 0.1062, 0.0, 0.0, 0.0)

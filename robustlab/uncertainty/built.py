@@ -6,15 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+from robustlab.display import Displayable, Facts, Part
 from robustlab.result import Status
-from robustlab.shown import Facts, Part, Shown
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.elementwise import EndpointResidual
 from robustlab.uncertainty.lft import UncertainModel
 
 
 @dataclass(frozen=True, eq=False)
-class BuiltModel(Shown):
+class BuiltModel(Displayable):
     """An uncertain model with its evidence.
 
     Attributes

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.errors import InputError, UnitMismatch, did_you_mean, told_as
+from robustlab.errors import InputError, UnitMismatch, did_you_mean, error_context
 from robustlab.signals import MAX_NAME
 from robustlab.statespace import MAX_STATES, Signal, StateSpaceModel, as_model
 from robustlab.uncertainty.blocks import FullBlock, RealScalar
@@ -29,7 +29,7 @@ Stage = tuple[slice, slice, slice, slice]
 _EVERYWHERE: Stage = (slice(None), slice(None), slice(None), slice(None))
 
 
-@told_as("elementwise")
+@error_context("elementwise")
 def elementwise(
     nominal: Any, perturbed: Any, structure: str = "elements", tolerance: float | None = None
 ) -> UncertainModel:

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import AnyArray, Array, ComplexArray
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.display import Displayable, Facts, listed, number, short, with_units
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.operators import Behaviour
 from robustlab.provenance import Traced
-from robustlab.shown import Facts, Shown, listed, number, short, with_units
 from robustlab.signals import Signal, SignalLike, picked, real_array, signals
 from robustlab.statespace import as_model
 from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock, as_blocks, delta_matrix, structure_size
@@ -24,7 +24,7 @@ from robustlab.uncertainty.upper_lft import ILL_POSED, closed_response
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class UncertainFrequencyData(Behaviour, Shown, Traced):
+class UncertainFrequencyData(Behaviour, Displayable, Traced):
     r"""Frequency responses :math:`F_u(M_k, \Delta)` at N frequencies; immutable. See `frequency_data`.
 
     They define neither the response between the frequencies nor poles. ``.feedback(K)`` connects a controller of any
@@ -174,7 +174,7 @@ class UncertainFrequencyData(Behaviour, Shown, Traced):
         return f"UncertainFrequencyData({count}, Delta {q} x {p}, [{ins}] -> [{outs}])"
 
 
-@told_as("frequency_data")
+@error_context("frequency_data")
 def frequency_data(
     given: Any,
     omega: ArrayLike,

@@ -15,13 +15,13 @@ from numpy.typing import ArrayLike, NDArray
 from robustlab import statespace
 from robustlab.arrays import Array, is_rank_deficient
 from robustlab.checks import whole
-from robustlab.closing import fed_back, wired
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.display import SHOWN_BLOCKS, Displayable, Facts, listed, number, with_units
+from robustlab.display import Part as TablePart
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context
+from robustlab.feedback import feedback_loop, wired
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.operators import TransferMatrix, carried_by_rank
 from robustlab.provenance import Traced
-from robustlab.shown import SHOWN_BLOCKS, Facts, Shown, listed, number, with_units
-from robustlab.shown import Part as TablePart
 from robustlab.signals import (
     Signal,
     is_constant,
@@ -47,7 +47,7 @@ from robustlab.uncertainty.upper_lft import closed_response, is_singular, upper_
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class UncertainModel(TransferMatrix, Shown, Traced):
+class UncertainModel(TransferMatrix, Displayable, Traced):
     r"""A set of models ``F_u(M, Delta)`` over all block-diagonal Delta with normalised blocks; immutable.
 
     Parameters
@@ -365,7 +365,7 @@ class UncertainModel(TransferMatrix, Shown, Traced):
     def close(self, K: StateSpaceModel) -> UncertainModel:
         """Return the uncertain closed loop ``u = K y``: y are the last ``K.n_inputs`` outputs, u the last inputs.
 
-        Signals of K and of the plant are connected by name where possible (`robustlab.closing`).
+        Signals of K and of the plant are connected by name where possible (`robustlab.feedback`).
         """
         k = as_model(K, "close: K")
         y, u = self.M.outputs[self.M.n_outputs - k.n_inputs :], self.M.inputs[self.M.n_inputs - k.n_outputs :]
@@ -505,7 +505,7 @@ def return_path(g: Any, back: Any, sign: int | None, read: Callable[[Any], Any],
         if n_u != n_y:
             raise InputError("feedback", f"the number {back} around {n_y} x {n_u} channels", "a matrix or a model")
         back = float(back) * np.eye(n_u)
-    back, sign, _ = fed_back(g, back, sign)
+    back, sign, _ = feedback_loop(g, back, sign)
     h = read(back)
     if (len(h.outputs), len(h.inputs)) != (n_u, n_y):
         found = f"what is fed back is {len(h.outputs)} x {len(h.inputs)}"
@@ -532,7 +532,7 @@ def inverse(g: UncertainModel) -> UncertainModel:
     return UncertainModel(StateSpaceModel(*parts, m.dt, *sides, m.states, where="inverse"), g.blocks)
 
 
-@told_as("star")
+@error_context("star")
 @carried_by_rank
 def star(first: Any, second: Any, n_to_second: int | None = None, n_to_first: int | None = None) -> UncertainModel:
     r"""Return the Redheffer star product of two models.

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch, did_you_mean, told_as
+from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch, did_you_mean, error_context
 from robustlab.signals import Signal, is_constant
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.interconnection import Wiring
@@ -30,7 +30,7 @@ class _Part(NamedTuple):
     model: UncertainModel
 
 
-@told_as("connect")
+@error_context("connect")
 def connect(
     *parts: Any, inputs: Sequence[str] | str, outputs: Sequence[str] | str, sums: Sequence[str] | str = ()
 ) -> StateSpaceModel | UncertainModel:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.statespace import SignalLike, StateSpaceModel
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.decomposition_tree import ConstantLft, MatrixPolynomial, decompositions
@@ -27,7 +27,7 @@ EXACT = 1e-9  # allowed error of an entry at random parameter values, relative t
 MAX_SIZE = 200_000  # factors times variables
 
 
-@told_as("parametric")
+@error_context("parametric")
 def parametric(
     A: Any,
     B: Any,

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import Array, ComplexArray
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import bilinear_to_discrete
 from robustlab.statespace import StateSpaceModel, series
@@ -25,7 +25,7 @@ NEAR = 1e-2  # phases closer to 0 than this need two factors: one would have its
 NOTHING = 1e-14  # relative singular values below this are not realised
 
 
-@told_as("realise_delta")
+@error_context("realise_delta")
 def realise_delta(
     blocks: Sequence[Block], delta: Mapping[str, Any], omega: float, dt: float = 0.0
 ) -> dict[str, float | StateSpaceModel]:

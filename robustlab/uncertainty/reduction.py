@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.display import Displayable, Facts, listed, number
 from robustlab.errors import InputError
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown, listed, number
 from robustlab.statespace import Signal, StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices, delta_matrix, structure_size
 from robustlab.uncertainty.upper_lft import balancing_scale, closed_response
@@ -35,7 +35,7 @@ PROVED = 1e-9  # allowed relative error of channels and responses
 
 
 @dataclass(frozen=True, eq=False)
-class Reduction(Shown):
+class Reduction(Displayable):
     """A reduced set, with the evidence of unchanged input-output behaviour.
 
     Attributes

@@ -29,7 +29,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from robustlab.errors import InputError, did_you_mean, told_as
+from robustlab.errors import InputError, did_you_mean, error_context
 from robustlab.statespace import Signal, StateSpaceModel, append, as_model
 from robustlab.uncertainty.blocks import FullBlock
 from robustlab.uncertainty.lft import UncertainModel
@@ -45,7 +45,7 @@ Form = Literal[
 FORMS: tuple[Form, ...] = get_args(Form)
 
 
-@told_as("unstructured")
+@error_context("unstructured")
 def unstructured(
     G: Any, W2: Any = 1.0, form: Form = "additive", *, W1: Any = None, name: str = "unmodelled"
 ) -> UncertainModel:

@@ -11,12 +11,12 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import AnyArray, Array
 from robustlab.budget import one_thread
+from robustlab.display import Displayable, Facts, listed, number, with_units
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.plant_contract import NonlinearPlant, Plant
 from robustlab.dynamics.simulation import simulate
-from robustlab.errors import InputError, told_as
+from robustlab.errors import InputError, error_context
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown, listed, number, with_units
 from robustlab.statespace import Signal, real_array
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import RealScalar
@@ -39,7 +39,7 @@ LABEL = "sampled: the true envelope may be wider"
 
 
 @dataclass(frozen=True, eq=False)
-class Samples(Tabular, Shown):
+class Samples(Tabular, Displayable):
     """Members of an uncertain model, or of a nonlinear plant with tolerances: random ones first, then vertices.
 
     Attributes
@@ -73,7 +73,7 @@ class Samples(Tabular, Shown):
             for delta in self.deltas
         ]
 
-    @told_as("respond")
+    @error_context("respond")
     def respond(
         self,
         t: ArrayLike,
@@ -185,7 +185,7 @@ class Samples(Tabular, Shown):
 
 
 @dataclass(frozen=True)
-class Responses(Shown):
+class Responses(Displayable):
     """Time responses of samples, and the envelope of them and the nominal response.
 
     Attributes
@@ -250,7 +250,7 @@ class Responses(Shown):
         return {**data, "peak_deviation": self.peak_deviation}
 
 
-@told_as("sample")
+@error_context("sample")
 def sample(uncertain: UncertainModel | Plant, n: int, seed: int = 0, vertices: int | Literal["all"] = 0) -> Samples:
     """Draw members of an uncertain model, or of a nonlinear plant whose parameters have tolerances.
 

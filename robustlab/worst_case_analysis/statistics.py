@@ -18,9 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 from robustlab import checks
 from robustlab.arrays import Array
 from robustlab.budget import one_thread
-from robustlab.errors import InputError, UnitMismatch, told_as
+from robustlab.display import Displayable, Facts, Part, listed, member, number
+from robustlab.errors import InputError, UnitMismatch, error_context
 from robustlab.result import Status
-from robustlab.shown import Facts, Part, Shown, listed, member, number
 from robustlab.statespace import StateSpaceModel
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.lft import UncertainModel
@@ -31,7 +31,7 @@ MOST_BINS = 32  # along each parameter, for the share of the variance that it ex
 
 
 @dataclass(frozen=True)
-class Influence(Tabular, Shown):
+class Influence(Tabular, Displayable):
     """Influence of each real parameter on a metric, from samples.
 
     Attributes
@@ -262,7 +262,7 @@ def quantile_bounds(values: ArrayLike, share: float, confidence: float = 0.95) -
 
 
 @dataclass(frozen=True)
-class ViolationProbability(Tabular, Shown):
+class ViolationProbability(Tabular, Displayable):
     """Probability that a sampled member violates a limit.
 
     Attributes
@@ -390,7 +390,7 @@ class ViolationProbability(Tabular, Shown):
         return data
 
 
-@told_as("violation_probability")
+@error_context("violation_probability")
 @one_thread()
 def violation_probability(
     uncertain: UncertainModel,

@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
 from robustlab.budget import MILLION, Budget, one_thread, search_budget
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.display import AllFields, Displayable, Facts, Part, member, member_rows, number
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.result import Evidence, Status
-from robustlab.shown import AllFields, Facts, Part, Shown, member, member_rows, number
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import delta_values
 from robustlab.uncertainty.lft import UncertainModel
@@ -67,7 +67,7 @@ class WorstResponse(Evidence):
 
 
 @dataclass(frozen=True)
-class WorstCase(Shown, AllFields):
+class WorstCase(Displayable, AllFields):
     """The worst member that a search found.
 
     Attributes
@@ -157,7 +157,7 @@ class WorstCase(Shown, AllFields):
         ]
 
 
-@told_as("worst_case")
+@error_context("worst_case")
 def worst_case(
     uncertain: UncertainModel,
     metric: str | Callable[[StateSpaceModel], float] = "peak-deviation",

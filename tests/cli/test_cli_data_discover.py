@@ -10,7 +10,7 @@ from shell import robustlab
 
 import robustlab as rl
 from robustlab.identification import Rival, catalogue
-from robustlab.identification.record_check import Finding
+from robustlab.identification.data_checks import Finding
 
 TRIED = ("coulomb-friction", "constant-load", "viscous-friction")  # few, for the time of the test
 EXCLUDED = [word for name in catalogue() if name not in TRIED for word in ("--exclude", name)]
@@ -57,7 +57,7 @@ def answer(monkeypatch):
             asked.update(plant=plant, records=records, held_out=held_out, **options)
             return found
 
-        monkeypatch.setattr("robustlab.identification.naming.discovery.discover", instead)
+        monkeypatch.setattr("robustlab.identification.missing_effects.discovery.discover", instead)
         return asked
 
     return put

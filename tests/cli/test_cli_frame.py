@@ -9,8 +9,8 @@ import pytest
 
 from robustlab.cli import GROUPS, help_text, main_guard, parser
 from robustlab.cli import run_command as run
+from robustlab.display import text_table as table
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError
-from robustlab.shown import text_table as table
 
 HEAVY = ["numpy", "scipy", "control", "cvxpy", "h5py", "matplotlib", "pydantic", "slycot", "clarabel", "jinja2"]
 

@@ -13,7 +13,7 @@ import pytest
 import robustlab as rl
 from robustlab.dynamics import catalogue
 from robustlab.errors import InputError
-from robustlab.identification.record_check import Finding
+from robustlab.identification.data_checks import Finding
 from robustlab.recipe import load_recipe, parse_recipe, run_recipe
 
 PAGE = (Path(__file__).parents[2] / "docs" / "discover.md").read_text(encoding="utf-8")
@@ -58,7 +58,9 @@ def real(folder):
 @pytest.fixture
 def run(folder, tmp_path, monkeypatch, real):
     def call(rest, found=real):
-        monkeypatch.setattr("robustlab.identification.naming.discovery.discover", lambda *_arguments, **_options: found)
+        monkeypatch.setattr(
+            "robustlab.identification.missing_effects.discovery.discover", lambda *_arguments, **_options: found
+        )
         path = folder / "axis.toml"
         path.write_text(HEAD + rest, encoding="utf-8")
         return run_recipe(load_recipe(path), tmp_path / "out")

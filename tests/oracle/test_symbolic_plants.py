@@ -234,7 +234,7 @@ def test_trims_that_have_a_closed_form():
     assert rl.trim(quad, z=2.5).x[0] == 2.5
 
 
-def test_a_rest_that_rounding_blurs_is_told_as_inaccurate():
+def test_a_rest_that_rounding_blurs_is_error_context_inaccurate():
     p = rl.PlantEquations("blurred")
     x, big = p.state("x"), p.parameter("big", 1e9)
     p.rate(x, ca.sqrt((x + big) ** 2) - big - 1.23)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from robustlab.errors import InputError
 from robustlab.identification import join_clocks
-from robustlab.identification.record_check import uniform
+from robustlab.identification.data_checks import uniform
 from robustlab.record import Record
 
 DT = 0.01

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.display import Displayable, Facts, Part, number
 from robustlab.dynamics.control.controlled_plant import controlled_plant, driver_in_loop
 from robustlab.dynamics.control.platform import (
     MOST_TORQUE,
@@ -31,7 +32,6 @@ from robustlab.dynamics.stewart.kinematics import nut_angles
 from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
 from robustlab.errors import InputError, unknown_name
 from robustlab.result import Status
-from robustlab.shown import Facts, Part, Shown, number
 from robustlab.statespace import as_model
 
 HELD = 1e-4  # s between samples of a reference, which is held between them
@@ -49,7 +49,7 @@ class TimePanel(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class ControlledRuns(Shown):
+class ControlledRuns(Displayable):
     """Simulated runs of one machine under several controllers."""
 
     controllers: Mapping[str, Mapping[str, Any]]

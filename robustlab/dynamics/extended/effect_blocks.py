@@ -19,6 +19,7 @@ import numpy as np
 
 from robustlab import checks
 from robustlab.arrays import Array
+from robustlab.display import AllFields, Displayable, Facts, Part, listed, number
 from robustlab.dynamics.effects.contract import Footprint, Law
 from robustlab.dynamics.extended.attached_effect import AttachedEffect, is_set_valued, rest_band, steady_force
 from robustlab.dynamics.extended.extended_plant import (
@@ -36,7 +37,6 @@ from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.structural import drop_unconnected
 from robustlab.record import Record
 from robustlab.result import Status
-from robustlab.shown import AllFields, Facts, Part, Shown, listed, number
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, real_array
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
@@ -242,7 +242,7 @@ def _free_names(names: list[str], taken: Sequence[str]) -> list[str]:
 
 
 @dataclass(frozen=True, eq=False)
-class EffectBlocks(Shown):
+class EffectBlocks(Displayable):
     """A plant with effects as an uncertain model.
 
     Attributes

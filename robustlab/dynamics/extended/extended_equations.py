@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from robustlab.arrays import Array
 from robustlab.checks import number
 from robustlab.delays.approximation import pade as rational_delay
+from robustlab.display import AllFields, listed
 from robustlab.dynamics.effects.contract import Footprint, Law
 from robustlab.dynamics.extended.attached_effect import (
     AttachedEffect,
@@ -34,7 +35,6 @@ from robustlab.dynamics.rest import PASSES, trim_conditions
 from robustlab.dynamics.simulation import CLOCK_JITTER
 from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
 from robustlab.result import Status
-from robustlab.shown import AllFields, listed
 from robustlab.statespace import OperatingPoint, StateSpaceModel, append, series
 
 # Longest step of the laws in s; longer samples are divided. Larger: faster, less accurate reversals.

@@ -28,7 +28,7 @@ from robustlab.dynamics.parameters import Parameter
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.motion_model import local_port_model
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, linear_plant_of
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, error_context
 from robustlab.linear_analysis.structural import drop_unconnected
 from robustlab.statespace import Signal, StateSpaceModel, real_array
 from robustlab.uncertainty.lft import UncertainModel
@@ -201,7 +201,7 @@ class ExtendedPlant(ExtendedEquations):
         return UncertainModel(drop_unconnected(kept), whole.blocks)
 
 
-@told_as("with_effects")
+@error_context("with_effects")
 def with_effects(
     plant: AnyPlant | StateSpaceModel,
     effects: Mapping[str, Mapping[str, Any]] | Iterable[AttachedEffect] | AttachedEffect,

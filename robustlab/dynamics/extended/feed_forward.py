@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
+from robustlab.display import Facts, number
 from robustlab.errors import InputError
-from robustlab.shown import Facts, number
 from robustlab.signals import Signal
 from robustlab.statespace import real_array
 

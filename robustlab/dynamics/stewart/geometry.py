@@ -13,9 +13,9 @@ from typing import Any, Literal
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.display import Displayable
 from robustlab.dynamics.parameters import Parameter, published
 from robustlab.errors import InputError, did_you_mean
-from robustlab.shown import Shown
 
 Preset = Literal["thesis", "physical"]
 PRESETS = ("thesis", "physical")
@@ -51,7 +51,7 @@ CONSTANTS = (
 
 
 @dataclass(frozen=True, eq=False)
-class Geometry(Shown):
+class Geometry(Displayable):
     """Points and axes, in m; arrays are read-only."""
 
     # points b and m in the base frame, shape (6, 3)

@@ -18,9 +18,9 @@ from robustlab.dynamics.ports.motion_model import Course
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.comparison.comparison_result import POSE, Comparison
 from robustlab.identification.comparison.error_analysis import FreeRun, Linearisation, Motion
-from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord
-from robustlab.identification.hypotheses.motion_smoother import smooth_motion
-from robustlab.identification.record_check.resampling import clock_step, refuse_gaps, uniform
+from robustlab.identification.data_checks.resampling import clock_step, refuse_gaps, uniform
+from robustlab.identification.greybox.disturbance_smoother import SmoothedRecord
+from robustlab.identification.greybox.motion_smoother import smooth_motion
 from robustlab.identification.response.linear_response import LinearResponse
 from robustlab.identification.response.motion_response import MotionResponse
 from robustlab.identification.response.response import Stretch, matched, stretch_of, with_units

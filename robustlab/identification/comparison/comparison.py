@@ -14,7 +14,7 @@ from robustlab.budget import one_thread
 from robustlab.dynamics.fmu import FmuPlant
 from robustlab.dynamics.fmu import FreeRun as RunOfUnit
 from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
-from robustlab.errors import NoTrustworthyNumber, UsageError, told_as
+from robustlab.errors import NoTrustworthyNumber, UsageError, error_context
 from robustlab.identification.comparison.along_motion import (
     Matching,
     free_run,
@@ -51,8 +51,8 @@ from robustlab.identification.comparison.input_disturbance import (
 )
 from robustlab.identification.comparison.repeats import NoiseFloor
 from robustlab.identification.comparison.residual_tests import judged_lines
-from robustlab.identification.hypotheses.prepared_record import window_length
-from robustlab.identification.record_check.suitability import channel_warnings
+from robustlab.identification.data_checks.suitability import channel_warnings
+from robustlab.identification.greybox.prepared_record import window_length
 from robustlab.identification.response.linear_response import LinearResponse
 from robustlab.identification.response.motion_response import MotionResponse
 from robustlab.identification.response.response import Response, Stretch, response_of
@@ -74,7 +74,7 @@ LARGEST_OUTPUT = 1e100  # squares of larger numbers overflow
 
 
 @one_thread()
-@told_as("compare")
+@error_context("compare")
 def compare(
     plant: Any,
     record: Record,

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.display import Each, Facts, Part, listed, number
 from robustlab.identification.comparison.best_linear_approximation import BestLinearApproximation
 from robustlab.identification.comparison.error_analysis import (
     Bin,
@@ -27,7 +28,6 @@ from robustlab.identification.comparison.residual_tests import EvenOdd
 from robustlab.identification.response.windowed_simulation import InitialState
 from robustlab.record import Record
 from robustlab.result import Evidence, Status
-from robustlab.shown import Each, Facts, Part, listed, number
 from robustlab.tables import Table, Tabular
 
 # Fields that become JSON in another form, or not at all.
@@ -278,8 +278,8 @@ class Comparison(Tabular, Evidence):
             return f"none ({self.noise_reason})"
         alike = f"{n.count} records with the same input"
         what = alike if n.period is None else f"{n.count} periods of {n.period:.6g} s ({n.signal or 'stated'})"
-        fed_back = ", ".join(number(v, self.measured.units.get(u, ""), 3) + f" at {u}" for u, v in n.input_std.items())
-        return "; ".join([f"from {what}", *([f"fed back by a controller: {fed_back}"] if fed_back else []), *n.notes])
+        spread = ", ".join(number(v, self.measured.units.get(u, ""), 3) + f" at {u}" for u, v in n.input_std.items())
+        return "; ".join([f"from {what}", *([f"fed back by a controller: {spread}"] if spread else []), *n.notes])
 
     def _missing(self) -> Facts:
         if not self.disturbance:

@@ -13,6 +13,7 @@ import numpy as np
 
 from robustlab import checks
 from robustlab.arrays import Array
+from robustlab.display import Each, Facts, number
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
 from robustlab.identification.response.linear_response import LinearResponse
@@ -20,7 +21,6 @@ from robustlab.identification.response.response import response_of
 from robustlab.identification.response.windowed_simulation import SHORTEST_START, starting_state
 from robustlab.record import Record
 from robustlab.result import Evidence, Status
-from robustlab.shown import Each, Facts, number
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.sampling import LABEL, sample
 

@@ -12,16 +12,16 @@ from typing import Any, ClassVar
 import numpy as np
 
 from robustlab.arrays import Array, Indices, Mask
+from robustlab.display import Each
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.port_model import Port, linear_plant_of, port_model
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.comparison.error_analysis import REST, Bin, Motion, bins, speed_edges
-from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord, smooth_disturbance
+from robustlab.identification.greybox.disturbance_smoother import SmoothedRecord, smooth_disturbance
 from robustlab.identification.response.linear_response import LinearResponse
 from robustlab.identification.response.motion_response import MotionResponse
 from robustlab.identification.response.windowed_simulation import Windowed, fit_windows
 from robustlab.result import Evidence
-from robustlab.shown import Each
 from robustlab.statespace import StateSpaceModel
 
 EXPLAINS = 0.5  # share of the squared error that a located disturbance removes at least

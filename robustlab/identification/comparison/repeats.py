@@ -340,12 +340,12 @@ def _floor(
             f"{', '.join(drifting)} drifts from repeat to repeat: its level was removed, noise slower than a repeat "
             "is not in the floor"
         )
-    fed_back = {name: _spread(stacked[name])[0] for name in inputs if np.ptp(stacked[name])}
-    fed_back = {name: s for name, s in fed_back.items() if s > EXACT * float(np.ptp(stacked[name]))}
+    spreads = {name: _spread(stacked[name])[0] for name in inputs if np.ptp(stacked[name])}
+    spreads = {name: s for name, s in spreads.items() if s > EXACT * float(np.ptp(stacked[name]))}
     count, samples = next(iter(stacked.values())).shape
     std = {name: s for name, (s, _) in found.items()}
     level = {name: s for name, (_, s) in found.items()}
-    return NoiseFloor(source, signal, period, samples, count, first, std, level, fed_back, tuple(notes))
+    return NoiseFloor(source, signal, period, samples, count, first, std, level, spreads, tuple(notes))
 
 
 def _from_records(record: Record, repeats: Sequence[Record], outputs: list[str]) -> NoiseFloor:

@@ -15,16 +15,16 @@ from typing import NamedTuple
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.display import Facts
 from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.identification import tuning
-from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord
-from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, NoiseModel, Problem, predicted, refit_distance
-from robustlab.identification.hypotheses.prepared_record import PreparedRecord
+from robustlab.identification.greybox.disturbance_smoother import SmoothedRecord
+from robustlab.identification.greybox.effect_fit import Fit, FitPlan, NoiseModel, Problem, predicted, refit_distance
+from robustlab.identification.greybox.prepared_record import PreparedRecord
 from robustlab.identification.response.response import slowest_time_constant
 from robustlab.record import Record
 from robustlab.result import Evidence
-from robustlab.shown import Facts
 
 MOST_OPPONENTS = 3  # rivals to be distinguished from the named effect
 LONGEST_EXPERIMENT = 5000  # samples

@@ -11,20 +11,22 @@ import numpy as np
 from robustlab import checks
 from robustlab.arrays import Array, Mask
 from robustlab.budget import one_thread
+from robustlab.display import Facts, listed, number
 from robustlab.dynamics.effects.catalogue import effect
 from robustlab.dynamics.effects.contract import EffectParameter, Scales
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.extended.extended_equations import ExtendedEquations
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as, unknown_name
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context, unknown_name
 from robustlab.identification import tuning
-from robustlab.identification.hypotheses.candidates import (
+from robustlab.identification.data_checks.resampling import clock_step, uniform
+from robustlab.identification.greybox.candidates import (
     candidates,
     nuisance_parameters,
     stated_tolerances,
     with_absolute_tolerances,
 )
-from robustlab.identification.hypotheses.effect_fit import (
+from robustlab.identification.greybox.effect_fit import (
     Candidate,
     Clock,
     Fit,
@@ -33,16 +35,14 @@ from robustlab.identification.hypotheses.effect_fit import (
     NoiseModel,
     Problem,
 )
-from robustlab.identification.hypotheses.prepared_record import PreparedRecord, ports_of, prepare, window_length
+from robustlab.identification.greybox.prepared_record import PreparedRecord, ports_of, prepare, window_length
+from robustlab.identification.missing_effects.discovery import discover, known_plant
+from robustlab.identification.missing_effects.discovery_result import Discovery
+from robustlab.identification.missing_effects.set_search import clock_nuisances, held_inputs
 from robustlab.identification.monitoring.change_test import ChangeTest, PieceEquations, onset
-from robustlab.identification.naming.discovery import discover, known_plant
-from robustlab.identification.naming.discovery_result import Discovery
-from robustlab.identification.naming.set_search import clock_nuisances, held_inputs
-from robustlab.identification.record_check.resampling import clock_step, uniform
 from robustlab.identification.response.response import with_units
 from robustlab.record import Record
 from robustlab.result import Evidence, Status
-from robustlab.shown import Facts, listed, number
 from robustlab.tables import Table, Tabular
 
 FAR = 2.0  # standard deviations of the parameters after the first piece, within which a window must be linear
@@ -166,7 +166,7 @@ def span_of(seconds: float) -> str:
 
 
 @one_thread()
-@told_as("watch")
+@error_context("watch")
 def watch(
     model: Any,
     records: Record | Iterable[Record],

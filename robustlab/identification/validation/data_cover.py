@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 from robustlab import checks
+from robustlab.display import Facts, listed, number
 from robustlab.dynamics.extended.effect_blocks import EffectLoads, NoiseInput, effect_loads
-from robustlab.errors import InputError, told_as
+from robustlab.errors import InputError, error_context
 from robustlab.identification.validation.model_validation import validate
 from robustlab.identification.validation.sampled_problem import NoiseNorm
 from robustlab.identification.validation.validation_result import Validation
 from robustlab.record import Record
 from robustlab.result import Evidence, Status
-from robustlab.shown import Facts, listed, number
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import FullBlock
 from robustlab.uncertainty.lft import UncertainModel, product
@@ -109,7 +109,7 @@ class DataCover(Evidence):
         }
 
 
-@told_as("data_cover")
+@error_context("data_cover")
 def data_cover(
     plant: Any,
     records: Sequence[Record],

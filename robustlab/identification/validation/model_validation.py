@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.budget import MILLION, one_thread, search_budget
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.identification.comparison.envelope import require_linear_set
 from robustlab.identification.comparison.repeats import noise_floor
 from robustlab.identification.validation.cone_programme import Search
@@ -29,7 +29,7 @@ WORK = 120 * MILLION
 CONFIDENCE = 0.99  # that noise is within a bound estimated from repeats
 
 
-@told_as("validate")
+@error_context("validate")
 def validate(
     uncertain: UncertainModel,
     record: Record | FrequencyData,

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array, ComplexArray
+from robustlab.display import Facts, listed, number
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.comparison.best_linear_approximation import held_response
 from robustlab.identification.comparison.repeats import noise_floor
@@ -17,7 +18,6 @@ from robustlab.identification.validation.sampled_problem import noise_bounds, pr
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.record import Record
 from robustlab.result import Evidence
-from robustlab.shown import Facts, listed, number
 from robustlab.statespace import Signal, real_array
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import block_slices

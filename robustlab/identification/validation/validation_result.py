@@ -9,10 +9,10 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from robustlab.arrays import AnyArray, Array
+from robustlab.display import Each, Facts, number
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.validation.cone_programme import Search
 from robustlab.result import Evidence, Status
-from robustlab.shown import Each, Facts, number
 from robustlab.tables import Table, Tabular
 
 SMALLEST = 1e-6  # smaller sizes count as zero

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.display import AllFields, Displayable, Facts, number
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.mu_analysis.axis.margin import Margin
-from robustlab.shown import AllFields, Facts, Shown, number
 from robustlab.statespace import Signal, StateSpaceModel
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import realise_delta
@@ -21,7 +21,7 @@ INSIDE = 0.95  # share of the critical Delta of the response just inside the mar
 
 
 @dataclass(frozen=True, eq=False)
-class CriticalResponse(AllFields, Shown):
+class CriticalResponse(AllFields, Displayable):
     """Free responses from the critical mode: of the nominal model, just inside the margin, and at the critical Delta.
 
     Attributes

@@ -15,6 +15,7 @@ import numpy as np
 
 from robustlab.arrays import Array, Mask
 from robustlab.budget import Budget
+from robustlab.display import Displayable, Facts, in_words, number
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.magnitude import balancing_factors
 from robustlab.mu_analysis.axis.axis_model import coupled_blocks, model_frequency, typical_speed
@@ -22,7 +23,6 @@ from robustlab.mu_analysis.matrix.decomposition import entries
 from robustlab.mu_analysis.matrix.scalings import hermitian, relative, supply
 from robustlab.mu_analysis.matrix.skew import divided, skew_upper
 from robustlab.mu_analysis.matrix.upper import UpperBound, points_below, points_work
-from robustlab.shown import Facts, Shown, in_words, number
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block
 from robustlab.uncertainty.lft import UncertainModel
@@ -39,7 +39,7 @@ __all__ = ["AxisCover", "Piece", "cover_axis", "cover_parts", "extend", "extend_
 
 
 @dataclass(frozen=True)
-class Piece(Shown):
+class Piece(Displayable):
     """``mu <= beta`` is proved for all ``low <= omega <= high`` (rad/s) by the constant scalings ``bound``."""
 
     low: float

@@ -10,12 +10,12 @@ from typing import Any, ClassVar
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.display import SHOWN_BLOCKS, Facts, Part, bracket, listed, member, number
 from robustlab.mu_analysis.axis.intervals import Piece
 from robustlab.mu_analysis.matrix.box import Box
 from robustlab.mu_analysis.matrix.branch_and_bound import Region
 from robustlab.norms import PeakGain
 from robustlab.result import Bracket
-from robustlab.shown import SHOWN_BLOCKS, Facts, Part, bracket, listed, member, number
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.lft import UncertainModel
 

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array, ComplexArray
 from robustlab.budget import Budget, one_thread, search_budget
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.mu_analysis.axis.axis_model import (
     around,
@@ -169,7 +169,7 @@ class _Search(ABC):
 # --- stability -------------------------------------------------------------------------------------------------------
 
 
-@told_as("robust_stability")
+@error_context("robust_stability")
 def robust_stability(
     uncertain: UncertainModel,
     omega: ArrayLike | None = None,
@@ -453,7 +453,7 @@ def _in_upper_half_plane(model: StateSpaceModel, worst: Destabilising) -> Destab
 # --- performance -----------------------------------------------------------------------------------------------------
 
 
-@told_as("robust_performance")
+@error_context("robust_performance")
 def robust_performance(uncertain: UncertainModel, **options: Any) -> Margin:
     r"""Robust performance margin: the largest k with gain below ``1 / k`` for all Delta of size below k.
 
@@ -498,7 +498,7 @@ def with_performance(uncertain: UncertainModel) -> UncertainModel:
     return UncertainModel(uncertain.M, (*uncertain.blocks, FullBlock(PERFORMANCE, n_u, n_y)))
 
 
-@told_as("worst_case_gain")
+@error_context("worst_case_gain")
 def worst_case_gain(
     uncertain: UncertainModel,
     omega: ArrayLike | None = None,

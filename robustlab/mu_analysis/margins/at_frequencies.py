@@ -15,8 +15,9 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array, ComplexArray
 from robustlab.budget import one_thread
-from robustlab.closing import closing
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.display import Facts, Part, bracket, member, number
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context
+from robustlab.feedback import closing
 from robustlab.mu_analysis.axis.margin import PERFORMANCE, StabilityMargin
 from robustlab.mu_analysis.margins.disk_margin import (
     DiskBounds,
@@ -32,7 +33,6 @@ from robustlab.mu_analysis.matrix.box import lowest
 from robustlab.mu_analysis.matrix.skew import gain_curves
 from robustlab.norms import PeakGain
 from robustlab.result import Status
-from robustlab.shown import Facts, Part, bracket, member, number
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, delta_values
 from robustlab.uncertainty.frequency_responses import UncertainFrequencyData, closed_at, frequency_data
@@ -191,7 +191,7 @@ class DiskMarginsAt(DiskMargins):
         return [*super().details(), *self.simultaneous.details()]
 
 
-@told_as("robust_stability_at")
+@error_context("robust_stability_at")
 @one_thread()
 def robust_stability_at(system: Any, frequency: ArrayLike | None = None, *, seed: int = 0) -> MarginAt:
     """`robustlab.robust_stability` of a model or of data at frequencies."""
@@ -202,7 +202,7 @@ def robust_stability_at(system: Any, frequency: ArrayLike | None = None, *, seed
     return _margin_at(data.omega, data.delta_channels, data.blocks, seed)
 
 
-@told_as("worst_case_gain_at")
+@error_context("worst_case_gain_at")
 @one_thread()
 def worst_case_gain_at(system: Any, frequency: ArrayLike | None = None, *, seed: int = 0) -> GainAt:
     """`robustlab.peak_gain` at given frequencies."""
@@ -226,7 +226,7 @@ def worst_case_gain_at(system: Any, frequency: ArrayLike | None = None, *, seed:
     )
 
 
-@told_as("disk_margin_at")
+@error_context("disk_margin_at")
 @one_thread()
 def disk_margin_at(
     plant: Any,

@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
-from robustlab.errors import NoTrustworthyNumber, told_as
+from robustlab.display import AllFields, Displayable, Facts, Part, number
+from robustlab.errors import NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.exact import (
     MOST_STATES,
     all_left,
@@ -39,7 +40,6 @@ from robustlab.mu_analysis.margins.disk_margin import (
     in_degrees,
 )
 from robustlab.result import Status
-from robustlab.shown import AllFields, Facts, Part, Shown, number
 from robustlab.statespace import StateSpaceModel, as_model
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ LEAST = 1e-300  # factors beyond one over this are infinite
 
 
 @dataclass(frozen=True)
-class GainCrossing(AllFields, Shown):
+class GainCrossing(AllFields, Displayable):
     """Where ``|L| = 1``: ``lag`` more phase lag in rad, in [0, 2 pi), brings L to -1, and so does a ``delay`` in s."""
 
     frequency: float
@@ -61,7 +61,7 @@ class GainCrossing(AllFields, Shown):
 
 
 @dataclass(frozen=True)
-class PhaseCrossing(AllFields, Shown):
+class PhaseCrossing(AllFields, Displayable):
     """Where L is real and negative: ``factor`` times the gain brings L to -1."""
 
     frequency: float
@@ -69,7 +69,7 @@ class PhaseCrossing(AllFields, Shown):
 
 
 @dataclass(frozen=True, eq=False)
-class ClassicalMargin(Shown):
+class ClassicalMargin(Displayable):
     """Margins of one loop, the others closed.
 
     Attributes
@@ -121,7 +121,7 @@ class ClassicalMargin(Shown):
 
 
 @dataclass(frozen=True, eq=False)
-class ClassicalMargins(Shown):
+class ClassicalMargins(Displayable):
     """Margins of each loop by the name of its signal, one at a time, and where the loops were opened.
 
     Attributes
@@ -206,7 +206,7 @@ class ClassicalMargins(Shown):
         return {"type": "ClassicalMargins", **vars(self)}
 
 
-@told_as("classical_margins")
+@error_context("classical_margins")
 def classical_margins(
     plant: Any, K: Any = None, *, at: Place = "output", sign: Literal[-1, 1] | None = None
 ) -> ClassicalMargins:

@@ -13,11 +13,11 @@ from typing import Any, ClassVar, cast
 import numpy as np
 
 from robustlab.budget import NOT_REPEATABLE, USED_UP, one_thread
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, is_function, told_as
+from robustlab.display import Displayable, Facts, Part, bracket, number
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, error_context, is_function
 from robustlab.mu_analysis.axis.robustness import worst_case_gain
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
-from robustlab.shown import Facts, Part, Shown, bracket, number
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.uncertainty.covering.overbound import Overbound
 from robustlab.uncertainty.covering.parametric_cover import PARAMETRIC_FORMS, parametric_cover
@@ -35,7 +35,7 @@ Loop = Callable[[UncertainModel], UncertainModel]
 
 
 @dataclass(frozen=True)
-class Conservatism(Shown):
+class Conservatism(Displayable):
     """Ratio of the worst gain of a cover to that of its models.
 
     Attributes
@@ -76,7 +76,7 @@ class Conservatism(Shown):
 
 
 @dataclass(frozen=True, eq=False)
-class Cover(Shown):
+class Cover(Displayable):
     """An uncertain model that holds every model of a set.
 
     Attributes
@@ -197,7 +197,7 @@ class Cover(Shown):
         return {"type": "Cover", **self.model.to_json(), **own}
 
 
-@told_as("cover")
+@error_context("cover")
 @one_thread()
 def cover(
     models: Iterable[Any],

@@ -15,9 +15,9 @@ import numpy as np
 
 from robustlab.arrays import Array, ComplexArray, Mask
 from robustlab.budget import one_thread
-from robustlab.closing import closing
 from robustlab.delays.model import DelayedModel, as_delayed
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context
+from robustlab.feedback import closing
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.mu_analysis.margins.classical import (
     ClassicalMargin,
@@ -59,7 +59,7 @@ ROUNDING = 1e-12
 MU_POINTS = 200  # points of each of the two first grids in the search for the largest mu
 
 
-@told_as("delay_classical_margins")
+@error_context("delay_classical_margins")
 @one_thread()
 def delay_classical_margins(
     plant: Any, K: Any = None, *, at: Place = "output", sign: Literal[-1, 1] | None = None, highest_order: int = 16
@@ -72,7 +72,7 @@ def delay_classical_margins(
     return ClassicalMargins(channels, at, Status.CERTIFIED if good else Status.INACCURATE, law)
 
 
-@told_as("delay_disk_margins")
+@error_context("delay_disk_margins")
 @one_thread()
 def delay_disk_margins(
     plant: Any,

@@ -18,7 +18,8 @@ from robustlab import checks
 from robustlab.arrays import Array
 from robustlab.budget import one_thread, search_budget
 from robustlab.delays.model import DelayedModel, as_delayed
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.display import Facts, number
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.axis.axis_model import continuous, seed_frequencies
 from robustlab.mu_analysis.axis.intervals import Piece, cover_parts
@@ -27,7 +28,6 @@ from robustlab.mu_analysis.constants import WORK
 from robustlab.mu_analysis.matrix.upper import compile_kernels
 from robustlab.norms import PeakGain, unstable_norm
 from robustlab.result import Status
-from robustlab.shown import Facts, number
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, FullBlock
 from robustlab.uncertainty.lft import UncertainModel
@@ -134,7 +134,7 @@ class DelayStability(StabilityMargin):
         return {"type": "DelayStability", "stable": self.stable, **kept}
 
 
-@told_as("delay_stability")
+@error_context("delay_stability")
 def delay_stability(model: DelayedModel, highest_order: int = 16, effort: float = 1.0) -> DelayStability:
     """`robustlab.robust_stability` of a model with exact delays, by sets of rising order."""
     g = as_delayed(model, "delay_stability")
@@ -216,7 +216,7 @@ class DelayGain(PeakGain):
         return [facts[0], *(facts[2:] if self.stability.stable is False else [])]
 
 
-@told_as("delay_gain")
+@error_context("delay_gain")
 def delay_gain(
     model: DelayedModel,
     tolerance: float = 0.01,

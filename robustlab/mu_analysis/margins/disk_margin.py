@@ -18,14 +18,14 @@ from typing import Any, ClassVar, Literal, Self
 import numpy as np
 
 from robustlab.budget import Budget, one_thread, search_budget
-from robustlab.closing import Closing, closing
-from robustlab.errors import InputError, told_as
+from robustlab.display import Facts, Part, bracket, number
+from robustlab.errors import InputError, error_context
+from robustlab.feedback import FeedbackLoop, closing
 from robustlab.linear_analysis.narrow_peaks import modes_apart
 from robustlab.mu_analysis.axis.robustness import margin_within
 from robustlab.mu_analysis.constants import WORK
 from robustlab.mu_analysis.matrix.upper import compile_kernels
 from robustlab.result import Bracket, Status
-from robustlab.shown import Facts, Part, bracket, number
 from robustlab.statespace import StateSpaceModel, append, as_model, lower_lft
 from robustlab.uncertainty.blocks import Block, ComplexScalar
 from robustlab.uncertainty.lft import UncertainModel
@@ -225,7 +225,7 @@ def _polar(factor: complex) -> str:
     return f"{abs(factor):.6g} at {math.degrees(cmath.phase(factor)):+.4g} degrees"
 
 
-@told_as("disk_margin")
+@error_context("disk_margin")
 def disk_margin(
     plant: Any,
     K: Any = None,
@@ -265,8 +265,8 @@ def _margin_of(M: StateSpaceModel, names: Sequence[str], skew: float, budget: Bu
     return with_factors(bounds, found.frequency, found.status, uncertain.blocks, delta, skew, M.dt, notes, uncertain)
 
 
-def closed_around(plant: Any, K: Any, sign: int | None, where: str) -> Closing:
-    """Return `robustlab.closing.closing` with K as a model, the identity if omitted."""
+def closed_around(plant: Any, K: Any, sign: int | None, where: str) -> FeedbackLoop:
+    """Return `robustlab.feedback.closing` with K as a model, the identity if omitted."""
     found = closing(plant, K, sign, where)
     k = StateSpaceModel([], [], [], np.eye(len(found.plant.inputs))) if found.K is None else found.K
     return replace(found, K=as_model(k, f"{where}: K"))

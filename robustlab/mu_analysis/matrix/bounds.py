@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import ComplexArray
 from robustlab.budget import Budget, one_thread, search_budget
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.display import Displayable, Facts, bracket, listed
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.mu_analysis.constants import WORK
 from robustlab.mu_analysis.matrix.box import Box
 from robustlab.mu_analysis.matrix.branch_and_bound import MatrixProblem, tighten
@@ -19,7 +20,6 @@ from robustlab.mu_analysis.matrix.lower import lower_bounds
 from robustlab.mu_analysis.matrix.skew import skew_lower, skew_upper, varying_inputs
 from robustlab.mu_analysis.matrix.upper import UpperBound, compile_kernels, upper_bounds
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown, bracket, listed
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import Block, as_blocks, structure_size
 
@@ -27,7 +27,7 @@ BoxProof = tuple[tuple[Box, UpperBound], ...]  # boxes of Delta that cover the s
 
 
 @dataclass(frozen=True, eq=False)
-class MuBounds(Tabular, Shown):
+class MuBounds(Tabular, Displayable):
     r"""Bounds of mu with their evidence; a stack of k matrices has a leading axis k everywhere.
 
     Attributes
@@ -102,7 +102,7 @@ class MuBounds(Tabular, Shown):
         return {"type": "MuBounds", **{key: getattr(self, key) for key in keys}, "blocks": names}
 
 
-@told_as("mu")
+@error_context("mu")
 def mu(
     M: ArrayLike,
     blocks: Any,

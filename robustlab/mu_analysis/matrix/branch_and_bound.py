@@ -18,13 +18,13 @@ import numpy as np
 
 from robustlab.arrays import Array, ComplexArray, Mask
 from robustlab.budget import Budget
+from robustlab.display import Displayable
 from robustlab.mu_analysis.constants import SINGULAR
 from robustlab.mu_analysis.matrix.box import Box, box_matrices, centre_matrix, root_box
 from robustlab.mu_analysis.matrix.certificate import delta_norm, singularity
 from robustlab.mu_analysis.matrix.lower import lower_bound
 from robustlab.mu_analysis.matrix.scalings import relative, supply
 from robustlab.mu_analysis.matrix.upper import UpperBound, points_below, points_work
-from robustlab.shown import Shown
 from robustlab.uncertainty.blocks import Block, block_slices
 
 REGIONS = 16  # solved together; more: faster per region, more useless ones when a Delta is found
@@ -40,7 +40,7 @@ class Improved(NamedTuple):
 
 
 @dataclass
-class Region(Shown):
+class Region(Displayable):
     """A box, its open frequencies (for a constant matrix only zero), and the unproved frequency of its parent."""
 
     box: Box

@@ -9,10 +9,10 @@ from functools import cache
 import numpy as np
 
 from robustlab.arrays import Array, ComplexArray, Indices
+from robustlab.display import Displayable
 from robustlab.mu_analysis.matrix.certificate import certified_level, certified_levels
 from robustlab.mu_analysis.matrix.decomposition import Component, balancing_exponents, components, entries, expand
 from robustlab.mu_analysis.matrix.scalings import ScalingSpace, scaling_space
-from robustlab.shown import Shown
 from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, structure_size
 
 # Ratios of D between successive components; smaller: less effect of their coupling, fewer digits.
@@ -22,7 +22,7 @@ MOST_STEPS = 150  # of the primal-dual method
 
 
 @dataclass(frozen=True)
-class UpperBound(Shown):
+class UpperBound(Displayable):
     r"""``mu(M) <= beta``, proved by :math:`M^* D_z M + j (G M - M^* G^*) - \beta^2 D_w \preceq 0`."""
 
     beta: float

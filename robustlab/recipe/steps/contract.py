@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, get_args
 from pydantic import ConfigDict, Field
 
 import robustlab as rl
+from robustlab.display import Each
 from robustlab.errors import InputError, did_you_mean
 from robustlab.operations.vocabulary import Strict, Text
 from robustlab.result import Evidence
-from robustlab.shown import Each
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from robustlab.identification.naming.discovery_result import Discovery
+    from robustlab.identification.missing_effects.discovery_result import Discovery
     from robustlab.provenance import Provenance
     from robustlab.report.drawings import Picture
 
@@ -30,7 +30,7 @@ Kind = TypeVar("Kind", bound="type[Step]")
 
 
 @dataclass(frozen=True)
-class Foretold:
+class Inferred:
     """Inferred properties of a step before it runs; None: not known."""
 
     value: Any = None  # its value, where that needs no computation: a shipped plant, a file's object
@@ -40,7 +40,7 @@ class Foretold:
     leaves: Any = ...  # names that requirements may refer to, where they depend on more than the kind of step
 
     @classmethod
-    def of(cls, value: Any, leaves: Any = ...) -> Foretold:
+    def of(cls, value: Any, leaves: Any = ...) -> Inferred:
         """Return what is known of a step whose value is known."""
         if isinstance(value, rl.Record):
             inputs, outputs = ({n: value.unit(n) for n in side} for side in (value.inputs, value.outputs))
@@ -48,11 +48,11 @@ class Foretold:
         model = getattr(value, "K", value)  # of a controller
         return cls(value, _units(getattr(model, "inputs", None)), _units(getattr(model, "outputs", None)), leaves)
 
-    def select(self, outputs: Sequence[str] | None) -> Foretold:
+    def select(self, outputs: Sequence[str] | None) -> Inferred:
         """Return the same signals, with the outputs that are kept, for a value not yet computed."""
         if outputs is None or self.outputs is None:
-            return Foretold(None, self.inputs, self.outputs)
-        return Foretold(None, self.inputs, {name: self.outputs.get(name, "") for name in outputs})
+            return Inferred(None, self.inputs, self.outputs)
+        return Inferred(None, self.inputs, {name: self.outputs.get(name, "") for name in outputs})
 
 
 def _units(signals: Any) -> dict[str, str] | None:
@@ -65,11 +65,11 @@ class Ahead:
     """Knowledge before anything runs: the files that steps read, and the inferred properties of earlier steps."""
 
     sources: Mapping[str, Path]  # as in `Workspace`
-    steps: dict[str, Foretold] = field(default_factory=dict)
+    steps: dict[str, Inferred] = field(default_factory=dict)
     step: str = ""  # name of the current step
 
-    def __getitem__(self, name: str | None) -> Foretold:
-        return self.steps.get(name or "", Foretold())
+    def __getitem__(self, name: str | None) -> Inferred:
+        return self.steps.get(name or "", Inferred())
 
 
 class Step(Strict):
@@ -88,9 +88,9 @@ class Step(Strict):
         """Return the value of ``do``."""
         return str(vars(self)["do"])
 
-    def foretell(self, ahead: Ahead) -> Foretold:
+    def infer(self, ahead: Ahead) -> Inferred:
         """Infer cheaply what the step will give, before anything runs."""
-        return Foretold()
+        return Inferred()
 
     def run(self, work: Workspace) -> Outcome:
         """Run the step."""
@@ -224,7 +224,7 @@ def facts_of(found: Any) -> tuple[Fact, ...]:
 
 
 def outcome_of(found: Any, value: Any, summary: str, work: Workspace) -> Outcome:
-    """Return the outcome of a `Shown` result: its pictures, numbers, facts and tables."""
+    """Return the outcome of a `Displayable` result: its pictures, numbers, facts and tables."""
     for name, picture in work.pictures(found):
         work.draw(picture.figure, name, getattr(found, "caption", picture.caption))
     numbers = {name: number for name, number in found.numbers().items() if number is not None}

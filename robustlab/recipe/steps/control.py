@@ -27,7 +27,7 @@ from robustlab.operations.vocabulary import (
     ToPlantOrFile,
     ToUncertainOrProblem,
 )
-from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, outcome_of, step
+from robustlab.recipe.steps.contract import Ahead, Fact, Inferred, Outcome, Step, Workspace, outcome_of, step
 
 Sizes = Positive | dict[str, Positive]
 
@@ -145,10 +145,10 @@ class RobustPerformanceStep(Step):
     gain: bool = Field(True, description="The worst-case gain, too.")
     points: Annotated[int, Field(ge=2, le=10_000)] = Field(120, description="Frequencies of the curves in the figure.")
 
-    def foretell(self, ahead: Ahead) -> Foretold:
+    def infer(self, ahead: Ahead) -> Inferred:
         pure = ("order", "nominal_gain", "mu_lower", "mu_upper", *(("gain_lower", "gain_upper") if self.gain else ()))
         row = {**dict.fromkeys(pure, "1"), "frequency": "rad/s"}
-        return Foretold(leaves={"controllers": dict.fromkeys(self.controllers, row)})
+        return Inferred(leaves={"controllers": dict.fromkeys(self.controllers, row)})
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.analysis.performance_comparison import compare_performance
@@ -190,7 +190,7 @@ class SimulateControlStep(Step):
         {}, description="Largest magnitude of a signal; compared, not clipped."
     )
 
-    def foretell(self, ahead: Ahead) -> Foretold:
+    def infer(self, ahead: Ahead) -> Inferred:
         known = {**(ahead[self.of].inputs or {}), **(ahead[self.of].outputs or {})}
         plant = ahead[self.of].value
         if plant is not None:  # raises on unknown effects, places and parameters
@@ -203,7 +203,7 @@ class SimulateControlStep(Step):
             "order": "1", "largest_error": unit, "worst_error": unit, "within_limits": bool,
             "largest": {name: known.get(name, float) for name in self.limits},
         }  # fmt: skip
-        return Foretold(leaves={"controllers": dict.fromkeys(self.controllers, row)})
+        return Inferred(leaves={"controllers": dict.fromkeys(self.controllers, row)})
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.dynamics.control.controlled_runs import Judged, Sine, follow_sine
@@ -243,13 +243,13 @@ class FollowTrajectoryStep(Step):
     after: Annotated[float, Field(ge=0)] = Field(3.0, description="s from which on the errors count.")
     points: Annotated[int, Field(ge=2, le=100_000)] = 2501
 
-    def foretell(self, ahead: Ahead) -> Foretold:
+    def infer(self, ahead: Ahead) -> Inferred:
         row = {
             "order": "1", "worst_error": "mm", "position_error": "m", "orientation_error": "rad",
             "nut_errors": {f"phi_{i}": "rad" for i in range(1, 7)}, "largest_torque": "N m", "largest_voltage": "V",
             "within_limits": bool, "spectral_abscissa": "1/s",
         }  # fmt: skip
-        return Foretold(leaves={"controllers": dict.fromkeys(self.controllers, row)})
+        return Inferred(leaves={"controllers": dict.fromkeys(self.controllers, row)})
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.dynamics.control.controlled_runs import Path, follow_path

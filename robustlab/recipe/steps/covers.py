@@ -24,7 +24,7 @@ from robustlab.operations.vocabulary import (
     ToPlantOrFile,
     ToRecord,
 )
-from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, facts_of, quantity, step
+from robustlab.recipe.steps.contract import Ahead, Fact, Inferred, Outcome, Step, Workspace, facts_of, quantity, step
 
 if TYPE_CHECKING:
     from robustlab.dynamics.extended.effect_blocks import NoiseInput
@@ -59,12 +59,12 @@ class DataCoverStep(Step):
     effort: Effort = Field(1.0, description="Multiple of the usual work, for each record.")
     time_limit: TimeLimit | None = Field(None, description=GUARD)
 
-    def foretell(self, ahead: Ahead) -> Foretold:
+    def infer(self, ahead: Ahead) -> Inferred:
         from robustlab.identification.validation.data_cover import DataCover
 
         leaves = {f.name: ... for f in fields(DataCover)} | {"passes": ..., "blocks": ..., "loads": {"*": ...}}
         # The loads of the plant's effects come before its inputs.
-        return Foretold(outputs=ahead[self.of].outputs, leaves=leaves)
+        return Inferred(outputs=ahead[self.of].outputs, leaves=leaves)
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.report.set_figures import validation_figure
@@ -155,7 +155,7 @@ class CoverModelsStep(Step):
             raise PydanticCustomError("set", "expected at least two models, or of with at least two poses")
         return self
 
-    def foretell(self, ahead: Ahead) -> Foretold:
+    def infer(self, ahead: Ahead) -> Inferred:
         from robustlab.mu_analysis.margins.cover import Cover
 
         source = ahead[self.of if self.of is not None else self.models[0]]
@@ -206,8 +206,8 @@ class WithLoadsStep(Step):
     record: ToRecord
     sigmas: Annotated[float, Field(ge=0, le=10)] = Field(2.0, description="As in the step that made the set.")
 
-    def foretell(self, ahead: Ahead) -> Foretold:
-        return Foretold(outputs=ahead[self.record].outputs)
+    def infer(self, ahead: Ahead) -> Inferred:
+        return Inferred(outputs=ahead[self.record].outputs)
 
     def run(self, work: Workspace) -> Outcome:
         """The record with the loads of a plant's effects: known signals, at most one.

@@ -7,13 +7,14 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, create_model
 
+from robustlab.display import Displayable
 from robustlab.errors import InputError, UsageError
 from robustlab.operations.declaration import STEPS, InLoop, Operation, every_operation
 from robustlab.operations.kinds import RecordFile, Thing
 from robustlab.recipe.steps.contract import (
     Ahead,
     Fact,
-    Foretold,
+    Inferred,
     Outcome,
     Step,
     Workspace,
@@ -22,7 +23,6 @@ from robustlab.recipe.steps.contract import (
     with_signals,
 )
 from robustlab.record import Record
-from robustlab.shown import Shown
 from robustlab.signals import Signal
 
 # Kind of step -> its base, where a step does more than call the function.
@@ -45,9 +45,9 @@ class OperationStep(Step):
 
     declared: ClassVar[Operation]
 
-    def foretell(self, ahead: Ahead) -> Foretold:
+    def infer(self, ahead: Ahead) -> Inferred:
         """Infer the names for requirements and the signals for later steps; check that a record fits its model."""
-        known = self.declared.foretell
+        known = self.declared.infer
         if known is not None and not isinstance(known, str):
             return known(self, ahead)
         if known is not None:
@@ -58,7 +58,7 @@ class OperationStep(Step):
         of = given if isinstance(given, str) else None
         fits = [compared(ahead, of, name) for name in self._records() if name != of]
         inputs, outputs = fits[0] if fits else (ahead[of].inputs, ahead[of].outputs)
-        return Foretold(leaves=with_signals(self.pattern(ahead), inputs, outputs))
+        return Inferred(leaves=with_signals(self.pattern(ahead), inputs, outputs))
 
     def pattern(self, ahead: Ahead) -> Any:
         """Return the names for requirements; a kind of step may know more than its result's class."""
@@ -111,7 +111,7 @@ class OperationStep(Step):
         words = {"loop": found.loop, **{name: one for name, one in found.beside.items() if isinstance(one, str)}}
         facts = (*(Fact(name.capitalize(), word) for name, word in words.items() if word), *facts_of(result))
         # A class without its own summary has its facts in the report already.
-        text = result.tables() if type(result).summary is Shown.summary else result.report()
+        text = result.tables() if type(result).summary is Displayable.summary else result.report()
         numbers = {name: value for name, value in result.numbers().items() if value is not None}
         return Outcome(value, summary, numbers, facts, getattr(result, "status", None), notes, text)
 

@@ -11,7 +11,7 @@ from pydantic_core import PydanticCustomError
 
 import robustlab as rl
 from robustlab.operations.vocabulary import FileName, NumberOrPair, Text, ToAnything, ToSaved
-from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, quantity, step
+from robustlab.recipe.steps.contract import Ahead, Fact, Inferred, Outcome, Step, Workspace, quantity, step
 
 MODEL: dict[str, Any] = {
     "states": "1", "inputs": [str], "outputs": [str], "spectral_abscissa": float, "poles": list,
@@ -46,13 +46,13 @@ class PlantStep(Step):
     def _given(self) -> dict[str, Any]:
         return {name: tuple(value) if isinstance(value, list) else value for name, value in self.parameters.items()}
 
-    def foretell(self, ahead: Ahead) -> Foretold:
+    def infer(self, ahead: Ahead) -> Inferred:
         parameter: dict[str, Any] = {"value": float, "unit": str, "tolerance": "1"}
         if ahead.step in ahead.sources:  # a user's code runs only with the recipe
-            return Foretold(leaves={"code": {"*": str}, "parameters": {"*": parameter}})
+            return Inferred(leaves={"code": {"*": str}, "parameters": {"*": parameter}})
         made: Any = rl.plant(self.plant, **self._given, **self.choices)
         parameters = {name: {**parameter, "value": p.unit} for name, p in made.parameters.items()}
-        return Foretold.of(made, {"parameters": parameters})
+        return Inferred.of(made, {"parameters": parameters})
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.dynamics.plant_file import plant_from_file, unit_reference
@@ -96,12 +96,12 @@ class LoadStep(Step):
             raise PydanticCustomError("one_source", "expected either path or saved")
         return self
 
-    def foretell(self, ahead: Ahead) -> Foretold:
+    def infer(self, ahead: Ahead) -> Inferred:
         from robustlab.storage import read
 
         if self.saved is not None:
             return replace(ahead[self.saved], leaves=self.leaves)
-        return Foretold.of(read(ahead.sources[ahead.step]).object)
+        return Inferred.of(read(ahead.sources[ahead.step]).object)
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.storage import read
@@ -132,7 +132,7 @@ class SaveStep(Step):
     of: ToAnything
     file: FileName
 
-    def foretell(self, ahead: Ahead) -> Foretold:
+    def infer(self, ahead: Ahead) -> Inferred:
         return ahead[self.of].select(None)
 
     def run(self, work: Workspace) -> Outcome:

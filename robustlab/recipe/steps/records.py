@@ -10,7 +10,7 @@ from pydantic import Field
 import robustlab as rl
 from robustlab.operations.declaration import InLoop
 from robustlab.operations.vocabulary import Positive, Text, ToRecord
-from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, quantity, step
+from robustlab.recipe.steps.contract import Ahead, Fact, Inferred, Outcome, Step, Workspace, quantity, step
 from robustlab.recipe.steps.generated import BASES, OperationStep
 
 RECORD = {"samples": "1", "duration": "s", "dt": "s"}
@@ -37,12 +37,12 @@ class RecordStep(Step):
         "", description="Description, publisher and source of the record; shown where the file is missing."
     )
 
-    def foretell(self, ahead: Ahead) -> Foretold:
+    def infer(self, ahead: Ahead) -> Inferred:
         options: dict[str, Any] = {"units": self.units} if self.units else {}
         if self.clock is not None:
             options["clock"] = self.clock
         path = ahead.sources[ahead.step]
-        return Foretold.of(
+        return Inferred.of(
             rl.Record.read(path, group=self.group, inputs=self.inputs, outputs=self.outputs, dt=self.dt, **options)
         )
 
@@ -65,16 +65,16 @@ class JoinStep(Step):
     second: ToRecord
     dt: Positive | None = Field(None, description="s; the coarser of the two where left out.")
 
-    def foretell(self, ahead: Ahead) -> Foretold:
+    def infer(self, ahead: Ahead) -> Inferred:
         first, second = ahead[self.first], ahead[self.second]
         if None in (first.inputs, second.inputs):
-            return Foretold()
-        return Foretold(
+            return Inferred()
+        return Inferred(
             None, {**(first.inputs or {}), **(second.inputs or {})}, {**(first.outputs or {}), **(second.outputs or {})}
         )
 
     def run(self, work: Workspace) -> Outcome:
-        from robustlab.identification.record_check.resampling import join_clocks
+        from robustlab.identification.data_checks.resampling import join_clocks
 
         if work.simulated & {self.first, self.second}:
             work.simulated.add(work.step)
@@ -100,12 +100,12 @@ class Naming(OperationStep):
         description="Verdicts that this recipe accepts; any other is no trustworthy number (exit code 4).",
     )
 
-    def foretell(self, ahead: Ahead) -> Foretold:
+    def infer(self, ahead: Ahead) -> Inferred:
         of = vars(self)["of"]
-        return replace(super().foretell(ahead), inputs=ahead[of].inputs, outputs=ahead[of].outputs)
+        return replace(super().infer(ahead), inputs=ahead[of].inputs, outputs=ahead[of].outputs)
 
     def pattern(self, ahead: Ahead) -> Any:
-        from robustlab.identification.naming.discovery_result import units_of_effects
+        from robustlab.identification.missing_effects.discovery_result import units_of_effects
 
         given = vars(self)
         effects = units_of_effects(given["exclude"] or ())

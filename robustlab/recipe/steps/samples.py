@@ -10,7 +10,7 @@ from pydantic_core import PydanticCustomError
 import robustlab as rl
 from robustlab.errors import NoTrustworthyNumber, unknown_name
 from robustlab.operations.vocabulary import Count, Names, Points, Positive, ReferenceLine, ToUncertain
-from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, quantity, step
+from robustlab.recipe.steps.contract import Ahead, Fact, Inferred, Outcome, Step, Workspace, quantity, step
 
 
 @step
@@ -46,7 +46,7 @@ class SampleStep(Step):
             raise PydanticCustomError("driven", "expected input, or sine with frequency")
         return self
 
-    def foretell(self, ahead: Ahead) -> Foretold:
+    def infer(self, ahead: Ahead) -> Inferred:
         outputs = ahead[self.of].select(self.outputs).outputs
         if outputs is None:
             outputs = dict.fromkeys(self.outputs or ["*"], float)
@@ -59,7 +59,7 @@ class SampleStep(Step):
             }
             for name, unit in outputs.items()
         }  # fmt: skip
-        return Foretold(leaves={"outputs": left, "members": "1", "unstable": "1"})
+        return Inferred(leaves={"outputs": left, "members": "1", "unstable": "1"})
 
     def run(self, work: Workspace) -> Outcome:
         import numpy as np

@@ -9,7 +9,7 @@ from pydantic import Field
 
 import robustlab as rl
 from robustlab.operations.vocabulary import Count
-from robustlab.recipe.steps.contract import Ahead, Fact, Foretold, Outcome, Step, Workspace, quantity, step
+from robustlab.recipe.steps.contract import Ahead, Fact, Inferred, Outcome, Step, Workspace, quantity, step
 
 _MEANING = {
     "R": "reproduced within the fair tolerance",
@@ -26,12 +26,12 @@ class PublishedNumbersStep(Step):
     do: Literal["published-numbers"]
     n: Annotated[int, Field(ge=1, le=1000)] = Field(20, description="Random members in each figure of perturbed models")
 
-    def foretell(self, ahead: Ahead) -> Foretold:
+    def infer(self, ahead: Ahead) -> Inferred:
         from robustlab.thesis.numbers import PublishedNumber
 
         row = {f.name: ... for f in fields(PublishedNumber)} | {"difference": ..., "agrees": ...}
         bands = {"*": {"*": "%"}}
-        return Foretold(leaves={"rows": {"*": row}, "counts": {"*": "1"}, "disagreeing": "1", "bands": bands})
+        return Inferred(leaves={"rows": {"*": row}, "counts": {"*": "1"}, "disagreeing": "1", "bands": bands})
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.thesis.figures import case_picture, pictures_of_numbers

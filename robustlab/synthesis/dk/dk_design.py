@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+from robustlab.display import Facts
 from robustlab.mu_analysis.axis.intervals import Piece
-from robustlab.shown import Facts
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.dk.dynamic_scalings import DynamicScalings, proved_level
 from robustlab.synthesis.problem.design import Synthesis

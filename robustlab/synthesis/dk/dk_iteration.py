@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from robustlab.budget import MILLION, Budget, one_thread
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.frequency import default_grid
 from robustlab.mu_analysis.axis.axis_model import continuous
 from robustlab.mu_analysis.axis.intervals import AxisCover, cover_axis
@@ -56,7 +56,7 @@ ROUGH = 0.1  # share of the loop's gain that regularisation may cost while itera
 FINE = 0.03  # the same at the end
 
 
-@told_as("synth dk")
+@error_context("synth dk")
 def dk(
     P: Any,
     blocks: Any = None,

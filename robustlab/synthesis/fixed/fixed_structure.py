@@ -14,12 +14,12 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, one_thread
 from robustlab.checks import whole
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
+from robustlab.display import Facts
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, error_context
 from robustlab.mu_analysis.axis.margin import WorstCaseGain
 from robustlab.mu_analysis.axis.robustness import gain_within
 from robustlab.norms import H2Norm, HinfNorm, h2_by_gramians, hinf_norm
 from robustlab.result import Status
-from robustlab.shown import Facts
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.fixed.structure_starts import informed_starts
 from robustlab.synthesis.laws.controller_laws import Law
@@ -186,7 +186,7 @@ class FixedSynthesis(ParametricDesign):
         return Table(("parameter", [p.name for p in self.parameters]), columns)
 
 
-@told_as("synth fixed")
+@error_context("synth fixed")
 def fixed_structure(
     P: Any,
     structure: Any = "static",

@@ -15,10 +15,10 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, one_thread
 from robustlab.checks import choice, number, whole
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.display import Facts
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.norms import bilinear_to_discrete
 from robustlab.result import Status
-from robustlab.shown import Facts
 from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel, append, as_model, series
 from robustlab.synthesis.fixed import fixed_structure as fixed
@@ -259,7 +259,7 @@ class TunedSynthesis(fixed.ParametricDesign):
         return super().to_json() | {"missed": [goal.text for goal in self.missed]}
 
 
-@told_as("synth tune")
+@error_context("synth tune")
 def tune(
     G: Any,
     structure: Any = "pid",

@@ -10,12 +10,12 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, dense, one_thread
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.display import Facts
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.magnitude import refuse_extremes, refuse_overflow
 from robustlab.linear_analysis.matrix_equations import care, dare
 from robustlab.norms import H2Norm, h2_by_channels
 from robustlab.result import Status
-from robustlab.shown import Facts
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.assumptions import require_stabilisable
 from robustlab.synthesis.problem.certify import CANCELLED, Certificate, certified
@@ -78,7 +78,7 @@ class H2Synthesis(Synthesis):
         return [*rows[:2], ("regularisation", f"{self.regularisation:.0e} in scaled units"), *rows[2:]]
 
 
-@told_as("synth h2")
+@error_context("synth h2")
 def h2(
     P: Any,
     n_meas: int | None = None,

@@ -12,7 +12,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, dense, one_thread
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.magnitude import refuse_extremes
 from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm
 from robustlab.result import Status
@@ -145,7 +145,7 @@ class Verifier:
         return self._known[key]
 
 
-@told_as("synth hinf")
+@error_context("synth hinf")
 def hinf(
     P: Any,
     n_meas: int | None = None,

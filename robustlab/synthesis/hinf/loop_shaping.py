@@ -12,10 +12,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from robustlab.budget import one_thread
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.display import Facts
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm
 from robustlab.result import Status
-from robustlab.shown import Facts
 from robustlab.signals import Taken
 from robustlab.statespace import Signal, StateSpaceModel, as_model, series
 from robustlab.synthesis.hinf.mixed_sensitivity import weight_on_channels
@@ -80,7 +80,7 @@ class NcfSynthesis(Synthesis):
         return [*rows[:2], ("smallest gamma possible", best), *rows[2:]]
 
 
-@told_as("synth ncf")
+@error_context("synth ncf")
 @one_thread()
 def ncf(G: Any, W1: Any = None, W2: Any = None, *, factor: float = 1.1) -> NcfSynthesis:
     r"""Design the loop-shaping controller of largest, or nearly largest, coprime stability margin.

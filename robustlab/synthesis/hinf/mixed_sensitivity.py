@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from robustlab.errors import InputError, told_as
+from robustlab.errors import InputError, error_context
 from robustlab.signals import Taken
 from robustlab.statespace import Signal, StateSpaceModel, append, as_model, series
 from robustlab.synthesis.hinf.hinf_synthesis import WORK, synthesize
@@ -15,7 +15,7 @@ from robustlab.synthesis.problem.design import HinfSynthesis, design_budget
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 
 
-@told_as("synth mixsyn")
+@error_context("synth mixsyn")
 def mixsyn(
     G: Any,
     W1: Any = None,

@@ -6,16 +6,16 @@ from collections.abc import Sequence
 from dataclasses import InitVar, dataclass, field
 from typing import Any
 
+from robustlab.display import Displayable, Facts, number
 from robustlab.errors import InputError
 from robustlab.provenance import Traced
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown, number
 from robustlab.signals import Taken, law
 from robustlab.statespace import StateSpaceModel, as_model
 
 
 @dataclass(frozen=True, eq=False)
-class Controller(Shown, Traced):
+class Controller(Displayable, Traced):
     """A controller whose inputs record the sign with which it closes a loop (`law`).
 
     Attributes

@@ -9,12 +9,12 @@ from typing import Any, ClassVar
 import numpy as np
 
 from robustlab.budget import NOT_REPEATABLE, Budget, search_budget
+from robustlab.display import Displayable, Facts, number
 from robustlab.errors import InputError
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.structural import reached
 from robustlab.norms import HinfNorm
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown, number
 from robustlab.signals import law
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.problem.controller import Controller
@@ -23,7 +23,7 @@ from robustlab.synthesis.problem.partition import GeneralizedPlant
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Design(Shown):
+class Design(Displayable):
     """A controller and the proved bound of its loop: base of the results of synthesis for every kind of plant.
 
     Attributes

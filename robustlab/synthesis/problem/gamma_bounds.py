@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from robustlab.arrays import AnyArray
+from robustlab.display import AllFields
 from robustlab.linear_analysis import slicot
-from robustlab.shown import AllFields
 from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices, dual
 from robustlab.synthesis.problem.scaling import Scaling, equilibrated, paths_first
 

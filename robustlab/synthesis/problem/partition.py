@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from robustlab.arrays import AnyArray, Array
-from robustlab.closing import wired
-from robustlab.errors import InputError, told_as
+from robustlab.display import Displayable, Facts, listed, with_units
+from robustlab.errors import InputError, error_context
+from robustlab.feedback import wired
 from robustlab.norms import bilinear_to_continuous
-from robustlab.shown import Facts, Shown, listed, with_units
 from robustlab.signals import Taken, signal_positions
 from robustlab.statespace import Signal, StateSpaceModel, as_model, lower_lft
 from robustlab.uncertainty.blocks import Block, structure_size
@@ -84,7 +84,7 @@ def dual(p: PlantMatrices) -> PlantMatrices:
 
 
 @dataclass(frozen=True, eq=False)
-class GeneralizedPlant(Shown):
+class GeneralizedPlant(Displayable):
     """A model: its last ``n_con`` inputs are the controls u, its last ``n_meas`` outputs the measurements y."""
 
     model: StateSpaceModel
@@ -132,7 +132,7 @@ class GeneralizedPlant(Shown):
         return PlantMatrices(*(np.array(part) for part in parts))
 
     def close(self, K: StateSpaceModel) -> StateSpaceModel:
-        """Return the closed loop from w to z for ``u = K y``; signals are matched by `robustlab.closing.wired`."""
+        """Return the closed loop from w to z for ``u = K y``; signals are matched by `robustlab.feedback.wired`."""
         return lower_lft(self.model, wired(K, self.measurements, self.controls, "close"))
 
     def continuous(self) -> GeneralizedPlant:
@@ -184,7 +184,7 @@ def require_performance(plant: GeneralizedPlant, where: str, hint: str = NO_PERF
     raise InputError(where, f"{size} {missing} {rest}", "at least one of both", hint)
 
 
-@told_as("generalized_plant")
+@error_context("generalized_plant")
 def generalized_plant(
     model: Any,
     measurements: Sequence[str],

@@ -26,10 +26,10 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.budget import MILLION, dense, one_thread
 from robustlab.checks import whole
-from robustlab.closing import wired
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.display import AllFields, Facts
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context
+from robustlab.feedback import wired
 from robustlab.result import Status
-from robustlab.shown import AllFields, Facts
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft, parallel
 from robustlab.synthesis.hinf.loop_shaping import with_default_performance
 from robustlab.synthesis.nonsmooth.parameter_search import descend
@@ -133,7 +133,7 @@ class ReducedController(Tabular, Synthesis):
         return Table(("order", [tried.order for tried in self.orders]), columns)
 
 
-@told_as("reduce_controller")
+@error_context("reduce_controller")
 def reduce_controller(
     design_or_plant: Any,
     K: Any = None,

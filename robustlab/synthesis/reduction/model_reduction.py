@@ -9,7 +9,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.checks import number, whole
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.magnitude import refuse_extremes
 from robustlab.linear_analysis.structural import least_order
@@ -55,7 +55,7 @@ def reduce_model(
     output_weight: Any = None,
     floor: float = 0.0,
 ) -> ReducedModel: ...
-@told_as("reduce_model")
+@error_context("reduce_model")
 def reduce_model(
     model: Any,
     order: int | None = None,
@@ -276,7 +276,7 @@ def _widened(norm: HinfNorm, by: float, reason: str) -> HinfNorm:
     return HinfNorm(max(norm.lower - by, 0.0), norm.upper + by, norm.frequency, status, norm.reason or reason)
 
 
-@told_as("minimal")
+@error_context("minimal")
 def minimal(model: Any, *, tolerance: float | None = None) -> ReducedModel:
     r"""Remove the modes that no input moves or no output shows, unstable and integrating ones too.
 

@@ -9,16 +9,16 @@ from typing import Any, ClassVar
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.display import Displayable, Facts, number
 from robustlab.norms import HinfNorm
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown, number
 from robustlab.statespace import StateSpaceModel
 
 __all__ = ["ReducedModel"]
 
 
 @dataclass(frozen=True, eq=False)
-class ReducedModel(Shown):
+class ReducedModel(Displayable):
     r"""A model of lower order with its certified error.
 
     Attributes

@@ -20,7 +20,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.checks import number
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, error_context
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.invariant_zeros import transmission_zeros
 from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete
@@ -43,7 +43,7 @@ EPS = float(np.finfo(float).eps)
 LARGEST = 300.0  # exponent of e up to which products of matched poles and zeros do not overflow
 
 
-@told_as("discretise")
+@error_context("discretise")
 def by_formula(model: Any, dt: float, method: str, prewarp: float | None = None) -> StateSpaceModel:
     """Discretise a model without a plant; see `robustlab.discretise`."""
     m = as_model(getattr(model, "K", model), "discretise")
@@ -94,7 +94,7 @@ def _sampled(m: StateSpaceModel, dt: float, method: str) -> StateSpaceModel:
 # --- back to continuous time, and to another sample time --------------------------------------------------------------
 
 
-@told_as("d2c")
+@error_context("d2c")
 def d2c(model: Any, method: Hold = "zoh") -> StateSpaceModel:
     r"""Compute a continuous model of a discrete one.
 

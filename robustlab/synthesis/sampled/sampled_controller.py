@@ -9,12 +9,12 @@ from typing import Any, ClassVar, TypedDict, Unpack, overload
 import numpy as np
 
 from robustlab.budget import MILLION, Budget, dense, one_thread
-from robustlab.closing import wired
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, told_as
+from robustlab.display import AllFields, Facts
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, error_context
+from robustlab.feedback import wired
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import HinfNorm, hinf_norm
 from robustlab.result import Status
-from robustlab.shown import AllFields, Facts
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.hinf.loop_shaping import with_default_performance
@@ -166,7 +166,7 @@ def discretise(
 def discretise(
     model: Any, dt: float, method: SampledMethod | None = None, *, plant: Any, **options: Unpack[LoopOptions]
 ) -> SampledController: ...
-@told_as("discretise")
+@error_context("discretise")
 def discretise(
     model: Any,
     dt: float,

@@ -12,11 +12,11 @@ from typing import Any, ClassVar
 import numpy as np
 
 from robustlab.budget import one_thread
-from robustlab.closing import wired
-from robustlab.errors import InputError, told_as
+from robustlab.display import Facts, listed, number
+from robustlab.errors import InputError, error_context
+from robustlab.feedback import wired
 from robustlab.norms import HinfNorm, PeakGain, hinf_norm
 from robustlab.result import Status
-from robustlab.shown import Facts, listed, number
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft, series
 from robustlab.synthesis.problem.certify import certified
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant, require_performance
@@ -82,7 +82,7 @@ class SampledDataNorm(PeakGain):
         ]
 
 
-@told_as("sampled_data_norm")
+@error_context("sampled_data_norm")
 def sampled_data_norm(
     plant: Any,
     K: Any,

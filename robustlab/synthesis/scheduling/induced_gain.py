@@ -16,11 +16,11 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.budget import Budget, one_thread, search_budget
 from robustlab.conic import bounded_real, equal_rows, least
-from robustlab.errors import InputError, did_you_mean, told_as
+from robustlab.display import Facts, number
+from robustlab.errors import InputError, did_you_mean, error_context
 from robustlab.norms import PeakGain, hinf_norm
 from robustlab.provenance import Traced
 from robustlab.result import Status
-from robustlab.shown import Facts, number
 from robustlab.synthesis.problem.partition import PlantMatrices
 from robustlab.synthesis.problem.scaling import Scaling, equilibrated
 from robustlab.synthesis.scheduling.parameter_varying import EXACT, SAMPLED, LPVModel
@@ -123,7 +123,7 @@ class LPVGain(PeakGain, Traced):
         return {**super().to_json(), "scope": self.scope}
 
 
-@told_as("lpv_gain")
+@error_context("lpv_gain")
 def lpv_gain(
     model: Any,
     lyapunov: Lyapunov | None = None,

@@ -10,7 +10,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.checks import number
-from robustlab.errors import InputError, NoTrustworthyNumber, is_function, told_as
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context, is_function
 from robustlab.mu_analysis.matrix.certificate import EPS
 from robustlab.signals import real_array
 from robustlab.statespace import StateSpaceModel, as_model
@@ -21,7 +21,7 @@ from robustlab.uncertainty.lft import UncertainModel
 __all__ = ["lpv_model"]
 
 
-@told_as("lpv_model")
+@error_context("lpv_model")
 def lpv_model(
     source: UncertainModel | Callable[..., Any],
     points: Mapping[str, int | Sequence[float]] | None = None,

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
+from robustlab.display import Displayable, Facts, listed, number, short, with_units
 from robustlab.errors import InputError, did_you_mean
 from robustlab.operators import Behaviour
 from robustlab.provenance import Traced
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown, listed, number, short, with_units
 from robustlab.signals import Signal, law, real_array
 from robustlab.statespace import StateSpaceModel, as_model
 
@@ -50,7 +50,7 @@ class SchedulingParameter:
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class LPVModel(Behaviour, Shown, Traced):
+class LPVModel(Behaviour, Displayable, Traced):
     r"""A family of continuous state-space models over a box of measured parameters; immutable.
 
     .. math:: M(\rho) = \sum_v \alpha_v(\rho) M_v + E(\rho), \qquad M = \begin{bmatrix} A & B \\ C & D \end{bmatrix}
@@ -312,7 +312,7 @@ def _check_alike(k: int, first: StateSpaceModel, other: StateSpaceModel) -> None
 
 
 @dataclass(frozen=True, eq=False)
-class LPVController(Shown, Traced):
+class LPVController(Displayable, Traced):
     """A controller ``u = K(rho) y`` with positive feedback, scheduled by measured parameters.
 
     Attributes

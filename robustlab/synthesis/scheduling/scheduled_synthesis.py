@@ -16,8 +16,8 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.budget import Budget, one_thread, search_budget
 from robustlab.conic import bounded_real, equal_rows, least
+from robustlab.display import Facts, number
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.shown import Facts, number
 from robustlab.signals import Taken
 from robustlab.statespace import Signal
 from robustlab.synthesis.hinf.two_riccati import TwoRiccatiProblem

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import AnyArray, Array
-from robustlab.closing import closing
-from robustlab.errors import InputError, told_as
+from robustlab.display import Displayable, Facts, listed, number, with_units
+from robustlab.errors import InputError, error_context
+from robustlab.feedback import closing
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.structural import drop_unconnected, with_hidden
-from robustlab.shown import Facts, Shown, listed, number, with_units
 from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
 from robustlab.synthesis.problem.design import Synthesis
@@ -25,7 +25,7 @@ FUNCTIONS = {"S": "W1", "KS": "W2", "T": "W3", "SG": ""}
 
 
 @dataclass(frozen=True, eq=False)
-class LoopFunctions(Shown):
+class LoopFunctions(Displayable):
     r"""The closed-loop functions of one loop, each with all states of the loop.
 
     .. math:: S: r \to r - y, \quad T: r \to y, \quad K S: r \to u, \quad S G: d \to y, \qquad S + T = I
@@ -89,7 +89,7 @@ class LoopFunctions(Shown):
         ]
 
 
-@told_as("loop_functions")
+@error_context("loop_functions")
 def loop_functions(G: Any, K: Any = None, *, sign: Literal[-1, 1] | None = None) -> LoopFunctions:
     r"""Return S, T, K S and S G of plant G and controller K, or of a design.
 

@@ -8,9 +8,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from robustlab.closing import SIGNS, Sign, closing
+from robustlab.display import Displayable, Facts, listed, number
 from robustlab.errors import InputError
-from robustlab.shown import Facts, Shown, listed, number
+from robustlab.feedback import SIGNS, Sign, closing
 from robustlab.signals import Signal, Taken
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.uncertainty.lft import UncertainModel
@@ -20,7 +20,7 @@ REFERRED = {-1: "u = K (r - y)", 1: "u = K (y - r)"}  # the same with references
 
 
 @dataclass(frozen=True, eq=False)
-class ClosedLoop(Shown):
+class ClosedLoop(Displayable):
     """The tracking loop of a model and a controller.
 
     Attributes

@@ -19,10 +19,10 @@ from numpy.typing import ArrayLike
 
 from robustlab import checks
 from robustlab.arrays import Array
-from robustlab.closing import wired
+from robustlab.display import Displayable, Facts, number
 from robustlab.errors import InputError, did_you_mean
+from robustlab.feedback import wired
 from robustlab.linear_analysis.frequency import frequency_response
-from robustlab.shown import Facts, Shown, number
 from robustlab.signals import Taken
 from robustlab.statespace import Signal, StateSpaceModel, append, as_model, lower_lft, series
 from robustlab.synthesis.problem.partition import GeneralizedPlant, signal_positions
@@ -32,7 +32,7 @@ Sizes = float | Mapping[str, float]
 
 
 @dataclass(frozen=True, eq=False)
-class TrackingProblem(Shown):
+class TrackingProblem(Displayable):
     """A weighted tracking problem."""
 
     uncertain: UncertainModel  # from [w of Delta; r; d; n; u] to [z of Delta; z; v], v: inputs of the controller
@@ -142,7 +142,7 @@ class TrackingProblem(Shown):
 
 
 @dataclass(frozen=True, eq=False)
-class TrackingLoop(Shown):
+class TrackingLoop(Displayable):
     """The nominal loop of a tracking problem under a design, for a figure with the bounds by its weights.
 
     Attributes

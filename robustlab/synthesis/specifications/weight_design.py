@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from robustlab.errors import InputError, told_as
+from robustlab.errors import InputError, error_context
 from robustlab.norms import bilinear_to_discrete
 from robustlab.statespace import StateSpaceModel, series
 
 
-@told_as("performance_weight")
+@error_context("performance_weight")
 def performance_weight(bandwidth: float, error: float = 1e-3, peak: float = 2.0, order: int = 1) -> StateSpaceModel:
     r"""Return a weight on the sensitivity S: ``|W1 S| <= 1`` bounds S by ``peak``, at low frequency by ``error``.
 
@@ -70,7 +70,7 @@ def error_weight(error: float, corner: float, steady: float = 1e-3) -> StateSpac
     return _lead(1 / error, corner / error, corner * steady / error)
 
 
-@told_as("control_weight")
+@error_context("control_weight")
 def control_weight(limit: float, bandwidth: float | None = None, roll_off: float = 100.0) -> StateSpaceModel:
     r"""Return a weight on the control effort K S: ``|W2 K S| <= 1`` bounds K S by ``limit``, less above ``bandwidth``.
 
@@ -105,7 +105,7 @@ def control_weight(limit: float, bandwidth: float | None = None, roll_off: float
     return _lead(roll_off / limit, roll_off * bandwidth / limit, roll_off * bandwidth)
 
 
-@told_as("complementary_weight")
+@error_context("complementary_weight")
 def complementary_weight(
     bandwidth: float, peak: float = 2.0, roll_off: float = 1e-3, order: int = 1
 ) -> StateSpaceModel:
@@ -147,7 +147,7 @@ def complementary_weight(
     return _repeated(_lead(1 / a, bandwidth / m / a, bandwidth / a), order)
 
 
-@told_as("makeweight")
+@error_context("makeweight")
 def makeweight(
     low_gain: float, through: float | tuple[float, float], high_gain: float, dt: float = 0.0, order: int = 1
 ) -> StateSpaceModel:

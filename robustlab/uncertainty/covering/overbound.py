@@ -15,11 +15,11 @@ from numpy.typing import ArrayLike
 from robustlab import checks
 from robustlab.arrays import Array
 from robustlab.budget import one_thread
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.display import Displayable, Facts, number
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import bilinear_to_discrete
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown, number
 from robustlab.statespace import StateSpaceModel, series
 
 WEIGHT_LEVEL = 1e-3  # accuracy of log(gamma), far below usual tolerances of weights
@@ -33,7 +33,7 @@ ABOVE = 1e-12  # rounding in a frequency response
 
 
 @dataclass(frozen=True, eq=False)
-class Overbound(Shown):
+class Overbound(Displayable):
     """A weight above a bound, with its evaluation grid.
 
     Attributes
@@ -72,7 +72,7 @@ class Overbound(Shown):
         return {"type": "Overbound", **vars(self)}
 
 
-@told_as("overbound")
+@error_context("overbound")
 @one_thread()
 def overbound(
     omega: ArrayLike,

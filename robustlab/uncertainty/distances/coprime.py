@@ -11,15 +11,15 @@ from typing import Any, Literal
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.closing import closing
-from robustlab.errors import InputError, NoTrustworthyNumber, told_as
+from robustlab.display import Displayable, Facts, bracket, number
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context
+from robustlab.feedback import closing
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.magnitude import balancing_factors, is_moderate, refuse_overflow
 from robustlab.linear_analysis.matrix_equations import RiccatiSolution, care
 from robustlab.linear_analysis.structural import hidden_unstable, with_hidden
 from robustlab.norms import bilinear_to_continuous, hinf_norm
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown, bracket, number
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
 
 INNER = 1e-7  # allowed deviation of the factors from inner, at frequencies around the model's poles
@@ -87,7 +87,7 @@ def coprime_factors(model: StateSpaceModel) -> CoprimeFactors:
 
 
 @dataclass(frozen=True)
-class CoprimeMargin(Shown):
+class CoprimeMargin(Displayable):
     """Stability margin b(P, C) of a loop.
 
     Attributes
@@ -137,7 +137,7 @@ class CoprimeMargin(Shown):
         return {"type": "CoprimeMargin", "value": self.value, **{name: getattr(self, name) for name in names}}
 
 
-@told_as("coprime_margin")
+@error_context("coprime_margin")
 def coprime_margin(P: Any, C: Any, *, sign: Literal[-1, 1] | None = None) -> CoprimeMargin:
     r"""Return the stability margin of the loop of P and C, a distance in the gap and nu-gap metric.
 

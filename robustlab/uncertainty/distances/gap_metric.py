@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from robustlab.errors import InputError, told_as
+from robustlab.display import Displayable, Facts, bracket, number
+from robustlab.errors import InputError, error_context
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
-from robustlab.shown import Facts, Shown, bracket, number
 from robustlab.statespace import StateSpaceModel, as_model, series
 from robustlab.uncertainty.distances.coprime import CoprimeFactors, continuous_models, coprime_factors
 
@@ -22,7 +22,7 @@ SIDE = 1e-11  # relative real part below which the sign of an eigenvalue is unce
 
 
 @dataclass(frozen=True)
-class NuGap(Shown):
+class NuGap(Displayable):
     """The nu-gap between two models, with its evidence.
 
     Attributes
@@ -66,7 +66,7 @@ class NuGap(Shown):
         return {"type": "NuGap", "value": self.value, **vars(self)}
 
 
-@told_as("nu_gap")
+@error_context("nu_gap")
 def nu_gap(P1: Any, P2: Any) -> NuGap:
     r"""Return the nu-gap metric between two models of equal size.
 

@@ -32,14 +32,14 @@ def test_a_motor_has_a_joint_with_its_angle_and_a_current_port():
 
 @settings(max_examples=25)
 @given(k=st.floats(-50.0, 500.0))
-def test_a_force_fed_back_from_the_position_is_a_spring(k):
+def test_a_force_from_the_position_is_a_spring(k):
     plant = rl.plant("mass-spring-damper")
     model = port_model(plant)
     port = model.ports["v"]
     assert port.position is not None
     stiffer = plant.with_parameters(k=plant.values["k"] + k)
-    fed_back = model.with_state_feedback(port, -k * port.position)
-    assert np.abs(fed_back.A - stiffer.state_space().A).max() < 1e-12 * (100 + abs(k))
+    loop = model.with_state_feedback(port, -k * port.position)
+    assert np.abs(loop.A - stiffer.state_space().A).max() < 1e-12 * (100 + abs(k))
 
 
 # --- bare models -----------------------------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ import re
 import pytest
 
 import robustlab as rl
-from robustlab.coming_from import NAMES
+from robustlab.name_hints import NAMES
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.closing import closing, fed_back, wired
 from robustlab.errors import InputError, UnitMismatch
+from robustlab.feedback import closing, feedback_loop, wired
 from robustlab.signals import law
 from robustlab.storage import c_source
 from robustlab.synthesis import tracking_loop, with_law
@@ -247,6 +247,6 @@ def test_an_operation_that_assumes_nothing_asks():
 def test_edges_static_and_empty():
     assert closing(rl.StateSpaceModel([], [], [], [[2.0]]), None).sign == -1
     with pytest.raises(InputError, match="expected 1 x 2"):
-        fed_back(TWO, rl.StateSpaceModel([], [], [], np.eye(2)))
+        feedback_loop(TWO, rl.StateSpaceModel([], [], [], np.eye(2)))
     K = rl.StateSpaceModel([], [], [], [[1.0]], inputs=["a"], outputs=["b"])
     assert wired(K, [rl.Signal("y")], [rl.Signal("u")], "close") is K

@@ -11,10 +11,10 @@ import pytest
 
 import robustlab as rl
 from robustlab.cli import command_of
+from robustlab.display import Displayable
 from robustlab.errors import InputError, UsageError
 from robustlab.operations import Choice, Numbers, Operation, Table, Thing, Whole, every_operation
 from robustlab.recipe import KINDS, look_ahead
-from robustlab.shown import Shown
 
 OPERATIONS = every_operation()
 NAMES = [d.function.__name__ for d in OPERATIONS]
@@ -77,8 +77,8 @@ def test_defaults_are_those_of_the_public_function(declared: Operation) -> None:
 @pytest.mark.parametrize("declared", OPERATIONS, ids=NAMES)
 def test_a_result_is_displayed_by_all_readers(declared: Operation) -> None:
     kind = declared.result_classes[0]
-    assert issubclass(kind, Shown)
-    for name in kind.quantities if kind.numbers is Shown.numbers else ():
+    assert issubclass(kind, Displayable)
+    for name in kind.quantities if kind.numbers is Displayable.numbers else ():
         assert hasattr(kind, name) or name in getattr(kind, "__dataclass_fields__", {}), name
     if declared.step:
         assert KINDS[declared.step].leaves == declared.quantities

@@ -89,7 +89,7 @@ def dense(model, ports, h, u, y, sigma, q, start, rounding):
 @pytest.mark.parametrize("m", [1, 2])
 def test_equals_the_dense_gaussian_posterior(m, monkeypatch):
     # A prior wide enough to be negligible, and narrow enough for the digits of the dense solve.
-    monkeypatch.setattr("robustlab.identification.hypotheses.disturbance_smoother.START_FACTOR", 1e3)
+    monkeypatch.setattr("robustlab.identification.greybox.disturbance_smoother.START_FACTOR", 1e3)
     rng = np.random.default_rng(3)
     a = np.array([[0.0, 1.0, 0.0], [-2.0, -0.4, 0.3], [0.5, 0.0, -3.0]])
     model = StateSpaceModel(a, [[0.0], [1.0], [0.2]], [[1, 0, 0], [0, 0, 1]], [[0.0], [0.5]])

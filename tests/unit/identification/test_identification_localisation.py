@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from robustlab.identification.comparison import motion_of, spectrum
-from robustlab.identification.record_check import clipped_runs
+from robustlab.identification.data_checks import clipped_runs
 from robustlab.record import Record
 
 

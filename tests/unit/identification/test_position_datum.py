@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.identification.record_check import counted_from, position_datum
+from robustlab.identification.data_checks import counted_from, position_datum
 
 T = np.arange(500) * 1e-3
 

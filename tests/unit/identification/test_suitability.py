@@ -9,7 +9,7 @@ from oracle.stick_slip import stick_slip
 
 import robustlab as rl
 from robustlab.identification import suitability
-from robustlab.identification.record_check import derivative_pairs, quantisation_step
+from robustlab.identification.data_checks import derivative_pairs, quantisation_step
 
 SHARED = Path(__file__).parents[4] / "shared" / "data"
 DT = 1e-3

@@ -1,15 +1,15 @@
 """Display of objects: a short text in a console, a table in a notebook, a full text, and a picture.
 
-`Shown` is the base of models, results and their parts; console, notebook, recipes and reports display what a class
-declares:
+`Displayable` is the base of models, results and their parts; console, notebook, recipes and reports display what a
+class declares:
 
-======================  ==============================================================================================
-`Shown.facts`           labels with texts, numbers with their units; the most important first
-`Shown.headline`        the finding in one sentence
-`Shown.details`         tables that are too long for facts: crossings, blocks, intervals
-`Shown.quantities`      the numbers that a recipe's requirements refer to, attributes of the class with their units
-drawings                the class's row in `robustlab.report.drawings`
-======================  ==============================================================================================
+============================  ========================================================================================
+`Displayable.facts`           labels with texts, numbers with their units; the most important first
+`Displayable.headline`        the finding in one sentence
+`Displayable.details`         tables that are too long for facts: crossings, blocks, intervals
+`Displayable.quantities`      numbers that a recipe's requirements refer to, with their units
+drawings                      the class's row in `robustlab.report.drawings`
+============================  ========================================================================================
 """
 
 from __future__ import annotations
@@ -49,14 +49,14 @@ class AllFields:
 
 
 class Each(NamedTuple):
-    """In `Shown.quantities`: a table with a number for each input or output."""
+    """In `Displayable.quantities`: a table with a number for each input or output."""
 
     side: Literal["inputs", "outputs"]
     leaf: Any  # "*" in it is the unit of that signal
     more: tuple[str, ...] = ()  # further possible names, as in "*-rate"
 
 
-class Shown:
+class Displayable:
     """Base of displayed objects; a class defines `facts`."""
 
     # Attributes that requirements refer to -> unit ("1" of a pure number), or a pattern of
@@ -148,7 +148,7 @@ def heading(shown: Any) -> str:
     return type(shown).__name__ + (f" ({status})" if isinstance(status, Enum) else "")
 
 
-def _plain_facts(shown: Shown) -> Facts:
+def _plain_facts(shown: Displayable) -> Facts:
     """Return the facts with a text on one line each, without the status, which is in the heading."""
     facts = [(plain_text(label), plain_text(" ".join(text.split()))) for label, text in shown.facts()]
     return [(label, text) for label, text in facts if text and label != "status"]
@@ -230,7 +230,7 @@ def in_words(value: Any) -> str:
         return value
     if isinstance(value, (int, float, complex)):
         return number(value) or "nan"
-    if isinstance(value, Shown):
+    if isinstance(value, Displayable):
         return heading(value)
     if hasattr(value, "shape") and hasattr(value, "tolist"):  # an array, without importing numpy
         size = math.prod(value.shape)

@@ -14,11 +14,11 @@ import shown_objects
 from matplotlib.axes import Axes
 
 import robustlab as rl
+from robustlab.display import LINES, Displayable
 from robustlab.errors import DependencyMissing, InputError
 from robustlab.files import frames
 from robustlab.report import DRAWINGS
 from robustlab.result import Status
-from robustlab.shown import LINES, Shown
 from robustlab.tables import Tabular
 
 mpl.use("Agg")
@@ -65,7 +65,7 @@ def make(tmp_path_factory):
 def test_every_public_result_is_among_the_examples_and_shows_itself(make):
     kinds = public_classes()
     assert len(kinds) > 45
-    assert [kind.__name__ for kind in kinds if not issubclass(kind, Shown)] == []
+    assert [kind.__name__ for kind in kinds if not issubclass(kind, Displayable)] == []
     made = [type(make(name)) for name in NAMES]
     missing = {kind.__name__ for kind in kinds if not any(issubclass(one, kind) for one in made)}
     assert missing == {"FreeRun"}  # tests/dynamics/test_fmu.py has a unit for it

@@ -14,7 +14,7 @@ from robustlab.arrays import Array, Indices
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.motion_model import Course, exponentials
 from robustlab.errors import InputError, NoTrustworthyNumber, RobustlabError
-from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord, output_shares, smooth_disturbance
+from robustlab.identification.greybox.disturbance_smoother import SmoothedRecord, output_shares, smooth_disturbance
 from robustlab.statespace import StateSpaceModel
 
 ROUNDS = 2  # of smoothing with known inputs from the previous motion
@@ -30,7 +30,7 @@ class SmoothedMotion:
 
     # as of a linear plant; forces ``d`` at the joints, in the order of the plant's places
     smoothed: SmoothedRecord
-    # told, constant: as in `robustlab.identification.hypotheses.prepared_record.PreparedRecord`
+    # told, constant: as in `robustlab.identification.greybox.prepared_record.PreparedRecord`
     told: Array
     constant: Array
 

@@ -16,8 +16,8 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Site
 from robustlab.identification import tuning
-from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Problem, refit_distance
-from robustlab.identification.hypotheses.noise import (
+from robustlab.identification.greybox.effect_fit import Candidate, Fit, Problem, refit_distance
+from robustlab.identification.greybox.noise import (
     clearly_larger,
     held_out_fit,
     in_phase,
@@ -25,8 +25,8 @@ from robustlab.identification.hypotheses.noise import (
     white,
     window_errors,
 )
-from robustlab.identification.hypotheses.random_force import FittedWindows
-from robustlab.identification.hypotheses.unnamed_force import (
+from robustlab.identification.greybox.random_force import FittedWindows
+from robustlab.identification.greybox.unnamed_force import (
     PRIOR,
     SINGULAR,
     Unnamed,
@@ -34,7 +34,7 @@ from robustlab.identification.hypotheses.unnamed_force import (
     fitted_windows,
     unnamed_force,
 )
-from robustlab.identification.naming.set_search import Found, Key, Scored
+from robustlab.identification.missing_effects.set_search import Found, Key, Scored
 
 TEMPERATURE = 1.0  # smallest divisor of log evidence: above 1, less sure
 MOST_WEIGHED = 5  # sets evaluated under a random force

@@ -16,9 +16,11 @@ from robustlab.dynamics.effects.catalogue import effect
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, linear_plant_of, parameter_groups
-from robustlab.errors import InputError, told_as
+from robustlab.errors import InputError, error_context
 from robustlab.identification import tuning
-from robustlab.identification.hypotheses.candidates import (
+from robustlab.identification.data_checks.resampling import UniformRecord, clock_step, uniform
+from robustlab.identification.data_checks.suitability import Finding, suitability
+from robustlab.identification.greybox.candidates import (
     FEWEST_PERIODS,
     candidates,
     nuisance_parameters,
@@ -26,14 +28,12 @@ from robustlab.identification.hypotheses.candidates import (
     stated_tolerances,
     with_absolute_tolerances,
 )
-from robustlab.identification.hypotheses.effect_fit import Candidate, Clock, Fit, Hypothesis, Nuisance, Problem
-from robustlab.identification.hypotheses.prepared_record import PreparedRecord, alike, ports_of, prepare, window_length
-from robustlab.identification.naming.answer import Case, answer
-from robustlab.identification.naming.discovery_result import Discovery
-from robustlab.identification.naming.posterior import weigh
-from robustlab.identification.naming.set_search import clock_nuisances, search_sets
-from robustlab.identification.record_check.resampling import UniformRecord, clock_step, uniform
-from robustlab.identification.record_check.suitability import Finding, suitability
+from robustlab.identification.greybox.effect_fit import Candidate, Clock, Fit, Hypothesis, Nuisance, Problem
+from robustlab.identification.greybox.prepared_record import PreparedRecord, alike, ports_of, prepare, window_length
+from robustlab.identification.missing_effects.answer import Case, answer
+from robustlab.identification.missing_effects.discovery_result import Discovery
+from robustlab.identification.missing_effects.posterior import weigh
+from robustlab.identification.missing_effects.set_search import clock_nuisances, search_sets
 from robustlab.identification.response.response import converted, with_units
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel, as_model
@@ -111,7 +111,7 @@ def _reporter(progress: Callable[[str], None] | None) -> Callable[[float, float,
 
 
 @one_thread()
-@told_as("discover")
+@error_context("discover")
 def discover(
     plant: Any,
     records: Record | Sequence[Record],
@@ -219,7 +219,7 @@ def _from_datum(
     plant: AnyPlant, measured: list[Record], kept_out: list[Record]
 ) -> tuple[list[Record], list[Record], tuple[Finding, ...]]:
     """Shift positions far from zero to a datum within the stroke; return the records and a finding on each shift."""
-    from robustlab.identification.record_check.resampling import counted_from, position_datum
+    from robustlab.identification.data_checks.resampling import counted_from, position_datum
 
     datum = position_datum(plant, [*measured, *kept_out]) if isinstance(plant, LinearPlant) else {}
     shifted = tuple(

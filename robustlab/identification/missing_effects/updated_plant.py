@@ -15,9 +15,9 @@ from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.parameters import Parameter
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, parameter_groups
-from robustlab.errors import InputError, told_as
-from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Problem
-from robustlab.identification.naming.discovery_parts import INTERVAL, NamedKind
+from robustlab.errors import InputError, error_context
+from robustlab.identification.greybox.effect_fit import Candidate, Fit, Problem
+from robustlab.identification.missing_effects.discovery_parts import INTERVAL, NamedKind
 
 ONE_FACTOR = "scaled by one factor"
 SIGMAS = 2.0  # standard deviations in a refitted parameter's tolerance
@@ -113,7 +113,7 @@ def fitted_together(plant: Any) -> list[tuple[str, tuple[str, ...]]]:
 # --- the uncertain model ---------------------------------------------------------------------------------------------
 
 
-@told_as("uncertain_from")
+@error_context("uncertain_from")
 def uncertain_from(
     found: Any,
     outputs: Sequence[str] | None = None,

@@ -1,8 +1,8 @@
 """Data checks of a record: channels, columns, time base, and fitness for effect identification."""
 
-from robustlab.identification.record_check.channel_identity import derivative_pairs
-from robustlab.identification.record_check.resampling import counted_from, join_clocks, position_datum, uniform
-from robustlab.identification.record_check.suitability import (
+from robustlab.identification.data_checks.channel_identity import derivative_pairs
+from robustlab.identification.data_checks.resampling import counted_from, join_clocks, position_datum, uniform
+from robustlab.identification.data_checks.suitability import (
     Finding,
     check_record,
     clipped_runs,

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from robustlab.identification import tuning
-from robustlab.identification.hypotheses.effect_fit import (
+from robustlab.identification.greybox.effect_fit import (
     Candidate,
     Fit,
     FitPlan,
@@ -21,7 +21,7 @@ from robustlab.identification.hypotheses.effect_fit import (
     Problem,
     refit_distance,
 )
-from robustlab.identification.hypotheses.noise import (
+from robustlab.identification.greybox.noise import (
     as_fitted,
     first_noise,
     in_phase,
@@ -30,8 +30,8 @@ from robustlab.identification.hypotheses.noise import (
     whitening,
     widened,
 )
-from robustlab.identification.hypotheses.unnamed_force import SINGULAR, UnnamedEvidence, fitted_windows, unnamed_force
-from robustlab.identification.naming.moves import KEPT, extended, may_be_added, promising, without
+from robustlab.identification.greybox.unnamed_force import SINGULAR, UnnamedEvidence, fitted_windows, unnamed_force
+from robustlab.identification.missing_effects.moves import KEPT, extended, may_be_added, promising, without
 
 BEAM = 4  # sets kept for a new noise model, and expanded
 ROUGH = 6  # iterations before the noise is known, to find the best set only

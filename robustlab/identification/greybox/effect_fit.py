@@ -19,7 +19,7 @@ from robustlab.dynamics.extended.simulator import Hold, Simulator, Windows
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant
 from robustlab.identification import tuning
-from robustlab.identification.hypotheses.prepared_record import PreparedRecord, averaged
+from robustlab.identification.greybox.prepared_record import PreparedRecord, averaged
 
 CLIP = 1e6  # errors are clipped to this many standard deviations
 FARTHEST = 8.0  # limit of standardised parameters

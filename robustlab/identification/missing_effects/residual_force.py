@@ -19,10 +19,10 @@ from robustlab.dynamics.extended.simulator import Simulator, rising
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import Port
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.identification.hypotheses.disturbance_smoother import smooth_disturbance
-from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, NoiseModel, Problem
-from robustlab.identification.hypotheses.motion_smoother import lacking_forces
-from robustlab.identification.hypotheses.prepared_record import PreparedRecord
+from robustlab.identification.greybox.disturbance_smoother import smooth_disturbance
+from robustlab.identification.greybox.effect_fit import Fit, FitPlan, NoiseModel, Problem
+from robustlab.identification.greybox.motion_smoother import lacking_forces
+from robustlab.identification.greybox.prepared_record import PreparedRecord
 from robustlab.result import Evidence
 from robustlab.statespace import StateSpaceModel
 

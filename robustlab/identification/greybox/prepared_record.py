@@ -16,8 +16,8 @@ from robustlab.dynamics.ports.motion_model import Course, motion_model
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, port_model
 from robustlab.errors import InputError
 from robustlab.identification import tuning
-from robustlab.identification.hypotheses.disturbance_smoother import SmoothedRecord, output_shares, smooth_disturbance
-from robustlab.identification.hypotheses.motion_smoother import smooth_motion
+from robustlab.identification.greybox.disturbance_smoother import SmoothedRecord, output_shares, smooth_disturbance
+from robustlab.identification.greybox.motion_smoother import smooth_motion
 from robustlab.identification.response.response import longest_period, slowest_time_constant
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel

@@ -16,9 +16,9 @@ from typing import Any, Literal
 
 import numpy as np
 
+from robustlab.display import listed
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.operators import TransferMatrix
-from robustlab.shown import listed
 from robustlab.signals import Signal, Taken, is_constant, law, real_array, same_units
 from robustlab.statespace import StateSpaceModel, as_model, feedback
 
@@ -34,7 +34,7 @@ COUNTED = re.compile(r"[uy]\d+")
 
 
 @dataclass(frozen=True, eq=False)
-class Closing:
+class FeedbackLoop:
     """A plant and a controller that fit each other, ``u = sign K y``."""
 
     plant: Any  # with the inputs that K drives and the outputs that it takes, in K's order
@@ -43,7 +43,9 @@ class Closing:
     said: str  # the loop in words, and the origin of its sign
 
 
-def closing(plant: Any, K: Any, sign: int | None = None, where: str = "loop", assumed: Sign | None = -1) -> Closing:
+def closing(
+    plant: Any, K: Any, sign: int | None = None, where: str = "loop", assumed: Sign | None = -1
+) -> FeedbackLoop:
     """Connect K to a plant by feedback; K left out: close an open loop.
 
     ``plant``, ``K``: models of any kind, also uncertain, delayed, or frequency data.
@@ -64,21 +66,21 @@ def closing(plant: Any, K: Any, sign: int | None = None, where: str = "loop", as
     if len(own) > 1:  # both signs occur: they are included in K by now
         if sign is not None or k is None:
             raise InputError(f"{where}: sign", f"{law(taken)}", "one sign for all inputs, or a plant and its K")
-        return Closing(p, k, 1, f"{law(taken)}, as the controller says")
+        return FeedbackLoop(p, k, 1, f"{law(taken)}, as the controller says")
     recorded = own.pop() if own else None
     if recorded is not None and (matched or sign == recorded):
         if sign not in (None, recorded):
             hint = "leave the sign out; or K.renamed(inputs=list(K.input_names)), which says nothing of it"
             raise InputError(f"{where}: sign", f"{sign} ({SIGNS[int(sign or 0)]})", f"{recorded}: {law(taken)}", hint)
-        return Closing(p, k, _sign(recorded), f"{law(taken)}, as the controller says")
+        return FeedbackLoop(p, k, _sign(recorded), f"{law(taken)}, as the controller says")
     if sign is not None:
-        return Closing(p, k, _sign(sign), f"{SIGNS[sign]}, as asked")
+        return FeedbackLoop(p, k, _sign(sign), f"{SIGNS[sign]}, as asked")
     if recorded is None and assumed is not None:
-        return Closing(p, k, assumed, f"{SIGNS[assumed]}, {WORDS[assumed]} feedback; nothing else is said of it")
+        return FeedbackLoop(p, k, assumed, f"{SIGNS[assumed]}, {WORDS[assumed]} feedback; nothing else is said of it")
     return _by_stability(p, k, signed.inputs, where)
 
 
-def fed_back(
+def feedback_loop(
     plant: Any, K: Any, sign: int | None = None, where: str = "feedback", assumed: Sign | None = -1
 ) -> tuple[Any, Sign, str]:
     """Return K with an input for every output of the plant and an output for every input, the sign, and the loop.
@@ -245,7 +247,7 @@ def _selection(every: Sequence[str], some: Sequence[str]) -> np.ndarray[Any, np.
 # --- the sign of a controller without one -----------------------------------------------------------------------------
 
 
-def _by_stability(plant: Any, k: Any, takes: Sequence[Signal], where: str) -> Closing:
+def _by_stability(plant: Any, k: Any, takes: Sequence[Signal], where: str) -> FeedbackLoop:
     """Connect with the only sign that makes the nominal loop stable; negative if none does.
 
     Raises InputError: both signs do, or stability cannot be decided for these kinds of models.
@@ -262,7 +264,7 @@ def _by_stability(plant: Any, k: Any, takes: Sequence[Signal], where: str) -> Cl
         raise InputError(f"{where}: sign of the feedback", found, "one that is said", STATE_SIGN)
     sign = _sign(stable[0] if stable else -1)
     why = "only this sign leaves the loop stable" if stable else f"{doubt}, and no sign leaves the loop stable"
-    return Closing(plant, k, sign, f"{SIGNS[sign]}: {why}")
+    return FeedbackLoop(plant, k, sign, f"{SIGNS[sign]}: {why}")
 
 
 def _rational(model: Any) -> StateSpaceModel | None:

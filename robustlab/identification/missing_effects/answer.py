@@ -13,7 +13,8 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant
 from robustlab.errors import NoTrustworthyNumber, RobustlabError
 from robustlab.identification import tuning
-from robustlab.identification.hypotheses.effect_fit import (
+from robustlab.identification.data_checks.suitability import Finding
+from robustlab.identification.greybox.effect_fit import (
     Candidate,
     Fit,
     FitPlan,
@@ -22,9 +23,9 @@ from robustlab.identification.hypotheses.effect_fit import (
     Problem,
     simulated_outputs,
 )
-from robustlab.identification.hypotheses.noise import held_out_fit, settled, white
-from robustlab.identification.hypotheses.prepared_record import start_std
-from robustlab.identification.naming.discovery_parts import (
+from robustlab.identification.greybox.noise import held_out_fit, settled, white
+from robustlab.identification.greybox.prepared_record import start_std
+from robustlab.identification.missing_effects.discovery_parts import (
     INTERVAL,
     EffectValue,
     InputClock,
@@ -36,8 +37,8 @@ from robustlab.identification.naming.discovery_parts import (
     Verdict,
     overall,
 )
-from robustlab.identification.naming.discovery_result import Discovery
-from robustlab.identification.naming.held_out import (
+from robustlab.identification.missing_effects.discovery_result import Discovery
+from robustlab.identification.missing_effects.held_out import (
     Gaps,
     Relevance,
     at_limits,
@@ -47,18 +48,17 @@ from robustlab.identification.naming.held_out import (
     simulated,
     without_effects,
 )
-from robustlab.identification.naming.named_kinds import Kinds, force_share
-from robustlab.identification.naming.posterior import Alternative, Posterior
-from robustlab.identification.naming.residual_force import (
+from robustlab.identification.missing_effects.named_kinds import Kinds, force_share
+from robustlab.identification.missing_effects.posterior import Alternative, Posterior
+from robustlab.identification.missing_effects.residual_force import (
     LeftOver,
     ResidualForce,
     left_over,
     remaining_lines,
     residual_curves,
 )
-from robustlab.identification.naming.set_search import Found
-from robustlab.identification.naming.updated_plant import updated_plant
-from robustlab.identification.record_check.suitability import Finding
+from robustlab.identification.missing_effects.set_search import Found
+from robustlab.identification.missing_effects.updated_plant import updated_plant
 from robustlab.record import Record
 from robustlab.result import Status
 

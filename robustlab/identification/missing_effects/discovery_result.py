@@ -7,11 +7,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from robustlab.display import Each, Facts, Part
 from robustlab.dynamics.effects.catalogue import catalogue, effect
 from robustlab.dynamics.effects.contract import Scales
 from robustlab.dynamics.effects.kinds import KINDS
 from robustlab.dynamics.effects.parameter_effects import GroundedEffect
-from robustlab.identification.naming.discovery_parts import (
+from robustlab.identification.missing_effects.discovery_parts import (
     LINEAR,
     Gap,
     InputClock,
@@ -30,14 +31,13 @@ from robustlab.identification.naming.discovery_parts import (
 )
 from robustlab.identification.tuning import SURE
 from robustlab.result import Evidence, Status
-from robustlab.shown import Each, Facts, Part
 from robustlab.tables import Table, Tabular
 
 if TYPE_CHECKING:
     from robustlab.identification.comparison.repeats import NoiseFloor
+    from robustlab.identification.data_checks.suitability import Finding
     from robustlab.identification.experiment import NextExperiment
-    from robustlab.identification.naming.residual_force import ResidualForce
-    from robustlab.identification.record_check.suitability import Finding
+    from robustlab.identification.missing_effects.residual_force import ResidualForce
     from robustlab.uncertainty.lft import UncertainModel
 
 
@@ -66,7 +66,7 @@ def quantities_of(kind: str) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Discovery(Tabular, Evidence):
-    """Result of `robustlab.identification.naming.discovery.discover`.
+    """Result of `robustlab.identification.missing_effects.discovery.discover`.
 
     Attributes
     ----------
@@ -180,8 +180,8 @@ class Discovery(Tabular, Evidence):
         return tuple(dict.fromkeys([*self.names, *(r.name for r in self.rivals)]))
 
     def uncertain_model(self, outputs: Any = None, **options: Any) -> UncertainModel:
-        """Return effects and residual force as blocks; see `robustlab.identification.naming.updated_plant`."""
-        from robustlab.identification.naming.updated_plant import uncertain_from
+        """Return effects and residual force as blocks; see `robustlab.identification.missing_effects.updated_plant`."""
+        from robustlab.identification.missing_effects.updated_plant import uncertain_from
 
         return uncertain_from(self, outputs, **options).model
 

@@ -7,10 +7,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
+from robustlab.display import Facts, Part, listed, number
 from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.identification.tuning import SURE
 from robustlab.result import Evidence
-from robustlab.shown import Facts, Part, listed, number
 
 LINEAR = "linear about the recorded motion"
 Verdict = Literal["no missing effect", "named", "ambiguous", "unknown"]

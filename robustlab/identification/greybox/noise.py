@@ -11,8 +11,8 @@ from scipy.stats import t as student
 
 from robustlab.arrays import Array
 from robustlab.identification import tuning
-from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, NoiseModel, Problem
-from robustlab.identification.hypotheses.prepared_record import PreparedRecord
+from robustlab.identification.greybox.effect_fit import Fit, FitPlan, NoiseModel, Problem
+from robustlab.identification.greybox.prepared_record import PreparedRecord
 
 SETTLING = 15  # iterations of the reported fits
 

@@ -17,11 +17,11 @@ from robustlab.arrays import Array, Indices
 from robustlab.dynamics.extended.simulator import Windows
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.identification import tuning
-from robustlab.identification.hypotheses.effect_fit import Fit, FitPlan, Problem, simulated_outputs
-from robustlab.identification.hypotheses.noise import clearly_larger, in_phase, restarted, spans, window_errors
-from robustlab.identification.hypotheses.prepared_record import PreparedRecord
-from robustlab.identification.naming.discovery_parts import LINEAR, Gap, overall
-from robustlab.identification.naming.moves import without
+from robustlab.identification.greybox.effect_fit import Fit, FitPlan, Problem, simulated_outputs
+from robustlab.identification.greybox.noise import clearly_larger, in_phase, restarted, spans, window_errors
+from robustlab.identification.greybox.prepared_record import PreparedRecord
+from robustlab.identification.missing_effects.discovery_parts import LINEAR, Gap, overall
+from robustlab.identification.missing_effects.moves import without
 
 MOST_CLOCK = 3.0  # standard deviations of an input's clock
 LIKELY = 0.999  # joint probability of the parameters beyond which they are improbable

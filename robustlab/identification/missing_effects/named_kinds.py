@@ -22,9 +22,9 @@ from robustlab.dynamics.extended.simulator import Windows
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, port_model
 from robustlab.identification import tuning
-from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Problem
-from robustlab.identification.naming.discovery_parts import EffectValue, KindMember, NamedKind, wave_amplitude
-from robustlab.identification.naming.posterior import Posterior, Weighted
+from robustlab.identification.greybox.effect_fit import Candidate, Fit, Hypothesis, Problem
+from robustlab.identification.missing_effects.discovery_parts import EffectValue, KindMember, NamedKind, wave_amplitude
+from robustlab.identification.missing_effects.posterior import Posterior, Weighted
 
 MOST_MEMBERS = 4  # that contribute to a class's quantities: smaller shares would change no digit
 OF_JOINT: tuple[Quantity, ...] = ("level", "viscous", "stiffness", "force")

@@ -17,8 +17,8 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, parameter_groups
 from robustlab.dynamics.ports.split_joint import shares_behind
 from robustlab.errors import InputError, did_you_mean
-from robustlab.identification.hypotheses.effect_fit import UNIFORM, Candidate, Nuisance
-from robustlab.identification.hypotheses.prepared_record import PreparedRecord
+from robustlab.identification.greybox.effect_fit import UNIFORM, Candidate, Nuisance
+from robustlab.identification.greybox.prepared_record import PreparedRecord
 
 SPATIAL_LINES = 3  # of a force over the position: more would show weaker ripples at the cost of further fits
 FINEST_LINES = 1500  # periods per range of the position, at most

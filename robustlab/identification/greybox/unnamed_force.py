@@ -15,8 +15,8 @@ from robustlab.arrays import Array, ComplexArray
 from robustlab.dynamics.effects.contract import Site
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.errors import RobustlabError
-from robustlab.identification.hypotheses.effect_fit import Fit, Problem
-from robustlab.identification.hypotheses.random_force import (
+from robustlab.identification.greybox.effect_fit import Fit, Problem
+from robustlab.identification.greybox.random_force import (
     FittedWindows,
     NoiseLevel,
     eliminated,

@@ -14,19 +14,19 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.clocks import summarise_clock
+from robustlab.display import Facts, Part
 from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.identification.record_check.channel_identity import (
+from robustlab.identification.data_checks.channel_identity import (
     Contradiction,
     contradictions,
     response_factors,
     turned_channels,
 )
-from robustlab.identification.record_check.resampling import UniformRecord, uniform
+from robustlab.identification.data_checks.resampling import UniformRecord, uniform
 from robustlab.identification.response.response import Response, longest_period, matched, response_of, with_units
 from robustlab.record import Record
 from robustlab.result import Evidence, Status
-from robustlab.shown import Facts, Part
 
 SHORTEST_CLIP = 5  # constant samples at the end of the range
 FEWEST_LEVELS = 20  # a signal with fewer levels (a switch, a coarse sensor) is not checked for clipping

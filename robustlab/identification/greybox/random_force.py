@@ -18,8 +18,8 @@ from robustlab.dynamics.extended.simulator import Simulator
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.law_kernel import TIME, law
 from robustlab.identification import tuning
-from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Problem
-from robustlab.identification.hypotheses.prepared_record import PreparedRecord, averaged
+from robustlab.identification.greybox.effect_fit import Candidate, Fit, Hypothesis, Problem
+from robustlab.identification.greybox.prepared_record import PreparedRecord, averaged
 
 SEGMENTS = 60  # of a window, at most: each is a simulation per port
 PULSES = 120  # of a window at all ports together, at most

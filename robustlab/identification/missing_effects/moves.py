@@ -13,7 +13,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.identification import tuning
-from robustlab.identification.hypotheses.effect_fit import Candidate, Fit, Hypothesis, Linearised, Problem
+from robustlab.identification.greybox.effect_fit import Candidate, Fit, Hypothesis, Linearised, Problem
 
 KEPT = 5  # effects fitted in full on top of a set
 KEPT_GAINS = 2  # further gain effects: at the same cost the prior may prefer one

@@ -19,7 +19,7 @@ from robustlab.result import Evidence
 from robustlab.statespace import StateSpaceModel
 
 if TYPE_CHECKING:
-    from robustlab.identification.hypotheses.smoother_kernels import Filter
+    from robustlab.identification.greybox.smoother_kernels import Filter
 
 WHERE = "smooth_disturbance"
 
@@ -266,7 +266,7 @@ def _intensities(task: _Task, log_bandwidth: Array, sigma: Array) -> Array:
 
 
 def _filter(task: _Task, log_bandwidth: Array, sigma: Array) -> Filter:
-    from robustlab.identification.hypotheses.smoother_kernels import Filter
+    from robustlab.identification.greybox.smoother_kernels import Filter
 
     rounding, q = np.diag(ROUNDING * task.start), _intensities(task, log_bandwidth, sigma)
     root = _compressed(np.vstack([rounding, *(math.sqrt(v) * r for v, r in zip(q, task.port_roots, strict=True))]))
@@ -277,7 +277,7 @@ def _maximised(task: _Task, given: Array | None, known: bool, sigma: Array) -> _
     """Maximise the likelihood over bandwidths and, unless the noise is known, noise ratios and a common factor."""
     from scipy.optimize import minimize
 
-    from robustlab.identification.hypotheses.smoother_kernels import Kept, forward
+    from robustlab.identification.greybox.smoother_kernels import Kept, forward
 
     n_width, n_ratio = task.m if given is None else 0, 0 if known else task.model.n_outputs - 1
     low, high = math.log(0.2 / (task.h * len(task.t))), math.log(HIGHEST / task.h)  # of bandwidths in Hz
@@ -306,7 +306,7 @@ def _maximised(task: _Task, given: Array | None, known: bool, sigma: Array) -> _
 
 
 def _smoothed(task: _Task, choice: _Choice) -> tuple[Array, Array]:
-    from robustlab.identification.hypotheses.smoother_kernels import Kept, backward, forward
+    from robustlab.identification.greybox.smoother_kernels import Kept, backward, forward
 
     n, n_z = len(task.t), len(task.phi)
     kept, mean, covariance = Kept.of(n, n_z), np.empty((n, n_z)), np.empty((n, n_z, n_z))
