@@ -63,9 +63,9 @@ def _on_this_machine(wanted: int | None, samples: int) -> Iterator[Workers]:
             executor.submit(int)  # starts all processes, which inherit that Ctrl-C is ignored
         yield Workers(executor, count, lambda: None)
     finally:
-        executor.shutdown(wait=False, cancel_futures=True)
         for child in set(multiprocessing.active_children()) - others:
             child.terminate()
+        executor.shutdown(cancel_futures=True)  # quick without them; unawaited, it races the interpreter's own end
 
 
 @contextmanager
