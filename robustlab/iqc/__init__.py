@@ -8,6 +8,6 @@ __all__, __getattr__ = lazily(
         "analysis": "IqcGain IqcStability iqc_gain iqc_stability",
         "block_types": "Nature Nonlinearity Varying",
         "problem": "IqcProof posed",
-        "inequality": "Inequality",
+        "multipliers": "Filtered",
     },
 )

@@ -25,7 +25,7 @@ import numpy as np
 from robustlab.budget import one_thread
 from robustlab.display import Facts, listed, member, number
 from robustlab.errors import InputError, error_context
-from robustlab.iqc.problem import IqcProof, Natures, Posed, gain_claim, posed, size_claim
+from robustlab.iqc.problem import IqcProof, Natures, Posed, claim_of, posed
 from robustlab.mu_analysis.axis.margin import StabilityMargin
 from robustlab.norms import PeakGain
 from robustlab.result import Status
@@ -75,7 +75,7 @@ class IqcGain(PeakGain):
         """Return the claim that the gain is at most ``upper``, for `robustlab.verify`."""
         if self.posed is None or self.proof is None or not np.isfinite(self.upper):
             return []
-        return [gain_claim(self.posed, self.proof, self.upper)]
+        return [claim_of(self.posed, self.proof, gamma=self.upper)]
 
     def evidence(self) -> Facts:
         """Return the block types, the worst linear member, and the proof."""
@@ -115,7 +115,7 @@ class IqcStability(StabilityMargin):
         """Return the claim that the set ``lower`` times as large is stable, for `robustlab.verify`."""
         if self.posed is None or self.proof is None or not self.lower > 0:
             return []
-        return [size_claim(self.posed, self.proof, self.lower)]
+        return [claim_of(self.posed, self.proof, size=self.lower)]
 
     @property
     def stable(self) -> bool:
@@ -191,7 +191,15 @@ def iqc_gain(
         status = Status.INFEASIBLE
     upper, proof = best if best is not None else (math.inf, None)
     return IqcGain(
-        lower, upper, None, status, delta, problem.words, proof, conditions=problem.conditions, posed=problem.posed
+        lower,
+        upper,
+        None,
+        status,
+        delta,
+        problem.posed.words,
+        proof,
+        conditions=problem.posed.conditions,
+        posed=problem.posed,
     )
 
 
@@ -217,5 +225,5 @@ def iqc_stability(
                 low, proof = size, found
             size = 2 * low if math.isinf(high) else 0.5 * (low + high)
     status = Status.CERTIFIED if low else Status.TIMEOUT if budget.struck else Status.INCONCLUSIVE
-    words, conditions = problem.words, problem.conditions
+    words, conditions = problem.posed.words, problem.posed.conditions
     return IqcStability(low, math.inf, None, status, {}, (), words, conditions, proof, posed=problem.posed)

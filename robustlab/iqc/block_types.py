@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from numbers import Real
 from typing import Any
 
@@ -88,12 +88,9 @@ class Nonlinearity:
             if ends is None:
                 continue
             if not _is_range(ends):
-                hint = (
-                    "an infinite end has no strict inequality: friction takes a stick_speed"
-                    if name == "sector"
-                    else None
-                )
-                raise InputError(f"Nonlinearity: {name}", f"{ends}", "two finite numbers, the smaller one first", hint)
+                hint = "an infinite end has no strict inequality: friction takes a stick_speed"
+                expected = "two finite numbers, the smaller one first"
+                raise InputError(f"Nonlinearity: {name}", f"{ends}", expected, hint if name == "sector" else None)
         if self.slope is not None:
             # The middle of the sector must be a law of the class, as the start of the proof's homotopy.
             both = max(self.sector[0], self.slope[0]), min(self.sector[1], self.slope[1])
@@ -105,12 +102,7 @@ class Nonlinearity:
     def saturation(cls, limit: float = 1.0, reach: float = math.inf) -> Nonlinearity:
         r"""Saturation :math:`\max(-L, \min(L, z))`: odd, slope in [0, 1], sector [0, 1].
 
-        Parameters
-        ----------
-        limit
-            L, in the unit of the signal.
-        reach
-            Bound of :math:`|z|`, assumed in the proof; the sector is then [L / reach, 1].
+        ``limit``: L. ``reach``: bound of :math:`|z|`, assumed in the proof; the sector is then [L / reach, 1].
         """
         _positive("limit", limit)
         low = min(1.0, limit / reach) if math.isfinite(reach) else 0.0
@@ -120,12 +112,7 @@ class Nonlinearity:
     def dead_zone(cls, half_width: float = 1.0, reach: float = math.inf) -> Nonlinearity:
         r"""Dead zone :math:`z - \max(-d, \min(d, z))`: odd, slope in [0, 1], sector [0, 1].
 
-        Parameters
-        ----------
-        half_width
-            d, in the unit of the signal.
-        reach
-            Bound of :math:`|z|`, assumed in the proof; the sector is then [0, 1 - d / reach].
+        ``half_width``: d. ``reach``: bound of :math:`|z|`, assumed in the proof; the sector is then [0, 1 - d / reach].
         """
         _positive("half_width", half_width)
         high = 1.0 - half_width / reach if math.isfinite(reach) else 1.0
@@ -139,12 +126,7 @@ class Nonlinearity:
         stick away from zero with a constant force: neither force nor position is in L2, and no gain to the position is
         finite. It is rejected.
 
-        Parameters
-        ----------
-        level
-            F, in the unit of the force.
-        stick_speed
-            v_s: below this speed the force grows in proportion to it.
+        ``level``: F. ``stick_speed``: v_s, below which the force grows in proportion to the speed.
         """
         _positive("level", level)
         if stick_speed is None:
@@ -162,12 +144,6 @@ class Nonlinearity:
             raise InputError("Nonlinearity", f"a reach of {reach:g}", f"more than {size:g}: below it the law is linear")
         holds = f"while the signal stays within {reach:g}" if math.isfinite(reach) else ""
         return cls(sector, (0.0, 1.0), odd=True, holds=holds)
-
-    def normalised(self) -> Nonlinearity:
-        """Return the law normalised to the sector [-1, 1]."""
-        middle, half = 0.5 * (self.sector[0] + self.sector[1]), 0.5 * (self.sector[1] - self.sector[0])
-        slope = None if self.slope is None else ((self.slope[0] - middle) / half, (self.slope[1] - middle) / half)
-        return replace(self, sector=(-1.0, 1.0), slope=slope)
 
 
 Nature = Varying | Nonlinearity

@@ -22,129 +22,101 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.budget import Budget
 from robustlab.conic import ACCEPTED, Cone, solve, triangle
-from robustlab.iqc.filtered_model import FilteredModel, Rows
-from robustlab.iqc.multipliers import Term, symmetric
+from robustlab.iqc.multipliers import Filtered, Form, Unknowns
 
 __all__ = ["Inequality", "Point"]
 
 STEPS = 200
 # Least eigenvalue of every multiplier's unknowns as a share of the inequality's slack.
 INSIDE = 1e-2
+MOST = 100_000  # unknowns of all multipliers
 
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """P, the unknowns of every term, and gamma^2."""
+    """P, the unknowns of all multipliers, gamma^2, and the smallest eigenvalue of the inequality."""
 
     P: Array
-    unknowns: tuple[Array, ...]
+    multipliers: Array
     square: float
+    slack: float
 
 
 class Inequality:
-    """A model with all filters and its terms; ``z``, ``w``: performance outputs (None: stability alone) and inputs."""
+    """The inequality of a model with its filters, solved in larger or smaller units.
 
-    def __init__(self, model: FilteredModel, terms: Sequence[Term], z: Rows | None, w: slice) -> None:
-        self.A, self.B, self.terms = model.A, model.B, list(terms)
-        n, m = model.n, model.m
-        self.n, self.m, self.has_gain = n, m, z is not None
-        self.rows = [np.hstack([t.rows.padded(n, m).c, t.rows.padded(n, m).d]) for t in terms]
-        self.z = np.zeros((0, n + m)) if z is None else np.hstack([z.padded(n, m).c, z.padded(n, m).d])
-        self.E = np.zeros((n + m, n + m))
-        if self.has_gain:
-            self.E[n + w.start : n + w.stop, n + w.start : n + w.stop] = np.eye(w.stop - w.start)
-        self.counts = [n * (n + 1) // 2, *(t.count for t in terms)]
+    ``units``: of the states and inputs, (n + m,); ``forms``: of the blocks, each with the square of its channels' unit;
+    ``z``, ``w``: performance outputs (none: stability alone) and inputs.
+    """
 
-    # --- the matrices -------------------------------------------------------------------------------------------------
-
-    def _kyp(self, P: Array) -> Array:
-        pa, pb = P @ self.A, P @ self.B
-        return np.block([[pa + pa.T, pb], [pb.T, np.zeros((self.m, self.m))]])
-
-    def supply(self, unknowns: Sequence[Array], square: float) -> Array:
-        """Return the inequality without P."""
-        found = self.z.T @ self.z - square * self.E
-        for term, rows, x in zip(self.terms, self.rows, unknowns, strict=True):
-            found = found + rows.T @ term.middle(x) @ rows
-        return 0.5 * (found + found.T)
-
-    # --- the solver ---------------------------------------------------------------------------------------------------
+    def __init__(self, F: Filtered, units: Array, forms: Sequence[tuple[float, Form]], z: Array, w: Array) -> None:
+        self.units, self.n, n = units, F.n, F.n
+        self.has_gain = bool(len(z))
+        scaled = units[:, None] * units
+        reader = Unknowns(np.zeros(MOST))
+        self.squares = np.concatenate([np.full(_count(form, reader), square) for square, form in forms])
+        sizes = [F.width, *(len(X) for X in reader.positive)]
+        self.sizes, self.starts = sizes, np.cumsum([0, *(size * (size + 1) // 2 for size in sizes)])
+        rates, count = F.rates * units / units[:n, None], n * (n + 1) // 2
+        self.columns = np.zeros((count + len(self.squares), self.starts[-1]))
+        for k, (i, j) in enumerate(zip(*np.triu_indices(n), strict=True)):
+            G = np.zeros((F.width, F.width))
+            G[i] = rates[j]
+            if i != j:
+                G[j] = rates[i]
+            self.columns[k, : self.starts[1]] = triangle(-(G + G.T))
+        for k, unit in enumerate(np.eye(len(self.squares))):
+            reader = Unknowns(unit)
+            supply = sum(square * form(reader) for square, form in forms)
+            self.columns[count + k] = np.concatenate([triangle(X) for X in (-scaled * supply, *reader.positive)])
+        self.constant = np.zeros((2, self.starts[-1]))  # without gamma^2, and its factor
+        self.constant[:, : self.starts[1]] = triangle(scaled * np.array([-z.T @ z, w.T @ w]))
 
     def solve(self, budget: Budget, square: float | None = None) -> Point | None:
         """Minimise gamma^2 (``square`` None), or maximise the slack at a given one; None where infeasible."""
-        least = square is None and self.has_gain
-        rows, constant, cost, sizes, fixed = self._cone_data(least, square)
-        x = _clarabel(rows, constant, cost, sizes, fixed, budget)
-        if x is None:
+        least = self.has_gain and square is None
+        constant = self.constant[0] + self.constant[1] * (square or 0.0)
+        slack = [-np.eye(size) * (INSIDE if i else 1.0) for i, size in enumerate(self.sizes)]
+        last = self.constant[1] if least else np.concatenate([triangle(X) for X in slack])
+        rows = np.vstack([self.columns, last]).T
+        cones: list[Cone] = [("semidefinite", size) for size in self.sizes]
+        matrix, right = -rows, constant
+        if not self.has_gain:
+            # Without a gain the inequality is homogeneous: one sum of all multipliers fixes its scale.
+            trace = np.concatenate([triangle(np.eye(size)) * bool(i) for i, size in enumerate(self.sizes)])
+            weight = np.append(self.columns @ trace, 0.0)
+            cones = [("zero", 1), *cones]
+            matrix, right = np.vstack([weight, matrix]), np.append(float(len(self.sizes)), right)
+        scale = np.maximum(np.abs(matrix).max(axis=0), 1e-8)
+        work = 2e-4 * matrix.shape[1] ** 2 * matrix.shape[0]  # of a step, as measured
+        seconds = max(budget.seconds_left, 1e-3) if np.isfinite(budget.seconds_left) else None
+        most, cost = np.clip(budget.left / work, 1, STEPS), np.zeros(len(scale))
+        cost[-1] = (1.0 if least else -1.0) / scale[-1]
+        found = solve(cost, matrix / scale, right, cones, steps=most, seconds=seconds)
+        if found is None:
             return None
-        parts = np.split(x[:-1], np.cumsum(self.counts)[:-1])
-        return Point(symmetric(parts[0], self.n), tuple(parts[1:]), float(x[-1]) if least else square or 0.0)
+        budget.spend(found.iterations * work)
+        x = np.array(found.x) / scale
+        if str(found.status) not in ACCEPTED or not np.isfinite(x).all():
+            return None
+        return self._point(x[:-1], float(x[-1]) if least else square or 0.0)
 
-    def _cone_data(
-        self, least: bool, square: float | None
-    ) -> tuple[Array, Array, Array, list[int], tuple[Array, float] | None]:
-        """Return rows, constants, cost of "constant + rows x in cones"; the last unknown is gamma^2 or the slack."""
-        n, total = self.n, sum(self.counts) + 1
-        side = n + self.m
-        base = -self.supply([np.zeros(t.count) for t in self.terms], 0.0 if least else square or 0.0)
-        sizes = [side]
-        columns: list[list[tuple[int, Array]]] = []  # for every unknown: cone, matrix
-        for i in range(n):
-            for j in range(i, n):
-                P = np.zeros((n, n))
-                P[i, j] = P[j, i] = 1.0
-                columns.append([(0, -self._kyp(P))])
-        for term, rows in zip(self.terms, self.rows, strict=True):
-            first = len(sizes)
-            sizes += [len(part) for part in term.positive(np.zeros(term.count))]
-            for k in range(term.count):
-                unit = np.zeros(term.count)
-                unit[k] = 1.0
-                entry = [(0, -(rows.T @ term.middle(unit) @ rows))]
-                columns.append([*entry, *((first + i, part) for i, part in enumerate(term.positive(unit)))])
-        if least:
-            columns.append([(0, self.E)])
-        else:
-            inside = [(i, -INSIDE * np.eye(size)) for i, size in enumerate(sizes) if i]
-            columns.append([(0, -np.eye(side)), *inside])
-        starts = np.concatenate([[0], np.cumsum([s * (s + 1) // 2 for s in sizes])])
-        matrix, constant = np.zeros((starts[-1], total)), np.zeros(starts[-1])
-        constant[: starts[1]] = triangle(base)
-        for k, parts in enumerate(columns):
-            for cone, part in parts:
-                matrix[starts[cone] : starts[cone + 1], k] += triangle(part)
-        cost = np.zeros(total)
-        cost[-1] = 1.0 if least else -1.0
-        if self.has_gain:
-            return matrix, constant, cost, sizes, None
-        # Without a gain the inequality is homogeneous: one sum of all multipliers fixes its scale.
-        weight = np.zeros(total)
-        for k, parts in enumerate(columns[:-1]):
-            weight[k] = sum(float(np.trace(part)) for cone, part in parts if cone)
-        return matrix, constant, cost, sizes, (weight, float(len(sizes)))
-
-    def slack_of(self, point: Point) -> float:
-        """Return the smallest eigenvalue of the inequality at a point; negative where it does not hold."""
-        F = -(self._kyp(point.P) + self.supply(point.unknowns, point.square))
-        return float(np.linalg.eigvalsh(F)[0]) if np.isfinite(F).all() else -np.inf
+    def _point(self, x: Array, square: float) -> Point:
+        """Return a point in the units of the given model."""
+        n, at = self.n, self.n * (self.n + 1) // 2
+        P = np.zeros((n, n))
+        P[np.triu_indices(n)] = x[:at]
+        P = P + np.triu(P, 1).T
+        entries = (self.constant[0] + self.constant[1] * square + x @ self.columns)[: self.starts[1]]
+        whole = np.zeros((self.sizes[0], self.sizes[0]))
+        columns, rows = np.tril_indices(len(whole))
+        whole[rows, columns] = whole[columns, rows] = np.where(rows == columns, entries, entries / np.sqrt(2.0))
+        slack = float(np.linalg.eigvalsh(whole)[0]) if np.isfinite(whole).all() else -np.inf
+        return Point(P / np.outer(self.units[:n], self.units[:n]), x[at:] * self.squares, square, slack)
 
 
-def _clarabel(
-    rows: Array, constant: Array, cost: Array, sizes: list[int], fixed: tuple[Array, float] | None, budget: Budget
-) -> Array | None:
-    """Minimise ``cost x`` with ``constant + rows x`` in cones of symmetric matrices; None where that failed."""
-    cones: list[Cone] = [("semidefinite", size) for size in sizes]
-    matrix, right = -rows, constant
-    if fixed is not None:
-        cones = [("zero", 1), *cones]
-        matrix, right = np.vstack([fixed[0], matrix]), np.append(fixed[1], right)
-    scale = np.maximum(np.abs(matrix).max(axis=0), 1e-8)
-    work = 2e-4 * matrix.shape[1] ** 2 * matrix.shape[0]  # of a step, as measured
-    seconds = max(budget.seconds_left, 1e-3) if np.isfinite(budget.seconds_left) else None
-    most = np.clip(budget.left / work, 1, STEPS)
-    found = solve(cost / scale, matrix / scale, right, cones, steps=most, seconds=seconds)
-    if found is None:
-        return None
-    budget.spend(found.iterations * work)
-    x = np.array(found.x) / scale
-    return x if str(found.status) in ACCEPTED and np.isfinite(x).all() else None
+def _count(form: Form, reader: Unknowns) -> int:
+    """Return the number of unknowns of a form, read after others."""
+    before = reader.at
+    form(reader)
+    return reader.at - before

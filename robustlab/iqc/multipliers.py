@@ -2,14 +2,14 @@ r"""Multipliers: integral quadratic constraints of blocks, with unknowns.
 
 .. math:: \int_0^\infty v^T M v \, dt \ge 0, \qquad v = \Psi (z, w), \quad M = M(\lambda) \text{ linear}
 
-for all z in L2 and w the block's output. `v` are rows of a `FilteredModel`. The filters are the basis
-:math:`\psi = (1, \frac{a}{s + a}, \dots, (\frac{a}{s + a})^\nu)`, or static for arbitrarily fast blocks.
+for all z in L2 and w the block's output, with the filters :math:`\psi = (1, \frac{a}{s + a}, \dots, (\frac{a}{s +
+a})^\nu)`. The constraints, the order of their unknowns and the references are those of
+`robustlab.verification.multipliers`, which proves what is found here:
 
 ===============================  ======================================================================================
 block                            constraint
 ===============================  ======================================================================================
-dynamics, time-invariant         :math:`\psi z^T X \psi z - \psi w^T X \psi w`, X >= 0: every D(jw) >= 0 of these
-                                 poles is :math:`\psi^* X \psi`
+dynamics, time-invariant         :math:`\psi z^T X \psi z - \psi w^T X \psi w`, X >= 0
 real constant parameter          the same, and :math:`2 \psi z^T Y \psi w` with :math:`Y = -Y^T`
 varying arbitrarily fast         the same with :math:`\nu = 0`
 real parameter of bounded rate   the swapping lemma: :math:`\delta \psi z = \psi w + T (\dot\delta \, T_b z)`, T from
@@ -19,201 +19,171 @@ the same, steady (Popov)         :math:`2 x w \dot z`, x of either sign, z witho
 slope in [m, k] (Zames, Falb)    :math:`2 p (x_0 - h *) q`, p = k z - w, q = w - m z, :math:`\|h\|_1 \le x_0`, h of both
                                  directions of time, h >= 0 unless the law is odd
 ===============================  ======================================================================================
-
-The homotopy condition of Megretski and Rantzer holds for all of them: with each block, tau times it belongs to the
-class for every tau in [0, 1], so it satisfies the same constraint.
-
-References
-----------
-Megretski, Rantzer 1997; Jönsson 1997 (Popov); Zames, Falb 1968; Chen, Wen 1995; Helmersson 1999, Köroğlu, Scherer 2007
-(bounded rates); Veenman, Scherer, Köroğlu, "Robust stability and performance analysis based on IQCs", 2016.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.iqc.block_types import Nonlinearity
-from robustlab.iqc.filtered_model import FilteredModel, Rows, stacked
+from robustlab.iqc.block_types import Nature, Nonlinearity, Varying
 
-__all__ = ["POPOV", "Basis", "Term", "nonlinear_terms", "rate_terms", "repeated_terms", "symmetric"]
-
-POPOV = "Popov"  # the kind of a constraint on a derivative
+__all__ = ["Filtered", "Form", "Unknowns", "filter_order", "law", "linear"]
 
 
-@dataclass(frozen=True)
-class Basis:
-    """Pole a in rad/s and highest power of ``a / (s + a)``."""
+class Filtered:
+    """The model ``A, B, C, D`` with the filters of its constraints; a signal is a matrix of rows over (x, u).
 
-    pole: float
-    order: int
-
-
-@dataclass(frozen=True, eq=False)
-class Term:
-    """One constraint: its signals v, M, and matrices that must be >= 0, both linear in ``count`` unknowns."""
-
-    block: str
-    kind: str
-    rows: Rows
-    count: int
-    middle: Callable[[Array], Array]
-    positive: Callable[[Array], list[Array]]
-
-
-def symmetric(x: Array, size: int) -> Array:
-    """Return the symmetric matrix of an upper triangle, row by row."""
-    found = np.zeros((size, size))
-    found[np.triu_indices(size)] = x
-    return found + np.triu(found, 1).T
-
-
-def _skew(x: Array, size: int) -> Array:
-    found = np.zeros((size, size))
-    found[np.triu_indices(size, 1)] = x
-    return found - found.T
-
-
-def _triangle(size: int) -> int:
-    return size * (size + 1) // 2
-
-
-def _scaled(
-    name: str, kind: str, above: Rows, below: Rows, size: int, real: bool, copies: tuple[int, int] = (1, 1)
-) -> Term:
-    """``above^T X above - below^T X below`` with X >= 0, and for a real scalar ``2 above^T Y below``.
-
-    X has ``size`` rows; each of its entries is multiplied by the identity of size ``copies`` (of z, of w).
+    ``filters`` states and ``extra`` inputs are the totals, so that every row has its final length.
     """
-    n_x = _triangle(size)
 
-    def middle(x: Array) -> Array:
-        X = symmetric(x[:n_x], size)
-        over, under = np.kron(X, np.eye(copies[0])), np.kron(X, np.eye(copies[1]))
-        cross = _skew(x[n_x:], size) if real else np.zeros((len(over), len(under)))
-        return np.block([[over, cross], [cross.T, -under]])
+    def __init__(self, A: Array, B: Array, C: Array, D: Array, filters: int, extra: int) -> None:
+        self.n, self.width = len(A) + filters, len(A) + filters + B.shape[1] + extra
+        self._C, self._states, self._inputs = C, len(A), self.n + B.shape[1]
+        self._rates = [self._wide(A, B)]
+        self.outputs = self._wide(C, D)
 
-    count = n_x + (size * (size - 1) // 2 if real else 0)
-    return Term(name, kind, stacked(above, below), count, middle, lambda x: [symmetric(x[:n_x], size)])
-
-
-# --- linear blocks ----------------------------------------------------------------------------------------------------
-
-
-def repeated_terms(
-    model: FilteredModel, name: str, z: Rows, w: Rows, basis: Basis, *, scalar: bool, real: bool
-) -> list[Term]:
-    """Return the terms of a block of gain one, a scalar (real or not) or a full one; order 0 where it varies."""
-    above = stacked(z, *model.low_passes(z, basis.pole, basis.order))
-    below = stacked(w, *model.low_passes(w, basis.pole, basis.order))
-    kind = ("real parameter" if real else "dynamics") + ("" if basis.order else ", static multiplier")
-    copies = (1, 1) if scalar else (len(z), len(w))
-    size = (basis.order + 1) * (len(z) if scalar else 1)
-    return [_scaled(name, kind, above, below, size, real, copies)]
-
-
-def rate_terms(model: FilteredModel, name: str, z: Rows, w: Rows, basis: Basis, rate: float) -> list[Term]:
-    """Return the terms of a real scalar whose rate is at most ``rate`` per second."""
-    order, count = basis.order, len(z)
-    stages = model.low_passes(z, basis.pole, order)
-    slow = model.added_inputs(order * count)  # delta' x / rate, x the states of the stages
-    parts = [Rows(slow.c[i : i + count], rate * slow.d[i : i + count]) for i in range(0, order * count, count)]
-    moved = model.low_passes(w, basis.pole, order, parts)
-    size = (order + 1) * count
-    above, below, states = stacked(z, *stages), stacked(w, *moved), stacked(*stages)
-    return [
-        _scaled(name, "real parameter", above, below, size, True),
-        _scaled(name, "its rate", states, slow, order * count, True),
-    ]
-
-
-# --- nonlinearities ---------------------------------------------------------------------------------------------------
-
-
-def nonlinear_terms(
-    model: FilteredModel, name: str, z: Rows, w: Rows, basis: Basis, law: Nonlinearity, loops: bool
-) -> list[Term]:
-    """Return the terms of a memoryless law of sector [-1, 1]; ``loops``: whether z depends on a block without delay.
-
-    With such a dependence only constraints are used that hold for differences of two signals too: these make the loop
-    well posed.
-    """
-    found: list[Term] = []
-    if not loops:
-        found.append(_single(name, "sector", stacked(z, w), np.diag([1.0, -1.0]), True))
-    if law.steady and not z.d.any():
-        swap = np.array([[0.0, 1.0], [1.0, 0.0]])
-        found.append(_single(name, POPOV, stacked(model.derivative(z), w), swap, False))
-    if law.slope is not None:
-        m, k = law.slope
-        order = basis.order if law.steady else 0
-        found.append(_zames_falb(model, name, z, w, Basis(basis.pole, order), (m, k), law.odd))
-    return found
-
-
-def _single(name: str, kind: str, rows: Rows, M: Array, signed: bool) -> Term:
-    """Return the term ``x M`` with one unknown, which must be positive where ``signed``."""
-    return Term(name, kind, rows, 1, lambda x: x[0] * M, lambda x: [x.reshape(1, 1)] if signed else [])
-
-
-def _zames_falb(
-    model: FilteredModel, name: str, z: Rows, w: Rows, basis: Basis, slope: tuple[float, float], odd: bool
-) -> Term:
-    (m, k), order = slope, basis.order
-    p, q = w.plus(k, z, -1.0), w.plus(-m, z)
-    stages = [*model.low_passes(q, basis.pole, order), *model.low_passes(p, basis.pole, order)]
-    grams = [((order - 1) // 2 + 1), ((order - 2) // 2 + 1)] if order else []
-    each = [s for s in grams if s]
-    signs = [1.0, -1.0] if odd else [1.0]
-    per_kernel = sum(map(_triangle, each))
-
-    def split(x: Array) -> list[list[Array]]:
-        """Return the Gram matrices of every kernel: causal (each sign), anticausal (each sign)."""
-        found, at = [], 1
-        for _ in range(2 * len(signs) if order else 0):
-            parts = []
-            for size in each:
-                parts.append(symmetric(x[at : at + _triangle(size)], size))
-                at += _triangle(size)
-            found.append(parts)
+    def _wide(self, C: Array, D: Array) -> Array:
+        found = np.zeros((len(C), self.width))
+        found[:, : C.shape[1]], found[:, self.n : self.n + D.shape[1]] = C, D
         return found
 
-    def middle(x: Array) -> Array:
-        ways, half = [_coefficients(parts, order) for parts in split(x)], len(signs)
-        causal = sum((s * c for s, c in zip(signs, ways[:half], strict=False)), np.zeros(order))
-        anti = sum((s * c for s, c in zip(signs, ways[half:], strict=False)), np.zeros(order))
-        found = np.zeros((2 + 2 * order, 2 + 2 * order))
-        found[0, 1] = x[0]
-        found[0, 2 : 2 + order] = -causal  # p (h * q)
-        found[1, 2 + order :] = -anti  # q (h~ * p)
-        return found + found.T
+    @property
+    def rates(self) -> Array:
+        """The derivatives of all states."""
+        return np.vstack(self._rates)
 
-    def positive(x: Array) -> list[Array]:
-        parts = split(x)
-        mass = sum(float(_coefficients(part, order).sum()) for part in parts)
-        return [np.array([[x[0] - mass]]), *(gram for part in parts for gram in part)]
+    def input(self, columns: slice) -> Array:
+        return np.eye(self.width)[self.n + columns.start : self.n + columns.stop]
 
-    count = 1 + (2 * len(signs) * per_kernel if order else 0)
-    kind = "Zames-Falb" if order else "slope, static multiplier"
-    return Term(name, kind, stacked(p, q, *stages), count, middle, positive)
+    def added(self, count: int) -> Array:
+        """Return ``count`` more inputs."""
+        self._inputs += count
+        return np.eye(self.width)[self._inputs - count : self._inputs]
+
+    def stages(self, signal: Array, pole: float, order: int, driven: Sequence[Array] = ()) -> list[Array]:
+        """Return the signal behind each power of ``a / (s + a)``; ``driven``: a further input of each stage."""
+        found: list[Array] = []
+        for j in range(order):
+            own = np.eye(self.width)[self._states : self._states + len(signal)]
+            rate = pole * ((found[-1] if found else signal) - own)
+            self._rates.append(rate + driven[j] if driven else rate)
+            self._states += len(signal)
+            found.append(own)
+        return found
+
+    def derivative(self, rows: slice) -> Array:
+        """Return the derivative of outputs without a direct term."""
+        return self._C[rows] @ self._rates[0]
 
 
-def _coefficients(grams: list[Array], order: int) -> Array:
-    r"""Compute c of :math:`h(t) = a e^{-a t} \sum_j c_j (a t)^j / j!` from Gram matrices.
+class Unknowns:
+    """The unknowns of all multipliers, read in their order, and the matrices of them that must be positive."""
+
+    def __init__(self, values: Array) -> None:
+        self.values, self.at = values, 0
+        self.positive: list[Array] = []
+
+    def take(self, count: int) -> Array:
+        self.at += count
+        return self.values[self.at - count : self.at]
+
+    def skew(self, size: int) -> Array:
+        X = np.zeros((size, size))
+        X[np.triu_indices(size, 1)] = self.take(size * (size - 1) // 2)
+        return X - X.T
+
+    def definite(self, size: int) -> Array:
+        X = np.zeros((size, size))
+        X[np.triu_indices(size)] = self.take(size * (size + 1) // 2)
+        X = X + np.triu(X, 1).T
+        self.positive.append(X)
+        return X
+
+
+Form = Callable[[Unknowns], Array]  # the quadratic form v^T M v over (x, u)
+
+
+def filter_order(nature: Nature | None, order: int) -> int:
+    """Return the highest power of a filter that the constraints of a block allow."""
+    if isinstance(nature, Varying):
+        return order if math.isfinite(nature.rate) else 0
+    return order if nature is None or (nature.slope is not None and nature.steady) else 0
+
+
+def linear(
+    F: Filtered, z: Array, w: Array, order: int, pole: float, *, scalar: bool, real: bool, rate: float
+) -> tuple[str, Form]:
+    """Return the kinds and the form of a linear block of gain one: ``rate`` is the bound of a real scalar, else inf."""
+    rated, count = bool(order) and math.isfinite(rate), len(z)
+    behind_z = F.stages(z, pole, order)
+    moved = F.added(order * count) if rated else z[:0]  # delta' x / rate, x the states of the stages
+    behind_w = F.stages(w, pole, order, [rate * part for part in np.split(moved, order)] if rated else ())
+    above, below = np.vstack([z, *behind_z]), np.vstack([w, *behind_w])
+    size, copies = ((order + 1) * count, (1, 1)) if scalar else (order + 1, (count, len(w)))
+
+    def scaled(above: Array, below: Array, size: int, copies: tuple[int, int], x: Unknowns) -> Array:
+        X = x.definite(size)
+        over, under = (np.kron(X, np.eye(k)) for k in copies)
+        cross = above.T @ x.skew(size) @ below if real else 0.0
+        return above.T @ over @ above - below.T @ under @ below + cross + np.transpose(cross)
+
+    def form(x: Unknowns) -> Array:
+        found = scaled(above, below, size, copies, x)
+        return found + scaled(np.vstack(behind_z), moved, order * count, (1, 1), x) if rated else found
+
+    kind = ("real parameter" if real else "dynamics") + ("" if order else ", static multiplier")
+    return f"{kind}, its rate" if rated else kind, form
+
+
+def law(
+    F: Filtered, rows: slice, w: Array, order: int, pole: float, nature: Nonlinearity, free: tuple[bool, bool]
+) -> tuple[str, Form]:
+    """Return the kinds and the form of a memoryless law of sector [-1, 1].
+
+    ``free``: its input has no direct term from any block, from any input. If it has, only constraints are used that
+    hold for differences of two signals too: these make the loop well posed.
+    """
+    z, popov = F.outputs[rows], free[1] and nature.steady
+    rate = F.derivative(rows) if popov else z
+    m, k = nature.slope or (0.0, 0.0)
+    p, q = k * z - w, w - m * z
+    behind_q, behind_p = F.stages(q, pole, order), F.stages(p, pole, order)
+    signs = (1.0, -1.0) if nature.odd else (1.0,)
+
+    def form(x: Unknowns) -> Array:
+        half = np.zeros((F.width, F.width))
+        if free[0]:
+            half += 0.5 * x.definite(1)[0, 0] * (z.T @ z - w.T @ w)
+        if popov:
+            half += x.take(1)[0] * rate.T @ w
+        if nature.slope is not None:
+            direct, mass = x.take(1)[0], 0.0
+            half += direct * p.T @ q
+            for one, behind in ((p, behind_q), (q, behind_p)) if order else ():  # both directions of time
+                for sign in signs:
+                    h = _kernel(x, order)
+                    mass += h.sum()
+                    half -= sign * one.T @ sum(c * stage for c, stage in zip(h, behind, strict=True))
+            x.positive.append(np.array([[direct - mass]]))
+        return half + half.T
+
+    falb = "" if nature.slope is None else "Zames-Falb" if order else "slope, static multiplier"
+    return ", ".join(word for word in ("sector" * free[0], "Popov" * popov, falb) if word), form
+
+
+def _kernel(x: Unknowns, order: int) -> Array:
+    r"""Read c of :math:`h(t) = a e^{-a t} \sum_l c_l (a t)^l / l!`.
 
     Its polynomial is :math:`s^T Q_1 s + a t \, s^T Q_2 s` with :math:`s_i = (a t)^i / i!`: every polynomial that is
     nonnegative for t >= 0 has this form.
     """
     found = np.zeros(order)
-    for shift, gram in enumerate(grams):
-        for i in range(len(gram)):
-            for j in range(len(gram)):
-                found[i + j + shift] += (
-                    gram[i, j] * math.factorial(i + j + shift) / math.factorial(i) / math.factorial(j)
-                )
+    for shift in range(min(order, 2)):
+        Q = x.definite((order - 1 - shift) // 2 + 1)
+        for i, j in np.ndindex(Q.shape):
+            found[i + j + shift] += Q[i, j] * math.factorial(i + j + shift) / math.factorial(i) / math.factorial(j)
     return found

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import robustlab as rl
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.iqc import Inequality, posed
+from robustlab.iqc import Filtered, posed
 from robustlab.iqc import inequality as inequality_module
 from robustlab.result import Status
 
@@ -195,25 +196,28 @@ def test_no_varying_spring_reaches_more_than_the_proved_gain():
 # --- the proof --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("slip", ["z", "A", "B"])
+@pytest.mark.parametrize("slip", ["A", "B", "C"])
 def test_a_wrongly_assembled_model_proves_nothing(monkeypatch, slip):
     """An error once doubled a direct term of the inequality; the claim is about the given model."""
-    made = Inequality.__init__
+    made = Filtered.__init__
 
-    def slipped(self, *args):
-        made(self, *args)
-        setattr(self, slip, getattr(self, slip) * (1.1 if slip == "A" else 0.5))
+    def slipped(self, A, B, C, D, *sizes):
+        given = {"A": A, "B": B, "C": C}
+        given[slip] = given[slip] * (1.1 if slip == "A" else 0.5)
+        made(self, *given.values(), D, *sizes)
 
-    monkeypatch.setattr(Inequality, "__init__", slipped)
+    monkeypatch.setattr(Filtered, "__init__", slipped)
     found = rl.peak_gain(CUBE, natures={("y", "u"): rl.Nonlinearity((0.0, 3.0), (0.0, 3.0), odd=True)}, order=3)
     assert (found.status, found.upper) == (Status.INCONCLUSIVE, math.inf)
 
 
 def test_a_wrong_solver_proves_nothing(monkeypatch):
     rng = np.random.default_rng(0)
-    monkeypatch.setattr(
-        inequality_module, "_clarabel", lambda rows, *more: np.abs(rng.normal(size=rows.shape[1])) + 0.1
-    )
+
+    def wrong(cost, *given, **options):
+        return SimpleNamespace(iterations=1, status="Solved", x=np.abs(rng.normal(size=len(cost))) + 0.1)
+
+    monkeypatch.setattr(inequality_module, "solve", wrong)
     found = rl.peak_gain(CUBE, natures={("y", "u"): rl.Nonlinearity((0.0, 3.0))})
     assert (found.status, found.upper, found.proof) == (Status.INCONCLUSIVE, math.inf, None)
 
