@@ -53,7 +53,7 @@ _PUBLIC = {
     "worst_case": "worst_case_analysis",
     "violation_probability": "worst_case_analysis",
     "mu": "mu_analysis",
-    "robust_stability": "analysis.stability",
+    "robust_stability": "analysis.margins",
     "disk_margin": "analysis.margins",
     "classical_margins": "analysis.margins",
     "robust_performance": "mu_analysis",

@@ -3,8 +3,8 @@ from robustlab.analysis.gain import peak_gain as peak_gain
 from robustlab.analysis.gap import gap as gap
 from robustlab.analysis.margins import classical_margins as classical_margins
 from robustlab.analysis.margins import disk_margin as disk_margin
+from robustlab.analysis.margins import robust_stability as robust_stability
 from robustlab.analysis.robust_gain import robust_gain as robust_gain
-from robustlab.analysis.stability import robust_stability as robust_stability
 from robustlab.analysis.synthesis import hinf as hinf
 from robustlab.delays.model import DelayedModel as DelayedModel
 from robustlab.delays.signal_delays import delay as delay

@@ -100,11 +100,10 @@ def _directed(one: CoprimeFactors, two: CoprimeFactors) -> tuple[float, float]:
 
     g1, g2 = one.right, two.right
     n, m = g1.n_states + g2.n_states, g1.n_inputs
+    A, B = (np.asarray(block_diag(*pair)) for pair in ((g1.A, g2.A), (g1.B, g2.B)))
     C = np.vstack([np.hstack([g1.C, g2.C]), np.zeros((m, n))])
     D = np.block([[g1.D, g2.D], [np.eye(m), np.zeros((m, m))]])
-    plant = StateSpaceModel(
-        np.asarray(block_diag(g1.A, g2.A)).reshape(n, n), np.asarray(block_diag(g1.B, g2.B)).reshape(n, 2 * m), C, D
-    )
+    plant = StateSpaceModel(A.reshape(n, n), B.reshape(n, 2 * m), C, D)
     try:
         found = hinf(plant, m, m, gamma_rel=1.0)
     except NoTrustworthyNumber:

@@ -1,28 +1,123 @@
-r"""Disk margins and classical margins of a loop of any type of models.
-
-Each loop is multiplied by a complex factor of the disk
-
-.. math:: f = \frac{1 + \frac{1 - \sigma}{2} \delta}{1 - \frac{1 + \sigma}{2} \delta}, \qquad |\delta| < \alpha .
+r"""Margins of any kind of loop: classical and disk margins, and the stability margin of a set.
 
 References
 ----------
 Seiler, Packard, Gahinet, "An introduction to disk margins", IEEE Control Systems Magazine 40 (2020); Skogestad,
-Postlethwaite, *Multivariable Feedback Control*, section 2.4.
+Postlethwaite, *Multivariable Feedback Control*, section 2.4; Zhou, Doyle, Glover 1996, chapter 11.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Literal
 
 from numpy.typing import ArrayLike
 
-from robustlab.analysis.kinds import options_of
-from robustlab.delays.model import DelayedModel
+from robustlab.analysis.kinds import DELAYED, FREQUENCIES, MODEL, NATURES, SET, ask, kind_of
 from robustlab.errors import InputError, error_context
+from robustlab.mu_analysis.axis.margin import StabilityMargin
 from robustlab.mu_analysis.margins.classical import ClassicalMargins
 from robustlab.mu_analysis.margins.disk_margin import DiskMargins, Place
-from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
 from robustlab.uncertainty.lft import UncertainModel
+
+OWN = "mu_analysis.margins."
+OF_SET = ("mu_analysis.axis.robustness.robust_stability", "omega tolerance accuracy seed effort time_limit")
+STABILITY = {
+    MODEL: OF_SET,
+    SET: OF_SET,
+    DELAYED: (f"{OWN}delay_margins.delay_stability", "order=highest_order effort"),
+    FREQUENCIES: (f"{OWN}at_frequencies.robust_stability_at", "frequency seed"),
+    NATURES: ("iqc.analysis.iqc_stability", "natures=nature order pole effort time_limit"),
+}
+DISK = {
+    MODEL: (f"{OWN}disk_margin.disk_margin", "at skew sign seed effort time_limit"),
+    DELAYED: (
+        f"{OWN}delay_loops.delay_disk_margins",
+        "at skew sign seed effort accuracy=tolerance order=highest_order"),
+    FREQUENCIES: (f"{OWN}at_frequencies.disk_margin_at", "frequency at skew sign seed"),
+}  # fmt: skip
+CLASSICAL = {
+    MODEL: (f"{OWN}classical.classical_margins", "at sign"),
+    DELAYED: (f"{OWN}delay_loops.delay_classical_margins", "at sign order=highest_order"),
+}
+HINTS = {
+    DELAYED: ".uncertain(order) makes a set of it", FREQUENCIES: "leave the frequencies out for the whole axis"
+}  # fmt: skip
+
+
+@error_context("robust_stability")
+def robust_stability(
+    system: Any,
+    *,
+    natures: Mapping[Any, Any] | None = None,
+    frequency: ArrayLike | None = None,
+    omega: ArrayLike | None = None,
+    tolerance: float | None = None,
+    accuracy: float | None = None,
+    order: int | None = None,
+    pole: float | None = None,
+    seed: int = 0,
+    effort: float = 1.0,
+    time_limit: float | None = None,
+) -> StabilityMargin:
+    r"""Robust stability margin: the system is stable for all Delta of norm below ``lower``.
+
+    .. math:: k = 1 / \sup_\omega \mu(M_{11}(j \omega))
+
+    Of an uncertain model ``lower`` is proved on the whole axis, in floating point with a slack of 5e-6 in mu; ``upper``
+    is attained by the member ``delta``, which has a pole on the stability boundary. A range that is wider on one side
+    grows in proportion on both. With exact delays: whether the system is stable, by a set that holds it.
+
+    Parameters
+    ----------
+    system
+        An UncertainModel, with ``natures`` also a model, a DelayedModel, or UncertainFrequencyData.
+    natures
+        As in `peak_gain`: blocks that vary or are nonlinear. Empty: the same proof of constant blocks.
+    frequency
+        Frequencies in rad/s of the margins, without any claim between them; a stable nominal system is assumed.
+    omega
+        Of an uncertain model: frequencies in rad/s for ``mu_lower`` and ``mu_upper``, the curves of a figure.
+    tolerance, accuracy
+        Of an uncertain model: relative gap that branch and bound aims at (0.01; inf: none), and relative distance to
+        the best margin that D, G can prove (3e-5).
+    order, pole
+        With natures and delays as in `peak_gain`.
+    seed, effort, time_limit
+        Seed of the searches; their work as a multiple of the usual; s, after which the result depends on the machine.
+
+    Returns
+    -------
+    StabilityMargin
+        Both bounds with status and evidence: a `Margin`, an `IqcStability` with natures, a `MarginAt` at frequencies, a
+        `DelayStability` with delays.
+
+    Raises
+    ------
+    InputError
+        No uncertainty at frequencies, no such block, an option that this kind of system does not have.
+    NoTrustworthyNumber
+        The nominal model is unstable; a pole is at a given frequency.
+
+    References
+    ----------
+    Doyle 1982; Sideris 1992; Newlin, Young 1997; Megretski, Rantzer 1997; Michiels, Niculescu 2014.
+
+    Examples
+    --------
+    >>> import robustlab as rl
+    >>> M = rl.StateSpaceModel([[-1.0]], [[-0.5]], [[1.0]], [[0.0]])
+    >>> pole = rl.UncertainModel(M, [rl.RealScalar("pole")])  # s + 1 + 0.5 delta
+    >>> found = rl.robust_stability(pole)
+    >>> found.stable, round(found.upper, 6), round(rl.robust_stability(pole, frequency=[1.0]).lower, 6)
+    (True, 2.0, inf)
+    """
+    given = dict(locals())
+    for name in ("system", "seed", "effort"):
+        del given[name]
+    kind = kind_of(system, natures=natures, frequency=frequency)
+    kind = kind if kind in STABILITY else MODEL
+    return ask("robust_stability", STABILITY, kind, (system,), given, HINTS, seed=seed, effort=effort)
 
 
 @error_context("disk_margin")
@@ -44,15 +139,15 @@ def disk_margin(
 
     .. math:: \alpha = 1 / \sup_\omega \mu\left( S(j\omega) + \tfrac{\sigma - 1}{2} I \right), \qquad S = (I + L)^{-1}
 
-    For a rational loop, one with exact delays, frequency-response data, or given frequencies.
+    Each loop is multiplied by a complex factor of the disk
+
+    .. math:: f = \frac{1 + \frac{1 - \sigma}{2} \delta}{1 - \frac{1 + \sigma}{2} \delta}, \qquad |\delta| < \alpha .
 
     Parameters
     ----------
-    plant
-        Plant P (p outputs, m inputs), or the whole open loop L, square, if K is omitted: a model, a
-        DelayedModel, or UncertainFrequencyData without blocks.
-    K
-        Controller (m outputs, p inputs), or one whose signals have names that the plant has too. It may be delayed.
+    plant, K
+        Plant (p outputs, m inputs) and controller (m outputs, p inputs, or signals with names that the plant has), or
+        the open loop L alone: models, either with exact delays, or UncertainFrequencyData without blocks.
     at
         Where the factors act: on the plant's outputs, its inputs, or both at once.
     frequency
@@ -60,34 +155,29 @@ def disk_margin(
     skew
         sigma: 0 balanced, positive if the gain is more likely to rise, negative if it is more likely to fall.
     sign
-        -1 for negative feedback, 1 for positive feedback. By default as stated by the controller, as for every designed
-        one, else negative.
-    accuracy
-        Of a loop with delays: relative distance of the bounds at which the search ends, 0.01 by default.
-    order
-        Of a loop with delays: up to which order of Padé's approximations its stability is tried, 1 to 16.
-    seed, effort
-        Seed of the searches, and their work as a multiple of the usual, counted, not timed.
-    time_limit
-        Time limit in s of all searches over the axis. If it is reached, the result depends on the machine.
+        -1 for negative feedback, 1 for positive; by default as stated by the controller, else negative.
+    accuracy, order
+        Of a loop with delays: relative distance of the bounds at which the search ends (0.01), and up to which order of
+        Padé's approximations its stability is tried, 1 to 16.
+    seed, effort, time_limit
+        As in `robust_stability`.
 
     Returns
     -------
     DiskMargins
         ``lower`` proved and ``upper`` attained, of all loops at once; ``channels`` by the name of the plant's signal.
-        `DiskMarginsAt` has more evidence.
 
     Raises
     ------
     InputError
-        Sizes, names or sample times that do not fit; a skew that is not finite; a sign that contradicts the controller;
-        an option that this type of loop does not have.
+        Sizes, names or sample times that do not fit; a sign that contradicts the controller; an option that this kind
+        of loop does not have.
     NoTrustworthyNumber
         The nominal loop is unstable, or not proved stable; a pole is at a given frequency.
 
     References
     ----------
-    Seiler, Packard, Gahinet (2020), equations 9-17.
+    Seiler, Packard, Gahinet 2020, equations 9-17.
 
     Examples
     --------
@@ -95,37 +185,16 @@ def disk_margin(
     >>> margin = rl.disk_margin(rl.tf([0.5, -0.5], [1, 1]))
     >>> round(margin.lower, 6), [round(g, 6) for g in margin.gain_margin]
     (0.666667, [0.5, 2.0])
-    >>> late = rl.disk_margin(rl.tf([2], [1, 1]) @ rl.delay(0.5))
-    >>> str(late.status), round(late.upper, 3)
-    ('certified', 0.573)
-    >>> rl.disk_margin(rl.tf([1], [1, 0]), frequency=[1.0]).lower.__round__(6)
-    2.0
     """
-    given = {"accuracy": accuracy, "order": order, "time_limit": time_limit}
-    loop: dict[str, Any] = {"at": at, "skew": skew, "sign": sign, "seed": seed}
-    kinds = plant, getattr(K, "K", K)
-    if frequency is not None or isinstance(plant, UncertainFrequencyData):
-        from robustlab.mu_analysis.margins.at_frequencies import disk_margin_at
-
-        options_of(
-            "disk_margin", "a loop at given frequencies", given, {}, "leave the frequencies out for the whole axis"
-        )
-        return disk_margin_at(plant, K, frequency, **loop)
-    if any(isinstance(part, DelayedModel) for part in kinds):
-        from robustlab.mu_analysis.margins.delay_loops import delay_disk_margins
-
-        names, hint = {"accuracy": "tolerance", "order": "highest_order"}, ".uncertain(order) makes a set of it"
-        chosen = options_of("disk_margin", "a loop with exact delays", given, names, hint)
-        return delay_disk_margins(plant, K, effort=effort, **loop, **chosen)
-    if isinstance(plant, UncertainModel) and not plant.blocks:
-        plant = plant.nominal
-    if isinstance(plant, UncertainModel):
+    kind = kind_of(plant, getattr(K, "K", K), frequency=frequency)
+    if kind == SET and isinstance(plant, UncertainModel) and not plant.blocks:
+        plant, kind = plant.nominal, MODEL
+    if kind == SET:
         hint = "robust_stability of the set with a disk block in its loop proves it for every member (docs/analysis.md)"
         raise InputError("disk_margin: plant", "an UncertainModel", "one model, such as .nominal", hint)
-    from robustlab.mu_analysis.margins.disk_margin import disk_margin as of_model
-
-    chosen = options_of("disk_margin", "a model without delays", given, {"time_limit": "time_limit"})
-    return of_model(plant, K, effort=effort, **loop, **chosen)
+    given = {"frequency": frequency, "accuracy": accuracy, "order": order, "time_limit": time_limit}
+    common: dict[str, Any] = {"at": at, "skew": skew, "sign": sign, "seed": seed, "effort": effort}
+    return ask("disk_margin", DISK, kind, (plant, K), given, HINTS, **common)
 
 
 @error_context("classical_margins")
@@ -146,23 +215,17 @@ def classical_margins(
 
     Parameters
     ----------
-    plant
-        Plant P (p outputs, m inputs), or the whole open loop L, square, if K is omitted: a model or a DelayedModel.
-    K
-        Controller (m outputs, p inputs), or one whose signals have names that the plant has too. It may be delayed.
+    plant, K, sign, order
+        As in `disk_margin`; no data.
     at
         Where the loops are opened: at the plant's outputs, its inputs, or both in turn.
-    sign
-        -1 for negative feedback, 1 for positive feedback; by default as in `disk_margin`.
-    order
-        Of a loop with delays: up to which order of Padé's approximations its stability is tried, 1 to 16.
 
     Returns
     -------
     ClassicalMargins
         One `ClassicalMargin` per channel by the name of the plant's signal. With delays CERTIFIED: no crossing is
-        missing; if the gain falls to zero, they are infinitely many and are listed up to the one that bounds the
-        gain margin, factors from 1e-6 to 1000. INACCURATE: at a frequency a crossing may only be a touch.
+        missing, up to the one that bounds the gain margin where they are infinitely many, factors from 1e-6 to 1000.
+        INACCURATE: at a frequency a crossing may only be a touch.
 
     Raises
     ------
@@ -170,8 +233,8 @@ def classical_margins(
         Sizes, names or sample times that do not fit, a sign that contradicts the controller, a closed loop that is not
         well posed; an uncertain plant; a discrete one with delays.
     NoTrustworthyNumber
-        A loop whose gain is 1 at every frequency: it has no crossings; take `disk_margin`. More than 200 states. With
-        delays: it could not be shown whether the closed loop is stable, or that its gain falls.
+        A loop whose gain is 1 at every frequency; more than 200 states. With delays: it could not be shown whether the
+        closed loop is stable, or that its gain falls.
 
     References
     ----------
@@ -183,20 +246,9 @@ def classical_margins(
     >>> margin = rl.classical_margins(rl.tf([3], [1, 3, 2, 0]))  # 3 / (s (s + 1) (s + 2))
     >>> round(margin.gain_high, 9), round(margin.channels["y1"].phase_crossings[0].frequency ** 2, 9)
     (2.0, 2.0)
-    >>> late = rl.classical_margins(rl.tf([1], [1, 0]) @ rl.delay(0.5))  # e^(-s/2) / s
-    >>> [round(x, 6) for x in (late.gain_high, late.phase, late.delay)]
-    [3.141593, 1.070796, 1.070796]
     """
-    kinds = plant, getattr(K, "K", K)
-    if any(isinstance(part, (UncertainModel, UncertainFrequencyData)) for part in kinds):
+    kind = kind_of(plant, getattr(K, "K", K))
+    if kind in (SET, FREQUENCIES):
         found = "an uncertain plant, or data"
         raise InputError("classical_margins", found, "one model", "rl.disk_margin is that of the worst member")
-    if any(isinstance(part, DelayedModel) for part in kinds):
-        from robustlab.mu_analysis.margins.delay_loops import delay_classical_margins
-
-        chosen = options_of("classical_margins", "a loop with delays", {"order": order}, {"order": "highest_order"})
-        return delay_classical_margins(plant, K, at=at, sign=sign, **chosen)
-    from robustlab.mu_analysis.margins.classical import classical_margins as of_model
-
-    options_of("classical_margins", "a model without delays", {"order": order}, {})
-    return of_model(plant, K, at=at, sign=sign)
+    return ask("classical_margins", CLASSICAL, kind, (plant, K), {"order": order}, HINTS, at=at, sign=sign)

@@ -68,12 +68,9 @@ class PerformanceComparison(Displayable):
 
     def _proofs(self) -> list[tuple[str, Any]]:
         """Every margin and gain, labelled with its controller."""
-        found: list[tuple[str, Any]] = []
-        for name, one in self.controllers.items():
-            found.append((f"{name}, μ", one.margin))
-            if one.gain is not None:
-                found.append((f"{name}, gain", one.gain))
-        return found
+        parts = ((f"{name}, {what}", part) for name, one in self.controllers.items()
+                 for what, part in (("μ", one.margin), ("gain", one.gain)))  # fmt: skip
+        return [(of, part) for of, part in parts if part is not None]
 
     def headline(self) -> str:
         return f"robust performance under {len(self.controllers)} controllers, the same requirement for all"

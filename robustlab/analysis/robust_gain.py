@@ -79,8 +79,7 @@ def robust_gain(
 
     .. math:: k^* = \sup \{ k : \; \sup_{|\Delta| \le k} \|F_u(M, \Delta)\|_\infty < \gamma \}
 
-    The level is fixed while the set grows; in `robust_performance` both grow. The worst-case gain grows with
-    k, so k is searched, each time with a proved upper bound and a member that attains the lower one.
+    The level is fixed while the set grows; in `robust_performance` both grow.
 
     Parameters
     ----------
@@ -91,7 +90,7 @@ def robust_gain(
     tolerance
         Target of the relative gap between the bounds.
     seed, effort
-        As in `robustlab.peak_gain`, of each worst-case gain.
+        As in `peak_gain`, of each worst-case gain.
 
     Returns
     -------
@@ -122,30 +121,32 @@ def robust_gain(
     if not (np.isfinite(level) and level > 0 and tolerance > 0):
         raise InputError("robust_gain", f"level {level}, tolerance {tolerance}", "both positive, the level finite")
 
+    # The worst-case gain grows with k: each step has a proved upper bound and a member that attains the lower one.
     nominal = worst_case_gain(UncertainModel(uncertain.nominal, []))
     if nominal.lower >= level:
         return RobustGain(0.0, 0.0, nominal.frequency, Status.CERTIFIED, level, {}, {}, None)
     distance = level / nominal.upper - 1 if nominal.upper else 1.0
     inner = INNER * tolerance * min(max(distance, CLOSE), 1.0)
     lower, upper, proof, attained = 0.0, np.inf, None, None
-    below, above = 1 / nominal.upper if nominal.upper else np.inf, 0.0  # 1 / gain at both ends
     size, aside = 1.0, tolerance / 3
     for step in range(STEPS):
         found = worst_case_gain(_grown(uncertain, size), tolerance=inner, seed=seed, effort=effort)
         if found.upper < level:
-            lower, proof, below = size, found, 1 / found.upper if found.upper else np.inf
+            lower, proof = size, found
         elif found.lower >= level:
-            upper, attained, above = size, found, 1 / found.lower
+            upper, attained = size, found
         else:  # the level is between the bounds of the gain: aim further away from it
             aside *= 2
         if upper <= lower * (1 + tolerance) or not 1 / LARGEST < lower + size < LARGEST:
             break
-        if np.isinf(upper):
+        if attained is None:
             size *= 4
-        else:  # 1 / gain is about linear in the size; aims on both sides of the level in turn
-            share = (below - 1 / level) / (below - above) if np.isfinite(below) else 0.5
-            aim = (lower + (upper - lower) * share) * (1 + aside if step % 2 else 1 - aside)
-            size = float(np.clip(aim, lower + 0.05 * (upper - lower), upper - 0.05 * (upper - lower)))
+            continue
+        # 1 / gain is about linear in the size; aims on both sides of the level in turn.
+        least = (proof or nominal).upper
+        share = (1 / least - 1 / level) / (1 / least - 1 / attained.lower) if least else 0.5
+        aim = (lower + (upper - lower) * share) * (1 + aside if step % 2 else 1 - aside)
+        size = float(np.clip(aim, lower + 0.05 * (upper - lower), upper - 0.05 * (upper - lower)))
     delta: dict[str, Any] = {} if attained is None else {name: upper * v for name, v in attained.delta.items()}
     close = upper <= lower * (1 + tolerance) or (attained is None and 4 * lower > LARGEST)
     return RobustGain(
@@ -157,8 +158,6 @@ def robust_gain(
 def _grown(uncertain: UncertainModel, size: float) -> UncertainModel:
     """Return the set ``size`` times as large: the inputs of its Delta are scaled."""
     M = uncertain.M
-    grown = np.ones(M.n_inputs)
-    grown[: M.n_inputs - len(uncertain.inputs)] = size
-    return UncertainModel(
-        StateSpaceModel(M.A, M.B * grown, M.C, M.D * grown, M.dt, M.inputs, M.outputs, M.states), uncertain.blocks
-    )
+    by = np.where(np.arange(M.n_inputs) < uncertain.delta_shape[0], size, 1.0)
+    larger = StateSpaceModel(M.A, M.B * by, M.C, M.D * by, M.dt, M.inputs, M.outputs, M.states)
+    return UncertainModel(larger, uncertain.blocks)

@@ -65,23 +65,20 @@ def hinf(
     ----------
     P
         Generalised plant: `GeneralizedPlant`, StateSpaceModel, UncertainModel (with its perturbation channels as w and
-        z), `LPVModel`, or python-control object; inputs [w; u], outputs [z; y], the ``n_con`` controls
-        and ``n_meas`` measurements last. An LPV model has no direct term from u to y; where B2, C2, D12 and D21 do not
-        depend on the parameters the loop is multi-linear between the points, where they do its curvature is
-        bounded and a finer grid (`LPVModel.refined`) reduces the loss. A lag before u or after y makes them constant.
+        z), `LPVModel`, or python-control object; inputs [w; u], outputs [z; y], the ``n_con`` controls and ``n_meas``
+        measurements last. An LPV model has no direct term from u to y; where its B2, C2, D12 or D21 depend on the
+        parameters the loop bends between the points, and a finer grid (`LPVModel.refined`) reduces the loss.
     n_meas, n_con
         Numbers of measurements and controls; omitted for a `GeneralizedPlant`.
     gamma_rel
         Largest ratio of gamma of the returned controller to the smallest gamma found (>= 1); within it the controller
         with the slowest poles is returned. 1 gives the smallest gamma, whose controller often is too fast.
     bandwidth
-        If given, all controller poles must be below it (modulus, rad/s; of a discrete controller those of its
-        bilinear map); of the controllers allowed by ``gamma_rel`` the one of smallest gamma is returned.
-    time_limit
-        Time limit in s, checked between trials; none by default. If it is reached, the controller verified by then is
-        returned with status TIMEOUT and a ``reason``, and the result depends on the machine.
-    effort
-        Multiple of the usual work, counted, not timed: the search ends the same way on every machine.
+        All controller poles are below it (modulus, rad/s; of a discrete controller those of its bilinear map); of the
+        controllers allowed by ``gamma_rel`` the one of smallest gamma is returned.
+    time_limit, effort
+        s, after which the controller verified by then is returned with status TIMEOUT, which depends on the machine;
+        multiple of the usual work, counted, not timed.
     progress
         Called with one short line after every stage.
 
@@ -89,22 +86,20 @@ def hinf(
     -------
     HinfSynthesis or LPVSynthesis
         Always with a stabilising, verified K: ``K``, ``gamma``, ``closed_loop``, ``status`` and ``reason`` of `Design`,
-        and of an LPV model ``gain``, the result of `lpv_gain`.
+        and of an LPV model ``gain``, the result of `peak_gain`.
 
     Raises
     ------
     InputError
         Numbers of channels that P does not have, ``gamma_rel`` below 1, an option that P's type does not have.
     NoTrustworthyNumber
-        An unstable or marginal mode that no controller can stabilise (named), no controller could be verified, or none
-        has its poles below ``bandwidth``; the LMIs of an LPV model have no solution, or no loop of theirs could be
-        proved.
+        A mode that no controller can stabilise (named), no controller could be verified, or none has its poles below
+        ``bandwidth``; the LMIs of an LPV model have no solution.
 
     References
     ----------
     Glover, Doyle 1988; Doyle, Glover, Khargonekar, Francis 1989; Zhou, Doyle, Glover 1996, chapters 16 and 17;
-    Gahinet, Apkarian 1994. Scheduled: Apkarian, Gahinet, Becker 1995; Becker, Packard 1994; Wu, Yang, Packard, Becker
-    1996; Apkarian, Adams 1998.
+    Gahinet, Apkarian 1994. Scheduled: Apkarian, Gahinet, Becker 1995; Wu, Yang, Packard, Becker 1996.
 
     Examples
     --------
@@ -113,25 +108,14 @@ def hinf(
     >>> design = hinf(P, n_meas=1, n_con=1, gamma_rel=1.0)
     >>> design.status.value, round(design.gamma, 3)
     ('certified', 0.732)
-
-    With a measured parameter:
-
-    >>> from robustlab.synthesis.scheduling.parameter_varying import LPVModel
-    >>> def vertex(a):
-    ...     return StateSpaceModel([[a]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
-    >>> scheduled = hinf(LPVModel({"a": [-2.0, 0.0]}, [vertex(-2.0), vertex(0.0)]), 1, 1)
-    >>> scheduled.status.value, scheduled.gamma < 1.45
-    ('certified', True)
     """
-    varying = isinstance(P, LPVModel)
-    for name, given, fits, kind in (
-        ("gamma_rel", gamma_rel != 1.05, not varying, "a plant without measured parameters"),
-        ("bandwidth", bandwidth is not None, not varying, "a plant without measured parameters"),
-    ):
-        if given and not fits:
-            raise InputError(f"synth hinf: {name}", f"given with a {type(P).__name__}", f"{kind}, or none")
-    if varying:
+    if isinstance(P, LPVModel):
+        for name, given in (("gamma_rel", gamma_rel != 1.05), ("bandwidth", bandwidth is not None)):
+            if given:
+                expected = "a plant without measured parameters, or none"
+                raise InputError(f"synth hinf: {name}", "given with an LPVModel", expected)
         return scheduled_hinf(P, n_meas, n_con, effort, time_limit, progress)
-    options: dict[str, Any] = {"gamma_rel": gamma_rel, "bandwidth": bandwidth, "time_limit": time_limit}
-    options |= {"effort": effort, "progress": progress}
-    return rational(P, n_meas, n_con, **options)
+    return rational(
+        P, n_meas, n_con, gamma_rel=gamma_rel, bandwidth=bandwidth, time_limit=time_limit, effort=effort,
+        progress=progress,
+    )  # fmt: skip

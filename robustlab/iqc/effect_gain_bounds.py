@@ -87,7 +87,7 @@ class EffectGain(PeakGain):
 @error_context("effect_gain")
 def effect_gain(
     plant: Any,
-    controller: Any,
+    controller: Any = None,
     outputs: Sequence[str] | None = None,
     amplitude: Mapping[str, float] | None = None,
     stick_speed: Mapping[str, float] | None = None,
@@ -99,6 +99,8 @@ def effect_gain(
     """`robustlab.peak_gain` of a plant with effects in a loop, from disturbances at its inputs to its outputs."""
     if not isinstance(plant, ExtendedPlant):
         raise InputError("effect_gain", type(plant).__name__, "a linear plant with effects (rl.with_effects)")
+    if controller is None:
+        raise InputError("effect_gain: controller", "none for a plant with effects", "the K that closes its loop")
     slow = dict(stick_speed or {})
     places = {e.site.name: e for e in plant.effects if e.effect.id == "coulomb-friction"}
     for name, speed in slow.items():
