@@ -35,12 +35,10 @@ class LoopFunctions(Displayable):
     Attributes
     ----------
     S, T, KS, SG
-        Sensitivity and complementary sensitivity (n_y, n_y), control effort (n_u, n_y), disturbance response
-        (n_y, n_u).
-    weights
-        ``W1``, ``W2``, ``W3`` of a mixed-sensitivity design, on S, KS and T; empty otherwise.
-    gamma
-        The verified gamma of that design: ``sigma_max(W1 S) <= gamma`` and so on; NaN where there are no weights.
+        Sensitivity, complementary sensitivity, control effort, disturbance response.
+    weights, gamma
+        ``W1``, ``W2``, ``W3`` of a mixed-sensitivity design, on S, KS and T (else empty), and its verified gamma:
+        ``sigma_max(W1 S) <= gamma`` and so on; NaN without weights.
     """
 
     S: StateSpaceModel
@@ -95,21 +93,14 @@ def loop_functions(G: Any, K: Any = None, *, sign: Literal[-1, 1] | None = None)
 
     .. math:: S = (I - s\, G K)^{-1}, \qquad T = I - S, \qquad r \to u: -s K S, \qquad d \to y: S G
 
-    For a design the plant is the transfer from the controls to the measured signals of its generalised plant. A
-    controller of the error is ``u = K (r - y)``; a controller of y with a reference is ``u = K (y - r)``.
-
     Parameters
     ----------
     G, K
-        Plant (n_y outputs, n_u inputs) and controller (n_u, n_y); or a design (`Synthesis`) alone.
+        Plant and controller; or a design (`Synthesis`) alone, whose plant is the transfer from the controls to the
+        measured signals of its generalised plant.
     sign
         s: -1 for a controller of the error, ``u = K (r - y)``; 1 for positive feedback, ``u = K (y - r)``. Default: the
         sign stored with the controller, else -1.
-
-    Returns
-    -------
-    LoopFunctions
-        Each function with all states of the loop; with weights and gamma for a mixed-sensitivity design.
 
     Raises
     ------
@@ -130,39 +121,31 @@ def loop_functions(G: Any, K: Any = None, *, sign: Literal[-1, 1] | None = None)
         return _of_design(G)
     if K is None:
         raise InputError("loop functions: K", "none", "a controller of the plant, or a design alone")
-    g, k = as_model(G, "loop functions: G"), as_model(K, "loop functions: K")
-    found = closing(g, k, sign, "loop functions")
+    found = closing(as_model(G, "loop functions: G"), as_model(K, "loop functions: K"), sign, "loop functions")
     g, k, sign = found.plant, found.K, found.sign
     n_y, n_u = g.n_outputs, g.n_inputs
-    # From (r, d, u) to (r - y, y, u, r - y) with y = G (u + d); K acts on e = r - y.
+    # From (r, d, u) to (r - y, y, u, r - y) with y = G (u + d); K acts on e = r - y: u = K (y - r) is u = -K e.
     r, d, u = np.split(np.eye(n_y + 2 * n_u), [n_y, n_y + n_u])
     y = g.D @ (d + u)
     C = np.vstack([-g.C, g.C, np.zeros((n_u, g.n_states)), -g.C])
     plant = StateSpaceModel(g.A, g.B @ (d + u), C, np.vstack([r - y, y, u, r - y]), g.dt)
-    # u = K (y - r) is u = -K e.
-    signed = StateSpaceModel(k.A, k.B, -sign * k.C, -sign * k.D, k.dt)
-    loop = lower_lft(plant, signed)
-    of_r, of_d = slice(0, n_y), slice(n_y, n_y + n_u)
-
-    def part(rows: slice, columns: slice, inputs: Any, outputs: Any) -> StateSpaceModel:
-        return StateSpaceModel(
-            loop.A, loop.B[:, columns], loop.C[rows], loop.D[rows, columns], loop.dt, inputs, outputs
-        )
-
-    references = [(f"r {s.name}", s.unit) for s in g.outputs]
-    errors = [(f"e {s.name}", s.unit) for s in g.outputs]
+    loop = lower_lft(plant, StateSpaceModel(k.A, k.B, -sign * k.C, -sign * k.D, k.dt))
+    references, errors = ([(f"{word} {s.name}", s.unit) for s in g.outputs] for word in "re")
     disturbances = [(f"d {s.name}", s.unit) for s in g.inputs]
+    of_y, of_u = slice(n_y, 2 * n_y), slice(2 * n_y, None)
+
+    def part(rows: slice, outputs: Any, columns: slice = slice(0, n_y), inputs: Any = references) -> StateSpaceModel:
+        B, D = loop.B[:, columns], loop.D[rows, columns]
+        return StateSpaceModel(loop.A, B, loop.C[rows], D, loop.dt, inputs, outputs)
+
     return LoopFunctions(
-        part(slice(0, n_y), of_r, references, errors),
-        part(slice(n_y, 2 * n_y), of_r, references, g.outputs),
-        part(slice(2 * n_y, 2 * n_y + n_u), of_r, references, g.inputs),
-        part(slice(n_y, 2 * n_y), of_d, disturbances, g.outputs),
-    )
+        part(slice(0, n_y), errors), part(of_y, g.outputs), part(of_u, g.inputs),
+        part(of_y, g.outputs, slice(n_y, None), disturbances),
+    )  # fmt: skip
 
 
 def _of_design(design: Synthesis) -> LoopFunctions:
-    weights = dict(getattr(design, "weights", {}))
-    plant = design.plant
+    plant, weights = design.plant, dict(getattr(design, "weights", {}))
     measured = [s for s in plant.measurements if isinstance(s, Taken) and s.sign]  # without references
     inner = drop_unconnected(plant.model.select([s.name for s in plant.controls], [s.name for s in measured]))
     signs = np.diag([float(s.sign) for s in measured])  # r - y or y is measured

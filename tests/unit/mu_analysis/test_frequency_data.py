@@ -98,7 +98,7 @@ def test_disk_margins_at_a_frequency():
         (lambda: rl.frequency_data(LAG, [1.0], radius=0.1), "a radius of a model"),
         (lambda: rl.frequency_data([1.0, 2.0], [0.0, 1.0], radius=-1.0), "negative"),
         (lambda: rl.peak_gain(MOTORS, frequency=[]), "frequencies that do not increase"),
-        (lambda: rl.robust_stability(MOTORS, frequency=[1.0], order=3), "order: 3 for a system at given frequencies"),
+        (lambda: rl.robust_stability(MOTORS, frequency=[1.0], order=3), "order: given for given frequencies"),
         (lambda: rl.robust_stability(rl.frequency_data(LAG, [1.0])), "no uncertainty"),
         (lambda: rl.frequency_data(LAG, [1.0]).feedback(np.eye(2)), "what is fed back is 2 x 2|1 x 1"),
         (lambda: rl.disk_margin(MOTORS, frequency=[1.0]), "without blocks"),
