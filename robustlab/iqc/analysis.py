@@ -22,7 +22,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from robustlab.budget import one_thread
+from robustlab.budget import Budget, one_thread
 from robustlab.display import Facts, listed, member, number
 from robustlab.errors import InputError, error_context
 from robustlab.iqc.problem import IqcProof, Natures, Posed, claim_of, posed
@@ -51,14 +51,10 @@ class IqcGain(PeakGain):
         blocks are constant gains. inf: nothing was proved; a member is unstable.
     delta
         That member: one normalised value per block; 0 is the middle of a range.
-    nature
-        Block name -> its block type, in words.
-    conditions
-        The motions for which a law is in its sector, where not all.
-    proof
-        Evidence of ``upper``; None where nothing was proved.
-    posed
-        The problem, for another proof.
+    nature, conditions
+        Block -> its type in words; the motions for which a law is in its sector, where not all.
+    proof, posed
+        Evidence of ``upper`` (None where nothing was proved), and the problem, for another proof.
     status
         CERTIFIED: ``upper`` was proved in ball arithmetic. INCONCLUSIVE: nothing was proved, the loop may be stable.
         INFEASIBLE: the member ``delta`` is unstable. TIMEOUT: the time limit ended the search.
@@ -79,11 +75,7 @@ class IqcGain(PeakGain):
 
     def evidence(self) -> Facts:
         """Return the block types, the worst linear member, and the proof."""
-        return [
-            ("blocks", listed(f"{name}: {text}" for name, text in self.nature.items())),
-            ("worst linear member", member(self.delta)),
-            *_proof_facts(self.proof),
-        ]
+        return [_blocks(self.nature), ("worst linear member", member(self.delta)), *_proof_facts(self.proof)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,11 +84,9 @@ class IqcStability(StabilityMargin):
 
     Attributes
     ----------
-    lower
+    lower, upper
         Largest proved size: the factor by which every range is enlarged about its middle, and the slopes with it. At
-        least 1 where ``stable``; 0 where nothing was proved.
-    upper
-        inf: unstable members are not searched.
+        least 1 where ``stable``; 0 where nothing was proved. Unstable members are not searched: ``upper`` is inf.
     nature, conditions, proof, posed
         As in `IqcGain`; the proof is that of ``lower``.
     status
@@ -134,7 +124,7 @@ class IqcStability(StabilityMargin):
         return [
             ("stable as given", "proved" if self.stable else "not proved"),
             ("margin", f"{number(self.margin)} (proved)"),
-            ("blocks", listed(f"{name}: {text}" for name, text in self.nature.items())),
+            _blocks(self.nature),
             ("holds", listed(self.conditions)),
             *_proof_facts(self.proof),
         ]
@@ -144,17 +134,16 @@ class IqcStability(StabilityMargin):
         return {"type": "IqcStability", "stable": self.stable, "margin": self.margin, **kept}
 
 
+def _blocks(nature: Mapping[str, str]) -> tuple[str, str]:
+    return "blocks", listed(f"{name}: {text}" for name, text in nature.items())
+
+
 def _proof_facts(proof: IqcProof | None) -> Facts:
     if proof is None:
         return []
-    kinds = listed(f"{name}: {kind}" for name, kind in proof.constraints.items())
     filters = f"pole {number(proof.pole, 'rad/s')}, order {proof.order}" if proof.order else "none"
-    return [
-        ("constraints", kinds),
-        ("filters", filters),
-        ("slack", number(proof.slack)),
-        ("homotopy", HOMOTOPY),
-    ]
+    kinds = listed(f"{name}: {kind}" for name, kind in proof.constraints.items())
+    return [("constraints", kinds), ("filters", filters), ("slack", number(proof.slack)), ("homotopy", HOMOTOPY)]
 
 
 @error_context("iqc_gain")
@@ -168,11 +157,7 @@ def iqc_gain(
     time_limit: float | None = None,
     effort: float = 1.0,
 ) -> IqcGain:
-    """`robustlab.peak_gain` with blocks that are nonlinear or vary with time; ``nature``: its ``natures``.
-
-    Each block is described by integral quadratic constraints (`robustlab.iqc.multipliers`), a linear matrix inequality
-    finds the multipliers of least gamma, and the reported bound is proved in ball arithmetic.
-    """
+    """`robustlab.peak_gain` with blocks that are nonlinear or vary with time; ``nature``: its ``natures``."""
     problem, budget = posed("iqc_gain", model, nature, order, pole, time_limit, effort, (inputs, outputs))
     if not problem.n_w or not problem.n_z:
         raise InputError("iqc_gain", "no input and output except those of the blocks", "a performance channel")
@@ -186,21 +171,14 @@ def iqc_gain(
                 best = found
             if budget.over or (best is not None and best[0] <= enough):
                 break
-    status = Status.CERTIFIED if best is not None else Status.TIMEOUT if budget.struck else Status.INCONCLUSIVE
-    if not np.isfinite(lower):
-        status = Status.INFEASIBLE
     upper, proof = best if best is not None else (math.inf, None)
-    return IqcGain(
-        lower,
-        upper,
-        None,
-        status,
-        delta,
-        problem.posed.words,
-        proof,
-        conditions=problem.posed.conditions,
-        posed=problem.posed,
-    )
+    status = _status(best is not None, budget) if np.isfinite(lower) else Status.INFEASIBLE
+    given = problem.posed
+    return IqcGain(lower, upper, None, status, delta, given.words, proof, conditions=given.conditions, posed=given)
+
+
+def _status(proved: bool, budget: Budget) -> Status:
+    return Status.CERTIFIED if proved else Status.TIMEOUT if budget.struck else Status.INCONCLUSIVE
 
 
 @error_context("iqc_stability")
@@ -224,6 +202,6 @@ def iqc_stability(
             else:
                 low, proof = size, found
             size = 2 * low if math.isinf(high) else 0.5 * (low + high)
-    status = Status.CERTIFIED if low else Status.TIMEOUT if budget.struck else Status.INCONCLUSIVE
-    words, conditions = problem.posed.words, problem.posed.conditions
-    return IqcStability(low, math.inf, None, status, {}, (), words, conditions, proof, posed=problem.posed)
+    given = problem.posed
+    words, status = given.words, _status(low > 0, budget)
+    return IqcStability(low, math.inf, None, status, {}, (), words, given.conditions, proof, posed=given)

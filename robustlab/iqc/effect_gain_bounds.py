@@ -47,10 +47,8 @@ class EffectGain(PeakGain):
 
     Attributes
     ----------
-    lower, upper
-        Those of ``proved``.
-    proved
-        By integral quadratic constraints; its blocks are the effects and the uncertain parameters.
+    lower, upper, proved, status
+        Those of ``proved``, by integral quadratic constraints; its blocks are the effects and the uncertain parameters.
     as_constants
         The worst-case gain of the same set with all effects as constant gains, as in mu and harmonic balance. It is no
         proof for a nonlinearity; it shows the conservatism of one.
@@ -58,8 +56,6 @@ class EffectGain(PeakGain):
         Effect at its place -> the reason why it is in no block; bounded errors, which are inputs, among them.
     loop
         The feedback law and its source.
-    status
-        That of ``proved``.
     """
 
     proved: IqcGain

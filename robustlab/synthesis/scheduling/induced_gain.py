@@ -17,7 +17,7 @@ from robustlab.arrays import Array
 from robustlab.budget import Budget, one_thread, search_budget
 from robustlab.conic import bounded_real, equal_rows, least
 from robustlab.display import Facts, number
-from robustlab.errors import InputError, did_you_mean, error_context
+from robustlab.errors import InputError, error_context
 from robustlab.norms import PeakGain, hinf_norm
 from robustlab.provenance import Traced
 from robustlab.result import Status
@@ -34,6 +34,7 @@ GAIN_BACKOFFS = (1e-4, 1e-3, 1e-2, 0.1)
 SMALLEST = 1e-5  # smallest scaled gain that is distinguishable from zero
 GAIN_BISECTIONS = 5  # for the smallest gamma that a Lyapunov matrix proves
 INEQUALITIES = 4000  # most inequalities of one problem
+NOTHING = np.zeros((0, 0))  # P where nothing was proved
 SIGNED = 3  # most deviating entries for which all signs are used: exact, but 2^n inequalities
 
 Index = tuple[int, ...]
@@ -46,27 +47,23 @@ class LPVGain(PeakGain, Traced):
 
     Attributes
     ----------
-    lower
-        Largest H-infinity norm of the frozen models at the points; attained, as parameters may be constant. Infinite
-        where a frozen model is not stable.
+    lower, at, frequency
+        Largest H-infinity norm of the frozen models at the points, attained as parameters may be constant (infinite
+        where one is not stable); where, and at which frequency in rad/s, or that of the unstable pole.
     upper
         Proved bound of the gain; infinite where none was found.
-    at
-        Values of the parameters at ``lower``.
-    frequency
-        Frequency in rad/s at which that frozen model attains it; of its pole where it is not stable.
     P
-        Lyapunov matrix, or those at the points of the grid, shape (n_1, ..., n_k, n_x, n_x) with 1 along parameters on
-        which it does not depend; empty where nothing was proved.
+        Lyapunov matrices at the points of the grid, shape (n_1, ..., n_k, n_x, n_x) with 1 along parameters on which
+        they do not depend; empty where nothing was proved.
     lyapunov
         ``"constant"``: proved for trajectories of any rate; ``"varying"``: for those within the bounds of the rates.
     model
         The model, for verification.
     status
         CERTIFIED: proved in ball arithmetic from P and the model. CONVERGED: proved likewise, but the distance of the
-        family from its interpolation was only sampled. INFEASIBLE: no such Lyapunov function, because the frozen model
-        at ``at`` is not stable (``lower`` is infinite), or by the solver, which does not prove instability.
-        INCONCLUSIVE: nothing was proved, or a pole is indistinguishable from the stability boundary.
+        family from its interpolation was only sampled. INFEASIBLE: the frozen model at ``at`` is not stable, or by the
+        solver no such Lyapunov function exists, which does not prove instability. INCONCLUSIVE: nothing was proved, or
+        a pole is indistinguishable from the stability boundary.
     reason
         Method of the proof, or reason of its failure.
     """
@@ -105,10 +102,10 @@ class LPVGain(PeakGain, Traced):
 
     def bounds(self) -> str:
         """Return the bracket with the origin of each side."""
-        if np.isinf(self.lower):
-            return self.unstable
         upper = f"{number(self.upper, digits=6)} (proved)" if np.isfinite(self.upper) else "no bound proved"
-        return f"{number(self.lower, digits=6)} (frozen, attained) .. {upper}"
+        return (
+            self.unstable if np.isinf(self.lower) else f"{number(self.lower, digits=6)} (frozen, attained) .. {upper}"
+        )
 
     def place(self) -> str:
         """Return the parameters and the frequency at which ``lower`` is attained."""
@@ -141,11 +138,8 @@ def lpv_gain(
     if not model.n_states:
         hint = "without states it is the largest singular value of D at the points"
         raise InputError("lpv_gain", "a model without states", "one with states", hint)
-    kinds = ("constant", "varying")
-    if lyapunov is not None and lyapunov not in kinds:
-        raise InputError(
-            "lpv_gain: lyapunov", f"{lyapunov!r}", "'constant' or 'varying'", did_you_mean(lyapunov, kinds)
-        )
+    if lyapunov not in (None, "constant", "varying"):
+        raise InputError("lpv_gain: lyapunov", f"{lyapunov!r}", "'constant' or 'varying'")
     budget = search_budget("lpv_gain", WORK, effort, time_limit)
     with one_thread():
         return gain_from(model, lyapunov, budget, progress or (lambda _: None))
@@ -155,19 +149,15 @@ def gain_from(
     model: LPVModel, lyapunov: Lyapunov | None, budget: Budget, say: Callable[[str], None], guess: Array | None = None
 ) -> LPVGain:
     """Compute `lpv_gain` on a budget; ``guess``: a constant P to try first and to scale the states of the LMIs."""
-    bounded = any(np.isfinite(p.rate) for p in model.parameters)
-    varying = bounded if lyapunov is None else lyapunov == "varying" and bounded
+    varies = [lyapunov != "constant" and bool(np.isfinite(p.rate)) for p in model.parameters]
     lower, at, frequency, doubt = _frozen(model)
-    word = "varying" if varying else "constant"
 
-    def result(upper: float, P: Array, status: Status, reason: str) -> LPVGain:
+    def result(status: Status, reason: str, upper: float = np.inf, P: Array = NOTHING) -> LPVGain:
         P.setflags(write=False)
-        return LPVGain(lower, upper, frequency, status, at, P, word, model, reason)
+        return LPVGain(lower, upper, frequency, status, at, P, "varying" if any(varies) else "constant", model, reason)
 
-    nothing = np.zeros((0, 0))
     if doubt:
-        return result(np.inf, nothing, Status.INCONCLUSIVE if np.isfinite(lower) else Status.INFEASIBLE, doubt)
-    varies = [varying and np.isfinite(p.rate) for p in model.parameters]
+        return result(Status.INCONCLUSIVE if np.isfinite(lower) else Status.INFEASIBLE, doubt)
     count = int(np.prod([(size - 1) * (6 if v else 2) for size, v in zip(model.grid, varies, strict=True)]))
     if count > INEQUALITIES:
         expected, hint = f"at most {INEQUALITIES}", "fewer points, or lyapunov='constant'"
@@ -176,8 +166,7 @@ def gain_from(
     start = max(lower, SMALLEST / lmis.scaling.gain)
     found, how = None, "by the Lyapunov matrix of the synthesis"
     if guess is not None:
-        P = np.array(np.broadcast_to(0.5 * (guess + guess.T), (*lmis.shape, *guess.shape)))
-        found = _smallest(model, P, start)
+        found = _smallest(model, np.broadcast_to(0.5 * (guess + guess.T), (*lmis.shape, *guess.shape)).copy(), start)
     # The solver is needed only if that is far from the frozen norms.
     if found is None or found[0] > (1 + NEAR) * lower:
         solved, text = _by_lmis(lmis, start, budget, say)
@@ -185,8 +174,8 @@ def gain_from(
             found, how = solved, text
         elif found is None:
             status = Status.INFEASIBLE if "says infeasible" in text else Status.INCONCLUSIVE
-            return result(np.inf, nothing, Status.TIMEOUT if budget.struck else status, f"no bound was proved: {text}")
-    return result(*found, Status.CONVERGED if model.known == SAMPLED else Status.CERTIFIED, how)
+            return result(Status.TIMEOUT if budget.struck else status, f"no bound was proved: {text}")
+    return result(Status.CONVERGED if model.known == SAMPLED else Status.CERTIFIED, how, *found)
 
 
 def _frozen(model: LPVModel) -> tuple[float, dict[str, float], float, str]:
@@ -197,9 +186,9 @@ def _frozen(model: LPVModel) -> tuple[float, dict[str, float], float, str]:
         if not np.isfinite(norm.upper):
             place = ", ".join(f"{name} = {number(value)}" for name, value in values.items())
             doubt = f"the frozen model at {place}: {norm.reason}"
-            if np.isinf(norm.lower):
-                poles = one.poles()
-                return np.inf, values, abs(float(poles[np.argmax(poles.real)].imag)), f"{doubt}, and no bound exists"
+        if np.isinf(norm.lower):
+            poles = one.poles()
+            return np.inf, values, abs(float(poles[np.argmax(poles.real)].imag)), f"{doubt}, and no bound exists"
         if norm.lower >= lower:
             lower, at, frequency = norm.lower, values, norm.frequency
     return lower, at, frequency, doubt
@@ -334,30 +323,22 @@ def _coefficients(model: LPVModel, varies: list[bool]) -> list[tuple[Any, Any, A
         rest = model.deviation[cell]
         places, shifts = np.argwhere(rest > 0), [np.zeros_like(rest)]
         if 0 < len(places) <= SIGNED:
-            signed = np.array(list(product((1.0, -1.0), repeat=len(places))))
-            shifts, rest = [np.where(rest > 0, 0.0, rest) for _ in signed], np.zeros_like(rest)
-            for shift, signs in zip(shifts, signed, strict=True):
-                shift[tuple(places.T)] = signs * model.deviation[cell][tuple(places.T)]
+            shifts = []
+            for signs in product((1.0, -1.0), repeat=len(places)):
+                shifts.append(np.zeros_like(rest))
+                shifts[-1][tuple(places.T)] = signs * rest[tuple(places.T)]
+            rest = np.zeros_like(rest)
         ends = [(1.0, -1.0) if v and p.rate else (0.0,) for v, p in zip(varies, model.parameters, strict=True)]
         for c in product(*((0, 1, 2) if v else (0, 2) for v in varies)):
             halves = list(product(*(((0, 1), (1, 0)) if x == 1 else ((x // 2, x // 2),) for x in c)))
-            pairs = tuple(
-                (
-                    tuple(i + a for i, (a, _) in zip(cell, bits, strict=True)),
-                    tuple((i + b) * v for i, (_, b), v in zip(cell, bits, varies, strict=True)),
-                )
-                for bits in halves
-            )
+            own = [tuple(i + a for i, (a, _) in zip(cell, bits, strict=True)) for bits in halves]
+            of_P = [tuple((i + b) * v for i, (_, b), v in zip(cell, bits, varies, strict=True)) for bits in halves]
             for signs in product(*ends):
-                slopes = tuple(
-                    (
-                        sign * p.rate / (p.points[i + 1] - p.points[i]) / len(pairs),
-                        *((*w[:k], i + end, *w[k + 1 :]) for end in (1, 0)),
-                    )
-                    for k, (sign, i, p) in enumerate(zip(signs, cell, model.parameters, strict=True))
-                    for _, w in pairs
-                    if sign
-                )
+                slopes = []
+                for k, (sign, i, p) in enumerate(zip(signs, cell, model.parameters, strict=True)):
+                    factor = sign * p.rate / (p.points[i + 1] - p.points[i]) / len(halves) if sign else 0.0
+                    slopes += [(factor, (*w[:k], i + 1, *w[k + 1 :]), (*w[:k], i, *w[k + 1 :])) for w in of_P if sign]
                 for shift in shifts:
-                    found[pairs, slopes, shift.tobytes(), rest.tobytes()] = pairs, slopes, shift, rest
+                    key = tuple(zip(own, of_P, strict=True)), tuple(slopes), shift.tobytes(), rest.tobytes()
+                    found[key] = key[0], key[1], shift, rest
     return list(found.values())

@@ -38,26 +38,22 @@ def lpv_model(
     source
         An `UncertainModel` with real scalar blocks only: each becomes a scheduling parameter of its name, in the unit
         of its physical parameter or else normalised. Or a function of keywords that returns the model at these values,
-        for example ``lambda tz: rl.linearise(platform, at=[0, 0, tz, 0, 0, 0])``: its states must be the same physical
-        ones everywhere, as for linearised plants.
+        for example ``lambda tz: rl.linearise(platform, at=[0, 0, tz, 0, 0, 0])``, with the same physical states
+        everywhere.
     points
-        Name -> ascending values, or a number of equidistant values (2: the ends). Default for an uncertain model: 2; a
-        function requires values for all parameters.
-    rates
-        Name -> bound of ``|d rho/dt|`` in the parameter's unit per second (default: infinite).
-    units
-        Name -> unit (default for an uncertain model: those of its parameters).
-    samples
+        Name -> ascending values, or a number of equidistant values (2, the default of a set: the ends). A function
+        requires values for all parameters.
+    rates, units
+        Name -> bound of ``|d rho/dt|`` in the parameter's unit per second (default: infinite), and unit.
+    samples, seed
         For a function: number of points, the middles of the cells and random ones, at which the interpolation error is
         computed.
-    seed
-        Seed of the random points.
 
     Returns
     -------
     LPVModel
-        The model; for an uncertain model ``known`` is ``"exact"`` (multi-affine dependence) or ``"proved"``, for a
-        function ``"sampled"``: the largest error computed in each cell.
+        Of a set ``known`` is ``"exact"`` (multi-affine dependence) or ``"proved"``, of a function ``"sampled"``: the
+        largest error computed in each cell.
 
     Raises
     ------
@@ -86,58 +82,40 @@ def lpv_model(
     return _of_function(source, points or {}, rates, units, samples, seed)
 
 
-# --- uncertain sets ---------------------------------------------------------------------------------------------------
-
-
 def _of_uncertain(
-    source: UncertainModel,
-    points: Mapping[str, int | Sequence[float]],
-    rates: Mapping[str, float] | None,
-    units: Mapping[str, str],
+    source: UncertainModel, points: Mapping[str, Any], rates: Mapping[str, float] | None, units: Mapping[str, str]
 ) -> LPVModel:
-    blocks: list[Any] = []
-    for b in source.blocks:
+    blocks: list[Any] = list(source.blocks)
+    for b in blocks:
         if not (b.is_real and b.is_scalar):
             hint = "scheduling parameters must be measured: evaluate the set at a value of that block"
             raise InputError(f"lpv_model: block {b.name!r}", type(b).__name__, "real parameters only", hint)
-        blocks.append(b)
+    known = [b.name for b in blocks]
     for name in points:
-        if name not in [b.name for b in blocks]:
-            raise InputError(
-                "lpv_model: points", f"no parameter {name!r}", f"one of {', '.join(b.name for b in blocks)}"
-            )
+        if name not in known:
+            raise InputError("lpv_model: points", f"no parameter {name!r}", f"one of {', '.join(known)}")
     values = {b.name: _values(b, points.get(b.name, 2)) for b in blocks}
-    entries = [_entries(b, values[b.name]) for b in blocks]
-    index = list(np.ndindex(*(len(e) for e in entries)))
-    models = []
-    for at in index:
-        delta = {b.name: b.delta(float(e[i])) for b, e, i in zip(blocks, entries, at, strict=True)}
-        models.append(source.evaluate(delta))
+    spans = [(0.0, 1.0) if b.parameter is None else (b.parameter.nominal, b.parameter.radius) for b in blocks]
+    entries = [(v - middle) / radius for v, (middle, radius) in zip(values.values(), spans, strict=True)]  # of Delta
+    models = [
+        source.evaluate({b.name: b.delta(float(e)) for b, e in zip(blocks, at, strict=True)})
+        for at in product(*entries)
+    ]
     deviation = _proved_deviation(source, entries)
     own = {b.name: b.parameter.unit for b in blocks if b.parameter is not None}
-    known = PROVED if deviation.any() else EXACT
-    return LPVModel(values, models, rates, {**own, **units}, deviation, known)
+    return LPVModel(values, models, rates, {**own, **units}, deviation, PROVED if deviation.any() else EXACT)
 
 
 def _values(block: Any, given: int | Sequence[float]) -> Array:
     """Return the values of a parameter within its range."""
-    p = block.parameter
-    low, high = block.interval if p is None else (p.low, p.high)
+    (low, high), where = block.ends, f"lpv_model: points of {block.name!r}"
     if isinstance(given, (int, np.integer)) and not isinstance(given, bool):
-        number(f"lpv_model: points of {block.name!r}", given, "2 or more", at_least=2)
+        number(where, given, "2 or more", at_least=2)
         return np.linspace(low, high, int(given))
     values = real_array(f"points of {block.name!r}", given, 1, "lpv_model")
     if (values < low - 1e-12 * abs(low)).any() or (values > high + 1e-12 * abs(high)).any():
-        raise InputError(
-            f"lpv_model: points of {block.name!r}", f"{values.min():g} .. {values.max():g}", f"{low:g} .. {high:g}"
-        )
+        raise InputError(where, f"{values.min():g} .. {values.max():g}", f"{low:g} .. {high:g}")
     return values
-
-
-def _entries(block: Any, values: Array) -> Array:
-    """Return the entries of Delta for values of a parameter."""
-    p = block.parameter
-    return values if p is None else (values - p.nominal) / p.radius
 
 
 def _proved_deviation(source: UncertainModel, entries: Sequence[Array]) -> Array:
@@ -171,16 +149,8 @@ def _proved_deviation(source: UncertainModel, entries: Sequence[Array]) -> Array
     return found * (1 + 1e-12)  # rounding of these sums of absolute values
 
 
-# --- functions --------------------------------------------------------------------------------------------------------
-
-
 def _of_function(
-    source: Callable[..., Any],
-    points: Mapping[str, int | Sequence[float]],
-    rates: Mapping[str, float] | None,
-    units: Mapping[str, str] | None,
-    samples: int,
-    seed: int,
+    source: Callable[..., Any], points: Mapping[str, Any], rates: Any, units: Any, samples: int, seed: int
 ) -> LPVModel:
     if not points or any(isinstance(v, (int, np.integer)) for v in points.values()):
         raise InputError("lpv_model: points", f"{dict(points)!r}", "the values of each parameter of the function")

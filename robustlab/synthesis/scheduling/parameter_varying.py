@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -65,15 +66,11 @@ class LPVModel(Behaviour, Displayable, Traced):
         Name of each parameter -> its values, ascending. Two values each give a polytopic model.
     models
         Models at the points, the last parameter varying fastest: a list of all of them, or nested lists.
-    rates
-        Name -> bound of ``|d rho/dt|`` (default: infinite).
-    units
-        Name -> unit of the parameter.
-    deviation
+    rates, units
+        Name -> bound of ``|d rho/dt|`` (default: infinite), and unit of the parameter.
+    deviation, known
         Bound of ``|M(rho) - interpolation|`` for each cell, shape (n_1 - 1, ..., n_k - 1, n_x + n_y, n_x + n_u)
-        (default: zero).
-    known
-        Origin of that bound: ``"exact"`` (the model is its interpolation), ``"proved"`` or ``"sampled"``.
+        (default: zero), and its origin: ``"exact"`` (no deviation), ``"proved"`` or ``"sampled"``.
 
     Raises
     ------
@@ -128,12 +125,11 @@ class LPVModel(Behaviour, Displayable, Traced):
         flat = _flat(models)
         if len(flat) != int(np.prod(grid)):
             raise InputError("LPVModel", f"{len(flat)} models", f"{' x '.join(map(str, grid))}, one for each point")
-        first = flat[0]
         for k, other in enumerate(flat):
-            _check_alike(k, first, other)
-        whole = np.array([np.block([[m.A, m.B], [m.C, m.D]]) for m in flat])
+            _check_alike(k, flat[0], other)
+        whole, one = np.array([np.block([[m.A, m.B], [m.C, m.D]]) for m in flat]), flat[0]
         matrices = whole.reshape(*grid, *whole.shape[1:])
-        made = LPVModel.of(found, matrices, first.n_states, first.inputs, first.outputs, first.states, deviation, known)
+        made = LPVModel.of(found, matrices, one.n_states, one.inputs, one.outputs, one.states, deviation, known)
         self.__dict__.update(vars(made))
 
     @classmethod
@@ -205,11 +201,9 @@ class LPVModel(Behaviour, Displayable, Traced):
         for name in given:
             _require_name("LPVModel.at", name, self.names)
         for p in self.parameters:
-            if p.name not in given:
-                raise InputError("LPVModel.at", f"{p.name} is missing", f"a value of each of {', '.join(self.names)}")
             low, high = p.points[0], p.points[-1]
-            if not low <= given[p.name] <= high:
-                found = f"{p.name} = {given[p.name]:g}"
+            if p.name not in given or not low <= given[p.name] <= high:
+                found = f"{p.name} = {given[p.name]:g}" if p.name in given else f"{p.name} is missing"
                 raise InputError("LPVModel.at", found, f"{low:g} .. {high:g} {p.unit}".strip())
         return np.array([float(given[name]) for name in self.names])
 
@@ -220,28 +214,23 @@ class LPVModel(Behaviour, Displayable, Traced):
             i = min(max(int(np.searchsorted(p.points, value)) - 1, 0), len(p.points) - 2)
             share = (value - p.points[i]) / (p.points[i + 1] - p.points[i])
             share = min(max(share, 0.0), 1.0)
-            found = found[i] + share * (found[i + 1] - found[i])  # keeps constant entries exactly
+            # Keeps constant entries, and those at the points, exactly.
+            found = found[i + 1] if share == 1 else found[i] + share * (found[i + 1] - found[i])
         return found
 
-    def refined(self, pieces: int | Mapping[str, int] = 2) -> LPVModel:
-        """Return the model on a grid with every cell cut into ``pieces`` along each parameter, or those named."""
-        cuts = dict.fromkeys(self.names, pieces) if isinstance(pieces, int) else dict(pieces)
-        matrices, deviation, parameters = self.matrices, self.deviation, []
+    def refined(self, pieces: int = 2) -> LPVModel:
+        """Return the model on a grid with every cell cut into ``pieces`` along each parameter."""
+        if not pieces >= 1:
+            raise InputError("LPVModel.refined", f"{pieces} pieces", "at least 1")
+        parameters, deviation = [], self.deviation
         for axis, p in enumerate(self.parameters):
-            count = cuts.get(p.name, 1)
-            if not count >= 1:
-                raise InputError("LPVModel.refined", f"{count} pieces of {p.name}", "at least 1")
-            ends, cells = np.array(p.points), len(p.points) - 1
-            parent = np.append(np.repeat(range(cells), count), cells - 1)
-            share = np.arange(count * cells + 1) % count / count
-            share[-1] = 1.0
-            points = np.where(share == 1, ends[parent + 1], ends[parent] + share * (ends[parent + 1] - ends[parent]))
-            share = share.reshape(-1, *([1] * (matrices.ndim - axis - 1)))
-            before, after = np.take(matrices, parent, axis), np.take(matrices, parent + 1, axis)
-            matrices = np.where(share == 1, after, before + share * (after - before))
-            deviation = np.take(deviation, parent[:-1], axis)
-            parameters.append(replace(p, points=tuple(points)))
-        return self.changed(parameters=parameters, matrices=matrices, deviation=deviation)
+            cuts = np.arange(pieces * (len(p.points) - 1) + 1) / pieces
+            parameters.append(replace(p, points=tuple(np.interp(cuts, range(len(p.points)), p.points))))
+            deviation = np.repeat(deviation, pieces, axis)
+        places = product(*(p.points for p in parameters))
+        matrices = np.array([self.matrix_at(np.array(at)) for at in places])
+        shape = *(len(p.points) for p in parameters), *matrices.shape[1:]
+        return self.changed(parameters=parameters, matrices=matrices.reshape(shape), deviation=deviation)
 
     def with_rates(self, **rates: float) -> LPVModel:
         """Return the model with other bounds of the rates of the named parameters."""
@@ -315,16 +304,8 @@ def _check_alike(k: int, first: StateSpaceModel, other: StateSpaceModel) -> None
 class LPVController(Displayable, Traced):
     """A controller ``u = K(rho) y`` with positive feedback, scheduled by measured parameters.
 
-    Attributes
-    ----------
-    K
-        The controllers at the points of the grid, interpolated between them.
-    gamma
-        Induced gain of the design's loop proved by `lpv_gain`; None where none was.
-    status
-        Status of ``gamma``.
-    method
-        Design method.
+    ``K``: the controllers at the points of the grid, interpolated between them. ``gamma``, ``status``: induced gain of
+    the design's loop as proved by `rl.peak_gain`, if any.
     """
 
     K: LPVModel
