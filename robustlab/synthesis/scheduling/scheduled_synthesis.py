@@ -18,6 +18,7 @@ from robustlab.budget import Budget, one_thread, search_budget
 from robustlab.conic import bounded_real, equal_rows, least
 from robustlab.display import Facts, number
 from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.linear_analysis.magnitude import balancing_factors
 from robustlab.signals import Taken
 from robustlab.statespace import Signal
 from robustlab.synthesis.hinf.two_riccati import TwoRiccatiProblem
@@ -38,7 +39,6 @@ NULL = 1e-10  # relative tolerance of singular values of a null space
 # of its smallest gamma that they may cause.
 ADDED = tuple(10.0 ** (-0.5 * k) for k in range(17))
 COST = 30.0
-SWEEPS = 10  # over the states of a controller to scale their units
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -49,18 +49,12 @@ class LPVSynthesis(Design):
     ----------
     K
         The controllers at the points of the grid, interpolated between them.
-    gamma
-        Proved bound of the loop's induced gain.
-    plant
-        The generalised plant.
-    closed_loop
-        The loop rebuilt from plant and controller, from w to z.
-    gain
-        Result of `lpv_gain`; ``gain.upper`` is ``gamma``.
+    gamma, gain, status
+        Proved bound of the loop's induced gain, from the result ``gain`` of `peak_gain` of the loop.
+    plant, closed_loop
+        The generalised plant, and the loop rebuilt from plant and controller, from w to z.
     lmi_gamma
         Optimum of the LMIs at the grid points: a lower bound for this method.
-    status
-        Status of ``gain``.
     reason
         Back-off and verification of the design.
     """
@@ -162,7 +156,7 @@ def _designed(
                 continue
             # The loop is rebuilt from plant and controller, and its gain proved independently of the LMIs.
             K, units = made
-            loop, how = closed_loop(plant, K, "hinf"), f"{backoff:.1%} above the LMIs' optimum"
+            loop, how = closed_loop(plant, K), f"{backoff:.1%} above the LMIs' optimum"
             gain = gain_from(loop, None, budget, say, problem.in_given_states(X, units))
             if not np.isfinite(gain.upper):
                 say(f"{how}: {gain.reason}")
@@ -301,13 +295,15 @@ def _controller(
         A, B, C, D = problem.scaling.controller_to_plant(K)
         made.append(np.block([[A, B], [C, D]]))
     n, whole = len(X) // 2, np.array(made)
-    size, units = np.abs(whole).sum(axis=0), np.ones(n)
-    size[range(n), range(n)] = 0.0
-    for i in [*range(n)] * SWEEPS:  # balance rows and columns of all points together (Osborne 1960)
-        row, column = size[i].sum(), size[:, i].sum()
-        if row > 0 and column > 0:
-            unit = 2.0 ** np.round(0.5 * np.log2(row / column))
-            units[i], size[i], size[:, i] = units[i] * unit, size[i] / unit, size[:, i] * unit
+    # Balance the states' rows and columns of all points together, with inputs and outputs as one more row and column.
+    size, bordered = np.abs(whole).sum(axis=0), np.zeros((n + 1, n + 1))
+    bordered[:n, :n], bordered[:n, n], bordered[n, :n] = (
+        size[:n, :n],
+        size[:n, n:].sum(axis=1),
+        size[n:, :n].sum(axis=0),
+    )
+    factors = balancing_factors(bordered)
+    units = factors[:n] / factors[n]
     whole[:, :n] /= units[:, None]
     whole[:, :, :n] *= units
     n_meas, n_con = (len(side) for side in (problem.plants[0].C2, problem.plants[0].B2.T))
@@ -352,7 +348,11 @@ def _reconstructed(p: PlantMatrices, X: Array, gamma: float, budget: Budget) -> 
 
 def plant_matrices(plant: LPVModel, n_meas: int, n_con: int, where: str) -> list[PlantMatrices]:
     """Return the generalised plants at the points of the grid."""
-    n, (n_z, n_w) = plant.n_states, _performance(plant, n_meas, n_con, where)
+    n, n_z, n_w = plant.n_states, len(plant.outputs) - n_meas, len(plant.inputs) - n_con
+    for word, count, left in (("n_meas", n_meas, n_z), ("n_con", n_con, n_w)):
+        if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1 or left < 1:
+            found = f"{word} = {count!r} of a plant with {len(plant.inputs)} inputs and {len(plant.outputs)} outputs"
+            raise InputError(where, found, "at least one, and at least one w and z in addition")
     m = plant.matrices.reshape(-1, *plant.matrices.shape[-2:])
     if m[:, n + n_z :, n + n_w :].any() or plant.deviation[..., n + n_z :, n + n_w :].any():
         hint = "put a fast lag between controls and measurements"
@@ -363,21 +363,12 @@ def plant_matrices(plant: LPVModel, n_meas: int, n_con: int, where: str) -> list
     return [PlantMatrices(*(np.array(one[rows[i], cols[j]]) for i, j in order)) for one in m]
 
 
-def _performance(plant: LPVModel, n_meas: int, n_con: int, where: str) -> tuple[int, int]:
-    n_z, n_w = len(plant.outputs) - n_meas, len(plant.inputs) - n_con
-    for word, count, left in (("n_meas", n_meas, n_z), ("n_con", n_con, n_w)):
-        if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1 or left < 1:
-            found = f"{word} = {count!r} of a plant with {len(plant.inputs)} inputs and {len(plant.outputs)} outputs"
-            raise InputError(where, found, "at least one, and at least one w and z in addition")
-    return n_z, n_w
-
-
-def closed_loop(plant: LPVModel, law: LPVModel, where: str) -> LPVModel:
+def closed_loop(plant: LPVModel, law: LPVModel) -> LPVModel:
     """Return the loop from w to z of ``u = K(rho) y`` on a common grid, with a proved error between the points."""
     # M = P + U K V with multi-linear P, U, K, V: where U or V vary, interpolation errs by at most a quarter of the sum
     # over the parameters of |dU| |dK| |V| + |dU| |K| |dV| + |U| |dK| |dV|, with the largest changes over the cell.
     n_meas, n_con = len(law.inputs), len(law.outputs)
-    n_z, n_w = _performance(plant, n_meas, n_con, where)
+    n_z, n_w = len(plant.outputs) - n_meas, len(plant.inputs) - n_con
     n, n_k = plant.n_states, law.n_states
 
     def parts(m: Array) -> tuple[Array, Array, Array]:

@@ -112,7 +112,7 @@ def test_the_loop_between_the_points_is_within_its_bound():
     K = rl.LPVModel({"a": [0, 1.0], "b": [0, 1.0, 3.0]}, [
         rl.StateSpaceModel(*(rng.normal(size=s) for s in ((2, 2), (2, 1), (1, 2), (1, 1)))) for _ in range(6)
     ])  # fmt: skip
-    loop = closed_loop(plant, K, "test")
+    loop = closed_loop(plant, K)
     for at in rng.uniform(size=(100, 2)) * [1, 3]:
         one = lower_lft(plant.at(at), K.at(at))
         error = np.abs(np.block([[one.A, one.B], [one.C, one.D]]) - loop.matrix_at(at))
