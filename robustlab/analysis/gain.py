@@ -72,54 +72,46 @@ def peak_gain(
     Parameters
     ----------
     system
-        A model or a DelayedModel (its H-infinity norm, infinite where it is unstable); an UncertainModel (worst case
-        over all :math:`|\Delta| \le 1`); UncertainFrequencyData; an LPVModel (induced L2 gain over all trajectories of
-        the parameters); a plant with effects (`with_effects`): worst L2 gain of ``e = d + sign K y, y = G(e)`` from d
-        to y, each effect with its own type. Continuous or discrete (with natures and effects continuous).
-    controller, sign
-        K of a plant with effects; -1 for negative feedback, 1 for positive, by default as stated by K, else negative.
+        A model or a DelayedModel (H-infinity norm, infinite where unstable); an UncertainModel (worst case over all
+        :math:`|\Delta| \le 1`); UncertainFrequencyData; an LPVModel (induced L2 gain over all trajectories); a plant
+        with effects (`with_effects`): worst L2 gain of ``e = d + sign K y, y = G(e)`` from d to y.
+    controller, sign, amplitude, stick_speed
+        Of a plant with effects: K; -1 for negative feedback, 1 for positive, by default as stated by K, else negative;
+        place -> assumed bound of its signal; joint -> speed below which dry friction is proportional to the speed.
     norm, band
         Of a model: ``"linf"``, the peak over the axis of what may be unstable; (low, high) in rad/s: the peak there.
     frequency
         Frequencies in rad/s of the largest gain, without any claim between them; a stable nominal system is assumed.
-    natures
-        Of an uncertain model or a model: name of a block -> `Varying` or `Nonlinearity`, or (output, input) ->
-        `Nonlinearity`, a law that drives that input; by integral quadratic constraints.
+    natures, order, pole
+        Name of a block -> `Varying` or `Nonlinearity`, or (output, input) -> `Nonlinearity`, a law that drives that
+        input, by integral quadratic constraints with filters ``a / (s + a)`` up to this power (0..8) and with this a in
+        rad/s. With delays: ``order``, highest order of Padé's approximations.
     inputs, outputs
         Names of the channels, all by default; ``outputs`` of a plant with effects: the inputs of K, in its order.
-    omega
-        Of an uncertain model: frequencies in rad/s for the curves of a figure.
-    tolerance
-        Relative gap of the bounds: 1e-6 of a model, 0.01 with delays or uncertainty; inf: no branch and bound.
+    omega, tolerance
+        Of an uncertain model: frequencies in rad/s of a figure's curves. Relative gap of the bounds: 1e-6 of a model,
+        0.01 with delays or uncertainty; inf: no branch and bound.
+    lyapunov
+        Of an LPV model: ``"constant"`` (any rate) or ``"varying"``, the default where a rate is bounded.
     seed, effort, time_limit
         Seed of the searches; their work as a multiple of the usual; s, after which the result depends on the machine.
-    order, pole
-        With natures and effects: highest power of the multipliers' filters ``a / (s + a)``, 0..8, and a in rad/s. With
-        delays: highest order of Padé's approximations.
-    lyapunov
-        Of an LPV model: ``"constant"`` (parameters of any rate) or ``"varying"``; default varying where a rate is
-        bounded.
-    amplitude, stick_speed
-        Of a plant with effects: place -> bound of its signal, assumed; joint -> speed below which its dry friction is
-        proportional to the speed.
 
     Returns
     -------
     PeakGain
-        ``lower``, ``upper``, ``frequency``, ``status``, and the evidence of the kind of system: `HinfNorm`,
-        `DelayGain`, `WorstCaseGain`, `GainAt`, `IqcGain`, `LPVGain`, `EffectGain`.
+        Both bounds, and the evidence of the kind of system: `HinfNorm`, `DelayGain`, `WorstCaseGain`, `GainAt`,
+        `IqcGain`, `LPVGain`, `EffectGain`.
 
     Raises
     ------
-    InputError
-        An option that this kind of system does not have, a value out of range, no such signal or block.
-    NoTrustworthyNumber
-        The nominal model of a set is unstable, or a pole is at a frequency.
+    InputError, NoTrustworthyNumber
+        An option that this kind of system does not have, a value out of range, no such signal or block. The nominal
+        model of a set is unstable, or a pole is at a frequency.
 
     References
     ----------
-    Boyd, Balakrishnan 1990; Fan, Tits 1992; Packard, Balas, Liu, Shin 2000; Megretski, Rantzer 1997; Becker, Packard
-    1994; Wu, Yang, Packard, Becker 1996.
+    Boyd, Balakrishnan 1990; Fan, Tits 1992; Packard, Balas, Liu, Shin 2000; Megretski, Rantzer 1997; Wu, Yang, Packard,
+    Becker 1996.
 
     Examples
     --------

@@ -94,10 +94,9 @@ def robust_stability(
 
     Raises
     ------
-    InputError
-        No uncertainty at frequencies, no such block, an option that this kind of system does not have.
-    NoTrustworthyNumber
-        The nominal model is unstable; a pole is at a given frequency.
+    InputError, NoTrustworthyNumber
+        No uncertainty at frequencies, no such block, an option that this kind of system does not have. The nominal
+        model is unstable; a pole is at a given frequency.
 
     References
     ----------
@@ -169,11 +168,9 @@ def disk_margin(
 
     Raises
     ------
-    InputError
+    InputError, NoTrustworthyNumber
         Sizes, names or sample times that do not fit; a sign that contradicts the controller; an option that this kind
-        of loop does not have.
-    NoTrustworthyNumber
-        The nominal loop is unstable, or not proved stable; a pole is at a given frequency.
+        of loop does not have. The nominal loop is unstable, or not proved stable; a pole is at a given frequency.
 
     References
     ----------
@@ -229,12 +226,10 @@ def classical_margins(
 
     Raises
     ------
-    InputError
+    InputError, NoTrustworthyNumber
         Sizes, names or sample times that do not fit, a sign that contradicts the controller, a closed loop that is not
-        well posed; an uncertain plant; a discrete one with delays.
-    NoTrustworthyNumber
-        A loop whose gain is 1 at every frequency; more than 200 states. With delays: it could not be shown whether the
-        closed loop is stable, or that its gain falls.
+        well posed; an uncertain plant. A loop whose gain is 1 at every frequency; more than 200 states; with delays a
+        loop whose stability, or whose falling gain, could not be shown.
 
     References
     ----------
