@@ -63,15 +63,13 @@ class IqcGain(PeakGain):
     delta: Mapping[str, float]
     nature: Mapping[str, str]
     proof: IqcProof | None
-    posed: Posed | None = field(default=None, kw_only=True)
+    posed: Posed = field(kw_only=True)
 
     unsaved: ClassVar[tuple[str, ...]] = ("posed",)
 
     def claims(self) -> list[Claim]:
         """Return the claim that the gain is at most ``upper``, for `robustlab.verify`."""
-        if self.posed is None or self.proof is None or not np.isfinite(self.upper):
-            return []
-        return [claim_of(self.posed, self.proof, gamma=self.upper)]
+        return [] if self.proof is None else [claim_of(self.posed, self.proof, gamma=self.upper)]
 
     def evidence(self) -> Facts:
         """Return the block types, the worst linear member, and the proof."""
@@ -99,13 +97,11 @@ class IqcStability(StabilityMargin):
     nature: Mapping[str, str]
     conditions: tuple[str, ...]
     proof: IqcProof | None
-    posed: Posed | None = field(default=None, kw_only=True)
+    posed: Posed = field(kw_only=True)
 
     def claims(self) -> list[Claim]:
         """Return the claim that the set ``lower`` times as large is stable, for `robustlab.verify`."""
-        if self.posed is None or self.proof is None or not self.lower > 0:
-            return []
-        return [claim_of(self.posed, self.proof, size=self.lower)]
+        return [] if self.proof is None else [claim_of(self.posed, self.proof, size=self.lower)]
 
     @property
     def stable(self) -> bool:

@@ -22,6 +22,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+from robustlab.checks import number
 from robustlab.display import Facts, bracket, listed
 from robustlab.dynamics.extended.effect_blocks import EffectBlocks, effect_blocks
 from robustlab.dynamics.extended.extended_plant import ExtendedPlant
@@ -82,7 +83,7 @@ class EffectGain(PeakGain):
 
 @error_context("effect_gain")
 def effect_gain(
-    plant: Any,
+    plant: ExtendedPlant,
     controller: Any = None,
     outputs: Sequence[str] | None = None,
     amplitude: Mapping[str, float] | None = None,
@@ -93,19 +94,15 @@ def effect_gain(
     effort: float = 1.0,
 ) -> EffectGain:
     """`robustlab.peak_gain` of a plant with effects in a loop, from disturbances at its inputs to its outputs."""
-    if not isinstance(plant, ExtendedPlant):
-        raise InputError("effect_gain", type(plant).__name__, "a linear plant with effects (rl.with_effects)")
     if controller is None:
         raise InputError("effect_gain: controller", "none for a plant with effects", "the K that closes its loop")
     slow = dict(stick_speed or {})
     places = {e.site.name: e for e in plant.effects if e.effect.id == "coulomb-friction"}
     for name, speed in slow.items():
         if name not in places:
-            raise InputError(
-                f"effect_gain: stick_speed {name!r}", "no Coulomb friction there", listed(places) or "none"
-            )
-        if not speed > 0:
-            raise InputError(f"effect_gain: stick_speed {name!r}", f"{speed!r}", "a positive speed")
+            where = f"effect_gain: stick_speed {name!r}"
+            raise InputError(where, "no Coulomb friction there", listed(places) or "none")
+        number(f"effect_gain: stick_speed {name!r}", speed, "a positive speed", above=0)
     rubbing = next((name for name in places if name not in slow), None)
     if rubbing is not None:
         raise InputError(
@@ -118,7 +115,7 @@ def effect_gain(
     around, s, source = feedback_loop(made.model.select(inputs), controller, sign, "effect_gain")
     loop = made.model.select(inputs).feedback(around, s)
     natures = _natures(plant, made, amplitude or {}, slow)
-    proved = iqc_gain(loop, natures, None, None, order, None, time_limit, effort)
+    proved = iqc_gain(loop, natures, order=order, time_limit=time_limit, effort=effort)
     constants = worst_case_gain(loop, time_limit=time_limit, effort=effort)
     left = {**made.left_out, **{n.name: "a bounded error: an input, no gain" for n in made.noise}}
     return EffectGain(

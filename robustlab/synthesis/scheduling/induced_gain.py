@@ -122,7 +122,7 @@ class LPVGain(PeakGain, Traced):
 
 @error_context("lpv_gain")
 def lpv_gain(
-    model: Any,
+    model: LPVModel,
     lyapunov: Lyapunov | None = None,
     *,
     effort: float = 1.0,
@@ -130,8 +130,6 @@ def lpv_gain(
     progress: Callable[[str], None] | None = None,
 ) -> LPVGain:
     r"""`robustlab.peak_gain` of an LPV model, by a Lyapunov function :math:`x^T P(\rho) x`."""
-    if not isinstance(model, LPVModel):
-        raise InputError("lpv_gain", f"a {type(model).__name__}", "an LPVModel", "rl.lpv_model makes one")
     if not model.inputs or not model.outputs:
         found = f"a model with {len(model.inputs)} inputs and {len(model.outputs)} outputs"
         raise InputError("lpv_gain", found, "at least one of each")
