@@ -12,10 +12,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from robustlab.arrays import Array
+from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.mu_analysis import robust_performance
 from robustlab.report import style
 from robustlab.report.robustness_figures import mu_figure
-from robustlab.synthesis.specifications.loop_functions import FUNCTIONS, frequencies, loop_curves, loop_functions
+from robustlab.synthesis.specifications.loop_functions import FUNCTIONS, frequencies, loop_functions
 from robustlab.uncertainty.lft import UncertainModel
 
 if TYPE_CHECKING:
@@ -93,8 +94,13 @@ def _over_frequency(
 @style.house_style()
 def loop_picture(design: Synthesis) -> Figure:
     """Singular values of the weighted closed loop with the peak marked, and the controller's gains."""
-    curves = loop_curves(design)
-    omega, values, peak = curves.omega, curves.closed_loop, curves.peak
+    at = float(getattr(design, "peak_frequency", np.nan))
+    omega = frequencies(design.closed_loop, around=at)
+    values = np.linalg.svd(frequency_response(design.closed_loop, omega), compute_uv=False).astype(np.float64)
+    peak, level = (at, float(design.gamma)), "γ, verified"
+    if not np.isfinite(at):  # gamma is another norm or of another loop
+        highest = int(values[:, 0].argmax())
+        peak, level = (float(omega[highest]), float(values[highest, 0])), "highest of the curve"
     figure, (loop, gains) = style.new_figure(1, 2, width=9.6, height=3.7)
     low = _over_frequency(loop, omega, [values[:, 0], np.array([peak[1]])], 4.0)
     loop.plot(omega, values[:, 0], color=style.NOMINAL, label="largest", zorder=3)
@@ -102,12 +108,13 @@ def loop_picture(design: Synthesis) -> Figure:
     if others.size:
         labels = ["others", *["_"] * (others.shape[1] - 1)]
         loop.plot(omega, others, color=style.BAND, lw=0.8, label=labels, zorder=2)
-    loop.axhline(peak[1], color=style.LIMIT, ls=style.DASHED, label=f"{style.plain_label(curves.level)}: {peak[1]:.4g}")
+    loop.axhline(peak[1], color=style.LIMIT, ls=style.DASHED, label=f"{style.plain_label(level)}: {peak[1]:.4g}")
     if omega[0] <= peak[0] <= omega[-1]:
         loop.plot(peak[0], peak[1], "o", color=style.WORST, ms=6, label=f"peak, {peak[0]:.4g} rad/s", zorder=4)
     title = "closed loop, channels of Δ included" if design.plant.blocks else "weighted closed loop"
     loop.set(title=title, ylabel="singular values")
-    names, controller = curves.measurements, curves.controller
+    names = [s.name for s in design.plant.measurements]
+    controller = np.linalg.norm(frequency_response(design.K, omega), axis=1)  # in control per measurement units
     if len(names) <= NAMED:
         for name, gain, how in zip(names, controller.T, DESIGNS[len(names) == 1 :], strict=False):
             gains.plot(omega, gain, label=style.plain_label(name), **how)

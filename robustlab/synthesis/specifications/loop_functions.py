@@ -1,4 +1,4 @@
-"""Closed-loop functions S, T, K S, S G with their bounds, and the curves of a design."""
+"""Closed-loop functions S, T, K S, S G with their bounds, and frequencies for figures of them."""
 
 from __future__ import annotations
 
@@ -153,18 +153,6 @@ def _of_design(design: Synthesis) -> LoopFunctions:
     return LoopFunctions(found.S, found.T, found.KS, found.SG, weights, design.gamma)
 
 
-@dataclass(frozen=True, eq=False)
-class LoopCurves:
-    """Curves of a design."""
-
-    omega: Array  # frequencies in rad/s, (n,)
-    closed_loop: Array  # singular values of the weighted loop, largest first, (n, k)
-    peak: tuple[float, float]  # frequency in rad/s and height of the maximum: gamma if that bounds the loop's norm
-    controller: Array  # norm of the controller's column of each measurement, (n, n_y), in control per measurement units
-    measurements: tuple[str, ...]
-    level: str  # description of the height of `peak`
-
-
 def frequencies(model: StateSpaceModel, points: int = POINTS, around: float | None = None) -> Array:
     """Return frequencies in rad/s for a figure, (points,): to a decade beyond the loop's poles and ``around``."""
     poles = model.poles()
@@ -181,17 +169,3 @@ def frequencies(model: StateSpaceModel, points: int = POINTS, around: float | No
         high = np.pi / model.dt
         low = min(low, high / 1e3)
     return np.geomspace(low, high, points)
-
-
-def loop_curves(design: Synthesis) -> LoopCurves:
-    """Return singular values of the weighted closed loop and gains of the controller for figures."""
-    omega = frequencies(design.closed_loop, around=getattr(design, "peak_frequency", None))
-    sigma = np.linalg.svd(frequency_response(design.closed_loop, omega), compute_uv=False).astype(np.float64)
-    at = float(getattr(design, "peak_frequency", np.nan))
-    peak, level = (at, float(design.gamma)), "γ, verified"
-    if not np.isfinite(at):  # gamma is another norm or of another loop
-        highest = int(sigma[:, 0].argmax())
-        peak, level = (float(omega[highest]), float(sigma[highest, 0])), "highest of the curve"
-    gains = np.linalg.norm(frequency_response(design.K, omega), axis=1)
-    names = tuple(s.name for s in design.plant.measurements)
-    return LoopCurves(omega, sigma, peak, gains, names, level)
