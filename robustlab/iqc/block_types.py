@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from numbers import Real
 from typing import Any
 
+from robustlab.checks import number
 from robustlab.errors import InputError
 
 __all__ = ["Nature", "Nonlinearity", "Varying"]
@@ -104,9 +105,8 @@ class Nonlinearity:
 
         ``limit``: L. ``reach``: bound of :math:`|z|`, assumed in the proof; the sector is then [L / reach, 1].
         """
-        _positive("limit", limit)
-        low = min(1.0, limit / reach) if math.isfinite(reach) else 0.0
-        return cls._local((low, 1.0), limit, reach)
+        share = cls._share("limit", limit, reach)
+        return cls((share, 1.0), (0.0, 1.0), odd=True, holds=_within(reach))
 
     @classmethod
     def dead_zone(cls, half_width: float = 1.0, reach: float = math.inf) -> Nonlinearity:
@@ -114,9 +114,8 @@ class Nonlinearity:
 
         ``half_width``: d. ``reach``: bound of :math:`|z|`, assumed in the proof; the sector is then [0, 1 - d / reach].
         """
-        _positive("half_width", half_width)
-        high = 1.0 - half_width / reach if math.isfinite(reach) else 1.0
-        return cls._local((0.0, high), half_width, reach)
+        share = cls._share("half_width", half_width, reach)
+        return cls((0.0, 1.0 - share), (0.0, 1.0), odd=True, holds=_within(reach))
 
     @classmethod
     def friction(cls, level: float, stick_speed: float | None = None) -> Nonlinearity:
@@ -128,25 +127,29 @@ class Nonlinearity:
 
         ``level``: F. ``stick_speed``: v_s, below which the force grows in proportion to the speed.
         """
-        _positive("level", level)
         if stick_speed is None:
             raise InputError(
                 "Nonlinearity.friction", "no stick_speed", "the speed up to which the force grows in proportion",
                 "Coulomb's law has the sector [0, inf): its slope at rest has no bound, and no strict inequality holds",
             )  # fmt: skip
-        _positive("stick_speed", stick_speed)
-        gain = level / stick_speed
+        force = number("Nonlinearity: level", level, "a positive finite number", above=0)
+        gain = force / number("Nonlinearity: stick_speed", stick_speed, "a positive finite number", above=0)
         return cls((0.0, gain), (0.0, gain), odd=True, holds=f"sticking as creep below {stick_speed:g}")
 
-    @classmethod
-    def _local(cls, sector: tuple[float, float], size: float, reach: float) -> Nonlinearity:
+    @staticmethod
+    def _share(name: str, size: float, reach: float) -> float:
+        """Return ``size / reach`` of a law that is linear up to, or from, this size on."""
+        number(f"Nonlinearity: {name}", size, "a positive finite number", above=0)
         if not reach > size:
             raise InputError("Nonlinearity", f"a reach of {reach:g}", f"more than {size:g}: below it the law is linear")
-        holds = f"while the signal stays within {reach:g}" if math.isfinite(reach) else ""
-        return cls(sector, (0.0, 1.0), odd=True, holds=holds)
+        return size / reach
 
 
 Nature = Varying | Nonlinearity
+
+
+def _within(reach: float) -> str:
+    return f"while the signal stays within {reach:g}" if math.isfinite(reach) else ""
 
 
 def _is_range(ends: Any) -> bool:
@@ -155,8 +158,3 @@ def _is_range(ends: Any) -> bool:
         and all(isinstance(e, Real) and not isinstance(e, bool) and math.isfinite(e) for e in ends)
         and ends[0] < ends[1]
     )  # fmt: skip
-
-
-def _positive(name: str, value: float) -> None:
-    if isinstance(value, bool) or not isinstance(value, Real) or not 0 < value < math.inf:
-        raise InputError(f"Nonlinearity: {name}", f"{value!r}", "a positive finite number")

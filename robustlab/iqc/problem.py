@@ -16,7 +16,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.budget import MILLION, Budget, search_budget
-from robustlab.checks import number
+from robustlab.checks import number, whole
 from robustlab.display import listed
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.iqc.block_types import Nature, Nonlinearity, Varying
@@ -140,8 +140,7 @@ def posed(
     effort: float, channel: tuple[Sequence[str] | None, Sequence[str] | None] = (None, None),
 ) -> tuple[Problem, Budget]:  # fmt: skip
     """Check a public function's arguments and return the problem and its budget; channel: names of inputs, outputs."""
-    if isinstance(order, bool) or not isinstance(order, int) or not 0 <= order <= MOST_ORDER:
-        raise InputError(f"{where}: order", f"{order!r}", f"a whole number from 0 to {MOST_ORDER}")
+    whole(f"{where}: order", order, 0, MOST_ORDER)
     if pole is not None:
         number(f"{where}: pole", pole, "a positive number in rad/s", above=0)
     budget = search_budget(where, WORK, effort, time_limit)
@@ -171,8 +170,8 @@ def posed(
     ]
     words = {b.name: _in_words(b, named.get(b.name)) for b in opened.blocks}
     conditions = tuple(f"{name}: {one.holds}" for name, one in named.items() if one.holds)
-    whole = Posed(opened.M, tuple(opened.blocks), np.array(ranges, dtype=float), tuple(kinds), words, conditions)
-    return Problem(where, whole, order, pole), budget
+    given_as = Posed(opened.M, tuple(opened.blocks), np.array(ranges, dtype=float), tuple(kinds), words, conditions)
+    return Problem(where, given_as, order, pole), budget
 
 
 def _opened(model: Any, laws: Mapping[tuple[str, str], Nonlinearity]) -> UncertainModel:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
+from robustlab.checks import choice
 from robustlab.display import Displayable, Facts, listed, number, short, with_units
 from robustlab.errors import InputError, did_you_mean
 from robustlab.operators import Behaviour
@@ -138,9 +139,7 @@ class LPVModel(Behaviour, Displayable, Traced):
         outputs: Sequence[Signal], states: Sequence[Signal], deviation: ArrayLike | None = None, known: str = EXACT,
     ) -> LPVModel:  # fmt: skip
         """Return the model of stacked matrices ``[A B; C D]``, shape (n_1, ..., n_k, n_x + n_y, n_x + n_u)."""
-        if not isinstance(known, str) or known not in KNOWN:
-            hint = did_you_mean(str(known), KNOWN)
-            raise InputError("LPVModel: known", f"{known!r}", f"one of {', '.join(KNOWN)}", hint)
+        choice("LPVModel: known", known, KNOWN)
         cells = (*(len(p.points) - 1 for p in parameters), *matrices.shape[-2:])
         given = np.zeros(cells) if deviation is None else real_array("deviation", deviation, len(cells), "LPVModel")
         if given.shape != cells or (given < 0).any():

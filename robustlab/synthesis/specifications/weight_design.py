@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from robustlab.checks import number, whole
 from robustlab.errors import InputError, error_context
 from robustlab.norms import bilinear_to_discrete
 from robustlab.statespace import StateSpaceModel, series
@@ -182,7 +183,5 @@ def _lead(gain: float, zero: float, pole: float, order: int = 1, dt: float = 0.0
 
 def _positive(where: str, order: int = 1, **numbers: float) -> None:
     for name, value in numbers.items():
-        if not np.isfinite(value) or value <= 0:
-            raise InputError(where, f"{name} is {value}", "a positive number")
-    if isinstance(order, bool) or order not in range(1, 11):
-        raise InputError(where, f"order is {order}", "a whole number from 1 to 10")
+        number(f"{where}: {name}", value, "a positive number", above=0)
+    whole(f"{where}: order", order, 1, 10)
