@@ -221,49 +221,71 @@ def tracking_problem(
         _sizes("noise", noise, [*(Signal(f"{s.name}_ref", s.unit) for s in follow), *seen]),
     )
     shape = _shape(reference_bandwidth, base.dt)
-    signals = _signals(base, c, m, sizes[0], {**sizes[1], **forces}, sizes[2], [s.name for s in controls])
-    d = [
-        *(Signal(f"{name}_disturbance", "1") for name in sizes[1]),
-        *(Signal(f"{name}, over its size", "1") for name in forces),
-    ]
-    n = [Signal(f"{name}_noise", "1") for name in sizes[2]]
-    model = _weighted(signals, base, controls, follow, seen, weights, shape, [*d, *n])
-    bare = UncertainModel(signals.renamed(model.inputs, None), base.blocks)
-    return TrackingProblem(UncertainModel(model, base.blocks), bare, follow, seen, weights, shape, *sizes, forces)
+    signals, model = _built(base, (c, m), sizes, forces, weights, shape)
+    problem, bare = UncertainModel(model, base.blocks), UncertainModel(signals, base.blocks)
+    return TrackingProblem(problem, bare, follow, seen, weights, shape, *sizes, forces)
 
 
-def _signals(
+def _built(
     base: UncertainModel,
-    c: list[int],
-    m: list[int],
-    reference: Mapping[str, float],
-    disturbance: Mapping[str, float],
-    noise: Mapping[str, float],
-    controls: list[str],
-) -> StateSpaceModel:
-    """Return the model from [w; r; d; n; u] to [z; e; u; y_c; v], all without weights."""
-    M, (q, p), n_r = base.M, base.delta_shape, len(reference)
-    follow, measured = [p + i for i in c], [p + i for i in m]
-    names_v = [*(f"{base.outputs[i].name}_ref" for i in c), *(base.outputs[i].name for i in m)]
-    size_r, size_d, size_n = (np.array(list(s.values())) for s in (reference, disturbance, noise))
-    counts = (q, n_r, len(disturbance), len(noise), len(controls))
+    places: tuple[list[int], list[int]],
+    sizes: Sequence[Mapping[str, float]],
+    loads: Mapping[str, float],
+    weights: Mapping[str, StateSpaceModel],
+    shape: StateSpaceModel,
+) -> tuple[StateSpaceModel, StateSpaceModel]:
+    """Return the model from [w; r; d; n; u] to [z; e; u; y_c; v] without weights, and the weighted one."""
+    M, (q, p) = base.M, base.delta_shape
+    follow, seen = ([base.outputs[i] for i in part] for part in places)
+    controls = [Signal(s.name, s.unit) for s in base.inputs if s.name not in loads]
+    reference, entering, noise = sizes[0], {**sizes[1], **loads}, sizes[2]
+    n_r, n_u = len(follow), len(controls)
+    size_r, size_d, size_n = (np.array(list(s.values())) for s in (reference, entering, noise))
+    counts = (q, n_r, len(entering), len(noise), n_u)
     w, r, d, n, u = np.split(np.eye(sum(counts)), np.cumsum(counts)[:-1])
     # Inputs of M: its own w, the controls u + d, and the loads.
     names_u = [s.name for s in base.inputs]
-    acting = _placed(controls, names_u) @ u + _placed(disturbance, names_u) @ (size_d[:, None] * d)
-    noisy = _placed(noise, names_v) @ (size_n[:, None] * n)
+    acting = _placed([s.name for s in controls], names_u) @ u + _placed(entering, names_u) @ (size_d[:, None] * d)
+    noisy = _placed(noise, [*(f"{s.name}_ref" for s in follow), *(s.name for s in seen)]) @ (size_n[:, None] * n)
     into = np.vstack([w, acting])
     C, T, share = M.C, M.D @ into, np.diag(1 / size_r)
+    y_c, y_m = ([p + i for i in part] for part in places)
     rows = [
         (C[:p], T[:p]),
-        (-share @ C[follow], r - share @ T[follow]),
-        (np.zeros((len(u), M.n_states)), u),
-        (share @ C[follow], share @ T[follow]),
+        (-share @ C[y_c], r - share @ T[y_c]),
+        (np.zeros((n_u, M.n_states)), u),
+        (share @ C[y_c], share @ T[y_c]),
         (np.zeros((n_r, M.n_states)), size_r[:, None] * r + noisy[:n_r]),
-        (C[measured], T[measured] + noisy[n_r:]),
+        (C[y_m], T[y_m] + noisy[n_r:]),
     ]
     out, direct = (np.vstack(part) for part in zip(*rows, strict=True))
-    return StateSpaceModel(M.A, M.B @ into, out, direct, M.dt, states=M.states)
+    words = [f"{name}_disturbance" for name in sizes[1]] + [f"{name}, over its size" for name in loads]
+    words = [f"{s.name}_ref" for s in follow] + words + [f"{name}_noise" for name in noise]
+    inputs = [*M.inputs[:q], *(Signal(word, "1") for word in words), *controls]
+    signals = StateSpaceModel(M.A, M.B @ into, out, direct, M.dt, inputs, None, M.states)
+
+    one, at = _shape(None, M.dt), [*range(p)]
+    filters, outputs, states = [_each(one, p, "z")], [Signal(s.name, s.unit) for s in M.outputs[:p]], [*M.states]
+    channels = {
+        "W1": ("error", p, follow),
+        "W2": ("control", p + n_r, controls),
+        "W3": ("output", p + n_r + n_u, follow),
+    }
+    for name, weight in weights.items():
+        word, first, part = channels[name]
+        at += range(first, first + len(part))
+        filters.append(_each(weight, len(part), name))
+        outputs += [Signal(f"{name} {word}: {s.name}") for s in part]
+        states += [Signal(f"{name} {s.name} x{i + 1}") for s in part for i in range(weight.n_states)]
+    at += range(p + 2 * n_r + n_u, len(out))
+    before = append(_each(one, q, "w"), _each(shape, n_r, "F"), _each(one, sum(counts) - q - n_r, "d"))
+    picked = StateSpaceModel(signals.A, signals.B, out[at], direct[at], M.dt)
+    joined = series(series(before, picked), append(*filters, _each(one, n_r + len(seen), "v")))
+    states = [*(Signal(f"{s.name}_ref x{i + 1}") for s in follow for i in range(shape.n_states)), *states]
+    outputs += [*(Taken(f"{s.name}_ref", s.unit, "r", s.name) for s in follow), *(Taken(*s) for s in seen)]
+    return signals, StateSpaceModel(
+        joined.A, joined.B, joined.C, joined.D, joined.dt, inputs, outputs, states, where="tracking problem"
+    )
 
 
 def _placed(some: Iterable[str], names: Sequence[str]) -> Array:
@@ -272,60 +294,23 @@ def _placed(some: Iterable[str], names: Sequence[str]) -> Array:
     return np.array([[float(name == one) for one in some] for name in names]).reshape(len(names), len(some))
 
 
-def _weighted(
-    signals: StateSpaceModel,
-    base: UncertainModel,
-    inputs: list[Signal],
-    follow: tuple[Signal, ...],
-    seen: tuple[Signal, ...],
-    weights: Mapping[str, StateSpaceModel],
-    shape: StateSpaceModel,
-    others: list[Signal],
-) -> StateSpaceModel:
-    """Return ``signals`` with the weights on e, u, y_c, F on r, and the names of all signals."""
-    (q, p), controls = base.delta_shape, [Signal(s.name, s.unit) for s in inputs]
-    n_r, n_u = len(follow), len(controls)
-    words = {"W1": ("error", p, follow), "W2": ("control", p + n_r, controls), "W3": ("output", p + n_r + n_u, follow)}
-    rows, filters = list(range(p)), [_through(p, "z", base.dt)]
-    labels, states = [Signal(s.name, s.unit) for s in base.M.outputs[:p]], list(signals.states)
-    for name, w in weights.items():
-        word, first, channels = words[name]
-        for k, channel in enumerate(channels):
-            rows.append(first + k)
-            filters.append(w.renamed([f"{name} into {k}"], [f"{name} out {k}"]))
-            labels.append(Signal(f"{name} {word}: {channel.name}"))
-            states += [Signal(f"{name} {channel.name} x{i + 1}") for i in range(w.n_states)]
-    v = range(p + 2 * n_r + n_u, signals.n_outputs)
-    rows += v
-    filters.append(_through(len(v), "v", base.dt))
-    picked = StateSpaceModel(signals.A, signals.B, signals.C[rows], signals.D[rows], signals.dt)
-    shapes = [shape.renamed([f"r{i}"], [f"F r{i}"]) for i in range(n_r)]
-    before = append(_through(q, "w", base.dt), *shapes, _through(len(others) + n_u, "d", base.dt))
-    joined = series(series(before, picked), append(*filters))
-    states = [*(Signal(f"{s.name}_ref x{i + 1}") for s in follow for i in range(shape.n_states)), *states]
-    inputs = [*base.M.inputs[:q], *(Signal(f"{s.name}_ref", "1") for s in follow), *others, *controls]
-    outputs = [*labels, *(Taken(f"{s.name}_ref", s.unit, "r", s.name) for s in follow), *(Taken(*s) for s in seen)]
-    return StateSpaceModel(
-        joined.A, joined.B, joined.C, joined.D, joined.dt, inputs, outputs, states, where="tracking problem"
-    )
+def _each(one: StateSpaceModel, count: int, name: str) -> StateSpaceModel:
+    """Return a model of one channel on each of some channels."""
+    parts = (np.kron(np.eye(count), X) for X in (one.A, one.B, one.C, one.D))
+    into, out = ([f"{name} {word} {k}" for k in range(count)] for word in ("into", "out"))
+    return StateSpaceModel(*parts, one.dt, into, out)
 
 
 def _shape(bandwidth: float | None, dt: float) -> StateSpaceModel:
     """Return F as a model of one channel."""
     if bandwidth is None:
-        return _through(1, "r", dt)
+        return StateSpaceModel([], [], [], [[1.0]], dt)
     where = "tracking problem: reference_bandwidth"
     checks.number(where, bandwidth, "a positive number in rad/s", above=0)
     if dt:
         raise InputError(where, f"{bandwidth:g} rad/s for a discrete plant", "none: shape the reference by W1 instead")
     root = bandwidth**0.5
     return StateSpaceModel([[-bandwidth]], [[root]], [[root]], [[0.0]])
-
-
-def _through(n: int, name: str, dt: float) -> StateSpaceModel:
-    """Return the identity of n channels."""
-    names = [f"{name}{i}" for i in range(n)]
-    return StateSpaceModel(np.zeros((0, 0)), np.zeros((0, n)), np.zeros((n, 0)), np.eye(n), dt, names, names)
 
 
 def _positions(names: Sequence[str], known: Sequence[Signal], what: str) -> list[int]:
