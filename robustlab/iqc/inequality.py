@@ -14,7 +14,7 @@ Rantzer 1996; Megretski, Rantzer 1997.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,12 +45,16 @@ class Point:
 class Inequality:
     """The inequality of a model with its filters, solved in larger or smaller units.
 
-    ``units``: of the states and inputs, (n + m,); ``forms``: of the blocks, each with the square of its channels' unit;
-    ``z``, ``w``: performance outputs (none: stability alone) and inputs.
+    ``units``: of the states and inputs, (n + m,); ``blocks``: name -> kinds of its constraints, their form, and the
+    square of the unit of its channels; ``z``, ``w``: performance outputs (none: stability alone) and inputs.
     """
 
-    def __init__(self, F: Filtered, units: Array, forms: Sequence[tuple[float, Form]], z: Array, w: Array) -> None:
+    def __init__(
+        self, F: Filtered, units: Array, blocks: Mapping[str, tuple[str, Form, float]], z: Array, w: Array
+    ) -> None:
         self.units, self.n, n = units, F.n, F.n
+        self.kinds = {name: kinds for name, (kinds, *_) in blocks.items()}
+        forms = [(square, form) for _, form, square in blocks.values()]
         self.has_gain = bool(len(z))
         scaled = units[:, None] * units
         reader = Unknowns(np.zeros(MOST))

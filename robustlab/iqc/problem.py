@@ -280,9 +280,9 @@ class Problem:
                 nature = replace(nature, sector=(-1.0, 1.0), slope=slope)
             self.natures.append(Varying(nature.rate / h) if isinstance(nature, Varying) else nature)
         speed = np.abs(poles[np.abs(poles) > 0])
-        typical = float(np.median(speed)) if len(speed) else 1.0
+        self.speed = float(np.median(speed)) if len(speed) else 1.0
         filtered = any(filter_order(nature, order) for nature in self.natures)
-        tried = [typical * t for t in (POLES if filtered else (1.0,))] if pole is None else [pole]
+        tried = [self.speed * t for t in (POLES if filtered else (1.0,))] if pole is None else [pole]
         self.bases = [Basis(a, order) for a in tried]
 
     # --- from below ---------------------------------------------------------------------------------------------------
@@ -323,28 +323,29 @@ class Problem:
         best: tuple[float, IqcProof] | None = None
         for _ in range(BALANCINGS):
             made = self._inequality(basis, 1.0, unit, scales)
-            least = None if made is None else made[0].solve(budget)
-            if made is None or least is None or not least.square > 0:
-                break
-            found = self._backed_off(basis, made, least.square, unit, budget)
-            if found is None:
+            least = None if made is None else made.solve(budget)
+            found = None
+            if made is not None and least is not None and least.square > 0:
+                found = self._backed_off(basis, made, least.square, unit, budget)
+            if made is None or least is None or found is None:
                 break
             settled = best is not None and found[0] >= BETTER * best[0]
             best = found if best is None or found[0] < best[0] else best
             if settled or best[0] <= enough or budget.over:
                 break
             # Clarabel stops far above the least gain if P's entries have very different sizes: scale its diagonal to 1.
-            size = np.abs(np.diag(least.P))[: len(scales)] * made[2] * (made[0].units[: len(scales)]) ** 2
+            n = len(scales)
+            sizes = np.abs(np.diag(least.P)[:n]) * self.speed * made.units[:n] ** 2
             with np.errstate(divide="ignore"):
-                scales = scales * 2.0 ** np.where(size > 0, np.clip(np.rint(-0.5 * np.log2(size)), -20, 20), 0.0)
+                scales = scales * 2.0 ** np.where(sizes > 0, np.clip(np.rint(-0.5 * np.log2(sizes)), -20, 20), 0.0)
         return best
 
     def _backed_off(
-        self, basis: Basis, made: tuple[Inequality, Mapping[str, str], float], least: float, unit: float, budget: Budget
+        self, basis: Basis, made: Inequality, least: float, unit: float, budget: Budget
     ) -> tuple[float, IqcProof] | None:
         """Return a gain a little above the least one that is proved, and its proof."""
         for share in BACK_OFFS:
-            point = made[0].solve(budget, least * (1 + share) ** 2)
+            point = made.solve(budget, least * (1 + share) ** 2)
             if point is None or not point.slack > 0:
                 continue
             gain = unit * math.sqrt(point.square) * (1 + 1e-15)
@@ -357,7 +358,7 @@ class Problem:
         """Return a proof that the set times ``size`` is stable, with any basis or the best so far, or None."""
         for basis in tuple(self.bases if thorough else self.bases[:1]):
             made = self._inequality(basis, size, None)
-            point = None if made is None or budget.over else made[0].solve(budget)
+            point = None if made is None or budget.over else made.solve(budget)
             if made is None or point is None or not point.slack > 0:
                 continue
             proof = _proof(basis, made, point, 1.0)
@@ -368,8 +369,8 @@ class Problem:
 
     def _inequality(
         self, basis: Basis, size: float, unit: float | None, scales: Array | float = 1.0
-    ) -> tuple[Inequality, dict[str, str], float] | None:
-        """Return the inequality in balanced states, the kinds of its constraints, and its rate; None: too many states.
+    ) -> Inequality | None:
+        """Return the inequality in balanced states; None: too many states.
 
         ``unit``: of the gain, None for stability alone; ``scales``: powers of two of larger units of the states.
         """
@@ -390,8 +391,7 @@ class Problem:
         if M.n_states + filters > STATES:
             return None
         F = Filtered(M.A, B, C, D, filters, sum(rated))
-        kinds: dict[str, str] = {}
-        forms: list[tuple[float, Form]] = []
+        found: dict[str, tuple[str, Form, float]] = {}
         inputs, added = np.ones(q + n_w), []
         for order, extra, (block, nature, (w, z)) in zip(orders, rated, parts, strict=True):
             # A power of two that balances the gains into and out of the channels.
@@ -399,25 +399,23 @@ class Problem:
             d = 2.0 ** round(0.5 * math.log2(ins / outs)) if ins and outs else 1.0
             if isinstance(nature, Nonlinearity):
                 free = not D[z, :q].any(), not D[z].any()
-                kinds[block.name], form = law(F, z, F.input(w), order, basis.pole, nature, free)
+                kinds, form = law(F, z, F.input(w), order, basis.pole, nature, free)
             else:
-                kinds[block.name], form = linear(
+                kinds, form = linear(
                     F, F.outputs[z], F.input(w), order, basis.pole, scalar=block.is_scalar, real=block.is_real,
                     rate=np.inf if nature is None else nature.rate / size,
                 )  # fmt: skip
-            forms.append((d**2, form))
+            found[block.name] = kinds, form, d**2
             units = np.append(units, np.full(order * (block.cols + block.rows), 1 / d))
             inputs[w], added = 1 / d, [*added, *[1 / d] * extra]
         units = np.concatenate([units, inputs, added])
-        seen, acts = F.outputs[p : p + n_z], F.input(slice(q, q + n_w))
-        return Inequality(F, units, forms, seen, acts), kinds, rate
+        return Inequality(F, units, found, F.outputs[p : p + n_z], F.input(slice(q, q + n_w)))
 
 
-def _proof(basis: Basis, made: tuple[Inequality, Mapping[str, str], float], point: Point, square: float) -> IqcProof:
+def _proof(basis: Basis, made: Inequality, point: Point, square: float) -> IqcProof:
     """Return the proof of a point; ``square``: of the unit of the gain."""
-    inequality, kinds, _ = made
     P, unknowns = square * point.P, square * point.multipliers
-    return IqcProof(kinds, basis.pole, basis.order, inequality.n, point.slack, P, unknowns)
+    return IqcProof(made.kinds, basis.pole, basis.order, made.n, point.slack, P, unknowns)
 
 
 def holds(claim: Claim) -> bool:
