@@ -26,10 +26,8 @@ class GapMetric(Bracket):
     ----------
     lower, upper
         ``lower <= gap <= upper``; ``upper`` is the proved norm of the worse of two designs.
-    directed
-        Upper bounds of both directed gaps; below 1 these are equal.
-    nu
-        The nu-gap, which never exceeds the gap.
+    directed, nu
+        Upper bounds of both directed gaps, equal below 1; the nu-gap, which never exceeds the gap.
     status
         CONVERGED where the bounds agree to a thousandth, else INCONCLUSIVE.
     """
@@ -57,20 +55,7 @@ def gap(P1: Any, P2: Any) -> GapMetric:
 
     which `hinf` solves and proves, since Q is the controller of a stable plant.
 
-    Parameters
-    ----------
-    P1, P2
-        As for `nu_gap`.
-
-    Returns
-    -------
-    GapMetric
-        Bounds of the gap, and the nu-gap.
-
-    Raises
-    ------
-    InputError, NoTrustworthyNumber
-        As for `nu_gap`.
+    ``P1``, ``P2``, and what is raised: as for `nu_gap`.
 
     References
     ----------

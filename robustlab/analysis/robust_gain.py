@@ -28,14 +28,12 @@ class RobustGain(Bracket):
 
     Attributes
     ----------
-    lower, upper
+    lower, upper, frequency
         Every member of the set ``lower`` times as large has a gain below ``level``, proved; the member ``delta`` of the
-        set ``upper`` times as large reaches it. Both are 0 where the nominal model reaches it; ``upper`` is inf where
-        no member of the largest set does. Above 1 the set as given stays below the level.
-    frequency
-        Frequency in rad/s at which the member ``delta`` reaches the level.
+        set ``upper`` times as large reaches it at ``frequency``, rad/s. Both are 0 where the nominal model reaches it;
+        ``upper`` is inf where no member of the largest set does. Above 1 the set as given stays below the level.
     level
-        The level, in the unit of the outputs over that of the inputs.
+        In the unit of the outputs over that of the inputs.
     delta, physical
         That member, in units of the set as given, and its physical parameters with units.
     proof
@@ -99,10 +97,8 @@ def robust_gain(
 
     Raises
     ------
-    InputError
-        No uncertain model, or a level or tolerance that is not positive.
-    NoTrustworthyNumber
-        The nominal model is unstable.
+    InputError, NoTrustworthyNumber
+        No uncertain model, or a level or tolerance that is not positive. The nominal model is unstable.
 
     References
     ----------

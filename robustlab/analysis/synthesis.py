@@ -90,10 +90,9 @@ def hinf(
 
     Raises
     ------
-    InputError
-        Numbers of channels that P does not have, ``gamma_rel`` below 1, an option that P's type does not have.
-    NoTrustworthyNumber
-        A mode that no controller can stabilise (named), no controller could be verified, or none has its poles below
+    InputError, NoTrustworthyNumber
+        Numbers of channels that P does not have, ``gamma_rel`` below 1, an option that P's type does not have. A mode
+        that no controller can stabilise (named), no controller could be verified, or none has its poles below
         ``bandwidth``; the LMIs of an LPV model have no solution.
 
     References
