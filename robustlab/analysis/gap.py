@@ -55,7 +55,20 @@ def gap(P1: Any, P2: Any) -> GapMetric:
 
     which `hinf` solves and proves, since Q is the controller of a stable plant.
 
-    ``P1``, ``P2``, and what is raised: as for `nu_gap`.
+    Parameters
+    ----------
+    P1, P2
+        As for `nu_gap`.
+
+    Returns
+    -------
+    GapMetric
+        Bounds of the gap, and the nu-gap.
+
+    Raises
+    ------
+    InputError, NoTrustworthyNumber
+        As for `nu_gap`.
 
     References
     ----------

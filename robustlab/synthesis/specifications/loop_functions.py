@@ -102,6 +102,11 @@ def loop_functions(G: Any, K: Any = None, *, sign: Literal[-1, 1] | None = None)
         s: -1 for a controller of the error, ``u = K (r - y)``; 1 for positive feedback, ``u = K (y - r)``. Default: the
         sign stored with the controller, else -1.
 
+    Returns
+    -------
+    LoopFunctions
+        Each function with all states of the loop; with weights and gamma for a mixed-sensitivity design.
+
     Raises
     ------
     InputError

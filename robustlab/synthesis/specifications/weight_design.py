@@ -29,6 +29,11 @@ def performance_weight(bandwidth: float, error: float = 1e-3, peak: float = 2.0,
     order
         k: slope of the weight below the bandwidth in units of 20 dB a decade, and number of states.
 
+    Returns
+    -------
+    StateSpaceModel
+        The weight, of one channel.
+
     Raises
     ------
     InputError
@@ -76,6 +81,11 @@ def control_weight(limit: float, bandwidth: float | None = None, roll_off: float
         omega_c in rad/s above which the control falls by 20 dB a decade (default: a constant weight); r: total
         reduction at high frequency (> 1).
 
+    Returns
+    -------
+    StateSpaceModel
+        The weight, of one channel.
+
     Raises
     ------
     InputError
@@ -107,6 +117,11 @@ def complementary_weight(
         M: largest T at low frequency (> 1); A: bound of T at high frequency (0 < A < 1), which makes the weight proper.
     order
         k: slope above the bandwidth in units of -20 dB a decade, and number of states.
+
+    Returns
+    -------
+    StateSpaceModel
+        The weight, of one channel.
 
     Raises
     ------
@@ -140,6 +155,11 @@ def makeweight(
         Sample time in s of a discrete weight (Tustin's rule, exact at omega_c); 0 for a continuous one.
     order
         k: slope of the weight in units of 20 dB a decade, and number of states.
+
+    Returns
+    -------
+    StateSpaceModel
+        The weight, of one channel.
 
     Raises
     ------
