@@ -182,15 +182,6 @@ def test_quadratic_stability_ends_as_by_the_circle_criterion():
         assert (found.P.size > 0) == proved
 
 
-def test_the_gain_of_a_constant_model_is_its_hinf_norm():
-    rng = np.random.default_rng(0)
-    A = rng.normal(size=(6, 6)) - 4 * np.eye(6)
-    one = rl.StateSpaceModel(A, rng.normal(size=(6, 2)), rng.normal(size=(2, 6)), rng.normal(size=(2, 2)))
-    found = rl.peak_gain(rl.LPVModel({"a": [0, 1]}, [one, one]))
-    assert found.upper == pytest.approx(rl.peak_gain(one).upper, rel=2e-4)
-    assert found.upper >= rl.peak_gain(one).lower
-
-
 def test_a_sampled_model_is_not_certified():
     """The interpolation error of 1 / a is at most 0.05."""
     family = rl.lpv_model(lambda a: lag(1.0 / a), {"a": [0.5, 0.75, 1.0]}, samples=20)
