@@ -7,7 +7,7 @@ A solver computes P at the points of the grid (Wu, Yang, Packard, Becker 1996), 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 from typing import Any, ClassVar, Literal
 
@@ -18,11 +18,9 @@ from robustlab.budget import Budget, one_thread, search_budget
 from robustlab.conic import bounded_real, equal_rows, least
 from robustlab.display import Facts, number
 from robustlab.errors import InputError, error_context
-from robustlab.norms import PeakGain, hinf_norm
+from robustlab.norms import PeakGain, balancing_units, hinf_norm
 from robustlab.provenance import Traced
 from robustlab.result import Status
-from robustlab.synthesis.problem.partition import PlantMatrices
-from robustlab.synthesis.problem.scaling import Scaling, equilibrated
 from robustlab.synthesis.scheduling.parameter_varying import EXACT, SAMPLED, LPVModel
 from robustlab.verification.checker import check
 from robustlab.verification.claim import Claim, Outcome
@@ -161,7 +159,7 @@ def gain_from(
         expected, hint = f"at most {INEQUALITIES}", "fewer points, or lyapunov='constant'"
         raise InputError("lpv_gain", f"{count} inequalities", expected, hint)
     lmis = _GainLMIs(model, varies, lower, guess)
-    start = max(lower, SMALLEST / lmis.scaling.gain)
+    start = max(lower, SMALLEST / lmis.z)
     found, how = None, "by the Lyapunov matrix of the synthesis"
     if guess is not None:
         found = _smallest(model, np.broadcast_to(0.5 * (guess + guess.T), (*lmis.shape, *guess.shape)).copy(), start)
@@ -250,20 +248,17 @@ class _GainLMIs:
     def __init__(self, model: LPVModel, varies: list[bool], size: float, guess: Array | None) -> None:
         self.model, self.varies, n = model, varies, model.n_states
         middle = model.matrices[tuple(points // 2 for points in model.grid)]
-        A, B, C, D = middle[:n, :n], middle[:n, n:], middle[n:, :n], middle[n:, n:]
-        none = np.zeros((len(middle), 0)), np.zeros((0, middle.shape[1]))
-        bare = PlantMatrices(A, B, none[0][:n], C, none[1][:, :n], D, none[0][n:], none[1][:, n:])
-        scaling = equilibrated(bare)
-        if size > 0:
-            scaling = replace(scaling, z=scaling.z * 2.0 ** -round(float(np.log2(size * scaling.gain))))
-        self.scaling: Scaling = scaling
-        T = np.diag(scaling.states)
+        units, self.rate = balancing_units(model.model_of(middle))
+        self.z = (
+            2.0 ** -round(float(np.log2(size))) if size > 0 else 1.0
+        )  # of the outputs, so that the gain is about one
+        T = np.diag(units / np.sqrt(self.rate))
         if guess is not None and np.linalg.eigvalsh(guess)[0] > 0:
-            T = np.linalg.inv(np.linalg.cholesky(guess * scaling.z * scaling.rate / scaling.w)).T
+            T = np.linalg.inv(np.linalg.cholesky(guess * self.z * self.rate)).T
         # States x = T x', time in units of 1 / rate.
         self.back = np.linalg.inv(T)
-        self.left, self.right = np.eye(len(middle)) * scaling.z, np.eye(middle.shape[1]) * scaling.w
-        self.left[:n, :n], self.right[:n, :n] = self.back / scaling.rate, T
+        self.left, self.right = np.eye(len(middle)) * self.z, np.eye(middle.shape[1])
+        self.left[:n, :n], self.right[:n, :n] = self.back / self.rate, T
         self.inequalities = _coefficients(model, varies)
 
     @property
@@ -275,12 +270,12 @@ class _GainLMIs:
         """Minimise the level (None), or maximise the margin of P at a level; return both, and the reason of failure."""
         import cvxpy as cp
 
-        n, s = self.model.n_states, self.scaling
+        n = self.model.n_states
         P = {w: cp.Variable((n, n), symmetric=True) for w in np.ndindex(*self.shape)}
         ones = dict.fromkeys(P, np.eye(n))
         # A bound of P's size for the terms of the deviation.
         gamma, margin, size = (cp.Variable(nonneg=True) for _ in range(3))
-        bound = gamma if level is None else level * s.gain
+        bound = gamma if level is None else level * self.z
         robust = any(rest.any() for *_, rest in self.inequalities)
         conditions = [margin <= 1, *(X >> 0 for X in P.values())]
         if robust or level is not None:
@@ -292,7 +287,7 @@ class _GainLMIs:
             # L_c for P at its vertices.
             def lhs(P: Any, level: Any, models: Any = models, slopes: Any = slopes, out: Array = out) -> Any:
                 top: Any = sum(P[w] @ m[:n] / len(models) for m, w in models)
-                drift = top[:, :n] + top[:, :n].T + sum(f / s.rate * (P[a] - P[b]) for f, a, b in slopes)
+                drift = top[:, :n] + top[:, :n].T + sum(f / self.rate * (P[a] - P[b]) for f, a, b in slopes)
                 return bounded_real(cp.hstack([drift, top[:, n:]]), out[:, :n], out[:, n:], level)
 
             rest = np.abs(self.left) @ rest @ np.abs(self.right)
@@ -307,8 +302,8 @@ class _GainLMIs:
         if failed:
             return None, None, failed
         found = np.array([X.value for X in P.values()]).reshape(*self.shape, n, n)
-        found = self.back.T @ found @ self.back * (s.w / (s.z * s.rate))
-        level = float(np.asarray(gamma.value)) / s.gain if level is None else level
+        found = self.back.T @ found @ self.back / (self.z * self.rate)
+        level = float(np.asarray(gamma.value)) / self.z if level is None else level
         return level, 0.5 * (found + np.swapaxes(found, -1, -2)), ""
 
 
