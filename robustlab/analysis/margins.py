@@ -112,7 +112,7 @@ def disk_margin(
         )
         return disk_margin_at(plant, K, frequency, **loop)
     if any(isinstance(part, DelayedModel) for part in kinds):
-        from robustlab.mu_analysis.margins.delay_loops import delay_disk_margins
+        from robustlab.mu_analysis.margins.delay_margins import delay_disk_margins
 
         names, hint = {"accuracy": "tolerance", "order": "highest_order"}, ".uncertain(order) makes a set of it"
         chosen = options_of("disk_margin", "a loop with exact delays", given, names, hint)
@@ -192,7 +192,7 @@ def classical_margins(
         found = "an uncertain plant, or data"
         raise InputError("classical_margins", found, "one model", "rl.disk_margin is that of the worst member")
     if any(isinstance(part, DelayedModel) for part in kinds):
-        from robustlab.mu_analysis.margins.delay_loops import delay_classical_margins
+        from robustlab.mu_analysis.margins.delay_margins import delay_classical_margins
 
         chosen = options_of("classical_margins", "a loop with delays", {"order": order}, {"order": "highest_order"})
         return delay_classical_margins(plant, K, at=at, sign=sign, **chosen)

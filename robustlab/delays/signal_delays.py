@@ -10,11 +10,11 @@ from numpy.typing import ArrayLike
 
 from robustlab.checks import whole
 from robustlab.delays.approximation import SHORTEST
-from robustlab.delays.model import DelayedModel, as_delayed
+from robustlab.delays.model import DelayedModel, as_delayed, covering
 from robustlab.errors import InputError, error_context
-from robustlab.signals import real_array
+from robustlab.signals import Signal, real_array
 from robustlab.statespace import StateSpaceModel, append, as_model, series
-from robustlab.uncertainty.interconnection import Wiring
+from robustlab.uncertainty.interconnection import Wiring, unique_names
 from robustlab.uncertainty.lft import UncertainModel, as_uncertain, interconnected, product
 
 # Samples of delay of a discrete model; each is a state.
@@ -117,13 +117,7 @@ def with_delays(
     if isinstance(model, StateSpaceModel) and model.is_discrete:
         whole = series(series(_shifts(before, model.dt), model), _shifts(after, model.dt))
         return whole.renamed(model.inputs, model.outputs)
-    whole = _bank(after) @ as_delayed(model) @ _bank(before)
-    n = len(whole.delays)
-    ins = [*whole.H.input_names[:n], *model.inputs]
-    return DelayedModel(
-        whole.H.renamed(_distinct_names(ins, n), _distinct_names([*whole.H.output_names[:n], *model.outputs], n)),
-        whole.delays,
-    )
+    return _bank(after, model.outputs) @ as_delayed(model) @ _bank(before, model.inputs)
 
 
 def uncertain_delays(
@@ -143,7 +137,7 @@ def uncertain_delays(
     for side, given, signals in (("input", inputs, model.inputs), ("output", outputs, model.outputs)):
         low, high = _ranges(side, given, tuple(s.name for s in signals))
         parts = [
-            _bank([_rounded(0.5 * (a + b))]).uncertain(order, _rounded(0.5 * (b - a)), weight_order, f"{s.name}: ")
+            covering(_rounded(0.5 * (a + b)), _rounded(0.5 * (b - a)), order, weight_order, name=f"{s.name}: ")
             if b
             else as_uncertain(1.0)
             for a, b, s in zip(low, high, signals, strict=True)
@@ -156,18 +150,6 @@ def uncertain_delays(
 
 
 # --- ranges and banks -------------------------------------------------------------------------------------------------
-
-
-def _distinct_names(names: Sequence[Any], n: int) -> list[Any]:
-    """Make the names of the delays' channels differ from all others."""
-    taken = {s if isinstance(s, str) else s[0] for s in names[n:]}
-    made: list[Any] = []
-    for name in names[:n]:
-        while name in taken:
-            name = f"{name}'"
-        taken.add(name)
-        made.append(name)
-    return [*made, *names[n:]]
 
 
 def _ranges(
@@ -193,29 +175,26 @@ def _rounded(length: float) -> float:
     return float(f"{length:.12g}")
 
 
-def _bank(lengths: list[float]) -> DelayedModel:
-    """Return a diagonal model of delays, one for each channel."""
+def _bank(lengths: list[float], signals: Sequence[Signal]) -> DelayedModel:
+    """Return a diagonal model of delays, one for each signal."""
     n, eye = len(lengths), np.eye(len(lengths))
-    model = StateSpaceModel([], [], [], np.block([[np.zeros((n, n)), eye], [eye, np.zeros((n, n))]]))
-    return DelayedModel(model, lengths)
+    ins, outs = (unique_names([*signals, *(Signal(f"{side}{k + 1}") for k in range(n))]) for side in "wz")
+    D = np.block([[np.zeros((n, n)), eye], [eye, np.zeros((n, n))]])
+    return DelayedModel(StateSpaceModel([], [], [], D, 0.0, ins[n:] + ins[:n], outs[n:] + outs[:n]), lengths)
 
 
 def _shifts(lengths: list[float], dt: float) -> StateSpaceModel:
     """Return a diagonal model of chains of z^-1, one for each channel."""
     parts: list[StateSpaceModel] = []
     for i, length in enumerate(lengths):
-        if not length / dt < 2.0**53:
-            raise InputError(
-                "with_delays", f"{length:g} s is {length / dt:g} samples of {dt:g} s", f"at most {MOST_SAMPLES}"
-            )
-        count = round(length / dt)
-        if abs(length / dt - count) > WHOLE * max(count, 1):
-            found, hint = f"{length:g} s is {length / dt:.6g} samples of {dt:g} s", "delay the continuous model"
-            raise InputError("with_delays", found, "a whole number of samples", hint)
-        if count > MOST_SAMPLES:
-            raise InputError("with_delays", f"{length:g} s is {count} samples", f"at most {MOST_SAMPLES}")
-        row = np.diag(np.ones(max(count - 1, 0)), -1) if count else np.zeros((0, 0))
+        samples = length / dt
+        text = f"{length:g} s is {samples:.6g} samples of {dt:g} s"
+        if not samples < MOST_SAMPLES + 0.5:
+            raise InputError("with_delays", text, f"at most {MOST_SAMPLES}")
+        count = round(samples)
+        if abs(samples - count) > WHOLE * max(count, 1):
+            raise InputError("with_delays", text, "a whole number of samples", "delay the continuous model")
         b, c = np.eye(count, 1), np.eye(1, count, count - 1) if count else np.zeros((1, 0))
         names = [f"delay{i + 1}.{k + 1}" for k in range(count)]
-        parts.append(StateSpaceModel(row, b, c, [[float(count == 0)]], dt, [f"i{i}"], [f"o{i}"], names))
+        parts.append(StateSpaceModel(np.eye(count, k=-1), b, c, [[float(not count)]], dt, [f"i{i}"], [f"o{i}"], names))
     return append(*parts)

@@ -1,4 +1,4 @@
-"""Stability and gain of models with exact delays, proved for a set that contains them."""
+"""Stability, gain and margins of models with exact delays, proved for a set that contains them."""
 
 # In each set a delay is e^(-s tau) = R(s) + W(s) Delta(s), |Delta| <= 1 in the right half plane: Padé's approximation
 # with a proved weight of its error, or, of order 0, R = 0, W = 1. Where mu < 1 on the axis, its
@@ -8,42 +8,75 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from robustlab import checks
-from robustlab.arrays import Array
+from robustlab.arrays import Array, ComplexArray
 from robustlab.budget import one_thread, search_budget
 from robustlab.delays.model import DelayedModel, as_delayed
 from robustlab.display import Facts, number
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
+from robustlab.feedback import closing
 from robustlab.linear_analysis.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.axis.axis_model import continuous, seed_frequencies
 from robustlab.mu_analysis.axis.intervals import Piece, cover_parts
 from robustlab.mu_analysis.axis.margin import StabilityMargin
 from robustlab.mu_analysis.constants import WORK
-from robustlab.mu_analysis.matrix.upper import compile_kernels
+from robustlab.mu_analysis.margins.classical import (
+    ClassicalMargin,
+    ClassicalMargins,
+    GainCrossing,
+    PhaseCrossing,
+    least_changes,
+)
+from robustlab.mu_analysis.margins.disk_margin import (
+    DiskMargin,
+    DiskMargins,
+    Place,
+    channel_names,
+    check_disk,
+    disk_channels,
+    with_factors,
+)
+from robustlab.mu_analysis.matrix.bounds import mu
+from robustlab.mu_analysis.matrix.upper import compile_kernels, upper_bounds
 from robustlab.norms import PeakGain, unstable_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import Block, FullBlock
+from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock, delta_values
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["FINEST", "DelayGain", "DelayProof", "DelayStability", "delay_gain", "delay_stability", "proof_below"]
+__all__ = [
+    "DelayGain",
+    "DelayProof",
+    "DelayStability",
+    "covering_set",
+    "delay_classical_margins",
+    "delay_disk_margins",
+    "delay_gain",
+    "delay_stability",
+]
 
 FINEST = 1e-6  # smallest tolerance
 ORDERS = (0, 2, 4, 6, 8, 12, 16)  # of the approximations that are tried one after the other
 STEEPER = 3  # slope of the weights minus the order: with order 6 the error is 1e-4 up to w tau = 5
 BELOW, ACCURACY = 1.0 - 2e-5, 1e-5  # first level of mu, and the accuracy of the scalings
-LEAST_GAP = 1e-4  # between the bounds of a gain
 SHARE_OF_WORK = 0.1  # of the usual search: a set that needs more is too large to decide
-SHARE = 0.1  # target gap of a bound, relative to the tolerance
-WIDER = (1.001, 1.005, 1.01, 1.1, 2.0, 10.0)  # levels that are tried where no order proves the target
-POINTS, PEAKS = 4000, 4
+SHARE, LEAST_GAP = 0.1, 1e-4  # target gap of a bound, relative to the tolerance, and the least one
+WIDER = (1.01, 1.1, 2.0, 10.0)  # levels that are tried where no order proves the target
+POINTS, PEAKS = 4000, 4  # of the search for the highest gain
+MU_POINTS = 200  # of that for the largest mu
 TINY = 1e-100
+# Of the search for crossings: phase of all delays between points, their largest number, points of each first grid.
+TURN, MOST, COARSE = 0.05, 200_000, 1000
+LEAST, LARGEST = 1e-6, 1e3  # factors of gain beyond these are not computed
+TOUCHED = 1e-9  # a function this near to zero at an extreme touches it
 
 
 class DelayProof(NamedTuple):
@@ -178,7 +211,7 @@ def _undelayed_pole(g: DelayedModel) -> complex | None:
     return None
 
 
-# --- gain ------------------------------------------------------------------------------------------------------------
+# --- gain -------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,3 +310,150 @@ def highest(g: DelayedModel, size: Any, points: int = POINTS) -> tuple[float, fl
         near: Any = minimize_scalar(lambda w: -size(frequency_response(g, [w]))[0], bounds=ends, method="bounded")
         found.append((-float(near.fun), float(near.x)))
     return max(found)
+
+
+# --- margins of loops -------------------------------------------------------------------------------------------------
+
+
+@error_context("delay_classical_margins")
+@one_thread()
+def delay_classical_margins(
+    plant: Any, K: Any = None, *, at: Place = "output", sign: Literal[-1, 1] | None = None, highest_order: int = 16
+) -> ClassicalMargins:
+    """`robustlab.classical_margins` of a loop with exact delays."""
+    S, names, law = _closed(plant, K, at, 1.0, sign, "delay_classical_margins")
+    stable = _stability(delay_stability(S, highest_order), highest_order, "delay_classical_margins")
+    channels = {name: _classical(S[i, i], stable, name) for i, name in enumerate(names)}
+    return ClassicalMargins(channels, at, Status.CONVERGED, law)
+
+
+@error_context("delay_disk_margins")
+@one_thread()
+def delay_disk_margins(
+    plant: Any,
+    K: Any = None,
+    *,
+    at: Place = "output",
+    skew: float = 0.0,
+    sign: Literal[-1, 1] | None = None,
+    tolerance: float = 0.01,
+    highest_order: int = 16,
+    seed: int = 0,
+    effort: float = 1.0,
+) -> DiskMargins:
+    """`robustlab.disk_margin` of a loop with exact delays."""
+    where = "delay_disk_margins"
+    if not FINEST <= tolerance < 1:
+        raise InputError(f"{where}: tolerance", f"{tolerance!r}", f"a number from {FINEST:g} to 1")
+    system, names, law = _closed(plant, K, at, skew, sign, where)
+    known = delay_stability(system, highest_order, effort)
+    if not _stability(known, highest_order, where):
+        raise NoTrustworthyNumber(where, "the closed loop is unstable", "a stable one")
+    options = skew, tolerance, known, highest_order, seed, effort
+    channels = {name: _margin(system[i, i], [name], *options) for i, name in enumerate(names)}
+    whole = channels[names[0]] if len(names) == 1 else _margin(system, names, *options)
+    return DiskMargins.of(whole, channels, at, law)
+
+
+def _stability(known: DelayStability, highest_order: int, where: str) -> bool:
+    """Return whether the closed loop is stable; fail if that is not known."""
+    if known.stable is None:
+        found = f"no set up to order {highest_order} shows whether the closed loop is stable"
+        raise NoTrustworthyNumber(where, found, None, "rl.robust_stability(loop, effort=...) may")
+    return known.stable
+
+
+def _closed(
+    plant: Any, K: Any, at: Place, skew: float, sign: Literal[-1, 1] | None, where: str
+) -> tuple[DelayedModel, list[str], str]:
+    """Return the closed loop at the channels of its disks, their names, and the law in words."""
+    check_disk(at, skew, where)
+    found = closing(as_delayed(plant, f"{where}: plant"), K, sign, where)
+    p, m = found.plant, found.plant.n_inputs
+    if not m * p.n_outputs:
+        raise InputError(where, f"an open loop of {p.n_outputs} x {m}", "a square one, or a K")
+    k = as_delayed(StateSpaceModel([], [], [], np.eye(m)) if found.K is None else found.K, f"{where}: K")
+    H = disk_channels(p.H, k.H, at, skew, found.sign, (len(p.delays), len(k.delays)))
+    names = channel_names(p.input_names, p.output_names, at)
+    return DelayedModel(H, np.append(p.delays, k.delays)), names, found.said
+
+
+# With S = 1 / (1 + L) of the loop that is opened, the others closed: |L| = 1 where Re S = 1/2, L < 0 where Im S = 0
+# and S is not in [0, 1]; S has no pole on the axis. Zeros are where signs change between points that are close enough
+# for the poles of L and S and for the delays.
+
+
+def _classical(S: DelayedModel, stable: bool, name: str) -> ClassicalMargin:
+    """Return both types of crossings of one loop, and its margins."""
+
+    def response(omega: ArrayLike) -> ComplexArray:
+        return frequency_response(S, omega)[:, 0, 0]
+
+    coarse = np.union1d(*(default_grid(model.pade(4), COARSE, 4.0) for model in (S, S.inverse())))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        size = np.abs(1.0 / response(coarse) - 1.0)
+    step = TURN / max(float(S.delays.sum()), TINY)
+    end = min(float(coarse[size > 0.5 / LARGEST].max(initial=coarse[0])), MOST * step)
+    omega = np.union1d(coarse[coarse <= end], np.arange(step, end, step))
+    values = response(omega)
+    met = [_gain_crossing(w, response) for w in _zeros(lambda w: response(w).real - 0.5, omega, values.real - 0.5)]
+    real = {w: float(response([w])[0].real) for w in [0.0, *_zeros(lambda w: response(w).imag, omega, values.imag)]}
+    crossings = [PhaseCrossing(w, s / (s - 1.0)) for w, s in real.items() if s < -LEAST or s > 1.0 + 0.5 / LARGEST]
+    high = min((c.factor for c in crossings if c.factor >= 1), default=LARGEST)
+    if size[coarse >= end].max(initial=size[-1]) * high > 1.0:
+        found = f"loop {name}: its gain at high frequencies does not fall below {1 / high:.3g}"
+        hint = "a loop with a direct path through a delay: take rl.disk_margin of it"
+        raise NoTrustworthyNumber("delay_classical_margins", found, "a loop whose gain falls", hint)
+    kept = tuple(c for c in crossings if c.factor <= high * (1 + 1e-9))
+    changes = least_changes(met, kept, LARGEST) if stable else (None, None, None)
+    return ClassicalMargin(stable, *changes, tuple(met), kept, Status.CONVERGED)
+
+
+def _zeros(f: Callable[[ArrayLike], Array], omega: Array, values: Array) -> list[float]:
+    """Return the zeros of a function where its sign changes between points, and where an extreme touches zero."""
+    from scipy.optimize import brentq, minimize_scalar
+
+    size, above = np.abs(values), values >= 0
+    inner = (
+        (size[1:-1] < size[:-2]) & (size[1:-1] <= size[2:]) & (above[1:-1] == above[:-2]) & (above[1:-1] == above[2:])
+    )
+    near = 2.0 * size[1:-1] <= np.maximum(size[:-2], size[2:])  # by its neighbours it may reach zero
+    found = list[float]()
+    for k in np.flatnonzero(inner & near) + 1:
+        way = 1.0 if above[k] else -1.0
+        bounds = omega[k - 1], omega[k + 1]
+        least: Any = minimize_scalar(lambda w: way * f([w])[0], bounds=bounds, method="bounded", options={"xatol": 0.0})  # noqa: B023
+        omega, values = np.append(omega, least.x), np.append(values, way * least.fun)
+        found += [float(least.x)] if 0 <= least.fun < TOUCHED else []
+    order = np.argsort(omega)
+    omega, above = omega[order], values[order] >= 0
+    solve: Any = brentq
+    for k in np.flatnonzero(above[1:] != above[:-1]):
+        low, high = omega[k], omega[k + 1]
+        found.append(float(solve(lambda w: f([w])[0], low, high, xtol=1e-14 * high, rtol=1e-14)))
+    return sorted(found)
+
+
+def _gain_crossing(omega: float, response: Callable[[ArrayLike], ComplexArray]) -> GainCrossing:
+    s = complex(response([omega])[0])
+    lag = (float(np.angle((1.0 - s) / s)) + math.pi) % (2 * math.pi)
+    return GainCrossing(omega, lag, lag / omega)
+
+
+def _margin(
+    system: DelayedModel, names: Sequence[str], skew: float, tolerance: float, known: DelayStability, order: int,
+    seed: int, effort: float,
+) -> DiskMargin:  # fmt: skip
+    """Return the margin of these channels at once: the peak of mu with its Delta, and a proof."""
+    blocks = [ComplexScalar(name) for name in names]
+    if len(names) == 1:
+        _, frequency = highest(system, lambda M: np.abs(M[:, 0, 0]))
+    else:
+        _, frequency = highest(system, lambda M: np.array([b.beta for b in upper_bounds(M, blocks, 1e-3)]), MU_POINTS)
+    found = mu(frequency_response(system, [frequency]), blocks, seed)
+    value = float(found.lower[0])
+    upper, proof = proved_level(system, blocks, value or TINY, tolerance, order, effort, known.order)
+    delta = delta_values(blocks, found.delta[0]) if value else {}
+    status = Status.CERTIFIED if upper <= value * (1.0 + tolerance) else Status.INACCURATE
+    bounds = 1.0 / upper, 1.0 / value if value else np.inf
+    return with_factors(bounds, frequency, status, blocks, delta, skew, system=system, proof=proof)
