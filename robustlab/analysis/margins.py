@@ -142,7 +142,7 @@ def classical_margins(
     .. math:: |L(j\omega)| = 1, \qquad L(j\omega) < 0
 
     Each loop is opened alone, with the others closed. Crossings are computed in whole numbers from the matrices as
-    given, or enclosed in intervals with delays, without a grid.
+    given, without a grid; with delays they are found on a grid that is dense for the poles and the delays.
 
     Parameters
     ----------
@@ -160,9 +160,8 @@ def classical_margins(
     Returns
     -------
     ClassicalMargins
-        One `ClassicalMargin` per channel by the name of the plant's signal. With delays CERTIFIED: no crossing is
-        missing; if the gain falls to zero, they are infinitely many and are listed up to the one that bounds the
-        gain margin, factors from 1e-6 to 1000. INACCURATE: at a frequency a crossing may only be a touch.
+        One `ClassicalMargin` per channel by the name of the plant's signal. With delays there may be infinitely many
+        crossings: they are listed up to the one that bounds the gain margin, factors from 1e-6 to 1000.
 
     Raises
     ------

@@ -220,9 +220,7 @@ class DelayedModel(TransferMatrix, Displayable, Traced):
         """
         return self._closed_by([as_uncertain(pade(t, order)) for t in self.delays], "pade").M
 
-    def uncertain(
-        self, order: int = 3, spread: float | Sequence[float] = 0.0, weight_order: int = 3, name: str = ""
-    ) -> UncertainModel:
+    def uncertain(self, order: int = 3, weight_order: int = 3) -> UncertainModel:
         r"""A set that holds the model with its exact delays: Padé's approximation, and a block for its error.
 
         .. math:: e^{-s \tau} = R_n(s) + W(s) \Delta(s), \qquad |e^{-j\omega\tau} - R_n(j\omega\tau)| \le |W(j\omega)|
@@ -230,46 +228,30 @@ class DelayedModel(TransferMatrix, Displayable, Traced):
 
         That is proved for all frequencies, not on a grid: see `robustlab.delays.approximation`. :math:`\Delta` is
         stable, because the error is, and has all zeros of the weight, which are at s = 0. A proof for the
-        set (`robust_stability`, `worst_case_gain`, `disk_margin`) therefore holds for the model with its delays.
-        Delays of one length share one repeated block. A delay that is not known exactly gets a block of its own in each
-        channel, :math:`|e^{-j\omega(\tau + \delta)} - R_n(j\omega\tau)| \le |W(j\omega)|` for all :math:`|\delta|` up
-        to its spread.
+        set (`robust_stability`, `peak_gain`) therefore holds for the model with its delays. Delays of one length share
+        one repeated block. Delays known within a range only: `with_delays`.
 
         Parameters
         ----------
         order
             Order n of the approximations, 0 to 40. Higher orders cover the delay to higher frequencies: the weight
             passes 1 near :math:`\omega \tau = 2, 5, 6, 8, 10` for n = 1, 2, 3, 4, 6.
-        spread
-            Largest error of each delay in s; one number, or one for each of ``delays``. Not above the delay itself.
         weight_order
-            Slope of the weight, 1 to 2n + 1, and its number of states; of more than 2n + 1 that many are used. With a
-            spread the weight has the slope one at low frequencies, and needs 2 of them at least where n > 0.
-        name
-            Prefix of the names of the spreads' blocks. Equal names are one uncertainty: two sets whose delays vary
-            independently need two.
+            Slope of the weight, 1 to 2n + 1, and its number of states; of more than 2n + 1 that many are used.
 
         Returns
         -------
         UncertainModel
-            Blocks ``delay of 0.4 s (order 3, slope 3)``, or ``spread 1 of 0.4 s +- 0.1 s`` where there is one.
+            Blocks ``delay of 0.4 s (order 3, slope 3)``.
 
         Raises
         ------
         InputError
-            An order or a spread out of range.
+            An order out of range.
         NoTrustworthyNumber
             The nominal loop is not well posed.
         """
-        checked_order(order, "uncertain")
-        width = np.broadcast_to(np.asarray(spread, dtype=float), self.delays.shape)
-        if not ((width >= 0) & (width <= self.delays)).all():
-            raise InputError("uncertain: spread", f"{spread!r}", "numbers from 0 s to the delay itself")
-        parts = [
-            covering(float(t), float(s), order, weight_order, i, name)
-            for i, (t, s) in enumerate(zip(self.delays, width, strict=True))
-        ]
-        return self._closed_by(parts, "uncertain")
+        return self._closed_by([covering(float(t), 0.0, order, weight_order) for t in self.delays], "uncertain")
 
     def _closed_by(self, parts: list[UncertainModel], where: str) -> UncertainModel:
         """Return H with each delay replaced by a model or set of one input and output."""
@@ -400,12 +382,13 @@ def _name(length: float) -> str:
     return f"{float(length)!r} s"
 
 
-def covering(tau: float, spread: float, order: int, weight_order: int, i: int = 0, name: str = "") -> UncertainModel:
+def covering(tau: float, spread: float, order: int, weight_order: int, name: str = "") -> UncertainModel:
     """``R + W Delta``: all delays within ``spread`` of ``tau``, as a set with one input and one output.
 
     Equal names of blocks are one uncertainty, so a name states what its Delta depends on: the length of the delay and
-    both orders; with a spread its channel and the user's name.
+    both orders; with a spread that of its channel.
     """
+    checked_order(order, "uncertain")
     if isinstance(weight_order, int):
         weight_order = min(weight_order, 2 * order + 1)
     rational = pade(tau, order)
@@ -413,9 +396,7 @@ def covering(tau: float, spread: float, order: int, weight_order: int, i: int = 
     covers = (tau, spread, order, weight_order)
     if spread:
         words = f"a delay of {tau:g} s +- {spread:g} s, covered at all frequencies: proved"
-        block: Block = FullBlock(
-            f"{name}spread {i + 1} of {tau!r} s +- {spread!r} s", 1, 1, origin=words, covers=covers
-        )
+        block: Block = FullBlock(f"{name}spread 1 of {tau!r} s +- {spread!r} s", 1, 1, origin=words, covers=covers)
     else:
         bound = phase_bound(order)
         words = f"what Padé's approximation of order {order} of a delay of {tau:g} s misses, at most min(2,"

@@ -397,8 +397,14 @@ def _classical(S: DelayedModel, stable: bool, name: str) -> ClassicalMargin:
     omega = np.union1d(coarse[coarse <= end], np.arange(step, end, step))
     values = response(omega)
     met = [_gain_crossing(w, response) for w in _zeros(lambda w: response(w).real - 0.5, omega, values.real - 0.5)]
-    real = {w: float(response([w])[0].real) for w in [0.0, *_zeros(lambda w: response(w).imag, omega, values.imag)]}
-    crossings = [PhaseCrossing(w, s / (s - 1.0)) for w, s in real.items() if s < -LEAST or s > 1.0 + 0.5 / LARGEST]
+    # Of the crossings of the real axis only those that may bound the gain margin are refined.
+    turned = values.real[:-1][np.diff(values.imag >= 0)]
+    turned = turned[turned > 1.0 + 0.5 / LARGEST]
+    most = 2.0 * (turned / (turned - 1.0)).min(initial=LARGEST)
+    last = np.flatnonzero(np.abs(1.0 - values) * most > np.abs(values)).max(initial=0) + 2
+    near = [0.0, *_zeros(lambda w: response(w).imag, omega[:last], values.imag[:last])]
+    real = [(w, float(response([w])[0].real)) for w in near]
+    crossings = [PhaseCrossing(w, s / (s - 1.0)) for w, s in real if s < -LEAST or s > 1.0 + 0.5 / LARGEST]
     high = min((c.factor for c in crossings if c.factor >= 1), default=LARGEST)
     if size[coarse >= end].max(initial=size[-1]) * high > 1.0:
         found = f"loop {name}: its gain at high frequencies does not fall below {1 / high:.3g}"
@@ -413,16 +419,13 @@ def _zeros(f: Callable[[ArrayLike], Array], omega: Array, values: Array) -> list
     """Return the zeros of a function where its sign changes between points, and where an extreme touches zero."""
     from scipy.optimize import brentq, minimize_scalar
 
-    size, above = np.abs(values), values >= 0
-    inner = (
-        (size[1:-1] < size[:-2]) & (size[1:-1] <= size[2:]) & (above[1:-1] == above[:-2]) & (above[1:-1] == above[2:])
-    )
-    near = 2.0 * size[1:-1] <= np.maximum(size[:-2], size[2:])  # by its neighbours it may reach zero
-    found = list[float]()
-    for k in np.flatnonzero(inner & near) + 1:
-        way = 1.0 if above[k] else -1.0
-        bounds = omega[k - 1], omega[k + 1]
-        least: Any = minimize_scalar(lambda w: way * f([w])[0], bounds=bounds, method="bounded", options={"xatol": 0.0})  # noqa: B023
+    above, found = values >= 0, list[float]()
+    before, here, after = (np.where(above, values, -values)[k : len(omega) - 2 + k] for k in range(3))
+    level = (above[:-2] == above[1:-1]) & (above[1:-1] == above[2:])
+    near = level & (here < before) & (here <= after) & (2.0 * here <= np.maximum(before, after))  # it may reach zero
+    for k in np.flatnonzero(near) + 1:
+        way, bounds, fine = 1.0 if above[k] else -1.0, (omega[k - 1], omega[k + 1]), {"xatol": 1e-12 * omega[k]}
+        least: Any = minimize_scalar(lambda w: way * f([w])[0], bounds=bounds, method="bounded", options=fine)  # noqa: B023
         omega, values = np.append(omega, least.x), np.append(values, way * least.fun)
         found += [float(least.x)] if 0 <= least.fun < TOUCHED else []
     order = np.argsort(omega)
