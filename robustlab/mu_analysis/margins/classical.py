@@ -39,7 +39,7 @@ from robustlab.mu_analysis.margins.disk_margin import (
     in_degrees,
 )
 from robustlab.result import Status
-from robustlab.statespace import StateSpaceModel, as_model
+from robustlab.statespace import StateSpaceModel
 
 if TYPE_CHECKING:
     from flint import fmpz_poly
@@ -209,8 +209,7 @@ def classical_margins(
     plant: Any, K: Any = None, *, at: Place = "output", sign: Literal[-1, 1] | None = None
 ) -> ClassicalMargins:
     """`robustlab.classical_margins` of a rational plant and controller."""
-    p = as_model(plant, "classical_margins: plant")
-    closed = closed_around(p, K, sign, "classical_margins")
+    closed = closed_around(plant, K, sign, "classical_margins")
     p = closed.plant
     check_disk(at, 0.0, "classical_margins")
     names = channel_names(p.input_names, p.output_names, at)

@@ -22,7 +22,6 @@ from robustlab.budget import one_thread, search_budget
 from robustlab.delays.model import DelayedModel, as_delayed
 from robustlab.display import Facts, number
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
-from robustlab.feedback import closing
 from robustlab.linear_analysis.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.axis.axis_model import continuous, seed_frequencies
 from robustlab.mu_analysis.axis.intervals import Piece, cover_parts
@@ -41,6 +40,7 @@ from robustlab.mu_analysis.margins.disk_margin import (
     Place,
     channel_names,
     check_disk,
+    closed_around,
     disk_channels,
     with_factors,
 )
@@ -368,14 +368,11 @@ def _closed(
 ) -> tuple[DelayedModel, list[str], str]:
     """Return the closed loop at the channels of its disks, their names, and the law in words."""
     check_disk(at, skew, where)
-    found = closing(as_delayed(plant, f"{where}: plant"), K, sign, where)
-    p, m = found.plant, found.plant.n_inputs
-    if not m * p.n_outputs:
-        raise InputError(where, f"an open loop of {p.n_outputs} x {m}", "a square one, or a K")
-    k = as_delayed(StateSpaceModel([], [], [], np.eye(m)) if found.K is None else found.K, f"{where}: K")
-    H = disk_channels(p.H, k.H, at, skew, found.sign, (len(p.delays), len(k.delays)))
-    names = channel_names(p.input_names, p.output_names, at)
-    return DelayedModel(H, np.append(p.delays, k.delays)), names, found.said
+    found = closed_around(plant, K, sign, where, as_delayed)
+    p = found.plant
+    if not p.n_inputs * p.n_outputs:
+        raise InputError(where, f"an open loop of {p.n_outputs} x {p.n_inputs}", "a square one, or a K")
+    return disk_channels(found, at, skew), channel_names(p.input_names, p.output_names, at), found.said
 
 
 # With S = 1 / (1 + L) of the loop that is opened, the others closed: |L| = 1 where Re S = 1/2, L < 0 where Im S = 0
