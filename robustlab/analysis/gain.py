@@ -25,7 +25,7 @@ Lyapunov = Literal["constant", "varying"]
 # Type of problem -> its options; the error for another one lists the types that have it.
 OPTIONS: Mapping[str, tuple[str, ...]] = {
     "a model": ("norm", "band", "inputs", "outputs", "tolerance"),
-    "a model with delays": ("inputs", "outputs", "tolerance", "order", "effort"),
+    "a model with delays": ("inputs", "outputs", "effort"),
     "an uncertain model": ("inputs", "outputs", "omega", "tolerance", "seed", "effort", "time_limit"),
     "given frequencies": ("frequency", "inputs", "outputs", "seed"),
     "blocks with natures": ("natures", "inputs", "outputs", "order", "pole", "effort", "time_limit"),
@@ -124,7 +124,7 @@ def peak_gain(
         Time limit in s of the proof. If it is reached, the status is TIMEOUT and the result depends on the machine.
     order
         With natures and effects: highest power of the multipliers' filters ``a / (s + a)``, 0..8, 2 by default; 0:
-        static multipliers. With delays: highest order of Padé's approximations that prove stability, 16 by default.
+        static multipliers.
     pole
         With natures: a in rad/s; several, by the poles of the model, are tried by default.
     lyapunov
@@ -252,12 +252,10 @@ def _of_model(
     return replace(found, reason=with_hidden(found.reason, model)) if np.isinf(found.lower) else found
 
 
-def _delayed(
-    system: DelayedModel, inputs: Any = None, outputs: Any = None, order: int = 16, **options: Any
-) -> PeakGain:
+def _delayed(system: DelayedModel, inputs: Any = None, outputs: Any = None, effort: float = 1.0) -> PeakGain:
     from robustlab.mu_analysis.margins.delay_margins import delay_gain
 
-    return delay_gain(system.select(inputs, outputs), highest_order=order, **options)
+    return delay_gain(system.select(inputs, outputs), effort)
 
 
 def _worst_case(system: UncertainModel, inputs: Any = None, outputs: Any = None, **options: Any) -> PeakGain:

@@ -34,8 +34,6 @@ def disk_margin(
     frequency: ArrayLike | None = None,
     skew: float = 0.0,
     sign: Literal[-1, 1] | None = None,
-    accuracy: float | None = None,
-    order: int | None = None,
     seed: int = 0,
     effort: float = 1.0,
     time_limit: float | None = None,
@@ -62,10 +60,6 @@ def disk_margin(
     sign
         -1 for negative feedback, 1 for positive feedback. By default as stated by the controller, as for every designed
         one, else negative.
-    accuracy
-        Of a loop with delays: relative distance of the bounds at which the search ends, 0.01 by default.
-    order
-        Of a loop with delays: up to which order of Padé's approximations its stability is tried, 1 to 16.
     seed, effort
         Seed of the searches, and their work as a multiple of the usual, counted, not timed.
     time_limit
@@ -101,7 +95,7 @@ def disk_margin(
     >>> rl.disk_margin(rl.tf([1], [1, 0]), frequency=[1.0]).lower.__round__(6)
     2.0
     """
-    given = {"accuracy": accuracy, "order": order, "time_limit": time_limit}
+    given = {"time_limit": time_limit}
     loop: dict[str, Any] = {"at": at, "skew": skew, "sign": sign, "seed": seed}
     kinds = plant, getattr(K, "K", K)
     if frequency is not None or isinstance(plant, UncertainFrequencyData):
@@ -114,9 +108,8 @@ def disk_margin(
     if any(isinstance(part, DelayedModel) for part in kinds):
         from robustlab.mu_analysis.margins.delay_margins import delay_disk_margins
 
-        names, hint = {"accuracy": "tolerance", "order": "highest_order"}, ".uncertain(order) makes a set of it"
-        chosen = options_of("disk_margin", "a loop with exact delays", given, names, hint)
-        return delay_disk_margins(plant, K, effort=effort, **loop, **chosen)
+        options_of("disk_margin", "a loop with exact delays", given, {}, ".uncertain(order) makes a set of it")
+        return delay_disk_margins(plant, K, effort=effort, **loop)
     if isinstance(plant, UncertainModel) and not plant.blocks:
         plant = plant.nominal
     if isinstance(plant, UncertainModel):
@@ -135,7 +128,6 @@ def classical_margins(
     *,
     at: Place = "output",
     sign: Literal[-1, 1] | None = None,
-    order: int | None = None,
 ) -> ClassicalMargins:
     r"""Gain, phase and delay margins of the loop ``y = P u``, ``u = sign K y``, one loop at a time, with all crossings.
 
@@ -154,8 +146,6 @@ def classical_margins(
         Where the loops are opened: at the plant's outputs, its inputs, or both in turn.
     sign
         -1 for negative feedback, 1 for positive feedback; by default as in `disk_margin`.
-    order
-        Of a loop with delays: up to which order of Padé's approximations its stability is tried, 1 to 16.
 
     Returns
     -------
@@ -193,9 +183,7 @@ def classical_margins(
     if any(isinstance(part, DelayedModel) for part in kinds):
         from robustlab.mu_analysis.margins.delay_margins import delay_classical_margins
 
-        chosen = options_of("classical_margins", "a loop with delays", {"order": order}, {"order": "highest_order"})
-        return delay_classical_margins(plant, K, at=at, sign=sign, **chosen)
+        return delay_classical_margins(plant, K, at=at, sign=sign)
     from robustlab.mu_analysis.margins.classical import classical_margins as of_model
 
-    options_of("classical_margins", "a model without delays", {"order": order}, {})
     return of_model(plant, K, at=at, sign=sign)

@@ -67,8 +67,7 @@ def robust_stability(
     accuracy
         Of an uncertain model: relative distance to the best margin that D, G can prove, 3e-5 by default.
     order
-        With delays: up to which order of Padé's approximations stability is tried, 1 to 16. With natures: highest power
-        of the multipliers' filters ``a / (s + a)``, 0 to 8, 2 by default.
+        With natures: highest power of the multipliers' filters ``a / (s + a)``, 0 to 8, 2 by default.
     pole
         With natures: a in rad/s; several, by the poles of the model, are tried by default.
     seed, effort
@@ -131,9 +130,8 @@ def robust_stability(
         from robustlab.mu_analysis.margins.delay_margins import delay_stability
 
         hint = ".uncertain(order) makes a set of it"
-        names = {"order": "highest_order"}
-        chosen = options_of("robust_stability", "a model with exact delays", given, names, hint)
-        return delay_stability(system, effort=effort, **chosen)
+        options_of("robust_stability", "a model with exact delays", given, {}, hint)
+        return delay_stability(system, effort)
     from robustlab.mu_analysis.axis.robustness import robust_stability as of_set
 
     names = {name: name for name in (*own, "time_limit")}

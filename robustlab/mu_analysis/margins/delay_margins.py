@@ -52,24 +52,12 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock, delta_values
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = [
-    "DelayGain",
-    "DelayProof",
-    "DelayStability",
-    "covering_set",
-    "delay_classical_margins",
-    "delay_disk_margins",
-    "delay_gain",
-    "delay_stability",
-]
-
-FINEST = 1e-6  # smallest tolerance
 ORDERS = (0, 2, 4, 6, 8, 12, 16)  # of the approximations that are tried one after the other
 STEEPER = 3  # slope of the weights minus the order: with order 6 the error is 1e-4 up to w tau = 5
 BELOW, ACCURACY = 1.0 - 2e-5, 1e-5  # first level of mu, and the accuracy of the scalings
 SHARE_OF_WORK = 0.1  # of the usual search: a set that needs more is too large to decide
-SHARE, LEAST_GAP = 0.1, 1e-4  # target gap of a bound, relative to the tolerance, and the least one
-WIDER = (1.01, 1.1, 2.0, 10.0)  # levels that are tried where no order proves the target
+LEVELS = (1.001, 1.01, 1.1, 2.0, 10.0)  # of a bound over the attained value; all orders are tried for the first one
+TOLERANCE = 0.01  # of a certified bracket
 POINTS, PEAKS = 4000, 4  # of the search for the highest gain
 MU_POINTS = 200  # of that for the largest mu
 TINY = 1e-100
@@ -168,16 +156,14 @@ class DelayStability(StabilityMargin):
 
 
 @error_context("delay_stability")
-def delay_stability(model: DelayedModel, highest_order: int = 16, effort: float = 1.0) -> DelayStability:
+def delay_stability(model: DelayedModel, effort: float = 1.0) -> DelayStability:
     """`robustlab.robust_stability` of a model with exact delays, by sets of rising order."""
     g = as_delayed(model, "delay_stability")
-    if isinstance(highest_order, bool) or not isinstance(highest_order, int) or not 1 <= highest_order <= ORDERS[-1]:
-        raise InputError("delay_stability: highest_order", f"{highest_order!r}", f"a number from 1 to {ORDERS[-1]}")
     checks.number("delay_stability: effort", effort, "a positive finite number", above=0)
     if (pole := _undelayed_pole(g)) is not None:
         return DelayStability.of(False, 0, pole)
     order, root = 0, None
-    for order in _orders(g, 0, highest_order):
+    for order in _orders(g):
         nominal = covering_set(g, order).M
         poles = nominal.poles()
         root = complex(poles[poles.real.argmax()]) if len(poles) else None
@@ -188,9 +174,9 @@ def delay_stability(model: DelayedModel, highest_order: int = 16, effort: float 
     return DelayStability.of(None, order, root, None, g)
 
 
-def _orders(g: DelayedModel, least: int, highest: int) -> list[int]:
+def _orders(g: DelayedModel, least: int = 0) -> list[int]:
     """Return the orders that are tried; only 0 without delays."""
-    return [n for n in ORDERS if least <= n <= max(highest, least)] if len(g.delays) else [0]
+    return [n for n in ORDERS if n >= least] if len(g.delays) else [0]
 
 
 def _undelayed_pole(g: DelayedModel) -> complex | None:
@@ -250,45 +236,28 @@ class DelayGain(PeakGain):
 
 
 @error_context("delay_gain")
-def delay_gain(
-    model: DelayedModel,
-    tolerance: float = 0.01,
-    highest_order: int = 16,
-    effort: float = 1.0,
-    known: DelayStability | None = None,
-) -> DelayGain:
-    """`robustlab.peak_gain` of a model with exact delays, or of one without; its stability may be known."""
+def delay_gain(model: DelayedModel, effort: float = 1.0) -> DelayGain:
+    """`robustlab.peak_gain` of a model with exact delays."""
     g = as_delayed(model, "delay_gain")
-    if not FINEST <= tolerance < 1:
-        raise InputError("delay_gain: tolerance", f"{tolerance!r}", f"a number from {FINEST:g} to 1")
-    known = delay_stability(g, highest_order, effort) if known is None else known
+    known = delay_stability(g, effort)
     if known.stable is False:
         return DelayGain(np.inf, np.inf, np.nan, Status.CERTIFIED, known)
     lower, frequency = highest(g, lambda response: np.linalg.svd(response, compute_uv=False).max(axis=1, initial=0.0))
     if not known.stable:
         return DelayGain(lower, np.inf, frequency, Status.INCONCLUSIVE, known)
     size = lower or TINY  # without a path from an input to an output, any level can be proved
-    block = FullBlock("performance", g.n_inputs, g.n_outputs)
-    upper, proof = proved_level(g, [block], size, tolerance, highest_order, effort, known.order)
-    near = upper <= (1.0 + tolerance) * size
-    status = Status.CERTIFIED if near else Status.INACCURATE if proof else Status.INCONCLUSIVE
-    return DelayGain(lower, upper, frequency, status, known, g, proof)
+    upper, proof = proved_level(g, [FullBlock("performance", g.n_inputs, g.n_outputs)], size, effort, known.order)
+    status = Status.CERTIFIED if upper <= (1.0 + TOLERANCE) * size else Status.INACCURATE
+    return DelayGain(lower, upper, frequency, status if proof else Status.INCONCLUSIVE, known, g, proof)
 
 
 def proved_level(
-    g: DelayedModel,
-    blocks: Sequence[Block],
-    lower: float,
-    tolerance: float,
-    highest_order: int,
-    effort: float,
-    order: int,
+    g: DelayedModel, blocks: Sequence[Block], lower: float, effort: float, order: int
 ) -> tuple[float, DelayProof | None]:
     """Return the lowest level that is proved of the blocks at the channels of a stable model, from orders on."""
-    orders, gap = _orders(g, order, highest_order), max(SHARE * tolerance, LEAST_GAP)
+    orders = _orders(g, order)
     ends = dict.fromkeys((orders[0], orders[-1]))
-    tried = [(n, 1.0 + gap) for n in orders] + [(n, share) for share in WIDER if share > 1.0 + gap for n in ends]
-    for n, share in tried:
+    for n, share in [(n, LEVELS[0]) for n in orders] + [(n, share) for share in LEVELS[1:] for n in ends]:
         if (proof := proof_below(g, n, blocks, share * lower, effort)) is not None:
             return share * lower, proof
     return np.inf, None
@@ -318,12 +287,11 @@ def highest(g: DelayedModel, size: Any, points: int = POINTS) -> tuple[float, fl
 @error_context("delay_classical_margins")
 @one_thread()
 def delay_classical_margins(
-    plant: Any, K: Any = None, *, at: Place = "output", sign: Literal[-1, 1] | None = None, highest_order: int = 16
+    plant: Any, K: Any = None, *, at: Place = "output", sign: Literal[-1, 1] | None = None
 ) -> ClassicalMargins:
     """`robustlab.classical_margins` of a loop with exact delays."""
-    S, names, law = _closed(plant, K, at, 1.0, sign, "delay_classical_margins")
-    stable = _stability(delay_stability(S, highest_order), highest_order, "delay_classical_margins")
-    channels = {name: _classical(S[i, i], stable, name) for i, name in enumerate(names)}
+    S, names, law, known = _closed(plant, K, at, 1.0, sign, 1.0, "delay_classical_margins")
+    channels = {name: _classical(S[i, i], known.stable is True, name) for i, name in enumerate(names)}
     return ClassicalMargins(channels, at, Status.CONVERGED, law)
 
 
@@ -336,43 +304,34 @@ def delay_disk_margins(
     at: Place = "output",
     skew: float = 0.0,
     sign: Literal[-1, 1] | None = None,
-    tolerance: float = 0.01,
-    highest_order: int = 16,
     seed: int = 0,
     effort: float = 1.0,
 ) -> DiskMargins:
     """`robustlab.disk_margin` of a loop with exact delays."""
-    where = "delay_disk_margins"
-    if not FINEST <= tolerance < 1:
-        raise InputError(f"{where}: tolerance", f"{tolerance!r}", f"a number from {FINEST:g} to 1")
-    system, names, law = _closed(plant, K, at, skew, sign, where)
-    known = delay_stability(system, highest_order, effort)
-    if not _stability(known, highest_order, where):
-        raise NoTrustworthyNumber(where, "the closed loop is unstable", "a stable one")
-    options = skew, tolerance, known, highest_order, seed, effort
+    system, names, law, known = _closed(plant, K, at, skew, sign, effort, "delay_disk_margins")
+    if not known.stable:
+        raise NoTrustworthyNumber("delay_disk_margins", "the closed loop is unstable", "a stable one")
+    options = skew, known.order, seed, effort
     channels = {name: _margin(system[i, i], [name], *options) for i, name in enumerate(names)}
     whole = channels[names[0]] if len(names) == 1 else _margin(system, names, *options)
     return DiskMargins.of(whole, channels, at, law)
 
 
-def _stability(known: DelayStability, highest_order: int, where: str) -> bool:
-    """Return whether the closed loop is stable; fail if that is not known."""
-    if known.stable is None:
-        found = f"no set up to order {highest_order} shows whether the closed loop is stable"
-        raise NoTrustworthyNumber(where, found, None, "rl.robust_stability(loop, effort=...) may")
-    return known.stable
-
-
 def _closed(
-    plant: Any, K: Any, at: Place, skew: float, sign: Literal[-1, 1] | None, where: str
-) -> tuple[DelayedModel, list[str], str]:
-    """Return the closed loop at the channels of its disks, their names, and the law in words."""
+    plant: Any, K: Any, at: Place, skew: float, sign: Literal[-1, 1] | None, effort: float, where: str
+) -> tuple[DelayedModel, list[str], str, DelayStability]:
+    """Return the closed loop at the channels of its disks, their names, the law in words, and the loop's stability."""
     check_disk(at, skew, where)
     found = closed_around(plant, K, sign, where, as_delayed)
     p = found.plant
     if not p.n_inputs * p.n_outputs:
         raise InputError(where, f"an open loop of {p.n_outputs} x {p.n_inputs}", "a square one, or a K")
-    return disk_channels(found, at, skew), channel_names(p.input_names, p.output_names, at), found.said
+    loop = disk_channels(found, at, skew)
+    known = delay_stability(loop, effort)
+    if known.stable is None:
+        text = f"no set up to order {ORDERS[-1]} shows whether the closed loop is stable"
+        raise NoTrustworthyNumber(where, text, None, "rl.robust_stability(loop, effort=...) may")
+    return loop, channel_names(p.input_names, p.output_names, at), found.said, known
 
 
 # With S = 1 / (1 + L) of the loop that is opened, the others closed: |L| = 1 where Re S = 1/2, L < 0 where Im S = 0
@@ -441,10 +400,9 @@ def _gain_crossing(omega: float, response: Callable[[ArrayLike], ComplexArray]) 
 
 
 def _margin(
-    system: DelayedModel, names: Sequence[str], skew: float, tolerance: float, known: DelayStability, order: int,
-    seed: int, effort: float,
-) -> DiskMargin:  # fmt: skip
-    """Return the margin of these channels at once: the peak of mu with its Delta, and a proof."""
+    system: DelayedModel, names: Sequence[str], skew: float, order: int, seed: int, effort: float
+) -> DiskMargin:
+    """Return the margin of these channels at once: the peak of mu with its Delta, and a proof from this order on."""
     blocks = [ComplexScalar(name) for name in names]
     if len(names) == 1:
         _, frequency = highest(system, lambda M: np.abs(M[:, 0, 0]))
@@ -452,8 +410,8 @@ def _margin(
         _, frequency = highest(system, lambda M: np.array([b.beta for b in upper_bounds(M, blocks, 1e-3)]), MU_POINTS)
     found = mu(frequency_response(system, [frequency]), blocks, seed)
     value = float(found.lower[0])
-    upper, proof = proved_level(system, blocks, value or TINY, tolerance, order, effort, known.order)
+    upper, proof = proved_level(system, blocks, value or TINY, effort, order)
     delta = delta_values(blocks, found.delta[0]) if value else {}
-    status = Status.CERTIFIED if upper <= value * (1.0 + tolerance) else Status.INACCURATE
+    status = Status.CERTIFIED if upper <= value * (1.0 + TOLERANCE) else Status.INACCURATE
     bounds = 1.0 / upper, 1.0 / value if value else np.inf
-    return with_factors(bounds, frequency, status, blocks, delta, skew, system=system, proof=proof)
+    return with_factors(bounds, frequency, status, system, delta, skew, proof)

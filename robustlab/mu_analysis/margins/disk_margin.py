@@ -18,6 +18,7 @@ from typing import Any, ClassVar, Literal, Self
 import numpy as np
 
 from robustlab.budget import Budget, one_thread, search_budget
+from robustlab.delays.model import DelayedModel
 from robustlab.display import Facts, Part, bracket, number
 from robustlab.errors import InputError, error_context
 from robustlab.feedback import FeedbackLoop, closing
@@ -27,33 +28,13 @@ from robustlab.mu_analysis.constants import WORK
 from robustlab.mu_analysis.matrix.upper import compile_kernels
 from robustlab.result import Bracket, Status
 from robustlab.statespace import StateSpaceModel, as_model
-from robustlab.uncertainty.blocks import Block, ComplexScalar
+from robustlab.uncertainty.blocks import ComplexScalar
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import realise_delta
 
 ACCURACY = 1e-4  # of the proof of several loops; that of one loop is its H-infinity norm
 
-__all__ = [
-    "AT",
-    "PLACES",
-    "DiskBounds",
-    "DiskMargin",
-    "DiskMargins",
-    "Place",
-    "channel_names",
-    "channel_places",
-    "check_disk",
-    "closed_around",
-    "disk_channels",
-    "disk_margin",
-    "gain_and_phase",
-    "in_decibels",
-    "in_degrees",
-    "with_factors",
-]
-
 Place = Literal["input", "output", "both"]
-PLACES: tuple[Place, ...] = ("input", "output", "both")
 AT: Mapping[Place, str] = {
     "input": "the plant's inputs", "output": "the plant's outputs", "both": "the plant's inputs and outputs",
 }  # fmt: skip
@@ -256,9 +237,8 @@ def _margin_of(M: StateSpaceModel, names: Sequence[str], skew: float, budget: Bu
     uncertain = UncertainModel(M, [ComplexScalar(name) for name in names])
     found = margin_within(uncertain, budget, seed=seed, accuracy=ACCURACY)
     delta = {name: complex(value) for name, value in found.delta.items()}
-    notes = [budget.remark] if budget.remark else []
-    bounds = found.lower, found.upper
-    return with_factors(bounds, found.frequency, found.status, uncertain.blocks, delta, skew, M.dt, notes, uncertain)
+    made = with_factors((found.lower, found.upper), found.frequency, found.status, uncertain, delta, skew)
+    return replace(made, notes=(budget.remark, *made.notes)) if budget.remark else made
 
 
 def closed_around(
@@ -283,7 +263,7 @@ def disk_channels(loop: FeedbackLoop, at: Place, skew: float) -> Any:
 
 def check_disk(at: Place, skew: float, where: str) -> None:
     """Check the place of the disks and the skew."""
-    if at not in PLACES:
+    if at not in AT:
         raise InputError(f"{where}: at", f"{at!r}", "input, output or both")
     if not abs(skew) <= 1e6:
         raise InputError(f"{where}: skew", f"{skew!r}", "a number of at most 1e6 either way")
@@ -308,47 +288,33 @@ def with_factors(
     bounds: tuple[float, float],
     frequency: float | None,
     status: Status,
-    blocks: Sequence[Block],
+    system: UncertainModel | DelayedModel,
     delta: Mapping[str, complex],
     skew: float,
-    dt: float = 0.0,
-    remarks: Sequence[str] = (),
-    system: Any = None,
     proof: Any = None,
 ) -> DiskMargin:
     """Return a margin with its critical factors, and models of them where real systems have these values."""
     half = 0.5 * (1.0 + skew)
     factor = {n: 1.0 + d / (1.0 - half * d) if abs(1 - half * d) > 1e-12 else complex(np.inf) for n, d in delta.items()}
-    perturbation, notes = {}, list(remarks)
+    models: dict[str, StateSpaceModel | None] = {}
+    note = ""
     if delta and frequency is not None:
         try:
-            made = realise_delta(blocks, delta, frequency, dt)
-        except InputError:
-            notes.append(
-                f"the critical deltas are complex at {frequency:.3g} rad/s, where systems with real coefficients are "
-                "real: no such system takes them there"
-            )
-        else:
+            made = realise_delta([ComplexScalar(name) for name in delta], delta, frequency, system.dt)
             models = {name: _factor_model(as_model(made[name]), skew) for name in delta}
-            perturbation = {name: model for name, model in models.items() if model is not None}
-            if len(perturbation) < len(models):
-                perturbation = {}
-                notes.append("a critical factor is infinite: no model of it is given")
+        except InputError:
+            note = (
+                f"the critical deltas are complex at {frequency:.3g} rad/s, where systems with real coefficients are "
+            )
+            note += "real: no such system takes them there"
+    if None in models.values():
+        note = "a critical factor is infinite: no model of it is given"
+    perturbation = {name: model for name, model in models.items() if model is not None and not note}
     low, high, phase = gain_and_phase(bounds[0], skew)
     return DiskMargin(
-        *bounds,
-        frequency,
-        status,
-        (low, high),
-        phase,
-        skew,
-        dict(delta),
-        tuple(notes),
-        factor,
-        perturbation,
-        system,
-        proof,
-    )
+        *bounds, frequency, status, (low, high), phase, skew, dict(delta), (note,) if note else (), factor,
+        perturbation, system, proof,
+    )  # fmt: skip
 
 
 def _factor_model(delta: StateSpaceModel, skew: float) -> StateSpaceModel | None:
