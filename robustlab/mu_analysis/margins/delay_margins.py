@@ -61,8 +61,9 @@ TOLERANCE = 0.01  # of a certified bracket
 POINTS, PEAKS = 4000, 4  # of the search for the highest gain
 MU_POINTS = 200  # of that for the largest mu
 TINY = 1e-100
-# Of the search for crossings: phase of all delays between points, their largest number, points of each first grid.
-TURN, MOST, COARSE = 0.05, 200_000, 1000
+# Of the search for crossings: phase of all delays between points, their largest number, points of each first grid, and
+# about each pole.
+TURN, MOST, COARSE, CIRCLE = 0.05, 200_000, 1000, 200
 LEAST, LARGEST = 1e-6, 1e3  # factors of gain beyond these are not computed
 TOUCHED = 1e-9  # a function this near to zero at an extreme touches it
 
@@ -345,7 +346,12 @@ def _classical(S: DelayedModel, stable: bool, name: str) -> ClassicalMargin:
     def response(omega: ArrayLike) -> ComplexArray:
         return frequency_response(S, omega)[:, 0, 0]
 
-    coarse = np.union1d(*(default_grid(model.pade(4), COARSE, 4.0) for model in (S, S.inverse())))
+    near = [model.pade(4) for model in (S, S.inverse())]
+    poles = np.concatenate([model.poles() for model in near])
+    # About a light pole the response is a circle in the tangent of the distance over the damping.
+    width = np.maximum(np.abs(poles.real), 1e-12 * np.abs(poles))
+    around = (np.abs(poles.imag) + np.outer(np.tan(np.linspace(-1.57, 1.57, CIRCLE)), width)).ravel()
+    coarse = np.unique(np.concatenate([*(default_grid(model, COARSE, 4.0) for model in near), around[around > 0]]))
     with np.errstate(divide="ignore", invalid="ignore"):
         size = np.abs(1.0 / response(coarse) - 1.0)
     step = TURN / max(float(S.delays.sum()), TINY)
@@ -358,9 +364,9 @@ def _classical(S: DelayedModel, stable: bool, name: str) -> ClassicalMargin:
     turned = turned[turned > 1.0 + 0.5 / LARGEST]
     most = 2.0 * (turned / (turned - 1.0)).min(initial=LARGEST)
     last = np.flatnonzero(np.abs(1.0 - values) * most > np.abs(values)).max(initial=0) + 2
-    near = [0.0, *_zeros(lambda w: response(w).imag, omega[:last], values.imag[:last])]
-    real = [(w, float(response([w])[0].real)) for w in near]
-    crossings = [PhaseCrossing(w, s / (s - 1.0)) for w, s in real if s < -LEAST or s > 1.0 + 0.5 / LARGEST]
+    real = [0.0, *_zeros(lambda w: response(w).imag, omega[:last], values.imag[:last])]
+    points = [(w, float(response([w])[0].real)) for w in real]
+    crossings = [PhaseCrossing(w, s / (s - 1.0)) for w, s in points if s < -LEAST or s > 1.0 + 0.5 / LARGEST]
     high = min((c.factor for c in crossings if c.factor >= 1), default=LARGEST)
     if size[coarse >= end].max(initial=size[-1]) * high > 1.0:
         found = f"loop {name}: its gain at high frequencies does not fall below {1 / high:.3g}"
