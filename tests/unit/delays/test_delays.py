@@ -194,5 +194,3 @@ def test_an_uncertain_model_with_a_delay_in_a_range():
     assert late.response([w], delta)[0, 0, 0] == pytest.approx(expected, abs=1e-12)
     with pytest.raises(InputError, match="range of such"):
         rl.with_delays(plant, inputs={0: (0.3, 0.1)})
-    with pytest.raises(InputError, match="a range of delays"):
-        rl.with_delays(LAG, inputs={0: 0.1}, order=2)
