@@ -349,26 +349,26 @@ def _classical(S: DelayedModel, stable: bool, name: str) -> ClassicalMargin:
     near = [model.pade(4) for model in (S, S.inverse())]
     poles = np.concatenate([model.poles() for model in near])
     # About a light pole the response is a circle in the tangent of the distance over the damping.
-    width = np.maximum(np.abs(poles.real), 1e-12 * np.abs(poles))
-    around = (np.abs(poles.imag) + np.outer(np.tan(np.linspace(-1.57, 1.57, CIRCLE)), width)).ravel()
+    light = poles[np.abs(poles.real) < 0.3 * np.abs(poles)]
+    width = np.maximum(np.abs(light.real), 1e-12 * np.abs(light))
+    around = (np.abs(light.imag) + np.outer(np.tan(np.linspace(-1.57, 1.57, CIRCLE)), width)).ravel()
     coarse = np.unique(np.concatenate([*(default_grid(model, COARSE, 4.0) for model in near), around[around > 0]]))
     with np.errstate(divide="ignore", invalid="ignore"):
         size = np.abs(1.0 / response(coarse) - 1.0)
-    step = TURN / max(float(S.delays.sum()), TINY)
-    end = min(float(coarse[size > 0.5 / LARGEST].max(initial=coarse[0])), MOST * step)
-    omega = np.union1d(coarse[coarse <= end], np.arange(step, end, step))
-    values = response(omega)
+    step, most = TURN / max(float(S.delays.sum()), TINY), 2.0
+    while True:  # until no frequency beyond can bound the gain margin
+        end = min(float(coarse[size > 0.5 / most].max(initial=coarse[0])), MOST * step)
+        omega = np.union1d(coarse[coarse <= end], np.arange(step, end, step))
+        values = response(omega)
+        real = [0.0, *_zeros(lambda w: response(w).imag, omega, values.imag)]
+        points = [(w, float(response([w])[0].real)) for w in real]
+        crossings = [PhaseCrossing(w, s / (s - 1.0)) for w, s in points if s < -LEAST or s > 1.0 + 0.5 / LARGEST]
+        high = min((c.factor for c in crossings if c.factor >= 1), default=LARGEST)
+        if most >= high:
+            break
+        most = min(4.0 * most, high)
     met = [_gain_crossing(w, response) for w in _zeros(lambda w: response(w).real - 0.5, omega, values.real - 0.5)]
-    # Of the crossings of the real axis only those that may bound the gain margin are refined.
-    turned = values.real[:-1][np.diff(values.imag >= 0)]
-    turned = turned[turned > 1.0 + 0.5 / LARGEST]
-    most = 2.0 * (turned / (turned - 1.0)).min(initial=LARGEST)
-    last = np.flatnonzero(np.abs(1.0 - values) * most > np.abs(values)).max(initial=0) + 2
-    real = [0.0, *_zeros(lambda w: response(w).imag, omega[:last], values.imag[:last])]
-    points = [(w, float(response([w])[0].real)) for w in real]
-    crossings = [PhaseCrossing(w, s / (s - 1.0)) for w, s in points if s < -LEAST or s > 1.0 + 0.5 / LARGEST]
-    high = min((c.factor for c in crossings if c.factor >= 1), default=LARGEST)
-    if size[coarse >= end].max(initial=size[-1]) * high > 1.0:
+    if size[coarse > end].max(initial=size[-1]) * high > 1.0:
         found = f"loop {name}: its gain at high frequencies does not fall below {1 / high:.3g}"
         hint = "a loop with a direct path through a delay: take rl.disk_margin of it"
         raise NoTrustworthyNumber("delay_classical_margins", found, "a loop whose gain falls", hint)
