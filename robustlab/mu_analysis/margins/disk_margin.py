@@ -18,7 +18,6 @@ from typing import Any, ClassVar, Literal, Self
 import numpy as np
 
 from robustlab.budget import Budget, one_thread, search_budget
-from robustlab.delays.model import DelayedModel
 from robustlab.display import Facts, Part, bracket, number
 from robustlab.errors import InputError, error_context
 from robustlab.feedback import FeedbackLoop, closing
@@ -288,7 +287,7 @@ def with_factors(
     bounds: tuple[float, float],
     frequency: float | None,
     status: Status,
-    system: UncertainModel | DelayedModel,
+    system: Any,
     delta: Mapping[str, complex],
     skew: float,
     proof: Any = None,
