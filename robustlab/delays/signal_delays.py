@@ -104,7 +104,8 @@ def with_delays(
     """
     model = G if isinstance(G, DelayedModel | UncertainModel) else as_model(G, "with_delays")
     before, after = _ranges("input", inputs, model.inputs), _ranges("output", outputs, model.outputs)
-    exact = all(a == b for a, b in before + after) and not isinstance(model, UncertainModel)
+    ranges = any(np.ndim(length) for side in (inputs, outputs) for length in (side or {}).values())
+    exact = not ranges and not isinstance(model, UncertainModel)
     if exact and isinstance(model, StateSpaceModel) and model.is_discrete:
         whole = series(series(_shifts(before, model.dt), model), _shifts(after, model.dt))
         return whole.renamed(model.inputs, model.outputs)
