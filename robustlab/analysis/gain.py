@@ -21,7 +21,7 @@ from robustlab.uncertainty.lft import UncertainModel
 KINDS = {
     MODEL: ("analysis.gain.gain_of_model", "norm band inputs outputs tolerance"),
     DELAYED: (
-        "mu_analysis.margins.delay_margins.delay_gain", "inputs outputs tolerance order=highest_order effort"),
+        "mu_analysis.margins.delay_margins.delay_gain", "inputs outputs effort"),
     SET: ("mu_analysis.worst_case_gain", "inputs outputs omega tolerance seed effort time_limit"),
     FREQUENCIES: ("mu_analysis.margins.at_frequencies.worst_case_gain_at", "frequency inputs outputs seed"),
     NATURES: ("iqc.analysis.iqc_gain", "natures=nature inputs outputs order pole effort time_limit"),
@@ -85,7 +85,7 @@ def peak_gain(
     natures, order, pole
         Name of a block -> `Varying` or `Nonlinearity`, or (output, input) -> `Nonlinearity`, a law that drives that
         input, by integral quadratic constraints with filters ``a / (s + a)`` up to this power (0..8) and with this a in
-        rad/s. With delays: ``order``, highest order of Padé's approximations.
+        rad/s.
     inputs, outputs
         Names of the channels, all by default; ``outputs`` of a plant with effects: the inputs of K, in its order.
     omega, tolerance

@@ -25,20 +25,18 @@ OF_SET = ("mu_analysis.axis.robustness.robust_stability", "omega tolerance accur
 STABILITY = {
     MODEL: OF_SET,
     SET: OF_SET,
-    DELAYED: (f"{OWN}delay_margins.delay_stability", "order=highest_order effort"),
+    DELAYED: (f"{OWN}delay_margins.delay_stability", "effort"),
     FREQUENCIES: (f"{OWN}at_frequencies.robust_stability_at", "frequency seed"),
     NATURES: ("iqc.analysis.iqc_stability", "natures=nature order pole effort time_limit"),
 }
 DISK = {
     MODEL: (f"{OWN}disk_margin.disk_margin", "at skew sign seed effort time_limit"),
-    DELAYED: (
-        f"{OWN}delay_loops.delay_disk_margins",
-        "at skew sign seed effort accuracy=tolerance order=highest_order"),
+    DELAYED: (f"{OWN}delay_margins.delay_disk_margins", "at skew sign seed effort"),
     FREQUENCIES: (f"{OWN}at_frequencies.disk_margin_at", "frequency at skew sign seed"),
 }  # fmt: skip
 CLASSICAL = {
     MODEL: (f"{OWN}classical.classical_margins", "at sign"),
-    DELAYED: (f"{OWN}delay_loops.delay_classical_margins", "at sign order=highest_order"),
+    DELAYED: (f"{OWN}delay_margins.delay_classical_margins", "at sign"),
 }
 HINTS = {
     DELAYED: ".uncertain(order) makes a set of it", FREQUENCIES: "leave the frequencies out for the whole axis"
@@ -128,8 +126,6 @@ def disk_margin(
     frequency: ArrayLike | None = None,
     skew: float = 0.0,
     sign: Literal[-1, 1] | None = None,
-    accuracy: float | None = None,
-    order: int | None = None,
     seed: int = 0,
     effort: float = 1.0,
     time_limit: float | None = None,
@@ -155,9 +151,6 @@ def disk_margin(
         sigma: 0 balanced, positive if the gain is more likely to rise, negative if it is more likely to fall.
     sign
         -1 for negative feedback, 1 for positive; by default as stated by the controller, else negative.
-    accuracy, order
-        Of a loop with delays: relative distance of the bounds at which the search ends (0.01), and up to which order of
-        Padé's approximations its stability is tried, 1 to 16.
     seed, effort, time_limit
         As in `robust_stability`.
 
@@ -189,7 +182,7 @@ def disk_margin(
     if kind == SET:
         hint = "robust_stability of the set with a disk block in its loop proves it for every member (docs/analysis.md)"
         raise InputError("disk_margin: plant", "an UncertainModel", "one model, such as .nominal", hint)
-    given = {"frequency": frequency, "accuracy": accuracy, "order": order, "time_limit": time_limit}
+    given = {"frequency": frequency, "time_limit": time_limit}
     common: dict[str, Any] = {"at": at, "skew": skew, "sign": sign, "seed": seed, "effort": effort}
     return ask("disk_margin", DISK, kind, (plant, K), given, HINTS, **common)
 
@@ -201,18 +194,17 @@ def classical_margins(
     *,
     at: Place = "output",
     sign: Literal[-1, 1] | None = None,
-    order: int | None = None,
 ) -> ClassicalMargins:
     r"""Gain, phase and delay margins of the loop ``y = P u``, ``u = sign K y``, one loop at a time, with all crossings.
 
     .. math:: |L(j\omega)| = 1, \qquad L(j\omega) < 0
 
     Each loop is opened alone, with the others closed. Crossings are computed in whole numbers from the matrices as
-    given, or enclosed in intervals with delays, without a grid.
+    given, without a grid; with delays they are found on a grid that is dense for the poles and the delays.
 
     Parameters
     ----------
-    plant, K, sign, order
+    plant, K, sign
         As in `disk_margin`; no data.
     at
         Where the loops are opened: at the plant's outputs, its inputs, or both in turn.
@@ -220,9 +212,8 @@ def classical_margins(
     Returns
     -------
     ClassicalMargins
-        One `ClassicalMargin` per channel by the name of the plant's signal. With delays CERTIFIED: no crossing is
-        missing, up to the one that bounds the gain margin where they are infinitely many, factors from 1e-6 to 1000.
-        INACCURATE: at a frequency a crossing may only be a touch.
+        One `ClassicalMargin` per channel by the name of the plant's signal. With delays there may be infinitely many
+        crossings: they are listed up to the one that bounds the gain margin, factors from 1e-6 to 1000.
 
     Raises
     ------
@@ -246,4 +237,4 @@ def classical_margins(
     if kind in (SET, FREQUENCIES):
         found = "an uncertain plant, or data"
         raise InputError("classical_margins", found, "one model", "rl.disk_margin is that of the worst member")
-    return ask("classical_margins", CLASSICAL, kind, (plant, K), {"order": order}, HINTS, at=at, sign=sign)
+    return ask("classical_margins", CLASSICAL, kind, (plant, K), {}, HINTS, at=at, sign=sign)

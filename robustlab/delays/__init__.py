@@ -6,7 +6,7 @@ __all__, __getattr__ = lazily(
     __name__,
     {
         "model": "DelayedModel",
-        "signal_delays": "delay uncertain_delays with_delays",
-        "approximation": "error_weight high_pass pade phase_bound phase_error",
+        "signal_delays": "delay with_delays",
+        "approximation": "error_weight pade phase_bound",
     },
 )

@@ -132,7 +132,8 @@ def pade(delay: float, order: int) -> StateSpaceModel:
     b = np.zeros((order, 1))
     b[0, 0] = sqrt(2.0 * damping / delay)
     sign = (-1.0) ** order
-    return StateSpaceModel(a / delay, b, -sign * b.T, [[sign]])
+    states = [f"delay.{k + 1}" for k in range(order)]
+    return StateSpaceModel(a / delay, b, -sign * b.T, [[sign]], states=states)
 
 
 def checked_order(order: int, where: str, least: int = 0) -> int:
@@ -222,7 +223,8 @@ def high_pass(gain: float, corner: float, order: int, zero: float = 0.0) -> Stat
         a = [[-damping, -corner], [corner, 0.0]]
         c = [[(n1 - damping) / corner, n0 / corner**2 - 1.0]]
         whole = series(whole, StateSpaceModel(a, [[corner], [0.0]], c, [[1.0]]))
-    return StateSpaceModel(whole.A, whole.B, whole.C, whole.D)
+    states = [f"weight.{k + 1}" for k in range(order)]
+    return StateSpaceModel(whole.A, whole.B, whole.C, whole.D, states=states)
 
 
 def _circle(radius: float, order: int) -> list[tuple[float, float]]:

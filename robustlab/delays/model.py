@@ -13,9 +13,9 @@ time-delay systems in MATLAB", IFAC Workshop on Time Delay Systems (2012).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,7 +31,7 @@ from robustlab.provenance import Traced
 from robustlab.signals import Signal, is_constant, picked, real_array
 from robustlab.statespace import StateSpaceModel, append, as_model
 from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock
-from robustlab.uncertainty.interconnection import Wiring
+from robustlab.uncertainty.interconnection import Wiring, ones
 from robustlab.uncertainty.lft import (
     UncertainModel,
     as_uncertain,
@@ -59,8 +59,7 @@ class DelayedModel(TransferMatrix, Displayable, Traced):
     H
         State-space model, continuous. Its first inputs are w and its first outputs z.
     delays
-        :math:`\tau_i \ge 0` in s, shape (n,). Channels are put in the order of their delays; a delay of zero is closed,
-        and two that follow one another and feed nothing else become one.
+        :math:`\tau_i \ge 0` in s, shape (n,). Channels are put in the order of their delays; a delay of zero is closed.
 
     Raises
     ------
@@ -99,13 +98,18 @@ class DelayedModel(TransferMatrix, Displayable, Traced):
             raise InputError(
                 "DelayedModel", f"a delay of {extreme[0]:g} s", f"0, or {SHORTEST:g} to {1 / SHORTEST:g} s"
             )
-        put = object.__setattr__
-        model, lengths = sorted_by_delay(*merged_chains(*without_zero_delays(model, lengths)))
+        order, n = np.argsort(lengths, kind="stable"), len(lengths)
+        ins, outs = ([*(names[k] for k in order), *names[n:]] for names in (model.input_names, model.output_names))
+        none = int((lengths == 0).sum())
+        try:
+            model = upper_lft(model.select(ins, outs), np.eye(none))
+        except NoTrustworthyNumber:
+            singular = "a loop through a delay of zero is not well posed"
+            raise NoTrustworthyNumber("DelayedModel", singular) from None
+        lengths = lengths[order][none:]
         lengths.setflags(write=False)
-        put(self, "H", model)
-        put(self, "delays", lengths)
-
-    # --- sizes and names ---------------------------------------------------------------------------------------------
+        object.__setattr__(self, "H", model)
+        object.__setattr__(self, "delays", lengths)
 
     @property
     def inputs(self) -> tuple[Signal, ...]:
@@ -119,33 +123,22 @@ class DelayedModel(TransferMatrix, Displayable, Traced):
 
     @property
     def n_inputs(self) -> int:
-        """Number of inputs n_u."""
         return len(self.inputs)
 
     @property
     def n_outputs(self) -> int:
-        """Number of outputs n_y."""
         return len(self.outputs)
 
     @property
     def input_names(self) -> tuple[str, ...]:
-        """Names of the inputs."""
-        return tuple(s.name for s in self.inputs)
+        return self.H.input_names[len(self.delays) :]
 
     @property
     def output_names(self) -> tuple[str, ...]:
-        """Names of the outputs."""
-        return tuple(s.name for s in self.outputs)
+        return self.H.output_names[len(self.delays) :]
 
-    @property
-    def dt(self) -> float:
-        """0: continuous time."""
-        return 0.0
-
-    @property
-    def is_discrete(self) -> bool:
-        """False: a discrete delay is a row of states."""
-        return False
+    dt: ClassVar[float] = 0.0  # continuous time
+    is_discrete: ClassVar[bool] = False
 
     # --- behaviour ---------------------------------------------------------------------------------------------------
 
@@ -181,33 +174,25 @@ class DelayedModel(TransferMatrix, Displayable, Traced):
 
     def _solved(self, s: ComplexArray) -> ComplexArray:
         """Return the transfer matrix at s; raises numpy's LinAlgError at a pole."""
-        inner, B, C, D = self.balanced_unknowns()
-        found = np.empty((len(s), *D.shape), dtype=complex)
-        step = max(1, CHUNK // max(len(inner), 1) ** 2)
-        for first in range(0, len(s), step):
-            part = s[first : first + step]
-            solved = np.linalg.solve(self.with_diagonal(-inner, part), np.broadcast_to(B, (len(part), *B.shape)))
-            found[first : first + step] = D + C @ solved
-        return found
-
-    def balanced_unknowns(self) -> tuple[Array, Array, Array, Array]:
-        """``[A B1; C1 D11]``, ``[B2; D12]``, ``[C2 D21]``, D22 in balanced unknowns: states, outputs of delays."""
         from scipy.linalg import matrix_balance
 
-        H, k = self.H, len(self.delays)
-        inner, scale = np.block([[H.A, H.B[:, :k]], [H.C[:k], H.D[:k, :k]]]), np.ones(H.n_states + k)
+        # Unknowns: states and outputs of delays, balanced.
+        H, k, n = self.H, len(self.delays), self.H.n_states
+        inner, scale = np.block([[H.A, H.B[:, :k]], [H.C[:k], H.D[:k, :k]]]), np.ones(n + k)
         if len(scale):
             with np.errstate(invalid="ignore"):  # scipy casts the scales to an unused permutation
                 balanced: Any = matrix_balance(inner, permute=False, separate=True)
             scale = np.asarray(balanced[1][0], dtype=float)
-        B, C = np.vstack([H.B, H.D[:k]])[:, k:], np.hstack([H.C, H.D[:, :k]])[k:]
-        return inner / scale[:, None] * scale, B / scale[:, None], C * scale, H.D[k:, k:]
-
-    def with_diagonal(self, matrix: Array, s: ComplexArray) -> ComplexArray:
-        """Add s and ``exp(s tau)`` to the diagonal of a matrix over the `balanced_unknowns`, for each s (n,)."""
-        column, place = s[:, None], np.arange(len(matrix))
-        found = np.broadcast_to(matrix, (len(s), *matrix.shape)).astype(np.complex128)
-        found[:, place, place] += np.hstack([np.repeat(column, self.H.n_states, axis=1), np.exp(column * self.delays)])
+        inner = inner / scale[:, None] * scale
+        B, C = np.vstack([H.B, H.D[:k]])[:, k:] / scale[:, None], np.hstack([H.C, H.D[:, :k]])[k:] * scale
+        found, place = np.empty((len(s), *H.D[k:, k:].shape), dtype=complex), np.arange(n + k)
+        step = max(1, CHUNK // max(n + k, 1) ** 2)
+        for first in range(0, len(s), step):
+            part = s[first : first + step, None]
+            matrix = np.broadcast_to(-inner, (len(part), *inner.shape)).astype(np.complex128)
+            matrix[:, place, place] += np.hstack([np.repeat(part, n, axis=1), np.exp(part * self.delays)])
+            solved = np.linalg.solve(matrix, np.broadcast_to(B, (len(part), *B.shape)))
+            found[first : first + step] = H.D[k:, k:] + C @ solved
         return found
 
     def pade(self, order: int) -> StateSpaceModel:
@@ -233,14 +218,9 @@ class DelayedModel(TransferMatrix, Displayable, Traced):
         NoTrustworthyNumber
             A loop through the approximations is not well posed.
         """
-        checked_order(order, "pade")
-        return self._closed_by(
-            [as_uncertain(with_delay_states(pade(t, order), i)) for i, t in enumerate(self.delays)], "pade"
-        ).M
+        return self._closed_by([as_uncertain(pade(t, order)) for t in self.delays], "pade").M
 
-    def uncertain(
-        self, order: int = 3, spread: float | Sequence[float] = 0.0, weight_order: int = 3, name: str = ""
-    ) -> UncertainModel:
+    def uncertain(self, order: int = 3, weight_order: int = 3) -> UncertainModel:
         r"""A set that holds the model with its exact delays: Padé's approximation, and a block for its error.
 
         .. math:: e^{-s \tau} = R_n(s) + W(s) \Delta(s), \qquad |e^{-j\omega\tau} - R_n(j\omega\tau)| \le |W(j\omega)|
@@ -248,58 +228,37 @@ class DelayedModel(TransferMatrix, Displayable, Traced):
 
         That is proved for all frequencies, not on a grid: see `robustlab.delays.approximation`. :math:`\Delta` is
         stable, because the error is, and has all zeros of the weight, which are at s = 0. A proof for the
-        set (`robust_stability`, `worst_case_gain`, `disk_margin`) therefore holds for the model with its delays.
-        Delays of one length share one repeated block. A delay that is not known exactly gets a block of its own in each
-        channel, :math:`|e^{-j\omega(\tau + \delta)} - R_n(j\omega\tau)| \le |W(j\omega)|` for all :math:`|\delta|` up
-        to its spread.
+        set (`robust_stability`, `peak_gain`) therefore holds for the model with its delays. Delays of one length share
+        one repeated block. Delays known within a range only: `with_delays`.
 
         Parameters
         ----------
         order
             Order n of the approximations, 0 to 40. Higher orders cover the delay to higher frequencies: the weight
             passes 1 near :math:`\omega \tau = 2, 5, 6, 8, 10` for n = 1, 2, 3, 4, 6.
-        spread
-            Largest error of each delay in s; one number, or one for each of ``delays``. Not above the delay itself.
         weight_order
-            Slope of the weight, 1 to 2n + 1, and its number of states; of more than 2n + 1 that many are used. With a
-            spread the weight has the slope one at low frequencies, and needs 2 of them at least where n > 0.
-        name
-            Prefix of the names of the spreads' blocks. Equal names are one uncertainty: two sets whose delays vary
-            independently need two.
+            Slope of the weight, 1 to 2n + 1, and its number of states; of more than 2n + 1 that many are used.
 
         Returns
         -------
         UncertainModel
-            Blocks ``delay of 0.4 s (order 3, slope 3)``, or ``spread 1 of 0.4 s +- 0.1 s`` where there is one.
+            Blocks ``delay of 0.4 s (order 3, slope 3)``.
 
         Raises
         ------
         InputError
-            An order or a spread out of range.
+            An order out of range.
         NoTrustworthyNumber
             The nominal loop is not well posed.
         """
-        checked_order(order, "uncertain")
-        width = np.broadcast_to(np.asarray(spread, dtype=float), self.delays.shape)
-        if not ((width >= 0) & (width <= self.delays)).all():
-            raise InputError("uncertain: spread", f"{spread!r}", "numbers from 0 s to the delay itself")
-        if isinstance(weight_order, int):
-            weight_order = min(weight_order, 2 * order + 1)
-        parts = [
-            covering(float(t), float(s), order, weight_order, i, name)
-            for i, (t, s) in enumerate(zip(self.delays, width, strict=True))
-        ]
-        return self._closed_by(parts, "uncertain")
+        return self._closed_by([covering(float(t), 0.0, order, weight_order) for t in self.delays], "uncertain")
 
     def _closed_by(self, parts: list[UncertainModel], where: str) -> UncertainModel:
         """Return H with each delay replaced by a model or set of one input and output."""
         n, n_u, n_y = len(self.delays), self.n_inputs, self.n_outputs
-        K, E, F = np.zeros((2 * n + n_u, 2 * n + n_y)), np.zeros((2 * n + n_u, n_u)), np.zeros((n_y, 2 * n + n_y))
-        K[:n, n : 2 * n] = np.eye(n)  # z of H into the parts
-        K[n : 2 * n, :n] = np.eye(n)  # their outputs into w of H
-        E[2 * n :] = np.eye(n_u)
-        F[:, 2 * n :] = np.eye(n_y)
-        return interconnected([*parts, as_uncertain(self.H)], Wiring(K, E, F), self.inputs, self.outputs, where)
+        u, y = 2 * n + n_u, 2 * n + n_y  # z of H enters the parts, their outputs w of H
+        wiring = Wiring(ones(u, y, (0, n, n), (n, 0, n)), ones(u, n_u, (2 * n, 0, n_u)), ones(n_y, y, (0, 2 * n, n_y)))
+        return interconnected([*parts, as_uncertain(self.H)], wiring, self.inputs, self.outputs, where)
 
     # --- parts and algebra, computed on sets with a repeated block for each length of delay --------------------------
 
@@ -423,91 +382,21 @@ def _name(length: float) -> str:
     return f"{float(length)!r} s"
 
 
-# --- channels of delays: order, chains, replacements ------------------------------------------------------------------
-
-
-def rearranged(model: StateSpaceModel, ins: Iterable[int], outs: Iterable[int]) -> StateSpaceModel:
-    """Return the model with these inputs and outputs, by number."""
-    i, o = list(ins), list(outs)
-    return StateSpaceModel(
-        model.A, model.B[:, i], model.C[o], model.D[np.ix_(o, i)], 0.0,
-        [model.inputs[k] for k in i], [model.outputs[k] for k in o], model.states, where="DelayedModel",
-    )  # fmt: skip
-
-
-def without_zero_delays(model: StateSpaceModel, lengths: Array) -> tuple[StateSpaceModel, Array]:
-    """Close the channels whose delay is zero."""
-    none = np.flatnonzero(lengths == 0).tolist()
-    if not len(none):
-        return model, lengths
-    rest = [k for k in range(model.n_inputs) if k not in none], [k for k in range(model.n_outputs) if k not in none]
-    try:
-        found = upper_lft(rearranged(model, [*none, *rest[0]], [*none, *rest[1]]), np.eye(len(none)))
-    except NoTrustworthyNumber:
-        singular = "a loop through a delay of zero is not well posed"
-        raise NoTrustworthyNumber("DelayedModel", singular) from None
-    return found, lengths[lengths > 0]
-
-
-def merged_chains(model: StateSpaceModel, lengths: Array) -> tuple[StateSpaceModel, Array]:
-    """Replace two delays of which one feeds only the other by one of their sum."""
-    while True:
-        n = len(lengths)
-        feeds = np.vstack([model.B, model.D])[:, :n] != 0
-        reads = np.hstack([model.C, model.D])[:n] != 0
-        pair = next(
-            (
-                (i, j)
-                for i in range(n)
-                for j in range(n)
-                if i != j and feeds[model.n_states + j, i] and feeds[:, i].sum() == 1 and reads[j].sum() == 1
-            ),
-            None,
-        )
-        if pair is None:
-            return model, lengths
-        i, j = pair
-        gain = model.D[j, i]
-        # the merged channel keeps the input z_i and the output w_j
-        B, D = model.B.copy(), model.D.copy()
-        B[:, i], D[:, i] = gain * B[:, j], gain * D[:, j]
-        merged = StateSpaceModel(model.A, B, model.C, D, 0.0, model.inputs, model.outputs, model.states)
-        total = lengths.copy()
-        total[i] += lengths[j]
-        keep_in, keep_out = ([k for k in range(count) if k != j] for count in (model.n_inputs, model.n_outputs))
-        model, lengths = rearranged(merged, keep_in, keep_out), np.delete(total, j)
-
-
-def sorted_by_delay(model: StateSpaceModel, lengths: Array) -> tuple[StateSpaceModel, Array]:
-    """Sort the channels by the lengths of their delays."""
-    order = np.argsort(lengths, kind="stable").tolist()
-    n = len(order)
-    if np.array_equal(order, np.arange(n)):
-        return model, lengths.copy()
-    ins, outs = [*order, *range(n, model.n_inputs)], [*order, *range(n, model.n_outputs)]
-    return rearranged(model, ins, outs), lengths[order]
-
-
-def with_delay_states(model: StateSpaceModel, index: int) -> StateSpaceModel:
-    """Return the replacement of the delay with this index, its states named after it."""
-    states = [f"delay{index + 1}.{k + 1}" for k in range(model.n_states)]
-    return StateSpaceModel(model.A, model.B, model.C, model.D, 0.0, [f"z{index}"], [f"w{index}"], states)
-
-
-def covering(tau: float, spread: float, order: int, weight_order: int, i: int = 0, name: str = "") -> UncertainModel:
+def covering(tau: float, spread: float, order: int, weight_order: int, name: str = "") -> UncertainModel:
     """``R + W Delta``: all delays within ``spread`` of ``tau``, as a set with one input and one output.
 
     Equal names of blocks are one uncertainty, so a name states what its Delta depends on: the length of the delay and
-    both orders; with a spread its channel and the user's name.
+    both orders; with a spread that of its channel.
     """
+    checked_order(order, "uncertain")
+    if isinstance(weight_order, int):
+        weight_order = min(weight_order, 2 * order + 1)
     rational = pade(tau, order)
     weight = error_weight(order, weight_order, spread / tau).scaled(tau)
     covers = (tau, spread, order, weight_order)
     if spread:
         words = f"a delay of {tau:g} s +- {spread:g} s, covered at all frequencies: proved"
-        block: Block = FullBlock(
-            f"{name}spread {i + 1} of {tau!r} s +- {spread!r} s", 1, 1, origin=words, covers=covers
-        )
+        block: Block = FullBlock(f"{name}spread 1 of {tau!r} s +- {spread!r} s", 1, 1, origin=words, covers=covers)
     else:
         bound = phase_bound(order)
         words = f"what Padé's approximation of order {order} of a delay of {tau:g} s misses, at most min(2,"
@@ -515,12 +404,9 @@ def covering(tau: float, spread: float, order: int, weight_order: int, i: int = 
         block = ComplexScalar(
             f"delay of {tau!r} s (order {order}, slope {weight.n_states})", origin=words, covers=covers
         )
-    states = [
-        f"{kind}{i + 1}.{k + 1}" for kind, m in (("weight", weight), ("delay", rational)) for k in range(m.n_states)
-    ]
     side = append(*(m.renamed([f"i{k}"], [f"o{k}"]) for k, m in enumerate((weight, rational))))
     into = np.array([[0.0, 1.0], [0.0, 1.0]])  # (w, z) into both
     D = side.D @ into
     D[1, 0] = 1.0
-    model = StateSpaceModel(side.A, side.B @ into, side.C, D, 0.0, [f"w{i}", "in"], [f"z{i}", "out"], states)
+    model = StateSpaceModel(side.A, side.B @ into, side.C, D, 0.0, ["w", "in"], ["z", "out"], side.states)
     return UncertainModel(model, [block])

@@ -19,17 +19,16 @@ Methods for Delay Differential Equations* (2003); Van Loan, IEEE TAC 23 (1978) f
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import factorial
 from typing import Literal
 
 import numpy as np
 
 from robustlab.arrays import Array, Indices, Mask
-from robustlab.checks import number
 from robustlab.delays.model import DelayedModel
 from robustlab.errors import NoTrustworthyNumber
 
+Hold = Literal["zoh", "foh"]
 DEGREE = 7  # of the polynomials in a cell
 PASSES = 7  # through delays after which a jump is smoother than a polynomial of that degree resolves
 MOST_CELLS = 60_000
@@ -41,46 +40,33 @@ SAME_TIME = 1e-11
 INWARDS = 1e-7
 
 
-@dataclass(frozen=True)
-class Answer:
-    """Outputs (n, n_y); the estimated error relative to their largest size, zero where every step is exact; cells."""
-
-    y: Array
-    error: float
-    cells: int
-
-
-def delayed_response(
-    model: DelayedModel, t: Array, u: Array, x0: Array, hold: Literal["zoh", "foh"], rtol: float
-) -> Answer:
-    """Response to samples u (n, n_u) at the times t, from the state x0 of H, with nothing in the delays."""
+def delayed_response(model: DelayedModel, t: Array, u: Array, x0: Array, hold: Hold, rtol: float) -> Array:
+    """Return the outputs (n, n_y) at the times t for samples u (n, n_u), from the state x0 of H, with empty delays."""
     inside = _inside(model)
-    points = _mesh(model, t, inside)
+    mesh = _mesh(model, t, inside)
     if not inside.any():
-        return Answer(_Run(model, t, u, hold, points, 1).outputs(x0), 0.0, len(points) - 1)
-    mesh = _cut(points, float(model.delays[_moving(model)].min()))
-    run, y, error = None, np.zeros(0), np.inf
+        return _run(model, t, u, x0, hold, mesh, 1)[0]
+    mesh, resolved, y = _cut(mesh, float(model.delays[_moving(model)].min())), False, np.zeros((len(t), 0))
     for _ in range(REFINEMENTS):
-        run = _Run(model, t, u, hold, mesh, DEGREE)
-        y = run.outputs(x0)
+        last, (y, tail) = y, _run(model, t, u, x0, hold, mesh, DEGREE)
         if not np.isfinite(y).all():
-            break
-        rough = run.rough(max(SHARE * rtol, SMALLEST))
-        if not rough.any():  # all cells are resolved: halving each must not change the response
-            mesh = _halved(mesh, np.ones(run.cells, dtype=bool))
-            finer = _Run(model, t, u, hold, mesh, DEGREE)
-            again = finer.outputs(x0)
-            error = float(np.abs(again - y).max(initial=0.0)) / (float(np.abs(again).max(initial=0.0)) or 1.0)
-            run, y = finer, again
-            if error <= rtol:
-                break
-        else:
-            mesh = _halved(mesh, rough)
-    assert run is not None
-    if error <= rtol or not np.isfinite(y).all():
-        return Answer(y, error, run.cells)
-    found = f"the response still changes when its {run.cells} cells are halved"
+            return y
+        # Where all cells were resolved, halving each must not have changed the response.
+        if resolved and np.abs(y - last).max(initial=0.0) <= rtol * np.abs(y).max(initial=0.0):
+            return y
+        rough = tail > max(SHARE * rtol, SMALLEST)
+        resolved = not rough.any()
+        cells = rough | resolved
+        _limited(len(mesh) + int(cells.sum()))
+        mesh = np.sort(np.concatenate([mesh, (0.5 * (mesh[:-1] + mesh[1:]))[cells]]))
+    found = f"the response still changes when its {len(mesh)} cells are halved"
     raise NoTrustworthyNumber("simulate", found, f"a change of at most {rtol:g}", "a larger rtol")
+
+
+def _limited(cells: int) -> None:
+    if cells > MOST_CELLS:
+        hint = "a clock whose step divides the delays, a shorter time, or .pade(order)"
+        raise NoTrustworthyNumber("simulate", f"{cells} cells for the delays", f"at most {MOST_CELLS}", hint)
 
 
 # --- the mesh ---------------------------------------------------------------------------------------------------------
@@ -111,8 +97,7 @@ def _mesh(model: DelayedModel, t: Array, inside: Mask) -> Array:
         new = _merged(np.concatenate([[], *(new + tau for tau in np.unique(model.delays[moving]))]), t)
         new = new[new < end]
         points = _merged(np.concatenate([points, new]), t)
-        if len(points) > MOST_CELLS:
-            raise _too_many(len(points))
+        _limited(len(points))
     outer = np.setdiff1d(np.arange(len(model.delays)), moving)
     earlier = np.concatenate([points, *(t - tau for tau in np.unique(model.delays[outer]))])
     return _merged(earlier[earlier >= t[0]], t)
@@ -129,89 +114,62 @@ def _merged(points: Array, t: Array) -> Array:
 def _cut(points: Array, longest: float) -> Array:
     """Return the mesh with steps of at most ``longest``, so that every delay refers to a finished cell."""
     pieces = np.maximum(1, np.ceil(np.diff(points) / longest * (1.0 - 1e-9))).astype(int)
-    if pieces.sum() > MOST_CELLS:
-        raise _too_many(int(pieces.sum()))
+    _limited(int(pieces.sum()))
     parts = [np.linspace(a, b, k, endpoint=False) for a, b, k in zip(points[:-1], points[1:], pieces, strict=True)]
     return np.append(np.concatenate(parts), points[-1])
-
-
-def _halved(mesh: Array, which: Mask) -> Array:
-    """Halve some cells of the mesh."""
-    if len(mesh) + int(which.sum()) > MOST_CELLS:
-        raise _too_many(len(mesh) + int(which.sum()))
-    return np.sort(np.concatenate([mesh, (0.5 * (mesh[:-1] + mesh[1:]))[which]]))
-
-
-def _too_many(cells: int) -> NoTrustworthyNumber:
-    hint = "a clock whose step divides the delays, a shorter time, or .pade(order)"
-    return NoTrustworthyNumber("simulate", f"{cells} cells for the delays", f"at most {MOST_CELLS}", hint)
 
 
 # --- one run ----------------------------------------------------------------------------------------------------------
 
 
-class _Run:
-    """A simulation on one mesh; quantities that do not depend on the signals are computed for all cells at once."""
+def _run(
+    model: DelayedModel, t: Array, u: Array, x0: Array, hold: Hold, mesh: Array, degree: int
+) -> tuple[Array, Array]:
+    """Return the outputs just after each sample, and of each cell the last coefficients of the signals in its delays.
 
-    def __init__(self, model: DelayedModel, t: Array, u: Array, hold: str, mesh: Array, degree: int) -> None:
-        self.model, self.t, self.u, self.mesh = model, t, u, mesh
-        self.nodes = 0.5 - 0.5 * np.cos(np.pi * np.arange(degree + 1) / degree)
-        self.series = np.linalg.inv(_chebyshev(self.nodes, degree))  # coefficients from values at the nodes
-        self.steps = np.diff(self.mesh)
-        self.cells = len(self.steps)
-        times = self.mesh[:-1, None] + self.steps[:, None] * self.nodes
-        self.force = self._held(times, hold)
-        self.source, self.weights = self._lookup(times, 0.5 * (self.mesh[:-1] + self.mesh[1:]))
+    The latter are relative to the largest value of each signal.
+    """
+    H, n, cells = model.H, len(model.delays), len(mesh) - 1
+    C1, D11, D12 = H.C[:n], H.D[:n, :n], H.D[:n, n:]
+    nodes = 0.5 - 0.5 * np.cos(np.pi * np.arange(degree + 1) / degree)
+    series = np.linalg.inv(_chebyshev(nodes, degree))  # coefficients from values at the nodes
+    steps, middle = np.diff(mesh), 0.5 * (mesh[:-1] + mesh[1:])
+    times = mesh[:-1, None] + steps[:, None] * nodes
 
-    def _held(self, times: Array, hold: str) -> Array:
-        """The inputs at the nodes of all cells, (cells, nodes, n_u)."""
-        k = np.clip(np.searchsorted(self.t, 0.5 * (times[:, 0] + times[:, -1]), side="right") - 1, 0, len(self.t) - 2)
-        held = np.broadcast_to(self.u[k][:, None], (*times.shape, self.u.shape[1]))
-        if hold == "zoh":
-            return held
-        share = (times - self.t[k][:, None]) / (self.t[k + 1] - self.t[k])[:, None]
-        return held + share[:, :, None] * (self.u[k + 1] - self.u[k])[:, None]
+    k = np.clip(np.searchsorted(t, middle, side="right") - 1, 0, len(t) - 2)
+    share = (times - t[k][:, None]) / (t[k + 1] - t[k])[:, None] if hold == "foh" else np.zeros_like(times)
+    force = u[k][:, None] + share[:, :, None] * (u[k + 1] - u[k])[:, None]  # inputs at the nodes of all cells
 
-    def _lookup(self, times: Array, middle: Array) -> tuple[Indices, Array]:
-        """For each time (cells, nodes) and delay: the cell of the delayed time (-1: none), and its weights there."""
-        back = times[:, :, None] - self.model.delays
+    def delayed(times: Array, middle: Array) -> tuple[Indices, Array]:
+        """For each time and delay: the cell of the delayed time (-1: none), and the weights of its nodes there."""
+        back = times[:, :, None] - model.delays
         inner = back + INWARDS * (middle[:, None] - times)[:, :, None]
-        source = np.searchsorted(self.mesh, inner, side="right") - 1
-        known = np.clip(source, 0, self.cells - 1)
-        place = np.clip((back - self.mesh[known]) / self.steps[known], 0.0, 1.0)
-        return np.where(source < 0, -1, known), _chebyshev(place, len(self.nodes) - 1) @ self.series
+        source = np.searchsorted(mesh, inner, side="right") - 1
+        known = np.clip(source, 0, cells - 1)
+        place = np.clip((back - mesh[known]) / steps[known], 0.0, 1.0)
+        return np.where(source < 0, -1, known), _chebyshev(place, degree) @ series
 
-    def outputs(self, x0: Array) -> Array:
-        """Return the outputs just after each sample."""
-        H, n = self.model.H, len(self.model.delays)
-        C1, D11, D12 = H.C[:n], H.D[:n, :n], H.D[:n, n:]
-        maps, kind = _maps(H.A, H.B, self.steps, self.nodes, float(np.abs(self.mesh).max()))
-        held = np.zeros((self.cells + 1, len(self.nodes), n))  # z at the nodes; the last row: before the first sample
-        held[:-1] = self.force @ D12.T  # a delay of inputs alone may refer to the current cell
-        states, late = np.zeros((self.cells + 1, H.n_states)), np.zeros((self.cells + 1, n))
-        states[0] = x0
-        came = np.zeros((self.cells, len(self.nodes), n))  # w at the nodes
-        delay = np.arange(n)
-        for c in range(self.cells):
-            # (nodes, n, nodes of the delayed cell)
-            w = np.einsum("jil,jil->ji", held[self.source[c], :, delay], self.weights[c])
-            free, forced = maps[kind[c]]
-            inputs = np.hstack([w, self.force[c]])
-            x = free @ states[c] + np.tensordot(forced, inputs, ([2, 3], [0, 1]))
-            held[c] = x @ C1.T + w @ D11.T + self.force[c] @ D12.T
-            states[c + 1], late[c], came[c] = x[-1], w[0], w
-        self.signals = np.concatenate([held[:-1], came[:, :, _moving(self.model)]], axis=2)
-        end = np.full((1, 1), self.mesh[-1])
-        source, weights = self._lookup(end, np.full(1, self.mesh[-1] + self.steps[-1]))
-        late[-1] = np.einsum("jil,jil->ji", held[source[0], :, delay], weights[0])[0]
-        at = np.searchsorted(self.mesh, self.t)
-        return states[at] @ H.C[n:].T + late[at] @ H.D[n:, :n].T + self.u @ H.D[n:, n:].T
-
-    def rough(self, tolerance: float) -> Mask:
-        """Return the cells in which the last coefficients of a signal into or out of a delay are not small."""
-        size = np.abs(self.signals).max(axis=(0, 1), initial=0.0)
-        tail = np.abs(np.einsum("kj,cji->cki", self.series[-2:], self.signals)).max(axis=1, initial=0.0)
-        return (tail > tolerance * size).any(axis=1)
+    source, weights = delayed(times, middle)
+    maps, kind = _maps(H.A, H.B, steps, nodes, float(np.abs(mesh).max()))
+    held = np.zeros((cells + 1, degree + 1, n))  # z at the nodes; the last row: before the first sample
+    held[:-1] = force @ D12.T  # a delay of inputs alone may refer to the current cell
+    states, came, each = np.zeros((cells + 1, H.n_states)), np.zeros((cells + 1, degree + 1, n)), np.arange(n)
+    states[0] = x0
+    for c in range(cells):
+        # (nodes, n, nodes of the delayed cell)
+        came[c] = w = np.einsum("jil,jil->ji", held[source[c], :, each], weights[c])
+        free, forced = maps[kind[c]]
+        x = free @ states[c] + np.tensordot(forced, np.hstack([w, force[c]]), ([2, 3], [0, 1]))
+        held[c] = x @ C1.T + w @ D11.T + force[c] @ D12.T
+        states[c + 1] = x[-1]
+    last, weights = delayed(np.full((1, 1), mesh[-1]), np.full(1, mesh[-1] + steps[-1]))
+    came[-1, 0] = np.einsum("jil,jil->ji", held[last[0], :, each], weights[0])
+    at = np.searchsorted(mesh, t)
+    y = states[at] @ H.C[n:].T + came[at, 0] @ H.D[n:, :n].T + u @ H.D[n:, n:].T
+    signals = np.concatenate([held[:-1], came[:-1, :, _moving(model)]], axis=2)
+    size = np.abs(signals).max(axis=(0, 1), initial=0.0)
+    tail = np.abs(np.einsum("kj,cji->cki", series[-2:], signals)).max(axis=1, initial=0.0)
+    return y, (tail / np.where(size > 0, size, 1.0)).max(axis=1, initial=0.0)
 
 
 def _chebyshev(place: Array, degree: int) -> Array:
@@ -238,11 +196,3 @@ def _maps(A: Array, B: Array, steps: Array, nodes: Array, end: float) -> tuple[l
         forced = e[:, :, n:].reshape(count, n, count, m)
         made.append((e[:, :, :n], np.einsum("jnkm,kl->jnlm", forced, derivatives)))
     return made, kind
-
-
-def checked_rtol(rtol: float | None) -> float:
-    """The given relative error, or the usual one."""
-    if rtol is None:
-        return 1e-9
-    number("simulate: rtol", rtol, "a number between 0 and 1", above=0, below=1)
-    return float(rtol)

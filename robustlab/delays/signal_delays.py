@@ -10,11 +10,11 @@ from numpy.typing import ArrayLike
 
 from robustlab.checks import whole
 from robustlab.delays.approximation import SHORTEST
-from robustlab.delays.model import DelayedModel, as_delayed
+from robustlab.delays.model import DelayedModel, as_delayed, covering
 from robustlab.errors import InputError, error_context
-from robustlab.signals import real_array
+from robustlab.signals import Signal, real_array
 from robustlab.statespace import StateSpaceModel, append, as_model, series
-from robustlab.uncertainty.interconnection import Wiring
+from robustlab.uncertainty.interconnection import Wiring, unique_names
 from robustlab.uncertainty.lft import UncertainModel, as_uncertain, interconnected, product
 
 # Samples of delay of a discrete model; each is a state.
@@ -66,8 +66,7 @@ def with_delays(
     G: Any,
     inputs: Mapping[Any, float | Sequence[float]] | None = None,
     outputs: Mapping[Any, float | Sequence[float]] | None = None,
-    order: int | None = None,
-    weight_order: int | None = None,
+    order: int = 3,
 ) -> DelayedModel | StateSpaceModel | UncertainModel:
     r"""The model with exact delays of some of its inputs and outputs; with delays within ranges, a set that holds it.
 
@@ -80,9 +79,8 @@ def with_delays(
         A StateSpaceModel, a plant, a python-control object, a DelayedModel or an UncertainModel.
     inputs, outputs
         Name or number of a signal -> its delay in s, 0 or more, or its shortest and its longest delay.
-    order, weight_order
-        Of a set: orders of the approximations and of the weights of their error, 3 by default; see
-        `DelayedModel.uncertain`.
+    order
+        Of a set: order of the approximations; see `DelayedModel.uncertain`.
 
     Returns
     -------
@@ -104,118 +102,74 @@ def with_delays(
     >>> [b.name for b in with_delays(motor, inputs={"u": (0.1, 0.3)}).blocks]
     ['u: spread 1 of 0.2 s +- 0.1 s']
     """
+    model = G if isinstance(G, DelayedModel | UncertainModel) else as_model(G, "with_delays")
+    before, after = _ranges("input", inputs, model.inputs), _ranges("output", outputs, model.outputs)
     ranges = any(np.ndim(length) for side in (inputs, outputs) for length in (side or {}).values())
-    if ranges or isinstance(G, UncertainModel):
-        orders = {"order": order, "weight_order": weight_order}
-        return uncertain_delays(G, inputs, outputs, **{key: n for key, n in orders.items() if n is not None})
-    if order is not None or weight_order is not None:
-        found = "given with exact delays"
-        raise InputError(f"with_delays: {'weight_order' if order is None else 'order'}", found, "a range of delays")
-    model = G if isinstance(G, DelayedModel) else as_model(G, "with_delays")
-    before, _ = _ranges("input", inputs, model.input_names, "with_delays")
-    after, _ = _ranges("output", outputs, model.output_names, "with_delays")
-    if isinstance(model, StateSpaceModel) and model.is_discrete:
+    exact = not ranges and not isinstance(model, UncertainModel)
+    if exact and isinstance(model, StateSpaceModel) and model.is_discrete:
         whole = series(series(_shifts(before, model.dt), model), _shifts(after, model.dt))
         return whole.renamed(model.inputs, model.outputs)
-    whole = _bank(after) @ as_delayed(model) @ _bank(before)
-    n = len(whole.delays)
-    ins = [*whole.H.input_names[:n], *model.inputs]
-    return DelayedModel(
-        whole.H.renamed(_distinct_names(ins, n), _distinct_names([*whole.H.output_names[:n], *model.outputs], n)),
-        whole.delays,
-    )
-
-
-def uncertain_delays(
-    G: Any,
-    inputs: Mapping[Any, float | Sequence[float]] | None = None,
-    outputs: Mapping[Any, float | Sequence[float]] | None = None,
-    order: int = 3,
-    weight_order: int = 3,
-) -> UncertainModel:
-    """A set that holds the model with its delays, exact or within a range; see `with_delays`."""
-    model = (
-        G.uncertain(order, weight_order=weight_order) if isinstance(G, DelayedModel) else as_uncertain(G, "with_delays")
-    )
+    if exact:
+        return _bank(after, model.outputs) @ as_delayed(model) @ _bank(before, model.inputs)
     if model.dt:
         raise InputError("with_delays", f"a discrete model, dt = {model.dt:g} s", "a continuous one")
-    banks: list[UncertainModel] = []
-    for side, given, signals in (("input", inputs, model.inputs), ("output", outputs, model.outputs)):
-        low, high = _ranges(side, given, tuple(s.name for s in signals))
-        parts = [
-            _bank([_rounded(0.5 * (a + b))]).uncertain(order, _rounded(0.5 * (b - a)), weight_order, f"{s.name}: ")
-            if b
-            else as_uncertain(1.0)
-            for a, b, s in zip(low, high, signals, strict=True)
-        ]
-        n = len(parts)
-        wiring = Wiring(np.zeros((n, n)), np.eye(n), np.eye(n))
-        banks.append(interconnected(parts, wiring, signals, signals, "with_delays"))
-    whole = product(banks[1], product(model, banks[0]))
-    return UncertainModel(whole.M, whole.blocks)
+    held = model.uncertain(order) if isinstance(model, DelayedModel) else as_uncertain(model, "with_delays")
+    first, last = _held_bank(before, model.inputs, order), _held_bank(after, model.outputs, order)
+    held = product(last, product(held, first))
+    return UncertainModel(held.M, held.blocks)
 
 
 # --- ranges and banks -------------------------------------------------------------------------------------------------
 
 
-def _distinct_names(names: Sequence[Any], n: int) -> list[Any]:
-    """Make the names of the delays' channels differ from all others."""
-    taken = {s if isinstance(s, str) else s[0] for s in names[n:]}
-    made: list[Any] = []
-    for name in names[:n]:
-        while name in taken:
-            name = f"{name}'"
-        taken.add(name)
-        made.append(name)
-    return [*made, *names[n:]]
-
-
-def _ranges(
-    side: str, given: Mapping[Any, Any] | None, names: tuple[str, ...], where: str = "with_delays"
-) -> tuple[list[float], list[float]]:
-    """Shortest and longest delay of each signal; zero where none is given."""
-    low, high = [0.0] * len(names), [0.0] * len(names)
+def _ranges(side: str, given: Mapping[Any, Any] | None, signals: Sequence[Signal]) -> list[tuple[float, float]]:
+    """Return the shortest and longest delay of each signal; zero where none is given."""
+    names, found = [s.name for s in signals], [(0.0, 0.0)] * len(signals)
     for key, value in (given or {}).items():
         number = isinstance(key, (int, np.integer)) and not isinstance(key, bool)
         if not (key in names or (number and 0 <= int(key) < len(names))):
-            raise InputError(f"{where}: {side} {key!r}", "no such signal", f"one of {', '.join(names)}")
+            raise InputError(f"with_delays: {side} {key!r}", "no such signal", f"one of {', '.join(names)}")
         ends = tuple(value) if isinstance(value, (tuple, list)) else (value, value)
         real = all(isinstance(v, (int, float, np.number)) and not isinstance(v, bool) for v in ends)
         if not real or len(ends) != 2 or not 0 <= ends[0] <= ends[1] <= 1 / SHORTEST:
-            raise InputError(f"{where}: {side} {key!r}", f"{value!r}", "a delay of 0 s or more, or a range of such")
-        place = int(key) if number else names.index(str(key))
-        low[place], high[place] = float(ends[0]), float(ends[1])
-    return low, high
+            raise InputError(f"with_delays: {side} {key!r}", f"{value!r}", "a delay of 0 s or more, or a range of such")
+        found[int(key) if number else names.index(str(key))] = float(ends[0]), float(ends[1])
+    return found
 
 
-def _rounded(length: float) -> float:
-    """Round to 12 digits, which the weights cover."""
-    return float(f"{length:.12g}")
+def _bank(delays: list[tuple[float, float]], signals: Sequence[Signal]) -> DelayedModel:
+    """Return a diagonal model of exact delays, one for each signal."""
+    n, eye = len(delays), np.eye(len(delays))
+    ins, outs = (unique_names([*signals, *(Signal(f"{side}{k + 1}") for k in range(n))]) for side in "wz")
+    D = np.block([[np.zeros((n, n)), eye], [eye, np.zeros((n, n))]])
+    H = StateSpaceModel([], [], [], D, 0.0, ins[n:] + ins[:n], outs[n:] + outs[:n])
+    return DelayedModel(H, [length for length, _ in delays])
 
 
-def _bank(lengths: list[float]) -> DelayedModel:
-    """Return a diagonal model of delays, one for each channel."""
-    n, eye = len(lengths), np.eye(len(lengths))
-    model = StateSpaceModel([], [], [], np.block([[np.zeros((n, n)), eye], [eye, np.zeros((n, n))]]))
-    return DelayedModel(model, lengths)
+def _held_bank(delays: list[tuple[float, float]], signals: Sequence[Signal], order: int) -> UncertainModel:
+    """Return a diagonal set that holds the delays of each signal; to 12 digits, which the weights cover."""
+    parts = [
+        covering(float(f"{(a + b) / 2:.12g}"), float(f"{(b - a) / 2:.12g}"), order, 3, f"{s.name}: ")
+        if b
+        else as_uncertain(1.0)
+        for (a, b), s in zip(delays, signals, strict=True)
+    ]
+    n = len(parts)
+    return interconnected(parts, Wiring(np.zeros((n, n)), np.eye(n), np.eye(n)), signals, signals, "with_delays")
 
 
-def _shifts(lengths: list[float], dt: float) -> StateSpaceModel:
+def _shifts(delays: list[tuple[float, float]], dt: float) -> StateSpaceModel:
     """Return a diagonal model of chains of z^-1, one for each channel."""
     parts: list[StateSpaceModel] = []
-    for i, length in enumerate(lengths):
-        if not length / dt < 2.0**53:
-            raise InputError(
-                "with_delays", f"{length:g} s is {length / dt:g} samples of {dt:g} s", f"at most {MOST_SAMPLES}"
-            )
-        count = round(length / dt)
-        if abs(length / dt - count) > WHOLE * max(count, 1):
-            found, hint = f"{length:g} s is {length / dt:.6g} samples of {dt:g} s", "delay the continuous model"
-            raise InputError("with_delays", found, "a whole number of samples", hint)
-        if count > MOST_SAMPLES:
-            raise InputError("with_delays", f"{length:g} s is {count} samples", f"at most {MOST_SAMPLES}")
-        row = np.diag(np.ones(max(count - 1, 0)), -1) if count else np.zeros((0, 0))
+    for i, (length, _) in enumerate(delays):
+        samples = length / dt
+        text = f"{length:g} s is {samples:.6g} samples of {dt:g} s"
+        if not samples < MOST_SAMPLES + 0.5:
+            raise InputError("with_delays", text, f"at most {MOST_SAMPLES}")
+        count = round(samples)
+        if abs(samples - count) > WHOLE * max(count, 1):
+            raise InputError("with_delays", text, "a whole number of samples", "delay the continuous model")
         b, c = np.eye(count, 1), np.eye(1, count, count - 1) if count else np.zeros((1, 0))
         names = [f"delay{i + 1}.{k + 1}" for k in range(count)]
-        parts.append(StateSpaceModel(row, b, c, [[float(count == 0)]], dt, [f"i{i}"], [f"o{i}"], names))
+        parts.append(StateSpaceModel(np.eye(count, k=-1), b, c, [[float(not count)]], dt, [f"i{i}"], [f"o{i}"], names))
     return append(*parts)

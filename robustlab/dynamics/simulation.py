@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from robustlab.arrays import Array
 from robustlab.checks import number
 from robustlab.delays.model import DelayedModel
-from robustlab.delays.response import checked_rtol, delayed_response
+from robustlab.delays.response import delayed_response
 from robustlab.dynamics.plant_contract import NonlinearHold, NonlinearPlant, Plant, SteppedPlant, input_signal
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context, unknown_name
 from robustlab.record import Record
@@ -184,12 +184,13 @@ def _simulate_delayed(
         raise InputError("simulate", "step for a model with delays", "rtol: its cells are halved until that is met")
     clock = Record(t, name="simulate").t
     force = sampled_inputs(model.inputs, u, len(clock))
-    held = _linear_hold(hold)
+    held, start = _linear_hold(hold), _start(model.H, x0)
+    change = 1e-9 if rtol is None else number("simulate: rtol", rtol, "a number between 0 and 1", above=0, below=1)
     with np.errstate(over="ignore", invalid="ignore"):
-        answer = delayed_response(model, clock, force, _start(model.H, x0), held, checked_rtol(rtol))
+        y = delayed_response(model, clock, force, start, held, change)
     title = name or "simulation"
-    _check_finite(answer.y, clock, title)
-    return recorded(model, clock, force, answer.y, title)
+    _check_finite(y, clock, title)
+    return recorded(model, clock, force, y, title)
 
 
 def _simulate_nonlinear(

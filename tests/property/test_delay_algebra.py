@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -73,22 +72,3 @@ def test_the_cover_holds_the_exact_model(g, order, w):
         delta[block.name] = complex(miss / rl.frequency_response(weight, [w])[0, 0, 0])
         assert abs(delta[block.name]) <= 1.0 + 1e-6 or abs(miss) < 1e-12
     close(cover.response([w], delta), rl.frequency_response(g, [w]))
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_verdicts_of_random_loops_are_those_of_the_argument_principle(seed):
-    rng = np.random.default_rng(seed)
-    n, k = int(rng.integers(1, 4)), int(rng.integers(1, 3))
-    a, b, c = rng.normal(size=(n, n)) - np.eye(n), rng.normal(size=(n, k)), rng.normal(size=(k, n))
-    tau = np.sort(rng.uniform(0.05, 2.0, k))
-    whole = rl.StateSpaceModel(
-        a, np.hstack([b, np.ones((n, 1))]), np.vstack([c, np.ones((1, n))]), np.zeros((k + 1,) * 2)
-    )
-    found = rl.robust_stability(DelayedModel(whole, tau))
-    # no root in the right half plane is larger than the norms
-    size = np.linalg.norm(a, 2) + np.linalg.norm(b, 2) * np.linalg.norm(c, 2) + 1
-    turn = size * np.exp(1j * np.linspace(-np.pi / 2, np.pi / 2, 20_001))
-    s = np.concatenate([turn, 1j * np.linspace(size, -size, 40_001)])
-    f = s[:, None, None] * np.eye(n) - a - (b[None] * np.exp(-s[:, None] * tau)[:, None, :]) @ c
-    angle = np.unwrap(np.angle(np.linalg.det(f)))
-    assert found.stable is (round(float(angle[-1] - angle[0]) / (2 * np.pi)) == 0)

@@ -7,7 +7,7 @@ Optimal Control* (1996), chapter 11; Seiler, Packard, Gahinet, "An introduction 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -37,33 +37,27 @@ from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, delta_values
 from robustlab.uncertainty.frequency_responses import UncertainFrequencyData, closed_at, frequency_data
 
-__all__ = [
-    "DiskMarginAt",
-    "DiskMarginsAt",
-    "GainAt",
-    "MarginAt",
-    "disk_margin_at",
-    "robust_stability_at",
-    "worst_case_gain_at",
-]
-
 ASSUMED = "the nominal system is stable: taken for granted, responses at points do not show it"
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
 class _Curves(Tabular):
     """Base of margins with both bounds at each frequency."""
 
     omega: Array
     lower_at: Array
     upper_at: Array
+    delta_at: tuple[Mapping[str, Any], ...]
 
     def details(self) -> list[Part]:
-        rows = zip(self.omega, self.lower_at, self.upper_at, strict=True)
-        return [Part("", ("rad/s", "at least", "at most"), [tuple(f"{value:.6g}" for value in row) for row in rows])]
+        return [_rows(self.omega, self.lower_at, self.upper_at)]
 
     def table(self) -> Table:
         """Both bounds over frequency."""
         return Table(("omega", self.omega), {"lower": self.lower_at, "upper": self.upper_at}, {"omega": "rad/s"})
+
+    def to_json(self) -> dict[str, Any]:
+        return {"type": type(self).__name__, **vars(self)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,10 +78,6 @@ class MarginAt(_Curves, StabilityMargin):
         Assumption of the answer.
     """
 
-    omega: Array
-    lower_at: Array
-    upper_at: Array
-    delta_at: tuple[Mapping[str, Any], ...]
     assumed: str = ASSUMED
 
     @property
@@ -106,9 +96,6 @@ class MarginAt(_Curves, StabilityMargin):
             ("holds", _scope(self.omega)),
             ("assumed", self.assumed),
         ]
-
-    def to_json(self) -> dict[str, Any]:
-        return {"type": "MarginAt", **vars(self)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,9 +137,7 @@ class GainAt(Tabular, PeakGain):
         ]
 
     def details(self) -> list[Part]:
-        bounds = zip(self.omega.tolist(), self.gain_lower.tolist(), self.gain_upper.tolist(), strict=True)
-        rows = [tuple(f"{value:.6g}" for value in row) for row in bounds]
-        return [Part("", ("rad/s", "at least", "at most"), rows)]
+        return [_rows(self.omega, self.gain_lower, self.gain_upper)]
 
     def table(self) -> Table:
         """Nominal gain and both bounds over frequency."""
@@ -165,23 +150,14 @@ class GainAt(Tabular, PeakGain):
 
 @dataclass(frozen=True, eq=False)
 class DiskMarginAt(_Curves, DiskBounds):
-    """Disk margin of some channels at given frequencies; its bounds are those where it is smallest.
-
-    ``omega`` in rad/s, ``lower_at``, ``upper_at`` (N,), and ``delta_at``: the bounds at each frequency, and the
-    critical values by the name of the loop.
-    """
-
-    omega: Array
-    lower_at: Array
-    upper_at: Array
-    delta_at: tuple[Mapping[str, Any], ...]
+    """Disk margin of some channels at given frequencies, as `MarginAt`; ``delta_at`` by the name of the loop."""
 
 
 @dataclass(frozen=True, eq=False)
 class DiskMarginsAt(DiskMargins):
     """Disk margins at given frequencies ``omega``, with the attributes of `DiskMargins`; all are `DiskMarginAt`."""
 
-    omega: Array = field(default_factory=lambda: np.zeros(0))
+    omega: Array
     assumed: str = ASSUMED
 
     def facts(self) -> Facts:
@@ -199,7 +175,7 @@ def robust_stability_at(system: Any, frequency: ArrayLike | None = None, *, seed
     if not data.blocks:
         hint = "frequency_data(..., radius=...) makes one"
         raise InputError("robust_stability_at", "no uncertainty", "blocks", hint)
-    return _margin_at(data.omega, data.delta_channels, data.blocks, seed)
+    return MarginAt(**_bounds_at(data.omega, data.delta_channels, data.blocks, seed))
 
 
 @error_context("worst_case_gain_at")
@@ -269,12 +245,9 @@ def disk_margin_at(
 
 
 def _disk_margin_at(omega: Array, M: ComplexArray, names: Sequence[str], skew: float, seed: int) -> DiskMarginAt:
-    found = _margin_at(omega, M, [ComplexScalar(name) for name in names], seed)
-    low, high, phase = gain_and_phase(found.lower, skew)
-    return DiskMarginAt(
-        found.lower, found.upper, found.frequency, found.status, (low, high), phase, skew, found.delta, (), omega,
-        found.lower_at, found.upper_at, found.delta_at,
-    )  # fmt: skip
+    found = _bounds_at(omega, M, [ComplexScalar(name) for name in names], seed)
+    low, high, phase = gain_and_phase(found["lower"], skew)
+    return DiskMarginAt(**found, gain_margin=(low, high), phase_margin=phase, skew=skew)
 
 
 def _data(system: Any, frequency: ArrayLike | None, where: str) -> UncertainFrequencyData:
@@ -297,15 +270,22 @@ def _data(system: Any, frequency: ArrayLike | None, where: str) -> UncertainFreq
     return data
 
 
-def _margin_at(omega: Array, M: ComplexArray, blocks: Sequence[Any], seed: int) -> MarginAt:
+def _bounds_at(omega: Array, M: ComplexArray, blocks: Sequence[Any], seed: int) -> dict[str, Any]:
+    """Return the bounds of a margin at each frequency, and the smallest ones, by the names of the fields."""
     found = mu(M, blocks, seed)
     with np.errstate(divide="ignore"):
         lower, upper = 1.0 / np.asarray(found.upper), 1.0 / np.asarray(found.lower)
     delta = tuple(delta_values(blocks, d) if v else {} for d, v in zip(found.delta, found.lower, strict=True))
     k = int(np.argmin(lower))
-    return MarginAt(
-        float(lower[k]), float(upper[k]), float(omega[k]), found.status, delta[k], (), omega, lower, upper, delta,
-    )  # fmt: skip
+    return {
+        "lower": float(lower[k]), "upper": float(upper[k]), "frequency": float(omega[k]), "status": found.status,
+        "delta": delta[k], "notes": (), "omega": omega, "lower_at": lower, "upper_at": upper, "delta_at": delta,
+    }  # fmt: skip
+
+
+def _rows(*columns: Array) -> Part:
+    rows = [tuple(f"{value:.6g}" for value in row) for row in zip(*columns, strict=True)]
+    return Part("", ("rad/s", "at least", "at most"), rows)
 
 
 def _scope(omega: Array) -> str:

@@ -9,10 +9,9 @@ Skogestad, Postlethwaite, *Multivariable Feedback Control*, section 2.4.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
@@ -40,7 +39,7 @@ from robustlab.mu_analysis.margins.disk_margin import (
     in_degrees,
 )
 from robustlab.result import Status
-from robustlab.statespace import StateSpaceModel, as_model
+from robustlab.statespace import StateSpaceModel
 
 if TYPE_CHECKING:
     from flint import fmpz_poly
@@ -86,10 +85,9 @@ class ClassicalMargin(Displayable):
     gain_crossings, phase_crossings
         All of them, by rising frequency.
     status
-        CONVERGED: all crossings, to the last digits. Of loops with delays: CERTIFIED, or INACCURATE where it is not
-        decided whether a crossing is only touched.
+        CONVERGED: all crossings, to the last digits; of loops with delays those found on a grid.
     reason
-        Why it is inaccurate, or that the closed loop is unstable, with the modes no feedback changes; else empty.
+        That the closed loop is unstable, with the modes no feedback changes; else empty.
     """
 
     stable: bool
@@ -211,8 +209,7 @@ def classical_margins(
     plant: Any, K: Any = None, *, at: Place = "output", sign: Literal[-1, 1] | None = None
 ) -> ClassicalMargins:
     """`robustlab.classical_margins` of a rational plant and controller."""
-    p = as_model(plant, "classical_margins: plant")
-    closed = closed_around(p, K, sign, "classical_margins")
+    closed = closed_around(plant, K, sign, "classical_margins")
     p = closed.plant
     check_disk(at, 0.0, "classical_margins")
     names = channel_names(p.input_names, p.output_names, at)
@@ -230,14 +227,22 @@ def _margin(L: LoopFraction, unstable: str, name: str) -> ClassicalMargin:
     if with_gain_one is None:
         found = f"loop {name}: the gain is 1 at every frequency"
         raise NoTrustworthyNumber("classical_margins", found, "single crossings", "take the disk margin")
-    gain = tuple(_gain_crossing(L, x) for x in with_gain_one)
-    phase = tuple(_phase_crossings(L))
+    gain = []
+    for x in with_gain_one:
+        at = L.at(x)
+        assert at is not None, "a gain of 1 at a pole"
+        omega, away = L.frequency(x), _square_root(x * at[1] ** 2)
+        lag = math.atan2(math.copysign(away, -at[1]), -at[0]) % (2 * math.pi)
+        gain.append(GainCrossing(omega, lag, lag / omega))
+    points = [(L.frequency(x), at[0]) for x in (Fraction(0), *L.with_real_response()) if (at := L.at(x)) is not None]
+    points.append((math.pi / L.dt if L.dt else math.inf, L.at_infinity()))
+    phase = tuple(PhaseCrossing(omega, float(-1 / real)) for omega, real in points if -POLE < real < -LEAST)
     if unstable:
-        return ClassicalMargin(False, None, None, None, gain, phase, Status.CONVERGED, unstable)
+        return ClassicalMargin(False, None, None, None, tuple(gain), phase, Status.CONVERGED, unstable)
     ends, lag, delay = least_changes(gain, phase)
     if not L.dt and abs(L.at_infinity()) >= 1:
         delay = 0.0
-    return ClassicalMargin(True, ends, lag, delay, gain, phase, Status.CONVERGED)
+    return ClassicalMargin(True, ends, lag, delay, tuple(gain), phase, Status.CONVERGED)
 
 
 def least_changes(
@@ -248,23 +253,6 @@ def least_changes(
     high = min((c.factor for c in phase if c.factor >= 1), default=most)
     lag = min((min(c.lag, 2 * math.pi - c.lag) for c in gain), default=math.inf)
     return (low, high), lag, min((c.delay for c in gain), default=math.inf)
-
-
-def _gain_crossing(L: LoopFraction, x: Fraction) -> GainCrossing:
-    at, omega = L.at(x), L.frequency(x)
-    assert at is not None, "a gain of 1 at a pole"
-    lag = at.lag() % (2 * math.pi)
-    return GainCrossing(omega, lag, lag / omega)
-
-
-def _phase_crossings(L: LoopFraction) -> Iterator[PhaseCrossing]:
-    """Yield the crossings where L is negative, including the ends of the axis, where it is always real."""
-    points = [(L.frequency(x), L.at(x)) for x in (Fraction(0), *L.with_real_response())]
-    real = [(omega, at.real) for omega, at in points if at is not None]
-    last = math.pi / L.dt if L.dt else math.inf
-    for omega, response in (*real, (last, L.at_infinity())):
-        if -POLE < response < -LEAST:
-            yield PhaseCrossing(omega, float(-1 / response))
 
 
 # --- loops as fractions of polynomials --------------------------------------------------------------------------------
@@ -279,46 +267,30 @@ TOUCHED = Fraction(1, 10**9)
 NEIGHBOURHOOD = Fraction(1, 10)
 
 
-@dataclass(frozen=True, eq=False)
-class Point:
-    """The loop at one frequency: ``real + j omega imag``, exactly."""
-
-    real: Fraction
-    imag: Fraction
-    x: Fraction  # omega^2
-
-    @property
-    def size_squared(self) -> Fraction:
-        """``|L|^2``."""
-        return self.real**2 + self.x * self.imag**2
-
-    def lag(self) -> float:
-        """Return the phase lag in rad from a response of size 1 to -1."""
-        return math.atan2(math.copysign(_square_root(self.x * self.imag**2), -self.imag), -self.real)
-
-
-@dataclass(frozen=True, eq=False)
 class LoopFraction:
     """A loop N / D without common factors; powers of s, or of ``v = (z - 1) / (z + 1)`` of a discrete loop."""
 
-    N: fmpz_poly
-    D: fmpz_poly
-    dt: float
+    def __init__(self, N: fmpz_poly, D: fmpz_poly, dt: float) -> None:
+        shared = N.gcd(D)
+        self.N, self.D, self.dt = N // shared, D // shared, dt
+        self.parts = *even_and_odd(self.N), *even_and_odd(self.D)
 
     def frequency(self, x: Fraction) -> float:
         """Return the frequency in rad/s."""
         omega = _square_root(x)
         return 2 / self.dt * math.atan(omega) if self.dt else omega
 
-    @cached_property
-    def _parts(self) -> tuple[fmpz_poly, fmpz_poly, fmpz_poly, fmpz_poly]:
-        return *even_and_odd(self.N), *even_and_odd(self.D)
+    def at(self, x: Fraction) -> tuple[Fraction, Fraction] | None:
+        """Return the response at ``omega = sqrt(x)`` as a and b of ``a + j omega b``; None at a pole."""
+        from flint import fmpq
 
-    def at(self, x: Fraction) -> Point | None:
-        """Return the response at ``omega = sqrt(x)``; None at a pole."""
-        ne, no, de, do = (_value(part, x) for part in self._parts)
-        size = de**2 + x * do**2
-        return Point((ne * de + x * no * do) / size, (no * de - ne * do) / size, x) if size else None
+        ne, no, de, do = (part(fmpq(x.numerator, x.denominator)) for part in self.parts)
+        square = fmpq(x.numerator, x.denominator)
+        size = de**2 + square * do**2
+        if not size:
+            return None
+        real, imag = (ne * de + square * no * do) / size, (no * de - ne * do) / size
+        return Fraction(int(real.p), int(real.q)), Fraction(int(imag.p), int(imag.q))
 
     def at_infinity(self) -> Fraction:
         """Return the real limit at infinite frequency (z = -1)."""
@@ -330,34 +302,34 @@ class LoopFraction:
         """Return ``omega^2`` of all frequencies where ``|L| = 1``; None where it is 1 everywhere, to within TOUCHED."""
         from flint import fmpz_poly
 
-        ne, no, de, do = self._parts
+        ne, no, de, do = self.parts
         found = _size_squared(ne, no) - _size_squared(de, do)
         size = _size_squared(*(fmpz_poly([abs(c) for c in part.coeffs()]) for part in (de, do)))
         if all(abs(found[k]) * TOUCHED.denominator <= size[k] for k in range(found.degree() + 1)):
             return None
-        return self._crossed(found, lambda at: abs(at.size_squared - 1))
+        return self._crossed(found, lambda x, a, b: abs(a * a + x * b * b - 1))
 
     def with_real_response(self) -> list[Fraction]:
         """Return ``omega^2`` of all positive frequencies where L is real; none where it is real everywhere."""
-        ne, no, de, do = self._parts
+        ne, no, de, do = self.parts
         return self._crossed(
-            no * de - ne * do, lambda at: at.x * at.imag**2 / at.size_squared if at.size_squared else Fraction(1)
+            no * de - ne * do, lambda x, a, b: x * b * b / (a * a + x * b * b) if a or b else Fraction(1)
         )
 
-    def _crossed(self, f: fmpz_poly, height: Callable[[Point], Fraction]) -> list[Fraction]:
+    def _crossed(self, f: fmpz_poly, height: Callable[[Fraction, Fraction, Fraction], Fraction]) -> list[Fraction]:
         """Return the positive roots of f, rising, and the points where a height counts as touched."""
+
+        def height_at(x: Fraction) -> Fraction:
+            at = self.at(x)
+            return Fraction(1) if at is None else height(x, *at)
+
         found = list[Fraction]()
         for root in roots(f):
             if root.re <= 0 or not 0 <= root.im < NEIGHBOURHOOD * root.re:
                 continue
-            if root.im:
-                here, *neighbours = (
-                    self.at(root.re * share) for share in (1, 1 - 2 * NEIGHBOURHOOD, 1 + 2 * NEIGHBOURHOOD)
-                )
-                near = min([Fraction(1), *(height(point) for point in neighbours if point is not None)])
-                if here is None or height(here) > TOUCHED * near:
-                    continue
-            found.append(root.re)
+            around = [height_at(root.re * (1 + 2 * way * NEIGHBOURHOOD)) for way in (-1, 1)] if root.im else []
+            if not root.im or height_at(root.re) <= TOUCHED * min(Fraction(1), *around):
+                found.append(root.re)
         return sorted(found)
 
 
@@ -365,41 +337,31 @@ def loop_fractions(
     P: StateSpaceModel, K: StateSpaceModel, sign: int, places: Iterable[int]
 ) -> tuple[bool, list[LoopFraction]]:
     """Return whether the loop ``y = P u``, ``u = sign K y`` is stable, and each loop with the others closed."""
-    n, k, m, p = P.n_states, K.n_states, P.n_inputs, P.n_outputs
-    if n + k > MOST_STATES:
-        found = f"a loop of {n + k} states"
+    n, m, p = P.n_states + K.n_states, P.n_inputs, P.n_outputs
+    if n > MOST_STATES:
         hint = "rl.reduce_model; or cut the axis: rl.classical_margins(rl.with_delays(P), K)"
-        raise NoTrustworthyNumber("classical_margins", found, f"at most {MOST_STATES}", hint)
+        raise NoTrustworthyNumber("classical_margins", f"a loop of {n} states", f"at most {MOST_STATES}", hint)
     u, y = np.split(np.arange(m + p), [m])
     M, _ = wired([(P, u, y, 1), (K, y, u, sign)], -np.eye(m + p))
-    (closed, scale), found = determinant(M, n + k), list[LoopFraction]()
-    for place in places:
+    (closed, scale), found = determinant(M, n), list[LoopFraction]()
+    for signal in (n + place for place in places):
         cut = M.copy()
-        signal = n + k + place
         cut[:signal, signal] = cut[signal + 1 :, signal] = 0.0
-        D, exponent = determinant(cut, n + k)
-        if D.degree() < n + k and not P.dt:
+        D, exponent = determinant(cut, n)
+        if D.degree() < n and not P.dt:
             raise NoTrustworthyNumber("classical_margins", "a loop of infinite gain at infinite frequency")
         D, whole = D * (1 << max(exponent - scale, 0)), closed * (1 << max(scale - exponent, 0))
         N = whole - D
-        if P.dt:
-            N, D = from_the_circle(N, n + k), from_the_circle(D, n + k)
-        shared = N.gcd(D)
-        found.append(LoopFraction(N // shared, D // shared, P.dt))
-    poles = from_the_circle(closed, n + k) if P.dt else closed
-    return poles.degree() == n + k and all_left(poles), found
+        found.append(
+            LoopFraction(from_the_circle(N, n), from_the_circle(D, n), P.dt) if P.dt else LoopFraction(N, D, 0.0)
+        )
+    poles = from_the_circle(closed, n) if P.dt else closed
+    return poles.degree() == n and all_left(poles), found
 
 
 def _size_squared(even: fmpz_poly, odd: fmpz_poly) -> fmpz_poly:
     """Return ``even^2 + x odd^2``."""
     return even * even + (odd * odd).left_shift(1)
-
-
-def _value(f: fmpz_poly, x: Fraction) -> Fraction:
-    from flint import fmpq
-
-    found = f(fmpq(x.numerator, x.denominator))
-    return Fraction(int(found.p), int(found.q))
 
 
 def _square_root(x: Fraction) -> float:

@@ -8,12 +8,12 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar
 
 import numpy as np
 
 from robustlab.budget import NOT_REPEATABLE, USED_UP, one_thread
-from robustlab.display import Displayable, Facts, Part, bracket, number
+from robustlab.display import Displayable, Facts, Part, number
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, error_context, is_function
 from robustlab.mu_analysis.axis.robustness import worst_case_gain
 from robustlab.norms import hinf_norm
@@ -24,7 +24,6 @@ from robustlab.uncertainty.covering.parametric_cover import PARAMETRIC_FORMS, pa
 from robustlab.uncertainty.covering.unstructured_cover import matrices_miss, model_set, unstructured_cover
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.unstructured import FORMS
-from robustlab.uncertainty.unstructured import Form as UnstructuredForm
 
 EXACT = 1e-12  # relative rounding error of a member of an exact cover
 
@@ -62,14 +61,6 @@ class Conservatism(Displayable):
     cover_upper: float
     status: Status
     reason: str = ""
-
-    def facts(self) -> Facts:
-        return [
-            ("ratio", bracket(self.least, self.ratio, ("attained", "proved"))),
-            ("worst gain of the cover", bracket(self.cover_lower, self.cover_upper, ("attained", "proved"))),
-            ("largest gain of the models", f"{number(self.set_gain)} (model {self.set_model})"),
-            ("reason", self.reason),
-        ]
 
     def to_json(self) -> dict[str, Any]:
         return {"type": "Conservatism", **vars(self)}
@@ -293,12 +284,11 @@ def cover(
 
 def _parametric(
     models: tuple[StateSpaceModel, ...],
-    form: str,
+    form: Any,
     nominal: StateSpaceModel | None,
     tolerance: float,
     directions: int | None,
 ) -> Cover:
-    assert form in PARAMETRIC_FORMS
     model, deltas, spread = parametric_cover(models, form, nominal, tolerance, directions)
     misses = tuple(matrices_miss(model.evaluate(d), m) for d, m in zip(deltas, models, strict=True))
     sizes = tuple(max((abs(v) for v in d.values()), default=0.0) for d in deltas)
@@ -309,9 +299,9 @@ def _parametric(
 
 
 def _unstructured(
-    models: tuple[StateSpaceModel, ...], form: str, nominal: StateSpaceModel | None, order: int, excess: float
+    models: tuple[StateSpaceModel, ...], form: Any, nominal: StateSpaceModel | None, order: int, excess: float
 ) -> Cover:
-    made = unstructured_cover(models, cast(UnstructuredForm, form), nominal, order, excess)
+    made = unstructured_cover(models, form, nominal, order, excess)
     status, reason = Status.CERTIFIED, ""
     if not made.proved:
         status = Status.CONVERGED
@@ -319,10 +309,10 @@ def _unstructured(
     if max(made.sizes) > 1.0 + 1e-9 or not made.fit.status.trustworthy:
         status = Status.INACCURATE
         reason = f"the weight is {100 * made.fit.excess:.3g} % above the bound: a higher order comes nearer"
-    name = made.model.blocks[0].name
+    deltas = tuple({made.model.blocks[0].name: d} for d in made.deltas)
     return Cover(
-        made.model, form, status, tuple({name: d} for d in made.deltas), made.sizes, (0.0,) * len(models),
-        made.nominal, made.radius, (), made.fit, None, reason, models,
+        made.model, form, status, deltas, made.sizes, (0.0,) * len(models), made.nominal, made.radius, (), made.fit,
+        None, reason, models,
     )  # fmt: skip
 
 
@@ -343,24 +333,22 @@ def _conservatism(
             raise InputError("cover: loop", f"it makes a {type(found).__name__} of a model", "an uncertain model")
         return found
 
-    def none(set_gain: float, number: int, reason: str) -> Conservatism:
-        return Conservatism(np.nan, np.nan, set_gain, number, np.nan, np.nan, Status.FAILED, reason)
-
-    gains = []
-    for i, model in enumerate(models, 1):
-        norm = hinf_norm(around(UncertainModel(model, [])).nominal)
-        if not np.isfinite(norm.upper):
-            hint = "" if loop else "; close a loop around the models first"
-            return none(np.inf, i, f"model {i} has no finite gain ({norm.reason}){hint}")
-        gains.append(norm.lower)
+    norms = [hinf_norm(around(UncertainModel(model, [])).nominal) for model in models]
+    gains = [norm.lower if np.isfinite(norm.upper) else np.inf for norm in norms]
     largest, number = float(max(gains)), int(np.argmax(gains)) + 1
-    if largest == 0:
-        return none(0.0, number, "all models have no gain")
-    try:
-        worst = worst_case_gain(around(uncertain), tolerance=0.01, time_limit=time_limit, effort=effort)
-    except NoTrustworthyNumber as error:
-        return none(largest, number, str(error.found))
-    remark = "; ".join(text for text in worst.notes if text in (NOT_REPEATABLE, USED_UP))
-    return Conservatism(
-        worst.upper / largest, worst.lower / largest, largest, number, worst.lower, worst.upper, worst.status, remark
-    )
+    ratios, bounds, status, reason = (np.nan, np.nan), (np.nan, np.nan), Status.FAILED, ""
+    if np.isinf(largest):
+        hint = "" if loop else "; close a loop around the models first"
+        reason = f"model {number} has no finite gain ({norms[number - 1].reason}){hint}"
+    elif largest == 0:
+        reason = "all models have no gain"
+    else:
+        try:
+            worst = worst_case_gain(around(uncertain), tolerance=0.01, time_limit=time_limit, effort=effort)
+        except NoTrustworthyNumber as error:
+            reason = str(error.found)
+        else:
+            reason = "; ".join(text for text in worst.notes if text in (NOT_REPEATABLE, USED_UP))
+            bounds, status = (worst.lower, worst.upper), worst.status
+            ratios = worst.upper / largest, worst.lower / largest
+    return Conservatism(*ratios, largest, number, *bounds, status, reason)

@@ -1,4 +1,4 @@
-"""Stability and gain of models with exact delays, proved for a set that contains them."""
+"""Stability, gain and margins of models with exact delays, proved for a set that contains them."""
 
 # In each set a delay is e^(-s tau) = R(s) + W(s) Delta(s), |Delta| <= 1 in the right half plane: Padé's approximation
 # with a proved weight of its error, or, of order 0, R = 0, W = 1. Where mu < 1 on the axis, its
@@ -8,14 +8,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from robustlab import checks
-from robustlab.arrays import Array
+from robustlab.arrays import Array, ComplexArray
 from robustlab.budget import one_thread, search_budget
 from robustlab.delays.model import DelayedModel, as_delayed
 from robustlab.display import Facts, number
@@ -25,25 +27,45 @@ from robustlab.mu_analysis.axis.axis_model import continuous, seed_frequencies
 from robustlab.mu_analysis.axis.intervals import Piece, cover_parts
 from robustlab.mu_analysis.axis.margin import StabilityMargin
 from robustlab.mu_analysis.constants import WORK
-from robustlab.mu_analysis.matrix.upper import compile_kernels
+from robustlab.mu_analysis.margins.classical import (
+    ClassicalMargin,
+    ClassicalMargins,
+    GainCrossing,
+    PhaseCrossing,
+    least_changes,
+)
+from robustlab.mu_analysis.margins.disk_margin import (
+    DiskMargin,
+    DiskMargins,
+    Place,
+    channel_names,
+    check_disk,
+    closed_around,
+    disk_channels,
+    with_factors,
+)
+from robustlab.mu_analysis.matrix.bounds import mu
+from robustlab.mu_analysis.matrix.upper import compile_kernels, upper_bounds
 from robustlab.norms import PeakGain, unstable_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import Block, FullBlock
+from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock, delta_values
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = ["FINEST", "DelayGain", "DelayProof", "DelayStability", "delay_gain", "delay_stability", "proof_below"]
-
-FINEST = 1e-6  # smallest tolerance
 ORDERS = (0, 2, 4, 6, 8, 12, 16)  # of the approximations that are tried one after the other
 STEEPER = 3  # slope of the weights minus the order: with order 6 the error is 1e-4 up to w tau = 5
 BELOW, ACCURACY = 1.0 - 2e-5, 1e-5  # first level of mu, and the accuracy of the scalings
-LEAST_GAP = 1e-4  # between the bounds of a gain
 SHARE_OF_WORK = 0.1  # of the usual search: a set that needs more is too large to decide
-SHARE = 0.1  # target gap of a bound, relative to the tolerance
-WIDER = (1.001, 1.005, 1.01, 1.1, 2.0, 10.0)  # levels that are tried where no order proves the target
-POINTS, PEAKS = 4000, 4
+LEVELS = (1.001, 1.01, 1.1, 2.0, 10.0)  # of a bound over the attained value; all orders are tried for the first one
+TOLERANCE = 0.01  # of a certified bracket
+POINTS, PEAKS = 4000, 4  # of the search for the highest gain
+MU_POINTS = 200  # of that for the largest mu
 TINY = 1e-100
+# Of the search for crossings: phase of all delays between points, their largest number, points of each first grid, and
+# about each pole.
+TURN, MOST, COARSE, CIRCLE = 0.05, 200_000, 1000, 200
+LEAST, LARGEST = 1e-6, 1e3  # factors of gain beyond these are not computed
+TOUCHED = 1e-9  # a function this near to zero at an extreme touches it
 
 
 class DelayProof(NamedTuple):
@@ -135,16 +157,14 @@ class DelayStability(StabilityMargin):
 
 
 @error_context("delay_stability")
-def delay_stability(model: DelayedModel, highest_order: int = 16, effort: float = 1.0) -> DelayStability:
+def delay_stability(model: DelayedModel, effort: float = 1.0) -> DelayStability:
     """`robustlab.robust_stability` of a model with exact delays, by sets of rising order."""
     g = as_delayed(model, "delay_stability")
-    if isinstance(highest_order, bool) or not isinstance(highest_order, int) or not 1 <= highest_order <= ORDERS[-1]:
-        raise InputError("delay_stability: highest_order", f"{highest_order!r}", f"a number from 1 to {ORDERS[-1]}")
     checks.number("delay_stability: effort", effort, "a positive finite number", above=0)
     if (pole := _undelayed_pole(g)) is not None:
         return DelayStability.of(False, 0, pole)
     order, root = 0, None
-    for order in _orders(g, 0, highest_order):
+    for order in _orders(g):
         nominal = covering_set(g, order).M
         poles = nominal.poles()
         root = complex(poles[poles.real.argmax()]) if len(poles) else None
@@ -155,9 +175,9 @@ def delay_stability(model: DelayedModel, highest_order: int = 16, effort: float 
     return DelayStability.of(None, order, root, None, g)
 
 
-def _orders(g: DelayedModel, least: int, highest: int) -> list[int]:
+def _orders(g: DelayedModel, least: int = 0) -> list[int]:
     """Return the orders that are tried; only 0 without delays."""
-    return [n for n in ORDERS if least <= n <= max(highest, least)] if len(g.delays) else [0]
+    return [n for n in ORDERS if n >= least] if len(g.delays) else [0]
 
 
 def _undelayed_pole(g: DelayedModel) -> complex | None:
@@ -178,7 +198,7 @@ def _undelayed_pole(g: DelayedModel) -> complex | None:
     return None
 
 
-# --- gain ------------------------------------------------------------------------------------------------------------
+# --- gain -------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,45 +237,28 @@ class DelayGain(PeakGain):
 
 
 @error_context("delay_gain")
-def delay_gain(
-    model: DelayedModel,
-    tolerance: float = 0.01,
-    highest_order: int = 16,
-    effort: float = 1.0,
-    known: DelayStability | None = None,
-) -> DelayGain:
-    """`robustlab.peak_gain` of a model with exact delays, or of one without; its stability may be known."""
+def delay_gain(model: DelayedModel, effort: float = 1.0) -> DelayGain:
+    """`robustlab.peak_gain` of a model with exact delays."""
     g = as_delayed(model, "delay_gain")
-    if not FINEST <= tolerance < 1:
-        raise InputError("delay_gain: tolerance", f"{tolerance!r}", f"a number from {FINEST:g} to 1")
-    known = delay_stability(g, highest_order, effort) if known is None else known
+    known = delay_stability(g, effort)
     if known.stable is False:
         return DelayGain(np.inf, np.inf, np.nan, Status.CERTIFIED, known)
     lower, frequency = highest(g, lambda response: np.linalg.svd(response, compute_uv=False).max(axis=1, initial=0.0))
     if not known.stable:
         return DelayGain(lower, np.inf, frequency, Status.INCONCLUSIVE, known)
     size = lower or TINY  # without a path from an input to an output, any level can be proved
-    block = FullBlock("performance", g.n_inputs, g.n_outputs)
-    upper, proof = proved_level(g, [block], size, tolerance, highest_order, effort, known.order)
-    near = upper <= (1.0 + tolerance) * size
-    status = Status.CERTIFIED if near else Status.INACCURATE if proof else Status.INCONCLUSIVE
-    return DelayGain(lower, upper, frequency, status, known, g, proof)
+    upper, proof = proved_level(g, [FullBlock("performance", g.n_inputs, g.n_outputs)], size, effort, known.order)
+    status = Status.CERTIFIED if upper <= (1.0 + TOLERANCE) * size else Status.INACCURATE
+    return DelayGain(lower, upper, frequency, status if proof else Status.INCONCLUSIVE, known, g, proof)
 
 
 def proved_level(
-    g: DelayedModel,
-    blocks: Sequence[Block],
-    lower: float,
-    tolerance: float,
-    highest_order: int,
-    effort: float,
-    order: int,
+    g: DelayedModel, blocks: Sequence[Block], lower: float, effort: float, order: int
 ) -> tuple[float, DelayProof | None]:
     """Return the lowest level that is proved of the blocks at the channels of a stable model, from orders on."""
-    orders, gap = _orders(g, order, highest_order), max(SHARE * tolerance, LEAST_GAP)
+    orders = _orders(g, order)
     ends = dict.fromkeys((orders[0], orders[-1]))
-    tried = [(n, 1.0 + gap) for n in orders] + [(n, share) for share in WIDER if share > 1.0 + gap for n in ends]
-    for n, share in tried:
+    for n, share in [(n, LEVELS[0]) for n in orders] + [(n, share) for share in LEVELS[1:] for n in ends]:
         if (proof := proof_below(g, n, blocks, share * lower, effort)) is not None:
             return share * lower, proof
     return np.inf, None
@@ -277,3 +280,144 @@ def highest(g: DelayedModel, size: Any, points: int = POINTS) -> tuple[float, fl
         near: Any = minimize_scalar(lambda w: -size(frequency_response(g, [w]))[0], bounds=ends, method="bounded")
         found.append((-float(near.fun), float(near.x)))
     return max(found)
+
+
+# --- margins of loops -------------------------------------------------------------------------------------------------
+
+
+@error_context("delay_classical_margins")
+@one_thread()
+def delay_classical_margins(
+    plant: Any, K: Any = None, *, at: Place = "output", sign: Literal[-1, 1] | None = None
+) -> ClassicalMargins:
+    """`robustlab.classical_margins` of a loop with exact delays."""
+    S, names, law, known = _closed(plant, K, at, 1.0, sign, 1.0, "delay_classical_margins")
+    channels = {name: _classical(S[i, i], known.stable is True, name) for i, name in enumerate(names)}
+    return ClassicalMargins(channels, at, Status.CONVERGED, law)
+
+
+@error_context("delay_disk_margins")
+@one_thread()
+def delay_disk_margins(
+    plant: Any,
+    K: Any = None,
+    *,
+    at: Place = "output",
+    skew: float = 0.0,
+    sign: Literal[-1, 1] | None = None,
+    seed: int = 0,
+    effort: float = 1.0,
+) -> DiskMargins:
+    """`robustlab.disk_margin` of a loop with exact delays."""
+    system, names, law, known = _closed(plant, K, at, skew, sign, effort, "delay_disk_margins")
+    if not known.stable:
+        raise NoTrustworthyNumber("delay_disk_margins", "the closed loop is unstable", "a stable one")
+    options = skew, known.order, seed, effort
+    channels = {name: _margin(system[i, i], [name], *options) for i, name in enumerate(names)}
+    whole = channels[names[0]] if len(names) == 1 else _margin(system, names, *options)
+    return DiskMargins.of(whole, channels, at, law)
+
+
+def _closed(
+    plant: Any, K: Any, at: Place, skew: float, sign: Literal[-1, 1] | None, effort: float, where: str
+) -> tuple[DelayedModel, list[str], str, DelayStability]:
+    """Return the closed loop at the channels of its disks, their names, the law in words, and the loop's stability."""
+    check_disk(at, skew, where)
+    found = closed_around(plant, K, sign, where, as_delayed)
+    p = found.plant
+    if not p.n_inputs * p.n_outputs:
+        raise InputError(where, f"an open loop of {p.n_outputs} x {p.n_inputs}", "a square one, or a K")
+    loop = disk_channels(found, at, skew)
+    known = delay_stability(loop, effort)
+    if known.stable is None:
+        text = f"no set up to order {ORDERS[-1]} shows whether the closed loop is stable"
+        raise NoTrustworthyNumber(where, text, None, "rl.robust_stability(loop, effort=...) may")
+    return loop, channel_names(p.input_names, p.output_names, at), found.said, known
+
+
+# With S = 1 / (1 + L) of the loop that is opened, the others closed: |L| = 1 where Re S = 1/2, L < 0 where Im S = 0
+# and S is not in [0, 1]; S has no pole on the axis. Zeros are where signs change between points that are close enough
+# for the poles of L and S and for the delays.
+
+
+def _classical(S: DelayedModel, stable: bool, name: str) -> ClassicalMargin:
+    """Return both types of crossings of one loop, and its margins."""
+
+    def response(omega: ArrayLike) -> ComplexArray:
+        return frequency_response(S, omega)[:, 0, 0]
+
+    near = [model.pade(4) for model in (S, S.inverse())]
+    poles = np.concatenate([model.poles() for model in near])
+    # About a light pole the response is a circle in the tangent of the distance over the damping.
+    light = poles[np.abs(poles.real) < 0.3 * np.abs(poles)]
+    width = np.maximum(np.abs(light.real), 1e-12 * np.abs(light))
+    around = (np.abs(light.imag) + np.outer(np.tan(np.linspace(-1.57, 1.57, CIRCLE)), width)).ravel()
+    coarse = np.unique(np.concatenate([*(default_grid(model, COARSE, 4.0) for model in near), around[around > 0]]))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        size = np.abs(1.0 / response(coarse) - 1.0)
+    step, most = TURN / max(float(S.delays.sum()), TINY), 2.0
+    while True:  # until no frequency beyond can bound the gain margin
+        end = min(float(coarse[size > 0.5 / most].max(initial=coarse[0])), MOST * step)
+        omega = np.union1d(coarse[coarse <= end], np.arange(step, end, step))
+        values = response(omega)
+        real = [0.0, *_zeros(lambda w: response(w).imag, omega, values.imag)]
+        points = [(w, float(response([w])[0].real)) for w in real]
+        crossings = [PhaseCrossing(w, s / (s - 1.0)) for w, s in points if s < -LEAST or s > 1.0 + 0.5 / LARGEST]
+        high = min((c.factor for c in crossings if c.factor >= 1), default=LARGEST)
+        if most >= high:
+            break
+        most = min(4.0 * most, high)
+    met = [_gain_crossing(w, response) for w in _zeros(lambda w: response(w).real - 0.5, omega, values.real - 0.5)]
+    if size[coarse > end].max(initial=size[-1]) * high > 1.0:
+        found = f"loop {name}: its gain at high frequencies does not fall below {1 / high:.3g}"
+        hint = "a loop with a direct path through a delay: take rl.disk_margin of it"
+        raise NoTrustworthyNumber("delay_classical_margins", found, "a loop whose gain falls", hint)
+    kept = tuple(c for c in crossings if c.factor <= high * (1 + 1e-9))
+    changes = least_changes(met, kept, LARGEST) if stable else (None, None, None)
+    return ClassicalMargin(stable, *changes, tuple(met), kept, Status.CONVERGED)
+
+
+def _zeros(f: Callable[[ArrayLike], Array], omega: Array, values: Array) -> list[float]:
+    """Return the zeros of a function where its sign changes between points, and where an extreme touches zero."""
+    from scipy.optimize import brentq, minimize_scalar
+
+    above, found = values >= 0, list[float]()
+    before, here, after = (np.where(above, values, -values)[k : len(omega) - 2 + k] for k in range(3))
+    level = (above[:-2] == above[1:-1]) & (above[1:-1] == above[2:])
+    near = level & (here < before) & (here <= after) & (2.0 * here <= np.maximum(before, after))  # it may reach zero
+    for k in np.flatnonzero(near) + 1:
+        way, bounds, fine = 1.0 if above[k] else -1.0, (omega[k - 1], omega[k + 1]), {"xatol": 1e-12 * omega[k]}
+        least: Any = minimize_scalar(lambda w: way * f([w])[0], bounds=bounds, method="bounded", options=fine)  # noqa: B023
+        omega, values = np.append(omega, least.x), np.append(values, way * least.fun)
+        found += [float(least.x)] if 0 <= least.fun < TOUCHED else []
+    order = np.argsort(omega)
+    omega, above = omega[order], values[order] >= 0
+    solve: Any = brentq
+    for k in np.flatnonzero(above[1:] != above[:-1]):
+        low, high = omega[k], omega[k + 1]
+        found.append(float(solve(lambda w: f([w])[0], low, high, xtol=1e-14 * high, rtol=1e-14)))
+    return sorted(found)
+
+
+def _gain_crossing(omega: float, response: Callable[[ArrayLike], ComplexArray]) -> GainCrossing:
+    s = complex(response([omega])[0])
+    lag = (float(np.angle((1.0 - s) / s)) + math.pi) % (2 * math.pi)
+    return GainCrossing(omega, lag, lag / omega)
+
+
+def _margin(
+    system: DelayedModel, names: Sequence[str], skew: float, order: int, seed: int, effort: float
+) -> DiskMargin:
+    """Return the margin of these channels at once: the peak of mu with its Delta, and a proof from this order on."""
+    blocks = [ComplexScalar(name) for name in names]
+    if len(names) == 1:
+        _, frequency = highest(system, lambda M: np.abs(M[:, 0, 0]))
+    else:
+        _, frequency = highest(system, lambda M: np.array([b.beta for b in upper_bounds(M, blocks, 1e-3)]), MU_POINTS)
+    found = mu(frequency_response(system, [frequency]), blocks, seed)
+    value = float(found.lower[0])
+    upper, proof = proved_level(system, blocks, value or TINY, effort, order)
+    delta = delta_values(blocks, found.delta[0]) if value else {}
+    status = Status.CERTIFIED if upper <= value * (1.0 + TOLERANCE) else Status.INACCURATE
+    bounds = 1.0 / upper, 1.0 / value if value else np.inf
+    return with_factors(bounds, frequency, status, system, delta, skew, proof)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar, Literal, Self
 
@@ -26,34 +26,14 @@ from robustlab.mu_analysis.axis.robustness import margin_within
 from robustlab.mu_analysis.constants import WORK
 from robustlab.mu_analysis.matrix.upper import compile_kernels
 from robustlab.result import Bracket, Status
-from robustlab.statespace import StateSpaceModel, append, as_model, lower_lft
-from robustlab.uncertainty.blocks import Block, ComplexScalar
+from robustlab.statespace import StateSpaceModel, as_model
+from robustlab.uncertainty.blocks import ComplexScalar
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import realise_delta
 
 ACCURACY = 1e-4  # of the proof of several loops; that of one loop is its H-infinity norm
 
-__all__ = [
-    "AT",
-    "PLACES",
-    "DiskBounds",
-    "DiskMargin",
-    "DiskMargins",
-    "Place",
-    "channel_names",
-    "channel_places",
-    "check_disk",
-    "closed_around",
-    "disk_channels",
-    "disk_margin",
-    "gain_and_phase",
-    "in_decibels",
-    "in_degrees",
-    "with_factors",
-]
-
 Place = Literal["input", "output", "both"]
-PLACES: tuple[Place, ...] = ("input", "output", "both")
 AT: Mapping[Place, str] = {
     "input": "the plant's inputs", "output": "the plant's outputs", "both": "the plant's inputs and outputs",
 }  # fmt: skip
@@ -238,19 +218,15 @@ def disk_margin(
     effort: float = 1.0,
 ) -> DiskMargins:
     """`robustlab.disk_margin` of a rational plant and controller."""
-    p = as_model(plant, "disk_margin: plant")
-    found = closed_around(p, K, sign, "disk_margin")
+    found = closed_around(plant, K, sign, "disk_margin")
     check_disk(at, skew, "disk_margin")
-    p, K = modes_apart(found.plant), modes_apart(found.K)  # the feedback connection is rounded in these states
-    loop = disk_channels(p, K, at, skew, found.sign)
-    names = channel_names(p.input_names, p.output_names, at)
+    names = channel_names(found.plant.input_names, found.plant.output_names, at)
+    # The feedback connection is rounded in these states.
+    loop = disk_channels(replace(found, plant=modes_apart(found.plant), K=modes_apart(found.K)), at, skew)
     compile_kernels()
     budget = search_budget("disk_margin", WORK, effort, time_limit)
     with one_thread():
-        channels = {
-            name: _margin_of(loop.select([loop.input_names[i]], [loop.output_names[i]]), [name], skew, budget, seed)
-            for i, name in enumerate(names)
-        }
+        channels = {name: _margin_of(loop[i, i], [name], skew, budget, seed) for i, name in enumerate(names)}
         whole = channels[names[0]] if len(names) == 1 else _margin_of(loop, names, skew, budget, seed)
     return DiskMargins.of(whole, channels, at, found.said)
 
@@ -260,63 +236,33 @@ def _margin_of(M: StateSpaceModel, names: Sequence[str], skew: float, budget: Bu
     uncertain = UncertainModel(M, [ComplexScalar(name) for name in names])
     found = margin_within(uncertain, budget, seed=seed, accuracy=ACCURACY)
     delta = {name: complex(value) for name, value in found.delta.items()}
-    notes = [budget.remark] if budget.remark else []
-    bounds = found.lower, found.upper
-    return with_factors(bounds, found.frequency, found.status, uncertain.blocks, delta, skew, M.dt, notes, uncertain)
+    made = with_factors((found.lower, found.upper), found.frequency, found.status, uncertain, delta, skew)
+    return replace(made, notes=(budget.remark, *made.notes)) if budget.remark else made
 
 
-def closed_around(plant: Any, K: Any, sign: int | None, where: str) -> FeedbackLoop:
-    """Return `robustlab.feedback.closing` with K as a model, the identity if omitted."""
-    found = closing(plant, K, sign, where)
+def closed_around(
+    plant: Any, K: Any, sign: int | None, where: str, read: Callable[[Any, str], Any] = as_model
+) -> FeedbackLoop:
+    """Return `robustlab.feedback.closing` of models that are read, K the identity if omitted."""
+    found = closing(read(plant, f"{where}: plant"), K, sign, where)
     k = StateSpaceModel([], [], [], np.eye(len(found.plant.inputs))) if found.K is None else found.K
-    return replace(found, K=as_model(k, f"{where}: K"))
+    return replace(found, K=read(k, f"{where}: K"))
 
 
-def disk_channels(
-    plant: StateSpaceModel, K: StateSpaceModel, at: Place, skew: float, sign: int, apart: tuple[int, int] = (0, 0)
-) -> StateSpaceModel:
-    """Return the closed loop at the disks, ``S + (sigma - 1)/2``.
-
-    The first ``apart`` channels of plant and K are those of delays: they come first and stay open.
-    """
-    a, b = apart
-    m, p, q = plant.n_inputs - a, plant.n_outputs - a, plant.n_inputs + plant.n_outputs - 2 * a
-    P, K = _numbered(plant, "p"), _numbered(K, "k")
-    (pu, py), (ku, ky) = ((part.input_names, part.output_names) for part in (P, K))
-    # Inputs: outputs of delays, u, y; outputs: inputs of delays, u, y.
-    ins, outs = [*pu[:a], *ku[:b], *pu[a:], *ku[b:]], [*py[:a], *ky[:b], *ky[b:], *py[a:]]
-    joint = append(P, K).select(ins, outs)
-    B, C, D = joint.B, joint.C.copy(), joint.D.copy()
-    d, places = a + b, channel_places(m, p, at)
-    C[d : d + m] *= sign
-    D[d : d + m] *= sign
-    kept = np.eye(q)[list(places)]
+def disk_channels(loop: FeedbackLoop, at: Place, skew: float) -> Any:
+    """Return the closed loop at the disks, ``S + (sigma - 1)/2``."""
+    P, K = loop.plant, loop.K
+    m, p = P.n_inputs, P.n_outputs
+    one, places = np.eye(m + p), list(channel_places(m, p, at))
+    around = loop.sign * one[:, :m] @ K @ one[m:] + one[:, m:] @ P @ one[:m]  # (u, y) from (u, y)
     # The signal after a channel is the sum of its external input and the feedback.
-    general = StateSpaceModel(
-        joint.A,
-        np.hstack([B[:, :d], B[:, d:] @ kept.T, B[:, d:]]),
-        np.vstack([C[:d], np.zeros((len(kept), joint.n_states)), C[d:]]),
-        np.block([
-            [D[:d, :d], D[:d, d:] @ kept.T, D[:d, d:]],
-            [np.zeros((len(kept), d)), 0.5 * (skew + 1.0) * kept @ kept.T, kept],
-            [D[d:, :d], D[d:, d:] @ kept.T, D[d:, d:]],
-        ]),
-        plant.dt,
-    )  # fmt: skip
-    return lower_lft(general, StateSpaceModel([], [], [], np.eye(q), plant.dt))
-
-
-def _numbered(model: StateSpaceModel, prefix: str) -> StateSpaceModel:
-    """Give the signals unique names without units: the parts of a loop may share names."""
-    ins, outs = (
-        [f"{prefix}.{side}{i}" for i in range(n)] for side, n in (("u", model.n_inputs), ("y", model.n_outputs))
-    )
-    return StateSpaceModel(model.A, model.B, model.C, model.D, model.dt, ins, outs)
+    S = StateSpaceModel([], [], [], one, P.dt).feedback(around, sign=1)[places, places]
+    return S + 0.5 * (skew - 1.0) * np.eye(len(places))
 
 
 def check_disk(at: Place, skew: float, where: str) -> None:
     """Check the place of the disks and the skew."""
-    if at not in PLACES:
+    if at not in AT:
         raise InputError(f"{where}: at", f"{at!r}", "input, output or both")
     if not abs(skew) <= 1e6:
         raise InputError(f"{where}: skew", f"{skew!r}", "a number of at most 1e6 either way")
@@ -341,47 +287,33 @@ def with_factors(
     bounds: tuple[float, float],
     frequency: float | None,
     status: Status,
-    blocks: Sequence[Block],
+    system: Any,
     delta: Mapping[str, complex],
     skew: float,
-    dt: float = 0.0,
-    remarks: Sequence[str] = (),
-    system: Any = None,
     proof: Any = None,
 ) -> DiskMargin:
     """Return a margin with its critical factors, and models of them where real systems have these values."""
     half = 0.5 * (1.0 + skew)
     factor = {n: 1.0 + d / (1.0 - half * d) if abs(1 - half * d) > 1e-12 else complex(np.inf) for n, d in delta.items()}
-    perturbation, notes = {}, list(remarks)
+    models: dict[str, StateSpaceModel | None] = {}
+    note = ""
     if delta and frequency is not None:
         try:
-            made = realise_delta(blocks, delta, frequency, dt)
-        except InputError:
-            notes.append(
-                f"the critical deltas are complex at {frequency:.3g} rad/s, where systems with real coefficients are "
-                "real: no such system takes them there"
-            )
-        else:
+            made = realise_delta([ComplexScalar(name) for name in delta], delta, frequency, system.dt)
             models = {name: _factor_model(as_model(made[name]), skew) for name in delta}
-            perturbation = {name: model for name, model in models.items() if model is not None}
-            if len(perturbation) < len(models):
-                perturbation = {}
-                notes.append("a critical factor is infinite: no model of it is given")
+        except InputError:
+            note = (
+                f"the critical deltas are complex at {frequency:.3g} rad/s, where systems with real coefficients are "
+            )
+            note += "real: no such system takes them there"
+    if None in models.values():
+        note = "a critical factor is infinite: no model of it is given"
+    perturbation = {name: model for name, model in models.items() if model is not None and not note}
     low, high, phase = gain_and_phase(bounds[0], skew)
     return DiskMargin(
-        *bounds,
-        frequency,
-        status,
-        (low, high),
-        phase,
-        skew,
-        dict(delta),
-        tuple(notes),
-        factor,
-        perturbation,
-        system,
-        proof,
-    )
+        *bounds, frequency, status, (low, high), phase, skew, dict(delta), (note,) if note else (), factor,
+        perturbation, system, proof,
+    )  # fmt: skip
 
 
 def _factor_model(delta: StateSpaceModel, skew: float) -> StateSpaceModel | None:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from itertools import pairwise
 from math import comb, factorial
 
 import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.delays import error_weight, high_pass, pade, phase_bound, phase_error
+from robustlab.delays import error_weight, pade, phase_bound
 from robustlab.errors import InputError, NoTrustworthyNumber
 
 OMEGA = np.geomspace(1e-3, 1e3, 301)
@@ -86,7 +85,6 @@ def test_a_discrete_delay_is_a_chain_of_states():
         (lambda: rl.h2_norm(rl.delay(1.0)), r"pade\(order\)"),
         (lambda: rl.delay(1.0) @ rl.delay(1.0).uncertain(2), "cover the delays first"),
         (lambda: rl.delay(1.0).pade(-1), "from 0 to 40"),
-        (lambda: rl.delay(1.0).uncertain(2, spread=2.0), "the delay itself"),
         (lambda: rl.frequency_response(rl.delay(1.0), [np.inf]), "finite"),
     ],
 )
@@ -150,58 +148,17 @@ def test_the_bound_and_the_weight_exceed_the_true_error(order):
         assert (size[near] / error[near]).min() < 1.01
 
 
-@pytest.mark.parametrize(("order", "k"), [(1, 3), (2, 3), (3, 3), (3, 1), (4, 3), (4, 9), (6, 3), (8, 3), (12, 3)])
-def test_the_weight_is_proved_again_in_ball_arithmetic(order, k):
-    """Between close points, as error and weight both rise; every number with its rounding."""
-    flint = pytest.importorskip("flint")
-    weight = error_weight(order, k)
-    gain, corner = flint.arb(weight.gain), flint.arb(weight.corner)
-    # P_n = (2n)! / n! Q_n, from its closed form
-    p = [factorial(2 * order - i) * comb(order, i) // factorial(order) for i in range(order + 1)]
-    poly = flint.acb_poly([flint.acb(c) for c in p])
-    mirror = flint.acb_poly([flint.acb(c * (-1) ** i) for i, c in enumerate(p)])
-    bound = phase_bound(order)
-
-    def error(x):
-        s = flint.acb(0, flint.arb(x))
-        return abs((-s).exp() - mirror(s) / poly(s))
-
-    def size(x):
-        ratio = (flint.arb(x) / corner) ** (2 * k)
-        return gain * (ratio / (1 + ratio)).sqrt()
-
-    first = (1e-4 / bound.coefficient) ** (1.0 / bound.power)
-    # below: c x^m against g x^k / sqrt(x^2k + a^2k), whose ratio falls with x as k <= m
-    assert flint.arb(bound.coefficient) * flint.arb(first) ** bound.power <= size(first)
-    x = np.linspace(first, 2 * first + 3 * order + 8, 8001)
-    theta = np.unwrap(phase_error(x, order))
-    beyond = int(np.argmax(theta >= 3.1))
-    assert beyond > 0
-    assert all(error(b) <= size(a) for a, b in pairwise(x[: beyond + 1]))
-    assert size(x[beyond]) >= 2
-
-
-def test_the_test_of_the_weight_can_fail():
-    weight = error_weight(4, 3)
-    x = np.linspace(1, 40, 4000)
-    error = np.abs(np.exp(-1j * x) - response(pade(1.0, 4), x))
-    assert (error > np.abs(response(high_pass(weight.gain, 1.02 * weight.corner, 3), x))).any()
-
-
-@pytest.mark.parametrize(("order", "spread", "true"), [(1, 0.0, 0.4), (3, 0.0, 0.4), (3, 0.1, 0.33), (2, 0.4, 0.8)])
-def test_the_set_contains_the_model_with_its_delay(order, spread, true):
-    model = 3.0 * LAG @ rl.delay(0.4)
-    cover = model.uncertain(order, spread)
+@pytest.mark.parametrize("order", [1, 3])
+def test_the_set_contains_the_model_with_its_delay(order):
+    cover = (3.0 * LAG @ rl.delay(0.4)).uncertain(order)
     (block,) = cover.blocks
-    assert block.name == (
-        "spread 1 of 0.4 s +- " + f"{spread} s" if spread else f"delay of 0.4 s (order {order}, slope 3)"
-    )
-    weight = error_weight(order, 3, spread / 0.4).scaled(0.4)
+    assert block.name == f"delay of 0.4 s (order {order}, slope 3)"
+    weight = error_weight(order, 3).scaled(0.4)
     for w in (0.05, 1.0, 7.0, 40.0):
-        delta = (np.exp(-1j * w * true) - response(pade(0.4, order), [w])[0]) / response(weight, [w])[0]
+        delta = (np.exp(-0.4j * w) - response(pade(0.4, order), [w])[0]) / response(weight, [w])[0]
         assert abs(delta) <= 1.0
         found = cover.response([w], {block.name: complex(delta)})[0, 0, 0]
-        assert found == pytest.approx(3 * np.exp(-1j * w * true) / (1j * w + 1), abs=1e-9)
+        assert found == pytest.approx(3 * np.exp(-0.4j * w) / (1j * w + 1), abs=1e-9)
 
 
 @pytest.mark.parametrize("order", [4, 5, 6, 9])
@@ -237,5 +194,3 @@ def test_an_uncertain_model_with_a_delay_in_a_range():
     assert late.response([w], delta)[0, 0, 0] == pytest.approx(expected, abs=1e-12)
     with pytest.raises(InputError, match="range of such"):
         rl.with_delays(plant, inputs={0: (0.3, 0.1)})
-    with pytest.raises(InputError, match="a range of delays"):
-        rl.with_delays(LAG, inputs={0: 0.1}, order=2)

@@ -82,22 +82,6 @@ def test_a_neutral_loop_repeats_its_jumps():
     assert np.abs(y - (1 - (-0.5) ** (steps + 1)) / 1.5).max() < 1e-12
 
 
-def test_delays_without_a_common_sample_time():
-    inner = DelayedModel(
-        rl.StateSpaceModel(
-            [[-1.0]], [[-0.8, -0.5, 1.0]], [[1.0], [1.0], [1.0]], np.zeros((3, 3)), outputs=["z1", "z2", "y1"]
-        ),
-        [0.37, np.sqrt(2) / 2],
-    )
-    t = np.linspace(0, 4, 41)
-    y = rl.simulate(inner, t, np.ones(41))["y1"]
-    fine = rl.simulate(inner, np.linspace(0, 4, 201), np.ones(201), rtol=1e-11)["y1"][::5]
-    assert np.abs(y - fine).max() < 1e-9
-    # Padé of high order is an independent method, accurate to its own bound
-    rational = rl.simulate(inner.pade(20), t, np.ones(41))["y1"]
-    assert np.abs(y - rational).max() < 1e-3
-
-
 def integrated(A, B, C, d, delays, t):
     """x' = A x + B [w, 1], z = C x + d, w_i = z_i(t - tau_i), by Runge-Kutta from one kink to the next."""
     n, ends = len(delays), {0.0, float(t[-1])}

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.mu_analysis import DelayAxis
 
 LAG = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
 INTEGRATOR = rl.StateSpaceModel([[0.0]], [[1.0]], [[1.0]], [[0.0]])
@@ -27,7 +26,7 @@ def test_an_integrator_with_a_delay_has_its_closed_forms():
         assert margin.gain_margin == (0.0, pytest.approx(np.pi / 2 / tau, rel=1e-9))
         assert margin.phase_margin == pytest.approx(np.pi / 2 - tau, rel=1e-9)
         assert margin.delay_margin == pytest.approx(np.pi / 2 - tau, rel=1e-9)
-        assert margin.status is rl.Status.CERTIFIED
+        assert margin.status is rl.Status.CONVERGED
 
 
 @pytest.mark.slow
@@ -45,14 +44,14 @@ def test_all_of_many_crossings_are_found():
     least = min((f for f in factors if f >= 1), default=np.inf)
     wanted = [f for f in factors if f <= least * (1 + 1e-3)]
     assert sorted(c.factor for c in S.phase_crossings) == pytest.approx(wanted, rel=2e-3)
-    assert S.status is rl.Status.CERTIFIED
+    assert S.status is rl.Status.CONVERGED
 
 
 def test_closed_loops_at_the_margins_have_the_stated_stability():
     P = two_by_two()
     loop = rl.classical_margins(P, K2)
     for i, (name, margin) in enumerate(loop.channels.items()):
-        assert margin.status is rl.Status.CERTIFIED
+        assert margin.status is rl.Status.CONVERGED
         for factor, stable in ((0.97, True), (1.03, False)):
             change = np.eye(2)
             change[i, i] = margin.gain_margin[1] * factor
@@ -94,35 +93,6 @@ def _grown(factor, size):
     change = factor - one
     delta = size * change @ (one + 0.5 * change).inverse()
     return one + delta @ (one - 0.5 * delta).inverse()
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_the_bounds_of_the_axis_hold_at_random_points(seed):
-    rng = np.random.default_rng(seed)
-    k, n = 2, 3
-    H = rl.StateSpaceModel(
-        rng.standard_normal((n, n)) * 3 - 3 * np.eye(n), rng.standard_normal((n, k + 2)),
-        rng.standard_normal((k + 2, n)), 0.3 * rng.standard_normal((k + 2, k + 2)),
-    )  # fmt: skip
-    G = rl.DelayedModel(H, [0.4, 1.3])
-    axis = DelayAxis(G, [0, 1], [0, 1])
-    middle, half = rng.uniform(0.0, 10.0, 200), 10.0 ** rng.uniform(-4, -0.5, 200)
-    local = axis.local_response(middle)
-    spread, curve = local.spread(half), axis.curvature(local, half)
-    tight = 0.0
-    for _ in range(20):
-        step = rng.uniform(-1.0, 1.0, 200) * half
-        there = rl.frequency_response(G, middle + step)
-        away = np.linalg.norm(there - local.value, 2, axis=(1, 2))
-        assert (away <= spread + 1e-12).all()
-        rest = np.linalg.norm(there - local.value - step[:, None, None] * local.slope, 2, axis=(1, 2))
-        assert (rest <= 0.5 * step**2 * curve + 1e-11).all()
-        tight = max(tight, float((away / spread).max()))
-    assert tight > 0.05  # the bounds are not loose
-    for omega in (20.0, 100.0, 1000.0):
-        bound = axis.far(omega, axis.D)
-        far = rl.frequency_response(G, omega * np.geomspace(1.0, 50.0, 300))
-        assert (np.linalg.norm(far - axis.D, 2, axis=(1, 2)) <= bound).all()
 
 
 def test_an_integrator_in_the_loop_is_no_pole_of_it():

@@ -46,24 +46,13 @@ def test_a_neutral_loop_is_stable_only_with_a_proof():
 
 
 def test_invalid_requests_are_rejected():
-    with pytest.raises(InputError, match="from 1 to 16"):
-        rl.robust_stability(rl.delay(1.0), order=0)
+    with pytest.raises(InputError, match=r"order: given for a model with exact delays"):
+        rl.robust_stability(rl.delay(1.0), order=4)
     with pytest.raises(InputError, match=r"pole: given for a model with exact delays"):
         rl.robust_stability(rl.delay(1.0), pole=1.0)
 
 
 # --- proofs for a set that contains the loop ------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("k", "tau"), [(2.0, 0.5), (1.9, 1.0), (0.5, 3.0), (6.0, 0.2)])
-def test_the_gain_of_a_loop_is_bracketed(k, tau):
-    s = 1j * np.linspace(0.0, 60, 600_001)
-    L = k * np.exp(-tau * s) / (s + 1)
-    found = rl.peak_gain((k * LAG @ rl.delay(tau)).feedback())
-    peak = np.abs(L / (1 + L)).max()
-    assert found.status is Status.CERTIFIED
-    assert found.lower == pytest.approx(peak, rel=1e-8)
-    assert peak <= found.upper <= 1.01 * peak
 
 
 PAIR = rl.with_delays(
