@@ -7,7 +7,6 @@ r"""State-space models of linear descriptor forms, algebraic equations eliminate
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -80,25 +79,6 @@ SAME = 1e-8
 POINTS = 9
 
 
-@dataclass(frozen=True, eq=False)
-class Eliminated:
-    """State-space model of a descriptor form, with the evidence."""
-
-    model: StateSpaceModel
-    index: int  # 0: E has an inverse; 1: algebraic equations
-    # indices of the given states that remain; None where the model's states are combinations of them
-    kept: tuple[int, ...] | None
-    n_given: int  # number of states given
-    residual: (
-        float  # largest relative difference of the two transfer matrices at nine points off the stability boundary
-    )
-
-    def __str__(self) -> str:
-        count = self.n_given - self.model.n_states
-        result = f"{count} of {self.n_given} states eliminated" if count else "E has an inverse, all states stay"
-        return f"descriptor form of index {self.index}: {result}; relative residual {self.residual:.1e}"
-
-
 @error_context("descriptor")
 def descriptor(
     A: ArrayLike,
@@ -151,23 +131,28 @@ def descriptor(
     >>> circuit.A, circuit.C, circuit.D, circuit.state_names
     (array([[-1.]]), array([[-0.5]]), array([[0.5]]), ('v',))
     """
-    return eliminated(StateSpaceModel(A, B, C, D, dt, inputs, outputs, states, where=where), E, where).model
+    return eliminated(StateSpaceModel(A, B, C, D, dt, inputs, outputs, states, where=where), E, where)[0]
 
 
-def eliminated(given: StateSpaceModel, E: ArrayLike, where: str = "descriptor") -> Eliminated:
-    """Eliminate the algebraic equations of a model with a descriptor matrix E."""
+def eliminated(
+    given: StateSpaceModel, E: ArrayLike, where: str = "descriptor"
+) -> tuple[StateSpaceModel, list[int] | None, float]:
+    """Eliminate the algebraic equations of a model with a descriptor matrix E.
+
+    Next to the model: the given states that remain, None where its states are combinations of them; the largest
+    relative difference of the two transfer matrices at nine points off the stability boundary.
+    """
     e, n = real_array("E", E, 2, where), given.n_states
     if e.shape != (n, n):
         raise InputError(where, f"E is {e.shape}", f"{(n, n)} as A")
-    form = e, given.A, given.B, given.C, given.D
     rated, kept = (np.asarray(e.any(axis=axis), dtype=np.bool_) for axis in (1, 0))
-    found = _without_algebraic(form, rated, kept)
+    found = _without_algebraic((e, given.A, given.B, given.C, given.D), rated, kept)
+    own: list[int] | None = np.flatnonzero(kept).tolist()
     if found is None:  # only other coordinates separate the states with a rate from those without
         turned, rated = _turned(e, given, where)
-        found, kept = _without_algebraic(turned, rated, rated), None
+        found, own = _without_algebraic(turned, rated, rated), None
         assert found is not None
     a, b, c, d = found
-    own = None if kept is None else tuple(np.flatnonzero(kept).tolist())
     states = signals(None if own is None else [given.states[k] for k in own], len(a), "x", where)
     model = StateSpaceModel(a, b, c, d, given.dt, given.inputs, given.outputs, states, where=where)
     residual = 0.0
@@ -180,7 +165,7 @@ def eliminated(given: StateSpaceModel, E: ArrayLike, where: str = "descriptor") 
         text = f"the model without algebraic equations differs from the descriptor form by {residual:.1e}"
         hint = "is a singular value of E neither zero nor clearly not?"
         raise NoTrustworthyNumber(where, text, f"at most {SAME:.0e} of the transfer matrix", hint)
-    return Eliminated(model, int(len(a) < n), own, n, residual)
+    return model, own, residual
 
 
 def _has_inverse(matrix: Array) -> bool:

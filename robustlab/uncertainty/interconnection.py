@@ -5,18 +5,18 @@ Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), section 9.1.
 
 # Every interconnection of LFTs is an LFT in the same named blocks; a plain model is one without blocks. A block name
 # in several operands is the same uncertainty: its channels become one repeated block, which is then reduced. Signals
-# keep their names; of equal ones the later get _2, _3, ... A stable weight, the size of a dynamic uncertainty at each
-# frequency, becomes part of M, so that Delta stays normalised: w = Delta W z (side z), w = W Delta z (side w).
+# keep their names; of equal ones the later get _2, _3, ...
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.linear_analysis.structural import strong_components
 from robustlab.signals import MAX_NAME
 from robustlab.statespace import Signal, StateSpaceModel, append
 from robustlab.uncertainty.blocks import Block, block_slices, structure_size
@@ -68,7 +68,7 @@ def joined(
     out, d22 = out[:, [*range(n), *(n + k for k in w)]], m.D[np.ix_(y, u)]
     # y = out (x, w) + D22 u, u = K y + E v = gain (x, w, v)
     around, n_v = wiring.K @ d22, wiring.E.shape[1]
-    acyclic = _is_acyclic(around)
+    acyclic = not around.diagonal().any() and len(set(strong_components(around != 0))) == len(around)
     if not acyclic and is_singular(around):
         found = "the loop is not well posed at Delta = 0 (every block at its nominal value): I - K D22 is singular"
         raise NoTrustworthyNumber(where, found)
@@ -90,7 +90,7 @@ def joined(
         return model, blocks
     from robustlab.uncertainty.reduction import reduce_blocks  # files of sets are read without it
 
-    return reduce_blocks(model, blocks, names=merged, keep=True)
+    return reduce_blocks(model, blocks, names=merged, keep=True)[:2]
 
 
 def unnamed(m: StateSpaceModel, mark: str, where: str = "StateSpaceModel") -> StateSpaceModel:
@@ -139,80 +139,9 @@ def unique_names(given: Sequence[Signal]) -> list[Signal]:
     return result
 
 
-def _is_acyclic(matrix: Array) -> bool:
-    """Return whether the non-zero entries form no cycle, so that I - matrix has determinant one."""
-    edges = matrix != 0
-    alive = np.ones(len(edges), dtype=bool)
-    while alive.any():
-        leaves = alive & ~(edges[:, alive].any(axis=1))
-        if not leaves.any():
-            return False
-        alive &= ~leaves
-    return True
-
-
 def recentred(M: StateSpaceModel, blocks: Sequence[Block], centre: Array, scale: Array, where: str) -> StateSpaceModel:
     """Return M for Delta' with Delta = ``centre + scale Delta'``: ``w = centre z + scale w'``."""
     q, p = structure_size(blocks)
     K, E = np.zeros((M.n_inputs, M.n_outputs)), np.eye(M.n_inputs)
     K[:q, :p], E[:q, :q] = centre, scale
     return joined([(M, ())], Wiring(K, E, np.eye(M.n_outputs)), M.inputs, M.outputs, where)[0]
-
-
-def weighted(M: StateSpaceModel, given: Sequence[Block], weights: Mapping[str, Part], side: str) -> Part:
-    """Return M and blocks with a stable weight in the channels of each named block; see `UncertainModel.weighted`."""
-    if side not in ("z", "w"):
-        raise InputError("weighted", f"side {side!r}", "'z' (before Delta) or 'w' (after it)")
-    names = tuple(b.name for b in given)
-    for name in weights:
-        if name not in names:
-            expected = f"one of {', '.join(names) or 'none'}"
-            raise InputError(f"weighted: {name!r}", "no such block", expected, did_you_mean(name, names))
-    parts, blocks, wires = [M], list(given), []
-    channels: list[int] = []  # the channels of the result on that side
-    (q, p), n_in, n_out = structure_size(given), M.n_inputs, M.n_outputs
-    for i, (block, (w, z)) in enumerate(zip(given, block_slices(given), strict=True)):
-        if block.name not in weights:
-            channels += range(z.start, z.stop) if side == "z" else range(w.start, w.stop)
-            continue
-        weight, blocks[i] = _weight(block, weights[block.name], side)
-        parts.append(weight)
-        wires.append((n_in, z.start, block.cols) if side == "z" else (w.start, n_out, block.rows))
-        after_in, after_out = n_in + weight.n_inputs, n_out + weight.n_outputs
-        channels += range(n_out, after_out) if side == "z" else range(n_in, after_in)
-        n_in, n_out = after_in, after_out
-    E, F = np.eye(n_in)[:, : M.n_inputs], np.eye(n_out)[: M.n_outputs]
-    if side == "z":
-        F = np.eye(n_out)[[*channels, *range(p, M.n_outputs)]]
-    else:
-        E = np.eye(n_in)[:, [*channels, *range(q, M.n_inputs)]]
-    sides = channels_first(blocks, M.inputs[q:], M.outputs[p:])
-    found, _ = joined([(m, ()) for m in parts], Wiring(ones(n_in, n_out, *wires), E, F), *sides, "weighted")
-    return found, tuple(blocks)
-
-
-def _weight(block: Block, given: Part, side: str) -> tuple[StateSpaceModel, Block]:
-    """Return the weight on all channels of one block, and the remaining block of Delta."""
-    where = f"weighted: {block.name!r}"
-    if block.is_real:
-        raise InputError(where, "a real parameter", "a full or complex block", "a parameter's range is its weight")
-    weight, own = given
-    if own:
-        raise InputError(where, "an uncertain weight", "a model without uncertainty")
-    if weight.n_states and not weight.is_stable():
-        raise InputError(where, f"an unstable weight (abscissa {weight.spectral_abscissa():.6g})", "a stable weight")
-    size = block.cols if side == "z" else block.rows
-    shape = weight.n_outputs, weight.n_inputs
-    if shape == (1, 1):
-        A, B, C, D = (np.kron(np.eye(size), X) for X in (weight.A, weight.B, weight.C, weight.D))
-        marks = [f"#{k + 1}" if size > 1 else "" for k in range(size)]
-        states = [f"{block.name}: {s.name}{mark}" for mark in marks for s in weight.states]
-        return StateSpaceModel(A, B, C, D, weight.dt, states=states), block
-    if block.is_scalar:
-        raise InputError(where, f"a weight of {shape[0]} x {shape[1]}", "1 x 1 for a scalar block")
-    if shape[side == "z"] != size or 0 in shape:
-        wanted = f"n x {size}" if side == "z" else f"{size} x n"
-        raise InputError(where, f"a weight of {shape[0]} x {shape[1]}", f"1 x 1 or {wanted} (side {side})")
-    states = [f"{block.name}: {s.name}" for s in weight.states]
-    weight = StateSpaceModel(weight.A, weight.B, weight.C, weight.D, weight.dt, states=states)
-    return weight, block.resized(block.rows, shape[0]) if side == "z" else block.resized(shape[1], block.cols)

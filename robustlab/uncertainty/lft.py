@@ -41,7 +41,6 @@ from robustlab.uncertainty.interconnection import (
     recentred,
     unique_names,
     unnamed,
-    weighted,
 )
 from robustlab.uncertainty.upper_lft import closed_response, is_singular, upper_lft
 
@@ -239,40 +238,6 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
     def inverse(self) -> UncertainModel:
         """Return the set of the inverses of a square set; inputs and outputs are exchanged."""
         return inverse(self)
-
-    def weighted(self, weights: Mapping[str, Any], side: str = "z") -> UncertainModel:
-        """Return the set with a stable weight in the channels of each named block; block names are kept.
-
-        Parameters
-        ----------
-        weights
-            Block name -> weight: StateSpaceModel, matrix or number. A 1 x 1 weight acts on every channel of the block.
-            A full block also takes a matrix weight: on side z with as many inputs as the block's z, on side w with as
-            many outputs as its w; the weight's other side becomes the size of the block.
-        side
-            ``"z"``: before Delta; ``"w"``: after it.
-
-        Returns
-        -------
-        UncertainModel
-            At Delta: the given set at ``Delta W`` or ``W Delta``. States: those of M, then of the weights.
-
-        Raises
-        ------
-        InputError
-            No such block, a real block (its range is its weight), a weight that is unstable, or of another sample time
-            or a wrong size.
-
-        Examples
-        --------
-        >>> from robustlab.uncertainty.blocks import ComplexScalar
-        >>> plant = UncertainModel(StateSpaceModel([], [], [], [[0.0, 1.0], [1.0, 1.0]]), [ComplexScalar("dynamics")])
-        >>> weight = StateSpaceModel([[-10.0]], [[1.0]], [[10.0]], [[0.0]])
-        >>> plant.weighted({"dynamics": weight}).evaluate({"dynamics": 0.5}).dc_gain()
-        array([[1.5]])
-        """
-        read = {name: as_uncertain(given, f"weighted: {name!r}") for name, given in weights.items()}
-        return UncertainModel(*weighted(self.M, self.blocks, {k: (g.M, g.blocks) for k, g in read.items()}, side))
 
     def physical(self, delta: Mapping[str, Any]) -> dict[str, tuple[float, str]]:
         """Return the parameter values and units of a Delta, for real blocks with a physical parameter."""

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.linear_analysis.magnitude import balancing_factors
 from robustlab.linear_analysis.structural import strong_components
 from robustlab.statespace import StateSpaceModel
 
 ILL_POSED = 1e12  # condition number of I - M11 Delta above which results are rounding
-PASSES = 20  # passes of balancing
-LARGEST_EXPONENT = 200.0  # limit of balancing, which is unbounded without a cycle
 
 
 def is_singular(product: ArrayLike) -> bool:
@@ -26,7 +23,8 @@ def is_singular(product: ArrayLike) -> bool:
     for k in range(int(label.max()) + 1):
         part = np.flatnonzero(label == k)
         inner = matrix[part[:, None], part]
-        if inner.any() and not np.linalg.cond(np.eye(len(part)) - balanced(inner)) <= ILL_POSED:
+        scale = balancing_factors(inner)  # the answer is independent of the units of channels
+        if inner.any() and not np.linalg.cond(np.eye(len(part)) - inner / scale[:, None] * scale) <= ILL_POSED:
             return True
     return False
 
@@ -69,28 +67,3 @@ def closed_response(m: AnyArray, d: AnyArray) -> AnyArray:
     q, p = d.shape[-2:]
     loop = np.eye(p) - m[:, :p, :q] @ d
     return m[:, p:, q:] + m[:, p:, :q] @ d @ np.linalg.solve(loop, m[:, :p, q:])
-
-
-# --- balancing by powers of two: makes the tests independent of the units of channels ---------------------------------
-
-
-def balancing_scale(matrix: ArrayLike) -> NDArray[np.float64]:
-    """Return the diagonal t (n,) of powers of two for which :math:`T^{-1} M T` has rows and columns of like size."""
-    with np.errstate(divide="ignore"):
-        level = np.log2(np.abs(np.asarray(matrix)))
-    np.fill_diagonal(level, -np.inf)
-    exponent = np.zeros(len(level))
-    for _ in range(PASSES):
-        for k in range(len(exponent)):
-            row = (level[k] - exponent[k] + exponent).max(initial=-np.inf)
-            col = (level[:, k] - exponent + exponent[k]).max(initial=-np.inf)
-            if np.isfinite([row, col]).all():
-                exponent[k] += 0.5 * (row - col)
-        exponent = np.clip(exponent, -LARGEST_EXPONENT, LARGEST_EXPONENT)
-    return np.exp2(np.rint(exponent))
-
-
-def balanced(matrix: ArrayLike) -> NDArray[Any]:
-    """Return ``T^-1 M T`` with the scale of `balancing_scale`."""
-    scale = balancing_scale(matrix)
-    return np.asarray(matrix) / scale[:, None] * scale
