@@ -16,9 +16,9 @@ from robustlab.arrays import AnyArray, Array, Mask
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.structural import drop_unconnected
 from robustlab.signals import SignalLike, real_array, signals
-from robustlab.statespace import OperatingPoint, StateSpaceModel, is_rank_deficient
+from robustlab.statespace import StateSpaceModel, is_rank_deficient
 from robustlab.uncertainty.blocks import Block
-from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.lft import UncertainModel, with_channels
 
 # Relative rounding in rank decisions.
 ROUNDING = 1e-12
@@ -41,37 +41,20 @@ def solved(e: Array, right: Array, where: str) -> Array:
     return np.asarray(np.linalg.solve(e, right), dtype=float)
 
 
-def closed_descriptor(
-    nominal: StateSpaceModel,
-    e: Array,
-    channels: Channels,
-    where: str,
-    outputs: Sequence[str] | None = None,
-    point: OperatingPoint | None = None,
-) -> UncertainModel:
+def closed_descriptor(nominal: StateSpaceModel, e: Array, channels: Channels, where: str) -> UncertainModel:
     """Return the uncertain model around a nominal one whose descriptor form has E and these channels."""
-    n, n_u, n_y = nominal.n_states, nominal.n_inputs, nominal.n_outputs
+    n, m = nominal.n_states, nominal.n_states + nominal.n_inputs
     left, right, inner, blocks = channels
-    into_x = solved(e, left[:n], where) + 0.0  # no negative zeros
-    r_x, r_u, r_rate = right[:, :n], right[:, n : n + n_u], right[:, n + n_u :]
-    w_names = [f"{b.name}[{i + 1}]" if b.rows > 1 else b.name for b in blocks for i in range(b.rows)]
-    z_names = [f"{b.name}[{i + 1}]" if b.cols > 1 else b.name for b in blocks for i in range(b.cols)]
-    m = StateSpaceModel(
-        nominal.A,
-        np.hstack([into_x, nominal.B]),
-        np.vstack([r_x + r_rate @ nominal.A, nominal.C]),
-        np.block([[inner + r_rate @ into_x, r_u + r_rate @ nominal.B], [left[n:].reshape(n_y, -1), nominal.D]]),
-        0.0,
-        [*(f"w_{name}" for name in w_names), *nominal.inputs],
-        [*(f"z_{name}" for name in z_names), *nominal.outputs],
-        nominal.states,
-        where=f"{where}: uncertain",
-    )
+    into_x, rate = solved(e, left[:n], where) + 0.0, right[:, m:]  # no negative zeros
+    seen = right[:, :m] + rate @ np.hstack([nominal.A, nominal.B])
+    return with_channels(nominal, blocks, np.vstack([into_x, left[n:]]), seen, inner + rate @ into_x)
+
+
+def with_outputs(model: UncertainModel, outputs: Sequence[str] | None) -> UncertainModel:
+    """Return the set with some outputs only, without the states and the operating point of the others."""
     if outputs is None:
-        return UncertainModel(m, blocks, point)
-    kept = m.select(m.input_names, [*(f"z_{name}" for name in z_names), *outputs])
-    # the operating point belongs to all outputs
-    return UncertainModel(drop_unconnected(kept), blocks)
+        return model
+    return UncertainModel(drop_unconnected(model.select(outputs=outputs).M), model.blocks)
 
 
 # Allowed relative difference between the transfer matrices of the model and the descriptor form.

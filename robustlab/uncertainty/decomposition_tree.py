@@ -77,11 +77,15 @@ class MatrixPolynomial:
     names: tuple[Hashable, ...]  # the variables
     terms: Terms  # exponents -> coefficient (m, n); the constant one is always there
 
+    @property
+    def is_affine(self) -> bool:
+        return all(sum(exponents) <= 1 for exponents in self.terms)
+
     def __call__(self, t: Array) -> Array:
-        """Evaluate the matrix (m, n) at t, shape (number of names,)."""
-        powers = [np.prod(np.power(t, exponents)) for exponents in self.terms]
+        """Evaluate the matrix (..., m, n) at t, shape (..., number of names)."""
+        powers = np.stack([np.prod(t**exponents, axis=-1) for exponents in self.terms], axis=-1)
         coefficients: Any = np.stack(list(self.terms.values()))
-        return np.tensordot(np.array(powers), coefficients, 1)
+        return np.tensordot(powers, coefficients, 1)
 
 
 def polynomial_lft(polynomial: MatrixPolynomial, scale: Array, tolerance: float) -> ConstantLft:
@@ -99,7 +103,7 @@ def decompositions(
     names, terms = polynomial.names, polynomial.terms
     found: dict[tuple[Any, ...], ConstantLft] = {}
     least = sum(weight(name) for k, name in enumerate(names) if any(e[k] for e in terms))
-    for order in [range(len(names))] if all(sum(e) <= 1 for e in terms) else _orders(len(names)):
+    for order in [range(len(names))] if polynomial.is_affine else _orders(len(names)):
         channels, *parts = _expanded(terms, order, tolerance)
         own = tuple(names[k] for k in channels)
         found.setdefault(own, ConstantLft(own, *(np.asarray(part, dtype=np.float64) for part in parts)))
