@@ -16,6 +16,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError, UnitMismatch, did_you_mean, error_context
+from robustlab.linear_analysis.magnitude import equilibrating_exponents
 from robustlab.signals import MAX_NAME
 from robustlab.statespace import MAX_STATES, Signal, StateSpaceModel, as_model
 from robustlab.uncertainty.blocks import FullBlock, RealScalar
@@ -233,16 +234,8 @@ def _difference(nominal: StateSpaceModel, perturbed: StateSpaceModel, tolerance:
 
 def natural_magnitude(size: Array) -> Array:
     """Return powers of two ``r_i c_j`` for which ``size / (r c^T)`` has rows and columns with maxima near 1."""
-    with np.errstate(divide="ignore"):
-        level = np.log2(size)
-    row, col = np.zeros(size.shape[0]), np.zeros(size.shape[1])
-    if size.size == 0:
-        return np.ones(size.shape)
-    for _ in range(20):
-        for axis, exponent in ((1, row), (0, col)):
-            peak = (level - row[:, None] - col).max(axis=axis)
-            exponent += np.where(np.isfinite(peak), 0.5 * peak, 0.0)
-    return np.exp2(np.clip(np.rint(row)[:, None] + np.rint(col), -1000, 1000))
+    row, col = equilibrating_exponents(size)
+    return np.exp2(-1.0 * (row[:, None] + col))
 
 
 # --- factorisations of the structures --------------------------------------------------------------------------------

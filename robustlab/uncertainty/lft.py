@@ -36,13 +36,15 @@ from robustlab.uncertainty.blocks import Block, as_blocks, block_slices, delta_m
 from robustlab.uncertainty.interconnection import (
     Wiring,
     channels_first,
+    closed_response,
+    is_singular,
     joined,
     ones,
     recentred,
     unique_names,
     unnamed,
+    upper_lft,
 )
-from robustlab.uncertainty.upper_lft import closed_response, is_singular, upper_lft
 
 
 @dataclass(frozen=True, init=False, eq=False)

@@ -22,6 +22,7 @@ REAL = 1e-7  # relative imaginary part that is rounding where only real values e
 END = 1e-9  # a discrete frequency is an end of the axis if omega dt / 2 is this close to 0 or pi / 2
 MISSED = 1e-10  # allowed relative error of a realised value
 NEAR = 1e-2  # phases closer to 0 than this need two factors: one would have its pole 1/NEAR away from omega
+MIXES = (0.0, 0.5772156649, -1.6180339887, 2.6651441426)
 NOTHING = 1e-14  # relative singular values below this are not realised
 
 
@@ -101,32 +102,26 @@ def _orthogonal_and_phases(columns: ComplexArray) -> tuple[Array, Array, Array]:
     basis, s, _ = np.linalg.svd(np.hstack([columns.real, columns.imag]), full_matrices=False)
     basis = basis[:, s > 1e-13]
     small = basis.T @ columns
-    m = small.shape[0]
     # Completed to a square unitary matrix.
-    rest = np.linalg.svd(small, full_matrices=True)[0][:, small.shape[1] :]
-    unitary = np.hstack([small, rest])
+    unitary = np.hstack([small, np.linalg.svd(small, full_matrices=True)[0][:, small.shape[1] :]])
     symmetric = unitary @ unitary.T
-    best: tuple[float, Array, Array, Array] | None = None
-    # Real and imaginary part commute; a generic combination of them has their common eigenvectors.
-    for mix in (0.0, 0.5772156649, -1.6180339887, 2.6651441426):
+
+    def factors(mix: float) -> tuple[Array, Array, ComplexArray]:
+        # Real and imaginary part commute; a generic combination of them has their common eigenvectors.
         _, vectors = np.linalg.eigh(symmetric.real + mix * symmetric.imag)
         theta = np.angle(np.einsum("ik,ij,jk->k", vectors, symmetric, vectors)) / 2
-        right = np.exp(-1j * theta)[:, None] * (vectors.T @ unitary)
-        error = float(np.abs(right.imag).max(initial=0.0))
-        if best is None or error < best[0]:
-            best = error, vectors, theta, right.real
-    assert best is not None
-    _, vectors, theta, right = best
-    return basis @ vectors, theta, right[:, : m - rest.shape[1]]
+        return vectors, theta, np.exp(-1j * theta)[:, None] * (vectors.T @ unitary)
+
+    vectors, theta, right = min(map(factors, MIXES), key=lambda made: float(np.abs(made[2].imag).max(initial=0.0)))
+    return basis @ vectors, theta, right.real[:, : small.shape[1]]
 
 
 def _phases(theta: Array, omega: float) -> list[list[tuple[float, float]]]:
     """Return the all-pass factors ``sign (a - s)/(a + s)`` of each phase as (sign, a); ``a = 0``: a constant."""
-    return [_factors(float(t), omega) for t in theta]
+    return [_factors(float(np.angle(np.exp(1j * t))), omega) for t in theta]
 
 
 def _factors(theta: float, omega: float) -> list[tuple[float, float]]:
-    theta = float(np.angle(np.exp(1j * theta)))
     if abs(np.sin(theta)) <= 4 * np.finfo(float).eps:
         return [(1.0 if np.cos(theta) > 0 else -1.0, 0.0)]
     sign = 1.0 if abs(theta) <= np.pi / 2 else -1.0
@@ -135,9 +130,7 @@ def _factors(theta: float, omega: float) -> list[tuple[float, float]]:
         # +90 degrees and back: both poles are next to omega.
         return [(-sign, omega), (1.0, omega / np.tan(np.pi / 4 - small / 2))]
     # (a - s)/(a + s) turns by -2 atan(omega / a): between 0 and -180 degrees.
-    if theta < 0:
-        return [(1.0, omega / np.tan(-theta / 2))]
-    return [(-1.0, omega * np.tan(theta / 2))]
+    return [(1.0, omega / np.tan(-theta / 2)) if theta < 0 else (-1.0, omega * np.tan(theta / 2))]
 
 
 def _scaled(channels: list[list[tuple[float, float]]], left: Array, right: Array) -> StateSpaceModel:
