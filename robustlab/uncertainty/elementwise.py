@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import itertools
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -217,19 +218,21 @@ class _Part(NamedTuple):
 
 
 def _difference(nominal: StateSpaceModel, perturbed: StateSpaceModel, tolerance: float) -> _Difference:
-    n = nominal.n_states
     first, second = (np.block([[m.A, m.B], [m.C, m.D]]) for m in (nominal, perturbed))
-    size = np.maximum(np.abs(first), np.abs(second))
-    scale = natural_magnitude(size)
-    # The large units of its row and column must not hide an entry of a matrix of small numbers.
-    limit = scale.copy()
-    for rows in (slice(0, n), slice(n, None)):
-        for cols in (slice(0, n), slice(n, None)):
-            limit[rows, cols] = np.minimum(limit[rows, cols], size[rows, cols].max(initial=0.0))
-    e = second - first
+    size, n = np.maximum(np.abs(first), np.abs(second)), nominal.n_states
+    limit, e = entry_scale(size, n), second - first
     e[np.abs(e) <= tolerance * limit] = 0.0
     row_names, col_names = nominal.state_names + nominal.output_names, nominal.state_names + nominal.input_names
-    return _Difference(e, scale, max(tolerance, EXACT) * limit, n, row_names, col_names)
+    return _Difference(e, natural_magnitude(size), max(tolerance, EXACT) * limit, n, row_names, col_names)
+
+
+def entry_scale(size: Array, n: int) -> Array:
+    """Return the natural magnitude of each entry of ``[A B; C D]``, at most the largest entry of its matrix."""
+    # The large units of its row and column must not hide an entry of a matrix of small numbers.
+    scale, sides = natural_magnitude(size), (slice(0, n), slice(n, None))
+    for part in itertools.product(sides, sides):
+        scale[part] = np.minimum(scale[part], size[part].max(initial=0.0))
+    return scale
 
 
 def natural_magnitude(size: Array) -> Array:

@@ -154,10 +154,20 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
             This Delta makes the model ill-posed; the message names its values.
         """
         constant, dynamic = self._split(delta)
+        (q, p), m = constant.shape, self.M
         try:
-            return self._with_dynamics(constant, dynamic) if dynamic else upper_lft(self.M, constant)
+            if not dynamic:
+                return upper_lft(m, constant)
+            if np.iscomplexobj(constant):
+                raise InputError("evaluate", "a complex Delta", "real numbers or models", "use response(omega, delta)")
+            system = self._delta_system(constant, dynamic)
+            if is_singular(m.D[:p, :q] @ system.D):
+                found = "I - D11 D_Delta is singular: this Delta makes the model ill-posed"
+                raise NoTrustworthyNumber("evaluate", found)
         except NoTrustworthyNumber as error:
             raise NoTrustworthyNumber("evaluate", f"{error.found} ({self.named(delta)})") from None
+        last = m.select(m.input_names[q:] + m.input_names[:q], m.output_names[p:] + m.output_names[:p])
+        return lower_lft(last, system).renamed(self.inputs, self.outputs)
 
     def _split(self, delta: Mapping[str, Any]) -> tuple[NDArray[Any], dict[str, StateSpaceModel]]:
         """Return Delta of the constant values, and the dynamic ones by name."""
@@ -165,16 +175,6 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
         zero = {b.name: b.zero for b in self.blocks}
         constant = {name: zero.get(name, 0.0) if name in dynamic else value for name, value in delta.items()}
         return delta_matrix(self.blocks, constant), dynamic
-
-    def _with_dynamics(self, constant: NDArray[Any], dynamic: Mapping[str, StateSpaceModel]) -> StateSpaceModel:
-        q, p = constant.shape
-        if np.iscomplexobj(constant):
-            raise InputError("evaluate", "a complex Delta", "real numbers or models", "use response(omega, delta)")
-        system = self._delta_system(constant, dynamic)
-        if is_singular(self.M.D[:p, :q] @ system.D):
-            raise NoTrustworthyNumber("evaluate", "I - D11 D_Delta is singular: this Delta makes the model ill-posed")
-        order = self.M.input_names[q:] + self.M.input_names[:q], self.M.output_names[p:] + self.M.output_names[:p]
-        return lower_lft(self.M.select(*order), system).renamed(self.inputs, self.outputs)
 
     def response(self, omega: ArrayLike, delta: Mapping[str, Any]) -> NDArray[np.complex128]:
         """Return the member's frequency response for a real, complex or dynamic Delta, shape (n_omega, n_y, n_u)."""

@@ -19,8 +19,9 @@ from robustlab.display import Displayable, Facts, number
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import bilinear_to_discrete
+from robustlab.realisations import cascade
 from robustlab.result import Status
-from robustlab.statespace import StateSpaceModel, series
+from robustlab.statespace import StateSpaceModel
 
 NORMS = (8, 32, 128)  # exponents p of the norms of the error, one after the other
 FINER_GRID = 10  # points of the evaluation grid for each one of the fit
@@ -220,11 +221,8 @@ def _fitted(n: int, w: Array, b: Array) -> StateSpaceModel:
     p = min(starts, key=lambda found: found.cost).x
     for norm in NORMS:
         p = improved(p, slice(None), norm / 2, float(np.abs(_miss(p, x, wanted, pairs)[0]).max()) or 1.0).x
-    numerator, denominator = (_polynomials(part, pairs, unit) for part in np.split(p[:-1], 2))
-    model = StateSpaceModel([], [], [], [[mean * float(np.exp(0.5 * p[-1]))]])
-    for pair in zip(numerator, denominator, strict=True):
-        model = series(_section(*pair), anonymous(model))
-    return anonymous(model)
+    zeros, poles = (_roots(part, pairs, unit) for part in np.split(p[:-1], 2))
+    return anonymous(cascade(zeros, poles, mean * float(np.exp(0.5 * p[-1])), 0.0, "overbound"))
 
 
 def _starts(x: Array, wanted: Array, count: int) -> list[tuple[Array, Array]]:
@@ -254,23 +252,15 @@ def _miss(p: Array, x: Array, wanted: Array, pairs: int) -> tuple[Array, Array]:
     return value, np.hstack([*columns, np.ones((len(x), 1))])
 
 
-def _polynomials(part: Array, pairs: int, unit: float) -> list[Array]:
-    """Return stable monic polynomials in s of degree two, sorted by size, then one of degree one for odd orders."""
+def _roots(part: Array, pairs: int, unit: float) -> list[complex]:
+    """Return the stable roots of pairs and single corners."""
     corner = unit * np.exp(0.5 * part[: len(part) - pairs])
     damping = np.sqrt(2 * np.exp(part[len(part) - pairs :]))
-    made = [np.array([1.0, d * c, c**2]) for c, d in zip(corner[:pairs], damping, strict=True)]
-    return [*sorted(made, key=lambda q: q[2]), *(np.array([1.0, c]) for c in corner[pairs:])]
-
-
-def _section(numerator: Array, denominator: Array) -> StateSpaceModel:
-    """Realise ``n(s) / d(s)`` of degree one or two, both monic, balanced in its own frequency."""
-    rest = (numerator - denominator)[1:]
-    if len(rest) == 1:
-        size = np.sqrt(abs(rest[0])) or 1.0
-        return StateSpaceModel([[-denominator[1]]], [[size]], [[rest[0] / size]], [[1.0]])
-    rate = float(np.sqrt(denominator[2]))
-    a = np.array([[0.0, rate], [-rate, -denominator[1]]])
-    return StateSpaceModel(a, [[0.0], [1.0]], [[rest[1] / rate, rest[0]]], [[1.0]])
+    found = [complex(-c) for c in corner[pairs:]]
+    for c, d in zip(corner[:pairs].tolist(), damping.tolist(), strict=True):
+        root = c * (-0.5 * d - np.sqrt(complex(0.25 * d * d - 1)))
+        found += [root, root.conjugate() if root.imag else c * c / root]
+    return found
 
 
 def anonymous(model: StateSpaceModel) -> StateSpaceModel:
