@@ -155,17 +155,17 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
         """
         constant, dynamic = self._split(delta)
         (q, p), m = constant.shape, self.M
-        try:
-            if not dynamic:
+        if not dynamic:
+            try:
                 return upper_lft(m, constant)
-            if np.iscomplexobj(constant):
-                raise InputError("evaluate", "a complex Delta", "real numbers or models", "use response(omega, delta)")
-            system = self._delta_system(constant, dynamic)
-            if is_singular(m.D[:p, :q] @ system.D):
-                found = "I - D11 D_Delta is singular: this Delta makes the model ill-posed"
-                raise NoTrustworthyNumber("evaluate", found)
-        except NoTrustworthyNumber as error:
-            raise NoTrustworthyNumber("evaluate", f"{error.found} ({self.named(delta)})") from None
+            except NoTrustworthyNumber as error:
+                raise NoTrustworthyNumber("evaluate", f"{error.found} ({self.named(delta)})") from None
+        if np.iscomplexobj(constant):
+            raise InputError("evaluate", "a complex Delta", "real numbers or models", "use response(omega, delta)")
+        system = self._delta_system(constant, dynamic)
+        if is_singular(m.D[:p, :q] @ system.D):
+            found = f"I - D11 D_Delta is singular: this Delta makes the model ill-posed ({self.named(delta)})"
+            raise NoTrustworthyNumber("evaluate", found)
         last = m.select(m.input_names[q:] + m.input_names[:q], m.output_names[p:] + m.output_names[:p])
         return lower_lft(last, system).renamed(self.inputs, self.outputs)
 
