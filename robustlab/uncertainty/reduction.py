@@ -13,7 +13,7 @@ representations" (1997).
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -127,71 +127,59 @@ def _step(
     M: StateSpaceModel, blocks: Sequence[Block], names: Collection[str], tolerance: float, keep: bool = False
 ) -> Step | None:
     """Reduce the scalar blocks of these names jointly; None where nothing is removed."""
-    n = M.n_states
+    n, (q, p) = M.n_states, structure_size(blocks)
     whole = np.block([[M.A, M.B], [M.C, M.D]])
-    scalar = [b for b in blocks if b.name in names]
-    if not scalar:
-        return None
     slices = [s for b, s in zip(blocks, block_slices(blocks), strict=True) if b.name in names]
-    cols = np.concatenate([np.arange(n + w.start, n + w.stop) for w, _ in slices])
-    rows = np.concatenate([np.arange(n + z.start, n + z.stop) for _, z in slices])
+    if not slices:
+        return None
+    cols, rows = (np.concatenate([n + np.arange(part[i].start, part[i].stop) for part in slices]) for i in (0, 1))
     other_cols, other_rows = np.delete(np.arange(whole.shape[1]), cols), np.delete(np.arange(whole.shape[0]), rows)
     a, b, c = whole[rows[:, None], cols], whole[rows[:, None], other_cols], whole[other_rows[:, None], cols]
-    into, out = _powers(np.abs(b).max(axis=0, initial=0.0)), _powers(np.abs(c).max(axis=1, initial=0.0))
-    b, c = b / into, c / out[:, None]
+    b, c = b / _powers(np.abs(b).max(axis=0, initial=0.0)), c / _powers(np.abs(c).max(axis=1, initial=0.0))[:, None]
     # The external signals balance the channels as one more channel.
     bordered = np.block([[np.abs(a), np.abs(b).sum(axis=1)[:, None]], [np.abs(c).sum(axis=0), np.zeros((1, 1))]])
     scale = balancing_factors(bordered)
     scale = scale[:-1] / scale[-1]
     a, b, c = a / scale[:, None] * scale, b / scale[:, None], c * scale
-    sizes = [s.rows for s in scalar]
+    sizes = [w.stop - w.start for w, _ in slices]
     # The second step may act on rounding of the first, so it uses the sizes of b and c before.
     b_size, c_size = _norm(b), _norm(c)
     reach, miss_1 = _invariant(a, b, sizes, tolerance, b_size)
     v = _block_diag(reach)
-    a1, b1, c1 = v.T @ a @ v, v.T @ b, c @ v
-    show, miss_2 = _invariant(a1.T, c1.T, [part.shape[1] for part in reach], tolerance, c_size)
-    t = _block_diag(show)
-    a2, b2, c2 = t.T @ a1 @ t, t.T @ b1, c1 @ t
-    left = [part.shape[1] for part in show]
-    if keep and not any(left):  # of one block
-        a2, b2, c2, left = np.zeros((1, 1)), np.zeros((1, b.shape[1])), np.zeros((len(c), 1)), [1]
+    show, miss_2 = _invariant((v.T @ a @ v).T, (c @ v).T, [part.shape[1] for part in reach], tolerance, c_size)
+    turns = [first @ then for first, then in zip(reach, show, strict=True)]
+    if keep and not turns[0].size:  # of one block
+        turns = [np.zeros((sizes[0], 1))]
+    left, t = [turn.shape[1] for turn in turns], _block_diag(turns)
     if left == sizes:
         return None
-    difference = _difference((a, b, c), sizes, (a2, b2, c2), left)
+    difference = _difference((a, b, c), sizes, (t.T @ a @ t, t.T @ b, c @ t), left)
     if not difference <= UNCHANGED:
         return None
-    by_name = {block.name: size for block, size in zip(scalar, left, strict=True)}
-    whole = np.block([[whole[other_rows[:, None], other_cols], c2 * out[:, None]], [b2 * into, a2]])
-    return *_rebuilt(M, blocks, by_name, whole, other_rows, other_cols), np.array([max(miss_1, miss_2), difference])
-
-
-def _rebuilt(
-    M: StateSpaceModel, blocks: Sequence[Block], left: Mapping[str, int], whole: Array, rows: Array, cols: Array
-) -> tuple[StateSpaceModel, tuple[Block, ...]]:
-    """Return the model of ``whole``: kept rows and columns of M, then new channels, ``left`` of each block by name."""
-    n, kept = M.n_states, []
-    signals: list[list[Signal]] = [[], []]
-    order: list[list[int]] = [list(range(n)), list(range(n))]  # of columns, of rows
-    stay = [dict(zip(places.tolist(), range(len(places)), strict=True)) for places in (cols, rows)]
-    new = [len(cols), len(rows)]
-    q, p = structure_size(blocks)
-    rest = (slice(q, M.n_inputs), slice(p, M.n_outputs))
-    for block, places in [*zip(blocks, block_slices(blocks), strict=True), (None, rest)]:
-        size = None if block is None else left.get(block.name)
-        if block is not None and size != 0:
-            kept.append(block if size is None else block.resized(size, size))
-        for i, (part, own) in enumerate(zip(places, (M.inputs, M.outputs), strict=True)):
-            if size is None:
-                order[i] += [stay[i][n + k] for k in range(part.start, part.stop)]
-                signals[i] += own[part]
-            else:
-                order[i] += range(new[i], new[i] + size)
-                signals[i] += own[part.start : part.start + size]
-                new[i] += size
-    whole = whole[np.ix_(order[1], order[0])]
-    parts, (inputs, outputs) = (whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:]), signals
-    return StateSpaceModel(*parts, M.dt, inputs, outputs, M.states, where="reduction"), tuple(kept)
+    into, out, kept = [np.eye(n)], [np.eye(n)], []
+    inputs: list[Signal] = []
+    outputs: list[Signal] = []
+    found = iter(zip(turns, np.split(scale, np.cumsum(sizes)[:-1]), strict=True))
+    for block, (w, z) in zip(blocks, block_slices(blocks), strict=True):
+        if block.name in names:
+            turn, own = next(found)
+            size = turn.shape[1]
+            into.append(own[:, None] * turn)
+            out.append((turn / own[:, None]).T)
+            kept += [block.resized(size, size)] if size else []
+            inputs, outputs = [*inputs, *M.inputs[w][:size]], [*outputs, *M.outputs[z][:size]]
+        else:
+            into.append(np.eye(block.rows))
+            out.append(np.eye(block.cols))
+            kept.append(block)
+            inputs, outputs = [*inputs, *M.inputs[w]], [*outputs, *M.outputs[z]]
+    into.append(np.eye(M.n_inputs - q))
+    out.append(np.eye(M.n_outputs - p))
+    whole = _block_diag(out) @ whole @ _block_diag(into)
+    signals = [*inputs, *M.inputs[q:]], [*outputs, *M.outputs[p:]], M.states
+    parts = whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:]
+    model = StateSpaceModel(*parts, M.dt, *signals, where="reduction")
+    return model, tuple(kept), np.array([max(miss_1, miss_2), difference])
 
 
 def _invariant(a: Array, b: Array, sizes: Sequence[int], tolerance: float, b_size: float) -> tuple[list[Array], float]:
