@@ -13,7 +13,7 @@ from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.statespace import SignalLike, StateSpaceModel
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
-from robustlab.uncertainty.decomposition_tree import ConstantLft, MatrixPolynomial, decompositions
+from robustlab.uncertainty.decomposition_tree import ConstantLft, MatrixPolynomial, decomposition
 from robustlab.uncertainty.laurent import Algebra, Laurent, walk
 from robustlab.uncertainty.lft import UncertainModel, with_channels
 from robustlab.uncertainty.reduction import reduction
@@ -21,8 +21,6 @@ from robustlab.uncertainty.reduction import reduction
 # Boxes and vertices in the search for a zero of a denominator: with fewer, more valid ranges are rejected.
 DENOMINATOR_BOXES = 4000
 DENOMINATOR_VERTICES = 4096
-DECOMPOSITIONS = 3  # number of the smallest decompositions that are assembled and reduced
-
 EXACT = 1e-9  # allowed error of an entry at random parameter values, relative to its largest value there
 MAX_SIZE = 200_000  # factors times variables
 
@@ -93,24 +91,19 @@ def parametric(
         checked: dict[str, set[str]] = {}
         for expression in (entry for row in expressions for entry in row):
             _check_denominators(expression, algebra, ranges, checked)
-        candidates: list[UncertainModel] = []
-        for lft in _lfts(expressions, algebra, ranges):
-            d22, order = lft.d22, [k for name in ranges for k, owner in enumerate(lft.names) if owner == name]
-            blocks = [RealScalar(name, lft.names.count(name), r) for name, r in ranges.items() if name in lft.names]
-            plain = StateSpaceModel(d22[:n, :n], d22[:n, n:], d22[n:, :n], d22[n:, n:], dt, inputs, outputs, states)
-            model = with_channels(plain, blocks, lft.d21[:, order], lft.d12[order], lft.d11[np.ix_(order, order)])
-            candidates += [reduction(model).model, model]
-            if candidates[0].delta_shape[0] == len(candidates[0].blocks):
-                break
+        lft = _lft(expressions, algebra, ranges)
+        d22, order = lft.d22, [k for name in ranges for k, owner in enumerate(lft.names) if owner == name]
+        blocks = [RealScalar(name, lft.names.count(name), r) for name, r in ranges.items() if name in lft.names]
+        plain = StateSpaceModel(d22[:n, :n], d22[:n, n:], d22[n:, :n], d22[n:, n:], dt, inputs, outputs, states)
+        model = with_channels(plain, blocks, lft.d21[:, order], lft.d12[order], lft.d11[np.ix_(order, order)])
         # A reduction mixes entries of different units: where small ones are lost, the unreduced LFT is taken.
-        misses: list[float] = []
-        for model in sorted(candidates, key=lambda model: sum(model.delta_shape)):
-            misses.append(_missed(model, table, ranges, exact))
-            if misses[-1] <= EXACT:
-                return model
+        for candidate in (reduction(model).model, model):
+            missed = _missed(candidate, table, ranges, exact)
+            if missed <= EXACT:
+                return candidate
     except OverflowError:
         raise InputError("parametric", "numbers that overflow", "values and coefficients of a usual size") from None
-    raise NoTrustworthyNumber("parametric", f"the LFT misses the expressions by {min(misses):.2g} of an entry's size")
+    raise NoTrustworthyNumber("parametric", f"the LFT misses the expressions by {missed:.2g} of an entry's size")
 
 
 def as_range(name: str, given: Any) -> ParameterRange | float:
@@ -293,10 +286,10 @@ def _interval(expression: Laurent, box: Mapping[str, tuple[float, float]], algeb
 # --- the LFT ---------------------------------------------------------------------------------------------------------
 
 
-def _lfts(
+def _lft(
     expressions: Sequence[Sequence[Laurent]], algebra: Algebra, ranges: Mapping[str, ParameterRange]
-) -> list[ConstantLft]:
-    """LFTs of a matrix in the parameters, the smallest first; a variable and its inverse are taken out each by itself.
+) -> ConstantLft:
+    """Return the LFT of a matrix in the parameters; a variable and its inverse are taken out each by itself.
 
     A denominator is a variable, too, which has an LFT of its own.
     """
@@ -317,10 +310,10 @@ def _lfts(
         if name in ranges:
             base = ConstantLft((name,), 0 * one, one, ranges[name].radius * one, ranges[name].nominal * one)
         else:
-            base = _lfts([[algebra.denominators[name]]], algebra, ranges)[0]
+            base = _lft([[algebra.denominators[name]]], algebra, ranges)
         gains[name, inverted] = base.inverse() if inverted else base
-    found = decompositions(MatrixPolynomial(tuple(names), terms), 0.0, lambda name: len(gains[name].names))
-    return [lft.closed(gains) for lft in found[:DECOMPOSITIONS]]
+    polynomial = MatrixPolynomial(tuple(names), terms)
+    return decomposition(polynomial, 0.0, lambda name: len(gains[name].names)).closed(gains)
 
 
 def _missed(model: UncertainModel, table: Table, ranges: Mapping[str, ParameterRange], exact: Values) -> float:
