@@ -23,7 +23,7 @@ from robustlab.realisations import cascade
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 
-NORMS = (8, 32, 128)  # exponents p of the norms of the error, one after the other
+NORMS = (8, 64)  # exponents p of the norms of the error, one after the other
 FINER_GRID = 10  # points of the evaluation grid for each one of the fit
 
 Bound = Callable[[Array], Array]
