@@ -194,17 +194,9 @@ def _lifted(fit: Overbound, factor: float, tolerance: float) -> Overbound:
 # --- errors by frequency ---------------------------------------------------------------------------------------------
 
 
-def _at(model: StateSpaceModel, s: AnyArray) -> AnyArray:
-    """Return ``G(s)``, shape (len(s), n_y, n_u), for complex s (or z)."""
-    if not model.n_states:
-        return np.broadcast_to(model.D, (len(s), *model.D.shape)).astype(np.complex128)
-    inner = s[:, None, None] * np.eye(model.n_states) - model.A
-    return model.C @ np.linalg.solve(inner, np.broadcast_to(model.B, (len(s), *model.B.shape))) + model.D
-
-
 def _error(model: StateSpaceModel, centre: StateSpaceModel, form: Form, s: AnyArray) -> AnyArray:
     """Return ``E_i`` at complex s, (len(s), ., .)."""
-    below, above = _at(centre, s), _at(model, s)
+    below, above = centre(s), model(s)
     if form.startswith("inverse"):
         below, above = above, below
     try:
@@ -309,7 +301,7 @@ def _pole_that_stays(model: StateSpaceModel, centre: StateSpaceModel, form: Form
             error = _error(model, centre, form, points)
             own = 1.0  # size of the terms of the difference
             if form.endswith("additive"):
-                here = _at(centre, points)
+                here = centre(points)
                 own = float(np.abs(here if form == "additive" else np.linalg.inv(here)).max())
             reference = float(np.abs(error).max() + own)
         laurent = [np.abs((error * turns[:, None, None] ** k).mean(axis=0)).max() for k in range(1, 9)]
