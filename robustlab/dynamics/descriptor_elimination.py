@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import AnyArray, Array, Mask
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
+from robustlab.linear_analysis.magnitude import equilibrating_exponents
 from robustlab.linear_analysis.structural import drop_unconnected
 from robustlab.signals import SignalLike, real_array, signals
 from robustlab.statespace import StateSpaceModel, is_rank_deficient
@@ -183,11 +184,7 @@ def _turned(e: Array, given: StateSpaceModel, where: str) -> tuple[tuple[Array, 
     """Return the form in the singular coordinates of E and a mask of those with a rate; the index must be 1."""
     # scale the rows and columns of (E, A) to equal size by powers of two
     size = np.maximum(*(np.abs(m) / (np.abs(m).max(initial=0.0) or 1.0) for m in (e, given.A)))
-    rows, columns = np.ones(len(size)), np.ones(len(size))
-    for _ in range(3):
-        for axis, scale in ((1, rows), (0, columns)):
-            largest = (size * rows[:, None] * columns).max(axis=axis)
-            scale *= np.exp2(-np.rint(np.log2(np.where(largest > 0, largest, 1.0))))
+    rows, columns = (np.exp2(1.0 * exponents) for exponents in equilibrating_exponents(size))
     scaled, a = (m * rows[:, None] * columns for m in (e, given.A))
     u, values, v = np.linalg.svd(scaled)
     rated = values > ROUNDING * values.max(initial=0.0)
