@@ -33,7 +33,7 @@ import numpy as np
 from robustlab.errors import InputError, did_you_mean, error_context
 from robustlab.statespace import Signal, StateSpaceModel, append, as_model
 from robustlab.uncertainty.blocks import FullBlock
-from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.lft import UncertainModel, as_uncertain
 
 Form = Literal[
     "additive",
@@ -104,36 +104,24 @@ def unstructured(
 
 def _weight(given: Any, size: int, side: Literal["inputs", "outputs"], where: str) -> StateSpaceModel:
     """Return the weight as a stable model with ``size`` inputs (or outputs)."""
-    if isinstance(given, (list, tuple)):
-        parts = [_channel(part, f"{where}[{i}]") for i, part in enumerate(given)]
-        if len(parts) != size:
-            raise InputError(where, f"{len(parts)} channels", f"{size}, or one weight for all")
-        weight = _side_by_side(parts)
-    else:
-        weight = _channel(given, where)
-        if weight.n_inputs == weight.n_outputs == 1:
-            weight = _side_by_side([weight] * size)
-    has = weight.n_inputs if side == "inputs" else weight.n_outputs
-    if has != size:
+    several = isinstance(given, (list, tuple))
+    read = [(f"{where}[{i}]", part) for i, part in enumerate(given)] if several else [(where, given)]
+    parts = [as_uncertain(part, name).nominal for name, part in read]
+    single = all(part.D.shape == (1, 1) for part in parts)
+    if several and len(parts) != size:
+        raise InputError(where, f"{len(parts)} channels", f"{size}, or one weight for all")
+    if several and not single:
+        raise InputError(where, "a weight of several channels in a list", "one input and one output each")
+    if single and not several:
+        parts *= size
+    weight = append(*(part.renamed([f"u{i}"], [f"y{i}"]) for i, part in enumerate(parts))) if single else parts[0]
+    if len(getattr(weight, side)) != size:
         raise InputError(where, f"a weight of {weight.n_outputs} x {weight.n_inputs}", f"{size} {side}")
     if not weight.is_stable():
         poles = weight.poles()
         worst = poles[np.abs(poles).argmax() if weight.is_discrete else poles.real.argmax()]
         raise InputError(where, f"unstable weight (pole {worst.real:.6g}{worst.imag:+.6g}j)", "a stable weight")
     return weight
-
-
-def _channel(given: Any, where: str) -> StateSpaceModel:
-    if isinstance(given, (int, float, np.number)) or (isinstance(given, np.ndarray) and given.ndim == 2):
-        return StateSpaceModel([], [], [], np.atleast_2d(given), where=where)
-    return as_model(given, where)
-
-
-def _side_by_side(parts: Sequence[StateSpaceModel]) -> StateSpaceModel:
-    """Return the block-diagonal weight, with new signal names."""
-    if any(part.n_inputs != 1 or part.n_outputs != 1 for part in parts):
-        raise InputError("unstructured", "a weight of several channels in a list", "one input and one output each")
-    return append(*(part.renamed([f"u{i}"], [f"y{i}"]) for i, part in enumerate(parts)))
 
 
 def _interconnection(
