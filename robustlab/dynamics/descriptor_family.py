@@ -27,7 +27,7 @@ from robustlab.uncertainty.lft import UncertainModel
 FAMILY_REACH = 0.5
 FAMILY_ZERO = 30.0
 # Chebyshev nodes along a parameter, highest degree, and number of highest coefficients that estimate the rounding.
-FAMILY_NODES = 13
+NODES = np.polynomial.chebyshev.chebpts1(13)
 FAMILY_DEGREE = 3
 FAMILY_TOP = 4
 # Largest number of parameter products in a descriptor form.
@@ -181,10 +181,6 @@ class _Family:
         return min(r.low, r.nominal - far), max(r.high, r.nominal + far)
 
 
-def _chebyshev(count: int) -> Array:
-    return np.cos(np.pi * (np.arange(count) + 0.5) / count)
-
-
 def _with_row_factors(family: _Family, free: Sequence[int]) -> tuple[_Family, dict[str, Array | None]]:
     """Return the family with the row factors of lowest complexity, and N along each parameter (nodes, rows, columns).
 
@@ -199,7 +195,7 @@ def _with_row_factors(family: _Family, free: Sequence[int]) -> tuple[_Family, di
     nodes: dict[str, Array] = {}
     for name in family.names:
         low, high = family.reach(name)
-        nodes[name] = 0.5 * (low + high) + 0.5 * (high - low) * _chebyshev(FAMILY_NODES)
+        nodes[name] = 0.5 * (low + high) + 0.5 * (high - low) * NODES
         try:
             scans[name] = np.array([family.raw({**base, name: float(v)}) for v in nodes[name]])
         except RobustlabError:
@@ -249,9 +245,8 @@ def _complexity(rows: Mapping[str, Array]) -> tuple[int, int]:
 
 def _degree(scan: Array) -> int | None:
     """Return the degree of the polynomial through values (nodes, ...) of magnitude one at Chebyshev nodes, or None."""
-    count = len(scan)
-    basis = np.polynomial.chebyshev.chebvander(_chebyshev(count), count - 1)
-    sizes = np.abs(basis.T @ scan.reshape(count, -1)) * (2.0 / count)
+    basis = np.polynomial.chebyshev.chebvander(NODES, len(NODES) - 1)
+    sizes = np.abs(basis.T @ scan.reshape(len(scan), -1)) * (2.0 / len(scan))
     rounding = np.maximum(CLEAR * sizes[-FAMILY_TOP:].max(axis=0), ROUNDING)
     degree = int(np.flatnonzero((sizes > rounding).any(axis=1)).max(initial=0))
     return degree if degree <= FAMILY_DEGREE and rounding.max() <= SAME else None
