@@ -92,9 +92,9 @@ def joined(
     merged = [name for name, (same, _, _) in channels.items() if len(same) > 1]
     if not merged:
         return model, blocks
-    from robustlab.uncertainty.reduction import reduce_blocks  # files of sets are read without it
+    from robustlab.uncertainty.reduction import reduce_each  # files of sets are read without it
 
-    return reduce_blocks(model, blocks, names=merged, keep=True)[:2]
+    return reduce_each(model, blocks, merged)
 
 
 def unnamed(m: StateSpaceModel, mark: str, where: str = "StateSpaceModel") -> StateSpaceModel:

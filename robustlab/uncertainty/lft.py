@@ -342,7 +342,7 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
         """Return the same set with minimal repetitions of each scalar block; evidence: `reduce_model`.
 
         Like the states of a transfer function in 1/s, uncontrollable and unobservable repetitions are removed (Kalman
-        decomposition, block by block and then jointly). A scalar block without effect is removed, and its name is then
+        decomposition of all blocks jointly). A scalar block without effect is removed, and its name is then
         unknown to `evaluate`.
 
         Singular values below ``tolerance`` times the largest count as zero.

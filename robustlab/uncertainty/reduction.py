@@ -7,8 +7,8 @@ representations" (1997).
 # All scalar blocks together give F(Delta) = D + C Delta (I - A Delta)^-1 B, the form of a transfer function in 1/s. The
 # smallest subspaces V_i with B_i in V_i and A_ij V_j in V_i contain all reachable directions; by duality, their
 # complements in the transposed system are unobservable. Removing both does not change F, for any Delta. The reduction
-# of each block alone misses a channel fed only by another unreachable channel; it comes first, as it does not change
-# the other blocks.
+# of each block alone (`reduce_each`) does not change the other blocks, but misses a channel fed only by another
+# unreachable channel.
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices, structure_size
 
+TOLERANCE = 1e-12  # relative singular values below this are zero
 UNCHANGED = 1e-10  # allowed change of F(delta) by a reduction, relative to the largest entry
 CANCELLED = 1e-3  # or, where the summands of F cancel, relative to this share of them
 POINTS = 6  # deltas at which a step is compared
@@ -81,17 +82,12 @@ class Reduction(Displayable):
         return f"{text}; invariance {self.invariance:.1e}, difference {self.difference:.1e} ({self.status})"
 
 
-def reduction(uncertain: Any, tolerance: float = 1e-12) -> Reduction:
-    """Reduce a set block by block, then all blocks jointly, until nothing is removed."""
+def reduction(uncertain: Any, tolerance: float = TOLERANCE) -> Reduction:
+    """Reduce all scalar blocks of a set jointly until nothing is removed."""
     if not 0 < tolerance < 1:
         raise InputError("reduce_model", f"tolerance {tolerance}", "a number between 0 and 1")
     M, blocks, worst = uncertain.M, uncertain.blocks, np.zeros(2)
-    while True:
-        M, blocks, missed = reduce_blocks(M, blocks, tolerance)
-        step = _step(M, blocks, {b.name for b in blocks if b.is_scalar}, tolerance)
-        worst = np.maximum(worst, missed)
-        if step is None:
-            break
+    while step := _step(M, blocks, {b.name for b in blocks if b.is_scalar}, tolerance):
         M, blocks, missed = step
         worst = np.maximum(worst, missed)
     before, model, status = {b.name: max(b.rows, b.cols) for b in uncertain.blocks}, uncertain, Status.CONVERGED
@@ -103,24 +99,14 @@ def reduction(uncertain: Any, tolerance: float = 1e-12) -> Reduction:
     return Reduction(model, before, after, float(worst[0]), float(worst[1]), status)
 
 
-# --- each block alone ------------------------------------------------------------------------------------------------
-
-
-def reduce_blocks(
-    M: StateSpaceModel,
-    blocks: Sequence[Block],
-    tolerance: float = 1e-12,
-    names: Collection[str] | None = None,
-    keep: bool = False,
-) -> Step:
-    """Return M and blocks with minimal repetitions of each scalar block by its own channels."""
-    worst = np.zeros(2)
-    for block in blocks:
-        if block.is_scalar and (names is None or block.name in names):
-            step = _step(M, blocks, {block.name}, tolerance, keep)
-            if step is not None:
-                M, blocks, worst = step[0], step[1], np.maximum(worst, step[2])
-    return M, tuple(blocks), worst
+def reduce_each(
+    M: StateSpaceModel, blocks: tuple[Block, ...], names: Sequence[str]
+) -> tuple[StateSpaceModel, tuple[Block, ...]]:
+    """Return M and blocks with minimal repetitions of each of these scalar blocks by its own channels, one at least."""
+    for name in names:
+        step = _step(M, blocks, {name}, TOLERANCE, keep=True)
+        M, blocks = step[:2] if step else (M, blocks)
+    return M, blocks
 
 
 def _step(
