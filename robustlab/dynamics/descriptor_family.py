@@ -206,18 +206,16 @@ def _with_row_factors(family: _Family, free: Sequence[int]) -> tuple[_Family, di
     for row in free if known else ():
         rows = {name: scan[:, row] for name, scan in known.items()}
         values = {**family.values, **base}
-        best, left = _complexity(rows), [tuple(known), tuple(range(width))]  # parameters come first
-        while best[0] and left:
-            tries = [(by, _times(rows, by, nodes, values)) for by in left[0]]
-            judged = [(_complexity(made), k) for k, (_, made) in enumerate(tries) if made is not None]
-            least, k = min(judged, default=(best, 0))
-            if least >= best:
-                left = left[1:]
-                continue
-            best, (by, made) = least, tries[k]
-            assert made is not None
-            rows = made
-            factors.append((row, by))
+        best = _complexity(rows)
+        for group in (tuple(known), tuple(range(width))):  # parameters come first
+            while best[0]:
+                tries = [(by, made) for by in group if (made := _times(rows, by, nodes, values))]
+                judged = [(_complexity(made), k) for k, (_, made) in enumerate(tries)]
+                least, k = min(judged, default=(best, 0))
+                if least >= best:
+                    break
+                best, (by, rows) = least, tries[k]
+                factors.append((row, by))
         for name, scan in known.items():
             scan[:, row] = rows[name]
     return replace(family, factors=tuple(factors)), scans
