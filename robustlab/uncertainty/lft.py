@@ -29,7 +29,6 @@ from robustlab.signals import (
     picked,
     real_array,
     same_units,
-    signal_positions,
 )
 from robustlab.statespace import OperatingPoint, StateSpaceModel, append, as_model, lower_lft
 from robustlab.uncertainty.blocks import Block, as_blocks, block_slices, delta_matrix, structure_size
@@ -234,8 +233,13 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
 
     def __getitem__(self, key: Any) -> UncertainModel:
         """Return ``G[outputs, inputs]`` by numbers, slices, names or lists of these; blocks and states are kept."""
-        outputs, inputs = picked(key, self.nominal.output_names, self.nominal.input_names)
-        return self.select(inputs, outputs)
+        (q, p), ins, outs = self.delta_shape, self.M.input_names, self.M.output_names
+        some_outs, some_ins = picked(key, outs[p:], ins[q:])
+        return UncertainModel(self.M.select([*ins[:q], *some_ins], [*outs[:p], *some_outs]), self.blocks)
+
+    def select(self, inputs: Sequence[str] | None = None, outputs: Sequence[str] | None = None) -> UncertainModel:
+        """Return the same set with the named inputs and outputs only."""
+        return self[slice(None) if outputs is None else outputs, slice(None) if inputs is None else inputs]
 
     def inverse(self) -> UncertainModel:
         """Return the set of the inverses of a square set; inputs and outputs are exchanged."""
@@ -272,14 +276,6 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
             return ()
         names = ", ".join(self.sampled)
         return (f"the set holds the plant for samples only (blocks {names}): what is proved is proved for the set",)
-
-    def select(self, inputs: Sequence[str] | None = None, outputs: Sequence[str] | None = None) -> UncertainModel:
-        """Return the same set with the named inputs and outputs only."""
-        q, p = self.delta_shape
-        ins, outs = self.M.input_names, self.M.output_names
-        some_ins = [ins[q + k] for k in signal_positions(inputs, ins[q:], "select: input")]
-        some_outs = [outs[p + k] for k in signal_positions(outputs, outs[p:], "select: output")]
-        return UncertainModel(self.M.select([*ins[:q], *some_ins], [*outs[:p], *some_outs]), self.blocks)
 
     def centred(self, level: float = 1.0) -> UncertainModel:
         r"""Return the set scaled by ``level``, with every real range symmetric about its own middle.
