@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import AnyArray, Array, Indices
-from robustlab.errors import InputError, NoTrustworthyNumber, RobustlabError
+from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.invariant_zeros import transmission_zeros
 from robustlab.norms import hinf_norm
@@ -39,16 +39,12 @@ def model_set(models: Iterable[Any], same_states: bool, where: str) -> tuple[Sta
         raise InputError(where, f"{len(found)} model{'s' * (len(found) != 1)}", "at least two models")
     for i, model in enumerate(found[1:], 2):
         first, other = found[0], model
+        if same_states and model.D.shape == first.D.shape and model.n_states != first.n_states:
+            hint = "models with different states: cover their frequency responses (form additive, ...)"
+            raise InputError(where, f"model {i} has {model.n_states} states", f"{first.n_states} as model 1", hint)
         if not same_states:
             first, other = (StateSpaceModel([], [], [], m.D, m.dt, m.inputs, m.outputs) for m in (first, model))
-        try:
-            check_pair(first, other, "model 1", f"model {i}", where)
-        except RobustlabError as error:
-            same_signals = (model.n_inputs, model.n_outputs) == (first.n_inputs, first.n_outputs)
-            if same_states and same_signals and model.n_states != first.n_states:
-                hint = "models with different states: cover their frequency responses (form additive, ...)"
-                raise InputError(error.where, error.found, error.expected, hint) from None
-            raise
+        check_pair(first, other, "model 1", f"model {i}", where)
     return found
 
 
