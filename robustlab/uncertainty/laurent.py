@@ -132,7 +132,11 @@ class Laurent:
         return sum(abs(e) for m in self.terms for _, e in m)
 
     def __str__(self) -> str:
-        return " + ".join(_term_text(m, c) for m, c in sorted(self.terms.items())) or "0"
+        texts = []
+        for monomial, c in sorted(self.terms.items()):
+            factors = [name if e == 1 else f"{name}**{e}" for name, e in monomial]
+            texts.append("*".join(factors if factors and c == 1 else [*factors, str(c)]))
+        return " + ".join(texts) or "0"
 
 
 def times(first: Monomial, second: Monomial) -> Monomial:
@@ -244,16 +248,15 @@ def walk(
 
 
 def _exponent(node: ast.expr, where: str, quoted: str) -> int:
-    sign = 1
-    while isinstance(node, ast.UnaryOp) and isinstance(node.op, (ast.USub, ast.UAdd)):
-        sign = -sign if isinstance(node.op, ast.USub) else sign
-        node = node.operand
-    value = node.value if isinstance(node, ast.Constant) else None
+    try:
+        value = ast.literal_eval(node)
+    except ValueError:
+        value = None
     if isinstance(value, bool) or not isinstance(value, (int, float)) or value % 1 != 0:
         raise InputError(where, f"{quoted}: an exponent that is no whole number", "x**2, x**-1, ...")
-    if value > MAX_EXPONENT:
+    if abs(value) > MAX_EXPONENT:
         raise InputError(where, f"{quoted}: an exponent above {MAX_EXPONENT}", "a smaller one")
-    return sign * int(value)
+    return int(value)
 
 
 def _exact(value: Any, where: str) -> Fraction:
@@ -262,13 +265,6 @@ def _exact(value: Any, where: str) -> Fraction:
         word = "a huge number" if isinstance(number, int) else f"{number}"
         raise InputError(where, word, f"a finite number of at most {LARGEST:g}")
     return Fraction(number) if isinstance(number, int) else Fraction(repr(number))
-
-
-def _term_text(monomial: Monomial, coefficient: Fraction) -> str:
-    factors = [name if e == 1 else f"{name}**{e}" for name, e in monomial]
-    if coefficient == 1 and factors:
-        return "*".join(factors)
-    return "*".join([*factors, str(coefficient)])
 
 
 def short(entry: Any) -> str:
