@@ -80,7 +80,7 @@ def robust_stability(
         Of an uncertain model: relative gap that branch and bound aims at (0.01; inf: none), and relative distance to
         the best margin that D, G can prove (3e-5).
     order, pole
-        With natures and delays as in `peak_gain`.
+        With natures as in `peak_gain`.
     seed, effort, time_limit
         Seed of the searches; their work as a multiple of the usual; s, after which the result depends on the machine.
 

@@ -31,7 +31,7 @@ from robustlab.provenance import Traced
 from robustlab.signals import Signal, is_constant, picked, real_array
 from robustlab.statespace import StateSpaceModel, append, as_model
 from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock
-from robustlab.uncertainty.interconnection import Wiring, ones
+from robustlab.uncertainty.interconnection import Wiring, ones, upper_lft
 from robustlab.uncertainty.lft import (
     UncertainModel,
     as_uncertain,
@@ -42,7 +42,6 @@ from robustlab.uncertainty.lft import (
     product,
     star,
 )
-from robustlab.uncertainty.upper_lft import upper_lft
 
 
 @dataclass(frozen=True, init=False, eq=False)

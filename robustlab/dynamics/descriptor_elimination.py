@@ -7,7 +7,6 @@ r"""State-space models of linear descriptor forms, algebraic equations eliminate
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,11 +14,12 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import AnyArray, Array, Mask
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
+from robustlab.linear_analysis.magnitude import equilibrating_exponents
 from robustlab.linear_analysis.structural import drop_unconnected
 from robustlab.signals import SignalLike, real_array, signals
-from robustlab.statespace import OperatingPoint, StateSpaceModel, is_rank_deficient
+from robustlab.statespace import StateSpaceModel, is_rank_deficient
 from robustlab.uncertainty.blocks import Block
-from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.lft import UncertainModel, with_channels
 
 # Relative rounding in rank decisions.
 ROUNDING = 1e-12
@@ -42,61 +42,25 @@ def solved(e: Array, right: Array, where: str) -> Array:
     return np.asarray(np.linalg.solve(e, right), dtype=float)
 
 
-def closed_descriptor(
-    nominal: StateSpaceModel,
-    e: Array,
-    channels: Channels,
-    where: str,
-    outputs: Sequence[str] | None = None,
-    point: OperatingPoint | None = None,
-) -> UncertainModel:
+def closed_descriptor(nominal: StateSpaceModel, e: Array, channels: Channels, where: str) -> UncertainModel:
     """Return the uncertain model around a nominal one whose descriptor form has E and these channels."""
-    n, n_u, n_y = nominal.n_states, nominal.n_inputs, nominal.n_outputs
+    n, m = nominal.n_states, nominal.n_states + nominal.n_inputs
     left, right, inner, blocks = channels
-    into_x = solved(e, left[:n], where) + 0.0  # no negative zeros
-    r_x, r_u, r_rate = right[:, :n], right[:, n : n + n_u], right[:, n + n_u :]
-    w_names = [f"{b.name}[{i + 1}]" if b.rows > 1 else b.name for b in blocks for i in range(b.rows)]
-    z_names = [f"{b.name}[{i + 1}]" if b.cols > 1 else b.name for b in blocks for i in range(b.cols)]
-    m = StateSpaceModel(
-        nominal.A,
-        np.hstack([into_x, nominal.B]),
-        np.vstack([r_x + r_rate @ nominal.A, nominal.C]),
-        np.block([[inner + r_rate @ into_x, r_u + r_rate @ nominal.B], [left[n:].reshape(n_y, -1), nominal.D]]),
-        0.0,
-        [*(f"w_{name}" for name in w_names), *nominal.inputs],
-        [*(f"z_{name}" for name in z_names), *nominal.outputs],
-        nominal.states,
-        where=f"{where}: uncertain",
-    )
+    into_x, rate = solved(e, left[:n], where) + 0.0, right[:, m:]  # no negative zeros
+    seen = right[:, :m] + rate @ np.hstack([nominal.A, nominal.B])
+    return with_channels(nominal, blocks, np.vstack([into_x, left[n:]]), seen, inner + rate @ into_x)
+
+
+def with_outputs(model: UncertainModel, outputs: Sequence[str] | None) -> UncertainModel:
+    """Return the set with some outputs only, without the states and the operating point of the others."""
     if outputs is None:
-        return UncertainModel(m, blocks, point)
-    kept = m.select(m.input_names, [*(f"z_{name}" for name in z_names), *outputs])
-    # the operating point belongs to all outputs
-    return UncertainModel(drop_unconnected(kept), blocks)
+        return model
+    return UncertainModel(drop_unconnected(model.select(outputs=outputs).M), model.blocks)
 
 
 # Allowed relative difference between the transfer matrices of the model and the descriptor form.
 SAME = 1e-8
 POINTS = 9
-
-
-@dataclass(frozen=True, eq=False)
-class Eliminated:
-    """State-space model of a descriptor form, with the evidence."""
-
-    model: StateSpaceModel
-    index: int  # 0: E has an inverse; 1: algebraic equations
-    # indices of the given states that remain; None where the model's states are combinations of them
-    kept: tuple[int, ...] | None
-    n_given: int  # number of states given
-    residual: (
-        float  # largest relative difference of the two transfer matrices at nine points off the stability boundary
-    )
-
-    def __str__(self) -> str:
-        count = self.n_given - self.model.n_states
-        result = f"{count} of {self.n_given} states eliminated" if count else "E has an inverse, all states stay"
-        return f"descriptor form of index {self.index}: {result}; relative residual {self.residual:.1e}"
 
 
 @error_context("descriptor")
@@ -151,23 +115,28 @@ def descriptor(
     >>> circuit.A, circuit.C, circuit.D, circuit.state_names
     (array([[-1.]]), array([[-0.5]]), array([[0.5]]), ('v',))
     """
-    return eliminated(StateSpaceModel(A, B, C, D, dt, inputs, outputs, states, where=where), E, where).model
+    return eliminated(StateSpaceModel(A, B, C, D, dt, inputs, outputs, states, where=where), E, where)[0]
 
 
-def eliminated(given: StateSpaceModel, E: ArrayLike, where: str = "descriptor") -> Eliminated:
-    """Eliminate the algebraic equations of a model with a descriptor matrix E."""
+def eliminated(
+    given: StateSpaceModel, E: ArrayLike, where: str = "descriptor"
+) -> tuple[StateSpaceModel, list[int] | None, float]:
+    """Eliminate the algebraic equations of a model with a descriptor matrix E.
+
+    Next to the model: the given states that remain, None where its states are combinations of them; the largest
+    relative difference of the two transfer matrices at nine points off the stability boundary.
+    """
     e, n = real_array("E", E, 2, where), given.n_states
     if e.shape != (n, n):
         raise InputError(where, f"E is {e.shape}", f"{(n, n)} as A")
-    form = e, given.A, given.B, given.C, given.D
     rated, kept = (np.asarray(e.any(axis=axis), dtype=np.bool_) for axis in (1, 0))
-    found = _without_algebraic(form, rated, kept)
+    found = _without_algebraic((e, given.A, given.B, given.C, given.D), rated, kept)
+    own: list[int] | None = np.flatnonzero(kept).tolist()
     if found is None:  # only other coordinates separate the states with a rate from those without
         turned, rated = _turned(e, given, where)
-        found, kept = _without_algebraic(turned, rated, rated), None
+        found, own = _without_algebraic(turned, rated, rated), None
         assert found is not None
     a, b, c, d = found
-    own = None if kept is None else tuple(np.flatnonzero(kept).tolist())
     states = signals(None if own is None else [given.states[k] for k in own], len(a), "x", where)
     model = StateSpaceModel(a, b, c, d, given.dt, given.inputs, given.outputs, states, where=where)
     residual = 0.0
@@ -180,7 +149,7 @@ def eliminated(given: StateSpaceModel, E: ArrayLike, where: str = "descriptor") 
         text = f"the model without algebraic equations differs from the descriptor form by {residual:.1e}"
         hint = "is a singular value of E neither zero nor clearly not?"
         raise NoTrustworthyNumber(where, text, f"at most {SAME:.0e} of the transfer matrix", hint)
-    return Eliminated(model, int(len(a) < n), own, n, residual)
+    return model, own, residual
 
 
 def _has_inverse(matrix: Array) -> bool:
@@ -215,11 +184,7 @@ def _turned(e: Array, given: StateSpaceModel, where: str) -> tuple[tuple[Array, 
     """Return the form in the singular coordinates of E and a mask of those with a rate; the index must be 1."""
     # scale the rows and columns of (E, A) to equal size by powers of two
     size = np.maximum(*(np.abs(m) / (np.abs(m).max(initial=0.0) or 1.0) for m in (e, given.A)))
-    rows, columns = np.ones(len(size)), np.ones(len(size))
-    for _ in range(3):
-        for axis, scale in ((1, rows), (0, columns)):
-            largest = (size * rows[:, None] * columns).max(axis=axis)
-            scale *= np.exp2(-np.rint(np.log2(np.where(largest > 0, largest, 1.0))))
+    rows, columns = (np.exp2(1.0 * exponents) for exponents in equilibrating_exponents(size))
     scaled, a = (m * rows[:, None] * columns for m in (e, given.A))
     u, values, v = np.linalg.svd(scaled)
     rated = values > ROUNDING * values.max(initial=0.0)

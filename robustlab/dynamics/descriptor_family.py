@@ -13,7 +13,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.budget import one_thread
-from robustlab.dynamics.descriptor_elimination import Channels, closed_descriptor, solved
+from robustlab.dynamics.descriptor_elimination import Channels, closed_descriptor, solved, with_outputs
 from robustlab.errors import InputError, NoTrustworthyNumber, RobustlabError
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import SAMPLED, FullBlock, ParameterRange, RealScalar
@@ -27,7 +27,7 @@ from robustlab.uncertainty.lft import UncertainModel
 FAMILY_REACH = 0.5
 FAMILY_ZERO = 30.0
 # Chebyshev nodes along a parameter, highest degree, and number of highest coefficients that estimate the rounding.
-FAMILY_NODES = 13
+NODES = np.polynomial.chebyshev.chebpts1(13)
 FAMILY_DEGREE = 3
 FAMILY_TOP = 4
 # Largest number of parameter products in a descriptor form.
@@ -84,8 +84,39 @@ def uncertain_family(
     degrees = {name: None if not ranges[name].nominal and (d or 0) > 2 else d for name, d in degrees.items()}
     polynomial = _exact_part(family, degrees, scale)
     polynomial, remainder, powers = _sampled_part(family, degrees, polynomial, scale)
-    origins = _Origins(trimmed.held, degrees, powers, remainder)
-    return _closed(family, nominal, polynomial, remainder, scale, origins, outputs)
+    whole, affine = _closed(family, nominal, polynomial, remainder, scale), polynomial.is_affine
+    off = _off(family, whole, polynomial, remainder)
+    if not off <= EXACT:
+        found = f"the set is off the plant's linear models by {off:.2g} of an entry's row"
+        raise NoTrustworthyNumber(where, found, None, "narrower tolerances, or fewer at once")
+    origins = [
+        _of_the_remainder(remainder, affine)
+        if block.name == REMAINDER and remainder is not None
+        else _of_a_parameter(degrees[block.name], powers, remainder is not None, affine, off) + trimmed.held
+        for block in whole.blocks
+    ]
+    named = [replace(block, origin=text) for block, text in zip(whole.blocks, origins, strict=True)]
+    made = with_outputs(UncertainModel(whole.M, named, nominal.operating_point), outputs)
+    # an affine form already has the fewest repetitions
+    return made if affine else made.reduce()
+
+
+def _of_the_remainder(rest: _Remainder, affine: bool) -> str:
+    """Return the origin of the remainder's block in words."""
+    proved = f"proved on the hull of {rest.samples}" if affine else f"proved for {rest.samples}"
+    fresh = f"{rest.fresh} fresh ones need {rest.fresh_size:.2f} of it"
+    return f"{SAMPLED}: {proved} linear models only; {fresh}; complex and dynamic members come in"
+
+
+def _of_a_parameter(degree: int | None, powers: int, more: bool, affine: bool, off: float) -> str:
+    """Return the origin of a parameter's block in words; ``off``: error of the set against the plant's models."""
+    if degree is None:
+        power = "first-order effect" if powers == 1 else f"effect up to order {powers}"
+        left = f"the rest stands in {REMAINDER}" if more else "nothing is left at the samples"
+        return f"{SAMPLED}: its {power}, {left}; "
+    kind = "affine" if degree == 1 else f"of degree {degree}"
+    least = ", repeated as often as its rank asks" if affine else ""
+    return f"exact: the descriptor form is {kind} in it{least}; the plant's own models met to {off:.1e}; "
 
 
 def _scale(centre: Array, scans: Sequence[Array]) -> Array:
@@ -116,13 +147,12 @@ class _Family:
 
     def raw(self, point: Mapping[str, float]) -> Array:
         """Return N at these parameter values, the others nominal."""
+        values = ", ".join(f"{name} = {value:.6g}" for name, value in point.items())
         try:
             found = self.matrices({**self.values, **point})
         except NoTrustworthyNumber as error:
-            values = ", ".join(f"{name} = {value:.6g}" for name, value in point.items())
             raise NoTrustworthyNumber(error.where, f"{error.found} ({values})", error.expected, error.hint) from None
         if not np.isfinite(found).all():
-            values = ", ".join(f"{name} = {value:.6g}" for name, value in point.items())
             raise NoTrustworthyNumber(self.where, f"no finite linear model at {values}")
         return found
 
@@ -151,22 +181,21 @@ class _Family:
         return min(r.low, r.nominal - far), max(r.high, r.nominal + far)
 
 
-def _chebyshev(count: int) -> Array:
-    return np.cos(np.pi * (np.arange(count) + 0.5) / count)
-
-
 def _with_row_factors(family: _Family, free: Sequence[int]) -> tuple[_Family, dict[str, Array | None]]:
     """Return the family with the row factors of lowest complexity, and N along each parameter (nodes, rows, columns).
 
     A scan is None if the plant has no linear model over the parameter's reach.
     """
     base = {n: 0.62 * r.nominal + 0.38 * family.reach(n)[1] for n, r in zip(family.names, family.ranges, strict=True)}
-    base = base if _exists(family, base) else {}
+    try:
+        family.raw(base)
+    except RobustlabError:
+        base = {}
     scans: dict[str, Array | None] = {}
     nodes: dict[str, Array] = {}
     for name in family.names:
         low, high = family.reach(name)
-        nodes[name] = 0.5 * (low + high) + 0.5 * (high - low) * _chebyshev(FAMILY_NODES)
+        nodes[name] = 0.5 * (low + high) + 0.5 * (high - low) * NODES
         try:
             scans[name] = np.array([family.raw({**base, name: float(v)}) for v in nodes[name]])
         except RobustlabError:
@@ -177,18 +206,16 @@ def _with_row_factors(family: _Family, free: Sequence[int]) -> tuple[_Family, di
     for row in free if known else ():
         rows = {name: scan[:, row] for name, scan in known.items()}
         values = {**family.values, **base}
-        best, left = _complexity(rows), [tuple(known), tuple(range(width))]  # parameters come first
-        while best[0] and left:
-            tries = [(by, _times(rows, by, nodes, values)) for by in left[0]]
-            judged = [(_complexity(made), k) for k, (_, made) in enumerate(tries) if made is not None]
-            least, k = min(judged, default=(best, 0))
-            if least >= best:
-                left = left[1:]
-                continue
-            best, (by, made) = least, tries[k]
-            assert made is not None
-            rows = made
-            factors.append((row, by))
+        best = _complexity(rows)
+        for group in (tuple(known), tuple(range(width))):  # parameters come first
+            while best[0]:
+                tries = [(by, made) for by in group if (made := _times(rows, by, nodes, values))]
+                judged = [(_complexity(made), k) for k, (_, made) in enumerate(tries)]
+                least, k = min(judged, default=(best, 0))
+                if least >= best:
+                    break
+                best, (by, rows) = least, tries[k]
+                factors.append((row, by))
         for name, scan in known.items():
             scan[:, row] = rows[name]
     return replace(family, factors=tuple(factors)), scans
@@ -206,14 +233,6 @@ def _times(
     return {n: row / row[:, [by]] for n, row in rows.items()}
 
 
-def _exists(family: _Family, point: Mapping[str, float]) -> bool:
-    try:
-        family.raw(point)
-    except RobustlabError:
-        return False
-    return True
-
-
 def _complexity(rows: Mapping[str, Array]) -> tuple[int, int]:
     """Return the number of parameters in which a row is no polynomial, and the sum of its degrees in the others."""
     size = np.max([np.abs(row).max(axis=0) for row in rows.values()], axis=0)
@@ -224,9 +243,8 @@ def _complexity(rows: Mapping[str, Array]) -> tuple[int, int]:
 
 def _degree(scan: Array) -> int | None:
     """Return the degree of the polynomial through values (nodes, ...) of magnitude one at Chebyshev nodes, or None."""
-    count = len(scan)
-    basis = np.polynomial.chebyshev.chebvander(_chebyshev(count), count - 1)
-    sizes = np.abs(basis.T @ scan.reshape(count, -1)) * (2.0 / count)
+    basis = np.polynomial.chebyshev.chebvander(NODES, len(NODES) - 1)
+    sizes = np.abs(basis.T @ scan.reshape(len(scan), -1)) * (2.0 / len(scan))
     rounding = np.maximum(CLEAR * sizes[-FAMILY_TOP:].max(axis=0), ROUNDING)
     degree = int(np.flatnonzero((sizes > rounding).any(axis=1)).max(initial=0))
     return degree if degree <= FAMILY_DEGREE and rounding.max() <= SAME else None
@@ -333,7 +351,7 @@ def _sampled_part(
         return exact, None, 0
     moving = [k for k, name in enumerate(family.names) if degrees[name] != 0]
     s = _box(family, moving, 0)
-    off = (family.inside(s) - _values(exact, family.entries(s))) / scale
+    off = (family.inside(s) - exact(family.entries(s))) / scale
     flat, t = off.reshape(len(off), -1), family.entries(s)
     whole = float(np.abs(flat).max())
     found: tuple[int, list[Exponents], Array, Array] | None = None
@@ -358,10 +376,6 @@ def _sampled_part(
             terms[e] = terms.get(e, 0.0) + part.reshape(scale.shape) * scale
     polynomial = MatrixPolynomial(family.names, terms)
     return polynomial, _bounded(family, moving, polynomial, rest.reshape(off.shape), scale), degree
-
-
-def _values(polynomial: MatrixPolynomial, t: Array) -> Array:
-    return np.array([polynomial(row) for row in t])
 
 
 def _box(family: _Family, moving: Sequence[int], seed: int) -> Array:
@@ -402,7 +416,7 @@ def _bounded(
     for attempt in range(1, FAMILY_ROUNDS + 1):
         bound = FAMILY_ROOM * largest
         s = _box(family, moving, attempt)[1:]
-        off = family.inside(s) - _values(polynomial, family.entries(s))
+        off = family.inside(s) - polynomial(family.entries(s))
         size_there = float(np.linalg.norm(made.delta(off), 2, axis=(1, 2)).max())
         if size_there <= bound:
             return made._replace(left=bound * made.left, samples=count, fresh=len(s), fresh_size=size_there / bound)
@@ -411,65 +425,23 @@ def _bounded(
     raise NoTrustworthyNumber(family.where, found, None, "narrower tolerances, or fewer at once")
 
 
-class _Origins(NamedTuple):
-    """Data for the origin text of each block."""
-
-    held: str
-    degrees: Mapping[str, int | None]
-    powers: int
-    remainder: _Remainder | None
-
-    def of(self, name: str, off: float, affine: bool) -> str:
-        """Return the origin of a block; ``off``: error of the set against the plant's models."""
-        rest = self.remainder
-        if name == REMAINDER and rest is not None:
-            proved = f"proved on the hull of {rest.samples}" if affine else f"proved for {rest.samples}"
-            return (
-                f"{SAMPLED}: {proved} linear models only; {rest.fresh} fresh ones need {rest.fresh_size:.2f} of it;"
-                " complex and dynamic members come in"
-            )
-        degree = self.degrees[name]
-        if degree is None:
-            power = "first-order effect" if self.powers == 1 else f"effect up to order {self.powers}"
-            left = "nothing is left at the samples" if rest is None else f"the rest stands in {REMAINDER}"
-            return f"{SAMPLED}: its {power}, {left}; {self.held}"
-        kind = "affine" if degree == 1 else f"of degree {degree}"
-        least = ", repeated as often as its rank asks" if affine else ""
-        return (
-            f"exact: the descriptor form is {kind} in it{least}; the plant's own models met to {off:.1e}; {self.held}"
-        )
-
-
 def _closed(
-    family: _Family, nominal: StateSpaceModel, polynomial: MatrixPolynomial, remainder: _Remainder | None,
-    scale: Array, origins: _Origins, outputs: Sequence[str] | None,
-) -> UncertainModel:  # fmt: skip
-    """Return the uncertain model, checked against the plant at random values."""
+    family: _Family, nominal: StateSpaceModel, polynomial: MatrixPolynomial, remainder: _Remainder | None, scale: Array
+) -> UncertainModel:
+    """Return the uncertain model of the polynomial and its remainder."""
     lft = polynomial_lft(polynomial, scale, ZERO)
     order = [k for name in family.names for k, owner in enumerate(lft.names) if owner == name]
     left, right, inner = lft.d21[:, order], lft.d12[order], lft.d11[np.ix_(order, order)]
-    counts = {name: lft.names.count(name) for name in family.names}
-    blocks: list[RealScalar | FullBlock] = [
-        RealScalar(name, counts[name], r) for name, r in zip(family.names, family.ranges, strict=True) if counts[name]
-    ]
+    counts = [(name, lft.names.count(name), r) for name, r in zip(family.names, family.ranges, strict=True)]
+    blocks: list[RealScalar | FullBlock] = [RealScalar(name, count, r) for name, count, r in counts if count]
     if remainder is not None:
         q, p = remainder.left.shape[1], remainder.right.shape[0]
         left, right = np.hstack([left, remainder.left]), np.vstack([right, remainder.right])
-        inner = np.block([[inner, np.zeros((len(inner), q))], [np.zeros((p, inner.shape[1])), np.zeros((p, q))]])
+        inner = np.pad(inner, ((0, p), (0, q)))
         blocks.append(FullBlock(REMAINDER, q, p))
-    n, n_u = nominal.n_states, nominal.n_inputs
-    e = -family.at({})[:n, n + n_u :]
-    channels, point = Channels(left, right, inner, tuple(blocks)), nominal.operating_point
-    whole = closed_descriptor(nominal, e, channels, family.where, None, point)
-    off = _off(family, whole, polynomial, remainder)
-    if not off <= EXACT:
-        found = f"the set is off the plant's linear models by {off:.2g} of an entry's row"
-        raise NoTrustworthyNumber(family.where, found, None, "narrower tolerances, or fewer at once")
-    affine = all(sum(powers) <= 1 for powers in polynomial.terms)
-    named = tuple(replace(block, origin=origins.of(block.name, off, affine)) for block in blocks)
-    made = closed_descriptor(nominal, e, channels._replace(blocks=named), family.where, outputs, point)
-    # an affine form already has the fewest repetitions
-    return made if affine else made.reduce()
+    n = nominal.n_states
+    e = -family.at({})[:n, n + nominal.n_inputs :]
+    return closed_descriptor(nominal, e, Channels(left, right, inner, tuple(blocks)), family.where)
 
 
 def _off(family: _Family, model: UncertainModel, polynomial: MatrixPolynomial, remainder: _Remainder | None) -> float:
@@ -482,7 +454,7 @@ def _off(family: _Family, model: UncertainModel, polynomial: MatrixPolynomial, r
         there = family.at(family.point(s))
         delta = {name: float(v) for name, v in zip(family.names, s, strict=True) if name in known}
         if remainder is not None:
-            delta |= {REMAINDER: remainder.delta(there[None] - polynomial(family.entries(s)))[0]}
+            delta |= {REMAINDER: remainder.delta(there[None] - polynomial(family.entries(s[None])))[0]}
         member = model.evaluate(delta)
         e, rest = -there[:n, n + n_u :], there[:n, : n + n_u]
         rates = solved(e, rest, family.where)

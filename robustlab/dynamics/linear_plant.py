@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
-from robustlab.dynamics.descriptor_elimination import ROUNDING, Channels, closed_descriptor, solved
+from robustlab.dynamics.descriptor_elimination import ROUNDING, Channels, closed_descriptor, solved, with_outputs
 from robustlab.dynamics.parameters import Parameter, parameter_ranges
 from robustlab.dynamics.plant_contract import Plant
 from robustlab.errors import InputError
@@ -155,7 +155,7 @@ class LinearPlant(Plant):
         # and 1/J in those of Km, Kf, J, as here.
         e = self.matrices(self.values)[0]
         channels = self._channels(parameter_ranges(self.parameters, ranges or {}, self.name, self.exact))
-        return closed_descriptor(self.state_space(), e, channels, self.name, outputs)
+        return with_outputs(closed_descriptor(self.state_space(), e, channels, self.name), outputs)
 
     def _channels(self, ranges: Mapping[str, ParameterRange]) -> Channels:
         """Return the channels of every parameter with an effect; R is scaled by the half widths above nominal."""

@@ -127,13 +127,15 @@ def _eliminated(
     """Return the model of a descriptor form, at its operating point if the states allow it."""
     from robustlab.dynamics.descriptor_elimination import eliminated
 
-    found = eliminated(model, e, where)
-    problems.notes.append(str(found))
-    if point is None or found.kept is None:
-        return found.model
-    if len(point.x) != found.n_given:
-        raise InputError("", f"operating_point.x has {len(point.x)} entries", f"{found.n_given}")
-    return replace(found.model, operating_point=replace(point, x=np.asarray(point.x)[list(found.kept)]))
+    found, kept, residual = eliminated(model, e, where)
+    count, n = model.n_states - found.n_states, model.n_states
+    words = f"{count} of {n} states eliminated" if count else "E has an inverse, all states stay"
+    problems.notes.append(f"descriptor form of index {int(count > 0)}: {words}; relative residual {residual:.1e}")
+    if point is None or kept is None:
+        return found
+    if len(point.x) != n:
+        raise InputError("", f"operating_point.x has {len(point.x)} entries", f"{n}")
+    return replace(found, operating_point=replace(point, x=np.asarray(point.x)[kept]))
 
 
 def decode_state_space(tree: Tree, problems: Problems, transpose: bool = False) -> StateSpaceModel:

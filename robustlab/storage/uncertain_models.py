@@ -91,7 +91,10 @@ def decode_blocks(tree: Tree, problems: Problems) -> tuple[Block, ...]:
         else:
             try:
                 span = _range(row, f"{group.path}: block {name!r}")
-                blocks.append(KINDS[kind].from_row(name, int(size[0]), int(size[1]), span, row.get("origin", "")))
+                made, sizes = KINDS[kind], [int(n) for n in size]
+                known: dict[str, Any] = {"parameter": span} if made.is_real else {}
+                sizes = sizes[: 1 if made.is_scalar else 2]
+                blocks.append(made(name, *sizes, **known, origin=row.get("origin", "")))
             except InputError as error:
                 problems.absorb(error)
     return tuple(blocks)

@@ -11,6 +11,5 @@ __all__, __getattr__ = lazily(
         "distances.coprime": "coprime_factors four_block",
         "covering.unstructured_cover": "error_sizes",
         "realised_delta": "realise_delta",
-        "decomposition_tree": "MatrixPolynomial polynomial_lft",
     },
 )

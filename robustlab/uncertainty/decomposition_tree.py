@@ -12,18 +12,14 @@ uncertainty modeling" (1999).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import permutations
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array
-
-VARIABLE_ORDERS = 24  # orders of the variables that are tried: more find smaller LFTs
 
 
 @dataclass(frozen=True)
@@ -77,45 +73,44 @@ class MatrixPolynomial:
     names: tuple[Hashable, ...]  # the variables
     terms: Terms  # exponents -> coefficient (m, n); the constant one is always there
 
+    @property
+    def is_affine(self) -> bool:
+        return all(sum(exponents) <= 1 for exponents in self.terms)
+
     def __call__(self, t: Array) -> Array:
-        """Evaluate the matrix (m, n) at t, shape (number of names,)."""
-        powers = [np.prod(np.power(t, exponents)) for exponents in self.terms]
+        """Evaluate the matrix (..., m, n) at t, shape (..., number of names)."""
+        powers = np.stack([np.prod(t**exponents, axis=-1) for exponents in self.terms], axis=-1)
         coefficients: Any = np.stack(list(self.terms.values()))
-        return np.tensordot(np.array(powers), coefficients, 1)
+        return np.tensordot(powers, coefficients, 1)
 
 
 def polynomial_lft(polynomial: MatrixPolynomial, scale: Array, tolerance: float) -> ConstantLft:
     """Return the smallest LFT ``w = diag(t_k I) z`` of a polynomial among several orders of the variables."""
     rows, cols = scale[:, 0], scale[0] / scale[0, 0]
     plain = MatrixPolynomial(polynomial.names, {e: part / scale for e, part in polynomial.terms.items()})
-    lft = decompositions(plain, tolerance)[0]
+    lft = decomposition(plain, tolerance)
     return ConstantLft(lft.names, lft.d11, lft.d12 * cols, rows[:, None] * lft.d21, lft.d22 * scale)
 
 
-def decompositions(
+def decomposition(
     polynomial: MatrixPolynomial, tolerance: float = 0.0, weight: Callable[[Any], int] = lambda _: 1
-) -> list[ConstantLft]:
-    """Return LFTs of a polynomial for several orders of the variables, of least weight first."""
+) -> ConstantLft:
+    """Return the LFT of a polynomial of least weight among several orders of the variables."""
     names, terms = polynomial.names, polynomial.terms
-    found: dict[tuple[Any, ...], ConstantLft] = {}
     least = sum(weight(name) for k, name in enumerate(names) if any(e[k] for e in terms))
-    for order in [range(len(names))] if all(sum(e) <= 1 for e in terms) else _orders(len(names)):
+    every = list(range(len(names)))
+    orders = [every, every[::-1]]  # forwards, backwards, and with each one put first and last
+    for k in every:
+        rest = [j for j in every if j != k]
+        orders += [[k, *rest], [*rest, k]]
+    found: list[tuple[int, list[int], list[NDArray[Any]]]] = []
+    for order in orders[:1] if polynomial.is_affine else orders:
         channels, *parts = _expanded(terms, order, tolerance)
-        own = tuple(names[k] for k in channels)
-        found.setdefault(own, ConstantLft(own, *(np.asarray(part, dtype=np.float64) for part in parts)))
-        if sum(weight(name) for name in own) == least:
+        found.append((sum(weight(names[k]) for k in channels), channels, parts))
+        if found[-1][0] == least:
             break
-    return sorted(found.values(), key=lambda lft: sum(weight(name) for name in lft.names))
-
-
-def _orders(count: int) -> list[Sequence[int]]:
-    """Return all orders of the variables, or forwards and backwards with each one put first and last."""
-    every = range(count)
-    if math.factorial(min(count, 20)) <= VARIABLE_ORDERS:
-        return list(permutations(every))
-    turned: list[Sequence[int]] = [list(every), list(reversed(every))]
-    moved = [made for k in every for made in ([k, *(j for j in every if j != k)], [*(j for j in every if j != k), k])]
-    return [*turned, *moved]
+    _, channels, parts = min(found, key=lambda one: one[0])
+    return ConstantLft(tuple(names[k] for k in channels), *(np.asarray(part, dtype=np.float64) for part in parts))
 
 
 def _expanded(

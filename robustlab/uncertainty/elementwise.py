@@ -6,16 +6,17 @@
 
 from __future__ import annotations
 
+import itertools
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError, UnitMismatch, did_you_mean, error_context
+from robustlab.linear_analysis.magnitude import equilibrating_exponents
 from robustlab.signals import MAX_NAME
 from robustlab.statespace import MAX_STATES, Signal, StateSpaceModel, as_model
 from robustlab.uncertainty.blocks import FullBlock, RealScalar
@@ -24,6 +25,7 @@ from robustlab.uncertainty.lft import UncertainModel, with_channels
 EXACT = 3e-14  # error of an entry of the rank factors, relative to its natural magnitude: below the promised 1e-12
 HUGE = 1 / np.finfo(float).eps  # rounding of an entry of this size exceeds entries of order one
 
+STRUCTURES = ("elements", "columns", "rows", "matrices", "single")
 # Pivot rows, pivot columns, and the rows and columns that an elimination step may change.
 Stage = tuple[slice, slice, slice, slice]
 _EVERYWHERE: Stage = (slice(None), slice(None), slice(None), slice(None))
@@ -117,7 +119,7 @@ def elementwise(
             continue
         for remark in pair_remarks(first, second):
             warnings.warn(f"elementwise: {remark}", stacklevel=3)  # the caller of elementwise
-        parts = _FACTORS[structure](difference)
+        parts = _parts(difference, structure)
     return _assemble(first, parts)
 
 
@@ -198,8 +200,7 @@ class _Difference:
     scale: Array
     allowance: Array
     n_states: int
-    row_names: tuple[str, ...]
-    col_names: tuple[str, ...]
+    names: tuple[tuple[str, ...], tuple[str, ...]]  # of rows, of columns
 
     def part(self, matrix: str) -> tuple[slice, slice]:
         n = self.n_states
@@ -216,72 +217,62 @@ class _Part(NamedTuple):
 
 
 def _difference(nominal: StateSpaceModel, perturbed: StateSpaceModel, tolerance: float) -> _Difference:
-    n = nominal.n_states
     first, second = (np.block([[m.A, m.B], [m.C, m.D]]) for m in (nominal, perturbed))
-    size = np.maximum(np.abs(first), np.abs(second))
-    scale = natural_magnitude(size)
-    # The large units of its row and column must not hide an entry of a matrix of small numbers.
-    limit = scale.copy()
-    for rows in (slice(0, n), slice(n, None)):
-        for cols in (slice(0, n), slice(n, None)):
-            limit[rows, cols] = np.minimum(limit[rows, cols], size[rows, cols].max(initial=0.0))
-    e = second - first
+    size, n = np.maximum(np.abs(first), np.abs(second)), nominal.n_states
+    limit, e = entry_scale(size, n), second - first
     e[np.abs(e) <= tolerance * limit] = 0.0
-    row_names, col_names = nominal.state_names + nominal.output_names, nominal.state_names + nominal.input_names
-    return _Difference(e, scale, max(tolerance, EXACT) * limit, n, row_names, col_names)
+    names = nominal.state_names + nominal.output_names, nominal.state_names + nominal.input_names
+    return _Difference(e, natural_magnitude(size), max(tolerance, EXACT) * limit, n, names)
+
+
+def entry_scale(size: Array, n: int) -> Array:
+    """Return the natural magnitude of each entry of ``[A B; C D]``, at most the largest entry of its matrix."""
+    # The large units of its row and column must not hide an entry of a matrix of small numbers.
+    scale, sides = natural_magnitude(size), (slice(0, n), slice(n, None))
+    for part in itertools.product(sides, sides):
+        scale[part] = np.minimum(scale[part], size[part].max(initial=0.0))
+    return scale
 
 
 def natural_magnitude(size: Array) -> Array:
     """Return powers of two ``r_i c_j`` for which ``size / (r c^T)`` has rows and columns with maxima near 1."""
-    with np.errstate(divide="ignore"):
-        level = np.log2(size)
-    row, col = np.zeros(size.shape[0]), np.zeros(size.shape[1])
-    if size.size == 0:
-        return np.ones(size.shape)
-    for _ in range(20):
-        for axis, exponent in ((1, row), (0, col)):
-            peak = (level - row[:, None] - col).max(axis=axis)
-            exponent += np.where(np.isfinite(peak), 0.5 * peak, 0.0)
-    return np.exp2(np.clip(np.rint(row)[:, None] + np.rint(col), -1000, 1000))
+    row, col = equilibrating_exponents(size)
+    return np.exp2(-1.0 * (row[:, None] + col))
 
 
 # --- factorisations of the structures --------------------------------------------------------------------------------
 
 
-def _rank_one(d: _Difference, way: str) -> list[_Part]:
-    """Return a part for each differing entry, column or row, of A, B, C, D in this order."""
-    found: list[tuple[str, str, Array, Array]] = []
-    rows, cols = np.eye(d.E.shape[0]), np.eye(d.E.shape[1])
+def _parts(d: _Difference, structure: str) -> list[_Part]:
+    """Return a part for each differing entry, column, row or matrix, of A, B, C, D in this order."""
+    if structure == "single":
+        return _single(d)
+    found: list[tuple[str, _Part]] = []
     for m in "ABCD":
         own = np.zeros(d.E.shape)
         own[d.part(m)] = d.E[d.part(m)]
-        if way == "columns":
-            for j in np.flatnonzero(own.any(axis=0)):
-                found.append((f"{m}[:,{d.col_names[j]}]", f"{m}[:,{j}]", own[:, [j]], cols[[j]]))
-        elif way == "rows":
-            for i in np.flatnonzero(own.any(axis=1)):
-                found.append((f"{m}[{d.row_names[i]},:]", f"{m}[{i},:]", rows[:, [i]], own[[i]]))
-        else:
-            for i, j in np.argwhere(own):
-                name = f"{m}[{d.row_names[i]},{d.col_names[j]}]"
-                found.append((name, f"{m}[{i},{j}]", own[i, j] * rows[:, [i]], cols[[j]]))
+        i, j = np.nonzero(own)
+        cells: dict[str, Iterable[tuple[Any, Any]]] = {
+            "elements": zip(i, j, strict=True),
+            "columns": ((None, k) for k in np.unique(j)),
+            "rows": ((k, None) for k in np.unique(i)),
+            "matrices": [(None, None)] if len(i) else [],
+        }
+        for row, col in cells[structure]:
+            e, cell = np.zeros(own.shape), tuple(slice(None) if k is None else k for k in (row, col))
+            e[cell] = own[cell]
+            factors = _rank_factors(e, d.allowance, d.scale, [_EVERYWHERE])
+            if structure == "rows":
+                factors = np.eye(len(e))[:, [row]], e[[row]]
+            labels = [
+                (":", ":") if k is None else (names[k], f"{k}") for names, k in zip(d.names, (row, col), strict=True)
+            ]
+            by_signal, by_number = (f"{m}[{r},{c}]" for r, c in zip(*labels, strict=True))
+            found.append((by_number, _Part(m if structure == "matrices" else by_signal, *factors)))
     # Names by signal where they are short (room is left for the channel's prefix and number) and unambiguous.
-    names = [name for name, *_ in found]
+    names = [part.name for _, part in found]
     clear = len(set(names)) == len(names) and all(len(name) <= MAX_NAME - 20 for name in names)
-    return [_Part(name if clear else numbered, left, right) for name, numbered, left, right in found]
-
-
-def _matrices(d: _Difference) -> list[_Part]:
-    parts = []
-    for m in "ABCD":
-        rows, cols = d.part(m)
-        if not d.E[rows, cols].any():
-            continue
-        inner = _rank_factors(d.E[rows, cols], d.allowance[rows, cols], d.scale[rows, cols], [_EVERYWHERE])
-        left, right = np.zeros((d.E.shape[0], inner[0].shape[1])), np.zeros((inner[1].shape[0], d.E.shape[1]))
-        left[rows], right[:, cols] = inner
-        parts.append(_Part(m, left, right))
-    return parts
+    return [part if clear else part._replace(name=by_number) for by_number, part in found]
 
 
 def _single(d: _Difference) -> list[_Part]:
@@ -294,16 +285,6 @@ def _single(d: _Difference) -> list[_Part]:
         # rank E = rank C_D + rank B_D + rank(rest of A_D), no channel connects an input to an output.
         stages = [(rest, x, every, x), (x, rest, x, every), (x, x, x, x)]
     return [_Part("single", *_rank_factors(d.E, d.allowance, d.scale, stages))]
-
-
-_FACTORS: dict[str, Callable[[_Difference], list[_Part]]] = {
-    "elements": partial(_rank_one, way="elements"),
-    "columns": partial(_rank_one, way="columns"),
-    "rows": partial(_rank_one, way="rows"),
-    "matrices": _matrices,
-    "single": _single,
-}
-STRUCTURES = tuple(_FACTORS)
 
 
 def _rank_factors(e: Array, allowance: Array, scale: Array, stages: Sequence[Stage]) -> tuple[Array, Array]:
@@ -338,9 +319,8 @@ def _assemble(nominal: StateSpaceModel, parts: list[_Part], full: bool = False) 
     """Return the nominal model with the channels of Delta in front (eqs 10.8, 10.9)."""
     size = sum(p.right.shape[0] for p in parts)
     if size > MAX_STATES:
-        raise InputError(
-            "elementwise", f"{size} channels of Delta", f"at most {MAX_STATES}", "use structure matrices or single"
-        )
+        hint = "use structure matrices or single"
+        raise InputError("elementwise", f"{size} channels of Delta", f"at most {MAX_STATES}", hint)
     n, n_u, n_y = nominal.n_states, nominal.n_inputs, nominal.n_outputs
     left = np.hstack([np.zeros((n + n_y, 0)), *(part.left for part in parts)])
     right = np.vstack([np.zeros((0, n + n_u)), *(part.right for part in parts)])

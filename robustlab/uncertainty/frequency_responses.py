@@ -19,8 +19,8 @@ from robustlab.provenance import Traced
 from robustlab.signals import Signal, SignalLike, picked, real_array, signals
 from robustlab.statespace import as_model
 from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock, as_blocks, delta_matrix, structure_size
+from robustlab.uncertainty.interconnection import ILL_POSED, closed_response
 from robustlab.uncertainty.lft import UncertainModel, return_path
-from robustlab.uncertainty.upper_lft import ILL_POSED, closed_response
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -246,29 +246,21 @@ def _complex(name: str, given: ArrayLike, where: str) -> ComplexArray:
 
 def _with_radius(plain: UncertainFrequencyData, given: ComplexArray, name: str) -> UncertainFrequencyData:
     """Return the data with a block for each entry, or one for all."""
-    radius = np.where(given.imag == 0, given.real, np.nan)
-    n, n_y, n_u = plain.M.shape
-    if n_y == n_u == 1 and radius.shape == (n,):
-        radius = radius[:, None, None]
-    r = np.broadcast_to(radius, (n,)) if radius.ndim == 0 else radius
+    (n, n_y, n_u), r = plain.M.shape, np.where(given.imag == 0, given.real, np.nan)
+    r = np.broadcast_to(r, (n,)) if r.ndim == 0 else r
     if r.shape not in ((n,), plain.M.shape) or not (np.isfinite(r) & (r >= 0)).all():
         found = f"shape {r.shape}" if r.shape not in ((n,), plain.M.shape) else "negative or not finite"
-        raise InputError(
-            "frequency_data: radius", found, f"a number, or numbers of 0 or more, ({n},) or {plain.M.shape}"
-        )
-    if n_y == n_u == 1:
-        r = r.reshape(n, 1, 1)
+        expected = f"a number, or numbers of 0 or more, ({n},) or {plain.M.shape}"
+        raise InputError("frequency_data: radius", found, expected)
     blocks: list[Block]
-    if r.ndim == 1:
-        blocks = [FullBlock(name, n_y, n_u)]
-        left = np.eye(n_y)
-        right = r[:, None, None] * np.eye(n_u)
+    if r.ndim == 1 and n_y * n_u > 1:
+        blocks, left, right = [FullBlock(name, n_y, n_u)], np.eye(n_y), r[:, None, None] * np.eye(n_u)
     else:
-        pairs = [(i, j) for i in range(n_y) for j in range(n_u) if r[:, i, j].any()]
-        blocks = [ComplexScalar(f"{name} {plain.outputs[i].name} from {plain.inputs[j].name}") for i, j in pairs]
-        left, right = np.zeros((n_y, len(pairs))), np.zeros((n, len(pairs), n_u))
-        for k, (i, j) in enumerate(pairs):
-            left[i, k], right[:, k, j] = 1.0, r[:, i, j]
+        r = r.reshape(plain.M.shape)
+        i, j = np.nonzero(r.any(axis=0))
+        pairs = zip(i.tolist(), j.tolist(), strict=True)
+        blocks = [ComplexScalar(f"{name} {plain.outputs[a].name} from {plain.inputs[b].name}") for a, b in pairs]
+        left, right = np.eye(n_y)[:, i], r[:, i, j][:, :, None] * np.eye(n_u)[j]
     q, p = structure_size(blocks)
     M = np.zeros((n, p + n_y, q + n_u), dtype=complex)
     M[:, :p, q:], M[:, p:, :q], M[:, p:, q:] = right, left, plain.M

@@ -5,22 +5,25 @@ Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), section 9.1.
 
 # Every interconnection of LFTs is an LFT in the same named blocks; a plain model is one without blocks. A block name
 # in several operands is the same uncertainty: its channels become one repeated block, which is then reduced. Signals
-# keep their names; of equal ones the later get _2, _3, ... A stable weight, the size of a dynamic uncertainty at each
-# frequency, becomes part of M, so that Delta stays normalised: w = Delta W z (side z), w = W Delta z (side w).
+# keep their names; of equal ones the later get _2, _3, ...
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from robustlab.arrays import Array
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.arrays import AnyArray, Array
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.linear_analysis.magnitude import balancing_factors
+from robustlab.linear_analysis.structural import strong_components
 from robustlab.signals import MAX_NAME
 from robustlab.statespace import Signal, StateSpaceModel, append
 from robustlab.uncertainty.blocks import Block, block_slices, structure_size
-from robustlab.uncertainty.upper_lft import is_singular
+
+ILL_POSED = 1e12  # condition number of I - M11 Delta above which results are rounding
 
 Part = tuple[StateSpaceModel, tuple[Block, ...]]  # a model whose first channels are those of the blocks
 
@@ -68,7 +71,8 @@ def joined(
     out, d22 = out[:, [*range(n), *(n + k for k in w)]], m.D[np.ix_(y, u)]
     # y = out (x, w) + D22 u, u = K y + E v = gain (x, w, v)
     around, n_v = wiring.K @ d22, wiring.E.shape[1]
-    acyclic = _is_acyclic(around)
+    single = not around.any() or len(set(strong_components(around != 0))) == len(around)
+    acyclic = single and not around.diagonal().any()
     if not acyclic and is_singular(around):
         found = "the loop is not well posed at Delta = 0 (every block at its nominal value): I - K D22 is singular"
         raise NoTrustworthyNumber(where, found)
@@ -88,9 +92,9 @@ def joined(
     merged = [name for name, (same, _, _) in channels.items() if len(same) > 1]
     if not merged:
         return model, blocks
-    from robustlab.uncertainty.reduction import reduce_blocks  # files of sets are read without it
+    from robustlab.uncertainty.reduction import reduce_each  # files of sets are read without it
 
-    return reduce_blocks(model, blocks, names=merged, keep=True)
+    return reduce_each(model, blocks, merged)
 
 
 def unnamed(m: StateSpaceModel, mark: str, where: str = "StateSpaceModel") -> StateSpaceModel:
@@ -139,18 +143,6 @@ def unique_names(given: Sequence[Signal]) -> list[Signal]:
     return result
 
 
-def _is_acyclic(matrix: Array) -> bool:
-    """Return whether the non-zero entries form no cycle, so that I - matrix has determinant one."""
-    edges = matrix != 0
-    alive = np.ones(len(edges), dtype=bool)
-    while alive.any():
-        leaves = alive & ~(edges[:, alive].any(axis=1))
-        if not leaves.any():
-            return False
-        alive &= ~leaves
-    return True
-
-
 def recentred(M: StateSpaceModel, blocks: Sequence[Block], centre: Array, scale: Array, where: str) -> StateSpaceModel:
     """Return M for Delta' with Delta = ``centre + scale Delta'``: ``w = centre z + scale w'``."""
     q, p = structure_size(blocks)
@@ -159,60 +151,59 @@ def recentred(M: StateSpaceModel, blocks: Sequence[Block], centre: Array, scale:
     return joined([(M, ())], Wiring(K, E, np.eye(M.n_outputs)), M.inputs, M.outputs, where)[0]
 
 
-def weighted(M: StateSpaceModel, given: Sequence[Block], weights: Mapping[str, Part], side: str) -> Part:
-    """Return M and blocks with a stable weight in the channels of each named block; see `UncertainModel.weighted`."""
-    if side not in ("z", "w"):
-        raise InputError("weighted", f"side {side!r}", "'z' (before Delta) or 'w' (after it)")
-    names = tuple(b.name for b in given)
-    for name in weights:
-        if name not in names:
-            expected = f"one of {', '.join(names) or 'none'}"
-            raise InputError(f"weighted: {name!r}", "no such block", expected, did_you_mean(name, names))
-    parts, blocks, wires = [M], list(given), []
-    channels: list[int] = []  # the channels of the result on that side
-    (q, p), n_in, n_out = structure_size(given), M.n_inputs, M.n_outputs
-    for i, (block, (w, z)) in enumerate(zip(given, block_slices(given), strict=True)):
-        if block.name not in weights:
-            channels += range(z.start, z.stop) if side == "z" else range(w.start, w.stop)
-            continue
-        weight, blocks[i] = _weight(block, weights[block.name], side)
-        parts.append(weight)
-        wires.append((n_in, z.start, block.cols) if side == "z" else (w.start, n_out, block.rows))
-        after_in, after_out = n_in + weight.n_inputs, n_out + weight.n_outputs
-        channels += range(n_out, after_out) if side == "z" else range(n_in, after_in)
-        n_in, n_out = after_in, after_out
-    E, F = np.eye(n_in)[:, : M.n_inputs], np.eye(n_out)[: M.n_outputs]
-    if side == "z":
-        F = np.eye(n_out)[[*channels, *range(p, M.n_outputs)]]
-    else:
-        E = np.eye(n_in)[:, [*channels, *range(q, M.n_inputs)]]
-    sides = channels_first(blocks, M.inputs[q:], M.outputs[p:])
-    found, _ = joined([(m, ()) for m in parts], Wiring(ones(n_in, n_out, *wires), E, F), *sides, "weighted")
-    return found, tuple(blocks)
+# --- closed by a constant Delta ---------------------------------------------------------------------------------------
 
 
-def _weight(block: Block, given: Part, side: str) -> tuple[StateSpaceModel, Block]:
-    """Return the weight on all channels of one block, and the remaining block of Delta."""
-    where = f"weighted: {block.name!r}"
-    if block.is_real:
-        raise InputError(where, "a real parameter", "a full or complex block", "a parameter's range is its weight")
-    weight, own = given
-    if own:
-        raise InputError(where, "an uncertain weight", "a model without uncertainty")
-    if weight.n_states and not weight.is_stable():
-        raise InputError(where, f"an unstable weight (abscissa {weight.spectral_abscissa():.6g})", "a stable weight")
-    size = block.cols if side == "z" else block.rows
-    shape = weight.n_outputs, weight.n_inputs
-    if shape == (1, 1):
-        A, B, C, D = (np.kron(np.eye(size), X) for X in (weight.A, weight.B, weight.C, weight.D))
-        marks = [f"#{k + 1}" if size > 1 else "" for k in range(size)]
-        states = [f"{block.name}: {s.name}{mark}" for mark in marks for s in weight.states]
-        return StateSpaceModel(A, B, C, D, weight.dt, states=states), block
-    if block.is_scalar:
-        raise InputError(where, f"a weight of {shape[0]} x {shape[1]}", "1 x 1 for a scalar block")
-    if shape[side == "z"] != size or 0 in shape:
-        wanted = f"n x {size}" if side == "z" else f"{size} x n"
-        raise InputError(where, f"a weight of {shape[0]} x {shape[1]}", f"1 x 1 or {wanted} (side {side})")
-    states = [f"{block.name}: {s.name}" for s in weight.states]
-    weight = StateSpaceModel(weight.A, weight.B, weight.C, weight.D, weight.dt, states=states)
-    return weight, block.resized(block.rows, shape[0]) if side == "z" else block.resized(shape[1], block.cols)
+def is_singular(product: ArrayLike) -> bool:
+    """Return whether ``I - product`` (n, n) is singular or too ill-conditioned."""
+    matrix = np.asarray(product)
+    if not matrix.any():
+        return False
+    label = strong_components(matrix != 0)
+    for k in range(int(label.max()) + 1):
+        part = np.flatnonzero(label == k)
+        inner = matrix[part[:, None], part]
+        scale = balancing_factors(inner)  # the answer is independent of the units of channels
+        if inner.any() and not np.linalg.cond(np.eye(len(part)) - inner / scale[:, None] * scale) <= ILL_POSED:
+            return True
+    return False
+
+
+def upper_lft(M: StateSpaceModel, delta: ArrayLike) -> StateSpaceModel:
+    """Return ``F_u(M, Delta)`` for a constant real Delta (q, p) on the first q inputs and p outputs of M."""
+    d = np.asarray(delta)
+    if np.iscomplexobj(d):
+        raise InputError(
+            "upper_lft", "a complex Delta", "a real one", "a complex Delta acts on frequency responses only"
+        )
+    q, p = d.shape
+    n_w, n_z = M.n_inputs, M.n_outputs
+    b1, b2 = M.B[:, :q], M.B[:, q:]
+    c1, c2 = M.C[:p], M.C[p:]
+    d11, d12, d21, d22 = M.D[:p, :q], M.D[:p, q:], M.D[p:, :q], M.D[p:, q:]
+    if q > n_w or p > n_z:
+        raise InputError("upper_lft", f"Delta is {d.shape}, M has {n_w} inputs and {n_z} outputs", "a smaller Delta")
+    loop = np.eye(p) - d11 @ d
+    if is_singular(d11 @ d):
+        raise NoTrustworthyNumber("upper_lft", "I - D11 Delta is singular: this Delta makes the model ill-posed")
+    # z = (I - D11 Delta)^-1 (C1 x + D12 u), w = Delta z
+    gain = d @ np.linalg.solve(loop, np.hstack([c1, d12])) if p else np.zeros((q, M.n_states + n_w - q))
+    w_x, w_u = gain[:, : M.n_states], gain[:, M.n_states :]
+    return StateSpaceModel(
+        M.A + b1 @ w_x,
+        b2 + b1 @ w_u,
+        c2 + d21 @ w_x,
+        d22 + d21 @ w_u,
+        M.dt,
+        M.inputs[q:],
+        M.outputs[p:],
+        M.states,
+        where="upper_lft",
+    )
+
+
+def closed_response(m: AnyArray, d: AnyArray) -> AnyArray:
+    """Return ``F_u`` of responses m (n_omega, ..., ...) for Delta d, one (q, p) or one for each frequency."""
+    q, p = d.shape[-2:]
+    loop = np.eye(p) - m[:, :p, :q] @ d
+    return m[:, p:, q:] + m[:, p:, :q] @ d @ np.linalg.solve(loop, m[:, :p, q:])

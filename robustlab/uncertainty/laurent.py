@@ -11,6 +11,8 @@ import unicodedata
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
+from functools import reduce
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -36,8 +38,8 @@ class Algebra:
     """Expressions over given parameters; collects the denominators of several terms."""
 
     parameters: tuple[str, ...]
-    exact: Mapping[str, Fraction] = field(default_factory=dict)  # parameters with one value, which replaces them
-    nonzero: frozenset[str] = frozenset()  # parameters that are never zero in their range
+    exact: Mapping[str, Fraction]  # parameters with one value, which replaces them
+    nonzero: frozenset[str]  # parameters that are never zero in their range
     denominators: dict[str, Laurent] = field(default_factory=dict)  # by their text in parentheses
     work: int = 0  # pairs of terms multiplied so far
 
@@ -57,9 +59,8 @@ class Algebra:
         try:
             return walk(entry, self.constant, self.variable, self.parameters, where)
         except InputError as error:
-            if error.where == "expression":
-                raise InputError(where, f"{_short(entry)}: {error.found}", error.expected, error.hint) from None
-            raise
+            found = f"{short(entry)}: {error.found}" if error.where == "expression" else error.found
+            raise InputError(where, found, error.expected, error.hint) from None
 
 
 @dataclass(frozen=True)
@@ -69,33 +70,29 @@ class Laurent:
     terms: Mapping[Monomial, Fraction]
     algebra: Algebra = field(repr=False, compare=False)
 
-    def __add__(self, other: Laurent) -> Laurent:
-        total = dict(self.terms)
-        for monomial, c in other.terms.items():
+    def _sum(self, terms: Iterable[tuple[Monomial, Fraction]]) -> Laurent:
+        total: dict[Monomial, Fraction] = {}
+        for monomial, c in terms:
             total[monomial] = total.get(monomial, Fraction(0)) + c
+            if len(total) > MAX_TERMS:
+                raise InputError("expression", "too many terms when multiplied out", f"at most {MAX_TERMS}")
+        if any(c.numerator.bit_length() + c.denominator.bit_length() > MAX_BITS for c in total.values()):
+            raise InputError("expression", "a coefficient of thousands of digits", "numbers of a usual size")
         return Laurent({m: c for m, c in total.items() if c}, self.algebra)
 
+    def __add__(self, other: Laurent) -> Laurent:
+        return self._sum([*self.terms.items(), *other.terms.items()])
+
     def __neg__(self) -> Laurent:
-        return Laurent({m: -c for m, c in self.terms.items()}, self.algebra)
+        return self._times((), Fraction(-1))
 
     def __sub__(self, other: Laurent) -> Laurent:
         return self + (-other)
 
     def __mul__(self, other: Laurent) -> Laurent:
-        pairs = len(self.terms) * len(other.terms)
-        self.algebra.count(pairs)
-        if pairs > 100 * MAX_TERMS:
-            raise InputError("expression", "too many terms when multiplied out", f"at most {MAX_TERMS}")
-        total: dict[Monomial, Fraction] = {}
-        for m1, c1 in self.terms.items():
-            for m2, c2 in other.terms.items():
-                m = times(m1, m2)
-                total[m] = total.get(m, Fraction(0)) + c1 * c2
-        if len(total) > MAX_TERMS:
-            raise InputError("expression", f"{len(total)} terms when multiplied out", f"at most {MAX_TERMS}")
-        if any(c.numerator.bit_length() + c.denominator.bit_length() > MAX_BITS for c in total.values()):
-            raise InputError("expression", "a coefficient of thousands of digits", "numbers of a usual size")
-        return Laurent({m: c for m, c in total.items() if c}, self.algebra)
+        self.algebra.count(len(self.terms) * len(other.terms))
+        pairs = product(self.terms.items(), other.terms.items())
+        return self._sum((times(m1, m2), c1 * c2) for (m1, c1), (m2, c2) in pairs)
 
     def __truediv__(self, b: Laurent) -> Laurent:
         """Divide by the monomials and common factors of b; the rest becomes a new denominator."""
@@ -120,9 +117,7 @@ class Laurent:
         one = self.algebra.constant(1)
         if exponent < 0 and len(self.terms) > 1:  # 1/(a+b)^2 is (1/(a+b))^2: one denominator for every power
             return (one / self) ** -exponent
-        result = one
-        for _ in range(abs(exponent)):
-            result = result * self
+        result = reduce(operator.mul, [self] * abs(exponent), one)
         return result if exponent >= 0 else one / result
 
     def _times(self, monomial: Monomial, c: Fraction) -> Laurent:
@@ -137,7 +132,11 @@ class Laurent:
         return sum(abs(e) for m in self.terms for _, e in m)
 
     def __str__(self) -> str:
-        return " + ".join(_term_text(m, c) for m, c in sorted(self.terms.items())) or "0"
+        texts = []
+        for monomial, c in sorted(self.terms.items()):
+            factors = [name if e == 1 else f"{name}**{e}" for name, e in monomial]
+            texts.append("*".join(factors if factors and c == 1 else [*factors, str(c)]))
+        return " + ".join(texts) or "0"
 
 
 def times(first: Monomial, second: Monomial) -> Monomial:
@@ -150,14 +149,14 @@ def times(first: Monomial, second: Monomial) -> Monomial:
 def _content(b: Laurent) -> tuple[Monomial, Fraction, Laurent]:
     """Return the common factor of all terms, the first coefficient, and the rest, whose first coefficient is one."""
     # Only variables whose exponents have one sign in all terms: 1/(1 + 1/m) is not 1/m times something.
-    common: list[tuple[str, int]] = []
-    for name in sorted(b.variables):
-        exponents = [dict(m).get(name, 0) for m in b.terms]
-        e = min(exponents) if min(exponents) > 0 else max(exponents) if max(exponents) < 0 else 0
-        if e:
-            common.append((name, e))
+    exponents = {name: [dict(m).get(name, 0) for m in b.terms] for name in sorted(b.variables)}
+    least = {name: max(min(e), 0) or min(max(e), 0) for name, e in exponents.items()}
     lead = b.terms[min(b.terms)]
-    return tuple(common), lead, b._times(tuple((name, -e) for name, e in common), 1 / lead)
+    return (
+        tuple((n, e) for n, e in least.items() if e),
+        lead,
+        b._times(tuple((n, -e) for n, e in least.items()), 1 / lead),
+    )
 
 
 def _into_denominator(a: Laurent, b: Laurent) -> tuple[Laurent, Laurent]:
@@ -175,23 +174,18 @@ def _into_denominator(a: Laurent, b: Laurent) -> tuple[Laurent, Laurent]:
 def _exact_quotient(a: Laurent, b: Laurent) -> Laurent | None:
     """Return ``a / b`` where b divides a (as polynomials, in lexicographic order of the monomials), else None."""
     names = sorted(a.variables | b.variables)
-    shift = {n: min([0, *(dict(m).get(n, 0) for m in [*a.terms, *b.terms])]) for n in names}
-    if any(n.startswith("(") for n in b.variables) or any(shift[n] < 0 for n in b.variables):
+    own = [e for m in (*a.terms, *b.terms) for n, e in m if n in b.variables]
+    if min(own, default=0) < 0 or any(n.startswith("(") for n in b.variables):
         return None  # only plain polynomials are divided
-
-    def key(m: Monomial) -> tuple[int, ...]:
-        exponents = dict(m)
-        return tuple(exponents.get(n, 0) for n in names)
-
+    key = lambda m: [dict(m).get(n, 0) for n in names]  # noqa: E731
     lead = max(b.terms, key=key)
-    down = tuple((n, -e) for n, e in lead)
     rest, quotient = a, a.algebra.constant(0)
     for _ in range(MAX_TERMS):
         if not rest.terms:
             return quotient
         top = max(rest.terms, key=key)
-        step = times(top, down)
-        if any(e < shift[n] for n, e in step):
+        step = times(top, tuple((n, -e) for n, e in lead))
+        if any(e < 0 for n, e in step if n in b.variables):
             return None
         share = rest.terms[top] / b.terms[lead]
         quotient, rest = quotient + Laurent({step: share}, a.algebra), rest - b._times(step, share)
@@ -212,7 +206,7 @@ def walk(
     if isinstance(entry, (int, float, np.integer, np.floating)) and not isinstance(entry, bool):
         return constant(_exact(entry, where))
     if not isinstance(entry, str):
-        raise InputError(where, f"{_short(entry)}", "a real number, or a text such as '-k/m'")
+        raise InputError(where, f"{short(entry)}", "a real number, or a text such as '-k/m'")
     if len(entry) > MAX_TEXT:
         raise InputError(where, f"an expression of {len(entry)} characters", f"at most {MAX_TEXT}")
     try:
@@ -221,9 +215,9 @@ def walk(
         reason = str(error) if isinstance(error, ValueError) else "nested too deeply"
         if isinstance(error, SyntaxError):  # Python's message on a number too long advises on its limits
             reason = "a number too long" if "integer string conversion" in error.msg else error.msg
-        raise InputError(where, f"{_short(entry)} cannot be read ({reason})", "an expression such as '-k/m'") from None
+        raise InputError(where, f"{short(entry)} cannot be read ({reason})", "an expression such as '-k/m'") from None
     known = {unicodedata.normalize("NFKC", name): name for name in names}  # as Python reads identifiers
-    quoted = _short(entry)
+    quoted = short(entry)
 
     def value(node: ast.expr, depth: int) -> Any:
         if depth > MAX_DEPTH:
@@ -254,16 +248,15 @@ def walk(
 
 
 def _exponent(node: ast.expr, where: str, quoted: str) -> int:
-    sign = 1
-    while isinstance(node, ast.UnaryOp) and isinstance(node.op, (ast.USub, ast.UAdd)):
-        sign = -sign if isinstance(node.op, ast.USub) else sign
-        node = node.operand
-    value = node.value if isinstance(node, ast.Constant) else None
+    try:
+        value = ast.literal_eval(node)
+    except ValueError:
+        value = None
     if isinstance(value, bool) or not isinstance(value, (int, float)) or value % 1 != 0:
         raise InputError(where, f"{quoted}: an exponent that is no whole number", "x**2, x**-1, ...")
-    if value > MAX_EXPONENT:
+    if abs(value) > MAX_EXPONENT:
         raise InputError(where, f"{quoted}: an exponent above {MAX_EXPONENT}", "a smaller one")
-    return sign * int(value)
+    return int(value)
 
 
 def _exact(value: Any, where: str) -> Fraction:
@@ -274,13 +267,6 @@ def _exact(value: Any, where: str) -> Fraction:
     return Fraction(number) if isinstance(number, int) else Fraction(repr(number))
 
 
-def _term_text(monomial: Monomial, coefficient: Fraction) -> str:
-    factors = [name if e == 1 else f"{name}**{e}" for name, e in monomial]
-    if coefficient == 1 and factors:
-        return "*".join(factors)
-    return "*".join([*factors, str(coefficient)])
-
-
-def _short(entry: Any) -> str:
+def short(entry: Any) -> str:
     text = repr(entry)
     return text if len(text) <= 80 else f"{text[:77]}..."

@@ -29,21 +29,21 @@ from robustlab.signals import (
     picked,
     real_array,
     same_units,
-    signal_positions,
 )
 from robustlab.statespace import OperatingPoint, StateSpaceModel, append, as_model, lower_lft
 from robustlab.uncertainty.blocks import Block, as_blocks, block_slices, delta_matrix, structure_size
 from robustlab.uncertainty.interconnection import (
     Wiring,
     channels_first,
+    closed_response,
+    is_singular,
     joined,
     ones,
     recentred,
     unique_names,
     unnamed,
-    weighted,
+    upper_lft,
 )
-from robustlab.uncertainty.upper_lft import closed_response, is_singular, upper_lft
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -153,10 +153,20 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
             This Delta makes the model ill-posed; the message names its values.
         """
         constant, dynamic = self._split(delta)
-        try:
-            return self._with_dynamics(constant, dynamic) if dynamic else upper_lft(self.M, constant)
-        except NoTrustworthyNumber as error:
-            raise NoTrustworthyNumber("evaluate", f"{error.found} ({self.named(delta)})") from None
+        (q, p), m = constant.shape, self.M
+        if not dynamic:
+            try:
+                return upper_lft(m, constant)
+            except NoTrustworthyNumber as error:
+                raise NoTrustworthyNumber("evaluate", f"{error.found} ({self.named(delta)})") from None
+        if np.iscomplexobj(constant):
+            raise InputError("evaluate", "a complex Delta", "real numbers or models", "use response(omega, delta)")
+        system = self._delta_system(constant, dynamic)
+        if is_singular(m.D[:p, :q] @ system.D):
+            found = f"I - D11 D_Delta is singular: this Delta makes the model ill-posed ({self.named(delta)})"
+            raise NoTrustworthyNumber("evaluate", found)
+        last = m.select(m.input_names[q:] + m.input_names[:q], m.output_names[p:] + m.output_names[:p])
+        return lower_lft(last, system).renamed(self.inputs, self.outputs)
 
     def _split(self, delta: Mapping[str, Any]) -> tuple[NDArray[Any], dict[str, StateSpaceModel]]:
         """Return Delta of the constant values, and the dynamic ones by name."""
@@ -164,16 +174,6 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
         zero = {b.name: b.zero for b in self.blocks}
         constant = {name: zero.get(name, 0.0) if name in dynamic else value for name, value in delta.items()}
         return delta_matrix(self.blocks, constant), dynamic
-
-    def _with_dynamics(self, constant: NDArray[Any], dynamic: Mapping[str, StateSpaceModel]) -> StateSpaceModel:
-        q, p = constant.shape
-        if np.iscomplexobj(constant):
-            raise InputError("evaluate", "a complex Delta", "real numbers or models", "use response(omega, delta)")
-        system = self._delta_system(constant, dynamic)
-        if is_singular(self.M.D[:p, :q] @ system.D):
-            raise NoTrustworthyNumber("evaluate", "I - D11 D_Delta is singular: this Delta makes the model ill-posed")
-        order = self.M.input_names[q:] + self.M.input_names[:q], self.M.output_names[p:] + self.M.output_names[:p]
-        return lower_lft(self.M.select(*order), system).renamed(self.inputs, self.outputs)
 
     def response(self, omega: ArrayLike, delta: Mapping[str, Any]) -> NDArray[np.complex128]:
         """Return the member's frequency response for a real, complex or dynamic Delta, shape (n_omega, n_y, n_u)."""
@@ -233,46 +233,17 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
 
     def __getitem__(self, key: Any) -> UncertainModel:
         """Return ``G[outputs, inputs]`` by numbers, slices, names or lists of these; blocks and states are kept."""
-        outputs, inputs = picked(key, self.nominal.output_names, self.nominal.input_names)
-        return self.select(inputs, outputs)
+        (q, p), ins, outs = self.delta_shape, self.M.input_names, self.M.output_names
+        some_outs, some_ins = picked(key, outs[p:], ins[q:])
+        return UncertainModel(self.M.select([*ins[:q], *some_ins], [*outs[:p], *some_outs]), self.blocks)
+
+    def select(self, inputs: Sequence[str] | None = None, outputs: Sequence[str] | None = None) -> UncertainModel:
+        """Return the same set with the named inputs and outputs only."""
+        return self[slice(None) if outputs is None else outputs, slice(None) if inputs is None else inputs]
 
     def inverse(self) -> UncertainModel:
         """Return the set of the inverses of a square set; inputs and outputs are exchanged."""
         return inverse(self)
-
-    def weighted(self, weights: Mapping[str, Any], side: str = "z") -> UncertainModel:
-        """Return the set with a stable weight in the channels of each named block; block names are kept.
-
-        Parameters
-        ----------
-        weights
-            Block name -> weight: StateSpaceModel, matrix or number. A 1 x 1 weight acts on every channel of the block.
-            A full block also takes a matrix weight: on side z with as many inputs as the block's z, on side w with as
-            many outputs as its w; the weight's other side becomes the size of the block.
-        side
-            ``"z"``: before Delta; ``"w"``: after it.
-
-        Returns
-        -------
-        UncertainModel
-            At Delta: the given set at ``Delta W`` or ``W Delta``. States: those of M, then of the weights.
-
-        Raises
-        ------
-        InputError
-            No such block, a real block (its range is its weight), a weight that is unstable, or of another sample time
-            or a wrong size.
-
-        Examples
-        --------
-        >>> from robustlab.uncertainty.blocks import ComplexScalar
-        >>> plant = UncertainModel(StateSpaceModel([], [], [], [[0.0, 1.0], [1.0, 1.0]]), [ComplexScalar("dynamics")])
-        >>> weight = StateSpaceModel([[-10.0]], [[1.0]], [[10.0]], [[0.0]])
-        >>> plant.weighted({"dynamics": weight}).evaluate({"dynamics": 0.5}).dc_gain()
-        array([[1.5]])
-        """
-        read = {name: as_uncertain(given, f"weighted: {name!r}") for name, given in weights.items()}
-        return UncertainModel(*weighted(self.M, self.blocks, {k: (g.M, g.blocks) for k, g in read.items()}, side))
 
     def physical(self, delta: Mapping[str, Any]) -> dict[str, tuple[float, str]]:
         """Return the parameter values and units of a Delta, for real blocks with a physical parameter."""
@@ -305,14 +276,6 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
             return ()
         names = ", ".join(self.sampled)
         return (f"the set holds the plant for samples only (blocks {names}): what is proved is proved for the set",)
-
-    def select(self, inputs: Sequence[str] | None = None, outputs: Sequence[str] | None = None) -> UncertainModel:
-        """Return the same set with the named inputs and outputs only."""
-        q, p = self.delta_shape
-        ins, outs = self.M.input_names, self.M.output_names
-        some_ins = [ins[q + k] for k in signal_positions(inputs, ins[q:], "select: input")]
-        some_outs = [outs[p + k] for k in signal_positions(outputs, outs[p:], "select: output")]
-        return UncertainModel(self.M.select([*ins[:q], *some_ins], [*outs[:p], *some_outs]), self.blocks)
 
     def centred(self, level: float = 1.0) -> UncertainModel:
         r"""Return the set scaled by ``level``, with every real range symmetric about its own middle.
@@ -375,7 +338,7 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
         """Return the same set with minimal repetitions of each scalar block; evidence: `reduce_model`.
 
         Like the states of a transfer function in 1/s, uncontrollable and unobservable repetitions are removed (Kalman
-        decomposition, block by block and then jointly). A scalar block without effect is removed, and its name is then
+        decomposition of all blocks jointly). A scalar block without effect is removed, and its name is then
         unknown to `evaluate`.
 
         Singular values below ``tolerance`` times the largest count as zero.

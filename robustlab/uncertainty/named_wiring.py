@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch, did_you_mean, error_context
 from robustlab.signals import Signal, is_constant
 from robustlab.statespace import StateSpaceModel
@@ -83,31 +82,25 @@ def connect(
             found = "a number or a matrix: its signals have no names"
             raise InputError(f"connect: {label}", found, "a model", hint)
         given.append(_Part(label, as_uncertain(getattr(part, "K", part), f"connect: {label}")))
-    uncertain = any(isinstance(part, UncertainModel) for part in parts)
-    wired_parts = [*given, *(_summing(text) for text in texts)]
-    if not wired_parts:
+    wired = [*given, *(_summing(text) for text in texts)]
+    if not wired:
         raise InputError("connect", "no part", "at least one")
-    _same_sample_times(given)
-    made = _made_once(wired_parts)
-    _check_names(wired_parts, made, ins, outs)
-    units = _units(wired_parts)
+    _check(given, wired, ins, outs)
+    units = _units(wired)
     # An external input that is an output, too, passes through its own part: outputs are outputs of parts.
-    wired_parts += [_Part(f"output {name!r}", _gain([[1.0]], [name], name)) for name in outs if name in ins]
-    makers = [s.name for part in wired_parts for s in part.model.outputs]
-    fed = [s.name for part in wired_parts for s in part.model.inputs]
-    made_by_part = [None if name in ins else name for name in makers]
-    wiring = Wiring(
-        K=_ones(fed, made_by_part),
-        E=_ones(fed, ins),
-        # An external name is made by its own part only, which comes last.
-        F=_ones(outs, makers),
-    )
+    wired += [_Part(f"output {name!r}", _gain([[1.0]], [name], name)) for name in outs if name in ins]
+    makers = np.array([s.name for part in wired for s in part.model.outputs])
+    fed = np.array([s.name for part in wired for s in part.model.inputs])
+    # An external name is made by its own part only, which comes last.
+    by_part = np.where(np.isin(makers, ins), "", makers)
+    K, E, F = (rows[:, None] == np.array(cols) for rows, cols in ((fed, by_part), (fed, ins), (np.array(outs), makers)))
+    wiring = Wiring(K.astype(float), E.astype(float), F.astype(float))
     sides = [[Signal(name, units.get(name, "")) for name in side] for side in (ins, outs)]
     try:
-        found = interconnected([part.model for part in wired_parts], wiring, sides[0], sides[1], "connect")
+        found = interconnected([part.model for part in wired], wiring, sides[0], sides[1], "connect")
     except NoTrustworthyNumber as error:
-        raise _with_loop(error, wired_parts, wiring, makers) from None
-    return found if uncertain else found.nominal
+        raise _with_loop(error, wired, wiring, makers) from None
+    return found if any(isinstance(part, UncertainModel) for part in parts) else found.nominal
 
 
 # --- parts ------------------------------------------------------------------------------------------------------------
@@ -138,35 +131,26 @@ def _summing(text: str) -> _Part:
     return _Part(f"sum {text!r}", _gain([list(signs.values())], list(signs), found[1]))
 
 
-def _same_sample_times(parts: Sequence[_Part]) -> None:
-    timed = [part for part in parts if part.model.M.n_states or part.model.dt]
-    for part in timed[1:]:
-        first = timed[0]
-        if part.model.dt != first.model.dt:
-            hint = "rl.discretise and rl.d2c change sample times"
-            expected = f"{first.model.dt:g} s as in {first.label}"
-            raise InputError(f"connect: {part.label}", f"sample time {part.model.dt:g} s", expected, hint)
-
-
 # --- names and units --------------------------------------------------------------------------------------------------
 
 
-def _made_once(parts: Sequence[_Part]) -> dict[str, str]:
-    """Return the source of each signal: name -> label of its part."""
-    made: dict[str, str] = {}
-    for part in parts:
-        for signal in part.model.outputs:
-            if signal.name in made:
-                found = f"{made[signal.name]} and {part.label} both make it"
-                hint = f"rename one output, and add both in a sum: sums=['{signal.name} = ...']"
-                raise InputError(f"connect: signal {signal.name!r}", found, "one output for a name", hint)
-            made[signal.name] = part.label
-    return made
-
-
-def _check_names(parts: Sequence[_Part], made: dict[str, str], ins: list[str], outs: list[str]) -> None:
-    """Check that every input has one source, and that every requested name exists."""
-    fed = {s.name for part in parts for s in part.model.inputs}
+def _check(given: Sequence[_Part], parts: Sequence[_Part], ins: list[str], outs: list[str]) -> None:
+    """Check sample times, that every input has one source, and that every requested name exists."""
+    timed = [part for part in given if part.model.M.n_states or part.model.dt]
+    for part in timed[1:]:
+        first = timed[0]
+        if part.model.dt != first.model.dt:
+            found, expected = f"sample time {part.model.dt:g} s", f"{first.model.dt:g} s as in {first.label}"
+            raise InputError(f"connect: {part.label}", found, expected, "rl.discretise and rl.d2c change sample times")
+    made: dict[str, str] = {}  # the part that makes each signal
+    for label, name in [(part.label, s.name) for part in parts for s in part.model.outputs]:
+        if name in made:
+            hint = f"rename one output, and add both in a sum: sums=['{name} = ...']"
+            found = f"{made[name]} and {label} both make it"
+            raise InputError(f"connect: signal {name!r}", found, "one output for a name", hint)
+        made[name] = label
+    fed = [(part.label, s.name) for part in parts for s in part.model.inputs]
+    free, known = sorted({name for _, name in fed} - set(made)), [*made, *ins]
     for side, names in (("input", ins), ("output", outs)):
         twice = [name for name in names if names.count(name) > 1]
         if twice:
@@ -176,16 +160,14 @@ def _check_names(parts: Sequence[_Part], made: dict[str, str], ins: list[str], o
         if name in made:
             hint = f"add both in a sum with a new name: sums=['{name}_sum = {name} + ...']"
             raise InputError(where, f"{made[name]} makes this signal", "a signal that no part makes", hint)
-        if name not in fed:
-            free = sorted(fed - set(made))
+        if name not in free:
             expected = f"one of {', '.join(free)}" if free else "none: every input is fed by a part"
             raise InputError(where, "no part and no sum takes it", expected, did_you_mean(name, free))
-    known = [*made, *ins]
     for name in outs:
         if name not in known:
             expected = f"one of {', '.join(known)}"
             raise InputError(f"connect: output {name!r}", "no such signal", expected, did_you_mean(name, known))
-    unfed = [(part.label, s.name) for part in parts for s in part.model.inputs if s.name not in known]
+    unfed = [(label, name) for label, name in fed if name not in known]
     if unfed:
         lines = [f"connect: {label}: input {name!r}: nobody feeds it" for label, name in unfed]
         where, _, found = lines[0].rpartition(": ")
@@ -195,46 +177,30 @@ def _check_names(parts: Sequence[_Part], made: dict[str, str], ins: list[str], o
 
 def _units(parts: Sequence[_Part]) -> dict[str, str]:
     """Return the unit of each signal that has one anywhere; terms of a sum have one unit."""
-    group = {s.name: s.name for part in parts for s in (*part.model.inputs, *part.model.outputs)}
-
-    def root(name: str) -> str:
-        while group[name] != name:
-            name = group[name]
-        return name
-
+    group: dict[str, set[str]] = {}  # the signals of one unit with each signal
     for part in parts:
-        if part.label.startswith("sum "):
-            for term in part.model.inputs:
-                group[root(term.name)] = root(part.model.outputs[0].name)
-    stated: dict[str, tuple[str, str, str]] = {}
+        sides = [s.name for s in (*part.model.inputs, *part.model.outputs)]
+        for names in [sides] if part.label.startswith("sum ") else [[name] for name in sides]:
+            merged = set(names).union(*(group.get(name, ()) for name in names))
+            group |= dict.fromkeys(merged, merged)
+    units: dict[str, str] = {}
+    stated: dict[str, str] = {}  # where the unit of each signal was given first
     for part in parts:
         for signal in (*part.model.inputs, *part.model.outputs):
             if not signal.unit:
                 continue
-            name, unit, label = stated.setdefault(root(signal.name), (signal.name, signal.unit, part.label))
-            if unit != signal.unit:
-                found = f"[{signal.unit}] in {part.label}"
-                other = f"[{unit}] as {name!r} in {label}"
+            if units.setdefault(signal.name, signal.unit) != signal.unit:
+                raise UnitMismatch(
+                    f"connect: signal {signal.name!r}", f"[{signal.unit}] in {part.label}", stated[signal.name]
+                )
+            for name in group[signal.name]:
                 through = "" if name == signal.name else ", for a sum adds them"
-                raise UnitMismatch(f"connect: signal {signal.name!r}", found, other + through)
-    return {name: stated[root(name)][1] for name in group if root(name) in stated}
+                units.setdefault(name, signal.unit)
+                stated.setdefault(name, f"[{signal.unit}] as {signal.name!r} in {part.label}{through}")
+    return units
 
 
-# --- wires ------------------------------------------------------------------------------------------------------------
-
-
-def _ones(rows: Sequence[str], columns: Iterable[str | None]) -> Array:
-    """Return 1 where a row and a column have the same name; shape (rows, columns)."""
-    wanted = list(columns)
-    matrix = np.zeros((len(rows), len(wanted)))
-    for j, name in enumerate(wanted):
-        matrix[[i for i, row in enumerate(rows) if row == name], j] = 1.0
-    return matrix
-
-
-def _with_loop(
-    error: NoTrustworthyNumber, parts: Sequence[_Part], wiring: Wiring, makers: Sequence[str]
-) -> NoTrustworthyNumber:
+def _with_loop(error: NoTrustworthyNumber, parts: Sequence[_Part], wiring: Wiring, makers: Any) -> NoTrustworthyNumber:
     """Return the error of an algebraic loop, with the signals of the loop."""
     from scipy.linalg import block_diag
     from scipy.sparse.csgraph import connected_components

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
-from itertools import product as vertices_of
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.statespace import SignalLike, StateSpaceModel
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
-from robustlab.uncertainty.decomposition_tree import ConstantLft, MatrixPolynomial, decompositions
+from robustlab.uncertainty.decomposition_tree import ConstantLft, MatrixPolynomial, decomposition
 from robustlab.uncertainty.laurent import Algebra, Laurent, walk
 from robustlab.uncertainty.lft import UncertainModel, with_channels
 from robustlab.uncertainty.reduction import reduction
@@ -21,8 +21,6 @@ from robustlab.uncertainty.reduction import reduction
 # Boxes and vertices in the search for a zero of a denominator: with fewer, more valid ranges are rejected.
 DENOMINATOR_BOXES = 4000
 DENOMINATOR_VERTICES = 4096
-DECOMPOSITIONS = 3  # number of the smallest decompositions that are assembled and reduced
-
 EXACT = 1e-9  # allowed error of an entry at random parameter values, relative to its largest value there
 MAX_SIZE = 200_000  # factors times variables
 
@@ -86,16 +84,26 @@ def parametric(
         (*ranges, *exact), {name: Fraction(repr(value)) for name, value in exact.items()},
         frozenset(name for name, r in ranges.items() if not r.low <= 0 <= r.high),
     )  # fmt: skip
-    table, shapes = _entries(A, B, C, D)
+    table, n = _entries(A, B, C, D)
     try:
         expressions = [[algebra.read(entry, where) for where, entry in row] for row in table]
         _check_size(expressions, algebra)
-        _check_denominators(expressions, algebra, ranges)
-        candidates = _candidates(expressions, algebra, ranges, shapes, (dt, inputs, outputs, states))
-        model = _first_exact(candidates, table, ranges, exact)
+        checked: dict[str, set[str]] = {}
+        for expression in (entry for row in expressions for entry in row):
+            _check_denominators(expression, algebra, ranges, checked)
+        lft = _lft(expressions, algebra, ranges)
+        d22, order = lft.d22, [k for name in ranges for k, owner in enumerate(lft.names) if owner == name]
+        blocks = [RealScalar(name, lft.names.count(name), r) for name, r in ranges.items() if name in lft.names]
+        plain = StateSpaceModel(d22[:n, :n], d22[:n, n:], d22[n:, :n], d22[n:, n:], dt, inputs, outputs, states)
+        model = with_channels(plain, blocks, lft.d21[:, order], lft.d12[order], lft.d11[np.ix_(order, order)])
+        # A reduction mixes entries of different units: where small ones are lost, the unreduced LFT is taken.
+        for candidate in (reduction(model).model, model):
+            missed = _missed(candidate, table, ranges, exact)
+            if missed <= EXACT:
+                return candidate
     except OverflowError:
         raise InputError("parametric", "numbers that overflow", "values and coefficients of a usual size") from None
-    return model
+    raise NoTrustworthyNumber("parametric", f"the LFT misses the expressions by {missed:.2g} of an entry's size")
 
 
 def as_range(name: str, given: Any) -> ParameterRange | float:
@@ -132,15 +140,14 @@ def as_range(name: str, given: Any) -> ParameterRange | float:
 
 
 def _ranges(parameters: Mapping[str, Any]) -> tuple[dict[str, ParameterRange], dict[str, float]]:
-    ranges: dict[str, ParameterRange] = {}
-    exact: dict[str, float] = {}
     if not isinstance(parameters, Mapping):
         raise InputError("parametric", f"parameters are a {type(parameters).__name__}", "a dictionary of ranges")
+    ranges: dict[str, ParameterRange] = {}
+    exact: dict[str, float] = {}
     for name, given in parameters.items():
         if not isinstance(name, str) or not name.isidentifier():
-            raise InputError(
-                "parametric", f"parameter name {name!r}", "letters, digits and _, not beginning with a digit"
-            )
+            expected = "letters, digits and _, not beginning with a digit"
+            raise InputError("parametric", f"parameter name {name!r}", expected)
         value = as_range(name, given)
         if isinstance(value, ParameterRange):
             ranges[name] = value
@@ -150,10 +157,11 @@ def _ranges(parameters: Mapping[str, Any]) -> tuple[dict[str, ParameterRange], d
 
 
 Table = list[list[tuple[str, Any]]]
+Values = Mapping[str, float]
 
 
-def _entries(A: Any, B: Any, C: Any, D: Any) -> tuple[Table, tuple[int, int, int]]:
-    """Return ``[A B; C D]`` with the name of every entry, and n_x, n_u, n_y."""
+def _entries(A: Any, B: Any, C: Any, D: Any) -> tuple[Table, int]:
+    """Return ``[A B; C D]`` with the name of every entry, and the number of states."""
     rows = {name: _rows(name, given) for name, given in zip("ABCD", (A, B, C, D), strict=True)}
     n, n_y = len(rows["A"]), len(rows["D"])
     n_u = len(rows["D"][0]) if n_y else (len(rows["B"][0]) if rows["B"] else 0)
@@ -170,15 +178,14 @@ def _entries(A: Any, B: Any, C: Any, D: Any) -> tuple[Table, tuple[int, int, int
         for name, given in rows.items()
     }
     above = [a + b for a, b in zip(named["A"], named["B"], strict=True)]
-    return above + [c + d for c, d in zip(named["C"], named["D"], strict=True)], (n, n_u, n_y)
+    return above + [c + d for c, d in zip(named["C"], named["D"], strict=True)], n
 
 
 def _rows(name: str, given: Any) -> list[list[Any]]:
     rows = given.tolist() if isinstance(given, np.ndarray) else given
     if not isinstance(rows, (list, tuple)) or not all(isinstance(row, (list, tuple)) for row in rows):
-        raise InputError(
-            "parametric", f"{name} is {type(given).__name__}", "a list of rows", "write [[...]] for one row"
-        )
+        found = f"{name} is {type(given).__name__}"
+        raise InputError("parametric", found, "a list of rows", "write [[...]] for one row")
     return [list(row) for row in rows]
 
 
@@ -188,88 +195,72 @@ def _rows(name: str, given: Any) -> list[list[Any]]:
 def _check_size(expressions: Sequence[Sequence[Laurent]], algebra: Algebra) -> None:
     """Reject expressions too large for the search of a decomposition, which visits every factor for every variable."""
     every = [*(entry for row in expressions for entry in row), *algebra.denominators.values()]
-    factors = sum(1 + sum(abs(e) for _, e in monomial) for entry in every for monomial in entry.terms)
+    factors = sum(len(entry.terms) + entry.factors for entry in every)
     variables = len(set().union(*(entry.variables for entry in every)))
     if factors * variables > MAX_SIZE:
-        raise InputError(
-            "parametric",
-            f"{factors} factors of {variables} variables and denominators when multiplied out",
-            f"a product of at most {MAX_SIZE}",
-            "give a sum that occurs often a parameter of its own",
-        )
+        found = f"{factors} factors of {variables} variables and denominators when multiplied out"
+        hint = "give a sum that occurs often a parameter of its own"
+        raise InputError("parametric", found, f"a product of at most {MAX_SIZE}", hint)
 
 
 def _check_denominators(
-    expressions: Sequence[Sequence[Laurent]], algebra: Algebra, ranges: Mapping[str, ParameterRange]
-) -> None:
-    """Check that no denominator vanishes in the ranges; inner denominators first."""
-    checked: set[str] = set()
+    expression: Laurent, algebra: Algebra, ranges: Mapping[str, ParameterRange], checked: dict[str, set[str]]
+) -> set[str]:
+    """Check that no denominator vanishes in the ranges, inner denominators first; return the parameters.
 
-    def check(expression: Laurent) -> None:
-        for name in sorted({v for m in expression.terms for v, e in m if e < 0} - checked):
-            checked.add(name)
-            if name in algebra.denominators:
-                check(algebra.denominators[name])
-                _exclude_zero(name, algebra, ranges)
-            elif ranges[name].low <= 0 <= ranges[name].high:
-                r = ranges[name]
-                found = f"a denominator vanishes at {name} = 0, inside its range {r.low:g} .. {r.high:g} {r.unit}"
-                raise NoTrustworthyNumber("parametric", found.rstrip())
-
-    for row in expressions:
-        for expression in row:
-            check(expression)
+    ``checked``: the parameters of each denominator so far.
+    """
+    inside: set[str] = set()
+    for name, e in sorted({pair for monomial in expression.terms for pair in monomial}):
+        if name in algebra.denominators:
+            if name not in checked:
+                checked[name] = _check_denominators(algebra.denominators[name], algebra, ranges, checked)
+                _exclude_zero(name, algebra, {v: ranges[v] for v in sorted(checked[name])})
+            inside |= checked[name]
+        elif e < 0 and ranges[name].low <= 0 <= ranges[name].high:
+            r = ranges[name]
+            found = f"a denominator vanishes at {name} = 0, inside its range {r.low:g} .. {r.high:g} {r.unit}"
+            raise NoTrustworthyNumber("parametric", found.rstrip())
+        else:
+            inside.add(name)
+    return inside
 
 
 def _exclude_zero(name: str, algebra: Algebra, ranges: Mapping[str, ParameterRange]) -> None:
-    """Exclude a zero by interval arithmetic over ever smaller boxes, after the signs at the vertices."""
+    """Exclude a zero of a denominator by interval arithmetic over ever smaller boxes, after the signs at vertices."""
     expression = algebra.denominators[name]
-    variables = sorted(_parameters_in(expression, algebra))
-    low = np.array([ranges[v].low for v in variables])
-    high = np.array([ranges[v].high for v in variables])
-    nominal = np.array([ranges[v].nominal for v in variables])
+    low, high, nominal = (np.array([getattr(r, end) for r in ranges.values()]) for end in ("low", "high", "nominal"))
 
-    def value(point: Array) -> float:
-        box = {v: (x, x) for v, x in zip(variables, point.tolist(), strict=True)}
-        return _interval(expression, box, algebra)[0]
+    def bounds(lower: Array, upper: Array) -> tuple[float, float]:
+        return _interval(expression, dict(zip(ranges, zip(lower, upper, strict=True), strict=True)), algebra)
 
-    start = value(nominal)
-    corners = [np.array(c) for c in vertices_of(*zip(low, high, strict=True))] if len(variables) <= 12 else []
-    for corner in [nominal, *corners[:DENOMINATOR_VERTICES]]:
-        if start * value(corner) <= 0:
+    def text(point: Array) -> str:
+        return ", ".join(f"{v} = {x:.6g}" for v, x in zip(ranges, point.tolist(), strict=True))
+
+    start = bounds(nominal, nominal)[0]
+    vertices = itertools.islice(itertools.product(*zip(low, high, strict=True)), DENOMINATOR_VERTICES)
+    for corner in (nominal, *map(np.array, vertices)):
+        if start * bounds(corner, corner)[0] <= 0:
             inside, outside = nominal, corner
             for _ in range(60):
                 middle = 0.5 * (inside + outside)
-                inside, outside = (middle, outside) if start * value(middle) > 0 else (inside, middle)
-            raise NoTrustworthyNumber("parametric", f"denominator {name} vanishes at {_point(variables, outside)}")
+                inside, outside = (middle, outside) if start * bounds(middle, middle)[0] > 0 else (inside, middle)
+            raise NoTrustworthyNumber("parametric", f"denominator {name} vanishes at {text(outside)}")
     boxes = [(low, high)]
     for _ in range(DENOMINATOR_BOXES):
         if not boxes:
             return
         lower, upper = boxes.pop()
-        bounds = _interval(expression, {v: (a, b) for v, a, b in zip(variables, lower, upper, strict=True)}, algebra)
-        if bounds[0] * bounds[1] > 0:
+        least, largest = bounds(lower, upper)
+        if least * largest > 0:
             continue
         k = int(np.argmax((upper - lower) / (high - low)))
-        cut = 0.5 * (lower[k] + upper[k])
         left, right = upper.copy(), lower.copy()
-        left[k], right[k] = cut, cut
+        left[k] = right[k] = 0.5 * (lower[k] + upper[k])
         boxes += [(lower, left), (right, upper)]
-    lower, upper = min(boxes, key=lambda box: abs(value(0.5 * (box[0] + box[1]))))
-    near = _point(variables, 0.5 * (lower + upper))
+    middles = [0.5 * (lower + upper) for lower, upper in boxes]
+    near = text(min(middles, key=lambda at: abs(bounds(at, at)[0])))
     raise NoTrustworthyNumber("parametric", f"a zero of the denominator {name} cannot be excluded near {near}")
-
-
-def _point(variables: Sequence[str], values: Array) -> str:
-    return ", ".join(f"{v} = {x:.6g}" for v, x in zip(variables, values.tolist(), strict=True))
-
-
-def _parameters_in(expression: Laurent, algebra: Algebra) -> set[str]:
-    found: set[str] = set()
-    for name in expression.variables:
-        inner = algebra.denominators.get(name)
-        found |= {name} if inner is None else _parameters_in(inner, algebra)
-    return found
 
 
 def _interval(expression: Laurent, box: Mapping[str, tuple[float, float]], algebra: Algebra) -> tuple[float, float]:
@@ -295,27 +286,10 @@ def _interval(expression: Laurent, box: Mapping[str, tuple[float, float]], algeb
 # --- the LFT ---------------------------------------------------------------------------------------------------------
 
 
-def _candidates(
-    expressions: Sequence[Sequence[Laurent]],
-    algebra: Algebra,
-    ranges: Mapping[str, ParameterRange],
-    shapes: tuple[int, int, int],
-    signals: tuple[Any, ...],
-) -> list[UncertainModel]:
-    """Return the LFTs of the best few decompositions, reduced and unreduced, the smallest first."""
-    found: list[UncertainModel] = []
-    for lft in _lfts(expressions, algebra, ranges)[:DECOMPOSITIONS]:
-        model = _as_model(lft, ranges, shapes, signals)
-        found += [reduction(model).model, model]
-        if found[0].delta_shape[0] == len(found[0].blocks):
-            break
-    return sorted(found, key=lambda model: sum(model.delta_shape))
-
-
-def _lfts(
+def _lft(
     expressions: Sequence[Sequence[Laurent]], algebra: Algebra, ranges: Mapping[str, ParameterRange]
-) -> list[ConstantLft]:
-    """LFTs of a matrix in the parameters, the smallest first; a variable and its inverse are taken out each by itself.
+) -> ConstantLft:
+    """Return the LFT of a matrix in the parameters; a variable and its inverse are taken out each by itself.
 
     A denominator is a variable, too, which has an LFT of its own.
     """
@@ -331,77 +305,40 @@ def _lfts(
             key = tuple(powers.get(name, 0) for name in names)
             terms.setdefault(key, none.copy())[place] = fmpq(c.numerator, c.denominator)
     gains: dict[tuple[str, bool], ConstantLft] = {}
+    one = np.ones((1, 1))
     for name, inverted in names:
         if name in ranges:
-            one = np.ones((1, 1))
-            base = ConstantLft((name,), np.zeros((1, 1)), one, ranges[name].radius * one, ranges[name].nominal * one)
+            base = ConstantLft((name,), 0 * one, one, ranges[name].radius * one, ranges[name].nominal * one)
         else:
-            base = _lfts([[algebra.denominators[name]]], algebra, ranges)[0]
+            base = _lft([[algebra.denominators[name]]], algebra, ranges)
         gains[name, inverted] = base.inverse() if inverted else base
-    found = decompositions(MatrixPolynomial(tuple(names), terms), 0.0, lambda name: len(gains[name].names))
-    return [lft.closed(gains) for lft in found[:DECOMPOSITIONS]]
+    polynomial = MatrixPolynomial(tuple(names), terms)
+    return decomposition(polynomial, 0.0, lambda name: len(gains[name].names)).closed(gains)
 
 
-def _as_model(
-    lft: ConstantLft, ranges: Mapping[str, ParameterRange], shapes: tuple[int, int, int], signals: tuple[Any, ...]
-) -> UncertainModel:
-    """Return the set with channels grouped by parameter, in the order of the given ranges."""
-    n = shapes[0]
-    order = [k for name in ranges for k, owner in enumerate(lft.names) if owner == name]
-    blocks = [RealScalar(name, lft.names.count(name), r) for name, r in ranges.items() if name in lft.names]
-    plain = StateSpaceModel(
-        lft.d22[:n, :n], lft.d22[:n, n:], lft.d22[n:, :n], lft.d22[n:, n:], *signals, where="parametric"
-    )
-    return with_channels(plain, blocks, lft.d21[:, order], lft.d12[order], lft.d11[np.ix_(order, order)])
+def _missed(model: UncertainModel, table: Table, ranges: Mapping[str, ParameterRange], exact: Values) -> float:
+    """Return the largest error of an entry against the texts, evaluated in floats at random values and at vertices.
 
-
-def _first_exact(
-    candidates: Sequence[UncertainModel], table: Table, ranges: Mapping[str, ParameterRange], exact: Mapping[str, float]
-) -> UncertainModel:
-    """Return the first candidate that reproduces the texts, evaluated in floats at random values and at vertices."""
-    # A reduction mixes entries of different units: where small ones are lost, the unreduced LFT is taken.
-    samples = _samples(table, ranges, exact)
-    misses: list[float] = []
-    for model in candidates:
-        misses.append(_missed(model, samples))
-        if misses[-1] <= EXACT:
-            return model
-    raise NoTrustworthyNumber("parametric", f"the LFT misses the expressions by {min(misses):.2g} of an entry's size")
-
-
-def _samples(
-    table: Table, ranges: Mapping[str, ParameterRange], exact: Mapping[str, float]
-) -> list[tuple[dict[str, float], Array]]:
-    """Return deltas and their entries, by an independent evaluation of the texts."""
-    rng = np.random.default_rng(0)
-    k = len(ranges)
+    It is relative to the entry's largest value; for zero entries to the largest of their row and column.
+    """
+    rng, k, known = np.random.default_rng(0), len(ranges), {b.name for b in model.blocks}
     deltas = [np.zeros(k), np.ones(k), -np.ones(k), *rng.uniform(-1, 1, (4, k)), *rng.choice([-1.0, 1.0], (2, k))]
-    result: list[tuple[dict[str, float], Array]] = []
-    for delta in deltas:
-        by_name = dict(zip(ranges, delta.tolist(), strict=True))
-        values = {**exact, **{name: ranges[name].value(d) for name, d in by_name.items()}}
+    wanted, off = [], []
+    for delta in (dict(zip(ranges, row.tolist(), strict=True)) for row in deltas):
+        values = {**exact, **{name: ranges[name].value(d) for name, d in delta.items()}}
         try:
             rows = [[walk(entry, float, values.__getitem__, values, where) for where, entry in row] for row in table]
+            member = model.evaluate({name: d for name, d in delta.items() if name in known})
         except ZeroDivisionError:  # a factor that cancels, as in a/a at a = 0
             continue
-        result.append((by_name, np.array(rows, dtype=float).reshape(len(table), len(table[0]) if table else 0)))
-    return result
-
-
-def _missed(model: UncertainModel, samples: Sequence[tuple[dict[str, float], Array]]) -> float:
-    """Return the largest error of an entry relative to its largest value; for zero entries to their row and column."""
-    if not samples or not samples[0][1].size:
-        return 0.0
-    known = {b.name for b in model.blocks}
-    size = np.max([np.abs(wanted) for _, wanted in samples], axis=0)
-    outer = np.minimum(size.max(axis=1, keepdims=True), size.max(axis=0, keepdims=True))
-    size = np.maximum(size, 1e-6 * np.where(size > 0, 0.0, outer))
-    worst = 0.0
-    for delta, wanted in samples:
-        try:
-            member = model.evaluate({name: d for name, d in delta.items() if name in known})
         except NoTrustworthyNumber:
             return np.inf
-        off = np.abs(np.block([[member.A, member.B], [member.C, member.D]]) - wanted)
-        worst = max(worst, float((off / np.where(size > 0, size, 1.0)).max()))
-    return worst
+        found = np.block([[member.A, member.B], [member.C, member.D]])
+        wanted.append(np.array(rows, dtype=float).reshape(found.shape))
+        off.append(np.abs(found - wanted[-1]))
+    if not wanted or not wanted[0].size:
+        return 0.0
+    size = np.abs(wanted).max(axis=0)
+    outer = np.minimum(size.max(axis=1, keepdims=True), size.max(axis=0, keepdims=True))
+    size = np.maximum(size, 1e-6 * np.where(size > 0, 0.0, outer))
+    return float((np.max(off, axis=0) / np.where(size > 0, size, 1.0)).max())

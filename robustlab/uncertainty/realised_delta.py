@@ -15,13 +15,15 @@ from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import bilinear_to_discrete
-from robustlab.statespace import StateSpaceModel, series
+from robustlab.realisations import cascade
+from robustlab.statespace import StateSpaceModel, append, series
 from robustlab.uncertainty.blocks import Block, delta_matrix
 
 REAL = 1e-7  # relative imaginary part that is rounding where only real values exist (omega = 0, end of the axis)
 END = 1e-9  # a discrete frequency is an end of the axis if omega dt / 2 is this close to 0 or pi / 2
 MISSED = 1e-10  # allowed relative error of a realised value
 NEAR = 1e-2  # phases closer to 0 than this need two factors: one would have its pole 1/NEAR away from omega
+MIXES = (0.0, 0.5772156649, -1.6180339887, 2.6651441426)
 NOTHING = 1e-14  # relative singular values below this are not realised
 
 
@@ -71,7 +73,7 @@ def _realised(value: ComplexArray, omega: float, dt: float, where: str) -> State
     # In discrete time s = (2/dt) (z - 1)/(z + 1) bends the axis.
     at = 2 / dt * float(np.tan(turn)) if dt else omega
     if value.shape == (1, 1):
-        made = _scaled(_phases(np.array([np.angle(value[0, 0])]), at), np.abs(value), np.eye(1))
+        made = _scaled(np.angle(value[0]), at, np.abs(value), np.eye(1))
     else:
         made = _matrix(value, at)
     made = bilinear_to_discrete(made, dt) if dt else made
@@ -90,10 +92,10 @@ def _matrix(value: ComplexArray, omega: float) -> StateSpaceModel:
     right, phi, mid_right = _orthogonal_and_phases(vh[:rank].T)
     # U e^{-j t} and e^{j t} V^H give the same product: one phase of U becomes 0 and needs no state.
     shift = float(theta[0])
-    outer, inner = _phases(theta - shift, omega), _phases(phi + shift, omega)
     # value = left e^{j theta} (mid_left diag(sigma) mid_right^T) e^{j phi} right^T
     middle = mid_left * sigma[:rank] @ mid_right.T
-    return series(_scaled(inner, middle, right.T), _scaled(outer, left, np.eye(len(theta))))
+    inner = _scaled(phi + shift, omega, middle, right.T)
+    return series(inner, _scaled(theta - shift, omega, left, np.eye(len(theta))))
 
 
 def _orthogonal_and_phases(columns: ComplexArray) -> tuple[Array, Array, Array]:
@@ -101,66 +103,36 @@ def _orthogonal_and_phases(columns: ComplexArray) -> tuple[Array, Array, Array]:
     basis, s, _ = np.linalg.svd(np.hstack([columns.real, columns.imag]), full_matrices=False)
     basis = basis[:, s > 1e-13]
     small = basis.T @ columns
-    m = small.shape[0]
     # Completed to a square unitary matrix.
-    rest = np.linalg.svd(small, full_matrices=True)[0][:, small.shape[1] :]
-    unitary = np.hstack([small, rest])
+    unitary = np.hstack([small, np.linalg.svd(small, full_matrices=True)[0][:, small.shape[1] :]])
     symmetric = unitary @ unitary.T
-    best: tuple[float, Array, Array, Array] | None = None
-    # Real and imaginary part commute; a generic combination of them has their common eigenvectors.
-    for mix in (0.0, 0.5772156649, -1.6180339887, 2.6651441426):
+
+    def factors(mix: float) -> tuple[Array, Array, ComplexArray]:
+        # Real and imaginary part commute; a generic combination of them has their common eigenvectors.
         _, vectors = np.linalg.eigh(symmetric.real + mix * symmetric.imag)
         theta = np.angle(np.einsum("ik,ij,jk->k", vectors, symmetric, vectors)) / 2
-        right = np.exp(-1j * theta)[:, None] * (vectors.T @ unitary)
-        error = float(np.abs(right.imag).max(initial=0.0))
-        if best is None or error < best[0]:
-            best = error, vectors, theta, right.real
-    assert best is not None
-    _, vectors, theta, right = best
-    return basis @ vectors, theta, right[:, : m - rest.shape[1]]
+        return vectors, theta, np.exp(-1j * theta)[:, None] * (vectors.T @ unitary)
+
+    vectors, theta, right = min(map(factors, MIXES), key=lambda made: float(np.abs(made[2].imag).max(initial=0.0)))
+    return basis @ vectors, theta, right.real[:, : small.shape[1]]
 
 
-def _phases(theta: Array, omega: float) -> list[list[tuple[float, float]]]:
-    """Return the all-pass factors ``sign (a - s)/(a + s)`` of each phase as (sign, a); ``a = 0``: a constant."""
-    return [_factors(float(t), omega) for t in theta]
+def _scaled(theta: Array, omega: float, left: Array, right: Array) -> StateSpaceModel:
+    """Return ``left diag(all-pass functions) right``, the functions with these phases at omega."""
+    channels = [_all_pass(float(np.angle(np.exp(1j * t))), omega) for t in theta]
+    m = append(*(channel.renamed([f"u{k}"], [f"y{k}"]) for k, channel in enumerate(channels)))
+    return StateSpaceModel(m.A, m.B @ right, left @ m.C, left @ m.D @ right)
 
 
-def _factors(theta: float, omega: float) -> list[tuple[float, float]]:
-    theta = float(np.angle(np.exp(1j * theta)))
-    if abs(np.sin(theta)) <= 4 * np.finfo(float).eps:
-        return [(1.0 if np.cos(theta) > 0 else -1.0, 0.0)]
-    sign = 1.0 if abs(theta) <= np.pi / 2 else -1.0
+def _all_pass(theta: float, omega: float) -> StateSpaceModel:
+    """Return ``sign`` times a product of factors ``(a - s)/(a + s)`` with this phase at omega."""
+    sign, corners = 1.0 if abs(theta) <= np.pi / 2 else -1.0, []
     small = theta if sign > 0 else theta - np.copysign(np.pi, theta)
-    if abs(small) < NEAR:
-        # +90 degrees and back: both poles are next to omega.
-        return [(-sign, omega), (1.0, omega / np.tan(np.pi / 4 - small / 2))]
-    # (a - s)/(a + s) turns by -2 atan(omega / a): between 0 and -180 degrees.
-    if theta < 0:
-        return [(1.0, omega / np.tan(-theta / 2))]
-    return [(-1.0, omega * np.tan(theta / 2))]
-
-
-def _scaled(channels: list[list[tuple[float, float]]], left: Array, right: Array) -> StateSpaceModel:
-    """Return ``left diag(all-pass channels) right``."""
-    models = [_channel(factors) for factors in channels]
-    from scipy.linalg import block_diag
-
-    A, B, C, D = (np.asarray(block_diag(*(m[k] for m in models))) for k in range(4))
-    n, m = sum(len(model[0]) for model in models), len(models)
-    A, B, C = A.reshape(n, n), B.reshape(n, m), C.reshape(m, n)
-    return StateSpaceModel(A, B @ right, left @ C, left @ D @ right)
-
-
-def _channel(factors: list[tuple[float, float]]) -> tuple[Array, Array, Array, Array]:
-    """Return A, B, C, D of a product of all-pass factors, each ``sign (-1 + 2 a / (s + a))``."""
-    A, B, C, D = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.eye(1)
-    for sign, a in factors:
-        if a == 0:
-            C, D = sign * C, sign * D
-            continue
-        root = np.sqrt(2 * a)
-        A = np.block([[A, np.zeros((len(A), 1))], [root * C, np.array([[-a]])]])
-        B = np.vstack([B, root * D])
-        C = sign * np.hstack([-C, np.array([[root]])])
-        D = -sign * D
-    return A, B, C, D
+    if abs(np.sin(theta)) > 4 * np.finfo(float).eps:
+        if abs(small) < NEAR:
+            # +90 degrees and back: both poles are next to omega.
+            sign, corners = -sign, [omega, omega / np.tan(np.pi / 4 - small / 2)]
+        else:  # (a - s)/(a + s) turns by -2 atan(omega / a): between 0 and -180 degrees
+            sign, corner = (1.0, omega / np.tan(-theta / 2)) if theta < 0 else (-1.0, omega * np.tan(theta / 2))
+            corners = [corner]
+    return cascade(corners, [-a for a in corners], sign * (-1.0) ** len(corners), 0.0, "realise_delta")

@@ -24,6 +24,7 @@ Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), table 9.1.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import Any, Literal, get_args
 
@@ -32,7 +33,7 @@ import numpy as np
 from robustlab.errors import InputError, did_you_mean, error_context
 from robustlab.statespace import Signal, StateSpaceModel, append, as_model
 from robustlab.uncertainty.blocks import FullBlock
-from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.lft import UncertainModel, as_uncertain
 
 Form = Literal[
     "additive",
@@ -43,6 +44,7 @@ Form = Literal[
     "inverse-output-multiplicative",
 ]
 FORMS: tuple[Form, ...] = get_args(Form)
+AT_INPUT = ("input-multiplicative", "inverse-input-multiplicative", "inverse-additive")  # where E acts before G
 
 
 @error_context("unstructured")
@@ -87,12 +89,10 @@ def unstructured(
     """
     g = as_model(G, "unstructured: G")
     if form not in FORMS:
-        raise InputError(
-            "unstructured", f"form {form!r}", f"one of {', '.join(FORMS)}", did_you_mean(str(form), list(FORMS))
-        )
-    at_input = form in ("input-multiplicative", "inverse-input-multiplicative", "inverse-additive")
+        hint = did_you_mean(str(form), list(FORMS))
+        raise InputError("unstructured", f"form {form!r}", f"one of {', '.join(FORMS)}", hint)
     from_input = form in ("additive", "input-multiplicative", "inverse-input-multiplicative")
-    size_out, size_in = (g.n_inputs if at_input else g.n_outputs), (g.n_inputs if from_input else g.n_outputs)
+    size_out, size_in = (g.n_inputs if side else g.n_outputs for side in (form in AT_INPUT, from_input))
     left = _weight(1.0 if W1 is None else W1, size_out, "outputs", "unstructured: W1")
     right = _weight(W2, size_in, "inputs", "unstructured: W2")
     times = {m.dt for m in (g, left, right) if m.n_states or m.dt}
@@ -104,17 +104,18 @@ def unstructured(
 
 def _weight(given: Any, size: int, side: Literal["inputs", "outputs"], where: str) -> StateSpaceModel:
     """Return the weight as a stable model with ``size`` inputs (or outputs)."""
-    if isinstance(given, (list, tuple)):
-        parts = [_channel(part, f"{where}[{i}]") for i, part in enumerate(given)]
-        if len(parts) != size:
-            raise InputError(where, f"{len(parts)} channels", f"{size}, or one weight for all")
-        weight = _side_by_side(parts)
-    else:
-        weight = _channel(given, where)
-        if weight.n_inputs == weight.n_outputs == 1:
-            weight = _side_by_side([weight] * size)
-    has = weight.n_inputs if side == "inputs" else weight.n_outputs
-    if has != size:
+    several = isinstance(given, (list, tuple))
+    read = [(f"{where}[{i}]", part) for i, part in enumerate(given)] if several else [(where, given)]
+    parts = [as_uncertain(part, name).nominal for name, part in read]
+    single = all(part.D.shape == (1, 1) for part in parts)
+    if several and len(parts) != size:
+        raise InputError(where, f"{len(parts)} channels", f"{size}, or one weight for all")
+    if several and not single:
+        raise InputError(where, "a weight of several channels in a list", "one input and one output each")
+    if single and not several:
+        parts *= size
+    weight = append(*(part.renamed([f"u{i}"], [f"y{i}"]) for i, part in enumerate(parts))) if single else parts[0]
+    if len(getattr(weight, side)) != size:
         raise InputError(where, f"a weight of {weight.n_outputs} x {weight.n_inputs}", f"{size} {side}")
     if not weight.is_stable():
         poles = weight.poles()
@@ -123,57 +124,32 @@ def _weight(given: Any, size: int, side: Literal["inputs", "outputs"], where: st
     return weight
 
 
-def _channel(given: Any, where: str) -> StateSpaceModel:
-    if isinstance(given, (int, float, np.number)) or (isinstance(given, np.ndarray) and given.ndim == 2):
-        return StateSpaceModel([], [], [], np.atleast_2d(given), where=where)
-    return as_model(given, where)
-
-
-def _side_by_side(parts: Sequence[StateSpaceModel]) -> StateSpaceModel:
-    """Return the block-diagonal weight, with new signal names."""
-    if any(part.n_inputs != 1 or part.n_outputs != 1 for part in parts):
-        raise InputError("unstructured", "a weight of several channels in a list", "one input and one output each")
-    return append(*(part.renamed([f"u{i}"], [f"y{i}"]) for i, part in enumerate(parts)))
-
-
 def _interconnection(
     g: StateSpaceModel, left: StateSpaceModel, right: StateSpaceModel, form: Form, dt: float, name: str
 ) -> StateSpaceModel:
     """Return M from (w, u) to (z, y), each signal as a matrix on (states of G, W1, W2; w; u)."""
-    sizes = [g.n_states, left.n_states, right.n_states, left.n_inputs, g.n_inputs]
-    ends = np.cumsum([0, *sizes])
-    unit = np.eye(ends[-1])
-    x_g, x_1, x_2, w, u = (unit[ends[k] : ends[k + 1]] for k in range(5))
-    sign = -1.0 if form.startswith("inverse") else 1.0
-    e = left.C @ x_1 + left.D @ w
-    at_input = form in ("input-multiplicative", "inverse-input-multiplicative", "inverse-additive")
-    v = u + sign * e if at_input else u
+    ends = np.cumsum([0, g.n_states, left.n_states, right.n_states, left.n_inputs, g.n_inputs])
+    n, unit = ends[3], np.eye(ends[-1])
+    x_g, x_1, x_2, w, u = (unit[first:last] for first, last in itertools.pairwise(ends))
+    e = (-1.0 if form.startswith("inverse") else 1.0) * (left.C @ x_1 + left.D @ w)
+    at_input = form in AT_INPUT
+    v = u + e if at_input else u
     through = g.C @ x_g + g.D @ v
-    y = through if at_input else through + sign * e
+    y = through if at_input else through + e
     # Input of Delta: the signal before the point where E acts, for inverse forms after it.
     seen = {
-        "additive": u,
-        "input-multiplicative": u,
         "output-multiplicative": through,
         "inverse-additive": y,
         "inverse-input-multiplicative": v,
         "inverse-output-multiplicative": y,
-    }[form]
-    z = right.C @ x_2 + right.D @ seen
+    }.get(form, u)
     rates = np.vstack([g.A @ x_g + g.B @ v, left.A @ x_1 + left.B @ w, right.A @ x_2 + right.B @ seen])
-    n = ends[3]
-    outputs = np.vstack([z, y])
-    return StateSpaceModel(
-        rates[:, :n],
-        rates[:, n:],
-        outputs[:, :n],
-        outputs[:, n:],
-        dt,
-        [*_channels(f"{name}.w", left.n_inputs, g.input_names), *g.inputs],
-        [*_channels(f"{name}.z", right.n_outputs, g.output_names), *g.outputs],
-        [*g.states, *(Signal(f"{name}.x{i + 1}") for i in range(n - g.n_states))],
-        where="unstructured",
-    )
+    outputs = np.vstack([right.C @ x_2 + right.D @ seen, y])
+    inputs = [*_channels(f"{name}.w", left.n_inputs, g.input_names), *g.inputs]
+    shown = [*_channels(f"{name}.z", right.n_outputs, g.output_names), *g.outputs]
+    states = [*g.states, *(Signal(f"{name}.x{i + 1}") for i in range(n - g.n_states))]
+    parts = rates[:, :n], rates[:, n:], outputs[:, :n], outputs[:, n:]
+    return StateSpaceModel(*parts, dt, inputs, shown, states, where="unstructured")
 
 
 def _channels(prefix: str, count: int, taken: Sequence[str]) -> list[Signal]:

@@ -109,10 +109,9 @@ def test_delayed_models(data, lengths):
 
 def test_what_the_algebra_makes_comes_back():
     lag = rl.parametric([["-1/tau"]], [["1/tau"]], [[1]], [[0]], {"tau": (1.0, 0.75, 1.5)})
-    gain = rl.StateSpaceModel([], [], [], [[0.0, 1.0], [1.0, 1.0]])
-    dynamic = rl.UncertainModel(gain, [rl.ComplexScalar("unmodelled")])
     weight = rl.StateSpaceModel([[-10.0]], [[1.0]], [[10.0]], [[0.1]])
-    loop = (dynamic.weighted({"unmodelled": weight}) @ lag @ lag).feedback(0.5)
+    plain = rl.StateSpaceModel([], [], [], [[1.0]])
+    loop = (rl.unstructured(plain, weight, "output-multiplicative") @ lag @ lag).feedback(0.5)
     back = there_and_back(loop)
     assert back.blocks == loop.blocks
     assert_same_model(back.M, loop.M)

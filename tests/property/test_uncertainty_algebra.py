@@ -239,36 +239,6 @@ def test_loops_that_are_not_well_posed_are_named():
 
 
 @SETTINGS
-@given(seeds, st.sampled_from(["z", "w"]), st.booleans())
-def test_weights_multiply_delta(seed, side, scalar):
-    rng = np.random.default_rng(seed)
-    blocks = [FullBlock("f", 2, 3), ComplexScalar("c", 2), RealScalar("r")]
-    m = StateSpaceModel(
-        rng.standard_normal((2, 2)) - 3 * np.eye(2), rng.standard_normal((2, 6)), rng.standard_normal((8, 2)),
-        0.15 * rng.standard_normal((8, 6)), states=["a", "b"],
-    )  # fmt: skip
-    model = UncertainModel(m, blocks)
-    shape = (1, 1) if scalar else ((2, 3) if side == "z" else (2, 4))
-    n = 1 + seed % 2
-    full = StateSpaceModel(-np.diag(1.0 + np.arange(n)), rng.standard_normal((n, shape[1])),
-                           rng.standard_normal((shape[0], n)), 0.3 * rng.standard_normal(shape))  # fmt: skip
-    lag = StateSpaceModel([[-2.0]], [[1.0]], [[1.0]], [[0.5]], states=["a"])
-    weighted = model.weighted({"f": full, "c": lag}, side)
-    assert [b.name for b in weighted.blocks] == ["f", "c", "r"]
-    assert weighted.inputs == model.inputs
-    assert weighted.outputs == model.outputs
-    left = weighted.blocks[0]
-    delta = 0.3 * (rng.standard_normal((left.rows, left.cols)) + 1j * rng.standard_normal((left.rows, left.cols)))
-    values = {"f": delta, "c": 0.3 - 0.4j, "r": 0.7}
-    for k, omega in enumerate(OMEGA):
-        W, w = frequency_response(full, [omega])[0], frequency_response(lag, [omega])[0, 0, 0]
-        W = W[0, 0] if scalar else W
-        inner = delta * W if scalar else (delta @ W if side == "z" else W @ delta)
-        wanted = model.response([omega], {"f": inner, "c": values["c"] * w, "r": 0.7})[0]
-        assert_same(weighted.response(OMEGA, values)[k], wanted)
-
-
-@SETTINGS
 @given(seeds, st.integers(0, 2))
 def test_a_dynamic_delta_is_closed_in(seed, n):
     rng = np.random.default_rng(seed)

@@ -81,7 +81,7 @@ def reduce_model(
     then the H-infinity norm of ``[N - N_r; M - M_r]`` (a bound of the gap between the two models).
 
     Of an uncertain model the repetitions of its blocks are reduced, exactly: uncontrollable and unobservable ones are
-    removed, block by block, then jointly, until none is left (`UncertainModel.reduce` returns the set alone).
+    removed, of all blocks jointly, until none is left (`UncertainModel.reduce` returns the set alone).
 
     Parameters
     ----------

@@ -65,12 +65,8 @@ class ParameterRange:
             return
         for word, width in (("above (radius)", self.radius), ("below", self.below)):
             if isinstance(width, bool) or not isinstance(width, (int, float, np.number)) or not 0 < width < np.inf:
-                raise InputError(
-                    "ParameterRange",
-                    f"width {width!r} {word} the nominal value" if word == "below" else f"width {width!r} {word}",
-                    "a positive finite number",
-                    "a range that ends at its nominal value needs another nominal value, inside of it",
-                )
+                hint = "a range that ends at its nominal value needs another nominal value, inside of it"
+                raise InputError("ParameterRange", f"width {width!r} {word}", "a positive finite number", hint)
         if not 0 < self.below / self.radius < np.inf:
             raise InputError("ParameterRange", f"widths {self.radius} above and {self.below} below", "a finite ratio")
         if self.below == self.radius:
@@ -341,13 +337,9 @@ class Block(ABC):
 
     def merged(self, others: Sequence[Any], where: str) -> Block:
         """Merge blocks of the same uncertainty in several operands; ``others`` are of the same kind and name."""
-        raise InputError(
-            where,
-            "is a full block in several operands",
-            "a full block in one operand only: a repeated one has no structure here",
-            "build the interconnection so that the block occurs once,"
-            " or rename one if they are different uncertainties",
-        )
+        expected = "a full block in one operand only: a repeated one has no structure here"
+        hint = "build the interconnection so that the block occurs once, or rename one if they are different"
+        raise InputError(where, "is a full block in several operands", expected, hint)
 
     def centred(self, level: float) -> tuple[float, float, Block]:
         """Return ``(middle, half, block)``: the set times ``level`` is ``middle I + half`` times a symmetric block."""
@@ -361,11 +353,6 @@ class Block(ABC):
         if self.parameter is not None:
             data["parameter"] = self.parameter.to_json()
         return {**data, "origin": self.origin} if self.origin else data
-
-    @classmethod
-    def from_row(cls, name: str, rows: int, cols: int, parameter: ParameterRange | None, origin: str) -> Block:
-        """Return the block of one row of a file; for kinds with `stored_as`."""
-        raise NotImplementedError(cls.__name__)
 
 
 def rank_one(u: NDArray[Any], v: NDArray[Any]) -> NDArray[Any]:

@@ -111,16 +111,8 @@ class ComplexScalar(ScalarBlock):
     def value_of(self, part: NDArray[Any]) -> complex:
         return complex(part[0, 0])
 
-    def aligned(self, left: ComplexArray, right: ComplexArray, size: float = 1.0) -> NDArray[Any] | None:
-        gain = (left * right).sum()
-        return size * np.conj(gain) / abs(gain) * np.eye(self.repeats) if gain != 0 else None
-
     def extreme(self, rng: np.random.Generator, vector: Callable[[int], NDArray[Any]]) -> NDArray[Any]:
         return np.exp(2j * np.pi * rng.random()) * np.eye(self.repeats)
-
-    @classmethod
-    def from_row(cls, name: str, rows: int, cols: int, parameter: ParameterRange | None, origin: str) -> ComplexScalar:
-        return cls(name, rows, origin=origin)
 
 
 @dataclass(frozen=True)
@@ -208,9 +200,6 @@ class RealScalar(ScalarBlock):
         entries = np.where(coordinates < 0, coordinates * self.ratio, coordinates)
         return entries[:, :, None] * np.eye(self.rows)
 
-    def aligned(self, left: ComplexArray, right: ComplexArray, size: float = 1.0) -> NDArray[Any]:
-        return size * np.sign((left * right).sum().real) * np.eye(self.repeats)
-
     def g_basis(self) -> list[Pattern]:
         return hermitian_basis(self.repeats)
 
@@ -230,10 +219,6 @@ class RealScalar(ScalarBlock):
         if span is not None:
             span = ParameterRange(span.nominal + span.radius * middle, span.radius * half, span.unit, sign=span.sign)
         return middle, half, replace(self, parameter=span)
-
-    @classmethod
-    def from_row(cls, name: str, rows: int, cols: int, parameter: ParameterRange | None, origin: str) -> RealScalar:
-        return cls(name, rows, parameter, origin=origin)
 
 
 @dataclass(frozen=True)
@@ -293,10 +278,6 @@ class FullBlock(Block):
             return ComplexScalar(self.name, 1 + len(others))
         return super().merged(others, where)
 
-    @classmethod
-    def from_row(cls, name: str, rows: int, cols: int, parameter: ParameterRange | None, origin: str) -> FullBlock:
-        return cls(name, rows, cols, origin=origin)
-
 
 def as_blocks(given: Any) -> tuple[Block, ...]:
     """Return blocks as given, or from rows in the notation of MATLAB's ``mussv``."""
@@ -318,21 +299,17 @@ def as_blocks(given: Any) -> tuple[Block, ...]:
 
 def _from_mussv_row(row: Any, index: int) -> Block:
     name = f"delta{index + 1}"
-    expected = "[-r, 0], [r, 0] or [r, c] with whole numbers r, c >= 1"
     try:
-        r, c = (float(v) for v in row)
+        r, c = (int(v) for v in row if float(v).is_integer())
     except (TypeError, ValueError):
-        raise InputError(f"blocks[{index}]", f"{row!r}", expected) from None
-    if r != int(r) or c != int(c):
-        raise InputError(f"blocks[{index}]", f"{row!r}", expected)
-    r, c = int(r), int(c)
+        r, c = 0, 0
     if r < 0 and (c == 0 or (r, c) == (-1, 1)):
         return RealScalar(name, -r)
     if r > 0 and (c == 0 or (r, c) == (1, 1)):
         return ComplexScalar(name, r)
     if r > 0 and c > 0:
         return FullBlock(name, r, c)
-    raise InputError(f"blocks[{index}]", f"{row!r}", expected)
+    raise InputError(f"blocks[{index}]", f"{row!r}", "[-r, 0], [r, 0] or [r, c] with whole numbers r, c >= 1")
 
 
 def structure_size(blocks: Sequence[Block]) -> tuple[int, int]:

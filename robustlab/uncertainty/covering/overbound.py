@@ -1,7 +1,7 @@
 """Stable minimum-phase weights above a bound, as close as their order allows."""
 
 # min gamma with b <= |w| <= gamma b. The log of |w|^2 = N(x) / D(x), x = omega^2, in corner frequencies and dampings of
-# N and D is fitted to that of the bound by least squares, then minimax, by linear programmes in small steps.
+# N and D is fitted to that of the bound by least squares, then in p-norms of growing p, which end near minimax.
 
 from __future__ import annotations
 
@@ -19,12 +19,11 @@ from robustlab.display import Displayable, Facts, number
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import bilinear_to_discrete
+from robustlab.realisations import cascade
 from robustlab.result import Status
-from robustlab.statespace import StateSpaceModel, series
+from robustlab.statespace import StateSpaceModel
 
-WEIGHT_LEVEL = 1e-3  # accuracy of log(gamma), far below usual tolerances of weights
-WEIGHT_ROUNDS = 8  # rounds in which the points of largest error are added to the fit
-WEIGHT_STEPS = 60  # linear programmes for one fit
+NORMS = (8, 64)  # exponents p of the norms of the error, one after the other
 FINER_GRID = 10  # points of the evaluation grid for each one of the fit
 
 Bound = Callable[[Array], Array]
@@ -128,14 +127,12 @@ def overbound(
     if not (np.isfinite(target).all() and (target > 0).all()):
         raise InputError("overbound: exact", "values that are not finite and positive", "a positive bound")
     # A discrete weight is computed on the warped frequency axis of the bilinear map.
-    warp: Callable[[Array], Array] = (lambda x: 2.0 / dt * np.tan(0.5 * dt * x)) if dt else (lambda x: x)
+    axis = 2.0 / dt * np.tan(0.5 * dt * fine) if dt else fine
     best: Overbound | None = None
     for n in range(order + 1):
-        found = _of_order(n, warp(w), b, warp(fine), target)
-        if found is None:
-            continue
+        found = _fitted(n, axis, target)
         weight = bilinear_to_discrete(found, dt) if dt else found
-        made = _judged(weight, n, fine, target, known, tolerance)
+        made = _judged(weight, n, fine, target, tolerance)
         if best is None or made.excess < best.excess:
             best = made
         if best.excess <= tolerance:
@@ -164,12 +161,10 @@ def _checked(omega: ArrayLike, bound: ArrayLike, order: int, tolerance: float, d
     return w, b
 
 
-def _judged(weight: StateSpaceModel, n: int, fine: Array, target: Array, known: Bound, tolerance: float) -> Overbound:
+def _judged(weight: StateSpaceModel, n: int, fine: Array, target: Array, tolerance: float) -> Overbound:
     """Return the weight scaled to the bound from above on the grid, up to rounding."""
-    ratio = np.abs(frequency_response(weight, fine)[:, 0, 0]) / target
-    near = _around_lows(ratio, fine)
-    ratio = np.append(ratio, np.abs(frequency_response(weight, near)[:, 0, 0]) / known(near))
-    lift = (1.0 + ABOVE) / float(ratio.min())
+    size = np.abs(frequency_response(weight, fine)[:, 0, 0])
+    lift = (1.0 + ABOVE) / float((size / target).min())
     raised = StateSpaceModel(weight.A, weight.B, lift * weight.C, lift * weight.D, weight.dt)
     size = np.abs(frequency_response(raised, fine)[:, 0, 0])
     ratio = size / target
@@ -178,77 +173,57 @@ def _judged(weight: StateSpaceModel, n: int, fine: Array, target: Array, known: 
     return Overbound(raised, n, excess, lowest, fine, target, size, status)
 
 
-def _around_lows(ratio: Array, fine: Array) -> Array:
-    """Return points between those of the grid, close to the local minima of the ratio."""
-    inner = (ratio[1:-1] <= ratio[:-2]) & (ratio[1:-1] <= ratio[2:]) & (ratio[1:-1] < 1.001 * ratio.min())
-    lows = 1 + np.flatnonzero(inner)
-    if not len(lows):
-        return fine[:1]
-    return np.unique(np.concatenate([np.geomspace(fine[k - 1], fine[k + 1], 41) for k in lows]))
-
-
 # --- a curve of given order above a bound -----------------------------------------------------------------------------
 
 
-def _of_order(n: int, w: Array, b: Array, fine: Array, target: Array) -> StateSpaceModel | None:
-    """Fit a weight of order n on the grid w and on points of the fine grid where its error is largest."""
-    if n == 0:
-        return StateSpaceModel([], [], [], [[float(target.max())]])
-    points, values = w, b
-    best: tuple[float, StateSpaceModel] | None = None
-    for _ in range(WEIGHT_ROUNDS):
-        model = _minimax(n, points, values)
-        known, ratio = (
-            np.abs(frequency_response(model, at)[:, 0, 0]) / size for at, size in ((points, values), (fine, target))
-        )
-        spread = float(ratio.max() / ratio.min())
-        if best is None or spread < best[0]:
-            best = spread, model
-        peaks = np.diff(np.sign(np.diff(ratio)), prepend=0.0, append=0.0) != 0
-        beyond = (ratio > (1 + WEIGHT_LEVEL) * known.max()) | (ratio < (1 - WEIGHT_LEVEL) * known.min())
-        if not (peaks & beyond).any():
-            break
-        points, index = np.unique(np.concatenate([points, fine[peaks & beyond]]), return_index=True)
-        values = np.concatenate([values, target[peaks & beyond]])[index]
-    return None if best is None else best[1]
-
-
-def _minimax(n: int, w: Array, b: Array) -> StateSpaceModel:
-    """Fit the weight with the least largest error of its log-magnitude, from several starts."""
+def _fitted(n: int, w: Array, b: Array) -> StateSpaceModel:
+    """Return a weight of order n with a small largest error of its log-magnitude, from several starts."""
     from scipy.optimize import least_squares
 
-    unit, mean = float(np.exp(0.5 * (np.log(w[0]) + np.log(w[-1])))), float(np.exp(np.log(b).mean()))
+    unit, mean = float(np.sqrt(w[0] * w[-1])), float(np.exp(np.log(b).mean()))
+    if n == 0:
+        return StateSpaceModel([], [], [], [[mean]])
     x, wanted = (w / unit) ** 2, 2 * np.log(b / mean)
     count, pairs = n - n // 2, n // 2
     span = np.log(x[0]), np.log(x[-1])
-    steps = np.linspace(*span, 2 * count + 2)[1:-1]
-    peak = np.full(count, np.log(x[int(np.argmax(wanted))])) + 1e-2 * np.arange(count)
     wide = np.concatenate([np.full(count, 5.0), np.zeros(pairs)])
     low = np.concatenate([np.full(count, span[0]), np.full(pairs, np.log(1e-12))]) - wide
     high = np.concatenate([np.full(count, span[1]), np.full(pairs, np.log(1e3))]) + wide
     box = np.array([[*low, *low, -np.inf], [*high, *high, np.inf]])
-    best: tuple[float, Array] = (np.inf, np.zeros(0))
-    slopes: Any = lambda p: _miss(p, x, wanted, pairs)[1]  # noqa: E731
-    bent = _bends(x, wanted, count)
-    for zeros, poles in ((steps[::2], steps[1::2]), (steps[1::2], steps[::2]), (steps[::2], peak), bent):
+
+    def improved(start: Array, points: slice, half: float, level: float = 1.0) -> Any:
+        def residual(p: Array) -> Array:
+            miss = _miss(p, x[points], wanted[points], pairs)[0] / level
+            return np.sign(miss) * np.abs(miss) ** half
+
+        def slopes(p: Array) -> Array:
+            miss, columns = _miss(p, x[points], wanted[points], pairs)
+            return half / level * np.abs(miss / level)[:, None] ** (half - 1) * columns
+
+        with np.errstate(over="ignore"):  # of a step that is too long, which is rejected
+            return least_squares(residual, start, slopes, box, max_nfev=60)
+
+    starts = []
+    for zeros, poles in _starts(x, wanted, count):
         start = np.concatenate([zeros, np.zeros(pairs), poles, np.zeros(pairs), [0.0]])
         start[-1] = -float(_miss(start, x, wanted, pairs)[0].mean())
-        near = least_squares(lambda p: _miss(p, x, wanted, pairs)[0], start, slopes, box, max_nfev=60)
-        best = min(best, (near.cost, near.x), key=lambda found: found[0])
-    p = _flattened(best[1], x, wanted, pairs, box)
-    numerator, denominator = (_polynomials(part, pairs, unit) for part in np.split(p[:-1], 2))
-    return _cascade(numerator, denominator, mean * float(np.exp(0.5 * p[-1])))
+        starts.append(improved(start, slice(None, None, FINER_GRID), 1.0))
+    p = min(starts, key=lambda found: found.cost).x
+    for norm in NORMS:
+        p = improved(p, slice(None), norm / 2, float(np.abs(_miss(p, x, wanted, pairs)[0]).max()) or 1.0).x
+    zeros, poles = (_roots(part, pairs, unit) for part in np.split(p[:-1], 2))
+    return anonymous(cascade(zeros, poles, mean * float(np.exp(0.5 * p[-1])), 0.0, "overbound"))
 
 
-def _bends(x: Array, wanted: Array, count: int) -> tuple[Array, Array]:
-    """Estimate corners of N and of D (log) from the positive and negative curvature of the bound."""
+def _starts(x: Array, wanted: Array, count: int) -> list[tuple[Array, Array]]:
+    """Return corners of N and of D (log): alternating, poles at the peak, and by the curvature of the bound."""
     at = np.log(x)
+    steps = np.linspace(at[0], at[-1], 2 * count + 2)[1:-1]
+    peak = np.full(count, at[int(np.argmax(wanted))]) + 1e-2 * np.arange(count)
     bend = np.gradient(np.gradient(wanted, at), at) * np.gradient(at)
-    found = []
-    for part in (np.maximum(bend, 0.0), np.maximum(-bend, 0.0)):
-        share = np.cumsum(part + 1e-9)
-        found.append(np.interp((np.arange(count) + 0.5) / count * share[-1], share, at))
-    return found[0], found[1]
+    shares = (np.cumsum(np.maximum(part, 0.0) + 1e-9) for part in (bend, -bend))
+    zeros, poles = (np.interp((np.arange(count) + 0.5) / count * share[-1], share, at) for share in shares)
+    return [(steps[::2], steps[1::2]), (steps[1::2], steps[::2]), (steps[::2], peak), (zeros, poles)]
 
 
 def _miss(p: Array, x: Array, wanted: Array, pairs: int) -> tuple[Array, Array]:
@@ -267,58 +242,15 @@ def _miss(p: Array, x: Array, wanted: Array, pairs: int) -> tuple[Array, Array]:
     return value, np.hstack([*columns, np.ones((len(x), 1))])
 
 
-def _flattened(p: Array, x: Array, wanted: Array, pairs: int, box: Array) -> Array:
-    """Minimise the largest error by steps of linear programmes."""
-    from scipy.optimize import linprog
-
-    (f, J), radius = _miss(p, x, wanted, pairs), 0.5
-    level, one = float(np.abs(f).max()), np.ones((len(x), 1))
-    for _ in range(WEIGHT_STEPS):
-        reach = [(max(lo - v, -radius), min(hi - v, radius)) for v, lo, hi in zip(p, *box, strict=True)]
-        rows, right = np.block([[J, -one], [-J, -one]]), np.concatenate([-f, f])
-        step = linprog(np.append(np.zeros(len(p)), 1.0), rows, right, bounds=[*reach, (0, None)], method="highs").x
-        if step is None:
-            break
-        trial = p + step[:-1]
-        at, slopes = _miss(trial, x, wanted, pairs)
-        reached = float(np.abs(at).max())
-        if reached >= level:
-            radius /= 4
-        else:
-            small = level - reached < 1e-2 * WEIGHT_LEVEL
-            p, f, J, level, radius = trial, at, slopes, reached, 2 * radius
-            if small:
-                break
-        if radius < WEIGHT_LEVEL:
-            break
-    return p
-
-
-def _polynomials(part: Array, pairs: int, unit: float) -> list[Array]:
-    """Return stable monic polynomials in s of degree two, sorted by size, then one of degree one for odd orders."""
+def _roots(part: Array, pairs: int, unit: float) -> list[complex]:
+    """Return the stable roots of pairs and single corners."""
     corner = unit * np.exp(0.5 * part[: len(part) - pairs])
     damping = np.sqrt(2 * np.exp(part[len(part) - pairs :]))
-    made = [np.array([1.0, d * c, c**2]) for c, d in zip(corner[:pairs], damping, strict=True)]
-    return [*sorted(made, key=lambda q: q[2]), *(np.array([1.0, c]) for c in corner[pairs:])]
-
-
-def _cascade(numerator: list[Array], denominator: list[Array], gain: float) -> StateSpaceModel:
-    """Return the gain at infinity times a cascade of biproper sections of first and second order."""
-    model = StateSpaceModel([], [], [], [[gain]])
-    for pair in zip(numerator, denominator, strict=True):
-        model = series(_section(*pair), anonymous(model))
-    return anonymous(model)
-
-
-def _section(numerator: Array, denominator: Array) -> StateSpaceModel:
-    """Realise ``n(s) / d(s)`` of degree one or two, both monic, balanced in its own frequency."""
-    rest = (numerator - denominator)[1:]
-    if len(rest) == 1:
-        size = np.sqrt(abs(rest[0])) or 1.0
-        return StateSpaceModel([[-denominator[1]]], [[size]], [[rest[0] / size]], [[1.0]])
-    rate = float(np.sqrt(denominator[2]))
-    a = np.array([[0.0, rate], [-rate, -denominator[1]]])
-    return StateSpaceModel(a, [[0.0], [1.0]], [[rest[1] / rate, rest[0]]], [[1.0]])
+    found = [complex(-c) for c in corner[pairs:]]
+    for c, d in zip(corner[:pairs].tolist(), damping.tolist(), strict=True):
+        root = c * (-0.5 * d - np.sqrt(complex(0.25 * d * d - 1)))
+        found += [root, root.conjugate() if root.imag else c * c / root]
+    return found
 
 
 def anonymous(model: StateSpaceModel) -> StateSpaceModel:

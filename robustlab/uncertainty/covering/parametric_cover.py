@@ -16,7 +16,7 @@ from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.covering.unstructured_cover import model_of, system_matrices
-from robustlab.uncertainty.elementwise import elementwise, natural_magnitude
+from robustlab.uncertainty.elementwise import elementwise, entry_scale
 from robustlab.uncertainty.lft import UncertainModel
 
 ParametricForm = Literal["elements", "pca"]
@@ -51,7 +51,7 @@ def parametric_cover(
 def _hull(models: tuple[StateSpaceModel, ...], nominal: StateSpaceModel | None, tolerance: float) -> Made:
     stack = system_matrices(models)
     low, high = stack.min(axis=0), stack.max(axis=0)
-    allowance = max(tolerance, ROUNDING) * _magnitude(stack, models[0].n_states)
+    allowance = max(tolerance, ROUNDING) * entry_scale(np.abs(stack).max(axis=0), models[0].n_states)
     still = high - low <= allowance
     if nominal is None:
         middle, above = 0.5 * (low + high), 0.5 * (high - low)
@@ -83,18 +83,6 @@ def _hull(models: tuple[StateSpaceModel, ...], nominal: StateSpaceModel | None, 
     return whole, deltas, ()
 
 
-def _magnitude(stack: Array, n: int) -> Array:
-    """Return the positive scale of each entry: its natural magnitude, at most the largest of its matrix."""
-    size = np.abs(stack).max(axis=0)
-    magnitude = natural_magnitude(size)
-    for rows in (slice(0, n), slice(n, None)):
-        for cols in (slice(0, n), slice(n, None)):
-            largest = size[rows, cols].max(initial=0.0)
-            if largest > 0:
-                magnitude[rows, cols] = np.minimum(magnitude[rows, cols], largest)
-    return magnitude
-
-
 def _entries(e: Array, n: int) -> list[tuple[int, int]]:
     """Return the non-zero entries in the order of the blocks of `elementwise`: those of A, of B, of C, of D."""
     parts = ((0, 0, e[:n, :n]), (0, n, e[:n, n:]), (n, 0, e[n:, :n]), (n, n, e[n:, n:]))
@@ -103,7 +91,8 @@ def _entries(e: Array, n: int) -> list[tuple[int, int]]:
 
 def _directions(models: tuple[StateSpaceModel, ...], tolerance: float, directions: int | None) -> Made:
     stack = system_matrices(models)
-    scale = _magnitude(stack, models[0].n_states)
+    scale = entry_scale(np.abs(stack).max(axis=0), models[0].n_states)
+    scale[scale == 0] = 1.0
     middle = stack.mean(axis=0)
     cloud = ((stack - middle) / scale).reshape(len(models), -1)
     cloud[:, np.ptp(cloud, axis=0) <= ROUNDING] = 0.0

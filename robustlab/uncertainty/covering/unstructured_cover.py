@@ -7,13 +7,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from robustlab.arrays import AnyArray, Array, Indices
-from robustlab.errors import InputError, NoTrustworthyNumber, RobustlabError
+from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.invariant_zeros import transmission_zeros
 from robustlab.norms import hinf_norm
@@ -39,16 +39,12 @@ def model_set(models: Iterable[Any], same_states: bool, where: str) -> tuple[Sta
         raise InputError(where, f"{len(found)} model{'s' * (len(found) != 1)}", "at least two models")
     for i, model in enumerate(found[1:], 2):
         first, other = found[0], model
+        if same_states and model.D.shape == first.D.shape and model.n_states != first.n_states:
+            hint = "models with different states: cover their frequency responses (form additive, ...)"
+            raise InputError(where, f"model {i} has {model.n_states} states", f"{first.n_states} as model 1", hint)
         if not same_states:
             first, other = (StateSpaceModel([], [], [], m.D, m.dt, m.inputs, m.outputs) for m in (first, model))
-        try:
-            check_pair(first, other, "model 1", f"model {i}", where)
-        except RobustlabError as error:
-            same_signals = (model.n_inputs, model.n_outputs) == (first.n_inputs, first.n_outputs)
-            if same_states and same_signals and model.n_states != first.n_states:
-                hint = "models with different states: cover their frequency responses (form additive, ...)"
-                raise InputError(error.where, error.found, error.expected, hint) from None
-            raise
+        check_pair(first, other, "model 1", f"model {i}", where)
     return found
 
 
@@ -80,7 +76,6 @@ STILL = 1e-7  # poles and zeros this slow, relative to the fastest, are integrat
 # Multiples of the grid's ends at which the error is compared with the weight, and the largest growth there.
 BEYOND, GROWTH = np.array([3.0, 10.0, 100.0, 1e3, 1e4]), 1.5
 NEAREST = 1e-6  # smallest distance of grid points from the Nyquist frequency, relative to it
-LIFTS = 4  # of a weight until every error is proved to be below it
 LIFT = 1.001  # a smaller lift is rounding, or a peak next to a frequency of the grid
 
 
@@ -117,123 +112,97 @@ def unstructured_cover(
             stack = system_matrices(models)
             candidates.append((0, model_of(0.5 * (stack.min(axis=0) + stack.max(axis=0)), models[0])))
     omega = _grid(models, [c for _, c in candidates])
-    best: tuple[float, int | None, StateSpaceModel] | None = None
-    rejected: NoTrustworthyNumber | None = None
+    found: list[tuple[float, int | None, StateSpaceModel]] = []
+    rejected: list[NoTrustworthyNumber] = []
     for number, candidate in candidates:
         try:
             _require_stable(models, candidate, form)
         except NoTrustworthyNumber as error:
-            rejected = rejected or error
+            rejected.append(error)
             continue
-        size = _bound(models, candidate, form, omega)
-        radius = float((size / _reference(models, form, omega)).max())
-        if best is None or radius < best[0]:
-            best = radius, number, candidate
-    if best is None:
-        assert rejected is not None
-        raise rejected
-    radius, number, centre = best
-    return _around(models, centre, number, form, (order, tolerance), omega, radius)
+        size = error_sizes(models, candidate, form, omega).max(axis=0)
+        found.append((float((size / _reference(models, form, omega)).max()), number, candidate))
+    if not found:
+        raise rejected[0]
+    radius, number, centre = min(found, key=lambda one: one[0])
+    fit, deltas, sizes = _weighted(models, centre, form, order, tolerance, omega)
+    model = unstructured(centre, fit.weight, form)
+    return UnstructuredCover(model, number, fit, sizes, bool(deltas), deltas, radius)
 
 
-def _around(
-    models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, number: int | None, form: Form,
-    wanted: tuple[int, float], omega: Array, radius: float,
-) -> UnstructuredCover:  # fmt: skip
-    size = _bound(models, centre, form, omega)
+def _weighted(
+    models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form, order: int, tolerance: float, omega: Array
+) -> tuple[Overbound, tuple[StateSpaceModel, ...], tuple[float, ...]]:
+    """Return the weight above all errors, the Deltas as systems (none where one has no proved norm), their gains."""
+
+    def bound(w: Array) -> Array:
+        return error_sizes(models, centre, form, w).max(axis=0)
+
+    size, beyond = bound(omega), _beyond(omega, centre.dt)
     if not size.any():
         raise InputError("cover", "models that are all the same", "models that differ")
-    _require_bounded(models, centre, form, omega, size)
-    floor = BOUND_FLOOR * float(size.max())
-
-    def exact(w: Array) -> Array:
-        return np.hypot(_bound(models, centre, form, w), floor)
-
-    fit = overbound(omega, np.hypot(size, floor), *wanted, exact=exact, dt=centre.dt)
-    beyond = _beyond(fit.omega, centre.dt)  # lifted for a slightly larger error beyond the grid's ends
-    ratio = _bound(models, centre, form, beyond) / np.abs(frequency_response(fit.weight, beyond)[:, 0, 0])
-    if ratio.max() > 1.0:
-        fit = _lifted(fit, float(ratio.max()), wanted[1])
-    deltas = _deltas(models, centre, form, fit.weight)
-    norms = [hinf_norm(d, 1e-9) for d in deltas]
-    proved = bool(norms) and all(n.status.trustworthy and np.isfinite(n.upper) for n in norms)
-    for _ in range(LIFTS):  # a peak between two frequencies of the grid
-        if not proved or max(n.upper for n in norms) <= 1.0:
-            break
-        fit = _lifted(fit, max(n.upper for n in norms), wanted[1])
-        deltas = _deltas(models, centre, form, fit.weight)
-        norms = [hinf_norm(d, 1e-9) for d in deltas]
-    if proved:
-        sizes = tuple(float(n.upper) for n in norms)
-    else:
-        weight, deltas = np.abs(frequency_response(fit.weight, fit.omega)[:, 0, 0]), ()
-        sizes = tuple((error_sizes(models, centre, form, fit.omega) / weight).max(axis=1).tolist())
-    model = unstructured(centre, fit.weight, form)
-    return UnstructuredCover(model, number, fit, sizes, proved, deltas, radius)
-
-
-def _beyond(omega: Array, dt: float) -> Array:
-    """Return frequencies outside the grid; of a discrete model the last is the Nyquist frequency."""
-    low, high = omega[0] / BEYOND, omega[-1] * BEYOND
-    rest = np.pi / dt - omega[-1] if dt else 0.0
-    return np.concatenate([low, np.pi / dt - rest * np.linspace(0.9, 0.0, GRID_POINTS) if dt else high])
-
-
-def _require_bounded(
-    models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form, omega: Array, size: Array
-) -> None:
-    """Check that the error does not grow beyond the grid."""
-    beyond = _beyond(omega, centre.dt)
-    outside = _bound(models, centre, form, beyond)
+    outside = bound(beyond)
     worst = int(np.argmax(outside))
     if outside[worst] > GROWTH * float(size.max()):
         found = f"the error still grows at {beyond[worst]:.3g} rad/s, to {outside[worst]:.3g}"
         hint = "models whose relative degrees or integrators differ, or inverses of strictly proper ones: form additive"
         raise NoTrustworthyNumber(f"cover: form {form}", found, "an error that a proper weight bounds", hint)
+    floor = BOUND_FLOOR * float(size.max())
+    fit = overbound(
+        omega, np.hypot(size, floor), order, tolerance, exact=lambda w: np.hypot(bound(w), floor), dt=centre.dt
+    )
+    deltas = _deltas(models, centre, form, fit.weight)
+    norms = [hinf_norm(d, 1e-9) for d in deltas]
+    if norms and all(n.status.trustworthy and np.isfinite(n.upper) for n in norms):
+        gains = np.array([n.upper for n in norms])
+    else:
+        at, deltas = np.concatenate([fit.omega, beyond]), ()
+        gains = (error_sizes(models, centre, form, at) / np.abs(frequency_response(fit.weight, at)[:, 0, 0])).max(
+            axis=1
+        )
+    # A peak between two frequencies of the grid, or an error beyond them, lifts the weight.
+    lift = max(float(gains.max()) * (1.0 + 1e-9), 1.0)
+    deltas = tuple(StateSpaceModel(d.A, d.B, d.C / lift, d.D / lift, d.dt) for d in deltas)
+    return _lifted(fit, lift, tolerance), deltas, tuple((gains / lift).tolist())
+
+
+def _beyond(omega: Array, dt: float) -> Array:
+    """Return frequencies outside the grid; of a discrete model the last is the Nyquist frequency."""
+    rest = np.pi / dt - omega[-1] if dt else 0.0
+    high = np.pi / dt - rest * np.linspace(0.9, 0.0, GRID_POINTS) if dt else omega[-1] * BEYOND
+    return np.concatenate([omega[0] / BEYOND, high])
 
 
 def _lifted(fit: Overbound, factor: float, tolerance: float) -> Overbound:
     """Return the weight times a factor; INACCURATE if the factor makes it exceed the tolerance."""
-    w, g = fit.weight, factor * (1.0 + 1e-9)
-    raised = StateSpaceModel(w.A, w.B, g * w.C, g * w.D, w.dt)
-    size = g * fit.magnitude
+    w, size = fit.weight, factor * fit.magnitude
     ratio = size / fit.bound
-    excess, lowest = float(ratio.max()) - 1.0, float(ratio.min()) - 1.0
-    status = Status.INACCURATE if factor > LIFT and excess > tolerance else fit.status
-    return Overbound(raised, fit.order, excess, lowest, fit.omega, fit.bound, size, status)
+    return replace(
+        fit,
+        weight=StateSpaceModel(w.A, w.B, factor * w.C, factor * w.D, w.dt),
+        excess=float(ratio.max()) - 1.0,
+        lowest=float(ratio.min()) - 1.0,
+        magnitude=size,
+        status=Status.INACCURATE if factor > LIFT and ratio.max() - 1.0 > tolerance else fit.status,
+    )
 
 
 # --- errors by frequency ---------------------------------------------------------------------------------------------
 
 
-def _circle(omega: Array, dt: float) -> AnyArray:
-    """Return points of the stability boundary."""
-    return np.exp(1j * omega * dt) if dt else 1j * omega
-
-
-def _at(model: StateSpaceModel, s: Any) -> AnyArray:
-    """Return ``G(s)``, shape (len(s), n_y, n_u), for complex s (or z)."""
-    if not model.n_states:
-        return np.broadcast_to(model.D, (len(s), *model.D.shape)).astype(np.complex128)
-    inner = s[:, None, None] * np.eye(model.n_states) - model.A
-    return model.C @ np.linalg.solve(inner, np.broadcast_to(model.B, (len(s), *model.B.shape))) + model.D
-
-
 def _error(model: StateSpaceModel, centre: StateSpaceModel, form: Form, s: AnyArray) -> AnyArray:
     """Return ``E_i`` at complex s, (len(s), ., .)."""
-    g, other = _at(centre, s), _at(model, s)
+    below, above = centre(s), model(s)
+    if form.startswith("inverse"):
+        below, above = above, below
     try:
         if form == "additive":
-            return other - g
-        if form == "input-multiplicative":
-            return np.linalg.solve(g, other - g)
-        if form == "output-multiplicative":
-            return _right_divided(other - g, g)
+            return above - below
         if form == "inverse-additive":
-            return np.linalg.solve(other, _right_divided(g - other, g))
-        if form == "inverse-input-multiplicative":
-            return np.linalg.solve(other, g - other)
-        return _right_divided(g - other, other)
+            return np.linalg.solve(below, _right_divided(above - below, above))
+        if form.endswith("input-multiplicative"):
+            return np.linalg.solve(below, above - below)
+        return _right_divided(above - below, below)
     except np.linalg.LinAlgError:
         hint = "form additive inverts no model"
         raise NoTrustworthyNumber(f"cover: form {form}", "a response without an inverse", None, hint) from None
@@ -249,7 +218,7 @@ def _sigma(matrices: AnyArray) -> Array:
 
 def error_sizes(models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form, omega: Array) -> Array:
     """Return ``sigma_max(E_i)`` of every model relative to the nominal one, (n_models, n_omega); omega in rad/s."""
-    s = _circle(omega, centre.dt)
+    s = np.exp(1j * omega * centre.dt) if centre.dt else 1j * omega
     with np.errstate(all="ignore"):
         sizes = np.array([_sigma(_error(m, centre, form, s)) for m in models])
     if not np.isfinite(sizes).all():
@@ -258,18 +227,14 @@ def error_sizes(models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, fo
     return sizes
 
 
-def _bound(models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form, omega: Array) -> Array:
-    return error_sizes(models, centre, form, omega).max(axis=0)
-
-
 def _reference(models: tuple[StateSpaceModel, ...], form: Form, omega: Array) -> Array:
     """Return the scale of the bound: the models' own size for the additive forms, 1 for the relative ones."""
-    s = _circle(omega, models[0].dt)
+    if not form.endswith("additive"):
+        return np.ones(len(omega))
+    responses = [frequency_response(m, omega) for m in models]
     if form == "additive":
-        return np.max([_sigma(_at(m, s)) for m in models], axis=0) + np.finfo(float).tiny
-    if form == "inverse-additive":
-        return np.max([_sigma(np.linalg.inv(_at(m, s))) for m in models], axis=0)
-    return np.ones(len(omega))
+        return np.max([_sigma(g) for g in responses], axis=0) + np.finfo(float).tiny
+    return np.max([_sigma(np.linalg.inv(g)) for g in responses], axis=0)
 
 
 def _grid(models: tuple[StateSpaceModel, ...], others: list[StateSpaceModel]) -> Array:
@@ -302,17 +267,15 @@ def _grid(models: tuple[StateSpaceModel, ...], others: list[StateSpaceModel]) ->
 
 def _require_stable(models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form) -> None:
     """Check that every error is analytic in the closed unstable region."""
-    inverse = form.startswith("inverse")
     for i, model in enumerate(models, 1):
         if model is centre:
             continue
-        above, below = (centre, model) if inverse else (model, centre)  # numerator and denominator of the error
-        parts: list[AnyArray] = [
-            above.poles() if form != "inverse-additive" else transmission_zeros(centre, complete=True)
+        above, below = (centre, model) if form.startswith("inverse") else (model, centre)
+        zeros = form == "inverse-additive", form != "additive"  # whose zeros are poles of the error
+        parts = [
+            transmission_zeros(m, complete=True) if z else m.poles() for m, z in zip((above, below), zeros, strict=True)
         ]
-        parts.append(centre.poles() if form == "additive" else transmission_zeros(below, complete=True))
-        singular = np.concatenate(parts)
-        bad = _pole_that_stays(model, centre, form, singular)
+        bad = _pole_that_stays(model, centre, form, np.concatenate(parts))
         if bad is not None:
             text = f"model {i} differs from the nominal one by an unstable error (pole {bad.real:.6g}{bad.imag:+.6g}j)"
             hint = "an inverse form holds other poles on the right, additive other zeros"
@@ -334,7 +297,7 @@ def _pole_that_stays(model: StateSpaceModel, centre: StateSpaceModel, form: Form
             error = _error(model, centre, form, points)
             own = 1.0  # size of the terms of the difference
             if form.endswith("additive"):
-                here = _at(centre, points)
+                here = centre(points)
                 own = float(np.abs(here if form == "additive" else np.linalg.inv(here)).max())
             reference = float(np.abs(error).max() + own)
         laurent = [np.abs((error * turns[:, None, None] ** k).mean(axis=0)).max() for k in range(1, 9)]
