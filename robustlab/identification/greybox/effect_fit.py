@@ -555,10 +555,10 @@ class Problem:
         z, xi, residual = place.z, place.xi[k], place.residual[k]
         known = None if simulator.rough and not self.clock.rough else residual
         count = 0 if fixed else len(z)
-        j, x = self._sensitivities(k, simulator, hypothesis, (z, xi), place.around, noise, count, known)
+        j, x = self.sensitivities(k, simulator, hypothesis, (z, xi), place.around, noise, count, known)
         return Linearised.of(residual, np.zeros((*residual.shape, len(z))) if fixed else j, x, xi)
 
-    def _sensitivities(
+    def sensitivities(
         self, k: int, simulator: Simulator, hypothesis: Hypothesis, at: tuple[Array, Array], around: Array,
         noise: NoiseModel, count: int, known: Array | None = None,
     ) -> tuple[Array, Array]:  # fmt: skip
@@ -578,7 +578,7 @@ class Problem:
         """Return derivatives of the residuals over the first ``count`` (or all) parameters and the initial states."""
         count, at = len(fit.z) if count is None else count, fit.z
         return [
-            self._sensitivities(k, simulator, fit.hypothesis, (at, fit.starts[k]), at, fit.noise, count)
+            self.sensitivities(k, simulator, fit.hypothesis, (at, fit.starts[k]), at, fit.noise, count)
             for k, simulator in enumerate(self.simulators(fit.hypothesis))
         ]
 

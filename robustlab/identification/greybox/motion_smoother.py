@@ -62,26 +62,6 @@ def smooth_motion(plant: NonlinearPlant, t: Array, u: Array, y: Array, columns: 
     return _kept(plant, *(a.tobytes() for a in arrays), tuple(columns))
 
 
-def lacking_forces(
-    plant: NonlinearPlant, t: Array, u: Array, y: Array, columns: Sequence[int], x: Array, rates: Array, least: float
-) -> tuple[Array, Array]:
-    """Return the force at each joint that the plant lacks, (n, n_joints), and its standard deviation."""
-    # rates: known rates from each sample to the next, (n, n_x), effects included; least: lowest bandwidth in Hz.
-    chains, offset = _chains(plant, u, y, columns)
-    course = Course(plant, x, u, float(t[1] - t[0]))
-    middle, _ = course.at(np.minimum(np.arange(len(t)) + 0.5, len(t) - 1.0))
-    chains, _ = _along(chains, course)
-    lacking, std = np.zeros_like(x), np.zeros_like(x)
-    for chain in chains:
-        own = list(chain.states)
-        known = rates[:, own[-1]] - middle[:, own] @ chain.own
-        run = _smoothed(chain, t, known, y - offset)
-        if run.bandwidth[0] < least:
-            run = _smoothed(chain, t, known, y - offset, run, least)
-        lacking[:, own[-1]], std[:, own[-1]] = run.d[:, 0], run.d_std[:, 0]
-    return _forces(plant, x, u, lacking, std)
-
-
 @lru_cache(maxsize=16)
 def _kept(plant: NonlinearPlant, t: bytes, u: bytes, y: bytes, columns: tuple[int, ...]) -> SmoothedMotion:
     clock = np.frombuffer(t)
@@ -168,12 +148,9 @@ def _rows(plant: NonlinearPlant, u: Array, y: Array, columns: Sequence[int]) -> 
 # --- smoothing -------------------------------------------------------------------------------------------------------
 
 
-def _smoothed(
-    chain: _Chain, t: Array, known: Array, y: Array, like: SmoothedRecord | None = None, bandwidth: float | None = None
-) -> SmoothedRecord:
+def _smoothed(chain: _Chain, t: Array, known: Array, y: Array, like: SmoothedRecord | None = None) -> SmoothedRecord:
     noise = None if like is None else like.noise_std
-    own = y[:, list(chain.outputs)]
-    return smooth_disturbance(chain.model(), chain.push, t, known[:, None], own, noise, bandwidth)
+    return smooth_disturbance(chain.model(), chain.push, t, known[:, None], y[:, list(chain.outputs)], noise)
 
 
 def _assembled(chains: Sequence[_Chain], runs: Sequence[SmoothedRecord], n: int, n_x: int) -> Array:

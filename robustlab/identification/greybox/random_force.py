@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -17,14 +16,12 @@ from robustlab.dynamics.effects.contract import Effect, EffectParameter, Law, Sc
 from robustlab.dynamics.extended.simulator import Simulator
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.law_kernel import TIME, law
-from robustlab.identification import tuning
-from robustlab.identification.greybox.effect_fit import Candidate, Fit, Hypothesis, Problem
+from robustlab.identification.greybox.effect_fit import Fit, Hypothesis, NoiseModel, Problem
 from robustlab.identification.greybox.prepared_record import PreparedRecord, averaged
 
 SEGMENTS = 60  # of a window, at most: each is a simulation per port
 PULSES = 120  # of a window at all ports together, at most
 PULSE = 0.02  # of the force that moves the port: small against it, large against rounding
-CLIP = 1e6
 
 
 @law
@@ -65,6 +62,9 @@ class PortMotion:
     force: float  # RMS of the force that moves the port
     speed: Array | None = None  # (n,)
     position: Array | None = None  # (n,)
+    unit: str = ""
+    speed_unit: str = ""
+    position_unit: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,72 +112,56 @@ def plain_places(problem: Problem, fit: Fit) -> tuple[Site, ...]:
 
 def force_response(problem: Problem, fit: Fit, places: Sequence[Site]) -> list[ForceResponse]:
     """Return responses at a fit to forces at joints, or to additions to inputs, one per record."""
-    dt = problem.records[0].record.dt
-    pulses = [Candidate(_RecordedForce(dt), place, (), ({},), Scales()) for place in places]
-    wider = Hypothesis((*fit.hypothesis.candidates, *pulses))
-    both = zip(problem.simulators(wider), problem.quick(wider), strict=True)
-    return [_of_record(problem, fit, wider, places, k, exact, quick) for k, (exact, quick) in enumerate(both)]
+    return [_of_record(problem, fit, places, k) for k in range(len(problem.records))]
 
 
-def _of_record(
-    problem: Problem, fit: Fit, wider: Hypothesis, places: Sequence[Site], k: int, exact: Simulator, quick: Simulator
-) -> ForceResponse:
-    record, chosen, xi, count = problem.records[k], problem.chosen[k], fit.starts[k], len(places)
-    nothing = np.zeros(len(record.u))
-    single = record.sensor_noise
+def _of_record(problem: Problem, fit: Fit, places: Sequence[Site], k: int) -> ForceResponse:
+    record, chosen, xi, length = problem.records[k], problem.chosen[k], fit.starts[k], problem.records[k].windows.length
+    noise = NoiseModel(record.sensor_noise, np.zeros((0, len(record.columns))))
+    simulator = problem.quick(fit.hypothesis)[k]
+    (error,) = problem.on([record], [chosen]).errors(fit.hypothesis, fit.z, [xi])
+    known = np.isfinite(error).reshape(len(chosen), -1)
+    over_z, over_x = problem.sensitivities(k, simulator, fit.hypothesis, (fit.z, xi), fit.z, noise, len(fit.z))
+    motions = tuple(_motion(problem, fit, place, k) for place in places)
+    most = min(SEGMENTS, max(1, PULSES // len(places)))
+    edges = np.unique(np.append(np.arange(0, length, -(-length // most)), length))
+    samples = record.windows.starts[chosen][:, None] + np.arange(length)
+    pushed = copy(simulator)
+    pushed.effects = (*simulator.effects, *((_RecordedForce(record.record.dt), place) for place in places))
+    setting, nothing = problem.setting(fit.hypothesis, fit.z), np.zeros(len(record.u))
 
-    def outputs(z: Array, start: Array, samples: Array = nothing, at: int = 0, simulator: Simulator = quick) -> Array:
-        setting = problem.setting(wider, z)
-        pushed = [{"samples": samples if j == at else nothing} for j in range(count)]
-        values = [*setting.values[: len(setting.values) - count], *pushed]
-        return problem.outputs(k, simulator, setting._replace(values=values), start)
+    def outputs(force: Array = nothing, at: int = 0) -> Array:
+        forces = [{"samples": force if j == at else nothing} for j in range(len(places))]
+        return problem.outputs(k, pushed, setting._replace(values=[*setting.values, *forces]), xi)
 
-    def points(difference: Array) -> Array:
-        with np.errstate(all="ignore"):
-            scaled = averaged(difference, record.thin) / single
-        return np.clip(scaled, -CLIP, CLIP).reshape(len(chosen), -1)
+    def pulse(s: int, at: int) -> Array:
+        force, size = nothing.copy(), PULSE * motions[at].force
+        force[samples[:, edges[s] : edges[s + 1]]] = size
+        return (outputs(force, at) - here) / size
 
+    columns = []
     with np.errstate(all="ignore"):
-        here = outputs(fit.z, xi)
-        step, start_step = tuning.STEP, tuning.START_STEP
-        j = [points(outputs(fit.z + step * e, xi) - here) / step for e in np.eye(len(fit.z))]
-        x = [points(outputs(fit.z, xi + start_step * e) - here) / start_step for e in np.eye(xi.shape[1])]
-        motions = tuple(_motion(problem, fit, place, k) for place in places)
-        length = record.windows.length
-        most = min(SEGMENTS, max(1, PULSES // count))
-        edges = np.unique(np.append(np.arange(0, length, -(-length // most)), length))
-        samples = record.windows.starts[chosen][:, None] + np.arange(length)
-
-        def pulse(s: int, at: int) -> Array:
-            force, size = nothing.copy(), PULSE * motions[at].force
-            force[samples[:, edges[s] : edges[s + 1]]] = size
-            return (outputs(fit.z, xi, force, at) - here) / size
-
-        shifts, o = _shifts(problem, fit, exact, count), []
-        for at in range(count):
+        here, shifts = outputs(), _shifts(problem, simulator, setting.values)
+        for at in range(len(places)):
             if shifts:
                 first = pulse(0, at)
                 ends = [np.pad(first[:, : length - e], ((0, 0), (e, 0), (0, 0))) for e in edges[:-1]]
-                last = (edges[-1] - edges[-2]) / (edges[1] - edges[0])  # the last segment may be shorter
-                o += [points(r * (last if s == len(ends) - 1 else 1.0)) for s, r in enumerate(ends)]
+                ends[-1] *= (edges[-1] - edges[-2]) / (edges[1] - edges[0])  # the last segment may be shorter
             else:
-                o += [points(pulse(s, at)) for s in range(len(edges) - 1)]
-        error = points(record.measured[chosen] - outputs(fit.z, xi, simulator=exact))
-    known = np.isfinite(error)
-    columns = np.nan_to_num(np.stack([*o, *j, *x, error], axis=2)) * known[:, :, None]
+                ends = [pulse(s, at) for s in range(len(edges) - 1)]
+            columns += [noise.whitened(averaged(response, record.thin)) for response in ends]
+    columns = np.concatenate(
+        [np.stack(columns, axis=2), -over_z, -over_x, noise.whitened(error)[:, :, None]], axis=2
+    ) * known[:, :, None]  # fmt: skip
     gram = np.swapaxes(columns, 1, 2) @ columns
     return ForceResponse(gram, known.sum(axis=1), edges, samples, xi, record, motions)
 
 
-def _shifts(problem: Problem, fit: Fit, simulator: Simulator, pulses: int) -> bool:
+def _shifts(problem: Problem, simulator: Simulator, values: Sequence[Mapping[str, float]]) -> bool:
     """Return whether the response is time-invariant: a linear plant, no force law, no map of an output."""
-    if isinstance(problem.plant, NonlinearPlant):
-        return False
-    values = problem.setting(fit.hypothesis, fit.z).values
-    effects = zip(simulator.effects[:-pulses], values, strict=True)
-    return not any(
+    return not isinstance(problem.plant, NonlinearPlant) and not any(
         (site.kind == "output" and not (effect.delay and v[effect.delay] == 0.0)) or effect.laws(site, v)
-        for (effect, site), v in effects
+        for (effect, site), v in zip(simulator.effects, values, strict=True)
     )
 
 
@@ -187,7 +171,7 @@ def _motion(problem: Problem, fit: Fit, place: Site, k: int) -> PortMotion:
     if place.kind == "input":
         at = [s.name for s in problem.plant.inputs].index(place.name)
         rms = float(np.sqrt(np.mean(record.u[:, at] ** 2))) or 1.0
-        return PortMotion(rms)
+        return PortMotion(rms, unit=problem.plant.inputs[at].unit)
     factors, _ = problem.split(fit.hypothesis, fit.z)
     port = problem.simulators(Hypothesis(()))[k].model(factors, []).ports[place.name]
     x, covariance = record.smoothed.x, record.smoothed.covariance
@@ -199,7 +183,7 @@ def _motion(problem: Problem, fit: Fit, place: Site, k: int) -> PortMotion:
         q = x @ port.position
         std = np.sqrt(np.median(np.einsum("i,nij,j->n", port.position, covariance, port.position)))
         q = q if std < 0.05 * np.ptp(q) else None
-    return PortMotion(rms, v, q)
+    return PortMotion(rms, v, q, port.unit, port.speed_unit, port.position_unit)
 
 
 SIZES = np.concatenate([[0.0], 10.0 ** np.arange(-4.5, 0.1, 0.25)])  # s, of the force that moves the port
@@ -209,6 +193,7 @@ START = 1e-4
 LEAST_NOISE = 1e-8  # variance of the noise over the smoother's estimate
 BANDWIDTHS = (1.0, 4.0, 16.0)  # f, per length of a window
 FINER = (0.5, 1.0, 2.0)  # times the best of them
+FINER_SIZES = 10.0 ** np.linspace(-0.25, 0.25, 13)
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,39 +244,19 @@ class FittedWindows:
         return float(self.forces[self.records[0].port])
 
     def strongest(self) -> list[int]:
-        """Return the ports by residual force over the expected random force, largest first."""
-        ratio = []
-        for port in range(len(self.records[0].ports)):
-            there = self.at(port)
-            found = expected = 0.0
-            for record, (gram, score) in zip(there.records, there.segment_sums(), strict=True):
-                kernel = self._kernel(record, self.alone.bandwidth)
-                found += float(np.einsum("ws,st,wt->", score, kernel, score))
-                expected += float(np.einsum("wst,ts->", gram, kernel))
-            ratio.append(found / max(expected, 1e-300))
-        return sorted(range(len(ratio)), key=lambda port: -ratio[port])
+        """Return the ports by residual force over its standard deviation, largest first."""
+
+        def size(port: int) -> float:
+            return sum(float(((force / std) ** 2).sum()) for force, std in self.at(port).force_along())
+
+        return sorted(range(len(self.records[0].ports)), key=lambda port: -size(port))
 
     def _refine(self, nothing: Sequence[Array]) -> None:
-        """Optimise the random force between the nodes of the grid, whose error differs between hypotheses."""
-        from scipy.optimize import minimize_scalar
-
-        start = np.log(self.alone.size)
-        for factor in FINER:
-            f = factor * self.alone.bandwidth
+        """Search the random force between the nodes of the grid, whose error differs between hypotheses."""
+        sizes, bandwidth = self.alone.size * FINER_SIZES, self.alone.bandwidth
+        for f in (factor * bandwidth for factor in FINER):
             self.roots.setdefault(f, [self._roots(r, f) for r in self.records])
-
-        def best(f: float) -> NoiseLevel:
-            def level(log_size: float) -> NoiseLevel:
-                return self._levels_of(f, nothing, [float(np.exp(log_size))])[0]
-
-            ends = start + np.log(10.0) * np.array([-0.375, 0.375])
-            found: Any = minimize_scalar(
-                lambda s: -level(s).alone, bounds=ends, method="bounded", options={"xatol": 0.03}
-            )
-            return level(float(found.x))
-
-        around = [best(factor * self.alone.bandwidth) for factor in FINER]
-        self.alone = max([self.alone, *around], key=lambda level: level.alone)
+            self.alone = max([self.alone, *self._levels_of(f, nothing, sizes)], key=lambda level: level.alone)
         self.bandwidths = sorted({*self.bandwidths, self.alone.bandwidth})
         self.weight = max(LEAST_NOISE, self.alone.alone_q / self.points)
 
@@ -394,6 +359,24 @@ class FittedWindows:
         prior[-n_z - 1 : -1, -1] = prior[-1, -n_z - 1 : -1] = -self.z
         prior[-1, -1] = self.z @ self.z
         return gram + self.weight * prior
+
+    def force_along(self) -> list[tuple[Array, Array]]:
+        """Return the port's force given the errors and the parameters: mean and std by record, (n_windows, n_segments).
+
+        The posterior of the random force (Rasmussen, Williams, 2006, equation 2.12).
+        """
+        found, size = [], self.alone.size or SIZES[1]
+        for record in self.records:
+            s, n = record.pulses, record.gram.shape[1]
+            kernel = self._kernel(record, self.alone.bandwidth)
+            prior = np.kron(np.diag((size * self.forces) ** 2), kernel + 1e-9 * np.eye(len(kernel)))
+            order = [*range(n - 1 - record.xi.shape[1], n - 1), *range(s), n - 1]
+            g, _ = _without_start(record.gram[:, order][:, :, order], record)
+            covariance = np.linalg.inv(g[:, :s, :s] + np.linalg.inv(prior))
+            mean = (covariance @ g[:, :s, -1:])[:, :, 0]
+            variance = np.diagonal(covariance, axis1=1, axis2=2) * self.alone.alone_q / self.points
+            found.append((mean[:, record.own], np.sqrt(variance[:, record.own])))
+        return found
 
     def segment_sums(self) -> list[tuple[Array, Array]]:
         """Return products of the port's segments with each other and with the errors, under the hypothesis' noise."""

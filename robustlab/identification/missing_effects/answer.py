@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 
-from robustlab.dynamics.extended.simulator import Windows
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant
-from robustlab.errors import NoTrustworthyNumber, RobustlabError
+from robustlab.errors import RobustlabError
 from robustlab.identification import tuning
 from robustlab.identification.data_checks.suitability import Finding
 from robustlab.identification.greybox.effect_fit import (
@@ -21,10 +20,8 @@ from robustlab.identification.greybox.effect_fit import (
     Hypothesis,
     Prior,
     Problem,
-    simulated_outputs,
 )
-from robustlab.identification.greybox.noise import held_out_fit, settled, white
-from robustlab.identification.greybox.prepared_record import start_std
+from robustlab.identification.greybox.noise import settled
 from robustlab.identification.missing_effects.discovery_parts import (
     INTERVAL,
     EffectValue,
@@ -49,28 +46,19 @@ from robustlab.identification.missing_effects.held_out import (
     without_effects,
 )
 from robustlab.identification.missing_effects.named_kinds import Kinds, force_share
-from robustlab.identification.missing_effects.posterior import Alternative, Posterior
-from robustlab.identification.missing_effects.residual_force import (
-    LeftOver,
-    ResidualForce,
-    left_over,
-    remaining_lines,
-    residual_curves,
-)
+from robustlab.identification.missing_effects.posterior import Alternative, Posterior, weight_of
+from robustlab.identification.missing_effects.residual_force import ResidualForce, remaining_lines, residual_force
 from robustlab.identification.missing_effects.set_search import Found
 from robustlab.identification.missing_effects.updated_plant import updated_plant
 from robustlab.record import Record
 from robustlab.result import Status
 
 if TYPE_CHECKING:
-    from robustlab.identification.comparison.repeats import NoiseFloor
     from robustlab.identification.experiment import NextExperiment
 
 
 MOST_OF_EXCESS = 0.5  # share of the nominal model's excess cost that sure effects must explain if a misfit remains
 EXPLAINED = 0.9  # share of it below which the named effects are not the missing ones
-REPEATABLE = 1.6  # F of the residual against the noise floor beyond which a repeatable error remains
-REMARK = 0.005  # of the force that moves the port: weaker remaining lines are reported only
 T = TypeVar("T")
 WIDER = 1.25  # times the fitted value: a larger value that is tested against the records
 HELD = 1e8  # prior precision that fixes a standardised parameter
@@ -82,8 +70,6 @@ class Case:
 
     plant: AnyPlant
     records: Sequence[Record]
-    repeats: Sequence[Record]
-    period: float | None
     stated: Mapping[str, tuple[float, bool]]
     findings: tuple[Finding, ...]
     held_text: str
@@ -100,17 +86,6 @@ class _Judgement(NamedTuple):
         """Return INCONCLUSIVE without a sure name, or if more error remains than the names explain."""
         sure = self.verdict == "no missing effect" or (self.verdict == "named" and (self.complete or explained >= 0.5))
         return Status.CONVERGED if sure else Status.INCONCLUSIVE
-
-
-class _Remainder(NamedTuple):
-    """Residual of the best set: whether it is relevant, whether all was examined, force, lines, noise floor."""
-
-    remains: bool
-    complete: bool
-    force: LeftOver | None
-    lines: tuple[dict[str, float | str], ...]
-    floor: NoiseFloor | None
-    excess: Mapping[str, float]
 
 
 class _Stages(list[Finding]):
@@ -132,8 +107,8 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
     problem, held, stages = found.problem, held.under(found.problem.clock), _Stages()
     best = posterior.best.fit
     whole = settled(problem, best, found.noise)
-    left = _remainder(case, found, posterior, whole, stages)
-    if left.remains and best.hypothesis.candidates:
+    remains = _remains(problem, posterior, whole)
+    if remains and best.hypothesis.candidates:
         whole = settled(problem, whole, found.noise, 1)
     relevance = stages.run("what matters", lambda: _relevances(found, held, whole), {})
     negligible = frozenset(key for key, m in relevance.items() if not m.material)
@@ -142,15 +117,15 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
         kinds = Kinds(problem, posterior, negligible | elsewhere)
     fit = whole
     if aside := negligible | _doubtful(kinds, whole):
-        fit = settled(problem, without_effects(problem, whole, aside), found.noise, 1 if left.remains else None)
+        fit = settled(problem, without_effects(problem, whole, aside), found.noise, 1 if remains else None)
         # The errors without each effect refer to the smaller set.
         relevance |= stages.run("what matters", lambda: _relevances(found, held, fit), {})
-    verdict = _verdict(found, kinds, fit, left.remains)
+    verdict = _verdict(found, kinds, fit, remains)
     named = fit.hypothesis.candidates
     bare = settled(problem, found.empty.fit, found.noise, 1 if named else None)
     as_given = Fit(Hypothesis(()), np.zeros(len(held.nuisances)), (), 0.0, np.zeros(0), np.eye(0), found.noise)
     gaps = held_out_gaps(held, {"nominal": as_given, "refitted": bare, "updated": fit}, problem.records)
-    judged = _Judgement(verdict, left.complete and verdict != "unknown")
+    judged = _Judgement(verdict, not remains and bool(np.isfinite(posterior.noise_ratio)) and verdict != "unknown")
     findings = [*case.findings, *_search_findings(found)]
     if named:
         judged = _on_held_out(judged, gaps, bool(at_limits(problem, bare)))
@@ -161,13 +136,12 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
     if judged.verdict == "unknown" and not named:
         rivals = []  # rivals of "no missing effect", which is no longer the verdict
     names = tuple(r.name for r in case.records)
-    force = left.force
     explained = _explained_on_held_out(gaps, posterior.noise_ratio)
     structure = {"noise_ratio": posterior.noise_ratio, "explained": explained}
     experiment = stages.run("next experiment", lambda: _next_experiment(problem, best, rivals), None)
-    curves = stages.run("residual force", lambda: residual_curves(force), None) if force else None
-    missing = stages.run("missing force", lambda: _curves(found, bare), None) if named else None
-    sure = stages.run("kinds", lambda: kinds.named(problem, left.remains), ()) if judged.verdict != "unknown" else ()
+    curves = stages.run("residual force", lambda: _force(found, fit), None)
+    missing = stages.run("missing force", lambda: _force(found, bare), None) if named else None
+    sure = stages.run("kinds", lambda: kinds.named(problem, remains), ()) if judged.verdict != "unknown" else ()
     source = f"fitted to {', '.join(names)}"
     model = None if refuted else stages.run("updated plant", lambda: updated_plant(problem, fit, source, sure), None)
 
@@ -201,9 +175,7 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
         structure=structure,
         residual_force=curves,
         missing_force=missing,
-        noise_floor=left.floor,
-        floor_excess=left.excess,
-        remaining_lines=left.lines,
+        remaining_lines=remaining_lines(posterior.weight.places, posterior.weight.left) if posterior.weight else (),
         findings=(*findings, *stages),
         series=gaps.series,
         model=model,
@@ -214,20 +186,15 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
 # --- the verdict -----------------------------------------------------------------------------------------------------
 
 
-def _remainder(case: Case, found: Found, posterior: Posterior, fit: Fit, stages: _Stages) -> _Remainder:
-    """Examine the residual of the best set; lines weaker than `REMARK` leave the answer complete."""
-    force = stages.run("residual force", lambda: left_over(_all_records(found), fit, found.noise), None)
-    lines = stages.run("lines", lambda: remaining_lines(force) if force else (), ())
-    floor, excess = stages.run("noise floor", lambda: _floor_excess(case, found, fit), (None, {}))
-    moving = max((c.scales.force for c in case.pool if force and c.site.name == force.port), default=0.0)
-    remains = any(float(line["amplitude"]) > REMARK * moving for line in lines)
-    remains = remains or any(f > REPEATABLE for f in excess.values())
-    remains = remains or posterior.noise_ratio > tuning.MOST_NOISE or posterior.best.unnamed is not None
-    remains = remains or posterior.random_share > tuning.MOST_RANDOM or not posterior.generalises
-    remains = remains or bool(late_clocks(found.problem, fit))
-    # Without an examination (no motion, a failed stage, records in pieces) the answer is not complete.
-    complete = not remains and force is not None and bool(np.isfinite(posterior.noise_ratio))
-    return _Remainder(bool(remains), complete, force, lines, floor, excess)
+def _remains(problem: Problem, posterior: Posterior, fit: Fit) -> bool:
+    """Return whether more than noise and a small random force remains beyond the best set."""
+    return (
+        posterior.noise_ratio > tuning.MOST_NOISE
+        or posterior.random_share > tuning.MOST_RANDOM
+        or posterior.best.unnamed is not None
+        or not posterior.generalises
+        or bool(late_clocks(problem, fit))
+    )
 
 
 def _relevances(found: Found, held: Problem, fit: Fit, keys: Collection[str] | None = None) -> dict[str, Relevance]:
@@ -316,50 +283,9 @@ def _explained_on_held_out(gaps: Gaps, noise_ratio: float) -> float:
     return float(np.clip((given - updated) / (given - noise), 0.0, 1.0)) if given > noise else 1.0
 
 
-def _floor_excess(case: Case, found: Found, fit: Fit) -> tuple[NoiseFloor | None, dict[str, float]]:
-    """Return the model-free noise floor of a repeating first record, and F of the updated model's errors against it."""
-    from robustlab.identification.comparison.repeats import noise_floor
-
-    problem, record = found.problem, case.records[0]
-    first = problem.records[0]
-    names = [problem.plant.outputs[k].name for k in first.columns]
-    own = [name for name in names if name in first.record.outputs]
-    try:
-        floor = noise_floor(record, period=case.period, repeats=case.repeats, outputs=own)
-    except NoTrustworthyNumber:
-        return None, {}
-    if floor.source != "periods" or first.record.n != record.n:
-        return floor, {}
-    # Windows at equal phases of every period.
-    per_period = max(1, round(floor.samples / first.windows.length))
-    length = floor.samples // per_period
-    starts = floor.first + (np.arange(floor.count)[:, None] * floor.samples + np.arange(per_period) * length).ravel()
-    windows = Windows(starts.astype(np.int64), length)
-    s = first.smoothed
-    cut = replace(first, windows=windows, x0=s.x[starts].copy(), x0_std=start_std(s, windows))
-    there = problem.on([cut])
-    placed = held_out_fit(there, fit, white(found.noise))
-    errors = cut.measured - simulated_outputs(there, placed)[0]
-    excess = {}
-    for name in own:
-        j = names.index(name)
-        residual = np.full((floor.count, floor.samples), np.nan)
-        residual[:, : per_period * length] = errors[:, :, j].reshape(floor.count, per_period * length)
-        tested = floor.excess(residual)
-        if tested.F is not None:
-            excess[name] = tested.F
-    return floor, excess
-
-
-def _curves(found: Found, fit: Fit) -> ResidualForce | None:
-    left = left_over(_all_records(found), fit, found.noise)
-    return residual_curves(left) if left else None
-
-
-def _all_records(found: Found) -> Problem:
-    """Return the problem over all records, held-out ones included."""
-    problem = found.problem
-    return problem.on([*problem.records, *(r for r in found.held.records if r not in problem.records)])
+def _force(found: Found, fit: Fit) -> ResidualForce | None:
+    weight = weight_of(found, fit)
+    return weight and residual_force(weight.places)
 
 
 def _search_findings(found: Found) -> list[Finding]:

@@ -257,8 +257,7 @@ def details_of(d: Any) -> list[Part]:
     """Return the evidence, refitted parameters, input holds, next experiment, findings and search as tables."""
     best = sorted(d.search, key=lambda e: -e.evidence)[:SHOWN_SEARCH]
     without = {e.name: percent(e.error_without) if math.isfinite(e.error_without) else "" for e in d.effects}
-    structure = [*((key, f"{v:.4g}" if isinstance(v, float) else str(v)) for key, v in d.structure.items()),
-                 *((f"F against the noise floor, {k}", f"{F:.4g}") for k, F in d.floor_excess.items())]  # fmt: skip
+    structure = [(key, f"{v:.4g}") for key, v in d.structure.items()]
     visited = f"search: {len(d.search)} sets visited, {len(d.candidates)} effects tried"
     return [
         Part("evidence", ("effect", "equation", "log evidence", "held-out error without it"),
@@ -392,7 +391,8 @@ def _remaining(d: Any) -> str:
 
 def _line(line: Mapping[str, Any]) -> str:
     size = _sized(line["amplitude"], line["force_unit"])
-    return f"{size} over {line['over']}, period {_sized(line['period'], line['unit'])} (p {line['p_value']:.2g})"
+    period = _sized(line["period"], line["unit"])
+    return f"{size} over {line['over']}, period {period} (log evidence {line['evidence']:.3g})"
 
 
 def _nominal(p: NominalValue) -> str:

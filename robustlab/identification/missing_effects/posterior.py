@@ -77,24 +77,24 @@ class Posterior:
     """Sets of effects, the most probable first."""
 
     # collection: the smallest with probability `tuning.SURE`, and sets indistinguishable from the best; generalises:
-    # False if every more probable set than the empty one fails on held-out data; left: residual force of the best set
-    # by place; coarse: log evidence is divided because of it.
+    # False if every more probable set than the empty one fails on held-out data; weight: the best set under a random
+    # force; coarse: log evidence is divided because of a residual force.
 
     sets: tuple[Weighted, ...]
     collection: tuple[Weighted, ...]
     generalises: bool
-    left: tuple[Unnamed, ...]
+    weight: Weight | None
     coarse: bool = False
 
     @property
     def noise_ratio(self) -> float:
         """Return the error of the best set over noise and random force, the largest over the places; NaN if unknown."""
-        return max((u.noise_ratio for u in self.left), default=np.nan)
+        return max((u.noise_ratio for u in self.weight.left), default=np.nan) if self.weight else np.nan
 
     @property
     def random_share(self) -> float:
         """Return the best set's random force over the force that moves the port, the largest over the places."""
-        return max((u.random_share for u in self.left), default=np.nan)
+        return max((u.random_share for u in self.weight.left), default=np.nan) if self.weight else np.nan
 
     @property
     def best(self) -> Weighted:
@@ -115,7 +115,7 @@ class Posterior:
 
 
 @dataclass(frozen=True, eq=False)
-class _Weight:
+class Weight:
     """A set over all windows under a random force at each possible place; ``price``: log cost of fitted phases."""
 
     places: tuple[tuple[FittedWindows, Site], ...]
@@ -155,7 +155,7 @@ def weigh(found: Found) -> Posterior:
     best = [v for v in ordered if ordered[0].evidence - v.evidence < tuning.FAR_BEHIND][:MOST_WEIGHED] if near else []
     best += [v for v in ordered if near and not v.key and v not in best]
     weights = _with_plausible_force(
-        {v.key: weight for v in best if (weight := _weight(found, v)) is not None}, tuning.MOST_RANDOM
+        {v.key: weight for v in best if (weight := weight_of(found, v.fit)) is not None}, tuning.MOST_RANDOM
     )
     evidence = {v.key: v.evidence for v in ordered}
     if ordered[0].key in weights:
@@ -180,16 +180,15 @@ def weigh(found: Found) -> Posterior:
         for v, p in zip(ordered, share, strict=True)
     ]
     sets, renamed = _split(found, _without_undecided(problem, weighed, evidence, temperature), evidence)
-    if sets[0].key not in weights and (weight := _weight(found, sets[0].visited)) is not None:
+    if sets[0].key not in weights and (weight := weight_of(found, sets[0].fit)) is not None:
         weights[sets[0].key] = weight
         sets[0] = replace(sets[0], unnamed=weight.force)
     twins = {key for key, d in distance.items() if d < tuning.CANNOT_TELL} - renamed
     collection = tuple(_collected(sets, tuning.SURE, twins))
-    left = weights[sets[0].key].left if sets[0].key in weights else ()
-    return Posterior(tuple(sets), collection, generalises, left, temperature > TEMPERATURE)
+    return Posterior(tuple(sets), collection, generalises, weights.get(sets[0].key), temperature > TEMPERATURE)
 
 
-def _temperature(best: Scored, weights: Mapping[Key, _Weight]) -> float:
+def _temperature(best: Scored, weights: Mapping[Key, Weight]) -> float:
     """Return the divisor of log evidence: that of the residual force over that of a sure effect."""
     # A line over position or time does not count: it cannot come from a wrong form of another effect.
     left = weights[best.key].left if best.key in weights else ()
@@ -198,7 +197,7 @@ def _temperature(best: Scored, weights: Mapping[Key, _Weight]) -> float:
     return max(TEMPERATURE, gain / float(np.log(tuning.SURE / (1.0 - tuning.SURE))))
 
 
-def _with_plausible_force(weights: dict[Key, _Weight], most: float) -> dict[Key, _Weight]:
+def _with_plausible_force(weights: dict[Key, Weight], most: float) -> dict[Key, Weight]:
     """Return the sets whose random force is not larger than ``most``, or all if there are none."""
     # A larger one is not noise: it replaces a missing effect, and predicts the next sample better than any law.
     own = {key: weight for key, weight in weights.items() if weight.random_share < most}
@@ -296,13 +295,13 @@ def _misjudges(visited: Scored, key: Key, label: str) -> bool:
     return key < visited.key and len(more) == 1 and more[0].kind == "parameter" and more[0].name == label
 
 
-def _weight(found: Found, visited: Scored) -> _Weight | None:
+def weight_of(found: Found, fit: Fit) -> Weight | None:
     """Evaluate a set under a random force; None with too little motion."""
-    held, price = in_phase(found.held, visited.fit, found.problem.records)
-    both, fit = _all_windows(found, held, visited.fit)
+    held, price = in_phase(found.held, fit, found.problem.records)
+    both, fit = _all_windows(found, held, fit)
     try:
         with np.errstate(all="ignore"):
-            weight = _Weight(fitted_windows(both, fit), price)
+            weight = Weight(fitted_windows(both, fit), price)
     except SINGULAR:
         return None
     return weight if np.isfinite(weight.log_likelihood) else None
@@ -323,7 +322,7 @@ def _all_windows(found: Found, held: Problem, fit: Fit) -> tuple[Problem, Fit]:
 
 
 def _forces(
-    ordered: Sequence[Scored], evidence: Mapping[Key, float], weights: Mapping[Key, _Weight]
+    ordered: Sequence[Scored], evidence: Mapping[Key, float], weights: Mapping[Key, Weight]
 ) -> dict[Key, UnnamedEvidence]:
     """Return the residual force of each set; if the best set has none, only that of the empty one."""
     best = max((v.key for v in ordered), key=evidence.__getitem__)

@@ -22,6 +22,7 @@ from robustlab.identification import (
     force_response,
     judged,
     plain_places,
+    residual_force,
     unnamed_force,
 )
 
@@ -109,6 +110,21 @@ def test_the_likelihood_of_a_random_force_is_that_of_the_dense_gaussian(dense):
         free = 4 * np.log(1.0 / START)  # of the initial states' prior, common to all; that of the parameters as well
         free -= 0.5 * len(dense.z) * np.log(windows.weight)
         assert level.alone == pytest.approx(profiled(dense.e.ravel(), covariance, mean) + free, rel=1e-8, abs=1e-8)
+
+
+def test_the_force_along_the_windows_is_that_of_the_dense_gaussian(dense):
+    windows = dense.windows()
+    size, f = windows.alone.size or 10.0**-4.5, windows.alone.bandwidth
+    kernel, _ = Dense(np.eye(len(dense.forces) * 6)[None], *(np.zeros((1, 6 * len(dense.forces), 0)),) * 2, np.zeros(
+        (1, 6 * len(dense.forces))), np.zeros((1, 0)), np.zeros(0), dense.forces).covariance(size, f, 1.0)  # fmt: skip
+    kernel = kernel - np.eye(len(kernel))
+    ((found, std),) = windows.force_along()
+    for w in range(4):
+        total = np.eye(14) + dense.o[w] @ kernel @ dense.o[w].T + dense.x[w] @ dense.x[w].T / START
+        gain = kernel @ dense.o[w].T @ np.linalg.inv(total)
+        spread = np.diag(kernel - gain @ dense.o[w] @ kernel) * windows.alone.alone_q / windows.points
+        assert found[w] == pytest.approx((gain @ (dense.e[w] + dense.x[w] @ dense.xi[w]))[-6:], rel=1e-5, abs=1e-9)
+        assert std[w] == pytest.approx(np.sqrt(spread[-6:]), rel=1e-5)
 
 
 def test_evidence_and_cross_validation_are_those_of_the_dense_gaussian(dense):
@@ -232,3 +248,9 @@ def test_a_friction_over_speed_is_found():
     best = left_by(problem, fit).forces[0]
     assert best.wins
     assert best.over == "speed"
+    force = residual_force(fitted_windows(problem, fit))
+    curve = force.curves["speed"]
+    assert force.unit == "N"
+    assert curve.share > 0.9
+    fast = np.abs(curve.x) > 0.01
+    assert curve.value[fast] == pytest.approx(-3.0 * np.sign(curve.x[fast]), abs=0.5)
