@@ -73,7 +73,7 @@ def matching_along(plant: NonlinearPlant, record: Record) -> Matching:
     u = np.column_stack([record.inputs[name] for name in inputs])
     whole = stretch_of(record, inputs, names)
     try:
-        smoothed = smooth_motion(plant, record.t, u, whole.y, columns).smoothed
+        smoothed = smooth_motion(plant, record.t, u, whole.y, columns)[0]
     except InputError as wrong:  # its message refers to effect identification
         raise InputError(where, wrong.found, wrong.expected, wrong.hint) from None
     noise = np.maximum(smoothed.noise_std, LEAST_NOISE / whole.weight)

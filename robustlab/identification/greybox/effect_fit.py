@@ -135,9 +135,7 @@ class Fit:
     hypothesis: Hypothesis
     z: Array  # standardised parameters: nuisances, then those of each effect
     starts: tuple[Array, ...]  # standardised initial states of the windows, (n_windows, n_x) per record
-    # V at the solution; ``window_cost``: contribution of each window (residual and initial state), all records in a row
-    cost: float
-    window_cost: Array
+    cost: float  # V at the solution
     hessian: Array  # of V / 2 over z, initial states eliminated, prior included
     noise: NoiseModel  # of V
     covariance: Array | None = None  # of z from the scatter of the windows' gradients (sandwich), of a robust fit
@@ -507,11 +505,8 @@ class Problem:
             if improved < max(tolerance, RELATIVE * here.cost):
                 break
         here = exact(here)
-        window_cost = np.concatenate(
-            [(r**2).sum(1) + (x**2).sum(1) for r, x in zip(here.residual, here.xi, strict=True)]
-        )
         covariance = sandwich(parts, hessian) if plan.robust else None
-        return Fit(hypothesis, here.z, tuple(here.xi), here.cost, window_cost, hessian, noise, covariance)
+        return Fit(hypothesis, here.z, tuple(here.xi), here.cost, hessian, noise, covariance)
 
     def _distance(self, there: _Place) -> float:
         """Return the largest change of a parameter since a nonlinear plant's matrices were computed."""
@@ -574,11 +569,10 @@ class Problem:
         change = np.moveaxis(found - here, 0, 2)
         return change[:, :, n_x:] / tuning.STEP, change[:, :, :n_x] / tuning.START_STEP
 
-    def derivatives(self, fit: Fit, count: int | None = None) -> list[tuple[Array, Array]]:
-        """Return derivatives of the residuals over the first ``count`` (or all) parameters and the initial states."""
-        count, at = len(fit.z) if count is None else count, fit.z
+    def derivatives(self, fit: Fit) -> list[tuple[Array, Array]]:
+        """Return derivatives of the residuals over the parameters and the initial states."""
         return [
-            self.sensitivities(k, simulator, fit.hypothesis, (at, fit.starts[k]), at, fit.noise, count)
+            self.sensitivities(k, simulator, fit.hypothesis, (fit.z, fit.starts[k]), fit.z, fit.noise, len(fit.z))
             for k, simulator in enumerate(self.simulators(fit.hypothesis))
         ]
 

@@ -24,15 +24,7 @@ POINTS = 60  # of a motion for means
 EDGE = 20  # samples at which the plant's outputs are tested for linearity
 
 
-@dataclass(frozen=True, eq=False)
-class SmoothedMotion:
-    """A record's states and forces."""
-
-    # as of a linear plant; forces ``d`` at the joints, in the order of the plant's places
-    smoothed: SmoothedRecord
-    # told, constant: as in `robustlab.identification.greybox.prepared_record.PreparedRecord`
-    told: Array
-    constant: Array
+Smoothed = tuple[SmoothedRecord, Array, Array]  # with part and constant of each output (`PreparedRecord`)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,20 +48,20 @@ class _Chain:
         return np.eye(len(self.states))[:, -1:]
 
 
-def smooth_motion(plant: NonlinearPlant, t: Array, u: Array, y: Array, columns: Sequence[int]) -> SmoothedMotion:
-    """Return states along a uniform record; ``columns``: index of each measured output among the plant's."""
+def smooth_motion(plant: NonlinearPlant, t: Array, u: Array, y: Array, columns: Sequence[int]) -> Smoothed:
+    """Return states and forces at the joints along a record; ``columns``: index of each measured output."""
     arrays = (np.ascontiguousarray(a) for a in (t, u, y))
     return _kept(plant, *(a.tobytes() for a in arrays), tuple(columns))
 
 
 @lru_cache(maxsize=16)
-def _kept(plant: NonlinearPlant, t: bytes, u: bytes, y: bytes, columns: tuple[int, ...]) -> SmoothedMotion:
+def _kept(plant: NonlinearPlant, t: bytes, u: bytes, y: bytes, columns: tuple[int, ...]) -> Smoothed:
     clock = np.frombuffer(t)
     n = len(clock)
     return _smooth(plant, clock, np.frombuffer(u).reshape(n, -1), np.frombuffer(y).reshape(n, -1), columns)
 
 
-def _smooth(plant: NonlinearPlant, t: Array, u: Array, y: Array, columns: tuple[int, ...]) -> SmoothedMotion:
+def _smooth(plant: NonlinearPlant, t: Array, u: Array, y: Array, columns: tuple[int, ...]) -> Smoothed:
     chains, offset = _chains(plant, u, y, columns)
     y = y - offset
     dt, n, n_x = float(t[1] - t[0]), len(t), len(plant.states)
@@ -225,7 +217,7 @@ def _resting(a: Array, free: Array, otherwise: Array) -> Array:
 def _collected(
     plant: NonlinearPlant, chains: Sequence[_Chain], runs: Sequence[SmoothedRecord], hidden: Indices,
     t: Array, u: Array, y: Array, x: Array, known: Array,
-) -> SmoothedMotion:  # fmt: skip
+) -> Smoothed:  # fmt: skip
     n, n_x, n_y = len(t), x.shape[1], y.shape[1]
     std, covariance = np.zeros((n, n_x)), np.zeros((n, n_x, n_x))
     parts, constant, noise = *np.zeros((2, n_y, n, n_x)), np.zeros(n_y)
@@ -248,7 +240,7 @@ def _collected(
         bandwidth=np.concatenate([r.bandwidth for r in runs]),
         log_likelihood=float(sum(r.log_likelihood for r in runs)),
     )  # fmt: skip
-    return SmoothedMotion(whole, parts, constant)
+    return whole, parts, constant
 
 
 def _forces(plant: NonlinearPlant, x: Array, u: Array, lacking: Array, std: Array) -> tuple[Array, Array]:

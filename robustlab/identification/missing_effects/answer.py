@@ -123,7 +123,7 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
     verdict = _verdict(found, kinds, fit, remains)
     named = fit.hypothesis.candidates
     bare = settled(problem, found.empty.fit, found.noise, 1 if named else None)
-    as_given = Fit(Hypothesis(()), np.zeros(len(held.nuisances)), (), 0.0, np.zeros(0), np.eye(0), found.noise)
+    as_given = Fit(Hypothesis(()), np.zeros(len(held.nuisances)), (), 0.0, np.eye(0), found.noise)
     gaps = held_out_gaps(held, {"nominal": as_given, "refitted": bare, "updated": fit}, problem.records)
     judged = _Judgement(verdict, not remains and bool(np.isfinite(posterior.noise_ratio)) and verdict != "unknown")
     findings = [*case.findings, *_search_findings(found)]

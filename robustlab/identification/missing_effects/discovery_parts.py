@@ -198,22 +198,19 @@ def headline_of(d: Any) -> str:
         worse = overall(d.free_run, "updated") > overall(d.free_run, "nominal")
         change += f"; in {d.whole_run} {_three_errors(d.free_run)}{', worse than as given' if worse else ''}"
     named = _in_a_row(_sure_titles(d))
+    also = "" if d.complete else "; incomplete: something else remains"
     if d.verdict == "no missing effect":
-        error = f"refitted its error on held-out data is {percent(d.gap_after)} of the range"
         hidden = f"; but they do not exclude {_one_of(r.title for r in d.rivals)}" if d.rivals else ""
         shows = "matters" if d.also_detectable else "these records show"
-        return f"{early}{d.plant} lacks no effect that {shows}: {error}{hidden}"
-    also = "" if d.complete else "; incomplete: something else remains"
+        lacks = f"no effect that {shows}: refitted its error on held-out data is {percent(d.gap_after)} of the range"
+        return f"{early}{d.plant} lacks {lacks}{hidden}"
     if d.verdict == "named":
         return f"{early}{d.plant} lacks {named}: {change}{also}"
-    if d.verdict == "ambiguous" and not d.rivals and d.gap_after > d.gap_refitted:
-        worth = "on held-out data no nearer than the refitted model"
-        return f"{early}{d.plant} may lack {named}, which is {worth} ({change}{also})"
-    if d.verdict == "ambiguous" and not d.rivals and len(d.collection) == 1:
-        far = "as far as the search came before its work was used up"
-        return f"{early}{d.plant} lacks {named}, {far} ({change}{also})"
     if d.verdict == "ambiguous":
-        return f"{early}{d.plant} lacks {_choices(d)}: these records cannot tell which ({change}{also})"
+        if not d.rivals and len(d.collection) == 1:
+            return f"{early}{d.plant} may lack {named}, which is not sure ({change}{also})"
+        sets = [_in_a_row(map(_title, (*p.effects, *filter(None, [p.unnamed])))) or "nothing" for p in d.collection]
+        return f"{early}{d.plant} lacks either {_one_of(sets)}: these records cannot tell which ({change}{also})"
     beyond = f" beyond {named}" if d.effects else ""
     return f"{early}{d.plant} lacks something{beyond} that no effect of the catalogue explains ({change})"
 
@@ -319,18 +316,6 @@ def _three_errors(gaps: Mapping[str, Gap], named: Iterable[NamedEffect] | None =
         return f"{given} -> {refitted} -> {updated}"
     them = {0: "with the best set", 1: "with it"}.get(len(list(named)), "with them")
     return f"{given} of the range as given, {refitted} refitted, {updated} {them}"
-
-
-def _choices(d: Any) -> str:
-    """Return common and differing effects of the sets of the collection: ``A and either B or C``."""
-    sets = [(*p.effects, p.unnamed) if p.unnamed else p.effects for p in d.collection]
-    common = [e for e in (sets[0] if sets else ()) if all(e in other for other in sets)]
-    rest = [[_title(e) for e in own if e not in common] for own in sets]
-    if not any(rest):
-        choices = [_one_of([e.title, *(r.title for r in d.rivals if r.instead_of == e.name)]) for e in d.effects]
-        return _in_a_row(choices)
-    both = _one_of(_in_a_row(own) if own else f"nothing{' more' if common else ''}" for own in rest)
-    return f"{_in_a_row(map(_title, common))}, and either {both}" if common else f"either {both}"
 
 
 def _title(effect: str) -> str:
