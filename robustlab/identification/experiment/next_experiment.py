@@ -17,9 +17,7 @@ from robustlab.display import Facts
 from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.identification import tuning
-from robustlab.identification.greybox.disturbance_smoother import SmoothedRecord
 from robustlab.identification.greybox.effect_fit import Fit, FitPlan, NoiseModel, Problem, predicted, refit_distance
-from robustlab.identification.greybox.prepared_record import PreparedRecord
 from robustlab.identification.response.response import slowest_time_constant
 from robustlab.record import Record
 from robustlab.result import Evidence
@@ -94,7 +92,7 @@ def propose_experiment(problem: Problem, named: Fit, rivals: Sequence[Fit]) -> N
     if not trials:
         return None
     noise, assumed = _noise(problem, named.noise, trials)
-    screened = sorted((e for t in trials for e in _screened(problem, pairs, noise, t, limits)), key=_preference)
+    screened = sorted((e for t in trials for e in _screened(problem, pairs, noise, t)), key=_preference)
     # The linearised refit may be wrong for curved candidates; so not all refitted entries have the same sensors.
     done: list[_Entry] = []
     for entry in screened:
@@ -133,13 +131,12 @@ def propose_experiment(problem: Problem, named: Fit, rivals: Sequence[Fit]) -> N
 
 @dataclass(frozen=True)
 class _Limits:
-    """Range of each input, largest travel by index of the state, samples and beat of an experiment, addable outputs."""
+    """Range of each input, largest travel by index of the state, samples and beat of an experiment."""
 
     ranges: Mapping[str, tuple[float, float]]
     travel: Mapping[int, float]
     samples: int
     beat: float
-    addable: tuple[int, ...]
 
 
 def _limits(problem: Problem) -> _Limits:
@@ -160,8 +157,7 @@ def _limits(problem: Problem) -> _Limits:
         for k, (_, unit) in enumerate(plant.states)
         if unit == "m"
     }
-    new = tuple(k for k in range(len(plant.outputs)) if k not in first.columns)
-    return _Limits(ranges, travel, samples, beat, new)
+    return _Limits(ranges, travel, samples, beat)
 
 
 def _menu(lowest: float, highest: float, samples: int, dt: float, beat: float) -> dict[str, Array]:
@@ -285,18 +281,11 @@ def _predicted(problem: Problem, fit: Fit, trial: _Trial, columns: Sequence[int]
     parts = np.array([x @ share.get(c, np.zeros((x.shape[1],) * 2)) for c in columns])
     x = x + sum((shown.get(c, 1.0) - 1.0) * part for c, part in zip(columns, parts, strict=True))
     start_std = np.median(np.concatenate([r.x0_std for r in problem.records]), axis=0)
-    known = [r.smoothed for r in problem.records]
-    std = np.median(np.concatenate([s.x_std for s in known]), axis=0)
-    force_std = np.median(np.concatenate([s.d_std for s in known]), axis=0)
-    smoothed = SmoothedRecord(
-        t, x, np.tile(std, (n, 1)), np.broadcast_to(np.diag(std**2), (n, len(std), len(std))).copy(),
-        np.zeros((n, len(force_std))), np.tile(force_std, (n, 1)), np.zeros(len(columns)), known[0].bandwidth,
-        0.0,
-    )  # fmt: skip
-    made = PreparedRecord(
-        record, trial.u, np.zeros((n, len(columns))), tuple(columns), Windows(starts, length), x[starts].copy(),
-        np.tile(start_std, (len(starts), 1)), smoothed, parts, np.zeros_like(parts), first.push, first.thin,
-        np.zeros(len(columns)),
+    made = replace(
+        first, record=record, u=trial.u, y=np.zeros((n, len(columns))), columns=tuple(columns),
+        windows=Windows(starts, length), x0=x[starts].copy(), x0_std=np.tile(start_std, (len(starts), 1)),
+        smoothed=replace(first.smoothed, x=x), told=parts, constant=np.zeros_like(parts),
+        resolution=np.zeros(len(columns)),
     )  # fmt: skip
     there = problem.on([made])
     return predicted(there, _from_rest(fit, there, noise))
@@ -334,12 +323,11 @@ def _preference(entry: _Entry) -> tuple[bool, int, float]:
     return not safe, len(entry.added) if safe else 0, -entry.separation / worth
 
 
-def _screened(
-    problem: Problem, pairs: Sequence[tuple[Fit, Fit]], noise: NoiseModel, trial: _Trial, limits: _Limits
-) -> list[_Entry]:
+def _screened(problem: Problem, pairs: Sequence[tuple[Fit, Fit]], noise: NoiseModel, trial: _Trial) -> list[_Entry]:
     """Evaluate the experiment with the present sensors and with each new one, linearised."""
     present = problem.records[0].columns
-    choices = [(present, ()), *((tuple(sorted((*present, k))), (k,)) for k in limits.addable)]
+    new = (k for k in range(len(problem.plant.outputs)) if k not in present)
+    choices = [(present, ()), *((tuple(sorted((*present, k))), (k,)) for k in new)]
     smallest = np.full(len(choices), np.inf)
     for true, other in pairs:
         there = _predicted(problem, true, trial, range(len(problem.plant.outputs)), noise)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -76,18 +76,6 @@ class Case:
     pool: Sequence[Candidate]
 
 
-class _Judgement(NamedTuple):
-    """Verdict, and whether nothing relevant remains unexplained."""
-
-    verdict: Verdict
-    complete: bool
-
-    def status(self, explained: float) -> Status:
-        """Return INCONCLUSIVE without a sure name, or if more error remains than the names explain."""
-        sure = self.verdict == "no missing effect" or (self.verdict == "named" and (self.complete or explained >= 0.5))
-        return Status.CONVERGED if sure else Status.INCONCLUSIVE
-
-
 class _Stages(list[Finding]):
     """Findings on failed stages after the search: a failure must not lose the named effects."""
 
@@ -125,15 +113,15 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
     bare = settled(problem, found.empty.fit, found.noise, 1 if named else None)
     as_given = Fit(Hypothesis(()), np.zeros(len(held.nuisances)), (), 0.0, np.eye(0), found.noise)
     gaps = held_out_gaps(held, {"nominal": as_given, "refitted": bare, "updated": fit}, problem.records)
-    judged = _Judgement(verdict, not remains and bool(np.isfinite(posterior.noise_ratio)) and verdict != "unknown")
+    complete = not remains and bool(np.isfinite(posterior.noise_ratio)) and verdict != "unknown"
     findings = [*case.findings, *_search_findings(found)]
     if named:
-        judged = _on_held_out(judged, gaps, bool(at_limits(problem, bare)))
+        verdict, complete = _on_held_out(verdict, complete, gaps, bool(at_limits(problem, bare)))
     if refuted := bool(named) and gaps.worse_than_given:
         findings.append(_refuted(fit, gaps))
         fit = bare  # the refuted effects are not reported
     rivals = [a for a in posterior.alternatives() if a.candidate.key not in kinds.ignored]
-    if judged.verdict == "unknown" and not named:
+    if verdict == "unknown" and not named:
         rivals = []  # rivals of "no missing effect", which is no longer the verdict
     names = tuple(r.name for r in case.records)
     explained = _explained_on_held_out(gaps, posterior.noise_ratio)
@@ -141,7 +129,7 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
     experiment = stages.run("next experiment", lambda: _next_experiment(problem, best, rivals), None)
     curves = stages.run("residual force", lambda: _force(found, fit), None)
     missing = stages.run("missing force", lambda: _force(found, bare), None) if named else None
-    sure = stages.run("kinds", lambda: kinds.named(problem, remains), ()) if judged.verdict != "unknown" else ()
+    sure = stages.run("kinds", lambda: kinds.named(problem, remains), ()) if verdict != "unknown" else ()
     source = f"fitted to {', '.join(names)}"
     model = None if refuted else stages.run("updated plant", lambda: updated_plant(problem, fit, source, sure), None)
 
@@ -149,10 +137,12 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
         own = [k for k, c in enumerate(fit.hypothesis.candidates) if c.key in keys]
         return tuple(_named(found, posterior, fit, k, rivals, relevance) for k in own)
 
+    # A name is not trustworthy alone if more error remains than the names explain.
+    trusted = verdict == "no missing effect" or (verdict == "named" and (complete or explained >= 0.5))
     return Discovery(
-        status=judged.status(explained),
-        verdict=judged.verdict,
-        complete=judged.complete,
+        status=Status.CONVERGED if trusted else Status.INCONCLUSIVE,
+        verdict=verdict,
+        complete=complete,
         effects=effects(fit, [c.key for c in fit.hypothesis.candidates]),
         kinds=sure,
         also_detectable=effects(whole, negligible),
@@ -245,18 +235,16 @@ def _doubtful(kinds: Kinds, fit: Fit) -> frozenset[str]:
     return frozenset(c.key for c in own if c.key not in kinds.ignored and kinds.sure_kind(c) is None)
 
 
-def _on_held_out(judged: _Judgement, gaps: Gaps, beyond: bool) -> _Judgement:
+def _on_held_out(verdict: Verdict, complete: bool, gaps: Gaps, beyond: bool) -> tuple[Verdict, bool]:
+    """Return verdict and completeness after the held-out data, which may refute the named effects."""
     # A refit ``beyond`` its tolerances imitates the effects by its parameters: it refutes them only if its error
     # is smaller by the share `MATERIAL`.
-    if gaps.worse_than_given:
-        return _Judgement("unknown", False)
     updated, refitted = (overall(gaps.windows, model) for model in ("updated", "refitted"))
-    if beyond and updated <= (1.0 + tuning.MATERIAL) * refitted:
-        return judged
-    if gaps.worse:
-        return judged._replace(verdict="unknown", complete=False)
-    further = updated > (1.0 + tuning.AS_LARGE) * refitted
-    return judged._replace(verdict="ambiguous") if further and judged.verdict == "named" else judged
+    imitated = beyond and updated <= (1.0 + tuning.MATERIAL) * refitted
+    if gaps.worse_than_given or (gaps.worse and not imitated):
+        return "unknown", False
+    further = updated > (1.0 + tuning.AS_LARGE) * refitted and not imitated
+    return "ambiguous" if further and verdict == "named" else verdict, complete
 
 
 def _explained(found: Found, fit: Fit) -> float:
