@@ -238,7 +238,6 @@ def _collected(
     whole = replace(
         runs[0], x=x, x_std=std, covariance=covariance, d=force, d_std=force_std, noise_std=noise,
         bandwidth=np.concatenate([r.bandwidth for r in runs]),
-        log_likelihood=float(sum(r.log_likelihood for r in runs)),
     )  # fmt: skip
     return whole, parts, constant
 
