@@ -273,7 +273,7 @@ def _explained_on_held_out(gaps: Gaps, noise_ratio: float) -> float:
 
 def _force(found: Found, fit: Fit) -> ResidualForce | None:
     weight = weight_of(found, fit)
-    return weight and residual_force(weight.places)
+    return weight and residual_force(found.problem.plant, weight.places)
 
 
 def _search_findings(found: Found) -> list[Finding]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Site
+from robustlab.dynamics.ports.port_model import AnyPlant
 from robustlab.identification.greybox.random_force import FittedWindows
 from robustlab.identification.greybox.unnamed_force import Unnamed
 from robustlab.result import Evidence
@@ -49,33 +50,27 @@ class ResidualForce(Evidence):
     blocks: int  # number of blocks
 
 
-def residual_force(places: Sequence[tuple[FittedWindows, Site]]) -> ResidualForce | None:
+def residual_force(plant: AnyPlant, places: Sequence[tuple[FittedWindows, Site]]) -> ResidualForce | None:
     """Return the residual force at the most probable place; a block is a window."""
-    windows, place = max(places, key=lambda there: there[0].log_likelihood)
-    force, std = (np.concatenate(parts) for parts in zip(*windows.force_along(), strict=True))
+    windows, _ = max(places, key=lambda there: there[0].log_likelihood)
+    force, std = windows.force_along()
     coordinates, units = dict[str, Array](), dict[str, str]()
-    for name, unit, columns in _coordinates(windows, place):
-        coordinates[name] = np.concatenate([r.mean(c[:, None]) for r, c in zip(windows.records, columns, strict=True)])
-        units[name] = unit
+    for name, unit, x in _coordinates(windows, plant):
+        coordinates[name], units[name] = windows.response.mean(x).ravel(), unit
     block = np.repeat(np.arange(len(force)), force.shape[1])
-    flat = {name: x.ravel() for name, x in coordinates.items()}
-    return force_curves(force.ravel(), std.ravel(), flat, block, units, windows.records[0].motion.unit)
+    return force_curves(force.ravel(), std.ravel(), coordinates, block, units, windows.response.motion.unit)
 
 
-def _coordinates(windows: FittedWindows, place: Site) -> Iterator[tuple[str, str, list[Array]]]:
-    """Yield name, unit and samples by record of each coordinate of a place."""
-    records, plant = windows.records, windows.problem.plant
-    yield "time", "s", [r.record.record.t for r in records]
-    motion = records[0].motion
-    for name, unit in (("speed", motion.speed_unit), ("position", motion.position_unit)):
-        known = [x for r in records if (x := getattr(r.motion, name)) is not None]
-        if len(known) == len(records):
-            yield name, unit, known
+def _coordinates(windows: FittedWindows, plant: AnyPlant) -> Iterator[tuple[str, str, Array]]:
+    """Yield name, unit and samples of each coordinate."""
+    response, motion = windows.response, windows.response.motion
+    yield "time", "s", response.clock
+    if motion.speed is not None:
+        yield "speed", motion.speed_unit, motion.speed
+    if motion.position is not None:
+        yield "position", motion.position_unit, motion.position
     for j, signal in enumerate(plant.inputs):
-        yield f"input {signal.name}", signal.unit, [r.record.u[:, j] for r in records]
-    for signal in plant.outputs if place.kind == "input" else ():
-        if all(signal.name in r.record.record.outputs for r in records):
-            yield f"output {signal.name}", signal.unit, [r.record.record.outputs[signal.name] for r in records]
+        yield f"input {signal.name}", signal.unit, response.u[:, :, j]
 
 
 def force_curves(
@@ -136,7 +131,7 @@ def remaining_lines(
     """Return the most probable line with evidence over position and over time at each place, the largest first."""
     found = []
     for (windows, _), forces in zip(places, left, strict=False):  # none is left of singular equations
-        motion = windows.records[0].motion
+        motion = windows.response.motion
         lines = [f for f in forces.forces if f.wins and np.isfinite(f.period)]
         for over, unit in (("position", motion.position_unit), ("time", "s")):
             if (line := next((f for f in lines if f.over.endswith(over)), None)) is not None:
