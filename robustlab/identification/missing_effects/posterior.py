@@ -166,6 +166,7 @@ def weigh(found: Found) -> Posterior:
         for v in ordered:
             if v.key in weights:
                 evidence[v.key] = weights[v.key].log_likelihood + v.prior
+    evidence = {v.key: evidence[v.key] + _within(problem, v.fit) for v in ordered}
     forces = _forces(ordered, evidence, weights)
     if near:
         evidence = {key: value + _gain(forces.get(key)) for key, value in evidence.items()}
@@ -179,13 +180,20 @@ def weigh(found: Found) -> Posterior:
         Weighted(v, float(p), evidence[v.key], distance.get(v.key, np.nan), forces.get(v.key))
         for v, p in zip(ordered, share, strict=True)
     ]
-    sets, renamed = _split(found, _without_undecided(problem, weighed, evidence, temperature), evidence)
+    sets = sorted(_without_undecided(problem, weighed, evidence, temperature), key=lambda w: -w.probability)
     if sets[0].key not in weights and (weight := weight_of(found, sets[0].fit)) is not None:
         weights[sets[0].key] = weight
         sets[0] = replace(sets[0], unnamed=weight.force)
-    twins = {key for key, d in distance.items() if d < tuning.CANNOT_TELL} - renamed
+    twins = {key for key, d in distance.items() if d < tuning.CANNOT_TELL}
     collection = tuple(_collected(sets, tuning.SURE, twins))
     return Posterior(tuple(sets), collection, generalises, weights.get(sets[0].key), temperature > TEMPERATURE)
+
+
+def _within(problem: Problem, fit: Fit) -> float:
+    """Return the log probability that the parameters which a fit moved beyond their tolerances lie within them."""
+    # Such a parameter may also be a parameter effect: both sets predict the same, and the tolerance decides.
+    each = zip(problem.nuisances, fit.z.tolist(), fit.std.tolist(), strict=False)
+    return sum(n.log_within(z, std) for n, z, std in each if not n.ends[0] <= z <= n.ends[1])
 
 
 def _temperature(best: Scored, weights: Mapping[Key, Weight]) -> float:
@@ -224,7 +232,8 @@ def _raise(problem: Problem, best: Scored, others: Sequence[Scored], evidence: d
     for other in others:
         d = distance[other.key]
         if d < tuning.CANNOT_TELL:
-            least = evidence[best.key] - best.prior - 0.5 * d**2 + other.prior
+            change = other.prior + _within(problem, other.fit) - best.prior - _within(problem, best.fit)
+            least = evidence[best.key] - 0.5 * d**2 + change
             evidence[other.key] = max(evidence[other.key], least)
     return distance
 
@@ -254,45 +263,6 @@ def _without_undecided(
             kept.append(entry)
     order = {w.key: k for k, w in enumerate(weighed)}
     return sorted(kept, key=lambda w: order[w.key])
-
-
-def _split(found: Found, sets: Sequence[Weighted], evidence: Mapping[Key, float]) -> tuple[list[Weighted], set[Key]]:
-    """Split the probability of a set with a parameter beyond tolerance with the set that has it as an effect."""
-    # Both predict the same, and the tolerance is the bound between them; together they stay as probable as before. Also
-    # returns the keys of sets that lost most of their probability.
-    nuisances, renamed = found.problem.nuisances, set[Key]()
-    own = {w.key: w for w in sets}
-    for key in sorted({v.key for v in found.sets}, key=len):
-        entry = own.get(key)
-        if entry is None:
-            continue
-        within, others = 0.0, dict[Key, Scored]()
-        for k, nuisance in enumerate(nuisances):
-            z, std = float(entry.fit.z[k]), float(entry.fit.std[k])
-            low, high = nuisance.ends
-            misjudged = [v for v in found.sets if v.allowed and _misjudges(v, key, nuisance.label)]
-            if misjudged and not low <= z <= high:
-                within = min(within, nuisance.log_within(z, std))
-                others |= {v.key: v for v in misjudged[:1]}
-        if not others:
-            continue
-        ahead = [evidence.get(v.key, v.evidence) - evidence[key] for v in others.values()]
-        log = np.array([within, *ahead])
-        share = np.exp(log - log.max()) / np.exp(log - log.max()).sum()
-        total = entry.probability + sum(own[k].probability for k in others.keys() & own.keys())
-        own[key] = replace(entry, probability=float(share[0]) * total)
-        for part, v in zip(share[1:], others.values(), strict=True):
-            there = own.get(v.key, Weighted(v, 0.0, evidence.get(v.key, v.evidence), np.nan, entry.unnamed))
-            own[v.key] = replace(there, probability=float(part) * total)
-        if share[0] < 0.5:
-            renamed.add(key)
-    return sorted(own.values(), key=lambda w: -w.probability), renamed
-
-
-def _misjudges(visited: Scored, key: Key, label: str) -> bool:
-    """Return whether a set has this key and one effect more, on the parameters of this label."""
-    more = [c.site for c in visited.fit.hypothesis.candidates if c.key not in key]
-    return key < visited.key and len(more) == 1 and more[0].kind == "parameter" and more[0].name == label
 
 
 def weight_of(found: Found, fit: Fit) -> Weight | None:
