@@ -6,7 +6,7 @@ top of the random force. Gains in nats, less the log of the searched possibiliti
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -169,6 +169,9 @@ class UnnamedEvidence:
     dry: bool
     evidence: float  # gain in log evidence in nats, less the log of the searched possibilities, without `PRIOR`
     cross_validated: float  # gain in log predictive density of each window given all others
+    level: NoiseLevel  # its best noise
+    strength: float  # its variance at the best evidence, over that of the noise
+    q: float  # V with it
     period: float = float("nan")  # of a line, in s or the unit of the position; NaN for a curve
     wave: tuple[float, float] = (0.0, 0.0)  # amplitudes of its cosine and sine
 
@@ -201,34 +204,21 @@ def fitted_windows(problem: Problem, fit: Fit) -> tuple[tuple[FittedWindows, Sit
 def unnamed_force(windows: FittedWindows, place: Site) -> Unnamed:
     """Examine the residual of a hypothesis as a force at one place."""
     kinds = [*_smooth(windows.response), *_lines(windows)]
-    best = [judged(windows, family, len(kinds)) for family in kinds]
-    forces = [_evidence(place, f, b) for f, b in zip(kinds, best, strict=True)]
-    order = sorted(range(len(forces)), key=lambda k: (not forces[k].wins, -forces[k].evidence))
-    first = best[order[0]]
-    level, rest = (first.level, first.q) if forces[order[0]].wins else (windows.alone, windows.alone.alone_q)
+    forces = [judged(windows, family, len(kinds), place.name) for family in kinds]
+    forces.sort(key=lambda f: (not f.wins, -f.evidence))
+    level, rest = (forces[0].level, forces[0].q) if forces[0].wins else (windows.alone, windows.alone.alone_q)
     # The sensor noise was estimated with the nominal model, and is too large if that is late or scaled.
     ratio = float(np.sqrt(level.alone_q / min(windows.points, rest)))
-    return Unnamed(tuple(forces[k] for k in order), ratio, level.size)
+    return Unnamed(tuple(forces), ratio, level.size)
 
 
-class _Best(NamedTuple):
-    """The best noise and strength of one family, with evidence and mean."""
-
-    level: NoiseLevel
-    strength: float
-    evidence: float
-    cross_validated: float
-    q: float
-    mean: Array
-
-
-def judged(windows: FittedWindows, family: Family, kinds: int) -> _Best:
+def judged(windows: FittedWindows, family: Family, kinds: int, port: str) -> UnnamedEvidence:
     """Evaluate one of ``kinds`` families at its best noise and strength."""
     n_z, n, count = len(windows.z), windows.points, family.columns.shape[2]
     levels = windows.levels(family.columns, windows.smaller)
     alone = max(level.alone for level in [*levels, windows.alone])
     strengths = (STRENGTHS * windows.force) ** 2
-    found = None
+    best = None
     for level in levels:
         h, b, det = _projected(windows.with_prior(level.gram.sum(axis=0)), count, n_z)
         w, u = np.linalg.eigh(h)
@@ -239,15 +229,21 @@ def judged(windows: FittedWindows, family: Family, kinds: int) -> _Best:
         logdet = np.log1p(strengths[:, None] * w).sum(axis=1) + level.logdet.sum() + det
         p = -0.5 * n * np.log(q / n) - 0.5 * logdet
         at = int(p.argmax())
-        if found is None or p[at] > found[0]:
-            found = (float(p[at]), level, strengths[at], float(q[at]))
-    assert found is not None
-    p, level, strength, q = found
+        if best is None or p[at] > best[0]:
+            best = (float(p[at]), level, float(strengths[at]), float(q[at]))
+    assert best is not None
+    p, level, strength, q = best
     cv = _cross_validated(windows, level.gram, count, strength, windows.alone, level, q)
     h, b, _ = _projected(windows.with_prior(level.gram.sum(axis=0)), count, n_z)
     mean = np.linalg.solve(h + np.eye(count) / strength, b)
-    evidence = p - alone - np.log(len(STRENGTHS) * kinds) - family.price
-    return _Best(level, strength, float(evidence), cv, q, mean)
+    evidence = float(p - alone - np.log(len(STRENGTHS) * kinds) - family.price)
+    found = UnnamedEvidence(port, family.over, family.dry, evidence, cv, level, strength, q)
+    if not family.wave:
+        return found
+    # Over the position, the part independent of the direction, or the dry one if larger by more than rounding.
+    dry = family.over == "line over position" and np.hypot(*mean[2:4]) > 1.01 * np.hypot(*mean[:2])
+    wave = (float(mean[2]), float(mean[3])) if dry else (float(mean[0]), float(mean[1]))
+    return replace(found, dry=bool(dry), period=1.0 / family.wave, wave=wave)
 
 
 def _projected(gram: Array, count: int, n_z: int) -> tuple[Array, Array, float]:
@@ -279,15 +275,3 @@ def _cross_validated(
 
     without = alone.gram[:, -n_z - 1 :, -n_z - 1 :]
     return predictive(gram, level.logdet, count, q / n) - predictive(without, alone.logdet, 0, alone.alone_q / n)
-
-
-def _evidence(place: Site, family: Family, best: _Best) -> UnnamedEvidence:
-    """Return the evidence, of a line with its period and amplitudes in the first record."""
-    mean, dry = best.mean, family.dry
-    if not family.wave:
-        return UnnamedEvidence(place.name, family.over, dry, best.evidence, best.cross_validated)
-    # Over the position, the part independent of the direction, or the dry one if larger by more than rounding.
-    if family.over == "line over position" and np.hypot(*mean[2:4]) > 1.01 * np.hypot(*mean[:2]):
-        mean, dry = mean[2:], True
-    wave = float(mean[0]), float(mean[1])
-    return UnnamedEvidence(place.name, family.over, dry, best.evidence, best.cross_validated, 1.0 / family.wave, wave)

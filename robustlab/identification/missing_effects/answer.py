@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from robustlab.dynamics.plant_contract import NonlinearPlant
-from robustlab.dynamics.ports.port_model import AnyPlant
 from robustlab.errors import RobustlabError
 from robustlab.identification import tuning
 from robustlab.identification.data_checks.suitability import Finding
 from robustlab.identification.greybox.effect_fit import (
-    Candidate,
     Fit,
     FitPlan,
     Hypothesis,
@@ -50,7 +48,6 @@ from robustlab.identification.missing_effects.posterior import Alternative, Post
 from robustlab.identification.missing_effects.residual_force import ResidualForce, remaining_lines, residual_force
 from robustlab.identification.missing_effects.set_search import Found
 from robustlab.identification.missing_effects.updated_plant import updated_plant
-from robustlab.record import Record
 from robustlab.result import Status
 
 if TYPE_CHECKING:
@@ -62,18 +59,6 @@ EXPLAINED = 0.9  # share of it below which the named effects are not the missing
 T = TypeVar("T")
 WIDER = 1.25  # times the fitted value: a larger value that is tested against the records
 HELD = 1e8  # prior precision that fixes a standardised parameter
-
-
-@dataclass(frozen=True, eq=False)
-class Case:
-    """Checked and prepared arguments of one `discover` call."""
-
-    plant: AnyPlant
-    records: Sequence[Record]
-    stated: Mapping[str, tuple[float, bool]]
-    findings: tuple[Finding, ...]
-    held_text: str
-    pool: Sequence[Candidate]
 
 
 class _Stages(list[Finding]):
@@ -90,8 +75,11 @@ class _Stages(list[Finding]):
             return instead
 
 
-def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Discovery:
-    """Return the result of `discover`, with errors on all held-out windows."""
+def answer(
+    found: Found, posterior: Posterior, held: Problem, names: tuple[str, ...], tried: tuple[str, ...],
+    stated: Mapping[str, tuple[float, bool]], known: Sequence[Finding], held_text: str,
+) -> Discovery:  # fmt: skip
+    """Return the result of `discover` for the records ``names``, with errors on all held-out windows."""
     problem, held, stages = found.problem, held.under(found.problem.clock), _Stages()
     best = posterior.best.fit
     whole = settled(problem, best, found.noise)
@@ -114,7 +102,7 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
     as_given = Fit(Hypothesis(()), np.zeros(len(held.nuisances)), (), 0.0, np.eye(0), found.noise)
     gaps = held_out_gaps(held, {"nominal": as_given, "refitted": bare, "updated": fit}, problem.records)
     complete = not remains and bool(np.isfinite(posterior.noise_ratio)) and verdict != "unknown"
-    findings = [*case.findings, *_search_findings(found)]
+    findings = [*known, *_search_findings(found)]
     if named:
         verdict, complete = _on_held_out(verdict, complete, gaps, bool(at_limits(problem, bare)))
     if refuted := bool(named) and gaps.worse_than_given:
@@ -123,7 +111,6 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
     rivals = [a for a in posterior.alternatives() if a.candidate.key not in kinds.ignored]
     if verdict == "unknown" and not named:
         rivals = []  # rivals of "no missing effect", which is no longer the verdict
-    names = tuple(r.name for r in case.records)
     explained = _explained_on_held_out(gaps, posterior.noise_ratio)
     structure = {"noise_ratio": posterior.noise_ratio, "explained": explained}
     experiment = stages.run("next experiment", lambda: _next_experiment(problem, best, rivals), None)
@@ -147,21 +134,21 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
         kinds=sure,
         also_detectable=effects(whole, negligible),
         rivals=tuple(_rival(problem, a) for a in rivals),
-        nominal=_nominal(problem, fit, case.stated),
+        nominal=_nominal(problem, fit, stated),
         gap_before=overall(gaps.windows, "nominal"),
         gap_refitted=overall(gaps.windows, "refitted"),
         gap_after=overall(gaps.windows, "updated"),
         gaps=gaps.windows,
         free_run=gaps.free_run,
         free_run_on=gaps.free_run_on,
-        held_out=case.held_text,
-        plant=case.plant.name,
+        held_out=held_text,
+        plant=problem.plant.name,
         records=names,
         window=problem.records[0].windows.length * problem.records[0].record.dt,
         posterior=_probabilities(posterior),
         search=_entries(found),
         clocks=_clocks(problem, fit),
-        candidates=tuple(dict.fromkeys(c.effect.id for c in case.pool)),
+        candidates=tried,
         structure=structure,
         residual_force=curves,
         missing_force=missing,

@@ -127,7 +127,7 @@ def test_the_force_along_the_windows_is_that_of_the_dense_gaussian(dense):
 def test_evidence_and_cross_validation_are_those_of_the_dense_gaussian(dense):
     windows = dense.windows()
     columns = np.random.default_rng(5).normal(size=(4, 6, 3))
-    best = judged(windows, Family("speed", columns, price=1.5), 1)
+    best = judged(windows, Family("speed", columns, price=1.5), 1, "v")
     e = dense.e.ravel()
 
     def of(level, strength):
