@@ -5,6 +5,7 @@ from robustlab.lazily import lazily
 __all__, __getattr__ = lazily(
     __name__,
     {
+        "experiment": "propose_experiment",
         "comparison.comparison": "compare",
         "comparison.comparison_result": "Comparison OutputGap",
         "comparison.envelope": "cover",

@@ -15,11 +15,11 @@ from robustlab.identification import (
     first_noise,
     nuisance_parameters,
     prepare,
+    propose_experiment,
     stated_tolerances,
     whitening,
     window_length,
 )
-from robustlab.identification.experiment import propose_experiment
 
 SEED = 5
 DT = 1e-3
