@@ -121,7 +121,7 @@ def propose_experiment(problem: Problem, named: Fit, rivals: Sequence[Fit]) -> N
         added,
         {name: assumed[name] for name in added},
         chosen.separation,
-        min(refit_distance(problem, true, rival) for true, rival in pairs),
+        min(refit_distance(problem, *p) for pair in pairs for p in (pair, pair[::-1]) if not _contains(*p[::-1])),
         _labels(fits),
     )
 

@@ -186,12 +186,3 @@ def test_a_one_sided_contact_has_candidates_on_both_sides_within_the_record():
             values = candidate.values(np.full(len(candidate.parameters), z))
             assert all(seen.lowest <= values[name] <= seen.highest for name in limits)
             assert candidate.effect.id == "end-stop" or np.sign(values["k"]) == seen.side
-
-
-def test_a_ripple_over_time_starts_at_its_line():
-    axis = rl.with_effects(rl.plant("servo-axis"), {"torque-ripple": {"Ac": 5.0, "As": 5.0, "f": 41.0}})
-    run = rl.simulate(axis, T, U)
-    (found, *_) = tried_with(axis.plant, rl.Record(run.t, run.inputs, {"q": run["q"]}, name="run"))["torque-ripple @ v"]
-    assert found.starts == ({"Ac": 0.0, "As": 0.0, "f": pytest.approx(41.0, abs=0.15)},)
-    without = [c.starts for c in tried("servo-axis")["torque-ripple @ v"]]
-    assert [s["f"] for s in without[0]] == [50.0, 100.0, 60.0, 120.0]

@@ -248,6 +248,7 @@ def test_a_friction_over_speed_is_found():
     force = residual_force(problem.plant, fitted_windows(problem, fit))
     curve = force.curves["speed"]
     assert force.unit == "N"
-    assert curve.share > 0.9
-    fast = np.abs(curve.x) > 0.01
-    assert curve.value[fast] == pytest.approx(-3.0 * np.sign(curve.x[fast]), abs=0.5)
+    assert curve.share > 0.7
+    # The refitted viscous friction takes a part of it, which is linear in the speed.
+    jump, _ = np.linalg.lstsq(np.column_stack([np.sign(curve.x), curve.x]), curve.value, rcond=None)[0]
+    assert jump == pytest.approx(-3.0, abs=0.5)
