@@ -89,11 +89,9 @@ def answer(
     relevance = stages.run("what matters", lambda: _relevances(found, held, whole), {})
     negligible = frozenset(key for key, m in relevance.items() if not m.material)
     kinds = Kinds(problem, posterior, negligible)
-    if elsewhere := stages.run("what matters in other sets", lambda: _negligible_elsewhere(found, held, kinds), None):
-        kinds = Kinds(problem, posterior, negligible | elsewhere)
     fit = whole
-    if aside := negligible | _doubtful(kinds, whole):
-        fit = settled(problem, without_effects(problem, whole, aside), found.noise, 1 if remains else None)
+    if negligible:
+        fit = settled(problem, without_effects(problem, whole, negligible), found.noise, 1 if remains else None)
         # The errors without each effect refer to the smaller set.
         relevance |= stages.run("what matters", lambda: _relevances(found, held, fit), {})
     verdict = _verdict(found, kinds, fit, remains)
@@ -169,35 +167,22 @@ def _remains(problem: Problem, posterior: Posterior, fit: Fit) -> bool:
         posterior.noise_ratio > tuning.MOST_NOISE
         or posterior.random_share > tuning.MOST_RANDOM
         or posterior.best.unnamed is not None
-        or not posterior.generalises
         or bool(late_clocks(problem, fit))
     )
 
 
-def _relevances(found: Found, held: Problem, fit: Fit, keys: Collection[str] | None = None) -> dict[str, Relevance]:
-    """Return the relevance on held-out data of each effect of the set, or of those in ``keys``."""
+def _relevances(found: Found, held: Problem, fit: Fit) -> dict[str, Relevance]:
+    """Return the relevance on held-out data of each effect of the set."""
     problem, known = found.problem, found.problem.records
-    chosen = [(k, c.key) for k, c in enumerate(fit.hypothesis.candidates) if keys is None or c.key in keys]
-    if not chosen:
+    if not fit.hypothesis.candidates:
         return {}
     whole, already = simulated(held, fit, known), at_limits(problem, fit)
     relevance = {}
-    for k, key in chosen:
+    for k, key in enumerate(c.key for c in fit.hypothesis.candidates):
         less = without_effects(problem, fit, {key})
         needed = force_share(problem, fit, k) >= tuning.MATERIAL or bool(at_limits(problem, less) - already)
         relevance[key] = relevance_of(held, whole, simulated(held, less, known), needed)
     return relevance
-
-
-def _negligible_elsewhere(found: Found, held: Problem, kinds: Kinds) -> frozenset[str]:
-    """Return effects that are undecided in sets other than the best one and negligible there."""
-    negligible = set[str]()
-    for candidate in () if kinds.posterior.coarse else kinds.open():
-        if candidate.key not in kinds.posterior.best.key:
-            entry = next(w for w in kinds.posterior.sets if candidate.key in w.key)
-            if not _relevances(found, held, entry.fit, {candidate.key})[candidate.key].material:
-                negligible.add(candidate.key)
-    return frozenset(negligible)
 
 
 def _verdict(found: Found, kinds: Kinds, fit: Fit, remains: bool) -> Verdict:
@@ -212,14 +197,6 @@ def _verdict(found: Found, kinds: Kinds, fit: Fit, remains: bool) -> Verdict:
     if remains and explained < EXPLAINED:
         return "unknown"
     return "named" if sure and found.settled and not kinds.open() else "ambiguous"
-
-
-def _doubtful(kinds: Kinds, fit: Fit) -> frozenset[str]:
-    """Return the unsure effects of a best set with a misfit, if other effects of it are sure."""
-    own = fit.hypothesis.candidates
-    if not kinds.posterior.coarse or not any(kinds.sure_kind(c) for c in own):
-        return frozenset()
-    return frozenset(c.key for c in own if c.key not in kinds.ignored and kinds.sure_kind(c) is None)
 
 
 def _on_held_out(verdict: Verdict, complete: bool, gaps: Gaps, beyond: bool) -> tuple[Verdict, bool]:
