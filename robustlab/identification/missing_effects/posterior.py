@@ -7,7 +7,7 @@ Evidence of an effect that the refit distance does not support (below 3) does no
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -212,11 +212,11 @@ def _lift(problem: Problem, ordered: Sequence[Scored], evidence: dict[Key, float
     best = ordered[0]
     while True:
         near = [v for v in ordered if v is not best and best.evidence - v.evidence <= tuning.FAR_BEHIND]
-        less = _smaller(best, near)
+        less, exchanged = _one_apart(best, near)
         distance = {best.key: 0.0} | _raise(problem, best, less, evidence)
         ahead = max([best, *less], key=lambda v: evidence[v.key])
         if ahead is best:
-            return distance | _raise(problem, best, _exchanged(best, near)[:MOST_RIVALS], evidence)
+            return distance | _raise(problem, best, exchanged[:MOST_RIVALS], evidence)
         best = ahead
 
 
@@ -301,33 +301,22 @@ def _gain(force: UnnamedEvidence | None) -> float:
     return float(np.logaddexp(np.log1p(-PRIOR), np.log(PRIOR) + min(force.evidence, force.cross_validated)))
 
 
-def _changes(best: Scored, others: Iterable[Scored]) -> Iterator[tuple[Scored, list[Candidate], list[Candidate]]]:
-    """Yield each set with the effects that it lacks of the best, and those that the best lacks."""
+def _one_apart(best: Scored, others: Iterable[Scored]) -> tuple[list[Scored], list[Scored]]:
+    """Return sets with one effect less or refined by one of the best set, and sets with one effect exchanged."""
+    less, exchanged = [], []
     for other in others:
         out = [c for c in best.fit.hypothesis.candidates if c.key not in other.key]
-        yield other, out, [c for c in other.fit.hypothesis.candidates if c.key not in best.key]
-
-
-def _smaller(best: Scored, others: Iterable[Scored]) -> list[Scored]:
-    """Return sets with one effect less, or with the effect that one of them refines in its place."""
-    found = []
-    for other, out, new in _changes(best, others):
-        if len(out) == 1 and all(c.site == out[0].site and c.effect.id == out[0].effect.refines for c in new):
-            found.append(other)
-    return found
-
-
-def _exchanged(best: Scored, others: Iterable[Scored]) -> list[Scored]:
-    """Return sets with one effect replaced by an unrelated one: neither refines the other or a common effect."""
-    found = []
-    for other, out, new in _changes(best, others):
-        if len(out) != 1 or len(new) != 1:
+        new = [c for c in other.fit.hypothesis.candidates if c.key not in best.key]
+        if len(out) != 1 or len(new) > 1:
             continue
-        of_these = new[0].effect.refines in (out[0].effect.id, out[0].effect.refines or "-")
-        plain = new[0].effect.id == out[0].effect.refines
-        if not ((of_these or plain) and new[0].site == out[0].site):
-            found.append(other)
-    return found
+        if all(c.site == out[0].site and c.effect.id == out[0].effect.refines for c in new):
+            less.append(other)
+        elif new[0].site != out[0].site or new[0].effect.refines not in (
+            out[0].effect.id,
+            out[0].effect.refines or "-",
+        ):
+            exchanged.append(other)
+    return less, exchanged
 
 
 def _collected(sets: Sequence[Weighted], sure: float, twins: set[Key]) -> list[Weighted]:
