@@ -30,6 +30,7 @@ from robustlab.identification.greybox.unnamed_force import (
     fitted_windows,
     unnamed_force,
 )
+from robustlab.identification.missing_effects.moves import related
 from robustlab.identification.missing_effects.set_search import Found, Key, Scored
 
 TEMPERATURE = 1.0  # smallest divisor of log evidence: above 1, less sure
