@@ -312,10 +312,7 @@ def _one_apart(best: Scored, others: Iterable[Scored]) -> tuple[list[Scored], li
             continue
         if all(c.site == out[0].site and c.effect.id == out[0].effect.refines for c in new):
             less.append(other)
-        elif new[0].site != out[0].site or new[0].effect.refines not in (
-            out[0].effect.id,
-            out[0].effect.refines or "-",
-        ):
+        elif not related(new[0], out[0]):
             exchanged.append(other)
     return less, exchanged
 
