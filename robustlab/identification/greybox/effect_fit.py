@@ -34,13 +34,10 @@ LONGEST_STEP = 2.0  # of a standardised parameter
 # Change of a parameter, in standard deviations, up to which a fit reuses the matrices of a nonlinear plant: they
 # multiply only deviations from the motion, and are recomputed at the end of the fit.
 NEAR = 0.5
-
+DIVERGED = 1e100  # replaces diverged outputs; only missing samples are missing errors
+UNIFORM = 3.0**0.5  # half the width of a uniform distribution, in its standard deviations
 
 Effects = Sequence[tuple[Effect, Site]]
-DIVERGED = 1e100  # replaces diverged outputs; only missing samples are missing errors
-
-
-UNIFORM = 3.0**0.5  # half the width of a uniform distribution, in its standard deviations
 
 
 @dataclass(frozen=True)
@@ -244,11 +241,9 @@ def sandwich(parts: Sequence[Linearised], hessian: Array) -> Array:
 class NoiseModel:
     """Noise of the averaged errors: standard deviation (n_y,) and autoregression (order, n_y) of each output."""
 
-    # excess: factor on the variance of the errors because they are correlated (`noise.widened`).
-
     std: Array
     ar: Array
-    excess: float = 1.0
+    excess: float = 1.0  # factor on the variance of the errors because they are correlated (`noise.widened`)
 
     def whitened(self, errors: Array) -> Array:
         """Return residuals (n_windows, n_points * n_y) of unit variance from averaged errors; 0 for missing points."""
