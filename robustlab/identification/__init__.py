@@ -5,14 +5,13 @@ from robustlab.lazily import lazily
 __all__, __getattr__ = lazily(
     __name__,
     {
+        "experiment": "propose_experiment",
         "comparison.comparison": "compare",
         "comparison.comparison_result": "Comparison OutputGap",
         "comparison.envelope": "cover",
         "missing_effects.discovery": "discover",
         "missing_effects.discovery_result": "Discovery",
-        "missing_effects.residual_force": (
-            "LeftOver moving_samples remaining_lines residual_curves ForceCurve ResidualForce"
-        ),
+        "missing_effects.residual_force": "residual_force force_curves ForceCurve ResidualForce",
         "missing_effects.discovery_parts": (
             "EffectValue Gap InputClock NamedEffect NominalValue Rival SearchEntry SetProbability"
         ),
@@ -20,8 +19,7 @@ __all__, __getattr__ = lazily(
         "greybox.disturbance_smoother": "smooth_disturbance",
         "greybox.motion_smoother": "smooth_motion",
         "greybox.candidates": (
-            "candidates catalogue nuisance_parameters stated_tolerances with_absolute_tolerances "
-            "spatial_orders timed_lines"
+            "candidates catalogue nuisance_parameters stated_tolerances with_absolute_tolerances spatial_orders"
         ),
         "greybox.effect_fit": "Problem Hypothesis FitPlan refit_distance Simulator Windows NoiseModel",
         "greybox.noise": "whitening first_noise held_out_fit as_fitted",

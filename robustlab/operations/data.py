@@ -75,11 +75,9 @@ def discover(
     records: Annotated[list[Any], RecordFile(many=True), "Records of one machine; FILE#GROUP takes that group."],
     held_out: Annotated[list[Any] | None, RecordFile(many=True), "Record that no fit uses, for the model error."]
     = None,
-    repeats: Annotated[Repeats, Named(option="--repeat")] = None,
     tolerances: Tolerances = None,
     exclude: Exclude = None,
     window: Annotated[float | None, Number(above=0), "Length of the windows in s."] = None,
-    period: Annotated[float | None, Number(above=0), "Period of the excitation in s."] = None,
     progress: Callable[[str], None] | None = None,
 ) -> Any:  # fmt: skip
     """Identify the effect that a model lacks from measured records, and update the model with it.
@@ -93,7 +91,7 @@ def discover(
     from robustlab.dynamics.effects.catalogue import effect
 
     return rl.discover(
-        model, records, held_out or None, tolerances=tolerances, window=window, period=period, repeats=repeats or (),
+        model, records, held_out or None, tolerances=tolerances, window=window,
         exclude=tuple(effect(name).id for name in exclude or ()), progress=progress,
     )  # fmt: skip
 

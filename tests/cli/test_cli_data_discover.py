@@ -96,19 +96,18 @@ def test_friction_is_named_by_the_real_command(files, tmp_path):
 def test_options_reach_the_search(files, answer, real):
     asked = answer(real)
     code, text, _ = run(
-        "discover", "servo-axis", files / "run7.h5", files / "run8.h5", "--repeat", files / "run8.h5",
+        "discover", "servo-axis", files / "run7.h5", files / "run8.h5",
         "--set", "M=100", "--tolerance", "M=0.2", "--tolerance", "Fv=0.5", "--exclude", "backlash",
-        "--window", "0.3", "--period", "1.5", "--outputs", "q",
+        "--window", "0.3", "--outputs", "q",
     )  # fmt: skip
     assert code == 0
     assert text.startswith("servo-axis lacks Coulomb (dry) friction")
     assert [r.name for r in asked["records"]] == ["run7", "run8"]
     assert asked["held_out"] is None
-    assert [r.name for r in asked["repeats"]] == ["run8"]
     assert asked["plant"].values["M"] == 100.0
     assert asked["tolerances"] == {"M": 0.2, "Fv": 0.5}
     assert asked["exclude"] == ("backlash",)
-    assert (asked["window"], asked["period"]) == (0.3, 1.5)
+    assert asked["window"] == 0.3
 
 
 def test_a_group_of_a_file_is_taken_by_its_name(tmp_path, answer, real):

@@ -21,10 +21,9 @@ from robustlab.identification.comparison.error_analysis import FreeRun, Linearis
 from robustlab.identification.data_checks.resampling import clock_step, refuse_gaps, uniform
 from robustlab.identification.greybox.disturbance_smoother import SmoothedRecord
 from robustlab.identification.greybox.motion_smoother import smooth_motion
-from robustlab.identification.response.linear_response import LinearResponse
 from robustlab.identification.response.motion_response import MotionResponse
 from robustlab.identification.response.response import Stretch, matched, stretch_of, with_units
-from robustlab.identification.response.windowed_simulation import WindowedSimulation
+from robustlab.identification.response.windowed_simulation import LinearResponse, WindowedSimulation
 from robustlab.record import Record
 from robustlab.statespace import Signal
 
@@ -73,7 +72,7 @@ def matching_along(plant: NonlinearPlant, record: Record) -> Matching:
     u = np.column_stack([record.inputs[name] for name in inputs])
     whole = stretch_of(record, inputs, names)
     try:
-        smoothed = smooth_motion(plant, record.t, u, whole.y, columns).smoothed
+        smoothed = smooth_motion(plant, record.t, u, whole.y, columns)[0]
     except InputError as wrong:  # its message refers to effect identification
         raise InputError(where, wrong.found, wrong.expected, wrong.hint) from None
     noise = np.maximum(smoothed.noise_std, LEAST_NOISE / whole.weight)

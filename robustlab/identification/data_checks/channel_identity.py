@@ -69,7 +69,7 @@ def turned_channels(plant: NonlinearPlant, record: Record) -> dict[str, float]:
 
 def _error(plant: NonlinearPlant, whole: Stretch, u: Array, y: Array, columns: Sequence[int]) -> float:
     """Compute the mean square of the windowed error in units of the sensors' scatter."""
-    smoothed = smooth_motion(plant, whole.t, u, y, columns).smoothed
+    smoothed = smooth_motion(plant, whole.t, u, y, columns)[0]
     noise = np.maximum(smoothed.noise_std, 1e-6 / whole.weight)
     judged = Stretch(whole.t, whole.u, y, 1.0 / noise)
     response = MotionResponse(Course(plant, smoothed.x, u, float(whole.t[1] - whole.t[0])), tuple(columns), judged)

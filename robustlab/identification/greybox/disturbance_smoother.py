@@ -47,7 +47,6 @@ class SmoothedRecord(Evidence):
     d_std: Array
     noise_std: Array  # noise of each output, (n_y,)
     bandwidth: Array  # frequency in Hz up to which the record determines each force, (m,)
-    log_likelihood: float  # of the innovations after the first n_x + m samples
 
 
 def smooth_disturbance(
@@ -76,7 +75,7 @@ def smooth_disturbance(
     std = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
     return SmoothedRecord(
         task.t, mean[:, :n_x].copy(), std[:, :n_x].copy(), covariance[:, :n_x, :n_x].copy(), mean[:, n_x:].copy(),
-        std[:, n_x:].copy(), best.sigma, np.exp(best.bandwidth), best.log_likelihood,
+        std[:, n_x:].copy(), best.sigma, np.exp(best.bandwidth),
     )  # fmt: skip
 
 

@@ -34,13 +34,10 @@ LONGEST_STEP = 2.0  # of a standardised parameter
 # Change of a parameter, in standard deviations, up to which a fit reuses the matrices of a nonlinear plant: they
 # multiply only deviations from the motion, and are recomputed at the end of the fit.
 NEAR = 0.5
-
+DIVERGED = 1e100  # replaces diverged outputs; only missing samples are missing errors
+UNIFORM = 3.0**0.5  # half the width of a uniform distribution, in its standard deviations
 
 Effects = Sequence[tuple[Effect, Site]]
-DIVERGED = 1e100  # replaces diverged outputs; only missing samples are missing errors
-
-
-UNIFORM = 3.0**0.5  # half the width of a uniform distribution, in its standard deviations
 
 
 @dataclass(frozen=True)
@@ -135,9 +132,7 @@ class Fit:
     hypothesis: Hypothesis
     z: Array  # standardised parameters: nuisances, then those of each effect
     starts: tuple[Array, ...]  # standardised initial states of the windows, (n_windows, n_x) per record
-    # V at the solution; ``window_cost``: contribution of each window (residual and initial state), all records in a row
-    cost: float
-    window_cost: Array
+    cost: float  # V at the solution
     hessian: Array  # of V / 2 over z, initial states eliminated, prior included
     noise: NoiseModel  # of V
     covariance: Array | None = None  # of z from the scatter of the windows' gradients (sandwich), of a robust fit
@@ -246,11 +241,9 @@ def sandwich(parts: Sequence[Linearised], hessian: Array) -> Array:
 class NoiseModel:
     """Noise of the averaged errors: standard deviation (n_y,) and autoregression (order, n_y) of each output."""
 
-    # excess: factor on the variance of the errors because they are correlated (`noise.widened`).
-
     std: Array
     ar: Array
-    excess: float = 1.0
+    excess: float = 1.0  # factor on the variance of the errors because they are correlated (`noise.widened`)
 
     def whitened(self, errors: Array) -> Array:
         """Return residuals (n_windows, n_points * n_y) of unit variance from averaged errors; 0 for missing points."""
@@ -507,11 +500,8 @@ class Problem:
             if improved < max(tolerance, RELATIVE * here.cost):
                 break
         here = exact(here)
-        window_cost = np.concatenate(
-            [(r**2).sum(1) + (x**2).sum(1) for r, x in zip(here.residual, here.xi, strict=True)]
-        )
         covariance = sandwich(parts, hessian) if plan.robust else None
-        return Fit(hypothesis, here.z, tuple(here.xi), here.cost, window_cost, hessian, noise, covariance)
+        return Fit(hypothesis, here.z, tuple(here.xi), here.cost, hessian, noise, covariance)
 
     def _distance(self, there: _Place) -> float:
         """Return the largest change of a parameter since a nonlinear plant's matrices were computed."""
@@ -555,10 +545,10 @@ class Problem:
         z, xi, residual = place.z, place.xi[k], place.residual[k]
         known = None if simulator.rough and not self.clock.rough else residual
         count = 0 if fixed else len(z)
-        j, x = self._sensitivities(k, simulator, hypothesis, (z, xi), place.around, noise, count, known)
+        j, x = self.sensitivities(k, simulator, hypothesis, (z, xi), place.around, noise, count, known)
         return Linearised.of(residual, np.zeros((*residual.shape, len(z))) if fixed else j, x, xi)
 
-    def _sensitivities(
+    def sensitivities(
         self, k: int, simulator: Simulator, hypothesis: Hypothesis, at: tuple[Array, Array], around: Array,
         noise: NoiseModel, count: int, known: Array | None = None,
     ) -> tuple[Array, Array]:  # fmt: skip
@@ -574,11 +564,10 @@ class Problem:
         change = np.moveaxis(found - here, 0, 2)
         return change[:, :, n_x:] / tuning.STEP, change[:, :, :n_x] / tuning.START_STEP
 
-    def derivatives(self, fit: Fit, count: int | None = None) -> list[tuple[Array, Array]]:
-        """Return derivatives of the residuals over the first ``count`` (or all) parameters and the initial states."""
-        count, at = len(fit.z) if count is None else count, fit.z
+    def derivatives(self, fit: Fit) -> list[tuple[Array, Array]]:
+        """Return derivatives of the residuals over the parameters and the initial states."""
         return [
-            self._sensitivities(k, simulator, fit.hypothesis, (at, fit.starts[k]), at, fit.noise, count)
+            self.sensitivities(k, simulator, fit.hypothesis, (fit.z, fit.starts[k]), fit.z, fit.noise, len(fit.z))
             for k, simulator in enumerate(self.simulators(fit.hypothesis))
         ]
 

@@ -24,15 +24,7 @@ POINTS = 60  # of a motion for means
 EDGE = 20  # samples at which the plant's outputs are tested for linearity
 
 
-@dataclass(frozen=True, eq=False)
-class SmoothedMotion:
-    """A record's states and forces."""
-
-    # as of a linear plant; forces ``d`` at the joints, in the order of the plant's places
-    smoothed: SmoothedRecord
-    # told, constant: as in `robustlab.identification.greybox.prepared_record.PreparedRecord`
-    told: Array
-    constant: Array
+Smoothed = tuple[SmoothedRecord, Array, Array]  # with part and constant of each output (`PreparedRecord`)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,40 +48,20 @@ class _Chain:
         return np.eye(len(self.states))[:, -1:]
 
 
-def smooth_motion(plant: NonlinearPlant, t: Array, u: Array, y: Array, columns: Sequence[int]) -> SmoothedMotion:
-    """Return states along a uniform record; ``columns``: index of each measured output among the plant's."""
+def smooth_motion(plant: NonlinearPlant, t: Array, u: Array, y: Array, columns: Sequence[int]) -> Smoothed:
+    """Return states and forces at the joints along a record; ``columns``: index of each measured output."""
     arrays = (np.ascontiguousarray(a) for a in (t, u, y))
     return _kept(plant, *(a.tobytes() for a in arrays), tuple(columns))
 
 
-def lacking_forces(
-    plant: NonlinearPlant, t: Array, u: Array, y: Array, columns: Sequence[int], x: Array, rates: Array, least: float
-) -> tuple[Array, Array]:
-    """Return the force at each joint that the plant lacks, (n, n_joints), and its standard deviation."""
-    # rates: known rates from each sample to the next, (n, n_x), effects included; least: lowest bandwidth in Hz.
-    chains, offset = _chains(plant, u, y, columns)
-    course = Course(plant, x, u, float(t[1] - t[0]))
-    middle, _ = course.at(np.minimum(np.arange(len(t)) + 0.5, len(t) - 1.0))
-    chains, _ = _along(chains, course)
-    lacking, std = np.zeros_like(x), np.zeros_like(x)
-    for chain in chains:
-        own = list(chain.states)
-        known = rates[:, own[-1]] - middle[:, own] @ chain.own
-        run = _smoothed(chain, t, known, y - offset)
-        if run.bandwidth[0] < least:
-            run = _smoothed(chain, t, known, y - offset, run, least)
-        lacking[:, own[-1]], std[:, own[-1]] = run.d[:, 0], run.d_std[:, 0]
-    return _forces(plant, x, u, lacking, std)
-
-
 @lru_cache(maxsize=16)
-def _kept(plant: NonlinearPlant, t: bytes, u: bytes, y: bytes, columns: tuple[int, ...]) -> SmoothedMotion:
+def _kept(plant: NonlinearPlant, t: bytes, u: bytes, y: bytes, columns: tuple[int, ...]) -> Smoothed:
     clock = np.frombuffer(t)
     n = len(clock)
     return _smooth(plant, clock, np.frombuffer(u).reshape(n, -1), np.frombuffer(y).reshape(n, -1), columns)
 
 
-def _smooth(plant: NonlinearPlant, t: Array, u: Array, y: Array, columns: tuple[int, ...]) -> SmoothedMotion:
+def _smooth(plant: NonlinearPlant, t: Array, u: Array, y: Array, columns: tuple[int, ...]) -> Smoothed:
     chains, offset = _chains(plant, u, y, columns)
     y = y - offset
     dt, n, n_x = float(t[1] - t[0]), len(t), len(plant.states)
@@ -168,12 +140,9 @@ def _rows(plant: NonlinearPlant, u: Array, y: Array, columns: Sequence[int]) -> 
 # --- smoothing -------------------------------------------------------------------------------------------------------
 
 
-def _smoothed(
-    chain: _Chain, t: Array, known: Array, y: Array, like: SmoothedRecord | None = None, bandwidth: float | None = None
-) -> SmoothedRecord:
+def _smoothed(chain: _Chain, t: Array, known: Array, y: Array, like: SmoothedRecord | None = None) -> SmoothedRecord:
     noise = None if like is None else like.noise_std
-    own = y[:, list(chain.outputs)]
-    return smooth_disturbance(chain.model(), chain.push, t, known[:, None], own, noise, bandwidth)
+    return smooth_disturbance(chain.model(), chain.push, t, known[:, None], y[:, list(chain.outputs)], noise)
 
 
 def _assembled(chains: Sequence[_Chain], runs: Sequence[SmoothedRecord], n: int, n_x: int) -> Array:
@@ -248,7 +217,7 @@ def _resting(a: Array, free: Array, otherwise: Array) -> Array:
 def _collected(
     plant: NonlinearPlant, chains: Sequence[_Chain], runs: Sequence[SmoothedRecord], hidden: Indices,
     t: Array, u: Array, y: Array, x: Array, known: Array,
-) -> SmoothedMotion:  # fmt: skip
+) -> Smoothed:  # fmt: skip
     n, n_x, n_y = len(t), x.shape[1], y.shape[1]
     std, covariance = np.zeros((n, n_x)), np.zeros((n, n_x, n_x))
     parts, constant, noise = *np.zeros((2, n_y, n, n_x)), np.zeros(n_y)
@@ -269,9 +238,8 @@ def _collected(
     whole = replace(
         runs[0], x=x, x_std=std, covariance=covariance, d=force, d_std=force_std, noise_std=noise,
         bandwidth=np.concatenate([r.bandwidth for r in runs]),
-        log_likelihood=float(sum(r.log_likelihood for r in runs)),
     )  # fmt: skip
-    return SmoothedMotion(whole, parts, constant)
+    return whole, parts, constant
 
 
 def _forces(plant: NonlinearPlant, x: Array, u: Array, lacking: Array, std: Array) -> tuple[Array, Array]:

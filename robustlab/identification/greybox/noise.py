@@ -67,11 +67,6 @@ def _past(errors: Array, order: int) -> Array:
     return np.column_stack(lagged) if lagged else np.empty((errors.size, 0))
 
 
-def white(noise: NoiseModel) -> NoiseModel:
-    """Return white noise of the same innovations, under which initial states are those of least squares."""
-    return NoiseModel(noise.std, noise.ar[:0])
-
-
 def held_out_fit(held: Problem, fit: Fit, noise: NoiseModel) -> Fit:
     """Fit only the initial states of other windows, at the fitted parameters."""
     return held.fit(fit.hypothesis, noise, fit.z, plan=FitPlan(8, 0.5, fixed=True))

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from robustlab.arrays import Array, Mask
-from robustlab.dynamics.extended.simulator import SampledInput, Windows, rising
+from robustlab.dynamics.extended.simulator import Windows
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.motion_model import Course, motion_model
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, port_model
@@ -20,7 +20,6 @@ from robustlab.identification.greybox.disturbance_smoother import SmoothedRecord
 from robustlab.identification.greybox.motion_smoother import smooth_motion
 from robustlab.identification.response.response import longest_period, slowest_time_constant
 from robustlab.record import Record
-from robustlab.statespace import StateSpaceModel
 
 WINDOWS_WANTED = 12  # in the shortest record: shorter windows drift less and are less sensitive to slow effects
 LONGEST_WINDOW = 480  # samples; up to twice that for a slow plant
@@ -126,7 +125,7 @@ def ports_of(plant: AnyPlant, record: Record) -> PortModel:
     if isinstance(plant, LinearPlant):
         return port_model(plant)
     u, y, columns = _signals(plant, record)
-    x = smooth_motion(plant, record.t, u, y, columns).smoothed.x
+    x = smooth_motion(plant, record.t, u, y, columns)[0].x
     points = np.unique(np.linspace(0, record.n - 2, POINTS).astype(np.int64))
     return motion_model(Course(plant, x, u, record.dt), {}, points, 1, 1).model
 
@@ -192,7 +191,7 @@ def prepare(
     if isinstance(plant, LinearPlant):
         seen = plant.state_space().select(None, [names[columns[j]] for j in own]).C
         smoothed = _with_plausible_currents(smoothed, model, seen, u)
-    std = start_std(smoothed, windows)
+    std = START_INFLATION * smoothed.x_std[windows.starts]
     fastest = _fastest_seen(model, y[:, own], record.dt, smoothed.noise_std[own])
     thin = max(1, min(length // POINTS_PER_WINDOW, int(AVERAGED_SHARE * fastest)))
     return PreparedRecord(
@@ -237,11 +236,10 @@ def _states(
     seen = y[:, own]
     if isinstance(plant, LinearPlant):
         bare = plant.state_space().select(None, [plant.outputs[columns[j]].name for j in own])
-        smoothed, driven, inputs = _smoothed(bare, push, record.t, u, seen)
-        shares = output_shares(driven, push, record.t, inputs, seen, smoothed)
+        smoothed = smooth_disturbance(bare, push, record.t, u, seen)
+        shares = output_shares(bare, push, record.t, u, seen, smoothed)
     else:
-        moved = smooth_motion(plant, record.t, u, seen, [columns[j] for j in own])
-        smoothed, shares = moved.smoothed, (moved.told, moved.constant)
+        smoothed, *shares = smooth_motion(plant, record.t, u, seen, [columns[j] for j in own])
     parts, constant, noise_std = *np.zeros((2, len(columns), *smoothed.x.shape)), np.zeros(len(columns))
     parts[own], constant[own] = shares
     noise_std[own] = smoothed.noise_std
@@ -301,25 +299,6 @@ def _fastest_seen(model: PortModel, y: Array, dt: float, noise_std: Array) -> fl
             last = int(np.searchsorted(np.cumsum(power), CONTENT * power.sum()))
             periods.append(len(column) / max(last, 1))
     return min(periods, default=float(len(y)))
-
-
-def _smoothed(
-    bare: StateSpaceModel, push: Array, t: Array, u: Array, y: Array
-) -> tuple[SmoothedRecord, StateSpaceModel, Array]:
-    """Smooth with inputs that are held or, if more probable, smooth between their samples."""
-    # A smooth input enters by its means over the samples, and by its rises in further columns.
-    dt = float(t[1] - t[0])
-    halves = np.stack([SampledInput(column, "smooth").steps(1) for column in u.T])  # (n_u, n, 2)
-    inputs = np.vstack([halves.mean(axis=2), halves[:, :, 1] - halves[:, :, 0]]).T
-    b, d = np.hstack([bare.B, rising(bare.A, bare.B, dt)]), np.hstack([bare.D, -bare.D])
-    kinds = [(bare, u), (StateSpaceModel(bare.A, b, bare.C, d), inputs)]
-    found = [(smooth_disturbance(model, push, t, seen, y), model, seen) for model, seen in kinds]
-    return max(found, key=lambda f: f[0].log_likelihood)
-
-
-def start_std(smoothed: SmoothedRecord, windows: Windows) -> Array:
-    """Return prior standard deviations of the initial states, (n_windows, n_x), far above those of the smoother."""
-    return START_INFLATION * smoothed.x_std[windows.starts]
 
 
 def _between_gaps(lost: Mask, longest_guess: int) -> list[tuple[int, int]]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -17,14 +16,12 @@ from robustlab.dynamics.effects.contract import Effect, EffectParameter, Law, Sc
 from robustlab.dynamics.extended.simulator import Simulator
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.law_kernel import TIME, law
-from robustlab.identification import tuning
-from robustlab.identification.greybox.effect_fit import Candidate, Fit, Hypothesis, Problem
-from robustlab.identification.greybox.prepared_record import PreparedRecord, averaged
+from robustlab.identification.greybox.effect_fit import Fit, Hypothesis, NoiseModel, Problem
+from robustlab.identification.greybox.prepared_record import averaged
 
 SEGMENTS = 60  # of a window, at most: each is a simulation per port
 PULSES = 120  # of a window at all ports together, at most
 PULSE = 0.02  # of the force that moves the port: small against it, large against rounding
-CLIP = 1e6
 
 
 @law
@@ -60,24 +57,29 @@ class _RecordedForce(Effect):
 
 @dataclass(frozen=True, eq=False)
 class PortMotion:
-    """Motion of a port along one record."""
+    """Force that moves a port (RMS), its speed and position in the windows, (n_windows, length), and their units."""
 
-    force: float  # RMS of the force that moves the port
-    speed: Array | None = None  # (n,)
-    position: Array | None = None  # (n,)
+    force: float
+    speed: Array | None = None
+    position: Array | None = None
+    unit: str = ""
+    speed_unit: str = ""
+    position_unit: str = ""
 
 
 @dataclass(frozen=True, eq=False)
 class ForceResponse:
-    """Response of one record's windows to forces at ports."""
+    """Response of all windows to forces at ports."""
 
     gram: Array  # G, (n_windows, n, n) with n = n_pulses + n_z + n_x + 1
     points: Indices  # number of known points of each window, (n_windows,)
     edges: Indices  # first sample of each segment within a window, and the end, (n_segments + 1,)
-    samples: Indices  # index of each sample of the windows, (n_windows, length)
     xi: Array  # initial states of the fit, (n_windows, n_x)
-    record: PreparedRecord
+    dt: float
     ports: tuple[PortMotion, ...]
+    record: Indices  # of each window, (n_windows,)
+    clock: Array  # time in s, the records one after the other, (n_windows, length)
+    u: Array  # (n_windows, length, n_u)
     port: int = 0  # where curves of a force act
 
     @property
@@ -98,8 +100,9 @@ class ForceResponse:
         return self.ports[self.port]
 
     def mean(self, values: Array) -> Array:
-        """Return means over the segments of columns (n, k) along the record: (n_windows, n_segments, k)."""
-        return np.add.reduceat(values[self.samples], self.edges[:-1], axis=1) / np.diff(self.edges)[:, None]
+        """Return means over the segments of samples (n_windows, length, ...): (n_windows, n_segments, ...)."""
+        width = np.diff(self.edges).reshape(1, -1, *(1,) * (values.ndim - 2))
+        return np.add.reduceat(values, self.edges[:-1], axis=1) / width
 
 
 def plain_places(problem: Problem, fit: Fit) -> tuple[Site, ...]:
@@ -110,96 +113,93 @@ def plain_places(problem: Problem, fit: Fit) -> tuple[Site, ...]:
     return joints or tuple(Site("input", s.name) for s in problem.plant.inputs)
 
 
-def force_response(problem: Problem, fit: Fit, places: Sequence[Site]) -> list[ForceResponse]:
-    """Return responses at a fit to forces at joints, or to additions to inputs, one per record."""
-    dt = problem.records[0].record.dt
-    pulses = [Candidate(_RecordedForce(dt), place, (), ({},), Scales()) for place in places]
-    wider = Hypothesis((*fit.hypothesis.candidates, *pulses))
-    both = zip(problem.simulators(wider), problem.quick(wider), strict=True)
-    return [_of_record(problem, fit, wider, places, k, exact, quick) for k, (exact, quick) in enumerate(both)]
+def force_response(problem: Problem, fit: Fit, places: Sequence[Site]) -> ForceResponse:
+    """Return responses at a fit to forces at joints, or to additions to inputs."""
+    records, length = problem.records, problem.records[0].windows.length
+    windows = zip(records, problem.chosen, strict=True)
+    samples = [r.windows.starts[chosen][:, None] + np.arange(length) for r, chosen in windows]
+    ports = tuple(_motion(problem, fit, place, samples) for place in places)
+    most = min(SEGMENTS, max(1, PULSES // len(places)))
+    edges = np.unique(np.append(np.arange(0, length, -(-length // most)), length))
+    parts = [_products(problem, fit, places, [p.force for p in ports], edges, at, k) for k, at in enumerate(samples)]
+    grams, points = (np.concatenate(part) for part in zip(*parts, strict=True))
+    before = np.cumsum([0.0, *(r.record.duration for r in records)])
+    return ForceResponse(
+        grams, points, edges, np.concatenate(fit.starts), records[0].record.dt, ports,
+        np.repeat(np.arange(len(records)), [len(at) for at in samples]),
+        np.concatenate([b + r.record.t[at] for b, r, at in zip(before, records, samples, strict=False)]),
+        np.concatenate([r.u[at] for r, at in zip(records, samples, strict=True)]),
+    )  # fmt: skip
 
 
-def _of_record(
-    problem: Problem, fit: Fit, wider: Hypothesis, places: Sequence[Site], k: int, exact: Simulator, quick: Simulator
-) -> ForceResponse:
-    record, chosen, xi, count = problem.records[k], problem.chosen[k], fit.starts[k], len(places)
-    nothing = np.zeros(len(record.u))
-    single = record.sensor_noise
+def _products(
+    problem: Problem, fit: Fit, places: Sequence[Site], sizes: Sequence[float], edges: Indices, samples: Indices, k: int
+) -> tuple[Array, Indices]:
+    """Return the products of one record's windows, and the number of their known points."""
+    record, chosen, xi, length = problem.records[k], problem.chosen[k], fit.starts[k], samples.shape[1]
+    noise = NoiseModel(record.sensor_noise, np.zeros((0, len(record.columns))))
+    simulator = problem.quick(fit.hypothesis)[k]
+    (error,) = problem.on([record], [chosen]).errors(fit.hypothesis, fit.z, [xi])
+    known = np.isfinite(error).reshape(len(chosen), -1)
+    over_z, over_x = problem.sensitivities(k, simulator, fit.hypothesis, (fit.z, xi), fit.z, noise, len(fit.z))
+    pushed = copy(simulator)
+    pushed.effects = (*simulator.effects, *((_RecordedForce(record.record.dt), place) for place in places))
+    setting, nothing = problem.setting(fit.hypothesis, fit.z), np.zeros(len(record.u))
 
-    def outputs(z: Array, start: Array, samples: Array = nothing, at: int = 0, simulator: Simulator = quick) -> Array:
-        setting = problem.setting(wider, z)
-        pushed = [{"samples": samples if j == at else nothing} for j in range(count)]
-        values = [*setting.values[: len(setting.values) - count], *pushed]
-        return problem.outputs(k, simulator, setting._replace(values=values), start)
+    def outputs(force: Array = nothing, at: int = 0) -> Array:
+        forces = [{"samples": force if j == at else nothing} for j in range(len(places))]
+        return problem.outputs(k, pushed, setting._replace(values=[*setting.values, *forces]), xi)
 
-    def points(difference: Array) -> Array:
-        with np.errstate(all="ignore"):
-            scaled = averaged(difference, record.thin) / single
-        return np.clip(scaled, -CLIP, CLIP).reshape(len(chosen), -1)
+    def pulse(s: int, at: int) -> Array:
+        force, size = nothing.copy(), PULSE * sizes[at]
+        force[samples[:, edges[s] : edges[s + 1]]] = size
+        return (outputs(force, at) - here) / size
 
+    columns = []
     with np.errstate(all="ignore"):
-        here = outputs(fit.z, xi)
-        step, start_step = tuning.STEP, tuning.START_STEP
-        j = [points(outputs(fit.z + step * e, xi) - here) / step for e in np.eye(len(fit.z))]
-        x = [points(outputs(fit.z, xi + start_step * e) - here) / start_step for e in np.eye(xi.shape[1])]
-        motions = tuple(_motion(problem, fit, place, k) for place in places)
-        length = record.windows.length
-        most = min(SEGMENTS, max(1, PULSES // count))
-        edges = np.unique(np.append(np.arange(0, length, -(-length // most)), length))
-        samples = record.windows.starts[chosen][:, None] + np.arange(length)
-
-        def pulse(s: int, at: int) -> Array:
-            force, size = nothing.copy(), PULSE * motions[at].force
-            force[samples[:, edges[s] : edges[s + 1]]] = size
-            return (outputs(fit.z, xi, force, at) - here) / size
-
-        shifts, o = _shifts(problem, fit, exact, count), []
-        for at in range(count):
+        here, shifts = outputs(), _shifts(problem, simulator, setting.values)
+        for at in range(len(places)):
             if shifts:
                 first = pulse(0, at)
                 ends = [np.pad(first[:, : length - e], ((0, 0), (e, 0), (0, 0))) for e in edges[:-1]]
-                last = (edges[-1] - edges[-2]) / (edges[1] - edges[0])  # the last segment may be shorter
-                o += [points(r * (last if s == len(ends) - 1 else 1.0)) for s, r in enumerate(ends)]
+                ends[-1] *= (edges[-1] - edges[-2]) / (edges[1] - edges[0])  # the last segment may be shorter
             else:
-                o += [points(pulse(s, at)) for s in range(len(edges) - 1)]
-        error = points(record.measured[chosen] - outputs(fit.z, xi, simulator=exact))
-    known = np.isfinite(error)
-    columns = np.nan_to_num(np.stack([*o, *j, *x, error], axis=2)) * known[:, :, None]
-    gram = np.swapaxes(columns, 1, 2) @ columns
-    return ForceResponse(gram, known.sum(axis=1), edges, samples, xi, record, motions)
+                ends = [pulse(s, at) for s in range(len(edges) - 1)]
+            columns += [noise.whitened(averaged(response, record.thin)) for response in ends]
+    columns = np.concatenate([np.stack(columns, axis=2), -over_z, -over_x, noise.whitened(error)[:, :, None]], axis=2)
+    columns = columns * known[:, :, None]
+    return np.swapaxes(columns, 1, 2) @ columns, known.sum(axis=1)
 
 
-def _shifts(problem: Problem, fit: Fit, simulator: Simulator, pulses: int) -> bool:
+def _shifts(problem: Problem, simulator: Simulator, values: Sequence[Mapping[str, float]]) -> bool:
     """Return whether the response is time-invariant: a linear plant, no force law, no map of an output."""
-    if isinstance(problem.plant, NonlinearPlant):
-        return False
-    values = problem.setting(fit.hypothesis, fit.z).values
-    effects = zip(simulator.effects[:-pulses], values, strict=True)
-    return not any(
+    return not isinstance(problem.plant, NonlinearPlant) and not any(
         (site.kind == "output" and not (effect.delay and v[effect.delay] == 0.0)) or effect.laws(site, v)
-        for (effect, site), v in effects
+        for (effect, site), v in zip(simulator.effects, values, strict=True)
     )
 
 
-def _motion(problem: Problem, fit: Fit, place: Site, k: int) -> PortMotion:
-    """Return RMS force, speed and position of the port along one record from the smoother."""
-    record = problem.records[k]
+def _motion(problem: Problem, fit: Fit, place: Site, samples: Sequence[Indices]) -> PortMotion:
+    """Return the motion of a port in the windows from the smoother."""
     if place.kind == "input":
         at = [s.name for s in problem.plant.inputs].index(place.name)
-        rms = float(np.sqrt(np.mean(record.u[:, at] ** 2))) or 1.0
-        return PortMotion(rms)
+        rms = max(float(np.sqrt(np.mean(r.u[:, at] ** 2))) for r in problem.records) or 1.0
+        return PortMotion(rms, unit=problem.plant.inputs[at].unit)
     factors, _ = problem.split(fit.hypothesis, fit.z)
-    port = problem.simulators(Hypothesis(()))[k].model(factors, []).ports[place.name]
-    x, covariance = record.smoothed.x, record.smoothed.covariance
-    v = x @ port.velocity
-    inertia = port.mean_inertia
-    rms = float(np.sqrt(np.mean((inertia * np.gradient(v, record.record.dt)) ** 2))) or 1.0
-    q = None
-    if port.position is not None:
-        q = x @ port.position
-        std = np.sqrt(np.median(np.einsum("i,nij,j->n", port.position, covariance, port.position)))
-        q = q if std < 0.05 * np.ptp(q) else None
-    return PortMotion(rms, v, q)
+    forces, speeds, positions = [], [], []
+    for record, simulator, at in zip(problem.records, problem.simulators(Hypothesis(())), samples, strict=True):
+        port = simulator.model(factors, []).ports[place.name]
+        x, covariance = record.smoothed.x, record.smoothed.covariance
+        v = x @ port.velocity
+        forces.append(float(np.sqrt(np.mean((port.mean_inertia * np.gradient(v, record.record.dt)) ** 2))))
+        speeds.append(v[at])
+        if port.position is not None:
+            q = x @ port.position
+            std = np.sqrt(np.median(np.einsum("i,nij,j->n", port.position, covariance, port.position)))
+            positions += [q[at]] if std < 0.05 * np.ptp(q) else []
+    known = np.concatenate(positions) if len(positions) == len(speeds) else None
+    units = port.unit, port.speed_unit, port.position_unit
+    return PortMotion(max(forces) or 1.0, np.concatenate(speeds), known, *units)
 
 
 SIZES = np.concatenate([[0.0], 10.0 ** np.arange(-4.5, 0.1, 0.25)])  # s, of the force that moves the port
@@ -209,6 +209,7 @@ START = 1e-4
 LEAST_NOISE = 1e-8  # variance of the noise over the smoother's estimate
 BANDWIDTHS = (1.0, 4.0, 16.0)  # f, per length of a window
 FINER = (0.5, 1.0, 2.0)  # times the best of them
+FINER_SIZES = 10.0 ** np.linspace(-0.25, 0.25, 13)
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,21 +227,18 @@ class NoiseLevel:
 
 
 class FittedWindows:
-    """Windows of all records, with a random force at one port or at several."""
+    """Windows with a random force at one port or at several."""
 
-    def __init__(self, records: list[ForceResponse], z: Array, problem: Problem) -> None:
-        self.records, self.z, self.problem = records, z, problem
-        self.points = int(sum(r.points.sum() for r in records))
-        self.forces = np.max([[p.force for p in r.ports] for r in records], axis=0)
-        self.dt = problem.records[0].record.dt
-        length = self.dt * records[0].samples.shape[1]
+    def __init__(self, response: ForceResponse, z: Array) -> None:
+        self.response, self.z, self.points = response, z, int(response.points.sum())
+        self.forces = np.array([p.force for p in response.ports])
+        length = response.dt * float(response.edges[-1])
         self.bandwidths = [b / length for b in BANDWIDTHS]
         # Weight of the parameters' prior: variance of the noise, from that of the fit's errors down. A larger weight
         # would penalise parameters that the fit has changed much.
-        left = sum(float(r.gram[:, -1, -1].sum()) for r in records)
-        self.weight = max(LEAST_NOISE, left / self.points)
-        self.roots = {f: [self._roots(r, f) for r in records] for f in self.bandwidths}
-        nothing = [np.zeros((len(r.gram), r.segments, 0)) for r in records]
+        self.weight = max(LEAST_NOISE, float(response.gram[:, -1, -1].sum()) / self.points)
+        self.roots = {f: self._roots(f) for f in self.bandwidths}
+        nothing = np.zeros((len(response.gram), response.segments, 0))
         for _ in range(2):
             self.alone = max(self.levels(nothing), key=lambda level: level.alone)
             self.weight = max(LEAST_NOISE, self.alone.alone_q / self.points)
@@ -250,64 +248,43 @@ class FittedWindows:
     def at(self, port: int) -> FittedWindows:
         """Return the windows for curves at another of their ports."""
         other = copy(self)
-        other.records = [replace(r, port=port) for r in self.records]
+        other.response = replace(self.response, port=port)
         return other
 
     @property
     def force(self) -> float:
         """Return the RMS of the force that moves the curves' port."""
-        return float(self.forces[self.records[0].port])
+        return self.response.motion.force
 
     def strongest(self) -> list[int]:
-        """Return the ports by residual force over the expected random force, largest first."""
-        ratio = []
-        for port in range(len(self.records[0].ports)):
-            there = self.at(port)
-            found = expected = 0.0
-            for record, (gram, score) in zip(there.records, there.segment_sums(), strict=True):
-                kernel = self._kernel(record, self.alone.bandwidth)
-                found += float(np.einsum("ws,st,wt->", score, kernel, score))
-                expected += float(np.einsum("wst,ts->", gram, kernel))
-            ratio.append(found / max(expected, 1e-300))
-        return sorted(range(len(ratio)), key=lambda port: -ratio[port])
+        """Return the ports by residual force over its standard deviation, largest first."""
 
-    def _refine(self, nothing: Sequence[Array]) -> None:
-        """Optimise the random force between the nodes of the grid, whose error differs between hypotheses."""
-        from scipy.optimize import minimize_scalar
+        def size(port: int) -> float:
+            force, std = self.at(port).force_along()
+            return float(((force / std) ** 2).sum())
 
-        start = np.log(self.alone.size)
-        for factor in FINER:
-            f = factor * self.alone.bandwidth
-            self.roots.setdefault(f, [self._roots(r, f) for r in self.records])
+        return sorted(range(len(self.response.ports)), key=lambda port: -size(port))
 
-        def best(f: float) -> NoiseLevel:
-            def level(log_size: float) -> NoiseLevel:
-                return self._levels_of(f, nothing, [float(np.exp(log_size))])[0]
-
-            ends = start + np.log(10.0) * np.array([-0.375, 0.375])
-            found: Any = minimize_scalar(
-                lambda s: -level(s).alone, bounds=ends, method="bounded", options={"xatol": 0.03}
-            )
-            return level(float(found.x))
-
-        around = [best(factor * self.alone.bandwidth) for factor in FINER]
-        self.alone = max([self.alone, *around], key=lambda level: level.alone)
+    def _refine(self, nothing: Array) -> None:
+        """Search the random force between the nodes of the grid, whose error differs between hypotheses."""
+        sizes, bandwidth = self.alone.size * FINER_SIZES, self.alone.bandwidth
+        for f in (factor * bandwidth for factor in FINER):
+            self.roots.setdefault(f, self._roots(f))
+            self.alone = max([self.alone, *self._levels_of(f, nothing, sizes)], key=lambda level: level.alone)
         self.bandwidths = sorted({*self.bandwidths, self.alone.bandwidth})
         self.weight = max(LEAST_NOISE, self.alone.alone_q / self.points)
 
-    def _roots(self, record: ForceResponse, bandwidth: float) -> tuple[Array, Array]:
+    def _roots(self, bandwidth: float) -> tuple[Array, Array]:
         """Return U^T L^T (n_windows, n_pulses, n_pulses) and w with L L^T = K_f and L^T O^T O L = U diag(w) U^T."""
-        kernel = self._kernel(record, bandwidth)
-        root = np.linalg.cholesky(kernel + 1e-9 * np.eye(len(kernel)))
-        root = np.kron(np.diag(self.forces), root)
-        s = record.pulses
-        w, u = np.linalg.eigh(root.T @ record.gram[:, :s, :s] @ root)
+        root, s = np.linalg.cholesky(self._kernel(bandwidth)), self.response.pulses
+        w, u = np.linalg.eigh(root.T @ self.response.gram[:, :s, :s] @ root)
         return np.swapaxes(u, 1, 2) @ root.T, np.maximum(w, 0.0)
 
-    def _kernel(self, record: ForceResponse, bandwidth: float) -> Array:
-        """Return K_f over the segments of one port, for a force of 1."""
-        middle = 0.5 * self.dt * (record.edges[1:] + record.edges[:-1])
-        return np.exp(-2.0 * np.pi * bandwidth * np.abs(middle[:, None] - middle))
+    def _kernel(self, bandwidth: float) -> Array:
+        """Return K_f over the segments of all ports, for forces of the sizes that move them."""
+        middle = 0.5 * self.response.dt * (self.response.edges[1:] + self.response.edges[:-1])
+        kernel = np.exp(-2.0 * np.pi * bandwidth * np.abs(middle[:, None] - middle))
+        return np.kron(np.diag(self.forces**2), kernel + 1e-9 * np.eye(len(kernel)))
 
     @property
     def smaller(self) -> Array:
@@ -316,68 +293,62 @@ class FittedWindows:
         return np.append(0.0, np.unique(known[known <= 1.8 * self.alone.size]))
 
     @property
-    def start_volume(self) -> float:
-        """Return the correction of twice the log likelihood for the initial states, to compare hypotheses."""
-        # The log det of their equations depends on the scale of the outputs: only its change by a random force counts.
-        # Here the initial states have nearly no prior, in the correction that of the fit.
-        total = 0.0
-        for k, record in enumerate(self.records):
-            own = slice(-1 - record.xi.shape[1], -1)
-            unit = np.eye(record.xi.shape[1])
-            free, within = record.gram[:, own, own], self._within_noise(k, self.alone.size)[:, own, own]
-            logdet = [np.linalg.slogdet(h)[1].sum() for h in (free + unit, within + unit, within + START * unit)]
-            total += float(logdet[0] - logdet[1] + logdet[2])
-        return total
-
-    @property
     def log_likelihood(self) -> float:
         """Return the log marginal likelihood of the hypothesis alone under a random force, up to a common constant."""
-        return self.alone.alone + 0.5 * len(self.z) * float(np.log(self.weight)) + 0.5 * self.start_volume
+        # The log det of the initial states' equations depends on the scale of the outputs: only its change by a random
+        # force counts. Here they have nearly no prior, in the correction that of the fit.
+        n_x = self.response.xi.shape[1]
+        own, unit = slice(-1 - n_x, -1), np.eye(n_x)
+        free, within = self.response.gram[:, own, own], self._within_noise()[:, own, own]
+        logdet = [np.linalg.slogdet(h)[1].sum() for h in (free + unit, within + unit, within + START * unit)]
+        volume = float(logdet[0] - logdet[1] + logdet[2])
+        return self.alone.alone + 0.5 * len(self.z) * float(np.log(self.weight)) + 0.5 * volume
 
-    def _within_noise(self, k: int, size: float) -> Array:
-        """Return products of one record under noise and a random force of this size, at the bandwidth of `alone`."""
-        record = self.records[k]
-        root, w = self.roots[self.alone.bandwidth][k]
-        t = root @ record.gram[:, : record.pulses]
-        t = t * np.sqrt(size**2 / (1.0 + size**2 * w))[:, :, None]
-        return record.gram - np.swapaxes(t, 1, 2) @ t
+    def _within_noise(self) -> Array:
+        """Return the products under the noise and the random force of `alone`."""
+        root, w = self.roots[self.alone.bandwidth]
+        t = root @ self.response.gram[:, : self.response.pulses]
+        t = t * np.sqrt(self.alone.size**2 / (1.0 + self.alone.size**2 * w))[:, :, None]
+        return self.response.gram - np.swapaxes(t, 1, 2) @ t
 
-    def levels(self, columns: Sequence[Array], sizes: Array = SIZES) -> list[NoiseLevel]:
-        """Return all random forces, with columns (n_windows, n_segments, k) per record."""
+    def levels(self, columns: Array, sizes: Array = SIZES) -> list[NoiseLevel]:
+        """Return all random forces, with columns (n_windows, n_segments, k)."""
         found = []
         for f in self.bandwidths:  # size 0 has no bandwidth
             found += self._levels_of(f, columns, sizes if f == self.bandwidths[0] else sizes[1:])
         return found
 
-    def _levels_of(self, f: float, columns: Sequence[Array], sizes: Sequence[float] | Array) -> list[NoiseLevel]:
-        mixed = [self._mixed(r, c, r.gram) for r, c in zip(self.records, columns, strict=True)]
-        turned = [root @ rows for (root, _), (_, rows) in zip(self.roots[f], mixed, strict=True)]
-        found = []
-        for size in sizes:
-            grams, logdets = [], []
-            for record, (_, w), (gram, _), t in zip(self.records, self.roots[f], mixed, turned, strict=True):
-                a = size**2
-                scaled = t * np.sqrt(a / (1.0 + a * w))[:, :, None]
-                g, logdet = _without_start(gram - np.swapaxes(scaled, 1, 2) @ scaled, record)
-                grams.append(g)
-                logdets.append(logdet + np.log1p(a * w).sum(axis=1))
-            found.append(self._level(float(size), f, np.concatenate(grams), np.concatenate(logdets)))
+    def _levels_of(self, f: float, columns: Array, sizes: Array) -> list[NoiseLevel]:
+        (gram, rows), (root, w), found = self._mixed(columns, self.response.gram), self.roots[f], []
+        turned = root @ rows
+        for size in sizes.tolist():
+            scaled = turned * np.sqrt(size**2 / (1.0 + size**2 * w))[:, :, None]
+            g, logdet = self._without_start(gram - np.swapaxes(scaled, 1, 2) @ scaled)
+            found.append(self._level(size, f, g, logdet + np.log1p(size**2 * w).sum(axis=1)))
         return found
 
-    def _mixed(self, record: ForceResponse, columns: Array, gram: Array) -> tuple[Array, Array]:
+    def _mixed(self, columns: Array, gram: Array) -> tuple[Array, Array]:
         """Return products of initial states, columns, parameters and errors of each window; and with the segments."""
-        s, n_x = record.pulses, record.xi.shape[1]
-        n = gram.shape[1]
-        k = columns.shape[2]
+        s, n_x, n, k = self.response.pulses, self.response.xi.shape[1], gram.shape[1], columns.shape[2]
         mix = np.zeros((len(columns), n, k + n - s))
-        mix[:, record.own, :k] = columns
-        order = [*range(n - 1 - n_x, n - 1), *range(s, n - 1 - n_x), n - 1]  # initial states, parameters, errors
-        mix[:, order, k + np.arange(n - s)] = 1.0
-        rows = gram @ mix
+        mix[:, self.response.own, n_x : n_x + k] = columns
         # Initial states come first, to be eliminated first.
-        gram = np.swapaxes(mix, 1, 2) @ rows
-        first = [*range(k, k + n_x), *range(k), *range(k + n_x, gram.shape[1])]
-        return gram[:, first][:, :, first], rows[:, :s][:, :, first]
+        order = [*range(n - 1 - n_x, n - 1), *range(s, n - 1 - n_x), n - 1]
+        mix[:, order, [*range(n_x), *range(n_x + k, k + n - s)]] = 1.0
+        rows = gram @ mix
+        return np.swapaxes(mix, 1, 2) @ rows, rows[:, :s]
+
+    def _without_start(self, gram: Array) -> tuple[Array, Array]:
+        """Eliminate the window's initial state, which comes first, with its prior; return also its log det."""
+        xi, n_x = self.response.xi, self.response.xi.shape[1]
+        gram = gram.copy()
+        gram[:, :n_x, :n_x] += START * np.eye(n_x)
+        gram[:, :n_x, -1] -= START * xi
+        gram[:, -1, :n_x] -= START * xi
+        gram[:, -1, -1] += START * (xi**2).sum(axis=1)
+        h, right = gram[:, :n_x, :n_x], gram[:, :n_x, n_x:]
+        rest = gram[:, n_x:, n_x:] - np.swapaxes(right, 1, 2) @ np.linalg.solve(h, right)
+        return rest, np.linalg.slogdet(h)[1]
 
     def _level(self, size: float, bandwidth: float, gram: Array, logdet: Array) -> NoiseLevel:
         n_z = len(self.z)
@@ -395,32 +366,29 @@ class FittedWindows:
         prior[-1, -1] = self.z @ self.z
         return gram + self.weight * prior
 
-    def segment_sums(self) -> list[tuple[Array, Array]]:
+    def force_along(self) -> tuple[Array, Array]:
+        """Return the port's force given the errors and the parameters: mean and std, (n_windows, n_segments).
+
+        The posterior of the random force (Rasmussen, Williams, 2006, equation 2.12).
+        """
+        response, size = self.response, self.alone.size or SIZES[1]
+        s, n = response.pulses, response.gram.shape[1]
+        order = [*range(n - 1 - response.xi.shape[1], n - 1), *range(s), n - 1]
+        g, _ = self._without_start(response.gram[:, order][:, :, order])
+        covariance = np.linalg.inv(g[:, :s, :s] + np.linalg.inv(size**2 * self._kernel(self.alone.bandwidth)))
+        mean = (covariance @ g[:, :s, -1:])[:, :, 0]
+        variance = np.diagonal(covariance, axis1=1, axis2=2) * self.alone.alone_q / self.points
+        return mean[:, response.own], np.sqrt(variance[:, response.own])
+
+    def segment_sums(self) -> tuple[Array, Array]:
         """Return products of the port's segments with each other and with the errors, under the hypothesis' noise."""
-        found = []
-        for k, record in enumerate(self.records):
-            s, gram = record.segments, self._within_noise(k, self.alone.size)
-            g, _ = _without_start(self._mixed(record, np.broadcast_to(np.eye(s), (len(gram), s, s)), gram)[0], record)
-            found.append((g, g[:, :s, -1]))
+        gram, s = self._within_noise(), self.response.segments
+        g, _ = self._without_start(self._mixed(np.broadcast_to(np.eye(s), (len(gram), s, s)), gram)[0])
         # Parameters are eliminated approximately: at their optimum for the errors, not for each force.
         n_z = len(self.z)
-        total = self.with_prior(np.sum([g.sum(axis=0)[-n_z - 1 :, -n_z - 1 :] for g, _ in found], axis=0))
+        total = self.with_prior(g.sum(axis=0)[-n_z - 1 :, -n_z - 1 :])
         dz = np.linalg.solve(total[:-1, :-1], total[:-1, -1]) if n_z else np.zeros(0)
-        return [(g[:, : r.segments, : r.segments], b - g[:, : r.segments, r.segments : -1] @ dz)
-                for (g, b), r in zip(found, self.records, strict=True)]  # fmt: skip
-
-
-def _without_start(gram: Array, record: ForceResponse) -> tuple[Array, Array]:
-    """Eliminate the window's initial state, which comes first, with its prior; return also its log det."""
-    n_x = record.xi.shape[1]
-    gram = gram.copy()
-    gram[:, :n_x, :n_x] += START * np.eye(n_x)
-    gram[:, :n_x, -1] -= START * record.xi
-    gram[:, -1, :n_x] -= START * record.xi
-    gram[:, -1, -1] += START * (record.xi**2).sum(axis=1)
-    h, right = gram[:, :n_x, :n_x], gram[:, :n_x, n_x:]
-    rest = gram[:, n_x:, n_x:] - np.swapaxes(right, 1, 2) @ np.linalg.solve(h, right)
-    return rest, np.linalg.slogdet(h)[1]
+        return g[:, :s, :s], g[:, :s, -1] - g[:, :s, s:-1] @ dz
 
 
 def eliminated(gram: Array, count: int) -> tuple[Array, Array]:

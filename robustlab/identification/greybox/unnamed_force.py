@@ -6,7 +6,7 @@ top of the random force. Gains in nats, less the log of the searched possibiliti
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -18,6 +18,7 @@ from robustlab.errors import RobustlabError
 from robustlab.identification.greybox.effect_fit import Fit, Problem
 from robustlab.identification.greybox.random_force import (
     FittedWindows,
+    ForceResponse,
     NoiseLevel,
     eliminated,
     force_response,
@@ -37,119 +38,86 @@ SHARP = 0.01  # of the largest speed or input, within which a dry force changes 
 
 
 class Family(NamedTuple):
-    """One family of residual forces: its columns, (n_windows, n_segments, k) per record."""
+    """One family of residual forces: its columns, (n_windows, n_segments, k)."""
 
     over: Over
-    columns: list[Array]
+    columns: Array
     dry: bool = False
     price: float = 0.0  # log of the number of searched lines
     wave: float = 0.0
 
 
 def _signed(x: Array) -> Array:
-    """Return odd and even functions of x in -1..1, some of them sharp at zero: (n, 10)."""
+    """Return odd and even functions of x in -1..1, some of them sharp at zero: (..., 10)."""
     sharp, near = np.tanh(x / SHARP), np.exp(-np.abs(x) / 0.1)
     odd = (x, x * np.abs(x), x**3, sharp, np.tanh(x / 0.15), sharp * near)
-    return np.column_stack([*odd, np.ones_like(x), np.sqrt(x**2 + SHARP**2), x**2, near])
+    return np.stack([*odd, np.ones_like(x), np.sqrt(x**2 + SHARP**2), x**2, near], axis=-1)
 
 
 def _cosines(x: Array) -> Array:
-    """Return long waves over x in -1..1, weighted by a smooth process' prior: (n, WAVES)."""
+    """Return long waves over x in -1..1, weighted by a smooth process' prior: (..., WAVES)."""
     j = np.arange(WAVES)
-    return np.cos(0.5 * np.pi * j * (x[:, None] + 1.0)) / (1.0 + (j / 3.0) ** 2)
+    return np.cos(0.5 * np.pi * j * (x[..., None] + 1.0)) / (1.0 + (j / 3.0) ** 2)
 
 
-def _smooth(windows: FittedWindows) -> list[Family]:
+def _smooth(response: ForceResponse) -> list[Family]:
     """Return smooth curves over speed, position, time and input, with and without the sign of the speed."""
-    records, families = windows.records, []
-    sign = None
-    if (speeds := _all([r.motion.speed for r in records])) is not None:
-        most = max(float(np.abs(v).max()) for v in speeds) or 1.0
-        sign = [np.tanh(v / (SHARP * most)) for v in speeds]
-        families.append(_curve(windows, "speed", speeds, _signed, None))
-    turns = [None] if sign is None else [None, sign]
-    if (positions := _all([r.motion.position for r in records])) is not None:
-        families += [_curve(windows, "position", positions, _cosines, turn) for turn in turns]
-    before = np.cumsum([0.0, *(len(r.record.u) * windows.dt for r in records)])
-    clocks = [b + windows.dt * np.arange(len(r.record.u)) for b, r in zip(before, records, strict=False)]
-    families += [_curve(windows, "time", clocks, _cosines, turn) for turn in turns]
-    for j in range(len(windows.problem.plant.inputs)):
-        families.append(_curve(windows, "input", [r.record.u[:, j] for r in records], _signed, None))
+    v, turns, families = response.motion.speed, [None], []
+    if v is not None:
+        turns = [None, np.tanh(v / (SHARP * (float(np.abs(v).max()) or 1.0)))]
+        families.append(_curve(response, "speed", v, _signed, None))
+    if response.motion.position is not None:
+        families += [_curve(response, "position", response.motion.position, _cosines, turn) for turn in turns]
+    families += [_curve(response, "time", response.clock, _cosines, turn) for turn in turns]
+    families += [_curve(response, "input", u, _signed, None) for u in np.moveaxis(response.u, 2, 0)]
     return [f for f in families if f is not None]
 
 
-def _all(arrays: list[Array | None]) -> list[Array] | None:
-    found = [a for a in arrays if a is not None]
-    return found if len(found) == len(arrays) else None
-
-
 def _curve(
-    windows: FittedWindows,
-    over: Over,
-    raw: list[Array],
-    functions: Callable[[Array], Array],
-    turn: list[Array] | None,
+    response: ForceResponse, over: Over, x: Array, functions: Callable[[Array], Array], turn: Array | None
 ) -> Family | None:
-    """Return functions of a coordinate along the records; None if it is constant."""
-    low, high = min(float(x.min()) for x in raw), max(float(x.max()) for x in raw)
+    """Return functions of a coordinate along the windows; None if it is constant."""
+    low, high = float(x.min()), float(x.max())
     if not high > low:
         return None
     about_zero = functions is not _cosines  # odd and even functions
     middle, half = (0.0, max(-low, high)) if about_zero else (0.5 * (low + high), 0.5 * (high - low))
-    columns = []
-    for k, (record, x) in enumerate(zip(windows.records, raw, strict=True)):
-        column = functions((x - middle) / half)
-        columns.append(record.mean(column if turn is None else column * turn[k][:, None]))
-    square = np.concatenate([c.reshape(-1, c.shape[2]) ** 2 for c in columns]).mean(axis=0)
-    size = np.sqrt(np.maximum(square if about_zero else square.sum(), 1e-300))
-    return Family(over, [c / size for c in columns], turn is not None)
+    columns = functions((x - middle) / half)
+    columns = response.mean(columns if turn is None else columns * turn[..., None])
+    square = (columns**2).mean(axis=(0, 1))
+    return Family(over, columns / np.sqrt(np.maximum(square if about_zero else square.sum(), 1e-300)), turn is not None)
 
 
 def _lines(windows: FittedWindows) -> list[Family]:
-    records = windows.records
-    clocks = [r.mean(windows.dt * np.arange(len(r.record.u))[:, None])[:, :, 0] for r in records]
-    families = [
-        _line(windows, "line over time", clocks, None, *found) for found in _strongest(windows, clocks, None, SLOWEST)
-    ]
-    positions, speeds = _all([r.motion.position for r in records]), _all([r.motion.speed for r in records])
-    if positions is not None and speeds is not None:
-        q, v = ([r.mean(x[:, None])[:, :, 0] for r, x in zip(records, a, strict=True)] for a in (positions, speeds))
-        families += [_line(windows, "line over position", q, v, *found) for found in _strongest(windows, q, v, TURNS)]
+    response = windows.response
+    clock, motion = response.mean(response.clock), response.motion
+    families = [_line(response, "line over time", clock, None, *f) for f in _strongest(windows, clock, None, SLOWEST)]
+    if motion.position is not None and motion.speed is not None:
+        q, v = response.mean(motion.position), response.mean(motion.speed)
+        families += [_line(response, "line over position", q, v, *found) for found in _strongest(windows, q, v, TURNS)]
     return families
 
 
-def _line(
-    windows: FittedWindows,
-    over: Over,
-    x: list[Array],
-    v: list[Array] | None,
-    wave: float,
-    count: float,
-) -> Family:
+def _line(response: ForceResponse, over: Over, x: Array, v: Array | None, wave: float, count: float) -> Family:
     """Return cosine and sine with separate phases for each record and, over the position, for each direction."""
-    columns = []
-    for k, record in enumerate(windows.records):
-        step = windows.dt * float(record.edges[1] - record.edges[0])
-        # The response to steps at the segments' middles is weaker than to the wave; over many waves it is the mean.
-        fade = 1.0 / np.sinc(wave * step) if v is None else np.sinc(wave * v[k] * step)
-        phase = 2.0 * np.pi * wave * x[k]
-        pair = np.stack([np.cos(phase) * fade, np.sin(phase) * fade], axis=2)
-        if v is not None:
-            pair = np.concatenate([pair, pair * np.sign(v[k])[:, :, None]], axis=2)
-        own = [np.zeros_like(pair)] * len(windows.records)
-        own[k] = pair
-        columns.append(np.concatenate(own, axis=2))
-    return Family(over, columns, price=float(np.log(max(count, 1.0))), wave=wave)
+    step = response.dt * float(response.edges[1] - response.edges[0])
+    # The response to steps at the segments' middles is weaker than to the wave; over many waves it is the mean.
+    fade = 1.0 / np.sinc(wave * step) if v is None else np.sinc(wave * v * step)
+    phase = 2.0 * np.pi * wave * x
+    pair = np.stack([np.cos(phase) * fade, np.sin(phase) * fade], axis=2)
+    if v is not None:
+        pair = np.concatenate([pair, pair * np.sign(v)[:, :, None]], axis=2)
+    columns = [pair * (response.record == k)[:, None, None] for k in np.unique(response.record)]
+    return Family(over, np.concatenate(columns, axis=2), price=float(np.log(max(count, 1.0))), wave=wave)
 
 
-def _strongest(
-    windows: FittedWindows, x: list[Array], v: list[Array] | None, least: float
-) -> list[tuple[float, float]]:
+def _strongest(windows: FittedWindows, x: Array, v: Array | None, least: float) -> list[tuple[float, float]]:
     """Return wave numbers (turns per unit) of the strongest lines by the score, and the number of searched ones."""
-    span = max(float(np.ptp(a)) for a in x)
+    record = windows.response.record
+    span = max(float(np.ptp(x[record == k])) for k in np.unique(record))
     if not span > 0:
         return []
-    steps = np.concatenate([np.abs(np.diff(a, axis=1)).ravel() for a in x])
+    steps = np.abs(np.diff(x, axis=1))
     step = float(np.median(steps[steps > 0])) if (steps > 0).any() else span
     last = min(0.5 / step, FINEST / span)
     if last * span <= least + 1.0 / OVERSAMPLED:  # one wave number is no spectrum
@@ -158,13 +126,13 @@ def _strongest(
     power = np.zeros(len(waves))
     some = np.linspace(0, len(waves) - 1, min(24, len(waves))).round().astype(int)
     expected = np.zeros(len(some))
-    for k, (m, b) in enumerate(windows.segment_sums()):
-        speed = None if v is None else v[k]
-        for turn in (1.0,) if speed is None else (1.0, np.sign(speed)):
-            power += np.abs(_transformed(x[k], b * turn, waves)) ** 2
-            for i, at in enumerate(some):
-                wave = np.exp(2j * np.pi * waves[at] * x[k]) * turn
-                expected[i] += float(np.einsum("ws,wst,wt->", wave.conj(), m, wave).real)
+    m, b = windows.segment_sums()
+    for turn in (np.ones_like(x),) if v is None else (np.ones_like(x), np.sign(v)):
+        for k in np.unique(record):
+            power += np.abs(_transformed(x[record == k], (b * turn)[record == k], waves)) ** 2
+        for i, at in enumerate(some):
+            wave = np.exp(2j * np.pi * waves[at] * x) * turn
+            expected[i] += float(np.einsum("ws,wst,wt->", wave.conj(), m, wave).real)
     level = power / np.maximum(np.interp(waves, waves[some], expected), 1e-300)
     found: list[tuple[float, float]] = []
     while len(found) < LINES and level.max(initial=0.0) > 0.0:
@@ -201,6 +169,9 @@ class UnnamedEvidence:
     dry: bool
     evidence: float  # gain in log evidence in nats, less the log of the searched possibilities, without `PRIOR`
     cross_validated: float  # gain in log predictive density of each window given all others
+    level: NoiseLevel  # its best noise
+    strength: float  # its variance at the best evidence, over that of the noise
+    q: float  # V with it
     period: float = float("nan")  # of a line, in s or the unit of the position; NaN for a curve
     wave: tuple[float, float] = (0.0, 0.0)  # amplitudes of its cosine and sine
 
@@ -225,42 +196,29 @@ def fitted_windows(problem: Problem, fit: Fit) -> tuple[tuple[FittedWindows, Sit
     # them, and those with the largest residual are examined.
     places, most = plain_places(problem, fit), MOST_PLACES
     if len(places) <= most and not isinstance(problem.plant, NonlinearPlant):
-        return tuple((FittedWindows(force_response(problem, fit, [p]), fit.z, problem), p) for p in places)
-    everywhere = FittedWindows(force_response(problem, fit, places), fit.z, problem)
+        return tuple((FittedWindows(force_response(problem, fit, [p]), fit.z), p) for p in places)
+    everywhere = FittedWindows(force_response(problem, fit, places), fit.z)
     return tuple((everywhere.at(k), places[k]) for k in everywhere.strongest()[:most])
 
 
 def unnamed_force(windows: FittedWindows, place: Site) -> Unnamed:
     """Examine the residual of a hypothesis as a force at one place."""
-    kinds = [*_smooth(windows), *_lines(windows)]
-    best = [judged(windows, family, len(kinds)) for family in kinds]
-    forces = [_evidence(place, f, b) for f, b in zip(kinds, best, strict=True)]
-    order = sorted(range(len(forces)), key=lambda k: (not forces[k].wins, -forces[k].evidence))
-    first = best[order[0]]
-    level, rest = (first.level, first.q) if forces[order[0]].wins else (windows.alone, windows.alone.alone_q)
+    kinds = [*_smooth(windows.response), *_lines(windows)]
+    forces = [judged(windows, family, len(kinds), place.name) for family in kinds]
+    forces.sort(key=lambda f: (not f.wins, -f.evidence))
+    level, rest = (forces[0].level, forces[0].q) if forces[0].wins else (windows.alone, windows.alone.alone_q)
     # The sensor noise was estimated with the nominal model, and is too large if that is late or scaled.
     ratio = float(np.sqrt(level.alone_q / min(windows.points, rest)))
-    return Unnamed(tuple(forces[k] for k in order), ratio, level.size)
+    return Unnamed(tuple(forces), ratio, level.size)
 
 
-class _Best(NamedTuple):
-    """The best noise and strength of one family, with evidence and mean."""
-
-    level: NoiseLevel
-    strength: float
-    evidence: float
-    cross_validated: float
-    q: float
-    mean: Array
-
-
-def judged(windows: FittedWindows, family: Family, kinds: int) -> _Best:
+def judged(windows: FittedWindows, family: Family, kinds: int, port: str) -> UnnamedEvidence:
     """Evaluate one of ``kinds`` families at its best noise and strength."""
-    n_z, n, count = len(windows.z), windows.points, family.columns[0].shape[2]
+    n_z, n, count = len(windows.z), windows.points, family.columns.shape[2]
     levels = windows.levels(family.columns, windows.smaller)
     alone = max(level.alone for level in [*levels, windows.alone])
     strengths = (STRENGTHS * windows.force) ** 2
-    found = None
+    best = None
     for level in levels:
         h, b, det = _projected(windows.with_prior(level.gram.sum(axis=0)), count, n_z)
         w, u = np.linalg.eigh(h)
@@ -271,15 +229,21 @@ def judged(windows: FittedWindows, family: Family, kinds: int) -> _Best:
         logdet = np.log1p(strengths[:, None] * w).sum(axis=1) + level.logdet.sum() + det
         p = -0.5 * n * np.log(q / n) - 0.5 * logdet
         at = int(p.argmax())
-        if found is None or p[at] > found[0]:
-            found = (float(p[at]), level, strengths[at], float(q[at]))
-    assert found is not None
-    p, level, strength, q = found
+        if best is None or p[at] > best[0]:
+            best = (float(p[at]), level, float(strengths[at]), float(q[at]))
+    assert best is not None
+    p, level, strength, q = best
     cv = _cross_validated(windows, level.gram, count, strength, windows.alone, level, q)
     h, b, _ = _projected(windows.with_prior(level.gram.sum(axis=0)), count, n_z)
     mean = np.linalg.solve(h + np.eye(count) / strength, b)
-    evidence = p - alone - np.log(len(STRENGTHS) * kinds) - family.price
-    return _Best(level, strength, float(evidence), cv, q, mean)
+    evidence = float(p - alone - np.log(len(STRENGTHS) * kinds) - family.price)
+    found = UnnamedEvidence(port, family.over, family.dry, evidence, cv, level, strength, q)
+    if not family.wave:
+        return found
+    # Over the position, the part independent of the direction, or the dry one if larger by more than rounding.
+    dry = family.over == "line over position" and np.hypot(*mean[2:4]) > 1.01 * np.hypot(*mean[:2])
+    wave = (float(mean[2]), float(mean[3])) if dry else (float(mean[0]), float(mean[1]))
+    return replace(found, dry=bool(dry), period=1.0 / family.wave, wave=wave)
 
 
 def _projected(gram: Array, count: int, n_z: int) -> tuple[Array, Array, float]:
@@ -297,7 +261,7 @@ def _cross_validated(
 ) -> float:
     """Return the gain by the family in the log predictive density of each window given the others, summed."""
     n_z, n = len(windows.z), windows.points
-    points = np.concatenate([r.points for r in windows.records])
+    points = windows.response.points
 
     def predictive(grams: Array, logdet: Array, k: int, scale: float) -> float:
         total = grams.sum(axis=0)
@@ -311,15 +275,3 @@ def _cross_validated(
 
     without = alone.gram[:, -n_z - 1 :, -n_z - 1 :]
     return predictive(gram, level.logdet, count, q / n) - predictive(without, alone.logdet, 0, alone.alone_q / n)
-
-
-def _evidence(place: Site, family: Family, best: _Best) -> UnnamedEvidence:
-    """Return the evidence, of a line with its period and amplitudes in the first record."""
-    mean, dry = best.mean, family.dry
-    if not family.wave:
-        return UnnamedEvidence(place.name, family.over, dry, best.evidence, best.cross_validated)
-    # Over the position, the part independent of the direction, or the dry one if larger by more than rounding.
-    if family.over == "line over position" and np.hypot(*mean[2:4]) > 1.01 * np.hypot(*mean[:2]):
-        mean, dry = mean[2:], True
-    wave = float(mean[0]), float(mean[1])
-    return UnnamedEvidence(place.name, family.over, dry, best.evidence, best.cross_validated, 1.0 / family.wave, wave)

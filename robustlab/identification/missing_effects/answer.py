@@ -3,28 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from dataclasses import replace
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from robustlab.dynamics.extended.simulator import Windows
 from robustlab.dynamics.plant_contract import NonlinearPlant
-from robustlab.dynamics.ports.port_model import AnyPlant
-from robustlab.errors import NoTrustworthyNumber, RobustlabError
+from robustlab.errors import RobustlabError
 from robustlab.identification import tuning
 from robustlab.identification.data_checks.suitability import Finding
 from robustlab.identification.greybox.effect_fit import (
-    Candidate,
     Fit,
     FitPlan,
     Hypothesis,
     Prior,
     Problem,
-    simulated_outputs,
 )
-from robustlab.identification.greybox.noise import held_out_fit, settled, white
-from robustlab.identification.greybox.prepared_record import start_std
+from robustlab.identification.greybox.noise import settled
 from robustlab.identification.missing_effects.discovery_parts import (
     INTERVAL,
     EffectValue,
@@ -43,74 +38,26 @@ from robustlab.identification.missing_effects.held_out import (
     Relevance,
     at_limits,
     held_out_gaps,
-    late_clocks,
     relevance_of,
     simulated,
     without_effects,
 )
 from robustlab.identification.missing_effects.named_kinds import Kinds, force_share
-from robustlab.identification.missing_effects.posterior import Alternative, Posterior
-from robustlab.identification.missing_effects.residual_force import (
-    LeftOver,
-    ResidualForce,
-    left_over,
-    remaining_lines,
-    residual_curves,
-)
+from robustlab.identification.missing_effects.posterior import Alternative, Posterior, weight_of
+from robustlab.identification.missing_effects.residual_force import ResidualForce, remaining_lines, residual_force
 from robustlab.identification.missing_effects.set_search import Found
 from robustlab.identification.missing_effects.updated_plant import updated_plant
-from robustlab.record import Record
 from robustlab.result import Status
 
 if TYPE_CHECKING:
-    from robustlab.identification.comparison.repeats import NoiseFloor
     from robustlab.identification.experiment import NextExperiment
 
 
 MOST_OF_EXCESS = 0.5  # share of the nominal model's excess cost that sure effects must explain if a misfit remains
 EXPLAINED = 0.9  # share of it below which the named effects are not the missing ones
-REPEATABLE = 1.6  # F of the residual against the noise floor beyond which a repeatable error remains
-REMARK = 0.005  # of the force that moves the port: weaker remaining lines are reported only
 T = TypeVar("T")
 WIDER = 1.25  # times the fitted value: a larger value that is tested against the records
 HELD = 1e8  # prior precision that fixes a standardised parameter
-
-
-@dataclass(frozen=True, eq=False)
-class Case:
-    """Checked and prepared arguments of one `discover` call."""
-
-    plant: AnyPlant
-    records: Sequence[Record]
-    repeats: Sequence[Record]
-    period: float | None
-    stated: Mapping[str, tuple[float, bool]]
-    findings: tuple[Finding, ...]
-    held_text: str
-    pool: Sequence[Candidate]
-
-
-class _Judgement(NamedTuple):
-    """Verdict, and whether nothing relevant remains unexplained."""
-
-    verdict: Verdict
-    complete: bool
-
-    def status(self, explained: float) -> Status:
-        """Return INCONCLUSIVE without a sure name, or if more error remains than the names explain."""
-        sure = self.verdict == "no missing effect" or (self.verdict == "named" and (self.complete or explained >= 0.5))
-        return Status.CONVERGED if sure else Status.INCONCLUSIVE
-
-
-class _Remainder(NamedTuple):
-    """Residual of the best set: whether it is relevant, whether all was examined, force, lines, noise floor."""
-
-    remains: bool
-    complete: bool
-    force: LeftOver | None
-    lines: tuple[dict[str, float | str], ...]
-    floor: NoiseFloor | None
-    excess: Mapping[str, float]
 
 
 class _Stages(list[Finding]):
@@ -127,47 +74,46 @@ class _Stages(list[Finding]):
             return instead
 
 
-def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Discovery:
-    """Return the result of `discover`, with errors on all held-out windows."""
+def answer(
+    found: Found, posterior: Posterior, held: Problem, names: tuple[str, ...], tried: tuple[str, ...],
+    stated: Mapping[str, tuple[float, bool]], known: Sequence[Finding], held_text: str,
+) -> Discovery:  # fmt: skip
+    """Return the result of `discover` for the records ``names``, with errors on all held-out windows."""
     problem, held, stages = found.problem, held.under(found.problem.clock), _Stages()
     best = posterior.best.fit
     whole = settled(problem, best, found.noise)
-    left = _remainder(case, found, posterior, whole, stages)
-    if left.remains and best.hypothesis.candidates:
+    remains = _remains(problem, posterior, whole)
+    if remains and best.hypothesis.candidates:
         whole = settled(problem, whole, found.noise, 1)
     relevance = stages.run("what matters", lambda: _relevances(found, held, whole), {})
     negligible = frozenset(key for key, m in relevance.items() if not m.material)
     kinds = Kinds(problem, posterior, negligible)
-    if elsewhere := stages.run("what matters in other sets", lambda: _negligible_elsewhere(found, held, kinds), None):
-        kinds = Kinds(problem, posterior, negligible | elsewhere)
     fit = whole
-    if aside := negligible | _doubtful(kinds, whole):
-        fit = settled(problem, without_effects(problem, whole, aside), found.noise, 1 if left.remains else None)
+    if negligible:
+        fit = settled(problem, without_effects(problem, whole, negligible), found.noise, 1 if remains else None)
         # The errors without each effect refer to the smaller set.
         relevance |= stages.run("what matters", lambda: _relevances(found, held, fit), {})
-    verdict = _verdict(found, kinds, fit, left.remains)
+    verdict = _verdict(found, kinds, fit, remains)
     named = fit.hypothesis.candidates
     bare = settled(problem, found.empty.fit, found.noise, 1 if named else None)
-    as_given = Fit(Hypothesis(()), np.zeros(len(held.nuisances)), (), 0.0, np.zeros(0), np.eye(0), found.noise)
+    as_given = Fit(Hypothesis(()), np.zeros(len(held.nuisances)), (), 0.0, np.eye(0), found.noise)
     gaps = held_out_gaps(held, {"nominal": as_given, "refitted": bare, "updated": fit}, problem.records)
-    judged = _Judgement(verdict, left.complete and verdict != "unknown")
-    findings = [*case.findings, *_search_findings(found)]
+    complete = not remains and bool(np.isfinite(posterior.noise_ratio)) and verdict != "unknown"
+    findings = [*known, *_search_findings(found)]
     if named:
-        judged = _on_held_out(judged, gaps, bool(at_limits(problem, bare)))
+        verdict, complete = _on_held_out(verdict, complete, gaps, bool(at_limits(problem, bare)))
     if refuted := bool(named) and gaps.worse_than_given:
         findings.append(_refuted(fit, gaps))
         fit = bare  # the refuted effects are not reported
     rivals = [a for a in posterior.alternatives() if a.candidate.key not in kinds.ignored]
-    if judged.verdict == "unknown" and not named:
+    if verdict == "unknown" and not named:
         rivals = []  # rivals of "no missing effect", which is no longer the verdict
-    names = tuple(r.name for r in case.records)
-    force = left.force
     explained = _explained_on_held_out(gaps, posterior.noise_ratio)
     structure = {"noise_ratio": posterior.noise_ratio, "explained": explained}
     experiment = stages.run("next experiment", lambda: _next_experiment(problem, best, rivals), None)
-    curves = stages.run("residual force", lambda: residual_curves(force), None) if force else None
-    missing = stages.run("missing force", lambda: _curves(found, bare), None) if named else None
-    sure = stages.run("kinds", lambda: kinds.named(problem, left.remains), ()) if judged.verdict != "unknown" else ()
+    curves = stages.run("residual force", lambda: _force(found, fit), None)
+    missing = stages.run("missing force", lambda: _force(found, bare), None) if named else None
+    sure = stages.run("kinds", lambda: kinds.named(problem, remains), ()) if verdict != "unknown" else ()
     source = f"fitted to {', '.join(names)}"
     model = None if refuted else stages.run("updated plant", lambda: updated_plant(problem, fit, source, sure), None)
 
@@ -175,35 +121,35 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
         own = [k for k, c in enumerate(fit.hypothesis.candidates) if c.key in keys]
         return tuple(_named(found, posterior, fit, k, rivals, relevance) for k in own)
 
+    # A name is not trustworthy alone if more error remains than the names explain.
+    trusted = verdict == "no missing effect" or (verdict == "named" and (complete or explained >= 0.5))
     return Discovery(
-        status=judged.status(explained),
-        verdict=judged.verdict,
-        complete=judged.complete,
+        status=Status.CONVERGED if trusted else Status.INCONCLUSIVE,
+        verdict=verdict,
+        complete=complete,
         effects=effects(fit, [c.key for c in fit.hypothesis.candidates]),
         kinds=sure,
         also_detectable=effects(whole, negligible),
         rivals=tuple(_rival(problem, a) for a in rivals),
-        nominal=_nominal(problem, fit, case.stated),
+        nominal=_nominal(problem, fit, stated),
         gap_before=overall(gaps.windows, "nominal"),
         gap_refitted=overall(gaps.windows, "refitted"),
         gap_after=overall(gaps.windows, "updated"),
         gaps=gaps.windows,
         free_run=gaps.free_run,
         free_run_on=gaps.free_run_on,
-        held_out=case.held_text,
-        plant=case.plant.name,
+        held_out=held_text,
+        plant=problem.plant.name,
         records=names,
         window=problem.records[0].windows.length * problem.records[0].record.dt,
         posterior=_probabilities(posterior),
         search=_entries(found),
         clocks=_clocks(problem, fit),
-        candidates=tuple(dict.fromkeys(c.effect.id for c in case.pool)),
+        candidates=tried,
         structure=structure,
         residual_force=curves,
         missing_force=missing,
-        noise_floor=left.floor,
-        floor_excess=left.excess,
-        remaining_lines=left.lines,
+        remaining_lines=remaining_lines(posterior.weight.places, posterior.weight.left) if posterior.weight else (),
         findings=(*findings, *stages),
         series=gaps.series,
         model=model,
@@ -214,46 +160,29 @@ def answer(case: Case, found: Found, posterior: Posterior, held: Problem) -> Dis
 # --- the verdict -----------------------------------------------------------------------------------------------------
 
 
-def _remainder(case: Case, found: Found, posterior: Posterior, fit: Fit, stages: _Stages) -> _Remainder:
-    """Examine the residual of the best set; lines weaker than `REMARK` leave the answer complete."""
-    force = stages.run("residual force", lambda: left_over(_all_records(found), fit, found.noise), None)
-    lines = stages.run("lines", lambda: remaining_lines(force) if force else (), ())
-    floor, excess = stages.run("noise floor", lambda: _floor_excess(case, found, fit), (None, {}))
-    moving = max((c.scales.force for c in case.pool if force and c.site.name == force.port), default=0.0)
-    remains = any(float(line["amplitude"]) > REMARK * moving for line in lines)
-    remains = remains or any(f > REPEATABLE for f in excess.values())
-    remains = remains or posterior.noise_ratio > tuning.MOST_NOISE or posterior.best.unnamed is not None
-    remains = remains or posterior.random_share > tuning.MOST_RANDOM or not posterior.generalises
-    remains = remains or bool(late_clocks(found.problem, fit))
-    # Without an examination (no motion, a failed stage, records in pieces) the answer is not complete.
-    complete = not remains and force is not None and bool(np.isfinite(posterior.noise_ratio))
-    return _Remainder(bool(remains), complete, force, lines, floor, excess)
+def _remains(problem: Problem, posterior: Posterior, fit: Fit) -> bool:
+    """Return whether more than noise and a small random force remains, or a clock imitates a delay."""
+    clocks = {n.label for n in problem.nuisances if n.input}
+    return (
+        posterior.noise_ratio > tuning.MOST_NOISE
+        or posterior.random_share > tuning.MOST_RANDOM
+        or posterior.best.unnamed is not None
+        or bool(at_limits(problem, fit) & clocks)
+    )
 
 
-def _relevances(found: Found, held: Problem, fit: Fit, keys: Collection[str] | None = None) -> dict[str, Relevance]:
-    """Return the relevance on held-out data of each effect of the set, or of those in ``keys``."""
+def _relevances(found: Found, held: Problem, fit: Fit) -> dict[str, Relevance]:
+    """Return the relevance on held-out data of each effect of the set."""
     problem, known = found.problem, found.problem.records
-    chosen = [(k, c.key) for k, c in enumerate(fit.hypothesis.candidates) if keys is None or c.key in keys]
-    if not chosen:
+    if not fit.hypothesis.candidates:
         return {}
     whole, already = simulated(held, fit, known), at_limits(problem, fit)
     relevance = {}
-    for k, key in chosen:
+    for k, key in enumerate(c.key for c in fit.hypothesis.candidates):
         less = without_effects(problem, fit, {key})
         needed = force_share(problem, fit, k) >= tuning.MATERIAL or bool(at_limits(problem, less) - already)
         relevance[key] = relevance_of(held, whole, simulated(held, less, known), needed)
     return relevance
-
-
-def _negligible_elsewhere(found: Found, held: Problem, kinds: Kinds) -> frozenset[str]:
-    """Return effects that are undecided in sets other than the best one and negligible there."""
-    negligible = set[str]()
-    for candidate in () if kinds.posterior.coarse else kinds.open():
-        if candidate.key not in kinds.posterior.best.key:
-            entry = next(w for w in kinds.posterior.sets if candidate.key in w.key)
-            if not _relevances(found, held, entry.fit, {candidate.key})[candidate.key].material:
-                negligible.add(candidate.key)
-    return frozenset(negligible)
 
 
 def _verdict(found: Found, kinds: Kinds, fit: Fit, remains: bool) -> Verdict:
@@ -270,26 +199,16 @@ def _verdict(found: Found, kinds: Kinds, fit: Fit, remains: bool) -> Verdict:
     return "named" if sure and found.settled and not kinds.open() else "ambiguous"
 
 
-def _doubtful(kinds: Kinds, fit: Fit) -> frozenset[str]:
-    """Return the unsure effects of a best set with a misfit, if other effects of it are sure."""
-    own = fit.hypothesis.candidates
-    if not kinds.posterior.coarse or not any(kinds.sure_kind(c) for c in own):
-        return frozenset()
-    return frozenset(c.key for c in own if c.key not in kinds.ignored and kinds.sure_kind(c) is None)
-
-
-def _on_held_out(judged: _Judgement, gaps: Gaps, beyond: bool) -> _Judgement:
+def _on_held_out(verdict: Verdict, complete: bool, gaps: Gaps, beyond: bool) -> tuple[Verdict, bool]:
+    """Return verdict and completeness after the held-out data, which may refute the named effects."""
     # A refit ``beyond`` its tolerances imitates the effects by its parameters: it refutes them only if its error
     # is smaller by the share `MATERIAL`.
-    if gaps.worse_than_given:
-        return _Judgement("unknown", False)
     updated, refitted = (overall(gaps.windows, model) for model in ("updated", "refitted"))
-    if beyond and updated <= (1.0 + tuning.MATERIAL) * refitted:
-        return judged
-    if gaps.worse:
-        return judged._replace(verdict="unknown", complete=False)
-    further = updated > (1.0 + tuning.AS_LARGE) * refitted
-    return judged._replace(verdict="ambiguous") if further and judged.verdict == "named" else judged
+    imitated = beyond and updated <= (1.0 + tuning.MATERIAL) * refitted
+    if gaps.worse_than_given or (gaps.worse and not imitated):
+        return "unknown", False
+    further = updated > (1.0 + tuning.AS_LARGE) * refitted and not imitated
+    return "ambiguous" if further and verdict == "named" else verdict, complete
 
 
 def _explained(found: Found, fit: Fit) -> float:
@@ -316,50 +235,9 @@ def _explained_on_held_out(gaps: Gaps, noise_ratio: float) -> float:
     return float(np.clip((given - updated) / (given - noise), 0.0, 1.0)) if given > noise else 1.0
 
 
-def _floor_excess(case: Case, found: Found, fit: Fit) -> tuple[NoiseFloor | None, dict[str, float]]:
-    """Return the model-free noise floor of a repeating first record, and F of the updated model's errors against it."""
-    from robustlab.identification.comparison.repeats import noise_floor
-
-    problem, record = found.problem, case.records[0]
-    first = problem.records[0]
-    names = [problem.plant.outputs[k].name for k in first.columns]
-    own = [name for name in names if name in first.record.outputs]
-    try:
-        floor = noise_floor(record, period=case.period, repeats=case.repeats, outputs=own)
-    except NoTrustworthyNumber:
-        return None, {}
-    if floor.source != "periods" or first.record.n != record.n:
-        return floor, {}
-    # Windows at equal phases of every period.
-    per_period = max(1, round(floor.samples / first.windows.length))
-    length = floor.samples // per_period
-    starts = floor.first + (np.arange(floor.count)[:, None] * floor.samples + np.arange(per_period) * length).ravel()
-    windows = Windows(starts.astype(np.int64), length)
-    s = first.smoothed
-    cut = replace(first, windows=windows, x0=s.x[starts].copy(), x0_std=start_std(s, windows))
-    there = problem.on([cut])
-    placed = held_out_fit(there, fit, white(found.noise))
-    errors = cut.measured - simulated_outputs(there, placed)[0]
-    excess = {}
-    for name in own:
-        j = names.index(name)
-        residual = np.full((floor.count, floor.samples), np.nan)
-        residual[:, : per_period * length] = errors[:, :, j].reshape(floor.count, per_period * length)
-        tested = floor.excess(residual)
-        if tested.F is not None:
-            excess[name] = tested.F
-    return floor, excess
-
-
-def _curves(found: Found, fit: Fit) -> ResidualForce | None:
-    left = left_over(_all_records(found), fit, found.noise)
-    return residual_curves(left) if left else None
-
-
-def _all_records(found: Found) -> Problem:
-    """Return the problem over all records, held-out ones included."""
-    problem = found.problem
-    return problem.on([*problem.records, *(r for r in found.held.records if r not in problem.records)])
+def _force(found: Found, fit: Fit) -> ResidualForce | None:
+    weight = weight_of(found, fit)
+    return weight and residual_force(found.problem.plant, weight.places)
 
 
 def _search_findings(found: Found) -> list[Finding]:

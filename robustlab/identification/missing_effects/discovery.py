@@ -30,7 +30,7 @@ from robustlab.identification.greybox.candidates import (
 )
 from robustlab.identification.greybox.effect_fit import Candidate, Clock, Fit, Hypothesis, Nuisance, Problem
 from robustlab.identification.greybox.prepared_record import PreparedRecord, alike, ports_of, prepare, window_length
-from robustlab.identification.missing_effects.answer import Case, answer
+from robustlab.identification.missing_effects.answer import answer
 from robustlab.identification.missing_effects.discovery_result import Discovery
 from robustlab.identification.missing_effects.posterior import weigh
 from robustlab.identification.missing_effects.set_search import clock_nuisances, search_sets
@@ -119,8 +119,6 @@ def discover(
     *,
     tolerances: Mapping[str, float] | None = None,
     window: float | None = None,
-    period: float | None = None,
-    repeats: Sequence[Record] = (),
     exclude: Sequence[str] = (),
     progress: Callable[[str], None] | None = None,
 ) -> Discovery:
@@ -141,8 +139,6 @@ def discover(
         friction 100 %), which the result reports.
     window
         Length of the windows in s (default: a twelfth of the shortest record).
-    period, repeats
-        Period of the excitation in s, or further records with the same input: for a noise floor without a model.
     exclude
         Effect ids to exclude.
     progress
@@ -176,7 +172,7 @@ def discover(
         Finding("unit", name, said, "", f"in {r.name}", False, {})
         for r in (*measured, *kept_out) for name, said in converted(r, signals).items()
     )  # fmt: skip
-    measured, kept_out, repeats = ([with_units(r, signals) for r in rows] for rows in (measured, kept_out, repeats))
+    measured, kept_out = ([with_units(r, signals) for r in rows] for rows in (measured, kept_out))
     measured, kept_out, shifted = _from_datum(known, measured, kept_out)
     findings += shifted
     stated = stated_tolerances(known, tolerances)
@@ -184,14 +180,15 @@ def discover(
     model = ports_of(known, _uniform(measured)[0].record)
     problem, held, held_text = _problems(known, model, measured, kept_out, stated, window)
     pool = [c for c in candidates(known, model, problem.records) if c.effect.id not in left_out]
-    case = Case(known, measured, repeats, period, stated, findings, held_text, pool)
     report = _reporter(progress)
     allowed = admissible(known, stated, problem, held)
     most, held_most = _most_windows(problem)
     few, some = _spread(problem, most), _spread(held, held_most)
     found = search_sets(few, some, pool, allowed, report)
     report(0.0, 0.0, "what remains")
-    result = answer(case, found, weigh(found), held)
+    tried = tuple(dict.fromkeys(c.effect.id for c in pool))
+    names = tuple(r.name for r in measured)
+    result = answer(found, weigh(found), held, names, tried, stated, findings, held_text)
     return replace(result, seconds=time.perf_counter() - began)
 
 

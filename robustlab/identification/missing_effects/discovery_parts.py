@@ -198,22 +198,19 @@ def headline_of(d: Any) -> str:
         worse = overall(d.free_run, "updated") > overall(d.free_run, "nominal")
         change += f"; in {d.whole_run} {_three_errors(d.free_run)}{', worse than as given' if worse else ''}"
     named = _in_a_row(_sure_titles(d))
+    also = "" if d.complete else "; incomplete: something else remains"
     if d.verdict == "no missing effect":
-        error = f"refitted its error on held-out data is {percent(d.gap_after)} of the range"
         hidden = f"; but they do not exclude {_one_of(r.title for r in d.rivals)}" if d.rivals else ""
         shows = "matters" if d.also_detectable else "these records show"
-        return f"{early}{d.plant} lacks no effect that {shows}: {error}{hidden}"
-    also = "" if d.complete else "; incomplete: something else remains"
+        lacks = f"no effect that {shows}: refitted its error on held-out data is {percent(d.gap_after)} of the range"
+        return f"{early}{d.plant} lacks {lacks}{hidden}"
     if d.verdict == "named":
         return f"{early}{d.plant} lacks {named}: {change}{also}"
-    if d.verdict == "ambiguous" and not d.rivals and d.gap_after > d.gap_refitted:
-        worth = "on held-out data no nearer than the refitted model"
-        return f"{early}{d.plant} may lack {named}, which is {worth} ({change}{also})"
-    if d.verdict == "ambiguous" and not d.rivals and len(d.collection) == 1:
-        far = "as far as the search came before its work was used up"
-        return f"{early}{d.plant} lacks {named}, {far} ({change}{also})"
     if d.verdict == "ambiguous":
-        return f"{early}{d.plant} lacks {_choices(d)}: these records cannot tell which ({change}{also})"
+        if not d.rivals and len(d.collection) == 1:
+            return f"{early}{d.plant} may lack {named}, which is not sure ({change}{also})"
+        sets = [_in_a_row(map(_title, (*p.effects, *filter(None, [p.unnamed])))) or "nothing" for p in d.collection]
+        return f"{early}{d.plant} lacks either {_one_of(sets)}: these records cannot tell which ({change}{also})"
     beyond = f" beyond {named}" if d.effects else ""
     return f"{early}{d.plant} lacks something{beyond} that no effect of the catalogue explains ({change})"
 
@@ -257,8 +254,7 @@ def details_of(d: Any) -> list[Part]:
     """Return the evidence, refitted parameters, input holds, next experiment, findings and search as tables."""
     best = sorted(d.search, key=lambda e: -e.evidence)[:SHOWN_SEARCH]
     without = {e.name: percent(e.error_without) if math.isfinite(e.error_without) else "" for e in d.effects}
-    structure = [*((key, f"{v:.4g}" if isinstance(v, float) else str(v)) for key, v in d.structure.items()),
-                 *((f"F against the noise floor, {k}", f"{F:.4g}") for k, F in d.floor_excess.items())]  # fmt: skip
+    structure = [(key, f"{v:.4g}") for key, v in d.structure.items()]
     visited = f"search: {len(d.search)} sets visited, {len(d.candidates)} effects tried"
     return [
         Part("evidence", ("effect", "equation", "log evidence", "held-out error without it"),
@@ -322,18 +318,6 @@ def _three_errors(gaps: Mapping[str, Gap], named: Iterable[NamedEffect] | None =
     return f"{given} of the range as given, {refitted} refitted, {updated} {them}"
 
 
-def _choices(d: Any) -> str:
-    """Return common and differing effects of the sets of the collection: ``A and either B or C``."""
-    sets = [(*p.effects, p.unnamed) if p.unnamed else p.effects for p in d.collection]
-    common = [e for e in (sets[0] if sets else ()) if all(e in other for other in sets)]
-    rest = [[_title(e) for e in own if e not in common] for own in sets]
-    if not any(rest):
-        choices = [_one_of([e.title, *(r.title for r in d.rivals if r.instead_of == e.name)]) for e in d.effects]
-        return _in_a_row(choices)
-    both = _one_of(_in_a_row(own) if own else f"nothing{' more' if common else ''}" for own in rest)
-    return f"{_in_a_row(map(_title, common))}, and either {both}" if common else f"either {both}"
-
-
 def _title(effect: str) -> str:
     """Return the title of ``"coulomb-friction@omega"`` or of an unnamed force."""
     name = effect.partition("@")[0]
@@ -392,7 +376,8 @@ def _remaining(d: Any) -> str:
 
 def _line(line: Mapping[str, Any]) -> str:
     size = _sized(line["amplitude"], line["force_unit"])
-    return f"{size} over {line['over']}, period {_sized(line['period'], line['unit'])} (p {line['p_value']:.2g})"
+    period = _sized(line["period"], line["unit"])
+    return f"{size} over {line['over']}, period {period} (log evidence {line['evidence']:.3g})"
 
 
 def _nominal(p: NominalValue) -> str:

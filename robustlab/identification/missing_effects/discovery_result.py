@@ -34,7 +34,6 @@ from robustlab.result import Evidence, Status
 from robustlab.tables import Table, Tabular
 
 if TYPE_CHECKING:
-    from robustlab.identification.comparison.repeats import NoiseFloor
     from robustlab.identification.data_checks.suitability import Finding
     from robustlab.identification.experiment import NextExperiment
     from robustlab.identification.missing_effects.residual_force import ResidualForce
@@ -99,8 +98,6 @@ class Discovery(Tabular, Evidence):
         Force that the updated and the refitted nominal model lack, over speed, position, time and input; lines in it.
     structure
         ``noise_ratio``: error over noise and random force; ``explained``: share of the mean-square error removed.
-    noise_floor, floor_excess
-        Model-free noise floor of a repeating record, and F of the updated model against it (1: nothing remains).
     series
         Signals of held-out data for figures: ``t``, measured and simulated outputs; ``free_run``.
     """
@@ -133,8 +130,6 @@ class Discovery(Tabular, Evidence):
     next_experiment: NextExperiment | None = None
     residual_force: ResidualForce | None = None
     missing_force: ResidualForce | None = None
-    noise_floor: NoiseFloor | None = None
-    floor_excess: Mapping[str, float] = field(default_factory=dict)
     series: Mapping[str, Any] = field(default_factory=dict)
     model: Any = None
     seconds: float = 0.0

@@ -169,11 +169,6 @@ def at_limits(problem: Problem, fit: Fit) -> frozenset[str]:
     return frozenset(found)
 
 
-def late_clocks(problem: Problem, fit: Fit) -> frozenset[str]:
-    """Return labels of the input clocks that a fit moved beyond their limits: they imitate a time delay."""
-    return at_limits(problem, fit) & {n.label for n in problem.nuisances if n.input}
-
-
 def relevance_of(held: Problem, whole: Simulated, less: Simulated, needed: bool) -> Relevance:
     """Compare ``whole`` with the set ``less`` an effect; ``needed``: relevant whatever the errors."""
     ranges, (windows, runs) = spans(held.records), _measured(held)

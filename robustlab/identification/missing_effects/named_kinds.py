@@ -8,11 +8,9 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq
-from scipy.special import ndtr
 
 from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Site
@@ -23,7 +21,13 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, port_model
 from robustlab.identification import tuning
 from robustlab.identification.greybox.effect_fit import Candidate, Fit, Hypothesis, Problem
-from robustlab.identification.missing_effects.discovery_parts import EffectValue, KindMember, NamedKind, wave_amplitude
+from robustlab.identification.missing_effects.discovery_parts import (
+    INTERVAL,
+    EffectValue,
+    KindMember,
+    NamedKind,
+    wave_amplitude,
+)
 from robustlab.identification.missing_effects.posterior import Posterior, Weighted
 
 MOST_MEMBERS = 4  # that contribute to a class's quantities: smaller shares would change no digit
@@ -173,18 +177,8 @@ def _mixture(name: Quantity, members: Sequence[tuple[float, Mapping[Quantity, Es
         return None
     parts = [(weight / total, t) for weight, t in own]
     mean = sum(weight * t.value for weight, t in parts)
-    low, high = (_quantile(parts, q) for q in (0.025, 0.975))
-    return EffectValue(name, mean, parts[0][1].unit, low, high, MEANINGS[name])
-
-
-def _quantile(parts: Sequence[tuple[float, Estimate]], q: float) -> float:
-    """Return the quantile of a mixture of normal distributions."""
-    weight, value = (np.array(x) for x in zip(*((w, t.value) for w, t in parts), strict=True))
-    std = np.maximum([t.std for _, t in parts], 1e-12 * np.abs(value) + 1e-300)
-    ends = float((value - 9.0 * std).min()), float((value + 9.0 * std).max())
-    close: Any = {"xtol": 1e-300, "rtol": 1e-12}
-    root: Any = brentq(lambda x: float(weight @ ndtr((x - value) / std)) - q, *ends, **close)
-    return float(root)
+    half = INTERVAL * math.sqrt(sum(weight * (t.std**2 + (t.value - mean) ** 2) for weight, t in parts))
+    return EffectValue(name, mean, parts[0][1].unit, mean - half, mean + half, MEANINGS[name])
 
 
 # --- quantities: from the parameters, or from the force f along the records' motion, with speed v and position q ------

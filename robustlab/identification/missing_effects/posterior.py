@@ -7,23 +7,19 @@ Evidence of an effect that the refit distance does not support (below 3) does no
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Site
 from robustlab.identification import tuning
 from robustlab.identification.greybox.effect_fit import Candidate, Fit, Problem, refit_distance
 from robustlab.identification.greybox.noise import (
-    clearly_larger,
     held_out_fit,
     in_phase,
     noise_ratio,
-    white,
-    window_errors,
 )
 from robustlab.identification.greybox.random_force import FittedWindows
 from robustlab.identification.greybox.unnamed_force import (
@@ -34,6 +30,7 @@ from robustlab.identification.greybox.unnamed_force import (
     fitted_windows,
     unnamed_force,
 )
+from robustlab.identification.missing_effects.moves import related
 from robustlab.identification.missing_effects.set_search import Found, Key, Scored
 
 TEMPERATURE = 1.0  # smallest divisor of log evidence: above 1, less sure
@@ -76,25 +73,23 @@ class Alternative:
 class Posterior:
     """Sets of effects, the most probable first."""
 
-    # collection: the smallest with probability `tuning.SURE`, and sets indistinguishable from the best; generalises:
-    # False if every more probable set than the empty one fails on held-out data; left: residual force of the best set
-    # by place; coarse: log evidence is divided because of it.
+    # collection: the smallest with probability `tuning.SURE`, and sets indistinguishable from the best; weight: that of
+    # the best set; coarse: log evidence is divided because of a residual force.
 
     sets: tuple[Weighted, ...]
     collection: tuple[Weighted, ...]
-    generalises: bool
-    left: tuple[Unnamed, ...]
+    weight: Weight | None
     coarse: bool = False
 
     @property
     def noise_ratio(self) -> float:
         """Return the error of the best set over noise and random force, the largest over the places; NaN if unknown."""
-        return max((u.noise_ratio for u in self.left), default=np.nan)
+        return max((u.noise_ratio for u in self.weight.left), default=np.nan) if self.weight else np.nan
 
     @property
     def random_share(self) -> float:
         """Return the best set's random force over the force that moves the port, the largest over the places."""
-        return max((u.random_share for u in self.left), default=np.nan)
+        return max((u.random_share for u in self.weight.left), default=np.nan) if self.weight else np.nan
 
     @property
     def best(self) -> Weighted:
@@ -115,7 +110,7 @@ class Posterior:
 
 
 @dataclass(frozen=True, eq=False)
-class _Weight:
+class Weight:
     """A set over all windows under a random force at each possible place; ``price``: log cost of fitted phases."""
 
     places: tuple[tuple[FittedWindows, Site], ...]
@@ -148,14 +143,14 @@ class _Weight:
 
 def weigh(found: Found) -> Posterior:
     problem = found.problem
-    ordered, generalises = _generalising(found)
+    ordered = [v for v in found.sets if v.allowed]
     # If the error is far beyond the sensor noise, a random force predicts the next sample better than any law: then the
     # simulated windows determine the evidence, and the force only shows whether something remains.
     near = noise_ratio(problem, ordered[0].fit) < tuning.BEYOND_NOISE
     best = [v for v in ordered if ordered[0].evidence - v.evidence < tuning.FAR_BEHIND][:MOST_WEIGHED] if near else []
     best += [v for v in ordered if near and not v.key and v not in best]
     weights = _with_plausible_force(
-        {v.key: weight for v in best if (weight := _weight(found, v)) is not None}, tuning.MOST_RANDOM
+        {v.key: weight for v in best if (weight := weight_of(found, v.fit)) is not None}, tuning.MOST_RANDOM
     )
     evidence = {v.key: v.evidence for v in ordered}
     if ordered[0].key in weights:
@@ -166,6 +161,7 @@ def weigh(found: Found) -> Posterior:
         for v in ordered:
             if v.key in weights:
                 evidence[v.key] = weights[v.key].log_likelihood + v.prior
+    evidence = {v.key: evidence[v.key] + _within(problem, v.fit) for v in ordered}
     forces = _forces(ordered, evidence, weights)
     if near:
         evidence = {key: value + _gain(forces.get(key)) for key, value in evidence.items()}
@@ -179,17 +175,23 @@ def weigh(found: Found) -> Posterior:
         Weighted(v, float(p), evidence[v.key], distance.get(v.key, np.nan), forces.get(v.key))
         for v, p in zip(ordered, share, strict=True)
     ]
-    sets, renamed = _split(found, _without_undecided(problem, weighed, evidence, temperature), evidence)
-    if sets[0].key not in weights and (weight := _weight(found, sets[0].visited)) is not None:
+    sets = sorted(_without_undecided(problem, weighed, evidence, temperature), key=lambda w: -w.probability)
+    if sets[0].key not in weights and (weight := weight_of(found, sets[0].fit)) is not None:
         weights[sets[0].key] = weight
         sets[0] = replace(sets[0], unnamed=weight.force)
-    twins = {key for key, d in distance.items() if d < tuning.CANNOT_TELL} - renamed
+    twins = {key for key, d in distance.items() if d < tuning.CANNOT_TELL}
     collection = tuple(_collected(sets, tuning.SURE, twins))
-    left = weights[sets[0].key].left if sets[0].key in weights else ()
-    return Posterior(tuple(sets), collection, generalises, left, temperature > TEMPERATURE)
+    return Posterior(tuple(sets), collection, weights.get(sets[0].key), temperature > TEMPERATURE)
 
 
-def _temperature(best: Scored, weights: Mapping[Key, _Weight]) -> float:
+def _within(problem: Problem, fit: Fit) -> float:
+    """Return the log probability that the parameters which a fit moved beyond their tolerances lie within them."""
+    # Such a parameter may also be a parameter effect: both sets predict the same, and the tolerance decides.
+    each = zip(problem.nuisances, fit.z.tolist(), fit.std.tolist(), strict=False)
+    return sum(n.log_within(z, std) for n, z, std in each if not n.ends[0] <= z <= n.ends[1])
+
+
+def _temperature(best: Scored, weights: Mapping[Key, Weight]) -> float:
     """Return the divisor of log evidence: that of the residual force over that of a sure effect."""
     # A line over position or time does not count: it cannot come from a wrong form of another effect.
     left = weights[best.key].left if best.key in weights else ()
@@ -198,7 +200,7 @@ def _temperature(best: Scored, weights: Mapping[Key, _Weight]) -> float:
     return max(TEMPERATURE, gain / float(np.log(tuning.SURE / (1.0 - tuning.SURE))))
 
 
-def _with_plausible_force(weights: dict[Key, _Weight], most: float) -> dict[Key, _Weight]:
+def _with_plausible_force(weights: dict[Key, Weight], most: float) -> dict[Key, Weight]:
     """Return the sets whose random force is not larger than ``most``, or all if there are none."""
     # A larger one is not noise: it replaces a missing effect, and predicts the next sample better than any law.
     own = {key: weight for key, weight in weights.items() if weight.random_share < most}
@@ -211,11 +213,11 @@ def _lift(problem: Problem, ordered: Sequence[Scored], evidence: dict[Key, float
     best = ordered[0]
     while True:
         near = [v for v in ordered if v is not best and best.evidence - v.evidence <= tuning.FAR_BEHIND]
-        less = _smaller(best, near)
+        less, exchanged = _one_apart(best, near)
         distance = {best.key: 0.0} | _raise(problem, best, less, evidence)
         ahead = max([best, *less], key=lambda v: evidence[v.key])
         if ahead is best:
-            return distance | _raise(problem, best, _exchanged(best, near)[:MOST_RIVALS], evidence)
+            return distance | _raise(problem, best, exchanged[:MOST_RIVALS], evidence)
         best = ahead
 
 
@@ -225,7 +227,8 @@ def _raise(problem: Problem, best: Scored, others: Sequence[Scored], evidence: d
     for other in others:
         d = distance[other.key]
         if d < tuning.CANNOT_TELL:
-            least = evidence[best.key] - best.prior - 0.5 * d**2 + other.prior
+            change = other.prior + _within(problem, other.fit) - best.prior - _within(problem, best.fit)
+            least = evidence[best.key] - 0.5 * d**2 + change
             evidence[other.key] = max(evidence[other.key], least)
     return distance
 
@@ -257,52 +260,13 @@ def _without_undecided(
     return sorted(kept, key=lambda w: order[w.key])
 
 
-def _split(found: Found, sets: Sequence[Weighted], evidence: Mapping[Key, float]) -> tuple[list[Weighted], set[Key]]:
-    """Split the probability of a set with a parameter beyond tolerance with the set that has it as an effect."""
-    # Both predict the same, and the tolerance is the bound between them; together they stay as probable as before. Also
-    # returns the keys of sets that lost most of their probability.
-    nuisances, renamed = found.problem.nuisances, set[Key]()
-    own = {w.key: w for w in sets}
-    for key in sorted({v.key for v in found.sets}, key=len):
-        entry = own.get(key)
-        if entry is None:
-            continue
-        within, others = 0.0, dict[Key, Scored]()
-        for k, nuisance in enumerate(nuisances):
-            z, std = float(entry.fit.z[k]), float(entry.fit.std[k])
-            low, high = nuisance.ends
-            misjudged = [v for v in found.sets if v.allowed and _misjudges(v, key, nuisance.label)]
-            if misjudged and not low <= z <= high:
-                within = min(within, nuisance.log_within(z, std))
-                others |= {v.key: v for v in misjudged[:1]}
-        if not others:
-            continue
-        ahead = [evidence.get(v.key, v.evidence) - evidence[key] for v in others.values()]
-        log = np.array([within, *ahead])
-        share = np.exp(log - log.max()) / np.exp(log - log.max()).sum()
-        total = entry.probability + sum(own[k].probability for k in others.keys() & own.keys())
-        own[key] = replace(entry, probability=float(share[0]) * total)
-        for part, v in zip(share[1:], others.values(), strict=True):
-            there = own.get(v.key, Weighted(v, 0.0, evidence.get(v.key, v.evidence), np.nan, entry.unnamed))
-            own[v.key] = replace(there, probability=float(part) * total)
-        if share[0] < 0.5:
-            renamed.add(key)
-    return sorted(own.values(), key=lambda w: -w.probability), renamed
-
-
-def _misjudges(visited: Scored, key: Key, label: str) -> bool:
-    """Return whether a set has this key and one effect more, on the parameters of this label."""
-    more = [c.site for c in visited.fit.hypothesis.candidates if c.key not in key]
-    return key < visited.key and len(more) == 1 and more[0].kind == "parameter" and more[0].name == label
-
-
-def _weight(found: Found, visited: Scored) -> _Weight | None:
+def weight_of(found: Found, fit: Fit) -> Weight | None:
     """Evaluate a set under a random force; None with too little motion."""
-    held, price = in_phase(found.held, visited.fit, found.problem.records)
-    both, fit = _all_windows(found, held, visited.fit)
+    held, price = in_phase(found.held, fit, found.problem.records)
+    both, fit = _all_windows(found, held, fit)
     try:
         with np.errstate(all="ignore"):
-            weight = _Weight(fitted_windows(both, fit), price)
+            weight = Weight(fitted_windows(both, fit), price)
     except SINGULAR:
         return None
     return weight if np.isfinite(weight.log_likelihood) else None
@@ -323,7 +287,7 @@ def _all_windows(found: Found, held: Problem, fit: Fit) -> tuple[Problem, Fit]:
 
 
 def _forces(
-    ordered: Sequence[Scored], evidence: Mapping[Key, float], weights: Mapping[Key, _Weight]
+    ordered: Sequence[Scored], evidence: Mapping[Key, float], weights: Mapping[Key, Weight]
 ) -> dict[Key, UnnamedEvidence]:
     """Return the residual force of each set; if the best set has none, only that of the empty one."""
     best = max((v.key for v in ordered), key=evidence.__getitem__)
@@ -338,51 +302,19 @@ def _gain(force: UnnamedEvidence | None) -> float:
     return float(np.logaddexp(np.log1p(-PRIOR), np.log(PRIOR) + min(force.evidence, force.cross_validated)))
 
 
-def _generalising(found: Found) -> tuple[list[Scored], bool]:
-    """Return the allowed sets that do not fail on held-out data, and whether the best set does not fail."""
-    held, plain = found.held, white(found.noise)
-
-    def errors(visited: Scored) -> Array:
-        phased, _ = in_phase(held, visited.fit, found.problem.records)
-        return window_errors(phased, held_out_fit(phased, visited.fit, plain))
-
-    refitted = errors(found.empty)
-    left: list[Scored] = []
-    failed: list[Scored] = []
-    for visited in (v for v in found.sets if v.allowed):
-        judged = visited.key and len(left) < MOST_WEIGHED
-        (failed if judged and clearly_larger(errors(visited), refitted) else left).append(visited)
-    ahead = any(v.evidence > found.empty.evidence for v in failed)
-    return left, not ahead or bool(left[0].key)
-
-
-def _changes(best: Scored, others: Iterable[Scored]) -> Iterator[tuple[Scored, list[Candidate], list[Candidate]]]:
-    """Yield each set with the effects that it lacks of the best, and those that the best lacks."""
+def _one_apart(best: Scored, others: Iterable[Scored]) -> tuple[list[Scored], list[Scored]]:
+    """Return sets with one effect less or refined by one of the best set, and sets with one effect exchanged."""
+    less, exchanged = [], []
     for other in others:
         out = [c for c in best.fit.hypothesis.candidates if c.key not in other.key]
-        yield other, out, [c for c in other.fit.hypothesis.candidates if c.key not in best.key]
-
-
-def _smaller(best: Scored, others: Iterable[Scored]) -> list[Scored]:
-    """Return sets with one effect less, or with the effect that one of them refines in its place."""
-    found = []
-    for other, out, new in _changes(best, others):
-        if len(out) == 1 and all(c.site == out[0].site and c.effect.id == out[0].effect.refines for c in new):
-            found.append(other)
-    return found
-
-
-def _exchanged(best: Scored, others: Iterable[Scored]) -> list[Scored]:
-    """Return sets with one effect replaced by an unrelated one: neither refines the other or a common effect."""
-    found = []
-    for other, out, new in _changes(best, others):
-        if len(out) != 1 or len(new) != 1:
+        new = [c for c in other.fit.hypothesis.candidates if c.key not in best.key]
+        if len(out) != 1 or len(new) > 1:
             continue
-        of_these = new[0].effect.refines in (out[0].effect.id, out[0].effect.refines or "-")
-        plain = new[0].effect.id == out[0].effect.refines
-        if not ((of_these or plain) and new[0].site == out[0].site):
-            found.append(other)
-    return found
+        if all(c.site == out[0].site and c.effect.id == out[0].effect.refines for c in new):
+            less.append(other)
+        elif not related(new[0], out[0]):
+            exchanged.append(other)
+    return less, exchanged
 
 
 def _collected(sets: Sequence[Weighted], sure: float, twins: set[Key]) -> list[Weighted]:

@@ -226,11 +226,11 @@ def test_a_failed_stage_after_the_search_keeps_the_effects(monkeypatch):
     def fails(*_):
         raise NoTrustworthyNumber("the model", "u[552,1] is infinite", "a number")
 
-    monkeypatch.setattr("robustlab.identification.missing_effects.answer.left_over", fails)
+    monkeypatch.setattr("robustlab.identification.missing_effects.answer.updated_plant", fails)
     found = rl.discover(AXIS, machine(friction=20.0, seed=3), exclude=all_but("coulomb-friction"))
     assert found.names == ("coulomb-friction",)
     assert any("not computed" in f.found for f in found.findings if f.kind == "stage")
-    assert not found.complete  # the residual was not examined
+    assert found.model is None
 
 
 def test_a_ripple_over_time_makes_the_answer_incomplete():

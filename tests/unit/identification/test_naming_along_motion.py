@@ -80,14 +80,14 @@ def test_states_and_residual_force_are_estimated_from_the_sensors():
     record = arm_record(5, seconds=2.0)
     u, y = np.column_stack(list(record.inputs.values())), np.column_stack(list(record.outputs.values()))
     heavier = arm_record(5, seconds=2.0, b_2=NOMINAL["b_2"] + 1.0)
-    moved = smooth_motion(arm(), record.t, u, y, (0, 1)).smoothed
+    moved = smooth_motion(arm(), record.t, u, y, (0, 1))[0]
     inner = slice(50, -50)
     speed = np.gradient(
         np.column_stack([arm_record(5, seconds=2.0, noise=0.0)[f"q_{j}"] for j in (1, 2)]), 2e-3, axis=0
     )
     assert np.sqrt(np.mean((moved.x[inner, 1::2] - speed[inner]) ** 2)) < 0.01
     u, y = np.column_stack(list(heavier.inputs.values())), np.column_stack(list(heavier.outputs.values()))
-    pushed = smooth_motion(arm(), heavier.t, u, y, (0, 1)).smoothed
+    pushed = smooth_motion(arm(), heavier.t, u, y, (0, 1))[0]
     slope = np.polyfit(pushed.x[inner, 3], pushed.d[inner, 1], 1)[0]
     assert slope == pytest.approx(-1.0, rel=0.05)  # the force of a damper that the plant lacks
 
@@ -98,7 +98,7 @@ def test_an_unmeasured_state_follows_its_equations_without_derivatives_at_zero()
     u = np.repeat(np.random.default_rng(1).uniform(2.5, 6.0, 12), 50)[:, None]
     run = rl.simulate(tank, t, u, [0.08, 0.08], hold="zoh")
     noisy = run["level"] + 0.01 * np.random.default_rng(2).standard_normal(len(t))
-    moved = smooth_motion(tank, t, u, noisy[:, None], (0,)).smoothed
+    moved = smooth_motion(tank, t, u, noisy[:, None], (0,))[0]
     levels = np.full((len(t), 2), 0.08)
     for k in range(len(t) - 1):
         rate = lambda _, x, k=k: tank.rates_along(x[None], u[k : k + 1])[0]  # noqa: E731

@@ -1,7 +1,6 @@
 """Evidence of a residual force: against dense Gaussian densities, closed forms, and records of a known ripple."""
 
 from dataclasses import dataclass
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,6 +21,7 @@ from robustlab.identification import (
     force_response,
     judged,
     plain_places,
+    residual_force,
     unnamed_force,
 )
 
@@ -73,14 +73,12 @@ class Dense:
         count, points, pulses = self.o.shape
         s = pulses // len(self.forces)
         every = np.concatenate([self.o, self.j, self.x, self.e[:, :, None]], axis=2)
-        record = SimpleNamespace(u=np.zeros((count * s * 5, 1)), record=SimpleNamespace(dt=DT))
-        samples = np.arange(count * s * 5).reshape(count, s * 5)
         response = ForceResponse(
-            np.swapaxes(every, 1, 2) @ every, np.full(count, points), np.arange(s + 1) * 5, samples, self.xi, record,
-            tuple(PortMotion(force) for force in self.forces),
+            np.swapaxes(every, 1, 2) @ every, np.full(count, points), np.arange(s + 1) * 5, self.xi, DT,
+            tuple(PortMotion(force) for force in self.forces), np.zeros(count, dtype=int), np.zeros((count, s * 5)),
+            np.zeros((count, s * 5, 1)), len(self.forces) - 1,
         )  # fmt: skip
-        windows = FittedWindows([response], self.z, SimpleNamespace(records=[record]))
-        return windows.at(len(self.forces) - 1)
+        return FittedWindows(response, self.z)
 
 
 @pytest.fixture(scope="module", params=[(0, (1.0,)), (2, (1.0,)), (2, (1.0, 3.0)), (0, (0.2, 2.0, 1.0))])
@@ -102,7 +100,7 @@ def profiled(e: np.ndarray, covariance: np.ndarray, mean: np.ndarray) -> float:
 
 def test_the_likelihood_of_a_random_force_is_that_of_the_dense_gaussian(dense):
     windows = dense.windows()
-    levels = windows.levels([np.zeros((4, 6, 0))], np.array([0.0, 0.03, 0.3]))
+    levels = windows.levels(np.zeros((4, 6, 0)), np.array([0.0, 0.03, 0.3]))
     assert len(levels) == 1 + len(windows.bandwidths) * 2
     for level in levels:
         covariance, mean = dense.covariance(level.size, level.bandwidth, windows.weight)
@@ -111,16 +109,31 @@ def test_the_likelihood_of_a_random_force_is_that_of_the_dense_gaussian(dense):
         assert level.alone == pytest.approx(profiled(dense.e.ravel(), covariance, mean) + free, rel=1e-8, abs=1e-8)
 
 
+def test_the_force_along_the_windows_is_that_of_the_dense_gaussian(dense):
+    windows = dense.windows()
+    size, f = windows.alone.size or 10.0**-4.5, windows.alone.bandwidth
+    kernel, _ = Dense(np.eye(len(dense.forces) * 6)[None], *(np.zeros((1, 6 * len(dense.forces), 0)),) * 2, np.zeros(
+        (1, 6 * len(dense.forces))), np.zeros((1, 0)), np.zeros(0), dense.forces).covariance(size, f, 1.0)  # fmt: skip
+    kernel = kernel - np.eye(len(kernel))
+    found, std = windows.force_along()
+    for w in range(4):
+        total = np.eye(14) + dense.o[w] @ kernel @ dense.o[w].T + dense.x[w] @ dense.x[w].T / START
+        gain = kernel @ dense.o[w].T @ np.linalg.inv(total)
+        spread = np.diag(kernel - gain @ dense.o[w] @ kernel) * windows.alone.alone_q / windows.points
+        assert found[w] == pytest.approx((gain @ (dense.e[w] + dense.x[w] @ dense.xi[w]))[-6:], rel=1e-5, abs=1e-9)
+        assert std[w] == pytest.approx(np.sqrt(spread[-6:]), rel=1e-5)
+
+
 def test_evidence_and_cross_validation_are_those_of_the_dense_gaussian(dense):
     windows = dense.windows()
     columns = np.random.default_rng(5).normal(size=(4, 6, 3))
-    best = judged(windows, Family("speed", [columns], price=1.5), 1)
+    best = judged(windows, Family("speed", columns, price=1.5), 1, "v")
     e = dense.e.ravel()
 
     def of(level, strength):
         return dense.covariance(level.size, level.bandwidth, windows.weight, columns, strength)
 
-    alone = max(profiled(e, *of(level, 0.0)) for level in [*windows.levels([columns]), windows.alone])
+    alone = max(profiled(e, *of(level, 0.0)) for level in [*windows.levels(columns), windows.alone])
     with_it = profiled(e, *of(best.level, best.strength))
     tried = 8  # strengths of the family: 10^-3.5 to 1 in half decades
     assert best.evidence == pytest.approx(with_it - alone - np.log(tried) - 1.5, abs=1e-7)
@@ -184,7 +197,7 @@ def fitted(record: rl.Record):
 
 def test_the_response_of_a_mass_to_a_pulse_is_the_closed_form():
     problem, fit = fitted(measured(lambda t, q, v: 0.0))
-    response = force_response(problem, fit, plain_places(problem, fit))[0]
+    response = force_response(problem, fit, plain_places(problem, fit))
     record = problem.records[0]
     factors, _ = problem.split(fit.hypothesis, fit.z)
     mass, damping = M * factors["M"], FV * factors["Fv"]
@@ -232,3 +245,10 @@ def test_a_friction_over_speed_is_found():
     best = left_by(problem, fit).forces[0]
     assert best.wins
     assert best.over == "speed"
+    force = residual_force(problem.plant, fitted_windows(problem, fit))
+    curve = force.curves["speed"]
+    assert force.unit == "N"
+    assert curve.share > 0.7
+    # The refitted viscous friction takes a part of it, which is linear in the speed.
+    jump, _ = np.linalg.lstsq(np.column_stack([np.sign(curve.x), curve.x]), curve.value, rcond=None)[0]
+    assert jump == pytest.approx(-3.0, abs=0.5)

@@ -1,16 +1,14 @@
 r"""Design of the next experiment to distinguish candidate models that the present records do not (T-optimality).
 
-The proposed signal has the largest smallest refit distance over all pairs (Atkinson, Fedorov, Biometrika 62, 1975); if
-B contains A, only the richer one is assumed true.
+The proposed signal has the largest smallest refit distance over the pairs of the named candidate and a rival (Atkinson,
+Fedorov, Biometrika 62, 1975). The named one is assumed true, or a rival that contains it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import permutations
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -19,9 +17,7 @@ from robustlab.display import Facts
 from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.identification import tuning
-from robustlab.identification.greybox.disturbance_smoother import SmoothedRecord
 from robustlab.identification.greybox.effect_fit import Fit, FitPlan, NoiseModel, Problem, predicted, refit_distance
-from robustlab.identification.greybox.prepared_record import PreparedRecord
 from robustlab.identification.response.response import slowest_time_constant
 from robustlab.record import Record
 from robustlab.result import Evidence
@@ -34,22 +30,12 @@ MOST_BEATS = 16  # in an experiment
 FEWEST_BEATS = 4
 SAFE = 10.0  # noise sigmas from which an experiment separates safely
 SHORTER_BEATS = (1.0, 0.5, 0.25, 0.125)  # tried if the plant would exceed its travel
-REFITTED_ENTRIES = 5  # of the menu: more find better experiments, each costs fits of all pairs
+REFITTED_ENTRIES = 4  # of the menu: more find better experiments, each costs fits of all pairs
 SIGNALS_EACH = 2  # of these with the same sensors
 REFIT_ITERATIONS = 12  # two nearly equivalent parameters form long valleys
 ASSUMED_NOISE = 1e-3  # of the range, of a new sensor
 SENSOR_WORTH = 0.25  # share of d that a new sensor must bring
 SHORTEST_PERIOD = 4.0  # samples of the fastest sine
-
-
-class Tried(NamedTuple):
-    """One entry of the menu: signal, sensors, duration in s, smallest d by a full or by the linearised refit."""
-
-    name: str
-    sensors: tuple[str, ...]
-    duration: float
-    separation: float
-    refitted: bool
 
 
 @dataclass(frozen=True)
@@ -66,13 +52,11 @@ class NextExperiment(Evidence):
     sensors: tuple[str, ...]  # outputs to record
     added: tuple[str, ...]  # those of them that were not recorded so far
     assumed_noise: Mapping[str, float]  # added sensor -> assumed standard deviation, in its unit
-    # smallest predicted refit distance d over all pairs of candidates, in noise sigmas: below 3 indistinguishable, from
-    # 10 on safe
+    # smallest predicted refit distance d of the named candidate and a rival, in noise sigmas: below 3
+    # indistinguishable, from 10 on safe
     separation: float
-    if_named: float  # the same over the pairs with the named candidate as the truth
-    now: float  # smallest refit distance of the named candidate and a rival for the present records (`refit_distance`)
+    now: float  # the same for the present records (`refit_distance`)
     hypotheses: tuple[str, ...]  # candidates to be separated, the named one first
-    menu: tuple[Tried, ...]  # all tried entries
 
     @property
     def separates(self) -> bool:
@@ -101,18 +85,23 @@ def propose_experiment(problem: Problem, named: Fit, rivals: Sequence[Fit]) -> N
     longest record, or twenty slowest time constants.
     """
     rivals = [r for r in rivals if r.hypothesis.key != named.hypothesis.key]
-    fits = [named, *sorted(rivals, key=lambda f: -f.evidence)[:MOST_OPPONENTS]]
+    rivals = sorted(rivals, key=lambda f: -f.evidence)[:MOST_OPPONENTS]
+    fits, pairs = [named, *rivals], [(r, named) if _contains(r, named) else (named, r) for r in rivals]
     limits = _limits(problem)
     trials = _trials(problem, fits, limits) if rivals else []
     if not trials:
         return None
     noise, assumed = _noise(problem, named.noise, trials)
-    screened = sorted((e for trial in trials for e in _screened(problem, fits, noise, trial, limits)), key=_preference)
-    refitted = _refitted_best(problem, fits, noise, screened)
-    chosen, close = min(refitted, key=lambda found: _preference(found[0]))
-    done = {(e.trial.name, e.sensors): e for e, _ in refitted}
-    menu = sorted((done.get((e.trial.name, e.sensors), e) for e in screened), key=_preference)
-    plant, dt, labels, u = problem.plant, problem.records[0].record.dt, _labels(fits), chosen.trial.u
+    screened = sorted((e for t in trials for e in _screened(problem, pairs, noise, t)), key=_preference)
+    # The linearised refit may be wrong for curved candidates; so not all refitted entries have the same sensors.
+    done: list[_Entry] = []
+    for entry in screened:
+        if sum(entry.sensors == e.sensors for e in done) < SIGNALS_EACH:
+            done.append(_refitted(problem, pairs, noise, entry))
+        if done[-1].separation >= SAFE or len(done) >= REFITTED_ENTRIES:
+            break
+    chosen = min(done, key=_preference)
+    plant, dt, u = problem.plant, problem.records[0].record.dt, chosen.trial.u
     outputs, units = [s.name for s in plant.outputs], {s.name: s.unit for s in (*plant.inputs, *plant.outputs)}
     sensors, added = (tuple(outputs[k] for k in columns) for columns in (chosen.sensors, chosen.added))
     duration = len(u) * dt
@@ -120,13 +109,10 @@ def propose_experiment(problem: Problem, named: Fit, rivals: Sequence[Fit]) -> N
     text += ", ".join(sensors)
     for name in added:
         text += f" ({name} is new: a noise of {assumed[name]:.2g} {units[name]} a sample is assumed)"
-    tried = [
-        Tried(e.trial.name, tuple(outputs[k] for k in e.sensors), duration, e.separation, e.refitted) for e in menu
-    ]
     return NextExperiment(
         chosen.trial.name,
         text,
-        _advice(chosen, [labels[k] for k in close], labels, fits, limits, units),
+        _advice(chosen, fits, limits, units),
         dt * np.arange(len(u), dtype=float),
         {s.name: u[:, k].copy() for k, s in enumerate(plant.inputs)},
         {s.name: s.unit for s in plant.inputs},
@@ -135,10 +121,8 @@ def propose_experiment(problem: Problem, named: Fit, rivals: Sequence[Fit]) -> N
         added,
         {name: assumed[name] for name in added},
         chosen.separation,
-        chosen.named,
-        min(refit_distance(problem, fits[a], fits[b]) for a, b in _ordered(fits) if 0 in (a, b)),
-        labels,
-        tuple(tried),
+        min(refit_distance(problem, *p) for pair in pairs for p in (pair, pair[::-1]) if not _contains(*p[::-1])),
+        _labels(fits),
     )
 
 
@@ -147,13 +131,12 @@ def propose_experiment(problem: Problem, named: Fit, rivals: Sequence[Fit]) -> N
 
 @dataclass(frozen=True)
 class _Limits:
-    """Range of each input, largest travel by index of the state, samples and beat of an experiment, addable outputs."""
+    """Range of each input, largest travel by index of the state, samples and beat of an experiment."""
 
     ranges: Mapping[str, tuple[float, float]]
     travel: Mapping[int, float]
     samples: int
     beat: float
-    addable: tuple[int, ...]
 
 
 def _limits(problem: Problem) -> _Limits:
@@ -174,8 +157,7 @@ def _limits(problem: Problem) -> _Limits:
         for k, (_, unit) in enumerate(plant.states)
         if unit == "m"
     }
-    new = tuple(k for k in range(len(plant.outputs)) if k not in first.columns)
-    return _Limits(ranges, travel, samples, beat, new)
+    return _Limits(ranges, travel, samples, beat)
 
 
 def _menu(lowest: float, highest: float, samples: int, dt: float, beat: float) -> dict[str, Array]:
@@ -201,10 +183,6 @@ def _menu(lowest: float, highest: float, samples: int, dt: float, beat: float) -
     order = np.arange(1, max(2, int(cycle / fastest) + 1), 2)
     phase = -np.pi * np.arange(len(order)) ** 2 / len(order)
     multisine = np.cos(2.0 * np.pi * np.outer(t / cycle, order) + phase).sum(axis=1)
-    block = round(8.0 * beat / dt)
-    parts = (held(0.5, 1, -1, 0.5, -0.5, 0.1, -0.1), 0.3 * triangle(2), 0.08 * triangle(2), 0.03 * sine(0.25))
-    lengths = [round(share * block) for share in (0.375, 0.25, 0.25, 0.125)]
-    rich = np.concatenate([part[: min(n, samples)] for part, n in zip(parts, lengths, strict=True)])
     shapes = {
         "one-way steps": held(1, 0.25, 0.6, 1, 0.4, 0.8),
         "levels both ways": held(1, 1, -1, 0.6, -0.6, 0.3, -0.3, 0.15, -0.15),
@@ -215,7 +193,6 @@ def _menu(lowest: float, highest: float, samples: int, dt: float, beat: float) -
         "small sine": 0.06 * sine(0.5),
         "sine sweep": 0.5 * np.sin(2.0 * np.pi * np.expm1(rate * (t % cycle)) / (rate * sweep[0])),
         "odd multisine": multisine / np.abs(multisine).max(),
-        "rich": np.resize(rich, samples),
     }
     return {name: np.clip(middle + half * shape, lowest, highest) for name, shape in shapes.items()}
 
@@ -235,7 +212,7 @@ class _Trial:
     name: str
     text: str
     u: Array  # (n, n_u)
-    states: tuple[Array, ...]  # of each candidate from zero, (n, n_x)
+    states: dict[Fit, Array]  # of each candidate from zero, (n, n_x)
     outputs: Array  # (n, n_y) of the named candidate
 
 
@@ -263,7 +240,7 @@ def _trials(problem: Problem, fits: Sequence[Fit], limits: _Limits) -> list[_Tri
 def _tried_out(problem: Problem, fits: Sequence[Fit], name: str, text: str, u: Array, limits: _Limits) -> _Trial | None:
     """Simulate each candidate with a signal; None if one diverges or exceeds the travel."""
     dt, n_x = problem.records[0].record.dt, len(problem.plant.states)
-    states, outputs = [], []
+    states, outputs = dict[Fit, Array](), []
     for fit in fits:
         effects = [(c.effect, c.site) for c in fit.hypothesis.candidates]
         factors, values = problem.split(fit.hypothesis, fit.z)
@@ -273,9 +250,9 @@ def _tried_out(problem: Problem, fits: Sequence[Fit], name: str, text: str, u: A
         x = motion.states[0, :, :n_x]
         if not np.isfinite(x).all() or any(np.ptp(x[:, j]) > 1.01 * top for j, top in limits.travel.items()):
             return None
-        states.append(x.copy())
+        states[fit] = x.copy()
         outputs.append(motion.outputs[0])
-    return _Trial(name, text, u, tuple(states), outputs[0])
+    return _Trial(name, text, u, states, outputs[0])
 
 
 def _noise(problem: Problem, present: NoiseModel, trials: Sequence[_Trial]) -> tuple[NoiseModel, dict[str, float]]:
@@ -291,11 +268,9 @@ def _noise(problem: Problem, present: NoiseModel, trials: Sequence[_Trial]) -> t
     return NoiseModel(std, ar), assumed
 
 
-def _predicted(
-    problem: Problem, fits: Sequence[Fit], trial: _Trial, truth: int, columns: Sequence[int], noise: NoiseModel
-) -> Problem:
-    """Set up the experiment as a problem whose measured outputs are those of the candidate ``truth``."""
-    first, fit, x = problem.records[0], fits[truth], trial.states[truth]
+def _predicted(problem: Problem, fit: Fit, trial: _Trial, columns: Sequence[int], noise: NoiseModel) -> Problem:
+    """Set up the experiment as a problem whose measured outputs are those of the candidate ``fit``."""
+    first, x = problem.records[0], trial.states[fit]
     length, n, t = first.windows.length, len(x), first.record.dt * np.arange(len(x), dtype=float)
     _, values = problem.split(fit.hypothesis, fit.z)
     shown, _, _ = problem.sensors([(c.effect, c.site) for c in fit.hypothesis.candidates], values)
@@ -306,18 +281,11 @@ def _predicted(
     parts = np.array([x @ share.get(c, np.zeros((x.shape[1],) * 2)) for c in columns])
     x = x + sum((shown.get(c, 1.0) - 1.0) * part for c, part in zip(columns, parts, strict=True))
     start_std = np.median(np.concatenate([r.x0_std for r in problem.records]), axis=0)
-    known = [r.smoothed for r in problem.records]
-    std = np.median(np.concatenate([s.x_std for s in known]), axis=0)
-    force_std = np.median(np.concatenate([s.d_std for s in known]), axis=0)
-    smoothed = SmoothedRecord(
-        t, x, np.tile(std, (n, 1)), np.broadcast_to(np.diag(std**2), (n, len(std), len(std))).copy(),
-        np.zeros((n, len(force_std))), np.tile(force_std, (n, 1)), np.zeros(len(columns)), known[0].bandwidth,
-        0.0,
-    )  # fmt: skip
-    made = PreparedRecord(
-        record, trial.u, np.zeros((n, len(columns))), tuple(columns), Windows(starts, length), x[starts].copy(),
-        np.tile(start_std, (len(starts), 1)), smoothed, parts, np.zeros_like(parts), first.push, first.thin,
-        np.zeros(len(columns)),
+    made = replace(
+        first, record=record, u=trial.u, y=np.zeros((n, len(columns))), columns=tuple(columns),
+        windows=Windows(starts, length), x0=x[starts].copy(), x0_std=np.tile(start_std, (len(starts), 1)),
+        smoothed=replace(first.smoothed, x=x), told=parts, constant=np.zeros_like(parts),
+        resolution=np.zeros(len(columns)),
     )  # fmt: skip
     there = problem.on([made])
     return predicted(there, _from_rest(fit, there, noise))
@@ -344,106 +312,53 @@ class _Entry:
     trial: _Trial
     sensors: tuple[int, ...]
     added: tuple[int, ...]  # new sensors
-    named: float  # d with the named candidate as the truth
-    separation: float  # d of all pairs
-    refitted: bool = False
+    separation: float
+    close: frozenset[Fit] = frozenset()  # candidates that it does not separate
 
 
-def _preference(entry: _Entry) -> tuple[int, int, float]:
-    """Sort key: safe ones first, then those that are safe if the named candidate is right, then by d; few new sensors.
-
-    A rival may be too weak for any experiment: that must not justify a sensor.
-    """
-    if entry.separation >= SAFE:
-        return 0, len(entry.added), -entry.separation
-    if entry.named >= SAFE:
-        return 1, len(entry.added), -entry.separation
-    return 2, 0, -entry.separation / (1.0 + SENSOR_WORTH * len(entry.added))
+def _preference(entry: _Entry) -> tuple[bool, int, float]:
+    """Sort key: safe ones first, with few new sensors, then by d."""
+    safe = entry.separation >= SAFE
+    worth = 1.0 if safe else 1.0 + SENSOR_WORTH * len(entry.added)
+    return not safe, len(entry.added) if safe else 0, -entry.separation / worth
 
 
-def _screened(problem: Problem, fits: Sequence[Fit], noise: NoiseModel, trial: _Trial, limits: _Limits) -> list[_Entry]:
-    """Evaluate the experiment with the present sensors and with each new one, linearised.
-
-    Only pairs with the named candidate decide; the refits consider all.
-    """
+def _screened(problem: Problem, pairs: Sequence[tuple[Fit, Fit]], noise: NoiseModel, trial: _Trial) -> list[_Entry]:
+    """Evaluate the experiment with the present sensors and with each new one, linearised."""
     present = problem.records[0].columns
-    choices = [(present, ()), *((tuple(sorted((*present, k))), (k,)) for k in limits.addable)]
-    smallest, named = np.full((2, len(choices)), np.inf)
-    for a, b in _ordered(fits):
-        if a and b:
-            continue
-        there = _predicted(problem, fits, trial, a, range(len(problem.plant.outputs)), noise)
-        rival = _from_rest(fits[b], there, noise)
+    new = (k for k in range(len(problem.plant.outputs)) if k not in present)
+    choices = [(present, ()), *((tuple(sorted((*present, k))), (k,)) for k in new)]
+    smallest = np.full(len(choices), np.inf)
+    for true, other in pairs:
+        there = _predicted(problem, true, trial, range(len(problem.plant.outputs)), noise)
+        rival = _from_rest(other, there, noise)
         ((over_z, over_x),) = there.derivatives(rival)
         (left,) = there.whitened(there.errors(rival.hypothesis, rival.z, rival.starts), noise)
         columns = np.concatenate([over_z, over_x, left[:, :, None]], axis=2)
         columns = columns.reshape(len(left), -1, len(noise.std), columns.shape[2])  # (n_windows, points, n_y, .)
         for i, (sensors, _) in enumerate(choices):
-            d = _linearised_distance(columns[:, :, list(sensors)].reshape(len(left), -1, columns.shape[3]), rival.z)
-            smallest[i] = min(smallest[i], d)
-            named[i] = min(named[i], d if a == 0 else np.inf)
-    named = np.where(np.isfinite(named), named, smallest)  # if all rivals contain it
-    return [_Entry(trial, *choices[i], float(named[i]), float(smallest[i])) for i in range(len(choices))]
+            seen = columns[:, :, list(sensors)].reshape(len(left), -1, columns.shape[3])
+            smallest[i] = min(smallest[i], _linearised_distance(seen, rival.z))
+    return [_Entry(trial, *choices[i], float(d)) for i, d in enumerate(smallest)]
 
 
-def _refitted_best(
-    problem: Problem, fits: Sequence[Fit], noise: NoiseModel, screened: Sequence[_Entry]
-) -> list[tuple[_Entry, set[int]]]:
-    """Refit entries up to the first that is safe, and return them with the candidates that each does not separate.
-
-    The linearised refit may be wrong for curved candidates; so not all trials have the same sensors.
-    """
-    done: list[tuple[_Entry, set[int]]] = []
-    for entry in screened:
-        if sum(entry.sensors == e.sensors for e, _ in done) >= SIGNALS_EACH:
-            continue
-        best = max((e.separation for e, _ in done), default=0.0)
-        distances = _refitted(problem, fits, noise, entry, best)
-        smallest = min(distances.values())
-        named = min((d for (a, _), d in distances.items() if a == 0), default=smallest)
-        close = {k for pair, d in distances.items() if d < SAFE for k in pair}
-        done.append((replace(entry, named=named, separation=smallest, refitted=True), close))
-        if smallest >= SAFE or len(done) >= REFITTED_ENTRIES:
-            break
-    return done
-
-
-def _refitted(
-    problem: Problem, fits: Sequence[Fit], noise: NoiseModel, entry: _Entry, best: float
-) -> dict[tuple[int, int], float]:
-    """Compute the distances of the pairs (truth, rival) until one is smaller than that of the best entry so far."""
-    sensors, found, problems = list(entry.sensors), dict[tuple[int, int], float](), {}
+def _refitted(problem: Problem, pairs: Sequence[tuple[Fit, Fit]], noise: NoiseModel, entry: _Entry) -> _Entry:
+    """Return the entry with the distances of full refits."""
+    sensors, distances = list(entry.sensors), []
     own = NoiseModel(noise.std[sensors], noise.ar[:, sensors])
-
-    def distance(a: int, b: int, z: Array) -> float:
-        there = problems[a]
-        rival = _from_rest(fits[b], there, own)
-        cost = there.fit(rival.hypothesis, own, z, rival.starts, FitPlan(REFIT_ITERATIONS)).cost
-        return float(np.sqrt(max(0.0, cost - float(rival.z @ rival.z))))
-
-    for a, b in _ordered(fits):
-        if a not in problems:
-            problems[a] = _predicted(problem, fits, entry.trial, a, entry.sensors, own)
-        found[a, b] = distance(a, b, fits[b].z)
-        if a and found[a, b] < min(best, SAFE):
-            return found
-    # A refit may end in a local minimum; the decisive pair is refitted from another start.
-    a, b = min(found, key=lambda pair: found[pair])
-    known = len(problem.nuisances)
-    again = distance(a, b, np.concatenate([fits[a].z[:known], fits[b].z[known:]]))
-    return {**found, (a, b): min(found[a, b], again)}
+    for true, other in pairs:
+        there = _predicted(problem, true, entry.trial, entry.sensors, own)
+        rival = _from_rest(other, there, own)
+        cost = there.fit(rival.hypothesis, own, rival.z, rival.starts, FitPlan(REFIT_ITERATIONS)).cost
+        distances.append(float(np.sqrt(max(0.0, cost - float(rival.z @ rival.z)))))
+    close = frozenset(fit for pair, d in zip(pairs, distances, strict=True) if d < SAFE for fit in pair)
+    return replace(entry, separation=min(distances), close=close)
 
 
 def _from_rest(fit: Fit, there: Problem, noise: NoiseModel) -> Fit:
     """Return the fit with unchanged window starts on the windows of another problem."""
     n_x = len(there.plant.states)
     return replace(fit, starts=tuple(np.zeros((len(c), n_x)) for c in there.chosen), noise=noise)
-
-
-def _ordered(fits: Sequence[Fit]) -> list[tuple[int, int]]:
-    """Return truth and rival of all pairs, first those with the named one; no rival contains its truth."""
-    pairs = [(a, b) for a, b in permutations(range(len(fits)), 2) if not _contains(fits[b], fits[a])]
-    return sorted(pairs, key=lambda pair: (pair[0] > 0, pair[1] > 0))
 
 
 def _contains(rich: Fit, poor: Fit) -> bool:
@@ -481,27 +396,19 @@ def _labels(fits: Sequence[Fit]) -> tuple[str, ...]:
     return short if len(set(short)) == len(short) else tuple(" + ".join(c.key for c in cs) or "none" for cs in own)
 
 
-def _advice(
-    entry: _Entry, close: Sequence[str], labels: Sequence[str], fits: Sequence[Fit], limits: _Limits,
-    units: Mapping[str, str],
-) -> str:  # fmt: skip
+def _advice(entry: _Entry, fits: Sequence[Fit], limits: _Limits, units: Mapping[str, str]) -> str:
     if entry.separation >= SAFE:
         return ""
     within = ", ".join(
         f"{name} between {lo:.3g} and {hi:.3g} {units[name]}" for name, (lo, hi) in limits.ranges.items()
     )
+    close = {label: f for label, f in zip(_labels(fits), fits, strict=True) if f in entry.close}
     effects = dict.fromkeys(
-        c.effect
-        for label, f in zip(labels, fits, strict=True)
-        if label in close
-        for c in f.hypothesis.candidates
-        if c.effect.id in label
+        c.effect for label, f in close.items() for c in f.hypothesis.candidates if c.effect.id in label
     )
     ways = [f"{effect.id}: {effect.independently}" for effect in effects if effect.independently]
     word = "this may, but need not, separate"
     if entry.separation < tuning.CANNOT_TELL:
         word = "nothing on the menu separates"
-    if entry.named >= SAFE:
-        word = f"if {labels[0]} is right, this will show it ({entry.named:.3g} noise sigmas); else it may not separate"
     text = f"{word} {' and '.join(sorted(close))} with {within}"
     return f"{text}; an independent measurement would ({'; '.join(ways)})" if ways else text
