@@ -14,8 +14,9 @@ from robustlab.budget import Budget, dense
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.mu_analysis.axis.axis_model import typical_speed
 from robustlab.mu_analysis.axis.intervals import AxisCover, Piece, extend, extend_work
-from robustlab.mu_analysis.axis.mode_ascent import ASCENT_REACH, ascended, is_stable_member, member_work, shrunk
-from robustlab.mu_analysis.matrix.box import Box, box_model, centre_matrix, gauge, root_box
+from robustlab.mu_analysis.axis.mode_ascent import REACH, ascended, member_poles, member_size, member_work, shrunk
+from robustlab.mu_analysis.axis.pole_migration import Destabilising
+from robustlab.mu_analysis.matrix.box import Box, block_entries, box_model, centre_matrix, root_box
 from robustlab.mu_analysis.matrix.branch_and_bound import Improved, Region, block_weights
 from robustlab.mu_analysis.matrix.skew import ascend
 from robustlab.mu_analysis.matrix.upper import points_below, points_work
@@ -101,16 +102,17 @@ class MarginProblem(_AxisProblem):
     def attack(self, region: Region, level: float, budget: Budget) -> Improved | None:
         """Ascend from the centre along the mode next to the missed frequency, in a smaller box."""
         values, blocks, aim = region.box.centre, self.blocks, 1j * (region.hot or 0.0)
-        if is_stable_member(self.model, blocks, values):
-            found = ascended(self.model, blocks, values, ASCENT_REACH / level, aim)
+        if (member_poles(self.model, blocks, values).real < 0).all():
+            found = ascended(self.model, blocks, values, REACH / level, aim)
             looks = 1 if found is None else found.looks
             budget.spend(looks * ASCENT_WORK + member_work(self.model, looks))
             if found is None or found.pole.real <= 0:
                 return None
             values = found.values
-        values = shrunk(self.model, blocks, values, budget)
-        size = gauge(blocks, values)
-        return Improved(1 / size, values) if size > 0 else None
+        whole = Destabilising(np.inf, centre_matrix(blocks, values).astype(complex), complex(np.inf))
+        found = shrunk(self.model, blocks, values, whole, budget)
+        size = member_size(blocks, found)
+        return Improved(1 / size, block_entries(blocks, found.delta)) if size > 0 else None
 
 
 class GainProblem(_AxisProblem):
