@@ -9,6 +9,7 @@ Fan, Tits, Doyle (1991); Rump, "Verification of positive definiteness", BIT 46 (
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -37,7 +38,8 @@ def certified_levels(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: Com
     if not M.size:
         return np.zeros(len(M))
     inequality = _Inequality(M, Dw, Dz, G)
-    squares, raised = inequality.squares(), inequality.allowance()
+    squares = inequality.squares()
+    raised = inequality.allowance(np.sqrt(np.maximum(squares, 0.0)))
     zero = ~M.any(axis=(1, 2))
     result = np.where(zero, 0.0, np.inf)
     # beta^2 is raised by the allowance for rounding errors, then in steps of a factor of four.
@@ -87,20 +89,26 @@ class _Inequality:
             result[good] = np.linalg.eigvalsh(relative(self.Dw[good], self.supply[good]))[:, -1]
         return result
 
-    def allowance(self) -> Array:
+    def error(self, beta: Array, which: Any = slice(None)) -> Array:
+        """Bound the rounding error of N(beta) in the 2-norm."""
+        rows = self.bound[which] + beta[:, None] ** 2 * self.d_bound[which]
+        return self.gamma * rows.max(axis=1, initial=0.0)
+
+    def allowance(self, beta: Array) -> Array:
         """Estimate the increase of beta^2 above its level that a proof needs."""
         smallest = np.linalg.eigvalsh(self.Dw)[:, 0]
-        needed = 8 * self.gamma * self.bound.max(axis=1, initial=0.0) + 1e-300
-        return np.where(smallest > 0, needed / np.where(smallest > 0, smallest, 1.0), np.inf)
+        with np.errstate(over="ignore", invalid="ignore"):  # NaN proves nothing
+            traces = np.einsum("kii->k", beta[:, None, None] ** 2 * self.Dw - self.supply).real
+            needed = self.error(beta) + 4 * (self.Dw.shape[1] + 2) * EPS * np.maximum(traces, 0.0)
+            return 2 * needed / np.where(smallest > 0, smallest, np.nan) + 1e-300
 
     def proves(self, beta: Array, which: Indices) -> Mask:
         """Return whether D > 0 and N(beta) >= 0 hold for all rounding errors, for each of these matrices."""
         sure = self.finite[which] & np.isfinite(beta)
         beta = np.where(sure, beta, 0.0)
         n = beta[:, None, None] ** 2 * self.Dw[which] - self.supply[which]
-        rows = self.bound[which] + beta[:, None] ** 2 * self.d_bound[which]
-        error = self.gamma * rows.max(axis=1, initial=0.0)  # of N in the 2-norm
-        return sure & _positive_definite(n, error) & _positive_definite(self.Dw[which], np.zeros(len(beta)))
+        sure &= _positive_definite(n, self.error(beta, which))
+        return sure & _positive_definite(self.Dw[which], np.zeros(len(beta)))
 
 
 def _positive_definite(X: ComplexArray, error: Array) -> Mask:

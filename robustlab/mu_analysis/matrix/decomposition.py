@@ -15,6 +15,8 @@ from robustlab.linear_analysis.magnitude import balancing_factors
 from robustlab.linear_analysis.structural import strong_components
 from robustlab.uncertainty.blocks import Block, block_slices
 
+BALANCING = 15  # steps after LAPACK's
+
 
 @dataclass(frozen=True)
 class Component:
@@ -83,5 +85,12 @@ def balancing_exponents(M: ComplexArray, blocks: Sequence[Block]) -> Array:
 
 def _balancing(norms: Array) -> Array:
     """Return integer exponents e that balance the norms of row i and column i of ``norms_ij 2^(e_i - e_j)``."""
-    exponents = -np.log2(balancing_factors(np.where(np.eye(len(norms), dtype=bool), 0.0, norms)))
-    return exponents - np.round(exponents.mean())
+    if len(norms) < 2:
+        return np.zeros(len(norms))
+    # LAPACK's steps of two end too early for the search of a Delta: balanced further, all rows and columns at once.
+    off = np.where(np.eye(len(norms), dtype=bool), 0.0, norms)
+    e = -np.log2(balancing_factors(off))
+    for _ in range(BALANCING):
+        scaled = off * np.exp2(e[:, None] - e)
+        e += 0.25 * np.log2(scaled.sum(axis=0) / scaled.sum(axis=1))
+    return np.round(e - np.round(e.mean()))

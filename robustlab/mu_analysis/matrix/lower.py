@@ -24,8 +24,8 @@ CHOSEN = 6  # candidates per matrix that are refined to rounding and verified
 WIDER = 3  # ratio of first starts to paths; the best starts are kept
 DESCENDING = 4  # candidates per matrix that descend along the singular set
 ROUNDS = 12  # of this descent
-FEW = 5  # largest number of real blocks alone for which scattered starts are added
-SCATTERED = 48  # number of these starts: without them 2 of 16 random matrices lose more than a quarter
+FEW = 5  # largest number of real blocks alone for which there are twice as many starts, and scattered ones
+SCATTERED = 96  # number of these: without them 2 of 16 random matrices lose more than a quarter
 FARTHEST = 2.0**500  # largest scaling of rows and columns; two such factors must not overflow
 STACK = 4_000_000  # numbers that one stack of paths may hold: memory, not the answer
 OUTSIDE = 1e-9  # share by which a block of a new kind may change a candidate that counts as one of its own
@@ -163,6 +163,8 @@ def _candidates(
     M: ComplexArray, layout: DeltaLayout, seed: int, restarts: int, steps: int
 ) -> tuple[Indices, ComplexArray]:
     """Return Deltas near the structure, most of them singular to rounding, and the matrix (k, p, q) of each."""
+    few = bool(layout.real.all()) and layout.n <= FEW
+    restarts = 2 * restarts if few else restarts
     k, first = len(M), WIDER * restarts
     u, _, vh = np.linalg.svd(M)
     random = np.random.default_rng(seed).standard_normal((2, 1, first, layout.p, 2)) @ np.array([1, 1j])
@@ -175,11 +177,11 @@ def _candidates(
     best = (np.argsort(norm.reshape(k, -1), axis=1)[:, :restarts] + first * np.arange(k)[:, None]).ravel()
     of = np.repeat(np.arange(k), restarts)
     delta, norm = _minimum_norm_paths(M[of], layout, x[best], y[best], 10 + steps // 3, restarts)
-    if layout.real.all() and layout.n <= FEW:
-        # With few real parameters, steps to the corners miss narrow minima.
+    if few:  # steps to the corners miss narrow minima
         size = norm.reshape(k, -1).min(axis=1)
-        values = np.random.default_rng([seed, 3]).uniform(-1, 1, (1, SCATTERED, layout.n))
-        values = (values * np.where(np.isfinite(size), size, 3.0)[:, None, None]).reshape(-1, layout.n) + 0j
+        rng = np.random.default_rng([seed, 3])
+        values = rng.uniform(-1, 1, (1, SCATTERED, layout.n)) * 10 ** rng.uniform(-1, 0, (1, SCATTERED, 1))
+        values = (values * np.where(np.isfinite(size), size, 9.0)[:, None, None]).reshape(-1, layout.n) + 0j
         ones, owner = np.ones((len(values), layout.q), dtype=complex), np.repeat(np.arange(k), SCATTERED)
         more = sharpened(M[owner], layout, layout.deltas(values, ones, ones), steps=8)
         of, delta = np.concatenate([of, owner]), np.concatenate([delta, more])
