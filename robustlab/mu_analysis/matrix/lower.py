@@ -186,14 +186,14 @@ def _candidates(
         more = sharpened(M[owner], layout, layout.deltas(values, ones, ones), steps=8)
         of, delta = np.concatenate([of, owner]), np.concatenate([delta, more])
         norm = np.concatenate([norm, _singular_sizes(M[owner], layout, more, 1e-8)])
-    chosen = _smallest(of, norm, CHOSEN)
+    chosen = smallest(of, norm, CHOSEN)
     of, sharp = of[chosen], sharpened(M[of[chosen]], layout, delta[chosen])
-    best = _smallest(of, _singular_sizes(M[of], layout, sharp, 1e-10), DESCENDING)
+    best = smallest(of, _singular_sizes(M[of], layout, sharp, 1e-10), DESCENDING)
     lower = sharpened(M[of[best]], layout, _descended(M[of[best]], layout, sharp[best]))
     return np.concatenate([of, of[best]]), np.concatenate([sharp, lower])
 
 
-def _smallest(of: Indices, norm: Array, count: int) -> Indices:
+def smallest(of: Indices, norm: Array, count: int) -> Indices:
     """Return the indices of the ``count`` smallest finite norms of each matrix, without most that agree to 1e-6."""
     chosen: list[int] = []
     for k in np.unique(of):
