@@ -36,6 +36,7 @@ LEAST_AXIS_DESCENT = 1e-5  # ... each of which has to lower the norm by this sha
 __all__ = [
     "Destabilising",
     "descended",
+    "directions",
     "first_crossing",
     "perturbed_state_matrix",
     "smallest_destabilising",
@@ -238,7 +239,7 @@ def _migrated(
     layout, rng, nominal = delta_layout(blocks), np.random.default_rng(seed), model.poles()
     upper = nominal[nominal.imag >= 0]
     zero = np.zeros((len(upper), layout.q, layout.p), dtype=complex)
-    pole, _, _, row, x = _by_eigenvalues(model, zero, upper)
+    pole, _, _, row, x = directions(model, zero, upper)
     # The norm at which a typical pole reaches the axis to first order.
     gains = np.maximum(np.abs(layout.gains(row, x)).sum(axis=1), 1e-300)
     size = float(np.median(np.minimum(-pole.real / gains, 1e6)))
@@ -299,7 +300,7 @@ def _migrate(
         try:
             # Poles may meet and leave the real axis in pairs: all eigenvalues are needed to identify the next one.
             if step <= LEADING:
-                pole, u, v, row, x = _by_eigenvalues(model, deltas, poles)
+                pole, u, v, row, x = directions(model, deltas, poles)
             else:
                 pole, u, v, row, x = _by_inverse_iteration(model, deltas, poles, u, v)
         except np.linalg.LinAlgError:
@@ -344,7 +345,7 @@ def descended(model: StateSpaceModel, layout: DeltaLayout, deltas: ComplexArray)
     aims = _rightmost(model, deltas)
     aims = np.where(np.isfinite(aims), aims, 0.0)
     try:
-        pole, u, v, row, x = _by_eigenvalues(model, deltas, aims)
+        pole, u, v, row, x = directions(model, deltas, aims)
         for _ in range(AXIS_ROUNDS):
             now = deltas[going]
             aim = _least_move(layout, now, pole, row, x, goal=np.zeros(len(now)))
@@ -372,7 +373,7 @@ def descended(model: StateSpaceModel, layout: DeltaLayout, deltas: ComplexArray)
 Directions = tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray, ComplexArray]
 
 
-def _by_eigenvalues(model: StateSpaceModel, deltas: ComplexArray, aims: ComplexArray) -> Directions:
+def directions(model: StateSpaceModel, deltas: ComplexArray, aims: ComplexArray) -> Directions:
     """Return the pole next to each aim, its left and right eigenvectors, and row, x with ``d pole = row dDelta x``."""
     a, loop_inverse = _closed(model, deltas)
     if not np.isfinite(a).all():
@@ -389,7 +390,7 @@ def _by_eigenvalues(model: StateSpaceModel, deltas: ComplexArray, aims: ComplexA
 def _by_inverse_iteration(
     model: StateSpaceModel, deltas: ComplexArray, aims: ComplexArray, u: ComplexArray, v: ComplexArray
 ) -> Directions:
-    """As `_by_eigenvalues`, by two steps from the former eigenvectors u, v: a tenth of the work."""
+    """As `directions`, by two steps from the former eigenvectors u, v: a tenth of the work."""
     a, loop_inverse = _closed(model, deltas)
     if not np.isfinite(a).all():
         raise np.linalg.LinAlgError("ill-posed")

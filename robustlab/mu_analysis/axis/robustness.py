@@ -31,8 +31,8 @@ from robustlab.mu_analysis.axis.margin import PERFORMANCE, Margin, PerformanceMa
 from robustlab.mu_analysis.axis.mode_ascent import member_size, smaller_destabilising
 from robustlab.mu_analysis.axis.pole_migration import (
     Destabilising,
+    directions,
     first_crossing,
-    perturbed_state_matrix,
     smallest_destabilising,
 )
 from robustlab.mu_analysis.constants import SINGULAR, WORK
@@ -392,25 +392,18 @@ class _Stability(_Search):
         """Return the share of each block in the margin, summing to one; empty where the margin has no derivative."""
         # Let block i be s_i times as large. The parts c_i = row_i Delta_i x_i of the derivative of the pole that
         # crosses give, by the envelope theorem, d log m / d log s_i = - Re c_i / sum_j Re c_j.
-        model, worst = self.model, self.worst
-        if worst is None or not np.isfinite(worst.pole) or not model.n_states:
+        if self.worst is None or not np.isfinite(self.worst.pole) or not self.model.n_states:
             return {}
-        a = perturbed_state_matrix(model, worst.delta)
+        delta = self.worst.delta[None]
         try:
-            (left, u), (right, v) = np.linalg.eig(a.T), np.linalg.eig(a)
-            u, v = u[:, np.abs(left - worst.pole).argmin()], v[:, np.abs(right - worst.pole).argmin()]
-            x = np.linalg.solve(np.eye(model.n_outputs) - model.D @ worst.delta, model.C @ v)
-            row = np.linalg.solve((np.eye(model.n_inputs) - worst.delta @ model.D).T, u @ model.B)
+            _, left, _, row, x = directions(self.model, delta, np.array([self.worst.pole]))
         except np.linalg.LinAlgError:
             return {}
-        inner = complex(u @ v)
-        if abs(inner) < 1e-10:  # the pole is not simple
-            return {}
-        parts = delta_layout(self.blocks).contributions(worst.delta[None], row[None] / inner, x[None])[0].real
+        parts = delta_layout(self.blocks).contributions(delta, row, x)[0].real
         with np.errstate(divide="ignore", invalid="ignore"):
             shares = parts / parts.sum()
-        # Parts that cancel to rounding carry no information.
-        if not np.isfinite(shares).all() or np.abs(shares).sum() > 1e9:
+        # Parts that cancel to rounding carry no information, nor does a pole that is not simple.
+        if not np.isfinite(shares).all() or np.abs(shares).sum() > 1e9 or np.linalg.norm(left) > 1e10:
             return {}
         return {b.name: float(share) for b, share in zip(self.blocks, shares, strict=True)}
 
