@@ -62,11 +62,13 @@ def replay(uncertain: UncertainModel, margin: Margin, periods: int = 12, points:
         found = f"frequency {margin.frequency}, {periods} periods, {points} points"
         raise NoTrustworthyNumber("replay", f"{found}: a loop that is ill-posed, or too short a record, shows nothing")
 
+    omega, nominal = float(margin.frequency), uncertain.nominal
+
     def member(factor: float) -> StateSpaceModel:
         values = {name: factor * value for name, value in margin.delta.items()}
         return uncertain.evaluate(realise_delta(uncertain.blocks, values, omega, uncertain.dt))
 
-    omega, critical, nominal = float(margin.frequency), member(1.0), uncertain.nominal
+    critical = member(1.0)
     poles, right = np.linalg.eig(critical.A)
     aim = margin.pole if margin.pole is not None else 1j * omega
     k = int(np.argmin(np.minimum(np.abs(poles - aim), np.abs(np.conj(poles) - aim))))
