@@ -59,43 +59,16 @@ class AxisCover:
 
     pieces: list[Piece] = field(default_factory=list)
     open: list[tuple[float, float]] = field(default_factory=lambda: [(0.0, float("inf"))])
-    beta: float = 0.0
-    points: int = 0
+
+    @property
+    def beta(self) -> float:
+        """Largest proved level."""
+        return max((piece.beta for piece in self.pieces), default=0.0)
 
     def add(self, piece: Piece) -> None:
         """Remove the inside of a proved interval from the open ones."""
         self.pieces.append(piece)
-        self.beta = max(self.beta, piece.beta)
-        rest: list[tuple[float, float]] = []
-        for low, high in self.open:
-            if piece.high <= low or piece.low >= high:
-                rest.append((low, high))
-                continue
-            if piece.low > low:
-                rest.append((low, piece.low))
-            if piece.high < high:
-                rest.append((piece.high, high))
-        self.open = rest
-
-    def grow(
-        self,
-        model: StateSpaceModel,
-        omega: Array,
-        bounds: Sequence[UpperBound],
-        beta: float,
-        budget: Budget,
-        level: float | None = None,
-    ) -> bool:
-        """Extend the bound at each frequency to an interval and add it; return False if the budget is used up."""
-        self.points += len(omega)
-        for w, bound in zip(omega, bounds, strict=True):
-            if budget.over:  # an interval with 70 blocks takes seconds
-                return False
-            piece = extend(model, bound, beta, float(w))
-            budget.spend(extend_work(model))
-            if piece is not None:
-                self.add(piece if level is None else replace(piece, beta=level))
-        return True
+        self.open = remaining(self.open, piece.low, piece.high)
 
     def open_share(self, scale: float) -> float:
         """Return the open part of the axis as an angle: the sum of differences of ``atan(omega / scale)``."""
@@ -111,7 +84,7 @@ class AxisCover:
             del pending[:count]
             if chosen:
                 return np.array(chosen)
-        return self.next_points(scale, count)
+        return next_points(self.open, scale, count)
 
     def reported(
         self, uncertain: UncertainModel, level: float
@@ -121,20 +94,23 @@ class AxisCover:
         pieces = tuple((at(p.low), at(p.high), min(p.beta, level)) for p in self.pieces)
         return pieces, tuple((at(low), at(high)) for low, high in self.open)
 
-    def next_points(self, scale: float, count: int) -> Array:
-        """Return a frequency inside each open interval, the widest (in decades) first, at most ``count``."""
-        found = []
-        for low, high in self.open:
-            if low <= 0 and high == np.inf:
-                point, width = scale, np.inf
-            elif low <= 0:
-                point, width = 0.3 * high, np.inf
-            elif high == np.inf:
-                point, width = 3 * low, np.inf
-            else:
-                point, width = float(np.sqrt(low * high)), float(np.log(high / low))
-            found.append((-width, point))
-        return np.array([point for _, point in sorted(found)[:count]])
+
+def remaining(intervals: Sequence[tuple[float, float]], low: float, high: float) -> list[tuple[float, float]]:
+    """Return the intervals without what is between ``low`` and ``high``."""
+    parts = [part for a, b in intervals for part in ((a, min(b, low)), (max(a, high), b))]
+    return [(a, b) for a, b in parts if a < b]
+
+
+def next_points(intervals: Sequence[tuple[float, float]], scale: float, count: int) -> Array:
+    """Return a frequency inside each interval, the widest (in decades) first, at most ``count``."""
+    found = []
+    for low, high in intervals:
+        if low <= 0 or high == np.inf:
+            point = 0.3 * high if high < np.inf else 3 * low if low > 0 else scale
+            found.append((-np.inf, point))
+        else:
+            found.append((-float(np.log(high / low)), float(np.sqrt(low) * np.sqrt(high))))
+    return np.array([point for _, point in sorted(found)[:count]])
 
 
 def cover_axis(
@@ -164,7 +140,7 @@ def cover_axis(
             # A bound below its target was stopped early and does not limit the level.
             missed = [b.beta for b in bounds if target < b.beta < np.inf]
             level = max(level, max(missed, default=0.0) * (1 + step), least)
-            grown = cover.grow(model, omega, bounds, level, budget)
+            scaled, beta = model, level
         else:
             level, target = max(level, least), 1 / (1 + accuracy / 2)
             bounds = points_below(divided(response, varying, level), blocks, target)
@@ -180,9 +156,14 @@ def cover_axis(
                 for k, bound in zip(over, again, strict=True):
                     bounds[k] = bound
             B, D = divided(model.B, varying, level), divided(model.D, varying, level)
-            grown = cover.grow(StateSpaceModel(model.A, B, model.C, D), omega, bounds, 1.0, budget, level)
-        if not grown:
-            break
+            scaled, beta = StateSpaceModel(model.A, B, model.C, D), 1.0
+        for w, bound in zip(omega, bounds, strict=True):
+            if budget.over:  # an interval with 70 blocks takes seconds
+                return cover
+            piece = extend(scaled, bound, beta, float(w))
+            budget.spend(extend_work(model))
+            if piece is not None:
+                cover.add(replace(piece, beta=level))
         if fresh and cover.open_share(scale) > SLOW_PROGRESS * before:
             step *= 2
             level *= 1 + step
@@ -201,7 +182,6 @@ def cover_parts(
         cover = cover_axis(part, some, beta, first=first, budget=budget, accuracy=accuracy)
         whole.pieces += [replace(piece, members=tuple(int(i) for i in members)) for piece in cover.pieces]
         whole.open += cover.open
-        whole.beta, whole.points = max(whole.beta, cover.beta), whole.points + cover.points
     return whole
 
 

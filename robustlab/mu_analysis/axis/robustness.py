@@ -262,7 +262,7 @@ class _Stability(_Search):
         q, p = model.n_inputs, model.n_outputs
         scalings = UpperBound(norm.upper, np.eye(q) + 0j, np.eye(p) + 0j, np.zeros((q, p), dtype=complex))
         self.level, self.proof = norm.upper, (Piece(0.0, np.inf, norm.upper, scalings),)
-        self.cover = AxisCover(list(self.proof), [], norm.upper, 1)
+        self.cover = AxisCover(list(self.proof), [])
         if norm.lower > 0:  # prefer an end of the axis, where M is real, if the peak is as high there
             for omega in (0.0, np.inf, norm.frequency):
                 u, sigma, vh = np.linalg.svd(frequency_response(model, [omega])[0])
@@ -340,7 +340,7 @@ class _Stability(_Search):
                 self.level, self.proof = 1 / size, tuple(cover.pieces)
                 # Inside the box the level is one; for the set it is one over the size of the box.
                 pieces = [replace(p, beta=self.level) for p in cover.pieces]
-                self.cover = AxisCover(pieces, [], self.level, cover.points)
+                self.cover = AxisCover(pieces, [])
             else:
                 failed = size
                 size /= level
