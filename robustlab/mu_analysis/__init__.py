@@ -20,7 +20,7 @@ __all__ = [
 _MORE = {  # loaded on first use
     "replay": "axis.critical_delta", "COVER_FORMS": "margins.cover",
     "gain_and_phase": "margins.disk_margin", "delta_norm": "matrix.certificate",
-    "level": "matrix.certificate", "proves": "matrix.certificate", "smallest_step": "matrix.lower",
+    "proves": "matrix.certificate", "smallest_step": "matrix.lower",
 }  # fmt: skip
 
 

@@ -154,7 +154,7 @@ def worst_case_gain(
         "omega": _grid(kept, drawn), "tolerance": tolerance, **search.options
     }  # fmt: skip
     found: Any = rl.peak_gain(kept, frequency=frequency, seed=seed, **options)
-    return InLoop(found, words, (), {}, (found.proved(),) if intervals else ())
+    return InLoop(found, words, (), {}, (found.proved_intervals(),) if intervals else ())
 
 
 @operation("performance-margin", "performance-margin", result="mu_analysis.axis.margin.PerformanceMargin")

@@ -13,9 +13,10 @@ from robustlab.arrays import Array
 from robustlab.budget import Budget, dense
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.mu_analysis.axis.axis_model import typical_speed
-from robustlab.mu_analysis.axis.intervals import AxisCover, Piece, extend, extend_work
-from robustlab.mu_analysis.axis.mode_ascent import ASCENT_REACH, ascended, is_stable_member, member_work, shrunk
-from robustlab.mu_analysis.matrix.box import Box, box_model, centre_matrix, gauge, root_box
+from robustlab.mu_analysis.axis.intervals import Piece, extend, extend_work, next_points, remaining
+from robustlab.mu_analysis.axis.mode_ascent import REACH, ascended, member_poles, member_size, member_work, shrunk
+from robustlab.mu_analysis.axis.pole_migration import Destabilising
+from robustlab.mu_analysis.matrix.box import Box, block_entries, box_model, centre_matrix, root_box
 from robustlab.mu_analysis.matrix.branch_and_bound import Improved, Region, block_weights
 from robustlab.mu_analysis.matrix.skew import ascend
 from robustlab.mu_analysis.matrix.upper import points_below, points_work
@@ -60,10 +61,8 @@ class _AxisProblem:
             region, result[k] = regions[k], None
             piece = extend(model, bound, 1.0, places[k]) if bound.beta < PROVED else None
             if piece is not None and piece.low <= places[k] <= piece.high:
-                cover = AxisCover(open=region.open)
-                cover.add(piece)
                 self.proved.append((region.box, piece))
-                region.open, region.in_a_row = cover.open, 0
+                region.open, region.in_a_row = remaining(region.open, piece.low, piece.high), 0
             else:
                 region.missed.append((bound.beta, places[k], block_weights(M, bound, self.blocks)))
                 region.in_a_row += 1
@@ -73,22 +72,16 @@ class _AxisProblem:
 
     def _open_parts(self, region: Region) -> list[tuple[float, float]]:
         """Return the open frequencies that are not next to a missed one."""
-        cover = AxisCover(open=region.open)
+        near, left = np.exp(NEAR_MISS), region.open
         for _, omega, _ in region.missed:
-            near = np.exp(NEAR_MISS)
-            cover.open = [
-                part
-                for low, high in cover.open
-                for part in ([(low, omega / near), (omega * near, high)] if low <= omega <= high else [(low, high)])
-                if part[0] < part[1]
-            ]
-        return cover.open
+            left = remaining(left, omega / near, omega * near)
+        return left
 
     def _frequency(self, region: Region) -> float:
         """Return the frequency missed in the parent first, then the middle of the widest part."""
         if not region.missed and region.hot is not None and any(a <= region.hot <= b for a, b in region.open):
             return region.hot
-        return float(AxisCover(open=self._open_parts(region)).next_points(self.scale, 1)[0])
+        return float(next_points(self._open_parts(region), self.scale, 1)[0])
 
 
 class MarginProblem(_AxisProblem):
@@ -101,16 +94,17 @@ class MarginProblem(_AxisProblem):
     def attack(self, region: Region, level: float, budget: Budget) -> Improved | None:
         """Ascend from the centre along the mode next to the missed frequency, in a smaller box."""
         values, blocks, aim = region.box.centre, self.blocks, 1j * (region.hot or 0.0)
-        if is_stable_member(self.model, blocks, values):
-            found = ascended(self.model, blocks, values, ASCENT_REACH / level, aim)
+        if (member_poles(self.model, blocks, values).real < 0).all():
+            found = ascended(self.model, blocks, values, REACH / level, aim)
             looks = 1 if found is None else found.looks
             budget.spend(looks * ASCENT_WORK + member_work(self.model, looks))
             if found is None or found.pole.real <= 0:
                 return None
             values = found.values
-        values = shrunk(self.model, blocks, values, budget)
-        size = gauge(blocks, values)
-        return Improved(1 / size, values) if size > 0 else None
+        whole = Destabilising(np.inf, centre_matrix(blocks, values).astype(complex), complex(np.inf))
+        found = shrunk(self.model, blocks, values, whole, budget)
+        size = member_size(blocks, found)
+        return Improved(1 / size, block_entries(blocks, found.delta)) if size > 0 else None
 
 
 class GainProblem(_AxisProblem):

@@ -61,39 +61,37 @@ def replay(uncertain: UncertainModel, margin: Margin, periods: int = 12, points:
     if not np.isfinite(margin.frequency) or periods < 2 or points < 4:
         found = f"frequency {margin.frequency}, {periods} periods, {points} points"
         raise NoTrustworthyNumber("replay", f"{found}: a loop that is ill-posed, or too short a record, shows nothing")
-    critical = _member(uncertain, margin, 1.0)
+
+    omega, nominal = float(margin.frequency), uncertain.nominal
+
+    def member(factor: float) -> StateSpaceModel:
+        values = {name: factor * value for name, value in margin.delta.items()}
+        return uncertain.evaluate(realise_delta(uncertain.blocks, values, omega, uncertain.dt))
+
+    critical = member(1.0)
     poles, right = np.linalg.eig(critical.A)
-    aim = margin.pole if margin.pole is not None else 1j * margin.frequency
+    aim = margin.pole if margin.pole is not None else 1j * omega
     k = int(np.argmin(np.minimum(np.abs(poles - aim), np.abs(np.conj(poles) - aim))))
     mode = right[:, k]
     x0 = np.real(mode) if np.abs(np.real(mode)).max() > 1e-3 else np.imag(mode)
-    period = 2 * np.pi / margin.frequency if margin.frequency > 0 else _slowest(uncertain.nominal)
+    period = 2 * np.pi / omega if omega > 0 else _slowest(nominal)
     t = np.linspace(0.0, periods * period, periods * points + 1)
     if uncertain.dt:
         t = np.arange(max(round(periods * period / uncertain.dt), 2) + 1) * uncertain.dt
     response = _free(critical, x0, t)
-    size = float(np.abs(response[t < period]).max(initial=0.0))
-    if not size > 1e-12 * float(np.abs(x0).max()):
+    first = float(np.abs(response[t < period]).max(initial=0.0))
+    if not first > 1e-12 * float(np.abs(x0).max()):
         raise NoTrustworthyNumber("replay", "the critical mode does not show at any output")
-    x0 = x0 / size
-    response = response / size
-    last = np.abs(response[t >= t[-1] - period]).max()
+    x0 = x0 / first
     return CriticalResponse(
         t=t,
         outputs=uncertain.outputs,
-        nominal=_free(uncertain.nominal, x0[: uncertain.M.n_states], t),
-        inside=_free(_member(uncertain, margin, INSIDE), x0, t),
-        critical=response,
-        growth=float(last / np.abs(response[t < period]).max()),
+        nominal=_free(nominal, x0[: uncertain.M.n_states], t),
+        inside=_free(member(INSIDE), x0, t),
+        critical=response / first,
+        growth=float(np.abs(response[t >= t[-1] - period]).max() / first),
         period=float(period),
     )
-
-
-def _member(uncertain: UncertainModel, margin: Margin, factor: float) -> StateSpaceModel:
-    values = {name: factor * value for name, value in margin.delta.items()}
-    frequency = margin.frequency
-    assert frequency is not None
-    return uncertain.evaluate(realise_delta(uncertain.blocks, values, frequency, uncertain.dt))
 
 
 def _slowest(nominal: StateSpaceModel) -> float:

@@ -7,7 +7,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -59,43 +59,16 @@ class AxisCover:
 
     pieces: list[Piece] = field(default_factory=list)
     open: list[tuple[float, float]] = field(default_factory=lambda: [(0.0, float("inf"))])
-    beta: float = 0.0
-    points: int = 0
+
+    @property
+    def beta(self) -> float:
+        """Largest proved level."""
+        return max((piece.beta for piece in self.pieces), default=0.0)
 
     def add(self, piece: Piece) -> None:
         """Remove the inside of a proved interval from the open ones."""
         self.pieces.append(piece)
-        self.beta = max(self.beta, piece.beta)
-        rest: list[tuple[float, float]] = []
-        for low, high in self.open:
-            if piece.high <= low or piece.low >= high:
-                rest.append((low, high))
-                continue
-            if piece.low > low:
-                rest.append((low, piece.low))
-            if piece.high < high:
-                rest.append((piece.high, high))
-        self.open = rest
-
-    def grow(
-        self,
-        model: StateSpaceModel,
-        omega: Array,
-        bounds: Sequence[UpperBound],
-        beta: float,
-        budget: Budget,
-        level: float | None = None,
-    ) -> bool:
-        """Extend the bound at each frequency to an interval and add it; return False if the budget is used up."""
-        self.points += len(omega)
-        for w, bound in zip(omega, bounds, strict=True):
-            if budget.over:  # an interval with 70 blocks takes seconds
-                return False
-            piece = extend(model, bound, beta, float(w))
-            budget.spend(extend_work(model))
-            if piece is not None:
-                self.add(piece if level is None else replace(piece, beta=level))
-        return True
+        self.open = remaining(self.open, piece.low, piece.high)
 
     def open_share(self, scale: float) -> float:
         """Return the open part of the axis as an angle: the sum of differences of ``atan(omega / scale)``."""
@@ -111,7 +84,7 @@ class AxisCover:
             del pending[:count]
             if chosen:
                 return np.array(chosen)
-        return self.next_points(scale, count)
+        return next_points(self.open, scale, count)
 
     def reported(
         self, uncertain: UncertainModel, level: float
@@ -121,20 +94,23 @@ class AxisCover:
         pieces = tuple((at(p.low), at(p.high), min(p.beta, level)) for p in self.pieces)
         return pieces, tuple((at(low), at(high)) for low, high in self.open)
 
-    def next_points(self, scale: float, count: int) -> Array:
-        """Return a frequency inside each open interval, the widest (in decades) first, at most ``count``."""
-        found = []
-        for low, high in self.open:
-            if low <= 0 and high == np.inf:
-                point, width = scale, np.inf
-            elif low <= 0:
-                point, width = 0.3 * high, np.inf
-            elif high == np.inf:
-                point, width = 3 * low, np.inf
-            else:
-                point, width = float(np.sqrt(low * high)), float(np.log(high / low))
-            found.append((-width, point))
-        return np.array([point for _, point in sorted(found)[:count]])
+
+def remaining(intervals: Sequence[tuple[float, float]], low: float, high: float) -> list[tuple[float, float]]:
+    """Return the intervals without what is between ``low`` and ``high``."""
+    parts = [part for a, b in intervals for part in ((a, min(b, low)), (max(a, high), b))]
+    return [(a, b) for a, b in parts if a < b]
+
+
+def next_points(intervals: Sequence[tuple[float, float]], scale: float, count: int) -> Array:
+    """Return a frequency inside each interval, the widest (in decades) first, at most ``count``."""
+    found = []
+    for low, high in intervals:
+        if low <= 0 or high == np.inf:
+            point = 0.3 * high if high < np.inf else 3 * low if low > 0 else scale
+            found.append((-np.inf, point))
+        else:
+            found.append((-float(np.log(high / low)), float(np.sqrt(low) * np.sqrt(high))))
+    return np.array([point for _, point in sorted(found)[:count]])
 
 
 def cover_axis(
@@ -164,7 +140,7 @@ def cover_axis(
             # A bound below its target was stopped early and does not limit the level.
             missed = [b.beta for b in bounds if target < b.beta < np.inf]
             level = max(level, max(missed, default=0.0) * (1 + step), least)
-            grown = cover.grow(model, omega, bounds, level, budget)
+            scaled, beta = model, level
         else:
             level, target = max(level, least), 1 / (1 + accuracy / 2)
             bounds = points_below(divided(response, varying, level), blocks, target)
@@ -180,9 +156,14 @@ def cover_axis(
                 for k, bound in zip(over, again, strict=True):
                     bounds[k] = bound
             B, D = divided(model.B, varying, level), divided(model.D, varying, level)
-            grown = cover.grow(StateSpaceModel(model.A, B, model.C, D), omega, bounds, 1.0, budget, level)
-        if not grown:
-            break
+            scaled, beta = StateSpaceModel(model.A, B, model.C, D), 1.0
+        for w, bound in zip(omega, bounds, strict=True):
+            if budget.over:  # an interval with 70 blocks takes seconds
+                return cover
+            piece = extend(scaled, bound, beta, float(w))
+            budget.spend(extend_work(model))
+            if piece is not None:
+                cover.add(replace(piece, beta=level))
         if fresh and cover.open_share(scale) > SLOW_PROGRESS * before:
             step *= 2
             level *= 1 + step
@@ -201,7 +182,6 @@ def cover_parts(
         cover = cover_axis(part, some, beta, first=first, budget=budget, accuracy=accuracy)
         whole.pieces += [replace(piece, members=tuple(int(i) for i in members)) for piece in cover.pieces]
         whole.open += cover.open
-        whole.beta, whole.points = max(whole.beta, cover.beta), whole.points + cover.points
     return whole
 
 
@@ -219,73 +199,53 @@ def extend(model: StateSpaceModel, bound: UpperBound, beta: float, omega: float)
     candidates = _candidates(model, bound, stricter)
     if candidates is None:
         return None
-    # The sign is constant on each segment between neighbouring ends, if the candidates are right.
+    # The sign is constant on each segment between neighbouring ends, if the candidates are right: ends and middles of
+    # segments are tested outwards. At a candidate the stricter level is attained: if the sign is wrong there, rounding
+    # has moved it.
     ends = np.concatenate([[0.0], np.unique(candidates[candidates > 0])])
-    middles = np.append((ends[1:] + ends[:-1]) / 2, 2 * ends[-1] + _speed(model))
-    ends = np.append(ends, np.inf)
-    tested = (stricter + beta) / 2
-    own = int(np.clip(np.searchsorted(ends, omega, side="right") - 1, 0, len(middles) - 1))
-    if not _negative(model, bound, tested, np.array([omega, middles[own]])).all():
+    points = np.append(np.repeat(ends, 2), np.inf)
+    points[1::2] = np.append((ends[1:] + ends[:-1]) / 2, 2 * ends[-1] + _speed(model))
+    own = 2 * int(np.searchsorted(ends, omega, side="right")) - 1
+    holds = partial(_negative, model, bound, (stricter + beta) / 2)
+    if not holds(np.array([omega, points[own]])).all():
         return None
-    below, low_holds = _segments_proved(model, bound, tested, ends[own::-1], middles[:own][::-1])
-    above, high_holds = _segments_proved(model, bound, tested, ends[own + 1 :], middles[own + 1 :])
-    first, last = own - below, own + above
-    # At a candidate the stricter level is attained: if the sign is wrong there, rounding has moved it.
-    low, high = float(ends[first]), float(ends[last + 1])
-    if not low_holds:
-        low = _edge(model, bound, tested, bad=low, good=float(middles[first]))
-    if not high_holds:
-        far = high if np.isfinite(high) else 1e6 * float(middles[-1])
-        high = _edge(model, bound, tested, bad=far, good=float(middles[last]))
+    low, high = _far(points[own::-1], holds), _far(points[own:], holds)
     # Shrink by a small share of the frequency, or of the piece where that is narrower.
     low += 1e-9 * min(low, omega - low)
     high -= 1e-9 * min(high, high - omega) if np.isfinite(high) else 0.0
-    low, high = _between_failures(model, bound, tested, low, high, omega)
-    return Piece(low, high, beta, bound) if low < high else None
-
-
-def _segments_proved(
-    model: StateSpaceModel, bound: UpperBound, beta: float, ends: Array, middles: Array
-) -> tuple[int, bool]:
-    """Return how many consecutive segments have the right sign, and whether the last end has."""
-    proved, count = 0, 2
-    while proved < len(middles):
-        some = slice(proved, min(proved + count, len(middles)))
-        right = _negative(model, bound, beta, np.concatenate([ends[some], middles[some]])).reshape(2, -1)
-        if not right.all():
-            wrong = int(np.argmin(right.all(axis=0)))
-            return proved + wrong, bool(right[0, wrong])
-        proved, count = some.stop, 2 * count
-    return proved, bool(_negative(model, bound, beta, ends[-1:])[0])
-
-
-def _edge(model: StateSpaceModel, bound: UpperBound, beta: float, *, bad: float, good: float) -> float:
-    """Search between a frequency with the right sign and one with the wrong sign; return the last right one."""
-    for _ in range(4):
-        points = np.linspace(good, bad, PROBES + 2)[1:-1]
-        wrong = np.flatnonzero(~_negative(model, bound, beta, points))
-        stop = int(wrong[0]) if len(wrong) else PROBES
-        good, bad = float(points[stop - 1]) if stop else good, float(points[stop]) if stop < PROBES else bad
-    return good
-
-
-def _between_failures(
-    model: StateSpaceModel, bound: UpperBound, beta: float, low: float, high: float, omega: float
-) -> tuple[float, float]:
-    """Return the interval, or the part around ``omega`` in which every probe has the right sign."""
-    # Eigenvalues of H can be wrong in the first digits where D, G are extreme: the probes detect this.
+    # Eigenvalues of H can be wrong in the first digits where D, G are extreme: probes detect this, and limit the
+    # interval to the part around omega in which all have the right sign.
     top = high if np.isfinite(high) else 1e3 * max(low, _speed(model))
     bottom = low if low > 0 else 1e-6 * top
     probes = np.unique(np.concatenate([np.linspace(low, top, PROBES), np.geomspace(bottom, top, PROBES)]))
-    right = _negative(model, bound, beta, probes)
-    if right.all():
-        return low, high
-    below, above = probes[~right & (probes <= omega)], probes[~right & (probes > omega)]
-    if len(below):
-        low = float(probes[probes > below[-1]][0]) if (probes > below[-1]).any() else high
-    if len(above):
-        high = float(probes[probes < above[0]][-1]) if (probes < above[0]).any() else low
-    return low, high
+    right = holds(probes)
+    if not right.all():
+        below, above = probes[~right & (probes <= omega)], probes[~right & (probes > omega)]
+        inside = probes[(probes > below.max(initial=-1.0)) & (probes < above.min(initial=np.inf))]
+        if not len(inside):
+            return None
+        low, high = float(inside[0]) if len(below) else low, float(inside[-1]) if len(above) else high
+    return Piece(low, high, beta, bound) if low < high else None
+
+
+def _far(points: Array, holds: Callable[[Array], Mask]) -> float:
+    """Return the end of the segments, from a middle on in this order, that hold: an end, or a point next to one."""
+    good, count = 0, 4
+    while good + 1 < len(points):
+        right = holds(points[good + 1 : good + 1 + count])
+        good += len(right) if right.all() else int(right.argmin())
+        if not right.all():
+            break
+        count *= 2
+    near = float(points[good])
+    if good % 2:  # an end; without the sign there, search between it and the last middle
+        return near
+    far = float(points[good + 1]) if np.isfinite(points[good + 1]) else 1e6 * near
+    for _ in range(4):
+        between = np.linspace(near, far, PROBES + 2)
+        stop = int(np.append(holds(between[1:-1]), False).argmin())
+        near, far = float(between[stop]), float(between[stop + 1])
+    return near
 
 
 def _speed(model: StateSpaceModel) -> float:

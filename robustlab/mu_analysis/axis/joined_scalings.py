@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robustlab.linear_analysis.structural import strong_components
 from robustlab.mu_analysis.axis.axis_model import acting, continuous
@@ -63,7 +62,9 @@ def _pieces_of_all_blocks(model: StateSpaceModel, blocks: Sequence[Block], piece
     whole = tuple(range(len(blocks)))
     if all(p.members is None or p.members == whole for p in pieces):
         return list(pieces)
-    depth = _depths(model, blocks)
+    acts = acting(model, blocks)
+    counted = np.arange(len(acts)) >= model.n_states
+    depth = depths(acts, strong_components(acts), counted)[model.n_states :]
     if depth.max(initial=0) * APART > DEEPEST:
         return None
     parts: dict[tuple[int, ...], list[Piece]] = {}
@@ -87,15 +88,3 @@ def _pieces_of_all_blocks(model: StateSpaceModel, blocks: Sequence[Block], piece
             G[w[:, None], z] = scale * piece.bound.G
         result.append(Piece(float(low), float(high), np.inf, UpperBound(np.inf, Dw, Dz, G)))
     return result
-
-
-def _depths(model: StateSpaceModel, blocks: Sequence[Block]) -> NDArray[np.int64]:
-    """Return the depth of each block: the longest chain of parts that act on it but not it on them."""
-    n, acts = model.n_states, acting(model, blocks)
-    labels = strong_components(acts)
-    count = int(labels.max(initial=-1)) + 1
-    edges, holds = np.zeros((count, count), dtype=bool), np.zeros(count, dtype=int)  # from the second to the first
-    for to, source in np.argwhere(acts):
-        edges[labels[to], labels[source]] |= labels[to] != labels[source]
-    holds[labels[n:]] = 1
-    return depths(edges, holds)[labels[n:]]

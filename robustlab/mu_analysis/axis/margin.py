@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
-
-import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.display import SHOWN_BLOCKS, Facts, Part, bracket, listed, member, number
@@ -21,6 +18,7 @@ from robustlab.uncertainty.lft import UncertainModel
 
 __all__ = [
     "PERFORMANCE",
+    "AxisResult",
     "Margin",
     "PerformanceMargin",
     "StabilityMargin",
@@ -71,52 +69,81 @@ class StabilityMargin(Bracket):
         return f"not robust: the member at k = {number(self.upper)} is unstable"
 
 
-@dataclass(frozen=True, eq=False)
-class Margin(Tabular, StabilityMargin):
-    """Robust stability margin over the whole frequency axis, with the attributes of `StabilityMargin`.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class AxisResult(Tabular, Bracket):
+    """Evidence of a result over the whole frequency axis.
 
     Attributes
     ----------
     physical
-        The critical values and units of the physical parameters.
-    pole
-        The pole on or beyond the stability boundary of the model perturbed by ``delta``.
-    status
-        CERTIFIED: ``lower`` proved on the whole axis. INCONCLUSIVE: ``open`` intervals are left, ``mu_upper`` holds on
-        the grid only. TIMEOUT: the time limit ended the proof; ``lower`` and ``open`` give the part that was proved.
-    omega, mu_lower, mu_upper
-        Bounds of mu at the requested frequencies, for figures; ``intervals`` has the bounds between them.
+        The values and units of the physical parameters at ``delta``.
+    omega
+        Requested frequencies of the curves for figures, rad/s.
     intervals
-        ``(low, high, mu_upper)`` in rad/s: proved bounds, together covering [0, inf] where the status is CERTIFIED.
+        ``(low, high, bound)`` in rad/s: proved with D, G scalings, together covering [0, inf] where the status is
+        CERTIFIED.
     open
         Frequency intervals for which nothing is proved.
-    shares
-        Share of each block in the margin: with 1 % less range of a block it grows by share percent.
     proof
-        Evidence of ``lower``: pieces of the axis with their D, G, or, after branch and bound, the proved regions
+        Evidence of the proved bound: pieces of the axis with their D, G, or, after branch and bound, the proved regions
         (boxes of parameters with frequencies).
     system, boxes
         The set, and each box of a branch and bound with an interval proved in it, for `robustlab.verify`.
     """
 
-    kind: ClassVar[str] = "robust stability margin"
+    bounded: ClassVar[str]  # what an interval bounds
 
     physical: Mapping[str, tuple[float, str]]
-    pole: complex | None
     omega: Array
-    mu_lower: Array
-    mu_upper: Array
     intervals: tuple[tuple[float, float, float], ...]
     open: tuple[tuple[float, float], ...]
-    shares: Mapping[str, float]
     proof: tuple[Piece, ...] | tuple[Region, ...]
     system: UncertainModel | None = None
     boxes: tuple[tuple[Box, Piece], ...] = ()
 
     @property
     def gap(self) -> float:
-        """``upper / lower - 1``; inf where ``lower`` is 0 or a bound infinite."""
-        return self.upper / self.lower - 1 if 0 < self.lower < np.inf and self.upper < np.inf else float("inf")
+        """``upper / lower - 1``; 0 where both are equal, inf where ``lower`` is 0."""
+        lower, upper = self.lower, self.upper
+        return 0.0 if lower == upper else upper / lower - 1 if lower > 0 else float("inf")
+
+    def proved_intervals(self) -> Part:
+        """Proved bound of each interval of frequency, and the open intervals."""
+        proved = [(f"{low:.6g}", f"{high:.6g}", f"{bound:.6g}") for low, high, bound in sorted(self.intervals)]
+        unproved = [(f"{low:.6g}", f"{high:.6g}", "not proved") for low, high in self.open]
+        header = ("from rad/s", "to rad/s", f"{self.bounded} at most")
+        return Part("proved intervals:", header, [*proved, *unproved])
+
+    def size_of_proof(self) -> tuple[str, str]:
+        """Return the number of parts of the proof, as a fact."""
+        return "proof", f"{len(self.proof)} parts, {len(self.open)} intervals of frequency left open"
+
+
+@dataclass(frozen=True, eq=False)
+class Margin(AxisResult, StabilityMargin):
+    """Robust stability margin over the whole frequency axis: a `StabilityMargin` with the evidence of `AxisResult`.
+
+    Attributes
+    ----------
+    pole
+        The pole on or beyond the stability boundary of the model perturbed by ``delta``.
+    status
+        CERTIFIED: ``lower`` proved on the whole axis. INCONCLUSIVE: ``open`` intervals are left, ``mu_upper`` holds on
+        the grid only. TIMEOUT: the time limit ended the proof; ``lower`` and ``open`` give the part that was proved.
+    mu_lower, mu_upper
+        Bounds of mu at the frequencies ``omega``; ``intervals`` has the bounds between them.
+    shares
+        Share of each block in the margin: with 1 % less range of a block it grows by share percent.
+    """
+
+    kind: ClassVar[str] = "robust stability margin"
+
+    bounded: ClassVar[str] = "mu"
+
+    pole: complex | None
+    mu_lower: Array
+    mu_upper: Array
+    shares: Mapping[str, float]
 
     def facts(self) -> Facts:
         peak = bracket(1 / self.upper, 1 / self.lower, ("attained", "proved")) if self.upper and self.lower else ""
@@ -129,7 +156,7 @@ class Margin(Tabular, StabilityMargin):
             ("critical frequency", number(self.frequency, "rad/s")),
             ("shares of the blocks", listed(f"{name} {100 * share:.0f} %" for name, share in ranked)),
             ("tighten first", self._first()),
-            ("proof", f"{len(self.proof)} parts, {len(self.open)} intervals of frequency left open"),
+            self.size_of_proof(),
             ("a margin of 1", "is the set as stated; at 2 every range could be twice as wide"),
             *(("note", note) for note in self.notes),
         ]
@@ -143,12 +170,6 @@ class Margin(Tabular, StabilityMargin):
     def details(self) -> list[Part]:
         header = ("block", "delta", "parameter", *(("share",) if self.shares else ()))
         return [Part("critical Delta (smallest found):", header, delta_rows(self.delta, self.physical, self.shares))]
-
-    def proved_intervals(self) -> Part:
-        """Proved bound of each interval of frequency, and the open intervals."""
-        proved = [(f"{low:.6g}", f"{high:.6g}", f"{bound:.6g}") for low, high, bound in sorted(self.intervals)]
-        unproved = [(f"{low:.6g}", f"{high:.6g}", "not proved") for low, high in self.open]
-        return Part("proved intervals:", ("from rad/s", "to rad/s", "mu at most"), [*proved, *unproved])
 
     def table(self) -> Table:
         """Both bounds of mu over the requested frequencies."""
@@ -174,73 +195,47 @@ class PerformanceMargin(Margin):
 
 
 @dataclass(frozen=True, eq=False)
-class WorstCaseGain(Tabular, PeakGain):
-    """Bounds of the largest gain ``sigma_max`` of any member of the set at any frequency.
+class WorstCaseGain(AxisResult, PeakGain):
+    """Bounds of the largest gain ``sigma_max`` of any member of the set at any frequency, with their `AxisResult`.
 
     Attributes
     ----------
     lower, upper, frequency
         ``lower`` is the gain of the member at ``delta``, at ``frequency`` in rad/s (of an unstable one: of its pole);
         ``upper`` is proved over the whole frequency axis and the whole set. Both are inf where a member is unstable.
-    delta, physical
-        The worst Delta found, one value per block name, and the values and units of the physical parameters.
+    delta
+        The worst Delta found, one value per block name.
     nominal
         Gain of the nominal member.
     status
         CERTIFIED: ``upper`` is proved. INCONCLUSIVE: it is not, and reads inf. TIMEOUT: the time limit ended the
         proof; ``upper`` is the bound proved by then. INACCURATE: there is no uncertainty, and digits of the nominal
         gain were lost.
-    omega, nominal_gain, gain_lower, gain_upper
-        Curves over the requested frequencies.
-    intervals
-        ``(low, high, bound)`` in rad/s, proved with D, G scalings.
-    open
-        Frequency intervals for which nothing is proved.
-    proof
-        Evidence of ``upper``: pieces of the axis with their D, G, or regions of parameters and frequency.
-    system, boxes
-        As in `Margin`.
+    nominal_gain, gain_lower, gain_upper
+        Curves over the frequencies ``omega``.
     """
 
+    bounded: ClassVar[str] = "gain"
+
     delta: Mapping[str, Any]
-    physical: Mapping[str, tuple[float, str]]
     nominal: float
-    omega: Array
     nominal_gain: Array
     gain_lower: Array
     gain_upper: Array
-    intervals: tuple[tuple[float, float, float], ...]
-    open: tuple[tuple[float, float], ...]
-    proof: tuple[Piece, ...] | tuple[Region, ...]
-    system: UncertainModel | None = None
-    boxes: tuple[tuple[Box, Piece], ...] = ()
 
     quantities: ClassVar[Mapping[str, Any]] = {**PeakGain.quantities, "frequency": "rad/s", "nominal": float}
     unsaved: ClassVar[tuple[str, ...]] = ("proof", "system", "boxes")
-
-    @property
-    def gap(self) -> float:
-        """``upper / lower - 1``; 0 where both are zero or both infinite."""
-        if self.lower == self.upper:
-            return 0.0
-        return self.upper / self.lower - 1 if self.lower > 0 else float("inf")
 
     def evidence(self) -> Facts:
         """The worst member, and the size of the proof."""
         return [
             ("nominal gain", number(self.nominal)),
             ("worst member", member(self.delta, self.physical)),
-            ("proof", f"{len(self.proof)} parts, {len(self.open)} intervals of frequency left open"),
+            self.size_of_proof(),
         ]
 
     def details(self) -> list[Part]:
         return [Part("worst Delta found:", ("block", "delta", "parameter"), delta_rows(self.delta, self.physical))]
-
-    def proved(self) -> Part:
-        """The frequency intervals with the proved bound of the gain in each; inf: none."""
-        rows = [*self.intervals, *((low, high, math.inf) for low, high in self.open)]
-        texts = [(f"{low:.6g}", f"{high:.6g}", f"{bound:.6g}") for low, high, bound in sorted(rows)]
-        return Part("proved intervals:", ("from rad/s", "to rad/s", "gain at most"), texts)
 
     def table(self) -> Table:
         """Nominal gain and both bounds over the requested frequencies."""

@@ -2,16 +2,15 @@
 
 # max Re lambda_k(A + B Delta (I - D Delta)^-1 C) over |delta_i| <= s, by quasi-Newton steps with the exact
 # derivative. Where modes are lightly damped, two that meet inside the box may exchange their damping there, and paths
-# from the nominal poles, as in pole_migration, miss it: on chains of 24 masses these were 16 and 278 % too large, this
-# search 5 % (benchmarks/results/mu_axis.txt). The result for one mode is a local maximum among many, so the search
-# restarts from the best of each with a few parameters redrawn, more often for less damped modes (iterated local search,
+# from the nominal poles, as in pole_migration, miss it: on chains of 24 masses (benchmarks/mu.py) gaps are 11 and 55 %
+# without this search and 5 % with it. The result for one mode is a local maximum among many, so the search restarts
+# from the best of each with a few parameters redrawn, more often for less damped modes (iterated local search,
 # Lourenço, Martin, Stützle 2003). A mode is identified by its frequency, because the one of largest real part is nearly
 # always the slowest. Branch and bound makes the same ascent from the centres of regions.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from itertools import chain
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -29,16 +28,14 @@ from robustlab.mu_analysis.matrix.delta_layout import delta_layout
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices
 
-ASCENT_REACH = 0.99  # size of the box of the search, relative to the smallest known member
-FAILED_ASCENTS = 5  # unsuccessful ascents in a box, for each mode, that end a chain of them
-ASCENT_CHAINS = 3  # consecutive unsuccessful chains that end the search
-ASCENT_MODES = 5  # least damped modes that are restarted more often than the others
-ASCENT_REDRAWN = 3  # most parameters redrawn for a restart
-ASCENT_FIRST = 0.3  # share of the way to its own corner at which a nominal mode begins
-ASCENT_STEP = 0.05  # share by which the box shrinks around a mode that has crossed the axis ...
-ASCENT_LAST_STEP = 0.01  # ... and at the end
-ASCENTS_OF_MODE = 30  # quasi-Newton steps of one ascent
-ASCENT_HALVINGS = 20  # of the way from the nominal model to an unstable member
+REACH = 0.99  # size of the box of the search, relative to the smallest known member
+FAILED = 5  # unsuccessful ascents in a box, for each mode, that end a chain of them
+CHAINS = 3  # consecutive unsuccessful chains that end the search
+LEAST_DAMPED = 5  # modes that are restarted more often than the others
+REDRAWN = 3  # most parameters redrawn for a restart
+FIRST = 0.3  # share of the way to its own corner at which a nominal mode begins
+SHRINKING = (0.05, 0.01)  # shares by which the box shrinks around a mode that has crossed the axis
+STEPS = 30  # quasi-Newton steps of one ascent
 
 
 class Ascent(NamedTuple):
@@ -71,15 +68,10 @@ def _mode_next_to(
     return complex(poles[k]), np.array(slopes)
 
 
-def _member_poles(model: StateSpaceModel, blocks: Sequence[Block], values: Array) -> ComplexArray:
-    """Return the poles of the member with these entries; one at infinity where it is ill-posed."""
+def member_poles(model: StateSpaceModel, blocks: Sequence[Block], values: Array) -> ComplexArray:
+    """Return the poles of the member with these entries (n_blocks,); one at infinity where it is ill-posed."""
     a = np.real(perturbed_state_matrix(model, centre_matrix(blocks, values).astype(complex)))
     return np.linalg.eigvals(a).astype(complex) if np.isfinite(a).all() else np.array([complex(np.inf)])
-
-
-def is_stable_member(model: StateSpaceModel, blocks: Sequence[Block], values: Array) -> bool:
-    """Return whether the member with these entries (n_blocks,) has its poles left of the axis."""
-    return bool((_member_poles(model, blocks, values).real < 0).all())
 
 
 def member_work(model: StateSpaceModel, members: int) -> int:
@@ -106,139 +98,80 @@ def ascended(model: StateSpaceModel, blocks: Sequence[Block], start: Array, size
         return -now[0].real / unit, -now[1] * size / unit
 
     bounds = [(float(low), 1.0) for low in lowest(blocks)]
-    options = {"maxiter": ASCENTS_OF_MODE}
-    found = minimize(damping, start / size, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+    found = minimize(damping, start / size, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": STEPS})
     return Ascent(found.x * size, complex(-found.fun * unit, abs(place.imag)), 1 + found.nfev)
 
 
-def shrunk(model: StateSpaceModel, blocks: Sequence[Block], values: Array, budget: Budget) -> Array:
-    """Return the entries (n_blocks,) of the smallest member found along the unstable mode, a pole on the axis."""
+def shrunk(
+    model: StateSpaceModel, blocks: Sequence[Block], values: Array, worst: Destabilising, budget: Budget
+) -> Destabilising:
+    """Shrink an unstable member along its mode and move it onto the axis; return it, or ``worst`` if not smaller."""
+    low = lowest(blocks)
+    for step in SHRINKING:
+        while _work_left(budget):
+            poles, smaller = member_poles(model, blocks, values), gauge(blocks, values) * (1 - step)
+            aim = 1j * abs(float(poles[poles.real.argmax()].imag))
+            found = ascended(model, blocks, np.clip(values, smaller * low, smaller), smaller, aim)
+            budget.spend(member_work(model, 2 if found is None else 1 + found.looks))
+            if found is None or found.pole.real <= 0:
+                break
+            values = found.values
     delta = centre_matrix(blocks, values).astype(complex)
-    search = _Search(model, tuple(blocks), Destabilising(gauge(blocks, values), delta, complex(np.inf)), budget)
-    search.follow(values)
-    return block_entries(blocks, search.best.delta)
+    lower = [descended(model, delta_layout(blocks), delta[None])[0]] if all(b.interval for b in blocks) else []
+    for candidate in (*lower, delta):
+        crossing = first_crossing(model, blocks, candidate)
+        if crossing is not None and member_size(blocks, crossing) < member_size(blocks, worst):
+            return crossing
+    return worst
+
+
+def member_size(blocks: Sequence[Block], member: Destabilising) -> float:
+    """Return the size of the smallest set that holds this member."""
+    return gauge(blocks, block_entries(blocks, member.delta))
+
+
+def _work_left(budget: Budget) -> bool:
+    """Return whether work is left; record only the end by a time limit."""
+    return budget.left > 0 and not (budget.seconds_left <= 0 and budget.over)
 
 
 def smaller_destabilising(
-    model: StateSpaceModel,
-    blocks: Sequence[Block],
-    worst: Destabilising,
-    budget: Budget,
-    seed: int = 0,
+    model: StateSpaceModel, blocks: Sequence[Block], worst: Destabilising, budget: Budget, seed: int = 0
 ) -> Destabilising:
     """Return a destabilising Delta of real blocks that is smaller than ``worst``, or ``worst`` where none was found."""
-    return _Search(model, tuple(blocks), worst, budget).run(seed)
-
-
-class _Search:
-    """The smallest member so far, and the box of the next search."""
-
-    def __init__(self, model: StateSpaceModel, blocks: tuple[Block, ...], worst: Destabilising, budget: Budget) -> None:
-        self.model, self.blocks, self.budget = model, blocks, budget
-        self.best, self.low = worst, lowest(blocks)
-        self.size, self.all_real = gauge(blocks, block_entries(blocks, worst.delta)), all(b.interval for b in blocks)
-        nominal = model.poles()
-        self.frequencies = np.sort(nominal.imag[nominal.imag > 0])
-        self.box = 0.0
-        # Of each mode, by its order in frequency: its least damping in this box, and the point of the unit set.
-        self.best_of_mode: dict[int, tuple[float, Array]] = {}
-
-    def run(self, seed: int) -> Destabilising:
-        """Search boxes slightly smaller than the smallest member until ASCENT_CHAINS consecutive chains fail."""
-        rng, in_vain = np.random.default_rng(seed), 0
-        if np.isfinite(self.best.pole):
-            self.follow(block_entries(self.blocks, self.best.delta) * (1 + 1e-9))
-        while in_vain < ASCENT_CHAINS and self._work_left():
-            before, self.box, self.best_of_mode = self.size, self.size * ASCENT_REACH, {}
-            for mode, point in chain(self._nominal_starts(), self._restarts(rng)):
-                values = self._ascend_mode(mode, point) if self._work_left() else None
-                if values is not None:
-                    self.follow(values)
-                    break
-            in_vain = 0 if self.size < before else in_vain + 1
-        return self.best
-
-    def _nominal_starts(self) -> Iterator[tuple[int, Array]]:
-        """Yield for each mode a point in the direction that destabilises the nominal mode."""
-        for mode, aim in enumerate(1j * self.frequencies):
-            now = _mode_next_to(self.model, self.blocks, np.zeros(len(self.blocks)), aim)
-            slopes = np.zeros(len(self.blocks)) if now is None else now[1]
-            yield mode, ASCENT_FIRST * np.where(slopes < 0, self.low, 1.0)
-
-    def _work_left(self) -> bool:
-        """Return whether work is left; record only the end by a time limit."""
-        return self.budget.left > 0 and not (self.budget.seconds_left <= 0 and self.budget.over)
-
-    def _restarts(self, rng: np.random.Generator) -> Iterator[tuple[int, Array]]:
-        """Yield the best points of modes in this box with a few parameters redrawn; less damped modes more often."""
-        for _ in range(FAILED_ASCENTS * len(self.frequencies)):
-            order = sorted(self.best_of_mode, key=lambda mode: self.best_of_mode[mode][0])
-            if not order:
-                return
-            mode = order[min(int(rng.exponential(ASCENT_MODES)), len(order) - 1)]
-            point = self.best_of_mode[mode][1].copy()
-            redrawn = rng.permutation(len(point))[: rng.integers(1, ASCENT_REDRAWN + 1)]
-            point[redrawn] = rng.uniform(self.low[redrawn], 1.0)
-            yield mode, point
-
-    def _ascend_mode(self, mode: int, point: Array) -> Array | None:
-        """Ascend with a mode, given by its order in frequency, from a point of the unit set; return an unstable end."""
-        poles = self._modes(point)
-        found = self._ascent(self.box * point, self.box, 1j * poles[mode].imag) if mode < len(poles) else None
-        if found is None:
-            return None
-        damping = -found.pole.real / max(abs(found.pole), 1e-300)
-        if mode not in self.best_of_mode or damping < self.best_of_mode[mode][0]:
-            self.best_of_mode[mode] = damping, found.values / self.box
-        return found.values if found.pole.real > 0 else None
-
-    def _modes(self, point: Array) -> ComplexArray:
-        """Return the poles of the upper half plane by frequency, at a point of the unit set."""
-        poles = self._poles(self.box * point)
-        poles = poles[poles.imag > 0]
-        return poles[np.argsort(poles.imag)]
-
-    def _ascent(self, start: Array, size: float, aim: complex) -> Ascent | None:
-        found = ascended(self.model, self.blocks, start, size, aim)
-        self.budget.spend(member_work(self.model, 1 if found is None else found.looks))
-        return found
-
-    def follow(self, values: Array) -> None:
-        """Shrink an unstable member along its mode, then move it onto the axis exactly."""
-        step = ASCENT_STEP
-        values = self._at_crossing(values)
-        while self._work_left():
-            size = gauge(self.blocks, values)
-            poles = self._poles(values)
-            aim = 1j * abs(float(poles[poles.real.argmax()].imag))
-            smaller = size * (1 - step)
-            found = self._ascent(np.clip(values, smaller * self.low, smaller), smaller, aim)
-            if found is not None and found.pole.real > 0:
-                values = self._at_crossing(found.values)
-            elif step == ASCENT_STEP and size < self.size / (1 - step):
-                step = ASCENT_LAST_STEP
+    rng, low, in_vain = np.random.default_rng(seed), lowest(blocks), 0
+    nominal = model.poles()
+    frequencies = np.sort(nominal.imag[nominal.imag > 0])
+    slopes = [_mode_next_to(model, blocks, np.zeros(len(blocks)), 1j * w) for w in frequencies]
+    corners = [FIRST * np.where(s is not None and s[1] < 0, low, 1.0) for s in slopes]
+    if np.isfinite(worst.pole):
+        worst = shrunk(model, blocks, block_entries(blocks, worst.delta) * (1 + 1e-9), worst, budget)
+    while in_vain < CHAINS and _work_left(budget):
+        size = member_size(blocks, worst)
+        box = size * REACH
+        best: dict[int, tuple[float, Array]] = {}  # of each mode its least damping in this box, and where
+        for k in range((1 + FAILED) * len(corners)):
+            if not _work_left(budget) or (k >= len(corners) and not best):
+                break
+            if k < len(corners):
+                mode, point = k, corners[k]
             else:
+                order = sorted(best, key=lambda mode: best[mode][0])
+                mode = order[min(int(rng.exponential(LEAST_DAMPED)), len(order) - 1)]
+                point = best[mode][1].copy()
+                redrawn = rng.permutation(len(point))[: rng.integers(1, REDRAWN + 1)]
+                point[redrawn] = rng.uniform(low[redrawn], 1.0)
+            poles = member_poles(model, blocks, box * point)
+            upper = np.sort(poles.imag[poles.imag > 0])
+            found = ascended(model, blocks, box * point, box, 1j * upper[mode]) if mode < len(upper) else None
+            budget.spend(member_work(model, 2 if found is None else 1 + found.looks))
+            if found is None:
+                continue
+            damping = -found.pole.real / max(abs(found.pole), 1e-300)
+            if mode not in best or damping < best[mode][0]:
+                best[mode] = damping, found.values / box
+            if found.pole.real > 0:
+                worst = shrunk(model, blocks, found.values, worst, budget)
                 break
-        if gauge(self.blocks, values) > self.size * (1 + ASCENT_LAST_STEP):
-            return
-        delta = centre_matrix(self.blocks, values).astype(complex)
-        lower = [descended(self.model, delta_layout(self.blocks), delta[None])[0]] if self.all_real else []
-        for candidate in (*lower, delta):
-            crossing = first_crossing(self.model, self.blocks, candidate)
-            reached = np.inf if crossing is None else gauge(self.blocks, block_entries(self.blocks, crossing.delta))
-            if crossing is not None and reached < self.size:
-                self.best, self.size = crossing, reached
-                break
-
-    def _at_crossing(self, values: Array) -> Array:
-        """Return the multiple (at most 1) of an unstable member at which a pole crosses, by bisection."""
-        stable, unstable = 0.0, 1.0
-        for _ in range(ASCENT_HALVINGS):
-            middle = (stable + unstable) / 2
-            beyond = not (self._poles(middle * values).real < 0).all()
-            stable, unstable = (stable, middle) if beyond else (middle, unstable)
-        return unstable * values
-
-    def _poles(self, values: Array) -> ComplexArray:
-        self.budget.spend(member_work(self.model, 1))
-        return _member_poles(self.model, self.blocks, values)
+        in_vain = 0 if member_size(blocks, worst) < size else in_vain + 1
+    return worst

@@ -21,7 +21,7 @@ from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.mu_analysis.constants import SINGULAR
 from robustlab.mu_analysis.matrix.certificate import EPS, delta_norm, project, singularity
 from robustlab.mu_analysis.matrix.delta_layout import DeltaLayout, delta_layout
-from robustlab.mu_analysis.matrix.lower import FRACTIONS, lower_bounds, unit_rows
+from robustlab.mu_analysis.matrix.lower import FRACTIONS, lower_bounds, smallest, unit_rows
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block
 
@@ -36,6 +36,7 @@ LEAST_AXIS_DESCENT = 1e-5  # ... each of which has to lower the norm by this sha
 __all__ = [
     "Destabilising",
     "descended",
+    "directions",
     "first_crossing",
     "perturbed_state_matrix",
     "smallest_destabilising",
@@ -101,12 +102,6 @@ def _closed(model: StateSpaceModel, delta: ComplexArray) -> tuple[NDArray[Any], 
     except np.linalg.LinAlgError:
         return np.full((*delta.shape[:-2], *model.A.shape), np.inf), None
     return model.A + model.B @ d @ (inverse @ model.C), inverse
-
-
-def _eigen(a: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """Return eigenvalues and right eigenvectors."""
-    values, right = np.linalg.eig(a)
-    return values, right
 
 
 # --- crossings -------------------------------------------------------------------------------------------------------
@@ -201,7 +196,7 @@ def _pole_and_error(model: StateSpaceModel, delta: ComplexArray) -> tuple[comple
     a = perturbed_state_matrix(model, delta)
     if not np.isfinite(a).all():
         return complex(np.inf), 0.0
-    values, right = _eigen(a)
+    values, right = np.linalg.eig(a)
     k = int(values.real.argmax())
     v = right[:, k]
     try:
@@ -223,10 +218,10 @@ def _loop_eigenvalue(model: StateSpaceModel, delta: ComplexArray, omega: float) 
     loop = response @ delta
     if not np.isfinite(loop).all():
         return None
-    values, right = _eigen(loop)
+    values, right = np.linalg.eig(loop)
     k = int(np.abs(values - 1).argmin())
     x = right[:, k]
-    _, left = _eigen(loop.T)
+    _, left = np.linalg.eig(loop.T)
     y = left[:, int(np.abs(np.linalg.eigvals(loop.T) - values[k]).argmin())]
     inner = y @ x
     if inner == 0:
@@ -241,12 +236,13 @@ def _migrated(
     model: StateSpaceModel, blocks: Sequence[Block], given: list[ComplexArray], seed: int, random_starts: int
 ) -> list[ComplexArray]:
     """Return Deltas, the smallest first, with a pole close to the axis: those given, and the ends of paths."""
-    layout = delta_layout(blocks)
-    rng = np.random.default_rng(seed)
-    nominal = model.poles()
+    layout, rng, nominal = delta_layout(blocks), np.random.default_rng(seed), model.poles()
     upper = nominal[nominal.imag >= 0]
     zero = np.zeros((len(upper), layout.q, layout.p), dtype=complex)
-    size = _distance(model, layout, zero, upper)
+    pole, _, _, row, x = directions(model, zero, upper)
+    # The norm at which a typical pole reaches the axis to first order.
+    gains = np.maximum(np.abs(layout.gains(row, x)).sum(axis=1), 1e-300)
+    size = float(np.median(np.minimum(-pole.real / gains, 1e6)))
     scattered = _scattered(model, layout, rng, size, (random_starts + 1) // 2)
     start = np.concatenate([zero, scattered, *(g[None] for g in given)])
     aims = np.concatenate([upper, _rightmost(model, start[len(upper) :])])
@@ -254,39 +250,14 @@ def _migrated(
     if np.isfinite(norm).any():
         size = float(norm.min())
     again = _scattered(model, layout, rng, size, random_starts)
-    more, more_norm = _migrate(model, layout, again, _rightmost(model, again))
+    right = _rightmost(model, again)
+    more, more_norm = _migrate(model, layout, again, right)
+    unstable = np.where(right.real >= 0, layout.sizes(again).max(axis=1), np.inf)
     pool = np.concatenate([found, more, again, *(g[None] for g in given)])
-    norm = np.concatenate(
-        [norm, more_norm, _unstable_norm(model, layout, again), [delta_norm(blocks, g) for g in given]]
-    )
-    chosen = pool[_distinct(pool, norm, CROSSINGS + len(given))]
+    norm = np.concatenate([norm, more_norm, unstable, [delta_norm(blocks, g) for g in given]])
+    chosen = pool[smallest(np.zeros(len(pool), dtype=int), norm, CROSSINGS + len(given))]
     lower = descended(model, layout, chosen)
     return [*lower[np.argsort(layout.sizes(lower).max(axis=1))], *chosen[:2], *given]
-
-
-def _distinct(pool: ComplexArray, norm: Array, count: int) -> list[int]:
-    """Return the indices of the smallest norms, one of those Deltas that agree."""
-    order = np.argsort(norm)
-    keep: list[int] = []
-    for k in order[np.isfinite(norm[order])]:
-        same = any(np.abs(pool[k] - pool[j]).max() <= 1e-6 * norm[j] for j in keep)
-        if not same and len(keep) < count:
-            keep.append(int(k))
-    return keep
-
-
-def _unstable_norm(model: StateSpaceModel, layout: DeltaLayout, deltas: ComplexArray) -> Array:
-    """Return the norms of those Deltas that destabilise, inf for the others."""
-    if not len(deltas):
-        return np.zeros(0)
-    return np.where(_rightmost(model, deltas).real >= 0, layout.sizes(deltas).max(axis=1), np.inf)
-
-
-def _distance(model: StateSpaceModel, layout: DeltaLayout, zero: ComplexArray, poles: ComplexArray) -> float:
-    """Return the norm at which a typical pole reaches the axis to first order."""
-    pole, _, _, row, x = _by_eigenvalues(model, zero, poles)
-    gains = np.abs(layout.gains(row, x)).sum(axis=1)
-    return float(np.median(np.minimum(-pole.real / np.maximum(gains, 1e-300), 1e6)))
 
 
 def _scattered(
@@ -329,7 +300,7 @@ def _migrate(
         try:
             # Poles may meet and leave the real axis in pairs: all eigenvalues are needed to identify the next one.
             if step <= LEADING:
-                pole, u, v, row, x = _by_eigenvalues(model, deltas, poles)
+                pole, u, v, row, x = directions(model, deltas, poles)
             else:
                 pole, u, v, row, x = _by_inverse_iteration(model, deltas, poles, u, v)
         except np.linalg.LinAlgError:
@@ -374,7 +345,7 @@ def descended(model: StateSpaceModel, layout: DeltaLayout, deltas: ComplexArray)
     aims = _rightmost(model, deltas)
     aims = np.where(np.isfinite(aims), aims, 0.0)
     try:
-        pole, u, v, row, x = _by_eigenvalues(model, deltas, aims)
+        pole, u, v, row, x = directions(model, deltas, aims)
         for _ in range(AXIS_ROUNDS):
             now = deltas[going]
             aim = _least_move(layout, now, pole, row, x, goal=np.zeros(len(now)))
@@ -402,12 +373,12 @@ def descended(model: StateSpaceModel, layout: DeltaLayout, deltas: ComplexArray)
 Directions = tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray, ComplexArray]
 
 
-def _by_eigenvalues(model: StateSpaceModel, deltas: ComplexArray, aims: ComplexArray) -> Directions:
+def directions(model: StateSpaceModel, deltas: ComplexArray, aims: ComplexArray) -> Directions:
     """Return the pole next to each aim, its left and right eigenvectors, and row, x with ``d pole = row dDelta x``."""
     a, loop_inverse = _closed(model, deltas)
     if not np.isfinite(a).all():
         raise np.linalg.LinAlgError("ill-posed")
-    values, right = _eigen(a)
+    values, right = np.linalg.eig(a)
     k = np.abs(values - aims[:, None]).argmin(axis=1)
     index = np.arange(len(deltas))
     # Rows of V^-1 are the left eigenvectors with u v = 1; the shift keeps defective cases solvable.
@@ -419,7 +390,7 @@ def _by_eigenvalues(model: StateSpaceModel, deltas: ComplexArray, aims: ComplexA
 def _by_inverse_iteration(
     model: StateSpaceModel, deltas: ComplexArray, aims: ComplexArray, u: ComplexArray, v: ComplexArray
 ) -> Directions:
-    """As `_by_eigenvalues`, by two steps from the former eigenvectors u, v: a tenth of the work."""
+    """As `directions`, by two steps from the former eigenvectors u, v: a tenth of the work."""
     a, loop_inverse = _closed(model, deltas)
     if not np.isfinite(a).all():
         raise np.linalg.LinAlgError("ill-posed")

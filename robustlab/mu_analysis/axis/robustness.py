@@ -6,7 +6,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -29,20 +28,18 @@ from robustlab.mu_analysis.axis.axis_model import (
 from robustlab.mu_analysis.axis.axis_problems import GainProblem, MarginProblem
 from robustlab.mu_analysis.axis.intervals import AxisCover, Piece, cover_axis, cover_parts
 from robustlab.mu_analysis.axis.margin import PERFORMANCE, Margin, PerformanceMargin, WorstCaseGain
-from robustlab.mu_analysis.axis.mode_ascent import smaller_destabilising
+from robustlab.mu_analysis.axis.mode_ascent import member_size, smaller_destabilising
 from robustlab.mu_analysis.axis.pole_migration import (
     Destabilising,
+    directions,
     first_crossing,
-    perturbed_state_matrix,
     smallest_destabilising,
 )
 from robustlab.mu_analysis.constants import SINGULAR, WORK
 from robustlab.mu_analysis.matrix.box import (
     Box,
-    block_entries,
     box_model,
     centre_matrix,
-    gauge,
     lowest,
     root_box,
 )
@@ -80,37 +77,32 @@ BLURRED = 1e-3  # share of the gain beyond which the rounding bound omits modes 
 
 
 @dataclass
-class _Search(ABC):
+class _Search:
     """The level that a member attains, the smallest proved one, and the evidence of both."""
 
     uncertain: UncertainModel
     model: StateSpaceModel
     blocks: Sequence[Block]
     budget: Budget
+    seed: int = 0
+    attained: float = 0.0
     level: float = np.inf
     cover: AxisCover = field(default_factory=lambda: AxisCover(open=[]))
     proof: tuple[Piece, ...] | tuple[Region, ...] = ()
     boxes: tuple[tuple[Box, Piece], ...] = ()
 
-    @property
-    @abstractmethod
-    def attained(self) -> float:
-        """The level that the worst member known attains."""
-
-    @property
-    @abstractmethod
     def problem(self) -> MarginProblem | GainProblem:
-        """The problem for branch and bound."""
+        """Return the problem for branch and bound."""
+        raise NotImplementedError
 
-    @abstractmethod
     def over_the_axis(self, first: Array, accuracy: float) -> None:
         """Prove a level by constant D, G."""
+        raise NotImplementedError
 
-    @abstractmethod
     def take_member(self, values: Any) -> None:
         """Take a member that branch and bound has found."""
+        raise NotImplementedError
 
-    @abstractmethod
     def better_member(self) -> None:
         """Search for a worse member by another method, if there is one."""
 
@@ -144,7 +136,7 @@ class _Search(ABC):
 
     def cut(self, tolerance: float, budget: Budget) -> None:
         """Reduce the gap of the D, G bounds by branch and bound over the real parameters."""
-        problem = self.problem
+        problem = self.problem()
         found = tighten(problem, self.attained, self.level, tolerance, budget)
         if found.upper < self.level:
             self.level, self.proof, self.boxes = found.upper, tuple(found.leaves), tuple(problem.proved)
@@ -201,11 +193,11 @@ def margin_within(
         raise InputError("robust_stability", found, f"{FINEST:g} <= accuracy < 1, tolerance > 0")
     grid = frequencies(omega, "robust_stability")
     blocks = uncertain.blocks
-    search = _Stability(uncertain, continuous(uncertain.delta_channels), blocks, budget)
+    search = _Stability(uncertain, continuous(uncertain.delta_channels), blocks, budget, seed)
     if not blocks:
         search.level = 0.0
         return search.answer(grid, np.zeros(len(grid)), np.zeros(len(grid)), "no uncertainty: mu = 0")
-    first = search.find_member(seed)
+    first = search.find_member()
     if not search.proof:
         search.prove(first, accuracy, tolerance)
     response = frequency_response(uncertain.delta_channels, grid)
@@ -224,40 +216,39 @@ class _Stability(_Search):
     """Levels are mu: the smallest destabilising Delta known has the size of one over ``attained``."""
 
     worst: Destabilising | None = None
-    seed: int = 0
-
-    @property
-    def attained(self) -> float:
-        return 0.0 if self.worst is None else 1 / self._size(self.worst)
 
     @property
     def symmetric(self) -> bool:
         """Whether every range is symmetric."""
         return bool((lowest(self.blocks) == -1).all())
 
-    @property
     def problem(self) -> MarginProblem:
         pole = complex(np.inf) if self.worst is None else self.worst.pole
         return MarginProblem(self.model, self.blocks, abs(pole.imag) if np.isfinite(pole) else None)
 
-    def _size(self, found: Destabilising) -> float:
-        return gauge(self.blocks, block_entries(self.blocks, found.delta))
+    def take(self, found: Destabilising | None) -> bool:
+        """Keep a destabilising Delta that is smaller than the one known; return whether it is."""
+        size = np.inf if found is None else member_size(self.blocks, found)
+        if found is None or not size * self.attained < 1:
+            return False
+        if singularity(self.model.D.astype(complex), found.delta) <= SINGULAR * 1e3:  # the loop is ill-posed
+            found = Destabilising(found.norm, found.delta, complex(np.inf))
+        if np.isfinite(found.pole) and found.pole.imag < 0:
+            found = Destabilising(found.norm, np.conj(found.delta), np.conj(found.pole))
+        self.worst, self.attained = found, 1 / size
+        return True
 
-    def find_member(self, seed: int) -> Array:
+    def find_member(self) -> Array:
         """Search for a small destabilising Delta; return the first frequencies of a cover."""
-        self.seed = seed
         if self._solve_one_full_block():
             return np.zeros(0)
         seeds = seed_frequencies(self.model)
-        worst = smallest_destabilising(self.model, self.blocks, seeds, seed)
-        if not self.symmetric:
-            worst = self._smallest_asymmetric(worst, seeds)
-        if worst is None:
-            return seeds
-        self.worst = _in_upper_half_plane(self.model, worst)
-        if self.symmetric:  # the search below measures entries of Delta, not their share of each side of a range
+        self.take(smallest_destabilising(self.model, self.blocks, seeds, self.seed))
+        if self.symmetric:  # this search measures entries of Delta, not their share of each side of a range
             self._sharpen()
-        pole = self.worst.pole
+        else:
+            self._smallest_asymmetric(seeds)
+        pole = complex(np.inf) if self.worst is None else self.worst.pole
         return np.append(seeds, abs(pole.imag)) if np.isfinite(pole) else seeds
 
     def _solve_one_full_block(self) -> bool:
@@ -271,7 +262,7 @@ class _Stability(_Search):
         q, p = model.n_inputs, model.n_outputs
         scalings = UpperBound(norm.upper, np.eye(q) + 0j, np.eye(p) + 0j, np.zeros((q, p), dtype=complex))
         self.level, self.proof = norm.upper, (Piece(0.0, np.inf, norm.upper, scalings),)
-        self.cover = AxisCover(list(self.proof), [], norm.upper, 1)
+        self.cover = AxisCover(list(self.proof), [])
         if norm.lower > 0:  # prefer an end of the axis, where M is real, if the peak is as high there
             for omega in (0.0, np.inf, norm.frequency):
                 u, sigma, vh = np.linalg.svd(frequency_response(model, [omega])[0])
@@ -279,37 +270,35 @@ class _Stability(_Search):
                     break
             delta = np.outer(vh[0].conj(), u[:, 0].conj()) / sigma[0]
             pole = complex(0.0, omega) if omega < np.inf else complex(np.inf)
-            self.worst = Destabilising(1 / float(sigma[0]), delta, pole)
+            self.take(Destabilising(1 / float(sigma[0]), delta, pole))
         return True
 
     def _sharpen(self) -> None:
         """Refine the smallest Delta around its peak, since mu with complex blocks is smooth over frequency."""
-        assert self.worst is not None
-        model, blocks, omega = self.model, self.blocks, self.worst.pole.imag
-        if not np.isfinite(self.worst.pole) or omega <= 0 or all(b.interval for b in blocks):
+        model, blocks = self.model, self.blocks
+        if self.worst is None or not np.isfinite(self.worst.pole) or all(b.interval for b in blocks):
             return
+        omega, reach = self.worst.pole.imag, WIDEST
         distance = np.abs(1j * omega - model.poles()).min(initial=omega)
-        reach = WIDEST
-        for _ in range(NEIGHBOURHOODS):
+        for _ in range(NEIGHBOURHOODS if omega > 0 else 0):
             response = frequency_response(model, omega * np.exp(np.linspace(-reach, reach, 9)))
             found = lower_bounds(response, blocks, self.seed)
             k = int(np.argmax([value for value, _ in found]))
             value, delta = found[k]
-            if delta is not None and value > 1 / self.worst.norm:
-                omega *= float(np.exp(reach * (k / 4 - 1)))
-                self.worst = Destabilising(1 / value, delta, complex(0.0, omega))
+            at = omega * float(np.exp(reach * (k / 4 - 1)))
+            if delta is not None and self.take(Destabilising(1 / value, delta, complex(0.0, at))):
+                omega = at
                 if k in (0, 8):  # the peak is outside
                     continue
             if reach * omega < NARROWEST * distance:
                 break
             reach /= NARROWER
 
-    def _smallest_asymmetric(self, worst: Destabilising | None, seeds: Array) -> Destabilising | None:
+    def _smallest_asymmetric(self, seeds: Array) -> None:
         """Search from the set's centre for a destabilising Delta that is small relative to each side of its range."""
         model, blocks = self.model, self.blocks
-        best, size = worst, np.inf if worst is None else self._size(worst)
         for _ in range(4):
-            box = root_box(blocks, size if np.isfinite(size) else LARGE)
+            box = root_box(blocks, 1 / self.attained if self.attained else LARGE)
             inside = box_model(model, blocks, box)
             whole = centre_matrix(blocks, box.centre).astype(complex)
             found: Destabilising | None = None
@@ -320,11 +309,8 @@ class _Stability(_Search):
                 whole = whole + np.repeat(box.half, [b.rows for b in blocks])[:, None] * again.delta
                 if not np.isfinite(again.pole):  # a pole at infinity crosses no axis
                     found = Destabilising(delta_norm(blocks, whole), whole, complex(np.inf))
-            found = found or first_crossing(model, blocks, whole)
-            if found is None or not self._size(found) < size * (1 - 1e-7):
+            if not self.take(found or first_crossing(model, blocks, whole)):
                 break
-            best, size = found, self._size(found)
-        return best
 
     def over_the_axis(self, first: Array, accuracy: float) -> None:
         if not self.symmetric:
@@ -339,50 +325,38 @@ class _Stability(_Search):
         low = -lowest(self.blocks)
         stretch = float(np.max((1 + low) / 2 / np.minimum(1.0, low)))
         fine = max(accuracy / stretch, FINEST_SIDE)
-        slack = fine * stretch
-        self.proof, self.level = (), np.inf
-        failed = 1 / self.attained if self.attained else np.inf
-        size = failed / (1 + slack) if self.attained else LARGE
-        before: tuple[float, float] | None = None  # the last size that was too large, and the logarithm of its level
-        ratio, near = 1.0, 1 + max(2 * slack, COARSE)
+        near = 1 + max(2 * fine * stretch, COARSE)
+        self.proof, self.level, failed = (), np.inf, np.inf
+        size = 1 / (self.attained * (1 + fine * stretch)) if self.attained else LARGE
         for _ in range(SIZES):
-            inside = box_model(self.model, self.blocks, root_box(self.blocks, size))
-            if inside is None or not inside.is_stable():
-                failed, size = size, size / 2
-                continue
-            cover = cover_axis(inside, self.blocks, 1 / (1 + fine), first=first, budget=self.budget, accuracy=fine)
-            if cover.open:
-                self.cover = self.cover if self.proof else cover
-                break
-            if cover.beta > 1 + 1e-12:
-                over, failed = float(np.log(cover.beta * (1 + fine))), size
-                if before:  # a secant: the slope of the level over the size depends on the critical side
-                    ratio = float(np.clip(np.log(before[0] / size) / max(before[1] - over, 1e-12), 0.5, stretch))
-                if self.proof and failed * self.level < near:
+            inside, level = box_model(self.model, self.blocks, root_box(self.blocks, size)), 2.0
+            if inside is not None and inside.is_stable():
+                cover = cover_axis(inside, self.blocks, 1 / (1 + fine), first=first, budget=self.budget, accuracy=fine)
+                if cover.open:
+                    self.cover = self.cover if self.proof else cover
                     break
-                before = size, over
-                least = float(np.sqrt(size / self.level)) if self.proof else 0.0
-                size = max(size * float(np.exp(-ratio * over)), least)
-                continue
-            self.level, self.proof = 1 / size, tuple(cover.pieces)
-            # Inside the box the level is one; for the set it is one over the size of the box.
-            self.cover = AxisCover([replace(p, beta=self.level) for p in cover.pieces], [], self.level, cover.points)
-            if np.isinf(failed) or failed < size * near:
+                level = cover.beta
+            if level <= 1 + 1e-12:
+                self.level, self.proof = 1 / size, tuple(cover.pieces)
+                # Inside the box the level is one; for the set it is one over the size of the box.
+                pieces = [replace(p, beta=self.level) for p in cover.pieces]
+                self.cover = AxisCover(pieces, [])
+            else:
+                failed = size
+                size /= level
+            if failed * self.level < near or (self.proof and np.isinf(failed)):
                 break
-            size = min(float(np.sqrt(size * failed)), size * near if before else np.inf)
+            if self.proof:
+                size = float(np.sqrt(failed / self.level))
 
     def better_member(self) -> None:
         # The gap may be due to the search: modes that meet inside the box may give a smaller Delta.
         if self.worst is not None and all(b.interval for b in self.blocks):
-            better = smaller_destabilising(
-                self.model, self.blocks, self.worst, self.budget.share(ASCENT_SHARE), self.seed
-            )
-            self.worst = _in_upper_half_plane(self.model, better)
+            share = self.budget.share(ASCENT_SHARE)
+            self.take(smaller_destabilising(self.model, self.blocks, self.worst, share, self.seed))
 
     def take_member(self, values: Array) -> None:
-        found = first_crossing(self.model, self.blocks, centre_matrix(self.blocks, values).astype(complex))
-        if found is not None and (self.worst is None or self._size(found) < self._size(self.worst)):
-            self.worst = found
+        self.take(first_crossing(self.model, self.blocks, centre_matrix(self.blocks, values).astype(complex)))
 
     def answer(self, grid: Array, mu_lower: Array, mu_upper: Array, note: str) -> Margin:
         """Return the margin with its evidence."""
@@ -418,36 +392,20 @@ class _Stability(_Search):
         """Return the share of each block in the margin, summing to one; empty where the margin has no derivative."""
         # Let block i be s_i times as large. The parts c_i = row_i Delta_i x_i of the derivative of the pole that
         # crosses give, by the envelope theorem, d log m / d log s_i = - Re c_i / sum_j Re c_j.
-        model, worst = self.model, self.worst
-        if worst is None or not np.isfinite(worst.pole) or not model.n_states:
+        if self.worst is None or not np.isfinite(self.worst.pole) or not self.model.n_states:
             return {}
-        a = perturbed_state_matrix(model, worst.delta)
+        delta = self.worst.delta[None]
         try:
-            (left, u), (right, v) = np.linalg.eig(a.T), np.linalg.eig(a)
-            u, v = u[:, np.abs(left - worst.pole).argmin()], v[:, np.abs(right - worst.pole).argmin()]
-            x = np.linalg.solve(np.eye(model.n_outputs) - model.D @ worst.delta, model.C @ v)
-            row = np.linalg.solve((np.eye(model.n_inputs) - worst.delta @ model.D).T, u @ model.B)
+            _, left, _, row, x = directions(self.model, delta, np.array([self.worst.pole]))
         except np.linalg.LinAlgError:
             return {}
-        inner = complex(u @ v)
-        if abs(inner) < 1e-10:  # the pole is not simple
-            return {}
-        parts = delta_layout(self.blocks).contributions(worst.delta[None], row[None] / inner, x[None])[0].real
+        parts = delta_layout(self.blocks).contributions(delta, row, x)[0].real
         with np.errstate(divide="ignore", invalid="ignore"):
             shares = parts / parts.sum()
-        # Parts that cancel to rounding carry no information.
-        if not np.isfinite(shares).all() or np.abs(shares).sum() > 1e9:
+        # Parts that cancel to rounding carry no information, nor does a pole that is not simple.
+        if not np.isfinite(shares).all() or np.abs(shares).sum() > 1e9 or np.linalg.norm(left) > 1e10:
             return {}
         return {b.name: float(share) for b, share in zip(self.blocks, shares, strict=True)}
-
-
-def _in_upper_half_plane(model: StateSpaceModel, worst: Destabilising) -> Destabilising:
-    """Return the pole in the upper half plane with its Delta; at infinity where the loop is ill-posed."""
-    if singularity(model.D.astype(complex), worst.delta) <= SINGULAR * 1e3:
-        return Destabilising(worst.norm, worst.delta, complex(np.inf))
-    if np.isfinite(worst.pole) and worst.pole.imag < 0:
-        return Destabilising(worst.norm, np.conj(worst.delta), np.conj(worst.pole))
-    return worst
 
 
 # --- performance -----------------------------------------------------------------------------------------------------
@@ -529,51 +487,44 @@ def gain_within(
     n_u, n_y = len(uncertain.inputs), len(uncertain.outputs)
     nominal = hinf_norm(uncertain.nominal)
     blocks = (*uncertain.blocks, FullBlock(PERFORMANCE, n_u, n_y)) if n_u and n_y else ()
-    search = _Gain(uncertain, continuous(uncertain.M), blocks, budget, seed=seed)
+    search = _Gain(uncertain, continuous(uncertain.M), blocks, budget, seed)
     if not blocks:
         search.level = 0.0
         return search.answer(nominal.value, grid)
     if not uncertain.blocks:
-        search.level, search.lower, search.frequency = nominal.upper, nominal.lower, nominal.frequency
+        search.level, search.attained, search.frequency = nominal.upper, nominal.lower, nominal.frequency
         notes = ("no uncertainty: the gain is the nominal one", *([nominal.reason] if nominal.reason else []))
         found = search.answer(nominal.value, grid, *notes)
         return found if nominal.status is Status.CERTIFIED else replace(found, status=nominal.status)
     seeds = seed_frequencies(search.model)
     unstable = smallest_destabilising(continuous(uncertain.delta_channels), uncertain.blocks, seeds, seed)
-    if unstable is not None and gauge(uncertain.blocks, block_entries(uncertain.blocks, unstable.delta)) <= 1:
+    if unstable is not None and member_size(uncertain.blocks, unstable) <= 1:
         at = model_frequency(uncertain, abs(unstable.pole.imag)) if np.isfinite(unstable.pole) else None
-        search.lower, search.delta, search.frequency = np.inf, delta_values(uncertain.blocks, unstable.delta), at
+        search.attained, search.delta, search.frequency = np.inf, delta_values(uncertain.blocks, unstable.delta), at
         return search.answer(nominal.value, grid, "a member of the set is unstable")
     search.find_member(seeds, nominal.frequency)
     search.prove(np.append(seeds, search.peak), GAIN_ACCURACY, tolerance)
-    search.level = max(search.level, search.lower)
+    search.level = max(search.level, search.attained)
     with np.errstate(all="ignore"):
         error = search.rounding()
-    if not error <= QUIET * search.lower:
+    if not error <= QUIET * search.attained:
         # Four times: the member is rounded, mapped to continuous time, scaled, and its response is computed.
-        search.lower = max(search.lower - 4.0 * error, 0.0) if np.isfinite(error) else 0.0
+        search.attained = max(search.attained - 4.0 * error, 0.0) if np.isfinite(error) else 0.0
     return search.answer(nominal.value, grid)
 
 
 @dataclass
 class _Gain(_Search):
-    """Levels are gains: the last block is the performance block, the member at ``delta`` has the gain ``lower``."""
+    """Levels are gains: the last block is the performance block, the member at ``delta`` attains one."""
 
-    lower: float = 0.0
     delta: Mapping[str, Any] = field(default_factory=dict)
     frequency: float | None = None
-    seed: int = 0
-
-    @property
-    def attained(self) -> float:
-        return self.lower
 
     @property
     def peak(self) -> float:
         """Frequency of the member's gain on the axis of the continuous model."""
         return self._mapped(self.frequency or 0.0)
 
-    @property
     def problem(self) -> GainProblem:
         return GainProblem(self.model, self.blocks, self.peak)
 
@@ -625,37 +576,28 @@ class _Gain(_Search):
         return sizes[k], values, model_frequency(uncertain, float(at[k]))
 
     def over_the_axis(self, first: Array, accuracy: float) -> None:
-        centred = self._centred_model()
-        self.cover = AxisCover()
-        if centred is not None:
-            varying = np.arange(self.model.n_inputs) >= self.model.n_inputs - self.blocks[-1].rows
+        model, box, self.cover = self.model, root_box(self.blocks), AxisCover()
+        if box.centre.any():  # the model centred in asymmetric ranges; nothing is proved unless it is stable there
+            shifted = box_model(model, self.blocks, Box(box.centre, np.append(box.half[:-1], 1.0)))
+            model = shifted if shifted is not None and shifted.is_stable() else None
+        if model is not None:
+            varying = np.arange(model.n_inputs) >= model.n_inputs - self.blocks[-1].rows
             self.cover = cover_axis(
-                centred, self.blocks, self.lower, first=first, budget=self.budget, accuracy=accuracy, varying=varying
+                model, self.blocks, self.attained, first=first, budget=self.budget, accuracy=accuracy, varying=varying
             )
         self.proof, self.level = tuple(self.cover.pieces), np.inf if self.cover.open else self.cover.beta
-
-    def _centred_model(self) -> StateSpaceModel | None:
-        """Return the model centred in asymmetric ranges; None where it is not stable there."""
-        box = root_box(self.blocks)
-        if not box.centre.any():
-            return self.model
-        shifted = box_model(self.model, self.blocks, Box(box.centre, np.append(box.half[:-1], 1.0)))
-        return None if shifted is None or not shifted.is_stable() else shifted
 
     def take_member(self, values: tuple[ComplexArray, float]) -> None:
         self._take(*self._member(*values))
 
     def _take(self, lower: float, delta: Mapping[str, Any], frequency: float | None) -> None:
         """Keep a member of larger gain."""
-        if lower > self.lower:
-            self.lower, self.delta, self.frequency = lower, delta, frequency
-
-    def better_member(self) -> None:
-        return
+        if lower > self.attained:
+            self.attained, self.delta, self.frequency = lower, delta, frequency
 
     def rounding(self) -> float:
         """Return a bound of the rounding error of the lower bound."""
-        if not 0 < self.lower < np.inf or self.frequency is None:
+        if not 0 < self.attained < np.inf or self.frequency is None:
             return 0.0
         M, delta = self.uncertain.M, np.asarray(delta_matrix(self.uncertain.blocks, self.delta))
         q, p = delta.shape
@@ -672,7 +614,7 @@ class _Gain(_Search):
         s = np.exp(1j * self.frequency * M.dt) if M.is_discrete else 1j * self.frequency
         at = complex(s) if np.isfinite(self.frequency) else complex(np.inf)
         error = gain_rounding(A, B, C, D, at, sums)
-        if error <= BLURRED * self.lower or not np.isfinite(at):
+        if error <= BLURRED * self.attained or not np.isfinite(at):
             return error
         # Omit modes that a zero nearly cancels: C (sI - A)^-1 in the place of |C| |(sI - A)^-1|.
         n, eps = len(A), float(np.finfo(float).eps)
@@ -683,16 +625,16 @@ class _Gain(_Search):
 
     def answer(self, nominal: float, grid: Array, *notes: str) -> WorstCaseGain:
         """Return the worst gain with its evidence and the curves over the grid."""
-        uncertain, proved = self.uncertain, np.isfinite(self.level) or np.isinf(self.lower)
+        uncertain, proved = self.uncertain, np.isfinite(self.level) or np.isinf(self.attained)
         response = frequency_response(uncertain.nominal, grid)
         curve = np.linalg.norm(response, 2, axis=(1, 2)) if response.size else np.zeros(len(grid))
         low, high = curve.copy(), curve.copy()
-        if len(grid) and uncertain.blocks and self.blocks and np.isfinite(self.lower):
+        if len(grid) and uncertain.blocks and self.blocks and np.isfinite(self.attained):
             response, rng = frequency_response(uncertain.M, grid), np.random.default_rng(self.seed)
             low, high, _ = gain_curves(response, self.blocks, rng, 4, 1e-3)
             high = np.maximum(high, low)
         return WorstCaseGain(
-            lower=self.lower,
+            lower=self.attained,
             upper=self.level,
             frequency=self.frequency,
             status=Status.TIMEOUT if self.budget.struck else Status.CERTIFIED if proved else Status.INCONCLUSIVE,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robustlab.arrays import ComplexArray
 from robustlab.budget import Budget, one_thread, search_budget
@@ -186,12 +186,12 @@ def mu(
                 f"mu: block {block.name!r}", f"range {low:g} .. {high:g} around {around:g}", expected, hint
             )
     stack, single = matrix_stack(M, structure)
-    if tolerance is not None and not tolerance > 0:
-        raise InputError("mu", f"tolerance {tolerance}", "tolerance > 0")
     if tolerance is not None:
+        if not tolerance > 0:
+            raise InputError("mu", f"tolerance {tolerance}", "tolerance > 0")
+        if len(fixed):
+            raise InputError("mu: tolerance", "given with fixed blocks", "no tolerance with them")
         compile_kernels()
-    if len(fixed) and tolerance is not None:
-        raise InputError("mu: tolerance", "given with fixed blocks", "no tolerance with them")
     budget, proof = search_budget("mu", WORK, effort, time_limit), ()
     with one_thread():
         parts, status = _bounds(stack, structure, seed, fixed)
@@ -199,15 +199,13 @@ def mu(
             proof = _close(stack, parts, structure, tolerance, budget)
             parts["boxes"] = np.array([len(boxes) for boxes in proof], dtype=int)
     if single:
-        parts = {key: value[0] for key, value in parts.items()}
-        parts.update({key: float(parts[key]) for key in ("lower", "upper", "scaled")})
-        parts.update(boxes=int(parts.get("boxes", 0)))
-    for value in parts.values():
+        numbers = ("lower", "upper", "scaled", "boxes")
+        parts = {key: value[0].item() if key in numbers else value[0] for key, value in parts.items()}
+    given = stack[0] if single else stack
+    for value in (*parts.values(), given):
         if isinstance(value, np.ndarray):
             value.setflags(write=False)
     notes = (budget.remark,) if budget.remark else ()
-    given = stack[0] if single else stack
-    given.setflags(write=False)
     kept = tuple(structure[b].name if isinstance(b, int) else b for b in fixed)
     status = Status.TIMEOUT if budget.struck else status
     return MuBounds(**parts, status=status, blocks=structure, notes=notes, M=given, fixed=kept, proof=proof)
@@ -218,50 +216,35 @@ def _bounds(
 ) -> tuple[dict[str, Any], Status]:
     """Return the D-G bounds of each matrix, the Delta found, and their status."""
     if len(fixed):
-        scale, varying = np.ones(len(stack)), varying_inputs(structure, fixed)
+        varying = varying_inputs(structure, fixed)
         proved = [skew_upper(m, structure, varying) for m in stack]
         lowers = [skew_lower(m, structure, varying, seed) for m in stack]
     else:
-        scale = _scale(stack)
-        stack = stack * scale[:, None, None]
         proved = [(bound.beta, bound) for bound in upper_bounds(stack, structure)]
         lowers = lower_bounds(stack, structure, seed)
     uppers = [bound for _, bound in proved]
     q, p = structure_size(structure)
-    zero = np.zeros((q, p), dtype=complex)
-    lower = np.array([value for value, _ in lowers])
-    upper = np.array([level for level, _ in proved])
+    lower, upper = (np.array([value for value, _ in found], dtype=float) for found in (lowers, proved))
     # A lower bound is attained up to the rounding of its Delta: it may exceed a tight upper bound by that much.
     lower = np.where((lower > upper) & (lower <= upper * (1 + 1e-8)), upper, lower)
     if (lower > upper).any():
         k = int(np.argmax(lower - upper))
         found = f"lower bound {lower[k]:.12g} above upper bound {upper[k]:.12g}: digits were lost"
         raise NoTrustworthyNumber(f"mu: matrix {k}", found)
-    size = scale[:, None, None]
-    with np.errstate(over="ignore", invalid="ignore"):
-        delta = np.array([zero if d is None else d for _, d in lowers]).reshape(len(uppers), q, p) * size
-    beyond = ~np.isfinite(delta).all(axis=(1, 2))  # such a Delta overflows: count it as not found
-    lower, delta[beyond] = np.where(beyond, 0.0, lower), 0.0
     sure = np.isfinite(upper).all()
     attained = ((lower > 0) | (upper == 0)).all()
     status = Status.CERTIFIED if sure and attained else Status.CONVERGED if sure else Status.INACCURATE
+    zero = np.zeros((q, p), dtype=complex)
     parts: dict[str, Any] = {
-        "lower": _outward(lower, scale, 0.0),
-        "upper": _outward(upper, scale, np.inf),
-        "scaled": _outward(upper, scale, np.inf),
-        "delta": delta,
-        "D": np.array([b.Dw for b in uppers], dtype=complex).reshape(len(uppers), q, q),
-        "G": np.array([b.G for b in uppers], dtype=complex).reshape(len(uppers), q, p) / size,
-        "D_z": np.array([b.Dz for b in uppers], dtype=complex).reshape(len(uppers), p, p),
+        "lower": lower,
+        "upper": upper,
+        "scaled": upper.copy(),
+        "delta": np.array([zero if d is None else d for _, d in lowers], dtype=complex).reshape(-1, q, p),
+        "D": np.array([b.Dw for b in uppers], dtype=complex).reshape(-1, q, q),
+        "G": np.array([b.G for b in uppers], dtype=complex).reshape(-1, q, p),
+        "D_z": np.array([b.Dz for b in uppers], dtype=complex).reshape(-1, p, p),
     }
     return parts, status
-
-
-def _outward(bound: NDArray[np.float64], scale: NDArray[np.float64], towards: float) -> NDArray[np.float64]:
-    """Return a bound in M's original scale, rounded to the safe side where it underflows."""
-    own = bound / scale
-    unsafe = own * scale < bound if towards > 0 else own * scale > bound
-    return np.where(unsafe, np.nextafter(own, towards), own)
 
 
 def _close(
@@ -269,19 +252,16 @@ def _close(
 ) -> tuple[BoxProof, ...]:
     """Apply branch and bound to each matrix whose gap exceeds the tolerance; return the boxes."""
     boxes: list[BoxProof] = [() for _ in stack]
-    scale = _scale(stack)
     some_real = any(b.interval for b in blocks)
-    for k, m in enumerate(stack * scale[:, None, None]):
-        lower, upper = parts["lower"][k] * scale[k], parts["upper"][k] * scale[k]
+    for k, m in enumerate(stack):
+        lower, upper = parts["lower"][k], parts["upper"][k]
         if not some_real or not 0 < lower * (1 + tolerance) < upper:
             continue
-        part = budget.share(1 / (len(stack) - k))
-        proof = tighten(MatrixProblem(m, blocks), lower, upper, tolerance, part)
-        parts["upper"][k] = proof.upper / scale[k]
-        found = [leaf.proof for leaf in proof.leaves if leaf.proof is not None]
-        boxes[k] = tuple((Box(scale[k] * box.centre, scale[k] * box.half), bound) for box, bound in found)
+        proof = tighten(MatrixProblem(m, blocks), lower, upper, tolerance, budget.share(1 / (len(stack) - k)))
+        parts["upper"][k] = proof.upper
+        boxes[k] = tuple(leaf.proof for leaf in proof.leaves if leaf.proof is not None)
         if proof.values is not None:
-            parts["lower"][k], parts["delta"][k] = proof.lower / scale[k], proof.values * scale[k]
+            parts["lower"][k], parts["delta"][k] = proof.lower, proof.values
     return tuple(boxes)
 
 
@@ -306,9 +286,3 @@ def matrix_stack(M: ArrayLike, blocks: Sequence[Block]) -> tuple[ComplexArray, b
         )
     stack = array.astype(np.complex128)
     return (stack[None] if single else stack), single
-
-
-def _scale(stack: ComplexArray) -> NDArray[np.float64]:
-    """Return the power of two that scales the largest entry of each matrix to about one; 1 for a zero matrix."""
-    largest = np.abs(stack).max(axis=(1, 2), initial=0.0)
-    return np.exp2(-np.clip(np.rint(np.log2(np.where(largest > 0, largest, 1.0))), -1000, 1000))

@@ -100,7 +100,7 @@ class _Descent:
         self.real = np.array([b.interval is not None for b in problem.blocks], dtype=bool)
         self.level = proof.lower * (1 + tolerance)
         self.root = problem.root(self.level)
-        self.regions, self.leaves = [self.root], list[Region]()
+        self.regions, self.leaves, self.attacks = [self.root], list[Region](), 0
         self._start_measuring()
 
     def run(self) -> bool:
@@ -131,7 +131,9 @@ class _Descent:
             if weight is None:
                 self.regions.append(region)
                 continue
-            found = self.problem.attack(region, self.proof.lower, self.budget)
+            self.attacks += 1  # the given lower bound is nearly always good: search in regions 1, 2, 4, 8, ...
+            seldom = self.attacks & (self.attacks - 1)
+            found = None if seldom else self.problem.attack(region, self.proof.lower, self.budget)
             if found is not None and found.level > self.proof.lower:
                 self.proof.lower, self.proof.values = found.level, found.values
             index = _block_to_cut(region.box, weight, self.real, self.root.box)
@@ -211,7 +213,7 @@ class MatrixProblem:
     """mu of one matrix M (p, q)."""
 
     def __init__(self, M: ComplexArray, blocks: Sequence[Block]) -> None:
-        self.M, self.blocks, self._attacks = M, tuple(blocks), 0
+        self.M, self.blocks = M, tuple(blocks)
 
     def root(self, level: float) -> Region:
         """All Delta of size ``1 / level``."""
@@ -239,10 +241,8 @@ class MatrixProblem:
 
     def attack(self, region: Region, level: float, budget: Budget) -> Improved | None:
         """Return a singular Delta inside the box, if a short search finds one."""
-        # The given lower bound is nearly always good: search only in regions 1, 2, 4, 8, ...
-        self._attacks += 1
         (matrix,) = box_matrices(self.M, self.blocks, [region.box])
-        if self._attacks & (self._attacks - 1) or not np.isfinite(matrix).all():
+        if not np.isfinite(matrix).all():
             return None
         value, delta = lower_bound(matrix, self.blocks, 0, restarts=2, steps=15)
         if delta is None or value < 1:

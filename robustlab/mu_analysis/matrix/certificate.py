@@ -12,34 +12,25 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robustlab.arrays import Array, ComplexArray
+from robustlab.arrays import Array, ComplexArray, Indices, Mask
 from robustlab.mu_analysis.matrix.scalings import hermitian, relative, supply
 from robustlab.uncertainty.blocks import Block, block_slices
 
 EPS = float(np.finfo(float).eps)
 
 
-def level(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> float:
-    """Return the smallest beta of D and G, without proof; 0 where N(0) > 0, inf where D is not positive definite."""
-    if not M.size:
-        return 0.0
-    inequality = _Inequality(*(part[None] for part in (M, Dw, Dz, G)))
-    return float(np.sqrt(max(inequality.squares()[0], 0.0)) * inequality.unit[0])
-
-
 def proves(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray, beta: float) -> bool:
     """Return whether D > 0 and N(beta) >= 0 hold for all rounding errors of this evaluation."""
     # Scaling by powers of two is exact; the rounding error of N is bounded entry by entry, and a Cholesky
     # factorisation of N minus that bound has to succeed.
-    inequality = _Inequality(*(part[None] for part in (M, Dw, Dz, G)))
-    return bool(inequality.proves(np.array([beta]) / inequality.unit)[0])
+    inequality = _Inequality(M[None], Dw[None], Dz[None], G[None])
+    return bool(inequality.proves(np.array([beta]) / inequality.unit, np.array([0]))[0])
 
 
 def certified_level(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> float:
     """Return the level of D and G, raised until `proves` holds; inf where it never does."""
-    return float(certified_levels(*(part[None] for part in (M, Dw, Dz, G)))[0])
+    return float(certified_levels(M[None], Dw[None], Dz[None], G[None])[0])
 
 
 def certified_levels(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> Array:
@@ -48,10 +39,10 @@ def certified_levels(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: Com
         return np.zeros(len(M))
     inequality = _Inequality(M, Dw, Dz, G)
     squares = inequality.squares()
+    raised = inequality.allowance(np.sqrt(np.maximum(squares, 0.0)))
     zero = ~M.any(axis=(1, 2))
     result = np.where(zero, 0.0, np.inf)
     # beta^2 is raised by the allowance for rounding errors, then in steps of a factor of four.
-    raised = inequality.allowance(np.sqrt(np.maximum(squares, 0.0)))
     todo = np.flatnonzero(~zero & np.isfinite(squares) & np.isfinite(raised))
     for _ in range(40):
         if not len(todo):
@@ -69,35 +60,33 @@ class _Inequality:
 
     def __init__(self, M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray) -> None:
         with np.errstate(over="ignore", invalid="ignore"):
-            M, Dw, Dz, G = _power_of_two_scaled(M, Dw, Dz, G)
+            # D's diagonals are scaled to 1/2 .. 2 by a congruence with powers of two, free of rounding.
+            w, z = (
+                np.exp2(np.round(-0.5 * np.log2(np.maximum(np.einsum("kii->ki", d).real, 1e-300)))) for d in (Dw, Dz)
+            )
+            M, G = M * w[:, None, :] / z[:, :, None], G * w[:, :, None] * z[:, None, :]
+            Dw, Dz = Dw * w[:, :, None] * w[:, None, :], Dz * z[:, :, None] * z[:, None, :]
             largest = np.abs(M).max(axis=(1, 2), initial=0.0)
             usual = (largest > 0) & np.isfinite(largest)
             self.unit = np.exp2(np.rint(np.log2(np.where(usual, largest, 1.0))))
             M, G = M / self.unit[:, None, None], G / self.unit[:, None, None]
-            value = supply(M, Dz, G)
-            size = np.abs(M)
+            value, size = supply(M, Dz, G), np.abs(M)
             cross = np.abs(G) @ size
             bound = np.swapaxes(size, 1, 2) @ np.abs(Dz) @ size + cross + np.swapaxes(cross, 1, 2)
-        self.supply = (value + hermitian(value)) / 2
-        self.Dw = Dw
+        self.supply, self.Dw = (value + hermitian(value)) / 2, Dw
         # Complex products of two factors, summed over p and q terms.
         self.gamma = 4 * (sum(M.shape[1:]) + 4) * EPS
         self.bound, self.d_bound = bound.sum(axis=2), np.abs(Dw).sum(axis=2)
-        parts = (self.supply, self.bound, Dw, Dz)
-        self.finite = np.logical_and.reduce([np.isfinite(a).all(axis=tuple(range(1, a.ndim))) for a in parts])
-        for part in (self.supply, self.Dw):
-            part[~self.finite] = np.eye(part.shape[1])
+        sums = self.supply.sum(axis=(1, 2)) + Dz.sum(axis=(1, 2)) + self.bound.sum(axis=1) + self.d_bound.sum(axis=1)
+        self.finite = np.isfinite(sums)
+        self.supply[~self.finite] = self.Dw[~self.finite] = np.eye(self.Dw.shape[1])
 
     def squares(self) -> Array:
         """Return the smallest t of ``t D_w - supply >= 0``; inf where D is not positive definite."""
         result = np.full(len(self.Dw), np.inf)
         good = np.flatnonzero(self.finite & _positive_definite(self.Dw, np.zeros(len(self.Dw))))
         if len(good):
-            scaled = relative(self.Dw[good], self.supply[good])
-            fine = np.isfinite(scaled).all(axis=(1, 2))
-            scaled[~fine] = 0
-            values = np.linalg.eigvalsh(scaled)[:, -1]
-            result[good] = np.where(fine, values, np.inf)
+            result[good] = np.linalg.eigvalsh(relative(self.Dw[good], self.supply[good]))[:, -1]
         return result
 
     def error(self, beta: Array, which: Any = slice(None)) -> Array:
@@ -113,16 +102,16 @@ class _Inequality:
             needed = self.error(beta) + 4 * (self.Dw.shape[1] + 2) * EPS * np.maximum(traces, 0.0)
             return 2 * needed / np.where(smallest > 0, smallest, np.nan) + 1e-300
 
-    def proves(self, beta: Array, which: Any = slice(None)) -> NDArray[np.bool_]:
-        """Return whether D > 0 and N(beta) >= 0 hold for all rounding errors, for each matrix."""
+    def proves(self, beta: Array, which: Indices) -> Mask:
+        """Return whether D > 0 and N(beta) >= 0 hold for all rounding errors, for each of these matrices."""
         sure = self.finite[which] & np.isfinite(beta)
         beta = np.where(sure, beta, 0.0)
         n = beta[:, None, None] ** 2 * self.Dw[which] - self.supply[which]
-        error = self.error(beta, which)
-        return sure & _positive_definite(n, error) & _positive_definite(self.Dw[which], np.zeros(len(beta)))
+        sure &= _positive_definite(n, self.error(beta, which))
+        return sure & _positive_definite(self.Dw[which], np.zeros(len(beta)))
 
 
-def _positive_definite(X: ComplexArray, error: Array) -> NDArray[np.bool_]:
+def _positive_definite(X: ComplexArray, error: Array) -> Mask:
     n = X.shape[1]
     if n == 0:
         return np.ones(len(X), dtype=bool)
@@ -135,7 +124,7 @@ def _positive_definite(X: ComplexArray, error: Array) -> NDArray[np.bool_]:
     return result
 
 
-def _factorises(X: ComplexArray) -> NDArray[np.bool_]:
+def _factorises(X: ComplexArray) -> Mask:
     """Return whether the Cholesky factorisation succeeds, for each matrix of the stack."""
     try:
         np.linalg.cholesky(X)
@@ -157,29 +146,14 @@ def singularity(M: ComplexArray, delta: ComplexArray) -> float:
 
 def delta_norm(blocks: Sequence[Block], delta: ComplexArray) -> float:
     """Return the largest singular value of the blocks of Delta (q, p)."""
-    return max((block.norm(delta[w, z]) for block, (w, z) in _with_slices(blocks)), default=0.0)
+    return max(
+        (block.norm(delta[w, z]) for block, (w, z) in zip(blocks, block_slices(blocks), strict=True)), default=0.0
+    )
 
 
 def project(blocks: Sequence[Block], delta: ComplexArray) -> ComplexArray:
     """Return the nearest Delta of exactly this structure."""
     result = np.zeros(delta.shape, dtype=complex)
-    for block, (w, z) in _with_slices(blocks):
+    for block, (w, z) in zip(blocks, block_slices(blocks), strict=True):
         result[w, z] = block.project(delta[w, z])
     return result
-
-
-def _with_slices(blocks: Sequence[Block]) -> list[tuple[Block, tuple[slice, slice]]]:
-    return list(zip(blocks, block_slices(blocks), strict=True))
-
-
-def _power_of_two_scaled(
-    M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray
-) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
-    """Scale D's diagonals to 1/2 .. 2 by a congruence with powers of two, free of rounding."""
-    w, z = (np.exp2(np.round(-0.5 * np.log2(np.maximum(np.einsum("kii->ki", d).real, 1e-300)))) for d in (Dw, Dz))
-    return (
-        M * w[:, None, :] / z[:, :, None],
-        Dw * w[:, :, None] * w[:, None, :],
-        Dz * z[:, :, None] * z[:, None, :],
-        G * w[:, :, None] * z[:, None, :],
-    )

@@ -5,15 +5,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 
 from robustlab.arrays import Array, ComplexArray, Indices, Mask
+from robustlab.linear_analysis.magnitude import balancing_factors
 from robustlab.linear_analysis.structural import strong_components
 from robustlab.uncertainty.blocks import Block, block_slices
+
+BALANCING = 15  # steps after LAPACK's
 
 
 @dataclass(frozen=True)
@@ -27,17 +29,11 @@ class Component:
 
 
 def block_norms(M: ComplexArray, blocks: Sequence[Block]) -> Array:
-    """Return the Frobenius norm of each block ``M_ij`` (outputs of block i, inputs of block j)."""
+    """Return the largest entry of each block ``M_ij`` (outputs of block i, inputs of block j)."""
     if not M.size:
         return np.zeros((len(blocks), len(blocks)))
     w, z = (np.array([part[side].start for part in block_slices(blocks)]) for side in (0, 1))
-    size = np.abs(M)
-    largest = np.maximum.reduceat(np.maximum.reduceat(size, z, axis=0), w, axis=1)
-    # Scaled by the largest entry of the block: the squares of a small coupling must not underflow.
-    unit = np.repeat(
-        np.repeat(np.where(largest > 0, largest, 1.0), [b.cols for b in blocks], 0), [b.rows for b in blocks], 1
-    )
-    return largest * np.sqrt(np.add.reduceat(np.add.reduceat((size / unit) ** 2, z, axis=0), w, axis=1))
+    return np.maximum.reduceat(np.maximum.reduceat(np.abs(M), z, axis=0), w, axis=1)
 
 
 def expand(blocks: Sequence[Block], values: Array) -> tuple[Array, Array]:
@@ -57,81 +53,44 @@ def components(M: ComplexArray, blocks: Sequence[Block]) -> list[Component]:
     if not blocks:
         return []
     norms = block_norms(M, blocks)
-    if (norms > 0).all():
-        exponents = _osborne(norms)
-        w, z = expand(blocks, exponents)
-        matrix = M * np.exp2(z)[:, None] * np.exp2(-w)[None, :]
-        return [Component(tuple(range(len(blocks))), 0, exponents, matrix)]
     labels = strong_components(norms > 0)
-    count = int(labels.max()) + 1
-    groups = [np.flatnonzero(labels == c) for c in range(count)]
     # M_ij != 0: w_j drives z_i, so component of j comes before that of i.
-    drives = np.array([[bool((norms[i[:, None], j] > 0).any()) for j in groups] for i in groups])
-    np.fill_diagonal(drives, False)
-    depth = depths(drives, np.ones(count, dtype=int))
+    depth = depths(norms > 0, labels, np.ones(len(blocks), dtype=bool))
     result = []
-    for c in np.argsort(depth, kind="stable"):
-        members = groups[c]
-        exponents = _osborne(norms[members[:, None], members])
-        part = [blocks[i] for i in members]
-        w, z = expand(part, exponents)
+    for label in np.unique(labels):
+        members = np.flatnonzero(labels == label)
+        exponents = _balancing(norms[members[:, None], members])
+        w, z = expand([blocks[i] for i in members], np.exp2(exponents))
         of_w, of_z = entries(blocks, members)
-        matrix = M[of_z[:, None], of_w] * np.exp2(z)[:, None] * np.exp2(-w)[None, :]
-        result.append(Component(tuple(int(i) for i in members), int(depth[c]), exponents, matrix))
+        matrix = M[of_z[:, None], of_w] * z[:, None] / w
+        result.append(Component(tuple(int(i) for i in members), int(depth[members[0]]), exponents, matrix))
     return result
 
 
-def depths(drives: Mask, weights: Indices) -> Indices:
-    """Return the largest sum of weights on a path to each node of an acyclic graph; ``drives[i, j]``: j before i."""
-    depth = np.zeros(len(drives), dtype=int)
-    for _ in drives:  # a path has at most this many nodes
-        depth = np.where(drives, depth + weights, 0).max(axis=1, initial=0)
-    return depth
+def depths(acts: Mask, labels: Indices, counted: Mask) -> Indices:
+    """Return for each node the most components with counted nodes on a path to it; ``acts[i, j]``: edge j to i."""
+    owner = np.arange(labels.max(initial=-1) + 1)[:, None] == labels
+    before = (owner @ acts @ owner.T) & ~np.eye(len(owner), dtype=bool)
+    weights, depth = (owner & counted).any(axis=1).astype(int), np.zeros(len(owner), dtype=int)
+    for _ in before:  # a path has at most this many components
+        depth = np.where(before, depth + weights, 0).max(axis=1, initial=0)
+    return depth[labels]
 
 
 def balancing_exponents(M: ComplexArray, blocks: Sequence[Block]) -> Array:
     """Return integer exponents per block that balance M as a whole; smaller couplings count as 1e-6."""
     norms = block_norms(M, blocks)
-    return _osborne(np.maximum(norms, 1e-6 * max(float(norms.max(initial=0.0)), 1e-300)))
+    return _balancing(np.maximum(norms, 1e-6 * max(float(norms.max(initial=0.0)), 1e-300)))
 
 
-def _osborne(norms: Array) -> Array:
+def _balancing(norms: Array) -> Array:
     """Return integer exponents e that balance the norms of row i and column i of ``norms_ij 2^(e_i - e_j)``."""
-    n = len(norms)
-    if n < 2:
-        return np.zeros(n)
-    with np.errstate(divide="ignore"):
-        log = np.log2(norms)
-    np.fill_diagonal(log, -np.inf)
-    e = np.zeros(n)
-    _compiled_osborne()(log, e, 100, 0.01)
+    if len(norms) < 2:
+        return np.zeros(len(norms))
+    # LAPACK's steps of two end too early for the search of a Delta: balanced further, all rows and columns at once.
+    off = np.where(np.eye(len(norms), dtype=bool), 0.0, norms)
+    e = -np.log2(balancing_factors(off))
+    for _ in range(BALANCING):
+        scaled = off * np.exp2(e[:, None] - e)
+        e += 0.25 * np.log2(scaled.sum(axis=0) / scaled.sum(axis=1))
     return np.round(e - np.round(e.mean()))
-
-
-@cache
-def _compiled_osborne() -> Callable[[Array, Array, int, float], None]:
-    """Return the compiled Osborne iteration; numba is imported on first use."""
-    import numba as nb
-
-    @nb.njit(cache=True, error_model="numpy")
-    def osborne(log: Array, e: Array, sweeps: int, tol: float) -> None:
-        """Exponents e such that row i and column i of ``2^(log_ij + e_i - e_j)`` have about one norm."""
-        n = len(log)
-        for _ in range(sweeps):
-            largest = 0.0
-            for i in range(n):
-                top_row, top_column = -np.inf, -np.inf
-                for j in range(n):
-                    top_row = max(top_row, log[i, j] - e[j])
-                    top_column = max(top_column, log[j, i] + e[j])
-                row, column = 0.0, 0.0
-                for j in range(n):
-                    row += 4.0 ** (log[i, j] - e[j] - top_row)
-                    column += 4.0 ** (log[j, i] + e[j] - top_column)
-                step = 0.5 * (top_column + 0.5 * np.log2(column) - top_row - 0.5 * np.log2(row)) - e[i]
-                e[i] += step
-                largest = max(largest, abs(step))
-            if largest < tol:
-                break
-
-    return osborne

@@ -34,29 +34,20 @@ class DeltaLayout:
         """Number of blocks."""
         return len(self.real)
 
-    @property
-    def diagonal(self) -> bool:
-        """Whether every Delta is a diagonal matrix."""
-        return not self.full.any()
-
     def gains(self, row: ComplexArray, x: ComplexArray) -> ComplexArray:
         """Return a (k, n_blocks) with ``row Delta x = sum a_i delta_i``; ``|row_i| |x_i|`` for a full block."""
-        if self.diagonal:
-            return self._sum(row * x, self.of_w)
-        scalar_w, scalar_z = ~self.full[self.of_w], ~self.full[self.of_z]
-        products = np.zeros((len(row), self.q), dtype=complex)
-        products[:, scalar_w] = row[:, scalar_w] * x[:, scalar_z]
-        result = self._sum(products, self.of_w)
-        sizes = self.vector_sizes(row, self.of_w) * self.vector_sizes(x, self.of_z)
-        return np.where(self.full, sizes, result)
+        sums = self._sum(row[:, self.entry_w] * x[:, self.entry_z], self.entry_block)
+        if not self.full.any():
+            return sums
+        return np.where(self.full, self.vector_sizes(row, self.of_w) * self.vector_sizes(x, self.of_z), sums)
 
     def deltas(self, values: Array | ComplexArray, row: ComplexArray, x: ComplexArray) -> ComplexArray:
         """Build Delta (k, q, p) from one number per block (k, n_blocks); full blocks are aligned with row and x."""
         delta = np.zeros((len(values), self.q, self.p), dtype=complex)
         entries = values[:, self.entry_block]
-        if not self.diagonal:
-            left = np.conj(row) / positive(self.vector_sizes(row, self.of_w))[:, self.of_w]
-            right = np.conj(x) / positive(self.vector_sizes(x, self.of_z))[:, self.of_z]
+        if self.full.any():
+            left = np.conj(row) / np.maximum(self.vector_sizes(row, self.of_w), 1e-300)[:, self.of_w]
+            right = np.conj(x) / np.maximum(self.vector_sizes(x, self.of_z), 1e-300)[:, self.of_z]
             rank_one = left[:, self.entry_w] * right[:, self.entry_z]
             entries = np.where(self.full[self.entry_block], entries * rank_one, entries)
         delta[:, self.entry_w, self.entry_z] = entries
@@ -90,16 +81,14 @@ class DeltaLayout:
 
 def delta_layout(blocks: Sequence[Block]) -> DeltaLayout:
     """Return the index arrays of these blocks (at least one)."""
-    q, p = structure_size(blocks)
-    entry_w, entry_z, entry_block = [], [], []
+    entries: list[tuple[int, int, int]] = []
     for i, (block, (w, z)) in enumerate(zip(blocks, block_slices(blocks), strict=True)):
-        for r in range(w.start, w.stop):
-            columns = [z.start + r - w.start] if block.is_scalar else range(z.start, z.stop)
-            for c in columns:
-                entry_w.append(r)
-                entry_z.append(c)
-                entry_block.append(i)
-    parts = np.arange(len(blocks))
+        if block.is_scalar:
+            entries += [(w.start + r, z.start + r, i) for r in range(block.rows)]
+        else:
+            entries += [(r, c, i) for r in range(w.start, w.stop) for c in range(z.start, z.stop)]
+    parts, (q, p) = np.arange(len(blocks)), structure_size(blocks)
+    entry_w, entry_z, entry_block = np.array(entries, dtype=np.intp).T
     return DeltaLayout(
         q=q,
         p=p,
@@ -107,12 +96,7 @@ def delta_layout(blocks: Sequence[Block]) -> DeltaLayout:
         full=np.array([not b.is_scalar and b.rows * b.cols > 1 for b in blocks]),
         of_w=np.repeat(parts, [b.rows for b in blocks]),
         of_z=np.repeat(parts, [b.cols for b in blocks]),
-        entry_w=np.array(entry_w, dtype=np.intp),
-        entry_z=np.array(entry_z, dtype=np.intp),
-        entry_block=np.array(entry_block, dtype=np.intp),
+        entry_w=entry_w,
+        entry_z=entry_z,
+        entry_block=entry_block,
     )
-
-
-def positive(size: Array) -> Array:
-    """Replace zeros by one for divisions."""
-    return np.where(size > 0, size, 1.0)

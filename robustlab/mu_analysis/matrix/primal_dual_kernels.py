@@ -9,8 +9,8 @@ To keep numba's compilation short, nothing is allocated here, few types of array
 from as few levels as possible. The arrays are
 
 W
-    ``(10, 2 q, q)``: block-diagonal matrices: a first block of order q and below it the smaller ones of ``orders``,
-    each beginning in column 0. So F is above ``S = D_w``, and Z, the dual of F, above Y, that of S.
+    ``(10, 2, q, q)``: pairs of Hermitian matrices: F with ``S = D_w``, and Z, the dual of F, with Y, that of S. Those
+    of S are block diagonal, ``low[1]`` has the first row of the block of each row (``low[0]`` is zero).
 J
     ``(3, n, n)``: products ``U^* X U`` with ``U^* = [I; M]``, ``n = q + p``.
 H
@@ -22,10 +22,10 @@ M
 c
     Coefficients of the entries of the sparse E(x); in row 1 those of D_w times t.
 entries
-    For each entry of E, in the order of the parameters: row, column, parameter; for those of D_w the column in its
-    block of S, and the first entry in this block (-1 for all others).
+    For each entry of E, in the order of the parameters: row, column, parameter; for those of D_w the first entry in its
+    block of S (-1 for all others).
 
-Matrices of W and vectors of V are given by their index: ``product(W, A, P, DX, orders)`` is ``A = P dX``.
+Matrices of W and vectors of V are given by their index: ``product(W, A, P, DX)`` is ``A = P dX``.
 
 Everything is in one file because numba's cache checks only the file of the called function for changes.
 """
@@ -55,7 +55,7 @@ X, P, Z, DX, DZ, D, BEND, SECOND, A, B = np.arange(MATRICES)
 # x, its step, the best x; gradient of the trace of D_w; weight of |x|^2 added to the barrier; downward slope of the
 # barrier; border of H, and the solutions for it and for the trace; terms of second order; scaling of H; two of sums.
 AT, STEP, BEST, TRACE, SHORT, DOWN, BORDER, BY_BORDER, BY_TRACE, BENT, SCALE, ACROSS, BACK = np.arange(VECTORS)
-ROW, COL, OF, PLACE, BEGIN = np.arange(5)  # in entries
+ROW, COL, OF, BEGIN = np.arange(4)  # in entries
 AT_P, AT_Z, ROOM = np.arange(3)  # in J: of P, and of Z or a product; workspace for their rows
 
 SHORT_G = 1e-4  # weight of |G|^2 added to the barrier: where mu = 0, G would grow without bound
@@ -69,124 +69,115 @@ LONG = 8.0
 @nb.njit(**INSIDE)
 def combine(W, out, a, x, b, y):
     """``a X + b Y``."""
-    for i in range(W.shape[1]):
-        for j in range(W.shape[2]):
-            W[out, i, j] = a * W[x, i, j] + b * W[y, i, j]
+    for h in range(2):
+        for i in range(W.shape[2]):
+            for j in range(W.shape[2]):
+                W[out, h, i, j] = a * W[x, h, i, j] + b * W[y, h, i, j]
 
 
 @nb.njit(**INSIDE)
-def product(W, out, x, y, orders):
+def product(W, out, x, y):
     """``X Y``."""
-    top = 0
-    for m in orders:
-        for i in range(m):
-            for j in range(m):
-                W[out, top + i, j] = 0.0
-            for k in range(m):
-                a = W[x, top + i, k]
-                for j in range(m):
-                    W[out, top + i, j] += a * W[y, top + k, j]
-        top += m
+    n = W.shape[2]
+    for h in range(2):
+        for i in range(n):
+            for j in range(n):
+                W[out, h, i, j] = 0.0
+            for k in range(n):
+                a = W[x, h, i, k]
+                if a != 0.0:
+                    for j in range(n):
+                        W[out, h, i, j] += a * W[y, h, k, j]
 
 
 @nb.njit(**INSIDE)
-def symmetrise(W, x, orders):
+def symmetrise(W, x):
     """Replace X by its Hermitian part."""
-    top = 0
-    for m in orders:
-        for i in range(m):
+    for h in range(2):
+        for i in range(W.shape[2]):
             for j in range(i + 1):
-                value = 0.5 * (W[x, top + i, j] + W[x, top + j, i].conjugate())
-                W[x, top + i, j] = value
-                W[x, top + j, i] = value.conjugate()
-        top += m
+                value = 0.5 * (W[x, h, i, j] + W[x, h, j, i].conjugate())
+                W[x, h, i, j] = value
+                W[x, h, j, i] = value.conjugate()
 
 
 @nb.njit(**INSIDE)
 def inner(W, x, y):
     """``tr(X Y)`` of Hermitian matrices."""
     total = 0.0
-    for i in range(W.shape[1]):
-        for j in range(W.shape[2]):
-            total += W[x, i, j].real * W[y, i, j].real + W[x, i, j].imag * W[y, i, j].imag
+    for h in range(2):
+        for i in range(W.shape[2]):
+            for j in range(W.shape[2]):
+                total += W[x, h, i, j].real * W[y, h, i, j].real + W[x, h, i, j].imag * W[y, h, i, j].imag
     return total
 
 
 @nb.njit(**INSIDE)
-def raise_small(W, out, a, x, orders):
-    """Put the smaller blocks of X, times a, at their positions in a matrix of order q."""
-    q, low = W.shape[2], 0
-    for m in orders[1:]:
-        for i in range(m):
-            for j in range(m):
-                W[out, low + i, low + j] = a * W[x, q + low + i, j]
-        low += m
+def raise_small(W, out, a, x):
+    """Put the second matrix of X, times a, into the place of the first."""
+    for i in range(W.shape[2]):
+        for j in range(W.shape[2]):
+            W[out, 0, i, j] = a * W[x, 1, i, j]
 
 
 @nb.njit(**INSIDE)
-def lower_large(W, out, a, x, orders):
-    """Add to the smaller blocks their positions in the first block of X, times a (the adjoint of `raise_small`)."""
-    q, low = W.shape[2], 0
-    for m in orders[1:]:
-        for i in range(m):
-            for j in range(m):
-                W[out, q + low + i, j] += a * W[x, low + i, low + j]
-        low += m
+def lower_large(W, out, a, x, low):
+    """Add to the blocks of the second matrix their positions in the first one of X, times a."""
+    for i in range(W.shape[2]):
+        for j in range(low[1, i], i + 1):
+            W[out, 1, i, j] += a * W[x, 0, i, j]
+            W[out, 1, j, i] = W[out, 1, i, j].conjugate()
 
 
 @nb.njit(**INSIDE)
-def factor(W, x, orders):
+def factor(W, x, low):
     """Cholesky factor of X in its place; False where X is not positive definite."""
-    top = 0
-    for m in orders:
-        for i in range(m):
-            for j in range(i + 1):
-                value = W[x, top + i, j]
-                for k in range(j):
-                    value -= W[x, top + i, k] * W[x, top + j, k].conjugate()
+    for h in range(2):
+        for i in range(W.shape[2]):
+            for j in range(low[h, i], i + 1):
+                value = W[x, h, i, j]
+                for k in range(low[h, i], j):
+                    value -= W[x, h, i, k] * W[x, h, j, k].conjugate()
                 if j < i:
-                    W[x, top + i, j] = value * (1 / W[x, top + j, j].real)
-                elif value.real > 1e-15 * W[x, top + i, i].real and value.real < np.inf:
-                    W[x, top + i, i] = math.sqrt(value.real)
+                    W[x, h, i, j] = value * (1 / W[x, h, j, j].real)
+                elif value.real > 1e-15 * W[x, h, i, i].real and value.real < np.inf:
+                    W[x, h, i, i] = math.sqrt(value.real)
                 else:
                     return False
-        top += m
     return True
 
 
 @nb.njit(**INSIDE)
-def inverse(W, out, x, room, orders):
+def inverse(W, out, x, room, low):
     """``(L L^*)^-1`` for the Cholesky factor L in X; room receives the inverse of L."""
-    top = 0
-    for m in orders:
-        for i in range(m):
-            for j in range(m):
-                W[room, top + i, j] = W[out, top + i, j] = 0.0
-            for k in range(i):
-                a = W[x, top + i, k]
-                for j in range(k + 1):
-                    W[room, top + i, j] -= a * W[room, top + k, j]
-            W[room, top + i, i] = 1.0
-            for j in range(i + 1):
-                W[room, top + i, j] *= 1 / W[x, top + i, i].real
-        for k in range(m):
-            for i in range(k + 1):
-                a = W[room, top + k, i].conjugate()
-                for j in range(i + 1):
-                    W[out, top + i, j] += a * W[room, top + k, j]
-        for i in range(m):
-            for j in range(i):
-                W[out, top + j, i] = W[out, top + i, j].conjugate()
-        top += m
+    for h in range(2):
+        for i in range(W.shape[2]):
+            for j in range(W.shape[2]):
+                W[room, h, i, j] = W[out, h, i, j] = 0.0
+            for k in range(low[h, i], i):
+                a = W[x, h, i, k]
+                for j in range(low[h, i], k + 1):
+                    W[room, h, i, j] -= a * W[room, h, k, j]
+            W[room, h, i, i] = 1.0
+            for j in range(low[h, i], i + 1):
+                W[room, h, i, j] *= 1 / W[x, h, i, i].real
+        for k in range(W.shape[2]):
+            for i in range(low[h, k], k + 1):
+                a = W[room, h, k, i].conjugate()
+                for j in range(low[h, k], i + 1):
+                    W[out, h, i, j] += a * W[room, h, k, j]
+        for i in range(W.shape[2]):
+            for j in range(low[h, i], i):
+                W[out, h, j, i] = W[out, h, i, j].conjugate()
 
 
 @nb.njit(**INSIDE)
 def form(W, out, J, V, x, M, c, entries):
     """``U E(x) U^*``, and ``D_w(x)``."""
     p, q = M.shape
-    for i in range(2 * q):
+    for i in range(q):
         for j in range(q):
-            W[out, i, j] = 0.0
+            W[out, 1, i, j] = 0.0
     for i in range(q + p):
         for j in range(q):
             J[1, i, j] = 0.0
@@ -198,30 +189,30 @@ def form(W, out, J, V, x, M, c, entries):
             for j in range(q):
                 J[1, row, j] += value * c[1, e] * M[col - q, j]
         if entries[BEGIN, e] >= 0:
-            W[out, q + row, entries[PLACE, e]] += value * c[0, e]
+            W[out, 1, row, col] += value * c[0, e]
     for i in range(q):
         for j in range(q):
-            W[out, i, j] = J[1, i, j]
+            W[out, 0, i, j] = J[1, i, j]
     for k in range(p):
         for i in range(q):
             a = M[k, i].conjugate()
             for j in range(q):
-                W[out, i, j] += a * J[1, q + k, j]
+                W[out, 0, i, j] += a * J[1, q + k, j]
 
 
 @nb.njit(**INSIDE)
 def sandwich(W, x, J, out, M):
-    """``U^* X U`` of the first block of X."""
+    """``U^* X U`` of the first matrix of X."""
     p, q = M.shape
     for i in range(q):
         for j in range(q):
-            J[out, i, j] = W[x, i, j]
+            J[out, i, j] = W[x, 0, i, j]
     for i in range(q, q + p):
         for j in range(q):
             J[out, i, j] = 0.0
         for k in range(q):
             for j in range(q):
-                J[out, i, j] += M[i - q, k] * W[x, k, j]
+                J[out, i, j] += M[i - q, k] * W[x, 0, k, j]
         for j in range(q):
             J[out, j, i] = J[out, i, j].conjugate()
         for j in range(q, i + 1):
@@ -234,22 +225,21 @@ def sandwich(W, x, J, out, M):
 
 @nb.njit(**INSIDE)
 def traces(W, x, J, at, V, out, c, entries):
-    """``tr(F_i X) + tr(D_i Y)`` of each parameter, from ``U^* X U`` in J and Y in the smaller blocks of X."""
-    q = W.shape[2]
+    """``tr(F_i X) + tr(D_i Y)`` of each parameter, from ``U^* X U`` in J and Y, the second matrix of X."""
     for i in range(V.shape[1]):
         V[out, i] = 0.0
     for e in range(c.shape[1]):
         row, col = entries[ROW, e], entries[COL, e]
         value = c[1, e] * J[at, col, row]
         if entries[BEGIN, e] >= 0:
-            value += c[0, e] * W[x, q + col, row - col + entries[PLACE, e]]
+            value += c[0, e] * W[x, 1, col, row]
         V[out, entries[OF, e]] += value.real
 
 
 @nb.njit(**INSIDE)
 def curvature(W, J, H, c, entries):
     """``Re tr(F_i P F_j Z) + Re tr(D_i T D_j Y)`` from ``U^* P U`` and ``U^* Z U`` in J; lower half."""
-    q, end = W.shape[2], 0
+    end = 0
     for i in range(len(H)):
         for j in range(i + 1):
             H[i, j] = 0.0
@@ -264,11 +254,10 @@ def curvature(W, J, H, c, entries):
             value = J[ROOM, 0, entries[ROW, f]] * J[ROOM, 1, entries[COL, f]]
             H[i, entries[OF, f]] += c[1, f].real * value.real - c[1, f].imag * value.imag
         if begin >= 0:
-            low = col - entries[PLACE, e]
             for f in range(begin, end):
                 if entries[BEGIN, f] == begin:
-                    value = c[0, e] * W[P, q + col, entries[ROW, f] - low]
-                    value *= c[0, f] * W[Z, q + row, entries[COL, f] - low].conjugate()
+                    value = c[0, e] * W[P, 1, col, entries[ROW, f]]
+                    value *= c[0, f] * W[Z, 1, row, entries[COL, f]].conjugate()
                     H[i, entries[OF, f]] += value.real
 
 
@@ -336,49 +325,47 @@ def newton_solve(H, V, out, right):
 
 
 @nb.njit(**INSIDE)
-def longest(W, x, dx, bend, orders, top, close):
+def longest(W, x, dx, bend, low, top, close):
     """Largest step a up to ``top``, by bisection, with ``X + a dX + a^2 bend BEND > 0``."""
-    low, high, a = 0.0, top, top
+    good, bad, a = 0.0, top, top
     for _ in range(15):
         combine(W, A, 1.0, x, a, dx)
         combine(W, A, 1.0, A, a * a * bend, BEND)
-        if factor(W, A, orders):
-            low = a
+        if factor(W, A, low):
+            good = a
         else:
-            high = a
+            bad = a
         # The step is known to a small part of the longest possible one.
-        if low == top or (low > 0 and high - low <= close * top):
+        if good == top or (good > 0 and bad - good <= close * top):
             break
-        a = 0.5 * (low + high)
-    return low
+        a = 0.5 * (good + bad)
+    return good
 
 
 @nb.njit(**PART)
-def evaluate(W, J, V, M, c, entries, orders, t):
+def evaluate(W, J, V, M, c, entries, low, t):
     """F, S and their inverses at x and t; False where they are not positive definite."""
     for e in range(c.shape[1]):
         c[1, e] = c[0, e] * (t if entries[BEGIN, e] >= 0 else 1.0)
     form(W, X, J, V, AT, M, c, entries)
-    symmetrise(W, X, orders)
-    raise_small(W, D, 1.0, X, orders)
+    symmetrise(W, X)
+    raise_small(W, D, 1.0, X)
     combine(W, A, 1.0, X, 0.0, X)
-    good = factor(W, A, orders)
+    good = factor(W, A, low)
     if good:
-        inverse(W, P, A, B, orders)
+        inverse(W, P, A, B, low)
     return good
 
 
 @nb.njit(**INSIDE)
-def allowance(W, V, M, c, entries, orders):
+def allowance(W, V, M, c, entries):
     """Estimate the rounding error of t, with D scaled to a unit diagonal (to select the best iterate)."""
     p, q = M.shape
-    low, widest, largest = 0, 0.0, 0.0
-    for m in orders[1:]:
-        for i in range(m):
-            size = W[X, q + low + i, i].real
-            V[ACROSS, low + i] = 1 / math.sqrt(size)
-            widest = max(widest, size * W[P, q + low + i, i].real)
-        low += m
+    widest, largest = 0.0, 0.0
+    for i in range(q):
+        size = W[X, 1, i, i].real
+        V[ACROSS, i] = 1 / math.sqrt(size)
+        widest = max(widest, size * W[P, 1, i, i].real)
     # Row sums of |U| |E(x)| |U^*|: products with a vector of ones.
     for k in range(p):
         V[ACROSS, q + k] = 0.0
@@ -397,7 +384,7 @@ def allowance(W, V, M, c, entries, orders):
 
 
 @nb.njit(**PART)
-def newton_system(W, J, H, V, M, c, entries, orders, nu):
+def newton_system(W, J, H, V, M, c, entries, low, nu):
     """The factorised system in dx, bordered by dt and the multiplier of the fixed trace."""
     sandwich(W, P, J, AT_P, M)
     sandwich(W, Z, J, AT_Z, M)
@@ -408,11 +395,11 @@ def newton_system(W, J, H, V, M, c, entries, orders, nu):
         V[DOWN, i] -= V[SHORT, i] * V[AT, i]
         V[BENT, i] = 0.0
     combine(W, SECOND, 0.0, P, 0.0, P)
-    product(W, A, P, D, orders)
-    product(W, B, A, Z, orders)
-    symmetrise(W, B, orders)
+    product(W, A, P, D)
+    product(W, B, A, Z)
+    symmetrise(W, B)
     tt = inner(W, B, D)
-    lower_large(W, B, -1.0, Z, orders)
+    lower_large(W, B, -1.0, Z, low)
     sandwich(W, B, J, AT_Z, M)
     traces(W, B, J, AT_Z, V, BORDER, c, entries)
     newton_solve(H, V, BY_BORDER, BORDER)
@@ -421,7 +408,7 @@ def newton_system(W, J, H, V, M, c, entries, orders, nu):
 
 
 @nb.njit(**PART)
-def direction(W, J, H, V, M, c, entries, orders, nu, tt, bent):
+def direction(W, J, H, V, M, c, entries, low, nu, tt, bent):
     """Newton direction to the point of the central path with ``F Z = nu I``, and its change of t."""
     for i in range(V.shape[1]):
         V[STEP, i] = nu * V[DOWN, i] + V[BENT, i]
@@ -435,9 +422,9 @@ def direction(W, J, H, V, M, c, entries, orders, nu, tt, bent):
     shift(V, STEP, -(r2 - tc * dt) / cc, BY_TRACE)
     form(W, DX, J, V, STEP, M, c, entries)
     combine(W, DX, 1.0, DX, dt, D)
-    product(W, A, DX, Z, orders)
-    product(W, B, P, A, orders)
-    symmetrise(W, B, orders)
+    product(W, A, DX, Z)
+    product(W, B, P, A)
+    symmetrise(W, B)
     combine(W, DZ, nu, P, -1.0, Z)
     combine(W, DZ, 1.0, DZ, -1.0, B)
     combine(W, DZ, 1.0, DZ, -1.0, SECOND)
@@ -445,17 +432,17 @@ def direction(W, J, H, V, M, c, entries, orders, nu, tt, bent):
 
 
 @nb.njit(**PART)
-def second_order(W, J, V, M, c, entries, orders, dt):
+def second_order(W, J, V, M, c, entries, low, dt):
     """Compute the products of two steps for the corrector; return that in t."""
-    raise_small(W, BEND, 1.0, DX, orders)
+    raise_small(W, BEND, 1.0, DX)
     bent = inner(W, DZ, BEND)
-    product(W, A, BEND, Z, orders)
-    product(W, B, DX, DZ, orders)
+    product(W, A, BEND, Z)
+    product(W, B, DX, DZ)
     combine(W, A, dt, A, 1.0, B)
-    product(W, SECOND, P, A, orders)
-    symmetrise(W, SECOND, orders)
+    product(W, SECOND, P, A)
+    symmetrise(W, SECOND)
     combine(W, A, -1.0, SECOND, 0.0, SECOND)
-    lower_large(W, A, dt, DZ, orders)
+    lower_large(W, A, dt, DZ, low)
     sandwich(W, A, J, AT_Z, M)
     traces(W, A, J, AT_Z, V, BENT, c, entries)
     return bent - inner(W, SECOND, D)
@@ -472,74 +459,71 @@ def tangent(W, J, V, M, c, entries, down):
 
 
 @nb.njit(**INSIDE)
-def beyond(W, down, gap, orders):
+def beyond(W, down, gap, low):
     """Return whether Z and Y exclude a t smaller by ``down``."""
-    q, low = W.shape[2], 0
     combine(W, A, 1.0, Z, 0.0, Z)
-    lower_large(W, A, down, Z, orders)
-    for m in orders[1:]:
-        for i in range(m):
-            W[A, q + low + i, i] -= gap / q
-        low += m
-    return factor(W, A, orders)
+    lower_large(W, A, down, Z, low)
+    for i in range(W.shape[2]):
+        W[A, 1, i, i] -= gap / W.shape[2]
+    return factor(W, A, low)
 
 
 @nb.njit(**INSIDE)
-def ended(W, t, best_t, gap, left, blur, tol, goal, careful, sure, orders):
+def ended(W, t, best_t, gap, left, blur, tol, goal, careful, sure, low):
     """Return whether the descent ends: goal reached or excluded, optimum, or no digits left."""
     if best_t <= goal or best_t <= 0 or (careful and blur > gap):
         return True
-    if goal > 0 and t - 2 * gap - left > goal and (not sure or beyond(W, t - goal, gap, orders)):
+    if goal > 0 and t - 2 * gap - left > goal and (not sure or beyond(W, t - goal, gap, low)):
         return True
     # With D far from I the gap is unreliable: the steps of t must also converge.
     if gap > tol * t or left > 3 * tol * t:
         return False
-    return not sure or (careful and gap <= FINER * tol * t) or beyond(W, SURE * tol * t, gap, orders)
+    return not sure or (careful and gap <= FINER * tol * t) or beyond(W, SURE * tol * t, gap, low)
 
 
 @nb.njit(**PART)
-def follow(W, J, V, M, c, entries, orders, t, gap):
+def follow(W, J, V, M, c, entries, low, t, gap):
     """Step along the tangent of the path of centres as far as x stays feasible, nearly; returns its change of t."""
     down = min(t, LONG * gap)
     tangent(W, J, V, M, c, entries, down)
-    raise_small(W, BEND, -down, DX, orders)
+    raise_small(W, BEND, -down, DX)
     a, far = 1.0, np.inf
     while a < far:  # along a curved path points before a feasible step need not be feasible
-        far = longest(W, X, DX, 1.0, orders, a, 0.1 / LONG)
+        far = longest(W, X, DX, 1.0, low, a, 0.1 / LONG)
         a = far if far == a and a < 1.0 else 0.9 * far
     shift(V, AT, a, STEP)
     return -a * down
 
 
 @nb.njit(cache=True, **ENTRY)
-def descend(W, J, H, V, M, c, entries, orders, t, tol, goal, max_steps, sure):
+def descend(W, J, H, V, M, c, entries, low, t, tol, goal, max_steps, sure):
     """Follow the central path from x, t, with the best x in V; return whether its t is optimal within ``tol``."""
     best_t, last, left, gap = np.inf, np.inf, np.inf, 0.0
     dt = ap = ad = 0.0
     steps, careful, centred, settled = 0, False, False, False
     shift(V, BEST, 1.0, AT)
-    while steps < max_steps and evaluate(W, J, V, M, c, entries, orders, t):
+    while steps < max_steps and evaluate(W, J, V, M, c, entries, low, t):
         steps += 1
         if centred:
-            gap, blur = inner(W, Z, X), allowance(W, V, M, c, entries, orders)
+            gap, blur = inner(W, Z, X), allowance(W, V, M, c, entries)
             if t + blur < best_t:
                 best_t = t + blur
                 shift(V, BEST, -1.0, BEST)
                 shift(V, BEST, 1.0, AT)
-            settled = ended(W, t, best_t, gap, left, blur, tol, goal, careful, sure, orders)
+            settled = ended(W, t, best_t, gap, left, blur, tol, goal, careful, sure, low)
             if settled:
                 break
             if gap <= tol * t and left <= 3 * tol * t and not careful:
                 careful, centred, left = True, False, np.inf
         if centred:
-            mean, nu, far = gap / W.shape[1], 0.0, 1.05
+            mean, nu, far = gap / (2 * W.shape[2]), 0.0, 1.05
         else:
             # With Z = P and t fixed, the Newton step is that of the barrier, and Z + dZ meets all constraints.
             combine(W, Z, 1.0, P, 0.0, P)
             mean, nu, far = 1.0, 1.0, 4.0
-        tt, bent = newton_system(W, J, H, V, M, c, entries, orders, mean), 0.0
+        tt, bent = newton_system(W, J, H, V, M, c, entries, low, mean), 0.0
         if centred and careful:
-            dt = follow(W, J, V, M, c, entries, orders, t, gap)
+            dt = follow(W, J, V, M, c, entries, low, t, gap)
             if not 0 < abs(dt) < np.inf:
                 break
             t, left, centred = t + dt, -dt, False
@@ -547,17 +531,17 @@ def descend(W, J, H, V, M, c, entries, orders, t, tol, goal, max_steps, sure):
         if not centred:
             tt += np.inf
         for corrected in range(2):
-            dt = direction(W, J, H, V, M, c, entries, orders, nu, tt, bent)
-            raise_small(W, BEND, dt, DX, orders)
+            dt = direction(W, J, H, V, M, c, entries, low, nu, tt, bent)
+            raise_small(W, BEND, dt, DX)
             close = 0.032 if corrected else 0.063
-            ap, ad = longest(W, X, DX, 1.0, orders, far, close), longest(W, Z, DZ, 0.0, orders, far, close)
+            ap, ad = longest(W, X, DX, 1.0, low, far, close), longest(W, Z, DZ, 0.0, low, far, close)
             if corrected or not centred:
                 break
             ahead = inner(W, DX, Z) / gap * ap + inner(W, X, DZ) / gap * ad + inner(W, DX, DZ) / gap * ap * ad + 1
             least = 1e-3 if min(ap, ad) > 0.9 else 0.05
             ahead = max(ahead, 0.0)
             nu = mean * min(max(ahead * ahead, least), 0.9)
-            bent = second_order(W, J, V, M, c, entries, orders, dt)
+            bent = second_order(W, J, V, M, c, entries, low, dt)
         if not abs(dt) < np.inf:
             break
         if centred:

@@ -17,7 +17,7 @@ import numpy as np
 from robustlab.arrays import AnyArray, Array, ComplexArray, Mask
 from robustlab.errors import InputError, did_you_mean
 from robustlab.mu_analysis.matrix.box import Box, centre_matrix, root_box
-from robustlab.mu_analysis.matrix.certificate import delta_norm, proves
+from robustlab.mu_analysis.matrix.certificate import proves
 from robustlab.mu_analysis.matrix.decomposition import entries
 from robustlab.mu_analysis.matrix.lower import lower_bound
 from robustlab.mu_analysis.matrix.scalings import hermitian, relative, supply
@@ -52,27 +52,33 @@ def skew_upper(M: ComplexArray, blocks: Sequence[Block], varying: Mask, tol: flo
     """Return the smallest level found that D, G prove, and these D, G for ``M / S(level)``; inf: none."""
     q, p = structure_size(blocks)
     size = float(np.linalg.norm(M, 2))
-    eye, zero = np.eye(q, dtype=complex), np.zeros((q, p), dtype=complex)
-    plain = UpperBound(float("inf"), eye, np.eye(p, dtype=complex), zero)
+    plain = UpperBound(np.inf, np.eye(q) + 0j, np.eye(p) + 0j, np.zeros((q, p), dtype=complex))
     if not M[:, varying].any():
         # Only the fixed blocks can make the loop singular.
         bound = upper_bounds(M[None], blocks)[0]
-        return (0.0, bound) if bound.beta < 1 else (float("inf"), plain)
-    level, best, proof = max(size, 1e-300), float("inf"), plain
+        return (0.0, bound) if bound.beta < 1 else (np.inf, plain)
+    level, best, proof = max(size, 1e-300), np.inf, plain
     for _ in range(SKEW_ROUNDS):
-        bound = upper_bounds(divided(M, varying, level)[None], blocks, tol)[0]
-        reached = level * _level_of(divided(M, varying, level), bound, varying)
-        if not np.isfinite(reached):
+        scaled = divided(M, varying, level)
+        bound = upper_bounds(scaled[None], blocks, tol)[0]
+        ratio = _level_of(scaled, bound, varying)
+        if not np.isfinite(ratio):
             if np.isfinite(best) or level > LARGEST_LEVEL * size:
                 break
             level *= 8
             continue
-        rest = UpperBound(1.0, bound.Dw, bound.Dz, _carried(bound.G, varying, level / reached))
-        certain = _certified(M, varying, reached, rest)
-        if certain >= best * (1 - tol):
+        for inflation in INFLATIONS:  # until D, G prove the level with their rounding errors
+            reached = level * ratio * (1 + inflation)
+            G = np.where(varying[:, None], bound.G * (level / reached), bound.G)
+            # M / level has one more rounding per entry, far within the allowance of `proves`.
+            if proves(divided(M, varying, reached), bound.Dw, bound.Dz, G, 1.0):
+                break
+        else:
             break
-        best, proof = certain, UpperBound(1.0, rest.Dw, rest.Dz, rest.G)
-        level = certain
+        if reached >= best * (1 - tol):
+            break
+        level = best = reached
+        proof = UpperBound(1.0, bound.Dw, bound.Dz, G)
     return best, proof
 
 
@@ -90,36 +96,29 @@ def skew_lower(
     M: ComplexArray, blocks: Sequence[Block], varying: Mask, seed: int = 0, rounds: int = 10
 ) -> tuple[float, ComplexArray | None]:
     """Return ``(1 / size of the varying blocks, Delta)`` of the smallest Delta found with fixed blocks within one."""
-    level = float(np.linalg.norm(M, 2))
-    best: tuple[float, ComplexArray | None] = (0.0, None)
-    if level == 0:
-        return best
+    level = size = float(np.linalg.norm(M, 2))
     slices = block_slices(blocks)
     moving = [i for i, (w, _) in enumerate(slices) if varying[w.start]]
     if len(moving) == 1 and blocks[moving[0]].is_ball:
         return _largest_gain(M, blocks, moving[0], seed)
+    best: tuple[float, ComplexArray | None] = (0.0, None)
     failed = np.inf
     for _ in range(rounds):
+        if level <= 1e-9 * size:
+            break
         value, delta = lower_bound(divided(M, varying, level), blocks, seed, restarts=8, steps=30)
-        if delta is None:
-            failed, level = level, level / 4
-            if level < 1e-9 * np.linalg.norm(M, 2):
-                break
-            continue
-        scaled = np.where(varying[:, None], delta / level, delta)
-        some = [blocks[i] for i in moving]
-        part = np.zeros(structure_size(some), dtype=complex)
-        for (w, z), (sw, sz) in zip(block_slices(some), [slices[i] for i in moving], strict=True):
-            part[w, z] = scaled[sw, sz]
-        if value >= 1 - 1e-12:
-            reached = 1 / delta_norm(some, part)
+        if delta is not None and value >= 1 - 1e-12:
+            scaled = np.where(varying[:, None], delta / level, delta)
+            reached = 1 / max(blocks[i].norm(scaled[slices[i]]) for i in moving)
             if reached <= best[0] * (1 + 1e-9):
                 break
-            best = (reached, scaled)
-            level = np.sqrt(reached * failed) if np.isfinite(failed) else max(reached, level) * 1.0001
+            best = reached, scaled
+            level = max(reached, level) * 1.0001
         else:
             failed = level
-            level = np.sqrt(best[0] * failed) if best[0] > 0 else level * value
+            level *= value or 0.25
+        if best[0] and np.isfinite(failed):
+            level = np.sqrt(best[0] * failed)
     return best
 
 
@@ -127,17 +126,15 @@ def _largest_gain(
     M: ComplexArray, blocks: Sequence[Block], moving: int, seed: int
 ) -> tuple[float, ComplexArray | None]:
     """Solve for one varying full block: its level is the largest gain of the channels that it closes."""
-    order = [i for i in range(len(blocks)) if i != moving] + [moving]
-    w, z = entries(blocks, order)
-    sorted_blocks = [blocks[i] for i in order]
-    gain = largest_gain(M[z[:, None], w], sorted_blocks, root_box(sorted_blocks), np.random.default_rng(seed))
+    order = [*(i for i in range(len(blocks)) if i != moving), moving]
+    (w, z), ordered = entries(blocks, order), [blocks[i] for i in order]
+    gain = largest_gain(M[z[:, None], w], ordered, root_box(ordered), np.random.default_rng(seed))
     if gain is None or gain.value == 0:
         return 0.0, None
-    last_w, last_z = block_slices(sorted_blocks)[-1]
-    whole = np.zeros(structure_size(blocks), dtype=complex)
+    last_w, last_z = block_slices(ordered)[-1]
+    whole, back = np.zeros((2, *structure_size(blocks)), dtype=complex)
     whole[: last_w.start, : last_z.start] = gain.delta
     whole[last_w, last_z] = np.outer(gain.v, np.conj(gain.u)) / gain.value  # makes the loop singular
-    back = np.zeros_like(whole)
     back[w[:, None], z] = whole
     return 1 / float(np.linalg.norm(whole[last_w, last_z], 2)), back
 
@@ -145,11 +142,6 @@ def _largest_gain(
 def divided(M: AnyArray, varying: Mask, level: float) -> AnyArray:
     """Divide the columns of the varying inputs of M, or of a stack, by the level."""
     return np.where(varying, M / level, M)
-
-
-def _carried(G: ComplexArray, varying: Mask, ratio: float) -> ComplexArray:
-    """Return G of the scaled inequality for a level that is ``1 / ratio`` times the old one."""
-    return np.where(varying[:, None], G * ratio, G)
 
 
 def _level_of(M: ComplexArray, bound: UpperBound, varying: Mask) -> float:
@@ -166,17 +158,6 @@ def _level_of(M: ComplexArray, bound: UpperBound, varying: Mask) -> float:
     except np.linalg.LinAlgError:
         return float("inf")
     return float(np.sqrt(max(value, 1e-30))) if np.isfinite(value) else float("inf")
-
-
-def _certified(M: ComplexArray, varying: Mask, level: float, bound: UpperBound) -> float:
-    """Raise the level until D, G prove it with their rounding errors; inf where they never do."""
-    for inflation in INFLATIONS:
-        raised = level * (1 + inflation)
-        G = _carried(bound.G, varying, 1 / (1 + inflation))
-        # M / level has one more rounding per entry, far within the allowance of `proves`.
-        if proves(divided(M, varying, raised), bound.Dw, bound.Dz, G, 1.0):
-            return raised
-    return float("inf")
 
 
 # --- gain of a matrix closed by Delta, its derivative, and ascent ----------------------------------------------------
@@ -221,21 +202,20 @@ def ascend(
 ) -> Gain | None:
     """Ascend to a large gain inside the box from a Delta (q, p): each step aligns all blocks with l and r."""
     best = gain_at(M, blocks, start)
-    for _ in range(steps if best is not None else 0):
-        assert best is not None
-        aim = _aligned(blocks, best, box)
-        step, better = 1.0, None
-        while step > 1e-3:
-            trial = gain_at(M, blocks, best.delta + step * (aim - best.delta))
-            if trial is not None and trial.value > best.value:
-                better = trial
+    for _ in range(steps):
+        if best is None:
+            break
+        aim = centre_matrix(blocks[:-1], box.centre[:-1]).astype(complex)  # raises the gain most, to first order
+        for block, (w, z), half in zip(blocks[:-1], block_slices(blocks[:-1]), box.half[:-1], strict=True):
+            aligned = block.aligned(best.left[w], best.right[z], half)
+            aim[w, z] = best.delta[w, z] if aligned is None else aim[w, z] + aligned
+        before = best
+        for step in 3.0 ** -np.arange(7):
+            trial = gain_at(M, blocks, before.delta + step * (aim - before.delta))
+            if trial is not None and trial.value > before.value:
+                best = trial
                 break
-            step /= 3
-        if better is None:
-            return best
-        rise = better.value / best.value - 1 if best.value > 0 else 1.0
-        best = better
-        if rise < RISE and step == 1.0:
+        if best.value <= before.value * (1 + RISE):
             break
     return best
 
@@ -244,27 +224,13 @@ def largest_gain(
     M: ComplexArray, blocks: Sequence[Block], box: Box, rng: np.random.Generator, starts: int = 12
 ) -> Gain | None:
     """Return the largest gain of ascents from the centre of the box and from random corners."""
-    others = blocks[:-1]
-    best: Gain | None = None
+    others, found = blocks[:-1], []
     for k in range(starts if others else 1):
         delta = centre_matrix(others, box.centre[:-1]).astype(complex)
-        if k:
-            for block, (w, z), half in zip(others, block_slices(others), box.half[:-1], strict=True):
-                if block.interval:
-                    delta[w, z] += half * rng.choice([-1.0, 1.0]) * np.eye(block.rows)
-                else:
-                    delta[w, z] = half * block.extreme(rng, lambda n: rng.standard_normal((n, 2)) @ np.array([1, 1j]))
-        found = ascend(M, blocks, delta, box)
-        if found is not None and (best is None or found.value > best.value):
-            best = found
-    return best
-
-
-def _aligned(blocks: Sequence[Block], gain: Gain, box: Box) -> ComplexArray:
-    """Return the Delta of the box that raises the gain most, to first order."""
-    others = blocks[:-1]
-    delta = centre_matrix(others, box.centre[:-1]).astype(complex)
-    for block, (w, z), half in zip(others, block_slices(others), box.half[:-1], strict=True):
-        aligned = block.aligned(gain.left[w], gain.right[z], half)
-        delta[w, z] = gain.delta[w, z] if aligned is None else delta[w, z] + aligned
-    return delta
+        for block, (w, z), half in zip(others, block_slices(others), box.half[:-1], strict=True):
+            if k and block.interval:
+                delta[w, z] += half * rng.choice([-1.0, 1.0]) * np.eye(block.rows)
+            elif k:
+                delta[w, z] = half * block.extreme(rng, lambda n: rng.standard_normal((n, 2)) @ np.array([1, 1j]))
+        found.append(ascend(M, blocks, delta, box))
+    return max((g for g in found if g is not None), key=lambda g: g.value, default=None)

@@ -173,9 +173,9 @@ def primal_dual(
 
     scale = np.maximum(np.linalg.norm(M, 2, axis=(1, 2)), 1e-300)
     goal = np.full(len(M), -np.inf) if target is None else (np.minimum(target, 1e3 * scale) / scale) ** 2
-    entries, trace, orders = _sparse_map(space)
+    entries, trace, low = _sparse_map(space)
     n, size = space.q + space.p, space.size
-    W, J = np.empty((kernels.MATRICES, 2 * space.q, space.q), dtype=complex), np.empty((3, n, n), dtype=complex)
+    W, J = np.empty((kernels.MATRICES, 2, space.q, space.q), dtype=complex), np.empty((3, n, n), dtype=complex)
     H, V = np.empty((size, size)), np.empty((kernels.VECTORS, max(size, n)))
     c = np.stack([space.coefficients, space.coefficients])
     x = np.empty((len(M), size))
@@ -183,22 +183,19 @@ def primal_dual(
         W[:], V[:] = 0.0, 0.0
         V[kernels.AT, :size], V[kernels.TRACE, :size] = space.identity, trace
         V[kernels.SHORT, :size] = kernels.SHORT_G * space.scales_with_m
-        kernels.descend(W, J, H, V, M[k] / scale[k], c, entries, orders, START, tol, goal[k], MOST_STEPS, sure)
+        kernels.descend(W, J, H, V, M[k] / scale[k], c, entries, low, START, tol, goal[k], MOST_STEPS, sure)
         x[k] = V[kernels.BEST, :size]
     return np.where(space.scales_with_m, x * scale[:, None], x)  # G scales with M
 
 
 def _sparse_map(space: ScalingSpace) -> tuple[Indices, Array, Indices]:
-    """Return the entries of the sparse E(x) for the compiled code, the gradient of tr D_w, and orders of blocks."""
+    """Return the entries of the sparse E(x) for the compiled code, the gradient of tr D_w, and first rows of blocks."""
     # D_w of a full block is a multiple of the identity: diagonal blocks of order one.
     orders = np.concatenate([[1] * b.rows if b.d_order == 1 else [b.rows] for b in space.blocks])
     low = np.repeat(np.cumsum(orders) - orders, orders)  # first row of the block of each row of D_w
     parameter = np.repeat(np.arange(space.size), np.diff(space.first, append=len(space.rows)))
-    in_w = np.flatnonzero(space.in_w)
-    of_block = low[space.rows[in_w]]
-    place, begin = np.full((2, len(parameter)), -1)
-    place[in_w] = space.cols[in_w] - of_block
-    _, first, block = np.unique(of_block, return_index=True, return_inverse=True)
+    in_w, begin = np.flatnonzero(space.in_w), np.full(len(parameter), -1)
+    _, first, block = np.unique(low[space.rows[in_w]], return_index=True, return_inverse=True)
     begin[in_w] = in_w[first][block]
     trace = np.bincount(parameter, (space.in_w > 0) & (space.rows == space.cols)).astype(float)
-    return np.stack([space.rows, space.cols, parameter, place, begin]), trace, np.append(space.q, orders)
+    return np.stack([space.rows, space.cols, parameter, begin]), trace, np.stack([0 * low, low])

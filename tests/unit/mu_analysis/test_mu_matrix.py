@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.mu_analysis import level, proves
+from robustlab.mu_analysis import proves
 
 
 def random_complex(seed: int, *shape: int) -> np.ndarray:
@@ -184,7 +184,6 @@ def test_a_bound_that_is_too_small_is_not_proved():
     assert proves(SLICOT, bounds.D, bounds.D_z, bounds.G, bounds.upper)
     assert not proves(SLICOT, bounds.D, bounds.D_z, bounds.G, bounds.upper * (1 - 1e-6))
     assert not proves(SLICOT, -bounds.D, -bounds.D_z, bounds.G, bounds.upper)
-    assert level(SLICOT, bounds.D, bounds.D_z, bounds.G) == pytest.approx(bounds.upper, rel=1e-9)
 
 
 @pytest.mark.parametrize(
