@@ -29,7 +29,6 @@ def hinf(
     n_con: int | None = None,
     *,
     gamma_rel: float = 1.05,
-    bandwidth: float | None = None,
     time_limit: float | None = None,
     effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
@@ -41,7 +40,6 @@ def hinf(
     n_con: int | None = None,
     *,
     gamma_rel: float = 1.05,
-    bandwidth: float | None = None,
     time_limit: float | None = None,
     effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
@@ -74,9 +72,6 @@ def hinf(
     gamma_rel
         Largest ratio of gamma of the returned controller to the smallest gamma found (>= 1); within it the controller
         with the slowest poles is returned. 1 gives the smallest gamma, whose controller often is too fast.
-    bandwidth
-        If given, all controller poles must be below it (modulus, rad/s; of a discrete controller those of its
-        bilinear map); of the controllers allowed by ``gamma_rel`` the one of smallest gamma is returned.
     time_limit
         Time limit in s, checked between trials; none by default. If it is reached, the controller verified by then is
         returned with status TIMEOUT and a ``reason``, and the result depends on the machine.
@@ -96,9 +91,8 @@ def hinf(
     InputError
         Numbers of channels that P does not have, ``gamma_rel`` below 1, an option that P's type does not have.
     NoTrustworthyNumber
-        An unstable or marginal mode that no controller can stabilise (named), no controller could be verified, or none
-        has its poles below ``bandwidth``; the LMIs of an LPV model have no solution, or no loop of theirs could be
-        proved.
+        An unstable or marginal mode that no controller can stabilise (named), or no controller could be verified; the
+        LMIs of an LPV model have no solution, or no loop of theirs could be proved.
 
     References
     ----------
@@ -123,15 +117,9 @@ def hinf(
     >>> scheduled.status.value, scheduled.gamma < 1.45
     ('certified', True)
     """
-    varying = isinstance(P, LPVModel)
-    for name, given, fits, kind in (
-        ("gamma_rel", gamma_rel != 1.05, not varying, "a plant without measured parameters"),
-        ("bandwidth", bandwidth is not None, not varying, "a plant without measured parameters"),
-    ):
-        if given and not fits:
-            raise InputError(f"synth hinf: {name}", f"given with a {type(P).__name__}", f"{kind}, or none")
-    if varying:
+    if isinstance(P, LPVModel):
+        if gamma_rel != 1.05:
+            expected = "a plant without measured parameters, or none"
+            raise InputError("synth hinf: gamma_rel", "given with a LPVModel", expected)
         return scheduled_hinf(P, n_meas, n_con, effort, time_limit, progress)
-    options: dict[str, Any] = {"gamma_rel": gamma_rel, "bandwidth": bandwidth, "time_limit": time_limit}
-    options |= {"effort": effort, "progress": progress}
-    return rational(P, n_meas, n_con, **options)
+    return rational(P, n_meas, n_con, gamma_rel=gamma_rel, time_limit=time_limit, effort=effort, progress=progress)

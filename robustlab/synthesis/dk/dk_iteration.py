@@ -23,7 +23,7 @@ from robustlab.synthesis.dk.direct_minimisation import grown, minimised
 from robustlab.synthesis.dk.dk_design import DKStep, DKSynthesis
 from robustlab.synthesis.dk.dynamic_scalings import CoprimePair, DynamicScalings, proved_level, unit_scalings
 from robustlab.synthesis.dk.mu_floor import mu_floor, why_not_less
-from robustlab.synthesis.dk.robust_problem import Iterate, RobustProblem, nominal_start
+from robustlab.synthesis.dk.robust_problem import Iterate, RobustProblem
 from robustlab.synthesis.dk.scalings_fit import FIRST_POINTS, MuCurve, as_complex, fitted_scalings, mu_curve
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.problem.controller import Controller
@@ -36,15 +36,13 @@ START_SHARE = 0.25  # share for the H-infinity start; larger: a better first con
 CLASSICAL_END = 0.5  # share of the work at which D-K iteration ends when direct minimisation follows
 SEARCH_END = 0.8  # share at which the whole search ends; the rest is for the proof
 RELAXATION_END = 0.85  # share at which the search for slower controllers ends
-LEAST_SEARCH = 0.3  # least share for the search even where the last curve of mu would need more
 ITERATIONS = 60  # most D-K iterations
 FIT_LOSS = 0.002  # loss of a fit of D at single frequencies; smaller: higher orders
 FIRST_LOSS = 0.2  # the same for the start of direct minimisation: a rough D of few states
 PROGRESS = 5e-4  # relative progress below which a stage ends; smaller: longer, hardly better
 ROUGH_PROGRESS = 2e-2  # the same for D-K iteration where direct minimisation follows
+LEAST_SEARCH = 0.3  # least share for the search even where the last curve of mu would need more
 FALLS = 2  # consecutive enlargements of the scalings below `PROGRESS` that end the search
-CLEARLY = 0.9  # share of the peak of mu below which the nominal start is preferred
-FEW_BLOCKS = 6  # with more blocks the direct search starts at fitted constants instead of D = I
 MANY_BLOCKS = 30  # from this number on the lower bound is computed at one frequency instead of four
 BAND_LEVEL = 0.3  # new sections are placed where mu is above this share of its peak ...
 BEYOND = 30.0  # ... and up to this factor beyond; larger: slower and faster sections
@@ -225,32 +223,17 @@ class _Search:
         return min(self.iterates, key=lambda iterate: iterate.level)
 
     def start(self, K0: Any) -> None:
-        """Keep K0, or else the H-infinity controller of the plant without scalings, or the one of its performance
-        channels alone (see `nominal_start`) if that has a clearly smaller mu.
-        """
-        scalings = unit_scalings(self.blocks)
+        """Keep K0, or else the H-infinity controller of the plant without scalings."""
         if K0 is None:
             K = synthesize(self.plant, "hinf", 1.0, self.search.share(START_SHARE)).K
         else:
             K = _controller(K0, self.plant)
-        found = self.problem.proved(K, scalings, 1.0)
+        found = self.problem.proved(K, unit_scalings(self.blocks), 1.0)
         if found is None and K0 is not None:
             raise InputError("synth dk: K0", "a loop that is not stable", "a controller that stabilises P")
         if found is None:
             raise NoTrustworthyNumber("synth dk", "the H-infinity design could not be verified in the loop")
         self._keep(found, "start")
-        last = self.blocks[-1]
-        if K0 is not None or last.name != PERFORMANCE or self.late:
-            return
-        K = nominal_start(self.plant, last.rows, last.cols, self.search.share(START_SHARE))
-        other = None if K is None else self.problem.proved(K, scalings, 1.0)
-        if other is None:
-            return
-        before = self._curve(found)
-        if self._curve(other).peak < CLEARLY * before.peak:
-            self._keep(other, "nominal start")
-        else:
-            self.curve, self.curved = before, found
 
     def alternate(self, rough: bool) -> None:
         """Iterate D-K until two iterations in a row gain little; ``rough``: direct minimisation follows."""
@@ -276,20 +259,11 @@ class _Search:
         self.problem.budget = self.search
 
     def descend(self) -> None:
-        """Minimise directly over D in growing order, from D = I (many blocks: the best constants) and from a fit of low
-        order; for real blocks then over D and G from a D of low order.
-        """
+        """Minimise directly over D in growing order, from a fit of low order; for real blocks then over D and G."""
         self.problem.regularise(self.best, FINE)
-        starts = [unit_scalings(self.blocks)]
-        if self.curve is not None:
-            if len(self.blocks) > FEW_BLOCKS:
-                starts = [self._fitted(self.curve, np.inf, self.search)]
-            fitted = self._fitted(self.curve, FIRST_LOSS, self.search)
-            starts += [fitted] if fitted.n_states and not self.mixed else []
-        share = 1 / 3 if self.mixed else 1 / len(starts)
-        for k, scalings in enumerate(starts):
-            self.problem.budget = self.search if k else self.search.share(share)
-            self._grow(scalings, "direct")
+        if self.mixed:
+            self.problem.budget = self.search.share(1 / 3)
+        self._grow(self._fitted(self._curve(self.best), FIRST_LOSS, self.problem.budget), "direct")
         self.problem.budget = self.search
         if self.mixed and not self.late:
             # A rough D: that of the iterate of lowest order, or a fit to the best loop if that has fewer states.
@@ -301,8 +275,7 @@ class _Search:
         """Minimise and enlarge the scalings in turn until this gains little."""
         if self.late:
             return
-        found = minimised(self.problem, scalings, self.best.level)
-        curve = self.curve or self._curve(self.best)
+        found, curve = minimised(self.problem, scalings, self.best.level), self._curve(self.best)
         # Sections are placed at frequencies (rad/s) at which mu is of the order of its peak.
         high = curve.omega[curve.levels >= BAND_LEVEL * curve.peak]
         band = float(high[0] / BEYOND), float(high[-1] * BEYOND)
