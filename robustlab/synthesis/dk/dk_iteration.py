@@ -20,9 +20,8 @@ from robustlab.mu_analysis.matrix.upper import compile_kernels, points_work
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.dk.direct_minimisation import grown, minimised
-from robustlab.synthesis.dk.dk_design import DKStep, DKSynthesis
+from robustlab.synthesis.dk.dk_design import DKStep, DKSynthesis, mu_floor, why_not_less
 from robustlab.synthesis.dk.dynamic_scalings import CoprimePair, DynamicScalings, proved_level, unit_scalings
-from robustlab.synthesis.dk.mu_floor import mu_floor, why_not_less
 from robustlab.synthesis.dk.robust_problem import Iterate, RobustProblem
 from robustlab.synthesis.dk.scalings_fit import FIRST_POINTS, MuCurve, as_complex, fitted_scalings, mu_curve
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize

@@ -16,7 +16,7 @@ from robustlab.budget import Budget, dense
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.matrix_equations import balanced_eigenvalues, care, judged_afterwards
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.hinf.two_riccati import RiccatiPair, TwoRiccatiProblem
+from robustlab.synthesis.hinf.two_riccati import RiccatiPair, TwoRiccatiProblem, quadratic
 from robustlab.synthesis.problem.partition import PlantMatrices, dual
 from robustlab.synthesis.problem.scaling import Scaling
 
@@ -162,7 +162,8 @@ class LevelSearch:
 
     def _solution(self, p: PlantMatrices) -> tuple[AnyArray, AnyArray] | None:
         """Return the stabilising positive semidefinite solution and its gain; None where R or X has wrong signs."""
-        A, B, Q, R, S, n_w = _quadratic(p, self.scaling.gain)
+        A, B, Q, R, S = quadratic(p, self.scaling.gain)
+        n_w = p.B1.shape[1]
         if int((np.linalg.eigvalsh(R) < 0).sum()) != n_w:
             return None
         try:
@@ -202,15 +203,6 @@ def _root(Y: AnyArray) -> AnyArray:
     return size[:, None] * (vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
-def _quadratic(p: PlantMatrices, gamma: float) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray, AnyArray, int]:
-    """Return A, B, Q, R, S of the state-feedback Riccati equation at gamma, and the number of disturbances."""
-    B, row = np.hstack([p.B1, p.B2]), np.hstack([p.D11, p.D12])
-    n_w = p.B1.shape[1]
-    R = row.T @ row
-    R[:n_w, :n_w] -= gamma**2 * np.eye(n_w)
-    return p.A, B, p.C1.T @ p.C1, 0.5 * (R + R.T), p.C1.T @ row, n_w
-
-
 def _adjoint(closed: AnyArray, gain: AnyArray, direction: AnyArray) -> AnyArray:
     """Return ``[I; F] Lambda [I F^T]`` with ``A_X Lambda + Lambda A_X^T + d d^T = 0``."""
     from scipy.linalg import solve_continuous_lyapunov
@@ -223,6 +215,6 @@ def _adjoint(closed: AnyArray, gain: AnyArray, direction: AnyArray) -> AnyArray:
 
 def _form(p: PlantMatrices, X: AnyArray, gamma: float) -> AnyArray:
     """Return the symmetric ``[A^T X + X A + Q, X B + S; ., R]``."""
-    A, B, Q, R, S, _ = _quadratic(p, gamma)
+    A, B, Q, R, S = quadratic(p, gamma)
     drift, cross = X @ A, X @ B + S
     return np.block([[drift + drift.T + Q, cross], [cross.T, R]])
