@@ -24,7 +24,7 @@ RESIDUAL = 1e-7  # of a solution after Newton's steps; 1e-3 accepts levels witho
 STEP = 1e-5  # of logarithmic parameters in derivatives of the frozen forms, which are smooth
 NEGLIGIBLE = 1e-6  # eigenvalues of X Y below this share of the largest are noise
 STEEPEST = 1e6  # logarithmic derivatives beyond this are rounding
-LEVEL_RTOL = 1e-7  # of the smallest level
+LEVEL_RTOL = 1e-6  # of the smallest level
 MAX_TESTS = 40  # pairs of Riccati equations to find a level ...
 SECANTS = 15  # ... of which the later ones only bisect
 SLOPE = -4.0  # first guess of the derivative of log rho(X Y) by log beta
@@ -85,13 +85,13 @@ class LevelSearch:
         for k in range(MAX_TESTS):
             pair = self._test(theta, float(np.exp(t)))
             f = np.nan if pair is None else float(np.log(pair.coupling))
-            if last is not None and (f - last[1]) * (t - last[0]) < 0:
+            if last is not None and abs(t - last[0]) > 3 * rtol and (f - last[1]) * (t - last[0]) < 0:
                 slope = (f - last[1]) / (t - last[0])
             last = (t, f) if pair is not None else last
             if f < 0:
                 high, best = t, pair
                 if slope != SLOPE and f / slope <= rtol:
-                    low, smooth = t - rtol, True
+                    low, smooth = t, True
             else:
                 low, smooth = t, pair is not None
             if high - low <= rtol or step > 60 or self.budget.over:
@@ -162,8 +162,8 @@ class LevelSearch:
 
     def _solution(self, p: PlantMatrices) -> tuple[AnyArray, AnyArray] | None:
         """Return the stabilising positive semidefinite solution and its gain; None where R or X has wrong signs."""
-        A, B, Q, R, S = quadratic(p, self.scaling.gain)
-        n_w = p.B1.shape[1]
+        A, B, Q, S, _, n_w = equation = quadratic(p)
+        R = equation.R(self.scaling.gain)
         if int((np.linalg.eigvalsh(R) < 0).sum()) != n_w:
             return None
         try:
@@ -215,6 +215,6 @@ def _adjoint(closed: AnyArray, gain: AnyArray, direction: AnyArray) -> AnyArray:
 
 def _form(p: PlantMatrices, X: AnyArray, gamma: float) -> AnyArray:
     """Return the symmetric ``[A^T X + X A + Q, X B + S; ., R]``."""
-    A, B, Q, R, S = quadratic(p, gamma)
+    A, B, Q, S, _, _ = equation = quadratic(p)
     drift, cross = X @ A, X @ B + S
-    return np.block([[drift + drift.T + Q, cross], [cross.T, R]])
+    return np.block([[drift + drift.T + Q, cross], [cross.T, equation.R(gamma)]])

@@ -65,6 +65,7 @@ class TwoRiccatiProblem:
             plant.A, plant.B1 @ w_turn, plant.B2 @ self.u_back, z_turn @ plant.C1, self.y_into @ plant.C2, D11,
             np.eye(n_z, n_u, -self.a), np.eye(n_y, n_w, self.b),
         )  # fmt: skip
+        self.equations = quadratic(self.plant), quadratic(dual(self.plant))
         parts = (D11[: self.a], D11[:, : self.b])  # [D1111 D1112] and [D1111; D1121]: no gamma below them
         self.floor = max((float(np.linalg.norm(part, 2)) if part.size else 0.0) for part in parts)
 
@@ -76,8 +77,9 @@ class TwoRiccatiProblem:
     def pair(self, gamma: float) -> RiccatiPair | None:
         """Return both solutions for any coupling; None if one does not exist or is not positive semidefinite."""
         self.budget.spend(dense(len(self.plant.A), 3))
-        X = None if gamma <= self.floor * (1 + 1e-12) else _solution(self.plant, gamma, self.careful)
-        Y = None if X is None else _solution(dual(self.plant), gamma, self.careful)
+        control, filtering = self.equations
+        X = None if gamma <= self.floor * (1 + 1e-12) else _solution(control, gamma, self.careful)
+        Y = None if X is None else _solution(filtering, gamma, self.careful)
         if X is None or Y is None:
             return None
         return RiccatiPair(gamma, X, Y, float(np.abs(np.linalg.eigvals(X @ Y)).max(initial=0.0)) / gamma**2)
@@ -139,7 +141,8 @@ class TwoRiccatiProblem:
         n_w, n_z = p.B1.shape[1], len(p.C1)
         D1111, D1112, D1121, D1122 = p.D11[:a, :b], p.D11[:a, b:], p.D11[a:, :b], p.D11[a:, b:]
         try:
-            F, L = _gain(p, pair.gamma, pair.X), _gain(dual(p), pair.gamma, pair.Y).T
+            control, filtering = self.equations
+            F, L = _gain(control, pair.gamma, pair.X), _gain(filtering, pair.gamma, pair.Y).T
             F12, F2, L12, L2 = F[b:n_w], F[n_w:], L[:, a:n_z], L[:, n_z:]
             left = np.linalg.solve(g2 * np.eye(a) - D1111 @ D1111.T, D1112)
             right = np.linalg.solve(g2 * np.eye(b) - D1111.T @ D1111, D1121.T)
@@ -161,21 +164,38 @@ class TwoRiccatiProblem:
         return found
 
 
-def quadratic(p: PlantMatrices, gamma: float) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray, AnyArray]:
-    """Return A, B, Q, R, S of the state-feedback equation ``A' X + X A + Q - (X B + S) R^-1 (B' X + S') = 0``."""
-    B, row, n_w = np.hstack([p.B1, p.B2]), np.hstack([p.D11, p.D12]), p.B1.shape[1]
+class Quadratic(NamedTuple):
+    """The state-feedback equation ``A' X + X A + Q - (X B + S) R^-1 (B' X + S') = 0`` of a plant."""
+
+    A: AnyArray
+    B: AnyArray
+    Q: AnyArray
+    S: AnyArray
+    direct: AnyArray  # R at gamma = 0
+    n_w: int
+
+    def R(self, gamma: float) -> AnyArray:
+        """Return ``[D11 D12]' [D11 D12] - gamma^2 diag(I, 0)``."""
+        R = self.direct.copy()
+        R[range(self.n_w), range(self.n_w)] -= gamma**2
+        return R
+
+
+def quadratic(p: PlantMatrices) -> Quadratic:
+    """Return the equation of a plant."""
+    row = np.hstack([p.D11, p.D12])
     R = row.T @ row
-    R[range(n_w), range(n_w)] -= gamma**2
-    return p.A, B, p.C1.T @ p.C1, 0.5 * (R + R.T), p.C1.T @ row
+    return Quadratic(p.A, np.hstack([p.B1, p.B2]), p.C1.T @ p.C1, p.C1.T @ row, 0.5 * (R + R.T), p.B1.shape[1])
 
 
-def _solution(p: PlantMatrices, gamma: float, careful: bool) -> AnyArray | None:
+def _solution(equation: Quadratic, gamma: float, careful: bool) -> AnyArray | None:
     """Return the stabilising positive semidefinite X, or None."""
-    A, B, Q, R, S = quadratic(p, gamma)
+    (A, B, Q, S, _, _), R, n = equation, equation.R(gamma), len(equation.A)
     try:
-        by_B, by_S = np.split(np.linalg.solve(R, np.vstack([B, S]).T), 2, axis=1)
+        solved = np.linalg.solve(R, np.vstack([B, S]).T)
     except np.linalg.LinAlgError:
         return None
+    by_B, by_S = solved[:, :n], solved[:, n:]
     G, Q_left = B @ by_B, Q - S @ by_S
     X = hamiltonian_riccati(A - B @ by_S, 0.5 * (G + G.T), 0.5 * (Q_left + Q_left.T), tolerance=RESIDUAL)
     if X is None and careful:
@@ -184,12 +204,11 @@ def _solution(p: PlantMatrices, gamma: float, careful: bool) -> AnyArray | None:
     if X is None:
         return None
     values, vectors = np.linalg.eigh(X)
-    if len(A) and values[0] < -SEMIDEFINITE * max(1.0, values[-1]):
+    if n and values[0] < -SEMIDEFINITE * max(1.0, values[-1]):
         return None
     return (vectors * np.maximum(values, 0.0)) @ vectors.T
 
 
-def _gain(p: PlantMatrices, gamma: float, X: AnyArray) -> AnyArray:
+def _gain(equation: Quadratic, gamma: float, X: AnyArray) -> AnyArray:
     """Return ``-R^-1 (B' X + S')``: F of (11), and of the dual plant the transposed L of (12)."""
-    _, B, _, R, S = quadratic(p, gamma)
-    return -np.linalg.solve(R, B.T @ X + S.T)
+    return -np.linalg.solve(equation.R(gamma), equation.B.T @ X + equation.S.T)
