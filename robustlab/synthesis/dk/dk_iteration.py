@@ -42,6 +42,7 @@ PROGRESS = 5e-4  # relative progress below which a stage ends; smaller: longer, 
 ROUGH_PROGRESS = 2e-2  # the same for D-K iteration where direct minimisation follows
 LEAST_SEARCH = 0.3  # least share for the search even where the last curve of mu would need more
 FALLS = 2  # consecutive enlargements of the scalings below `PROGRESS` that end the search
+FEW_BLOCKS = 6  # with more blocks the direct search starts at fitted constants instead of D = I
 MANY_BLOCKS = 30  # from this number on the lower bound is computed at one frequency instead of four
 BAND_LEVEL = 0.3  # new sections are placed where mu is above this share of its peak ...
 BEYOND = 30.0  # ... and up to this factor beyond; larger: slower and faster sections
@@ -258,11 +259,18 @@ class _Search:
         self.problem.budget = self.search
 
     def descend(self) -> None:
-        """Minimise directly over D in growing order, from a fit of low order; for real blocks then over D and G."""
+        """Minimise directly over D in growing order, from D = I (many blocks: the best constants) and from a fit of low
+        order; for real blocks then over D and G from a D of low order.
+        """
         self.problem.regularise(self.best, FINE)
-        if self.mixed:
-            self.problem.budget = self.search.share(1 / 3)
-        self._grow(self._fitted(self._curve(self.best), FIRST_LOSS, self.problem.budget), "direct")
+        curve = self.curve or self._curve(self.best)
+        few = len(self.blocks) <= FEW_BLOCKS
+        starts = [unit_scalings(self.blocks) if few else self._fitted(curve, np.inf, self.search)]
+        if not self.mixed:
+            starts.append(self._fitted(curve, FIRST_LOSS, self.search))
+        for k, scalings in enumerate(starts):
+            self.problem.budget = self.search if k else self.search.share(1 / 3 if self.mixed else 1 / 2)
+            self._grow(scalings, "direct")
         self.problem.budget = self.search
         if self.mixed and not self.late:
             # A rough D: that of the iterate of lowest order, or a fit to the best loop if that has fewer states.
@@ -274,7 +282,8 @@ class _Search:
         """Minimise and enlarge the scalings in turn until this gains little."""
         if self.late:
             return
-        found, curve = minimised(self.problem, scalings, self.best.level), self._curve(self.best)
+        found = minimised(self.problem, scalings, self.best.level)
+        curve = self.curve or self._curve(self.best)
         # Sections are placed at frequencies (rad/s) at which mu is of the order of its peak.
         high = curve.omega[curve.levels >= BAND_LEVEL * curve.peak]
         band = float(high[0] / BEYOND), float(high[-1] * BEYOND)
