@@ -29,7 +29,6 @@ def hinf(
     n_con: int | None = None,
     *,
     gamma_rel: float = 1.05,
-    bandwidth: float | None = None,
     time_limit: float | None = None,
     effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
@@ -41,7 +40,6 @@ def hinf(
     n_con: int | None = None,
     *,
     gamma_rel: float = 1.05,
-    bandwidth: float | None = None,
     time_limit: float | None = None,
     effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
@@ -73,9 +71,6 @@ def hinf(
     gamma_rel
         Largest ratio of gamma of the returned controller to the smallest gamma found (>= 1); within it the controller
         with the slowest poles is returned. 1 gives the smallest gamma, whose controller often is too fast.
-    bandwidth
-        All controller poles are below it (modulus, rad/s; of a discrete controller those of its bilinear map); of the
-        controllers allowed by ``gamma_rel`` the one of smallest gamma is returned.
     time_limit, effort
         s, after which the controller verified by then is returned with status TIMEOUT, which depends on the machine;
         multiple of the usual work, counted, not timed.
@@ -92,8 +87,8 @@ def hinf(
     ------
     InputError, NoTrustworthyNumber
         Numbers of channels that P does not have, ``gamma_rel`` below 1, an option that P's type does not have. A mode
-        that no controller can stabilise (named), no controller could be verified, or none has its poles below
-        ``bandwidth``; the LMIs of an LPV model have no solution.
+        that no controller can stabilise (named), or no controller could be verified; the LMIs of an LPV model have no
+        solution.
 
     References
     ----------
@@ -109,12 +104,8 @@ def hinf(
     ('certified', 0.732)
     """
     if isinstance(P, LPVModel):
-        for name, given in (("gamma_rel", gamma_rel != 1.05), ("bandwidth", bandwidth is not None)):
-            if given:
-                expected = "a plant without measured parameters, or none"
-                raise InputError(f"synth hinf: {name}", "given with an LPVModel", expected)
+        if gamma_rel != 1.05:
+            expected = "a plant without measured parameters, or none"
+            raise InputError("synth hinf: gamma_rel", "given with an LPVModel", expected)
         return scheduled_hinf(P, n_meas, n_con, effort, time_limit, progress)
-    return rational(
-        P, n_meas, n_con, gamma_rel=gamma_rel, bandwidth=bandwidth, time_limit=time_limit, effort=effort,
-        progress=progress,
-    )  # fmt: skip
+    return rational(P, n_meas, n_con, gamma_rel=gamma_rel, time_limit=time_limit, effort=effort, progress=progress)

@@ -147,8 +147,6 @@ class Way:
     """Options of minimising mu."""
 
     start: Annotated[Any, Thing(("controller", "any")), "Stabilising controller to start from."] = None
-    structure: Annotated[Structure | None, "Structure of the controller, as for fixed; then only D-K iteration."] = None
-    starts: Annotated[Starts, "With a structure: random starts."] = 3
     direct: Annotated[bool, Flag(), "Continue with direct minimisation after D-K iteration."] = True
     mixed: Annotated[bool, Flag(), "Use that real blocks are real."] = True
 
@@ -189,7 +187,6 @@ def dk(
     way: Way = USUAL_WAY,
     order: Orders = ANY_ORDER,
     search: Search = USUAL,
-    seed: Seed = 0,
     progress: Any = None,
     drawn: bool = False,
 ) -> Any:
@@ -200,14 +197,9 @@ def dk(
 
     Example: robustlab synth dk uncertain.h5 --measurements y --controls u --figure design.svg --out controller.h5
     """
-    from robustlab.synthesis.laws.controller_structures import structure_in_words
-
     rows = None if blocks is None else _rows(blocks)
-    P = channels.posed(system, "dk")
-    options: dict[str, Any] = {**search.options, **vars(order)}
-    if way.structure is not None:
-        options |= {"structure": structure_in_words(way.structure, P), "starts": way.starts, "seed": seed}
-    found = rl.dk(P, rows, K0=way.start, direct=way.direct, mixed=way.mixed, progress=progress, **options)
+    options: dict[str, Any] = {**search.options, **vars(order), "direct": way.direct, "mixed": way.mixed}
+    found = rl.dk(channels.posed(system, "dk"), rows, K0=way.start, progress=progress, **options)
     return _design(found, system, proved=False, drawn=drawn)
 
 

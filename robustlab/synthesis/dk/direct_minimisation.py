@@ -53,7 +53,8 @@ def minimised(
                 break
             s = step * direction
             inside = np.abs(x + s - centre).max(initial=0.0) <= LARGEST_RANGE
-            trial = search.smallest(x + s, level.beta) if inside else None
+            expected = level.beta * np.exp(step * predicted)
+            trial = search.smallest(x + s, expected) if inside else None
             if trial is not None and np.log(trial.beta) <= levels[-1] + DECREASE * step * predicted - 1e-9:
                 found = s, trial
                 break

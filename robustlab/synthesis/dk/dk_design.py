@@ -1,26 +1,38 @@
-"""A robust-performance design with its scalings, the proof of its mu bound, and its history."""
+r"""A robust-performance design with its scalings, the proof of its mu bound, its history, and what limits it.
+
+For every full block i and constant values of the real blocks of size at most 1 / beta_0, the peak of mu is at least
+:math:`\min(\beta_0, \| T_{ii} \|_\infty)` of that member; Parrott's bound of that norm holds for every controller.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
+import numpy as np
+
+from robustlab.arrays import Array
 from robustlab.display import Facts
 from robustlab.mu_analysis.axis.intervals import Piece
+from robustlab.mu_analysis.matrix.box import centre_matrix
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.dk.dynamic_scalings import DynamicScalings, proved_level
 from robustlab.synthesis.problem.design import Synthesis
-from robustlab.synthesis.problem.gamma_bounds import GammaBound
+from robustlab.synthesis.problem.gamma_bounds import GammaBound, pointwise_bound
+from robustlab.synthesis.problem.partition import PlantMatrices
+from robustlab.synthesis.problem.scaling import equilibrated, paths_first
 from robustlab.tables import Table, Tabular
-from robustlab.uncertainty.blocks import Block
+from robustlab.uncertainty.blocks import Block, block_slices
+
+NEAR = 0.01  # relative distance to a limit, or to the start of the search, that counts as none
 
 
 @dataclass(frozen=True)
 class DKStep:
     """One iterate of the search."""
 
-    stage: str  # `"start"`, `"nominal start"`, `"D-K"`, `"direct"` or `"D-G-K"`
+    stage: str  # `"start"`, `"D-K"`, `"direct"` or `"D-G-K"`
     gamma: float  # bound of mu at all frequencies proved by the scalings of the iterate
     mu: float  # largest upper bound of mu at single frequencies, complex blocks; NaN where not computed
     order: int  # states of the controller
@@ -59,7 +71,7 @@ class DKSynthesis(Tabular, Synthesis):
     start_mu
         Largest mu, at single frequencies, of the first controller: that of H-infinity synthesis, or K0.
     lower_bound
-        Lower bound of mu for every stabilising controller with its origin; see `robustlab.synthesis.dk.mu_floor`.
+        Lower bound of mu for every stabilising controller with its origin; see `robustlab.synthesis.mu_floor`.
     why
         One sentence: the decrease from ``start_mu``, and the reason why mu is not smaller, if it is known: the limit
         of every controller, or a structure in which D changes nothing.
@@ -121,3 +133,76 @@ class DKSynthesis(Tabular, Synthesis):
     def to_json(self) -> dict[str, Any]:
         intervals = [(p.low, p.high, p.beta) for p in self.pieces]
         return super().to_json() | {"blocks": [b.name for b in self.blocks], "intervals": intervals}
+
+
+def mu_floor(
+    plant: PlantMatrices, blocks: Sequence[Block], gamma: float, delta: Mapping[str, Any], dt: float = 0.0
+) -> GammaBound:
+    """Return a lower bound, at most ``gamma``, of the peak of mu under every stabilising controller."""
+    real = np.array([b.interval is not None for b in blocks])
+    start = np.array([float(delta.get(b.name, 0.0)) if r else 0.0 for b, r in zip(blocks, real, strict=True)])
+    best = _of_member(plant, blocks, np.zeros(len(blocks)), dt)
+    if not gamma > 0:
+        return replace(best, value=0.0)
+    largest = float(np.abs(start).max(initial=0.0))
+    member = start / (gamma * largest) if largest else start
+    found = _of_member(plant, blocks, member, dt)
+    for k in np.flatnonzero(real):  # one sweep over neighbouring corners
+        for value in (1 / gamma, -1 / gamma):
+            other = member.copy()
+            other[k] = value
+            tried = _of_member(plant, blocks, other, dt)
+            if tried.value > found.value:
+                member, found = other, tried
+    if found.value > best.value:
+        values = ", ".join(f"{b.name} {v:+.3g}" for b, v in zip(blocks, member, strict=True) if v)
+        best = replace(found, known=f"{found.known}, of the member {values} alone")
+    return replace(best, value=min(best.value, gamma))
+
+
+def _of_member(plant: PlantMatrices, blocks: Sequence[Block], values: Array, dt: float) -> GammaBound:
+    """Return the largest bound of the blocks' own channels for these values of the real blocks."""
+    best = GammaBound(0.0, "no block's own channels keep mu from zero", True)
+    p = _closed(plant, centre_matrix(blocks, values)) if values.any() else plant
+    if p is None:
+        return best
+    for block, (w, z) in zip(blocks, block_slices(blocks), strict=True):
+        if block.interval or (block.d_order > 1 and block.rows > 1):
+            continue  # mu of these blocks is not a norm
+        part = replace(p, B1=p.B1[:, w], D21=p.D21[:, w], C1=p.C1[z], D12=p.D12[z], D11=p.D11[z, w])
+        bound = pointwise_bound(part, [paths_first(part), equilibrated(part)], dt)
+        if bound.value > best.value:
+            best = replace(bound, known=f"{block.name!r} alone, {bound.known}")
+    return best
+
+
+def _closed(p: PlantMatrices, delta: Array) -> PlantMatrices | None:
+    """Return the plant with w + delta z in place of w, without the resulting D22; None: ill-posed."""
+    loop = np.eye(len(p.C1)) - p.D11 @ delta
+    if np.linalg.cond(loop) > 1e10:
+        return None
+    through = delta @ np.linalg.inv(loop)
+    inside = np.eye(p.B1.shape[1]) + through @ p.D11
+    return PlantMatrices(
+        A=p.A + p.B1 @ through @ p.C1,
+        B1=p.B1 @ inside,
+        B2=p.B2 + p.B1 @ through @ p.D12,
+        C1=np.linalg.solve(loop, p.C1),
+        C2=p.C2 + p.D21 @ through @ p.C1,
+        D11=np.linalg.solve(loop, p.D11),
+        D12=np.linalg.solve(loop, p.D12),
+        D21=p.D21 @ inside,
+    )
+
+
+def why_not_less(smallest: float, start_mu: float, floor: float, blocks: Sequence[Block]) -> str:
+    """Return one sentence with the decrease from the first controller and the reason why mu is not smaller."""
+    gained = 1 - smallest / start_mu if start_mu > 0 else 0.0
+    text = f"mu of the first controller is {start_mu:.4g}, the smallest proved {smallest:.4g}"
+    text += f" ({gained:.1%} less)" if gained > NEAR else ": D-K gains nothing over it"
+    if smallest <= floor * (1 + NEAR):
+        return f"{text}; it is at the limit of every controller"
+    rest = f"any controller has at least {floor:.4g}"
+    if len(blocks) == 1 and not blocks[0].interval and blocks[0].d_order == 1:
+        return f"{text}; one full block: mu is the norm that H-infinity makes smallest, D has nothing to change; {rest}"
+    return f"{text}; {rest}, and what lies between is not decided: the search is local"

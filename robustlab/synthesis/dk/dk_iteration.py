@@ -20,10 +20,9 @@ from robustlab.mu_analysis.matrix.upper import compile_kernels, points_work
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.dk.direct_minimisation import grown, minimised
-from robustlab.synthesis.dk.dk_design import DKStep, DKSynthesis
+from robustlab.synthesis.dk.dk_design import DKStep, DKSynthesis, mu_floor, why_not_less
 from robustlab.synthesis.dk.dynamic_scalings import CoprimePair, DynamicScalings, proved_level, unit_scalings
-from robustlab.synthesis.dk.mu_floor import mu_floor, why_not_less
-from robustlab.synthesis.dk.robust_problem import Iterate, RobustProblem, nominal_start
+from robustlab.synthesis.dk.robust_problem import Iterate, RobustProblem
 from robustlab.synthesis.dk.scalings_fit import FIRST_POINTS, MuCurve, as_complex, fitted_scalings, mu_curve
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.problem.controller import Controller
@@ -36,14 +35,13 @@ START_SHARE = 0.25  # share for the H-infinity start; larger: a better first con
 CLASSICAL_END = 0.5  # share of the work at which D-K iteration ends when direct minimisation follows
 SEARCH_END = 0.8  # share at which the whole search ends; the rest is for the proof
 RELAXATION_END = 0.85  # share at which the search for slower controllers ends
-LEAST_SEARCH = 0.3  # least share for the search even where the last curve of mu would need more
 ITERATIONS = 60  # most D-K iterations
 FIT_LOSS = 0.002  # loss of a fit of D at single frequencies; smaller: higher orders
 FIRST_LOSS = 0.2  # the same for the start of direct minimisation: a rough D of few states
 PROGRESS = 5e-4  # relative progress below which a stage ends; smaller: longer, hardly better
 ROUGH_PROGRESS = 2e-2  # the same for D-K iteration where direct minimisation follows
+LEAST_SEARCH = 0.3  # least share for the search even where the last curve of mu would need more
 FALLS = 2  # consecutive enlargements of the scalings below `PROGRESS` that end the search
-CLEARLY = 0.9  # share of the peak of mu below which the nominal start is preferred
 FEW_BLOCKS = 6  # with more blocks the direct search starts at fitted constants instead of D = I
 MANY_BLOCKS = 30  # from this number on the lower bound is computed at one frequency instead of four
 BAND_LEVEL = 0.3  # new sections are placed where mu is above this share of its peak ...
@@ -225,32 +223,17 @@ class _Search:
         return min(self.iterates, key=lambda iterate: iterate.level)
 
     def start(self, K0: Any) -> None:
-        """Keep K0, or else the H-infinity controller of the plant without scalings, or the one of its performance
-        channels alone (see `nominal_start`) if that has a clearly smaller mu.
-        """
-        scalings = unit_scalings(self.blocks)
+        """Keep K0, or else the H-infinity controller of the plant without scalings."""
         if K0 is None:
             K = synthesize(self.plant, "hinf", 1.0, self.search.share(START_SHARE)).K
         else:
             K = _controller(K0, self.plant)
-        found = self.problem.proved(K, scalings, 1.0)
+        found = self.problem.proved(K, unit_scalings(self.blocks), 1.0)
         if found is None and K0 is not None:
             raise InputError("synth dk: K0", "a loop that is not stable", "a controller that stabilises P")
         if found is None:
             raise NoTrustworthyNumber("synth dk", "the H-infinity design could not be verified in the loop")
         self._keep(found, "start")
-        last = self.blocks[-1]
-        if K0 is not None or last.name != PERFORMANCE or self.late:
-            return
-        K = nominal_start(self.plant, last.rows, last.cols, self.search.share(START_SHARE))
-        other = None if K is None else self.problem.proved(K, scalings, 1.0)
-        if other is None:
-            return
-        before = self._curve(found)
-        if self._curve(other).peak < CLEARLY * before.peak:
-            self._keep(other, "nominal start")
-        else:
-            self.curve, self.curved = before, found
 
     def alternate(self, rough: bool) -> None:
         """Iterate D-K until two iterations in a row gain little; ``rough``: direct minimisation follows."""
@@ -280,15 +263,13 @@ class _Search:
         order; for real blocks then over D and G from a D of low order.
         """
         self.problem.regularise(self.best, FINE)
-        starts = [unit_scalings(self.blocks)]
-        if self.curve is not None:
-            if len(self.blocks) > FEW_BLOCKS:
-                starts = [self._fitted(self.curve, np.inf, self.search)]
-            fitted = self._fitted(self.curve, FIRST_LOSS, self.search)
-            starts += [fitted] if fitted.n_states and not self.mixed else []
-        share = 1 / 3 if self.mixed else 1 / len(starts)
+        curve = self.curve or self._curve(self.best)
+        few = len(self.blocks) <= FEW_BLOCKS
+        starts = [unit_scalings(self.blocks) if few else self._fitted(curve, np.inf, self.search)]
+        if not self.mixed:
+            starts.append(self._fitted(curve, FIRST_LOSS, self.search))
         for k, scalings in enumerate(starts):
-            self.problem.budget = self.search if k else self.search.share(share)
+            self.problem.budget = self.search if k else self.search.share(1 / 3 if self.mixed else 1 / 2)
             self._grow(scalings, "direct")
         self.problem.budget = self.search
         if self.mixed and not self.late:

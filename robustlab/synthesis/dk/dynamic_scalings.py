@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, reduce
 from itertools import chain
 from typing import Any
 
@@ -78,18 +78,20 @@ def _taken(sections: Sections, values: Iterator[float]) -> Sections:
 @lru_cache(maxsize=4096)
 def _realised(factor: Factor) -> Realisation:
     """Return a realisation of d(s), sections in series."""
-    n = factor.order
-    A, B, C, D = np.zeros((n, n)), np.zeros((n, 1)), np.zeros((1, n)), np.array([[np.exp(factor.log_gain)]])
-    at = 0
-    for section in factor.sections:
-        a, b, c, d = _section(section)
-        here, before = slice(at, at + len(a)), slice(0, at)
-        A[here, here], A[here, before] = a, b @ C[:, before]
-        B[here] = b @ D
-        C[:, before] *= d
-        C[:, here] = c
-        D, at = d * D, at + len(a)
-    return Realisation(A, B, C, D)
+    return reduce(_in_series, map(_section, factor.sections), _gain(np.exp(factor.log_gain)))
+
+
+def _gain(k: float) -> Realisation:
+    return Realisation(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.array([[k]]))
+
+
+def _in_series(first: Realisation, second: Realisation) -> Realisation:
+    """Return the second system driven by the first, whose states come first."""
+    n, m = len(first.A), len(second.A)
+    A, B = np.zeros((n + m, n + m)), np.empty((n + m, first.B.shape[1]))
+    A[:n, :n], A[n:, :n], A[n:, n:] = first.A, second.B @ first.C, second.A
+    B[:n], B[n:] = first.B, second.B @ first.D
+    return Realisation(A, B, np.hstack([second.D @ first.C, second.C]), second.D @ first.D)
 
 
 def _section(values: tuple[float, ...]) -> Realisation:
@@ -283,28 +285,26 @@ class DynamicScalings:
 @lru_cache(maxsize=4096)
 def _coprime(pair: CoprimePair) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
     """Return ``(A, B, F, C)`` with ``G_M = 1 + F (sI - A)^-1 B`` and ``G_N = C (sI - A)^-1 B``."""
-    halves = [[section[: len(section) // 2] for section in pair.sections]]
-    halves.append([section[len(section) // 2 :] for section in pair.sections])
-    (A_v, B_v, C_v), (A_u, B_u, C_u) = (_all_pass(half) for half in halves)
-    n = len(A_u)
+    V, U = (
+        reduce(
+            _in_series, [_all_pass(s[: len(s) // 2] if first else s[len(s) // 2 :]) for s in pair.sections], _gain(1)
+        )
+        for first in (True, False)
+    )
+    n = len(U.A)
     A = np.zeros((2 * n, 2 * n))
-    A[:n, :n], A[n:, n:] = A_u, A_v
-    return A, np.vstack([B_u, B_v]), np.hstack([C_u, C_v]) / 2, np.hstack([C_u, -C_v]) / 2
+    A[:n, :n], A[n:, n:] = U.A, V.A
+    return A, np.vstack([U.B, V.B]), np.hstack([U.C, V.C]) / 2, np.hstack([U.C, -V.C]) / 2
 
 
-def _all_pass(sections: list[tuple[float, ...]]) -> tuple[AnyArray, AnyArray, AnyArray]:
-    """Return A, B, C of the product of ``(s - a)/(s + a)``, ``(s^2 - e s + w^2)/(s^2 + e s + w^2)``; D = 1."""
-    n, at = sum(map(len, sections)), 0
-    A, B, C = np.zeros((n, n)), np.zeros((n, 1)), np.zeros((1, n))
-    for section in sections:
-        m, w = len(section), float(np.exp(section[0]))
-        e = w if m == 1 else w * float(np.exp(section[1]))
-        root, here = np.sqrt(2 * e), slice(at, at + m)
-        A[here, here] = [[-w]] if m == 1 else [[0.0, w], [-w, -e]]
-        A[at + m - 1, :at] = root * C[0, :at]
-        B[at + m - 1], C[0, at + m - 1] = root, -root
-        at += m
-    return A, B, C
+def _all_pass(section: tuple[float, ...]) -> Realisation:
+    """Return ``(s - a)/(s + a)`` or ``(s^2 - e s + w^2)/(s^2 + e s + w^2)``."""
+    w = float(np.exp(section[0]))
+    e = w if len(section) == 1 else w * float(np.exp(section[1]))
+    A = np.array([[-w]] if len(section) == 1 else [[0.0, w], [-w, -e]])
+    B = np.zeros((len(A), 1))
+    B[-1] = np.sqrt(2 * e)
+    return Realisation(A, B, -B.T, np.eye(1))
 
 
 def reference_block(blocks: Sequence[Block]) -> int | None:
@@ -326,49 +326,42 @@ def unit_scalings(blocks: Sequence[Block]) -> DynamicScalings:
 def plant_at_level(p: PlantMatrices, scalings: DynamicScalings, beta: float) -> PlantMatrices:
     """Return the plant with these scalings at a level; channels beyond the blocks (regularisation) get beta alone."""
     _, n_w, n_u, n_z, n_y = p.sizes
-    q, r = structure_size(scalings.blocks)
-    Az, Bz, Cz, Dz = _padded(scalings.on_outputs(), n_z - r)
-    Aw, Bw, Cw, Dw = _padded(scalings.on_inputs(), n_w - q)
-    Ag, Bg, F, Cg = scalings.coprime()
-    Bg = np.hstack([Bg, np.zeros((len(Ag), n_w - q))])
-    F = np.vstack([F, np.zeros((n_w - q, len(Ag)))]) / beta
-    Cg = np.vstack([Cg, np.zeros((n_z - r, len(Ag)))])
-    n, a, b, g = len(p.A), len(Az), len(Aw), len(Ag)
-    A = np.zeros((n + a + b + g,) * 2)
-    x, z, w, c = slice(0, n), slice(n, n + a), slice(n + a, n + a + b), slice(n + a + b, None)
-    A[x, x], A[x, w], A[x, c] = p.A, p.B1 @ Cw, p.B1 @ (Dw @ F)
-    A[z, x], A[z, z], A[z, w], A[z, c] = Bz @ p.C1, Az, Bz @ (p.D11 @ Cw), Bz @ (p.D11 @ (Dw @ F))
-    A[w, w], A[w, c], A[c, c] = Aw, Bw @ F, Ag
-    Dw = Dw / beta
-    B1, B2 = np.zeros((len(A), n_w)), np.zeros((len(A), n_u))
-    B1[x], B1[z], B1[w], B1[c] = p.B1 @ Dw, Bz @ (p.D11 @ Dw), Bw / beta, Bg
-    B2[x], B2[z] = p.B2, Bz @ p.D12
-    C1, C2 = np.zeros((n_z, len(A))), np.zeros((n_y, len(A)))
-    C1[:, x], C1[:, z], C1[:, w] = Dz @ p.C1, Cz, Dz @ (p.D11 @ Cw)
-    C1[:, c] = Dz @ (p.D11 @ (beta * Dw @ F)) - Cg
-    C2[:, x], C2[:, w], C2[:, c] = p.C2, p.D21 @ Cw, p.D21 @ (beta * Dw @ F)
-    return PlantMatrices(A, B1, B2, C1, C2, Dz @ p.D11 @ Dw, Dz @ p.D12, p.D21 @ Dw)
+    whole = Realisation(
+        p.A,
+        np.hstack([p.B1, p.B2]),
+        np.vstack([p.C1, p.C2]),
+        np.block([[p.D11, p.D12], [p.D21, np.zeros((n_y, n_u))]]),
+    )
+    A, B, C, D = _at_level(whole, scalings, beta, n_w)
+    return PlantMatrices(A, B[:, :n_w], B[:, n_w:], C[:n_z], C[n_z:], D[:n_z, :n_w], D[:n_z, n_w:], D[n_z:, :n_w])
+
+
+def loop_at_level(loop: StateSpaceModel, scalings: DynamicScalings, beta: float = 1.0) -> StateSpaceModel:
+    """Return a continuous loop on the blocks' channels with these scalings at a level."""
+    scaled = _at_level(Realisation.of(loop), scalings, beta, loop.n_inputs)
+    return StateSpaceModel(*scaled, where="scaled loop")
+
+
+def _at_level(system: Realisation, scalings: DynamicScalings, beta: float, n_w: int) -> Realisation:
+    """Return the system with its first channels scaled, and its first ``n_w`` inputs divided by beta."""
+    (q, r), (p, m) = structure_size(scalings.blocks), system.D.shape
+    A, B, F, G_N = scalings.coprime()
+    direct = np.eye(m)
+    direct[range(n_w), range(n_w)] /= beta
+    n = len(A)
+    into = Realisation(A, np.hstack([B, np.zeros((n, m - q))]), np.vstack([F / beta, np.zeros((m - q, n))]), direct)
+    for stage in (_padded(scalings.on_inputs(), m - q), system, _padded(scalings.on_outputs(), p - r)):
+        into = _in_series(into, stage)
+    into.C[:r, :n] -= G_N
+    return into
 
 
 def _padded(system: Realisation, extra: int) -> Realisation:
     """Return the system with ``extra`` further channels of gain 1."""
     A, B, C, D = system
-    if not extra:
-        return system
-    n, m = len(A), len(D)
-    direct = np.eye(m + extra)
-    direct[:m, :m] = D
+    n, direct = len(A), np.eye(len(D) + extra)
+    direct[: len(D), : len(D)] = D
     return Realisation(A, np.hstack([B, np.zeros((n, extra))]), np.vstack([C, np.zeros((extra, n))]), direct)
-
-
-def loop_at_level(loop: StateSpaceModel, scalings: DynamicScalings, beta: float = 1.0) -> StateSpaceModel:
-    """Return a continuous loop on the blocks' channels with these scalings at a level."""
-    none_in, none_out = np.zeros((loop.n_states, 0)), np.zeros((0, loop.n_states))
-    bare = PlantMatrices(
-        loop.A, loop.B, none_in, loop.C, none_out, loop.D, np.zeros((loop.n_outputs, 0)), np.zeros((0, loop.n_inputs))
-    )
-    s = plant_at_level(bare, scalings, beta)
-    return StateSpaceModel(s.A, s.B1, s.C1, s.D11, where="scaled loop")
 
 
 def proved_level(
@@ -378,19 +371,18 @@ def proved_level(
     norm = hinf_norm(loop_at_level(loop, scalings), rtol)
     if not scalings.mixed:
         return norm.upper, norm
-    low, high, step, proof = 0.0, np.inf, 1e-4, None
-    trial = guess
+    # With G: steps away from the guess that grow, then bisection.
+    low, high, trial, step = 0.0, np.inf, guess, 1e-4
     for _ in range(80):
-        norm = hinf_norm(loop_at_level(loop, scalings, trial), min(rtol, 1e-7))
-        if norm.upper <= 1:
-            high, proof = trial, norm
+        found = hinf_norm(loop_at_level(loop, scalings, trial), min(rtol, 1e-7))
+        if found.upper <= 1:
+            high, norm = trial, found
         else:
             low = trial
-        if proof is not None and high - low <= rtol * high:
+        if high - low <= rtol * high < np.inf:
             break
-        if proof is None:
-            trial = low * (1 + step)
+        if low and high < np.inf:
+            trial = float(np.sqrt(low * high))
         else:
-            trial = high * (1 - step) if low == 0.0 else float(np.sqrt(low * high))
-        step = min(3 * step, 0.9)
-    return (float("inf"), norm) if proof is None else (high, proof)
+            trial, step = trial * (1 + step if low else 1 - step), min(3 * step, 0.9)
+    return high, norm

@@ -6,18 +6,17 @@ parameters. Doyle, Glover, Khargonekar, Francis (1989), theorem 3; Glover, Doyle
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, dense
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.linear_analysis.matrix_equations import balanced_eigenvalues, care
+from robustlab.linear_analysis.matrix_equations import balanced_eigenvalues, care, judged_afterwards
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.hinf.two_riccati import RiccatiPair, TwoRiccatiProblem
+from robustlab.synthesis.hinf.two_riccati import RiccatiPair, TwoRiccatiProblem, quadratic
 from robustlab.synthesis.problem.partition import PlantMatrices, dual
 from robustlab.synthesis.problem.scaling import Scaling
 
@@ -25,17 +24,18 @@ RESIDUAL = 1e-7  # of a solution after Newton's steps; 1e-3 accepts levels witho
 STEP = 1e-5  # of logarithmic parameters in derivatives of the frozen forms, which are smooth
 NEGLIGIBLE = 1e-6  # eigenvalues of X Y below this share of the largest are noise
 STEEPEST = 1e6  # logarithmic derivatives beyond this are rounding
-LEVEL_RTOL = 1e-7  # of the smallest level
-MAX_TESTS = 40  # pairs of Riccati equations to bracket and find a level
+LEVEL_RTOL = 1e-6  # of the smallest level
+MAX_TESTS = 40  # pairs of Riccati equations to find a level ...
+SECANTS = 15  # ... of which the later ones only bisect
+SLOPE = -4.0  # first guess of the derivative of log rho(X Y) by log beta
 WITHIN = 0.5  # distance (log beta) below the level of the branches in the model of a step ...
 MOST = 5  # ... and their largest number; more: kinks are detected earlier, each step costs more
 
-# Measured work of a test and of a pair of frozen forms, without that of their factorisations.
+# Measured work of a test and of a frozen form, without that of their factorisations.
 TEST_WORK, FORM_WORK = 300, 250
 
 
-@dataclass(frozen=True, eq=False)
-class _Pair:
+class Pair(NamedTuple):
     """Solutions of both equations at one beta, in scaled units, with the eigenvalues of X Y over gamma^2, descending,
     and their directions ``S q`` where ``Y = S S^T`` and q is a unit eigenvector of ``S^T X S``.
     """
@@ -50,24 +50,22 @@ class _Pair:
     @property
     def coupling(self) -> float:
         """``rho(X Y) / gamma^2``."""
-        return float(self.eigenvalues.max(initial=0.0))
+        return float(self.eigenvalues.max(initial=1e-300))
 
 
-@dataclass(frozen=True, eq=False)
-class Branches:
+class Branches(NamedTuple):
     """Several eigenvalues of X Y to first order: ``log beta(theta + d) = max_i (values_i + slopes_i^T d)``."""
 
     values: AnyArray
     slopes: AnyArray
 
 
-@dataclass(frozen=True, eq=False)
-class Level:
+class Level(NamedTuple):
     """Smallest level of given scalings."""
 
     beta: float
     smooth: bool  # True where `rho(X Y) = 1` there; else a Riccati equation loses its solution
-    pair: _Pair  # the solutions slightly above the level
+    pair: Pair  # the solutions slightly above the level
 
 
 class LevelSearch:
@@ -78,43 +76,44 @@ class LevelSearch:
 
     def smallest(self, theta: AnyArray, start: float, rtol: float = LEVEL_RTOL) -> Level | None:
         """Return the smallest level near ``start``; None where none is found."""
-        high = low = None  # (log beta, log rho): rho < 1; rho > 1, or None where the test fails
-        best: tuple[float, _Pair] | None = None
-        log_beta, step = float(np.log(max(start, 1e-300))), 1e-4
-        side = 0
-        for _ in range(MAX_TESTS):
-            pair = self._test(theta, float(np.exp(log_beta)))
-            value = None if pair is None else float(np.log(max(pair.coupling, 1e-300)))
-            if pair is not None and value is not None and value < 0:
-                side, low = (1, _halved(low, side == 1)) if low else (1, low)
-                high, best = (log_beta, value), (float(np.exp(log_beta)), pair)
+        # Secants of f = log rho(X Y) over t = log beta in a bracket: above the level f < 0, below it f >= 0, or an
+        # equation has no solution.
+        t = float(np.log(max(start, 1e-300)))
+        low, high, smooth, step, slope = -np.inf, np.inf, False, 1e-4, SLOPE
+        best: Pair | None = None
+        last: tuple[float, float] | None = None
+        for k in range(MAX_TESTS):
+            pair = self._test(theta, float(np.exp(t)))
+            f = np.nan if pair is None else float(np.log(pair.coupling))
+            if last is not None and abs(t - last[0]) > 3 * rtol and (f - last[1]) * (t - last[0]) < 0:
+                slope = (f - last[1]) / (t - last[0])
+            last = (t, f) if pair is not None else last
+            if f < 0:
+                high, best = t, pair
+                if slope != SLOPE and f / slope <= rtol:
+                    low, smooth = t, True
             else:
-                side, high_next = (-1, _halved(high, side == -1)) if high else (-1, high)
-                low, high = (log_beta, value), high_next
-            if self.budget.over:
+                low, smooth = t, pair is not None
+            if high - low <= rtol or step > 60 or self.budget.over:
                 break
-            if high is None or low is None:
-                step *= 4
-                log_beta += step if high is None else -step
-                if step > 60:
-                    break
-                continue
-            if high[0] - low[0] <= rtol:
-                break
-            log_beta = _next(low, high, rtol)
-        if best is None or low is None:
-            return None
-        return Level(best[0], low[1] is not None, best[1])
+            bracketed, aim = high - low < np.inf, t - f / slope + 0.3 * rtol if k < SECANTS else np.nan
+            if low < aim < high and (bracketed or abs(aim - t) < 1):
+                t = aim
+            elif bracketed:
+                t = 0.5 * (low + high)
+            else:
+                t, step = t + (step if high == np.inf else -step), 4 * step
+        return None if best is None or low == -np.inf else Level(float(np.exp(high)), smooth, best)
 
     def branches(self, theta: AnyArray, level: Level) -> Branches | None:
         """Return the largest eigenvalues of X Y at and slightly below the level by theta; None: no smooth level."""
         if not level.smooth:
             return None
-        n, step = len(self.scaling.states), STEP
-        self.budget.spend(dense(n, 2 * MOST) + 2 * (len(theta) + 1) * (FORM_WORK + n**3 // 100))
-        forms = self._frozen(theta, level)
-        log_beta = float(np.log(level.beta))
-        slope = (forms(theta, log_beta + step) - forms(theta, log_beta - step)) / (2 * step)
+        n = len(self.scaling.states)
+        self.budget.spend(dense(n, 2 * MOST) + (len(theta) + 2) * (FORM_WORK + n**3 // 100))
+        forms, log_beta = self._frozen(theta, level), float(np.log(level.beta))
+        here = forms(theta, log_beta)
+        slope = (forms(theta, log_beta + STEP) - here) / STEP
         size = level.pair.eigenvalues[:MOST]
         below = np.log(size) * size / np.where(slope < 0, -slope, np.nan)
         if not below[0] > -np.inf:
@@ -122,11 +121,8 @@ class LevelSearch:
         # Of an eigenvalue at the level of rounding both the logarithm and the slope are noise.
         near = (below - below[0] > -WITHIN) & np.isfinite(below)
         kept = np.flatnonzero(near & (size > NEGLIGIBLE * size[0]))
-        slopes = np.zeros((len(slope), len(theta)))
-        for i in range(len(theta)):
-            e = np.zeros(len(theta))
-            e[i] = step
-            slopes[:, i] = (forms(theta + e, log_beta) - forms(theta - e, log_beta)) / (2 * step)
+        moved = [(forms(theta + e, log_beta) - here) / STEP for e in STEP * np.eye(len(theta))]
+        slopes = np.array(moved).reshape(len(theta), len(slope)).T
         relative = slopes[kept] / -slope[kept, None]
         sound = np.abs(relative).max(axis=1, initial=0.0) < STEEPEST
         found = Branches(log_beta + below[kept][sound] - below[0], relative[sound])
@@ -148,7 +144,7 @@ class LevelSearch:
     def _scaled(self, theta: AnyArray, beta: float) -> PlantMatrices:
         return self.scaling.apply(self._plant(theta, beta))
 
-    def _test(self, theta: AnyArray, beta: float) -> _Pair | None:
+    def _test(self, theta: AnyArray, beta: float) -> Pair | None:
         self.budget.spend(TEST_WORK + dense(len(self.scaling.states), 4))
         try:
             p = self._scaled(theta, beta)
@@ -162,11 +158,12 @@ class LevelSearch:
         root = _root(Y)
         values, vectors = np.linalg.eigh(root.T @ X @ root)
         values, vectors = values[::-1] / self.scaling.gain**2, vectors[:, ::-1]
-        return _Pair(X, F, Y, L, np.maximum(values, 1e-300), root @ vectors)
+        return Pair(X, F, Y, L, np.maximum(values, 1e-300), root @ vectors)
 
     def _solution(self, p: PlantMatrices) -> tuple[AnyArray, AnyArray] | None:
         """Return the stabilising positive semidefinite solution and its gain; None where R or X has wrong signs."""
-        A, B, Q, R, S, n_w = _quadratic(p, self.scaling.gain)
+        A, B, Q, S, _, n_w = equation = quadratic(p)
+        R = equation.R(self.scaling.gain)
         if int((np.linalg.eigvalsh(R) < 0).sum()) != n_w:
             return None
         try:
@@ -206,22 +203,11 @@ def _root(Y: AnyArray) -> AnyArray:
     return size[:, None] * (vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
-def _quadratic(p: PlantMatrices, gamma: float) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray, AnyArray, int]:
-    """Return A, B, Q, R, S of the state-feedback Riccati equation at gamma, and the number of disturbances."""
-    B, row = np.hstack([p.B1, p.B2]), np.hstack([p.D11, p.D12])
-    n_w = p.B1.shape[1]
-    R = row.T @ row
-    R[:n_w, :n_w] -= gamma**2 * np.eye(n_w)
-    return p.A, B, p.C1.T @ p.C1, 0.5 * (R + R.T), p.C1.T @ row, n_w
-
-
 def _adjoint(closed: AnyArray, gain: AnyArray, direction: AnyArray) -> AnyArray:
     """Return ``[I; F] Lambda [I F^T]`` with ``A_X Lambda + Lambda A_X^T + d d^T = 0``."""
     from scipy.linalg import solve_continuous_lyapunov
 
-    with warnings.catch_warnings():
-        # For eigenvalues close to mirror images; slopes dominated by rounding are removed by their size.
-        warnings.simplefilter("ignore", RuntimeWarning)
+    with judged_afterwards():  # eigenvalues may nearly mirror each other; slopes of rounding are removed by their size
         weight = solve_continuous_lyapunov(closed, -np.outer(direction, direction))
     tall = np.vstack([np.eye(len(closed)), gain])
     return tall @ weight @ tall.T
@@ -229,21 +215,6 @@ def _adjoint(closed: AnyArray, gain: AnyArray, direction: AnyArray) -> AnyArray:
 
 def _form(p: PlantMatrices, X: AnyArray, gamma: float) -> AnyArray:
     """Return the symmetric ``[A^T X + X A + Q, X B + S; ., R]``."""
-    A, B, Q, R, S, _ = _quadratic(p, gamma)
+    A, B, Q, S, _, _ = equation = quadratic(p)
     drift, cross = X @ A, X @ B + S
-    return np.block([[drift + drift.T + Q, cross], [cross.T, R]])
-
-
-def _halved(end: tuple[float, float | None], again: bool) -> tuple[float, float | None]:
-    """Return an end of the bracket, its value halved where it is kept again (Illinois rule)."""
-    return (end[0], 0.5 * end[1]) if again and end[1] is not None else end
-
-
-def _next(low: tuple[float, float | None], high: tuple[float, float | None], rtol: float) -> float:
-    """Return the false position between a level that is too small and one that is not; the middle for unknown rho."""
-    (a, f), (b, g) = low, high
-    if f is None or g is None or f <= 0:
-        return 0.5 * (a + b)
-    point = (a * g - b * f) / (g - f)
-    edge = 0.25 * rtol
-    return float(min(max(point, a + edge), b - edge))
+    return np.block([[drift + drift.T + Q, cross], [cross.T, equation.R(gamma)]])

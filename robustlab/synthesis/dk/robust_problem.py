@@ -1,4 +1,4 @@
-"""A robust-performance problem: its first controller, and controllers for given scalings with their proofs."""
+"""A robust-performance problem: controllers for given scalings with their proofs."""
 
 from __future__ import annotations
 
@@ -10,16 +10,14 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, dense
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.linear_analysis.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.axis.intervals import AxisCover, Piece
 from robustlab.mu_analysis.axis.joined_scalings import loop_axis_claims
 from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete, hinf_norm
 from robustlab.norms.numbers import ABOVE
-from robustlab.statespace import StateSpaceModel, lower_lft
+from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.dk.dynamic_scalings import DynamicScalings, plant_at_level, proved_level
 from robustlab.synthesis.dk.riccati_level import LevelSearch
-from robustlab.synthesis.hinf.hinf_synthesis import synthesize
-from robustlab.synthesis.hinf.search import Search, channel_gains, relax, trial_loop
+from robustlab.synthesis.hinf.search import channel_gains, trial_loop
 from robustlab.synthesis.problem.certify import SHARES, certified
 from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices, Realisation
 from robustlab.synthesis.problem.rebuilt_loop import named_controller, with_direct_term
@@ -33,42 +31,10 @@ from robustlab.verification.claim import Outcome
 BACKOFF = (1e-4, 1e-3, 1e-2, 5e-2, 0.1, 0.2, 0.3, 0.4, 0.6, 1.0)
 ACCEPTED = 1e-2  # loss against the Riccati level above which the other numerical scaling is tried as well
 SLACK_SHARES = (0.999, 0.8, 0.5)  # shares (of a logarithm) of the slack for slower controllers
-SLOWEST = 4  # number of the slowest controllers that are tried
 REGULAR = 1e-6  # D12, D21 below this size in scaled units need regularisation
 STATE_SHARE = 0.3  # share of the regularisation for penalties and noises on the states
-NOMINAL_SHARE = 0.03  # disturbance on the control of the nominal start, relative to the control without it
-NOMINAL_GAMMA_REL = 1.1  # gamma of the nominal start's controllers relative to the smallest
 AXIS_EFFORT = 1500  # effort of the checker for mu by intervals: some seconds
 BELOW_ONE = 1 - 2e-6  # a level claimed to a millionth, below one
-NOMINAL_POINTS = 80  # frequencies for the size of that control
-
-
-def nominal_start(plant: GeneralizedPlant, n_w: int, n_z: int, budget: Budget) -> StateSpaceModel | None:
-    """Return an H-infinity controller of the last ``n_w`` w and ``n_z`` z with a small disturbance on every control.
-
-    The nominal problem has the units of the specifications, but without a disturbance of the plant its optimal
-    controller is almost a feedforward. None where no controller was verified, or the control is zero.
-    """
-    m, n_u, n_y = plant.model, plant.n_con, plant.n_meas
-    into = np.arange(m.n_inputs - n_u - n_w, m.n_inputs)
-    out = np.arange(m.n_outputs - n_y - n_z, m.n_outputs)
-    B, C, D = m.B[:, into], m.C[out], m.D[out][:, into]
-    try:
-        bare = GeneralizedPlant(StateSpaceModel(m.A, B, C, D, m.dt), n_y, n_u)
-        K = synthesize(bare, "hinf", NOMINAL_GAMMA_REL, budget.share(0.5)).K
-        # From all w to the controls.
-        rows, direct = np.vstack([np.zeros((n_u, len(m.A))), C[n_z:]]), np.eye(n_u, n_w + n_u, n_w)
-        control = StateSpaceModel(m.A, B, rows, np.vstack([direct, D[n_z:]]), m.dt)
-        loop = lower_lft(control, StateSpaceModel(K.A, K.B, K.C, K.D, K.dt))
-        gains = np.linalg.norm(frequency_response(loop, default_grid(loop, NOMINAL_POINTS)), axis=2)
-        size = NOMINAL_SHARE * gains.max(axis=0)
-        if not (np.isfinite(size).all() and size.any()):
-            return None
-        wide, direct = np.hstack([B[:, n_w:] * size, B]), np.hstack([D[:, n_w:] * size, D])
-        disturbed = GeneralizedPlant(StateSpaceModel(m.A, wide, C, direct, m.dt), n_y, n_u)
-        return synthesize(disturbed, "hinf", NOMINAL_GAMMA_REL, budget).K
-    except (InputError, NoTrustworthyNumber, np.linalg.LinAlgError):  # overflow, or no verified design
-        return None
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,11 +69,7 @@ class RobustProblem:
         self.bare = self._continuous.matrices()
         self.matrices = self.bare
         self.scale = paths_first(self.bare)
-        p = self.scale.apply(self.bare)
-        _, n_w, n_u, n_z, n_y = p.sizes
-        u_size = np.linalg.svd(p.D12, compute_uv=False).min() if n_z >= n_u else 0.0
-        y_size = np.linalg.svd(p.D21, compute_uv=False).min() if n_w >= n_y else 0.0
-        self._regular = bool(min(u_size, y_size) > REGULAR)
+        self._regular = min(self.scale.apply(self.bare).direct_sizes) > REGULAR
 
     def search(self, scalings: DynamicScalings, alternative: bool = False) -> LevelSearch:
         """Return the level search of scalings of this form; ``alternative``: with the other numerical scaling."""
@@ -123,29 +85,18 @@ class RobustProblem:
         """Return the controller of smallest proved level for given scalings; None where none was found."""
         best: Iterate | None = None
         for alternative in (False, True):
-            search = self.search(scalings, alternative)
-            level = search.smallest(scalings.parameters(), start, 1e-5)
-            if level is None:
-                continue
-            found = self._backed_off(search, scalings, level.beta)
+            level = self.search(scalings, alternative).smallest(scalings.parameters(), start, 1e-5)
+            found = None if level is None else self.at_level(scalings, level.beta, alternative)
             if found is not None and (best is None or found.level < best.level):
                 best = found
-            if best is not None and best.level <= level.beta * (1 + ACCEPTED):
-                return best
+            if best is not None and level is not None and best.level <= level.beta * (1 + ACCEPTED):
+                break
         return best
 
-    def at_level(self, scalings: DynamicScalings, beta: float) -> Iterate | None:
-        """Return the controller at the known smallest level of these scalings, whatever the budget."""
-        return self._backed_off(self.search(scalings), scalings, beta, 3)
-
-    def _backed_off(
-        self, search: LevelSearch, scalings: DynamicScalings, beta: float, most: int | None = None
-    ) -> Iterate | None:
-        """Return the controller of smallest proved level among those a little above the level ``beta``."""
-        best: Iterate | None = None
-        for share in BACKOFF[:most]:
-            if best is not None and best.level <= beta * (1 + share):
-                break
+    def at_level(self, scalings: DynamicScalings, beta: float, alternative: bool = False) -> Iterate | None:
+        """Return the controller of smallest proved level among those a little above the known smallest level."""
+        search, best = self.search(scalings, alternative), None
+        for share in BACKOFF:
             K = search.controller(scalings.parameters(), beta * (1 + share))
             found = None if K is None else self.closed(K, scalings, beta)
             if found is not None and (best is None or found.level < best.level):
@@ -158,29 +109,14 @@ class RobustProblem:
         """Return the same scalings with the controller of slowest poles whose proved level is at most ``limit``."""
         if not iterate.level:  # the loop is zero
             return iterate
-        search = self.search(iterate.scalings)
-        theta = iterate.scalings.parameters()
-        best, middle = iterate, None
+        search, best = self.search(iterate.scalings), iterate
         for share in SLACK_SHARES:
-            K = search.controller(theta, iterate.level * (limit / iterate.level) ** share)
-            middle = K if K is not None else middle
-            best = self._slower(K, best, limit)
-        if middle is None or self.budget.over:
-            return best
-        plant = plant_at_level(self.bare, iterate.scalings, limit)  # a gain of at most one proves the limit
-        trials = Search(plant, paths_first(plant), self.budget)
-        start = trials.adopt(Realisation(middle.A, middle.B, middle.C, middle.D))
-        if start is not None:
-            relax(trials, start, 1.0)
-        slow = sorted((c for c in trials.candidates if c.gamma <= 1.0), key=lambda c: c.pace)
-        for candidate in slow[:SLOWEST]:
-            best = self._slower(StateSpaceModel(*candidate.K), best, limit)
+            level = iterate.level * (limit / iterate.level) ** share
+            K = search.controller(iterate.scalings.parameters(), level)
+            found = None if K is None or self.budget.over else self.closed(K, iterate.scalings, iterate.level)
+            if found is not None and found.level <= limit and found.pace < best.pace:
+                best = found
         return best
-
-    def _slower(self, K: StateSpaceModel | None, best: Iterate, limit: float) -> Iterate:
-        """Return the iterate of K if it is slower than the best one and proves the limit, else the best one."""
-        found = None if K is None or self.budget.over else self.closed(K, best.scalings, best.level)
-        return found if found is not None and found.level <= limit and found.pace < best.pace else best
 
     def closed(self, K: StateSpaceModel, scalings: DynamicScalings, guess: float) -> Iterate | None:
         """Return the iterate of a controller for the continuous plant without D22; None where it is unstable."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -27,7 +28,7 @@ from robustlab.synthesis.problem.partition import (
     as_generalized_plant,
     require_performance,
 )
-from robustlab.synthesis.problem.rebuilt_loop import rebuilt_loop
+from robustlab.synthesis.problem.rebuilt_loop import named_controller, surely_stable, with_direct_term
 from robustlab.synthesis.problem.scaling import Scaling, equilibrated, paths_first
 
 # Work of a design at effort 1.
@@ -146,8 +147,7 @@ def h2(
     return synthesize_h2(plant, gamma_rel, design_budget("synth h2", WORK, effort, time_limit), progress)
 
 
-@dataclass(frozen=True, eq=False)
-class _Trial:
+class _Trial(NamedTuple):
     """A controller of one regularisation, with its loop on the plant as given."""
 
     K: StateSpaceModel
@@ -170,15 +170,15 @@ def synthesize_h2(
     gain = _cancelling_gain(matrices, dt, where)
     shifted, trials = _with_gain(matrices, gain), list[_Trial]()
     refuse_overflow(where, shifted.A, shifted.B1, shifted.C1, shifted.D11)
-    try:
-        moving = plant.continuous().matrices() if dt else shifted
-    except NoTrustworthyNumber:  # a pole at z = -1: the rebuilt loop decides
-        moving = None
+    first, moving = paths_first(shifted), None if dt else shifted
+    if dt:
+        with suppress(NoTrustworthyNumber):  # a pole at z = -1: the rebuilt loop decides
+            moving = plant.continuous().matrices()
     if moving is not None:
-        first = paths_first(moving)
-        require_stabilisable(first.apply(moving), plant.model.state_names, where, first.rate)
-    for scale in (paths_first, equilibrated):
-        scaling = scale(shifted)
+        units = paths_first(moving) if dt else first
+        require_stabilisable(units.apply(moving), plant.model.state_names, where, units.rate)
+    for other in (False, True):
+        scaling = equilibrated(shifted) if other else first
         scaling = scaling.in_steps() if dt else scaling
         if _ladder(plant, shifted, gain, scaling, trials, budget, progress or (lambda _: None)) or budget.over:
             break
@@ -207,18 +207,9 @@ def synthesize_h2(
         parts.append("the plant is regular: this is the optimum")
     status, reason = final_status(Status.INACCURATE if doubt else chosen.norm.status, parts, budget, "a smaller norm")
     return H2Synthesis(
-        K=chosen.K,
-        gamma=gamma,
-        closed_loop=chosen.loop,
-        status=status,
-        reason=reason,
-        limit=chosen.limit,
-        plant=plant,
-        method="h2",
-        norm=chosen.norm,
-        regularisation=chosen.eps,
-        smallest_norm=best.norm.value,
-    )
+        K=chosen.K, gamma=gamma, closed_loop=chosen.loop, status=status, reason=reason, limit=chosen.limit,
+        plant=plant, method="h2", norm=chosen.norm, regularisation=chosen.eps, smallest_norm=best.norm.value,
+    )  # fmt: skip
 
 
 def _ladder(
@@ -235,14 +226,14 @@ def _ladder(
     Return whether the regular problem was solved, or smaller regularisations gained less than SETTLED.
     """
     scaled, dt = scaling.apply(shifted), plant.model.dt
-    size_u, size_y = _least_direct(scaled.D12), _least_direct(scaled.D21.T)
+    sizes = scaled.direct_sizes
     best, idle = np.inf, 0
-    for eps in LADDER if min(size_u, size_y) <= REGULAR and not dt else (0.0, *LADDER):
+    for eps in LADDER if min(sizes) <= REGULAR and not dt else (0.0, *LADDER):
         if budget.over:
             return False
         # two equations, and norms of the loop
         budget.spend(dense(len(scaled.A), 8) + dense(2 * len(scaled.A), 3))
-        u, y = (0.0 if size > max(REGULAR, eps) else eps for size in (size_u, size_y))
+        u, y = (0.0 if size > max(REGULAR, eps) else eps for size in sizes)
         regularised = scaled.with_channels(u, y, eps / 10, eps / 10) if eps else scaled
         trial = _trial(plant, gain, scaling, regularised, eps)
         text = "no verified loop" if trial is None else f"H2 norm {trial.norm.value:.6g}"
@@ -266,14 +257,14 @@ def _trial(
     """Return K of this regularisation in its loop; None if that is unstable or its norm not finite."""
     dt = plant.model.dt
     try:
-        K = scaling.controller_to_plant(Realisation.of(_controller(regularised, dt)))
-        K = StateSpaceModel(K.A, K.B, K.C, K.D + gain, dt)
-    except (NoTrustworthyNumber, InputError):  # InputError: entries overflow when scaled back
+        A, B, C, D = scaling.controller_to_plant(_controller(regularised, dt))
+        K = with_direct_term(StateSpaceModel(A, B, C, D + gain, dt), plant.D22)
+        K = named_controller(K, plant.measurements, plant.controls, dt)
+        loop = plant.close(K)
+    except (NoTrustworthyNumber, InputError):  # not well posed, or entries overflow
         return None
-    rebuilt = rebuilt_loop(plant, K, plant.D22)
-    if rebuilt is None:
+    if not surely_stable(loop):
         return None
-    full, loop = rebuilt
     if not dt:
         D11 = plant.model.D[: plant.n_z, : plant.n_w]
         allowed = CANCELLED * max(np.abs(D11).max(initial=0.0), np.abs(K.D).max(initial=0.0))
@@ -283,22 +274,17 @@ def _trial(
     norm, out, into = h2_by_channels(loop)
     if not np.isfinite(norm.value):
         return None
-    return _Trial(full, loop, norm, _largest_channels(loop, out, into), eps)
+    return _Trial(K, loop, norm, _largest_channels(loop, out, into), eps)
 
 
-def _least_direct(D: AnyArray) -> float:
-    """Return the smallest singular value over the columns of a direct path; 0 if it has fewer rows than columns."""
-    return float(np.linalg.svd(D, compute_uv=False).min(initial=np.inf)) if len(D) >= D.shape[1] else 0.0
-
-
-def _controller(p: PlantMatrices, dt: float) -> StateSpaceModel:
+def _controller(p: PlantMatrices, dt: float) -> Realisation:
     """Return the optimal controller of a regular plant with D22 = 0 (and, in continuous time, D11 = 0)."""
     solve = dare if dt else care
     control = solve(p.A, p.B2, p.C1.T @ p.C1, p.D12.T @ p.D12, p.C1.T @ p.D12, tolerance=RESIDUAL)
     filtering = solve(p.A.T, p.C2.T, p.B1 @ p.B1.T, p.D21 @ p.D21.T, p.B1 @ p.D21.T, tolerance=RESIDUAL)
     F, L = control.gain, filtering.gain.T
     if not dt:  # Doyle, Glover, Khargonekar, Francis 1989, theorem 1
-        return StateSpaceModel(p.A + p.B2 @ F + L @ p.C2, -L, F, np.zeros((F.shape[0], L.shape[1])))
+        return Realisation(p.A + p.B2 @ F + L @ p.C2, -L, F, np.zeros((F.shape[0], L.shape[1])))
     X, Y = control.X, filtering.X
     try:
         now = -np.linalg.solve(p.D12.T @ p.D12 + p.B2.T @ X @ p.B2, p.B2.T @ X @ p.B1 + p.D12.T @ p.D11)
@@ -308,7 +294,7 @@ def _controller(p: PlantMatrices, dt: float) -> StateSpaceModel:
     except np.linalg.LinAlgError:
         raise NoTrustworthyNumber("h2", "a weight of the Riccati equations is singular") from None
     into = p.B2 @ direct - L
-    return StateSpaceModel(p.A + p.B2 @ F - into @ p.C2, into, F - direct @ p.C2, direct)
+    return Realisation(p.A + p.B2 @ F - into @ p.C2, into, F - direct @ p.C2, direct)
 
 
 def _cancelling_gain(p: PlantMatrices, dt: float, where: str) -> AnyArray:

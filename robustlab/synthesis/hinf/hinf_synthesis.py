@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from functools import cache
 from itertools import islice
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from robustlab.linear_analysis.magnitude import refuse_extremes
 from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.hinf.search import Candidate, estimated_optimum, portfolio, relax
+from robustlab.synthesis.hinf.search import Candidate, portfolio, relax
 from robustlab.synthesis.problem.assumptions import broken_assumptions, require_stabilisable
 from robustlab.synthesis.problem.certify import EFFORT, certified
 from robustlab.synthesis.problem.design import HinfSynthesis, design_budget, final_status, limiting_channels
@@ -41,19 +41,26 @@ LOSS = 1.0005
 CERTIFICATE_WORTH = 2.0
 
 
-@dataclass(frozen=True, eq=False)
-class Verified:
-    """A controller in the units and the time domain of the plant as given, D22 included, with its loop and norm.
-
-    After verification the loop of P and K has at most the norm ``gamma``, proved if ``doubt`` is empty.
-    """
+class Closed(NamedTuple):
+    """A controller in the units and the time domain of the plant as given, D22 included, and its loop."""
 
     candidate: Candidate
     K: StateSpaceModel
     loop: StateSpaceModel
     norm: HinfNorm
-    gamma: float = np.inf
-    doubt: str = "not verified"
+
+
+class Verified(NamedTuple):
+    """The result of the checker: the loop of P and K has at most the norm ``gamma``, proved if ``doubt`` is empty."""
+
+    closed: Closed
+    gamma: float
+    doubt: str
+
+    @property
+    def pace(self) -> float:
+        """Largest modulus of the controller's poles in rad/s."""
+        return self.closed.candidate.pace
 
 
 class Verifier:
@@ -61,19 +68,14 @@ class Verifier:
 
     def __init__(self, plant: GeneralizedPlant, D22: Array, budget: Budget) -> None:
         self.plant, self.D22, self.budget = plant, D22, budget
-        self._closed: dict[int, Verified | None] = {}
-        self._known: dict[int, Verified] = {}
+        self.closed, self.proofs = cache(self._closed), dict[Candidate, Verified]()
 
     def smallest(self, candidates: list[Candidate]) -> Verified | None:
         """Return the proved candidate of smallest norm; if none is proved, that of smallest norm."""
-        found: list[Verified] = []
-        near = 0
-        for candidate in sorted(candidates, key=lambda c: c.gamma)[:MOST_TRIES]:
-            closed = self.closed(candidate)
-            if closed is None:
-                continue
+        found, near = list[Closed](), 0
+        for closed in self._stable(sorted(candidates, key=lambda c: c.gamma)[:MOST_TRIES]):
             found.append(closed)
-            near += closed.norm.upper <= LOSS * candidate.gamma
+            near += closed.norm.upper <= LOSS * closed.candidate.gamma
             if near == PROOFS or len(found) == TRIES or self.budget.over:
                 break
         tried: list[Verified] = []
@@ -81,68 +83,47 @@ class Verifier:
             tried.append(self.verified(closed, 1 if tried else EFFORT))
             if not tried[-1].doubt:
                 break
-        if not tried:
-            return None
-        best, least = min(tried, key=lambda v: (bool(v.doubt), v.gamma)), min(tried, key=lambda v: v.gamma)
-        return best if best.gamma <= CERTIFICATE_WORTH * least.gamma else least
+        best = min(tried, key=lambda v: (bool(v.doubt), v.gamma), default=None)
+        least = min(tried, key=lambda v: v.gamma, default=None)
+        return best if best is None or least is None or best.gamma <= CERTIFICATE_WORTH * least.gamma else least
 
     def least_stiff(self, candidates: list[Candidate], best: Verified, ratio: float) -> Verified:
-        """Return the verified candidate of least stiffness within the ratio of the best gamma; else the best."""
+        """Return the proved candidate of least stiffness within the ratio of the best gamma; else the best."""
         limit = ratio * best.gamma
         allowed = sorted((c for c in candidates if c.gamma <= limit), key=lambda c: (c.stiffness, c.gamma))
-        return self._first(allowed, limit, certified=True) or best
+        within = (closed for closed in self._stable(allowed[:TRIES]) if closed.norm.upper <= limit)
+        proofs = map(self.verified, islice(within, PROOFS))
+        return next((v for v in proofs if v.gamma <= limit and not v.doubt), best)
 
-    def within(self, candidates: list[Candidate], best: Verified, gamma_rel: float, bandwidth: float) -> Verified:
-        """Return the smallest gamma within the ratio of the best among those with all poles below the bandwidth."""
-        limit = gamma_rel * best.gamma
-        allowed = [c for c in candidates if c.gamma <= limit]
-        slow = sorted((c for c in allowed if c.pace <= bandwidth), key=lambda c: c.gamma)
-        found = self._first(slow, limit, not best.doubt)
-        if found is not None:
-            return found
-        pace = min((c.pace for c in [*allowed, best.candidate]), default=np.inf)
-        raise NoTrustworthyNumber(
-            "bandwidth",
-            f"no controller with all poles below {bandwidth:g} rad/s was found within {gamma_rel:g} times the smallest "
-            f"gamma {best.gamma:.6g}; the slowest there has its fastest pole at {pace:.4g} rad/s",
-            hint="a larger gamma_rel, a larger bandwidth, or weights that ask for less",
-        )
+    def _stable(self, candidates: list[Candidate]) -> Iterator[Closed]:
+        """Yield those with a stable loop, as far as the budget allows."""
+        for candidate in candidates:
+            closed = None if self.budget.over else self.closed(candidate)
+            if closed is not None:
+                yield closed
 
-    def _first(self, candidates: Iterable[Candidate], limit: float, certified: bool) -> Verified | None:
-        """Return the first of few candidates that verifies with a gamma of at most the limit."""
-        closed = (self.closed(candidate) for candidate in islice(candidates, TRIES) if not self.budget.over)
-        within = (found for found in closed if found is not None and found.norm.upper <= limit)
-        for verified in map(self.verified, islice(within, PROOFS)):
-            if verified.gamma <= limit and not (certified and verified.doubt):
-                return verified
+    def _closed(self, candidate: Candidate) -> Closed | None:
+        """Return the candidate with the norm of its loop; None if that is not stable or not well posed."""
+        plant, dt = self.plant, self.plant.model.dt
+        with suppress(InputError, NoTrustworthyNumber):
+            model = with_direct_term(StateSpaceModel(*candidate.K), self.D22)
+            # Large entries hide slow modes: in modal coordinates the same controller keeps more digits.
+            model = moderate_states(bilinear_to_discrete(model, dt) if dt else model)
+            K = named_controller(model, plant.measurements, plant.controls, dt)
+            loop = plant.close(K)
+            self.budget.spend(dense(loop.n_states, 10))
+            norm = hinf_norm(loop)
+            if np.isfinite(norm.upper):
+                return Closed(candidate, K, loop, norm)
         return None
 
-    def closed(self, candidate: Candidate) -> Verified | None:
-        """Return the candidate with the norm of its loop; None if that is not stable or not well posed."""
-        key = id(candidate)
-        if key not in self._closed:
-            self._closed[key] = None
-            with suppress(InputError, NoTrustworthyNumber):
-                plant, dt = self.plant, self.plant.model.dt
-                model = with_direct_term(StateSpaceModel(*candidate.K), self.D22)
-                # Large entries hide slow modes: in modal coordinates the same controller keeps more digits.
-                model = moderate_states(bilinear_to_discrete(model, dt) if dt else model)
-                K = named_controller(model, plant.measurements, plant.controls, dt)
-                loop = plant.close(K)
-                self.budget.spend(dense(loop.n_states, 10))
-                norm = hinf_norm(loop)
-                if np.isfinite(norm.upper):
-                    self._closed[key] = Verified(candidate, K, loop, norm)
-        return self._closed[key]
-
-    def verified(self, closed: Verified, effort: int = 1) -> Verified:
+    def verified(self, closed: Closed, effort: int = 1) -> Verified:
         """Return the candidate with the result of the checker; at little ``effort`` only matrix proofs are tried."""
-        key = id(closed.candidate)
-        if key not in self._known:
+        if closed.candidate not in self.proofs:
             self.budget.spend(dense(closed.loop.n_states, 200))
             proof = certified(self.plant, closed.K, closed.norm, effort=effort)
-            self._known[key] = replace(closed, **proof._asdict())
-        return self._known[key]
+            self.proofs[closed.candidate] = Verified(closed, *proof)
+        return self.proofs[closed.candidate]
 
 
 @error_context("synth hinf")
@@ -152,7 +133,6 @@ def hinf(
     n_con: int | None = None,
     *,
     gamma_rel: float = 1.05,
-    bandwidth: float | None = None,
     time_limit: float | None = None,
     effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
@@ -161,7 +141,7 @@ def hinf(
     plant = as_generalized_plant(P, n_meas, n_con, "synth hinf")
     require_performance(plant, "synth hinf")
     budget = design_budget("synth hinf", WORK, effort, time_limit)
-    return synthesize(plant, "hinf", gamma_rel, budget, bandwidth=bandwidth, progress=progress)
+    return synthesize(plant, "hinf", gamma_rel, budget, progress=progress)
 
 
 @one_thread()
@@ -172,15 +152,12 @@ def synthesize(
     gamma_rel: float,
     budget: Budget,
     weights: Mapping[str, StateSpaceModel] | None = None,
-    bandwidth: float | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> HinfSynthesis:
     """Search a controller for `hinf` or `mixsyn`."""
     where = f"synth {method}"
     if not 1 <= gamma_rel <= 1e6:
         raise InputError(where, f"gamma_rel is {gamma_rel}", "a number from 1 to 1e6")
-    if bandwidth is not None and not bandwidth > 0:
-        raise InputError(where, f"bandwidth is {bandwidth}", "a positive frequency in rad/s")
     refuse_extremes(plant.model, where)
     report = progress or (lambda _: None)
     continuous = plant.continuous()
@@ -203,15 +180,13 @@ def synthesize(
         )
     report(f"two Riccati equations: gamma {best.gamma:.6g}")
     if best.doubt:  # the controller is so fast that digits are lost
-        relax(leader, best.candidate, (0.2 + 0.8 * LESS_STIFF) * best.gamma)
+        relax(leader, best.closed.candidate, (0.2 + 0.8 * LESS_STIFF) * best.gamma)
         best = verifier.least_stiff(leader.candidates + other.candidates, best, LESS_STIFF)
     chosen = best
     if gamma_rel > 1:
-        relax(leader, best.candidate, gamma_rel * best.gamma)
+        relax(leader, best.closed.candidate, gamma_rel * best.gamma)
         chosen = verifier.least_stiff(leader.candidates + other.candidates, best, gamma_rel)
-        report(f"softened: gamma {chosen.gamma:.6g}, fastest pole {chosen.candidate.pace:.4g} rad/s")
-    if bandwidth is not None and chosen.candidate.pace > bandwidth:
-        chosen = verifier.within(leader.candidates + other.candidates, best, gamma_rel, bandwidth)
+        report(f"softened: gamma {chosen.gamma:.6g}, fastest pole {chosen.pace:.4g} rad/s")
     if chosen.gamma < best.gamma:  # the relaxation found a smaller gamma
         best = chosen
     parts = [
@@ -222,21 +197,9 @@ def synthesize(
         allowed = f"allowed {gamma_rel - 1:.0%} above the smallest gamma {best.gamma:.6g}"
         parts.append(f"the softest controller within the {allowed}")
     status, reason = final_status(Status.INACCURATE if chosen.doubt else Status.CERTIFIED, parts, budget)
+    _, K, loop, norm = chosen.closed
     return HinfSynthesis(
-        K=chosen.K,
-        gamma=chosen.gamma,
-        closed_loop=chosen.loop,
-        status=status,
-        peak_frequency=chosen.norm.frequency,
-        reason=reason,
-        limit=limiting_channels(chosen.loop, chosen.norm.frequency),
-        smallest_gamma=best.gamma,
-        scalings_disagree=disagree,
-        lower_bound=lower,
-        estimated_optimum=min(estimated_optimum(leader), best.gamma),
-        assumptions=assumptions,
-        norm=chosen.norm,
-        plant=plant,
-        method=method,
-        weights=dict(weights or {}),
-    )
+        K=K, gamma=chosen.gamma, closed_loop=loop, status=status, peak_frequency=norm.frequency, reason=reason,
+        limit=limiting_channels(loop, norm.frequency), smallest_gamma=best.gamma, scalings_disagree=disagree,
+        lower_bound=lower, assumptions=assumptions, norm=norm, plant=plant, method=method, weights=dict(weights or {}),
+    )  # fmt: skip

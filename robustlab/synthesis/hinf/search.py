@@ -7,6 +7,7 @@ that regular problem, and evaluates its controller on the plant without them.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -76,19 +77,15 @@ class Candidate:
 class Search:
     """Trials on one scaled continuous plant without D22; every stabilising controller is stored."""
 
-    def __init__(
-        self, plant: PlantMatrices, scaling: Scaling, budget: Budget, floor: float = 0.0, D22: Array | None = None
-    ) -> None:
+    def __init__(self, plant: PlantMatrices, scaling: Scaling, budget: Budget, floor: float, D22: Array) -> None:
         # What is found must be able to take D22 back in.
-        self.D22 = None if D22 is None or not D22.any() else scaling.y[:, None] * D22 * scaling.u
+        self.D22 = scaling.y[:, None] * D22 * scaling.u
         self.scaling, self.plant = scaling, scaling.apply(plant)
         self.budget, self.floor = budget, floor  # floor: a proved lower bound of gamma in the plant's units
-        self.careful, self.probes = False, PROBES[:1]
+        self.careful = False  # both Riccati solvers and all probes
         self.candidates: list[Candidate] = []
-        # Smallest gamma that passes the plant's own Riccati test; None if the plant needs regularisation.
-        self.regular_gamma: float | None = None
-        # Optima of the regularised problems scaled by the best loop, as (share, gamma).
-        self.optima: list[tuple[float, float]] = []
+        # Smallest gamma that passes the plant's own Riccati test; 0 if the plant needs regularisation.
+        self.regular_gamma = 0.0
         # The last loop given to `relative`, and its channel gains.
         self._gains: tuple[Candidate, Regularisation | None] | None = None
 
@@ -100,15 +97,11 @@ class Search:
     def settled(self) -> bool:
         """Whether the best controller is at the plant's own Riccati optimum, or at a proved lower bound."""
         best = self.best
-        return best is not None and (best.gamma <= 1.0005 * (self.regular_gamma or 0.0) or self.proved(best))
+        return best is not None and (best.gamma <= 1.0005 * self.regular_gamma or self.proved(best))
 
     def proved(self, candidate: Candidate | None) -> bool:
         """Return whether no controller can be better by more than PROVED."""
         return candidate is not None and candidate.gamma <= (1 + PROVED) * self.floor
-
-    def search_carefully(self) -> None:
-        """Use both Riccati solvers and all probes from now on."""
-        self.careful, self.probes = True, PROBES
 
     def negligible(self, candidate: Candidate) -> bool:
         """Return whether the gain is negligible in the plant scaled to order one."""
@@ -116,18 +109,16 @@ class Search:
 
     def ladder(self) -> None:
         """Try regularisations of fixed size, from large to small, until gamma falls no more."""
-        _, n_w, n_u, n_z, n_y = self.plant.sizes
-        size_u = np.linalg.svd(self.plant.D12, compute_uv=False).min() if n_z >= n_u else 0.0
-        size_y = np.linalg.svd(self.plant.D21, compute_uv=False).min() if n_w >= n_y else 0.0
-        if min(size_u, size_y) > REGULAR:
-            self.regular_gamma, _ = self._trial(None, 1.0, 1e-4, FINE_BACKOFFS)
+        sizes = self.plant.direct_sizes
+        if min(sizes) > REGULAR:
+            self.regular_gamma = self._trial(None, 1.0, 1e-4, FINE_BACKOFFS)[0] or 0.0
             if self.settled:
                 return
         worse, best, start = 0, np.inf, 1.0
         for eps in LADDER:
             if self.budget.over:
                 return
-            u, y = (0.0 if size > max(REGULAR, eps) else eps for size in (size_u, size_y))
+            u, y = (0.0 if size > max(REGULAR, eps) else eps for size in sizes)
             gamma, found = self._trial(Regularisation(u, y, eps / 10, eps / 10), start, 2e-2, COARSE_BACKOFFS)
             if gamma is not None:
                 start = gamma * self.scaling.gain
@@ -148,21 +139,11 @@ class Search:
             if regularisation is None:
                 return
             rtol = float(np.clip(0.2 * shares[k] ** 2, 5e-5, 5e-3))
-            gamma, found = self._trial(regularisation, best.gamma * self.scaling.gain, rtol, FINE_BACKOFFS)
-            if gamma is not None:
-                self.optima.append((shares[k], gamma))
+            _, found = self._trial(regularisation, best.gamma * self.scaling.gain, rtol, FINE_BACKOFFS)
             if found is None or found.gamma >= best.gamma * (1 - max(IMPROVEMENT, rtol)):
                 k += 1
             if found is not None and found.gamma < best.gamma:
                 best = found
-
-    def found_within(self, weights: Regularisation, gamma: float) -> Candidate | None:
-        """Return the central controller of this regularisation at gamma if its loop stays below gamma."""
-        try:
-            problem = TwoRiccatiProblem(self.plant.with_channels(*weights), self.careful, self.budget)
-        except NoTrustworthyNumber:
-            return None
-        return self._central(problem, gamma * self.scaling.gain * (1 - 1e-5), gamma)
 
     def relative(self, loop: Candidate, share: float, state_share: float, cap: float = 1.0) -> Regularisation | None:
         """Return added channels that each carry about ``share`` of the gain of this loop."""
@@ -179,17 +160,18 @@ class Search:
             share * u / np.sqrt(len(u)), share * y / np.sqrt(len(y)), float(of_states * x_out), float(of_states * x_in)
         )
 
+    def found_within(self, weights: Regularisation, gamma: float) -> Candidate | None:
+        """Return the central controller of this regularisation at gamma if its loop stays below gamma."""
+        problem = self._problem(weights)
+        return problem and self._central(problem, gamma * self.scaling.gain * (1 - 1e-5), gamma)
+
     def _trial(
         self, weights: Regularisation | None, start: float, rtol: float, backoffs: tuple[float, ...]
     ) -> tuple[float | None, Candidate | None]:
         """Return the smallest gamma of the regularised problem in the plant's units, and the best controller for it."""
-        plant = self.plant if weights is None else self.plant.with_channels(*weights)
-        try:
-            problem = TwoRiccatiProblem(plant, self.careful, self.budget)
-        except NoTrustworthyNumber:
-            return None, None
-        gamma = problem.smallest_gamma(start, rtol, self.probes)
-        if gamma is None:
+        problem = self._problem(weights)
+        gamma = problem and problem.smallest_gamma(start, rtol, PROBES if self.careful else PROBES[:1])
+        if problem is None or gamma is None:
             return None, None
         found: list[Candidate] = []
         for backoff in backoffs:
@@ -201,30 +183,31 @@ class Search:
                 break
         return gamma / self.scaling.gain, smallest(found)
 
+    def _problem(self, weights: Regularisation | None) -> TwoRiccatiProblem | None:
+        """Return the problem with these added channels; None if D12 or D21 is rank deficient."""
+        plant = self.plant if weights is None else self.plant.with_channels(*weights)
+        with suppress(NoTrustworthyNumber):
+            return TwoRiccatiProblem(plant, self.careful, self.budget)
+        return None
+
     def _central(self, problem: TwoRiccatiProblem, gamma: float, limit: float = np.inf) -> Candidate | None:
-        """Return the central controller at gamma (scaled) if its loop's gain is at most limit (plant's units)."""
+        """Add the central controller at gamma (scaled) if its loop's gain is at most limit (plant's units)."""
         pair = problem.solve(gamma)
         if pair is None:
             return None
         try:
-            return self._added(problem.central_controller(pair), limit)
+            K = problem.central_controller(pair)
         except NoTrustworthyNumber:
             return None
-
-    def adopt(self, K: Realisation) -> Candidate | None:
-        """Add a given controller, in the plant's units, as a candidate; None if its loop is not stable."""
-        return self._added(self.scaling.controller_from_plant(K), np.inf)
-
-    def _added(self, K: Realisation, limit: float) -> Candidate | None:
-        """Add a scaled controller as a candidate if its loop is stable with a gain of at most limit (plant's units)."""
         # If K cannot include D22, the best of its neighbours that can is taken.
-        near = [K] if self.D22 is None else well_posed_neighbours(K, self.D22)
+        near = well_posed_neighbours(K, self.D22) if self.D22.any() else [K]
         return smallest([candidate for each in near if (candidate := self._entered(each, limit)) is not None])
 
     def _entered(self, K: Realisation, limit: float) -> Candidate | None:
         scale, loop = self.scaling, trial_loop(self.plant, K)
         self.budget.spend(dense(len(loop.A), 3))  # its poles, responses on a grid, a few Hamiltonians of twice its size
-        if not all(np.isfinite(part).all() for part in loop):
+        back = scale.controller_to_plant(K)
+        if not all(np.isfinite(part).all() for part in (*loop, *back)):
             return None
         gain, _ = PeakFinder().largest(loop, limit * scale.gain)
         if not np.isfinite(gain) or gain > limit * scale.gain:
@@ -232,9 +215,7 @@ class Search:
         poles, modes = (np.linalg.eigvals(a) if a.size else np.zeros(0) for a in (K.A, loop.A))
         pace = scale.rate * float(np.abs(poles).max(initial=0.0))
         decay = -scale.rate * float(modes.real.max(initial=-1e300))
-        candidate = Candidate(scale.controller_to_plant(K), gain / scale.gain, pace, decay)
-        if not all(np.isfinite(part).all() for part in candidate.K):
-            return None
+        candidate = Candidate(back, gain / scale.gain, pace, decay)
         self.candidates.append(candidate)
         return candidate
 
@@ -242,19 +223,6 @@ class Search:
 def smallest(candidates: list[Candidate]) -> Candidate | None:
     """Return the candidate of smallest gamma."""
     return min(candidates, key=lambda c: c.gamma, default=None)
-
-
-def estimated_optimum(leader: Search) -> float:
-    """Estimate the infimum of gamma over all controllers; NaN where the search gives none."""
-    best, regular = leader.best, leader.regular_gamma
-    if best is not None and regular is not None and regular <= best.gamma * (1 + 1e-9) <= 1.0006 * regular:
-        return regular
-    by_share = dict(leader.optima[-2:])
-    if len(by_share) < 2:
-        return float("nan")
-    # The regularised optimum rises with the square of the size of the regularisation.
-    (small, low), (large, high) = sorted(by_share.items())
-    return max(low - max(high - low, 0.0) * small**2 / (large**2 - small**2), leader.floor)
 
 
 def portfolio(
@@ -271,30 +239,24 @@ def portfolio(
             return search, other, float("nan")
     if one.best is None and two.best is None:
         for search in (one, two):
-            search.search_carefully()
+            search.careful = True
             search.ladder()
     leader, other = (one, two) if _gamma(one.best) <= _gamma(two.best) else (two, one)
     if not leader.settled:
         leader.refine(leader.best)
-    if leader.proved(leader.best):
-        return leader, other, _difference(leader, _gamma(other.best))
-    # One regularisation has to confirm it in any case: the Riccati test may have failed by rounding alone.
-    reached, best = min(_gamma(other.best), _confirmed(leader, other, SHARES[3:4])), leader.best
-    if best is not None and not leader.negligible(best) and not abs(reached - best.gamma) <= DISAGREEMENT * best.gamma:
-        # One search is stuck: repeat both from the better loop, with both solvers and all probes.
-        for search in (leader, other):
-            search.search_carefully()
-        leader.refine(best)
-        reached = min(reached, _confirmed(leader, other, SHARES[1:]))
-        if reached < _gamma(leader.best) * (1 - IMPROVEMENT):
-            leader, other = other, leader
-            reached = _gamma(other.best)
-    return leader, other, _difference(leader, reached)
-
-
-def _difference(leader: Search, reached: float) -> float:
+    reached, best = _gamma(other.best), leader.best
+    if best is not None and not leader.proved(best):
+        # One regularisation has to confirm it in any case: the Riccati test may have failed by rounding alone.
+        reached = min(reached, _confirmed(leader, other, SHARES[3:4]))
+        if not leader.negligible(best) and not abs(reached - best.gamma) <= DISAGREEMENT * best.gamma:
+            # One search is stuck: repeat both from the better loop, with both solvers and all probes.
+            leader.careful = other.careful = True
+            leader.refine(best)
+            reached = min(reached, _confirmed(leader, other, SHARES[1:]))
+            if reached < _gamma(leader.best) * (1 - IMPROVEMENT):
+                leader, other, reached = other, leader, _gamma(leader.best)
     smaller, larger = sorted((_gamma(leader.best), reached))
-    return larger / smaller - 1 if smaller > 0 and larger < float("inf") else float("nan")
+    return leader, other, larger / smaller - 1 if smaller > 0 and larger < np.inf else float("nan")
 
 
 def _confirmed(leader: Search, other: Search, shares: tuple[float, ...]) -> float:

@@ -6,7 +6,8 @@ those of Zhou, Doyle, Glover (1996), theorem 17.1: Z of (27) goes into B instead
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from contextlib import suppress
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, dense
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.linear_analysis.matrix_equations import care, hamiltonian_riccati
-from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
+from robustlab.synthesis.problem.partition import PlantMatrices, Realisation, dual
 
 # Rounding of an exact X = 0, scaled, which must not count as indefinite. Larger: false passes.
 SEMIDEFINITE = 1e-6
@@ -31,8 +32,7 @@ RANK = 1e-13
 LARGEST = 1e150  # direct term whose square, over many channels, does not overflow
 
 
-@dataclass(frozen=True, eq=False)
-class RiccatiPair:
+class RiccatiPair(NamedTuple):
     """Solutions X, Y >= 0 at gamma, and ``coupling = rho(X Y) / gamma^2``; the test is passed if it is below 1."""
 
     gamma: float
@@ -55,22 +55,19 @@ class TwoRiccatiProblem:
         self.careful, self.budget = careful, budget  # careful: a second Riccati solver where the first fails
         self.u_back = Vt.T / s12  # u = u_back @ u_normalised
         self.y_into = W.T / s21[:, None]  # y_normalised = y_into @ y
-        z_turn = np.hstack([U[:, n_u:], U[:, :n_u]])
+        z_turn = np.hstack([U[:, n_u:], U[:, :n_u]]).T
         w_turn = np.vstack([Rt[n_y:], Rt[:n_y]]).T
         self.a, self.b = n_z - n_u, n_w - n_y
-        self.n_w, self.n_z, self.n_u, self.n_y = n_w, n_z, n_u, n_y
-        self.A, self.B1, self.B2 = plant.A, plant.B1 @ w_turn, plant.B2 @ self.u_back
-        self.C1, self.C2 = z_turn.T @ plant.C1, self.y_into @ plant.C2
-        self.D11 = z_turn.T @ plant.D11 @ w_turn
-        if not np.abs(self.D11).max(initial=0.0) < LARGEST:
+        D11 = z_turn @ plant.D11 @ w_turn
+        if not np.abs(D11).max(initial=0.0) < LARGEST:
             raise NoTrustworthyNumber("H-infinity Riccati test", "the square of D11 overflows")
-        D12 = np.vstack([np.zeros((self.a, n_u)), np.eye(n_u)])
-        D21 = np.hstack([np.zeros((n_y, self.b)), np.eye(n_y)])
-        parts = (self.D11[: self.a], self.D11[:, : self.b])  # [D1111 D1112] and [D1111; D1121]: no gamma below them
+        self.plant = PlantMatrices(
+            plant.A, plant.B1 @ w_turn, plant.B2 @ self.u_back, z_turn @ plant.C1, self.y_into @ plant.C2, D11,
+            np.eye(n_z, n_u, -self.a), np.eye(n_y, n_w, self.b),
+        )  # fmt: skip
+        self.equations = quadratic(self.plant), quadratic(dual(self.plant))
+        parts = (D11[: self.a], D11[:, : self.b])  # [D1111 D1112] and [D1111; D1121]: no gamma below them
         self.floor = max((float(np.linalg.norm(part, 2)) if part.size else 0.0) for part in parts)
-        row, column = np.hstack([self.D11, D12]), np.vstack([self.D11, D21])
-        self._control = _Equation(self.A, np.hstack([self.B1, self.B2]), self.C1, row, n_w)
-        self._filter = _Equation(self.A.T, np.vstack([self.C1, self.C2]).T, self.B1.T, column.T, n_z)
 
     def solve(self, gamma: float) -> RiccatiPair | None:
         """Return the pair at this gamma; None if the test fails (gamma too small, or lost to rounding)."""
@@ -79,14 +76,11 @@ class TwoRiccatiProblem:
 
     def pair(self, gamma: float) -> RiccatiPair | None:
         """Return both solutions for any coupling; None if one does not exist or is not positive semidefinite."""
-        self.budget.spend(dense(len(self.A), 3))
-        if gamma <= self.floor * (1 + 1e-12):
-            return None
-        X = self._control.solution(gamma, self.careful)
-        if X is None:
-            return None
-        Y = self._filter.solution(gamma, self.careful)
-        if Y is None:
+        self.budget.spend(dense(len(self.plant.A), 3))
+        control, filtering = self.equations
+        X = None if gamma <= self.floor * (1 + 1e-12) else _solution(control, gamma, self.careful)
+        Y = None if X is None else _solution(filtering, gamma, self.careful)
+        if X is None or Y is None:
             return None
         return RiccatiPair(gamma, X, Y, float(np.abs(np.linalg.eigvals(X @ Y)).max(initial=0.0)) / gamma**2)
 
@@ -143,62 +137,78 @@ class TwoRiccatiProblem:
 
     def central_controller(self, pair: RiccatiPair) -> Realisation:
         """Return the central controller of a pair, (19) to (27) without the free parameter, for the plant as given."""
-        a, b, g2 = self.a, self.b, pair.gamma**2
-        D1111, D1112 = self.D11[:a, :b], self.D11[:a, b:]
-        D1121, D1122 = self.D11[a:, :b], self.D11[a:, b:]
+        a, b, p, g2 = self.a, self.b, self.plant, pair.gamma**2
+        n_w, n_z = p.B1.shape[1], len(p.C1)
+        D1111, D1112, D1121, D1122 = p.D11[:a, :b], p.D11[:a, b:], p.D11[a:, :b], p.D11[a:, b:]
         try:
-            F, L = self._control.gain(pair.gamma, pair.X), self._filter.gain(pair.gamma, pair.Y).T
-            F12, F2 = F[b : self.n_w], F[self.n_w :]
-            L12, L2 = L[:, a : self.n_z], L[:, self.n_z :]
+            control, filtering = self.equations
+            F, L = _gain(control, pair.gamma, pair.X), _gain(filtering, pair.gamma, pair.Y).T
+            F12, F2, L12, L2 = F[b:n_w], F[n_w:], L[:, a:n_z], L[:, n_z:]
             left = np.linalg.solve(g2 * np.eye(a) - D1111 @ D1111.T, D1112)
             right = np.linalg.solve(g2 * np.eye(b) - D1111.T @ D1111, D1121.T)
             D11 = -D1121 @ D1111.T @ left - D1122  # (19)
-            D12 = np.linalg.cholesky(np.eye(self.n_u) - D1121 @ right)  # (20)
-            D21 = np.linalg.cholesky(np.eye(self.n_y) - D1112.T @ left).T  # (21)
-            Z = np.eye(self.A.shape[0]) - pair.Y @ pair.X / g2  # the inverse of (27)
-            B2 = np.linalg.solve(Z, (self.B2 + L12) @ D12)  # (22)
-            C2 = -D21 @ (self.C2 + F12)  # (23)
+            D12 = np.linalg.cholesky(np.eye(n_z - a) - D1121 @ right)  # (20)
+            D21 = np.linalg.cholesky(np.eye(n_w - b) - D1112.T @ left).T  # (21)
+            Z = np.eye(len(p.A)) - pair.Y @ pair.X / g2  # the inverse of (27)
+            B2 = np.linalg.solve(Z, (p.B2 + L12) @ D12)  # (22)
+            C2 = -D21 @ (p.C2 + F12)  # (23)
             B1 = -np.linalg.solve(Z, L2) + B2 @ np.linalg.solve(D12, D11)  # (24)
             to_state = np.linalg.solve(D21, C2)
         except np.linalg.LinAlgError:
             raise NoTrustworthyNumber("central controller", "gamma is too close to its limit") from None
         C1 = F2 + D11 @ to_state  # (25)
-        A = self.A + np.hstack([self.B1, self.B2]) @ F + B1 @ to_state  # (26)
+        A = p.A + np.hstack([p.B1, p.B2]) @ F + B1 @ to_state  # (26)
         found = Realisation(A, B1 @ self.y_into, self.u_back @ C1, self.u_back @ D11 @ self.y_into)
         if not all(np.isfinite(part).all() for part in found):
             raise NoTrustworthyNumber("central controller", "the controller is not finite")
         return found
 
 
-class _Equation:
-    """``A' X + X A + C'C - (X B + C'D) R^-1 (B' X + D'C) = 0`` with ``R = D'D - gamma^2 diag(I, 0)``."""
+class Quadratic(NamedTuple):
+    """The state-feedback equation ``A' X + X A + Q - (X B + S) R^-1 (B' X + S') = 0`` of a plant."""
 
-    def __init__(self, A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray, n_disturbances: int) -> None:
-        self.A, self.B, self.Q, self.S, self.R = A, B, C.T @ C, C.T @ D, D.T @ D
-        self.disturbances = np.diag((np.arange(D.shape[1]) < n_disturbances).astype(float))
+    A: AnyArray
+    B: AnyArray
+    Q: AnyArray
+    S: AnyArray
+    direct: AnyArray  # R at gamma = 0
+    n_w: int
 
-    def solution(self, gamma: float, careful: bool) -> AnyArray | None:
-        """Return the stabilising positive semidefinite solution, or None."""
-        R, n = self.R - gamma**2 * self.disturbances, self.A.shape[0]
-        try:
-            solved = np.linalg.solve(R, np.vstack([self.B, self.S]).T)
-        except np.linalg.LinAlgError:
-            return None
-        by_B, by_S = solved[:, :n], solved[:, n:]
-        G, Q = self.B @ by_B, self.Q - self.S @ by_S
-        X = hamiltonian_riccati(self.A - self.B @ by_S, 0.5 * (G + G.T), 0.5 * (Q + Q.T), tolerance=RESIDUAL)
-        if X is None and careful:
-            try:
-                X = care(self.A, self.B, self.Q, R, self.S, tolerance=RESIDUAL).X
-            except NoTrustworthyNumber:
-                return None
-        if X is None:
-            return None
-        values, vectors = np.linalg.eigh(X)
-        if n and values[0] < -SEMIDEFINITE * max(1.0, values[-1]):
-            return None
-        return (vectors * np.maximum(values, 0.0)) @ vectors.T
+    def R(self, gamma: float) -> AnyArray:
+        """Return ``[D11 D12]' [D11 D12] - gamma^2 diag(I, 0)``."""
+        R = self.direct.copy()
+        R[range(self.n_w), range(self.n_w)] -= gamma**2
+        return R
 
-    def gain(self, gamma: float, X: AnyArray) -> AnyArray:
-        """Return ``-R^-1 (B' X + S')``: F of (11), and the transposed L of (12)."""
-        return -np.linalg.solve(self.R - gamma**2 * self.disturbances, self.B.T @ X + self.S.T)
+
+def quadratic(p: PlantMatrices) -> Quadratic:
+    """Return the equation of a plant."""
+    row = np.hstack([p.D11, p.D12])
+    R = row.T @ row
+    return Quadratic(p.A, np.hstack([p.B1, p.B2]), p.C1.T @ p.C1, p.C1.T @ row, 0.5 * (R + R.T), p.B1.shape[1])
+
+
+def _solution(equation: Quadratic, gamma: float, careful: bool) -> AnyArray | None:
+    """Return the stabilising positive semidefinite X, or None."""
+    (A, B, Q, S, _, _), R, n = equation, equation.R(gamma), len(equation.A)
+    try:
+        solved = np.linalg.solve(R, np.vstack([B, S]).T)
+    except np.linalg.LinAlgError:
+        return None
+    by_B, by_S = solved[:, :n], solved[:, n:]
+    G, Q_left = B @ by_B, Q - S @ by_S
+    X = hamiltonian_riccati(A - B @ by_S, 0.5 * (G + G.T), 0.5 * (Q_left + Q_left.T), tolerance=RESIDUAL)
+    if X is None and careful:
+        with suppress(NoTrustworthyNumber):
+            X = care(A, B, Q, R, S, tolerance=RESIDUAL).X
+    if X is None:
+        return None
+    values, vectors = np.linalg.eigh(X)
+    if n and values[0] < -SEMIDEFINITE * max(1.0, values[-1]):
+        return None
+    return (vectors * np.maximum(values, 0.0)) @ vectors.T
+
+
+def _gain(equation: Quadratic, gamma: float, X: AnyArray) -> AnyArray:
+    """Return ``-R^-1 (B' X + S')``: F of (11), and of the dual plant the transposed L of (12)."""
+    return -np.linalg.solve(equation.R(gamma), equation.B.T @ X + equation.S.T)

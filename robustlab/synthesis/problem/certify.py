@@ -9,11 +9,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from robustlab.errors import NoTrustworthyNumber
+from robustlab.linear_analysis.magnitude import balancing_exponents
+from robustlab.linear_analysis.matrix_equations import lyapunov
 from robustlab.norms import H2Norm, HinfNorm, h2_by_gramians, hinf_norm
 from robustlab.norms.bounded_real import norm_matrix
 from robustlab.norms.claims import gramian_claims, h2_loop_claims
-from robustlab.norms.numbers import above, loop_numbers
-from robustlab.statespace import StateSpaceModel
+from robustlab.norms.numbers import Numbers, above, loop_numbers
+from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.verification.balls import midpoints, precision
 from robustlab.verification.checker import check
@@ -49,8 +52,12 @@ def certified(
     value = norm.value if isinstance(norm, H2Norm) else norm.upper if level is None else level
     if not np.isfinite(value):
         return Certificate(value, norm.reason)
+    numbers = loop_numbers(plant.model, K)
+    work = round(effort * max(1.0, ((plant.model.n_states + K.n_states) / 20) ** 3))
+    quick = _plain_gramian(plant.model, K, numbers, value) if isinstance(norm, H2Norm) else None
+    if norm.status.trustworthy and quick is not None and check(quick, effort=work).outcome is Outcome.PROVED:
+        return Certificate(value, "")
     true = closed_exactly(plant, K)
-    work = round(effort * max(1.0, (true.n_states / 20) ** 3))
     if isinstance(norm, H2Norm):
         if not norm.status.trustworthy or not true.n_states:
             return _in_floats(true, norm, value, norm.reason)
@@ -62,7 +69,7 @@ def certified(
                 if found.outcome is Outcome.PROVED:
                     return Certificate(gamma, "")
     else:
-        numbers, levels = loop_numbers(plant.model, K), [value]
+        levels = [value]
         if level is None and true.n_states:
             levels = sorted({value, *(norm.lower * (1 + share) for share in SHARES)})
         for gamma in levels:
@@ -73,6 +80,22 @@ def certified(
         if found.outcome is Outcome.PROVED:
             return Certificate(levels[-1], "")
     return _in_floats(true, norm, value, f"not proved in ball arithmetic of P and K as they are: {where}")
+
+
+def _plain_gramian(plant: StateSpaceModel, K: StateSpaceModel, numbers: Numbers, value: float) -> Claim | None:
+    """Return the claim of an H2 norm by an enlarged Gramian in doubles, half the work where it is enough."""
+    loop, level = lower_lft(plant, K), above(value)
+    if not loop.n_states or (loop.D.any() and not loop.dt):
+        return None
+    t = np.exp2(balancing_exponents(loop.A, loop.B, loop.C).astype(float))
+    A, B, C = loop.A / t[:, None] * t, loop.B / t[:, None], loop.C * t
+    try:
+        P, unit = (lyapunov(A.T, Q, loop.is_discrete) for Q in (C.T @ C, np.eye(len(A))))
+    except NoTrustworthyNumber:
+        return None
+    cost = float((B * (unit @ B)).sum())
+    P = P + (0.5 * (level**2 - value**2) / cost if cost > 0 else 1.0) * unit
+    return Claim("gramian", {**numbers, "value": np.array(level), "P": 0.5 * (P + P.T) / t[:, None] / t})
 
 
 def closed_exactly(plant: GeneralizedPlant, K: StateSpaceModel) -> StateSpaceModel:

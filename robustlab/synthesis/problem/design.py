@@ -173,9 +173,6 @@ class HinfSynthesis(Synthesis):
         The bracket of the closed loop's norm.
     lower_bound
         Lower bound of gamma over all stabilising controllers, and how it is known.
-    estimated_optimum
-        Estimated infimum of gamma: of a regular plant the smallest gamma that passes its Riccati test; else
-        extrapolated to no regularisation. NaN without an estimate.
     assumptions
         The textbook assumptions that the plant does not meet, in words; the search regularised where there are any.
     weights
@@ -185,11 +182,10 @@ class HinfSynthesis(Synthesis):
     quantities: ClassVar[Mapping[str, Any]] = {
         **Synthesis.quantities,
         **dict.fromkeys(("smallest_gamma", "peak_frequency", "scalings_disagree", "gamma_lower"), float),
-        **dict.fromkeys(("estimated_optimum", "regularisation_cost"), float),
     }  # fmt: skip
     saved = (
         *Synthesis.saved, "smallest_gamma", "peak_frequency", "scalings_disagree", "norm", "gamma_lower", "lower_bound",
-        "estimated_optimum", "regularisation_cost", "assumptions",
+        "assumptions",
     )  # fmt: skip
 
     peak_frequency: float
@@ -197,7 +193,6 @@ class HinfSynthesis(Synthesis):
     scalings_disagree: float
     norm: HinfNorm
     lower_bound: GammaBound
-    estimated_optimum: float
     assumptions: tuple[str, ...]
     weights: Mapping[str, StateSpaceModel] = field(default_factory=dict)
 
@@ -207,8 +202,6 @@ class HinfSynthesis(Synthesis):
     def facts(self) -> Facts:
         rows = super().facts()
         found = f"{self.smallest_gamma:.6g}"
-        if np.isfinite(self.regularisation_cost):
-            found += f" ({self.regularisation_cost:.2%} above the estimated optimum)"
         bound = f"{self.lower_bound.value:.6g}, {self.lower_bound.known}"
         broken = [("regularised, because" if i == 0 else "", text) for i, text in enumerate(self.assumptions)]
         return [*rows[:2], ("smallest gamma found", found), ("no controller below", bound), *rows[2:], *broken]
@@ -217,12 +210,6 @@ class HinfSynthesis(Synthesis):
     def gamma_lower(self) -> float:
         """Lower bound of gamma over all stabilising controllers."""
         return self.lower_bound.value
-
-    @property
-    def regularisation_cost(self) -> float:
-        """Relative distance of the smallest gamma found to the estimated optimum; NaN where unknown."""
-        optimum = self.estimated_optimum
-        return max(self.smallest_gamma / optimum - 1, 0.0) if optimum > 0 else float("nan")
 
 
 def design_budget(where: str, work: float, effort: float, time_limit: float | None) -> Budget:

@@ -69,17 +69,17 @@ def pointwise_bound(p: PlantMatrices, scalings: Sequence[Scaling], dt: float = 0
         for first, second in ((p.D11, p.D12), (p.D11.T, p.D21.T))
     )
     best = int(np.argmax(values))
-    zero, at_zero = min((_at_zeros(p, scaling) for scaling in scalings), key=lambda found: found[1])
-    value = max(float(values[best]), at_infinity, at_zero) * (1 - MARGIN)
-    if value <= 0:
-        return GammaBound(0.0, "at no single frequency does anything keep gamma from zero", True)
-    if at_zero >= max(float(values[best]), at_infinity):
-        return GammaBound(value, f"proved at the zero {point_in_words(zero, dt)}", True)
-    if at_infinity >= values[best]:
-        return GammaBound(value, "proved: D11 leaves it at infinite frequency", True)
     point = complex(points[best])
-    place = point_in_words(point * first.rate if abs(point) > AT_ZERO else 0j, dt)
-    return GammaBound(value, f"proved at {place}", True)
+    place = point * first.rate if abs(point) > AT_ZERO else 0j
+    zero, at_zero = min((_at_zeros(p, scaling) for scaling in scalings), key=lambda found: found[1])
+    value, known = max(
+        (at_zero, f"proved at the zero {point_in_words(zero, dt)}"),
+        (at_infinity, "proved: D11 leaves it at infinite frequency"),
+        (float(values[best]), f"proved at {point_in_words(place, dt)}"),
+        key=lambda found: found[0],
+    )
+    known = known if value > 0 else "at no single frequency does anything keep gamma from zero"
+    return GammaBound(max(value * (1 - MARGIN), 0.0), known, True)
 
 
 def point_in_words(s: complex, dt: float = 0.0) -> str:

@@ -54,6 +54,13 @@ class PlantMatrices:
         """``(n_x, n_w, n_u, n_z, n_y)``."""
         return self.A.shape[0], self.B1.shape[1], self.B2.shape[1], self.C1.shape[0], self.C2.shape[0]
 
+    @property
+    def direct_sizes(self) -> tuple[float, float]:
+        """Smallest singular values of D12 and of D21; 0 where it cannot have full column or row rank."""
+        tall = (D if len(D) >= D.shape[1] else np.zeros((1, 1)) for D in (self.D12, self.D21.T))
+        u, y = (float(np.linalg.svd(D, compute_uv=False).min(initial=np.inf)) for D in tall)
+        return u, y
+
     def with_channels(
         self, u: float | Array, y: float | Array, x_out: float | Array, x_in: float | Array
     ) -> PlantMatrices:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -76,27 +77,20 @@ class PerformanceMeasure:
 
     def certified(self, K: StateSpaceModel) -> Performance:
         """Prove the measure of the loop with K; infinite if the loop is not stable."""
-        plant = self.gramian_plant
-        loop = plant.close(K)
+        loop, margin = self.gramian_plant.close(K), None
         if self.name == "mu" and self.scaled is None:
-            return self._margin(loop, K)
-        self.budget.spend(dense(loop.n_states, 2 if self.name == "h2" else 12))
-        norm = h2_by_gramians(loop) if self.name == "h2" else hinf_norm(loop)
-        value, frequency = (norm.value, np.nan) if isinstance(norm, H2Norm) else (norm.upper, norm.frequency)
-        if not np.isfinite(value):
-            return Performance(value, norm.reason, norm, frequency)
-        return Performance(*certified(plant, K, norm), norm, frequency)
-
-    def _margin(self, loop: StateSpaceModel, K: StateSpaceModel) -> Performance:
-        try:
             part = self.budget.share(min(1.0, MARGIN_WORK / max(self.budget.left, 1.0)))
-            margin = margin_within(with_performance(UncertainModel(loop, self.blocks)), part, tolerance=1e-3)
-        except NoTrustworthyNumber:  # the nominal loop is not stable
-            norm = hinf_norm(loop)
-            return Performance(np.inf, norm.reason, norm, np.nan)
-        value = 1 / margin.lower if margin.lower > 0 else np.inf
-        frequency = float("nan") if margin.frequency is None else margin.frequency
-        return Performance(value, certified(self.plant, K, hinf_norm(loop)).doubt, margin, frequency)
+            with suppress(NoTrustworthyNumber):  # the nominal loop is not stable
+                margin = margin_within(with_performance(UncertainModel(loop, self.blocks)), part, tolerance=1e-3)
+        else:
+            self.budget.spend(dense(loop.n_states, 2 if self.name == "h2" else 12))
+        norm = h2_by_gramians(loop) if self.name == "h2" else hinf_norm(loop)
+        if margin is not None:
+            value = 1 / margin.lower if margin.lower > 0 else np.inf
+            frequency = float("nan") if margin.frequency is None else margin.frequency
+            return Performance(value, certified(self.plant, K, norm).doubt, margin, frequency)
+        frequency = np.nan if isinstance(norm, H2Norm) else norm.frequency
+        return Performance(*certified(self.gramian_plant, K, norm), norm, frequency)
 
     def estimate(self, K: StateSpaceModel) -> float:
         """Estimate the measure from below, on a grid; inf if the loop is not stable or not well posed."""
@@ -107,8 +101,7 @@ class PerformanceMeasure:
                 return np.inf
             if self.name == "h2":
                 return h2_by_gramians(loop).value
-            omega = default_grid(loop, MEASURE_GRID)
-            response = frequency_response(loop, omega)
+            response = frequency_response(loop, default_grid(loop, MEASURE_GRID))
         except (InputError, NoTrustworthyNumber):
             return np.inf
         if not np.isfinite(response).all():
@@ -149,16 +142,18 @@ def make_measure(
 
 def plant_with_scalings(plant: GeneralizedPlant, scalings: Scalings, where: str = "scaled plant") -> GeneralizedPlant:
     r"""Return the plant with ``z -> D_z z`` and ``w -> D_w^{-1} w``; ``scalings``: ``(D_z, D_w^{-1})``, both stable."""
-    on_z, on_w = scalings
     m, n_y, n_u = plant.model, plant.n_meas, plant.n_con
-    for name, d, size in (("D_z", on_z, plant.n_z), ("D_w^-1", on_w, plant.n_w)):
+    wide = list[StateSpaceModel]()
+    for name, d, size, rest in (("D_z", scalings[0], plant.n_z, n_y), ("D_w^-1", scalings[1], plant.n_w, n_u)):
         if (d.n_outputs, d.n_inputs) != (size, size):
             raise InputError(where, f"{name} is {d.n_outputs} x {d.n_inputs}", f"{size} x {size}")
         if d.n_states and not d.is_stable():
             raise InputError(where, f"{name} is not stable", "a stable scaling with a stable inverse")
-    on_w, m_plain, on_z = (StateSpaceModel(g.A, g.B, g.C, g.D, g.dt or m.dt) for g in (on_w, m, on_z))  # without units
-    wide = series(series(append(on_w, _straight(n_u, m.dt)), m_plain), append(on_z, _straight(n_y, m.dt)))
-    return GeneralizedPlant(wide.renamed(m.inputs, m.outputs), n_y, n_u, plant.blocks)
+        names = [f"straight{i}" for i in range(rest)]
+        through = StateSpaceModel([], [], [], np.eye(rest), m.dt, names, names)
+        wide.append(append(StateSpaceModel(d.A, d.B, d.C, d.D, d.dt or m.dt), through))
+    scaled = series(series(wide[1], StateSpaceModel(m.A, m.B, m.C, m.D, m.dt)), wide[0])  # without units
+    return GeneralizedPlant(scaled.renamed(m.inputs, m.outputs), n_y, n_u, plant.blocks)
 
 
 def given_scalings(scalings: Any, dt: float, where: str) -> Scalings:
@@ -177,8 +172,3 @@ def given_scalings(scalings: Any, dt: float, where: str) -> Scalings:
         if model.n_states and model.dt != dt:
             raise InputError(where, f"a scaling with dt = {model.dt:g} s", f"dt = {dt:g} s, that of the plant")
     return pair
-
-
-def _straight(n: int, dt: float) -> StateSpaceModel:
-    names = [f"straight{i}" for i in range(n)]
-    return StateSpaceModel([], [], [], np.eye(n), dt, names, names)

@@ -1,4 +1,4 @@
-"""The controller of the plant as given, from one for its bare matrices: direct term, states, names, rebuilt loop."""
+"""The controller of the plant as given, from one for its bare matrices: direct term, states, names."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import AnyArray, Array
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import NoTrustworthyNumber
 from robustlab.linear_analysis.magnitude import balancing_factors, refuse_overflow
 from robustlab.linear_analysis.narrow_peaks import in_states
 from robustlab.norms.hinfinity import eigenvalue_blur
 from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.problem.partition import GeneralizedPlant, Realisation
+from robustlab.synthesis.problem.partition import Realisation
 
 # Largest condition number of I + D_K D22 at which the controller with D22 included keeps its digits.
 ILL_POSED = 1e10
@@ -107,19 +107,6 @@ def separated_modes(model: StateSpaceModel) -> StateSpaceModel | None:
         return None
     modes = in_states(m, basis)
     return None if modes is None else balanced_states(modes)
-
-
-def rebuilt_loop(
-    plant: GeneralizedPlant, K: StateSpaceModel, D22: Array
-) -> tuple[StateSpaceModel, StateSpaceModel] | None:
-    """Return K with D22 included and with names, and its loop; None if that is not well posed or not stable."""
-    try:
-        full = with_direct_term(K, D22)
-        named = named_controller(full, plant.measurements, plant.controls, plant.model.dt)
-        loop = plant.close(named)
-    except (InputError, NoTrustworthyNumber):  # entries overflow, or the loop is not well posed
-        return None
-    return (named, loop) if surely_stable(loop) else None
 
 
 def surely_stable(loop: StateSpaceModel) -> bool:

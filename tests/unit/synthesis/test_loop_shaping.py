@@ -57,16 +57,6 @@ def test_random_plants_reach_the_requested_factor(dt, n, p, m, direct, unstable)
             assert design.gamma == pytest.approx(norm.upper, rel=1e-5)
 
 
-def test_discrete_gamma_min_from_discrete_riccati_equations():
-    """Walker 1990: the same formula with the discrete equations, here solved by scipy."""
-    G = random_plant(4, 4, 2, 3, 0.1, 0.6)
-    A, B, C, D = G.A, G.B, G.C, G.D
-    X = solve_discrete_are(A, B, C.T @ C, np.eye(3) + D.T @ D, s=C.T @ D)
-    Z = solve_discrete_are(A.T, C.T, B @ B.T, np.eye(2) + D @ D.T, s=B @ D.T)
-    wanted = np.sqrt(1 + np.linalg.eigvals(X @ Z).real.max())
-    assert ncf(G).gamma_min == pytest.approx(wanted, rel=1e-9)
-
-
 def test_gamma_min_is_the_hinf_optimum_of_the_four_blocks():
     G = random_plant(2, 3, 2, 1)
     best = hinf(four_block(G), 2, 1, gamma_rel=1.0)

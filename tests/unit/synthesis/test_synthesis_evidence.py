@@ -10,9 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robustlab import hinf, mixsyn
-from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.norms import bilinear_to_discrete, hinf_norm
-from robustlab.result import Status, plain
+from robustlab.result import plain
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis import GeneralizedPlant, gamma_bound
 
@@ -82,33 +81,7 @@ def test_bound_of_a_discrete_plant():
     assert "0 rad/s" in design.lower_bound.known
 
 
-# --- estimates ---
-
-
-def test_estimated_optimum_and_cost_of_regularisation():
-    regular = StateSpaceModel([[0.5]], [[1, 0, 1]], [[1], [0], [1]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
-    design = hinf(regular, 1, 1)
-    assert design.estimated_optimum == pytest.approx(2.0, rel=3e-4)
-    assert 0 <= design.regularisation_cost < 1e-3
-    data = json.loads(json.dumps(plain(design.to_json())))
-    assert {"gamma_lower", "lower_bound", "estimated_optimum", "regularisation_cost", "assumptions"} <= data.keys()
+def test_the_evidence_is_in_the_file():
+    data = json.loads(json.dumps(plain(hinf(SINGULAR, 1, 1).to_json())))
+    assert {"gamma_lower", "lower_bound", "assumptions"} <= data.keys()
     assert data["lower_bound"]["proved"] is True
-
-
-# --- bandwidth ---
-
-
-def test_a_bandwidth_limit_raises_gamma():
-    free = hinf(SINGULAR, 1, 1, gamma_rel=1.0)
-    slow = hinf(SINGULAR, 1, 1, gamma_rel=1.1, bandwidth=10.0)
-    assert free.fastest_controller_pole > 10.0
-    assert slow.fastest_controller_pole <= 10.0
-    assert slow.gamma <= 1.1 * slow.smallest_gamma
-    assert slow.status is Status.CERTIFIED
-
-
-def test_impossible_bandwidth_is_refused_with_the_possible_one():
-    with pytest.raises(NoTrustworthyNumber, match=r"below 1e-06 rad/s .* fastest pole at [\d.]+ rad/s"):
-        hinf(SINGULAR, 1, 1, bandwidth=1e-6)
-    with pytest.raises(InputError, match="bandwidth"):
-        hinf(SINGULAR, 1, 1, bandwidth=-1.0)
