@@ -13,11 +13,12 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.synthesis.nonsmooth.objectives import (
     BLUR,
-    PeakFinder,
+    active_frequencies,
     bilinear,
     bilinear_pullback,
     entropy,
     extreme_pole,
+    largest_gain,
     resolvent_point,
 )
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
@@ -64,7 +65,6 @@ class LoopFamily:
         if D22.any():
             self.D22 = zeros((k + n_y, k + n_u))
             self.D22[k:, k:] = D22
-        self._finder = PeakFinder()
 
     # --- the loop ----------------------------------------------------------------------------------------------------
 
@@ -130,7 +130,7 @@ class LoopFamily:
         continuous = None if member is None else self._continuous(member)
         if member is None or continuous is None:
             return np.inf, None
-        value, omega = self._finder.largest(continuous, give_up_above)
+        value, omega = largest_gain(continuous)
         if value >= give_up_above or not np.isfinite(value):
             return value, None
         found = self._gradients(member, np.array([omega]), 0.0)
@@ -142,9 +142,8 @@ class LoopFamily:
         continuous = None if member is None else self._continuous(member)
         if member is None or continuous is None:
             return []
-        return self._gradients(
-            member, np.array(self._finder.peaks(continuous, value, share, band)), (1 - share) * value
-        )
+        omegas = np.array(active_frequencies(continuous, value, share, band))
+        return self._gradients(member, omegas, (1 - share) * value)
 
     def _gradients(self, member: _Member, omegas: AnyArray, least: float) -> list[tuple[float, AnyArray]]:
         """Return singular values above ``least`` near the largest of each frequency, with their gradients."""
