@@ -172,35 +172,36 @@ def _matched(m: StateSpaceModel, dt: float) -> StateSpaceModel:
     if not m.n_states or not (m.B.any() and m.C.any()):
         return StateSpaceModel([], [], [], m.D)
     poles, zeros = m.poles(), transmission_zeros(m, complete=True)
-    # on the positive real axis, right of all poles: finite and real
-    s = 1.7 * max(float(np.abs(np.concatenate([poles, zeros])).max()), 1e-6 / dt)
+    both = np.concatenate([poles, zeros])
+    s = 1.7 * max(float(np.abs(both).max()), 1e-6 / dt)  # right of all poles, on the real axis
+
+    def product(at: AnyArray) -> AnyArray:
+        return np.prod(at[:, None] - zeros, axis=1) / np.prod(at[:, None] - poles, axis=1)
+
     value = (m.D + m.C @ np.linalg.solve(s * np.eye(m.n_states) - m.A, m.B))[0, 0]
-    gain = value * np.prod(s - poles) / np.prod(s - zeros)
-    omega = np.abs(np.concatenate([poles, zeros])) * 1.3 + 1e-3 * s
-    product = gain * np.prod(1j * omega[:, None] - zeros, axis=1) / np.prod(1j * omega[:, None] - poles, axis=1)
+    gain = value / product(np.array([s]))[0]
+    omega = np.abs(both) * 1.3 + 1e-3 * s
     truth = frequency_response(m, omega)[:, 0, 0]
-    off = float(np.abs(product / truth - 1).max()) if truth.all() else np.inf
+    off = float(np.abs(gain * product(1j * omega) / truth - 1).max()) if truth.all() else np.inf
     if not off <= MATCHED:
         raise NoTrustworthyNumber("discretise (matched)", f"poles and zeros give the response back to {off:.1e} only")
-    growth = float(np.maximum(np.concatenate([poles, zeros]).real, 0.0).sum()) * dt
+    growth = float(np.maximum(both.real, 0.0).sum()) * dt
     if growth > LARGEST:
         found = f"poles and zeros that grow by e^{growth:.3g} in dt = {dt:g} s"
         raise NoTrustworthyNumber("discretise (matched)", found, None, "a shorter sample time, or another method")
     z_poles, z_zeros = np.exp(poles * dt), np.append(np.exp(zeros * dt), -np.ones(len(poles) - len(zeros)))
     # Equal gain at s = 0, z = 1; next to it on the real axis if there is a pole or a zero.
-    lowest = np.abs(np.concatenate([poles, zeros])).min()
-    at = 0.0 if lowest > 1e-9 * s else 1e-3 / dt
-    wanted = gain * np.prod(at - zeros) / np.prod(at - poles)
+    at = 0.0 if np.abs(both).min() > 1e-9 * s else 1e-3 / dt
     z = np.exp(at * dt)
-    k = float((wanted * np.prod(z - z_poles) / np.prod(z - z_zeros)).real)
-    return cascade(_conjugate(z_zeros), _conjugate(z_poles), k, dt, "discretise (matched)")
+    k = float((gain * product(np.array([at]))[0] * np.prod(z - z_poles) / np.prod(z - z_zeros)).real)
+    return cascade(_paired(z_zeros), _paired(z_poles), k, dt, "discretise (matched)")
 
 
-def _conjugate(roots: AnyArray) -> AnyArray:
+def _paired(roots: AnyArray) -> AnyArray:
     """Return roots of a real polynomial as exact conjugate pairs and real ones."""
-    off = np.imag(roots) / np.maximum(np.abs(roots), 1e-300)
-    upper = roots[off > 1e-12]
-    return np.concatenate([upper, np.conj(upper), np.real(roots[np.abs(off) <= 1e-12])])
+    least = 1e-12 * np.abs(roots)
+    upper = roots[roots.imag > least]
+    return np.concatenate([upper, np.conj(upper), roots[np.abs(roots.imag) <= least].real])
 
 
 # --- pathological sampling --------------------------------------------------------------------------------------------

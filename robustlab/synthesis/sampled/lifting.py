@@ -24,8 +24,7 @@ class Rest:
     """Bounds of the effect of w0, the part of w of mean zero."""
 
     kick: AnyArray  # factor (n, n): w0 moves the state at the end of a period by `kick v` with `|v| <= |w0|`
-    # mean, variance: largest gains from w0 to the means, and to the rests, of z in the same period
-    mean: float
+    mean: float  # largest gains from w0 to the means, and to the rests, of z in the same period
     variance: float
 
 
@@ -36,14 +35,11 @@ class LiftedPlant:
     # Discrete model with inputs [w of all intervals; held w; kick (n); u] and outputs [means of z; rests of z; y];
     # its states are those of the plant and the delayed controls.
     model: StateSpaceModel
-    # n_intervals, n_means, n_rests: number of intervals; sizes of the two groups of outputs
     n_intervals: int
-    n_means: int
+    n_means: int  # sizes of the first two groups of outputs
     n_rests: int
-    # n_w, n_kick: sizes of the first two groups of inputs together, and of the kick
-    n_w: int
+    n_w: int  # of the first two groups of inputs together, and of the kick
     n_kick: int
-    # n_meas, n_con: sizes of y and u
     n_meas: int
     n_con: int
     held: tuple[int, ...]  # positions of the disturbances that are constant over whole periods
@@ -71,84 +67,48 @@ def lift(plant: GeneralizedPlant, dt: float, n_intervals: int, delay: float = 0.
     whole = int(np.floor(delay / dt + 1e-12))
     part = delay - whole * dt if delay - whole * dt > 1e-9 * dt else 0.0
     n_past = whole + (part > 0)
-    ends = _breakpoints(dt, n_intervals, part)
-    past = [f"{s.name} {k + 1} samples ago" for k in range(n_past) for s in plant.controls]
-    names = [*m.state_names, *past]
-    lengths = _lengths(ends)
-    steps = {h: _Interval.of(m, free, n_z, h) for h in lengths}
-    intervals = [steps[h] for h in lengths]
+    ends = np.linspace(0.0, dt, n_intervals + 1)
+    if part and np.abs(ends - part).min() > 1e-9 * dt:
+        ends = np.sort(np.append(ends, part))
+    # Lengths that differ by rounding alone are computed once.
+    steps = {float(f"{h:.9g}"): h for h in np.diff(ends).tolist()}
+    made = {key: _Interval.of(m, free, n_z, h) for key, h in steps.items()}
+    intervals = [made[float(f"{h:.9g}")] for h in np.diff(ends).tolist()]
     # The state at the start of each interval as a linear map of (x, past controls, all w, u).
-    N = len(intervals)
-    n_free = len(free)
-    at_w = n + n_past * n_u
-    at_u = at_w + N * n_free + len(held)
+    N, n_free = len(intervals), len(free)
+    n_x = n + n_past * n_u
+    at_u = n_x + N * n_free + len(held)
     width = at_u + n_u
     # the controls of k samples ago as maps of (x, past controls, all w, u)
-    aged = [np.eye(n_u, width, k) for k in (at_u, *range(n, at_w, n_u))]
+    aged = [np.eye(n_u, width, k) for k in (at_u, *range(n, n_x, n_u))]
     held_w = np.zeros((n_w, width))
     held_w[held, at_u - len(held) : at_u] = np.eye(len(held)) / np.sqrt(dt)
-    state, means, rests = np.zeros((n, width)), [], []
-    state[:, :n] = np.eye(n)
+    state, means, rests = np.eye(n, width), [], []
     controls = [aged[whole + bool(end < part * (1 - 1e-12))] for end in ends[:-1]]
     for i, (step, control) in enumerate(zip(intervals, controls, strict=True)):
         disturbance = held_w.copy()
-        disturbance[free, at_w + i * n_free : at_w + (i + 1) * n_free] = np.eye(n_free) / np.sqrt(step.h)
+        disturbance[free, n_x + i * n_free : n_x + (i + 1) * n_free] = np.eye(n_free) / np.sqrt(step.h)
         v = np.vstack([state, disturbance, control])
         means.append(step.mean @ v)
         rests.append(step.variance_root @ v)
         state = step.move @ v
-    measured = np.zeros((n_y, width))
-    measured[:, :n] = m.C[n_z:]
-    measured += m.D[n_z:, n_w:] @ controls[0] + m.D[n_z:, :n_w] @ held_w
+    measured = m.C[n_z:] @ np.eye(n, width) + m.D[n_z:, n_w:] @ controls[0] + m.D[n_z:, :n_w] @ held_w
     rest = _rest(intervals, n, m.D[:n_z, free])
     rows = np.vstack(rests)  # or, with the same Gram matrix, no more rows than columns
     rows = rows if len(rows) <= width else np.asarray(np.linalg.qr(rows, mode="r"))
-    maps = np.vstack([state, *aged[:-1]]), np.vstack(means), rows, measured
-    wide = [f"{m.input_names[j]}[{i}]" for i in range(N) for j in free] + [m.input_names[j] for j in held]
-    return _assembled(plant, dt, (names, wide), maps, N, rest, tuple(int(j) for j in held))
-
-
-def _breakpoints(dt: float, n_intervals: int, part: float) -> AnyArray:
-    ends = np.linspace(0.0, dt, n_intervals + 1)
-    if part and np.abs(ends - part).min() > 1e-9 * dt:
-        ends = np.sort(np.append(ends, part))
-    return ends
-
-
-def _lengths(ends: AnyArray) -> list[float]:
-    """Return the lengths of the intervals; those that differ by rounding alone become equal."""
-    lengths: list[float] = []
-    for h in np.diff(ends).tolist():
-        same = [known for known in lengths if abs(known - h) <= 1e-9 * known]
-        lengths.append(same[0] if same else h)
-    return lengths
-
-
-def _assembled(
-    plant: GeneralizedPlant,
-    dt: float,
-    names: tuple[list[str], list[str]],
-    maps: tuple[AnyArray, AnyArray, AnyArray, AnyArray],
-    N: int,
-    rest: Rest,
-    held: tuple[int, ...],
-) -> LiftedPlant:
-    """Build the lifted model from its maps of (states, lifted w, u) to (next states, means, rests, y)."""
-    m, n = plant.model, plant.model.n_states
-    states, means, rests, measured = maps
-    n_x, n_wide = len(names[0]), len(names[1])
-    x, w, u = slice(0, n_x), slice(n_x, n_x + n_wide), slice(n_x + n_wide, None)
-    rows = np.vstack([means, rests, measured])
+    states, out = np.vstack([state, *aged[:-1]]), np.vstack([*means, rows, measured])
     kick = np.vstack([rest.kick, np.zeros((n_x - n, n))])
-    performance = m.output_names[: m.n_outputs - plant.n_meas]
-    outputs = [*[f"{s}[{i}]" for i in range(N) for s in performance], *[f"rest{i + 1}" for i in range(len(rests))]]
+    past = [f"{s.name} {k + 1} samples ago" for k in range(n_past) for s in plant.controls]
+    wide = [f"{m.input_names[j]}[{i}]" for i in range(N) for j in free] + [m.input_names[j] for j in held]
+    outputs = [f"{s}[{i}]" for i in range(N) for s in m.output_names[:n_z]]
+    outputs += [f"rest{i + 1}" for i in range(len(rows))]
     model = StateSpaceModel(
-        states[:, x], np.hstack([states[:, w], kick, states[:, u]]), rows[:, x],
-        np.hstack([rows[:, w], np.zeros((len(rows), n)), rows[:, u]]), dt,
-        [*names[1], *[f"kick{i + 1}" for i in range(n)], *plant.controls], [*outputs, *plant.measurements], names[0],
-        where="lifting",
+        states[:, :n_x], np.hstack([states[:, n_x:at_u], kick, states[:, at_u:]]), out[:, :n_x],
+        np.hstack([out[:, n_x:at_u], np.zeros((len(out), n)), out[:, at_u:]]), dt,
+        [*wide, *[f"kick{i + 1}" for i in range(n)], *plant.controls], [*outputs, *plant.measurements],
+        [*m.state_names, *past], where="lifting",
     )  # fmt: skip
-    return LiftedPlant(model, N, len(means), len(rests), n_wide, n, plant.n_meas, plant.n_con, held, rest)
+    return LiftedPlant(model, N, N * n_z, len(rows), len(wide), n, n_y, n_u, tuple(held.tolist()), rest)
 
 
 # --- one interval -----------------------------------------------------------------------------------------------------
