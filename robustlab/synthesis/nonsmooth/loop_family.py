@@ -95,13 +95,6 @@ class LoopFamily:
 
     # --- poles -------------------------------------------------------------------------------------------------------
 
-    def poles(self, theta: AnyArray) -> AnyArray | None:
-        """Return the poles of the loop; None where it is ill-posed or not finite."""
-        loop = self.loop(theta)
-        if loop is None or not np.isfinite(loop.A).all():
-            return None
-        return np.linalg.eigvals(loop.A) if len(loop.A) else np.zeros(0, complex)
-
     def pole(self, theta: AnyArray, measure: Any) -> Pole | None:
         """Return the pole with the largest ``measure(poles)`` and its derivative; None where there is none."""
         member = self._member(theta) if len(self.A) else None
