@@ -17,6 +17,7 @@ from robustlab.linear_analysis.matrix_equations import hamiltonian_riccati, lapa
 from robustlab.linear_analysis.slicot import lyapunov_solution, peak_gain
 from robustlab.synthesis.problem.partition import Realisation
 
+PEAK_TOLERANCE = 1e-11  # of AB13DD: line searches compare values of close points
 PEAK_GRID = 28  # frequencies of the first grid, without those of the poles
 PEAK_REFINEMENTS = 8  # steps of the secant method at a peak
 ENTROPY_RESIDUAL = 1e-7  # largest residual of the entropy's Riccati equation, relative to its terms
@@ -73,7 +74,7 @@ def largest_gain(loop: Realisation) -> tuple[float, float]:
     if not all(np.isfinite(m).all() for m in loop) or not stable_poles(lapack().dgeev(loop.A, 0, 0), loop.A):
         return np.inf, np.nan
     try:
-        gain, omega = peak_gain(*loop)
+        gain, omega = peak_gain(*loop, PEAK_TOLERANCE)
     except NoTrustworthyNumber:
         return np.inf, np.nan
     return (float(gain), float(omega)) if gain > direct else (direct, np.inf)
