@@ -24,7 +24,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.budget import MILLION, one_thread
-from robustlab.checks import whole
+from robustlab.checks import number, whole
 from robustlab.display import AllFields, Facts
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.feedback import wired
@@ -218,8 +218,7 @@ def reduce_controller(
     (0, True, 'certified')
     """
     plant, full = _plant_and_controller(design_or_plant, K, n_meas, n_con)
-    if not 0 <= loss < np.inf:
-        raise InputError(WHERE, f"loss is {loss}", "a number >= 0 (0.01: one per cent)")
+    number(f"{WHERE}: loss", loss, "a number >= 0 (0.01: one per cent)", at_least=0)
     budget = design_budget(WHERE, WORK, effort, time_limit)
     if order is not None:
         whole(f"{WHERE}: order", order, 0, full.n_states)

@@ -9,7 +9,7 @@ from typing import Any, Literal, get_args, overload
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.checks import number, whole
+from robustlab.checks import choice, number, whole
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.magnitude import refuse_extremes
@@ -189,8 +189,7 @@ def _check_request(
         whole("reduce_model: order", order, 0, full.n_states)
     if tolerance is not None:
         number("reduce_model: tolerance", tolerance, above=0)
-    if method not in METHODS:
-        raise InputError("reduce_model", f"method {method!r}", f"one of {', '.join(METHODS)}")
+    choice("reduce_model: method", method, METHODS)
     if weighted and method not in ("truncation", "residualisation"):
         raise InputError("reduce_model", f"weights with method {method!r}", "truncation or residualisation")
     number("reduce_model: floor", floor, "a number that is not negative", at_least=0)
@@ -200,20 +199,18 @@ def _check_request(
 
 def _weights(full: StateSpaceModel, into: Any, out: Any) -> Weights:
     found: list[StateSpaceModel | None] = []
-    for name, weight, fits, size in (
-        ("input_weight", into, "n_outputs", full.n_inputs),
-        ("output_weight", out, "n_inputs", full.n_outputs),
-    ):
-        if weight is None:
+    for name, given, size in (("input_weight", into, full.n_inputs), ("output_weight", out, full.n_outputs)):
+        if given is None:
             found.append(None)
             continue
-        w = as_model(weight, f"reduce_model: {name}")
+        where, side = f"reduce_model: {name}", "outputs" if name == "input_weight" else "inputs"
+        w = as_model(given, where)
         if (w.n_outputs, w.n_inputs) == (1, 1) and size > 1:  # a scalar weight is meant for every channel
             w = append(*[w.renamed([f"{name} {i}"], [f"{name} {i} out"]) for i in range(size)])
-        if getattr(w, fits) != size:
-            raise InputError(f"reduce_model: {name}", f"{getattr(w, fits)} {fits[2:]}", f"{size}")
+        if (has := len(getattr(w, side))) != size:
+            raise InputError(where, f"{has} {side}", f"{size}")
         if w.n_states and not w.is_stable():
-            raise InputError(f"reduce_model: {name}", "the weight is not stable", "a stable weight")
+            raise InputError(where, "the weight is not stable", "a stable weight")
         found.append(StateSpaceModel(w.A, w.B, w.C, w.D, w.dt))
     return found[0], found[1]
 

@@ -19,8 +19,8 @@ from typing import Any, Literal
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.checks import number
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, error_context
+from robustlab.checks import choice, number
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.invariant_zeros import transmission_zeros
 from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete
@@ -50,9 +50,7 @@ def by_formula(model: Any, dt: float, method: str, prewarp: float | None = None)
     if m.is_discrete:
         raise InputError("discretise", f"the model has dt = {m.dt:g} s", "a continuous model (dt = 0)")
     number("discretise: dt", dt, "a positive sample time in s", above=0)
-    if method not in METHODS:
-        hint = did_you_mean(str(method), METHODS)
-        raise InputError("discretise", f"method {method!r}", f"one of {', '.join(METHODS)}", hint)
+    choice("discretise: method", method, METHODS)
     if (prewarp is None) == (method == "tustin-prewarp"):
         found = f"method {method!r} with prewarp={prewarp}"
         raise InputError("discretise", found, "prewarp with 'tustin-prewarp' alone")
@@ -134,9 +132,7 @@ def d2c(model: Any, method: Hold = "zoh") -> StateSpaceModel:
     m = as_model(getattr(model, "K", model), "d2c")
     if not m.is_discrete:
         raise InputError("d2c", "the model is continuous (dt = 0)", "a discrete one", "rl.discretise makes one")
-    if method not in HOLDS:
-        raise InputError("d2c", f"method {method!r}", f"one of {', '.join(HOLDS)}", did_you_mean(str(method), HOLDS))
-    if method == "tustin":
+    if choice("d2c: method", method, HOLDS) == "tustin":
         return replace(bilinear_to_continuous(m), inputs=m.inputs, outputs=m.outputs, states=m.states)
     from scipy.linalg import expm, logm
 

@@ -9,8 +9,9 @@ from typing import Any, ClassVar, overload
 import numpy as np
 
 from robustlab.budget import MILLION, Budget, dense, one_thread
+from robustlab.checks import choice, number
 from robustlab.display import AllFields, Facts
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, error_context
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.feedback import wired
 from robustlab.norms import HinfNorm, hinf_norm
 from robustlab.result import Status
@@ -275,11 +276,8 @@ def discretise(
         raise InputError(WHERE, f"the controller has dt = {full.dt:g} s already", "a continuous controller")
     full = wired(full, p.measurements, p.controls, WHERE)
     p = with_default_performance(p, WHERE)
-    known = ("auto", "direct", *METHODS)
-    if method not in (None, *known):
-        raise InputError(WHERE, f"method {method!r}", f"one of {', '.join(known)}", did_you_mean(str(method), known))
-    if not 0 <= loss < np.inf:
-        raise InputError(WHERE, f"loss {loss}", "a loss >= 0")
+    choice(f"{WHERE}: method", method or "auto", ("auto", "direct", *METHODS))
+    number(f"{WHERE}: loss", loss, at_least=0)
     budget = design_budget(WHERE, CONTROLLER_WORK, effort, time_limit)
     judged = p if scalings is None else plant_with_scalings(p, given_scalings(scalings, 0.0, WHERE), WHERE)
     with one_thread():

@@ -12,7 +12,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from robustlab.budget import one_thread
-from robustlab.display import Facts, listed, number
+from robustlab.checks import number
+from robustlab.display import Facts, listed
+from robustlab.display import number as in_words
 from robustlab.errors import InputError, error_context
 from robustlab.feedback import wired
 from robustlab.norms import HinfNorm, PeakGain, hinf_norm
@@ -75,7 +77,7 @@ class SampledDataNorm(PeakGain):
     def evidence(self) -> Facts:
         """Return the sampling, and the assumptions between the samples."""
         return [
-            ("sample time", number(self.loop.dt, "s")),
+            ("sample time", in_words(self.loop.dt, "s")),
             ("intervals of a period", str(self.n_intervals)),
             ("taken as constant between samples", listed(self.held)),
             ("reason", self.reason),
@@ -151,8 +153,7 @@ def check_sampling(plant: GeneralizedPlant, K: StateSpaceModel, dt: float, delay
     """Require a continuous plant, a positive sample time, no negative delay, and a controller that fits."""
     if plant.model.dt:
         raise InputError(where, f"the plant has dt = {plant.model.dt:g} s", "a continuous plant (dt = 0)")
-    if isinstance(dt, bool) or not isinstance(dt, (int, float, np.number)) or not 0 < dt < np.inf:
-        raise InputError(where, f"the sample time is {dt!r}", "a positive time in s", "discretise the controller first")
+    number(f"{where}: sample time", dt, "a positive time in s", "discretise the controller first", above=0)
     if not 0 <= delay <= LONGEST_DELAY * dt:
         raise InputError(where, f"delay is {delay}", f"a time in s, not negative, of at most {LONGEST_DELAY} samples")
     if (K.n_outputs, K.n_inputs) != (plant.n_con, plant.n_meas):
