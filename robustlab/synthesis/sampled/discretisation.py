@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any, Literal
 
 import numpy as np
@@ -224,11 +225,9 @@ class MergedModes:
 
 def merged_modes(model: StateSpaceModel, dt: float) -> tuple[MergedModes, ...]:
     r"""Return pairs of different modes with :math:`e^{\lambda_i T} = e^{\lambda_j T}` up to 1e-6."""
-    poles, found = model.poles(), list[MergedModes]()
-    sampling = 2 * np.pi / dt
-    for i, one in enumerate(poles):
-        for two in poles[i + 1 :]:
-            multiple = round(float((one - two).imag / sampling))
-            if multiple and abs(one - two - 1j * multiple * sampling) * dt <= MERGED:
-                found.append(MergedModes((complex(one), complex(two)), abs(multiple), bool(one.real < 0)))
+    found = list[MergedModes]()
+    for one, two in combinations(model.poles().astype(complex).tolist(), 2):
+        multiple = round((one - two).imag * dt / (2 * np.pi))
+        if multiple and abs((one - two) * dt - 2j * np.pi * multiple) <= MERGED:
+            found.append(MergedModes((one, two), abs(multiple), one.real < 0))
     return tuple(found)

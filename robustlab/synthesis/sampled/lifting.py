@@ -20,17 +20,11 @@ DOUBLINGS = 12  # at least; the error of the start falls by 4 in each
 
 
 @dataclass(frozen=True, eq=False)
-class Rest:
-    """Bounds of the effect of w0, the part of w of mean zero."""
-
-    kick: AnyArray  # factor (n, n): w0 moves the state at the end of a period by `kick v` with `|v| <= |w0|`
-    mean: float  # largest gains from w0 to the means, and to the rests, of z in the same period
-    variance: float
-
-
-@dataclass(frozen=True, eq=False)
 class LiftedPlant:
-    """The plant over whole periods."""
+    """The plant over whole periods.
+
+    w0 is the part of w of mean zero: it moves the state at the end of a period by ``kick v`` with ``|v| <= |w0|``.
+    """
 
     # Discrete model with inputs [w of all intervals; held w; kick (n); u] and outputs [means of z; rests of z; y];
     # its states are those of the plant and the delayed controls.
@@ -43,17 +37,14 @@ class LiftedPlant:
     n_meas: int
     n_con: int
     held: tuple[int, ...]  # positions of the disturbances that are constant over whole periods
-    rest: Rest  # bounds of the effect of w less its means
+    to_mean: float  # largest gains from w0 to the means, and to the rests, of z in the same period
+    to_rest: float
 
     def generalized_plant(self) -> GeneralizedPlant:
         """Return the discrete plant for synthesis: without the kick."""
-        keep = [*range(self.n_w), *range(self.n_w + self.n_kick, self.model.n_inputs)]
-        m = self.model
-        inputs = [m.inputs[i] for i in keep]
-        model = StateSpaceModel(
-            m.A, m.B[:, keep], m.C, m.D[:, keep], m.dt, inputs, m.outputs, m.states, where="lifting"
-        )
-        return GeneralizedPlant(model, self.n_meas, self.n_con)
+        names = self.model.input_names
+        keep = [*names[: self.n_w], *names[self.n_w + self.n_kick :]]
+        return GeneralizedPlant(self.model.select(keep), self.n_meas, self.n_con)
 
 
 def lift(plant: GeneralizedPlant, dt: float, n_intervals: int, delay: float = 0.0) -> LiftedPlant:
@@ -93,11 +84,11 @@ def lift(plant: GeneralizedPlant, dt: float, n_intervals: int, delay: float = 0.
         rests.append(step.variance_root @ v)
         state = step.move @ v
     measured = m.C[n_z:] @ np.eye(n, width) + m.D[n_z:, n_w:] @ controls[0] + m.D[n_z:, :n_w] @ held_w
-    rest = _rest(intervals, n, m.D[:n_z, free])
+    kick, to_mean, to_rest = _rest(intervals, n, m.D[:n_z, free])
     rows = np.vstack(rests)  # or, with the same Gram matrix, no more rows than columns
     rows = rows if len(rows) <= width else np.asarray(np.linalg.qr(rows, mode="r"))
     states, out = np.vstack([state, *aged[:-1]]), np.vstack([*means, rows, measured])
-    kick = np.vstack([rest.kick, np.zeros((n_x - n, n))])
+    kick = np.vstack([kick, np.zeros((n_x - n, n))])
     past = [f"{s.name} {k + 1} samples ago" for k in range(n_past) for s in plant.controls]
     wide = [f"{m.input_names[j]}[{i}]" for i in range(N) for j in free] + [m.input_names[j] for j in held]
     outputs = [f"{s}[{i}]" for i in range(N) for s in m.output_names[:n_z]]
@@ -108,7 +99,8 @@ def lift(plant: GeneralizedPlant, dt: float, n_intervals: int, delay: float = 0.
         [*wide, *[f"kick{i + 1}" for i in range(n)], *plant.controls], [*outputs, *plant.measurements],
         [*m.state_names, *past], where="lifting",
     )  # fmt: skip
-    return LiftedPlant(model, N, N * n_z, len(rows), len(wide), n, n_y, n_u, tuple(held.tolist()), rest)
+    sizes = N, N * n_z, len(rows), len(wide), n, n_y, n_u
+    return LiftedPlant(model, *sizes, tuple(held.tolist()), to_mean, to_rest)
 
 
 # --- one interval -----------------------------------------------------------------------------------------------------
@@ -174,7 +166,8 @@ def _root(gram: AnyArray) -> AnyArray:
     return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
 
 
-def _rest(intervals: list[_Interval], n: int, D11: AnyArray) -> Rest:
+def _rest(intervals: list[_Interval], n: int, D11: AnyArray) -> tuple[AnyArray, float, float]:
+    """Return the kick and both gains of `LiftedPlant`."""
     gram = np.zeros((n, n))
     later_mean, later_rest = np.zeros((len(intervals),) * 2), np.zeros((len(intervals),) * 2)
     for i, step in enumerate(intervals):
@@ -187,4 +180,4 @@ def _rest(intervals: list[_Interval], n: int, D11: AnyArray) -> Rest:
     local = max((step.local for step in intervals), default=0.0)
     direct = float(np.linalg.norm(D11, 2)) if D11.size else 0.0
     gains = [float(np.linalg.norm(later, 2)) + local for later in (later_mean, later_rest)]
-    return Rest(_root(gram).T, gains[0], gains[1] + direct)
+    return _root(gram).T, gains[0], gains[1] + direct

@@ -228,7 +228,7 @@ def _bracket(lifted: LiftedPlant, loop: StateSpaceModel, rtol: float) -> Sampled
     if np.isfinite(upper) and len(lifted.held) < n:  # if all of w is held, it has no rest
         norms.append(norm(mean, w, rtol))
         b, c, d = (norm(i, j, 1e-2).upper for i, j in ((mean, kick), (rest, w), (rest, kick)))
-        gains = np.array([[norms[1].upper, b + lifted.rest.mean], [c, d + lifted.rest.variance]])
+        gains = np.array([[norms[1].upper, b + lifted.to_mean], [c, d + lifted.to_rest]])
         upper = max(float(np.linalg.norm(gains, 2)), upper)
     doubtful = next((norm for norm in norms if norm.status is not Status.CERTIFIED), None)
     status = Status.CERTIFIED if doubtful is None else Status.INACCURATE
