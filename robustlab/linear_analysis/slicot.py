@@ -17,10 +17,10 @@ from robustlab.errors import NoTrustworthyNumber
 __all__ = ["gramian_factors", "invariant_zeros", "lyapunov_solution", "peak_gain"]
 
 
-def peak_gain(A: Array, B: Array, C: Array, D: Array) -> tuple[float, float]:
+def peak_gain(A: Array, B: Array, C: Array, D: Array, tolerance: float = 1e-6) -> tuple[float, float]:
     """Find the largest gain of a continuous model over the axis, and its frequency in rad/s (AB13DD)."""
     n, (p, m) = len(A), D.shape
-    return _called("ab13dd", "C", "I", "S", "D", n, m, p, A, np.eye(n), B, C, D, 1e-6)
+    return _called("ab13dd", "C", "I", "S", "D", n, m, p, A, np.eye(n), B, C, D, tolerance)
 
 
 def lyapunov_solution(A: Array, Q: Array, discrete: bool) -> Array:

@@ -181,7 +181,7 @@ def test_disturbances_that_reach_the_sampler_are_held_or_filtered():
 @pytest.mark.parametrize(
     ("K", "options", "message"),
     [
-        (rl.StateSpaceModel([], [], [], [[1.0]]), {}, "sample time is 0"),
+        (rl.StateSpaceModel([], [], [], [[1.0]]), {}, "sample time: 0"),
         (gain(1.0, 0.1), {"delay": -0.1}, "delay is -0.1"),
         (gain(1.0, 0.1), {"delay": float("inf")}, "delay is inf"),
         (gain(1.0, 0.1), {"rtol": 0.0}, "rtol is 0"),

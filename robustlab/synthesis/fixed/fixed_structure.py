@@ -6,6 +6,7 @@ For one plant, several at once, or the worst member of an uncertain plant, by ad
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -13,9 +14,9 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, one_thread
-from robustlab.checks import whole
+from robustlab.checks import choice, whole
 from robustlab.display import Facts
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, error_context
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.mu_analysis.axis.margin import WorstCaseGain
 from robustlab.mu_analysis.axis.robustness import gain_within
 from robustlab.norms import H2Norm, HinfNorm, h2_by_gramians, hinf_norm
@@ -270,8 +271,7 @@ def fixed_structure(
     >>> round(design.gamma**2, 4), round(design.values["K[u2,y3]"], 3)
     (2.4142, -2.414)
     """
-    if objective not in ("hinf", "h2"):
-        raise InputError(WHERE, f"objective is {objective!r}", '"hinf" or "h2"')
+    choice(f"{WHERE}: objective", objective, ("hinf", "h2"))
     whole(f"{WHERE}: starts", starts, 0, MOST_STARTS)
     for limit in limits:
         if not isinstance(limit, Limit):
@@ -311,15 +311,12 @@ def _plants(P: Any, n_meas: int | None, n_con: int | None) -> list[GeneralizedPl
     plants = [as_generalized_plant(plant, n_meas, n_con, WHERE) for plant in given]
     first = plants[0]
     for i, plant in enumerate(plants, start=1):
-        if (plant.n_meas, plant.n_con) != (first.n_meas, first.n_con) or plant.model.dt != first.model.dt:
-            found = f"plant {i} has {plant.n_meas} measurements, {plant.n_con} controls, dt = {plant.model.dt:g} s"
-            expected = f"{first.n_meas}, {first.n_con} and {first.model.dt:g} s as plant 1"
-            raise InputError(WHERE, found, expected)
-        if plant.blocks and len(plants) > 1:
-            expected = "its members (evaluate), or the set alone"
-            raise InputError(WHERE, "an uncertain model in a list of plants", expected)
-    for i, plant in enumerate(plants, start=1):
         place = WHERE if len(plants) == 1 else f"{WHERE}: plant {i}"
+        if (plant.n_meas, plant.n_con, plant.model.dt) != (first.n_meas, first.n_con, first.model.dt):
+            found = f"{plant.n_meas} measurements, {plant.n_con} controls, dt = {plant.model.dt:g} s"
+            raise InputError(place, found, f"{first.n_meas}, {first.n_con} and {first.model.dt:g} s as plant 1")
+        if plant.blocks and len(plants) > 1:
+            raise InputError(place, "an uncertain model in a list", "its members (evaluate), or the set alone")
         require_performance(plant, place)
         continuous = plant.continuous()
         scaling = common_scaling([continuous])[0]
@@ -334,14 +331,14 @@ def _bounded(law: Law, bounds: Mapping[str, tuple[float, float]]) -> Law:
     """Return the law with these bounds of its parameters, by name."""
     parameters = list(law.parameters)
     for name, pair in bounds.items():
-        j = _place(name, law)
+        q = parameters[j := _place(name, law)]
         try:
             low, high = (float(x) for x in pair)
         except (TypeError, ValueError):
-            raise InputError(f"{WHERE}: bounds of {name}", f"{pair!r}", "(low, high)") from None
+            low = high = np.nan
         if not low <= high:
-            raise InputError(f"{WHERE}: bounds of {name}", f"({low:g}, {high:g})", "low <= high")
-        parameters[j] = replace(parameters[j], low=low, high=high, start=float(np.clip(parameters[j].start, low, high)))
+            raise InputError(f"{WHERE}: bounds of {name}", f"{pair!r}", "(low, high)")
+        parameters[j] = replace(q, low=low, high=high, start=float(np.clip(q.start, low, high)))
     return replace(law, parameters=tuple(parameters))
 
 
@@ -354,10 +351,7 @@ def parameter_values(law: Law, p: AnyArray) -> tuple[ParameterValue, ...]:
 
 def _place(name: str, law: Law) -> int:
     names = [p.name for p in law.parameters]
-    if name not in names:
-        hint = did_you_mean(name, names)
-        raise InputError(f"{WHERE}: parameter {name!r}", "no such parameter", f"one of {', '.join(names[:20])}", hint)
-    return names.index(name)
+    return names.index(choice(f"{WHERE}: parameter", name, names))
 
 
 def given_starts(law: Law, start: Any) -> list[AnyArray]:
@@ -399,68 +393,57 @@ def _best_verified(problem: DesignProblem, found: Sequence[Start]) -> FixedSynth
 
 
 def _for_worst_member(
-    plant: GeneralizedPlant,
-    law: Law,
-    limits: Sequence[Limit],
-    given: Sequence[tuple[str, AnyArray]],
-    budget: Budget,
-    design: Callable[[DesignProblem, Sequence[tuple[str, AnyArray]]], FixedSynthesis],
-    say: Callable[[str], None],
-) -> FixedSynthesis:
+    plant: GeneralizedPlant, law: Law, limits: Sequence[Limit], given: Sequence[tuple[str, AnyArray]], budget: Budget,
+    design: Callable[[DesignProblem, Sequence[tuple[str, AnyArray]]], FixedSynthesis], say: Callable[[str], None],
+) -> FixedSynthesis:  # fmt: skip
     """Design on scenarios, add the worst Delta of the loop, and repeat; return the design of smallest worst case."""
     uncertain = UncertainModel(plant.model, plant.blocks)
     deltas: list[Mapping[str, Any]] = [{}]
     members = [GeneralizedPlant(uncertain.nominal, plant.n_meas, plant.n_con)]
-    best: tuple[FixedSynthesis, WorstCaseGain] | None = None
-    last: list[tuple[str, AnyArray]] = []
+    done: list[tuple[FixedSynthesis, WorstCaseGain]] = []
     for number in range(ROUNDS):
-        if best is not None and budget.over:
+        if done and budget.over:
             break
+        last = [("given", np.array([p.value for p in done[-1][0].parameters]))] if done else []
         try:
             problem = DesignProblem(members, law, "hinf", limits, budget.share(DESIGN_SHARE))
             found = design(problem, [*last, *given])
         except NoTrustworthyNumber:
-            if best is None:
-                raise
-            break
-        last = [("given", np.array([p.value for p in found.parameters]))]
+            if done:
+                break
+            raise
         loop = UncertainModel(lower_lft(uncertain.M, found.K), uncertain.blocks)
         worst = gain_within(loop, budget.share(SEARCH_SHARE), tolerance=0.02)
-        found = replace(found, worst=worst, scenarios=tuple(deltas), uncertain=uncertain)
+        done.append((replace(found, worst=worst, scenarios=tuple(deltas), uncertain=uncertain), worst))
         gains = f"gain {found.gamma:.5g}, worst member {worst.lower:.5g}"
         say(f"round {number + 1}: {len(members)} scenarios, {gains}")
-        if best is None or (worst.lower, worst.upper) < (best[1].lower, best[1].upper):
-            best = found, worst
         member = _member(uncertain, worst) if worst.lower > ENOUGH * found.gamma else None
         if member is None:
             break
         deltas.append(dict(worst.delta))
         members.append(GeneralizedPlant(member, plant.n_meas, plant.n_con))
-    assert best is not None
-    found, worst = best
+    found, worst = min(done, key=lambda pair: (pair[1].lower, pair[1].upper))
     scenarios = f"{len(found.scenarios)} scenarios"
     if np.isfinite(worst.upper) and worst.status is Status.CERTIFIED:
         gamma = worst.upper if found.status.trustworthy else max(worst.upper, found.gamma)
         sound = Status.INACCURATE if found.status is Status.INACCURATE else Status.CERTIFIED
-        status, reason = final_status(
-            sound, [found.reason, "worst-case gain over the whole set proved", scenarios], budget
-        )
-        return replace(found, gamma=gamma, status=status, reason=reason)
-    text = "a member is unstable" if not np.isfinite(worst.lower) else "the worst-case gain was not proved"
-    status, reason = final_status(Status.INCONCLUSIVE, [text, scenarios], budget)
-    return replace(found, gamma=max(found.gamma, worst.lower), status=status, reason=reason)
+        parts = [found.reason, "worst-case gain over the whole set proved", scenarios]
+    else:
+        gamma, sound = max(found.gamma, worst.lower), Status.INCONCLUSIVE
+        unstable = not np.isfinite(worst.lower)
+        parts = ["a member is unstable" if unstable else "the worst-case gain was not proved", scenarios]
+    status, reason = final_status(sound, parts, budget)
+    return replace(found, gamma=gamma, status=status, reason=reason)
 
 
 def _member(uncertain: UncertainModel, worst: WorstCaseGain) -> StateSpaceModel | None:
     """Return the member at the worst Delta as a model; complex values are realised as stable systems."""
-    try:
-        if any(np.iscomplexobj(value) and np.abs(np.imag(value)).max() > 0 for value in worst.delta.values()):
-            if worst.frequency is None:
-                return None
+    with suppress(NoTrustworthyNumber):
+        if not any(np.imag(value).any() for value in worst.delta.values()):
+            return uncertain.evaluate({name: np.real(value) for name, value in worst.delta.items()})
+        if worst.frequency is not None:
             return uncertain.evaluate(realise_delta(uncertain.blocks, worst.delta, worst.frequency, uncertain.dt))
-        return uncertain.evaluate({name: np.real(value) for name, value in worst.delta.items()})
-    except NoTrustworthyNumber:
-        return None
+    return None
 
 
 # --- verification -----------------------------------------------------------------------------------------------------
@@ -515,15 +498,11 @@ def _verified(problem: DesignProblem, start: Start) -> FixedSynthesis | None:
 
 def require_finite_h2(problem: DesignProblem) -> None:
     """Raise where a continuous loop has a direct term and thus no H2 norm."""
-    if problem.dt:
-        return
-    rng = np.random.default_rng(0)
+    moved = problem.start + np.random.default_rng(0).standard_normal(len(problem.start))
     for i, (family, kind) in enumerate(zip(problem.families, problem.kinds, strict=True), start=1):
-        if kind != "h2":
-            continue
-        for v in (problem.start, problem.start + rng.standard_normal(len(problem.start))):
+        for v in () if problem.dt or kind != "h2" else (problem.start, moved):
             loop = family.loop(problem.theta(problem.parameters(v)[0]))
-            if loop is not None and np.abs(loop.D).max(initial=0.0) > 0:
+            if loop is not None and loop.D.any():
                 raise InputError(
                     f"{WHERE}: plant {i}",
                     "the closed loop has a direct term from w to z: its H2 norm is infinite",
@@ -534,25 +513,21 @@ def require_finite_h2(problem: DesignProblem) -> None:
 
 def not_found(problem: DesignProblem, found: Sequence[Start]) -> NoTrustworthyNumber:
     """Return the error that names the unstable pole or the violated limits of the start that came nearest."""
-    nearest = min(found, key=lambda s: s.instability)
-    theta = problem.theta(nearest.p)
-    worst: tuple[float, int, complex] = (-np.inf, 0, complex(np.nan))
+    theta = problem.theta(min(found, key=lambda s: s.instability).p)
+    unit = 1.0 if problem.dt else problem.scaling.rate
+    edge, which, pole = -np.inf, 0, complex(np.nan)
     for i, family in enumerate(problem.families):
-        poles = family.poles(theta)
-        if poles is None or not len(poles):
-            continue
-        pole = poles[int(np.argmax(np.abs(poles) if problem.dt else np.real(poles)))]
-        edge = float(abs(pole) - 1 if problem.dt else pole.real)
-        if edge > worst[0]:
-            worst = edge, i, complex(pole) * (1.0 if problem.dt else problem.scaling.rate)
-    which = "the plant" if len(problem.families) == 1 else f"plant {worst[1] + 1}"
-    kind = "z" if problem.dt else "s"
-    pole_text = f"{worst[2].real:.6g}" + (f"{worst[2].imag:+.6g}j" if worst[2].imag else "")
-    if worst[0] < 0 and problem.limits:
+        value, _ = family.abscissa(theta)
+        worst = family.pole(theta, np.abs if problem.dt else np.real)
+        if worst is not None and value > edge:
+            edge, which, pole = value, i, worst.value * unit
+    plant = "the plant" if len(problem.families) == 1 else f"plant {which + 1}"
+    if edge < 0 and problem.limits:
         broken = [limit.text for limit in problem.broken_limits(theta)]
         text = f"no start kept every limit; in the nearest, {', '.join(dict.fromkeys(broken)) or 'the norm'} fails"
     else:
-        text = f"no start stabilised {which}: nearest pole {kind} = {pole_text}"
+        pole_text = f"{pole.real:.6g}" + (f"{pole.imag:+.6g}j" if pole.imag else "")
+        text = f"no start stabilised {plant}: nearest pole {'z' if problem.dt else 's'} = {pole_text}"
     return NoTrustworthyNumber(
         WHERE,
         f"{text} ({len(found)} starts{f'; {NOT_REPEATABLE}' if problem.budget.struck else ''})",

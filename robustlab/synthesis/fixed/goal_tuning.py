@@ -61,10 +61,6 @@ class Goal:
         """Return the groups of inputs and of outputs, and the weight of their transfer function."""
         raise NotImplementedError
 
-    def positive(self, name: str) -> float:
-        """Return an attribute that must be a positive number."""
-        return number(f"goal: {name}", getattr(self, name), "a positive number", above=0)
-
     def channel(self, loop: GeneralizedPlant, share: float = 1.0) -> GeneralizedPlant:
         """Return the generalised plant whose norm is at most one where the goal is met; z times ``share``."""
         model, n_z, n_w = loop.model, loop.n_z, loop.n_w
@@ -97,7 +93,11 @@ class TrackingGoal(Goal):
     outputs: Sequence[str] | None = None
 
     def requirement(self) -> tuple[str, str, Any]:
-        return "reference", "error", performance_weight(2 / self.positive("response_time"), self.error, self.peak)
+        return (
+            "reference",
+            "error",
+            performance_weight(2 / _positive("response_time", self.response_time), self.error, self.peak),
+        )
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ class SensitivityGoal(Goal):
     error: float = 1e-2
 
     def requirement(self) -> tuple[str, str, Any]:
-        cut, peak, w_b = CUTS[choice("goal: at", self.at, CUTS)], self.positive("peak"), self.bandwidth
+        cut, peak, w_b = CUTS[choice("goal: at", self.at, CUTS)], _positive("peak", self.peak), self.bandwidth
         return *cut, 1 / peak if w_b is None else performance_weight(w_b, self.error, peak)
 
 
@@ -129,22 +129,16 @@ class GainGoal(Goal):
     weight: Any = 1.0
 
     def requirement(self) -> tuple[str, str, Any]:
-        share, weight = 1 / self.positive("bound"), self.weight
+        share, weight = 1 / _positive("bound", self.bound), self.weight
         numbers = isinstance(weight, (int, float, list, np.ndarray))
         return self.inputs, self.outputs, share * (np.array(weight) if numbers else as_model(weight, "goal: weight"))
 
 
 @dataclass(frozen=True)
-class VarianceGoal(Goal):
+class VarianceGoal(GainGoal):
     """H2 norm of at most ``bound``: the root of the summed output variances for white noise of unit intensity."""
 
-    bound: float = 1.0
-    inputs: str = "disturbance"
-    outputs: str = "output"
     norm: ClassVar[str] = "h2"
-
-    def requirement(self) -> tuple[str, str, Any]:
-        return self.inputs, self.outputs, 1 / self.positive("bound")
 
 
 @dataclass(frozen=True)
@@ -158,7 +152,11 @@ class MarginGoal(Goal):
     at: str = "output"
 
     def requirement(self) -> tuple[str, str, Any]:
-        return *CUTS[choice("goal: at", self.at, CUTS)], self.positive("disk")
+        return *CUTS[choice("goal: at", self.at, CUTS)], _positive("disk", self.disk)
+
+
+def _positive(name: str, value: float) -> float:
+    return number(f"goal: {name}", value, "a positive number", above=0)
 
 
 def _signals(names: Sequence[str], group: str, groups: Sequence[str], only: Sequence[str] | None) -> list[str]:
@@ -319,15 +317,15 @@ def tune(
     >>> found.status.value, found.gamma < 1, found.missed
     ('certified', True, ())
     """
-    for goal in goals:
-        if not isinstance(goal, (Goal, Limit)):
-            raise InputError("synth tune: goals", f"{goal!r}", "TrackingGoal, MarginGoal, ..., Damping, Decay, ...")
     wanted, limits = [g for g in goals if isinstance(g, Goal)], [g for g in goals if isinstance(g, Limit)]
+    if wrong := [g for g in goals if not isinstance(g, (Goal, Limit))]:
+        raise InputError("synth tune: goals", f"{wrong[0]!r}", "TrackingGoal, MarginGoal, ..., Damping, Decay, ...")
     if not wanted:
         raise InputError("synth tune: goals", "none", "at least one goal in addition to limits")
     whole("synth tune: starts", starts, 0, fixed.MOST_STARTS)
     budget = design_budget("synth tune", fixed.WORK, effort, time_limit)
     loops = [_loop(g) for g in _plants(G)]
+    hard = np.array([goal.hard for goal in wanted])
     with one_thread():
         law = fixed.law_of(loops[0], structure, bounds)
         given = [("given", p) for p in fixed.given_starts(law, start)]
@@ -346,27 +344,25 @@ def tune(
         def reached(p: AnyArray) -> tuple[float, float]:
             """Return the largest hard and the largest soft goal."""
             values = np.array(first.norms(p)).reshape(len(wanted), len(loops)).max(axis=1)
-            hard = np.array([goal.hard for goal in wanted])
             return float(values[hard].max(initial=0.0)), float(values[~hard].max(initial=0.0))
 
-        stable = [(reached(end.p), end.p) for end in ends[: fixed.VERIFIED] if np.isfinite(end.gamma)]
+        stable = [(*reached(end.p), end.p) for end in ends[: fixed.VERIFIED] if np.isfinite(end.gamma)]
         if not stable:
             raise fixed.not_found(first, ends)
-        (hard, soft), p = min(stable, key=lambda pair: (max(pair[0][0], 1.0), pair[0][1]))
-        for k in range(GOAL_ROUNDS):
-            met = hard <= 1
-            ended = soft <= 0 if met else k == len(GOAL_SHARES)
-            if budget.over or ended or not any(goal.hard for goal in wanted):
+        needed, wished, p = min(stable, key=lambda found: (max(found[0], 1.0), found[1]))
+        for k in range(GOAL_ROUNDS if hard.any() else 0):
+            met = needed <= 1
+            if budget.over or (wished <= 0 if met else k == len(GOAL_SHARES)):
                 break
-            trial = problem(1 / soft if met else GOAL_SHARES[k], budget)
+            trial = problem(1 / wished if met else GOAL_SHARES[k], budget)
             v, _ = central_path(trial, trial.variables(p), BARRIER_CLOSER)
             q, value = refined(trial, trial.parameters(v)[0])
             q = q if value < trial.norm(trial.variables(p))[0] else p
             now, lower = reached(q)
-            if met and not (now <= 1 and lower < soft):
+            if met and not (now <= 1 and lower < wished):
                 break
-            converged = met and lower > soft * (1 - GOAL_PROGRESS)
-            p, hard, soft = q, now, lower
+            converged = met and lower > wished * (1 - GOAL_PROGRESS)
+            p, needed, wished = q, now, lower
             if converged:
                 break
         return _verified(p, law, loops, wanted, limits, budget)
@@ -374,12 +370,9 @@ def tune(
 
 def _plants(G: Any) -> list[StateSpaceModel]:
     models = [as_model(g, "synth tune: G") for g in (G if isinstance(G, (list, tuple)) else [G])]
-    if not models:
-        raise InputError("synth tune", "an empty list of plants", "at least one")
+    if not models or not models[0].n_inputs or not models[0].n_outputs:
+        raise InputError("synth tune: G", "no plant, or one without inputs or outputs", "at least one of each")
     first = models[0]
-    if not first.n_inputs or not first.n_outputs:
-        found = f"{first.n_outputs} outputs and {first.n_inputs} inputs"
-        raise InputError("synth tune: G", found, "at least one of each")
     for i, other in enumerate(models[1:], start=2):
         if (other.input_names, other.output_names, other.dt) != (first.input_names, first.output_names, first.dt):
             expected = f"those of plant 1: {', '.join(first.input_names + first.output_names)}"
@@ -407,7 +400,6 @@ def _verified(
         unmet = goal.hard and goal.norm == "hinf" and max(values) > 1
         floor = max(gamma_bound(plant).value for plant in plants) if unmet else float("nan")
         goals.append(GoalValue(goal.text, goal.hard, goal.norm, values, floor, plants))
-    soft = [goal.value for goal in goals if not goal.hard] or [goal.value for goal in goals]
     missed = [goal for goal in goals if goal.hard and not goal.met]
     if doubts:
         status, parts = Status.INACCURATE, doubts[:1]
@@ -419,9 +411,10 @@ def _verified(
         parts.append(why if proved else "a local search: no proof that it cannot be met; take more starts")
     else:
         status = Status.CONVERGED if any(goal.norm == "h2" for goal in goals) else Status.CERTIFIED
-        hard = "every hard goal is met" if any(goal.hard for goal in goals) else "no hard goals"
-        parts = [f"{hard}; loops rebuilt from K: stable, norms verified", "a local optimum"]
+        met = "every hard goal is met" if any(goal.hard for goal in goals) else "no hard goals"
+        parts = [f"{met}; loops rebuilt from K: stable, norms verified", "a local optimum"]
     status, reason = final_status(status, parts, budget)
+    soft = [goal.value for goal in goals if not goal.hard] or [goal.value for goal in goals]
     return TunedSynthesis(
         K=K, gamma=max(soft), closed_loop=closed[0], status=status, reason=reason, limit="", plant=first, method="tune",
         goals=tuple(goals), limits=kept, parameters=fixed.parameter_values(law, p),

@@ -17,7 +17,7 @@ from robustlab.arrays import AnyArray, Array
 from robustlab.budget import Budget, dense
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.synthesis.hinf.two_riccati import PROBES, TwoRiccatiProblem
-from robustlab.synthesis.nonsmooth.objectives import ModalLoop, PeakFinder
+from robustlab.synthesis.nonsmooth.objectives import ModalLoop, largest_gain
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 from robustlab.synthesis.problem.rebuilt_loop import well_posed_neighbours
 from robustlab.synthesis.problem.scaling import Scaling
@@ -209,7 +209,7 @@ class Search:
         back = scale.controller_to_plant(K)
         if not all(np.isfinite(part).all() for part in (*loop, *back)):
             return None
-        gain, _ = PeakFinder().largest(loop, limit * scale.gain)
+        gain, _ = largest_gain(loop)
         if not np.isfinite(gain) or gain > limit * scale.gain:
             return None
         poles, modes = (np.linalg.eigvals(a) if a.size else np.zeros(0) for a in (K.A, loop.A))

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import Mask
-from robustlab.errors import InputError, did_you_mean
+from robustlab.checks import choice, whole
+from robustlab.errors import InputError
 from robustlab.statespace import Signal
 from robustlab.synthesis.laws.controller_laws import Law, LawBuilder, Parameter, side_by_side
 from robustlab.synthesis.problem.partition import GeneralizedPlant, signal_positions
@@ -21,6 +22,7 @@ from robustlab.synthesis.problem.scaling import common_scaling
 
 Signals = tuple[Signal, ...]
 WHERE = "fixed structure"
+GAINS = ("full", "diagonal", "scalar")
 
 
 class Structure(ABC):
@@ -49,12 +51,19 @@ class StaticGain(Structure):
     mask: Any = None  # free entries of K, shape (n_con, n_meas), default: all; the others are zero
 
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
-        free = _mask(self.mask, len(controls), len(measurements))
         builder = LawBuilder(0, len(controls), len(measurements))
-        for i, j in np.argwhere(free):
-            u, y = controls[i], measurements[j]
-            builder.parameter(Parameter(f"K[{u.name},{y.name}]", _unit(u, y)), (int(i), int(j), 1.0))
+        _add_direct_term(builder, measurements, controls, "K", self.mask)
         return builder.law()
+
+
+def _add_direct_term(
+    builder: LawBuilder, measurements: Signals, controls: Signals, name: str = "D", mask: Any = None
+) -> None:
+    """Add the free entries of D_K as parameters."""
+    k = builder.n_states
+    for i, j in np.argwhere(_mask(mask, len(controls), len(measurements))).tolist():
+        u, y = controls[i], measurements[j]
+        builder.parameter(Parameter(f"{name}[{u.name},{y.name}]", _unit(u, y)), (k + i, k + j, 1.0))
 
 
 def _mask(mask: Any, n_u: int, n_y: int) -> Mask:
@@ -70,27 +79,20 @@ def _mask(mask: Any, n_u: int, n_y: int) -> Mask:
 
 @dataclass(frozen=True)
 class FixedOrder(Structure):
-    """A controller of a given number of states."""
+    """A controller of a given number of states; A_K is tridiagonal, as any with simple poles can be."""
 
     order: int  # number of states
     strictly_proper: bool = False  # True for D_K = 0
-    form: str = "tridiagonal"  # `"tridiagonal"` (any A_K with simple poles has this form; few parameters) or `"full"`
 
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
-        k, n_u, n_y = self.order, len(controls), len(measurements)
-        if isinstance(k, bool) or not isinstance(k, (int, np.integer)) or not 0 <= k <= 500:
-            raise InputError(f"{WHERE}: order", f"{k!r}", "a whole number from 0 to 500")
-        if self.form not in ("tridiagonal", "full"):
-            raise InputError(f"{WHERE}: form", f"{self.form!r}", '"tridiagonal" or "full"')
+        k = whole(f"{WHERE}: order", self.order, 0, 500)
         if k == 0 and self.strictly_proper:
             raise InputError(WHERE, "a strictly proper controller without states", "an order of at least 1")
-        builder = LawBuilder(k, n_u, n_y)
-        rate = "" if dt else "1/s"
+        builder = LawBuilder(k, len(controls), len(measurements))
         for i in range(k):
-            near = range(k) if self.form == "full" else range(max(i - 1, 0), min(i + 2, k))
-            for j in near:
+            for j in range(max(i - 1, 0), min(i + 2, k)):
                 centre = -1.0 if i == j and not dt else 0.0
-                builder.parameter(Parameter(f"A[{i + 1},{j + 1}]", rate, centre=centre), (i, j, 1.0))
+                builder.parameter(Parameter(f"A[{i + 1},{j + 1}]", "" if dt else "1/s", centre=centre), (i, j, 1.0))
         for i in range(k):
             for j, y in enumerate(measurements):
                 builder.parameter(Parameter(f"B[{i + 1},{y.name}]"), (i, k + j, 1.0))
@@ -98,15 +100,8 @@ class FixedOrder(Structure):
             for j in range(k):
                 builder.parameter(Parameter(f"C[{u.name},{j + 1}]"), (k + i, j, 1.0))
         if not self.strictly_proper:
-            _add_direct_term(builder, k, measurements, controls)
+            _add_direct_term(builder, measurements, controls)
         return builder.law()
-
-
-def _add_direct_term(builder: LawBuilder, k: int, measurements: Signals, controls: Signals) -> None:
-    """Add all entries of D_K, behind k states, as parameters."""
-    for i, u in enumerate(controls):
-        for j, y in enumerate(measurements):
-            builder.parameter(Parameter(f"D[{u.name},{y.name}]", _unit(u, y)), (k + i, k + j, 1.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,10 +147,8 @@ class MultichannelPID(Structure):
     start: Any = None
 
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
-        if self.layout == "pid":
+        if choice(f"{WHERE}: layout", self.layout, ("pid", "ipd", "two-layer")) == "pid":
             return self._pid(measurements, controls, dt)
-        if self.layout not in ("ipd", "two-layer"):
-            raise InputError(f"{WHERE}: layout", f"{self.layout!r}", '"pid", "ipd" or "two-layer"')
         if dt and self.layout == "two-layer":
             raise InputError(f"{WHERE}: two-layer", f"a plant with dt = {dt:g} s", "a continuous plant")
         return self._layers(measurements, controls, dt)
@@ -199,34 +192,27 @@ class MultichannelPID(Structure):
 
     def _filter(self) -> Parameter:
         """Return the time constant of the derivative filters."""
-        if self.tau is None:
-            expected = "the derivative filter's time constant in s, or (low, high) for one to be found"
-            raise InputError(f"{WHERE}: tau", "missing", expected)
-        pair = (self.tau, self.tau) if np.ndim(self.tau) == 0 else tuple(self.tau)
-        low, high = (float(x) for x in pair)
+        low, high = np.broadcast_to(np.nan if self.tau is None else self.tau, 2).astype(float).tolist()
         if not 0 < low <= high < np.inf:
-            raise InputError(f"{WHERE}: tau", f"{self.tau}", "a positive time in s, or a pair (low, high) of them")
+            found = "missing" if self.tau is None else f"{self.tau}"
+            raise InputError(f"{WHERE}: tau", found, "the derivative filter's time constant in s, or (low, high)")
         return Parameter("tau", "s", low, high, float(np.sqrt(low * high)))
 
     def _groups(self, n_u: int, n_y: int) -> list[tuple[str, list[tuple[int, int]]]]:
         """Return the index text of every free gain and the entries of the gain matrix that it fills."""
-        if isinstance(self.gains, str):
-            if self.gains == "full":
-                return [(f"[{i + 1},{j + 1}]", [(i, j)]) for i in range(n_u) for j in range(n_y)]
-            if self.gains not in ("diagonal", "scalar"):
-                raise InputError(f"{WHERE}: gains", f"{self.gains!r}", '"full", "diagonal", "scalar" or a mask')
-            if n_u != n_y:
-                raise InputError(f"{WHERE}: gains", f"{n_u} controls for {n_y} measurements", "as many of both")
-            if self.gains == "diagonal":
-                return [(f"[{i + 1}]", [(i, i)]) for i in range(n_u)]
+        form = choice(f"{WHERE}: gains", self.gains, GAINS, "or a mask") if isinstance(self.gains, str) else "mask"
+        if form in ("diagonal", "scalar") and n_u != n_y:
+            raise InputError(f"{WHERE}: gains", f"{n_u} controls for {n_y} measurements", "as many of both")
+        if form == "diagonal":
+            return [(f"[{i + 1}]", [(i, i)]) for i in range(n_u)]
+        if form == "scalar":
             return [("", [(i, i) for i in range(n_u)])]
-        free = _mask(self.gains, n_u, n_y)
-        return [(f"[{i + 1},{j + 1}]", [(int(i), int(j))]) for i, j in np.argwhere(free)]
+        free = _mask(None if form == "full" else self.gains, n_u, n_y)
+        return [(f"[{i + 1},{j + 1}]", [(i, j)]) for i, j in np.argwhere(free).tolist()]
 
     def _gain(self, matrix: str, index: str, unit: str, i: int, j: int) -> Parameter:
-        given = None if self.start is None else self.start.get(matrix)
-        value = 0.0 if given is None else float(np.asarray(given) if np.ndim(given) == 0 else np.asarray(given)[i, j])
-        bound = float(self.limit)
+        given = np.asarray((self.start or {}).get(matrix, 0.0), dtype=float)
+        value, bound = float(given[i, j] if given.ndim else given), float(self.limit)
         if not bound > 0:
             raise InputError(f"{WHERE}: limit", f"{bound:g}", "a positive number")
         return Parameter(matrix + index, unit, -bound, bound, float(np.clip(value, -bound, bound)), abs(value))
@@ -238,9 +224,8 @@ class MultichannelPID(Structure):
         wanted = (4 if two else 3) * n
         if len(measurements) != wanted:
             order = "r, phi, phidot, torque" if two else "r, phi, phidot"
-            raise InputError(
-                f"{WHERE}: {self.layout}", f"{len(measurements)} measurements for {n} controls", f"{wanted}: {order}"
-            )
+            found = f"{len(measurements)} measurements for {n} controls"
+            raise InputError(f"{WHERE}: {self.layout}", found, f"{wanted}: {order}")
         k = 3 * n if two else n
         builder = LawBuilder(k, n, wanted)
         r, phi, rate, torque = (k + g * n for g in range(4))
@@ -291,8 +276,7 @@ class FixedPoles(Structure):
         if not len(poles) or not np.isfinite(poles).all():
             raise InputError(f"{WHERE}: poles", f"{list(poles)}", "at least one finite pole")
         upper = [p for p in poles if p.imag > 0]
-        lower = sorted((p.conjugate() for p in poles if p.imag < 0), key=lambda p: (p.real, p.imag))
-        if len(upper) != len(lower) or not np.allclose(sorted(upper, key=lambda p: (p.real, p.imag)), lower):
+        if not np.allclose(np.sort_complex(poles), np.sort_complex(poles.conj())):
             raise InputError(f"{WHERE}: poles", "a complex pole without its conjugate", "conjugate pairs")
         n_u, n_y = len(controls), len(measurements)
         blocks = [np.array([[p.real]]) for p in poles if p.imag == 0]
@@ -311,7 +295,7 @@ class FixedPoles(Structure):
                     builder.parameter(Parameter(text, unit), (k + i, at + part, 1.0))
                 at += size
         if not self.strictly_proper:
-            _add_direct_term(builder, k, measurements, controls)
+            _add_direct_term(builder, measurements, controls)
         return builder.law()
 
 
@@ -336,17 +320,11 @@ class Decentralised(Structure):
         if not self.parts or (plain and not len(self.parts) == len(measurements) == len(controls)):
             found = f"{len(self.parts)} parts for {len(measurements)} measurements and {len(controls)} controls"
             raise InputError(f"{WHERE}: decentralised", found, "one for each channel, or Part(structure, names, names)")
-        laws, rows, columns = list[Law](), list[list[int]](), list[list[int]]()
-        for i, part in enumerate(self.parts):
-            if isinstance(part, Structure):
-                part = Part(part, [measurements[i].name], [controls[i].name])
-            y = signal_positions(part.measurements, [s.name for s in measurements], f"{WHERE}: measurement")
-            u = signal_positions(part.controls, [s.name for s in controls], f"{WHERE}: control")
-            law = part.structure.law(tuple(measurements[j] for j in y), tuple(controls[j] for j in u), dt)
-            laws.append(_prefixed(law, f"{i + 1}."))
-            rows.append(u)
-            columns.append(y)
-        return side_by_side(laws, rows, columns, len(controls), len(measurements))
+        made = [
+            Part(part, [measurements[i].name], [controls[i].name]) if isinstance(part, Structure) else part
+            for i, part in enumerate(self.parts)
+        ]
+        return _together(made, measurements, controls, dt)
 
 
 @dataclass(frozen=True, eq=False)
@@ -357,17 +335,21 @@ class Sum(Structure):
     second: Structure
 
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
-        laws = [
-            _prefixed(structure.law(measurements, controls, dt), f"{i}.")
-            for i, structure in ((1, self.first), (2, self.second))
-        ]
-        u, y = range(len(controls)), range(len(measurements))
-        return side_by_side(laws, (u, u), (y, y), len(u), len(y))
+        y, u = [s.name for s in measurements], [s.name for s in controls]
+        return _together([Part(self.first, y, u), Part(self.second, y, u)], measurements, controls, dt)
 
 
-def _prefixed(law: Law, prefix: str) -> Law:
-    """Return the law with a prefix to the names of its parameters, which makes them unique."""
-    return replace(law, parameters=tuple(replace(p, name=prefix + p.name) for p in law.parameters))
+def _together(parts: Sequence[Part], measurements: Signals, controls: Signals, dt: float) -> Law:
+    """Return the law of parts, whose parameters get the number of the part as a prefix."""
+    laws, rows, columns = list[Law](), list[list[int]](), list[list[int]]()
+    for i, part in enumerate(parts, start=1):
+        y = signal_positions(part.measurements, [s.name for s in measurements], f"{WHERE}: measurement")
+        u = signal_positions(part.controls, [s.name for s in controls], f"{WHERE}: control")
+        law = part.structure.law(tuple(measurements[j] for j in y), tuple(controls[j] for j in u), dt)
+        laws.append(replace(law, parameters=tuple(replace(p, name=f"{i}.{p.name}") for p in law.parameters)))
+        rows.append(u)
+        columns.append(y)
+    return side_by_side(laws, rows, columns, len(controls), len(measurements))
 
 
 def as_structure(structure: Any, rate: float) -> Structure:
@@ -392,15 +374,13 @@ def as_structure(structure: Any, rate: float) -> Structure:
 
 
 WORDS = ("static", "p", "i", "pi", "pd", "pid", "ipd", "two-layer", "order", "poles", "decentralised")
-GAINS = ("full", "diagonal", "scalar")
 
 
 def structure_in_words(text: str, plant: GeneralizedPlant) -> Any:
     """Return the structure of a word of a command or recipe for the channels of a plant."""
     where = f"structure {text!r}"
     word, _, rest = text.strip().lower().partition(":")
-    if word not in WORDS:
-        raise InputError(where, "unknown", f"one of {', '.join(WORDS)}", did_you_mean(word, WORDS))
+    choice(where, word, WORDS)
     if word == "order":
         if not rest.isdigit() or int(rest) > 1000:
             raise InputError(where, f"{rest!r}", "a whole number from 0 to 1000: order:3")
@@ -411,10 +391,7 @@ def structure_in_words(text: str, plant: GeneralizedPlant) -> Any:
         except ValueError:
             raise InputError(where, f"{rest!r}", "numbers: poles:-1,-20 or poles:-1+2j,-1-2j") from None
     if word in ("ipd", "two-layer"):
-        gains = rest or "full"
-        if gains not in GAINS:
-            raise InputError(where, f"gains {gains!r}", f"one of {', '.join(GAINS)}", did_you_mean(gains, GAINS))
-        return MultichannelPID(word, gains)
+        return MultichannelPID(word, choice(f"{where}: gains", rest or "full", GAINS))
     if word == "decentralised":
         rate = common_scaling([plant])[0].rate
         part = as_structure(structure_in_words(rest, plant), rate)

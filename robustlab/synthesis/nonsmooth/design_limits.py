@@ -12,10 +12,11 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError
+from robustlab.norms import linf_norm
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.laws.controller_laws import unpacked
 from robustlab.synthesis.nonsmooth.loop_family import LoopFamily
-from robustlab.synthesis.nonsmooth.objectives import bilinear, crossings, extreme_pole, resolvent_point
+from robustlab.synthesis.nonsmooth.objectives import extreme_pole
 from robustlab.synthesis.problem.partition import Realisation
 from robustlab.synthesis.problem.scaling import Scaling
 
@@ -149,28 +150,12 @@ class RollOff(Limit):
         return self._peak(Realisation.of(K), self.frequency, K.dt)[0] / self.gain - 1
 
     def _peak(self, K: Realisation, frequency: float, dt: float) -> tuple[float, float]:
-        """Return the largest gain from this frequency on and its frequency, of the continuous or `bilinear` K."""
-        if not len(K.A):
-            return float(np.linalg.norm(K.D, 2)), np.inf
-        mapped = bilinear(K) if dt else K
-        if mapped is None or not all(np.isfinite(m).all() for m in mapped):
+        """Return the proved largest gain from this frequency on, and its frequency."""
+        if not all(np.isfinite(m).all() for m in K):
             return np.inf, np.nan
-        low = np.tan(min(frequency * dt / 2, np.pi / 2 - 1e-9)) if dt else frequency
-        eye, own = np.eye(len(K.A)), np.abs(np.linalg.eigvals(mapped.A))
-        omega = np.unique(np.concatenate([[low], own[own > low], np.geomspace(low, 1e3 * max(low, own.max()), 40)]))
-        best, at = float(np.linalg.norm(mapped.D, 2)), np.inf
-        for _ in range(20):
-            gain = mapped.C @ np.linalg.solve(1j * omega[:, None, None] * eye - mapped.A, mapped.B + 0j) + mapped.D
-            values = np.linalg.svd(gain, compute_uv=False)[:, 0]
-            k = int(values.argmax())
-            if not values[k] > best * (1 + 1e-9):
-                break
-            # Next: the middles between all frequencies at which the gain crosses the largest value found.
-            best, at = float(values[k]), float(omega[k])
-            cross = crossings(mapped, best * (1 + 1e-9))
-            cross = np.unique(np.append(cross[cross > low], low))
-            omega = np.concatenate([cross, 0.5 * (cross[:-1] + cross[1:])])
-        return best, at
+        last = np.pi / dt if dt else np.inf
+        found = linf_norm(StateSpaceModel(*K, dt), band=(min(frequency, (1 - 1e-9) * last), last))
+        return found.upper, found.frequency
 
     def evaluate(self, family: LoopFamily, theta: AnyArray, scaling: Scaling, dt: float) -> LimitAt:
         # In the units of the plant's signals, but in the scaled plant's time.
@@ -181,11 +166,11 @@ class RollOff(Limit):
         G = np.zeros_like(theta)
         if not np.isfinite(value):
             return np.inf, G
-        if not k or (not np.isfinite(omega) and not dt):
+        if not k or not np.isfinite(omega):
             left, _, right = np.linalg.svd(K.D)
             G[k:, k:] = np.outer(left[:, 0], right[0])
             return value / self.gain - 1, G / self.gain * back
-        shifted = resolvent_point(omega, bool(dt)) * np.eye(k) - K.A
+        shifted = (np.exp(1j * omega * dt) if dt else 1j * omega) * np.eye(k) - K.A
         left, _, right = np.linalg.svd(K.C @ np.linalg.solve(shifted, K.B + 0j) + K.D)
         u, v = left[:, 0], right[0].conj()
         row = np.append(np.linalg.solve(shifted.T, K.C.T @ u.conj()), u.conj())

@@ -95,9 +95,6 @@ class DesignProblem:
         # Measured work of one evaluation: the law, and for every loop its poles and a norm with its gradient.
         self._work = 300 + sum(dense(len(family.A), 2) for family in self.families)
 
-    def late(self) -> bool:
-        return self.budget.over
-
     @property
     def gain(self) -> float:
         """Factor from a norm of the plants to that of the scaled plants."""
@@ -228,16 +225,19 @@ class DesignProblem:
                 worst = found
         return worst
 
-    def value_at(self, q: AnyArray) -> float:
-        """Return the norm at given free parameters."""
+    def _filled(self, q: AnyArray) -> AnyArray:
+        """Return all parameters from the free ones."""
         p = self.fixed.copy()
         p[self.free] = q
-        return self._norm_at(p, np.inf)[0]
+        return p
+
+    def value_at(self, q: AnyArray) -> float:
+        """Return the norm at given free parameters."""
+        return self._norm_at(self._filled(q), np.inf)[0]
 
     def pieces(self, q: AnyArray, value: float, radius: float) -> list[Piece]:
         """Return all peaks near the maximum and all limits near zero as functions of the free parameters."""
-        p = self.fixed.copy()
-        p[self.free] = q
+        p = self._filled(q)
         self.budget.spend(2 * self._work)
         theta = self.theta(p)
         found: list[tuple[float, AnyArray]] = []

@@ -13,11 +13,12 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.synthesis.nonsmooth.objectives import (
     BLUR,
-    PeakFinder,
+    active_frequencies,
     bilinear,
     bilinear_pullback,
     entropy,
     extreme_pole,
+    largest_gain,
     resolvent_point,
 )
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
@@ -64,48 +65,46 @@ class LoopFamily:
         if D22.any():
             self.D22 = zeros((k + n_y, k + n_u))
             self.D22[k:, k:] = D22
-        self._finder = PeakFinder()
 
     # --- the loop ----------------------------------------------------------------------------------------------------
 
     def _member(self, theta: AnyArray) -> _Member | None:
-        """Return the loop with ``Theta (I - D22 Theta)^-1``; None where it is ill-posed."""
-        if self.D22 is None:
-            return _Member(self._loop(theta), None, None)
-        right = np.eye(self.D22.shape[0]) - self.D22 @ theta
-        if not np.isfinite(right).all() or np.linalg.cond(right) > ILL_POSED:
-            return None
-        right = np.linalg.inv(right)
-        left = np.eye(theta.shape[0]) + theta @ right @ self.D22
-        return _Member(self._loop(theta @ right), left, right)
+        """Return the loop with ``Theta (I - D22 Theta)^-1``; None where it is ill-posed or not finite."""
+        left = right = None
+        inner = theta
+        if self.D22 is not None:
+            right = np.eye(self.D22.shape[0]) - self.D22 @ theta
+            if not np.isfinite(right).all() or np.linalg.cond(right) > ILL_POSED:
+                return None
+            right = np.linalg.inv(right)
+            left, inner = np.eye(theta.shape[0]) + theta @ right @ self.D22, theta @ right
+        tc, td = inner @ self.C, inner @ self.D21
+        loop = Realisation(
+            self.A + self.B @ tc, self.B1 + self.B @ td, self.C1 + self.D12 @ tc, self.D11 + self.D12 @ td
+        )
+        return _Member(loop, left, right) if all(np.isfinite(part).all() for part in loop) else None
 
     def loop(self, theta: AnyArray) -> Realisation | None:
         """Return the loop's matrices; None where it is ill-posed."""
         member = self._member(theta)
         return None if member is None else member.loop
 
-    def _loop(self, theta: AnyArray) -> Realisation:
-        tc, td = theta @ self.C, theta @ self.D21
-        return Realisation(
-            self.A + self.B @ tc, self.B1 + self.B @ td, self.C1 + self.D12 @ tc, self.D11 + self.D12 @ td
-        )
+    def _image(self, theta: AnyArray) -> tuple[_Member | None, Realisation | None]:
+        """Return the loop, and the same or its continuous image."""
+        member = self._member(theta)
+        return member, None if member is None else bilinear(member.loop) if self.discrete else member.loop
 
-    def _continuous(self, member: _Member) -> Realisation | None:
-        return bilinear(member.loop) if self.discrete else member.loop
+    def _by_loop(self, member: _Member, by: Realisation) -> AnyArray:
+        """Return the gradient by Theta from that by the loop's matrices."""
+        G = self.B.T @ (by.A @ self.C.T + by.B @ self.D21.T) + self.D12.T @ (by.C @ self.C.T + by.D @ self.D21.T)
+        return member.by_theta(G)
 
     # --- poles -------------------------------------------------------------------------------------------------------
-
-    def poles(self, theta: AnyArray) -> AnyArray | None:
-        """Return the poles of the loop; None where it is ill-posed or not finite."""
-        loop = self.loop(theta)
-        if loop is None or not np.isfinite(loop.A).all():
-            return None
-        return np.linalg.eigvals(loop.A) if len(loop.A) else np.zeros(0, complex)
 
     def pole(self, theta: AnyArray, measure: Any) -> Pole | None:
         """Return the pole with the largest ``measure(poles)`` and its derivative; None where there is none."""
         member = self._member(theta) if len(self.A) else None
-        if member is None or not np.isfinite(member.loop.A).all():
+        if member is None:
             return None
         value, u, v = extreme_pole(member.loop.A, measure)
         return Pole(value, member.by_theta(np.outer(u @ self.B, self.C @ v)))
@@ -126,11 +125,10 @@ class LoopFamily:
 
     def norm(self, theta: AnyArray, give_up_above: float = np.inf) -> tuple[float, AnyArray | None]:
         """Return the H-infinity norm and its gradient; ``(inf, None)`` for an unstable loop."""
-        member = self._member(theta)
-        continuous = None if member is None else self._continuous(member)
+        member, continuous = self._image(theta)
         if member is None or continuous is None:
             return np.inf, None
-        value, omega = self._finder.largest(continuous, give_up_above)
+        value, omega = largest_gain(continuous)
         if value >= give_up_above or not np.isfinite(value):
             return value, None
         found = self._gradients(member, np.array([omega]), 0.0)
@@ -138,13 +136,11 @@ class LoopFamily:
 
     def active(self, theta: AnyArray, value: float, share: float, band: float) -> list[tuple[float, AnyArray]]:
         """Return the singular values at all peaks above ``(1 - share) value``, each with its gradient."""
-        member = self._member(theta)
-        continuous = None if member is None else self._continuous(member)
+        member, continuous = self._image(theta)
         if member is None or continuous is None:
             return []
-        return self._gradients(
-            member, np.array(self._finder.peaks(continuous, value, share, band)), (1 - share) * value
-        )
+        omegas = np.array(active_frequencies(continuous, value, share, band))
+        return self._gradients(member, omegas, (1 - share) * value)
 
     def _gradients(self, member: _Member, omegas: AnyArray, least: float) -> list[tuple[float, AnyArray]]:
         """Return singular values above ``least`` near the largest of each frequency, with their gradients."""
@@ -179,36 +175,28 @@ class LoopFamily:
         if member is None:
             return np.inf, None
         a, b, c, d = member.loop
-        if not np.isfinite(a).all():
-            return np.inf, None
         values = np.linalg.eigvals(a) if len(a) else np.zeros(0)
         edge = np.abs(values).max(initial=0.0) - 1 if self.discrete else values.real.max(initial=-np.inf)
         if edge >= -BLUR * (1.0 if self.discrete else np.abs(a).max(initial=0.0)):
             return np.inf, None
-        if not self.discrete:
-            P, Q = solve_continuous_lyapunov(a, -b @ b.T), solve_continuous_lyapunov(a.T, -c.T @ c)
-            square = float(np.trace(c @ P @ c.T))
-            G = self.B.T @ Q @ (P @ self.C.T + b @ self.D21.T) + self.D12.T @ c @ P @ self.C.T
-        else:
+        if self.discrete:
             P, Q = solve_discrete_lyapunov(a, b @ b.T), solve_discrete_lyapunov(a.T, c.T @ c)
-            square = float(np.trace(c @ P @ c.T) + (d**2).sum())
-            G = self.B.T @ Q @ (a @ P @ self.C.T + b @ self.D21.T)
-            G = G + self.D12.T @ (c @ P @ self.C.T + d @ self.D21.T)
+        else:
+            P, Q = solve_continuous_lyapunov(a, -b @ b.T), solve_continuous_lyapunov(a.T, -c.T @ c)
+        direct = d * self.discrete
+        square = float(np.trace(c @ P @ c.T) + (direct**2).sum())
         if not np.isfinite(square) or square < 0:
             return np.inf, None
         norm = np.sqrt(square)
-        return norm, member.by_theta(G / max(norm, 1e-300))
+        by_loop = Realisation(Q @ a @ P if self.discrete else Q @ P, Q @ b, c @ P, direct)
+        return norm, self._by_loop(member, by_loop) / max(norm, 1e-300)
 
     def entropy(self, theta: AnyArray, gamma: float) -> tuple[float, AnyArray, float] | None:
         """Return the entropy at this level with its gradients by Theta and by gamma; None at or below the norm."""
-        member = self._member(theta)
-        if member is None or not all(np.isfinite(part).all() for part in member.loop):
-            return None
-        continuous = self._continuous(member)
+        member, continuous = self._image(theta)
         found = None if continuous is None else entropy(continuous, gamma)
-        if found is None:
+        if member is None or found is None:
             return None
         value, by_gamma, by_loop = found
-        a, b, c, d = bilinear_pullback(member.loop, by_loop) if self.discrete else by_loop
-        G = self.B.T @ (a @ self.C.T + b @ self.D21.T) + self.D12.T @ (c @ self.C.T + d @ self.D21.T)
-        return value, member.by_theta(G), by_gamma
+        by_loop = bilinear_pullback(member.loop, by_loop) if self.discrete else by_loop
+        return value, self._by_loop(member, by_loop), by_gamma

@@ -1,26 +1,25 @@
 """Objectives of a search: the H-infinity norm of a loop, and its entropy as a smooth barrier of that norm.
 
-The norm is fast, warm-started and unproved. The entropy at a level is finite exactly where the norm is below it.
+The norm is fast and unproved. The entropy at a level is finite exactly where the norm is below it.
 Frequencies are those of a continuous loop; a discrete loop is first mapped by the bilinear rule.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.linear_analysis.matrix_equations import hamiltonian_riccati, lapack
-from robustlab.linear_analysis.slicot import lyapunov_solution
+from robustlab.linear_analysis.slicot import lyapunov_solution, peak_gain
 from robustlab.synthesis.problem.partition import Realisation
 
-PEAK_LEVEL = 1e-8  # relative height above the largest value found at which the Hamiltonian is tested for crossings ...
-PEAK_LEVELS = 12  # ... and most such tests
+PEAK_TOLERANCE = 1e-11  # of AB13DD: line searches compare values of close points
 PEAK_GRID = 28  # frequencies of the first grid, without those of the poles
 PEAK_REFINEMENTS = 8  # steps of the secant method at a peak
-NEAR_AXIS = 1e-3  # ratio of real part to modulus up to which eigenvalues of the Hamiltonian are crossing candidates
 ENTROPY_RESIDUAL = 1e-7  # largest residual of the entropy's Riccati equation, relative to its terms
 BLUR = 1e-13  # share of the norm of A below which real parts of poles are indistinguishable from zero
 DEFECTIVE = 1e-14  # least product of left and right eigenvectors in a derivative
@@ -67,77 +66,43 @@ def extreme_pole(A: AnyArray, measure: Callable[[AnyArray], AnyArray]) -> tuple[
     return complex(values[k]), u / (product if abs(product) >= DEFECTIVE else DEFECTIVE), v
 
 
-class PeakFinder:
-    """Search for the peaks of successive loops, warm-started by the frequencies of the last ones."""
+def largest_gain(loop: Realisation) -> tuple[float, float]:
+    """Return ``(norm, frequency)`` by AB13DD, unproved; infinite for an unstable loop."""
+    direct = float(np.linalg.norm(loop.D, 2)) if loop.D.any() else 0.0
+    if not loop.A.size or not loop.B.size or not loop.C.size:
+        return direct, 0.0
+    if not all(np.isfinite(m).all() for m in loop) or not stable_poles(lapack().dgeev(loop.A, 0, 0), loop.A):
+        return np.inf, np.nan
+    try:
+        gain, omega = peak_gain(*loop, PEAK_TOLERANCE)
+    except NoTrustworthyNumber:
+        return np.inf, np.nan
+    return (float(gain), float(omega)) if gain > direct else (direct, np.inf)
 
-    def __init__(self) -> None:
-        self._warm: list[float] = []
 
-    def largest(self, loop: Realisation, give_up_above: float = np.inf) -> tuple[float, float]:
-        """Return ``(norm, frequency)``; infinite for an unstable loop."""
-        n = loop.A.shape[0]
-        direct = float(np.linalg.norm(loop.D, 2)) if loop.D.any() else 0.0
-        if not n or not loop.B.size or not loop.C.size:
-            return direct, 0.0
-        if not all(np.isfinite(m).all() for m in loop):
-            return np.inf, np.nan
-        modal = ModalLoop(loop)
-        if not modal.stable:
-            return np.inf, np.nan
-        omega = modal.frequencies(PEAK_GRID, self._warm)
-        sigma = modal.sigma(omega)
-        if not np.isfinite(sigma).all():
-            return np.inf, np.nan
-        order = np.argsort(omega, kind="stable")
-        omega, sigma = omega[order], sigma[order]
-        k = int(sigma.argmax())
+def stable_poles(found: tuple[Any, ...], A: AnyArray) -> bool:
+    """Return whether the eigenvalues of A that LAPACK found lie clearly to the left of the axis."""
+    return found[-1] == 0 and bool(found[0].max() < -BLUR * np.abs(A).max())
+
+
+def active_frequencies(loop: Realisation, value: float, share: float, band: float) -> list[float]:
+    """Return frequencies of local maxima above ``(1 - share) * value`` and of grid points above ``(1 - band)``."""
+    if not loop.A.shape[0]:
+        return [0.0]
+    modal = ModalLoop(loop)
+    direct = [np.inf] if loop.D.any() and np.linalg.norm(loop.D, 2) > (1 - share) * value else []
+    if not modal.stable:
+        return direct
+    top = largest_gain(loop)[1]
+    omega = modal.frequencies(2 * PEAK_GRID, [top] if np.isfinite(top) else [])
+    sigma = modal.sigma(omega, (1 - share) * value)
+    sigma = np.where(sigma > (1 - share) * value, sigma, 0.0)
+    left, right = np.append(-1.0, sigma[:-1]), np.append(sigma[1:], -1.0)
+    found = list(omega[sigma > (1 - band) * value])
+    for k in np.flatnonzero((sigma >= left) & (sigma >= right) & (sigma > 0)):
         low, high = omega[max(k - 1, 0)], omega[min(k + 1, len(omega) - 1)]
-        at = modal.refined(float(omega[k]), float(low), float(high)) if sigma[k] > direct else np.inf
-        value = _sigma_at(loop, at)
-        if value < direct:
-            value, at = direct, np.inf
-        if 0 < value < give_up_above:
-            value, at = self._above(loop, modal, value, at)
-        if np.isfinite(at) and at not in self._warm:
-            self._warm = [at, *self._warm[:3]]
-        return value, at
-
-    def _above(self, loop: Realisation, modal: ModalLoop, value: float, at: float) -> tuple[float, float]:
-        """Raise the value until the Hamiltonian has no crossing above it."""
-        for _ in range(PEAK_LEVELS):
-            level = value * (1 + PEAK_LEVEL)
-            crossing = crossings(loop, level)
-            if not len(crossing):
-                break
-            points = np.concatenate([crossing, 0.5 * (crossing[:-1] + crossing[1:]), [0.5 * crossing[0]]])
-            sigma = modal.sigma(points, level)
-            k = int(sigma.argmax())
-            found = _sigma_at(loop, float(points[k]))
-            if found <= level:
-                break
-            near = crossing[crossing < points[k]].max(initial=0.0), crossing[crossing > points[k]].min(initial=np.inf)
-            refined = modal.refined(float(points[k]), float(near[0]), float(min(near[1], 4 * points[k])))
-            better = _sigma_at(loop, refined)
-            value, at = (better, refined) if better > found else (found, float(points[k]))
-        return value, at
-
-    def peaks(self, loop: Realisation, value: float, share: float, band: float) -> list[float]:
-        """Return frequencies of local maxima above ``(1 - share) * value`` and of grid points above ``(1 - band)``."""
-        if not loop.A.shape[0]:
-            return [0.0]
-        modal = ModalLoop(loop)
-        direct = [np.inf] if loop.D.any() and np.linalg.norm(loop.D, 2) > (1 - share) * value else []
-        if not modal.stable:
-            return direct
-        omega = modal.frequencies(2 * PEAK_GRID, self._warm)
-        sigma = modal.sigma(omega, (1 - share) * value)
-        sigma = np.where(sigma > (1 - share) * value, sigma, 0.0)
-        left, right = np.append(-1.0, sigma[:-1]), np.append(sigma[1:], -1.0)
-        found = list(omega[sigma > (1 - band) * value])
-        for k in np.flatnonzero((sigma >= left) & (sigma >= right) & (sigma > 0)):
-            low, high = omega[max(k - 1, 0)], omega[min(k + 1, len(omega) - 1)]
-            found.append(modal.refined(float(omega[k]), float(low), float(high)))
-        return [*dict.fromkeys(found), *direct]
+        found.append(modal.refined(float(omega[k]), float(low), float(high)))
+    return [*dict.fromkeys(found), *direct]
 
 
 class ModalLoop:
@@ -146,9 +111,9 @@ class ModalLoop:
     def __init__(self, loop: Realisation) -> None:
         a, b, c, self.d = loop
         n = a.shape[0]
-        real, imag, _, right, info = lapack().dgeev(a, compute_vl=0)
-        self.poles = real + 1j * imag
-        self.stable = info == 0 and bool(real.max() < -BLUR * np.abs(a).max())
+        found = lapack().dgeev(a, compute_vl=0)
+        real, imag, _, right, _ = found
+        self.poles, self.stable = real + 1j * imag, stable_poles(found, a)
         if not self.stable:
             return
         vectors = right.astype(complex)
@@ -174,19 +139,13 @@ class ModalLoop:
         """Return the gain matrices at finite frequencies, shape (n_omega, n_z, n_w)."""
         return (self.c[None] / (1j * omega[:, None, None] - self.poles)) @ self.b + self.d
 
-    def sigma(self, omega: AnyArray, above: float = 0.0) -> AnyArray:
+    def sigma(self, omega: AnyArray, above: float) -> AnyArray:
         """Return the largest singular values; the Frobenius norm where that is at most ``above``."""
         gain = self.response(omega)
         size = np.linalg.norm(gain, axis=(1, 2))
-        if min(gain.shape[1:]) > 1:
-            large = size > above
-            if above == 0.0:  # only gains above the largest value found need a decomposition
-                first = int(size.argmax())
-                top = np.linalg.svd(gain[first], compute_uv=False)[0]
-                large = size > top
-                size[first], large[first] = top, False
-            if large.any():
-                size[large] = np.linalg.svd(gain[large], compute_uv=False)[:, 0]
+        large = size > above
+        if min(gain.shape[1:]) > 1 and large.any():
+            size[large] = np.linalg.svd(gain[large], compute_uv=False)[:, 0]
         return size
 
     def slope(self, omega: float) -> tuple[float, float]:
@@ -215,45 +174,6 @@ class ModalLoop:
             if high - low < 1e-9 * high or g == g_at or abs(omega - at) < 1e-6 * omega:
                 break
         return omega
-
-
-def crossings(loop: Realisation, level: float) -> AnyArray:
-    """Return the ascending frequencies >= 0 at which a singular value of the loop may have this level."""
-    a, b, c, d = loop
-    root = np.sqrt(level)
-    b, c = b / root, c / root
-    if d.any():
-        d = d / level
-        try:
-            br = np.linalg.solve(np.eye(d.shape[1]) - d.T @ d, np.hstack([b.T, d.T @ c]))
-            cs = np.linalg.solve(np.eye(d.shape[0]) - d @ d.T, c)
-        except np.linalg.LinAlgError:
-            return np.zeros(0)
-        a = a + b @ br[:, a.shape[0] :]
-        upper, lower = b @ br[:, : a.shape[0]], c.T @ cs
-    else:
-        upper, lower = b @ b.T, c.T @ c
-    hamiltonian = np.block([[a, upper], [-lower, -a.T]])
-    if not np.isfinite(hamiltonian).all():
-        return np.zeros(0)
-    real, imag, _, _, info = lapack().dgeev(hamiltonian, compute_vl=0, compute_vr=0)
-    if info:
-        return np.zeros(0)
-    size = np.hypot(real, imag)
-    near = (imag >= 0) & (np.abs(real) <= NEAR_AXIS * size + 1e-12 * size.max())
-    return np.unique(imag[near])
-
-
-def _sigma_at(loop: Realisation, omega: float) -> float:
-    """Return ``sigma_max`` by a direct solve."""
-    if not np.isfinite(omega):
-        return float(np.linalg.norm(loop.D, 2))
-    a, b, c, d = loop
-    _, _, x, info = lapack().zgesv(1j * omega * np.eye(a.shape[0]) - a, b)
-    gain = c @ x + d
-    if info or not np.isfinite(gain).all():
-        return np.inf
-    return float(np.linalg.svd(gain, compute_uv=False)[0])
 
 
 # --- entropy ----------------------------------------------------------------------------------------------------------

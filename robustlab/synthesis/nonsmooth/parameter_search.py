@@ -72,7 +72,7 @@ def multi_start(
     field: list[Start] = []
     total = len(given) + 1 + starts
     for i in range(total):
-        if problem.late() and field:
+        if problem.budget.over and field:
             break
         if i < len(given):
             kind, v = given[i][0], problem.variables(given[i][1])
@@ -127,7 +127,7 @@ def _distinct_first(field: list[Start]) -> list[Start]:
 
 def _followed(problem: DesignProblem, start: Start) -> Start:
     """Continue a start along the central path and by descent on the norm."""
-    if problem.late():
+    if problem.budget.over:
         return start
     v, values = central_path(problem, problem.variables(start.p), BARRIER_CLOSER)
     v, value = _descended(problem, v, DESCENT_STEPS)
@@ -135,33 +135,29 @@ def _followed(problem: DesignProblem, start: Start) -> Start:
 
 
 def _refined(problem: DesignProblem, start: Start) -> Start:
-    if problem.late():
+    if problem.budget.over:
         return start
     p, value = refined(problem, start.p)
     return start.moved(problem, p, [value])
 
 
 def _bfgs(problem: DesignProblem, function: Function, v: AnyArray, **steps: Any) -> tuple[AnyArray, float] | None:
-    return bfgs(function, v, late=problem.late, **steps)
+    return bfgs(function, v, late=lambda: problem.budget.over, **steps)
 
 
 def stabilised(problem: DesignProblem, v: AnyArray) -> tuple[AnyArray, float]:
     """Return variables that stabilise all loops and keep the limits, or the best found, and the violation."""
-    v, value = _below_zero(problem, lambda x, _: problem.instability(x), v)
-    if value >= STABLE or not problem.limits:
-        return v, value
-    return _below_zero(problem, lambda x, _: problem.violation(x), v)
-
-
-def _below_zero(problem: DesignProblem, function: Function, v: AnyArray) -> tuple[AnyArray, float]:
-    """Descend until the function is negative, and a few steps further."""
-    value = function(v, np.inf)[0]
-    if value < STABLE:
-        return v, value
-    found = _bfgs(problem, function, v, max_steps=STABILISE_STEPS, stop_below=10 * STABLE)
-    if found is None or found[1] >= STABLE:
-        return found or (v, value)
-    return _bfgs(problem, function, found[0], max_steps=DEEPER_STEPS, stop_below=DEEP) or found
+    value = np.inf
+    for measure in (problem.instability, problem.violation)[: 2 if problem.limits else 1]:
+        function: Function = lambda x, _, measure=measure: measure(x)  # noqa: E731
+        value = measure(v)[0]
+        for most, below in ((STABILISE_STEPS, 10 * STABLE), (DEEPER_STEPS, DEEP)) if value >= STABLE else ():
+            v, value = _bfgs(problem, function, v, max_steps=most, stop_below=below) or (v, value)
+            if value >= STABLE:
+                break
+        if value >= STABLE:
+            break
+    return v, value
 
 
 def central_path(
@@ -177,7 +173,7 @@ def central_path(
         found = _bfgs(
             problem, lambda x, _, mu=mu: problem.barrier(x, mu), z, max_steps=BARRIER_STEPS, rtol=BARRIER_RTOL
         )
-        if found is None or problem.late():
+        if found is None or problem.budget.over:
             break
         z = found[0]
         value = problem.norm(z[:-1])[0]
@@ -200,10 +196,16 @@ def refined(problem: DesignProblem, p: AnyArray) -> tuple[AnyArray, float]:
     p = p.copy()
     value = problem.value_at(p[free])
     for _ in range(REFINE_ROUNDS):
-        if problem.late():
+        if problem.budget.over:
             break
         q, reached = sequential_linear(
-            problem.value_at, problem.pieces, p[free], low, high, max_steps=REFINE_STEPS, late=problem.late
+            problem.value_at,
+            problem.pieces,
+            p[free],
+            low,
+            high,
+            max_steps=REFINE_STEPS,
+            late=lambda: problem.budget.over,
         )
         full = p.copy()
         full[free] = q

@@ -18,14 +18,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, ClassVar, NamedTuple, get_args
 
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.budget import MILLION, dense, one_thread
-from robustlab.checks import whole
+from robustlab.budget import MILLION, one_thread
+from robustlab.checks import number, whole
 from robustlab.display import AllFields, Facts
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.feedback import wired
@@ -43,7 +42,7 @@ from robustlab.synthesis.problem.performance_measure import (
     make_measure,
 )
 from robustlab.synthesis.reduction.balancing import Balancing, Projection, block_factor, gramian_factors, split_stable
-from robustlab.synthesis.reduction.ways import coprime_way, weighted_factors
+from robustlab.synthesis.reduction.ways import way_of, weighted_factors
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import Block
 
@@ -219,8 +218,7 @@ def reduce_controller(
     (0, True, 'certified')
     """
     plant, full = _plant_and_controller(design_or_plant, K, n_meas, n_con)
-    if not 0 <= loss < np.inf:
-        raise InputError(WHERE, f"loss is {loss}", "a number >= 0 (0.01: one per cent)")
+    number(f"{WHERE}: loss", loss, "a number >= 0 (0.01: one per cent)", at_least=0)
     budget = design_budget(WHERE, WORK, effort, time_limit)
     if order is not None:
         whole(f"{WHERE}: order", order, 0, full.n_states)
@@ -287,24 +285,25 @@ def _descended(
     limit = np.inf if order is not None else (1 + allowed) * reference.value
     worth = (1 + WORTH_IMPROVING * allowed) * reference.value
     families, tried = _families(plant, full), list[OrderTried]()
-    chosen, performance, how, failed = full, reference, "", 0
-    stage = full  # the best of the order before: its loop gives further candidates
+    how, chosen, performance, failed = "", full, reference, 0
     for n in range(full.n_states - 1, (order or 0) - 1, -1):
         if (order is None and failed == PATIENCE) or budget.over:
             break
-        again = stage is not full and stage.n_states > n
-        budget.spend(dense(plant.model.n_states + stage.n_states, 5 if again else 1))
-        more = [f._replace(name=f"{f.name}, step by step") for f in _families(plant, stage)] if again else []
-        found = _best(judge, full, [*families, *more], n, limit)
+        found = _best(judge, full, families, n, limit)
         if found is not None and (n == order or (order is None and limit < found[2].value <= worth)):
             found = _improved(judge, *found)
-        stage = full if found is None else found[1]
-        tried.append(_tried(n, found, reference.value))
-        report(_line(tried[-1], judge.name))
-        enough = found is not None and found[2].value <= limit and found[2].status.trustworthy
+        enough = False
+        if found is None:
+            tried.append(OrderTried(n, "", np.inf, np.inf, Status.CONVERGED))
+            report(f"order {n}: none stabilises the loop")
+        else:
+            method, K, proved = found
+            loss, enough = _loss(proved.value, reference.value), proved.value <= limit and proved.status.trustworthy
+            tried.append(OrderTried(K.n_states, method, proved.value, loss, proved.status))
+            report(f"order {K.n_states}: {judge.name} {proved.value:.6g}, loss {100 * loss:.3g} % ({method})")
+            if enough and order in (None, n):
+                how, chosen, performance = found
         failed = 0 if enough else failed + 1
-        if found is not None and enough and order in (None, n):
-            how, chosen, performance = found
     if order is not None and chosen is full and order < full.n_states:
         ended = f" ({budget.remark})" if budget.remark else ""
         raise NoTrustworthyNumber(
@@ -316,22 +315,11 @@ def _descended(
     measured = loop if judge.scaled is None else judge.scaled.close(chosen)
     peaks = judge.name != "h2" and performance.frequency >= 0
     return ReducedController(
-        K=chosen,
-        gamma=performance.value,
-        closed_loop=loop,
-        status=status,
-        reason=reason,
-        limit=limiting_channels(measured, performance.frequency) if peaks else "",
-        plant=judge.plant,
-        method=f"reduced {judge.name}",
-        original=full,
-        original_gamma=reference.value,
-        measure=judge.text,
-        allowed_loss=allowed,
-        orders=tuple(tried),
-        evidence=performance.evidence,
-        scaled=judge.scaled,
-    )
+        K=chosen, gamma=performance.value, closed_loop=loop, status=status, reason=reason,
+        limit=limiting_channels(measured, performance.frequency) if peaks else "", plant=judge.plant,
+        method=f"reduced {judge.name}", original=full, original_gamma=reference.value, measure=judge.text,
+        allowed_loss=allowed, orders=tuple(tried), evidence=performance.evidence, scaled=judge.scaled,
+    )  # fmt: skip
 
 
 def _best(
@@ -353,9 +341,10 @@ def _best(
             break
         with suppress(NoTrustworthyNumber, InputError):
             value = judge.certified(K)
-            if np.isfinite(value.value) and (best is None or _rank(value) < _rank(best[2])):
+            rank = not value.status.trustworthy, value.value
+            if np.isfinite(value.value) and (best is None or rank < (not best[2].status.trustworthy, best[2].value)):
                 best = (name, K, value)
-        if best is not None and best[2].value <= limit and best[2].value <= estimate * (1 + GAIN):
+        if best is not None and best[2].value <= min(limit, estimate * (1 + GAIN)):
             break  # the others gain less than GAIN
     return best
 
@@ -373,23 +362,6 @@ def _improved(judge: PerformanceMeasure, name: str, K: StateSpaceModel, value: P
     return name, K, value
 
 
-def _rank(value: Performance) -> tuple[bool, float]:
-    return not value.status.trustworthy, value.value
-
-
-def _tried(order: int, found: Found | None, reference: float) -> OrderTried:
-    if found is None:
-        return OrderTried(order, "", np.inf, np.inf, Status.CONVERGED)
-    method, K, value = found
-    return OrderTried(K.n_states, method, value.value, _loss(value.value, reference), value.status)
-
-
-def _line(tried: OrderTried, name: str) -> str:
-    if not np.isfinite(tried.value):
-        return f"order {tried.order}: none stabilises the loop"
-    return f"order {tried.order}: {name} {tried.value:.6g}, loss {100 * tried.loss:.3g} % ({tried.method})"
-
-
 # --- candidates ---------------------------------------------------------------------------------------------------
 
 
@@ -405,54 +377,36 @@ class Family(NamedTuple):
 def _families(plant: GeneralizedPlant, K: StateSpaceModel) -> list[Family]:
     """Return all reduction methods that apply to K and the loop; ``plant`` includes weights and scalings."""
     K, found = StateSpaceModel(K.A, K.B, K.C, K.D, K.dt), list[Family]()
-    m, n_w, n_z, D22 = plant.model, plant.n_w, plant.n_z, plant.D22
-    n_u, n_y, k = plant.n_con, plant.n_meas, K.n_states
 
-    def loop(into: AnyArray, out: AnyArray, direct: AnyArray) -> StateSpaceModel:
-        """Return the loop of K and the plant with other disturbances and performance."""
-        B, C = np.hstack([into, m.B[:, n_w:]]), np.vstack([out, m.C[n_z:]])
-        return lower_lft(StateSpaceModel(m.A, B, C, direct, m.dt), K)
-
-    def projected(
-        name: str, balancing: Balancing, model: StateSpaceModel, apart: StateSpaceModel | None = None
-    ) -> None:
-        """Add both projections of a balanced model; ``apart``: a model in parallel to it."""
-        more = 0 if apart is None else apart.n_states
-
-        def make(order: int, kind: Projection) -> StateSpaceModel:
-            small = balancing.reduced(model, order - more, kind)
-            return small if apart is None or not more else parallel(small, apart)
-
+    def add(name: str, factors: tuple[AnyArray, AnyArray], model: StateSpaceModel, apart: StateSpaceModel) -> None:
+        """Add both projections of a model that these factors of Gramians balance, ``apart`` in parallel to it."""
+        balancing, more = Balancing.of(*factors), apart.n_states
         for kind in get_args(Projection):
-            made = partial(make, kind=kind)
-            found.append(Family(f"{name}, {kind}", more, more + len(balancing.left), made))
 
-    def of_loop(name: str, closed: StateSpaceModel) -> None:
-        """Add reductions by the controller's blocks in the Gramians of a loop whose last states are those of K."""
-        reach, see = gramian_factors(closed)
-        own = slice(closed.n_states - k, None)
-        projected(name, Balancing.of(block_factor(reach[own]), block_factor(see[own])), K)
+            def make(order: int, kind: Projection = kind) -> StateSpaceModel:
+                small = balancing.reduced(model, order - more, kind)
+                return parallel(small, apart) if more else small
+
+            found.append(Family(f"{name}, {kind}", more, more + len(balancing.left), make))
 
     # Each is added if its Gramians exist for this K and keep their digits.
     with suppress(NoTrustworthyNumber, InputError):
-        of_loop("closed-loop Gramians", plant.close(K))
+        closed = plant.close(K)
+        own = slice(closed.n_states - K.n_states, None)
+        reach, see = (block_factor(factor[own]) for factor in gramian_factors(closed))
+        add("closed-loop Gramians", (reach, see), K, StateSpaceModel([], [], [], 0 * K.D, K.dt))
     with suppress(NoTrustworthyNumber, InputError):
-        noise = np.block([[np.zeros((n_u, n_y)), np.eye(n_u)], [np.eye(n_y), D22]])
-        nothing = np.zeros((m.n_states, n_y)), np.zeros((n_u, m.n_states))
-        of_loop("loop from measurement noise to control", loop(*nothing, noise))
-    with suppress(NoTrustworthyNumber, InputError):
-        way = coprime_way(K)
-        found.append(Family("normalised coprime factors", 0, way.most, lambda order: way.whole(way.reduced(order))))
+        way = way_of(K, "coprime")
+        most = len(way.balancing.left)
+        found.append(Family("normalised coprime factors", 0, most, lambda order: way.whole(way.reduced(order))))
     with suppress(NoTrustworthyNumber, InputError):
         split = split_stable(K)
-        stable = split.stable
-        if stable.n_states:
-            balanced = Balancing.of(*weighted_factors(stable, None, None))
-            projected("balanced", balanced, stable, split.apart)
-            # T_yw: the measurements as further outputs; T_zu: a disturbance on the controls as input.
-            direct = np.tile(m.D[n_z:], (2, 1)), np.tile(m.D[:, n_w:], (1, 2))
-            into = loop(m.B[:, :n_w], m.C[n_z:], direct[0])
-            out = loop(m.B[:, n_w:], m.C[:n_z], direct[1])
-            weighted = Balancing.of(*weighted_factors(stable, into, out))
-            projected("weighted by the loop on both sides", weighted, stable, split.apart)
+        # T_yw and T_zu: the measurements as further outputs, a disturbance on the controls as further input.
+        m, n_w, n_z = plant.model, plant.n_w, plant.n_z
+        outs, ins = np.r_[: m.n_outputs, n_z : m.n_outputs], np.r_[: m.n_inputs, n_w : m.n_inputs]
+        loop = lower_lft(StateSpaceModel(m.A, m.B[:, ins], m.C[outs], m.D[outs][:, ins], m.dt), K)
+        into = StateSpaceModel(loop.A, loop.B[:, :n_w], loop.C[n_z:], loop.D[n_z:, :n_w], m.dt)
+        out = StateSpaceModel(loop.A, loop.B[:, n_w:], loop.C[:n_z], loop.D[:n_z, n_w:], m.dt)
+        factors = weighted_factors(split.stable, into, out)
+        add("weighted by the loop on both sides", factors, split.stable, split.apart)
     return found

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from functools import partial
 from typing import Any, Literal, get_args, overload
 
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.checks import number, whole
+from robustlab.checks import choice, number, whole
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.magnitude import refuse_extremes
@@ -16,9 +17,9 @@ from robustlab.linear_analysis.structural import least_order
 from robustlab.norms import HinfNorm, hinf_norm, linf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, append, as_model, parallel
-from robustlab.synthesis.reduction.balancing import lost_at_least_order, split_stable
-from robustlab.synthesis.reduction.reduced_model import ReducedModel
-from robustlab.synthesis.reduction.ways import Way, Weights, coprime_way, hankel_norm, way_of
+from robustlab.synthesis.reduction.balancing import lost_at_least_order
+from robustlab.synthesis.reduction.reduced_model import Evidence, ReducedModel
+from robustlab.synthesis.reduction.ways import Way, Weights, way_of
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.reduction import Reduction, reduction
 
@@ -28,14 +29,12 @@ Band = tuple[float, float]
 METHODS = get_args(Method)
 # A certified error may exceed the a-priori bound by this share of the largest Hankel value: rounding of the model.
 BOUND_ROUNDING = 1e-10
-# Relative widths of the bracket of an error, and of one next to the a-priori bound.
-RTOL, CLOSE_RTOL = 1e-6, 1e-9
 # Share of the error that splitting off modes may add, before frequencies next to a mode on the boundary are left out;
 # for this the error counts as at least the second share of the largest Hankel value.
 SPLIT_SHARE, OVERLOOKED = 1e-3, 1e-9
 # A pole counts as one on the boundary up to this share of its frequency (one at zero: of the slowest stable one).
 NEAR = 1e-6
-# Half widths of the bands left out, as shares of the same.
+# Half widths of the bands left out, as shares of the same, the widest first.
 WIDTHS = np.logspace(-2, -13, 23)
 TINY = float(np.finfo(float).tiny)
 
@@ -139,7 +138,7 @@ def reduce_model(
     >>> found.order, bool(abs(found.model.dc_gain()[0, 0] - G.dc_gain()[0, 0]) < 1e-12)
     (1, True)
     >>> nearest = reduce_model(G, 1, method="hankel")
-    >>> bool(abs(nearest.hankel_error / nearest.hankel[1] - 1) < 1e-9)
+    >>> bool(abs(nearest.error.upper / nearest.hankel[1] - 1) < 1e-5)
     True
 
     A parameter that appears twice, and cancels:
@@ -160,29 +159,25 @@ def reduce_model(
     weights = _weights(full, input_weight, output_weight)
     _check_request(full, order, tolerance, method, weights != (None, None), floor)
     refuse_extremes(full, "reduce_model")
-    way = coprime_way(full) if method == "coprime" else way_of(split_stable(full), method, weights, floor)
-    apart = way.split.apart.n_states
-
-    def candidate(order: int) -> ReducedModel:
-        return _reduced(full, way, method, weights, order - apart)
-
+    way = way_of(full, method, weights, floor)
+    apart, values, most = way.split.apart.n_states, way.balancing.values, len(way.balancing.left)
     if order is not None:
         if order < apart:
             text = f"{apart} modes are not stable and are kept apart"
             raise InputError("reduce_model", f"order {order}: {text}", f"at least {apart}", "method='coprime'")
-        return candidate(min(order, apart + way.most))
+        return _reduced(full, way, min(order - apart, most))
     assert tolerance is not None
-    for n in range(way.most):
+    for n in range(most):
         # With an a-priori bound, no model of this order is nearer than its first value left out.
-        if not np.isnan(way.bound(0)) and way.values[n] > tolerance * (1 + 1e-6):
+        if not np.isnan(way.bound(0)) and values[n] > tolerance * (1 + 1e-6):
             continue
         try:
-            found = candidate(apart + n)
+            found = _reduced(full, way, n)
         except NoTrustworthyNumber:  # this order is not stable (two weights) or not well posed
             continue
         if found.error.upper <= tolerance and found.status.trustworthy:
             return found
-    return candidate(apart + way.most)
+    return _reduced(full, way, most)
 
 
 def _check_request(
@@ -194,8 +189,7 @@ def _check_request(
         whole("reduce_model: order", order, 0, full.n_states)
     if tolerance is not None:
         number("reduce_model: tolerance", tolerance, above=0)
-    if method not in METHODS:
-        raise InputError("reduce_model", f"method {method!r}", f"one of {', '.join(METHODS)}")
+    choice("reduce_model: method", method, METHODS)
     if weighted and method not in ("truncation", "residualisation"):
         raise InputError("reduce_model", f"weights with method {method!r}", "truncation or residualisation")
     number("reduce_model: floor", floor, "a number that is not negative", at_least=0)
@@ -205,69 +199,58 @@ def _check_request(
 
 def _weights(full: StateSpaceModel, into: Any, out: Any) -> Weights:
     found: list[StateSpaceModel | None] = []
-    for name, weight, fits, size in (
-        ("input_weight", into, "n_outputs", full.n_inputs),
-        ("output_weight", out, "n_inputs", full.n_outputs),
-    ):
-        if weight is None:
+    for name, given, size in (("input_weight", into, full.n_inputs), ("output_weight", out, full.n_outputs)):
+        if given is None:
             found.append(None)
             continue
-        w = as_model(weight, f"reduce_model: {name}")
+        where, side = f"reduce_model: {name}", "outputs" if name == "input_weight" else "inputs"
+        w = as_model(given, where)
         if (w.n_outputs, w.n_inputs) == (1, 1) and size > 1:  # a scalar weight is meant for every channel
             w = append(*[w.renamed([f"{name} {i}"], [f"{name} {i} out"]) for i in range(size)])
-        if getattr(w, fits) != size:
-            raise InputError(f"reduce_model: {name}", f"{getattr(w, fits)} {fits[2:]}", f"{size}")
+        if (has := len(getattr(w, side))) != size:
+            raise InputError(where, f"{has} {side}", f"{size}")
         if w.n_states and not w.is_stable():
-            raise InputError(f"reduce_model: {name}", "the weight is not stable", "a stable weight")
+            raise InputError(where, "the weight is not stable", "a stable weight")
         found.append(StateSpaceModel(w.A, w.B, w.C, w.D, w.dt))
     return found[0], found[1]
 
 
-def _reduced(full: StateSpaceModel, way: Way, method: str, weights: Weights, order: int) -> ReducedModel:
-    """Return the model whose reduced part has this order, with its error."""
-    split, small, weighted, relative = way.split, way.reduced(order), weights != (None, None), method == "stochastic"
+def _reduced(full: StateSpaceModel, way: Way, order: int) -> ReducedModel:
+    """Return the model whose reduced part has this order."""
+    split, small, weighted = way.split, way.reduced(order), way.weights != (None, None)
     if not small.is_stable():
         hint = "another order, or one weight instead of two" if weighted else "another order"
         n = small.n_states + split.apart.n_states
         raise NoTrustworthyNumber("reduce_model", f"the model of order {n} is not stable", hint=hint)
-    difference, promised = parallel(way.part, small, -1), way.bound(small.n_states)
-    largest = float(way.values.max(initial=0.0))
-    error = way.measured(difference, RTOL)
-    if promised < error.upper <= promised * (1 + 2 * RTOL):  # wider where rounding leaves no more digits
-        closer = way.measured(difference, CLOSE_RTOL)
-        error = closer if closer.status.trustworthy and closer.upper < error.upper else error
-    whole, left_out = hinf_norm(difference) if relative else None, ()
-    if split.lost is not None:
-        per_gain, size = way.per_gain(), 1.0 if relative else largest
-        wanted = SPLIT_SHARE * max(error.upper, OVERLOOKED * size) / max(per_gain, TINY)
-        upper, left_out, doubt = _lost_gain(split.lost, split.apart.poles(), split.stable.poles(), wanted)
-        error = _widened(error, per_gain * upper if upper else 0.0, doubt)
-        whole = None if whole is None else _widened(whole, upper, doubt)
-    reason, size = error.reason, np.nan
-    if not reason and error.lower > promised + BOUND_ROUNDING * largest + 1e-12 * error.lower:
-        reason = f"the error {error.lower:.6g} exceeds what theory promises, {promised:.6g}: digits were lost"
-    if method == "hankel":  # equal to the first value left out, by theory
-        size, wanted = hankel_norm(difference), float(way.values[small.n_states :].max(initial=0.0))
-        if not reason and abs(size - wanted) > 1e-6 * wanted + BOUND_ROUNDING * largest:
-            reason = f"the Hankel norm of the error is {size:.6g}, not {wanted:.6g}: digits were lost"
-    removed = tuple(mode.meaning for mode in split.hidden)
-    if way.inexact:
-        reason = reason or f"what was removed before is not exactly hidden: {', '.join(removed)}"
     model = way.whole(small)
     model = StateSpaceModel(
         model.A, model.B, model.C, model.D, full.dt, full.inputs, full.outputs, where="reduced model"
     )
-    values = np.array(way.values)
-    values.setflags(write=False)
-    # The a-priori bound is without rounding. That of the reduced model is a share of the whole gain, which may exceed
-    # the error.
-    bound = promised if np.isnan(promised) else max(promised, error.upper)
-    status = Status.CERTIFIED if not reason and error.status is Status.CERTIFIED else Status.INACCURATE
-    name = f"weighted {method}" if weighted else method
     return ReducedModel(
-        model, name, error, bound, values, split.apart.n_states, full, status, reason, whole, left_out, size, weights,
-        removed,
+        model, f"weighted {way.method}" if weighted else way.method, way.balancing.values, split.apart.n_states, full,
+        way.bound(small.n_states), partial(_judged, way, small), way.weights,
+        tuple(mode.meaning for mode in split.hidden),
     )  # fmt: skip
+
+
+def _judged(way: Way, small: StateSpaceModel) -> Evidence:
+    """Return the error of a reduced part, that of splitting off the other modes included."""
+    split, relative, promised = way.split, way.spectrum is not None, way.bound(small.n_states)
+    largest = float(way.balancing.values.max(initial=0.0))
+    difference = parallel(way.part, small, -1)
+    error, left_out, reason = way.measured(difference), (), ""
+    whole = hinf_norm(difference) if relative else None
+    if way.method == "coprime" and split.lost is not None:
+        reason = "the modes that were removed before are not exactly hidden"
+    elif split.lost is not None:
+        per_gain = way.per_gain()
+        wanted = SPLIT_SHARE * max(error.upper, OVERLOOKED * (1.0 if relative else largest)) / max(per_gain, TINY)
+        upper, left_out, doubt = _lost_gain(split.lost, split.apart.poles(), split.stable.poles(), wanted)
+        error = _widened(error, per_gain * upper if upper else 0.0, doubt)
+        whole = None if whole is None else _widened(whole, upper, doubt)
+    if error.lower > promised + BOUND_ROUNDING * largest + 1e-12 * error.lower:
+        reason = f"the error {error.lower:.6g} exceeds what theory promises, {promised:.6g}: digits were lost"
+    return Evidence(error, left_out, error.reason or reason, whole)
 
 
 def _widened(norm: HinfNorm, by: float, reason: str) -> HinfNorm:
@@ -321,19 +304,16 @@ def minimal(model: Any, *, tolerance: float | None = None) -> ReducedModel:
     if tolerance is not None:
         number("minimal: tolerance", tolerance, "a number between 0 and 1", above=0, below=1)
     found = least_order(full, tolerance)
-    poles = full.poles()
-    inside = 1 - np.abs(poles) if full.is_discrete else -poles.real
-    stable = inside > NEAR * np.abs(poles).max(initial=0.0)
-    lost = lost_at_least_order(found)
+    poles, lost = full.poles(), lost_at_least_order(found)
+    stable = (1 - np.abs(poles) if full.is_discrete else -poles.real) > NEAR * np.abs(poles).max(initial=0.0)
     upper, left_out, doubt = (0.0, (), "") if lost is None else _lost_gain(lost, poles[~stable], poles[stable])
     unclear = f"the order depends on rounding: a singular value of {found.dropped:.1e} counted as zero; tolerance="
-    reason = doubt or ("" if found.clear else unclear)
-    status = Status.INACCURATE if reason else Status.CERTIFIED
-    proved = Status.INACCURATE if doubt else Status.CERTIFIED
+    error = HinfNorm(0.0, upper, np.nan, Status.INACCURATE if doubt else Status.CERTIFIED, doubt)
+    evidence = Evidence(error, left_out, doubt or ("" if found.clear else unclear))
+    removed = tuple(mode.meaning for mode in found.hidden)
     return ReducedModel(
-        found.model, "minimal", HinfNorm(0.0, upper, np.nan, proved, doubt), np.nan, np.zeros(0), 0, full,
-        status, reason, left_out=left_out, removed=tuple(mode.meaning for mode in found.hidden),
-    )  # fmt: skip
+        found.model, "minimal", np.zeros(0), 0, full, np.nan, partial(Evidence, *evidence), removed=removed
+    )
 
 
 # --- error of splitting or removing modes -----------------------------------------------------------------------------
@@ -349,12 +329,10 @@ def _lost_gain(
     """
     if not lost.D.size:
         return 0.0, (), ""
-    dt = lost.dt
+    dt, low, high = lost.dt, 0.0, np.pi / lost.dt if lost.dt else np.inf
     if dt:  # in rad/s
         apart, stable = (np.log(poles[np.abs(poles) > 1e-12].astype(complex)) / dt for poles in (apart, stable))
-    slow = (
-        float(np.abs(stable).min()) if len(stable) else 1 / dt if dt else float(np.abs(apart).max(initial=0.0)) or 1.0
-    )
+    slow = np.abs(stable).min() if len(stable) else 1 / dt if dt else np.abs(apart).max(initial=0.0) or 1.0
     at = np.abs(np.imag(apart))
     centre = np.where(at > 1e-3 * slow, at, 0.0)
     scale = np.where(centre > 0, centre, slow)
@@ -364,11 +342,9 @@ def _lost_gain(
     sizes = _gains(lost, np.abs(np.stack([centre[:, None] - offset, centre[:, None] + offset]))).max(axis=0)
     elsewhere = max(_gains(lost, np.abs(apart[~near])).max(initial=0.0), sizes[:, :1].max(initial=0.0))
     small = np.logical_and.accumulate(sizes <= max(wanted, 2 * elsewhere), axis=1).sum(axis=1) - 1
-    low, high = 0.0, np.pi / dt if dt else np.inf
     while True:
         half = scale * WIDTHS[np.maximum(small, 0)]
-        around = np.clip([centre - half, centre + half], low, high)
-        left_out = _merged((float(a), float(b)) for a, b in around.T)
+        left_out = _merged(np.clip([centre - half, centre + half], low, high).T.tolist())
         ends = [low, *(end for interval in left_out for end in interval), high]
         found = [linf_norm(lost, 0.01, band=(a, b)) for a, b in zip(ends[::2], ends[1::2], strict=True) if a < b]
         doubt = next((norm.reason or "not proved" for norm in found if norm.status is not Status.CERTIFIED), "")
@@ -386,7 +362,7 @@ def _gains(model: StateSpaceModel, omega: AnyArray) -> AnyArray:
     return np.linalg.norm(response, 2, axis=(1, 2)).reshape(omega.shape)
 
 
-def _merged(intervals: Iterable[Band]) -> tuple[Band, ...]:
+def _merged(intervals: Iterable[Sequence[float]]) -> tuple[Band, ...]:
     """Return the intervals in order, with overlapping ones merged and empty ones left out."""
     found: list[Band] = []
     for low, high in sorted(intervals):

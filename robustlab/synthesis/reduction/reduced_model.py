@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Any, ClassVar
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -16,10 +17,21 @@ from robustlab.statespace import StateSpaceModel
 
 __all__ = ["ReducedModel"]
 
+LABELS = {"weighted": "weighted error", "coprime": "error of the coprime factors", "stochastic": "relative error"}
+
+
+class Evidence(NamedTuple):
+    """The error of a reduced model with its proof; see the properties of `ReducedModel`."""
+
+    error: HinfNorm
+    left_out: tuple[tuple[float, float], ...] = ()
+    reason: str = ""
+    difference: HinfNorm | None = None
+
 
 @dataclass(frozen=True, eq=False)
 class ReducedModel(Displayable):
-    r"""A model of lower order with its certified error.
+    r"""A model of lower order with its certified error, which is computed when it is first read.
 
     Attributes
     ----------
@@ -28,13 +40,6 @@ class ReducedModel(Displayable):
     method
         ``"truncation"`` or ``"residualisation"``, with ``"weighted "`` before it where there are weights;
         ``"hankel"``, ``"stochastic"``, ``"coprime"`` or ``"minimal"``.
-    error
-        Largest gain of the difference of the two models, as given and as returned, at all frequencies but those in
-        ``left_out``; times the weights where there are any; relative to the gain of
-        the stable part for ``"stochastic"``; for ``"coprime"`` of the normalised right coprime factors ``[N; M]``.
-    bound
-        A-priori bound of ``error``, as in `reduce_model`; raised to ``error.upper`` where that is larger, as the model
-        returned is rounded. NaN with weights, for which there is none.
     hankel
         Hankel singular values of the reduced part (of the coprime factors for ``"coprime"``, of the phase of the model
         for ``"stochastic"``), in decreasing order.
@@ -42,22 +47,10 @@ class ReducedModel(Displayable):
         Number of states kept apart, because their modes are not stable.
     full
         The model as given.
-    status
-        CERTIFIED where ``error`` is proved and the two models agree with it wherever they were compared; INACCURATE
-        where digits were lost.
-    reason
-        Why it is inaccurate; else empty.
-    difference
-        H-infinity norm of the difference at all frequencies, where ``error`` is a relative one.
-    left_out
-        Intervals (low, high) in rad/s, around modes on the stability boundary that are kept apart: rounding moves such
-        a mode, or its share of the response, and no bound of the difference is finite there. Their width keeps the
-        contribution of rounding to ``error`` below a thousandth of it.
+    promised
+        A-priori bound of the error, without rounding; NaN where there is none.
     weights
         The weights on inputs and outputs, where there are any; for `robustlab.verify`.
-    hankel_error
-        Hankel norm of the difference of the stable parts, from its own Gramians; NaN for other methods than
-        ``"hankel"``.
     removed
         The uncontrollable or unobservable modes that were removed: with ``"minimal"`` all, with other methods those
         that are not stable.
@@ -69,18 +62,57 @@ class ReducedModel(Displayable):
 
     model: StateSpaceModel
     method: str
-    error: HinfNorm
-    bound: float
     hankel: Array
     n_apart: int
     full: StateSpaceModel
-    status: Status
-    reason: str = ""
-    difference: HinfNorm | None = None
-    left_out: tuple[tuple[float, float], ...] = ()
-    hankel_error: float = np.nan
+    promised: float
+    judge: Callable[[], Evidence]
     weights: tuple[StateSpaceModel | None, StateSpaceModel | None] = (None, None)
     removed: tuple[str, ...] = ()
+
+    @cached_property
+    def evidence(self) -> Evidence:
+        """The error with its proof."""
+        return self.judge()
+
+    @property
+    def error(self) -> HinfNorm:
+        """Largest gain of the difference of the two models, as given and as returned, but at ``left_out``.
+
+        Times the weights where there are any; relative to the gain of the stable part for ``"stochastic"``; for
+        ``"coprime"`` of the normalised right coprime factors ``[N; M]``.
+        """
+        return self.evidence.error
+
+    @property
+    def bound(self) -> float:
+        """``promised``, or ``error.upper`` where that is larger, as the model returned is rounded."""
+        return self.promised if np.isnan(self.promised) else max(self.promised, self.error.upper)
+
+    @property
+    def left_out(self) -> tuple[tuple[float, float], ...]:
+        """Intervals (low, high) in rad/s for which ``error`` says nothing, around modes on the stability boundary.
+
+        Rounding moves such a mode, or its share of the response, and no bound of the difference is finite there. Their
+        width keeps the contribution of rounding to ``error`` below a thousandth of it.
+        """
+        return self.evidence.left_out
+
+    @property
+    def difference(self) -> HinfNorm | None:
+        """H-infinity norm of the difference at all frequencies, where ``error`` is a relative one."""
+        return self.evidence.difference
+
+    @property
+    def reason(self) -> str:
+        """Why the status is INACCURATE; else empty."""
+        return self.evidence.reason
+
+    @property
+    def status(self) -> Status:
+        """CERTIFIED where ``error`` is proved, and within what theory promises; INACCURATE where digits were lost."""
+        sure = not self.reason and self.error.status is Status.CERTIFIED
+        return Status.CERTIFIED if sure else Status.INACCURATE
 
     @property
     def order(self) -> int:
@@ -103,38 +135,29 @@ class ReducedModel(Displayable):
         }  # fmt: skip
 
     def facts(self) -> Facts:
-        words = {
-            "weighted": "weighted error",
-            "coprime": "error of the coprime factors",
-            "stochastic": "relative error",
-        }
-        kind = self.method.partition(" ")[0]
-        label = words.get(kind, "error")
-        bound = "" if not np.isfinite(self.bound) else f"; promised: at most {self.bound:.6g}"
         at = "" if np.isnan(self.error.frequency) else f" at {self.error.frequency:.4g} rad/s"
+        bound = f"; promised: at most {self.bound:.6g}" if np.isfinite(self.bound) else ""
         around = ", ".join(
             f"{0.5 * (low + high):.6g} +- {0.5 * (high - low):.2g}" if low else f"0 to {high:.2g}"
             for low, high in self.left_out
         )
-        rows = [
+        return [
             ("order", f"{self.order} of {self.full.n_states} states"),
             ("method", self.method),
-            (label, f"{self.error.upper:.6g}{at} (verified upper bound{bound})"),
+            (
+                LABELS.get(self.method.partition(" ")[0], "error"),
+                f"{self.error.upper:.6g}{at} (verified upper bound{bound})",
+            ),
             ("not proved at", around and f"{around} rad/s (modes on the stability boundary, kept apart)"),
             ("status", self.status.value),
-            ("Hankel norm of the error", number(self.hankel_error, digits=6)),
             ("error at all frequencies", "" if self.difference is None else number(self.difference.upper, digits=6)),
             ("Hankel values", ", ".join(f"{value:.4g}" for value in self.hankel[:12]) or "none"),
+            ("kept apart", f"{self.n_apart} states of modes that are not stable" if self.n_apart else ""),
+            *(("removed", mode) for mode in self.removed),
+            ("why", self.reason),
         ]
-        if self.n_apart:
-            rows.append(("kept apart", f"{self.n_apart} states of modes that are not stable"))
-        rows += [("removed", mode) for mode in self.removed]
-        return [*rows, ("why", self.reason)] if self.reason else rows
 
     def to_json(self) -> dict[str, Any]:
-        return {
-            "type": "ReducedModel",
-            **{f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("full", "weights")},
-            "order": self.order,
-            "full_order": self.full.n_states,
-        }
+        names = "model method error bound hankel n_apart status reason difference left_out removed order"
+        data = {name: getattr(self, name) for name in names.split()}
+        return {"type": "ReducedModel", **data, "full_order": self.full.n_states}

@@ -32,7 +32,6 @@ for balanced stochastic truncation", IEEE TAC 33 (1988); Varga, Fasol 1993 for b
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -48,7 +47,6 @@ from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, inverse, series
 from robustlab.synthesis.reduction.balancing import (
     Balancing,
-    Projection,
     SplitModel,
     block_factor,
     gramian_factors,
@@ -60,6 +58,7 @@ from robustlab.uncertainty.distances.coprime import continuous_models, coprime_f
 Weights = tuple[StateSpaceModel | None, StateSpaceModel | None]  # W_i and W_o
 
 HINT = "floor=: the gain below which errors count absolutely"
+RTOL = 1e-6  # relative width of the bracket of an error
 # D of full row rank: smallest over largest eigenvalue of D D^T. Else the gain vanishes at infinite frequency.
 FULL_RANK = 1e-12
 # Both ends of the bracket allow for the error of the factor; up to this share of the spectrum it is certified.
@@ -70,68 +69,82 @@ REPEATED = 1e-8
 
 @dataclass(frozen=True, eq=False)
 class Way:
-    """One method for a part of a model: its Hankel values, and the function from an order to the reduced part."""
+    """One method for a part of a model."""
 
+    method: str
     split: SplitModel
-    part: StateSpaceModel
-    values: AnyArray
-    most: int  # the largest order of the part
-    reduced: Callable[[int], StateSpaceModel]
-    whole: Callable[[StateSpaceModel], StateSpaceModel]  # the model that belongs to a reduced part
-    measured: Callable[[StateSpaceModel, float], HinfNorm] = hinf_norm  # certified size of a difference of parts
-    bound: Callable[[int], float] = lambda _: np.nan  # its a-priori bound
-    per_gain: Callable[[], float] = lambda: 1.0  # its upper bound for a difference of gain 1
-    inexact: bool = False  # whether the modes removed before the split are hidden to rounding only
+    part: StateSpaceModel  # the reduced part: the stable one, or the coprime factors
+    model: StateSpaceModel  # the same, or its continuous image for the methods that exist in continuous time only
+    balancing: Balancing
+    weights: Weights = (None, None)
+    spectrum: Spectrum | None = None
+    mirrored: bool = False  # whether the coprime factors are those of G(-z)
+
+    def reduced(self, order: int) -> StateSpaceModel:
+        """Return the part with this order."""
+        if self.method == "hankel":
+            small = nearest_in_hankel_norm(self.model, self.balancing, order)
+        else:
+            kind = "residualisation" if self.method == "residualisation" else "truncation"
+            small = self.balancing.reduced(self.model, order, kind)
+        return bilinear_to_discrete(small, self.part.dt) if self.part.dt != self.model.dt else small
+
+    def whole(self, small: StateSpaceModel) -> StateSpaceModel:
+        """Return the model that belongs to a reduced part: ``N M^{-1}`` for coprime factors."""
+        if self.method != "coprime":
+            return self.split.joined(small)
+        full = self.split.stable
+        p = full.n_outputs
+        if small.n_inputs and np.linalg.cond(small.D[p:]) > 1e12:
+            raise NoTrustworthyNumber("reduce_model", "the factor M of the reduced model has no inverse")
+        back = np.linalg.inv(small.D[p:])
+        gain, into = back @ small.C[p:], small.B @ back
+        model = StateSpaceModel(
+            small.A - into @ small.C[p:], into, small.C[:p] - small.D[:p] @ gain, small.D[:p] @ back
+        )
+        if not full.dt:
+            return model
+        model = bilinear_to_discrete(model, full.dt)
+        return StateSpaceModel(-model.A, -model.B, model.C, model.D, full.dt) if self.mirrored else model
+
+    def bound(self, order: int) -> float:
+        """Return the a-priori bound of the error; NaN with weights."""
+        values = self.balancing.values
+        if self.weights != (None, None):
+            return np.nan
+        if self.spectrum is not None:
+            return relative_bound(values, order)
+        return hankel_bound(values, order) if self.method == "hankel" else error_bound(values, order)
+
+    def measured(self, difference: StateSpaceModel) -> HinfNorm:
+        """Return the certified size of a difference of parts."""
+        dt = difference.dt
+        if self.spectrum is not None:
+            found = self.spectrum.relative(bilinear_to_continuous(difference) if dt else difference)
+            return replace(found, frequency=2 / dt * float(np.arctan(found.frequency * dt / 2))) if dt else found
+        into, out = self.weights
+        difference = difference if into is None else series(into, difference)
+        return hinf_norm(difference if out is None else series(difference, out), RTOL)
+
+    def per_gain(self) -> float:
+        """Return an upper bound of the size of a difference of gain 1."""
+        if self.spectrum is not None:
+            return self.spectrum.per_gain()
+        return float(np.prod([hinf_norm(w, 1e-2).upper for w in self.weights if w is not None]))
 
 
-def way_of(split: SplitModel, method: str, weights: Weights, floor: float) -> Way:
-    """Return a method for the stable part of a model."""
-    stable, dt = split.stable, split.stable.dt
-    continuous = bilinear_to_continuous(stable) if dt and method in ("stochastic", "hankel") else stable
-
-    def back(model: StateSpaceModel) -> StateSpaceModel:
-        return bilinear_to_discrete(model, dt) if dt else model
-
+def way_of(full: StateSpaceModel, method: str, weights: Weights = (None, None), floor: float = 0.0) -> Way:
+    """Return a method for the stable part of a model, or for the coprime factors of all of it."""
+    if method == "coprime":
+        return _coprime_way(full)
+    split = split_stable(full)
+    stable = split.stable
+    continuous = bilinear_to_continuous(stable) if stable.dt and method in ("stochastic", "hankel") else stable
     if method == "stochastic":
         spectrum = Spectrum.of(continuous, floor)
-        values, balancing = spectrum.balancing.values, spectrum.balancing
-
-        def measured(difference: StateSpaceModel, rtol: float) -> HinfNorm:
-            found = spectrum.relative(bilinear_to_continuous(difference) if dt else difference, rtol)
-            return replace(found, frequency=2 / dt * float(np.arctan(found.frequency * dt / 2))) if dt else found
-
-        return Way(
-            split, stable, values, len(balancing.left),
-            lambda order: back(balancing.reduced(spectrum.model, order, "truncation")), split.joined, measured,
-            lambda order: relative_bound(values, order), spectrum.per_gain,
-        )  # fmt: skip
+        return Way(method, split, stable, spectrum.model, spectrum.balancing, spectrum=spectrum)
     balancing = Balancing.of(*weighted_factors(continuous, *weights))
-    values = balancing.values
-    if method == "hankel":
-        return Way(
-            split, stable, values, len(balancing.left),
-            lambda order: back(nearest_in_hankel_norm(continuous, balancing, order)), split.joined,
-            bound=lambda order: hankel_bound(values, order),
-        )  # fmt: skip
-    projection: Projection = "residualisation" if method == "residualisation" else "truncation"
-    way = Way(
-        split,
-        stable,
-        values,
-        len(balancing.left),
-        lambda order: balancing.reduced(stable, order, projection),
-        split.joined,
-    )
-    if weights == (None, None):
-        return replace(way, bound=lambda order: error_bound(values, order))
-
-    def between(difference: StateSpaceModel, rtol: float) -> HinfNorm:
-        into, out = weights
-        difference = difference if into is None else series(into, difference)
-        return hinf_norm(difference if out is None else series(difference, out), rtol)
-
-    gain = lambda: float(np.prod([hinf_norm(w, 1e-2).upper for w in weights if w is not None]))  # noqa: E731
-    return replace(way, measured=between, per_gain=gain)
+    return Way(method, split, stable, continuous, balancing, weights)
 
 
 def weighted_factors(
@@ -146,37 +159,17 @@ def weighted_factors(
     return reach, see
 
 
-def coprime_way(full: StateSpaceModel) -> Way:
+def _coprime_way(full: StateSpaceModel) -> Way:
     """Return truncation of the normalised right coprime factors ``[N; M]`` (continuous) of a model of any stability."""
     least = least_order(full)
     hidden = least.hidden if any(not mode.stable for mode in least.hidden) else ()
-    inexact = bool(hidden) and lost_at_least_order(least) is not None
     full = least.model if hidden else full
     mapped = continuous_models(full)
     factors = coprime_factors(mapped.models[0]).right
-    balancing = Balancing.of(*gramian_factors(factors))
-
-    def quotient(small: StateSpaceModel) -> StateSpaceModel:
-        """Return ``N M^{-1}``."""
-        p = full.n_outputs
-        if small.n_inputs and np.linalg.cond(small.D[p:]) > 1e12:
-            raise NoTrustworthyNumber("reduce_model", "the factor M of the reduced model has no inverse")
-        back = np.linalg.inv(small.D[p:])
-        gain, into = back @ small.C[p:], small.B @ back
-        model = StateSpaceModel(
-            small.A - into @ small.C[p:], into, small.C[:p] - small.D[:p] @ gain, small.D[:p] @ back
-        )
-        if not full.dt:
-            return model
-        model = bilinear_to_discrete(model, full.dt)
-        return StateSpaceModel(-model.A, -model.B, model.C, model.D, full.dt) if mapped.mirrored else model
-
     nothing = StateSpaceModel([], [], [], 0 * full.D, full.dt)
-    return Way(
-        SplitModel(full, nothing, None, hidden), factors, balancing.values, len(balancing.left),
-        lambda order: balancing.reduced(factors, order, "truncation"), quotient,
-        bound=lambda order: error_bound(balancing.values, order), inexact=inexact,
-    )  # fmt: skip
+    split = SplitModel(full, nothing, lost_at_least_order(least) if hidden else None, hidden)
+    balancing = Balancing.of(*gramian_factors(factors))
+    return Way("coprime", split, factors, factors, balancing, mirrored=mapped.mirrored)
 
 
 def error_bound(values: AnyArray, order: int) -> float:
@@ -228,10 +221,10 @@ def nearest_in_hankel_norm(model: StateSpaceModel, balancing: Balancing, order: 
         return balancing.reduced(model, order, "truncation")
     order = int((values > values[order] * (1 + REPEATED)).sum())
     parts = split_stable(_dilated(balancing.reduced(model, len(values), "truncation"), values, order)[0])
-    if parts.stable.n_states != order:
-        found = f"{parts.stable.n_states} stable modes where there should be {order}: digits were lost"
-        raise NoTrustworthyNumber("Hankel-norm approximation", found, hint="another order, or method='truncation'")
     m = parts.stable
+    if m.n_states != order:
+        found = f"{m.n_states} stable modes where there should be {order}: digits were lost"
+        raise NoTrustworthyNumber("Hankel-norm approximation", found, hint="another order, or method='truncation'")
     return StateSpaceModel(m.A, m.B, m.C, m.D + _constant_near(parts.apart), 0.0, model.inputs, model.outputs)
 
 
@@ -245,10 +238,9 @@ def _constant_near(unstable: StateSpaceModel) -> AnyArray:
     balancing = Balancing.of(*gramian_factors(mirrored))
     values = balancing.values[: len(balancing.left)]
     left = balancing.reduced(mirrored, len(values), "truncation")
-    (p, m), n = left.D.shape, left.n_states
-    into, out = np.zeros((n, max(0, p - m))), np.zeros((max(0, m - p), n))
-    direct = np.pad(left.D, ((0, len(out)), (0, into.shape[1])))
-    left = StateSpaceModel(left.A, np.hstack([left.B, into]), np.vstack([left.C, out]), direct)
+    (p, m), size = left.D.shape, max(left.D.shape)
+    square = np.pad(left.B, ((0, 0), (0, size - m))), np.pad(left.C, ((0, size - p), (0, 0)))
+    left = StateSpaceModel(left.A, *square, np.pad(left.D, ((0, size - p), (0, size - m))))
     while len(values):
         left, values = _dilated(left, values, len(values) - 1, unitary=True)
     return left.D[:p, :m]
@@ -260,11 +252,6 @@ def hankel_bound(values: AnyArray, order: int) -> float:
         return 0.0
     level = values[order]
     return float(level + values[values < level * (1 - REPEATED)].sum())
-
-
-def hankel_norm(model: StateSpaceModel) -> float:
-    """Return the largest Hankel value of a stable model, continuous or discrete."""
-    return float(Balancing.of(*gramian_factors(model)).values.max(initial=0.0))
 
 
 # --- relative error ---------------------------------------------------------------------------------------------------
@@ -309,9 +296,9 @@ class Spectrum:
         found = linf_norm(inverse(_conjugate(self.factor)), 1e-2)
         return self._widened(found.upper) if found.status.trustworthy else np.inf
 
-    def relative(self, error: StateSpaceModel, rtol: float) -> HinfNorm:
+    def relative(self, error: StateSpaceModel) -> HinfNorm:
         """Return the norm of an error relative to the model, proved for every frequency."""
-        found = linf_norm(series(error, inverse(_conjugate(self.factor))), rtol)
+        found = linf_norm(series(error, inverse(_conjugate(self.factor))), RTOL)
         lower = found.lower / np.sqrt(1 + self.doubt) if self.doubt < np.inf else 0.0
         found = replace(found, lower=lower, upper=self._widened(found.upper))
         if found.status is Status.CERTIFIED and not self.doubt <= TRUSTED_SHARE:

@@ -14,13 +14,14 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any, Literal
 
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.checks import number
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, error_context
+from robustlab.checks import choice, number
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.invariant_zeros import transmission_zeros
 from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete
@@ -50,9 +51,7 @@ def by_formula(model: Any, dt: float, method: str, prewarp: float | None = None)
     if m.is_discrete:
         raise InputError("discretise", f"the model has dt = {m.dt:g} s", "a continuous model (dt = 0)")
     number("discretise: dt", dt, "a positive sample time in s", above=0)
-    if method not in METHODS:
-        hint = did_you_mean(str(method), METHODS)
-        raise InputError("discretise", f"method {method!r}", f"one of {', '.join(METHODS)}", hint)
+    choice("discretise: method", method, METHODS)
     if (prewarp is None) == (method == "tustin-prewarp"):
         found = f"method {method!r} with prewarp={prewarp}"
         raise InputError("discretise", found, "prewarp with 'tustin-prewarp' alone")
@@ -134,9 +133,7 @@ def d2c(model: Any, method: Hold = "zoh") -> StateSpaceModel:
     m = as_model(getattr(model, "K", model), "d2c")
     if not m.is_discrete:
         raise InputError("d2c", "the model is continuous (dt = 0)", "a discrete one", "rl.discretise makes one")
-    if method not in HOLDS:
-        raise InputError("d2c", f"method {method!r}", f"one of {', '.join(HOLDS)}", did_you_mean(str(method), HOLDS))
-    if method == "tustin":
+    if choice("d2c: method", method, HOLDS) == "tustin":
         return replace(bilinear_to_continuous(m), inputs=m.inputs, outputs=m.outputs, states=m.states)
     from scipy.linalg import expm, logm
 
@@ -172,35 +169,36 @@ def _matched(m: StateSpaceModel, dt: float) -> StateSpaceModel:
     if not m.n_states or not (m.B.any() and m.C.any()):
         return StateSpaceModel([], [], [], m.D)
     poles, zeros = m.poles(), transmission_zeros(m, complete=True)
-    # on the positive real axis, right of all poles: finite and real
-    s = 1.7 * max(float(np.abs(np.concatenate([poles, zeros])).max()), 1e-6 / dt)
+    both = np.concatenate([poles, zeros])
+    s = 1.7 * max(float(np.abs(both).max()), 1e-6 / dt)  # right of all poles, on the real axis
+
+    def product(at: AnyArray) -> AnyArray:
+        return np.prod(at[:, None] - zeros, axis=1) / np.prod(at[:, None] - poles, axis=1)
+
     value = (m.D + m.C @ np.linalg.solve(s * np.eye(m.n_states) - m.A, m.B))[0, 0]
-    gain = value * np.prod(s - poles) / np.prod(s - zeros)
-    omega = np.abs(np.concatenate([poles, zeros])) * 1.3 + 1e-3 * s
-    product = gain * np.prod(1j * omega[:, None] - zeros, axis=1) / np.prod(1j * omega[:, None] - poles, axis=1)
+    gain = value / product(np.array([s]))[0]
+    omega = np.abs(both) * 1.3 + 1e-3 * s
     truth = frequency_response(m, omega)[:, 0, 0]
-    off = float(np.abs(product / truth - 1).max()) if truth.all() else np.inf
+    off = float(np.abs(gain * product(1j * omega) / truth - 1).max()) if truth.all() else np.inf
     if not off <= MATCHED:
         raise NoTrustworthyNumber("discretise (matched)", f"poles and zeros give the response back to {off:.1e} only")
-    growth = float(np.maximum(np.concatenate([poles, zeros]).real, 0.0).sum()) * dt
+    growth = float(np.maximum(both.real, 0.0).sum()) * dt
     if growth > LARGEST:
         found = f"poles and zeros that grow by e^{growth:.3g} in dt = {dt:g} s"
         raise NoTrustworthyNumber("discretise (matched)", found, None, "a shorter sample time, or another method")
     z_poles, z_zeros = np.exp(poles * dt), np.append(np.exp(zeros * dt), -np.ones(len(poles) - len(zeros)))
     # Equal gain at s = 0, z = 1; next to it on the real axis if there is a pole or a zero.
-    lowest = np.abs(np.concatenate([poles, zeros])).min()
-    at = 0.0 if lowest > 1e-9 * s else 1e-3 / dt
-    wanted = gain * np.prod(at - zeros) / np.prod(at - poles)
+    at = 0.0 if np.abs(both).min() > 1e-9 * s else 1e-3 / dt
     z = np.exp(at * dt)
-    k = float((wanted * np.prod(z - z_poles) / np.prod(z - z_zeros)).real)
-    return cascade(_conjugate(z_zeros), _conjugate(z_poles), k, dt, "discretise (matched)")
+    k = float((gain * product(np.array([at]))[0] * np.prod(z - z_poles) / np.prod(z - z_zeros)).real)
+    return cascade(_paired(z_zeros), _paired(z_poles), k, dt, "discretise (matched)")
 
 
-def _conjugate(roots: AnyArray) -> AnyArray:
+def _paired(roots: AnyArray) -> AnyArray:
     """Return roots of a real polynomial as exact conjugate pairs and real ones."""
-    off = np.imag(roots) / np.maximum(np.abs(roots), 1e-300)
-    upper = roots[off > 1e-12]
-    return np.concatenate([upper, np.conj(upper), np.real(roots[np.abs(off) <= 1e-12])])
+    least = 1e-12 * np.abs(roots)
+    upper = roots[roots.imag > least]
+    return np.concatenate([upper, np.conj(upper), roots[np.abs(roots.imag) <= least].real])
 
 
 # --- pathological sampling --------------------------------------------------------------------------------------------
@@ -227,11 +225,9 @@ class MergedModes:
 
 def merged_modes(model: StateSpaceModel, dt: float) -> tuple[MergedModes, ...]:
     r"""Return pairs of different modes with :math:`e^{\lambda_i T} = e^{\lambda_j T}` up to 1e-6."""
-    poles, found = model.poles(), list[MergedModes]()
-    sampling = 2 * np.pi / dt
-    for i, one in enumerate(poles):
-        for two in poles[i + 1 :]:
-            multiple = round(float((one - two).imag / sampling))
-            if multiple and abs(one - two - 1j * multiple * sampling) * dt <= MERGED:
-                found.append(MergedModes((complex(one), complex(two)), abs(multiple), bool(one.real < 0)))
+    found = list[MergedModes]()
+    for one, two in combinations(model.poles().astype(complex).tolist(), 2):
+        multiple = round((one - two).imag * dt / (2 * np.pi))
+        if multiple and abs((one - two) * dt - 2j * np.pi * multiple) <= MERGED:
+            found.append(MergedModes((one, two), abs(multiple), one.real < 0))
     return tuple(found)

@@ -20,44 +20,31 @@ DOUBLINGS = 12  # at least; the error of the start falls by 4 in each
 
 
 @dataclass(frozen=True, eq=False)
-class Rest:
-    """Bounds of the effect of w0, the part of w of mean zero."""
-
-    kick: AnyArray  # factor (n, n): w0 moves the state at the end of a period by `kick v` with `|v| <= |w0|`
-    # mean, variance: largest gains from w0 to the means, and to the rests, of z in the same period
-    mean: float
-    variance: float
-
-
-@dataclass(frozen=True, eq=False)
 class LiftedPlant:
-    """The plant over whole periods."""
+    """The plant over whole periods.
+
+    w0 is the part of w of mean zero: it moves the state at the end of a period by ``kick v`` with ``|v| <= |w0|``.
+    """
 
     # Discrete model with inputs [w of all intervals; held w; kick (n); u] and outputs [means of z; rests of z; y];
     # its states are those of the plant and the delayed controls.
     model: StateSpaceModel
-    # n_intervals, n_means, n_rests: number of intervals; sizes of the two groups of outputs
     n_intervals: int
-    n_means: int
+    n_means: int  # sizes of the first two groups of outputs
     n_rests: int
-    # n_w, n_kick: sizes of the first two groups of inputs together, and of the kick
-    n_w: int
+    n_w: int  # of the first two groups of inputs together, and of the kick
     n_kick: int
-    # n_meas, n_con: sizes of y and u
     n_meas: int
     n_con: int
     held: tuple[int, ...]  # positions of the disturbances that are constant over whole periods
-    rest: Rest  # bounds of the effect of w less its means
+    to_mean: float  # largest gains from w0 to the means, and to the rests, of z in the same period
+    to_rest: float
 
     def generalized_plant(self) -> GeneralizedPlant:
         """Return the discrete plant for synthesis: without the kick."""
-        keep = [*range(self.n_w), *range(self.n_w + self.n_kick, self.model.n_inputs)]
-        m = self.model
-        inputs = [m.inputs[i] for i in keep]
-        model = StateSpaceModel(
-            m.A, m.B[:, keep], m.C, m.D[:, keep], m.dt, inputs, m.outputs, m.states, where="lifting"
-        )
-        return GeneralizedPlant(model, self.n_meas, self.n_con)
+        names = self.model.input_names
+        keep = [*names[: self.n_w], *names[self.n_w + self.n_kick :]]
+        return GeneralizedPlant(self.model.select(keep), self.n_meas, self.n_con)
 
 
 def lift(plant: GeneralizedPlant, dt: float, n_intervals: int, delay: float = 0.0) -> LiftedPlant:
@@ -71,84 +58,49 @@ def lift(plant: GeneralizedPlant, dt: float, n_intervals: int, delay: float = 0.
     whole = int(np.floor(delay / dt + 1e-12))
     part = delay - whole * dt if delay - whole * dt > 1e-9 * dt else 0.0
     n_past = whole + (part > 0)
-    ends = _breakpoints(dt, n_intervals, part)
-    past = [f"{s.name} {k + 1} samples ago" for k in range(n_past) for s in plant.controls]
-    names = [*m.state_names, *past]
-    lengths = _lengths(ends)
-    steps = {h: _Interval.of(m, free, n_z, h) for h in lengths}
-    intervals = [steps[h] for h in lengths]
+    ends = np.linspace(0.0, dt, n_intervals + 1)
+    if part and np.abs(ends - part).min() > 1e-9 * dt:
+        ends = np.sort(np.append(ends, part))
+    # Lengths that differ by rounding alone are computed once.
+    steps = {float(f"{h:.9g}"): h for h in np.diff(ends).tolist()}
+    made = {key: _Interval.of(m, free, n_z, h) for key, h in steps.items()}
+    intervals = [made[float(f"{h:.9g}")] for h in np.diff(ends).tolist()]
     # The state at the start of each interval as a linear map of (x, past controls, all w, u).
-    N = len(intervals)
-    n_free = len(free)
-    at_w = n + n_past * n_u
-    at_u = at_w + N * n_free + len(held)
+    N, n_free = len(intervals), len(free)
+    n_x = n + n_past * n_u
+    at_u = n_x + N * n_free + len(held)
     width = at_u + n_u
     # the controls of k samples ago as maps of (x, past controls, all w, u)
-    aged = [np.eye(n_u, width, k) for k in (at_u, *range(n, at_w, n_u))]
+    aged = [np.eye(n_u, width, k) for k in (at_u, *range(n, n_x, n_u))]
     held_w = np.zeros((n_w, width))
     held_w[held, at_u - len(held) : at_u] = np.eye(len(held)) / np.sqrt(dt)
-    state, means, rests = np.zeros((n, width)), [], []
-    state[:, :n] = np.eye(n)
+    state, means, rests = np.eye(n, width), [], []
     controls = [aged[whole + bool(end < part * (1 - 1e-12))] for end in ends[:-1]]
     for i, (step, control) in enumerate(zip(intervals, controls, strict=True)):
         disturbance = held_w.copy()
-        disturbance[free, at_w + i * n_free : at_w + (i + 1) * n_free] = np.eye(n_free) / np.sqrt(step.h)
+        disturbance[free, n_x + i * n_free : n_x + (i + 1) * n_free] = np.eye(n_free) / np.sqrt(step.h)
         v = np.vstack([state, disturbance, control])
         means.append(step.mean @ v)
         rests.append(step.variance_root @ v)
         state = step.move @ v
-    measured = np.zeros((n_y, width))
-    measured[:, :n] = m.C[n_z:]
-    measured += m.D[n_z:, n_w:] @ controls[0] + m.D[n_z:, :n_w] @ held_w
-    rest = _rest(intervals, n, m.D[:n_z, free])
+    measured = m.C[n_z:] @ np.eye(n, width) + m.D[n_z:, n_w:] @ controls[0] + m.D[n_z:, :n_w] @ held_w
+    kick, to_mean, to_rest = _rest(intervals, n, m.D[:n_z, free])
     rows = np.vstack(rests)  # or, with the same Gram matrix, no more rows than columns
     rows = rows if len(rows) <= width else np.asarray(np.linalg.qr(rows, mode="r"))
-    maps = np.vstack([state, *aged[:-1]]), np.vstack(means), rows, measured
+    states, out = np.vstack([state, *aged[:-1]]), np.vstack([*means, rows, measured])
+    kick = np.vstack([kick, np.zeros((n_x - n, n))])
+    past = [f"{s.name} {k + 1} samples ago" for k in range(n_past) for s in plant.controls]
     wide = [f"{m.input_names[j]}[{i}]" for i in range(N) for j in free] + [m.input_names[j] for j in held]
-    return _assembled(plant, dt, (names, wide), maps, N, rest, tuple(int(j) for j in held))
-
-
-def _breakpoints(dt: float, n_intervals: int, part: float) -> AnyArray:
-    ends = np.linspace(0.0, dt, n_intervals + 1)
-    if part and np.abs(ends - part).min() > 1e-9 * dt:
-        ends = np.sort(np.append(ends, part))
-    return ends
-
-
-def _lengths(ends: AnyArray) -> list[float]:
-    """Return the lengths of the intervals; those that differ by rounding alone become equal."""
-    lengths: list[float] = []
-    for h in np.diff(ends).tolist():
-        same = [known for known in lengths if abs(known - h) <= 1e-9 * known]
-        lengths.append(same[0] if same else h)
-    return lengths
-
-
-def _assembled(
-    plant: GeneralizedPlant,
-    dt: float,
-    names: tuple[list[str], list[str]],
-    maps: tuple[AnyArray, AnyArray, AnyArray, AnyArray],
-    N: int,
-    rest: Rest,
-    held: tuple[int, ...],
-) -> LiftedPlant:
-    """Build the lifted model from its maps of (states, lifted w, u) to (next states, means, rests, y)."""
-    m, n = plant.model, plant.model.n_states
-    states, means, rests, measured = maps
-    n_x, n_wide = len(names[0]), len(names[1])
-    x, w, u = slice(0, n_x), slice(n_x, n_x + n_wide), slice(n_x + n_wide, None)
-    rows = np.vstack([means, rests, measured])
-    kick = np.vstack([rest.kick, np.zeros((n_x - n, n))])
-    performance = m.output_names[: m.n_outputs - plant.n_meas]
-    outputs = [*[f"{s}[{i}]" for i in range(N) for s in performance], *[f"rest{i + 1}" for i in range(len(rests))]]
+    outputs = [f"{s}[{i}]" for i in range(N) for s in m.output_names[:n_z]]
+    outputs += [f"rest{i + 1}" for i in range(len(rows))]
     model = StateSpaceModel(
-        states[:, x], np.hstack([states[:, w], kick, states[:, u]]), rows[:, x],
-        np.hstack([rows[:, w], np.zeros((len(rows), n)), rows[:, u]]), dt,
-        [*names[1], *[f"kick{i + 1}" for i in range(n)], *plant.controls], [*outputs, *plant.measurements], names[0],
-        where="lifting",
+        states[:, :n_x], np.hstack([states[:, n_x:at_u], kick, states[:, at_u:]]), out[:, :n_x],
+        np.hstack([out[:, n_x:at_u], np.zeros((len(out), n)), out[:, at_u:]]), dt,
+        [*wide, *[f"kick{i + 1}" for i in range(n)], *plant.controls], [*outputs, *plant.measurements],
+        [*m.state_names, *past], where="lifting",
     )  # fmt: skip
-    return LiftedPlant(model, N, len(means), len(rests), n_wide, n, plant.n_meas, plant.n_con, held, rest)
+    sizes = N, N * n_z, len(rows), len(wide), n, n_y, n_u
+    return LiftedPlant(model, *sizes, tuple(held.tolist()), to_mean, to_rest)
 
 
 # --- one interval -----------------------------------------------------------------------------------------------------
@@ -214,7 +166,8 @@ def _root(gram: AnyArray) -> AnyArray:
     return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
 
 
-def _rest(intervals: list[_Interval], n: int, D11: AnyArray) -> Rest:
+def _rest(intervals: list[_Interval], n: int, D11: AnyArray) -> tuple[AnyArray, float, float]:
+    """Return the kick and both gains of `LiftedPlant`."""
     gram = np.zeros((n, n))
     later_mean, later_rest = np.zeros((len(intervals),) * 2), np.zeros((len(intervals),) * 2)
     for i, step in enumerate(intervals):
@@ -227,4 +180,4 @@ def _rest(intervals: list[_Interval], n: int, D11: AnyArray) -> Rest:
     local = max((step.local for step in intervals), default=0.0)
     direct = float(np.linalg.norm(D11, 2)) if D11.size else 0.0
     gains = [float(np.linalg.norm(later, 2)) + local for later in (later_mean, later_rest)]
-    return Rest(_root(gram).T, gains[0], gains[1] + direct)
+    return _root(gram).T, gains[0], gains[1] + direct

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Any, ClassVar, TypedDict, Unpack, overload
+from dataclasses import dataclass
+from typing import Any, ClassVar, overload
 
 import numpy as np
 
 from robustlab.budget import MILLION, Budget, dense, one_thread
+from robustlab.checks import choice, number
 from robustlab.display import AllFields, Facts
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, error_context
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.feedback import wired
-from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import HinfNorm, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.hinf.loop_shaping import with_default_performance
-from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status
+from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status, limiting_channels
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.problem.performance_measure import given_scalings, plant_with_scalings
 from robustlab.synthesis.sampled.discretisation import (
@@ -57,6 +57,13 @@ class SampledTrial(AllFields):
     loss: float  # `upper / norm of the continuous loop - 1`
     status: Status  # status of the bracket
     reason: str = ""  # why there is no finite norm, or no controller; else empty
+
+    @property
+    def text(self) -> str:
+        """The loss in words."""
+        if np.isfinite(self.upper):
+            return f"loss {100 * self.loss:+.3g} %"
+        return "not stable" if self.order >= 0 else "none"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -135,36 +142,22 @@ class SampledController(Synthesis):
             head.append(("before the sampler", f"first-order filter at {self.antialiasing:.4g} rad/s"))
         elif self.norm.held:
             head.append(("taken as constant between samples", ", ".join(self.norm.held)))
-        tried = [f"{t.method}: {_loss_text(t)}" for t in self.trials]
+        tried = [f"{t.method}: {t.text.removeprefix('loss ')}" for t in self.trials]
         notes = [("note", str(merged)) for merged in self.pathological]
         return [*head, *rows, ("loss by method", ", ".join(tried)), *notes]
 
 
-class LoopOptions(TypedDict, total=False):
-    """Options with a plant, see `discretise`."""
-
-    prewarp: float | None
-    loss: float
-    delay: float
-    antialiasing: float | None
-    scalings: Any
-    time_limit: float | None
-    effort: float
-    progress: Callable[[str], None] | None
-
-
 @overload
 def discretise(
-    model: Synthesis, dt: float, method: SampledMethod | None = None, *, plant: Any = None,
-    **options: Unpack[LoopOptions],
-) -> SampledController: ...  # fmt: skip
+    model: Synthesis, dt: float, method: SampledMethod | None = None, *, plant: Any = None, **options: Any
+) -> SampledController: ...
 @overload
 def discretise(
     model: Any, dt: float, method: Method | None = None, *, plant: None = None, prewarp: float | None = None
 ) -> StateSpaceModel: ...
 @overload
 def discretise(
-    model: Any, dt: float, method: SampledMethod | None = None, *, plant: Any, **options: Unpack[LoopOptions]
+    model: Any, dt: float, method: SampledMethod | None = None, *, plant: Any, **options: Any
 ) -> SampledController: ...
 @error_context("discretise")
 def discretise(
@@ -283,157 +276,74 @@ def discretise(
         raise InputError(WHERE, f"the controller has dt = {full.dt:g} s already", "a continuous controller")
     full = wired(full, p.measurements, p.controls, WHERE)
     p = with_default_performance(p, WHERE)
-    known = ("auto", "direct", *METHODS)
-    if method not in (None, *known):
-        raise InputError(WHERE, f"method {method!r}", f"one of {', '.join(known)}", did_you_mean(str(method), known))
-    if not 0 <= loss < np.inf:
-        raise InputError(WHERE, f"loss {loss}", "a loss >= 0")
+    choice(f"{WHERE}: method", method or "auto", ("auto", "direct", *METHODS))
+    number(f"{WHERE}: loss", loss, at_least=0)
     budget = design_budget(WHERE, CONTROLLER_WORK, effort, time_limit)
     judged = p if scalings is None else plant_with_scalings(p, given_scalings(scalings, 0.0, WHERE), WHERE)
     with one_thread():
         continuous = hinf_norm(judged.close(full))
         if not np.isfinite(continuous.upper):
             raise NoTrustworthyNumber(WHERE, f"the continuous loop is not stable ({continuous.reason})")
-        search = _Search(with_antialiasing(judged, antialiasing, WHERE), full, float(dt), delay, continuous)
-        _try_methods(search, method or "auto", loss, prewarp, budget, progress or (lambda _: None))
-    return _finished(search, p, full, loss, antialiasing, budget)
+        judged = with_antialiasing(judged, antialiasing, WHERE)
+        merged = merged_modes(judged.model, dt)
+        corner = continuous.frequency if prewarp is None else prewarp
+        names = [method] if method not in (None, "auto", "direct") else []
+        if method in (None, "auto"):
+            names = ["tustin", *["tustin-prewarp"] * bool(0 < continuous.frequency < 0.9 * np.pi / dt), "zoh", "foh"]
+            names += ["matched"] * ((full.n_inputs, full.n_outputs) == (1, 1))
+        trials, best = list[SampledTrial](), None
+        for name in [*names, *["direct"] * (method in (None, "auto", "direct"))]:
+            enough = best is not None and _loss(best[2].upper, continuous) <= loss
+            if budget.over or (name == "direct" and enough):
+                break
+            try:
+                if name == "direct":
+                    made = _designed(judged, float(dt), delay, budget)
+                    made = StateSpaceModel(made.A, made.B, made.C, made.D, dt, full.inputs, full.outputs)
+                else:
+                    made = by_formula(full, dt, name, corner if name == "tustin-prewarp" else None)
+                budget.spend(dense(judged.model.n_states + made.n_states, 200))  # as measured
+                # A norm larger than the best is not refined, unless the best is in doubt.
+                sure = best is not None and best[2].status.trustworthy
+                least = best[2].upper if best is not None else np.inf
+                norm = sampled_loop_norm(judged, made, delay, 1e-2, least if sure else np.inf)
+                order, lower, upper, status, reason = made.n_states, norm.lower, norm.upper, norm.status, norm.reason
+                if np.isfinite(upper) and (not status.trustworthy, upper) < (not sure, least):
+                    best = name, made, norm
+            except (InputError, NoTrustworthyNumber) as error:  # InputError: a loop that is not well posed
+                named = [str(pair) for pair in merged if not pair.stable and name == "direct"]
+                order, lower, upper, status = -1, np.inf, np.inf, Status.FAILED
+                reason = "; ".join([error.line, *named])
+            trials.append(SampledTrial(name, order, lower, upper, _loss(upper, continuous), status, reason))
+            if progress is not None:
+                progress(f"{name}: {reason if order < 0 else f'sampled-data norm {upper:.6g}, {trials[-1].text}'}")
+    if best is None:
+        ended = f" ({budget.remark})" if budget.remark else ""
+        outcomes = [f"{trial.method}: {trial.reason or 'not stable'}" for trial in trials]
+        raise NoTrustworthyNumber(
+            WHERE, f"no digital controller with dt = {dt:g} s left the sampled loop stable{ended}",
+            hint="a shorter sample time", more=(*map(str, merged), *outcomes),
+        )  # fmt: skip
+    name, made, norm = best
+    how = norm.reason or f"norm proved on {norm.n_intervals} intervals a period"
+    reason = f"{name}: sampled loop rebuilt, {how}"
+    if _loss(norm.upper, continuous) > loss:
+        reason += f"; no method tried keeps the loss to {100 * loss:g} %"
+    status, reason = final_status(norm.status, [reason], budget, "one that loses less")
+    return SampledController(
+        K=made, gamma=norm.upper, closed_loop=norm.loop, status=status, reason=reason,
+        limit=limiting_channels(norm.loop, norm.frequency), plant=p, method=f"sampled {name}", original=full,
+        continuous_norm=continuous, norm=norm, allowed_loss=loss, trials=tuple(trials), delay=delay,
+        antialiasing=antialiasing, pathological=merged, chosen=name,
+    )  # fmt: skip
 
 
 def _loss(value: float, reference: HinfNorm) -> float:
     return value / reference.upper - 1 if reference.upper > 0 else float(np.inf if value else 0.0)
 
 
-def _loss_text(trial: SampledTrial) -> str:
-    if np.isfinite(trial.upper):
-        return f"{100 * trial.loss:+.3g} %"
-    return "not stable" if trial.order >= 0 else "none"
-
-
-@dataclass
-class _Search:
-    """The loop, and the digital controllers tried so far with the norms of their loops."""
-
-    plant: GeneralizedPlant
-    K: StateSpaceModel
-    dt: float
-    delay: float
-    continuous: HinfNorm
-    trials: list[SampledTrial] = field(default_factory=list)
-    best: tuple[str, StateSpaceModel, SampledDataNorm] | None = None
-
-
-def _try_methods(
-    search: _Search, method: str, loss: float, prewarp: float | None, budget: Budget, report: Callable[[str], None]
-) -> None:
-    """Try a method; "auto": the formulas, and the direct design where they lose more than ``loss``."""
-    names = [] if method == "direct" else [method]
-    if method == "auto":
-        below = 0 < search.continuous.frequency < 0.9 * np.pi / search.dt
-        names = ["tustin", *["tustin-prewarp"] * below, "zoh", "foh"]
-        names += ["matched"] * ((search.K.n_inputs, search.K.n_outputs) == (1, 1))
-    corner = search.continuous.frequency if prewarp is None else prewarp
-    for name in [*names, *["direct"] * (method in ("direct", "auto"))]:
-        enough = search.best is not None and _loss(search.best[2].upper, search.continuous) <= loss
-        if budget.over or (method == "auto" and name == "direct" and enough):
-            return
-        try:
-            if name == "direct":
-                K = _designed(search, budget)
-            else:
-                K = by_formula(search.K, search.dt, name, corner if name == "tustin-prewarp" else None)
-            report(f"{name}: {_evaluated(search, name, K, budget)}")
-        except NoTrustworthyNumber as error:
-            named = [str(merged) for merged in merged_modes(search.plant.model, search.dt) if not merged.stable]
-            reason = "; ".join([error.line, *named]) if name == "direct" else error.line
-            search.trials.append(SampledTrial(name, -1, np.inf, np.inf, np.inf, Status.FAILED, reason))
-            report(f"{name}: {reason}")
-
-
-def _designed(search: _Search, budget: Budget) -> StateSpaceModel:
+def _designed(plant: GeneralizedPlant, dt: float, delay: float, budget: Budget) -> StateSpaceModel:
     """Design a controller by H-infinity synthesis on the lifted plant."""
-    plant, K = search.plant, search.K
     n_intervals = int(np.clip(MOST_DESIGN // max(plant.n_w, plant.n_z, 1), 1, DESIGN_INTERVALS))
-    lifted = lift(plant, search.dt, n_intervals, search.delay).generalized_plant()
-    found = synthesize(lifted, "hinf", DESIGN_GAMMA_REL, budget).K
-    return StateSpaceModel(found.A, found.B, found.C, found.D, search.dt, K.inputs, K.outputs)
-
-
-def _evaluated(search: _Search, name: str, K: StateSpaceModel, budget: Budget) -> str:
-    """Add a controller with the norm of its loop to the search, and return the norm in words."""
-    budget.spend(dense(search.plant.model.n_states + K.n_states, 200))  # as measured
-    # A norm larger than the best is not refined, unless the best is in doubt.
-    best = np.inf if search.best is None else search.best[2].upper
-    sure = search.best is not None and search.best[2].status.trustworthy
-    try:
-        norm = sampled_loop_norm(search.plant, K, search.delay, 1e-2, best if sure else np.inf)
-    except InputError as error:
-        raise NoTrustworthyNumber("loop", error.found, error.expected) from None  # not well posed
-    loss = _loss(norm.upper, search.continuous)
-    trial = SampledTrial(name, K.n_states, norm.lower, norm.upper, loss, norm.status, norm.reason)
-    search.trials.append(trial)
-    if np.isfinite(norm.upper) and (not norm.status.trustworthy, norm.upper) < (not sure, best):
-        search.best = name, K, norm
-    return f"sampled-data norm {norm.upper:.6g}, loss {_loss_text(trial)}"
-
-
-def _finished(
-    search: _Search, plant: GeneralizedPlant, full: StateSpaceModel, loss: float, antialiasing: float | None,
-    budget: Budget,
-) -> SampledController:  # fmt: skip
-    merged = merged_modes(search.plant.model, search.dt)
-    if search.best is None:
-        ended = f" ({budget.remark})" if budget.remark else ""
-        outcomes = [f"{trial.method}: {trial.reason or 'not stable'}" for trial in search.trials]
-        raise NoTrustworthyNumber(
-            WHERE, f"no digital controller with dt = {search.dt:g} s left the sampled loop stable{ended}",
-            hint="a shorter sample time", more=(*map(str, merged), *outcomes),
-        )  # fmt: skip
-    name, K, norm = search.best
-    achieved = _loss(norm.upper, search.continuous)
-    how = norm.reason or f"norm proved on {norm.n_intervals} intervals a period"
-    reason = f"{name}: sampled loop rebuilt, {how}"
-    if achieved > loss:
-        reason += f"; no method tried keeps the loss to {100 * loss:g} %"
-    status, reason = final_status(norm.status, [reason], budget, "one that loses less")
-    return SampledController(
-        K=K,
-        gamma=norm.upper,
-        closed_loop=norm.loop,
-        status=status,
-        reason=reason,
-        limit=_limiting_channels(norm, search.plant),
-        plant=plant,
-        method=f"sampled {name}",
-        original=full,
-        continuous_norm=search.continuous,
-        norm=norm,
-        allowed_loss=loss,
-        trials=tuple(search.trials),
-        delay=search.delay,
-        antialiasing=antialiasing,
-        pathological=merged,
-        chosen=name,
-    )
-
-
-def _limiting_channels(norm: SampledDataNorm, plant: GeneralizedPlant) -> str:
-    """Return the disturbance and the mean performance with the largest share in the peak's singular vectors."""
-    m, loop = plant.model, norm.loop
-    if not loop.n_inputs or not loop.n_outputs or not np.isfinite(norm.frequency):
-        return ""
-    left, _, right = np.linalg.svd(frequency_response(loop, [norm.frequency])[0])
-    texts, rest = list[str](), 0.0
-    for lifted, vector, names in (
-        (loop.input_names, right[0], m.input_names[: plant.n_w]),
-        (loop.output_names, left[:, 0], m.output_names[: plant.n_z]),
-    ):
-        shares = dict.fromkeys(names, 0.0)
-        for name, weight in zip(lifted, np.abs(vector) ** 2, strict=True):
-            channel = name if name in shares else name.rpartition("[")[0]
-            if channel in shares:
-                shares[channel] += float(weight)
-        largest = max(shares, key=lambda name: shares[name])
-        texts.append(f"{largest} ({shares[largest]:.0%}")
-        rest = 1 - sum(shares.values())
-    between = f"; {rest:.0%} of it varies between samples" if rest >= 0.01 else ""
-    return f"{texts[1]} of the peak) driven by {texts[0]}){between}"
+    lifted = lift(plant, dt, n_intervals, delay).generalized_plant()
+    return synthesize(lifted, "hinf", DESIGN_GAMMA_REL, budget).K

@@ -12,7 +12,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from robustlab.budget import one_thread
-from robustlab.display import Facts, listed, number
+from robustlab.checks import number
+from robustlab.display import Facts, listed
+from robustlab.display import number as in_words
 from robustlab.errors import InputError, error_context
 from robustlab.feedback import wired
 from robustlab.norms import HinfNorm, PeakGain, hinf_norm
@@ -75,7 +77,7 @@ class SampledDataNorm(PeakGain):
     def evidence(self) -> Facts:
         """Return the sampling, and the assumptions between the samples."""
         return [
-            ("sample time", number(self.loop.dt, "s")),
+            ("sample time", in_words(self.loop.dt, "s")),
             ("intervals of a period", str(self.n_intervals)),
             ("taken as constant between samples", listed(self.held)),
             ("reason", self.reason),
@@ -151,8 +153,7 @@ def check_sampling(plant: GeneralizedPlant, K: StateSpaceModel, dt: float, delay
     """Require a continuous plant, a positive sample time, no negative delay, and a controller that fits."""
     if plant.model.dt:
         raise InputError(where, f"the plant has dt = {plant.model.dt:g} s", "a continuous plant (dt = 0)")
-    if isinstance(dt, bool) or not isinstance(dt, (int, float, np.number)) or not 0 < dt < np.inf:
-        raise InputError(where, f"the sample time is {dt!r}", "a positive time in s", "discretise the controller first")
+    number(f"{where}: sample time", dt, "a positive time in s", "discretise the controller first", above=0)
     if not 0 <= delay <= LONGEST_DELAY * dt:
         raise InputError(where, f"delay is {delay}", f"a time in s, not negative, of at most {LONGEST_DELAY} samples")
     if (K.n_outputs, K.n_inputs) != (plant.n_con, plant.n_meas):
@@ -163,17 +164,12 @@ def with_antialiasing(plant: GeneralizedPlant, corner: float | None, where: str)
     r"""Add :math:`1 / (s / \omega_f + 1)` to the measurements that w or u reach directly (D21, D22)."""
     if corner is None:
         return plant
-    m, n_z = plant.model, plant.model.n_outputs - plant.n_meas
-    rows = n_z + np.flatnonzero(m.D[n_z:].any(axis=1))
     if not 0 < corner < np.inf:
         raise InputError(where, f"antialiasing is {corner}", "a positive corner frequency in rad/s")
-    if not len(rows):
-        return plant
-    k = len(rows)
-    select = np.zeros((m.n_outputs, k))
-    select[rows, range(k)] = 1.0
-    straight = np.eye(m.n_outputs) - select @ select.T
-    filters = StateSpaceModel(-corner * np.eye(k), corner * select.T, select, straight)
+    m, n_z = plant.model, plant.n_z
+    select = np.eye(m.n_outputs)[:, n_z + np.flatnonzero(m.D[n_z:].any(axis=1))]
+    k = select.shape[1]
+    filters = StateSpaceModel(-corner * np.eye(k), corner * select.T, select, np.eye(m.n_outputs) - select @ select.T)
     behind = series(StateSpaceModel(m.A, m.B, m.C, m.D), filters)
     return GeneralizedPlant(behind.renamed(m.inputs, m.outputs), plant.n_meas, plant.n_con, plant.blocks)
 
@@ -210,13 +206,10 @@ def _confirmed(norm: SampledDataNorm, lifted: LiftedPlant, K: StateSpaceModel) -
     """Return the norm; INACCURATE unless that of the lifted plant and K as stored is proved to be in the bracket."""
     plant = lifted.generalized_plant()
     m, n_z = plant.model, plant.n_z
-    # Orthogonal transformation of the performance outputs: no more of them than states and inputs.
-    rows = np.asarray(np.linalg.qr(np.hstack([m.C[:n_z], m.D[:n_z]]), mode="r"))
-    narrow = StateSpaceModel(
-        m.A, m.B, np.vstack([rows[:, : m.n_states], m.C[n_z:]]), np.vstack([rows[:, m.n_states :], m.D[n_z:]]), m.dt
-    )
-    found = HinfNorm(norm.lower, norm.upper, norm.frequency, norm.status)
-    proof = certified(GeneralizedPlant(narrow, plant.n_meas, plant.n_con), K, found, norm.upper)
+    few = _few_outputs(m, slice(0, n_z))
+    C, D = np.vstack([few.C, m.C[n_z:]]), np.vstack([few.D, m.D[n_z:]])
+    narrow = GeneralizedPlant(StateSpaceModel(m.A, m.B, C, D, m.dt), plant.n_meas, plant.n_con)
+    proof = certified(narrow, K, HinfNorm(norm.lower, norm.upper, norm.frequency, norm.status), norm.upper)
     return replace(norm, upper=proof.gamma, status=Status.INACCURATE, reason=proof.doubt) if proof.doubt else norm
 
 
@@ -225,31 +218,28 @@ def _bracket(lifted: LiftedPlant, loop: StateSpaceModel, rtol: float) -> Sampled
     n, n_mean = lifted.n_w, lifted.n_means
     w, kick = slice(0, n), slice(n, n + lifted.n_kick)
     mean, rest = slice(0, n_mean), slice(n_mean, n_mean + lifted.n_rests)
-    whole = _part(loop, slice(0, rest.stop), w)
-    lower = _norm(whole, rtol)
+    whole = loop.select(loop.input_names[w], loop.output_names[: rest.stop])
+
+    def norm(rows: slice, columns: slice, rtol: float) -> HinfNorm:
+        return hinf_norm(_few_outputs(loop, rows, columns), rtol)
+
+    lower = norm(slice(0, rest.stop), w, rtol)
     upper, norms = lower.upper, [lower]
     if np.isfinite(upper) and len(lifted.held) < n:  # if all of w is held, it has no rest
-        norms.append(_norm(_part(loop, mean, w), rtol))
-        b, c, d = (_norm(_part(loop, i, j), 1e-2).upper for i, j in ((mean, kick), (rest, w), (rest, kick)))
-        gains = np.array([[norms[1].upper, b + lifted.rest.mean], [c, d + lifted.rest.variance]])
+        norms.append(norm(mean, w, rtol))
+        b, c, d = (norm(i, j, 1e-2).upper for i, j in ((mean, kick), (rest, w), (rest, kick)))
+        gains = np.array([[norms[1].upper, b + lifted.to_mean], [c, d + lifted.to_rest]])
         upper = max(float(np.linalg.norm(gains, 2)), upper)
-    doubtful = [norm for norm in norms if norm.status is not Status.CERTIFIED]
-    status = Status.INACCURATE if doubtful else Status.CERTIFIED
-    reason = doubtful[0].reason if doubtful else lower.reason
+    doubtful = next((norm for norm in norms if norm.status is not Status.CERTIFIED), None)
+    status = Status.CERTIFIED if doubtful is None else Status.INACCURATE
     held = tuple(loop.input_names[i] for i in range(n - len(lifted.held), n))
+    reason = (doubtful or lower).reason
     return SampledDataNorm(lower.lower, upper, lower.frequency, status, lifted.n_intervals, (), whole, held, reason)
 
 
-def _part(loop: StateSpaceModel, rows: slice, columns: slice) -> StateSpaceModel:
-    return StateSpaceModel(
-        loop.A, loop.B[:, columns], loop.C[rows], loop.D[rows, columns], loop.dt, loop.inputs[columns],
-        loop.outputs[rows],
-    )  # fmt: skip
-
-
-def _norm(loop: StateSpaceModel, rtol: float) -> HinfNorm:
-    """Return the norm; an orthogonal transformation leaves no more outputs than states and inputs."""
-    if loop.n_outputs > loop.n_states + loop.n_inputs:
-        r = np.asarray(np.linalg.qr(np.hstack([loop.C, loop.D]), mode="r"))
-        loop = StateSpaceModel(loop.A, loop.B, r[:, : loop.n_states], r[:, loop.n_states :], loop.dt)
-    return hinf_norm(loop, rtol)
+def _few_outputs(m: StateSpaceModel, rows: slice, columns: slice = slice(None)) -> StateSpaceModel:
+    """Return a part of a model; an orthogonal transformation leaves no more outputs than states and inputs."""
+    out = np.hstack([m.C[rows], m.D[rows, columns]])
+    if len(out) > out.shape[1]:
+        out = np.asarray(np.linalg.qr(out, mode="r"))
+    return StateSpaceModel(m.A, m.B[:, columns], out[:, : m.n_states], out[:, m.n_states :], m.dt)

@@ -109,8 +109,8 @@ def test_an_unstable_controller_and_a_discrete_one():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"loss": -0.1}, "loss is -0.1"),
-        ({"loss": float("nan")}, "loss is nan"),
+        ({"loss": -0.1}, "loss: -0.1"),
+        ({"loss": float("nan")}, "loss: nan"),
         ({"order": 99}, "whole number from 0"),
         ({"measure": "l1"}, "'hinf', 'h2' or 'mu'"),
         ({"measure": "hinf", "blocks": (rl.ComplexScalar("d"),)}, "measure='mu'"),

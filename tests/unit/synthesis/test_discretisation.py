@@ -38,13 +38,6 @@ def test_a_lag_in_closed_form(method, expected):
     assert found.outputs == LAG.outputs
 
 
-def test_prewarping_is_exact_at_its_frequency():
-    found = rl.discretise(TWO_BY_TWO, 0.5, "tustin-prewarp", prewarp=2.0)
-    np.testing.assert_allclose(
-        rl.frequency_response(found, [2.0]), rl.frequency_response(TWO_BY_TWO, [2.0]), rtol=1e-12
-    )
-
-
 def test_holds_are_exact_at_the_samples():
     t, u = 0.5 * np.arange(9), np.random.default_rng(0).normal(size=(9, 2))
     for method in ("zoh", "foh"):
@@ -55,19 +48,6 @@ def test_holds_are_exact_at_the_samples():
         stepped = rl.simulate(found, t, u, x0=-slope @ u[0] if method == "foh" else None)
         for name in ("y1", "y2"):
             np.testing.assert_allclose(stepped[name], exact[name], atol=1e-12)
-
-
-def test_matched_poles_and_zeros():
-    # (s + 1)(s^2 + 2 s + 5) / ((s + 3)(s + 4)(s^2 + 0.1 s + 9)): one zero at infinity.
-    num, den = np.polymul([1, 1], [1, 2, 5]), np.polymul(np.polymul([1, 3], [1, 4]), [1, 0.1, 9])
-    import control
-
-    found = rl.discretise(control.tf(num, den), 0.2, "matched").to_control()
-    zeros = np.append(np.exp(0.2 * np.roots(num)), -1.0)
-    by_height = sorted(found.zeros(), key=lambda z: (z.imag, z.real))
-    np.testing.assert_allclose(by_height, sorted(zeros, key=lambda z: (z.imag, z.real)), atol=1e-9)
-    np.testing.assert_allclose(np.sort_complex(found.poles()), np.sort_complex(np.exp(0.2 * np.roots(den))), atol=1e-9)
-    assert found.dcgain() == pytest.approx(5 / 108, rel=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -53,7 +53,7 @@ def test_tustin_is_the_map_of_python_control():
         (lambda: rl.d2c(rl.StateSpaceModel(1e-4 * np.eye(3) + np.eye(3, k=1), np.ones((3, 1)), np.ones((1, 3)),
                                            [[0.0]], T)), rl.NoTrustworthyNumber, "gives A back to"),
         (lambda: rl.d2c(CONTINUOUS), rl.InputError, "d2c: the model is continuous"),
-        (lambda: rl.d2c(DELAY, "zho"), rl.InputError, "(?s)method 'zho', expected one of zoh, tustin.*mean zoh"),
+        (lambda: rl.d2c(DELAY, "zho"), rl.InputError, "(?s)method: 'zho', expected one of zoh, tustin.*mean zoh"),
     ],
 )  # fmt: skip
 def test_models_without_a_continuous_one_are_refused(convert, error, text):

@@ -114,12 +114,12 @@ def test_lifting_repeats_the_plant_over_a_period():
 @pytest.mark.parametrize(
     ("arguments", "options", "message"),
     [
-        ((rl.StateSpaceModel([], [], [], [[-1.0]]), 0.0), {}, "sample time is 0"),
+        ((rl.StateSpaceModel([], [], [], [[-1.0]]), 0.0), {}, "sample time: 0"),
         ((rl.StateSpaceModel([], [], [], [[-1.0]], 0.1), 0.1), {}, "dt = 0.1 s already"),
         ((rl.StateSpaceModel([], [], [], np.ones((1, 4))), 0.1), {}, "n_meas is 4"),
         ((rl.StateSpaceModel([], [], [], [[-1.0]]), 0.1), {"method": "tusting"}, "did you mean tustin"),
         ((rl.StateSpaceModel([], [], [], [[-1.0]]), 0.1), {"delay": -1.0}, "delay is -1"),
-        ((rl.StateSpaceModel([], [], [], [[-1.0]]), 0.1), {"loss": -1.0}, "loss -1"),
+        ((rl.StateSpaceModel([], [], [], [[-1.0]]), 0.1), {"loss": -1.0}, "loss: -1"),
     ],
 )
 def test_bad_requests_are_named(arguments, options, message):
