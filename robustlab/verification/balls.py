@@ -12,7 +12,7 @@ Rump, "Verification methods: rigorous results using floating-point arithmetic", 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -121,19 +121,13 @@ class Definite:
     least: float  # estimate of the midpoint's smallest eigenvalue, with a diagonal scaled to 1
 
 
-def definite(F: Matrix, higher: Callable[[Matrix], Sequence[Matrix]] | None = None) -> Definite:
-    r"""Test F > 0; with ``higher`` :math:`F + \sum_{k \ge 1} e^k F_k > 0` for every real |e| <= 1.
+def definite(F: Matrix) -> Definite:
+    r"""Test F > 0 for a ball matrix (n, n) around a Hermitian one.
 
-    ``F``: ball matrix (n, n) around a Hermitian one, as each F_k is.
-    ``higher``: returns ball matrices around :math:`S^* F_k S`, k = 1, 2, ..., for its argument S.
-
-    Proof: for any square S, with :math:`Y_k = S^* F_k S`, if
-
-    .. math:: \inf Y_{0,ii} > \sum_{(k, j) \ne (0, i)} \sup |Y_{k,ij}| \quad\text{for each } i ,
-
-    then :math:`Y(e) = S^* F(e) S` is Hermitian, strictly diagonally dominant with a positive diagonal, so Y(e) > 0
-    (Gershgorin). Then S is regular (S v = 0 would give v^* Y v = 0), and F(e) > 0. S is arbitrary, so floating point
-    chooses it: a root of the inverse of F's midpoint, repeated where one is not accurate enough.
+    Proof: for any square S, with :math:`Y = S^* F S`, if :math:`\inf Y_{ii} > \sum_{j \ne i} \sup |Y_{ij}|` for each
+    i, then Y is Hermitian, strictly diagonally dominant with a positive diagonal, so Y > 0 (Gershgorin). Then S is
+    regular (S v = 0 would give v^* Y v = 0), and F > 0. S is arbitrary, so floating point chooses it: a root of the
+    inverse of F's midpoint, repeated where one is not accurate enough.
     """
     n = F.nrows()
     if n == 0:
@@ -144,8 +138,8 @@ def definite(F: Matrix, higher: Callable[[Matrix], Sequence[Matrix]] | None = No
     scaled = type(F)(n, n, [F[i, j] * scale[i] * scale[j] for i in range(n) for j in range(n)])
     S, Y, least = diagonal(scale), scaled, 1.0
     for _ in range(REPEATS):
-        if _dominant([Y]):
-            return Definite(higher is None or _dominant([Y, *higher(S)]), least)
+        if _dominant(Y):
+            return Definite(True, least)
         hint = midpoints(Y)
         if not np.isfinite(hint).all():
             return Definite(False, -math.inf)
@@ -172,11 +166,7 @@ def _root_scale(x: Any) -> arb | None:
     return arb(2) ** (-(int(mantissa).bit_length() + int(exponent)) // 2)
 
 
-def _dominant(Y: Sequence[Matrix]) -> bool:
-    """Test whether each diagonal entry of ``Y[0]`` exceeds the sum of its row's other entries in all matrices."""
-    rows = range(Y[0].nrows())
-    for i in rows:
-        rest = sum((X[i, j].abs_upper() for k, X in enumerate(Y) for j in rows if k or i != j), arb(0))
-        if not Y[0][i, i].real > rest:
-            return False
-    return True
+def _dominant(Y: Matrix) -> bool:
+    """Test whether each diagonal entry exceeds the sum of its row's other entries."""
+    rows = range(Y.nrows())
+    return all(Y[i, i].real > sum((Y[i, j].abs_upper() for j in rows if i != j), arb(0)) for i in rows)

@@ -2,60 +2,35 @@ r"""Weights that bound the error of a rational delay, for every delay of a range
 
 At each frequency :math:`|e^{-j\omega\tau} - R|` is largest at an end of the range of tau, unless the arc of all
 :math:`e^{-j\omega\tau}` contains the point opposite to R; and it is never above 1 + |R|. So below a frequency both ends
-are tested in boxes of the model :math:`[e^{-s\tau} - R;\; W]` with its exact delay, and so is the arc; above it the
-weight exceeds 1 + |R|, a statement about rational models (`axis`).
+are tested, and so is the arc; above it :math:`|W|^2 + \varepsilon^2 > 2 + 2 |R|^2 \ge (1 + |R|)^2`, in 1/omega.
 
-**Boxes.** With the states x and the outputs w of the delays as unknowns, H = (A B_1; C_1 D_11),
-:math:`M(s) = D + C F(s)^{-1} B,\ F(s) = \mathrm{diag}(s I, e^{s \tau_i}) - H`. For :math:`\omega = \omega_0 + r e,\
-|e| \le 1`: :math:`F(j\omega) = F_0 + N(e)`, N diagonal, :math:`N = \sum_{k \ge 1} N_k e^k`, and by Taylor's rest
-:math:`|N(e) - \sum_{k<i} N_k e^k| \le T_i |e|^i`, with :math:`T_1 = r\,\mathrm{diag}(I, \tau)`, :math:`T_i =
-\mathrm{diag}(0, (r \tau)^i / i!)`. With :math:`R = F_0^{-1}`, :math:`X_0 = R B`, :math:`X_k = -R \sum_{1 \le i \le k}
-N_i X_{k-i}`, put :math:`F^{-1} B = \sum_{k<K} X_k e^k + e^K Z`. Then :math:`|F Z| \le Q = \sum_{k<K} T_{K-k} |X_k|`
-entry by entry, so :math:`|Z| \le |R| Q + |R| T_1 |Z|`, and `neumann` bounds Z, proves the spectral radius of
-:math:`|R| T_1` below one, and so F regular in the box.
+**Boxes.** A function of one real number is expanded about the middle of a box: :math:`f(x_0 + h) = \sum_{k<K} f_k h^k +
+f_K h^K` for :math:`|h| \le r`, each :math:`f_k` at :math:`x_0` and the last over the whole box (Taylor with Lagrange's
+rest; of a complex function real and imaginary part by themselves). A box that is not decided is halved.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
-import numpy as np
-from flint import acb, acb_mat, arb, arb_mat
+import flint
+from flint import acb, acb_poly, acb_series, arb
 
 from robustlab.errors import InputError
-from robustlab.verification.axis import axis
-from robustlab.verification.balls import (
-    INDEFINITE,
-    Definite,
-    Matrix,
-    definite,
-    diagonal,
-    exact,
-    identity,
-    inverse,
-    magnitudes,
-    midpoints,
-    rounded_up,
-    stack,
-    zeros,
-)
+from robustlab.verification.balls import rounded_up
 from robustlab.verification.claim import PROVED, Claim, Verdict, Work, not_proved, real, scalar
-from robustlab.verification.forms import Form
 from robustlab.verification.models import Model, stored
 from robustlab.verification.norms import climb
 from robustlab.verification.stability import stable
 
-DEGREE = 3  # of a polynomial before its remainder: beyond it a box grows by less than its cost
-REACH = 0.6  # half width of a box over the distance of the nearest pole, at most: the ratio of the series
-MARGIN = 1e-4  # by which a proposed bound of a remainder exceeds its floating-point value
-TINY = 1e-300
-NARROW = 1e-13  # a box in which M changes by less than this part does not gain from another halving
-SMALL = 12  # K for weights: at low frequencies the error is small, the difference of numbers that are not
+TERMS = 20  # of the series: at low frequencies the error is small, the difference of numbers that are not
 
-Test = Callable[[float, float, float, float], Definite]
+Series = Any  # acb_series of a real variable
+Fraction = tuple[acb_poly, acb_poly]
+Function = Callable[[arb, Series], Series]  # of a point and the step from there
+Sign = Callable[[acb, arb], bool]  # of the function's value in a box, and the box
 
 
 def prove_delay_weight(claim: Claim, work: Work) -> Verdict:
@@ -73,171 +48,96 @@ def prove_delay_weight(claim: Claim, work: Work) -> Verdict:
         raise InputError("range, R, W", f"{low}, {high}", "in order; one input, one output")
 
     def attempt() -> Verdict:
-        R, W = (stored(claim, name) for name in ("R_{}", "W_{}"))
         verdict = stable(R, None, work)
-        if verdict.proved:
-            form = Form(arb_mat([[arb(epsilon) ** 2 - 2]]), diagonal([arb(2), arb(-1)]), None)
-            verdict = axis(_common_input(R, W), [(far, math.inf, form)], work)
-        for tau in dict.fromkeys((low, high)):
+        (r, r_back), (w, w_back), floor = _fractions(R), _fractions(W), arb(epsilon) ** 2
+
+        def above(v: arb, h: Series) -> Series:
+            s = acb_poly([acb(0, -v), acb(0, -1)])  # the inverse of j (v + h)
+            return _size(_value(w_back, s, h)) + floor - 2 - _size(_value(r_back, s, h)) * 2
+
+        def at_an_end(omega: arb, h: Series, tau: float) -> Series:
+            s = acb_poly([acb(0, omega), acb(0, 1)])
+            error = (_at(s, h) * -arb(tau)).exp() - _value(r, s, h)
+            return _size(_value(w, s, h)) + floor - _size(error)
+
+        def arc(omega: arb, h: Series) -> Series:
+            s = acb_poly([acb(0, omega), acb(0, 1)])
+            return _value(r, -s, h) * (_at(s, h) * (-(arb(low) + arb(high)) / 2)).exp()
+
+        def apart(value: acb, omega: arb) -> bool:
+            return bool(value.arg().abs_upper() + omega.upper() * (arb(high) - arb(low)) / 2 < arb.pi())
+
+        tests: list[tuple[Function, Sign, float, bool]] = [(above, _positive, rounded_up(1 / arb(far)), True)]
+        tests += [(partial(at_an_end, tau=tau), _positive, far, False) for tau in dict.fromkeys((low, high))]
+        tests += [(arc, apart, far, False)] if low < high else []
+        for function, sign, stop, inverse in tests:
             if verdict.proved:
-                verdict = _end_of_range(R, W, tau, epsilon, far, work)
-        if verdict.proved and low < high:
-            verdict = _no_opposite(R, low, high, far, work)
+                verdict = _holds(function, sign, stop, inverse, work)
         return verdict
 
-    return climb(attempt)
+    cap, flint.ctx.cap = flint.ctx.cap, TERMS + 1
+    try:
+        return climb(attempt)
+    finally:
+        flint.ctx.cap = cap
 
 
-def _common_input(R: Model, W: Model) -> Model:
-    """Stack the outputs of R and W, which have one common input."""
-    A = stack([[R.A, zeros(R.n, W.n)], [zeros(W.n, R.n), W.A]])
-    C = stack([[R.C, zeros(1, W.n)], [zeros(1, R.n), W.C]])
-    return Model(A, stack([[R.B], [W.B]]), C, stack([[R.D], [W.D]]), 0.0)
+def _fractions(G: Model) -> tuple[Fraction, Fraction]:
+    """Return numerator and denominator of G(s), and of it as a function of 1/s.
 
-
-def _end_of_range(R: Model, W: Model, tau: float, epsilon: float, far: float, work: Work) -> Verdict:
-    """Prove the inequality for one delay up to ``far``, for the model ``[e^(-s tau) - R; W]``."""
-    both = _common_input(R, W)
-    n, sign = both.n, diagonal([arb(-1), arb(1)])
-    G = Delayed(
-        stack([[both.A, zeros(n, 1)], [zeros(1, n), zeros(1, 1)]]), stack([[both.B], [identity(1)]]),
-        stack([[sign * both.C, arb_mat([[1], [0]])]]), sign * both.D, (tau,),
-    )  # fmt: skip
-    quadratic = Form(arb_mat([[arb(epsilon) ** 2]]), diagonal([arb(1), arb(-1)]), None).of_sum(G.D, G.C)
-
-    def test(a: float, w0: float, b: float, r: float) -> Definite:
-        X = expansion(G, w0, r, SMALL)
-        if X is None:
-            return Definite(False, math.nan)
-        return definite(quadratic.at(X[0]), lambda S: quadratic.higher(X, S))
-
-    return sweep(G, 0.0, far, test, work)
-
-
-def _no_opposite(R: Model, low: float, high: float, far: float, work: Work) -> Verdict:
-    """Prove that the arc of all delays does not contain the point opposite to R up to ``far``."""
-    G = Delayed(R.A, R.B, R.C, R.D, ())
-    half, middle = (arb(high) - arb(low)) / 2, (arb(low) + arb(high)) / 2
-
-    def test(a: float, w0: float, b: float, r: float) -> Definite:
-        X = expansion(G, w0, r)
-        if X is None:
-            return Definite(False, math.nan)
-        value = (G.D + G.C * sum((x * arb(0, 1) for x in X[1:]), X[0]))[0, 0]
-        angle = (value.conjugate() * acb(0, -middle * arb(w0, r)).exp()).arg()
-        return Definite(bool(angle.abs_upper() + arb(b) * half < arb.pi()), math.nan)
-
-    return sweep(G, 0.0, far, test, work)
-
-
-# --- boxes of a model with exact delays -------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Delayed:
-    """The unknowns (x, w) of the module's text: ball matrices H (n + k, n + k), B, C, D, and the exact delays in s."""
-
-    H: Matrix
-    B: Matrix
-    C: Matrix
-    D: Matrix
-    delays: tuple[float, ...]
-
-    @property
-    def n(self) -> int:
-        return self.size - len(self.delays)
-
-    @property
-    def size(self) -> int:
-        """Unknowns."""
-        return self.H.nrows()
-
-    def diagonal(self, state: Any, late: Callable[[arb], Any]) -> Matrix:
-        """Return the diagonal matrix with ``state`` for each state, ``late(tau)`` for each delay."""
-        entries = [acb(state)] * self.n + [acb(late(arb(t))) for t in self.delays]
-        return acb_mat(
-            self.size, self.size, [x if i == j else 0 for i, x in enumerate(entries) for j in range(self.size)]
-        )
-
-    def at(self, w: float) -> Matrix:
-        return self.diagonal(acb(0, w), lambda t: _turned(w, t)) - self.H
-
-
-def _turned(w: float, tau: arb) -> acb:
-    return acb(0, arb(w) * tau).exp()
-
-
-def expansion(G: Delayed, w0: float, r: float, degree: int = DEGREE) -> list[Matrix] | None:
-    """Return the coefficients of X(e) for ``|w - w0| <= r``, the last with the remainder; None: F may be singular."""
-    R = inverse(G.at(w0))
-    if R is None:
-        return None
-    turns = [arb(1)] + [arb(r) ** i / math.factorial(i) for i in range(1, degree + 1)]
-
-    def moved(i: int) -> Matrix:
-        state, power = acb(0, r) if i == 1 else acb(0), acb(0, 1) ** i * turns[i]
-        return G.diagonal(state, lambda t: power * t**i * _turned(w0, t))
-
-    def rest(i: int) -> Matrix:
-        return magnitudes(G.diagonal(r if i == 1 else 0, lambda t: turns[i] * t**i))
-
-    X, steps = [R * G.B], [R * moved(i) for i in range(1, degree)]
-    for k in range(1, degree):
-        X.append(-sum((steps[i - 1] * X[k - i] for i in range(2, k + 1)), steps[0] * X[k - 1]))
-    size = magnitudes(R)
-    N, Q = size * rest(1), rest(degree) * magnitudes(X[0])
-    for k in range(1, degree):
-        Q = Q + rest(degree - k) * magnitudes(X[k])
-    Z = neumann(N, size * Q)
-    if Z is None or neumann(N, arb_mat(G.size, 1, [1] * G.size)) is None:
-        return None
-    return [*X, acb_mat(Z.nrows(), Z.ncols(), [acb(arb(0, x), arb(0, x)) for x in Z.entries()])]
-
-
-def sweep(G: Delayed, a: float, b: float, test: Test, work: Work) -> Verdict:
-    """Prove ``test(low, middle, high, half width)``, in rad/s, in boxes that cover [a, b], from left to right.
-
-    A box is halved if it fails, or if it is wider than the estimated distance of its nearest root.
+    They are ``det(sI - A + B C) + (D - 1) det(sI - A)`` and ``det(sI - A)``.
     """
-    todo, H = [(a, b)], midpoints(G.H)
-    delays = np.array(G.delays)
-    weights = np.concatenate([np.ones(G.n), delays])
+    below = G.A.charpoly()
+    both = ((G.A - G.B * G.C).charpoly() + below * (G.D[0, 0] - 1), below)
+    forward, back = ([acb_poly([p[k] for k in order]) for p in both]
+                     for order in (range(G.n + 1), range(G.n, -1, -1)))  # fmt: skip
+    return (forward[0], forward[1]), (back[0], back[1])
+
+
+def _at(polynomial: acb_poly, h: Series) -> Series:
+    found = acb_series([0])
+    for c in reversed(polynomial.coeffs()):
+        found = found * h + c
+    return found
+
+
+def _value(fraction: Fraction, s: acb_poly, h: Series) -> Series:
+    """Return the fraction at ``s(h)``: as polynomials in h, which is small, its balls stay small."""
+    return _at(fraction[0](s), h) / _at(fraction[1](s), h)
+
+
+def _size(x: Series) -> Series:
+    """Return the square of the modulus of a series of a real variable."""
+    return x * acb_series([c.conjugate() for c in x.coeffs()])
+
+
+def _positive(value: acb, box: arb) -> bool:
+    return bool(value.real > 0)
+
+
+def _holds(function: Function, sign: Sign, stop: float, inverse: bool, work: Work) -> Verdict:
+    """Prove the sign of the function in boxes that cover [0, stop], from left to right."""
+
+    def test(x0: float, r: float) -> bool:
+        work.spend(1)
+        try:
+            middle, wide = (function(arb(x0), acb_series([h, 1])) for h in (arb(0), arb(0, r)))
+        except ValueError:  # a denominator may be zero in the box
+            return False
+        value, reach = acb(0), arb(1)
+        for k in range(TERMS + 1):
+            c = (middle if k < TERMS else wide)[k]
+            value, reach = value + acb(c.real * reach, c.imag * reach), reach * arb(0, r)
+        return sign(value, arb(x0, r))
+
+    todo = [(0.0, stop)]
     while todo:
         a, b = todo.pop()
-        w0 = min(max(a + (b - a) / 2, a), b)
-        r = max(rounded_up(arb(b) - arb(w0)), rounded_up(arb(w0) - arb(a)))
-        F = np.diag(np.concatenate([np.full(G.n, 1j * w0), np.exp(1j * w0 * delays)])) - H
-        speeds = np.abs(np.linalg.eigvals(np.abs(np.linalg.inv(F)) * weights)) if len(F) else np.zeros(1)
-        distance = 1 / max(float(speeds.max()), 1e-300)
-        if r <= REACH * distance:
-            work.spend(G.size)
-            answer = test(a, w0, b, r)
-            if answer.proved:
-                continue
-            if answer.least < INDEFINITE or r <= NARROW * distance:
-                return not_proved(f"at {w0:.9g} rad/s what has to be positive is {answer.least:.3g} of its size")
-        if not a < w0 < b:
-            return not_proved(f"a root on the axis, or nearly, at {w0:.9g} rad/s")
-        todo += [(w0, b), (a, w0)]
+        x0 = min(max(a + (b - a) / 2, a), b)
+        if test(x0, max(rounded_up(arb(b) - arb(x0)), rounded_up(arb(x0) - arb(a)))):
+            continue
+        if not a < x0 < b or not test(x0, 0.0):
+            at = 1 / x0 if inverse and x0 else x0
+            return not_proved(f"at {at:.9g} rad/s what has to be positive was not proved to be")
+        todo += [(x0, b), (a, x0)]
     return PROVED
-
-
-def neumann(N: Matrix, X: Matrix) -> Matrix | None:
-    """Return Y >= 0, ``Y > X + N Y`` (n, m), proposed in floating point and checked in balls; None if none was found.
-
-    Then ``Y >= sum_k N^k X``, and as Y > N Y the spectral radius of N is below one: for all ``|S| <= N``, ``|Z| <= X``
-    entry by entry I - S is regular, and ``|(I - S)^-1 Z| <= Y``.
-    """
-    n, x = midpoints(N), midpoints(X)
-    if not x.size:
-        return X
-    if not (np.isfinite(n).all() and np.isfinite(x).all()):
-        return None
-    try:
-        y = np.linalg.solve(np.eye(len(n)) - n, x * (1 + MARGIN) + MARGIN * MARGIN * x.max() + TINY)
-    except np.linalg.LinAlgError:
-        return None
-    if not (np.isfinite(y).all() and (y >= 0).all()):
-        return None
-    Y = exact(y)
-    return Y if all(v > s for v, s in zip(Y.entries(), (X + N * Y).entries(), strict=True)) else None

@@ -31,7 +31,7 @@ from flint import acb, arb
 from numpy.typing import NDArray
 
 from robustlab.errors import InputError
-from robustlab.verification.balls import Matrix, adjoint, definite, diagonal, exact, identity, part, zeros
+from robustlab.verification.balls import Matrix, adjoint, definite, diagonal, exact, identity, part
 from robustlab.verification.claim import Claim, Work, complex_or_real, real, whole
 
 REAL, COMPLEX, FULL = 0, 1, 2
@@ -121,21 +121,6 @@ class Quadratic:
     def at(self, X: Matrix) -> Matrix:
         half = adjoint(X) * (self.linear + self.square * X * arb(0.5))
         return self.constant - half - adjoint(half)
-
-    def higher(self, X: Sequence[Matrix], S: Matrix) -> list[Matrix]:
-        r"""Return the coefficients of :math:`S^* F(e) S` from e^1 on, :math:`X(e) = \sum_k e^k X_k`, e real."""
-        X = [x * S for x in X]
-        into, degree = [self.square * x for x in X], len(X) - 1
-        lowest = self.linear * S + into[0]
-        result: list[Matrix] = []
-        for k in range(1, 2 * degree + 1):
-            half = zeros(S.nrows(), S.nrows()) if k > degree else adjoint(X[k]) * lowest
-            for a in range(max(1, k - degree), (k + 1) // 2):
-                half = half + adjoint(X[a]) * into[k - a]
-            if k % 2 == 0:
-                half = half + adjoint(X[k // 2]) * into[k // 2] * arb(0.5)
-            result.append(-half - adjoint(half))
-        return result
 
 
 def read_scalings(claim: Claim, q: int, p: int, *front: int) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from robustlab.verification.balls import Matrix, adjoint, definite, exact, midpoints
 from robustlab.verification.claim import PROVED, Verdict, Work, not_proved, refuted
-from robustlab.verification.models import Model
+from robustlab.verification.models import Model, exponents
 
 DOUBLINGS = 60  # sums 2^60 terms of a Lyapunov equation's solution; eigenvalues decide slower decay
-SWEEPS = 20  # of the balancing before it
 
 
 def lyapunov_form(G: Model, P: Matrix) -> Matrix:
@@ -72,9 +71,11 @@ def lyapunov_hint(G: Model) -> NDArray[np.float64] | None:
     F is A, or :math:`(I + hA)(I - hA)^{-1}` of a continuous model: then P solves
     :math:`A^T P + P A = -(I - hA)^T (I - hA) / (2h)`.
     """
-    A, d = _balanced(midpoints(G.A))
+    A = midpoints(G.A)
     if not G.n or not 1e-100 < np.abs(A).max() < 1e100:
         return None
+    d = np.exp2(exponents(np.abs(A), np.zeros((G.n, 0)), np.zeros((0, G.n))))
+    A = d[:, None] * A / d
     F, one = A, np.eye(G.n)
     if not G.dt:
         h = 1 / np.linalg.norm(A)
@@ -90,16 +91,3 @@ def lyapunov_hint(G: Model) -> NDArray[np.float64] | None:
         if np.abs(step).max() <= 1e-17 * np.abs(P).max():
             return (P + P.T) / 2 * d * d[:, None]
     return None
-
-
-def _balanced(A: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return ``diag(d) A diag(1/d)`` with rows about as large as columns, and d, powers of two."""
-    d = np.ones(len(A))
-    for i in list(range(len(A))) * SWEEPS:
-        row, column = np.abs(A[i]).max(), np.abs(A[:, i]).max()
-        if row > 0 and column > 0:
-            factor = np.exp2(np.rint(np.log2(column / row) / 2))
-            A[i] *= factor
-            A[:, i] /= factor
-            d[i] *= factor
-    return A, d
