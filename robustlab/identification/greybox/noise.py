@@ -11,7 +11,7 @@ from scipy.stats import t as student
 
 from robustlab.arrays import Array
 from robustlab.identification import tuning
-from robustlab.identification.greybox.effect_fit import Fit, FitPlan, NoiseModel, Problem
+from robustlab.identification.greybox.effect_fit import Fit, FitPlan, NoiseModel, Prior, Problem
 from robustlab.identification.greybox.prepared_record import PreparedRecord
 
 SETTLING = 15  # iterations of the reported fits
@@ -77,6 +77,17 @@ def as_fitted(held: Problem, fit: Fit, noise: NoiseModel) -> float:
     return -0.5 * (held_out_fit(held, fit, noise).cost - float(fit.z @ fit.z))
 
 
+def predictive(held: Problem, fit: Fit, noise: NoiseModel) -> float:
+    """Return the log-likelihood of other windows given the fitted ones, up to a common constant."""
+    # -1/2 min (V_h + (z - z^)^T H (z - z^)) - 1/2 logdet(H + H_h) + 1/2 logdet H: the parameters are known as well as
+    # the fit determines them and no better, since another motion may be far more sensitive to them.
+    placed = held_out_fit(held, fit, noise)
+    known = Prior(fit.z, fit.hessian)
+    there = held.fit(fit.hypothesis, noise, fit.z, placed.starts, FitPlan(PREDICTED, 0.5), prior=known)
+    before, after = (float(np.linalg.slogdet(h)[1]) for h in (fit.hessian, there.hessian))
+    return -0.5 * (there.cost + after - before)
+
+
 def window_errors(problem: Problem, fit: Fit) -> Array:
     """Return the mean square error of each chosen window relative to the measured ranges, (n_windows,)."""
     errors, ranges = problem.errors(fit.hypothesis, fit.z, fit.starts), spans(problem.records)
@@ -136,6 +147,7 @@ def settled(problem: Problem, fit: Fit, noise: NoiseModel, order: int | None = N
     return found
 
 
+PREDICTED = 4  # iterations of a fit to windows whose parameters are known already
 PHASES = 8  # on the grid before the refinement
 PRICE = float(np.log(2 * PHASES))  # log evidence per phase fitted to held-out data
 

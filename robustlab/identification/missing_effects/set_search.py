@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from robustlab.dynamics.effects.kinds import KIND_OF
 from robustlab.identification import tuning
 from robustlab.identification.greybox.effect_fit import (
     Candidate,
@@ -27,6 +28,7 @@ from robustlab.identification.greybox.noise import (
     in_phase,
     least_squares,
     noise_ratio,
+    predictive,
     whitening,
     widened,
 )
@@ -174,6 +176,7 @@ class _Search:
     expansions: int = 0
     noise: NoiseModel = field(init=False)
     noise_known: bool = False
+    near: bool = False  # whether the best set leaves little beyond the sensor noise
 
     def run(self) -> Found:
         self.noise = first_noise(self.problem)
@@ -275,13 +278,25 @@ class _Search:
         _, values = self.problem.split(fit.hypothesis, fit.z)
         for k, (there, own) in enumerate(zip(fit.hypothesis.candidates, values, strict=True)):
             rest, z = without(self.problem, fit, k)
-            self._keep(self.problem.fit(rest, self.noise, z, fit.starts, FitPlan(tuning.LAST)))
+            less = self.problem.fit(rest, self.noise, z, fit.starts, FitPlan(tuning.LAST))
+            self._keep(less)
+            self._swap(fit, less, there)
             for plain in self.pool:
                 if plain.effect.id == there.effect.refines and plain.site == there.site:
                     start = {**plain.starts[0], **there.effect.unrefined(own)}
                     start = {name: start[name] for name in plain.starts[0]}
                     simpler = extended(self.problem, rest, z, plain, start)
                     self._keep(self.problem.fit(simpler[0], self.noise, simpler[1], fit.starts, FitPlan(tuning.FULL)))
+
+    def _swap(self, fit: Fit, less: Fit, there: Candidate) -> None:
+        """Fit the other effects of an effect's class in its place; ``less``: the set without it."""
+        # All of them explain much of the same, so that the score of an addition does not choose between them.
+        kind = KIND_OF.get(there.effect.id)
+        pool = [c for c in self.pool if KIND_OF.get(c.effect.id) == kind and c.site == there.site and c != there]
+        pool = [c for c in pool if may_be_added(c, less.hypothesis)]
+        pool = [c for c in pool if key_of(less.hypothesis) | {c.key} not in self.visited]
+        for start in promising(self.problem, less, pool, 0.0, lambda done, expected: None):
+            self._keep(self.problem.fit(start.hypothesis, self.noise, start.z, fit.starts, FitPlan(tuning.FULL, 0.05)))
 
     def _expand(self, key: Key) -> None:
         """Fit the most promising effects on top of a set."""
@@ -320,7 +335,7 @@ class _Search:
 
     def _scored(self, fit: Fit) -> Scored:
         held, price = in_phase(self.held, fit, self.problem.records)
-        seen = as_fitted(held, fit, self.noise)
+        seen = predictive(held, fit, self.noise) if self.near else as_fitted(held, fit, self.noise)
         return Scored(fit, log_prior(fit.hypothesis), seen - price, self.allowed(self.problem, fit))
 
     def _white(self, fit: Fit) -> bool:
@@ -357,8 +372,8 @@ class _Search:
 
     def _noise_of(self, fit: Fit) -> NoiseModel:
         """Return the noise model that whitens a fit's errors, of first order if they are far beyond sensor noise."""
-        near = noise_ratio(self.problem, fit) < tuning.BEYOND_NOISE
-        return widened(self.problem, fit, whitening(self.problem, fit, tuning.AR_ORDER if near else 1))
+        self.near = noise_ratio(self.problem, fit) < tuning.BEYOND_NOISE
+        return widened(self.problem, fit, whitening(self.problem, fit, tuning.AR_ORDER if self.near else 1))
 
     def _refitted_set(self, fit: Fit) -> Fit:
         return self.problem.fit(fit.hypothesis, self.noise, fit.z, fit.starts, FitPlan(tuning.FULL, 0.05))
