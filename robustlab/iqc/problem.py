@@ -147,7 +147,7 @@ def posed(
     if nature is not None and not isinstance(nature, Mapping):
         raise InputError(f"{where}: nature", f"{nature!r}", "block -> what it is, such as {'k': rl.Varying(0.2)}")
     given = dict(nature or {})
-    laws = {key: one for key, one in given.items() if isinstance(key, tuple)}
+    laws: dict[Any, Any] = {key: one for key, one in given.items() if isinstance(key, tuple)}
     for key, one in laws.items():
         if len(key) != 2 or not isinstance(one, Nonlinearity):
             raise InputError(f"{where}: {key!r}", f"{one!r}", "(output, input) -> a Nonlinearity")
