@@ -48,7 +48,7 @@ def ask(
 
     ``common``: passed where the method has them. ``hints``: of an option, or of a kind.
     """
-    method, options = kinds[kind]
+    method, options = kinds.get(kind, kinds[MODEL])  # which says what it expects
     own = dict((word.split("=") * 2)[:2] for word in options.split())
     chosen = {own[name]: value for name, value in common.items() if name in own}
     for name, value in given.items():

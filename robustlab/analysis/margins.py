@@ -113,7 +113,6 @@ def robust_stability(
     for name in ("system", "seed", "effort"):
         del given[name]
     kind = kind_of(system, natures=natures, frequency=frequency)
-    kind = kind if kind in STABILITY else MODEL
     return ask("robust_stability", STABILITY, kind, (system,), given, HINTS, seed=seed, effort=effort)
 
 
@@ -177,11 +176,11 @@ def disk_margin(
     (0.666667, [0.5, 2.0])
     """
     kind = kind_of(plant, getattr(K, "K", K), frequency=frequency)
-    if kind == SET and isinstance(plant, UncertainModel) and not plant.blocks:
-        plant, kind = plant.nominal, MODEL
-    if kind == SET:
-        hint = "robust_stability of the set with a disk block in its loop proves it for every member (docs/analysis.md)"
-        raise InputError("disk_margin: plant", "an UncertainModel", "one model, such as .nominal", hint)
+    if kind == SET and isinstance(plant, UncertainModel):
+        if plant.blocks:
+            hint = "robust_stability of the set with a disk block in its loop proves it for all (docs/analysis.md)"
+            raise InputError("disk_margin: plant", "an UncertainModel", "one model, such as .nominal", hint)
+        plant = plant.nominal
     given = {"frequency": frequency, "time_limit": time_limit}
     common: dict[str, Any] = {"at": at, "skew": skew, "sign": sign, "seed": seed, "effort": effort}
     return ask("disk_margin", DISK, kind, (plant, K), given, HINTS, **common)

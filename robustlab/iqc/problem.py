@@ -147,7 +147,7 @@ def posed(
     if nature is not None and not isinstance(nature, Mapping):
         raise InputError(f"{where}: nature", f"{nature!r}", "block -> what it is, such as {'k': rl.Varying(0.2)}")
     given = dict(nature or {})
-    laws = {key: one for key, one in given.items() if isinstance(key, tuple)}
+    laws: dict[Any, Any] = {key: one for key, one in given.items() if isinstance(key, tuple)}
     for key, one in laws.items():
         if len(key) != 2 or not isinstance(one, Nonlinearity):
             raise InputError(f"{where}: {key!r}", f"{one!r}", "(output, input) -> a Nonlinearity")
@@ -394,7 +394,8 @@ class Problem:
         found: dict[str, tuple[str, Form, float]] = {}
         inputs, added = np.ones(q + n_w), []
         for order, extra, (block, nature, (w, z)) in zip(orders, rated, parts, strict=True):
-            # A power of two that balances the gains into and out of the channels.
+            # A power of two that balances the gains into and out of the channels: without it nothing is proved of the
+            # servo axis with a saturation.
             ins, outs = np.linalg.norm(B[:, w] / units[: len(B), None]) / rate, np.linalg.norm(C[z] * units[: len(B)])
             d = 2.0 ** round(0.5 * math.log2(ins / outs)) if ins and outs else 1.0
             if isinstance(nature, Nonlinearity):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
-from robustlab.checks import choice
+from robustlab.checks import choice, whole
 from robustlab.display import Displayable, Facts, listed, number, short, with_units
 from robustlab.errors import InputError, did_you_mean
 from robustlab.operators import Behaviour
@@ -128,8 +128,8 @@ class LPVModel(Behaviour, Displayable, Traced):
             raise InputError("LPVModel", f"{len(flat)} models", f"{' x '.join(map(str, grid))}, one for each point")
         for k, other in enumerate(flat):
             _check_alike(k, flat[0], other)
-        whole, one = np.array([np.block([[m.A, m.B], [m.C, m.D]]) for m in flat]), flat[0]
-        matrices = whole.reshape(*grid, *whole.shape[1:])
+        stack, one = np.array([np.block([[m.A, m.B], [m.C, m.D]]) for m in flat]), flat[0]
+        matrices = stack.reshape(*grid, *stack.shape[1:])
         made = LPVModel.of(found, matrices, one.n_states, one.inputs, one.outputs, one.states, deviation, known)
         self.__dict__.update(vars(made))
 
@@ -219,8 +219,7 @@ class LPVModel(Behaviour, Displayable, Traced):
 
     def refined(self, pieces: int = 2) -> LPVModel:
         """Return the model on a grid with every cell cut into ``pieces`` along each parameter."""
-        if not pieces >= 1:
-            raise InputError("LPVModel.refined", f"{pieces} pieces", "at least 1")
+        whole("LPVModel.refined: pieces", pieces, 1)
         parameters, deviation = [], self.deviation
         for axis, p in enumerate(self.parameters):
             cuts = np.arange(pieces * (len(p.points) - 1) + 1) / pieces

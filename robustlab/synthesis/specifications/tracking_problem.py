@@ -296,9 +296,9 @@ def _placed(some: Iterable[str], names: Sequence[str]) -> Array:
 
 def _each(one: StateSpaceModel, count: int, name: str) -> StateSpaceModel:
     """Return a model of one channel on each of some channels."""
-    parts = (np.kron(np.eye(count), X) for X in (one.A, one.B, one.C, one.D))
+    A, B, C, D = (np.kron(np.eye(count), X) for X in (one.A, one.B, one.C, one.D))
     into, out = ([f"{name} {word} {k}" for k in range(count)] for word in ("into", "out"))
-    return StateSpaceModel(*parts, one.dt, into, out)
+    return StateSpaceModel(A, B, C, D, one.dt, into, out)
 
 
 def _shape(bandwidth: float | None, dt: float) -> StateSpaceModel:

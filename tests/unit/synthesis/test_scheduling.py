@@ -317,6 +317,26 @@ def test_the_spinning_disks_improve_on_the_published_gain():
     assert all(np.abs(K.poles()).max() < 2e3 for _, K in design.K.nodes())
 
 
+@pytest.mark.slow
+def test_the_missile_of_the_lmi_control_toolbox():
+    """``misldem``: q measured without noise, so the problem is singular; controllers have poles of 4e4 rad/s."""
+
+    def missile(Z: float, M: float) -> rl.StateSpaceModel:
+        # x = alpha, q, of W1 = 2.01 / (s + 0.201), of W2 = (9.678 s^3 + 0.029 s^2) / (s^3 + 1.206e4 s^2 + ...)
+        A, B, C, D = np.zeros((6, 6)), np.zeros((6, 2)), np.zeros((4, 6)), np.zeros((4, 2))
+        a = np.array([1.206e4, 1.136e7 / 1e3, 1.066e10 / 1e6])
+        A[0, :2], A[1, 0], A[2, [0, 2]], A[3, 3:], A[4, 3], A[5, 4] = [-Z, 1], -M, [1, -0.201], -a, 1e3, 1e3
+        B[1, 1], B[2, 0], B[3, 1] = 1, 1, 1
+        C[0, 2], C[1, 3:], C[2, 0], C[3, 1] = 2.01, [0.029, 0, 0] - 9.678 * a, 1, 1
+        D[1, 1], D[2, 0] = 9.678, 1
+        return rl.StateSpaceModel(A, B, C, D)
+
+    ranges = {"Z": [0.5, 4.0], "M": [0.0, 106.0]}
+    design = rl.hinf(rl.LPVModel(ranges, [missile(Z, M) for Z in ranges["Z"] for M in ranges["M"]]), 2, 1)
+    assert design.status is Status.CERTIFIED
+    assert design.lmi_gamma <= design.gamma < 0.16
+
+
 def test_controllers_have_moderate_entries():
     # A weak actuator and a sensor in small units: entries are 7.6e7 in the states of the LMIs, for the same loop.
     def vertex(a):
