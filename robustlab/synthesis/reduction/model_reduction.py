@@ -73,9 +73,9 @@ def reduce_model(
     .. math:: \sup_\omega \sigma_{max}( (G G^* + \beta^2 I)^{-1/2} (G - G_r) ) \le
        \prod_{i > r} \frac{1 + \mu_i}{1 - \mu_i} - 1 \quad \text{(stochastic)}
 
-    Balanced truncation where no ``method`` is given; no model of order r is nearer than :math:`\sigma_{r+1}`.
-    Modes that are not stable are split off and kept, and the rounding of this is part of the error; uncontrollable or
-    unobservable ones of them are removed (`minimal`).
+    No model of order r is nearer than :math:`\sigma_{r+1}`. Modes that are not stable are split off and kept, and the
+    rounding of this is part of the error; uncontrollable or unobservable ones of them are removed (`minimal`). The
+    error is computed when it is first read.
     ``method="coprime"`` reduces them too, through the normalised right coprime factors ``G = N M^{-1}``, whose error is
     then the H-infinity norm of ``[N - N_r; M - M_r]`` (a bound of the gap between the two models).
 
