@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from functools import partial
 from typing import Any, Literal, get_args, overload
 
@@ -362,7 +361,7 @@ def _gains(model: StateSpaceModel, omega: AnyArray) -> AnyArray:
     return np.linalg.norm(response, 2, axis=(1, 2)).reshape(omega.shape)
 
 
-def _merged(intervals: Iterable[Sequence[float]]) -> tuple[Band, ...]:
+def _merged(intervals: list[list[float]]) -> tuple[Band, ...]:
     """Return the intervals in order, with overlapping ones merged and empty ones left out."""
     found: list[Band] = []
     for low, high in sorted(intervals):
