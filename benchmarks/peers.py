@@ -61,6 +61,8 @@ def cases() -> Iterator[Case]:
         square = lambda n=n, abcd=abcd: slycot.ab13bd("C", "H", n, 2, 2, *(m.copy() for m in abcd))  # noqa: E731
         yield "h2_norm / slycot ab13bd", n, lambda G=G: h2_norm(G).value, square
         yield "reduce_model / control.balred", n, partial(rl.reduce_model, G, r), partial(control.balred, theirs, r)
+        proved = lambda G=G, r=r: rl.reduce_model(G, r).error  # noqa: E731
+        yield "reduce_model and its error / control.balred", n, proved, partial(control.balred, theirs, r)
         yield "h2 / control.h2syn", n, partial(rl.h2, P, 2, 2), partial(control.h2syn, plant, 2, 2)
         yield "hinf / control.hinfsyn", n, partial(rl.hinf, P, 2, 2), partial(control.hinfsyn, plant, 2, 2)
     for count in (4, 12):

@@ -154,7 +154,7 @@ class RollOff(Limit):
         if not all(np.isfinite(m).all() for m in K):
             return np.inf, np.nan
         last = np.pi / dt if dt else np.inf
-        found = linf_norm(StateSpaceModel(*K, dt), band=(min(frequency, (1 - 1e-9) * last), last))
+        found = linf_norm(StateSpaceModel(*K, dt), 1e-9, band=(min(frequency, (1 - 1e-9) * last), last))
         return found.upper, found.frequency
 
     def evaluate(self, family: LoopFamily, theta: AnyArray, scaling: Scaling, dt: float) -> LimitAt:

@@ -161,6 +161,7 @@ class Balancing:
         """Balance ``L_c`` and ``L_o``, each with n rows."""
         u, values, vt = np.linalg.svd(see.T @ reach)
         values = values[: len(reach)]
+        values.setflags(write=False)
         m = int((values > NEGLIGIBLE * values.max(initial=0.0)).sum())
         root = np.sqrt(values[:m])
         return cls(values, reach @ vt[:m].T / root, (see @ u[:, :m] / root).T)

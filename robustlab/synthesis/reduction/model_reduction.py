@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from functools import partial
 from typing import Any, Literal, get_args, overload
 
@@ -73,9 +72,9 @@ def reduce_model(
     .. math:: \sup_\omega \sigma_{max}( (G G^* + \beta^2 I)^{-1/2} (G - G_r) ) \le
        \prod_{i > r} \frac{1 + \mu_i}{1 - \mu_i} - 1 \quad \text{(stochastic)}
 
-    Balanced truncation where no ``method`` is given; no model of order r is nearer than :math:`\sigma_{r+1}`.
-    Modes that are not stable are split off and kept, and the rounding of this is part of the error; uncontrollable or
-    unobservable ones of them are removed (`minimal`).
+    No model of order r is nearer than :math:`\sigma_{r+1}`. Modes that are not stable are split off and kept, and the
+    rounding of this is part of the error; uncontrollable or unobservable ones of them are removed (`minimal`). The
+    error is computed when it is first read.
     ``method="coprime"`` reduces them too, through the normalised right coprime factors ``G = N M^{-1}``, whose error is
     then the H-infinity norm of ``[N - N_r; M - M_r]`` (a bound of the gap between the two models).
 
@@ -362,7 +361,7 @@ def _gains(model: StateSpaceModel, omega: AnyArray) -> AnyArray:
     return np.linalg.norm(response, 2, axis=(1, 2)).reshape(omega.shape)
 
 
-def _merged(intervals: Iterable[Sequence[float]]) -> tuple[Band, ...]:
+def _merged(intervals: list[list[float]]) -> tuple[Band, ...]:
     """Return the intervals in order, with overlapping ones merged and empty ones left out."""
     found: list[Band] = []
     for low, high in sorted(intervals):

@@ -197,8 +197,8 @@ def _matched(m: StateSpaceModel, dt: float) -> StateSpaceModel:
 def _paired(roots: AnyArray) -> AnyArray:
     """Return roots of a real polynomial as exact conjugate pairs and real ones."""
     least = 1e-12 * np.abs(roots)
-    upper = roots[roots.imag > least]
-    return np.concatenate([upper, np.conj(upper), roots[np.abs(roots.imag) <= least].real])
+    upper = roots[np.imag(roots) > least]
+    return np.concatenate([upper, np.conj(upper), np.real(roots[np.abs(np.imag(roots)) <= least])])
 
 
 # --- pathological sampling --------------------------------------------------------------------------------------------

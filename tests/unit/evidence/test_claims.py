@@ -194,7 +194,10 @@ def _boxed() -> rl.RobustlabError:
         ("one full block", lambda r: replace(r, lower=1.001 * r.upper)),
         ("coprime margin", lambda r: replace(r, lower=1.001 * r.upper)),
         ("reduced between weights", lambda r: replace(r, weights=(1.01 * r.weights[0], r.weights[1]))),
-        ("unstable, reduced", lambda r: replace(r, error=replace(r.error, upper=0.99 * r.error.lower))),
+        (
+            "unstable, reduced",
+            lambda r: replace(r, judge=lambda: r.evidence._replace(error=replace(r.error, upper=0.99 * r.error.lower))),
+        ),
         *(
             pytest.param(name, change, marks=pytest.mark.slow)
             for name, change in (
