@@ -91,9 +91,10 @@ def decode_blocks(tree: Tree, problems: Problems) -> tuple[Block, ...]:
         else:
             try:
                 span = _range(row, f"{group.path}: block {name!r}")
-                sizes = [int(n) for n in size][: 1 if KINDS[kind].is_scalar else 2]
-                known: dict[str, Any] = {"parameter": span} if KINDS[kind].is_real else {}
-                blocks.append(KINDS[kind](name, *sizes, **known, origin=row.get("origin", "")))
+                made: Any = KINDS[kind]
+                sizes = [int(n) for n in size][: 1 if made.is_scalar else 2]
+                known = {"parameter": span} if made.is_real else {}
+                blocks.append(made(name, *sizes, **known, origin=row.get("origin", "")))
             except InputError as error:
                 problems.absorb(error)
     return tuple(blocks)
