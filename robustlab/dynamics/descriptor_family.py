@@ -95,7 +95,8 @@ def uncertain_family(
         else _of_a_parameter(degrees[block.name], powers, remainder is not None, affine, off) + trimmed.held
         for block in whole.blocks
     ]
-    named = [replace(block, origin=text) for block, text in zip(whole.blocks, origins, strict=True)]
+    blocks: Sequence[Any] = whole.blocks
+    named = [replace(block, origin=text) for block, text in zip(blocks, origins, strict=True)]
     made = with_outputs(UncertainModel(whole.M, named, nominal.operating_point), outputs)
     # an affine form already has the fewest repetitions
     return made if affine else made.reduce()
