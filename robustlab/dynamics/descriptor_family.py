@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, combinations_with_replacement, product
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -95,7 +95,7 @@ def uncertain_family(
         else _of_a_parameter(degrees[block.name], powers, remainder is not None, affine, off) + trimmed.held
         for block in whole.blocks
     ]
-    named = [replace(block, origin=text) for block, text in zip(whole.blocks, origins, strict=True)]
+    named = [replace(cast("Any", block), origin=text) for block, text in zip(whole.blocks, origins, strict=True)]
     made = with_outputs(UncertainModel(whole.M, named, nominal.operating_point), outputs)
     # an affine form already has the fewest repetitions
     return made if affine else made.reduce()

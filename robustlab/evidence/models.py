@@ -16,7 +16,7 @@ from robustlab.norms.claims import band_scalings, loop_claims, norm_matrix
 from robustlab.norms.numbers import Numbers, above, block_rows, loop_numbers, matrices, model_numbers
 from robustlab.statespace import StateSpaceModel, append
 from robustlab.synthesis.reduction.reduced_model import ReducedModel
-from robustlab.uncertainty.built import BuiltModel
+from robustlab.uncertainty.elementwise import BuiltModel
 from robustlab.verification.claim import Claim
 
 ROUNDING = 1e-14  # of the largest entry: allowance in addition to a member's stated error

@@ -39,7 +39,7 @@ NOTHING = "no uncertainty: mu = 0"
 @operation(
     "uncertain build",
     "elementwise",
-    result="uncertainty.built.BuiltModel",
+    result="uncertainty.elementwise.BuiltModel",
     gives="uncertain",
     made="model",
     infer="nominal",
@@ -62,8 +62,7 @@ def elementwise(
 
     Example: robustlab uncertain build nominal.h5 perturbed.h5 --structure elements --out uncertain.h5
     """
-    from robustlab.uncertainty.built import BuiltModel
-    from robustlab.uncertainty.elementwise import elementwise_cover, endpoint_residual, pair_remarks
+    from robustlab.uncertainty.elementwise import BuiltModel, elementwise_cover, endpoint_residual, pair_remarks
 
     first, second = two_models(nominal, perturbed)
     notes = tuple(f"warning: {remark}" for remark in pair_remarks(first, second))
@@ -81,7 +80,7 @@ def elementwise(
     return InLoop(found, notes=notes if model.blocks or notes else (NOTHING,))
 
 
-@operation("uncertain plant", "uncertain", result="uncertainty.built.BuiltModel", gives="uncertain", made="model",
+@operation("uncertain plant", "uncertain", result="uncertainty.elementwise.BuiltModel", gives="uncertain", made="model",
       infer="of")  # fmt: skip
 def uncertain(
     plant: Annotated[Plant, "A plant: its name, file.py:name, or HDF5 file.", Named(key="of")],
@@ -112,7 +111,7 @@ def uncertain(
     Example: robustlab uncertain plant dc-motor --tolerance Kf=5% --out motor.h5
     """
     from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
-    from robustlab.uncertainty.built import BuiltModel
+    from robustlab.uncertainty.elementwise import BuiltModel
 
     nominal, shares = plant.values, tolerances or {}
     ends = in_units("range", ranges, {p.name: p.unit for p in plant.parameters.values()})
@@ -136,14 +135,14 @@ def uncertain(
     return InLoop(BuiltModel(model, "parameters", None), notes=tuple(notes))
 
 
-@operation("uncertain expressions", result="uncertainty.built.BuiltModel", gives="uncertain", made="model")
+@operation("uncertain expressions", result="uncertainty.elementwise.BuiltModel", gives="uncertain", made="model")
 def expressions(file: Annotated[str, TextFile(), "TOML file with A, B, C, D in named parameters."]) -> Any:
     """Uncertain model from matrices of expressions in parameters with ranges.
 
     Example: robustlab uncertain expressions springs.toml --out springs.h5
     """
     from robustlab.storage.expression_files import load_parametric
-    from robustlab.uncertainty.built import BuiltModel
+    from robustlab.uncertainty.elementwise import BuiltModel
 
     model = load_parametric(file)
     return InLoop(BuiltModel(model, "parameters", None), notes=() if model.blocks else (NOTHING,))

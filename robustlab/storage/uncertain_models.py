@@ -91,9 +91,9 @@ def decode_blocks(tree: Tree, problems: Problems) -> tuple[Block, ...]:
         else:
             try:
                 span = _range(row, f"{group.path}: block {name!r}")
-                made, sizes = KINDS[kind], [int(n) for n in size]
-                known: dict[str, Any] = {"parameter": span} if made.is_real else {}
-                sizes = sizes[: 1 if made.is_scalar else 2]
+                made: Any = KINDS[kind]
+                sizes = [int(n) for n in size][: 1 if made.is_scalar else 2]
+                known = {"parameter": span} if made.is_real else {}
                 blocks.append(made(name, *sizes, **known, origin=row.get("origin", "")))
             except InputError as error:
                 problems.absorb(error)

@@ -10,13 +10,15 @@ import itertools
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.display import Displayable, Facts, Part
 from robustlab.errors import InputError, UnitMismatch, did_you_mean, error_context
 from robustlab.linear_analysis.magnitude import equilibrating_exponents
+from robustlab.result import Status
 from robustlab.signals import MAX_NAME
 from robustlab.statespace import MAX_STATES, Signal, StateSpaceModel, as_model
 from robustlab.uncertainty.blocks import FullBlock, RealScalar
@@ -170,6 +172,65 @@ def endpoint_residual(uncertain: UncertainModel, perturbed: Any) -> EndpointResi
         absolute[name] = miss
         relative[name] = 0.0 if miss == 0 else (miss / size if size else np.inf)
     return EndpointResidual(absolute, relative)
+
+
+@dataclass(frozen=True, eq=False)
+class BuiltModel(Displayable):
+    """An uncertain model with its evidence.
+
+    Attributes
+    ----------
+    model
+        The set.
+    structure
+        Which entries vary together.
+    status
+        CERTIFIED: the set is proved to contain its source models. CONVERGED: to a chosen accuracy. None: it is defined
+        by its parameters, and there is nothing to prove.
+    residual
+        Distance of its end from the perturbed model; None where it was not made of two models.
+    notes
+        Remarks for the reader.
+    ends
+        The nominal and the perturbed model of its construction, for `robustlab.verify`.
+    """
+
+    model: UncertainModel
+    structure: str
+    status: Status | None
+    residual: EndpointResidual | None = None
+    notes: tuple[str, ...] = ()
+    ends: tuple[StateSpaceModel, StateSpaceModel] | None = None
+
+    quantities: ClassVar[Mapping[str, Any]] = {**UncertainModel.quantities, "endpoint_residual": "1"}
+
+    @property
+    def endpoint_residual(self) -> float | None:
+        """Return the largest relative difference to the perturbed model at Delta = I."""
+        return None if self.residual is None else self.residual.largest
+
+    def numbers(self) -> dict[str, Any]:
+        residual = self.endpoint_residual
+        return self.model.numbers() | ({} if residual is None else {"endpoint_residual": residual})
+
+    def headline(self) -> str:
+        names = ", ".join(b.name for b in self.model.blocks) or "nothing"
+        return f"{'sampled' if self.model.sampled else 'exact'} uncertain model ({self.structure}); uncertain: {names}"
+
+    def facts(self) -> Facts:
+        off = "" if self.residual is None else f"{self.residual.largest:.2g} of each matrix's largest entry"
+        return [
+            ("structure", self.structure),
+            ("off the perturbed model at Delta = I", off),
+            *self.model.facts(),
+        ]
+
+    def details(self) -> list[Part]:
+        return self.model.details()
+
+    def to_json(self) -> dict[str, object]:
+        more = {"structure": self.structure, "residual": self.residual}
+        return {**self.model.to_json(), **more, "status": self.status}
 
 
 def elementwise_cover(nominal: Any, perturbed: Any) -> UncertainModel:

@@ -254,7 +254,8 @@ def _with_radius(plain: UncertainFrequencyData, given: ComplexArray, name: str) 
         raise InputError("frequency_data: radius", found, expected)
     blocks: list[Block]
     if r.ndim == 1 and n_y * n_u > 1:
-        blocks, left, right = [FullBlock(name, n_y, n_u)], np.eye(n_y), r[:, None, None] * np.eye(n_u)
+        blocks = [FullBlock(name, n_y, n_u)]
+        left, right = np.eye(n_y), r[:, None, None] * np.eye(n_u)
     else:
         r = r.reshape(plain.M.shape)
         i, j = np.nonzero(r.any(axis=0))

@@ -84,7 +84,7 @@ def parametric(
         (*ranges, *exact), {name: Fraction(repr(value)) for name, value in exact.items()},
         frozenset(name for name, r in ranges.items() if not r.low <= 0 <= r.high),
     )  # fmt: skip
-    table, n = _entries(A, B, C, D)
+    (table, n), missed = _entries(A, B, C, D), np.inf
     try:
         expressions = [[algebra.read(entry, where) for where, entry in row] for row in table]
         _check_size(expressions, algebra)

@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 from robustlab import ComplexScalar, FullBlock, RealScalar, UncertainModel, elementwise, frequency_response
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty import delta_matrix, delta_values, upper_lft
+from robustlab.uncertainty import delta_matrix, delta_values, interconnection
 
 SETTINGS = settings(max_examples=40)
 OMEGA = np.array([0.0, 0.4, 2.0, 30.0])
@@ -43,7 +43,7 @@ def test_upper_lft_is_its_formula(seed, n, q, p, dt):
     m = random_m(seed, n, q, p, dt=dt)
     delta = 0.5 * np.random.default_rng(seed + 1).standard_normal((q, p))
     wanted = formula(m, delta, OMEGA)
-    found = frequency_response(upper_lft.upper_lft(m, delta), OMEGA)
+    found = frequency_response(interconnection.upper_lft(m, delta), OMEGA)
     np.testing.assert_allclose(found, wanted, rtol=1e-7, atol=1e-7 * max(1.0, np.abs(wanted).max()))
 
 

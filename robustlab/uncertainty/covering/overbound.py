@@ -200,8 +200,9 @@ def _fitted(n: int, w: Array, b: Array) -> StateSpaceModel:
             miss, columns = _miss(p, x[points], wanted[points], pairs)
             return half / level * np.abs(miss / level)[:, None] ** (half - 1) * columns
 
+        settings: Any = {"jac": slopes, "bounds": box, "max_nfev": 60}
         with np.errstate(over="ignore"):  # of a step that is too long, which is rejected
-            return least_squares(residual, start, slopes, box, max_nfev=60)
+            return least_squares(residual, start, **settings)
 
     starts = []
     for zeros, poles in _starts(x, wanted, count):

@@ -112,7 +112,7 @@ def unstructured_cover(
             stack = system_matrices(models)
             candidates.append((0, model_of(0.5 * (stack.min(axis=0) + stack.max(axis=0)), models[0])))
     omega = _grid(models, [c for _, c in candidates])
-    found: list[tuple[float, int | None, StateSpaceModel]] = []
+    judged: list[tuple[float, int | None, StateSpaceModel]] = []
     rejected: list[NoTrustworthyNumber] = []
     for number, candidate in candidates:
         try:
@@ -121,10 +121,10 @@ def unstructured_cover(
             rejected.append(error)
             continue
         size = error_sizes(models, candidate, form, omega).max(axis=0)
-        found.append((float((size / _reference(models, form, omega)).max()), number, candidate))
-    if not found:
+        judged.append((float((size / _reference(models, form, omega)).max()), number, candidate))
+    if not judged:
         raise rejected[0]
-    radius, number, centre = min(found, key=lambda one: one[0])
+    radius, number, centre = min(judged, key=lambda one: one[0])
     fit, deltas, sizes = _weighted(models, centre, form, order, tolerance, omega)
     model = unstructured(centre, fit.weight, form)
     return UnstructuredCover(model, number, fit, sizes, bool(deltas), deltas, radius)
