@@ -206,7 +206,6 @@ class _Search:
         self.history: list[DKStep] = []
         self.curve: MuCurve | None = None
         self.curved: Iterate | None = None  # the iterate of that curve
-        self.start_mu = float("nan")  # largest mu at single frequencies of the first iterate
 
     def _until(self, end: float) -> Budget:
         """Return a budget up to this share of the whole, with enough work reserved for a last curve of mu."""
@@ -235,7 +234,11 @@ class _Search:
         if found is None:
             raise NoTrustworthyNumber("synth dk", "the H-infinity design could not be verified in the loop")
         self._keep(found, "start")
-        self.first_curve = self._curve(found)
+        self.first_curve = curve = self._curve(found)
+        self.start_mu = curve.peak  # largest mu at single frequencies
+        if self.mixed:  # mu of real blocks where complex mu is largest
+            top = np.sort(curve.omega[np.argsort(-curve.levels)[:START_POINTS]])
+            self.start_mu = mu_curve(found.loop, self.real, Budget(0.0), top).peak
 
     def alternate(self, rough: bool) -> None:
         """Iterate D-K until two iterations in a row gain little; ``rough``: direct minimisation follows."""
@@ -321,13 +324,7 @@ class _Search:
     def _curve(self, iterate: Iterate) -> MuCurve:
         """Return the curve of complex mu of an iterate; the last one is cached."""
         if self.curve is None or self.curved is not iterate:
-            self.curve = mu_curve(iterate.loop, self.blocks, self.problem.budget)
-            self.curved = iterate
-            if iterate is self.iterates[0]:
-                self.start_mu = self.curve.peak
-                if self.mixed:  # mu of real blocks where complex mu is largest
-                    top = np.sort(self.curve.omega[np.argsort(-self.curve.levels)[:START_POINTS]])
-                    self.start_mu = mu_curve(iterate.loop, self.real, Budget(0.0), top).peak
+            self.curve, self.curved = mu_curve(iterate.loop, self.blocks, self.problem.budget), iterate
         return self.curve
 
     def _keep(self, iterate: Iterate, stage: str, mu: float = float("nan")) -> None:
