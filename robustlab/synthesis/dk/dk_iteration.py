@@ -42,8 +42,9 @@ PROGRESS = 5e-4  # relative progress below which a stage ends; smaller: longer, 
 ROUGH_PROGRESS = 2e-2  # the same for D-K iteration where direct minimisation follows
 LEAST_SEARCH = 0.3  # least share for the search even where the last curve of mu would need more
 FALLS = 2  # consecutive enlargements of the scalings below `PROGRESS` that end the search
-FEW_BLOCKS = 6  # with more blocks the direct search starts at fitted constants instead of D = I
 MANY_BLOCKS = 30  # from this number on the lower bound is computed at one frequency instead of four
+NEAR_PEAK = 0.9  # sections of all factors are spread over the band in which mu of the first loop is above this share
+MAX_SECTIONS = 8  # of a factor
 BAND_LEVEL = 0.3  # new sections are placed where mu is above this share of its peak ...
 BEYOND = 30.0  # ... and up to this factor beyond; larger: slower and faster sections
 LAST_CURVES = 1.5  # work reserved for the end, in curves of mu ...
@@ -205,7 +206,6 @@ class _Search:
         self.history: list[DKStep] = []
         self.curve: MuCurve | None = None
         self.curved: Iterate | None = None  # the iterate of that curve
-        self.start_mu = float("nan")  # largest mu at single frequencies of the first iterate
 
     def _until(self, end: float) -> Budget:
         """Return a budget up to this share of the whole, with enough work reserved for a last curve of mu."""
@@ -234,6 +234,11 @@ class _Search:
         if found is None:
             raise NoTrustworthyNumber("synth dk", "the H-infinity design could not be verified in the loop")
         self._keep(found, "start")
+        self.first_curve = curve = self._curve(found)
+        self.start_mu = curve.peak  # largest mu at single frequencies
+        if self.mixed:  # mu of real blocks where complex mu is largest
+            top = np.sort(curve.omega[np.argsort(-curve.levels)[:START_POINTS]])
+            self.start_mu = mu_curve(found.loop, self.real, Budget(0.0), top).peak
 
     def alternate(self, rough: bool) -> None:
         """Iterate D-K until two iterations in a row gain little; ``rough``: direct minimisation follows."""
@@ -259,18 +264,21 @@ class _Search:
         self.problem.budget = self.search
 
     def descend(self) -> None:
-        """Minimise directly over D in growing order, from D = I (many blocks: the best constants) and from a fit of low
-        order; for real blocks then over D and G from a D of low order.
+        """Minimise directly over D: with one section more in every factor each time, or section by section where these
+        are too many; for real blocks then over D and G.
         """
         self.problem.regularise(self.best, FINE)
-        curve = self.curve or self._curve(self.best)
-        few = len(self.blocks) <= FEW_BLOCKS
-        starts = [unit_scalings(self.blocks) if few else self._fitted(curve, np.inf, self.search)]
-        if not self.mixed:
-            starts.append(self._fitted(curve, FIRST_LOSS, self.search))
-        for k, scalings in enumerate(starts):
-            self.problem.budget = self.search if k else self.search.share(1 / 3 if self.mixed else 1 / 2)
-            self._grow(scalings, "direct")
+        if self.mixed:
+            self.problem.budget = self.search.share(1 / 3)
+        low, high = np.log(self._band(self.first_curve, NEAR_PEAK))
+        constant, levels = self._fitted(self.first_curve, np.inf, self.problem.budget), [np.inf]
+        for k in range(1, MAX_SECTIONS + 1):
+            scalings = constant.spread((low + (high - low) * (np.arange(k) + 0.5) / k).tolist())
+            if scalings.n_states > self.max_states or self._settled(levels):
+                break
+            levels.append(self._taken(minimised(self.problem, scalings, self.best.level), "direct"))
+        if len(levels) <= FALLS and not self.late:
+            self._grow(constant, "direct")
         self.problem.budget = self.search
         if self.mixed and not self.late:
             # A rough D: that of the iterate of lowest order, or a fit to the best loop if that has fewer states.
@@ -279,29 +287,36 @@ class _Search:
             self._grow(_with_g(first, self.real), "D-G-K")
 
     def _grow(self, scalings: DynamicScalings, stage: str) -> None:
-        """Minimise and enlarge the scalings in turn until this gains little."""
-        if self.late:
-            return
-        found = minimised(self.problem, scalings, self.best.level)
-        curve = self.curve or self._curve(self.best)
-        # Sections are placed at frequencies (rad/s) at which mu is of the order of its peak.
-        high = curve.omega[curve.levels >= BAND_LEVEL * curve.peak]
-        band = float(high[0] / BEYOND), float(high[-1] * BEYOND)
-        falls, before = 0, np.inf
+        """Minimise and enlarge the scalings by one section in turn until this gains little."""
+        low, high = self._band(self.first_curve, BAND_LEVEL)
+        found = None if self.late else minimised(self.problem, scalings, self.best.level)
+        levels = [np.inf]
         while found is not None:
-            scalings, level = found
-            if self.late and level >= self.best.level:
+            levels.append(self._taken(found, stage))
+            if self._settled(levels):
                 break
-            # The result of a minimisation that ends with the budget is still used.
-            iterate = (self.problem.at_level if self.late else self.problem.solve)(scalings, level)
-            if iterate is not None:
-                self._keep(iterate, stage)
-            falls = falls + 1 if level > before * (1 - PROGRESS) else 0
-            if falls == FALLS or self.late:
-                break
-            before = level
-            larger = grown(self.problem, scalings, level, band, self.max_states)
+            larger = grown(self.problem, *found, (low / BEYOND, high * BEYOND), self.max_states)
             found = None if larger is None else minimised(self.problem, *larger)
+
+    def _taken(self, found: tuple[DynamicScalings, float] | None, stage: str) -> float:
+        """Keep the controller of minimised scalings, and return their level; inf: none."""
+        if found is None or (self.late and found[1] >= self.best.level):
+            return np.inf
+        # The result of a minimisation that ends with the budget is still used.
+        iterate = (self.problem.at_level if self.late else self.problem.solve)(*found)
+        if iterate is not None:
+            self._keep(iterate, stage)
+        return found[1]
+
+    def _settled(self, levels: list[float]) -> bool:
+        """Return whether the last enlargements gained little, or the work is spent."""
+        return self.late or min(levels[-FALLS:]) > min(levels[:-FALLS], default=np.inf) * (1 - PROGRESS)
+
+    @staticmethod
+    def _band(curve: MuCurve, share: float) -> tuple[float, float]:
+        """Return the lowest and the highest frequency (rad/s) at which mu is above this share of its peak."""
+        high = curve.omega[curve.levels >= share * curve.peak]
+        return float(high[0]), float(high[-1])
 
     def _fitted(self, curve: MuCurve, loss: float, budget: Budget) -> DynamicScalings:
         return fitted_scalings(curve, self.blocks, loss, self.max_states, budget)
@@ -309,13 +324,7 @@ class _Search:
     def _curve(self, iterate: Iterate) -> MuCurve:
         """Return the curve of complex mu of an iterate; the last one is cached."""
         if self.curve is None or self.curved is not iterate:
-            self.curve = mu_curve(iterate.loop, self.blocks, self.problem.budget)
-            self.curved = iterate
-            if iterate is self.iterates[0]:
-                self.start_mu = self.curve.peak
-                if self.mixed:  # mu of real blocks where complex mu is largest
-                    top = np.sort(self.curve.omega[np.argsort(-self.curve.levels)[:START_POINTS]])
-                    self.start_mu = mu_curve(iterate.loop, self.real, Budget(0.0), top).peak
+            self.curve, self.curved = mu_curve(iterate.loop, self.blocks, self.problem.budget), iterate
         return self.curve
 
     def _keep(self, iterate: Iterate, stage: str, mu: float = float("nan")) -> None:
@@ -350,7 +359,6 @@ class _Search:
         frequency = float(2 / loop.dt * np.arctan(omega * loop.dt / 2)) if loop.is_discrete else omega
         smallest = min(gamma, best.level)
         floor = mu_floor(self.problem.bare, blocks, smallest, delta, loop.dt)
-        start_mu = self.start_mu if np.isfinite(self.start_mu) else self.iterates[0].level
         how = "constant D, G on intervals that cover the axis" if pieces else "the norm of the scaled loop"
         parts = [doubt or f"loop of P and K is stable; mu bound proved in ball arithmetic at all frequencies by {how}"]
         if chosen is not best and chosen.level > best.level:
@@ -362,8 +370,8 @@ class _Search:
             K=chosen.K, gamma=gamma, closed_loop=loop, status=status, reason=reason,
             limit=limiting_channels(loop, frequency), plant=self.plant, method="dk", blocks=blocks,
             lower=min(lower, gamma), frequency=frequency, delta=delta, scalings=chosen.scalings,
-            scaled_level=chosen.level, pieces=pieces, history=tuple(self.history), start_mu=start_mu,
-            lower_bound=floor, why=why_not_less(smallest, start_mu, floor.value, blocks),
+            scaled_level=chosen.level, pieces=pieces, history=tuple(self.history), start_mu=self.start_mu,
+            lower_bound=floor, why=why_not_less(smallest, self.start_mu, floor.value, blocks),
         )  # fmt: skip
 
     def _last_curve(self, chosen: Iterate, blocks: tuple[Block, ...]) -> MuCurve:

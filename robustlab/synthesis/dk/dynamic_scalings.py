@@ -209,6 +209,14 @@ class DynamicScalings:
             parts.append(BlockScaling(factors, mixing, g))
         return replace(self, parts=tuple(parts))
 
+    def spread(self, places: Sequence[float]) -> DynamicScalings:
+        """Return scalings of the same level with a section more in every factor at each of these places."""
+        factors = [
+            [reduce(lambda f, at: f.with_section(at, at), places, f) for f in part.factors] for part in self.parts
+        ]
+        parts = (replace(part, factors=tuple(own)) for part, own in zip(self.parts, factors, strict=True))
+        return replace(self, parts=tuple(parts))
+
     def enlarged(self, places: Sequence[float]) -> Iterator[DynamicScalings]:
         """Yield scalings with one section more, of a factor or of a G, at each of these places."""
         for i, part in enumerate(self.parts):
