@@ -73,8 +73,8 @@ def _slycot() -> Any:
 
 def _called(name: str, *arguments: Any, **options: Any) -> Any:
     slycot = _slycot()
-    given: list[AnyArray] = [a for a in (*arguments, *options.values()) if isinstance(a, np.ndarray)]
-    if not all(np.isfinite(a).all() for a in given):
+    given: list[AnyArray] = [a.ravel() for a in (*arguments, *options.values()) if isinstance(a, np.ndarray)]
+    if not np.isfinite(np.concatenate(given)).all():
         raise NoTrustworthyNumber(f"SLICOT {name.upper()}", "entries that are NaN or infinite", "finite numbers")
     wrong = slycot.exceptions.SlycotError, slycot.exceptions.SlycotWarning
     with warnings.catch_warnings():
