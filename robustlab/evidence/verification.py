@@ -30,12 +30,12 @@ CLAIMS: Mapping[str, str] = {
     "ReducedController": "evidence.designs.reduced_controller_claims",
     "ReducedModel": "evidence.models.reduction_claims",
     "BuiltModel": "evidence.models.set_claims",
-    "CoprimeMargin": "evidence.loops.coprime_claims",
-    "DiskMargins": "evidence.loops.disk_claims",
-    "DiskMargin": "evidence.loops.one_disk_claims",
+    "CoprimeMargin": "evidence.axis.coprime_claims",
+    "DiskMargins": "evidence.axis.disk_claims",
+    "DiskMargin": "evidence.axis.one_disk_claims",
     "Cover": "evidence.models.cover_claims",
-    "DelayStability": "evidence.loops.delayed_stability_claims",
-    "DelayGain": "evidence.loops.delayed_gain_claims",
+    "DelayStability": "evidence.axis.delayed_stability_claims",
+    "DelayGain": "evidence.axis.delayed_gain_claims",
     "UncertainModel": "evidence.axis.delay_claims",
 }
 

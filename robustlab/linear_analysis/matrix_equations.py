@@ -28,7 +28,7 @@ SPREAD, RESCALED = 1e4, 3
 UNBLOCKED = 32
 # LAPACK's workspace for a matrix with blocks, in columns of it.
 ROOM = 64
-SOLVABLE = "a stabilisable model, and no eigenvalue there"
+SOLVABLE = "a stabilisable model, and no eigenvalue of the pencil on {}"
 
 
 Weighed = tuple[AnyArray, AnyArray, float]  # closed-loop matrix of an X, left-hand side of its equation, residual
@@ -59,7 +59,7 @@ def care(
         with np.errstate(over="ignore", invalid="ignore"):
             whole = a - b @ back @ s.T, b @ back @ b.T, q - s @ back @ s.T
     except np.linalg.LinAlgError:
-        raise NoTrustworthyNumber("care", "no stabilising solution was found; R is singular", SOLVABLE) from None
+        raise NoTrustworthyNumber("care", "no stabilising solution was found; R is singular", "a regular R") from None
 
     def weighed(X: AnyArray) -> Weighed:
         with np.errstate(over="ignore", invalid="ignore"):
@@ -79,7 +79,7 @@ def care(
             return RiccatiSolution(X, -np.linalg.solve(r, b.T @ X + s.T), residual)
         least = min(least, residual)
     if least == np.inf:
-        raise NoTrustworthyNumber("care", f"no stabilising solution was found; {_nearest_to_axis(*whole)}", SOLVABLE)
+        raise NoTrustworthyNumber("care", "no stabilising solution was found", SOLVABLE.format("the imaginary axis"))
     raise NoTrustworthyNumber("care", f"relative residual {least:.1e}", f"at most {tolerance:.1e}")
 
 
@@ -107,8 +107,7 @@ def dare(
             except np.linalg.LinAlgError:
                 gain = None
     if X is None or gain is None or not np.isfinite(gain).all() or np.abs(np.linalg.eigvals(a + b @ gain)).max() >= 1:
-        found = f"no stabilising solution was found; {_nearest_to_circle(a, b, q, r, s)}"
-        raise NoTrustworthyNumber("dare", found, SOLVABLE)
+        raise NoTrustworthyNumber("dare", "no stabilising solution was found", SOLVABLE.format("the unit circle"))
     quadratic = coupling.T @ gain
     residual = small_residual("dare", 0.5 * (a.T @ X @ a - X + quadratic), q, tolerance)
     return RiccatiSolution(X, gain, residual)
@@ -141,31 +140,6 @@ def hamiltonian_riccati(A: AnyArray, G: AnyArray, Q: AnyArray, *, tolerance: flo
 def _matrices(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, S: ArrayLike | None) -> list[Array]:
     a, b, q, r = (np.asarray(matrix, dtype=float) for matrix in (A, B, Q, R))
     return [a, b, q, r, np.zeros(b.shape) if S is None else np.asarray(S, dtype=float)]
-
-
-def _nearest_to_axis(A: AnyArray, G: AnyArray, Q: AnyArray) -> str:
-    poles = balanced_eigenvalues(np.block([[A, -G], [-Q, -A.T]]))
-    if poles is None:
-        return "the entries of the Hamiltonian overflow"
-    nearest = poles[np.abs(np.real(poles)).argmin()]
-    return f"the eigenvalue of the Hamiltonian nearest to the imaginary axis is {nearest:.3g} rad/s"
-
-
-def _nearest_to_circle(a: Array, b: Array, q: Array, r: Array, s: Array) -> str:
-    from scipy.linalg import eigvals
-
-    n, m, zero = len(a), len(r), np.zeros
-    left = np.block([[a, zero((n, n)), b], [-q, np.eye(n), -s], [s.T, zero((m, n)), r]])
-    right = np.block(
-        [[np.eye(n), zero((n, n + m))], [zero((n, n)), a.T, zero((n, m))], [zero((m, n)), -b.T, zero((m, m))]]
-    )
-    alpha, beta = np.abs(eigvals(left, right, homogeneous_eigvals=True))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        moduli = alpha / beta  # infinite ones are part of a pencil, 0 / 0 makes it singular
-        far = np.abs(np.log(moduli))
-    if np.isnan(far).any():
-        return "the pencil is singular"
-    return f"the eigenvalue of the pencil nearest to the unit circle has the modulus {moduli[far.argmin()]:.9g}"
 
 
 def _stable_graph(A: AnyArray, G: AnyArray, Q: AnyArray) -> AnyArray | None:

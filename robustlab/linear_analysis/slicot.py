@@ -37,11 +37,12 @@ def gramian_factors(A: Array, B: Array, C: Array, discrete: bool) -> tuple[Array
     into, out = np.zeros((n, n), order="F"), np.zeros((n, n), order="F")
     into[:, : B.shape[1]] = B if B.shape[1] <= n else np.asarray(np.linalg.qr(B.T, mode="r")).T
     out[: len(C)] = C if len(C) <= n else np.linalg.qr(C, mode="r")
-    factors = []
-    for part, trans in ((into, "T"), (out, "N")) if n else ():
-        U, scale, _ = _called("sb03od", n, n, A.copy("F"), np.zeros((n, n)), part, dico, trans=trans)
-        factors.append(U[:n, :n] / scale)
-    return (factors[0], factors[1].T) if n else (into, out)
+    if not n:
+        return into, out
+    schur, turn = A.copy("F"), np.zeros((n, n), order="F")  # SB03OD leaves the Schur form of A in them
+    upper, scale, _ = _called("sb03od", n, n, schur, turn, into, dico, trans="T")
+    lower, other, _ = _called("sb03od", n, n, schur, turn, out, dico, "F", "N")
+    return upper[:n, :n] / scale, lower[:n, :n].T / other
 
 
 def invariant_zeros(A: Array, B: Array, C: Array, D: Array) -> tuple[ComplexArray, int]:
@@ -72,8 +73,8 @@ def _slycot() -> Any:
 
 def _called(name: str, *arguments: Any, **options: Any) -> Any:
     slycot = _slycot()
-    given: list[AnyArray] = [a for a in (*arguments, *options.values()) if isinstance(a, np.ndarray)]
-    if not all(np.isfinite(a).all() for a in given):
+    given: list[AnyArray] = [a.ravel() for a in (*arguments, *options.values()) if isinstance(a, np.ndarray)]
+    if not np.isfinite(np.concatenate(given)).all():
         raise NoTrustworthyNumber(f"SLICOT {name.upper()}", "entries that are NaN or infinite", "finite numbers")
     wrong = slycot.exceptions.SlycotError, slycot.exceptions.SlycotWarning
     with warnings.catch_warnings():

@@ -145,6 +145,7 @@ def _norm_of(m: StateSpaceModel, rtol: float, infinite: Infinite, band: Band | N
         found = HinfNorm(gain, gain, 0.0 if band is None else band[0], Status.CERTIFIED)
     if found is None:
         found = _bracket(m, rtol, band)
+        # In these states 12 of 140 models with dampings down to 1e-7 in random bases are certified that else are not.
         if found.status is not Status.CERTIFIED and (apart := modes_apart(m)) is not m:
             again = _bracket(apart, rtol, band)
             if again.status is Status.CERTIFIED or again.upper - again.lower < found.upper - found.lower:
@@ -160,19 +161,20 @@ def _bracket(m: StateSpaceModel, rtol: float, band: Band | None) -> HinfNorm:
     try:
         s, rate = well_scaled(bilinear_to_continuous(m) if m.is_discrete else m)
         part = None if band is None else _mapped_band(band, m.dt, rate)
-        lower, at, level, error, settled = _level_test(s, rtol, part)
+        lower, at, level, error, size, settled = _level_test(s, rtol, part)
     except (np.linalg.LinAlgError, NoTrustworthyNumber) as failed:
         return HinfNorm(0.0, np.inf, np.nan, Status.INACCURATE, f"frequency response failed: {failed}")
     # A peak is flat to rtol over sqrt(2 rtol) times its pole's distance: a floating-point number must lie in there.
     blind = np.isfinite(at) and np.sqrt(2 * rtol) * np.abs(1j * at - s.poles()).min() < EPS * at
-    omega = at * rate
-    if m.is_discrete:  # the bilinear map s = (2/dt) (z - 1)/(z + 1) bends the frequency axis
-        omega = 2 / m.dt * float(np.arctan(omega * m.dt / 2)) if np.isfinite(omega) else np.pi / m.dt
+    omega, attained = at * rate, lower
     reason = "" if settled else "the level test did not settle: digits were lost"
-    attained, (size, at_peak) = float(largest_gains(m, np.array([omega]))[0]), _rounding(m, axis_point(m, omega))
-    error = max(error, at_peak)
-    if abs(attained - lower) > 10 * rtol * lower + min(error, LOSSY * lower) and lower > level - lower:
-        reason = f"scaled and original realisation differ at the peak: {lower:.9g} against {attained:.9g}"
+    if m.is_discrete:  # the bilinear map s = (2/dt) (z - 1)/(z + 1) bends the frequency axis; other scalings are exact
+        omega = 2 / m.dt * float(np.arctan(omega * m.dt / 2)) if np.isfinite(omega) else np.pi / m.dt
+        attained = float(largest_gains(m, np.array([omega]))[0])
+        (size,), (at_peak,) = _terms(m.A, m.B, m.C, m.D, np.exp(1j * np.array([omega]) * m.dt))
+        size, error = float(size), max(error, float(at_peak))
+        if abs(attained - lower) > 10 * rtol * lower + min(error, LOSSY * lower) and lower > level - lower:
+            reason = f"the model and its continuous image differ at the peak: {attained:.9g} against {lower:.9g}"
     if blind:
         reason = f"the peak at {omega:.6g} rad/s is narrower than the spacing of floating-point numbers"
     upper = max(level, attained)
@@ -187,42 +189,40 @@ def _bracket(m: StateSpaceModel, rtol: float, band: Band | None) -> HinfNorm:
     return HinfNorm(attained, upper, omega, Status.INACCURATE if reason else Status.CERTIFIED, reason)
 
 
-def _level_test(s: StateSpaceModel, rtol: float, band: Band | None) -> tuple[float, float, float, float, bool]:
-    """Return a well-scaled model's peak gain, its frequency, a level not reached, rounding, and whether it settled."""
+def _level_test(s: StateSpaceModel, rtol: float, band: Band | None) -> tuple[float, float, float, float, float, bool]:
+    """Return the peak gain of a well-scaled model, its frequency, a level not reached, and whether it settled.
+
+    Before the last, the rounding of the gain at the peak and next to poles, where it is worst, and the size of the
+    terms that add up to the gain at the peak.
+    """
     poles = s.poles()
     try:
         peak = [slicot.peak_gain(s.A, s.B, s.C, s.D)[1]]
     except NoTrustworthyNumber:
         peak = []
+    low, high = band or (0.0, np.inf)
     if band is None and peak:
         omega = np.array([*peak, 0.0, np.inf])
     else:
-        omega = _within(np.abs(np.concatenate([poles, poles.imag, peak])), band or (0.0, np.inf))
-    gains, error, lower, at, tested = largest_gains(s, omega), 0.0, -1.0, 0.0, False
-    level = np.inf
-    for _ in range(LEVELS):
+        omega = _within(np.abs(np.concatenate([poles, poles.imag, peak])), (low, high))
+    gains = largest_gains(s, omega)
+    damping = np.abs(poles.real) / np.maximum(np.abs(poles), EPS)
+    near = np.clip(np.abs(poles.imag[np.argsort(damping)[: 2 * NEAR_POLES : 2]]), low, high)
+    lower = error = level = size = at = 0.0
+    for turn in range(LEVELS):
         top = int(np.argmax(gains))
-        if gains[top] > lower:
-            lower, at = float(gains[top]), float(omega[top])
-            error = max(error, _rounding(s, axis_point(s, at))[1])
+        if turn and gains[top] <= level:
+            return lower, at, level, error, size, True
+        lower, at = float(gains[top]), float(omega[top])
+        sizes, errors = _terms(s.A, s.B, s.C, s.D, 1j * np.array([at, *near]))
+        size, error, near = float(sizes[0]), max(error, float(errors.max())), near[:0]
         margin = MARGIN if lower > error else 2.0  # a gain of rounding size has no peak
         level = lower + max(rtol * lower, margin * error)
         if level == 0:
-            return 0.0, at, 0.0, 0.0, True
+            return 0.0, at, 0.0, 0.0, size, True
         omega = crossings(s, level, band)
         gains = largest_gains(s, omega)
-        if gains.max() > level:
-            continue
-        if not tested:  # once: rounding is worst near poles
-            tested = True
-            distance = np.abs(1j * omega[:, None] - poles).min(axis=1) / (np.abs(omega) + EPS)
-            near = omega[np.argsort(distance)[:NEAR_POLES]]
-            worst = max(_rounding(s, axis_point(s, float(w)))[1] for w in near)
-            if worst > error and level < lower + margin * worst:
-                error = worst
-                continue
-        return lower, at, level, error, True
-    return lower, at, level, error, False
+    return lower, at, level, error, size, False
 
 
 def _in_balls(m: StateSpaceModel, found: HinfNorm, rtol: float) -> HinfNorm:
@@ -245,13 +245,6 @@ def _mapped_band(band: Band, dt: float, rate: float) -> Band:
     return low / rate, high / rate
 
 
-def axis_point(m: StateSpaceModel, omega: float) -> complex:
-    """Return the point s or z of a frequency."""
-    if m.is_discrete:
-        return complex(np.exp(1j * omega * m.dt))
-    return 1j * omega if np.isfinite(omega) else complex(np.inf)
-
-
 def gain_rounding(
     A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray, s: complex, sums: Sequence[Array] | None = None
 ) -> float:
@@ -262,27 +255,24 @@ def gain_rounding(
     With ``F = sI - A`` and ``X = F^{-1} B`` a backward stable solution is off by no more than
     ``n eps |F^{-1}| (|F| |X| + |B|)``, entry by entry; no scaling of the states changes that.
     """
-    return _terms(A, B, C, D, s, sums)[1]
-
-
-def _rounding(m: StateSpaceModel, s: complex) -> tuple[float, float]:
-    return _terms(m.A, m.B, m.C, m.D, s)
+    return float(_terms(A, B, C, D, np.array([s]), sums)[1][0])
 
 
 def _terms(
-    A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray, s: complex, sums: Sequence[Array] | None = None
-) -> tuple[float, float]:
-    """Return the size of the terms of the gain at s, ``|C| |X| + |D|``, and `gain_rounding`."""
+    A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray, s: AnyArray, sums: Sequence[Array] | None = None
+) -> tuple[AnyArray, AnyArray]:
+    """Return the size of the terms of the gain at each point s, ``|C| |X| + |D|``, and its `gain_rounding`."""
     in_a, in_b, in_c, in_d = [np.abs(m) for m in (A, B, C, D)] if sums is None else sums
-    n, size, error = len(A), np.abs(D), in_d
-    if n and np.isfinite(s):
-        F = -A.astype(complex)
-        F.ravel()[:: n + 1] += s
-        inverse = np.linalg.inv(F)
+    n, finite = len(A), np.isfinite(s)
+    size, error = (np.repeat(x[None], len(s), axis=0) for x in (np.abs(D), in_d))
+    if n and finite.any():
+        point = s[finite, None, None]
+        inverse = np.linalg.inv(point * np.eye(n) - A)
         X, out = np.abs(inverse @ B), np.abs(C)
-        size = size + out @ X
-        error = error + in_c @ X + out @ (np.abs(inverse) @ (in_a @ X + abs(s) * X + in_b))
-    return float(np.linalg.norm(size)), max(n, 1) * EPS * float(np.linalg.norm(error))
+        size[finite] += out @ X
+        error[finite] += in_c @ X + out @ (np.abs(inverse) @ (in_a @ X + np.abs(point) * X + in_b))
+    whole = (np.sqrt((x * x).sum(axis=(1, 2))) for x in (size, error))
+    return next(whole), max(n, 1) * EPS * next(whole)
 
 
 # --- infinite norms --------------------------------------------------------------------------------------------------
@@ -350,22 +340,23 @@ def pole_text(pole: complex) -> str:
 
 
 def well_scaled(m: StateSpaceModel) -> tuple[StateSpaceModel, float]:
-    """Return the model in the time unit 1/rate, with states balanced against inputs and outputs (Osborne)."""
+    """Return the model in the time unit 1/rate, with states balanced against inputs and outputs (Osborne), exactly."""
     t, rate = balancing_units(m)
-    a, b, c = m.A / rate, m.B / np.sqrt(rate), m.C / np.sqrt(rate)
-    return m._in_states(a / t[:, None] * t, b / t[:, None], c * t, rate=rate), rate
+    root = 2.0 ** (np.frexp(rate)[1] // 2)
+    a, b, c = m.A / (rate * t[:, None]) * t, m.B / ((rate / root) * t[:, None]), m.C * (t / root)
+    return m._in_states(a, b, c, rate=rate), rate
 
 
 def balancing_units(m: StateSpaceModel) -> tuple[Array, float]:
     """Return ``t`` (n,) and ``rate`` of `well_scaled`, powers of two: its states are ``sqrt(rate) x / t``."""
-    size = np.sort(np.abs(m.poles()))
+    size = np.sort(np.abs(m._poles))
     size = size[size > 1e-12 * size[-1]]
     rate = float(2.0 ** np.round(np.log2(size[len(size) // 2]))) if size.size else 1.0  # nothing but integrators
-    a, b, c = m.A / rate, m.B / np.sqrt(rate), m.C / np.sqrt(rate)
-    level = np.linalg.norm(b) / np.linalg.norm(c) if b.any() and c.any() else 1.0
+    rows, columns = (np.sqrt(np.einsum("ij,ij->i", x, x) / rate) for x in (m.B, m.C.T))
+    level = np.sqrt((rows @ rows) / (columns @ columns)) if rows.any() and columns.any() else 1.0
     n = m.n_states
     bordered = np.zeros((n + 1, n + 1), order="F")  # B and C, of one weight, as column and row of one more state
-    bordered[:n, :n], bordered[:n, n], bordered[n, :n] = a, np.linalg.norm(b, axis=1), level * np.linalg.norm(c, axis=0)
+    bordered[:n, :n], bordered[:n, n], bordered[n, :n] = m.A / rate, rows, level * columns
     scale = lapack().dgebal(bordered, scale=1, overwrite_a=1)[3]
     return scale[:n] / scale[n], rate
 

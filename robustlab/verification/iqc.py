@@ -33,10 +33,19 @@ from robustlab.errors import InputError
 from robustlab.verification.balls import definite, exact, identity, part, stack, zeros
 from robustlab.verification.boxes import within_box
 from robustlab.verification.claim import PROVED, Claim, Verdict, Work, not_proved, real, scalar, symmetric, whole
-from robustlab.verification.filters import Filtered
 from robustlab.verification.forms import FULL, Block, placed, read_shapes
 from robustlab.verification.models import Model, model_of
-from robustlab.verification.multipliers import SECTOR, SLOPE, VARYING, Multipliers, Nature, law, linear, read_natures
+from robustlab.verification.multipliers import (
+    SECTOR,
+    SLOPE,
+    VARYING,
+    Filtered,
+    Multipliers,
+    Nature,
+    law,
+    linear,
+    read_natures,
+)
 from robustlab.verification.norms import climb
 from robustlab.verification.stability import stable
 

