@@ -282,7 +282,7 @@ class _Stability(_Search):
         distance = np.abs(1j * omega - model.poles()).min(initial=omega)
         for _ in range(NEIGHBOURHOODS if omega > 0 else 0):
             response = frequency_response(model, omega * np.exp(np.linspace(-reach, reach, 9)))
-            found = lower_bounds(response, blocks, self.seed)
+            found = lower_bounds(response, blocks, self.seed, restarts=12)
             k = int(np.argmax([value for value, _ in found]))
             value, delta = found[k]
             at = omega * float(np.exp(reach * (k / 4 - 1)))
