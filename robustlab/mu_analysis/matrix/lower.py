@@ -343,7 +343,9 @@ def _restored(layout: DeltaLayout, delta: ComplexArray, row: ComplexArray, x: Co
     norm = np.maximum(sizes.max(axis=1, keepdims=True), 1e-300)
     room = np.where(layout.real, np.maximum(norm - sizes, LEAST_ROOM * norm), 0.0)
     total = parts.sum(axis=1, keepdims=True)
-    columns = np.concatenate([total, np.where(layout.real, layout.gains(row, x) * room, 1j * parts)], axis=1)
+    columns: ComplexArray = np.concatenate(
+        [total, np.where(layout.real, layout.gains(row, x) * room, 1j * parts)], axis=1
+    )
     a, b, c = (columns.real**2).sum(axis=1), (columns.real * columns.imag).sum(axis=1), (columns.imag**2).sum(axis=1)
     ridge = 1e-13 * (a + c) + 1e-300
     a, c, missing = a + ridge, c + ridge, 1 - total[:, 0]
