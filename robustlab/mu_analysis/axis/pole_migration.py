@@ -104,6 +104,12 @@ def _closed(model: StateSpaceModel, delta: ComplexArray) -> tuple[NDArray[Any], 
     return model.A + model.B @ d @ (inverse @ model.C), inverse
 
 
+def _eigen(a: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """Return eigenvalues and right eigenvectors."""
+    values, right = np.linalg.eig(a)
+    return values, right
+
+
 # --- crossings -------------------------------------------------------------------------------------------------------
 
 
@@ -196,7 +202,7 @@ def _pole_and_error(model: StateSpaceModel, delta: ComplexArray) -> tuple[comple
     a = perturbed_state_matrix(model, delta)
     if not np.isfinite(a).all():
         return complex(np.inf), 0.0
-    values, right = np.linalg.eig(a)
+    values, right = _eigen(a)
     k = int(values.real.argmax())
     v = right[:, k]
     try:
@@ -218,10 +224,10 @@ def _loop_eigenvalue(model: StateSpaceModel, delta: ComplexArray, omega: float) 
     loop = response @ delta
     if not np.isfinite(loop).all():
         return None
-    values, right = np.linalg.eig(loop)
+    values, right = _eigen(loop)
     k = int(np.abs(values - 1).argmin())
     x = right[:, k]
-    _, left = np.linalg.eig(loop.T)
+    _, left = _eigen(loop.T)
     y = left[:, int(np.abs(np.linalg.eigvals(loop.T) - values[k]).argmin())]
     inner = y @ x
     if inner == 0:
@@ -378,7 +384,7 @@ def directions(model: StateSpaceModel, deltas: ComplexArray, aims: ComplexArray)
     a, loop_inverse = _closed(model, deltas)
     if not np.isfinite(a).all():
         raise np.linalg.LinAlgError("ill-posed")
-    values, right = np.linalg.eig(a)
+    values, right = _eigen(a)
     k = np.abs(values - aims[:, None]).argmin(axis=1)
     index = np.arange(len(deltas))
     # Rows of V^-1 are the left eigenvectors with u v = 1; the shift keeps defective cases solvable.

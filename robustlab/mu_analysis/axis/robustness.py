@@ -282,7 +282,7 @@ class _Stability(_Search):
         distance = np.abs(1j * omega - model.poles()).min(initial=omega)
         for _ in range(NEIGHBOURHOODS if omega > 0 else 0):
             response = frequency_response(model, omega * np.exp(np.linspace(-reach, reach, 9)))
-            found = lower_bounds(response, blocks, self.seed)
+            found = lower_bounds(response, blocks, self.seed, restarts=12)
             k = int(np.argmax([value for value, _ in found]))
             value, delta = found[k]
             at = omega * float(np.exp(reach * (k / 4 - 1)))
@@ -329,7 +329,8 @@ class _Stability(_Search):
         self.proof, self.level, failed = (), np.inf, np.inf
         size = 1 / (self.attained * (1 + fine * stretch)) if self.attained else LARGE
         for _ in range(SIZES):
-            inside, level = box_model(self.model, self.blocks, root_box(self.blocks, size)), 2.0
+            inside = box_model(self.model, self.blocks, root_box(self.blocks, size))
+            cover, level = AxisCover(), 2.0
             if inside is not None and inside.is_stable():
                 cover = cover_axis(inside, self.blocks, 1 / (1 + fine), first=first, budget=self.budget, accuracy=fine)
                 if cover.open:

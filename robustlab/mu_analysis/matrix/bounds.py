@@ -234,15 +234,15 @@ def _bounds(
     sure = np.isfinite(upper).all()
     attained = ((lower > 0) | (upper == 0)).all()
     status = Status.CERTIFIED if sure and attained else Status.CONVERGED if sure else Status.INACCURATE
-    zero = np.zeros((q, p), dtype=complex)
+    k, zero = len(stack), np.zeros((q, p), dtype=complex)
     parts: dict[str, Any] = {
         "lower": lower,
         "upper": upper,
         "scaled": upper.copy(),
-        "delta": np.array([zero if d is None else d for _, d in lowers], dtype=complex).reshape(-1, q, p),
-        "D": np.array([b.Dw for b in uppers], dtype=complex).reshape(-1, q, q),
-        "G": np.array([b.G for b in uppers], dtype=complex).reshape(-1, q, p),
-        "D_z": np.array([b.Dz for b in uppers], dtype=complex).reshape(-1, p, p),
+        "delta": np.array([zero if d is None else d for _, d in lowers], dtype=complex).reshape(k, q, p),
+        "D": np.array([b.Dw for b in uppers], dtype=complex).reshape(k, q, q),
+        "G": np.array([b.G for b in uppers], dtype=complex).reshape(k, q, p),
+        "D_z": np.array([b.Dz for b in uppers], dtype=complex).reshape(k, p, p),
     }
     return parts, status
 

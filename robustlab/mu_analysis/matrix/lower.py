@@ -23,8 +23,8 @@ NEARBY = 5e-9
 CHOSEN = 6  # candidates per matrix that are refined to rounding and verified
 WIDER = 3  # ratio of first starts to paths; the best starts are kept
 DESCENDING = 4  # candidates per matrix that descend along the singular set
-ROUNDS = 12  # of this descent
-FEW = 5  # largest number of real blocks alone for which there are twice as many starts, and scattered ones
+ROUNDS = 24  # of this descent
+FEW, FEWEST = 5, 24  # largest number of real blocks alone with at least so many starts, and scattered ones
 SCATTERED = 96  # number of these: without them 2 of 16 random matrices lose more than a quarter
 FARTHEST = 2.0**500  # largest scaling of rows and columns; two such factors must not overflow
 STACK = 4_000_000  # numbers that one stack of paths may hold: memory, not the answer
@@ -34,13 +34,13 @@ NEWTON_STEPS = 12  # that lead another candidate back to its structure
 Found = tuple[float, ComplexArray | None]
 
 
-def lower_bound(M: ComplexArray, blocks: Sequence[Block], seed: int = 0, restarts: int = 12, steps: int = 40) -> Found:
+def lower_bound(M: ComplexArray, blocks: Sequence[Block], seed: int = 0, restarts: int = 24, steps: int = 40) -> Found:
     """Return ``(1 / ||Delta||, Delta)`` for the smallest Delta (q, p) found, or ``(0, None)``."""
     return lower_bounds(np.asarray(M)[None], blocks, seed, restarts, steps)[0]
 
 
 def lower_bounds(
-    stack: ComplexArray, blocks: Sequence[Block], seed: int = 0, restarts: int = 12, steps: int = 40
+    stack: ComplexArray, blocks: Sequence[Block], seed: int = 0, restarts: int = 24, steps: int = 40
 ) -> list[Found]:
     """Return `lower_bound` of each matrix of a stack (k, p, q)."""
     best: list[Found] = [(0.0, None)] * len(stack)
@@ -164,7 +164,7 @@ def _candidates(
 ) -> tuple[Indices, ComplexArray]:
     """Return Deltas near the structure, most of them singular to rounding, and the matrix (k, p, q) of each."""
     few = bool(layout.real.all()) and layout.n <= FEW
-    restarts = 2 * restarts if few else restarts
+    restarts = max(restarts, FEWEST) if few else restarts
     k, first = len(M), WIDER * restarts
     u, _, vh = np.linalg.svd(M)
     random = np.random.default_rng(seed).standard_normal((2, 1, first, layout.p, 2)) @ np.array([1, 1j])
@@ -223,7 +223,7 @@ FREE = 6  # undamped steps at the beginning of a path; more: faster where few bl
 RESTORING = 5  # steps at its end that restore singularity
 PATH_RESIDUAL = 1e-7  # below which a Delta of a path is kept for refinement
 LEAST_ROOM = 0.02  # share of the norm by which every real block may move where singularity is restored
-LEAST_DESCENT = 1e-4  # relative fall of the norm below which descent ends
+LEAST_DESCENT = 1e-5  # relative fall of the norm below which descent ends
 HUGE = 1e9  # limit of the entries of Delta; M is of order one
 
 # Shares of the way to the smallest step that descent tries.
@@ -252,9 +252,8 @@ def _minimum_norm_paths(
             delta = delta + gain[:, None, None] * (new - delta)
         delta = _limited(delta)
         x, y, residual = _null_directions(M, delta, x, y)
-        norm = layout.sizes(delta).max(axis=1)
-        lower = norm < best_norm * (1 - 1e-6 * (residual > 1e-12))
-        better = (residual <= PATH_RESIDUAL) & lower & (norm > 0)
+        norm = layout.sizes(delta).max(axis=1) * (1 + 10 * residual)  # of two that agree the more exact one
+        better = (residual <= PATH_RESIDUAL) & (norm < best_norm) & (norm > 0)
         best[better], best_norm[better] = delta[better], norm[better]
     return best, best_norm
 
@@ -344,7 +343,9 @@ def _restored(layout: DeltaLayout, delta: ComplexArray, row: ComplexArray, x: Co
     norm = np.maximum(sizes.max(axis=1, keepdims=True), 1e-300)
     room = np.where(layout.real, np.maximum(norm - sizes, LEAST_ROOM * norm), 0.0)
     total = parts.sum(axis=1, keepdims=True)
-    columns = np.concatenate([total, np.where(layout.real, layout.gains(row, x) * room, 1j * parts)], axis=1)
+    columns: ComplexArray = np.concatenate(
+        [total, np.where(layout.real, layout.gains(row, x) * room, 1j * parts)], axis=1
+    )
     a, b, c = (columns.real**2).sum(axis=1), (columns.real * columns.imag).sum(axis=1), (columns.imag**2).sum(axis=1)
     ridge = 1e-13 * (a + c) + 1e-300
     a, c, missing = a + ridge, c + ridge, 1 - total[:, 0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -17,6 +17,7 @@ from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, structure
 
 # Ratios of D between successive components; smaller: less effect of their coupling, fewer digits.
 RATIOS = (2.0**-10, 2.0**-20, 2.0**-40, 2.0**-80)
+NEAR = 1 + 1e-9  # a bound within this factor of that of the components is kept
 START = 1.3  # first t of the primal-dual method, for M of norm 1: D = I, G = 0 is feasible there
 MOST_STEPS = 150  # of the primal-dual method
 
@@ -41,25 +42,32 @@ def compile_kernels() -> None:
 def upper_bounds(M: ComplexArray, blocks: Sequence[Block], tol: float = 1e-6) -> list[UpperBound]:
     """Return the certified D-G upper bound of each matrix of the stack M (k, p, q)."""
     split = [components(m, blocks) for m in M]
-    parts: list[dict[int, UpperBound]] = [{} for _ in split]
-    # Matrices with the same zero pattern are solved together.
-    batches: dict[tuple[int, ...], list[tuple[int, int]]] = {}
+    # Components with the same blocks are solved together.
+    batches: dict[tuple[int, ...], list[tuple[int, Component]]] = {}
     for k, found in enumerate(split):
-        for j, component in enumerate(found):
-            batches.setdefault(component.members, []).append((k, j))
+        for component in found:
+            batches.setdefault(component.members, []).append((k, component))
+    solved: dict[tuple[int, tuple[int, ...]], UpperBound] = {}
     for members, places in batches.items():
-        stack = np.stack([split[k][j].matrix for k, j in places])
-        solved = _component_bounds(stack, [blocks[i] for i in members], tol)
-        for (k, j), bound in zip(places, solved, strict=True):
-            parts[k][j] = bound
-    done = [[part[j] for j in sorted(part)] for part in parts]
-    whole = [k for k, found in enumerate(split) if len(found) == 1]
-    placed = [_placed(blocks, split[k], done[k], 1.0) for k in whole]
-    bounds: dict[int, UpperBound] = {}
-    if whole:
-        Dw, Dz, G = (np.stack(parts) for parts in zip(*placed, strict=True))
-        bounds = dict(zip(whole, _certified(M[whole], Dw, Dz, G), strict=True))
-    return [bounds[k] if k in bounds else _assemble(M[k], blocks, split[k], done[k]) for k in range(len(M))]
+        stack = np.stack([component.matrix for _, component in places])
+        bounds = _component_bounds(stack, [blocks[i] for i in members], tol)
+        solved |= {(k, members): bound for (k, _), bound in zip(places, bounds, strict=True)}
+    parts = [[solved[k, component.members] for component in found] for k, found in enumerate(split)]
+    floor = [max((b.beta for b in part), default=0.0) for part in parts]
+    best: dict[int, UpperBound] = {}
+    # Couplings run from a lower to a higher depth only: a much smaller D at each depth makes them negligible.
+    for ratio in RATIOS:
+        todo = [k for k in range(len(M)) if k not in best or (len(parts[k]) > 1 and best[k].beta > floor[k] * NEAR)]
+        if not todo:
+            break
+        placed = zip(*(_placed(blocks, split[k], parts[k], ratio) for k in todo), strict=True)
+        for k, bound in zip(todo, _certified(M[todo], *map(np.stack, placed)), strict=True):
+            best[k] = bound if k not in best or bound.beta < best[k].beta else best[k]
+    for k, found in enumerate(split):
+        if not any(component.matrix.any() for component in found):
+            # Strictly block triangular: det(I - M Delta) = 1 for every Delta; D proves it in the limit only.
+            best[k] = replace(best[k], beta=0.0)
+    return [best[k] for k in range(len(M))]
 
 
 def _component_bounds(M: ComplexArray, blocks: list[Block], tol: float) -> list[UpperBound]:
@@ -91,25 +99,6 @@ def _single(m: ComplexArray, blocks: Sequence[Block]) -> UpperBound:
         # |m|^2 - 2 g Im m < 0
         G[0, 0] = abs(m[0, 0]) * (abs(m[0, 0]) / m[0, 0].imag)
     return UpperBound(certified_level(m, Dw, Dz, G), Dw, Dz, G)
-
-
-def _assemble(M: ComplexArray, blocks: Sequence[Block], found: list[Component], parts: list[UpperBound]) -> UpperBound:
-    """Combine D and G of the components for the whole matrix, certified on M itself."""
-    # Couplings run from a lower to a higher depth only: a much smaller D at each depth makes them negligible.
-    floor = max((b.beta for b in parts), default=0.0)
-    best: UpperBound | None = None
-    for ratio in RATIOS if max((c.depth for c in found), default=0) else (1.0,):
-        Dw, Dz, G = _placed(blocks, found, parts, ratio)
-        beta = certified_level(M, Dw, Dz, G)
-        if best is None or beta < best.beta:
-            best = UpperBound(beta, Dw, Dz, G)
-        if best.beta <= floor * (1 + 1e-9):
-            break
-    assert best is not None
-    if floor == 0.0 and all(not component.matrix.any() for component in found):
-        # Strictly block triangular: det(I - M Delta) = 1 for every Delta. D proves it only in the limit of the ratio.
-        return UpperBound(0.0, best.Dw, best.Dz, best.G)
-    return best
 
 
 def _placed(
