@@ -167,6 +167,7 @@ def _remains(problem: Problem, posterior: Posterior, fit: Fit) -> bool:
         posterior.noise_ratio > tuning.MOST_NOISE
         or posterior.random_share > tuning.MOST_RANDOM
         or posterior.best.unnamed is not None
+        or not posterior.generalises
         or bool(at_limits(problem, fit) & clocks)
     )
 
