@@ -251,11 +251,6 @@ class FittedWindows:
         other.response = replace(self.response, port=port)
         return other
 
-    @property
-    def force(self) -> float:
-        """Return the RMS of the force that moves the curves' port."""
-        return self.response.motion.force
-
     def strongest(self) -> list[int]:
         """Return the ports by residual force over its standard deviation, largest first."""
 
