@@ -17,7 +17,8 @@ __all__, __getattr__ = lazily(
         "greybox.disturbance_smoother": "smooth_disturbance",
         "greybox.motion_smoother": "smooth_motion",
         "greybox.candidates": (
-            "candidates catalogue nuisance_parameters stated_tolerances with_absolute_tolerances spatial_orders"
+            "candidates catalogue nuisance_parameters stated_tolerances with_absolute_tolerances "
+            "spatial_orders timed_lines"
         ),
         "greybox.effect_fit": "Problem Hypothesis FitPlan refit_distance Simulator Windows NoiseModel",
         "greybox.noise": "whitening first_noise held_out_fit as_fitted",
