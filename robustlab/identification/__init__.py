@@ -12,14 +12,13 @@ __all__, __getattr__ = lazily(
         "missing_effects.discovery": "discover",
         "missing_effects.discovery_result": "Discovery",
         "missing_effects.residual_force": "residual_force force_curves ForceCurve ResidualForce",
-        "missing_effects.discovery_parts": (
-            "EffectValue Gap InputClock NamedEffect NominalValue Rival SearchEntry SetProbability"
-        ),
+        "missing_effects.discovery_parts": ("EffectValue Gap InputClock NamedEffect NominalValue Rival SetProbability"),
         "greybox.prepared_record": "prepare ports_of window_length",
         "greybox.disturbance_smoother": "smooth_disturbance",
         "greybox.motion_smoother": "smooth_motion",
         "greybox.candidates": (
-            "candidates catalogue nuisance_parameters stated_tolerances with_absolute_tolerances spatial_orders"
+            "candidates catalogue nuisance_parameters stated_tolerances with_absolute_tolerances "
+            "spatial_orders timed_lines"
         ),
         "greybox.effect_fit": "Problem Hypothesis FitPlan refit_distance Simulator Windows NoiseModel",
         "greybox.noise": "whitening first_noise held_out_fit as_fitted",

@@ -58,11 +58,6 @@ class NextExperiment(Evidence):
     now: float  # the same for the present records (`refit_distance`)
     hypotheses: tuple[str, ...]  # candidates to be separated, the named one first
 
-    @property
-    def separates(self) -> bool:
-        """Whether the choice will be safe (d of 10 or more)."""
-        return self.separation >= SAFE
-
     def facts(self) -> Facts:
         size = f"{self.separation:.3g} noise sigmas of {', '.join(self.hypotheses)}"
         now = f"present records: {self.now:.3g}; {tuning.CANNOT_TELL:.0f} distinguish, {SAFE:.0f} are safe"

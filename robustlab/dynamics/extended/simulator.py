@@ -484,3 +484,9 @@ def exponential(a: Array, h: float) -> tuple[Array, Array, Array]:
     both: Array = np.asarray(expm(chain), dtype=float)
     psi = h * both[:n, n : 2 * n]
     return both[:n, :n].copy(), psi, 2.0 * h * both[:n, 2 * n :] - psi
+
+
+def rising(a: Array, b: Array, dt: float) -> Array:
+    """Return columns (n_x, n_u) whose held inputs act like inputs along the line 2 tau/dt - 1."""
+    _, psi, ramp = exponential(a, dt)
+    return np.linalg.solve(psi, ramp @ b)

@@ -47,6 +47,7 @@ class SmoothedRecord(Evidence):
     d_std: Array
     noise_std: Array  # noise of each output, (n_y,)
     bandwidth: Array  # frequency in Hz up to which the record determines each force, (m,)
+    log_likelihood: float  # of the innovations after the first n_x + m samples
 
 
 def smooth_disturbance(
@@ -75,7 +76,7 @@ def smooth_disturbance(
     std = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
     return SmoothedRecord(
         task.t, mean[:, :n_x].copy(), std[:, :n_x].copy(), covariance[:, :n_x, :n_x].copy(), mean[:, n_x:].copy(),
-        std[:, n_x:].copy(), best.sigma, np.exp(best.bandwidth),
+        std[:, n_x:].copy(), best.sigma, np.exp(best.bandwidth), best.log_likelihood,
     )  # fmt: skip
 
 
@@ -148,7 +149,7 @@ def _prepared(
     h = float(t[-1] - t[0]) / (n - 1)
     wide = _with_forces(model, p)
     phi, gamma, _ = transition(wide, h)
-    floor = np.maximum([_resolution(column) / math.sqrt(12.0) for column in y.T], SMALLEST_NOISE * _size(y))
+    floor = np.maximum([resolution_of(column) / math.sqrt(12.0) for column in y.T], SMALLEST_NOISE * _size(y))
     if noise_std is None:
         guess = np.maximum([_rough_noise(column) for column in y.T], floor)
     else:
@@ -212,7 +213,7 @@ def _size(y: Array) -> Array:
     return np.where(size > 0, size, 1.0)
 
 
-def _resolution(y: Array) -> float:
+def resolution_of(y: Array) -> float:
     """Return the smallest step between values of an output; near 0 if it is not quantised."""
     values = np.unique(y[np.isfinite(y)])
     steps = np.diff(values)

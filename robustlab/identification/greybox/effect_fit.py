@@ -588,11 +588,8 @@ def predicted(problem: Problem, fit: Fit) -> Problem:
     """Return the problem with the measured outputs replaced by the fit's prediction in the chosen windows."""
     records = []
     for record, chosen, outputs in zip(problem.records, problem.chosen, simulated_outputs(problem, fit), strict=True):
-        y = record.y.copy()
-        for start, window in zip(record.windows.starts[chosen], outputs, strict=True):
-            y[start : start + record.windows.length] = np.where(
-                np.isfinite(y[start : start + record.windows.length]), window, np.nan
-            )
+        y, at = record.y.copy(), record.windows.starts[chosen][:, None] + np.arange(record.windows.length)
+        y[at] = np.where(np.isfinite(y[at]), outputs, np.nan)
         records.append(replace(record, y=y))
     return problem.on(records, problem.chosen)
 

@@ -10,16 +10,22 @@ from functools import cached_property
 import numpy as np
 
 from robustlab.arrays import Array, Mask
-from robustlab.dynamics.extended.simulator import Windows
+from robustlab.dynamics.extended.simulator import SampledInput, Windows, rising
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.motion_model import Course, motion_model
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, port_model
 from robustlab.errors import InputError
 from robustlab.identification import tuning
-from robustlab.identification.greybox.disturbance_smoother import SmoothedRecord, output_shares, smooth_disturbance
+from robustlab.identification.greybox.disturbance_smoother import (
+    SmoothedRecord,
+    output_shares,
+    resolution_of,
+    smooth_disturbance,
+)
 from robustlab.identification.greybox.motion_smoother import smooth_motion
 from robustlab.identification.response.response import longest_period, slowest_time_constant
 from robustlab.record import Record
+from robustlab.statespace import StateSpaceModel
 
 WINDOWS_WANTED = 12  # in the shortest record: shorter windows drift less and are less sensitive to slow effects
 LONGEST_WINDOW = 480  # samples; up to twice that for a slow plant
@@ -159,7 +165,7 @@ def prepare(
     names = [s.name for s in plant.outputs]
     u, y, columns = _signals(plant, record, outputs)
     own = [j for j, k in enumerate(columns) if names[k] in record.outputs]
-    resolution = np.array([_resolution(column) if j in own else 0.0 for j, column in enumerate(y.T)])
+    resolution = np.array([resolution_of(column) if j in own else 0.0 for j, column in enumerate(y.T)])
     for j, k in enumerate(columns):
         if valid is not None and names[k] in valid:
             y[~valid[names[k]], j] = np.nan
@@ -236,8 +242,8 @@ def _states(
     seen = y[:, own]
     if isinstance(plant, LinearPlant):
         bare = plant.state_space().select(None, [plant.outputs[columns[j]].name for j in own])
-        smoothed = smooth_disturbance(bare, push, record.t, u, seen)
-        shares = output_shares(bare, push, record.t, u, seen, smoothed)
+        smoothed, driven, inputs = _smoothed(bare, push, record.t, u, seen)
+        shares = output_shares(driven, push, record.t, inputs, seen, smoothed)
     else:
         smoothed, *shares = smooth_motion(plant, record.t, u, seen, [columns[j] for j in own])
     parts, constant, noise_std = *np.zeros((2, len(columns), *smoothed.x.shape)), np.zeros(len(columns))
@@ -301,17 +307,23 @@ def _fastest_seen(model: PortModel, y: Array, dt: float, noise_std: Array) -> fl
     return min(periods, default=float(len(y)))
 
 
+def _smoothed(
+    bare: StateSpaceModel, push: Array, t: Array, u: Array, y: Array
+) -> tuple[SmoothedRecord, StateSpaceModel, Array]:
+    """Smooth with inputs that are held or, if more probable, smooth between their samples."""
+    # A smooth input enters by its means over the samples, and by its rises in further columns. Always held: dry
+    # friction of an axis came with a ripple that is not there (characterisation, "axis, dry friction").
+    halves = np.stack([SampledInput(column, "smooth").steps(1) for column in u.T])  # (n_u, n, 2)
+    inputs = np.vstack([halves.mean(axis=2), halves[:, :, 1] - halves[:, :, 0]]).T
+    b, d = np.hstack([bare.B, rising(bare.A, bare.B, float(t[1] - t[0]))]), np.hstack([bare.D, -bare.D])
+    kinds = [(bare, u), (StateSpaceModel(bare.A, b, bare.C, d), inputs)]
+    found = [(smooth_disturbance(model, push, t, seen, y), model, seen) for model, seen in kinds]
+    return max(found, key=lambda f: f[0].log_likelihood)
+
+
 def _between_gaps(lost: Mask, longest_guess: int) -> list[tuple[int, int]]:
     """Return first sample and end of each stretch between runs of more than ``longest_guess`` lost samples."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], lost.astype(int), [0]])))
     gaps = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > longest_guess]
     firsts, ends = [0, *(b for _, b in gaps)], [*(a for a, _ in gaps), len(lost)]
     return list(zip(firsts, ends, strict=True))
-
-
-def _resolution(y: Array) -> float:
-    """Return the smallest step between the values of a quantised signal; 0 if nearly every value is unique."""
-    values = np.unique(y)
-    if len(values) < 2 or len(values) > 0.98 * len(y):
-        return 0.0
-    return float(np.diff(values).min())

@@ -187,8 +187,8 @@ def _motion(problem: Problem, fit: Fit, place: Site, samples: Sequence[Indices])
         return PortMotion(rms, unit=problem.plant.inputs[at].unit)
     factors, _ = problem.split(fit.hypothesis, fit.z)
     forces, speeds, positions = [], [], []
-    for record, simulator, at in zip(problem.records, problem.simulators(Hypothesis(())), samples, strict=True):
-        port = simulator.model(factors, []).ports[place.name]
+    ports = [s.model(factors, []).ports[place.name] for s in problem.simulators(Hypothesis(()))]
+    for record, port, at in zip(problem.records, ports, samples, strict=True):
         x, covariance = record.smoothed.x, record.smoothed.covariance
         v = x @ port.velocity
         forces.append(float(np.sqrt(np.mean((port.mean_inertia * np.gradient(v, record.record.dt)) ** 2))))
@@ -198,7 +198,7 @@ def _motion(problem: Problem, fit: Fit, place: Site, samples: Sequence[Indices])
             std = np.sqrt(np.median(np.einsum("i,nij,j->n", port.position, covariance, port.position)))
             positions += [q[at]] if std < 0.05 * np.ptp(q) else []
     known = np.concatenate(positions) if len(positions) == len(speeds) else None
-    units = port.unit, port.speed_unit, port.position_unit
+    units = ports[0].unit, ports[0].speed_unit, ports[0].position_unit
     return PortMotion(max(forces) or 1.0, np.concatenate(speeds), known, *units)
 
 
@@ -250,11 +250,6 @@ class FittedWindows:
         other = copy(self)
         other.response = replace(self.response, port=port)
         return other
-
-    @property
-    def force(self) -> float:
-        """Return the RMS of the force that moves the curves' port."""
-        return self.response.motion.force
 
     def strongest(self) -> list[int]:
         """Return the ports by residual force over its standard deviation, largest first."""

@@ -217,7 +217,7 @@ def judged(windows: FittedWindows, family: Family, kinds: int, port: str) -> Unn
     n_z, n, count = len(windows.z), windows.points, family.columns.shape[2]
     levels = windows.levels(family.columns, windows.smaller)
     alone = max(level.alone for level in [*levels, windows.alone])
-    strengths = (STRENGTHS * windows.force) ** 2
+    strengths = (STRENGTHS * windows.response.motion.force) ** 2
     best = None
     for level in levels:
         h, b, det = _projected(windows.with_prior(level.gram.sum(axis=0)), count, n_z)

@@ -27,7 +27,6 @@ from robustlab.identification.missing_effects.discovery_parts import (
     NamedEffect,
     NominalValue,
     Rival,
-    SearchEntry,
     SetProbability,
     Verdict,
     overall,
@@ -143,7 +142,7 @@ def answer(
         records=names,
         window=problem.records[0].windows.length * problem.records[0].record.dt,
         posterior=_probabilities(posterior),
-        search=_entries(found),
+        search=tuple((_places(v.fit), v.evidence - found.best.evidence) for v in found.sets),
         clocks=_clocks(problem, fit),
         candidates=tried,
         structure=structure,
@@ -167,6 +166,7 @@ def _remains(problem: Problem, posterior: Posterior, fit: Fit) -> bool:
         posterior.noise_ratio > tuning.MOST_NOISE
         or posterior.random_share > tuning.MOST_RANDOM
         or posterior.best.unnamed is not None
+        or not posterior.generalises
         or bool(at_limits(problem, fit) & clocks)
     )
 
@@ -368,9 +368,3 @@ def _probabilities(posterior: Posterior) -> tuple[SetProbability, ...]:
         )
         for w in posterior.sets
     )  # fmt: skip
-
-
-def _entries(found: Found) -> tuple[SearchEntry, ...]:
-    best = found.best.evidence
-    words = {True: "judged", False: "no answer: within tolerance, or beyond what the records visit"}
-    return tuple(SearchEntry(_places(v.fit), v.evidence - best, words[v.allowed]) for v in found.sets)

@@ -179,15 +179,6 @@ class InputClock(Evidence):
     std: float
 
 
-@dataclass(frozen=True)
-class SearchEntry(Evidence):
-    """One evaluated set, in order of the search: effects with places, log evidence, decision."""
-
-    effects: tuple[str, ...]
-    evidence: float
-    decision: str
-
-
 # --- texts ------------------------------------------------------------------------------------------------------------
 
 
@@ -252,7 +243,7 @@ def facts_of(d: Any) -> Facts:
 
 def details_of(d: Any) -> list[Part]:
     """Return the evidence, refitted parameters, input holds, next experiment, findings and search as tables."""
-    best = sorted(d.search, key=lambda e: -e.evidence)[:SHOWN_SEARCH]
+    best = sorted(d.search, key=lambda e: -e[1])[:SHOWN_SEARCH]
     without = {e.name: percent(e.error_without) if math.isfinite(e.error_without) else "" for e in d.effects}
     structure = [(key, f"{v:.4g}") for key, v in d.structure.items()]
     visited = f"search: {len(d.search)} sets visited, {len(d.candidates)} effects tried"
@@ -264,8 +255,7 @@ def details_of(d: Any) -> list[Part]:
         Part("next experiment", ("", ""), [] if d.next_experiment is None else d.next_experiment.facts()),
         Part("what remains", ("", ""), structure),
         Part("findings on the records", ("kind", "finding"), [(f.kind, f.message) for f in d.findings]),
-        Part(visited, ("log evidence", "effects", "decision"),
-             [(f"{e.evidence:.4g}", " + ".join(e.effects) or "none", e.decision) for e in best]),
+        Part(visited, ("log evidence", "effects"), [(f"{v:.4g}", " + ".join(own) or "none") for own, v in best]),
     ]  # fmt: skip
 
 

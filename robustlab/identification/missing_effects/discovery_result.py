@@ -20,7 +20,6 @@ from robustlab.identification.missing_effects.discovery_parts import (
     NamedKind,
     NominalValue,
     Rival,
-    SearchEntry,
     SetProbability,
     Verdict,
     details_of,
@@ -93,7 +92,7 @@ class Discovery(Tabular, Evidence):
     next_experiment
         Experiment that separates the rivals; None without rivals.
     posterior, search
-        Sets of effects, the most probable first; every evaluated set.
+        Sets of effects, the most probable first; every evaluated set with its log evidence.
     residual_force, missing_force, remaining_lines
         Force that the updated and the refitted nominal model lack, over speed, position, time and input; lines in it.
     structure
@@ -121,7 +120,7 @@ class Discovery(Tabular, Evidence):
     kinds: tuple[NamedKind, ...] = ()
     also_detectable: tuple[NamedEffect, ...] = ()
     posterior: tuple[SetProbability, ...] = ()
-    search: tuple[SearchEntry, ...] = ()
+    search: tuple[tuple[tuple[str, ...], float], ...] = ()
     clocks: tuple[InputClock, ...] = ()
     free_run: Mapping[str, Gap] = field(default_factory=dict)
     free_run_on: str = ""

@@ -13,13 +13,16 @@ from functools import cached_property
 
 import numpy as np
 
+from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Site
 from robustlab.identification import tuning
-from robustlab.identification.greybox.effect_fit import Candidate, Fit, Problem, refit_distance
+from robustlab.identification.greybox.effect_fit import Candidate, Fit, NoiseModel, Problem, refit_distance
 from robustlab.identification.greybox.noise import (
+    clearly_larger,
     held_out_fit,
     in_phase,
     noise_ratio,
+    window_errors,
 )
 from robustlab.identification.greybox.random_force import FittedWindows
 from robustlab.identification.greybox.unnamed_force import (
@@ -78,6 +81,7 @@ class Posterior:
 
     sets: tuple[Weighted, ...]
     collection: tuple[Weighted, ...]
+    generalises: bool  # False if every more probable set than the empty one fails on held-out data
     weight: Weight | None
     coarse: bool = False
 
@@ -143,7 +147,7 @@ class Weight:
 
 def weigh(found: Found) -> Posterior:
     problem = found.problem
-    ordered = [v for v in found.sets if v.allowed]
+    ordered, generalises = _generalising(found)
     # If the error is far beyond the sensor noise, a random force predicts the next sample better than any law: then the
     # simulated windows determine the evidence, and the force only shows whether something remains.
     near = noise_ratio(problem, ordered[0].fit) < tuning.BEYOND_NOISE
@@ -181,7 +185,7 @@ def weigh(found: Found) -> Posterior:
         sets[0] = replace(sets[0], unnamed=weight.force)
     twins = {key for key, d in distance.items() if d < tuning.CANNOT_TELL}
     collection = tuple(_collected(sets, tuning.SURE, twins))
-    return Posterior(tuple(sets), collection, weights.get(sets[0].key), temperature > TEMPERATURE)
+    return Posterior(tuple(sets), collection, generalises, weights.get(sets[0].key), temperature > TEMPERATURE)
 
 
 def _within(problem: Problem, fit: Fit) -> float:
@@ -300,6 +304,21 @@ def _gain(force: UnnamedEvidence | None) -> float:
     if force is None:
         return 0.0
     return float(np.logaddexp(np.log1p(-PRIOR), np.log(PRIOR) + min(force.evidence, force.cross_validated)))
+
+
+def _generalising(found: Found) -> tuple[list[Scored], bool]:
+    """Return the allowed sets that do not fail on held-out data, and whether the best set does not fail."""
+    plain = NoiseModel(found.noise.std, found.noise.ar[:0])
+
+    def errors(visited: Scored) -> Array:
+        phased, _ = in_phase(found.held, visited.fit, found.problem.records)
+        return window_errors(phased, held_out_fit(phased, visited.fit, plain))
+
+    refitted, left, failed = errors(found.empty), list[Scored](), list[Scored]()
+    for visited in (v for v in found.sets if v.allowed):
+        judged = visited.key and len(left) < MOST_WEIGHED
+        (failed if judged and clearly_larger(errors(visited), refitted) else left).append(visited)
+    return left, bool(left[0].key) or not any(v.evidence > found.empty.evidence for v in failed)
 
 
 def _one_apart(best: Scored, others: Iterable[Scored]) -> tuple[list[Scored], list[Scored]]:

@@ -21,6 +21,7 @@ from robustlab.identification import (
     prepare,
     spatial_orders,
     stated_tolerances,
+    timed_lines,
     window_length,
     with_absolute_tolerances,
 )
@@ -123,6 +124,29 @@ def test_a_torque_ripple_is_found_at_unequal_speed(k):
     assert found[0] == pytest.approx(k, abs=0.25 * 2 * np.pi / np.ptp(q))  # a quarter of the width of a line
 
 
+# --- lines over time -------------------------------------------------------------------------------------------------
+
+
+def coloured(n, seed):
+    """Return noise with a smooth spectrum that falls by a hundred, and a speed with reversals."""
+    rng = np.random.default_rng(seed)
+    noise = np.convolve(rng.normal(size=n + 20), np.exp(-np.arange(21) / 5.0), "valid")
+    return noise, np.sin(np.linspace(0.0, 40.0, n))
+
+
+@pytest.mark.parametrize("f", [23.7, 50.0, 101.3])
+def test_a_line_over_time_is_found_in_coloured_noise_and_friction(f):
+    noise, v = coloured(5000, 1)
+    t = np.arange(5000) * 1e-3
+    found = timed_lines(noise + np.sin(2 * np.pi * f * t + 0.3) + 5.0 * np.sign(v) - 2.0 * v, v, 1e-3, 4.0)
+    assert found == pytest.approx((f,), abs=0.05)  # a quarter of the width of a line
+
+
+def test_the_false_alarm_rate_of_lines_over_time_is_as_stated():
+    alarms = sum(bool(timed_lines(*coloured(3000, seed), 1e-3, 4.0)) for seed in range(300))
+    assert alarms <= 9  # 3 expected of 300 at 1 %; more than 9 has the probability 0.001
+
+
 # --- candidates ------------------------------------------------------------------------------------------------------
 
 T = np.arange(1000) * 2e-3
@@ -186,3 +210,12 @@ def test_a_one_sided_contact_has_candidates_on_both_sides_within_the_record():
             values = candidate.values(np.full(len(candidate.parameters), z))
             assert all(seen.lowest <= values[name] <= seen.highest for name in limits)
             assert candidate.effect.id == "end-stop" or np.sign(values["k"]) == seen.side
+
+
+def test_a_ripple_over_time_starts_at_its_line():
+    axis = rl.with_effects(rl.plant("servo-axis"), {"torque-ripple": {"Ac": 5.0, "As": 5.0, "f": 41.0}})
+    run = rl.simulate(axis, T, U)
+    (found, *_) = tried_with(axis.plant, rl.Record(run.t, run.inputs, {"q": run["q"]}, name="run"))["torque-ripple @ v"]
+    assert found.starts == ({"Ac": 0.0, "As": 0.0, "f": pytest.approx(41.0, abs=0.15)},)
+    without = [c.starts for c in tried("servo-axis")["torque-ripple @ v"]]
+    assert [s["f"] for s in without[0]] == [50.0, 100.0, 60.0, 120.0]

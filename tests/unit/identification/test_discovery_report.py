@@ -19,7 +19,6 @@ from robustlab.identification import (
     NominalValue,
     ResidualForce,
     Rival,
-    SearchEntry,
     SetProbability,
 )
 
@@ -54,7 +53,7 @@ def made(**changes):
         status=Status.CONVERGED, verdict="named", complete=True, effects=(COULOMB,), rivals=(), nominal=(mass, gain),
         gap_before=3.0, gap_refitted=0.9, gap_after=0.1, gaps={"q": Gap("q", "m", 2.0, 0.06, 0.018, 0.002)},
         held_out="test", plant="servo-axis", records=("train",), window=LENGTH * DT,
-        search=(SearchEntry((), -512.0, "start"), SearchEntry(("coulomb-friction@v",), 0.0, "best")),
+        search=(((), -512.0), (("coulomb-friction@v",), 0.0)),
         posterior=(best, other), clocks=(InputClock("u", "held", 0.4e-3, 0.02e-3),),
         free_run={"q": Gap("q", "m", 2.0, 0.5, 0.2, 0.01)}, free_run_on="test",
         candidates=("coulomb-friction", "presliding", "backlash"), structure={}, series=series(), seconds=12.0,

@@ -71,7 +71,6 @@ def test_reversals_identify_coulomb_friction_and_one_way_steps_do_not(rival):
     case, problem, fits, found = proposal("coulomb-friction", "oneway", "coulomb-friction", rival)
     assert found.now < 3
     assert found.separation > 10
-    assert found.separates
     assert found.advice == ""
     assert found.added == ()
     u = found.inputs["u"]
@@ -104,7 +103,6 @@ def test_a_torque_constant_and_a_sensor_gain_require_an_independent_measurement(
     _, _, _, found = proposal("torque-constant", "rich", "torque-constant", "sensor-gain", factor=0.93)
     # Only the tolerances of the time constant separate them: 3 to 4 noise sigmas for any signal.
     assert 2.0 < found.separation < 5.0
-    assert not found.separates
     assert "separate sensor-gain and torque-constant" in found.advice
     assert "open-circuit voltage" in found.advice
     assert "known from elsewhere" in found.advice
