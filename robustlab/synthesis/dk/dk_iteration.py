@@ -271,13 +271,16 @@ class _Search:
         if self.mixed:
             self.problem.budget = self.search.share(1 / 3)
         low, high = np.log(self._band(self.first_curve, NEAR_PEAK))
-        constant, levels = self._fitted(self.first_curve, np.inf, self.problem.budget), [np.inf]
+        first, levels, before = self.iterates[0], [np.inf], self.best.level
+        bases = unit_scalings(self.blocks), self._fitted(self.first_curve, np.inf, self.problem.budget)
+        proved = [self.problem.proved(first.K, base, first.level) for base in bases]
+        constant = bases[int(np.argmin([np.inf if one is None else one.level for one in proved]))]
         for k in range(1, MAX_SECTIONS + 1):
             scalings = constant.spread((low + (high - low) * (np.arange(k) + 0.5) / k).tolist())
             if scalings.n_states > self.max_states or self._settled(levels):
                 break
             levels.append(self._taken(minimised(self.problem, scalings, self.best.level), "direct"))
-        if len(levels) <= FALLS and not self.late:
+        if levels[-1] > min(levels) * (1 + PROGRESS) or min(levels) > before:  # other local minima each time
             self._grow(constant, "direct")
         self.problem.budget = self.search
         if self.mixed and not self.late:
