@@ -46,16 +46,13 @@ class Rows:
         lost = {index: reason for index, reason in self.lost.items() if index < n}
         return Rows(self.first, self.values[:count], self.deltas[:count], self.seconds[:count], lost)
 
-    def followed_by(self, others: Sequence[Rows]) -> Rows:
-        """Concatenate these samples and the next ones."""
-        parts = [self, *others]
-        return Rows(
-            self.first,
-            np.concatenate([part.values for part in parts]),
-            np.concatenate([part.deltas for part in parts]),
-            np.concatenate([part.seconds for part in parts]),
-            {index: reason for part in parts for index, reason in part.lost.items()},
-        )
+
+def _joined(parts: Sequence[Rows]) -> Rows:
+    """Concatenate consecutive samples."""
+    values, deltas, seconds = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("values", "deltas", "seconds")
+    )
+    return Rows(parts[0].first, values, deltas, seconds, {i: why for part in parts for i, why in part.lost.items()})
 
 
 class Evaluator:
@@ -63,23 +60,14 @@ class Evaluator:
 
     def __init__(self, uncertain: UncertainModel, settings: CampaignSettings) -> None:
         self.uncertain, self.settings = uncertain, settings
-        self._metric = make_metric(uncertain, _request(uncertain, settings), "campaign")
+        self._request = _request(uncertain, settings)
+        self._metric = make_metric(uncertain, self._request, "campaign")
         self.tile = _tile_size(self._metric.uncertain.M.n_states, settings)
         self._reals = [block.name for block in uncertain.blocks if block.interval]
-
-    @property
-    def unit(self) -> str:
-        return self._metric.unit
-
-    @property
-    def sense(self) -> int:
-        """1 where the largest value of the metric is the worst, -1 where the smallest is."""
-        return 1 if self._metric.sense > 0 else -1
-
-    @property
-    def location(self) -> str:
-        """Quantity and unit of the place where a value is attained, for example ``"t [s]"``."""
-        return self._metric.location
+        self.unit = self._metric.unit
+        self.sense = 1 if self._metric.sense > 0 else -1  # -1 where the smallest value of the metric is the worst
+        # Quantity and unit of the place where a value is attained, for example "t [s]".
+        self.location = self._metric.location
 
     def delta(self, index: int) -> dict[str, Any]:
         """Return the normalised Delta of a sample or vertex by block name; zero for a search."""
@@ -108,8 +96,7 @@ class Evaluator:
 
     def rows(self, first: int, last: int) -> Rows:
         """Compute samples ``first .. last - 1``, multiples of the tile; a failed tile is computed sample by sample."""
-        parts = [self._tile(start) for start in range(first, last, self.tile)]
-        return parts[0].followed_by(parts[1:])
+        return _joined([self._tile(start) for start in range(first, last, self.tile)])
 
     def agrees(self, value: float, again: Evaluation) -> bool:
         """Return whether a re-evaluation confirms a value."""
@@ -128,8 +115,7 @@ class Evaluator:
         except Exception:  # noqa: BLE001  one sample fails the tile; it is found below
             values = np.full(len(theta), np.nan)
         if np.isnan(values).any():
-            parts = [self.alone(index) for index in range(first, first + self.tile)]
-            return parts[0].followed_by(parts[1:])
+            return _joined([self.alone(index) for index in range(first, first + self.tile)])
         return Rows(first, values, theta, np.full(len(theta), (time.perf_counter() - started) / len(theta)))
 
     def alone(self, index: int) -> Rows:
@@ -153,9 +139,8 @@ class Evaluator:
 
     def _search(self, index: int) -> tuple[float, dict[str, Any]]:
         s = self.settings
-        own = np.random.SeedSequence(s.seed, spawn_key=(index, 3)).generate_state(2)
-        request = vars(_request(self.uncertain, s))
-        found = worst_case(self.uncertain, **request, n=s.starts, seed=int(own[0]), effort=UNLIMITED_EFFORT)
+        seed = int(np.random.SeedSequence(s.seed, spawn_key=(index, 3)).generate_state(2)[0])
+        found = worst_case(self.uncertain, **vars(self._request), n=s.starts, seed=seed, effort=UNLIMITED_EFFORT)
         if not found.status.trustworthy:
             raise NoTrustworthyNumber(
                 "search", f"{found.status}: {found.search_value:.9g} found, {found.value:.9g} when evaluated again"

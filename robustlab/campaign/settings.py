@@ -82,12 +82,6 @@ class CampaignSettings:
             }
         return data
 
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> CampaignSettings:
-        """Inverse of `to_json`."""
-        known = {field.name for field in fields(cls)}
-        return cls(**{name: value for name, value in data.items() if name in known})
-
 
 @dataclass(frozen=True)
 class Identity:
@@ -114,7 +108,9 @@ class Identity:
     def from_json(cls, data: Mapping[str, Any]) -> Identity:
         """Inverse of `to_json`."""
         code = {str(name): str(value) for name, value in data["code"].items()}
-        return cls(str(data["model"]), CampaignSettings.from_json(data["settings"]), code)
+        known = {field.name for field in fields(CampaignSettings)}
+        settings = {name: value for name, value in data["settings"].items() if name in known}
+        return cls(str(data["model"]), CampaignSettings(**settings), code)
 
 
 def differences(old: Identity, new: Identity) -> list[str]:
@@ -127,10 +123,9 @@ def differences(old: Identity, new: Identity) -> list[str]:
     ['settings.n: 10 -> 20', 'code.numpy: 2.4.0 -> 2.4.1']
     """
     lines = [] if old.model == new.model else [f"the uncertain model: {old.model[:12]} -> {new.model[:12]}"]
-    for part, before, after in (
-        ("settings", old.settings.to_json(), new.settings.to_json()),
-        ("code", dict(old.code), dict(new.code)),
-    ):
+    befores, afters = old.to_json(), new.to_json()
+    for part in ("settings", "code"):
+        before, after = befores[part], afters[part]
         for name in dict.fromkeys([*before, *after]):
             if before.get(name) != after.get(name):
                 lines.append(f"{part}.{name}: {_short(before.get(name))} -> {_short(after.get(name))}")

@@ -9,7 +9,7 @@ import hashlib
 import json
 import sqlite3
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -174,9 +174,7 @@ class Store:
 
     def get(self, name: str) -> Any:
         """Return an entry of the campaign's own table, or None."""
-        with _named(self.path):
-            found = self._db.execute("SELECT value FROM campaign WHERE name = ?", (name,)).fetchone()
-        return found[0] if found else None
+        return next(self._asked("SELECT value FROM campaign WHERE name = ?", name), (None,))[0]
 
     @property
     def identity(self) -> Identity:
@@ -193,19 +191,13 @@ class Store:
 
     def facts(self) -> dict[str, Any]:
         """Return the facts stored at the end of the campaign: digest, check of the worst sample; empty before."""
-        text = self.get("finished")
-        return json.loads(text) if text else {}
-
-    def note_facts(self, facts: Mapping[str, Any]) -> None:
-        """Store the facts of the finished campaign."""
-        self.put("finished", json.dumps(dict(facts)))
+        return json.loads(self.get("finished") or "{}")
 
     # --- samples -----------------------------------------------------------------------------------------------------
 
     def save(self, rows: Rows) -> None:
         """Write samples in one transaction."""
-        deltas = rows.deltas.astype("<f8")
-        values: list[tuple[Any, ...]] = []
+        deltas, values = rows.deltas.astype("<f8"), []
         for i, (value, seconds) in enumerate(zip(rows.values.tolist(), rows.seconds.tolist(), strict=True)):
             index = rows.first + i
             reason = rows.lost.get(index)
@@ -224,58 +216,47 @@ class Store:
     def missing(self, n: int) -> list[tuple[int, int]]:
         """Return gaps ``(first, last)`` in 0 .. n - 1, each without its last index."""
         gaps, expected = [], 0
-        with _named(self.path):
-            for (index,) in self._db.execute("SELECT idx FROM sample WHERE idx BETWEEN 0 AND ? ORDER BY idx", (n - 1,)):
-                if index > expected:
-                    gaps.append((expected, index))
-                expected = index + 1
+        for (index,) in self._asked("SELECT idx FROM sample WHERE idx BETWEEN 0 AND ? ORDER BY idx", n - 1):
+            if index > expected:
+                gaps.append((expected, index))
+            expected = index + 1
         return [*gaps, (expected, n)] if expected < n else gaps
 
     def counts(self) -> Counts:
         """Count the samples."""
-        with _named(self.path):
-            found = dict(self._db.execute("SELECT status, COUNT(*) FROM sample GROUP BY status"))
+        found = dict(self._asked("SELECT status, COUNT(*) FROM sample GROUP BY status"))
         return Counts(found.get(DONE, 0), found.get(LOST, 0))
 
     def sample(self, index: int) -> Sample | None:
         """Return one row, or None where it is missing."""
-        return next(self._samples("WHERE idx = ?", (index,)), None)
-
-    def samples(self) -> Iterator[Sample]:
-        """Stream all rows by index."""
-        return self._samples("ORDER BY idx")
+        return next(self.samples("WHERE idx = ?", index), None)
 
     def lost(self, most: int) -> list[Sample]:
         """Return the first lost samples."""
-        return list(self._samples("WHERE status = ? ORDER BY idx LIMIT ?", (LOST, most)))
+        return list(self.samples("WHERE status = ? ORDER BY idx LIMIT ?", LOST, most))
 
     def worst(self, sense: int) -> Sample | None:
         """Return the first sample with the largest ``sense * value``."""
-        return next(self._samples("WHERE status = ? ORDER BY value * ? DESC, idx LIMIT 1", (DONE, sense)), None)
+        return next(self.samples("WHERE status = ? ORDER BY value * ? DESC, idx LIMIT 1", DONE, sense), None)
 
     def unbounded(self) -> int:
         """Count samples with an infinite value."""
-        with _named(self.path):
-            found = self._db.execute("SELECT COUNT(*) FROM sample WHERE status = ? AND abs(value) = ?", (DONE, np.inf))
-            return int(found.fetchone()[0])
+        question = "SELECT COUNT(*) FROM sample WHERE status = ? AND abs(value) = ?"
+        return next(self._asked(question, DONE, np.inf))[0]
 
     def beyond(self, sense: int, limit: float) -> int:
         """Count samples with a value worse than ``limit``."""
-        with _named(self.path):
-            question = "SELECT COUNT(*) FROM sample WHERE status = ? AND value * ? > ?"
-            return int(self._db.execute(question, (DONE, sense, sense * limit)).fetchone()[0])
+        question = "SELECT COUNT(*) FROM sample WHERE status = ? AND value * ? > ?"
+        return next(self._asked(question, DONE, sense, sense * limit))[0]
 
     def sorted_values(self, sense: int) -> Iterator[float]:
         """Stream the values from the best to the worst; SQLite sorts many of them on disk."""
-        with _named(self.path):
-            question = "SELECT value FROM sample WHERE status = ? ORDER BY value * ?"
-            for (value,) in self._db.execute(question, (DONE, sense)):
-                yield value
+        for (value,) in self._asked("SELECT value FROM sample WHERE status = ? ORDER BY value * ?", DONE, sense):
+            yield value
 
     def seconds(self) -> float:
         """Return the total time of all samples in s."""
-        with _named(self.path):
-            return float(self._db.execute("SELECT TOTAL(seconds) FROM sample").fetchone()[0])
+        return next(self._asked("SELECT TOTAL(seconds) FROM sample"))[0]
 
     def digest(self) -> str:
         """Return SHA-256 over index, status, value, Delta and reason of all rows by index.
@@ -289,13 +270,16 @@ class Store:
             digest.update(row.delta + struct.pack("<q", len(reason)) + reason)
         return digest.hexdigest()
 
-    def _samples(self, condition: str, values: tuple[Any, ...] = ()) -> Iterator[Sample]:
+    def samples(self, condition: str = "ORDER BY idx", *values: Any) -> Iterator[Sample]:
+        """Stream rows, all by index where no condition is given."""
+        question = f"SELECT idx, status, value, delta, seconds, reason FROM sample {condition}"  # noqa: S608  our own texts
+        for index, status, value, *rest, reason in self._asked(question, *values):
+            yield Sample(index, status, np.nan if value is None else value, *rest, reason or "")
+
+    def _asked(self, question: str, *values: Any) -> Iterator[tuple[Any, ...]]:
+        """Stream the answer to a question."""
         with _named(self.path):
-            for index, status, value, delta, seconds, reason in self._db.execute(
-                f"SELECT idx, status, value, delta, seconds, reason FROM sample {condition}",  # noqa: S608  our own texts
-                values,
-            ):
-                yield Sample(index, status, np.nan if value is None else value, delta, seconds, reason or "")
+            yield from self._db.execute(question, values)
 
 
 def _check_file(path: Path) -> None:
