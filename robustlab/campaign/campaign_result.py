@@ -87,10 +87,7 @@ def _at_ranks(values: Iterable[float], ranks: Iterable[int], sense: int) -> dict
 
 
 def exceedance_curve(store: Store, sense: int, done: int, lost: int, points: int = 200) -> tuple[Array, Array, Array]:
-    """Return for a figure values (m,), the share of worse samples (m,), and its upper confidence bounds (m,).
-
-    Ranks are spaced to resolve the tail; lost samples count as worse, samples without a bounded value are omitted.
-    """
+    """Return for a figure values (m,), the share of worse samples (m,), and its upper confidence bounds (m,)."""
     from scipy.special import betaincinv
 
     n = done + lost

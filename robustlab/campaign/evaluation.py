@@ -168,10 +168,7 @@ _evaluators: dict[str, Evaluator] = {}  # of this process: that of its last camp
 
 
 def compute(identity: Identity, model: bytes, first: int, last: int) -> Rows:
-    """Compute samples ``first .. last - 1`` in a worker.
-
-    Raises EnvironmentFault: the worker runs other code than the campaign.
-    """
+    """Compute samples ``first .. last - 1`` in a worker."""
     if identity.hash not in _evaluators:
         changes = differences(identity, Identity(identity.model, identity.settings, code_identity()))
         if changes:

@@ -139,10 +139,7 @@ class Replay(AllFields, Displayable):
 
 
 def replay_sample(store: str | Path, index: int) -> Replay:
-    """Compute one sample again in this process.
-
-    Raises InputError: no such sample.
-    """
+    """Compute one sample again in this process."""
     with closing(Store.open(Path(store))) as opened:
         evaluator, row = _evaluator(opened), opened.sample(index)
     n = evaluator.settings.n
@@ -277,10 +274,7 @@ class _Pieces:
 
 
 def compute_missing(store: Store, evaluator: Evaluator, workers: Workers, progress: Callable[[int], None]) -> None:
-    """Compute the missing samples; ``progress`` is called with the number of newly stored samples.
-
-    Raises NoTrustworthyNumber: more than 1 % of the samples have no value. EnvironmentFault: a worker ended.
-    """
+    """Compute the missing samples; ``progress`` is called with the number of newly stored samples."""
     n, identity, model, lost = evaluator.settings.n, store.identity, store.model, store.counts().lost
     todo = _Pieces(store.missing(n), evaluator.tile)
     pieces, under_way = iter(todo), set[Future[Rows]]()

@@ -37,10 +37,7 @@ _CODE = (
 
 @dataclass(frozen=True)
 class CampaignSettings:
-    """Settings of the samples 0 .. n - 1.
-
-    Raises UsageError, InputError: an unknown kind; numbers out of range.
-    """
+    """Settings of the samples 0 .. n - 1."""
 
     metric: str  # a metric of `robustlab.worst_case_analysis.worst_case`
     n: int  # number of samples, vertices, or searches

@@ -28,17 +28,17 @@ APPLICATION_ID = 0x524C4350  # "RLCP"
 MAGIC = b"SQLite format 3\x00"
 NEW = "robustlab campaign run --help"
 
-_TABLES = """
-CREATE TABLE campaign (name TEXT PRIMARY KEY, value BLOB NOT NULL) WITHOUT ROWID;
-CREATE TABLE sample (
+_TABLES = (
+    "CREATE TABLE campaign (name TEXT PRIMARY KEY, value BLOB NOT NULL) WITHOUT ROWID",
+    """CREATE TABLE sample (
     idx INTEGER PRIMARY KEY,
     status INTEGER NOT NULL,  -- 0 done, 1 lost
     value REAL,               -- the metric; NULL where lost
     delta BLOB NOT NULL,      -- normalised Delta, float64, see worst_case_analysis.members.encoded
     seconds REAL NOT NULL,
     reason TEXT               -- why the sample is lost
-);
-"""
+)""",
+)
 
 
 @dataclass(frozen=True)
@@ -81,10 +81,7 @@ class Store:
 
     @classmethod
     def delete(cls, path: Path) -> None:
-        """Delete a store and its SQLite side files, also if damaged, but never another type of file.
-
-        Raises InputError: the file is no campaign; EnvironmentFault: it cannot be deleted.
-        """
+        """Delete a store and its SQLite side files, also if damaged, but never another type of file."""
         if cls.exists(path):
             _check_file(path)
         try:
@@ -95,10 +92,7 @@ class Store:
 
     @classmethod
     def create(cls, path: Path, uncertain: UncertainModel, settings: CampaignSettings) -> Store:
-        """Create the store of a campaign atomically.
-
-        Raises EnvironmentFault: the file cannot be written.
-        """
+        """Create the store of a campaign atomically."""
         identity = Identity.of(uncertain, settings)
         with _named(path):
             db = sqlite3.connect(path, isolation_level=None)
@@ -106,9 +100,8 @@ class Store:
             db.execute("BEGIN IMMEDIATE")
             db.execute(f"PRAGMA application_id={APPLICATION_ID}")
             db.execute(f"PRAGMA user_version={FORMAT_VERSION}")
-            for statement in _TABLES.split(";\n"):
-                if statement.strip():
-                    db.execute(statement)
+            for statement in _TABLES:
+                db.execute(statement)
             store.put("identity", json.dumps(identity.to_json(), sort_keys=True))
             store.put("hash", identity.hash)
             store.put("model", model_to_bytes(uncertain))
@@ -118,10 +111,7 @@ class Store:
 
     @classmethod
     def open(cls, path: Path, *, write: bool = False) -> Store:
-        """Open the store of an earlier campaign, checked page by page.
-
-        Raises InputError: no such file, not a campaign, a newer version, damaged; EnvironmentFault: no permission.
-        """
+        """Open the store of an earlier campaign, checked page by page."""
         _check_file(path)
         with _named(path):
             mode = "rw" if write else "ro"
@@ -259,10 +249,7 @@ class Store:
         return next(self._asked("SELECT TOTAL(seconds) FROM sample"))[0]
 
     def digest(self) -> str:
-        """Return SHA-256 over index, status, value, Delta and reason of all rows by index.
-
-        Times and the order of writing do not affect it.
-        """
+        """Return SHA-256 over index, status, value, Delta and reason of all rows by index."""
         digest = hashlib.sha256()
         for row in self.samples():
             digest.update(struct.pack("<qBd", row.index, row.status, row.value if row.status == DONE else np.nan))
@@ -312,10 +299,7 @@ def _damaged(where: str, what: str) -> InputError:
 
 @contextmanager
 def locked(path: Path) -> Iterator[None]:
-    """Hold the lock ``NAME.lock`` of a store; it ends with its process.
-
-    Raises EnvironmentFault: another process holds it; the folder cannot be written.
-    """
+    """Hold the lock ``NAME.lock`` of a store; it ends with its process."""
     from filelock import FileLock, Timeout
 
     folder = path.absolute().parent

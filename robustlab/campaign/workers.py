@@ -20,10 +20,7 @@ EMPTY_SECONDS = 60.0  # to wait for the first worker of a cluster
 
 @dataclass(frozen=True)
 class Crew:
-    """Workers of a campaign; the samples do not depend on them.
-
-    Raises InputError: no worker at all.
-    """
+    """Workers of a campaign; the samples do not depend on them."""
 
     workers: int | None = None  # processes on this machine; one per processor where omitted
     cluster: str | None = None  # instead: address of a Dask scheduler, whose workers are used
@@ -43,10 +40,7 @@ class Workers(NamedTuple):
 
 
 def started_workers(crew: Crew, samples: int) -> AbstractContextManager[Workers]:
-    """Provide the workers of a crew and end them on exit.
-
-    Raises DependencyMissing: dask.distributed is not installed. EnvironmentFault: no scheduler or worker answers.
-    """
+    """Provide the workers of a crew and end them on exit."""
     return _on_cluster(crew.cluster) if crew.cluster is not None else _on_this_machine(crew.workers, samples)
 
 

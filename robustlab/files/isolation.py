@@ -129,10 +129,7 @@ class ReaderServer:
         atexit.register(self.close)
 
     def read(self, kind: str, path: str | Path, limits: Limits, **options: Any) -> Tree:
-        """Read a file of kind ``hdf5``, ``matlab5`` or ``table``.
-
-        Raises InputError, EnvironmentFault: of the file, or of a crash, a hang or an invalid answer.
-        """
+        """Read a file of kind ``hdf5``, ``matlab5`` or ``table``."""
         where, wait = str(path), PATIENCE * limits.seconds
         request = {"kind": kind, "limits": asdict(limits), "path": str(Path(path).absolute()), "shown": where,
                    "wait": wait, **options}  # fmt: skip

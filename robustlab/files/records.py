@@ -320,7 +320,10 @@ def choose(source: Source, options: RecordOptions) -> dict[str, Any]:
     ins = _named(source.inputs if options.inputs is None else options.inputs, known)
     outs = _named(source.outputs if alone else options.outputs, known)
     if options.outputs is None and not (alone and stated):
-        outs = {name: name for name in _of_default_clock(source, clock, dt) if name not in (*ins.values(), clock)}
+        # Those of the source's own time base, or without one all logs.
+        own, logged = ([n for n, c in source.channels.items() if bool(c.clock) is log] for log in (False, True))
+        usual = own if not logged or clock in own or (own and (dt or source.dt)) else logged
+        outs = {name: name for name in usual if name not in (*ins.values(), clock)}
     signals = {**ins, **outs}
     wanted = [*signals.values(), *([clock] if clock and dt is None else [])]
     missing = [name for name in wanted if name not in known]
@@ -370,13 +373,6 @@ def _named(texts: Sequence[str] | None, known: Collection[str]) -> dict[str, str
         alone = text in known or not sign
         found[text if alone else name.strip()] = text if alone else signal.strip()
     return found
-
-
-def _of_default_clock(source: Source, clock: str | None, dt: float | None) -> list[str]:
-    """Return the signals read by default: those of the source's own time base, or without one all logs."""
-    own = [name for name, channel in source.channels.items() if not channel.clock]
-    logged = [name for name, channel in source.channels.items() if channel.clock]
-    return own if not logged or clock in own or (own and (dt or source.dt)) else logged
 
 
 def _agree(where: str, name: str, stated: str, given: str) -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -129,16 +129,8 @@ def c_source(
     )
 
 
-class _PlacedFeedForward(NamedTuple):
-    """A feed-forward, the output that it is added to, and the input that is its reference."""
-
-    law: FeedForward
-    output: int
-    reference: int
-
-
-def _place_feed_forward(model: StateSpaceModel, law: FeedForward) -> _PlacedFeedForward:
-    """Find the signals of a feed-forward in a model."""
+def _place_feed_forward(model: StateSpaceModel, law: FeedForward) -> dict[str, Any]:
+    """Return a feed-forward, the output that it is added to, and the input that is its reference."""
     names, wanted = model.output_names, law.position
     if law.input.name not in names:
         raise InputError("C export: feed-forward", f"of {law.input.name!r}", f"one of {', '.join(names)}")
@@ -148,11 +140,11 @@ def _place_feed_forward(model: StateSpaceModel, law: FeedForward) -> _PlacedFeed
         hint = "a controller of a tracking problem is: it sees references and measurements apart"
         expected = f"a controller that is given the reference of {wanted.name}"
         raise InputError("C export: feed-forward", f"inputs {', '.join(model.input_names)}", expected, hint)
-    at = _PlacedFeedForward(law, names.index(law.input.name), found[0])
-    for ours, its in ((model.outputs[at.output], law.input), (model.inputs[at.reference], wanted)):
+    output, reference = names.index(law.input.name), found[0]
+    for ours, its in ((model.outputs[output], law.input), (model.inputs[reference], wanted)):
         if ours.unit != its.unit:
             raise UnitMismatch(f"C export: feed-forward of {its.name}", its.unit, ours.unit)
-    return at
+    return {"law": law, "output": output, "reference": reference}
 
 
 def _template() -> Any:
