@@ -22,7 +22,8 @@ from robustlab.worst_case_analysis.members import decoded
 from robustlab.worst_case_analysis.statistics import clopper_pearson
 from robustlab.worst_case_analysis.worst_case_search import LABEL, LABEL_SMALLEST, UNBOUNDED
 
-CONFIDENCE = 0.95
+CONFIDENCE = 0.95  # of each bound of a probability
+TWO_SIDED = 2.0 * CONFIDENCE - 1.0  # of both together
 SHARES = (0.5, 0.9, 0.99, 0.999)
 SHOWN_LOST = 100
 LISTED_LOST = 10  # of these in a text
@@ -58,11 +59,6 @@ class LostSample:
     index: int
     reason: str
     delta: Mapping[str, Any]
-
-
-def _probability_bounds(k: int, n: int) -> tuple[float, float]:
-    """Return Clopper-Pearson bounds of a probability from k successes in n trials, each one-sided at CONFIDENCE."""
-    return clopper_pearson(k, n, 2.0 * CONFIDENCE - 1.0)
 
 
 def _quantiles(store: Store, sense: int, n: int) -> tuple[Quantile, ...]:
@@ -240,7 +236,8 @@ def result_of(store: Store, evaluator: Evaluator, limit: float | None = None) ->
     sampled, violation = settings.kind == "samples" and done > 0, None
     if limit is not None and done:
         above = store.beyond(sense, limit)
-        lower, upper = _probability_bounds(above, n)[0], _probability_bounds(above + lost, n)[1]
+        lower, _ = clopper_pearson(above, n, TWO_SIDED)
+        _, upper = clopper_pearson(above + lost, n, TWO_SIDED)
         violation = Violation(limit, above + lost, n, lower, upper)
     label = LABEL if sense > 0 else LABEL_SMALLEST
     return CampaignResult(
@@ -263,7 +260,7 @@ def result_of(store: Store, evaluator: Evaluator, limit: float | None = None) ->
         again=float(facts.get("again", math.nan)),
         nominal=float(facts.get("nominal", math.nan)),
         quantiles=_quantiles(store, sense, n) if sampled and complete else (),
-        unseen=_probability_bounds(lost, n)[1] if sampled else math.nan,
+        unseen=clopper_pearson(lost, n, TWO_SIDED)[1] if sampled else math.nan,
         violation=violation,
         lost_samples=tuple(
             LostSample(row.index, row.reason, decoded(blocks, row.numbers)) for row in store.lost(SHOWN_LOST)

@@ -275,7 +275,7 @@ class _Pieces:
 
 def compute_missing(store: Store, evaluator: Evaluator, workers: Workers, progress: Callable[[int], None]) -> None:
     """Compute the missing samples; ``progress`` is called with the number of newly stored samples."""
-    n, identity, model, lost = evaluator.settings.n, store.identity, store.model, store.counts().lost
+    n, identity, model, lost = evaluator.settings.n, store.identity, store.model, store.counts()[1]
     todo = _Pieces(store.missing(n), evaluator.tile)
     pieces, under_way = iter(todo), set[Future[Rows]]()
     _stop_if_too_many(store, lost, n)

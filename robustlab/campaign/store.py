@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -56,13 +56,6 @@ class Sample:
     def numbers(self) -> Array:
         """Delta as coordinates for `robustlab.worst_case_analysis.members.decoded`."""
         return np.frombuffer(self.delta, dtype="<f8").astype(np.float64)
-
-
-class Counts(NamedTuple):
-    """Numbers of samples with a value, and lost ones."""
-
-    done: int
-    lost: int
 
 
 class Store:
@@ -212,10 +205,10 @@ class Store:
             expected = index + 1
         return [*gaps, (expected, n)] if expected < n else gaps
 
-    def counts(self) -> Counts:
-        """Count the samples."""
+    def counts(self) -> tuple[int, int]:
+        """Return the numbers of samples with a value and of lost ones."""
         found = dict(self._asked("SELECT status, COUNT(*) FROM sample GROUP BY status"))
-        return Counts(found.get(DONE, 0), found.get(LOST, 0))
+        return found.get(DONE, 0), found.get(LOST, 0)
 
     def sample(self, index: int) -> Sample | None:
         """Return one row, or None where it is missing."""
