@@ -60,9 +60,16 @@ class Evaluator:
 
     def __init__(self, uncertain: UncertainModel, settings: CampaignSettings) -> None:
         self.uncertain, self.settings = uncertain, settings
-        self._request = _request(uncertain, settings)
+        s, t = settings, None
+        if s.t_end is not None:
+            dt = uncertain.dt
+            t = dt * np.arange(max(2, round(s.t_end / dt) + 1)) if dt else np.linspace(0.0, s.t_end, s.points)
+        self._request = MetricRequest(s.metric, s.output, s.input, t, s.u, s.hold, s.band)
         self._metric = make_metric(uncertain, self._request, "campaign")
-        self.tile = _tile_size(self._metric.uncertain.M.n_states, settings)
+        n = self._metric.uncertain.M.n_states
+        work = (n + 1) ** 2 * (s.points + 100 + 30 * n)
+        # The samples per tile depend on the campaign alone, not on the machine.
+        self.tile = 1 if s.kind == "search" else max(1, min(TILE, int(TILE_WORK / work)))
         self._reals = [block.name for block in uncertain.blocks if block.interval]
         self.unit = self._metric.unit
         self.sense = 1 if self._metric.sense > 0 else -1  # -1 where the smallest value of the metric is the worst
@@ -146,22 +153,6 @@ class Evaluator:
                 "search", f"{found.status}: {found.search_value:.9g} found, {found.value:.9g} when evaluated again"
             )
         return found.value, dict(found.delta)
-
-
-def _request(uncertain: UncertainModel, s: CampaignSettings) -> MetricRequest:
-    clock = None
-    if s.t_end is not None:
-        dt = uncertain.dt
-        clock = dt * np.arange(max(2, round(s.t_end / dt) + 1)) if dt else np.linspace(0.0, s.t_end, s.points)
-    return MetricRequest(s.metric, s.output, s.input, clock, s.u, s.hold, s.band)
-
-
-def _tile_size(n_states: int, settings: CampaignSettings) -> int:
-    """Return the samples per tile, which depend on the campaign alone, not on the machine."""
-    if settings.kind == "search":
-        return 1
-    work = (n_states + 1) ** 2 * (settings.points + 100 + 30 * n_states)
-    return max(1, min(TILE, int(TILE_WORK / work)))
 
 
 _evaluators: dict[str, Evaluator] = {}  # of this process: that of its last campaign

@@ -123,24 +123,6 @@ def test_controllers(model, gamma, status, method):
     assert_same_model(back.K, model)
 
 
-@SETTINGS
-@given(st.data())
-def test_records(data):
-    n = data.draw(st.integers(2, 30))
-    names = data.draw(st.lists(NAMES, min_size=1, max_size=4, unique=True))
-    channels = {name: data.draw(arrays(float, n, elements=NUMBERS)) for name in names}
-    cut = data.draw(st.integers(0, len(names)))
-    ins, outs = ({k: channels[k] for k in part} for part in (names[:cut], names[cut:]))
-    record = rl.Record(
-        np.arange(n) * 0.1, ins, outs, {names[0]: data.draw(TEXTS)}, data.draw(NAMES), {names[-1]: data.draw(NAMES)}
-    )
-    back = there_and_back(record)
-    assert (list(back.inputs), list(back.outputs)) == (list(ins), list(outs))
-    for name in names:
-        assert back[name].tobytes() == record[name].tobytes()
-    assert (dict(back.units), dict(back.meaning), back.name) == (dict(record.units), dict(record.meaning), record.name)
-
-
 LEAVES = (
     st.none() | st.booleans() | st.integers(-(2**63), 2**63 - 1) | NUMBERS | TEXTS | st.complex_numbers(allow_nan=False)
 )
