@@ -157,8 +157,8 @@ def model_to_bytes(uncertain: UncertainModel) -> bytes:
 def model_from_bytes(data: bytes, where: str) -> UncertainModel:
     """Inverse of `model_to_bytes`. Raises InputError: the bytes are no uncertain model."""
     try:
-        return decode_uncertain(receive(data, where), Problems(where))
-    except (ValueError, KeyError, TypeError) as error:
+        return decode_uncertain(receive(BytesIO(data), where), Problems(where))
+    except (ValueError, KeyError, TypeError, EOFError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(where, f"the model in it cannot be read ({error})") from None

@@ -180,7 +180,7 @@ class Store:
 
     def save(self, rows: Rows) -> None:
         """Write samples in one transaction."""
-        deltas, values = rows.deltas.astype("<f8"), []
+        deltas, values = rows.deltas.astype("<f8"), list[tuple[Any, ...]]()
         for i, (value, seconds) in enumerate(zip(rows.values.tolist(), rows.seconds.tolist(), strict=True)):
             index = rows.first + i
             reason = rows.lost.get(index)
@@ -256,7 +256,7 @@ class Store:
         for index, status, value, *rest, reason in self._asked(question, *values):
             yield Sample(index, status, np.nan if value is None else value, *rest, reason or "")
 
-    def _asked(self, question: str, *values: Any) -> Iterator[tuple[Any, ...]]:
+    def _asked(self, question: str, *values: Any) -> Iterator[Any]:
         """Stream the answer to a question."""
         with _named(self.path):
             yield from self._db.execute(question, values)

@@ -8,7 +8,6 @@ process ends, and the next file gets a new one.
 from __future__ import annotations
 
 import atexit
-import io
 import json
 import math
 import os
@@ -76,9 +75,8 @@ def send(stream: BinaryIO, content: dict[str, Any]) -> None:
     stream.flush()
 
 
-def receive(source: bytes | IO[bytes], file: str) -> Tree:
+def receive(stream: IO[bytes], file: str) -> Tree:
     """Invert `send_tree`. Raises InputError: the error sent; EOFError: no more data; ValueError and others: invalid."""
-    stream = io.BytesIO(source) if isinstance(source, bytes) else source
 
     def take(size: int) -> bytes:
         data = stream.read(size)

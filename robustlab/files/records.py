@@ -132,8 +132,8 @@ def read_record(
         if group:
             raise InputError(where, f"group {group!r} of a text file", "no group: text files have none")
         table = read_table(path, options.delimiter, options.decimal, limits, isolate)
-        columns = zip(table.names, map(np.array, table.values.T), table.units, strict=True)
-        channels = {name: Channel(values, unit) for name, values, unit in columns}
+        columns = zip(table.names, table.units, table.values.T, strict=True)
+        channels = {name: Channel(np.array(values), unit) for name, unit, values in columns}
         return choose(Source(where, Path(path).stem, "", channels), options)
     tree = read_tree(path, group, limits, isolate)
     if is_stamped(tree):
