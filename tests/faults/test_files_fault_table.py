@@ -207,20 +207,12 @@ def misspelt(folder):
     return pair(folder / "p.h5", perturbed={"B": None}, names=("nomnal", "perturbed"))
 
 
-def lower_case(folder):
-    return plain(folder / "p.h5", A=None, a=np.eye(3))
-
-
 def wrong_kind(file, _folder):
     file.attrs["kind"] = "statespace"
 
 
 def newer(file, _folder):
     file.attrs["format_version"] = "2.0"
-
-
-def text_matrix(folder):
-    return plain(folder / "p.h5", A="three")
 
 
 def nan(folder):
@@ -312,14 +304,18 @@ CASES = [
         misspelt,
         r"p.h5: missing /nominal\n.*p.h5: unexpected /nomnal \(did you mean /nominal\?\)\n.*p.h5: missing /perturbed/B",
     ),
-    ("9 lower case", lower_case, r"p.h5: missing /A\n.*p.h5: unexpected /a \(did you mean /A\?\)"),
+    (
+        "9 lower case",
+        edited(lambda file, _: file.update(a=np.eye(3))),
+        r"p.h5: missing /A\n.*p.h5: unexpected /a \(did you mean /A\?\)",
+    ),
     (
         "9 kind",
         edited(wrong_kind, saved),
         r"p.h5: attribute kind is 'statespace', expected one of .*\nhint: did you mean state-space\?",
     ),
     ("10 newer", edited(newer, saved), r"p.h5: written by schema 2.0, this robustlab reads <= 1.x; upgrade\nhint: .*"),
-    ("11 text", text_matrix, r"p.h5: /A has dtype text, expected real numbers"),
+    ("11 text", edited(lambda file, _: file.update(A="three")), r"p.h5: /A has dtype text, expected real numbers"),
     ("12 NaN", nan, r"p.h5: /nominal/A\[3,5\] is NaN \(2 of 144 entries\)"),
     ("34 cells", mat5_object_array, r"p.mat: /A has dtype cell array, expected real numbers"),
     ("3 mat", mat5_cut, r"p.mat: damaged MATLAB file .*"),

@@ -25,15 +25,11 @@ def assert_model(model, dt=0.0):
     assert model.dt == dt
 
 
-@pytest.mark.parametrize("isolate", [True, False])
-def test_matlab_73(isolate, tmp_path):
-    path = matlab73(tmp_path / "p.mat", {**MATRICES, "dt": 0.25, "note": "bench 3"})
-    assert_model(rl.load(path, isolate=isolate), 0.25)
-
-
-def test_matlab_73_by_any_name(tmp_path):
+@pytest.mark.parametrize(("name", "isolate"), [("p.mat", True), ("p.mat", False), ("p.dat", False)])
+def test_matlab_73(name, isolate, tmp_path):
     """The content decides, not the extension."""
-    assert_model(rl.load(matlab73(tmp_path / "p.dat", MATRICES), isolate=False))
+    path = matlab73(tmp_path / name, {**MATRICES, "dt": 0.25, "note": "bench 3"})
+    assert_model(rl.load(path, isolate=isolate), 0.25)
 
 
 def test_matlab_73_pair_group_and_text(tmp_path):
