@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,7 +13,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.campaign.evaluation import Evaluator
-from robustlab.campaign.store import Sample, Store
+from robustlab.campaign.store import Store
 from robustlab.display import Displayable, Facts, Part, member, member_rows, number
 from robustlab.errors import InputError
 from robustlab.result import Status
@@ -21,7 +22,8 @@ from robustlab.worst_case_analysis.members import decoded
 from robustlab.worst_case_analysis.statistics import clopper_pearson
 from robustlab.worst_case_analysis.worst_case_search import LABEL, LABEL_SMALLEST, UNBOUNDED
 
-CONFIDENCE = 0.95
+CONFIDENCE = 0.95  # of each bound of a probability
+TWO_SIDED = 2.0 * CONFIDENCE - 1.0  # of both together
 SHARES = (0.5, 0.9, 0.99, 0.999)
 SHOWN_LOST = 100
 LISTED_LOST = 10  # of these in a text
@@ -59,11 +61,6 @@ class LostSample:
     delta: Mapping[str, Any]
 
 
-def _probability_bounds(k: int, n: int) -> tuple[float, float]:
-    """Return Clopper-Pearson bounds of a probability from k successes in n trials, each one-sided at CONFIDENCE."""
-    return clopper_pearson(k, n, 2.0 * CONFIDENCE - 1.0)
-
-
 def _quantiles(store: Store, sense: int, n: int) -> tuple[Quantile, ...]:
     """Return the quantiles that the number of samples allows; lost samples count as worst."""
     from scipy.stats import binom
@@ -86,10 +83,7 @@ def _at_ranks(values: Iterable[float], ranks: Iterable[int], sense: int) -> dict
 
 
 def exceedance_curve(store: Store, sense: int, done: int, lost: int, points: int = 200) -> tuple[Array, Array, Array]:
-    """Return for a figure values (m,), the share of worse samples (m,), and its upper confidence bounds (m,).
-
-    Ranks are spaced to resolve the tail; lost samples count as worse, samples without a bounded value are omitted.
-    """
+    """Return for a figure values (m,), the share of worse samples (m,), and its upper confidence bounds (m,)."""
     from scipy.special import betaincinv
 
     n = done + lost
@@ -105,75 +99,42 @@ def exceedance_curve(store: Store, sense: int, done: int, lost: int, points: int
 
 @dataclass(frozen=True)
 class CampaignResult(Tabular, Displayable):
-    """The results of a campaign's store.
+    """The results of a campaign's store."""
 
-    Attributes
-    ----------
-    status
-        CONVERGED: all samples are stored, and the worst one is confirmed by a second method. INACCURATE: it is not.
-        INCONCLUSIVE: samples are missing.
-    store
-        The file.
-    kind, metric, unit
-        Type of samples, metric and unit.
-    n, done, lost
-        Samples requested, with a value, and without one.
-    unbounded
-        Samples whose value is infinite (unstable members).
-    sense
-        1 where the largest value is the worst, -1 where the smallest is.
-    worst, worst_index, delta, physical
-        Worst value, the sample that has it, its normalised Delta, and its parameters as (value, unit).
-    at, location
-        Where the worst value is attained, from the second method.
-    again
-        The worst value by the second method.
-    nominal
-        The metric at Delta = 0.
-    quantiles
-        For samples only, once all are stored.
-    unseen
-        Largest probability, at 95 % confidence, of a member worse than the worst sample; NaN where not sampled.
-    violation
-        Number of samples worse than a limit, where one was given.
-    lost_samples
-        The first hundred of them.
-    digest
-        SHA-256 over all rows; equal for equal results, independent of interruptions.
-    seconds
-        Time of all samples together.
-    seed
-        Seed of the random numbers.
-    label
-        Meaning of the worst value.
-    """
-
+    # CONVERGED: all samples are stored, and the worst one is confirmed by a second method. INACCURATE: it is not.
+    # INCONCLUSIVE: samples are missing.
     status: Status
-    store: str
+    store: str  # the file
+    # kind, metric, unit: type of samples, metric and unit
     kind: str
     metric: str
     unit: str
+    # n, done, lost: samples requested, with a value, and without one
     n: int
     done: int
     lost: int
-    unbounded: int
-    sense: int
+    unbounded: int  # samples whose value is infinite (unstable members)
+    sense: int  # 1 where the largest value is the worst, -1 where the smallest is
+    # worst, worst_index, delta, physical: worst value, the sample that has it, its normalised Delta, and its parameters
+    # as (value, unit)
     worst: float
     worst_index: int
     delta: Mapping[str, Any]
     physical: Mapping[str, tuple[float, str]]
+    # at, location, again: where the worst value is attained, and its value, by the second method
     at: float
     location: str
     again: float
-    nominal: float
-    quantiles: tuple[Quantile, ...]
+    nominal: float  # the metric at Delta = 0
+    quantiles: tuple[Quantile, ...]  # for samples only, once all are stored
+    # Largest probability, at 95 % confidence, of a member worse than the worst sample; NaN where not sampled.
     unseen: float
-    violation: Violation | None
-    lost_samples: tuple[LostSample, ...]
-    digest: str
-    seconds: float
-    seed: int
-    label: str
+    violation: Violation | None  # number of samples worse than a limit, where one was given
+    lost_samples: tuple[LostSample, ...]  # the first hundred of them
+    digest: str  # SHA-256 over all rows; equal for equal results, independent of interruptions
+    seconds: float  # time of all samples together
+    seed: int  # of the random numbers
+    label: str  # meaning of the worst value
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -199,11 +160,8 @@ class CampaignResult(Tabular, Displayable):
         return f"worst {self.metric} {number(self.worst, self.unit, 9)} of {self.done} {_counted(self.kind)}"
 
     def facts(self) -> Facts:
-        what, _, unit = self.location.partition(" ")
-        place = f", at {what} = {number(self.at, unit.strip('[]'), 6)}" if what and not math.isnan(self.at) else ""
-        worst = (
-            f"{number(self.worst, self.unit, 9)} in {_one(self.kind)} {self.worst_index}{place}" if self.done else ""
-        )
+        one = {"samples": "sample", "vertices": "vertex"}.get(self.kind, self.kind)
+        worst = f"{number(self.worst, self.unit, 9)} in {one} {self.worst_index}{place_of(self, ', at ')}"
         missing = self.n - self.done - self.lost
         words = ((self.lost, "lost"), (missing, "missing yet"), (self.unbounded, "without a bounded value"))
         counts = [f"{self.done} of {self.n} {_counted(self.kind)}", *(f"{c} {word}" for c, word in words if c)]
@@ -212,7 +170,7 @@ class CampaignResult(Tabular, Displayable):
             bounds = f"probability {v.lower:.4g} .. {v.upper:.4g}, each side with 95 % confidence"
             limit = f"{number(v.limit, self.unit, 9)}: {v.count} of {v.of} (lost ones counted); {bounds}"
         unseen = f"at most {self.unseen:.3g} of the set, with 95 % confidence"
-        lost = self.lost_samples[0].index if self.lost_samples else None
+        lost = [f"robustlab campaign replay {self.store} {sample.index}" for sample in self.lost_samples[:1]]
         return [
             (f"worst {self.metric}", worst if self.done else ""),
             ("through the second path", number(self.again, self.unit, 9)),
@@ -225,7 +183,7 @@ class CampaignResult(Tabular, Displayable):
             ("store", self.store),
             ("digest", self.digest),
             ("time of all samples", number(self.seconds, "s")),
-            ("look at a lost one", "" if lost is None else f"robustlab campaign replay {self.store} {lost}"),
+            ("look at a lost one", "".join(lost)),
         ]
 
     def details(self) -> list[Part]:
@@ -239,16 +197,13 @@ class CampaignResult(Tabular, Displayable):
 
     def table(self) -> Table:
         """The metric and the normalised Delta of every sample, read from the store."""
-        store = Store.open(Path(self.store))
-        try:
-            rows = [(row.index, row.value, row.numbers) for row in store.samples()]
-        finally:
-            store.close()
-        deltas = np.array([numbers for *_, numbers in rows]).reshape(len(rows), -1)
-        columns = {self.metric: np.array([value for _, value, _ in rows])}
+        with closing(Store.open(Path(self.store))) as store:
+            rows = list(store.samples())
+        deltas = np.array([row.numbers for row in rows]).reshape(len(rows), -1)
+        columns = {self.metric: np.array([row.value for row in rows])}
         if deltas.shape[1] == len(self.delta):
             columns |= {name: deltas[:, k] for k, name in enumerate(self.delta)}
-        return Table(("sample", [index for index, *_ in rows]), columns, {self.metric: self.unit})
+        return Table(("sample", [row.index for row in rows]), columns, {self.metric: self.unit})
 
     def to_json(self) -> dict[str, Any]:
         return {
@@ -259,67 +214,63 @@ class CampaignResult(Tabular, Displayable):
         }
 
 
+def place_of(found: Any, before: str) -> str:
+    """Return where a value is attained as text, beginning with ``before``; empty where it is not known."""
+    what, _, unit = found.location.partition(" ")
+    known = what and not math.isnan(found.at)
+    return f"{before}{what} = {number(found.at, unit.strip('[]'), 6)}" if known else ""
+
+
 def result_of(store: Store, evaluator: Evaluator, limit: float | None = None) -> CampaignResult:
     """Read a store. Raises InputError: the rows of a finished campaign were changed."""
-    settings, blocks = evaluator.settings, evaluator.uncertain.blocks
-    counts, facts, worst = store.counts(), store.facts(), store.worst(evaluator.sense)
-    complete = counts.done + counts.lost >= settings.n
-    digest = store.digest()
+    settings, blocks, sense = evaluator.settings, evaluator.uncertain.blocks, evaluator.sense
+    (done, lost), facts, worst = store.counts(), store.facts(), store.worst(sense)
+    n = done + lost
+    complete, digest = n >= settings.n, store.digest()
     if facts and complete and facts["digest"] != digest:
         raise InputError(store.where, "its rows were changed after the campaign ended (the digest differs)")
+    status = Status.INCONCLUSIVE
+    if complete and facts:
+        status = Status.CONVERGED if worst is not None and facts["agrees"] else Status.INACCURATE
     delta = decoded(blocks, worst.numbers) if worst else {}
-    sampled, n = settings.kind == "samples" and counts.done > 0, counts.done + counts.lost
-    unseen = _probability_bounds(counts.lost, n)[1] if sampled else math.nan
-    violation = None
-    if limit is not None and counts.done:
-        above = store.beyond(evaluator.sense, limit)
-        worse = above + counts.lost
-        violation = Violation(limit, worse, n, _probability_bounds(above, n)[0], _probability_bounds(worse, n)[1])
+    sampled, violation = settings.kind == "samples" and done > 0, None
+    if limit is not None and done:
+        above = store.beyond(sense, limit)
+        lower, _ = clopper_pearson(above, n, TWO_SIDED)
+        _, upper = clopper_pearson(above + lost, n, TWO_SIDED)
+        violation = Violation(limit, above + lost, n, lower, upper)
+    label = LABEL if sense > 0 else LABEL_SMALLEST
     return CampaignResult(
-        _status(complete, facts, worst is not None),
-        store.where,
-        settings.kind,
-        settings.metric,
-        evaluator.unit,
-        settings.n,
-        counts.done,
-        counts.lost,
-        store.unbounded(),
-        evaluator.sense,
-        worst.value if worst else math.nan,
-        worst.index if worst else -1,
-        delta,
-        evaluator.uncertain.physical(delta) if worst else {},
-        float(facts.get("at", math.nan)),
-        evaluator.location,
-        float(facts.get("again", math.nan)),
-        float(facts.get("nominal", math.nan)),
-        _quantiles(store, evaluator.sense, n) if sampled and complete else (),
-        unseen,
-        violation,
-        tuple(LostSample(row.index, row.reason, decoded(blocks, row.numbers)) for row in store.lost(SHOWN_LOST)),
-        digest,
-        store.seconds(),
-        settings.seed,
-        _label(worst, evaluator.sense),
+        status=status,
+        store=store.where,
+        kind=settings.kind,
+        metric=settings.metric,
+        unit=evaluator.unit,
+        n=settings.n,
+        done=done,
+        lost=lost,
+        unbounded=store.unbounded(),
+        sense=sense,
+        worst=worst.value if worst else math.nan,
+        worst_index=worst.index if worst else -1,
+        delta=delta,
+        physical=evaluator.uncertain.physical(delta) if worst else {},
+        at=float(facts.get("at", math.nan)),
+        location=evaluator.location,
+        again=float(facts.get("again", math.nan)),
+        nominal=float(facts.get("nominal", math.nan)),
+        quantiles=_quantiles(store, sense, n) if sampled and complete else (),
+        unseen=clopper_pearson(lost, n, TWO_SIDED)[1] if sampled else math.nan,
+        violation=violation,
+        lost_samples=tuple(
+            LostSample(row.index, row.reason, decoded(blocks, row.numbers)) for row in store.lost(SHOWN_LOST)
+        ),
+        digest=digest,
+        seconds=store.seconds(),
+        seed=settings.seed,
+        label=UNBOUNDED if worst and not math.isfinite(worst.value) else label,
     )
 
 
 def _counted(kind: str) -> str:
     return "searches" if kind == "search" else kind
-
-
-def _one(kind: str) -> str:
-    return {"samples": "sample", "vertices": "vertex"}.get(kind, kind)
-
-
-def _label(worst: Sample | None, sense: int) -> str:
-    if worst is not None and not math.isfinite(worst.value):
-        return UNBOUNDED
-    return LABEL if sense > 0 else LABEL_SMALLEST
-
-
-def _status(complete: bool, facts: Mapping[str, Any], any_value: bool) -> Status:
-    if not complete or not facts:
-        return Status.INCONCLUSIVE
-    return Status.CONVERGED if any_value and facts["agrees"] else Status.INACCURATE

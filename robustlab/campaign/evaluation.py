@@ -46,16 +46,13 @@ class Rows:
         lost = {index: reason for index, reason in self.lost.items() if index < n}
         return Rows(self.first, self.values[:count], self.deltas[:count], self.seconds[:count], lost)
 
-    def followed_by(self, others: Sequence[Rows]) -> Rows:
-        """Concatenate these samples and the next ones."""
-        parts = [self, *others]
-        return Rows(
-            self.first,
-            np.concatenate([part.values for part in parts]),
-            np.concatenate([part.deltas for part in parts]),
-            np.concatenate([part.seconds for part in parts]),
-            {index: reason for part in parts for index, reason in part.lost.items()},
-        )
+
+def _joined(parts: Sequence[Rows]) -> Rows:
+    """Concatenate consecutive samples."""
+    values, deltas, seconds = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("values", "deltas", "seconds")
+    )
+    return Rows(parts[0].first, values, deltas, seconds, {i: why for part in parts for i, why in part.lost.items()})
 
 
 class Evaluator:
@@ -63,23 +60,21 @@ class Evaluator:
 
     def __init__(self, uncertain: UncertainModel, settings: CampaignSettings) -> None:
         self.uncertain, self.settings = uncertain, settings
-        self._metric = make_metric(uncertain, _request(uncertain, settings), "campaign")
-        self.tile = _tile_size(self._metric.uncertain.M.n_states, settings)
+        s, t = settings, None
+        if s.t_end is not None:
+            dt = uncertain.dt
+            t = dt * np.arange(max(2, round(s.t_end / dt) + 1)) if dt else np.linspace(0.0, s.t_end, s.points)
+        self._request = MetricRequest(s.metric, s.output, s.input, t, s.u, s.hold, s.band)
+        self._metric = make_metric(uncertain, self._request, "campaign")
+        n = self._metric.uncertain.M.n_states
+        work = (n + 1) ** 2 * (s.points + 100 + 30 * n)
+        # The samples per tile depend on the campaign alone, not on the machine.
+        self.tile = 1 if s.kind == "search" else max(1, min(TILE, int(TILE_WORK / work)))
         self._reals = [block.name for block in uncertain.blocks if block.interval]
-
-    @property
-    def unit(self) -> str:
-        return self._metric.unit
-
-    @property
-    def sense(self) -> int:
-        """1 where the largest value of the metric is the worst, -1 where the smallest is."""
-        return 1 if self._metric.sense > 0 else -1
-
-    @property
-    def location(self) -> str:
-        """Quantity and unit of the place where a value is attained, for example ``"t [s]"``."""
-        return self._metric.location
+        self.unit = self._metric.unit
+        self.sense = 1 if self._metric.sense > 0 else -1  # -1 where the smallest value of the metric is the worst
+        # Quantity and unit of the place where a value is attained, for example "t [s]".
+        self.location = self._metric.location
 
     def delta(self, index: int) -> dict[str, Any]:
         """Return the normalised Delta of a sample or vertex by block name; zero for a search."""
@@ -108,8 +103,7 @@ class Evaluator:
 
     def rows(self, first: int, last: int) -> Rows:
         """Compute samples ``first .. last - 1``, multiples of the tile; a failed tile is computed sample by sample."""
-        parts = [self._tile(start) for start in range(first, last, self.tile)]
-        return parts[0].followed_by(parts[1:])
+        return _joined([self._tile(start) for start in range(first, last, self.tile)])
 
     def agrees(self, value: float, again: Evaluation) -> bool:
         """Return whether a re-evaluation confirms a value."""
@@ -128,8 +122,7 @@ class Evaluator:
         except Exception:  # noqa: BLE001  one sample fails the tile; it is found below
             values = np.full(len(theta), np.nan)
         if np.isnan(values).any():
-            parts = [self.alone(index) for index in range(first, first + self.tile)]
-            return parts[0].followed_by(parts[1:])
+            return _joined([self.alone(index) for index in range(first, first + self.tile)])
         return Rows(first, values, theta, np.full(len(theta), (time.perf_counter() - started) / len(theta)))
 
     def alone(self, index: int) -> Rows:
@@ -153,9 +146,8 @@ class Evaluator:
 
     def _search(self, index: int) -> tuple[float, dict[str, Any]]:
         s = self.settings
-        own = np.random.SeedSequence(s.seed, spawn_key=(index, 3)).generate_state(2)
-        request = vars(_request(self.uncertain, s))
-        found = worst_case(self.uncertain, **request, n=s.starts, seed=int(own[0]), effort=UNLIMITED_EFFORT)
+        seed = int(np.random.SeedSequence(s.seed, spawn_key=(index, 3)).generate_state(2)[0])
+        found = worst_case(self.uncertain, **vars(self._request), n=s.starts, seed=seed, effort=UNLIMITED_EFFORT)
         if not found.status.trustworthy:
             raise NoTrustworthyNumber(
                 "search", f"{found.status}: {found.search_value:.9g} found, {found.value:.9g} when evaluated again"
@@ -163,30 +155,11 @@ class Evaluator:
         return found.value, dict(found.delta)
 
 
-def _request(uncertain: UncertainModel, s: CampaignSettings) -> MetricRequest:
-    clock = None
-    if s.t_end is not None:
-        dt = uncertain.dt
-        clock = dt * np.arange(max(2, round(s.t_end / dt) + 1)) if dt else np.linspace(0.0, s.t_end, s.points)
-    return MetricRequest(s.metric, s.output, s.input, clock, s.u, s.hold, s.band)
-
-
-def _tile_size(n_states: int, settings: CampaignSettings) -> int:
-    """Return the samples per tile, which depend on the campaign alone, not on the machine."""
-    if settings.kind == "search":
-        return 1
-    work = (n_states + 1) ** 2 * (settings.points + 100 + 30 * n_states)
-    return max(1, min(TILE, int(TILE_WORK / work)))
-
-
 _evaluators: dict[str, Evaluator] = {}  # of this process: that of its last campaign
 
 
 def compute(identity: Identity, model: bytes, first: int, last: int) -> Rows:
-    """Compute samples ``first .. last - 1`` in a worker.
-
-    Raises EnvironmentFault: the worker runs other code than the campaign.
-    """
+    """Compute samples ``first .. last - 1`` in a worker."""
     if identity.hash not in _evaluators:
         changes = differences(identity, Identity(identity.model, identity.settings, code_identity()))
         if changes:

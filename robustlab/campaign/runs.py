@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from robustlab.campaign.campaign_result import CampaignResult, result_of
+from robustlab.campaign.campaign_result import CampaignResult, place_of, result_of
 from robustlab.campaign.evaluation import LOST, Evaluator, Rows, compute
-from robustlab.campaign.settings import (
-    CampaignSettings,
-    Identity,
-    code_identity,
-    differences,
-    model_from_bytes,
-)
+from robustlab.campaign.settings import CampaignSettings, Identity, code_identity, differences, model_from_bytes
 from robustlab.campaign.store import Store, locked
 from robustlab.campaign.workers import Crew, Workers, started_workers
 from robustlab.display import AllFields, Displayable, Facts, Part, member_rows, number
@@ -88,26 +84,19 @@ def resume_campaign(
         opened = Store.open(path, write=True)
         old = opened.identity
         _same_campaign(opened, Identity(old.model, old.settings, code_identity()))
-        evaluator = _evaluator(opened)
-        return _work(opened, evaluator, crew, limit, progress)
+        return _work(opened, _evaluator(opened), crew, limit, progress)
 
 
 def read_campaign(store: str | Path, limit: float | None = None) -> CampaignResult:
     """Read a store, also while a run writes it; see `CampaignResult`."""
-    opened = Store.open(Path(store))
-    try:
+    with closing(Store.open(Path(store))) as opened:
         return result_of(opened, _evaluator(opened), limit)
-    finally:
-        opened.close()
 
 
 def saved_samples(store: str | Path) -> tuple[int, int]:
     """Return the numbers of stored and of requested samples."""
-    opened = Store.open(Path(store))
-    try:
+    with closing(Store.open(Path(store))) as opened:
         return sum(opened.counts()), opened.identity.settings.n
-    finally:
-        opened.close()
 
 
 @dataclass(frozen=True)
@@ -135,8 +124,7 @@ class Replay(AllFields, Displayable):
     seconds: float  # time it took
 
     def facts(self) -> Facts:
-        what, _, unit = self.location.partition(" ")
-        place = f" at {what} = {number(self.at, unit.strip('[]'), 6)}" if what and not math.isnan(self.at) else ""
+        place = place_of(self, " ")
         stored = number(self.stored, self.unit, 9) or "no value"
         return [
             (f"{self.metric} of sample {self.index}", number(self.value, self.unit, 9)),
@@ -151,15 +139,9 @@ class Replay(AllFields, Displayable):
 
 
 def replay_sample(store: str | Path, index: int) -> Replay:
-    """Compute one sample again in this process.
-
-    Raises InputError: no such sample.
-    """
-    opened = Store.open(Path(store))
-    try:
+    """Compute one sample again in this process."""
+    with closing(Store.open(Path(store))) as opened:
         evaluator, row = _evaluator(opened), opened.sample(index)
-    finally:
-        opened.close()
     n = evaluator.settings.n
     if not 0 <= index < n:
         raise InputError(str(store), f"no sample {index}", f"0 .. {n - 1}")
@@ -172,28 +154,25 @@ def replay_sample(store: str | Path, index: int) -> Replay:
     place = index - rows.first
     value = float(rows.values[place])
     delta = decoded(evaluator.uncertain.blocks, rows.deltas[place])
-    again = evaluator.evaluate(delta)
-    stored = math.nan if row is None else row.value
-    identical = value == stored
-    kept = math.isnan(stored) or identical or bool(np.isclose(value, stored, rtol=1e-9, atol=0.0))
+    again, stored = evaluator.evaluate(delta), math.nan if row is None else row.value
+    kept = math.isnan(stored) or value == stored or bool(np.isclose(value, stored, rtol=1e-9, atol=0.0))
     agrees = kept and evaluator.agrees(value, again)
-    settings = evaluator.settings
     return Replay(
-        Status.CONVERGED if agrees else Status.INACCURATE,
-        index,
-        settings.kind,
-        settings.metric,
-        evaluator.unit,
-        stored,
-        rows.lost.get(index) or (row.reason if row else ""),
-        value,
-        again.value,
-        again.at,
-        evaluator.location,
-        identical,
-        delta,
-        evaluator.uncertain.physical(delta),
-        time.perf_counter() - started,
+        status=Status.CONVERGED if agrees else Status.INACCURATE,
+        index=index,
+        kind=evaluator.settings.kind,
+        metric=evaluator.settings.metric,
+        unit=evaluator.unit,
+        stored=stored,
+        reason=rows.lost.get(index) or (row.reason if row else ""),
+        value=value,
+        again=again.value,
+        at=again.at,
+        location=evaluator.location,
+        identical=value == stored,
+        delta=delta,
+        physical=evaluator.uncertain.physical(delta),
+        seconds=time.perf_counter() - started,
     )
 
 
@@ -201,11 +180,7 @@ def replay_sample(store: str | Path, index: int) -> Replay:
 
 
 def _work(
-    store: Store,
-    evaluator: Evaluator,
-    crew: Crew,
-    limit: float | None,
-    progress: Callable[[int], None],
+    store: Store, evaluator: Evaluator, crew: Crew, limit: float | None, progress: Callable[[int], None]
 ) -> CampaignResult:
     """Complete an open, locked store, check its worst sample, read and close it."""
     finished = False
@@ -233,12 +208,10 @@ def _note_end(store: Store, evaluator: Evaluator) -> None:
     worst = store.worst(evaluator.sense)
     facts: dict[str, Any] = {"digest": store.digest(), "agrees": False}
     if worst is not None:
-        blocks = evaluator.uncertain.blocks
-        again = evaluator.evaluate(decoded(blocks, worst.numbers))
-        zero = evaluator.evaluate({})
-        agrees = evaluator.agrees(worst.value, again)
-        facts.update(agrees=agrees, again=again.value, at=again.at, nominal=zero.value)
-    store.note_facts(facts)
+        again = evaluator.evaluate(decoded(evaluator.uncertain.blocks, worst.numbers))
+        agrees, nominal = evaluator.agrees(worst.value, again), evaluator.evaluate({}).value
+        facts.update(agrees=agrees, again=again.value, at=again.at, nominal=nominal)
+    store.put("finished", json.dumps(facts))
 
 
 def _evaluator(store: Store) -> Evaluator:
@@ -301,17 +274,13 @@ class _Pieces:
 
 
 def compute_missing(store: Store, evaluator: Evaluator, workers: Workers, progress: Callable[[int], None]) -> None:
-    """Compute the missing samples; ``progress`` is called with the number of newly stored samples.
-
-    Raises NoTrustworthyNumber: more than 1 % of the samples have no value. EnvironmentFault: a worker ended.
-    """
-    n, identity, model = evaluator.settings.n, store.identity, store.model
+    """Compute the missing samples; ``progress`` is called with the number of newly stored samples."""
+    n, identity, model, lost = evaluator.settings.n, store.identity, store.model, store.counts()[1]
     todo = _Pieces(store.missing(n), evaluator.tile)
     pieces, under_way = iter(todo), set[Future[Rows]]()
-    lost = store.counts().lost
     _stop_if_too_many(store, lost, n)
     while True:
-        while len(under_way) <= workers.count and (piece := next(pieces, None)) is not None:
+        while len(under_way) <= workers.n and (piece := next(pieces, None)) is not None:
             under_way.add(workers.executor.submit(compute, identity, model, *piece))
         if not under_way:
             return
@@ -328,8 +297,7 @@ def compute_missing(store: Store, evaluator: Evaluator, workers: Workers, progre
             store.save(rows)
             progress(len(rows))
             lost += len(rows.lost)
-            if rows.lost:
-                _stop_if_too_many(store, lost, n)
+            _stop_if_too_many(store, lost, n)
 
 
 def _stop_if_too_many(store: Store, lost: int, n: int) -> None:

@@ -37,10 +37,7 @@ _CODE = (
 
 @dataclass(frozen=True)
 class CampaignSettings:
-    """Settings of the samples 0 .. n - 1.
-
-    Raises UsageError, InputError: an unknown kind; numbers out of range.
-    """
+    """Settings of the samples 0 .. n - 1."""
 
     metric: str  # a metric of `robustlab.worst_case_analysis.worst_case`
     n: int  # number of samples, vertices, or searches
@@ -82,12 +79,6 @@ class CampaignSettings:
             }
         return data
 
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> CampaignSettings:
-        """Inverse of `to_json`."""
-        known = {field.name for field in fields(cls)}
-        return cls(**{name: value for name, value in data.items() if name in known})
-
 
 @dataclass(frozen=True)
 class Identity:
@@ -114,7 +105,9 @@ class Identity:
     def from_json(cls, data: Mapping[str, Any]) -> Identity:
         """Inverse of `to_json`."""
         code = {str(name): str(value) for name, value in data["code"].items()}
-        return cls(str(data["model"]), CampaignSettings.from_json(data["settings"]), code)
+        known = {field.name for field in fields(CampaignSettings)}
+        settings = {name: value for name, value in data["settings"].items() if name in known}
+        return cls(str(data["model"]), CampaignSettings(**settings), code)
 
 
 def differences(old: Identity, new: Identity) -> list[str]:
@@ -127,10 +120,9 @@ def differences(old: Identity, new: Identity) -> list[str]:
     ['settings.n: 10 -> 20', 'code.numpy: 2.4.0 -> 2.4.1']
     """
     lines = [] if old.model == new.model else [f"the uncertain model: {old.model[:12]} -> {new.model[:12]}"]
-    for part, before, after in (
-        ("settings", old.settings.to_json(), new.settings.to_json()),
-        ("code", dict(old.code), dict(new.code)),
-    ):
+    befores, afters = old.to_json(), new.to_json()
+    for part in ("settings", "code"):
+        before, after = befores[part], afters[part]
         for name in dict.fromkeys([*before, *after]):
             if before.get(name) != after.get(name):
                 lines.append(f"{part}.{name}: {_short(before.get(name))} -> {_short(after.get(name))}")
@@ -165,8 +157,8 @@ def model_to_bytes(uncertain: UncertainModel) -> bytes:
 def model_from_bytes(data: bytes, where: str) -> UncertainModel:
     """Inverse of `model_to_bytes`. Raises InputError: the bytes are no uncertain model."""
     try:
-        return decode_uncertain(receive(data, where), Problems(where))
-    except (ValueError, KeyError, TypeError) as error:
+        return decode_uncertain(receive(BytesIO(data), where), Problems(where))
+    except (ValueError, KeyError, TypeError, EOFError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(where, f"the model in it cannot be read ({error})") from None

@@ -9,11 +9,11 @@ import hashlib
 import json
 import sqlite3
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -28,17 +28,17 @@ APPLICATION_ID = 0x524C4350  # "RLCP"
 MAGIC = b"SQLite format 3\x00"
 NEW = "robustlab campaign run --help"
 
-_TABLES = """
-CREATE TABLE campaign (name TEXT PRIMARY KEY, value BLOB NOT NULL) WITHOUT ROWID;
-CREATE TABLE sample (
+_TABLES = (
+    "CREATE TABLE campaign (name TEXT PRIMARY KEY, value BLOB NOT NULL) WITHOUT ROWID",
+    """CREATE TABLE sample (
     idx INTEGER PRIMARY KEY,
     status INTEGER NOT NULL,  -- 0 done, 1 lost
     value REAL,               -- the metric; NULL where lost
     delta BLOB NOT NULL,      -- normalised Delta, float64, see worst_case_analysis.members.encoded
     seconds REAL NOT NULL,
     reason TEXT               -- why the sample is lost
-);
-"""
+)""",
+)
 
 
 @dataclass(frozen=True)
@@ -58,13 +58,6 @@ class Sample:
         return np.frombuffer(self.delta, dtype="<f8").astype(np.float64)
 
 
-class Counts(NamedTuple):
-    """Numbers of samples with a value, and lost ones."""
-
-    done: int
-    lost: int
-
-
 class Store:
     """An open store; use `create`, `open` and `close`."""
 
@@ -81,10 +74,7 @@ class Store:
 
     @classmethod
     def delete(cls, path: Path) -> None:
-        """Delete a store and its SQLite side files, also if damaged, but never another type of file.
-
-        Raises InputError: the file is no campaign; EnvironmentFault: it cannot be deleted.
-        """
+        """Delete a store and its SQLite side files, also if damaged, but never another type of file."""
         if cls.exists(path):
             _check_file(path)
         try:
@@ -95,10 +85,7 @@ class Store:
 
     @classmethod
     def create(cls, path: Path, uncertain: UncertainModel, settings: CampaignSettings) -> Store:
-        """Create the store of a campaign atomically.
-
-        Raises EnvironmentFault: the file cannot be written.
-        """
+        """Create the store of a campaign atomically."""
         identity = Identity.of(uncertain, settings)
         with _named(path):
             db = sqlite3.connect(path, isolation_level=None)
@@ -106,9 +93,8 @@ class Store:
             db.execute("BEGIN IMMEDIATE")
             db.execute(f"PRAGMA application_id={APPLICATION_ID}")
             db.execute(f"PRAGMA user_version={FORMAT_VERSION}")
-            for statement in _TABLES.split(";\n"):
-                if statement.strip():
-                    db.execute(statement)
+            for statement in _TABLES:
+                db.execute(statement)
             store.put("identity", json.dumps(identity.to_json(), sort_keys=True))
             store.put("hash", identity.hash)
             store.put("model", model_to_bytes(uncertain))
@@ -118,10 +104,7 @@ class Store:
 
     @classmethod
     def open(cls, path: Path, *, write: bool = False) -> Store:
-        """Open the store of an earlier campaign, checked page by page.
-
-        Raises InputError: no such file, not a campaign, a newer version, damaged; EnvironmentFault: no permission.
-        """
+        """Open the store of an earlier campaign, checked page by page."""
         _check_file(path)
         with _named(path):
             mode = "rw" if write else "ro"
@@ -174,9 +157,7 @@ class Store:
 
     def get(self, name: str) -> Any:
         """Return an entry of the campaign's own table, or None."""
-        with _named(self.path):
-            found = self._db.execute("SELECT value FROM campaign WHERE name = ?", (name,)).fetchone()
-        return found[0] if found else None
+        return next(self._asked("SELECT value FROM campaign WHERE name = ?", name), (None,))[0]
 
     @property
     def identity(self) -> Identity:
@@ -193,19 +174,13 @@ class Store:
 
     def facts(self) -> dict[str, Any]:
         """Return the facts stored at the end of the campaign: digest, check of the worst sample; empty before."""
-        text = self.get("finished")
-        return json.loads(text) if text else {}
-
-    def note_facts(self, facts: Mapping[str, Any]) -> None:
-        """Store the facts of the finished campaign."""
-        self.put("finished", json.dumps(dict(facts)))
+        return json.loads(self.get("finished") or "{}")
 
     # --- samples -----------------------------------------------------------------------------------------------------
 
     def save(self, rows: Rows) -> None:
         """Write samples in one transaction."""
-        deltas = rows.deltas.astype("<f8")
-        values: list[tuple[Any, ...]] = []
+        deltas, values = rows.deltas.astype("<f8"), list[tuple[Any, ...]]()
         for i, (value, seconds) in enumerate(zip(rows.values.tolist(), rows.seconds.tolist(), strict=True)):
             index = rows.first + i
             reason = rows.lost.get(index)
@@ -224,64 +199,50 @@ class Store:
     def missing(self, n: int) -> list[tuple[int, int]]:
         """Return gaps ``(first, last)`` in 0 .. n - 1, each without its last index."""
         gaps, expected = [], 0
-        with _named(self.path):
-            for (index,) in self._db.execute("SELECT idx FROM sample WHERE idx BETWEEN 0 AND ? ORDER BY idx", (n - 1,)):
-                if index > expected:
-                    gaps.append((expected, index))
-                expected = index + 1
+        for (index,) in self._asked("SELECT idx FROM sample WHERE idx BETWEEN 0 AND ? ORDER BY idx", n - 1):
+            if index > expected:
+                gaps.append((expected, index))
+            expected = index + 1
         return [*gaps, (expected, n)] if expected < n else gaps
 
-    def counts(self) -> Counts:
-        """Count the samples."""
-        with _named(self.path):
-            found = dict(self._db.execute("SELECT status, COUNT(*) FROM sample GROUP BY status"))
-        return Counts(found.get(DONE, 0), found.get(LOST, 0))
+    def counts(self) -> tuple[int, int]:
+        """Return the numbers of samples with a value and of lost ones."""
+        found = dict(self._asked("SELECT status, COUNT(*) FROM sample GROUP BY status"))
+        return found.get(DONE, 0), found.get(LOST, 0)
 
     def sample(self, index: int) -> Sample | None:
         """Return one row, or None where it is missing."""
-        return next(self._samples("WHERE idx = ?", (index,)), None)
-
-    def samples(self) -> Iterator[Sample]:
-        """Stream all rows by index."""
-        return self._samples("ORDER BY idx")
+        return next(self.samples("WHERE idx = ?", index), None)
 
     def lost(self, most: int) -> list[Sample]:
         """Return the first lost samples."""
-        return list(self._samples("WHERE status = ? ORDER BY idx LIMIT ?", (LOST, most)))
+        return list(self.samples("WHERE status = ? ORDER BY idx LIMIT ?", LOST, most))
 
     def worst(self, sense: int) -> Sample | None:
         """Return the first sample with the largest ``sense * value``."""
-        return next(self._samples("WHERE status = ? ORDER BY value * ? DESC, idx LIMIT 1", (DONE, sense)), None)
+        return next(self.samples("WHERE status = ? ORDER BY value * ? DESC, idx LIMIT 1", DONE, sense), None)
 
     def unbounded(self) -> int:
         """Count samples with an infinite value."""
-        with _named(self.path):
-            found = self._db.execute("SELECT COUNT(*) FROM sample WHERE status = ? AND abs(value) = ?", (DONE, np.inf))
-            return int(found.fetchone()[0])
+        question = "SELECT COUNT(*) FROM sample WHERE status = ? AND abs(value) = ?"
+        return next(self._asked(question, DONE, np.inf))[0]
 
     def beyond(self, sense: int, limit: float) -> int:
         """Count samples with a value worse than ``limit``."""
-        with _named(self.path):
-            question = "SELECT COUNT(*) FROM sample WHERE status = ? AND value * ? > ?"
-            return int(self._db.execute(question, (DONE, sense, sense * limit)).fetchone()[0])
+        question = "SELECT COUNT(*) FROM sample WHERE status = ? AND value * ? > ?"
+        return next(self._asked(question, DONE, sense, sense * limit))[0]
 
     def sorted_values(self, sense: int) -> Iterator[float]:
         """Stream the values from the best to the worst; SQLite sorts many of them on disk."""
-        with _named(self.path):
-            question = "SELECT value FROM sample WHERE status = ? ORDER BY value * ?"
-            for (value,) in self._db.execute(question, (DONE, sense)):
-                yield value
+        for (value,) in self._asked("SELECT value FROM sample WHERE status = ? ORDER BY value * ?", DONE, sense):
+            yield value
 
     def seconds(self) -> float:
         """Return the total time of all samples in s."""
-        with _named(self.path):
-            return float(self._db.execute("SELECT TOTAL(seconds) FROM sample").fetchone()[0])
+        return next(self._asked("SELECT TOTAL(seconds) FROM sample"))[0]
 
     def digest(self) -> str:
-        """Return SHA-256 over index, status, value, Delta and reason of all rows by index.
-
-        Times and the order of writing do not affect it.
-        """
+        """Return SHA-256 over index, status, value, Delta and reason of all rows by index."""
         digest = hashlib.sha256()
         for row in self.samples():
             digest.update(struct.pack("<qBd", row.index, row.status, row.value if row.status == DONE else np.nan))
@@ -289,13 +250,16 @@ class Store:
             digest.update(row.delta + struct.pack("<q", len(reason)) + reason)
         return digest.hexdigest()
 
-    def _samples(self, condition: str, values: tuple[Any, ...] = ()) -> Iterator[Sample]:
+    def samples(self, condition: str = "ORDER BY idx", *values: Any) -> Iterator[Sample]:
+        """Stream rows, all by index where no condition is given."""
+        question = f"SELECT idx, status, value, delta, seconds, reason FROM sample {condition}"  # noqa: S608  our own texts
+        for index, status, value, *rest, reason in self._asked(question, *values):
+            yield Sample(index, status, np.nan if value is None else value, *rest, reason or "")
+
+    def _asked(self, question: str, *values: Any) -> Iterator[Any]:
+        """Stream the answer to a question."""
         with _named(self.path):
-            for index, status, value, delta, seconds, reason in self._db.execute(
-                f"SELECT idx, status, value, delta, seconds, reason FROM sample {condition}",  # noqa: S608  our own texts
-                values,
-            ):
-                yield Sample(index, status, np.nan if value is None else value, delta, seconds, reason or "")
+            yield from self._db.execute(question, values)
 
 
 def _check_file(path: Path) -> None:
@@ -328,10 +292,7 @@ def _damaged(where: str, what: str) -> InputError:
 
 @contextmanager
 def locked(path: Path) -> Iterator[None]:
-    """Hold the lock ``NAME.lock`` of a store; it ends with its process.
-
-    Raises EnvironmentFault: another process holds it; the folder cannot be written.
-    """
+    """Hold the lock ``NAME.lock`` of a store; it ends with its process."""
     from filelock import FileLock, Timeout
 
     folder = path.absolute().parent

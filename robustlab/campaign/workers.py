@@ -8,9 +8,9 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from robustlab.errors import DependencyMissing, EnvironmentFault, InputError
 
@@ -20,10 +20,7 @@ EMPTY_SECONDS = 60.0  # to wait for the first worker of a cluster
 
 @dataclass(frozen=True)
 class Crew:
-    """Workers of a campaign; the samples do not depend on them.
-
-    Raises InputError: no worker at all.
-    """
+    """Workers of a campaign; the samples do not depend on them."""
 
     workers: int | None = None  # processes on this machine; one per processor where omitted
     cluster: str | None = None  # instead: address of a Dask scheduler, whose workers are used
@@ -34,23 +31,17 @@ class Crew:
             raise InputError("campaign", f"{count!r} workers", "a whole number, at least 1")
 
 
-@dataclass(frozen=True)
-class Workers:
+class Workers(NamedTuple):
     """An executor, its number of parallel pieces of work, and a function that raises if it has ended."""
 
     executor: Executor
-    count: int
+    n: int
     check: Callable[[], None]
 
 
-@contextmanager
-def started_workers(crew: Crew, samples: int) -> Iterator[Workers]:
-    """Provide the workers of a crew and end them on exit.
-
-    Raises DependencyMissing: dask.distributed is not installed. EnvironmentFault: no scheduler or worker answers.
-    """
-    with _on_cluster(crew.cluster) if crew.cluster is not None else _on_this_machine(crew.workers, samples) as workers:
-        yield workers
+def started_workers(crew: Crew, samples: int) -> AbstractContextManager[Workers]:
+    """Provide the workers of a crew and end them on exit."""
+    return _on_cluster(crew.cluster) if crew.cluster is not None else _on_this_machine(crew.workers, samples)
 
 
 @contextmanager

@@ -40,7 +40,9 @@ def atomic_write(path: str | Path, write: Callable[[Path], object]) -> Path:
         write(temporary)
         with temporary.open("rb") as stream:
             os.fsync(stream.fileno())
-        temporary.chmod(stat.S_IMODE(old.st_mode) if old else 0o666 & ~_umask())
+        mask = os.umask(0o077)
+        os.umask(mask)
+        temporary.chmod(stat.S_IMODE(old.st_mode) if old else 0o666 & ~mask)
         temporary.replace(target)
         _flush(target.parent)
     except EnvironmentFault:
@@ -54,12 +56,6 @@ def atomic_write(path: str | Path, write: Callable[[Path], object]) -> Path:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
     return target
-
-
-def _umask() -> int:
-    mask = os.umask(0o077)
-    os.umask(mask)
-    return mask
 
 
 def _flush(folder: Path) -> None:

@@ -41,17 +41,13 @@ def write_tree(path: str | Path, tree: Tree) -> Path:
 
     The file is laid out in memory first, so that a full disk fails in one plain write.
     """
-    image = _image(tree)
-    return atomic_write(path, lambda temporary: temporary.write_bytes(image))
-
-
-def _image(tree: Tree) -> bytes:
     import h5py
 
     with h5py.File("image.h5", "w", libver=("earliest", "v108"), driver="core", backing_store=False) as file:
         _write_group(file, tree)
         file.flush()
-        return file.id.get_file_image()
+        image: bytes = file.id.get_file_image()
+    return atomic_write(path, lambda temporary: temporary.write_bytes(image))
 
 
 def _write_group(target: Any, tree: Tree) -> None:

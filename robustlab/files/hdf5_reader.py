@@ -19,7 +19,7 @@ from h5py import h5a, h5d, h5g, h5l, h5o, h5t, h5z  # pyright: ignore[reportAttr
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError
 from robustlab.files.signature import Limits, size_text
-from robustlab.files.tree import Dataset, Tree, Unread
+from robustlab.files.tree import Dataset, Tree, Unread, canonical
 
 # id -> name of the filters built into HDF5 or h5py; no plugin is loaded.
 KNOWN_FILTERS = {1: "deflate", 2: "shuffle", 3: "fletcher32", 5: "nbit", 6: "scaleoffset", 32000: "lzf"}
@@ -29,6 +29,11 @@ MAX_ATTRIBUTE = 1 << 20
 MAX_PROBLEMS = 20
 MAX_TEXTS = 100_000
 DAMAGED = "copy or export the file again; if it was made by robustlab, run the command that made it again"
+HINTS = {  # word in a problem -> hint
+    "plugins": "h5repack -f GZIP=6 IN OUT writes it with a filter that everyone has",
+    "checksum": DAMAGED,
+    "damaged": DAMAGED,
+}
 
 
 @dataclass
@@ -46,10 +51,6 @@ class _Walk:
     def problem(self, path: str, text: str) -> None:
         self.problems.append(f"{path}: {text}")
 
-    def is_wanted(self, path: str) -> bool:
-        """Return whether a dataset is below the wanted group or in the root itself."""
-        return self.wanted is None or path.startswith(f"/{self.wanted}/") or path.count("/") == 1
-
 
 def read_hdf5(path: str, limits: Limits, group: str | None = None, shown: str | None = None) -> Tree:
     """Read ``path`` into a tree; everything is checked, values are read of ``group`` only."""
@@ -57,7 +58,12 @@ def read_hdf5(path: str, limits: Limits, group: str | None = None, shown: str | 
     try:
         file = h5py.File(path, "r", locking=False)
     except OSError as error:
-        raise _not_opened(where, error, path) from None
+        found = f"damaged or truncated HDF5 file of {Path(path).stat().st_size} bytes ({_short(error)})"
+        cut = re.search(r"truncated file: eof = (\d+), sblock->base_addr = (\d+), stored_eof = (\d+)", str(error))
+        if cut:
+            eof, base, stored = (int(n) for n in cut.groups())
+            found = f"truncated: {eof} of {base + stored} bytes"
+        raise InputError(where, found, None, DAMAGED) from None
     walk = _Walk(where, limits, group.strip("/") if group else None)
     try:
         with file:
@@ -72,27 +78,10 @@ def read_hdf5(path: str, limits: Limits, group: str | None = None, shown: str | 
         lines = [f"{where}: {line}" for line in walk.problems[:MAX_PROBLEMS]]
         if len(walk.problems) > MAX_PROBLEMS:
             lines.append(f"{where}: ... and {len(walk.problems) - MAX_PROBLEMS} more")
-        first, _, found = walk.problems[0].partition(": ")
-        raise InputError(f"{where}: {first}", found, None, _hint(walk.problems[0]), tuple(lines[1:]))
+        place, _, found = walk.problems[0].partition(": ")
+        hint = next((text for word, text in HINTS.items() if word in walk.problems[0]), None)
+        raise InputError(f"{where}: {place}", found, None, hint, tuple(lines[1:]))
     return tree
-
-
-def _hint(problem: str) -> str | None:
-    if "plugins" in problem:
-        return "h5repack -f GZIP=6 IN OUT writes it with a filter that everyone has"
-    if "checksum" in problem or "damaged" in problem:
-        return DAMAGED
-    return None
-
-
-def _not_opened(where: str, error: OSError, path: str) -> InputError:
-    text = str(error)
-    cut = re.search(r"truncated file: eof = (\d+), sblock->base_addr = (\d+), stored_eof = (\d+)", text)
-    if cut:
-        eof, base, stored = (int(n) for n in cut.groups())
-        return InputError(where, f"truncated: {eof} of {base + stored} bytes", None, DAMAGED)
-    size = Path(path).stat().st_size
-    return InputError(where, f"damaged or truncated HDF5 file of {size} bytes ({_short(error)})", None, DAMAGED)
 
 
 def _short(error: BaseException) -> str:
@@ -173,7 +162,9 @@ def _dataset(walk: _Walk, did: h5d.DatasetID, path: str) -> Dataset:
     shape, kind = did.shape, _kind(did.get_type())
     if shape is None:
         return Dataset(Unread("no values (null dataspace)", ()), attrs)
-    if kind not in READ or not walk.is_wanted(path):
+    # A dataset is wanted below the group, and in the root itself.
+    wanted = walk.wanted is None or path.startswith(f"/{walk.wanted}/") or path.count("/") == 1
+    if kind not in READ or not wanted:
         return Dataset(Unread("not read" if kind in ("number", "text") else kind, shape), attrs)
     if not _may_be_read(walk, did, plist, path, kind):
         return Dataset(Unread("too large", shape), attrs)
@@ -185,8 +176,8 @@ def _dataset(walk: _Walk, did: h5d.DatasetID, path: str) -> Dataset:
         return Dataset(_plain(dataset[()], kind), attrs)
     except UnicodeError:
         walk.problem(path, "text is not UTF-8")
-    except OverflowError:
-        walk.problem(path, "a whole number beyond 64 bits")
+    except InputError as error:
+        walk.problem(path, error.found)
     except (OSError, RuntimeError) as error:
         # the checksum is the first filter when reading
         summed = dataset.fletcher32 and "filter" in str(error)
@@ -266,10 +257,7 @@ def _plain(values: Any, kind: str) -> AnyArray:
         flat = [item.decode() for item in raw]
         width = max((len(text) for text in flat), default=1)
         return np.array(flat, dtype=f"U{max(width, 1)}").reshape(array.shape)
-    if array.dtype.kind == "u" and array.size and int(array.max()) > np.iinfo(np.int64).max:
-        raise OverflowError
-    wanted = {"f": np.float64, "i": np.int64, "u": np.int64, "b": np.bool_, "c": np.complex128}[array.dtype.kind]
-    return np.ascontiguousarray(array, dtype=wanted).reshape(array.shape)
+    return canonical(array, kind)
 
 
 def _attributes(walk: _Walk, oid: Any, path: str) -> dict[str, Any]:
@@ -291,8 +279,8 @@ def _attributes(walk: _Walk, oid: Any, path: str) -> dict[str, Any]:
                 attrs[name] = _plain(values[name], kind)
         except UnicodeError:
             walk.problem(path, f"attribute {aid.name[:40]!r} is not UTF-8")
-        except OverflowError:
-            walk.problem(path, f"attribute {name} is a whole number beyond 64 bits")
+        except InputError as error:
+            walk.problem(path, f"attribute {name} is {error.found}")
         except (OSError, RuntimeError) as error:
             walk.problem(path, f"attribute {name} is damaged ({_short(error)})")
     return attrs

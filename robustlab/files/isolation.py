@@ -8,7 +8,6 @@ process ends, and the next file gets a new one.
 from __future__ import annotations
 
 import atexit
-import io
 import json
 import math
 import os
@@ -76,9 +75,8 @@ def send(stream: BinaryIO, content: dict[str, Any]) -> None:
     stream.flush()
 
 
-def receive(source: bytes | IO[bytes], file: str) -> Tree:
+def receive(stream: IO[bytes], file: str) -> Tree:
     """Invert `send_tree`. Raises InputError: the error sent; EOFError: no more data; ValueError and others: invalid."""
-    stream = io.BytesIO(source) if isinstance(source, bytes) else source
 
     def take(size: int) -> bytes:
         data = stream.read(size)
@@ -122,14 +120,14 @@ def receive(source: bytes | IO[bytes], file: str) -> Tree:
 class ReaderServer:
     """The parent's side of the reader process, which is started on use and after it ended."""
 
+    process: subprocess.Popen[bytes] | None = None
+
     def __init__(self, command: tuple[str, ...] = READER) -> None:
-        self.command, self.process, self._lock, self._owner = command, None, threading.Lock(), 0
+        self.command, self._lock, self._owner = command, threading.Lock(), 0
         atexit.register(self.close)
 
-    process: subprocess.Popen[bytes] | None
-
     def read(self, kind: str, path: str | Path, limits: Limits, **options: Any) -> Tree:
-        """Read a file. Raises InputError, EnvironmentFault: of the file, or of a crash, a hang or an invalid answer."""
+        """Read a file of kind ``hdf5``, ``matlab5`` or ``table``."""
         where, wait = str(path), PATIENCE * limits.seconds
         request = {"kind": kind, "limits": asdict(limits), "path": str(Path(path).absolute()), "shown": where,
                    "wait": wait, **options}  # fmt: skip
@@ -213,8 +211,4 @@ def _ended(where: str, status: int, late: bool, wait: float) -> InputError | Env
 
 
 _SERVER = ReaderServer()
-
-
-def read_isolated(kind: str, path: str | Path, limits: Limits, **options: Any) -> Tree:
-    """Read a file of kind ``hdf5``, ``matlab5`` or ``table`` in the reader process."""
-    return _SERVER.read(kind, path, limits, **options)
+read_isolated = _SERVER.read

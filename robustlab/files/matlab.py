@@ -1,4 +1,4 @@
-"""Read and write files of MATLAB version 5; convert trees of version 7.3 (HDF5).
+"""Read files of MATLAB version 5; convert trees of version 7.3 (HDF5).
 
 MATLAB stores matrices column by column, so other HDF5 readers see them transposed; datasets with the attribute
 ``MATLAB_class`` are transposed back here. MathWorks, *MAT-File Format* (R2024a).
@@ -7,10 +7,7 @@ MATLAB stores matrices column by column, so other HDF5 readers see them transpos
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Mapping
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,7 +19,6 @@ from robustlab.files.tree import Dataset, Tree, Unread, text_attr
 
 NUMERIC = {"double", "single", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64"}
 MAX_EMPTY = 1 << 31  # longest side of an array without entries
-MATLAB_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
 OPAQUE_FIELDS = ("s0", "s1", "s2", "arr")  # of an object in scipy: variable, system, class, content
 # Bytes of a value in memory: numbers become float64, a struct is a Python object.
 BYTES_OF_VALUE = {"struct": 400, "object": 400}
@@ -98,24 +94,6 @@ def _matlab_values(array: AnyArray) -> Any:
 
 def _latin(text: Any) -> str:
     return text.decode("latin-1") if isinstance(text, bytes) else str(text)
-
-
-def write_matlab5(path: str | Path, variables: Mapping[str, Any]) -> None:
-    """Write variables (arrays, numbers, texts, lists of texts as cell columns) to a version 5 file."""
-    from scipy.io import savemat
-
-    for name in variables:
-        if not MATLAB_NAME.fullmatch(name):
-            raise InputError(
-                str(path), f"variable name {name!r}", "a letter, then letters, digits and underscores (63 at most)"
-            )
-    content = {
-        name: np.array(value, dtype=object).reshape(-1, 1) if isinstance(value, list) else value
-        for name, value in variables.items()
-    }
-    with Path(path).open("wb") as stream:
-        # zlib adds a checksum, which version 5 lacks
-        savemat(stream, content, appendmat=False, do_compression=True)
 
 
 # --- version 7.3 -----------------------------------------------------------------------------------------------------

@@ -180,8 +180,7 @@ def _stored(node: Tree, where: str) -> Source:
         group = node.groups.get(side, Tree())
         found, order = _datasets(group), {}
         for link, item in group.datasets.items():
-            at = np.ravel(item.attrs.get("position", 1 << 30))
-            order[link] = float(at[0]) if at.dtype.kind in "if" and at.size == 1 else float(1 << 30)
+            order[link] = _one_number(item.attrs.get("position", np.inf), np.inf)
         for link in sorted(order, key=lambda link: (order[link], link)):
             name = signal_name(link)
             if name in source.channels:
@@ -196,7 +195,7 @@ def _stored(node: Tree, where: str) -> Source:
 
 def _of_tree(path: str | Path, tree: Tree, node: Tree, group: str | None) -> Source:
     """Return the datasets of a group, and the logs in it and below it."""
-    channels = {} if _is_log(node) else _datasets(node)
+    channels = {} if _log(node)[1] else _datasets(node)
     own = _sample_time(node.attrs) or _sample_time(tree.attrs)
     for name in ("Ts", "dt"):  # in MATLAB files the sample time is a variable
         values = channels[name].values if name in channels and not own else None
@@ -204,7 +203,7 @@ def _of_tree(path: str | Path, tree: Tree, node: Tree, group: str | None) -> Sou
             own = float(values.flat[0])
             del channels[name]
     clocks: dict[str, Array | None] = {}
-    for name, channel, times in _logs(node, node.file, ""):
+    for name, channel, times in _logs(node, ""):
         channels[name], clocks[channel.clock] = channel, times.astype(np.float64) if len(times) else None
     stem = Path(path).stem
     name = f"{stem}/{group.strip('/')}" if group else stem
@@ -224,65 +223,56 @@ def _datasets(node: Tree) -> dict[str, Channel]:
 
 def _sample_time(attrs: Mapping[str, Any]) -> float:
     for name in ("Ts", "dt", "fs"):
-        value = np.asarray(attrs.get(name, 0.0))
-        if value.dtype.kind in "fi" and value.size == 1 and float(value.flat[0]) > 0:
-            number = float(value.flat[0])
+        number = _one_number(attrs.get(name), 0.0)
+        if number > 0:
             return 1.0 / number if name == "fs" else number
     return 0.0
 
 
+def _one_number(value: Any, otherwise: float) -> float:
+    array = np.asarray(value)
+    return float(array.flat[0]) if array.dtype.kind in "fi" and array.size == 1 else otherwise
+
+
 # --- logs of Simulink and MATLAB --------------------------------------------------------------------------------------
 
-Logs = Iterator[tuple[str, Channel, AnyArray]]  # name relative to the group read, channel, times
 
-
-def _logs(node: Tree, where: str, prefix: str) -> Logs:
-    if not _is_log(node):
+def _logs(node: Tree, prefix: str) -> Iterator[tuple[str, Channel, AnyArray]]:
+    """Yield name relative to the group read, channel and times of all logs in it and below it."""
+    times, found = _log(node)
+    if not found:
         for name, group in node.groups.items():
             if name not in SIDES:
-                yield from _logs(group, where, f"{prefix}.{name}" if prefix else name)
+                yield from _logs(group, f"{prefix}.{name}" if prefix else name)
         return
-    times = _times_of(node)
     key = f"{prefix or node.path.strip('/')}.{times}".lstrip(".")
-    signals = node.groups.get("signals")
-    if signals is None:
-        (own,) = _samples(node, times)
-        name = prefix or _text(node, "Name") or _text(node, "name") or own
-        unit = _text(node, "Units") or _text(node, "unit") or _text(node.groups.get("DataInfo", Tree()), "Units")
-        found = [(name, unit, node.datasets[own].values)]
-    else:
-        parts = [part for part in _parts(signals) if "values" in part.datasets]
-        labels = [_text(part, "label") or f"signal{k + 1}" for k, part in enumerate(parts)]
-        labels = [f"{text}_{k + 1}" if labels.count(text) > 1 else text for k, text in enumerate(labels)]
-        found = [
-            (f"{prefix}.{label}" if prefix else label, _text(part, "unit"), part.datasets["values"].values)
-            for part, label in zip(parts, labels, strict=True)
-        ]
     t = np.ravel(node.datasets[times].values)  # pyright: ignore[reportArgumentType, reportCallIssue]
-    for name, unit, values in found:
-        for label, column in _columns(f"{where}: {name}", name, values, len(t)):
-            yield label, Channel(column, unit, clock=key), t
+    for label, unit, values in found:
+        name = f"{prefix}.{label}" if prefix and "signals" in node.groups else prefix or label
+        for column_name, column in _columns(f"{node.file}: {name}", name, values, len(t)):
+            yield column_name, Channel(column, unit, clock=key), t
 
 
-def _is_log(node: Tree) -> bool:
-    """Return whether a group is a log and nothing else."""
+def _log(node: Tree) -> tuple[str, list[tuple[str, str, AnyArray | Unread]]]:
+    """Return the name of a log's times, and label, unit and values of its signals; no signals if it is no log."""
     times = _times_of(node)
     if not times:
-        return False
-    if "signals" in node.groups:
-        return any("values" in group.datasets for group in _parts(node.groups["signals"]))
-    columns = _samples(node, times)
-    return len(columns) == 1 and columns[0].lower() in VALUES
-
-
-def _samples(node: Tree, times: str) -> list[str]:
-    """Return the names of datasets that may be samples."""
+        return "", []
+    signals = node.groups.get("signals")
+    if signals is not None:
+        alone = "values" in signals.datasets
+        parts = [signals] if alone else [part for part in signals.groups.values() if "values" in part.datasets]
+        labels = [_text(part, "label") or f"signal{k + 1}" for k, part in enumerate(parts)]
+        labels = [f"{text}_{k + 1}" if labels.count(text) > 1 else text for k, text in enumerate(labels)]
+        units = [_text(part, "unit") for part in parts]
+        return times, list(zip(labels, units, [part.datasets["values"].values for part in parts], strict=True))
     found = {name: item.values for name, item in node.datasets.items() if name != times}
-    return [n for n, x in found.items() if isinstance(x, Unread) or (x.dtype.kind in "fib" and x.size > 1)]
-
-
-def _parts(signals: Tree) -> list[Tree]:
-    return [signals] if "values" in signals.datasets else list(signals.groups.values())
+    own = [n for n, x in found.items() if isinstance(x, Unread) or (x.dtype.kind in "fib" and x.size > 1)]
+    if len(own) != 1 or own[0].lower() not in VALUES:
+        return times, []
+    name = _text(node, "Name") or _text(node, "name") or own[0]
+    unit = _text(node, "Units") or _text(node, "unit") or _text(node.groups.get("DataInfo", Tree()), "Units")
+    return times, [(name, unit, found[own[0]])]
 
 
 def _times_of(node: Tree) -> str:
@@ -330,24 +320,30 @@ def choose(source: Source, options: RecordOptions) -> dict[str, Any]:
     ins = _named(source.inputs if options.inputs is None else options.inputs, known)
     outs = _named(source.outputs if alone else options.outputs, known)
     if options.outputs is None and not (alone and stated):
-        outs = {name: name for name in _of_default_clock(source, clock, dt) if name not in (*ins.values(), clock)}
+        # Those of the source's own time base, or without one all logs.
+        own, logged = ([n for n, c in source.channels.items() if bool(c.clock) is log] for log in (False, True))
+        usual = own if not logged or clock in own or (own and (dt or source.dt)) else logged
+        outs = {name: name for name in usual if name not in (*ins.values(), clock)}
     signals = {**ins, **outs}
     wanted = [*signals.values(), *([clock] if clock and dt is None else [])]
     missing = [name for name in wanted if name not in known]
     if missing and known:
-        raise _missing(source, missing)
+        hints = [did_you_mean(name, known) for name in missing]
+        lines = [f"missing {source.prefix}{n}" + (f" ({h})" if h else "") for n, h in zip(missing, hints, strict=True)]
+        more = tuple(f"{source.where}: {line}" for line in lines[1:])
+        raise InputError(source.where, lines[0], one_of("one of", known), None, more)
     if missing or not signals:
         gone = f"missing {', '.join(f'{source.prefix}{name}' for name in missing)}"
-        groups = one_of("signals in the group given; groups are", source.groups)
         hint = f"group={source.groups[0]!r}" if len(source.groups) == 1 else "group=..." if source.groups else None
-        found = gone if missing else "no signals here"
-        raise InputError(source.where, found, groups if source.groups else "a file with signals", hint)
+        expected = one_of("signals in the group given; groups are", source.groups)
+        raise InputError(source.where, gone if missing else "no signals here", expected, hint)
     arrays = {signal: _numbers(source, signal) for signal in signals.values()}
     if clock is not None and clock in units and clock not in signals:
         _agree(source.where, clock, source.channels[clock].unit, units[clock])
         source.channels[clock].unit = units.pop(clock)
     order = dict.fromkeys(source.channels[signal].clock for signal in (*outs.values(), *ins.values()))
-    if len(order) > 1 and not _same_clock([source.clocks.get(key) for key in order]):
+    first, *others = (source.clocks.get(key) for key in order)
+    if not all(first is not None and t is not None and np.array_equal(t, first) for t in others):
         t, arrays = _on_one_clock(source, arrays, set(ins.values()), list(order), clock, options)
     else:
         t = _times(source, arrays, dt, clock)
@@ -377,22 +373,6 @@ def _named(texts: Sequence[str] | None, known: Collection[str]) -> dict[str, str
         alone = text in known or not sign
         found[text if alone else name.strip()] = text if alone else signal.strip()
     return found
-
-
-def _of_default_clock(source: Source, clock: str | None, dt: float | None) -> list[str]:
-    """Return the signals read by default: those of the source's own time base, or without one all logs."""
-    own = [name for name, channel in source.channels.items() if not channel.clock]
-    logged = [name for name, channel in source.channels.items() if channel.clock]
-    return own if not logged or clock in own or (own and (dt or source.dt)) else logged
-
-
-def _missing(source: Source, missing: list[str]) -> InputError:
-    known, lines = list(source.channels), []
-    for name in missing:
-        near = did_you_mean(name, known)
-        lines.append(f"missing {source.prefix}{name}" + (f" ({near})" if near else ""))
-    more = tuple(f"{source.where}: {line}" for line in lines[1:])
-    return InputError(source.where, lines[0], one_of("one of", known), None, more)
 
 
 def _agree(where: str, name: str, stated: str, given: str) -> None:
@@ -429,11 +409,6 @@ def _numbers(source: Source, name: str) -> Array:
 # --- clocks -----------------------------------------------------------------------------------------------------------
 
 
-def _same_clock(clocks: list[Array | None]) -> bool:
-    first = clocks[0]
-    return first is not None and all(t is not None and np.array_equal(t, first) for t in clocks[1:])
-
-
 def _on_one_clock(
     source: Source, arrays: dict[str, Array], ins: set[str], keys: list[str], clock: str | None, options: RecordOptions
 ) -> tuple[Array, dict[str, Array]]:
@@ -443,7 +418,13 @@ def _on_one_clock(
         mine = {name: values for name, values in arrays.items() if source.channels[name].clock == key}
         label = key or clock or "t"
         t = clocks[key] = _times(source, mine, None, None if key else clock)
-        _refuse_backwards(source.where, label, t)
+        steps = np.diff(t)
+        if len(t) < 2:
+            raise InputError(f"{source.where}: {label}", f"{len(t)} samples", "at least 2")
+        if (steps <= 0).any():
+            k = int(np.argmax(steps <= 0)) + 1
+            word = "repeats the stamp before it" if steps[k - 1] == 0 else "runs backwards"
+            raise InputError(f"{source.where}: {label}[{k}]", f"{t[k]:.9g} s {word}", "strictly increasing times")
         if not options.allow_gaps:
             _refuse_gaps(source.where, label, t)
     t, coarse = common_clock(source.where, clocks, options.dt)
@@ -470,16 +451,6 @@ def _on_one_clock(
             words.append(f"{step / own.step:.3g} to 1, without a filter")
         source.notes.append(f"{key or clock or 't'}: {'; '.join(words)}")
     return t, found
-
-
-def _refuse_backwards(where: str, label: str, t: Array) -> None:
-    if len(t) < 2:
-        raise InputError(f"{where}: {label}", f"{len(t)} samples", "at least 2")
-    steps = np.diff(t)
-    if (steps <= 0).any():
-        k = int(np.argmax(steps <= 0)) + 1
-        word = "repeats the stamp before it" if steps[k - 1] == 0 else "runs backwards"
-        raise InputError(f"{where}: {label}[{k}]", f"{t[k]:.9g} s {word}", "strictly increasing times")
 
 
 def _refuse_gaps(where: str, label: str, t: Array) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -58,7 +59,7 @@ def size_text(n: int) -> str:
 def require_file(path: str | Path, limits: Limits | None = None) -> bytes:
     """Return the first 520 bytes of ``path``, a regular, readable, non-empty file within the size limit."""
     path, limits = Path(path), limits or Limits()
-    where = str(path)
+    where, hint = str(path), None
     try:
         state = path.stat()
         if stat.S_ISDIR(state.st_mode):
@@ -70,7 +71,12 @@ def require_file(path: str | Path, limits: Limits | None = None) -> bytes:
     except InputError:
         raise
     except FileNotFoundError:
-        raise _missing(path) from None
+        folder = path.absolute().parent
+        if not folder.is_dir():
+            raise InputError(where, f"no such file (there is no folder {folder})") from None
+        with suppress(OSError):
+            hint = did_you_mean(path.name, sorted(os.listdir(folder)))  # noqa: PTH208  names only
+        raise InputError(where, f"no such file (looked in {folder})", None, hint) from None
     except PermissionError:
         raise InputError(where, "no permission to read it", None, f"chmod u+r {where}") from None
     except (OSError, ValueError) as error:  # a name too long, a NUL in the name, a loop of links, a dead network disk
@@ -80,17 +86,6 @@ def require_file(path: str | Path, limits: Limits | None = None) -> bytes:
     if state.st_size > limits.file:
         raise InputError(where, f"{size_text(state.st_size)}", f"at most {size_text(limits.file)}")
     return head
-
-
-def _missing(path: Path) -> InputError:
-    folder = path.absolute().parent
-    if not folder.is_dir():
-        return InputError(str(path), f"no such file (there is no folder {folder})")
-    try:
-        siblings = sorted(os.listdir(folder))  # noqa: PTH208  names only
-    except OSError:
-        siblings = []
-    return InputError(str(path), f"no such file (looked in {folder})", None, did_you_mean(path.name, siblings))
 
 
 def content_of(path: str | Path, limits: Limits | None = None) -> Content:

@@ -99,7 +99,16 @@ def table_tree(path: str | Path, limits: Limits, delimiter: str | None, decimal:
         given = _cells(above, sign) if sign != WHITESPACE or not name_and_unit(above)[1] else []
         names = given if len(given) == width else None
     labels = [name_and_unit(name) for name in names] if names else [(f"c{i + 1}", "") for i in range(width)]
-    _check_names(where, labels, limits)
+    seen = set[str]()
+    for i, (name, unit) in enumerate(labels):
+        if not name:
+            raise InputError(where, f"column {i + 1} has no name in the header", "a name for every column")
+        if len(name) > limits.name or len(unit) > limits.name:
+            found = f"column {i + 1} has a name of {len(name)} and a unit of {len(unit)} characters"
+            raise InputError(where, found, f"at most {limits.name} of each")
+        if name in seen:
+            raise InputError(where, f"column name {name!r} is used twice", "unique names")
+        seen.add(name)
     tree = Tree({"has_header": canonical(names is not None, where)}, file=where)
     tree.put("names", np.array([name for name, _ in labels], np.str_))
     tree.put("units", np.array([unit for _, unit in labels], np.str_))
@@ -172,19 +181,6 @@ def name_and_unit(text: str) -> tuple[str, str]:
             if found and name.strip() and closing not in unit:
                 return name.strip(), unit.strip()
     return text, ""
-
-
-def _check_names(where: str, labels: list[tuple[str, str]], limits: Limits) -> None:
-    seen: set[str] = set()
-    for i, (name, unit) in enumerate(labels):
-        if not name:
-            raise InputError(where, f"column {i + 1} has no name in the header", "a name for every column")
-        if len(name) > limits.name or len(unit) > limits.name:
-            found = f"column {i + 1} has a name of {len(name)} and a unit of {len(unit)} characters"
-            raise InputError(where, found, f"at most {limits.name} of each")
-        if name in seen:
-            raise InputError(where, f"column name {name!r} is used twice", "unique names")
-        seen.add(name)
 
 
 # --- tables of responses ---------------------------------------------------------------------------------------------

@@ -218,10 +218,7 @@ def is_stamped(tree: Tree) -> bool:
 
 
 def check_header(tree: Tree, no_verify: bool = False) -> tuple[str, list[str]]:
-    """Return the kind of a format 1 file, and warnings.
-
-    A file without a hash is accepted with a warning; one with a wrong hash only with ``no_verify``.
-    """
+    """Return the kind of a format 1 file, and warnings."""
     where, attrs = tree.file, tree.attrs
     if text_attr(attrs, "format") != FORMAT:
         raise InputError(where, f"attribute format is {_shown(attrs, 'format')}", repr(FORMAT))

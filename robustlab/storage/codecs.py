@@ -161,12 +161,12 @@ def _lpv_model(tree: Tree, found: dict[str, Any], points: list[float], sides: li
         raise InputError("parameters", f"{len(points)} points", f"{sum(found['count'])}, as count says")
     grids = [tuple(grid) for grid in np.split(np.asarray(points, float), ends[:-1])]
     rows = zip(found["name"], grids, found["rate"], found["unit"], strict=True)
-    parameters = tuple(SchedulingParameter(*row) for row in rows)
     states, inputs, outputs = sides
     n = int(np.asarray(tree.attrs["states"]))
     expected = (*map(len, grids), n + len(outputs), n + len(inputs))
     if matrices.shape != expected or len(states) != n:
         raise InputError("matrices", f"shape {matrices.shape}", f"{expected}")
+    parameters = tuple(SchedulingParameter(*row) for row in rows)
     return LPVModel.of(parameters, matrices, n, inputs, outputs, states, deviation, str(tree.attrs["known"]))
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -33,6 +33,11 @@ RESERVED = (
     "auto break case char const continue default do double else enum extern float for goto if inline int long "
     "register restrict return short signed sizeof static struct switch typedef union unsigned void volatile while main"
 )
+SIGNS = {  # what an input takes -> lines of its comment
+    "r": ["THE REFERENCE of {}: the value that is wanted, by itself"],
+    "r - y": ["REFERENCE MINUS MEASUREMENT: ({0} wanted) - ({0} measured)", "positive: {0} is too small"],
+    "y - r": ["MEASUREMENT MINUS REFERENCE: ({0} measured) - ({0} wanted)", "positive: {0} is too large"],
+}
 TERMS = 4  # of a statement on one line
 ANTI_WINDUP_SAMPLES = 10.0  # in which modes decay during saturation, unless a time is given
 CHECKED = 3  # samples of the sign check in the comment
@@ -105,8 +110,7 @@ def c_source(
         raise InputError("C export: prefix", f"{prefix!r}", expected)
     time, back = _back_calculation(model, limits, anti_windup)
     ahead = None if feed_forward is None else _place_feed_forward(model, feed_forward)
-    unused = [] if model.n_states else ["s"]
-    unused += [] if ahead or model.B.any() or model.D.any() else ["u"]
+    unused = ["s"] * (not model.n_states) + ["u"] * (not (ahead or model.B.any() or model.D.any()))
     return _template().render(
         model=model,
         prefix=prefix,
@@ -125,16 +129,8 @@ def c_source(
     )
 
 
-class _PlacedFeedForward(NamedTuple):
-    """A feed-forward, the output that it is added to, and the input that is its reference."""
-
-    law: FeedForward
-    output: int
-    reference: int
-
-
-def _place_feed_forward(model: StateSpaceModel, law: FeedForward) -> _PlacedFeedForward:
-    """Find the signals of a feed-forward in a model."""
+def _place_feed_forward(model: StateSpaceModel, law: FeedForward) -> dict[str, Any]:
+    """Return a feed-forward, the output that it is added to, and the input that is its reference."""
     names, wanted = model.output_names, law.position
     if law.input.name not in names:
         raise InputError("C export: feed-forward", f"of {law.input.name!r}", f"one of {', '.join(names)}")
@@ -144,11 +140,11 @@ def _place_feed_forward(model: StateSpaceModel, law: FeedForward) -> _PlacedFeed
         hint = "a controller of a tracking problem is: it sees references and measurements apart"
         expected = f"a controller that is given the reference of {wanted.name}"
         raise InputError("C export: feed-forward", f"inputs {', '.join(model.input_names)}", expected, hint)
-    at = _PlacedFeedForward(law, names.index(law.input.name), found[0])
-    for ours, its in ((model.outputs[at.output], law.input), (model.inputs[at.reference], wanted)):
+    output, reference = names.index(law.input.name), found[0]
+    for ours, its in ((model.outputs[output], law.input), (model.inputs[reference], wanted)):
         if ours.unit != its.unit:
             raise UnitMismatch(f"C export: feed-forward of {its.name}", its.unit, ours.unit)
-    return at
+    return {"law": law, "output": output, "reference": reference}
 
 
 def _template() -> Any:
@@ -175,18 +171,14 @@ def _sign(signal: Signal, inputs: Sequence[Signal]) -> list[str]:
     """Return lines of the comment on an input and its sign."""
     if not isinstance(signal, Taken):
         return ["SIGN NOT STATED by what this was written from: find out how the loop is closed, before it moves"]
-    of = signal.of
-    if signal.takes == "r":
-        return [f"THE REFERENCE of {of}: the value that is wanted, by itself"]
-    if signal.takes == "r - y":
-        return [f"REFERENCE MINUS MEASUREMENT: ({of} wanted) - ({of} measured)", f"positive: {of} is too small"]
-    if signal.takes == "y - r":
-        return [f"MEASUREMENT MINUS REFERENCE: ({of} measured) - ({of} wanted)", f"positive: {of} is too large"]
-    minus = signal.takes == "-y"
-    lines = [f"MINUS THE SIGNAL: -({of})" if minus else f"THE SIGNAL ITSELF: {of} with its own sign, not negated"]
+    if signal.takes in SIGNS:
+        return [line.format(signal.of) for line in SIGNS[signal.takes]]
+    words = ["MEASUREMENT MINUS REFERENCE", "REFERENCE MINUS MEASUREMENT"]
+    lines = [f"THE SIGNAL ITSELF: {signal.of} with its own sign, not negated"]
+    if signal.takes == "-y":
+        words, lines = words[::-1], [f"MINUS THE SIGNAL: -({signal.of})"]
     if not any(isinstance(s, Taken) and s.takes == "r" for s in inputs):
-        words = ["REFERENCE MINUS MEASUREMENT", "MEASUREMENT MINUS REFERENCE"]
-        lines.append("to follow a reference: {}, never {}".format(*(words if minus else words[::-1])))
+        lines.append("to follow a reference: {}, never {}".format(*words))
     return lines
 
 

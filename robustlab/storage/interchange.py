@@ -8,10 +8,11 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from robustlab.errors import InputError, UsageError, error_context
 from robustlab.files.atomic import atomic_write
 from robustlab.files.hdf5 import read_tree, write_tree
-from robustlab.files.matlab import write_matlab5
 from robustlab.files.signature import Limits, content_of
 from robustlab.files.tree import Tree, check_header, decode_provenance, is_stamped, stamp
 from robustlab.provenance import BY_DIFFERENCES, NOT_VERIFIED, Provenance, Traced, code_of
@@ -279,5 +280,13 @@ def _save_matlab(path: str | Path, obj: Any) -> Path:
     taken = any(isinstance(s, Taken) for s in model.inputs)
     for side, signals in (("State", model.states), ("Input", model.inputs), ("Output", model.outputs)):
         for word in SIGNAL if taken and side == "Input" else SIGNAL[:2]:
-            variables[f"{side}{word.capitalize()}"] = [getattr(s, word, "") for s in signals]
-    return atomic_write(path, lambda temporary: write_matlab5(temporary, variables))
+            texts = np.array([getattr(s, word, "") for s in signals], dtype=object)
+            variables[f"{side}{word.capitalize()}"] = texts.reshape(-1, 1)  # a column of cells
+
+    def write(temporary: Path) -> None:
+        from scipy.io import savemat
+
+        with temporary.open("wb") as stream:
+            savemat(stream, variables, appendmat=False, do_compression=True)  # zlib adds a checksum, which 5 lacks
+
+    return atomic_write(path, write)

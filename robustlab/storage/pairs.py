@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from robustlab.display import Displayable, Facts, Part
+from robustlab.display import AllFields, Displayable, Facts, Part
 from robustlab.errors import InputError, UnitMismatch
 from robustlab.files.tree import Tree
 from robustlab.result import Status
@@ -52,19 +52,16 @@ def check_pair(nominal: StateSpaceModel, perturbed: StateSpaceModel, where: str 
     if nominal.dt != perturbed.dt:
         found = f"nominal has dt = {nominal.dt:g} s, perturbed dt = {perturbed.dt:g} s"
         raise InputError(where, found, "equal sample times")
-    names, units = [], []
+    names, units = list[str](), list[str]()
     for side in ("states", "inputs", "outputs"):
         for a, b in zip(getattr(nominal, side), getattr(perturbed, side), strict=True):
             if a.name != b.name:
                 names.append(f"{side[:-1]} {a.name!r} of nominal is {b.name!r} in perturbed")
             elif a.unit and b.unit and a.unit != b.unit:
                 units.append(f"{side[:-1]} {a.name}: nominal [{a.unit}], perturbed [{b.unit}]")
-    for error, lines, expected in (
-        (InputError, names, "the same signals in the same order"),
-        (UnitMismatch, units, "equal units"),
-    ):
-        if lines:
-            raise error(where, lines[0], expected, None, tuple(f"{where}: {line}" for line in lines[1:]))
+    error, expected = (InputError, "the same signals in the same order") if names else (UnitMismatch, "equal units")
+    if lines := names or units:
+        raise error(where, lines[0], expected, None, tuple(f"{where}: {line}" for line in lines[1:]))
 
 
 @dataclass(frozen=True)
@@ -89,22 +86,12 @@ class Change:
 
 
 @dataclass(frozen=True)
-class Difference(Displayable):
-    """The entries in which two models differ.
+class Difference(AllFields, Displayable):
+    """The entries in which two models differ."""
 
-    Attributes
-    ----------
-    changes
-        One for each entry that differs.
-    entries
-        Number of entries of A, B, C and D.
-    status
-        CONVERGED: all entries were compared.
-    """
-
-    changes: tuple[Change, ...]
-    entries: int
-    status: Status = Status.CONVERGED
+    changes: tuple[Change, ...]  # one for each entry that differs
+    entries: int  # number of entries of A, B, C and D
+    status: Status = Status.CONVERGED  # all entries were compared
 
     quantities: ClassVar[Mapping[str, Any]] = {"count": "1", "entries": "1", "largest": "1"}
 
@@ -132,9 +119,6 @@ class Difference(Displayable):
             for c in self.changes
         ]
         return [Part("", ("entry", "first", "second", "change"), rows)]
-
-    def to_json(self) -> dict[str, object]:
-        return {"changes": self.changes, "entries": self.entries, "status": self.status}
 
 
 def difference(first: StateSpaceModel, second: StateSpaceModel, rtol: float = 0.0) -> Difference:

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 TAPES = ("rates", "outputs", "models")
 ROWS = {"operations": "i", "left": "i", "right": "i", "constants": "fi", "outputs": "i"}
 KINDS = ("joint", "current")
+OPTIONS = ("preset", "motors")  # of a plant of the registry
 PLACE: dict[str, str] = dict.fromkeys(("name", "kind", "unit", "position"), "U")
 TEXTS = ("name", "unit", "source", "meaning")
 PARAMETERS: dict[str, str] = {**dict.fromkeys(TEXTS, "U"), "value": "fi", "tolerance": "fi"}
@@ -103,7 +104,7 @@ def decode_plant(tree: Tree, problems: Problems, _transpose: bool = False) -> Pl
 
 
 def _options(base: Plant) -> dict[str, Any]:
-    return {name: value for name in ("preset", "motors") if (value := getattr(base, name, None)) is not None}
+    return {name: value for name in OPTIONS if (value := getattr(base, name, None)) is not None}
 
 
 def _is_rebuilt(base: Plant) -> bool:
@@ -153,20 +154,25 @@ def _linear(obj: Plant, point: Any = None) -> StateSpaceModel:
 
 
 def _plant(tree: Tree, problems: Problems) -> Plant:
-    group = tree.groups["plant"]
+    group, effects = tree.groups["plant"], tree.groups.get("effects", Tree())
     held = next((name for name in ("equations", "tapes") if name in group.groups), "")
     base = _own_plant(group, held, problems) if held else _from_name(group, problems)
-    return _with_effects(base, tree.groups.get("effects", Tree()), problems)
+    return _with_effects(base, effects, problems) if effects.groups else base
 
 
 def _own_plant(group: Tree, held: str, problems: Problems) -> Plant:
     """Return a user's plant from its equations and the signals of its model."""
+    from robustlab.dynamics.parameters import Parameter, Role
+
     find_children(group, ("parameters", held, "base"), problems, kind="group")
     problems.raise_any()
     model = decode_model(group.groups["base"], problems)
-    parameters = _own_parameters(group.groups["parameters"], problems)
-    problems.raise_any()
+    found = columns(group.groups["parameters"], PARAMETERS | MORE, problems)
+    words = {"sign": get_args(Sign), "role": get_args(Role)}
+    _check_rows(group.groups["parameters"], "a parameter", found, words, problems)
     assert model is not None
+    rows = (dict(zip(found, row, strict=True)) for row in zip(*found.values(), strict=True))
+    parameters = {row["name"]: Parameter(**row) for row in rows}
     name = text_attr(group.attrs, "name") or "plant"
     of = (name, parameters, model.inputs, model.outputs, model.states)
     if held == "tapes":
@@ -209,9 +215,7 @@ def _tapes(held: Tree, n_moving: int, n_parameters: int, problems: Problems) -> 
     problems.raise_any()
     group = held.groups["places"]
     found = columns(group, PLACE, problems)
-    _known(group, "kind", found, KINDS, problems)
-    _unique(group, "a place", found, problems)
-    problems.raise_any()
+    _check_rows(group, "a place", found, {"kind": KINDS}, problems)
     tapes: list[Tape] = []
     for name in TAPES:
         group = held.groups[name]
@@ -229,30 +233,19 @@ def _tapes(held: Tree, n_moving: int, n_parameters: int, problems: Problems) -> 
     return Equations(rates, outputs, models, places)
 
 
-def _known(group: Tree, name: str, found: Mapping[str, Any], words: Sequence[str], problems: Problems) -> None:
-    for word in found.get(name, ()):
-        if word not in words:
-            known = ", ".join(filter(None, words))
-            problems.add(f"{group.child_path(name)}: {word!r}, expected one of {known}")
-
-
-def _unique(group: Tree, what: str, found: Mapping[str, Any], problems: Problems) -> None:
+def _check_rows(
+    group: Tree, what: str, found: Mapping[str, Any], words: Mapping[str, Sequence[str]], problems: Problems
+) -> None:
+    """Raise where a column has an unknown word, or a name is there twice."""
+    for name, known in words.items():
+        for word in found.get(name, ()):
+            if word not in known:
+                expected = ", ".join(filter(None, known))
+                problems.add(f"{group.child_path(name)}: {word!r}, expected one of {expected}")
     names = found.get("name", ())
     if len(set(names)) < len(names):
         problems.add(f"{group.child_path('name')}: {what} is there twice")
-
-
-def _own_parameters(group: Tree, problems: Problems) -> dict[str, Parameter]:
-    """Return the parameters of a user's plant; add faults to ``problems``."""
-    from robustlab.dynamics.parameters import Parameter, Role
-
-    found = columns(group, PARAMETERS | MORE, problems)
-    _known(group, "sign", found, get_args(Sign), problems)
-    _known(group, "role", found, get_args(Role), problems)
-    _unique(group, "a parameter", found, problems)
     problems.raise_any()
-    rows = (dict(zip(found, row, strict=True)) for row in zip(*found.values(), strict=True))
-    return {row["name"]: Parameter(**row) for row in rows}
 
 
 def _from_name(group: Tree, problems: Problems) -> Plant:
@@ -272,9 +265,7 @@ def _from_name(group: Tree, problems: Problems) -> Plant:
 
         made = linear_plant_of(model).with_parameters(**{n: row["value"] for n, row in rows.items()})
     else:
-        options: dict[str, Any] = {
-            key: np.asarray(group.attrs[key]).tolist() for key in ("preset", "motors") if key in group.attrs
-        }
+        options: dict[str, Any] = {key: np.asarray(group.attrs[key]).tolist() for key in OPTIONS if key in group.attrs}
         given = {n: (row["value"], row["tolerance"]) for n, row in rows.items()}
         made = builtin_plant(str(name), **options, **given)
     missing = [n for n in made.parameters if n not in rows]
@@ -284,8 +275,6 @@ def _from_name(group: Tree, problems: Problems) -> Plant:
 
 
 def _with_effects(base: Any, group: Tree, problems: Problems) -> Plant:
-    if not group.groups:
-        return base
     from robustlab.dynamics.effects.catalogue import effect
     from robustlab.dynamics.effects.contract import Site
     from robustlab.dynamics.extended.attached_effect import AttachedEffect
@@ -309,7 +298,7 @@ def _with_effects(base: Any, group: Tree, problems: Problems) -> Plant:
         site: Any = Site(attrs["site_kind"], str(attrs["site"]))  # type: ignore[arg-type]
         attached.append(AttachedEffect(known, site, values, std, text_attr(one.attrs, "source") or ""))
     problems.raise_any()
-    return with_effects(base, attached) if attached else base
+    return with_effects(base, attached)
 
 
 def _check_model(plant: Plant, stored: StateSpaceModel, where: str) -> None:

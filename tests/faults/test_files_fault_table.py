@@ -56,6 +56,10 @@ def saved(path):
     return path
 
 
+def change_a_value(file, _folder):
+    file["A"][0, 0] = 5.0  # HDF5 renews its own checksum; the content hash tells
+
+
 # --- builders: each makes a bad file in an empty folder and returns its path ------------------------------------------
 
 
@@ -121,126 +125,94 @@ def rotten_values(folder):
     return path
 
 
-def changed_afterwards(folder):
-    path = saved(folder / "p.h5")
-    with h5py.File(path, "a") as file:
-        file["A"][0, 0] = 5.0  # HDF5 renews its own checksum; the content hash tells
-    return path
-
-
 def hash_renamed(folder):
     path = saved(folder / "p.h5")
     path.write_bytes(path.read_bytes().replace(b"content_sha256", b"content_sha257"))
     return path
 
 
-def soft_link(folder):
-    with h5py.File(plain(folder / "p.h5", A=None), "a") as file:
-        file["hidden"] = np.eye(3)
-        file["A"] = h5py.SoftLink("/hidden")
-    return folder / "p.h5"
+def edited(change, made=lambda path: plain(path, A=None)):
+    """Return the builder of a file that is changed after it was made."""
+
+    def build(folder):
+        path = made(folder / "p.h5")
+        with h5py.File(path, "a") as file:
+            change(file, folder)
+        return path
+
+    return build
 
 
-def external_link(folder):
+def soft_link(file, _folder):
+    file["hidden"] = np.eye(3)
+    file["A"] = h5py.SoftLink("/hidden")
+
+
+def external_link(file, folder):
     plain(folder / "other.h5")
-    with h5py.File(plain(folder / "p.h5", A=None), "a") as file:
-        file["A"] = h5py.ExternalLink("other.h5", "/A")
-    return folder / "p.h5"
+    file["A"] = h5py.ExternalLink("other.h5", "/A")
 
 
-def external_link_mid_path(folder):
+def external_link_mid_path(file, folder):
     pair(folder / "other.h5")
-    with h5py.File(folder / "p.h5", "w") as file:
-        file["nominal"] = h5py.ExternalLink("other.h5", "/nominal")
-        file.create_group("perturbed")
-    return folder / "p.h5"
+    file["nominal"] = h5py.ExternalLink("other.h5", "/nominal")
+    file.create_group("perturbed")
 
 
-def external_storage(folder):
-    with h5py.File(plain(folder / "p.h5", A=None), "a") as file:
-        file.create_dataset("A", (3, 3), "f8", external=[("/etc/passwd", 0, 72)])
-    return folder / "p.h5"
+def external_storage(file, _folder):
+    file.create_dataset("A", (3, 3), "f8", external=[("/etc/passwd", 0, 72)])
 
 
-def virtual(folder):
+def virtual(file, folder):
     plain(folder / "other.h5")
     layout = h5py.VirtualLayout((3, 3), "f8")
     layout[:] = h5py.VirtualSource(str(folder / "other.h5"), "A", (3, 3))
-    with h5py.File(plain(folder / "p.h5", A=None), "a") as file:
-        file.create_virtual_dataset("A", layout)
-    return folder / "p.h5"
+    file.create_virtual_dataset("A", layout)
 
 
-def references(folder):
-    with h5py.File(plain(folder / "p.h5", A=None), "a") as file:
-        file.create_dataset("A", data=np.array([[file["B"].ref]], dtype=h5py.ref_dtype))
-    return folder / "p.h5"
+def references(file, _folder):
+    file.create_dataset("A", data=np.array([[file["B"].ref]], dtype=h5py.ref_dtype))
 
 
-def loop_of_groups(folder):
-    with h5py.File(plain(folder / "p.h5"), "a") as file:
-        file.create_group("g")["back"] = file["/"]
-    return folder / "p.h5"
+def loop_of_groups(file, _folder):
+    file["A"] = np.eye(3)
+    file.create_group("g")["back"] = file["/"]
 
 
-def giant(folder):
-    with h5py.File(plain(folder / "p.h5", A=None), "a") as file:
-        file.create_dataset("A", (10**6, 10**6), "f8", chunks=(100, 100))
-    return folder / "p.h5"
+def giant(file, _folder):
+    file.create_dataset("A", (10**6, 10**6), "f8", chunks=(100, 100))
 
 
-def giant_chunk(folder):
-    with h5py.File(plain(folder / "p.h5", A=None), "a") as file:
-        file.create_dataset("A", (3, 3), "f8", chunks=(20_000, 20_000), maxshape=(None, None), compression="gzip")
-    return folder / "p.h5"
+def giant_chunk(file, _folder):
+    file.create_dataset("A", (3, 3), "f8", chunks=(20_000, 20_000), maxshape=(None, None), compression="gzip")
 
 
-def bomb(folder):
-    with h5py.File(plain(folder / "p.h5", A=None), "a") as file:
-        a = file.create_dataset("A", (5000, 5000), "f8", chunks=(5000, 1))
-        a[0, 0] = 1.0  # one chunk of 5000 is stored, the file claims 200 MB
-    return folder / "p.h5"
+def bomb(file, _folder):
+    a = file.create_dataset("A", (5000, 5000), "f8", chunks=(5000, 1))
+    a[0, 0] = 1.0  # one chunk of 5000 is stored, the file claims 200 MB
 
 
-def never_written(folder):
-    with h5py.File(plain(folder / "p.h5", A=None), "a") as file:
-        file.create_dataset("A", (3, 3), "f8")
-    return folder / "p.h5"
+def never_written(file, _folder):
+    file.create_dataset("A", (3, 3), "f8")
 
 
-def unknown_filter(folder):
-    with h5py.File(plain(folder / "p.h5", A=None), "a") as file:
-        create = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-        create.set_chunk((3, 3))
-        create.set_filter(32015, h5py.h5z.FLAG_OPTIONAL, (3,))
-        h5py.h5d.create(file.id, b"A", h5py.h5t.NATIVE_DOUBLE, h5py.h5s.create_simple((3, 3)), create)
-    return folder / "p.h5"
+def unknown_filter(file, _folder):
+    create = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    create.set_chunk((3, 3))
+    create.set_filter(32015, h5py.h5z.FLAG_OPTIONAL, (3,))
+    h5py.h5d.create(file.id, b"A", h5py.h5t.NATIVE_DOUBLE, h5py.h5s.create_simple((3, 3)), create)
 
 
 def misspelt(folder):
     return pair(folder / "p.h5", perturbed={"B": None}, names=("nomnal", "perturbed"))
 
 
-def lower_case(folder):
-    return plain(folder / "p.h5", A=None, a=np.eye(3))
+def wrong_kind(file, _folder):
+    file.attrs["kind"] = "statespace"
 
 
-def wrong_kind(folder):
-    path = saved(folder / "p.h5")
-    with h5py.File(path, "a") as file:
-        file.attrs["kind"] = "statespace"
-    return path
-
-
-def newer(folder):
-    path = saved(folder / "p.h5")
-    with h5py.File(path, "a") as file:
-        file.attrs["format_version"] = "2.0"
-    return path
-
-
-def text_matrix(folder):
-    return plain(folder / "p.h5", A="three")
+def newer(file, _folder):
+    file.attrs["format_version"] = "2.0"
 
 
 def nan(folder):
@@ -297,26 +269,34 @@ CASES = [
     ("3 truncated", truncated, r"p.h5: truncated: \d+ of \d+ bytes\nhint: copy .*"),
     ("3 signature only", only_a_signature, r"p.h5: damaged or truncated HDF5 file of 20 bytes .*\nhint: copy .*"),
     ("4 bit rot", rotten_values, r"p.h5: /A: checksum mismatch\nhint: .*"),
-    ("4 content hash", changed_afterwards, r"p.h5: /: checksum mismatch \(content_sha256\).*\nhint: .*--no-verify"),
+    (
+        "4 content hash",
+        edited(change_a_value, saved),
+        r"p.h5: /: checksum mismatch \(content_sha256\).*\nhint: .*--no-verify",
+    ),
     (
         "4 hash attribute",
         hash_renamed,
         r"p.h5: unexpected attribute 'content_sha257'\nhint: did you mean content_sha256\?",
     ),
-    ("6 soft link", soft_link, r"p.h5: /A: soft link to '/hidden' is not allowed"),
-    ("6 external link", external_link, r"p.h5: /A: external link to 'other.h5' '/A' is not allowed"),
-    ("6 mid-path", external_link_mid_path, r"p.h5: /nominal: external link to 'other.h5' '/nominal' is not allowed"),
-    ("6 external storage", external_storage, r"p.h5: /A: external storage '/etc/passwd' is not allowed"),
-    ("6 virtual", virtual, r"p.h5: /A: virtual dataset .* is not allowed"),
-    ("6 references", references, r"p.h5: /A has dtype reference, expected real numbers"),
-    ("6 loop", loop_of_groups, r"p.h5: /g/back: group is linked twice .*"),
-    ("7 giant", giant, r"p.h5: /A: declares 1000000 x 1000000 \(8 TB\), limit 256 MiB"),
-    ("7 chunk", giant_chunk, r"p.h5: /A: chunks of 3.2 GB in memory, limit 256 MiB"),
-    ("7 bomb", bomb, r"p.h5: /A: declares 200 MB in 40000 stored bytes: made to grow when it is read"),
-    ("7 unwritten", never_written, r"p.h5: /A: declares 3 x 3, but no values are stored"),
+    ("6 soft link", edited(soft_link), r"p.h5: /A: soft link to '/hidden' is not allowed"),
+    ("6 external link", edited(external_link), r"p.h5: /A: external link to 'other.h5' '/A' is not allowed"),
+    (
+        "6 mid-path",
+        edited(external_link_mid_path),
+        r"p.h5: /nominal: external link to 'other.h5' '/nominal' is not allowed",
+    ),
+    ("6 external storage", edited(external_storage), r"p.h5: /A: external storage '/etc/passwd' is not allowed"),
+    ("6 virtual", edited(virtual), r"p.h5: /A: virtual dataset .* is not allowed"),
+    ("6 references", edited(references), r"p.h5: /A has dtype reference, expected real numbers"),
+    ("6 loop", edited(loop_of_groups), r"p.h5: /g/back: group is linked twice .*"),
+    ("7 giant", edited(giant), r"p.h5: /A: declares 1000000 x 1000000 \(8 TB\), limit 256 MiB"),
+    ("7 chunk", edited(giant_chunk), r"p.h5: /A: chunks of 3.2 GB in memory, limit 256 MiB"),
+    ("7 bomb", edited(bomb), r"p.h5: /A: declares 200 MB in 40000 stored bytes: made to grow when it is read"),
+    ("7 unwritten", edited(never_written), r"p.h5: /A: declares 3 x 3, but no values are stored"),
     (
         "8 filter",
-        unknown_filter,
+        edited(unknown_filter),
         r"p.h5: /A: filter 32015.* is not known here; plugins are not loaded\nhint: h5repack .*",
     ),
     (
@@ -324,14 +304,18 @@ CASES = [
         misspelt,
         r"p.h5: missing /nominal\n.*p.h5: unexpected /nomnal \(did you mean /nominal\?\)\n.*p.h5: missing /perturbed/B",
     ),
-    ("9 lower case", lower_case, r"p.h5: missing /A\n.*p.h5: unexpected /a \(did you mean /A\?\)"),
+    (
+        "9 lower case",
+        edited(lambda file, _: file.update(a=np.eye(3))),
+        r"p.h5: missing /A\n.*p.h5: unexpected /a \(did you mean /A\?\)",
+    ),
     (
         "9 kind",
-        wrong_kind,
+        edited(wrong_kind, saved),
         r"p.h5: attribute kind is 'statespace', expected one of .*\nhint: did you mean state-space\?",
     ),
-    ("10 newer", newer, r"p.h5: written by schema 2.0, this robustlab reads <= 1.x; upgrade\nhint: .*"),
-    ("11 text", text_matrix, r"p.h5: /A has dtype text, expected real numbers"),
+    ("10 newer", edited(newer, saved), r"p.h5: written by schema 2.0, this robustlab reads <= 1.x; upgrade\nhint: .*"),
+    ("11 text", edited(lambda file, _: file.update(A="three")), r"p.h5: /A has dtype text, expected real numbers"),
     ("12 NaN", nan, r"p.h5: /nominal/A\[3,5\] is NaN \(2 of 144 entries\)"),
     ("34 cells", mat5_object_array, r"p.mat: /A has dtype cell array, expected real numbers"),
     ("3 mat", mat5_cut, r"p.mat: damaged MATLAB file .*"),
@@ -431,7 +415,7 @@ def test_row_16_a_transposed_file_is_recognised_and_read_on_request(tmp_path, ca
 
 
 def test_row_4_no_verify_loads_with_a_warning(tmp_path, capfd):
-    path = changed_afterwards(tmp_path)
+    path = edited(change_a_value, saved)(tmp_path)
     assert main_guard(lambda: run_command(["model", "check", str(path), "--no-verify"])) == 0
     assert "does not match" in capfd.readouterr().err
     with pytest.warns(UserWarning, match="does not match"):
@@ -447,9 +431,7 @@ def test_row_1_no_permission(tmp_path, capfd):
     assert_refused(code, err, r"p.h5: no permission to read it\nhint: chmod.*", tmp_path)
 
 
-@pytest.mark.parametrize(
-    "make", [truncated, external_storage, giant, misspelt, text_as_h5], ids=lambda make: make.__name__
-)
+@pytest.mark.parametrize("make", [truncated, edited(external_storage), edited(giant), misspelt, text_as_h5])
 def test_the_same_through_the_real_command(make, tmp_path):
     path = make(tmp_path)
     command = [sys.executable, "-m", "robustlab.cli.main", "model", "convert", path.name, "out.h5"]

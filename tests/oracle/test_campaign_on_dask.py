@@ -43,16 +43,7 @@ def cluster(tmp_path):
             assert time.monotonic() < until, (tmp_path / "log.txt").read_text(encoding="utf-8")
             time.sleep(0.05)
         for _ in range(2):
-            words = (
-                "--nthreads",
-                1,
-                "--no-dashboard",
-                "--no-nanny",
-                "--memory-limit",
-                0,
-                "--local-directory",
-                tmp_path,
-            )
+            words = f"--nthreads 1 --no-dashboard --no-nanny --memory-limit 0 --local-directory {tmp_path}".split()
             running.append(launch(tmp_path, "distributed.cli.dask_worker", *options, *words))
         yield json.loads(file.read_text(encoding="utf-8"))["address"], running[1]
     finally:
@@ -72,19 +63,7 @@ def test_same_samples_as_local_though_a_worker_dies(cluster, tmp_path):
     motor = rl.plant("dc-motor", Kf=(4.8e-5, 0.35), R=(2.07, 0.1)).uncertain(outputs=["omega"])
     rl.save(tmp_path / "motor.h5", motor)
     settings = CampaignSettings("peak-deviation", N, u={"u": 42.0}, t_end=0.1, points=51)
-    words = [
-        "--input-value",
-        "u=42",
-        "--t-end",
-        "0.1",
-        "--points",
-        "51",
-        "-n",
-        N,
-        "--json",
-        "--store",
-        "cluster.sqlite",
-    ]
+    words = f"--input-value u=42 --t-end 0.1 --points 51 -n {N} --json --store cluster.sqlite".split()
     run = launch(tmp_path, "robustlab.cli.main", "campaign", "run", "motor.h5", *words, "--cluster", address)
     until = time.monotonic() + PATIENCE
     saved = 0
