@@ -37,7 +37,7 @@ _INNER = {
     "extended.signal_blocks": "delay_block",
     "extended.simulator": "SampledInput Simulator Windows stepping",
     "plant_contract": "LocalModels PortPlace input_signal",
-    "plants.linear": "cart_travel linear_actuator",
+    "plants.linear": "linear_actuator",
     "ports.split_joint": "shares_behind",
     "ports.motion_model": "local_port_model",
     "ports.port_model": "linear_plant_of parameter_groups port_model",

@@ -199,12 +199,7 @@ def _made(target: Any, given: dict[str, Any], label: str) -> Plant:
         found = "None" if made is None else f"a {type(made).__name__}"
         hint = "return p.plant(**given)" if callable(getattr(made, "plant", None)) else None
         raise InputError(label, f"returned {found}", "a plant (a LinearPlant or a NonlinearPlant)", hint)
-    if not given:
-        return made
-    change = getattr(made, "with_parameters", None)
-    if change is None:
-        raise InputError(label, f"{next(iter(given))}: takes no parameters", "none")
-    return change(**given)
+    return made.with_parameters(**given) if given else made
 
 
 def _arguments(target: Callable[..., Any]) -> Mapping[str, Parameter]:
@@ -234,14 +229,14 @@ def _check_shapes(plant: Plant, label: str) -> None:
 
 def _plants(module: types.ModuleType) -> tuple[str, ...]:
     """Return the names of plants, and of the file's own functions without required arguments."""
-    return tuple(name for name, thing in list(vars(module).items()) if _is_plant(name, thing, module.__name__))
-
-
-def _is_plant(name: str, thing: Any, module: str) -> bool:
-    if not isinstance(thing, types.FunctionType) or thing.__module__ != module or name.startswith("_"):
-        return isinstance(thing, Plant)
     optional = (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD)
-    return all(p.default is not Parameter.empty or p.kind in optional for p in _arguments(thing).values())
+
+    def is_plant(name: str, thing: Any) -> bool:
+        if not isinstance(thing, types.FunctionType) or thing.__module__ != module.__name__ or name.startswith("_"):
+            return isinstance(thing, Plant)
+        return all(p.default is not Parameter.empty or p.kind in optional for p in _arguments(thing).values())
+
+    return tuple(name for name, thing in list(vars(module).items()) if is_plant(name, thing))
 
 
 # The plant in the template.

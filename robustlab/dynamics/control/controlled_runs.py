@@ -19,6 +19,7 @@ from robustlab.dynamics.control.platform import (
     SineTrajectory,
     TrajectoryFollowing,
     closed_loop,
+    ease,
     follow,
     follow_with_torques,
     torque_loop,
@@ -113,8 +114,7 @@ class Sine(NamedTuple):
         """Return times (n,), the reference, and the number of steps between two stored points."""
         fine = max(1, math.ceil(self.t_end / (self.points - 1) / self.held))
         t = np.linspace(0.0, self.t_end, fine * (self.points - 1) + 1)
-        share = np.clip(t / self.rise_time, 0.0, 1.0)
-        return t, self.amplitude * share**3 * (10 - 15 * share + 6 * share**2) * np.sin(self.omega * t), fine
+        return t, self.amplitude * ease(t / self.rise_time) * np.sin(self.omega * t), fine
 
 
 class Judged(NamedTuple):

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -155,21 +154,16 @@ class SineTrajectory:
             if value < 0 or (value == 0 and low == "positive"):
                 raise InputError(f"trajectory: {name}", f"{value:g}", f"a number that is {low}")
 
-    @property
-    def breaks(self) -> tuple[float, ...]:
-        """Times in s of the motion's discontinuities."""
-        return (0.0, self.lift_time, self.lift_time + self.rise_time)
-
     def pose(self, t: ArrayLike) -> Array:
         """Return the pose (6,) at a time in s, or (n, 6) at times (n,)."""
         time = np.asarray(t, dtype=np.float64)[..., None]
         since = np.maximum(time - self.lift_time, 0.0)
-        share = _ease(since / self.rise_time) if self.rise_time else 1.0
-        lifted = np.asarray(self.start) + np.asarray(self.lift) * _ease(time / self.lift_time)
+        share = ease(since / self.rise_time) if self.rise_time else 1.0
+        lifted = np.asarray(self.start) + np.asarray(self.lift) * ease(time / self.lift_time)
         return lifted + np.asarray(self.amplitude) * share * np.sin(self.omega * since)
 
 
-def _ease(s: Array) -> Array:
+def ease(s: Array) -> Array:
     s = np.clip(s, 0.0, 1.0)
     return s**3 * (10 - 15 * s + 6 * s**2)
 
@@ -209,9 +203,9 @@ class TrajectoryFollowing:
         """Return the largest absolute torque of each motor in N m from the time ``after`` on, (6,)."""
         return np.abs(self.torque[self.t >= after]).max(axis=0)
 
-    def largest_voltage(self, after: float = 0.0) -> Array:
-        """Return the largest absolute voltage of each motor in V from the time ``after`` on, (6,)."""
-        return np.abs(self.voltage[self.t >= after]).max(axis=0)
+    def largest_voltage(self) -> Array:
+        """Return the largest absolute voltage of each motor in V, (6,)."""
+        return np.abs(self.voltage).max(axis=0)
 
     @property
     def within_limits(self) -> bool:
@@ -240,9 +234,7 @@ def follow(
     reference = _within(plant, trajectory, clock)
     read, loop = measured(plant), layered_loop(plant, controller)
     # The torque loops are stiff (poles of some 1000 /s): implicit integration.
-    states = _integrated(
-        loop, lambda time: nut_angles(plant.geometry, trajectory.pose(time)), clock, trajectory.breaks, rtol
-    )
+    states = _integrated(loop, plant, trajectory, clock, rtol)
     lengths = plant.geometry.home_lengths + states[:, :6] / plant.geometry.turns
     low, high = plant.geometry.limits
     beyond = ((lengths < low) | (lengths > high)).any(axis=1)
@@ -299,12 +291,15 @@ def _within(plant: StewartPlatform, trajectory: SineTrajectory, clock: Array) ->
 
 
 def _integrated(
-    loop: ControlledNonlinearPlant, angles: Callable[[float], Array], t: Array, breaks: tuple[float, ...], rtol: float
+    loop: ControlledNonlinearPlant, plant: StewartPlatform, trajectory: SineTrajectory, t: Array, rtol: float
 ) -> Array:
-    """Integrate from the loop's equilibrium; return states (n, n_x) at the times t."""
+    """Integrate from the loop's equilibrium, between discontinuities; return states (n, n_x) at the times t."""
     from scipy.integrate import solve_ivp
 
     number("follow: rtol", rtol, "a number between 0 and 1", above=0, below=1)
+
+    def angles(time: float) -> Array:
+        return nut_angles(plant.geometry, trajectory.pose(time))
 
     def rates(time: float, state: Array) -> Array:
         try:
@@ -318,7 +313,8 @@ def _integrated(
     # Absolute tolerances of angles, rates, currents, and the controller's integrals, relative to rtol.
     small = np.abs(loop.K.C).max(axis=0)
     scale = np.concatenate([np.full(12, 1.0), np.full(6, 0.1), 0.1 / np.maximum(small, 1.0)])
-    edges = [t[0], *sorted({b for b in breaks if t[0] < b < t[-1]}), t[-1]]
+    breaks = {0.0, trajectory.lift_time, trajectory.lift_time + trajectory.rise_time}
+    edges = [t[0], *sorted(b for b in breaks if t[0] < b < t[-1]), t[-1]]
     states, state = np.empty((len(t), len(loop.states))), loop.start
     for first, last in itertools.pairwise(edges):
         found = solve_ivp(

@@ -322,11 +322,11 @@ class Effect:
 
     def lag(self, values: Mapping[str, float]) -> float:
         """Return the time in s by which the recorded outputs lag behind the plant."""
-        return 0.0
+        return values[self.delay] if self.delay and self.site_kind == "output" else 0.0
 
     def shown(self, values: Mapping[str, float]) -> float:
         """Return the ratio of a recorded output to the true one; 1 if the output is not scaled."""
-        return 1.0
+        return values[self.scale] if self.scale and self.site_kind == "output" else 1.0
 
     def bias(self, values: Mapping[str, float]) -> float:
         """Return the recorded value of a zero output."""

@@ -117,9 +117,6 @@ class SensorGain(SignalGain, row="sensor-gain"):
 
     output = SignalGain.scaled
 
-    def shown(self, values: Mapping[str, float]) -> float:
-        return values["s"]
-
 
 class SensorBias(Effect, row="sensor-bias"):
     """Sensor bias: a constant offset of the reading."""
@@ -168,9 +165,6 @@ class SensorDelay(SignalDelay, row="sensor-delay"):
             + (p + 1) * p * (p - 1) / 6 * after
         )
         return np.where(at < 0.0, signal[:, :1] + at * (signal[:, 1:2] - signal[:, :1]), inside)
-
-    def lag(self, values: Mapping[str, float]) -> float:
-        return values["d"]
 
 
 POSITION_UNITS = ("rad", "m")

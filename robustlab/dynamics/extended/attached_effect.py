@@ -317,20 +317,13 @@ class AttachedEffect:
 
     def to_json(self) -> dict[str, Any]:
         """Return id, texts, site, source, and parameters with value, standard deviation and unit."""
-        e, own = self.effect, {p.name: p for p in self.parameters}
         parameters = {
-            name: {"value": self.values[name], "std": self.std.get(name), "unit": p.unit, "meaning": p.meaning}
-            for name, p in own.items()
+            p.name: {"value": self.values[p.name], "std": self.std.get(p.name), "unit": p.unit, "meaning": p.meaning}
+            for p in self.parameters
         }
-        return {
-            "id": e.id,
-            "title": e.title,
-            "equation": e.equation,
-            "site": self.site.name,
-            "site_kind": self.site.kind,
-            "source": self.source,
-            "parameters": parameters,
-        }
+        texts = {name: getattr(self.effect, name) for name in ("id", "title", "equation")}
+        place = {"site": self.site.name, "site_kind": self.site.kind, "source": self.source}
+        return {**texts, **place, "parameters": parameters}
 
     def __repr__(self) -> str:
         values = ", ".join(f"{name}={value:g}" for name, value in self.values.items())
@@ -360,14 +353,12 @@ def attach(
     values: dict[str, float] = {}
     std: dict[str, float] = {}
     for parameter, value in given.items():
-        if isinstance(value, (tuple, list)):
-            if len(value) != 2:
-                raise InputError(
-                    f"{where}: {parameter}", f"{len(value)} entries", "a value or (value, standard deviation)"
-                )
-            values[parameter], std[parameter] = value
-        else:
+        if not isinstance(value, (tuple, list)):
             values[parameter] = value
+            continue
+        if len(value) != 2:
+            raise InputError(f"{where}: {parameter}", f"{len(value)} entries", "a value or (value, standard deviation)")
+        values[parameter], std[parameter] = value
     values = effect.checked({n: _number(where, n, v) for n, v in values.items()})
     sites = [s for s in effect.sites(plant, model) if {p.name for p in _parameters(effect, s)} == set(values)]
     attached = AttachedEffect(effect, _site(where, sites, place, plant), values, std)

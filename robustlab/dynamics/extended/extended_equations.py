@@ -325,9 +325,11 @@ class ExtendedEquations(SteppedPlant):
             if port.position is not None:
                 a += np.outer(port.force, stiffness * port.position)
         a += self.inertia_jacobian(x, self.mapped_input(u), acting)
-        into, out = self.signal_gains(x, u, amplitude)
+        into, out = np.ones(len(self.inputs)), np.ones(len(self.outputs))
         delays, lags = {"input": [0.0] * len(into), "output": [0.0] * len(out)}, dict[int, float]()
-        for e, k, _ in self.signal_levels(x, u):
+        for e, k, level in self.signal_levels(x, u):
+            gains = into if e.site.kind == "input" else out
+            gains[k] *= e.gain(level, amplitude)
             delays[e.site.kind][k] += e.delay
             if e.time_constant:
                 lags[k] = e.time_constant
@@ -336,14 +338,6 @@ class ExtendedEquations(SteppedPlant):
             self.states, OperatingPoint(x, u, self.output(x, u)), self.name,
         )  # fmt: skip
         return _with_delays(linear, pade, delays, lags) if pade and (lags or any(map(any, delays.values()))) else linear
-
-    def signal_gains(self, x: Array, u: Array, amplitude: Mapping[str, float]) -> tuple[Array, Array]:
-        """Return the gains of the effects on the inputs (n_u,) and outputs (n_y,) at (x, u)."""
-        into, out = np.ones(len(self.inputs)), np.ones(len(self.outputs))
-        for e, k, level in self.signal_levels(x, u):
-            gains = into if e.site.kind == "input" else out
-            gains[k] *= e.gain(level, amplitude)
-        return into, out
 
     def left_out(
         self, at: Any = None, amplitude: Mapping[str, float] | None = None, pade: int = 0

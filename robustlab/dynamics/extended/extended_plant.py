@@ -27,7 +27,7 @@ from robustlab.dynamics.linear_plant import Descriptor, LinearPlant, with_factor
 from robustlab.dynamics.parameters import Parameter
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.motion_model import local_port_model
-from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, linear_plant_of
+from robustlab.dynamics.ports.port_model import AnyPlant, linear_plant_of
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, error_context
 from robustlab.linear_analysis.structural import drop_unconnected
 from robustlab.statespace import Signal, StateSpaceModel, real_array
@@ -268,17 +268,8 @@ def _checked(e: Any, base: AnyPlant, taken: list[AttachedEffect]) -> AttachedEff
 
 
 def _extended(base: AnyPlant, effects: tuple[AttachedEffect, ...]) -> ExtendedPlant | ExtendedNonlinearPlant:
-    states = (*base.states, *_further_states(extended_model(base, effects)))
-    signals = base.inputs, base.outputs, states
-    if isinstance(base, NonlinearPlant):
-        return ExtendedNonlinearPlant(base.name, base.parameters, *signals, base, effects)
-    return ExtendedPlant(base.name, base.parameters, *signals, base, effects)
-
-
-def _further_states(model: PortModel) -> tuple[Signal, ...]:
-    """Return the states that effects have added, named after their ports."""
-    found = []
-    for k in range(model.own, len(model.A)):
+    model, states = extended_model(base, effects), list(base.states)
+    for k in range(model.own, len(model.A)):  # added by effects, named after their ports
         unit = np.eye(len(model.A))[k]
         name, of = f"effect_state_{k - model.own + 1}", ""
         for port in model.ports.values():
@@ -286,8 +277,11 @@ def _further_states(model: PortModel) -> tuple[Signal, ...]:
                 name, of = port.name, port.position_unit
             elif np.array_equal(port.velocity, unit):
                 name, of = f"{port.name}.rate", port.speed_unit
-        found.append(Signal(name, of))
-    return tuple(found)
+        states.append(Signal(name, of))
+    signals = base.inputs, base.outputs, tuple(states)
+    if isinstance(base, NonlinearPlant):
+        return ExtendedNonlinearPlant(base.name, base.parameters, *signals, base, effects)
+    return ExtendedPlant(base.name, base.parameters, *signals, base, effects)
 
 
 def without_signals(plant: ExtendedPlant, linear: StateSpaceModel, width: float) -> LinearPlant:
@@ -348,7 +342,11 @@ def _joint_terms(plant: ExtendedPlant, linear: StateSpaceModel, width: float) ->
             value, std = e.values[parameter.name], e.std.get(parameter.name, 0.0)
             if not std:
                 continue
-            first, second = (_changed(plant, e, {parameter.name: share * value}) for share in (1.25, 1.5))
+            first, second = (
+                extended_model(plant.plant, [other if item is e else item for item in plant.effects]).A - plant.model.A
+                for share in (1.25, 1.5)
+                for other in [replace(e, values={**e.values, parameter.name: share * value})]
+            )
             if not np.allclose(second, 2.0 * first, rtol=FORM_ROUNDING, atol=0.0):
                 continue
             label = f"{e.key}.{parameter.name}"
@@ -356,12 +354,6 @@ def _joint_terms(plant: ExtendedPlant, linear: StateSpaceModel, width: float) ->
             per_unit = inertia @ first / (0.25 * value)
             found[label] = Parameter(label, value, parameter.unit, tolerance, e.source, e.effect.title), per_unit
     return found
-
-
-def _changed(plant: ExtendedPlant, e: AttachedEffect, values: Mapping[str, float]) -> Array:
-    """Return the change of A for other values of an effect."""
-    other = replace(e, values={**e.values, **values})
-    return extended_model(plant.plant, [other if item is e else item for item in plant.effects]).A - plant.model.A
 
 
 def _structure(plant: ExtendedPlant, linear: StateSpaceModel) -> Callable[[Mapping[str, float]], list[Array]]:

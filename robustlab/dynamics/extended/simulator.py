@@ -202,32 +202,24 @@ class Simulator:
         seen = self._seen(values, late)
         start = self._start(model, values, seen, x0, windows, about)
         states, forces = self._step(model, self.laws(values), seen, start, windows, about)
-        u = None
+        direct = 0.0
         if model.D.any():
             u = [signal.samples(d / self.dt) for signal, d in zip(self._inputs, late, strict=True)]
             u = np.column_stack(self._mapped(u, values, self.dt))[windows.starts[:, None] + np.arange(windows.length)]
+            d = model.D if about is None else model.D[about.points].reshape(*u.shape[:2], *model.D.shape[1:])
+            direct = (d @ u[..., None])[..., 0]
         runs = np.split(states, len(states) // len(windows.starts)) if len(windows.starts) else [states]
-        outputs = np.concatenate([self._measured(self.plain_outputs(run, about, model, u), values) for run in runs])
-        return Motion(states, outputs, forces, about, model)
-
-    def _measured(self, outputs: Array, values: Sequence[Mapping[str, float]]) -> Array:
-        """Apply the effects on the outputs of one run, in place."""
+        outputs = np.concatenate([_outputs_along(about, model, run) + direct for run in runs])
+        runs = np.split(outputs, len(runs))  # views
         for (effect, site), v in zip(self.effects, values, strict=True):
             if site.kind == "output":
                 k = [s.name for s in self.plant.outputs].index(site.name)
-                outputs[:, :, k] = effect.output(outputs[:, :, k], v, self.dt)
-        return outputs
+                for run in runs:
+                    run[:, :, k] = effect.output(run[:, :, k], v, self.dt)
+        return Motion(states, outputs, forces, about, model)
 
     def laws(self, values: Sequence[Mapping[str, float]]) -> list[Law]:
         return [law for (e, site), v in zip(self.effects, values, strict=True) for law in e.laws(site, v)]
-
-    def plain_outputs(self, states: Array, about: MotionModel | None, model: PortModel, u: Array | None) -> Array:
-        """Return outputs (n_windows, length, n_y) before effects on them; u: inputs if the plant has a direct term."""
-        outputs = states @ model.C.T if about is None else _outputs_along(about, model, states)
-        if u is not None and model.D.any():
-            d = model.D if about is None else model.D[about.points].reshape(*u.shape[:2], *model.D.shape[1:])
-            outputs = outputs + (d @ u[..., None])[..., 0]
-        return outputs
 
     def model(self, factors: Mapping[str, float], values: Sequence[Mapping[str, float]]) -> PortModel:
         """Return the linear equations with effects; of a nonlinear plant at some points of its motion."""
@@ -466,8 +458,10 @@ def _in_steps(b: Array, phi: Array, psi: Array, ramp: Array, rising: bool) -> tu
     return np.array([phi @ phi, phi, phi]), psi, np.array([phi @ first + second, first, second])
 
 
-def _outputs_along(about: MotionModel, model: PortModel, motion: Array) -> Array:
-    """Return outputs of states (n_windows, length, n) along a motion, without direct terms."""
+def _outputs_along(about: MotionModel | None, model: PortModel, motion: Array) -> Array:
+    """Return outputs of states (n_windows, length, n), without direct terms."""
+    if about is None:
+        return motion @ model.C.T
     if (model.C[0] == model.C).all():
         return motion @ model.C[0].T + about.offsets.reshape(*motion.shape[:2], -1)
     c = model.C[about.points].reshape(*motion.shape[:2], *model.C.shape[1:])

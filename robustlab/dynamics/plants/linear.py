@@ -10,13 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from robustlab.arrays import Array
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.parameters import overridden, published
 from robustlab.errors import InputError, unknown_name
-from robustlab.statespace import MAX_STATES, Signal, real_array
+from robustlab.statespace import MAX_STATES, Signal
 
 _PUBLISHED = published(Path(__file__).with_name("parameters.toml"))
 
@@ -158,7 +156,7 @@ def _brushless_motor(p: Any) -> Descriptor:
 
 def linear_actuator(**given: Any) -> LinearPlant:
     """Return a linear actuator on its test jig: DC motor, gears, ball screw, cart; defaults: the thesis' leg."""
-    # Březina 2010, section 7.2 (gears, motor) and chapter 11 (jig; eq. 11.1 is `cart_travel`).
+    # Březina 2010, section 7.2 (gears, motor) and chapter 11 (jig).
     return LinearPlant(
         "linear-actuator",
         overridden(_PUBLISHED["linear-actuator"], given, "linear-actuator"),
@@ -170,16 +168,7 @@ def linear_actuator(**given: Any) -> LinearPlant:
     )
 
 
-def cart_travel(plant: LinearPlant, phi: ArrayLike) -> Array:
-    r"""Return the cart's travel in m at the motor angles phi (n,) in rad: :math:`q = h \varphi` (eq. 11.1)."""
-    return np.asarray(_travel_per_radian(plant.values) * real_array("phi", phi, 1, plant.name))
-
-
-def _travel_per_radian(p: Any) -> float:
-    return p["lead"] / (2 * math.pi * p["ratio"])
-
-
 def _linear_actuator(p: Any) -> Descriptor:
-    h = _travel_per_radian(p)
+    h = p["lead"] / (2 * math.pi * p["ratio"])  # travel of the cart per angle of the motor (eq. 11.1)
     inertia = p["J"] + p["J_nut"] / p["ratio"] ** 2 + (p["m_screw"] + p["m_cart"]) * h**2
     return motor_equations(p, inertia)

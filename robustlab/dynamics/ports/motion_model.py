@@ -164,7 +164,9 @@ def exponentials(a: Array, h: float) -> tuple[Array, Array, Array]:
     size = float(np.abs(a).sum(axis=-1).max(initial=0.0)) * h
     doublings = max(0, int(np.ceil(np.log2(size / SMALL)))) if size > 0.0 else 0
     z, one = a * (h / 2.0**doublings), np.eye(a.shape[-1])
-    second = _series(z)
+    second = np.broadcast_to(one / math.factorial(TERMS + 2), z.shape)
+    for j in range(TERMS - 1, -1, -1):  # sum of z^j / (j + 2)! by Horner's rule
+        second = one / math.factorial(j + 2) + z @ second
     first = one + z @ second
     zeroth = one + z @ first
     for _ in range(doublings):
@@ -172,12 +174,3 @@ def exponentials(a: Array, h: float) -> tuple[Array, Array, Array]:
         first = 0.5 * (zeroth @ first + first)
         zeroth = zeroth @ zeroth
     return zeroth, h * first, h * (2.0 * second - first)
-
-
-def _series(z: Array) -> Array:
-    r"""Return :math:`\sum_j z^j / (j + 2)!` of small z, by Horner's rule."""
-    one = np.eye(z.shape[-1])
-    found = np.broadcast_to(one / math.factorial(TERMS + 2), z.shape)
-    for j in range(TERMS - 1, -1, -1):
-        found = one / math.factorial(j + 2) + z @ found
-    return found

@@ -157,14 +157,11 @@ def singularity(geometry: Geometry, poses: ArrayLike) -> Array:
 def check_pose(geometry: Geometry, pose: ArrayLike, where: str) -> Array:
     """Return the pose (6,) if it is within the workspace and not singular."""
     array = real_array_of_one(pose, where)
-    found, matrix = np.empty((1, 6)), np.empty((1, 6, 6))
-    kernels().jacobians(array[None], geometry.legs, geometry.c, found, matrix)
-    lengths = found[0]
+    lengths = inverse_kinematics(geometry, array)
     low, high = geometry.limits
-    if lengths.min() < low - SLACK or lengths.max() > high + SLACK:
-        beyond = (lengths < low - SLACK) | (lengths > high + SLACK)
+    count = int(((lengths < low - SLACK) | (lengths > high + SLACK)).sum())
+    if count:
         i = int(np.argmax(np.maximum(low - lengths, lengths - high)))
-        count = int(beyond.sum())
         more = f" ({count} of 6 actuators are out of range)" if count > 1 else ""
         raise InputError(
             where,
@@ -172,11 +169,10 @@ def check_pose(geometry: Geometry, pose: ArrayLike, where: str) -> Array:
             f"{1e3 * low:.6g} .. {1e3 * high:.6g} mm",
             "the limits are the parameters L_min and L_max",
         )
-    matrix[0, :, 3:] /= geometry.radius
-    sigma = np.linalg.svd(matrix[0], compute_uv=False)
-    if not sigma[5] > SINGULAR * sigma[0]:
+    smallest, largest = singularity(geometry, array)
+    if not smallest > SINGULAR * largest:
         raise NoTrustworthyNumber(
-            where, f"singular pose: the Jacobian's smallest singular value is {sigma[5]:.3g}", None,
+            where, f"singular pose: the Jacobian's smallest singular value is {smallest:.3g}", None,
             "the actuators cannot hold the platform there",
         )  # fmt: skip
     return array

@@ -127,10 +127,6 @@ class StewartPlatform(PlantAlong):
         object.__setattr__(self, "constants", constants(values))
         self.constants.setflags(write=False)
 
-    def with_parameters(self, **given: Any) -> StewartPlatform:
-        parameters = overridden(self.parameters.values(), given, self.name)
-        return StewartPlatform(self.name, parameters, self.inputs, self.outputs, self.states, self.preset, self.motors)
-
     def poses(self, phi: ArrayLike, start: ArrayLike | None = None) -> Array:
         """Return poses (n, 6) at the nut angles (n, 6), or (6,) at (6,); proved by `direct_kinematics`."""
         angles, one = poses_array(phi, "phi")
@@ -252,9 +248,8 @@ class StewartPlatform(PlantAlong):
         if hold is not None:
             raise InputError(f"{self.name}: hold", f"{', '.join(hold)}", "None: the pose is held")
         pose = self.poses(trim.x[:6]) if trim.pose is None else trim.pose
-        limits = {
-            name: self.values[name] for name in ("L_min", "L_max")
-        }  # limits of the travel do not matter at the point
+        # limits of the travel do not matter at the point
+        limits = {name: self.values[name] for name in ("L_min", "L_max")}
 
         def matrices(values: Mapping[str, float]) -> Array:
             p = {**values, **limits}
