@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -84,14 +83,11 @@ class DirectPoses:
     """Poses found by Newton's method, each with its certificate; arrays of n rows."""
 
     poses: Array  # shape (n, 6)
-    lengths: Array  # required actuator lengths, (n, 6)
     # true where the Newton-Kantorovich theorem proves a unique pose within ``radius``
     proved: NDArray[np.bool_]
     # Kantorovich's number (at most 1/2), and the bound on |dT|, r_p |d angles| to the exact pose in m
     h: Array
     radius: Array
-    residual: Array  # euclidean norm of the lengths' errors in m
-    iterations: NDArray[np.int64]  # Newton steps; -1: singular Jacobian
 
     @property
     def pose(self) -> Array:
@@ -103,10 +99,6 @@ class DirectPoses:
     @property
     def status(self) -> Status:
         return Status.CERTIFIED if self.proved.all() else Status.INCONCLUSIVE
-
-    def to_json(self) -> dict[str, Any]:
-        names = ("poses", "lengths", "proved", "h", "radius", "residual", "iterations")
-        return {**{name: getattr(self, name) for name in names}, "status": self.status}
 
 
 def direct_kinematics(geometry: Geometry, lengths: ArrayLike, start: ArrayLike | None = None) -> DirectPoses:
@@ -127,8 +119,8 @@ def direct_kinematics(geometry: Geometry, lengths: ArrayLike, start: ArrayLike |
         seeds = np.array(np.broadcast_to(seed, target.shape), order="C")
     poses, facts = np.empty_like(target), np.empty((len(target), 4))
     kernels().direct_poses(target, seeds, geometry.legs, geometry.c, LIMIT, poses, facts)
-    proved = (facts[:, 0] >= 0) & (facts[:, 1] <= 0.5)
-    return DirectPoses(poses, target, proved, facts[:, 1], facts[:, 2], facts[:, 3], facts[:, 0].astype(np.int64))
+    proved = (facts[:, 0] >= 0) & (facts[:, 1] <= 0.5)  # facts: Newton steps (-1: singular), h, radius, residual
+    return DirectPoses(poses, proved, facts[:, 1], facts[:, 2])
 
 
 # Allowed excess of a limit in m: rounding of a published limit pose.

@@ -257,9 +257,10 @@ class PlantEquations:
         rates = dict(self._rates)
         for position, velocity, _ in self._joints:
             rates[position] = self._symbols[velocity]
-        missing = [s.name for s in self._states if s.name not in rates and not self._moved(s.name)]
+        joints = [v for _, v, _ in self._joints]
+        moved = joints if self._motion is not None else []
+        missing = [s.name for s in self._states if s.name not in rates and s.name not in moved]
         if missing:
-            joints = [v for _, v, _ in self._joints]
             kind = "the velocity of a joint" if missing[0] in joints else "a state"
             raise InputError(
                 f"{self._where}: {missing[0]!r}",
@@ -270,7 +271,7 @@ class PlantEquations:
         rows = {name: (expression, ca.jacobian(expression, z)) for name, expression in rates.items()}
         if self._motion is not None:
             matrix, forces = self._motion
-            both = next((v for _, v, _ in self._joints if v in self._rates), None)
+            both = next((v for v in joints if v in self._rates), None)
             if both is not None:
                 raise InputError(f"{self._where}: {both!r}", "p.rate and p.motion for one joint", "one of them")
             n = len(self._joints)
@@ -284,14 +285,11 @@ class PlantEquations:
             held = ca.SX.sym("a", n)
             rest = ca.jacobian(forces - ca.mtimes(matrix, held), z)
             slopes = ca.sparsify(ca.ldl_solve(ca.substitute(rest, held, a), *factor))
-            rows |= {v: (a[k], slopes[k, :]) for k, (_, v, _) in enumerate(self._joints)}
+            rows |= {v: (a[k], slopes[k, :]) for k, v in enumerate(joints)}
         found = [rows[s.name] for s in self._states]
         jacobian = ca.vertcat(*(slope for _, slope in found))
         split = x.numel() + u.numel()
         return ca.vertcat(*(rate for rate, _ in found)), jacobian[:, :split], jacobian[:, split:]
-
-    def _moved(self, name: str) -> bool:
-        return self._motion is not None and any(name == v for _, v, _ in self._joints)
 
     def _check_symbols(self, pushes: list[Any]) -> None:
         """Check that all symbols belong to the plant, and that outputs and masses contain no forces."""
@@ -371,10 +369,10 @@ class PlantEquations:
 
     def _name_of(self, symbol: Any) -> str:
         """Return the name of a state given by its symbol or name, or the argument as text."""
-        for name, known in self._symbols.items():
-            one = isinstance(symbol, self._ca.SX) and symbol.shape == (1, 1)
-            if one and known.element_hash() == symbol.element_hash():
-                return name
+        if isinstance(symbol, self._ca.SX) and symbol.shape == (1, 1):
+            for name, known in self._symbols.items():
+                if known.element_hash() == symbol.element_hash():
+                    return name
         return str(symbol)
 
     def _matrix(self, given: Any, shape: tuple[int, int], what: str) -> Any:
