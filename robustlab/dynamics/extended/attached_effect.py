@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -339,9 +339,7 @@ def _parameters(effect: Effect, site: Site) -> tuple[EffectParameter, ...]:
     return effect.parameters(Scales(force_unit="N" if site.kind in ("joint", "current") else ""))
 
 
-def attach(
-    key: str, given: Mapping[str, Any], plant: AnyPlant, model: PortModel, taken: Iterable[AttachedEffect] = ()
-) -> AttachedEffect:
+def attach(key: str, given: Mapping[str, Any], plant: AnyPlant, model: PortModel) -> AttachedEffect:
     """Return the effect ``"id"`` or ``"id@site"`` with the given values at its only, or named, site."""
     from robustlab.dynamics.effects.catalogue import effect as named
 
@@ -361,10 +359,7 @@ def attach(
         values[parameter], std[parameter] = value
     values = effect.checked({n: _number(where, n, v) for n, v in values.items()})
     sites = [s for s in effect.sites(plant, model) if {p.name for p in _parameters(effect, s)} == set(values)]
-    attached = AttachedEffect(effect, _site(where, sites, place, plant), values, std)
-    if any(other.effect.id == name and other.site == attached.site for other in taken):
-        raise InputError(f"{where} at {attached.site}", "given twice", "each effect once at a site")
-    return attached
+    return AttachedEffect(effect, _site(where, sites, place, plant), values, std)
 
 
 def _site(where: str, sites: list[Site], place: str, plant: AnyPlant) -> Site:

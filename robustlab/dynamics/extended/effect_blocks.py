@@ -332,8 +332,7 @@ def effect_blocks(
         raise InputError("effect_blocks", type(plant).__name__, "a linear plant, with or without effects")
     if outputs is None:
         return made
-    m, (_, p) = made.model.M, made.model.delta_shape
-    kept = drop_unconnected(m.select(m.input_names, [*m.output_names[:p], *outputs]))
+    kept = drop_unconnected(made.model.select(outputs=outputs).M)
     return dataclasses.replace(made, model=UncertainModel(kept, made.model.blocks))
 
 
@@ -615,21 +614,19 @@ def loaded_model(
 ) -> tuple[StateSpaceModel, tuple[NoiseInput, ...]]:
     """Return the linear model with bounded loads of a nonlinear plant with effects at a trim, and these loads."""
     linear, ports = plant.linear_model(at), plant.about(at.x, plant.mapped_input(at.u)).model.ports
-    loads, columns = [], []
-    for e in plant.effects:
-        if _is_linear(e) or not e.effect.nameable:
-            continue
-        load, way = _load(plant, ports, e, sigmas)
+    effects = [e for e in plant.effects if not _is_linear(e) and e.effect.nameable]
+    made = [_load(plant, ports, e, sigmas) for e in effects]
+    loads = tuple(load for load, _ in made)
+    for e, load in zip(effects, loads, strict=True):
         if not np.isfinite(load.bound):
             raise InputError(f"loads of {e.in_words}", "no bound whatever the motion", "effects that have one")
-        loads.append(load)
-        columns.append(load.bound * (linear.B[:, way] if isinstance(way, int) else way.force))
+    columns = [load.bound * (linear.B[:, way] if isinstance(way, int) else way.force) for load, way in made]
     b = np.column_stack([*columns, linear.B])
     d = np.hstack([np.zeros((len(linear.C), len(loads))), linear.D])
     inputs = [*((load.name, "1") for load in loads), *linear.inputs]
     point = OperatingPoint(at.x, np.concatenate([np.zeros(len(loads)), at.u]), at.y)
     model = StateSpaceModel(linear.A, b, linear.C, d, 0.0, inputs, linear.outputs, linear.states, point, plant.name)
-    return model, tuple(loads)
+    return model, loads
 
 
 def _is_linear(e: AttachedEffect) -> bool:

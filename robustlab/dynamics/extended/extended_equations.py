@@ -20,6 +20,7 @@ from robustlab.delays.approximation import pade as rational_delay
 from robustlab.display import AllFields, listed
 from robustlab.dynamics.effects.contract import Footprint, Law
 from robustlab.dynamics.extended.attached_effect import (
+    DEFAULT_AMPLITUDE,
     AttachedEffect,
     holding_force,
     is_set_valued,
@@ -347,7 +348,8 @@ class ExtendedEquations(SteppedPlant):
         found: dict[int, LeftOut] = {}
 
         def note(e: AttachedEffect, reason: str) -> None:
-            found.setdefault(id(e), LeftOut(e, reason, _footprint(e, amplitude)))
+            footprint = e.footprint(amplitude.get(e.site.name, DEFAULT_AMPLITUDE))
+            found.setdefault(id(e), LeftOut(e, reason, footprint))
 
         for e, law, port in self.laws:
             q, v = _motion(port, x)
@@ -360,7 +362,7 @@ class ExtendedEquations(SteppedPlant):
             else:
                 note(e, "nonlinear: the model has its slopes at the point only")
         for e, _, level in self.signal_levels(x, u):
-            seen_by = _footprint(e, amplitude)
+            seen_by = e.footprint(amplitude.get(e.site.name, DEFAULT_AMPLITUDE))
             if e.delay:
                 words = f"as a Padé approximation of order {pade}" if pade else "left out"
                 note(e, f"a delay of {e.delay:g} s, {words}")
@@ -391,10 +393,6 @@ class ExtendedEquations(SteppedPlant):
         if isinstance(pade, bool) or not isinstance(pade, int) or not 0 <= pade <= HIGHEST_PADE:
             raise InputError("linearise: pade", f"{pade!r}", f"an order from 0 to {HIGHEST_PADE}")
         return x, u, amplitude or {}
-
-
-def _footprint(e: AttachedEffect, amplitude: Mapping[str, float]) -> Footprint | None:
-    return e.footprint(amplitude[e.site.name]) if e.site.name in amplitude else e.footprint()
 
 
 def _motion(port: Port, x: Array) -> tuple[float, float]:

@@ -27,7 +27,7 @@ from robustlab.dynamics.linear_plant import Descriptor, LinearPlant, with_factor
 from robustlab.dynamics.parameters import Parameter
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.motion_model import local_port_model
-from robustlab.dynamics.ports.port_model import AnyPlant, linear_plant_of
+from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, linear_plant_of
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, error_context
 from robustlab.linear_analysis.structural import drop_unconnected
 from robustlab.statespace import Signal, StateSpaceModel, real_array
@@ -195,10 +195,10 @@ class ExtendedPlant(ExtendedEquations):
         signals = self.signal_levels(point.x, point.u)
         whole = with_signals(without_signals(self, linear, width).uncertain(), signals, {}, width)
         _check(self, whole, linear, width)
+        whole = UncertainModel(whole.M, whole.blocks, point)
         if outputs is None:
-            return UncertainModel(whole.M, whole.blocks, point)
-        kept = whole.M.select(whole.M.input_names, [*(s.name for s in whole.M.outputs[: -len(self.outputs)]), *outputs])
-        return UncertainModel(drop_unconnected(kept), whole.blocks)
+            return whole
+        return UncertainModel(drop_unconnected(whole.select(outputs=outputs).M), whole.blocks)
 
 
 @error_context("with_effects")
@@ -240,30 +240,28 @@ def with_effects(
         base, attached = plant.plant, list(plant.effects)
     else:
         base, attached = plant if isinstance(plant, NonlinearPlant) else linear_plant_of(plant, "with_effects"), []
-    if isinstance(effects, Mapping):
-        table: Mapping[Any, Any] = effects
-        for key, values in table.items():
-            attached.append(attach(key, values, base, extended_model(base, attached), attached))
-    else:
-        if not isinstance(effects, AttachedEffect | Iterable):
-            raise InputError("with_effects: effects", repr(effects), "effects with their parameters, {name: {...}}")
-        for e in (effects,) if isinstance(effects, AttachedEffect) else effects:
-            attached.append(_checked(e, base, attached))
+    if not isinstance(effects, AttachedEffect | Iterable):
+        raise InputError("with_effects: effects", repr(effects), "effects with their parameters, {name: {...}}")
+    given: Iterable[Any] = (effects,) if isinstance(effects, AttachedEffect) else effects
+    for one in given:
+        model = extended_model(base, attached)
+        e = attach(one, effects[one], base, model) if isinstance(effects, Mapping) else _checked(one, base, model)
+        if any((other.effect.id, other.site) == (e.effect.id, e.site) for other in attached):
+            raise InputError(f"effect {e.effect.id} at {e.site}", "given twice", "each effect once at a site")
+        attached.append(e)
     if not attached:
         raise InputError("with_effects", "no effect", "at least one")
     return _extended(base, tuple(attached))
 
 
-def _checked(e: Any, base: AnyPlant, taken: list[AttachedEffect]) -> AttachedEffect:
-    """Return the attached effect if the plant has its place, without the same effect there."""
+def _checked(e: Any, base: AnyPlant, model: PortModel) -> AttachedEffect:
+    """Return the attached effect if the plant has its place."""
     if not isinstance(e, AttachedEffect):
         raise InputError("with_effects", f"{e!r}", "a table of effects, or attached effects")
-    names = [site.name for site in e.effect.sites(base, extended_model(base, taken)) if site.kind == e.site.kind]
+    names = [site.name for site in e.effect.sites(base, model) if site.kind == e.site.kind]
     if e.site.name not in names:
         hint = did_you_mean(e.site.name, names)
         raise InputError(f"effect {e.effect.id}: site {e.site.name!r}", "no such place", ", ".join(names), hint)
-    if any((other.effect.id, other.site) == (e.effect.id, e.site) for other in taken):
-        raise InputError(f"effect {e.effect.id} at {e.site}", "given twice", "each effect once at a site")
     return e
 
 
