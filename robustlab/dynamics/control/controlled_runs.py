@@ -61,15 +61,12 @@ class ControlledRuns(Displayable):
     after: float
     told: Facts
     notes: tuple[str, ...]
+    status: Status = Status.CONVERGED
 
     @property
     def errors(self) -> Mapping[str, Array]:
         """Controller -> error over time."""
         return self.panels[0].curves
-
-    @property
-    def status(self) -> Status:
-        return Status.CONVERGED
 
     def headline(self) -> str:
         return f"simulated under {len(self.controllers)} controllers"
@@ -203,11 +200,6 @@ class Path(NamedTuple):
     t_end: float = 5.0
     points: int = 2501
 
-    @property
-    def words(self) -> str:
-        """The path in words."""
-        return f"a lift of {5 * self.scale:g} mm, then sines of {5 * self.scale:g} mm and {20 * self.scale:g} mrad"
-
 
 def follow_path(
     plant: Any, controllers: Mapping[str, Any], path: Path, after: float = 3.0, p_low: float = 3000.0
@@ -249,7 +241,9 @@ def follow_path(
         ("in limits", ("within_limits",), 1.0),
     )
     pose = "home" if path.at is None else ", ".join(f"{v:g}" for v in path.at)
-    facts = [("path begins at", pose), ("path", path.words), below]
+    size = f"{5 * path.scale:g} mm"
+    words = f"a lift of {size}, then sines of {size} and {20 * path.scale:g} mrad"
+    facts = [("path begins at", pose), ("path", words), below]
     limits = "torque and voltage" if curves["voltage"] else "torque"
     note = f"Nothing is clipped: 'in limits' says whether the motors' {limits} would have been enough."
     kept = tuple(panel for panel in panels if panel.curves)

@@ -7,7 +7,6 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -80,23 +79,21 @@ def upper_layer(Kp: Array, Kd: Array, Ki: Array) -> StateSpaceModel:
     return StateSpaceModel(none, b, Ki, d, 0.0, _ABOVE, _TORQUES, where="two-layer: upper layer")
 
 
-def two_layer(
-    plant: StewartPlatform, p_up: float = 236.0, p_low: float = 3000.0, at: Trim | None = None, rotor_J: float = ROTOR
-) -> LayeredController:
+def two_layer(plant: StewartPlatform, p_up: float = 236.0, p_low: float = 3000.0) -> LayeredController:
     """Design the two-layer controller of a Stewart platform with motors."""
     if not (isinstance(plant, StewartPlatform) and plant.motors):
         raise InputError("two_layer", "a plant without motors", 'plant("stewart-platform", motors=True)')
-    for name, value in (("p_up", p_up), ("p_low", p_low), ("rotor_J", rotor_J)):
+    for name, value in (("p_up", p_up), ("p_low", p_low)):
         if not float(real_array(name, value, 0, "two_layer")) > 0:
             raise InputError(f"two_layer: {name}", f"{value:g}", "a positive number")
-    point = trim(plant) if at is None else at
+    point = trim(plant)
     p, a, one = plant.values, linearise(plant, point).A, np.eye(6)
     gain = a[6:12, 12:] / p["Km"]
     stiffness, damping = a[6:12, :6], a[6:12, 6:12] + gain * p["Kf"] * p["ratio"]  # the motor's own damping is in m
     right = np.hstack([3 * p_up**2 * one + stiffness, 3 * p_up * one + damping, p_up**3 * one])
     upper = np.asarray(np.linalg.solve(gain, right), dtype=np.float64)
     motor = {name: p[name] for name in ("R", "L", "Km", "Kb", "Kf")}
-    gains = torque_gains(p_low, J=rotor_J, **motor)
+    gains = torque_gains(p_low, J=ROTOR, **motor)
     return LayeredController(upper_layer(upper[:, :6], upper[:, 6:12], upper[:, 12:]), gains, point)
 
 
@@ -212,11 +209,6 @@ class TrajectoryFollowing:
         """True if no sample exceeds the motors' torque or voltage."""
         within = self.largest_torque().max() <= MOST_TORQUE
         return bool(within and self.largest_voltage().max(initial=0.0) <= MOST_VOLTAGE)
-
-    def to_json(self) -> dict[str, Any]:
-        peaks = {"largest_torque": self.largest_torque(), "largest_voltage": self.largest_voltage()}
-        limits = {"torque": MOST_TORQUE, "voltage": MOST_VOLTAGE}
-        return {**vars(self), **peaks, "limits": limits, "within_limits": self.within_limits}
 
 
 def _followed(

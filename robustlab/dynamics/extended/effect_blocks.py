@@ -26,9 +26,9 @@ from robustlab.dynamics.extended.extended_plant import (
     ExtendedNonlinearPlant,
     ExtendedPlant,
     with_effects,
+    with_signals,
     without_signals,
 )
-from robustlab.dynamics.extended.signal_blocks import with_signals
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant, tied_plant
 from robustlab.dynamics.plant_contract import Trim
 from robustlab.dynamics.ports.port_model import Port, PortModel, port_model
