@@ -108,7 +108,11 @@ def simulate(
     title = name or getattr(plant_or_model, "name", None) or "simulation"
     clock = Record(t, name="simulate").t
     force = sampled_inputs(model.inputs, u, len(clock))
-    start = _start(model.H if isinstance(model, DelayedModel) else model, x0)
+    inner = model.H if isinstance(model, DelayedModel) else model
+    start = np.zeros(inner.n_states) if x0 is None else real_array("x0", x0, 1, "simulate")
+    if len(start) != inner.n_states:
+        states = ", ".join(inner.state_names) or "none"
+        raise InputError("simulate", f"x0 has {len(start)} entries", f"{inner.n_states} (states: {states})")
     if hold not in ("zoh", "foh"):
         raise InputError("simulate: hold", f"{hold!r} for a linear model", "'zoh' or 'foh'")
     with np.errstate(over="ignore", invalid="ignore"):
@@ -164,14 +168,6 @@ def step_response(model: Any, t_end: float | None, input_name: str | None) -> Re
     return simulate(
         given, clock, {name: np.full(len(clock), float(name == (input_name or names[0]))) for name in names}
     )
-
-
-def _start(model: StateSpaceModel, x0: Any) -> Array:
-    start = np.zeros(model.n_states) if x0 is None else real_array("x0", x0, 1, "simulate")
-    if len(start) != model.n_states:
-        states = ", ".join(model.state_names) or "none"
-        raise InputError("simulate", f"x0 has {len(start)} entries", f"{model.n_states} (states: {states})")
-    return start
 
 
 def _simulate_nonlinear(

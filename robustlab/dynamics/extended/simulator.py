@@ -22,6 +22,7 @@ from robustlab.dynamics.ports.motion_model import (
     MotionModel,
     exponentials,
     motion_model,
+    times,
     with_factors,
 )
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, port_model
@@ -207,7 +208,7 @@ class Simulator:
             u = [signal.samples(d / self.dt) for signal, d in zip(self._inputs, late, strict=True)]
             u = np.column_stack(self._mapped(u, values, self.dt))[windows.starts[:, None] + np.arange(windows.length)]
             d = model.D if about is None else model.D[about.points].reshape(*u.shape[:2], *model.D.shape[1:])
-            direct = (d @ u[..., None])[..., 0]
+            direct = times(d, u)
         runs = np.split(states, len(states) // len(windows.starts)) if len(windows.starts) else [states]
         outputs = np.concatenate([_outputs_along(about, model, run) + direct for run in runs])
         runs = np.split(outputs, len(runs))  # views
@@ -315,7 +316,7 @@ class Simulator:
         phi, psi, gamma_u, drift, stride = self._table(model, u.shape[1], about)
         push = np.zeros((phi.shape[1], len(laws), phi.shape[-1]))
         for j, law in enumerate(laws):
-            push[:, j] = (psi @ model.ports[law.port].force[..., None])[..., 0]
+            push[:, j] = times(psi, model.ports[law.port].force)
         whole = push @ np.swapaxes(phi[1], 1, 2) + push
         # Windows of a nonlinear plant need not be consecutive: x0 sets all states.
         own = model.own if about is None else phi.shape[-1]
@@ -465,7 +466,7 @@ def _outputs_along(about: MotionModel | None, model: PortModel, motion: Array) -
     if (model.C[0] == model.C).all():
         return motion @ model.C[0].T + about.offsets.reshape(*motion.shape[:2], -1)
     c = model.C[about.points].reshape(*motion.shape[:2], *model.C.shape[1:])
-    return (c @ motion[..., None])[..., 0] + about.offsets.reshape(*motion.shape[:2], -1)
+    return times(c, motion) + about.offsets.reshape(*motion.shape[:2], -1)
 
 
 def exponential(a: Array, h: float) -> tuple[Array, Array, Array]:
