@@ -28,10 +28,9 @@ from robustlab.dynamics.extended.attached_effect import (
     slopes,
     steady_force,
 )
-from robustlab.dynamics.extended.nonlinear_steps import About, generic_model
-from robustlab.dynamics.extended.simulator import Simulator
+from robustlab.dynamics.extended.nonlinear_steps import About, factors_of, generic_model, with_linear_parts
 from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant, Trim, point_of
-from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel
+from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, port_model
 from robustlab.dynamics.rest import PASSES, trim_conditions
 from robustlab.dynamics.simulation import CLOCK_JITTER
 from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
@@ -89,9 +88,7 @@ def extended_model(plant: AnyPlant, effects: Iterable[AttachedEffect]) -> PortMo
     attached = list(effects)
     if isinstance(plant, NonlinearPlant):
         return generic_model(plant, attached)
-    none = np.zeros((1, len(plant.inputs)))
-    run = Simulator(plant, [(e.effect, e.site) for e in attached], none, NOMINAL_STEP)
-    return run.model({}, [e.values for e in attached])
+    return with_linear_parts(port_model(plant, factors_of(plant, attached)), attached)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

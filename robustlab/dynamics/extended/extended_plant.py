@@ -19,6 +19,7 @@ from robustlab.dynamics.extended.extended_equations import NOMINAL_STEP, Extende
 from robustlab.dynamics.extended.nonlinear_steps import (
     About,
     Drive,
+    factors_of,
     load_coordinates,
     march,
     point_model,
@@ -92,14 +93,17 @@ class ExtendedNonlinearPlant(ExtendedEquations):
         states, outputs = self._stepped(_drive(self, u, dt, t0, parts, hold), x0, None)
         if step is not None:
             return states[::parts], outputs[::parts]
-        off = np.inf
+        off, units = np.inf, np.array([s.unit for s in self.states])
         for _ in range(MOST_HALVINGS):
             coarse, parts = states, 2 * parts
             between = np.arange(len(u) * parts) / 2.0
             guess = np.column_stack([np.interp(between, np.arange(len(coarse)), column) for column in coarse.T])
             states, outputs = self._stepped(_drive(self, u, dt, t0, parts, hold), x0, guess)
-            found, before = states[::parts], coarse[:: parts // 2]
-            off = self._difference(found, before)
+            found = states[::parts]
+            size, off_by = (np.sqrt(np.mean(x**2, axis=0)) for x in (found, found - coarse[:: parts // 2]))
+            # RMS difference, relative to the largest state of the same unit
+            shares = [off_by[units == unit].max() / max(size[units == unit].max(), STILL) for unit in set(units)]
+            off = float(max(shares, default=0.0))
             if off <= HALVED:
                 return found, outputs[::parts]
         raise NoTrustworthyNumber(
@@ -119,13 +123,6 @@ class ExtendedNonlinearPlant(ExtendedEquations):
                 k = [s.name for s in self.outputs].index(e.site.name)
                 outputs[:, k] = e.effect.output(outputs[None, :, k], e.values, drive.h)[0]
         return states, outputs
-
-    def _difference(self, one: Array, other: Array) -> float:
-        """Return the RMS difference of two motions, relative to the largest state of the same unit."""
-        size, off = (np.sqrt(np.mean(motion**2, axis=0)) for motion in (one, one - other))
-        units = np.array([s.unit for s in self.states])
-        shares = (off[units == unit].max() / max(size[units == unit].max(), STILL) for unit in dict.fromkeys(units))
-        return float(max(shares, default=0.0))
 
     def search_start(self, where: Mapping[str, Any]) -> tuple[Array, Mapping[str, Any]]:
         signals = {s.name for s in (*self.states, *self.inputs, *self.outputs)}
@@ -292,7 +289,7 @@ def without_signals(plant: ExtendedPlant, linear: StateSpaceModel, width: float)
     parameters = {name: replace(p, value=scaled[name]) for name, p in base.parameters.items()}
     tied: dict[str, list[str]] = {}
     for e in plant.effects:
-        names = list(_scaled_by(plant, e))
+        names = list(factors_of(base, [e]))
         if not (names and e.scale and e.scale_std):
             continue
         tolerance = width * e.scale_std / e.scale
@@ -320,17 +317,9 @@ def without_signals(plant: ExtendedPlant, linear: StateSpaceModel, width: float)
     return LinearPlant(plant.name, parameters, plant.inputs, plant.outputs, plant.states, equations, base.exact)
 
 
-def _scaled_by(plant: ExtendedPlant, e: AttachedEffect) -> dict[str, float]:
-    """Return plant parameter -> factor of the effect."""
-    return e.effect.factors(plant.plant, e.site, e.values)
-
-
 def _scaled_values(plant: ExtendedPlant) -> dict[str, float]:
-    values = plant.plant.values
-    for e in plant.effects:
-        for name, factor in _scaled_by(plant, e).items():
-            values[name] *= factor
-    return values
+    base, factors = plant.plant, factors_of(plant.plant, plant.effects)
+    return base.values | {name: base.parameters[name].reference * factor for name, factor in factors.items()}
 
 
 def _joint_terms(plant: ExtendedPlant, linear: StateSpaceModel, width: float) -> dict[str, tuple[Parameter, Array]]:
@@ -386,12 +375,12 @@ def _check(plant: ExtendedPlant, whole: UncertainModel, linear: StateSpaceModel,
     """Check that the set includes the nominal model, and the plant with every deviation at its upper end."""
     changed = {n: (p.value + p.radius, 0.0) for n, p in plant.parameters.items() if p.tolerance}
     for e in plant.effects:
-        for name in _scaled_by(plant, e) if e.scale_std else ():
+        for name in factors_of(plant.plant, [e]) if e.scale_std else ():
             changed.pop(name, None)
     terms = _joint_terms(plant, linear, width)
     effects = []
     for e in plant.effects:
-        scales = e.on_signal or bool(_scaled_by(plant, e))
+        scales = e.on_signal or bool(factors_of(plant.plant, [e]))
         linear_ones = {n for n in e.std if (n == e.effect.scale and scales) or f"{e.key}.{n}" in terms}
         up = {n: v + width * e.std[n] if n in linear_ones else v for n, v in e.values.items()}
         effects.append(replace(e, values=up))

@@ -17,7 +17,7 @@ from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.extended.simulator import Windows, step_laws
 from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant
 from robustlab.dynamics.ports.motion_model import Course, exponentials, local_port_model, times
-from robustlab.dynamics.ports.port_model import PortModel
+from robustlab.dynamics.ports.port_model import AnyPlant, PortModel
 from robustlab.errors import InputError, NoTrustworthyNumber
 
 
@@ -29,13 +29,18 @@ class About(NamedTuple):
     outputs: Array
 
 
-def scaled(plant: NonlinearPlant, effects: Iterable[AttachedEffect]) -> NonlinearPlant:
-    """Return the plant with the parameters scaled by the effects."""
+def factors_of(plant: AnyPlant, effects: Iterable[AttachedEffect]) -> dict[str, float]:
+    """Return plant parameter -> common factor of the effects."""
     factors: dict[str, float] = {}
     for e in effects:
         for name, factor in e.effect.factors(plant, e.site, e.values).items():
             factors[name] = factors.get(name, 1.0) * factor
-    changed = {name: plant.parameters[name].reference * factor for name, factor in factors.items()}
+    return factors
+
+
+def scaled(plant: NonlinearPlant, effects: Iterable[AttachedEffect]) -> NonlinearPlant:
+    """Return the plant with the parameters scaled by the effects."""
+    changed = {name: plant.parameters[name].reference * f for name, f in factors_of(plant, effects).items()}
     return plant.with_parameters(**changed) if changed else plant
 
 

@@ -109,15 +109,14 @@ class PlantEquations:
             raise InputError(where, f"sign {sign!r}", f"one of {_listed(choices)}", did_you_mean(str(sign), choices))
         kept: Any = "" if role in (None, NONE) else role
         sign = sign or SIGNS.get(kept, "any")
-        symbol = self._new(name, "parameter")
-        _unit(unit, where)
+        symbol = self._new(name, "parameter", unit)
         self._parameters[name] = Parameter(name, value, unit, tolerance, source, meaning, sign, kept)
         return symbol
 
     def input(self, name: str, unit: str = "") -> Any:
         """Add an input; return its symbol."""
-        symbol = self._new(name, "input")
-        self._inputs.append(Signal(name, _unit(unit, f"{self._where}: input {name!r}")))
+        symbol = self._new(name, "input", unit)
+        self._inputs.append(Signal(name, unit))
         return symbol
 
     def joint(self, position: str, velocity: str, unit: str) -> tuple[Any, Any]:
@@ -134,8 +133,8 @@ class PlantEquations:
         """Add a state; return its symbol. ``current``: one in A whose rate must contain a `voltage`."""
         if current and unit != "A":
             raise InputError(f"{self._where}: state {name!r}", f"a current in {unit!r}", '"A"')
-        symbol = self._new(name, "state")
-        self._states.append(Signal(name, _unit(unit, f"{self._where}: state {name!r}")))
+        symbol = self._new(name, "state", unit)
+        self._states.append(Signal(name, unit))
         if current:
             self._currents.append(name)
         return symbol
@@ -180,7 +179,7 @@ class PlantEquations:
         _title(name, self._where, "output")
         if name in self._outputs:
             raise InputError(f"{self._where}: output {name!r}", "said twice", "one of that name")
-        unit = _unit(unit, f"{self._where}: output {name!r}")
+        _check_unit(unit, f"{self._where}: output {name!r}")
         self._outputs[name] = self._matrix(expression, (1, 1), f"output {name}"), unit
 
     def plant(self, **given: Any) -> SymbolicPlant:
@@ -190,16 +189,11 @@ class PlantEquations:
             raise InputError(self._where, "no state", "p.joint(...) or p.state(...)")
         if not self._outputs:
             raise InputError(self._where, "no output", "p.output(name, expression, unit)")
-        return SymbolicPlant(
-            self._where,
-            parameters,
-            tuple(self._inputs),
-            tuple(Signal(name, unit) for name, (_, unit) in self._outputs.items()),
-            tuple(self._states),
-            self._equations(parameters),
-        )
+        outputs = tuple(Signal(name, unit) for name, (_, unit) in self._outputs.items())
+        equations = self._equations(parameters, outputs)
+        return SymbolicPlant(self._where, parameters, tuple(self._inputs), outputs, tuple(self._states), equations)
 
-    def _equations(self, parameters: dict[str, Parameter]) -> Equations:
+    def _equations(self, parameters: dict[str, Parameter], signals: Sequence[Signal]) -> Equations:
         """Compile tapes of rates, outputs and local models, with the places where forces act."""
         ca, name = self._ca, self._where
         x, u, p = (
@@ -219,14 +213,13 @@ class PlantEquations:
         a, b = jacobian[:, : x.numel()], jacobian[:, x.numel() :]
         blocks = (rates, outputs, a, b, c, d, push)
         rows = ca.vertcat(*(ca.vec(ca.densify(block).T) for block in blocks))
-        titles = labels(self._states, self._inputs, [Signal(y, unit) for y, (_, unit) in self._outputs.items()], places)
+        titles = labels(self._states, self._inputs, signals, places)
         rows, everything = ca.cse(rows), ca.vertcat(x, u, p)
-        return Equations(
-            tape_of(everything, ca.cse(rates), len(parameters), name, titles.__getitem__),
-            tape_of(everything, ca.cse(outputs), len(parameters), name, titles[len(self._states) :].__getitem__),
-            tape_of(everything, rows, len(parameters), name, titles.__getitem__),
-            places,
-        )
+        tapes = [
+            tape_of(everything, of, len(parameters), name, named.__getitem__)
+            for of, named in ((ca.cse(rates), titles), (ca.cse(outputs), titles[len(self._states) :]), (rows, titles))
+        ]
+        return Equations(*tapes, places)
 
     def _places(self) -> tuple[PortPlace, ...]:
         """Return the places where forces and voltages act; check that they enter the rates."""
@@ -351,10 +344,11 @@ class PlantEquations:
         if smallest and max(smallest) <= 0:
             raise InputError(where, f"an eigenvalue of {max(smallest):.3g}", "a positive definite matrix")
 
-    def _new(self, name: str, kind: str) -> Any:
+    def _new(self, name: str, kind: str, unit: str = "") -> Any:
         _title(name, self._where, kind)
         if name in self._symbols:
             raise InputError(f"{self._where}: {kind} {name!r}", "a name that is used already", "unique names")
+        _check_unit(unit, f"{self._where}: {kind} {name!r}")
         self._symbols[name] = self._ca.SX.sym(name)
         return self._symbols[name]
 
@@ -403,10 +397,9 @@ def _title(name: Any, where: str, kind: str) -> str:
     return name
 
 
-def _unit(unit: Any, where: str) -> str:
+def _check_unit(unit: Any, where: str) -> None:
     if not isinstance(unit, str):
         raise InputError(where, f"unit {unit!r}", "a text; empty where there is none")
-    return unit
 
 
 def _listed(names: Any) -> str:
