@@ -65,6 +65,8 @@ class MotorEffect(ParameterEffect):
     :math:`\Delta \dot x = (s - 1)\, T x`, with T the terms of the parameter.
     """
 
+    couples: bool  # whether it is in the terms that couple the current with other states, else in that of the current
+
     def sites(self, plant: AnyPlant, model: PortModel) -> tuple[Site, ...]:
         currents = tuple(p.name for p in model.ports.values() if p.kind == "current")
         one = tuple(Site("current", name) for name in currents) if len(currents) > 1 else ()
@@ -74,14 +76,11 @@ class MotorEffect(ParameterEffect):
         if site.kind != "current":
             return model
         k = int(np.argmax(model.ports[site.name].velocity))
+        others = [j for j in range(model.own) if j != k]
         a = model.A.copy()
-        for row, column in self.terms(model, k):
+        for row, column in [*((j, k) for j in others), *((k, j) for j in others)] if self.couples else [(k, k)]:
             a[..., row, column] += (values["s"] - 1.0) * model.A[..., row, column]
         return replace(model, A=a)
-
-    def terms(self, model: PortModel, current: int) -> list[tuple[int, int]]:
-        """Return rows and columns of A that contain the parameter of this motor; ``current``: index of its current."""
-        raise NotImplementedError
 
 
 class MisplacedEffect(ParameterEffect):
@@ -166,16 +165,13 @@ class GravityDirection(MisplacedEffect, row="gravity-direction"):
 class Resistance(MotorEffect, row="resistance"):
     """Wrong resistance: the true value is a multiple of the nominal one."""
 
-    def terms(self, model: PortModel, current: int) -> list[tuple[int, int]]:
-        return [(current, current)]
+    couples = False
 
 
 class TorqueConstant(MotorEffect, row="torque-constant"):
     """Wrong torque constant: the true value is a multiple of the nominal one."""
 
-    def terms(self, model: PortModel, current: int) -> list[tuple[int, int]]:
-        others = [k for k in range(model.own) if k != current]
-        return [(k, current) for k in others] + [(current, k) for k in others]
+    couples = True
 
 
 class Stiffness(GroundedEffect, row="stiffness"):

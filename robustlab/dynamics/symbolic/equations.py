@@ -70,7 +70,12 @@ class PlantEquations:
 
     def __init__(self, name: str) -> None:
         self._where = _title(name, "PlantEquations", "name of the plant")
-        self._ca = _casadi(self._where)
+        try:
+            import casadi
+        except ImportError:
+            where = f"{self._where}: its equations need CasADi"
+            raise DependencyMissing(where, "pip install 'robustlab[casadi]'") from None
+        self._ca: Any = casadi
         self._parameters: dict[str, Parameter] = {}
         self._inputs: list[Signal] = []
         self._states: list[Signal] = []
@@ -404,11 +409,3 @@ def _check_unit(unit: Any, where: str) -> None:
 
 def _listed(names: Any) -> str:
     return ", ".join(repr(n) for n in names) or "none"
-
-
-def _casadi(where: str) -> Any:
-    try:
-        import casadi
-    except ImportError:
-        raise DependencyMissing(f"{where}: its equations need CasADi", "pip install 'robustlab[casadi]'") from None
-    return casadi
