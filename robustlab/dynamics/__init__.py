@@ -24,7 +24,7 @@ _INNER = {
     "control.platform": "LayeredController SineTrajectory closed_loop follow follow_with_torques measured torque_loop"
     " two_layer upper_layer",
     "descriptor_elimination": "eliminated",
-    "effects.catalogue": "add_effect catalogue effect effect_names",
+    "effects.catalogue": "add_effect catalogue effect",
     "effects.contract": "Effect EffectParameter Footprint Law Prior Scales Site",
     "effects.kinds": "KINDS KIND_OF MEANINGS upwards",
     "effects.signal_effects": "SignalGain",

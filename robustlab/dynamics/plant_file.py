@@ -107,7 +107,13 @@ def _display_name(file: str, path: Path | None) -> str:
 
 def _run(path: Path, label: str) -> tuple[types.ModuleType, dict[str, str]]:
     """Execute a file; return its module, and file -> SHA-256 of all user code that was run for it."""
-    raw, where = _text_of(path), path.resolve()
+    try:
+        is_empty = path.is_file() and path.stat().st_size == 0
+    except (OSError, ValueError):  # a name too long, or with a NUL
+        is_empty = False
+    if not is_empty:  # an empty file is reported later, by its missing plant
+        require_file(path)
+    raw, where = path.read_bytes(), path.resolve()
     digest = hashlib.sha256(raw).hexdigest()
     module = types.ModuleType(f"plant_file_{digest[:16]}")
     vars(module).update({"__file__": str(where), MARK: label})
@@ -133,16 +139,6 @@ def _run(path: Path, label: str) -> tuple[types.ModuleType, dict[str, str]]:
             _neighbours[name] = sys.modules[name]
             hashes[(Path(label).parent / beside).as_posix()] = file_sha256(file)
     return module, hashes
-
-
-def _text_of(path: Path) -> bytes:
-    try:
-        is_empty = path.is_file() and path.stat().st_size == 0
-    except (OSError, ValueError):  # a name too long, or with a NUL
-        is_empty = False
-    if not is_empty:  # an empty file is reported later, by its missing plant
-        require_file(path)
-    return path.read_bytes()
 
 
 def _compiled(raw: bytes, file: str, label: str) -> types.CodeType:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -305,6 +305,10 @@ class Effect:
         """Return the argument p of the force law: all parameters in their order."""
         return tuple(values[name] for name in self._names)
 
+    def names_of(self, values: Mapping[str, float]) -> Sequence[str]:
+        """Return the names of all parameters at a place where these values are given."""
+        return self._names
+
     @cached_property
     def _names(self) -> tuple[str, ...]:
         return tuple(p.name for p in self.parameters(Scales()))
@@ -342,9 +346,7 @@ class Effect:
 
     def checked(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return the values by name; raise an error if one is missing or not finite."""
-        return self._checked(values, [p.name for p in self.parameters(Scales())])
-
-    def _checked(self, values: Mapping[str, float], names: list[str]) -> dict[str, float]:
+        names = self.names_of(values)
         for name in values:
             if name not in names:
                 raise InputError(

@@ -5,7 +5,7 @@ r"""Wrong parameters of the plant: one physical quantity, scaled.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -144,10 +144,8 @@ class GroundedEffect(ParameterEffect):
             )
         return model.with_state_feedback(port, -values[self.symbol] * row)
 
-    def checked(self, values: Mapping[str, float]) -> dict[str, float]:
-        if self.symbol not in values:
-            return super().checked(values)
-        return self._checked(values, list(self.at_joint))
+    def names_of(self, values: Mapping[str, float]) -> Sequence[str]:
+        return list(self.at_joint) if self.symbol in values else super().names_of(values)
 
 
 class Inertia(ParameterEffect, row="inertia"):

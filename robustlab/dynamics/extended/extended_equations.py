@@ -425,8 +425,8 @@ def _with_delays(
         whole = bank if whole is None else series(whole, bank)
         for s, m in zip(signals, channels, strict=True):
             count = 0 if m is None else m.n_states
-            name, unit = (f"lag_{s.name}", s.unit) if kind == "lag" else (f"{kind}_{s.name}", "")
-            states += [(name if kind == "lag" else f"{name}_{i + 1}", unit) for i in range(count)]
+            lag = kind == "lag"
+            states += [(f"lag_{s.name}", s.unit) if lag else (f"{kind}_{s.name}_{i + 1}", "") for i in range(count)]
         x.append(np.asarray(-np.linalg.solve(bank.A, bank.B @ level), dtype=np.float64))
     assert whole is not None
     point = OperatingPoint(np.concatenate(x), point.u, point.y)

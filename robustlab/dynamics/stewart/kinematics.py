@@ -100,16 +100,10 @@ def direct_kinematics(geometry: Geometry, lengths: ArrayLike, start: ArrayLike |
     if (target <= 0).any():
         k, i = np.argwhere(target <= 0)[0]
         raise InputError("direct_kinematics", f"lengths[{k},{i}] = {target[k, i]:g} m", "positive lengths")
-    if start is None:
-        seeds = np.empty_like(target)
-        seeds[:] = geometry.home
-    else:
-        seed, one = poses_array(start, "start")
-        if not one and len(seed) != len(target):
-            raise InputError(
-                "direct_kinematics", f"{len(seed)} starts", f"1 or {len(target)}, one for each row of lengths"
-            )
-        seeds = np.array(np.broadcast_to(seed, target.shape), order="C")
+    seed, one = poses_array(geometry.home if start is None else start, "start")
+    if not one and len(seed) != len(target):
+        raise InputError("direct_kinematics", f"{len(seed)} starts", f"1 or {len(target)}, one for each row of lengths")
+    seeds = np.array(np.broadcast_to(seed, target.shape), order="C")
     poses, facts = np.empty_like(target), np.empty((len(target), 4))
     kernels().direct_poses(target, seeds, geometry.legs, geometry.c, LIMIT, poses, facts)
     proved = (facts[:, 0] >= 0) & (facts[:, 1] <= 0.5)  # facts: Newton steps (-1: singular), h, radius, residual
