@@ -14,7 +14,6 @@ import numpy as np
 from robustlab.dynamics.effects.contract import Effect, EffectParameter, Scales, Site
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, parameter_groups, port_model
-from robustlab.errors import InputError
 
 
 class ParameterEffect(Effect):
@@ -31,16 +30,7 @@ class ParameterEffect(Effect):
     def factors(self, plant: AnyPlant, site: Site, values: Mapping[str, float]) -> dict[str, float]:
         if site.kind != "parameter":
             return {}
-        names = self._group(plant, site)
-        return dict.fromkeys(names, values["s"])
-
-    def _group(self, plant: AnyPlant, site: Site) -> list[str]:
-        """Return the parameters of the group with this label."""
-        names = site.name.split("+")
-        for name in names:
-            if name not in plant.parameters:
-                raise InputError(f"effect {self.id}: site {site.name!r}", "no such parameters", f"of {plant.name}")
-        return names
+        return dict.fromkeys(site.name.split("+"), values["s"])
 
 
 def has_ground_term(plant: AnyPlant, port: Port, role: str, rows: tuple[Port, ...], of: str) -> bool:
@@ -96,8 +86,7 @@ class MisplacedEffect(ParameterEffect):
         return ({p.name: p.prior.value(0.1) for p in self.parameters(scales)},)
 
     def factors(self, plant: AnyPlant, site: Site, values: Mapping[str, float]) -> dict[str, float]:
-        names = self._group(plant, site)
-        own = [plant.parameters[name] for name in names]
+        own = [plant.parameters[name] for name in site.name.split("+")]
         return {p.name: (p.value + values[n]) / p.reference for p, n in zip(own, self.rows, strict=True)}
 
 
@@ -137,12 +126,7 @@ class GroundedEffect(ParameterEffect):
         if site.kind != "joint":
             return model
         port = model.ports[site.name]
-        row = getattr(port, self.of)
-        if row is None:
-            raise InputError(
-                f"effect {self.id}: {site.name}", f"a joint without a {self.of}", f"a joint with a {self.of}"
-            )
-        return model.with_state_feedback(port, -values[self.symbol] * row)
+        return model.with_state_feedback(port, -values[self.symbol] * getattr(port, self.of))
 
     def names_of(self, values: Mapping[str, float]) -> Sequence[str]:
         return list(self.at_joint) if self.symbol in values else super().names_of(values)

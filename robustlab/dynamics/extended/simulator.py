@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,6 @@ from robustlab.dynamics.ports.motion_model import (
     with_factors,
 )
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, port_model
-from robustlab.errors import InputError, unknown_name
 
 # Number of cached matrix exponentials and models.
 KEPT = 512
@@ -39,8 +38,6 @@ class SampledInput:
     """One input of a record."""
 
     def __init__(self, samples: Array, hold: Hold = "zoh") -> None:
-        if hold not in get_args(Hold):
-            raise unknown_name("hold of an input", f"{hold!r}", hold, get_args(Hold))
         self.hold: Hold = hold
         self.count = len(samples)
         pieces = samples[:, None] if hold == "zoh" else _pieces(samples, 1 if hold == "linear" else DEGREE)
@@ -167,16 +164,11 @@ class Simulator:
         self.plant, self.effects, self.dt, self.t0 = plant, tuple(effects), dt, t0
         self.rough, self._course = rough, None
         if isinstance(plant, NonlinearPlant):
-            if motion is None:
-                raise InputError("simulation", f"the nonlinear plant {plant.name}", "a motion about which it is linear")
+            assert motion is not None  # about which it is linear
             self._course = _course(plant, motion, u, dt)
             sub = LEAST_STEPS if sub is None else sub
         self.sub = stepping(plant, dt) if sub is None else sub
-        if self.sub < 1:
-            raise InputError("simulation: steps a sample", f"{self.sub}", "1 or more")
         holds = ("zoh",) * len(plant.inputs) if hold is None else tuple(hold)
-        if len(holds) != len(plant.inputs):
-            raise InputError("simulation: hold", f"{len(holds)} of them", f"one for each of {len(plant.inputs)} inputs")
         self._inputs = [_cached_input(column.tobytes(), kind) for column, kind in zip(u.T, holds, strict=True)]
         self._steps: dict[tuple[float, ...], Array] = {}
 
@@ -275,8 +267,6 @@ class Simulator:
         """Return the delay of each input in s; delays commute with the other maps."""
         names = [s.name for s in self.plant.inputs]
         late = [0.0] * len(names) if shift is None else [float(d) for d in shift]
-        if len(late) != len(names):
-            raise InputError("simulation: shift", f"{len(late)} of them", f"one for each of {len(names)} inputs")
         for (effect, site), v in zip(self.effects, values, strict=True):
             if site.kind == "input" and effect.delay:
                 late[names.index(site.name)] += v[effect.delay]

@@ -127,10 +127,7 @@ def _load(joint: Port, force: Array) -> Port:
 
 def with_load_side(model: PortModel, joint: str, share: float, relative: str, where: str) -> PortModel:
     """Return the model with the joint's load as a separate body, without force between drive and load."""
-    port = model.ports.get(joint)
-    if port is None or port.kind != "joint":
-        joints = ", ".join(p.name for p in model.ports.values() if p.kind == "joint")
-        raise InputError(f"{where}: {joint!r}", "no such joint", f"one of {joints}")
+    port = model.ports[joint]
     if f"{joint}.load" in model.ports or "." in joint:
         raise InputError(f"{where}: {joint!r}", "another effect that splits the joint in two", "one of them at a joint")
     number(f"{where}: share", share, "a share of the inertia between 0 and 1", above=0.0, below=1.0)

@@ -41,10 +41,6 @@ def test_a_delayed_straight_line_is_exact_from_the_first_sample(d, slope, start)
     np.testing.assert_allclose(mapped("sensor-delay", y, {"d": d}), late, atol=1e-11)
 
 
-@pytest.mark.parametrize(
-    ("name", "values", "message"),
-    [("sensor-delay", {"d": -1e-3}, "a delay of 0 s or more"), ("quantisation", {"lsb": 0.0}, "a positive step")],
-)
-def test_bad_values_are_named(name, values, message):
-    with pytest.raises(InputError, match=message):
-        mapped(name, Y, values)
+def test_a_step_of_zero_is_named():
+    with pytest.raises(InputError, match="a positive step"):
+        mapped("quantisation", Y, {"lsb": 0.0})
