@@ -85,10 +85,6 @@ class ExtendedNonlinearPlant(ExtendedEquations):
     def motion(
         self, u: Array, dt: float, t0: float, x0: Array, step: float | None, hold: Literal["zoh", "foh"] = "zoh"
     ) -> tuple[Array, Array]:
-        if hold == "foh" and any(e.site.kind == "input" for e in self.effects):
-            raise InputError(
-                f"{self.name}: simulate", "inputs that are not held, with an effect on one", "hold = 'zoh'"
-            )
         parts = max(1, int(np.ceil(dt / (step or NOMINAL_STEP) - 1e-9)))
         states, outputs = self._stepped(_drive(self, u, dt, t0, parts, hold), x0, None)
         if step is not None:
@@ -145,7 +141,7 @@ class ExtendedNonlinearPlant(ExtendedEquations):
 def _drive(plant: ExtendedNonlinearPlant, u: Array, dt: float, t0: float, parts: int, hold: str) -> Drive:
     """Return the effective inputs in steps, ``parts`` per sample."""
     h = dt / parts
-    if hold == "foh":
+    if hold == "foh":  # of a loop, whose effects are not on its inputs
         between = np.arange(len(u) * parts + 1) / parts
         fine = np.column_stack([np.interp(between, np.arange(len(u)), column) for column in u.T])
         rise = 0.5 * np.diff(fine, axis=0)
@@ -412,8 +408,6 @@ def _lag_block(time: float, spread: float, name: str, origin: str) -> UncertainM
 
 def delay_block(delay: float, spread: float, pade: int, name: str, origin: str = "") -> UncertainModel:
     r"""Return a cover :math:`P + w \Delta` of all delays from ``delay - spread`` (at least 0) to ``delay + spread``."""
-    if not 0 < delay < np.inf or not 0 <= spread < np.inf:
-        raise InputError("delay_block", f"{delay:g} s +- {spread:g} s", "a positive delay, a spread of 0 s or more")
     n = checked_order(pade, "delay_block", 1)
     # With a spread the error's slope changes from 1 to 2 n + 1: a weight of lower order fits better.
     made = covering(delay, spread, n, n + 1 if spread else min(n + 2, 2 * n + 1))

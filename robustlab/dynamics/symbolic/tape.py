@@ -83,8 +83,6 @@ class Tape:
 
     def __call__(self, points: Array) -> Array:
         """Evaluate outputs (n, n_out) at the points (n, n_in); NaN or infinite where undefined."""
-        if points.ndim != 2 or points.shape[1] != self.n_in:
-            raise InputError("tape", f"points of shape {points.shape}", f"(n, {self.n_in})")
         results = np.empty((len(points), self.n_out))
         tape_kernels().evaluate(self.code, np.array(points, dtype=np.float64, order="C"), results)
         return results
