@@ -97,6 +97,7 @@ REFUSED = [
     (lambda: rl.simulate(rl.plant("dc-motor"), T, np.zeros(31), hold="spline"), rl.InputError, "for a linear model"),
     (lambda: stewart.direct_kinematics(G, [0.17, 0.17, -0.17, 0.17, 0.17, 0.17]), rl.InputError, r"lengths\[0,2\]"),
     (lambda: stewart.direct_kinematics(G, np.full((3, 6), 0.17), [HOME, HOME]), rl.InputError, "2 starts"),
+    (lambda: stewart.direct_kinematics(G, np.tile(G.home_lengths, (2, 1))).pose, rl.InputError, "2 poses"),
 ]
 
 

@@ -345,7 +345,7 @@ class Effect:
         return None
 
     def checked(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Return the values by name; raise an error if one is missing or not finite."""
+        """Return the values by name; raise an error if one is missing or unknown."""
         names = self.names_of(values)
         for name in values:
             if name not in names:
@@ -355,8 +355,4 @@ class Effect:
         missing = [name for name in names if name not in values]
         if missing:
             raise InputError(f"effect {self.id}", f"no value for {missing[0]!r}", f"{', '.join(names)}")
-        checked = {name: float(values[name]) for name in names}
-        for name, value in checked.items():
-            if not np.isfinite(value):
-                raise InputError(f"effect {self.id}: {name}", f"{value}", "a finite number")
-        return checked
+        return {name: float(values[name]) for name in names}

@@ -90,6 +90,13 @@ class DirectPoses:
     radius: Array
 
     @property
+    def pose(self) -> Array:
+        """The pose (6,) if there is only one."""
+        if len(self.poses) != 1:
+            raise InputError("DirectPoses.pose", f"{len(self.poses)} poses", "one; take .poses")
+        return self.poses[0]
+
+    @property
     def status(self) -> Status:
         return Status.CERTIFIED if self.proved.all() else Status.INCONCLUSIVE
 
