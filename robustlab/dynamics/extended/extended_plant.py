@@ -239,10 +239,10 @@ def with_effects(
         base, attached = plant if isinstance(plant, NonlinearPlant) else linear_plant_of(plant, "with_effects"), []
     if not isinstance(effects, AttachedEffect | Iterable):
         raise InputError("with_effects: effects", repr(effects), "effects with their parameters, {name: {...}}")
-    given: Iterable[Any] = (effects,) if isinstance(effects, AttachedEffect) else effects
+    given: Any = (effects,) if isinstance(effects, AttachedEffect) else effects
     for one in given:
         model = extended_model(base, attached)
-        e = attach(one, effects[one], base, model) if isinstance(effects, Mapping) else _checked(one, base, model)
+        e = attach(one, given[one], base, model) if isinstance(effects, Mapping) else _checked(one, base, model)
         if any((other.effect.id, other.site) == (e.effect.id, e.site) for other in attached):
             raise InputError(f"effect {e.effect.id} at {e.site}", "given twice", "each effect once at a site")
         attached.append(e)
