@@ -192,9 +192,8 @@ class ExtendedPlant(ExtendedEquations):
         signals = self.signal_levels(point.x, point.u)
         whole = with_signals(without_signals(self, linear, width).uncertain(), signals, {}, width)
         _check(self, whole, linear, width)
-        whole = UncertainModel(whole.M, whole.blocks, point)
         if outputs is None:
-            return whole
+            return UncertainModel(whole.M, whole.blocks, point)
         return UncertainModel(drop_unconnected(whole.select(outputs=outputs).M), whole.blocks)
 
 
