@@ -10,7 +10,7 @@ import sys
 import tempfile
 import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NoReturn
@@ -103,11 +103,6 @@ class FmuPlant(SteppedPlant):
     time_limit: float
     about: Mapping[str, Any]
 
-    def with_parameters(self, **given: Any) -> FmuPlant:
-        made = replace(self, parameters=overridden(self.parameters.values(), given, self.name))
-        made.traced(Provenance.now(BY_UNIT, {str(self.path): self.sha256}))
-        return made
-
     def stepped(self, t: Array, u: Array, x0: Array, step: float | None = None) -> tuple[Array, Array]:
         steps = np.diff(t)
         if not self.about["variable_step"] and len(steps) and np.ptp(steps) > EVEN * steps.mean():
@@ -148,9 +143,6 @@ class FmuPlant(SteppedPlant):
         raise InputError(self.name, NO_STATE, "a plant with equations", "identify a model from rl.simulate")
 
     linear_model = derivative = output = jacobians = equilibrium = _refused
-
-    def left_out(self, at: Any = None, amplitude: Mapping[str, float] | None = None, pade: int = 0) -> tuple[Any, ...]:
-        return ()
 
 
 def _request(

@@ -240,9 +240,8 @@ def tied_plant(plant: LinearPlant, groups: Iterable[tuple[str, tuple[str, ...]]]
         if label in parameters:
             raise InputError(f"tied_plant: {label!r}", "a parameter of that name", "another label")
         parameters |= {p.name: replace(p, tolerance=0.0) for p in members}
-        sources = list(dict.fromkeys(p.source for p in members))
-        meaning = "common factor"
-        parameters[label] = Parameter(label, 1.0, "", widest, "; ".join(sources), meaning, "positive")
+        sources = "; ".join(dict.fromkeys(p.source for p in members))
+        parameters[label] = Parameter(label, 1.0, "", widest, sources, "common factor", "positive")
         tied[label] = names
     if not tied:
         return plant

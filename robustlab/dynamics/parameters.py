@@ -84,17 +84,6 @@ class Parameter:
         """Range for an uncertain block, with the physical sign."""
         return ParameterRange(self.value, self.radius, self.unit, sign=self.sign)
 
-    def check_ends(self, low: float, high: float) -> None:
-        """Reject a range that violates the physical sign."""
-        for end in (low, high):
-            replace(self, value=end, tolerance=0.0)
-        if self.sign == "either" and low <= 0 <= high:
-            raise InputError(
-                f"parameter {self.name!r}",
-                f"a range from {low:g} to {high:g} {self.unit}".rstrip(),
-                f"one that does not hold 0 ({self.meaning or 'by physics'})",
-            )
-
     def to_json(self) -> dict[str, object]:
         return {key: getattr(self, key) for key in ("name", "value", "unit", "tolerance", "source", "meaning")}
 
@@ -143,7 +132,13 @@ def parameter_ranges(
             if len(given[name]) != 2:
                 raise InputError(f"{where}: uncertain: {name!r}", f"{given[name]!r}", "(low, high)")
             low, high = (amount(f"{where}: uncertain: {name!r}", end, p.unit) for end in given[name])
-            p.check_ends(low, high)
+            for end in (low, high):  # of the physical sign
+                replace(p, value=end, tolerance=0.0)
+            if p.sign == "either" and low <= 0 <= high:
+                found = f"a range from {low:g} to {high:g} {p.unit}".rstrip()
+                raise InputError(
+                    f"parameter {name!r}", found, f"one that does not hold 0 ({p.meaning or 'by physics'})"
+                )
             ranges[name] = replace(ParameterRange.between(low, high, p.value, p.unit), sign=p.sign)
         elif p.radius:
             ranges[name] = p.range

@@ -296,12 +296,11 @@ class NonlinearPlant(Plant):
                 return self.derivative(x, signal.at(time, k))
 
             # From an equilibrium the solver's own first step would leave the domain of a mechanism.
-            options: dict[str, Any] = {
-                "rtol": max(rtol, 3e-14),
-                "atol": rtol * 1e-2,
-                "first_step": (t[1] - t[0]) * 1e-2,
-            }
-            found = solve_ivp(rates, (t[0], t[-1]), states[first], "DOP853", t_eval=t, **options)
+            step: Any = (t[1] - t[0]) * 1e-2
+            found = solve_ivp(
+                rates, (t[0], t[-1]), states[first], "DOP853", t_eval=t, rtol=max(rtol, 3e-14), atol=rtol * 1e-2,
+                first_step=step,
+            )  # fmt: skip
             if not found.success:
                 raise NoTrustworthyNumber(self.name, f"no solution beyond t = {found.t[-1]:.9g} s", None, found.message)
             states[first : last + 1] = found.y.T
@@ -359,6 +358,6 @@ class SteppedPlant(NonlinearPlant):
     ) -> StateSpaceModel:
         """Return the linear model at an operating point; sectors at the given amplitudes, delays of the Padé order."""
 
-    @abstractmethod
     def left_out(self, at: Any = None, amplitude: Mapping[str, float] | None = None, pade: int = 0) -> tuple[Any, ...]:
         """Return the effects that `linear_model` omits."""
+        return ()

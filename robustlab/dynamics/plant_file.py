@@ -107,7 +107,13 @@ def _display_name(file: str, path: Path | None) -> str:
 
 def _run(path: Path, label: str) -> tuple[types.ModuleType, dict[str, str]]:
     """Execute a file; return its module, and file -> SHA-256 of all user code that was run for it."""
-    raw, where = _text_of(path), path.resolve()
+    try:
+        is_empty = path.is_file() and path.stat().st_size == 0
+    except (OSError, ValueError):  # a name too long, or with a NUL
+        is_empty = False
+    if not is_empty:  # an empty file is reported later, by its missing plant
+        require_file(path)
+    raw, where = path.read_bytes(), path.resolve()
     digest = hashlib.sha256(raw).hexdigest()
     module = types.ModuleType(f"plant_file_{digest[:16]}")
     vars(module).update({"__file__": str(where), MARK: label})
@@ -133,16 +139,6 @@ def _run(path: Path, label: str) -> tuple[types.ModuleType, dict[str, str]]:
             _neighbours[name] = sys.modules[name]
             hashes[(Path(label).parent / beside).as_posix()] = file_sha256(file)
     return module, hashes
-
-
-def _text_of(path: Path) -> bytes:
-    try:
-        is_empty = path.is_file() and path.stat().st_size == 0
-    except (OSError, ValueError):  # a name too long, or with a NUL
-        is_empty = False
-    if not is_empty:  # an empty file is reported later, by its missing plant
-        require_file(path)
-    return path.read_bytes()
 
 
 def _compiled(raw: bytes, file: str, label: str) -> types.CodeType:
@@ -199,12 +195,7 @@ def _made(target: Any, given: dict[str, Any], label: str) -> Plant:
         found = "None" if made is None else f"a {type(made).__name__}"
         hint = "return p.plant(**given)" if callable(getattr(made, "plant", None)) else None
         raise InputError(label, f"returned {found}", "a plant (a LinearPlant or a NonlinearPlant)", hint)
-    if not given:
-        return made
-    change = getattr(made, "with_parameters", None)
-    if change is None:
-        raise InputError(label, f"{next(iter(given))}: takes no parameters", "none")
-    return change(**given)
+    return made.with_parameters(**given) if given else made
 
 
 def _arguments(target: Callable[..., Any]) -> Mapping[str, Parameter]:
@@ -234,14 +225,14 @@ def _check_shapes(plant: Plant, label: str) -> None:
 
 def _plants(module: types.ModuleType) -> tuple[str, ...]:
     """Return the names of plants, and of the file's own functions without required arguments."""
-    return tuple(name for name, thing in list(vars(module).items()) if _is_plant(name, thing, module.__name__))
-
-
-def _is_plant(name: str, thing: Any, module: str) -> bool:
-    if not isinstance(thing, types.FunctionType) or thing.__module__ != module or name.startswith("_"):
-        return isinstance(thing, Plant)
     optional = (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD)
-    return all(p.default is not Parameter.empty or p.kind in optional for p in _arguments(thing).values())
+
+    def is_plant(name: str, thing: Any) -> bool:
+        if not isinstance(thing, types.FunctionType) or thing.__module__ != module.__name__ or name.startswith("_"):
+            return isinstance(thing, Plant)
+        return all(p.default is not Parameter.empty or p.kind in optional for p in _arguments(thing).values())
+
+    return tuple(name for name, thing in list(vars(module).items()) if is_plant(name, thing))
 
 
 # The plant in the template.

@@ -130,11 +130,20 @@ def held_descriptor(
         words += f"; what follows: {', '.join(names[k] for k in follow)}" if len(follow) else ""
 
         def matrices(values: Values, follow: Indices = follow, start: Array = start) -> Array:
-            return _descriptor(_following(plant, start, follow, values), ports)
+            return descriptor(_following(plant, start, follow, values), ports)
 
         return TrimmedDescriptor(matrices, words, free)
     assert refused is not None
     raise refused
+
+
+def descriptor(local: Any, ports: Sequence[int]) -> Array:
+    """Return N of `robustlab.dynamics.descriptor_family` from the local model at one point; ports: states."""
+    a, b, c, d = local.A[0], local.B[0], local.C[0], local.D[0]
+    e, inner = np.eye(len(a)), local.push[0][list(ports)]
+    if len(ports) and np.linalg.matrix_rank(inner) == len(ports):
+        e[np.ix_(ports, ports)] = np.linalg.inv(inner)
+    return np.block([[e @ a, e @ b, -e], [c, d, np.zeros((len(c), len(a)))]])
 
 
 def _following(plant: Any, start: Array, follow: Indices, values: Values, label: str = "") -> Any:
@@ -147,14 +156,3 @@ def _following(plant: Any, start: Array, follow: Indices, values: Values, label:
         found = f"no rest with what is held: {plant.states[row].name} moves{label}"
         raise NoTrustworthyNumber(plant.name, found, None, hint)
     return local
-
-
-def _descriptor(local: Any, ports: Sequence[int]) -> Array:
-    """Return N of `robustlab.dynamics.descriptor_family` from the local model at one point."""
-    a, b, c, d = local.A[0], local.B[0], local.C[0], local.D[0]
-    n, n_y = len(a), len(c)
-    e = np.eye(n)
-    inner = local.push[0][list(ports)]
-    if len(ports) and np.linalg.matrix_rank(inner) == len(ports):
-        e[np.ix_(ports, ports)] = np.linalg.inv(inner)
-    return np.block([[e @ a, e @ b, -e], [c, d, np.zeros((n_y, n))]])

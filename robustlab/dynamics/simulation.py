@@ -96,26 +96,33 @@ def simulate(
     array([0.      , 0.632121, 0.864665])
     """
     if isinstance(plant_or_model, NonlinearPlant):
-        return _simulate_nonlinear(plant_or_model, t, u, x0, hold=hold, rtol=rtol, step=step, name=name)
+        return _simulate_nonlinear(plant_or_model, t, u, x0, hold, rtol, step, name)
     if isinstance(plant_or_model, Plant) and not hasattr(plant_or_model, "to_model"):
         raise InputError("simulate", f"{plant_or_model.name} is not linear", "a linear plant or a model")
-    if isinstance(plant_or_model, DelayedModel):
-        return _simulate_delayed(plant_or_model, t, u, x0, hold=hold, rtol=rtol, step=step, name=name)
-    if rtol is not None or step is not None:
+    delayed = isinstance(plant_or_model, DelayedModel)
+    if delayed and step is not None:
+        raise InputError("simulate", "step for a model with delays", "rtol: its cells are halved until that is met")
+    if not delayed and (rtol is not None or step is not None):
         raise InputError("simulate", "rtol or step for a linear model", "neither: it is simulated without error")
-    model = as_model(plant_or_model, "simulate")
+    model = plant_or_model if isinstance(plant_or_model, DelayedModel) else as_model(plant_or_model, "simulate")
     title = name or getattr(plant_or_model, "name", None) or "simulation"
     clock = Record(t, name="simulate").t
     force = sampled_inputs(model.inputs, u, len(clock))
-    start = _start(model, x0)
-    held = _linear_hold(hold)
+    inner = model.H if isinstance(model, DelayedModel) else model
+    start = np.zeros(inner.n_states) if x0 is None else real_array("x0", x0, 1, "simulate")
+    if len(start) != inner.n_states:
+        states = ", ".join(inner.state_names) or "none"
+        raise InputError("simulate", f"x0 has {len(start)} entries", f"{inner.n_states} (states: {states})")
+    if hold not in ("zoh", "foh"):
+        raise InputError("simulate: hold", f"{hold!r} for a linear model", "'zoh' or 'foh'")
     with np.errstate(over="ignore", invalid="ignore"):
-        x = (
-            _discrete_states(model, clock, force, start, held)
-            if model.is_discrete
-            else _states(model, clock, force, start, held)
-        )
-        y = x @ model.C.T + force @ model.D.T
+        if isinstance(model, DelayedModel):
+            most = 1e-9 if rtol is None else rtol
+            change = number("simulate: rtol", most, "a number between 0 and 1", above=0, below=1)
+            x, y = np.zeros((len(clock), 0)), delayed_response(model, clock, force, start, hold, change)
+        else:
+            x = (_discrete_states if model.is_discrete else _states)(model, clock, force, start, hold)
+            y = x @ model.C.T + force @ model.D.T
     _check_finite(np.hstack([x, y]), clock, title)
     return recorded(model, clock, force, y, title)
 
@@ -163,46 +170,8 @@ def step_response(model: Any, t_end: float | None, input_name: str | None) -> Re
     )
 
 
-def _start(model: StateSpaceModel, x0: Any) -> Array:
-    start = np.zeros(model.n_states) if x0 is None else real_array("x0", x0, 1, "simulate")
-    if len(start) != model.n_states:
-        states = ", ".join(model.state_names) or "none"
-        raise InputError("simulate", f"x0 has {len(start)} entries", f"{model.n_states} (states: {states})")
-    return start
-
-
-def _linear_hold(hold: NonlinearHold) -> Hold:
-    if hold not in ("zoh", "foh"):
-        raise InputError("simulate: hold", f"{hold!r} for a linear model", "'zoh' or 'foh'")
-    return hold
-
-
-def _simulate_delayed(
-    model: DelayedModel, t: Any, u: Any, x0: Any, *, hold: Any, rtol: float | None, step: float | None, name: str | None
-) -> Record:
-    if step is not None:
-        raise InputError("simulate", "step for a model with delays", "rtol: its cells are halved until that is met")
-    clock = Record(t, name="simulate").t
-    force = sampled_inputs(model.inputs, u, len(clock))
-    held, start = _linear_hold(hold), _start(model.H, x0)
-    change = 1e-9 if rtol is None else number("simulate: rtol", rtol, "a number between 0 and 1", above=0, below=1)
-    with np.errstate(over="ignore", invalid="ignore"):
-        y = delayed_response(model, clock, force, start, held, change)
-    title = name or "simulation"
-    _check_finite(y, clock, title)
-    return recorded(model, clock, force, y, title)
-
-
 def _simulate_nonlinear(
-    plant: NonlinearPlant,
-    t: Any,
-    u: Any,
-    x0: Any,
-    *,
-    hold: Any,
-    rtol: float | None,
-    step: float | None,
-    name: str | None,
+    plant: NonlinearPlant, t: Any, u: Any, x0: Any, hold: Any, rtol: float | None, step: float | None, name: str | None
 ) -> Record:
     clock = Record(t, name="simulate").t
     signal = input_signal(clock, sampled_inputs(plant.inputs, u, len(clock)), hold)

@@ -11,7 +11,6 @@ from scipy.integrate import solve_ivp
 
 import robustlab as rl
 from robustlab.dynamics import SampledInput, Simulator, Site, Windows, effect
-from robustlab.errors import InputError
 
 HOLDS = ("zoh", "linear", "smooth")
 signals = hnp.arrays(np.float64, st.integers(2, 40), elements=st.floats(-10, 10))
@@ -75,16 +74,3 @@ def test_a_delay_equals_a_shift():
     moved = Simulator(plant, pairs[:1], u, DT, sub=2)
     moved = moved.run({}, values[:1], np.zeros((1, 2)), whole(90), (1.3e-3,)).outputs
     assert (late == moved).all()
-
-
-def test_bad_arguments_are_named():
-    plant, _ = oscillator(20)
-    u = np.zeros((9, 1))
-    with pytest.raises(InputError, match="zoh, linear, smooth"):
-        Simulator(plant, [], u, DT, hold=("foh",))
-    with pytest.raises(InputError, match="one for each of 1 inputs"):
-        Simulator(plant, [], u, DT, hold=("zoh", "zoh"))
-    with pytest.raises(InputError, match="1 or more"):
-        Simulator(plant, [], u, DT, sub=0)
-    with pytest.raises(InputError, match="one for each of 1 inputs"):
-        Simulator(plant, [], u, DT).run({}, [], np.zeros((1, 2)), whole(9), (0.0, 0.0))

@@ -249,15 +249,12 @@ class _DriverInLoop(InputDeadZone):
 
 def driver_in_loop(loop: LinearPlant, plant: LinearPlant, control: str, values: Mapping[str, Any]) -> AttachedEffect:
     """Return the dead zone of the driver of one control, for `with_effects` of the loop."""
-    where = f"input-dead-zone at {control}"
-    names = [s.name for s in plant.inputs]
-    if control not in names:
-        raise InputError(where, "no such control", f"one of {', '.join(names)}")
     closed = loop.state_space()
     row = [s.name for s in loop.outputs].index(control)
     if closed.D[row].any():
-        raise InputError(where, "a controller with a direct term from the reference", "a strictly proper one")
-    k = names.index(control)
+        found = "a controller with a direct term from the reference"
+        raise InputError(f"input-dead-zone at {control}", found, "a strictly proper one")
+    k = [s.name for s in plant.inputs].index(control)
     force = np.zeros(closed.n_states)
     force[: len(plant.states)] = plant.state_space().B[:, k]
     unit = plant.inputs[k].unit

@@ -19,6 +19,7 @@ from robustlab.dynamics.control.platform import (
     SineTrajectory,
     TrajectoryFollowing,
     closed_loop,
+    ease,
     follow,
     follow_with_torques,
     torque_loop,
@@ -60,15 +61,12 @@ class ControlledRuns(Displayable):
     after: float
     told: Facts
     notes: tuple[str, ...]
+    status: Status = Status.CONVERGED
 
     @property
     def errors(self) -> Mapping[str, Array]:
         """Controller -> error over time."""
         return self.panels[0].curves
-
-    @property
-    def status(self) -> Status:
-        return Status.CONVERGED
 
     def headline(self) -> str:
         return f"simulated under {len(self.controllers)} controllers"
@@ -113,8 +111,7 @@ class Sine(NamedTuple):
         """Return times (n,), the reference, and the number of steps between two stored points."""
         fine = max(1, math.ceil(self.t_end / (self.points - 1) / self.held))
         t = np.linspace(0.0, self.t_end, fine * (self.points - 1) + 1)
-        share = np.clip(t / self.rise_time, 0.0, 1.0)
-        return t, self.amplitude * share**3 * (10 - 15 * share + 6 * share**2) * np.sin(self.omega * t), fine
+        return t, self.amplitude * ease(t / self.rise_time) * np.sin(self.omega * t), fine
 
 
 class Judged(NamedTuple):
@@ -203,11 +200,6 @@ class Path(NamedTuple):
     t_end: float = 5.0
     points: int = 2501
 
-    @property
-    def words(self) -> str:
-        """The path in words."""
-        return f"a lift of {5 * self.scale:g} mm, then sines of {5 * self.scale:g} mm and {20 * self.scale:g} mrad"
-
 
 def follow_path(
     plant: Any, controllers: Mapping[str, Any], path: Path, after: float = 3.0, p_low: float = 3000.0
@@ -249,7 +241,9 @@ def follow_path(
         ("in limits", ("within_limits",), 1.0),
     )
     pose = "home" if path.at is None else ", ".join(f"{v:g}" for v in path.at)
-    facts = [("path begins at", pose), ("path", path.words), below]
+    size = f"{5 * path.scale:g} mm"
+    words = f"a lift of {size}, then sines of {size} and {20 * path.scale:g} mrad"
+    facts = [("path begins at", pose), ("path", words), below]
     limits = "torque and voltage" if curves["voltage"] else "torque"
     note = f"Nothing is clipped: 'in limits' says whether the motors' {limits} would have been enough."
     kept = tuple(panel for panel in panels if panel.curves)

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -81,23 +80,21 @@ def upper_layer(Kp: Array, Kd: Array, Ki: Array) -> StateSpaceModel:
     return StateSpaceModel(none, b, Ki, d, 0.0, _ABOVE, _TORQUES, where="two-layer: upper layer")
 
 
-def two_layer(
-    plant: StewartPlatform, p_up: float = 236.0, p_low: float = 3000.0, at: Trim | None = None, rotor_J: float = ROTOR
-) -> LayeredController:
+def two_layer(plant: StewartPlatform, p_up: float = 236.0, p_low: float = 3000.0) -> LayeredController:
     """Design the two-layer controller of a Stewart platform with motors."""
     if not (isinstance(plant, StewartPlatform) and plant.motors):
         raise InputError("two_layer", "a plant without motors", 'plant("stewart-platform", motors=True)')
-    for name, value in (("p_up", p_up), ("p_low", p_low), ("rotor_J", rotor_J)):
+    for name, value in (("p_up", p_up), ("p_low", p_low)):
         if not float(real_array(name, value, 0, "two_layer")) > 0:
             raise InputError(f"two_layer: {name}", f"{value:g}", "a positive number")
-    point = trim(plant) if at is None else at
+    point = trim(plant)
     p, a, one = plant.values, linearise(plant, point).A, np.eye(6)
     gain = a[6:12, 12:] / p["Km"]
     stiffness, damping = a[6:12, :6], a[6:12, 6:12] + gain * p["Kf"] * p["ratio"]  # the motor's own damping is in m
     right = np.hstack([3 * p_up**2 * one + stiffness, 3 * p_up * one + damping, p_up**3 * one])
     upper = np.asarray(np.linalg.solve(gain, right), dtype=np.float64)
     motor = {name: p[name] for name in ("R", "L", "Km", "Kb", "Kf")}
-    gains = torque_gains(p_low, J=rotor_J, **motor)
+    gains = torque_gains(p_low, J=ROTOR, **motor)
     return LayeredController(upper_layer(upper[:, :6], upper[:, 6:12], upper[:, 12:]), gains, point)
 
 
@@ -155,21 +152,16 @@ class SineTrajectory:
             if value < 0 or (value == 0 and low == "positive"):
                 raise InputError(f"trajectory: {name}", f"{value:g}", f"a number that is {low}")
 
-    @property
-    def breaks(self) -> tuple[float, ...]:
-        """Times in s of the motion's discontinuities."""
-        return (0.0, self.lift_time, self.lift_time + self.rise_time)
-
     def pose(self, t: ArrayLike) -> Array:
         """Return the pose (6,) at a time in s, or (n, 6) at times (n,)."""
         time = np.asarray(t, dtype=np.float64)[..., None]
         since = np.maximum(time - self.lift_time, 0.0)
-        share = _ease(since / self.rise_time) if self.rise_time else 1.0
-        lifted = np.asarray(self.start) + np.asarray(self.lift) * _ease(time / self.lift_time)
+        share = ease(since / self.rise_time) if self.rise_time else 1.0
+        lifted = np.asarray(self.start) + np.asarray(self.lift) * ease(time / self.lift_time)
         return lifted + np.asarray(self.amplitude) * share * np.sin(self.omega * since)
 
 
-def _ease(s: Array) -> Array:
+def ease(s: Array) -> Array:
     s = np.clip(s, 0.0, 1.0)
     return s**3 * (10 - 15 * s + 6 * s**2)
 
@@ -209,20 +201,15 @@ class TrajectoryFollowing:
         """Return the largest absolute torque of each motor in N m from the time ``after`` on, (6,)."""
         return np.abs(self.torque[self.t >= after]).max(axis=0)
 
-    def largest_voltage(self, after: float = 0.0) -> Array:
-        """Return the largest absolute voltage of each motor in V from the time ``after`` on, (6,)."""
-        return np.abs(self.voltage[self.t >= after]).max(axis=0)
+    def largest_voltage(self) -> Array:
+        """Return the largest absolute voltage of each motor in V, (6,)."""
+        return np.abs(self.voltage).max(axis=0)
 
     @property
     def within_limits(self) -> bool:
         """True if no sample exceeds the motors' torque or voltage."""
         within = self.largest_torque().max() <= MOST_TORQUE
         return bool(within and self.largest_voltage().max(initial=0.0) <= MOST_VOLTAGE)
-
-    def to_json(self) -> dict[str, Any]:
-        peaks = {"largest_torque": self.largest_torque(), "largest_voltage": self.largest_voltage()}
-        limits = {"torque": MOST_TORQUE, "voltage": MOST_VOLTAGE}
-        return {**vars(self), **peaks, "limits": limits, "within_limits": self.within_limits}
 
 
 def _followed(
@@ -240,9 +227,7 @@ def follow(
     reference = _within(plant, trajectory, clock)
     read, loop = measured(plant), layered_loop(plant, controller)
     # The torque loops are stiff (poles of some 1000 /s): implicit integration.
-    states = _integrated(
-        loop, lambda time: nut_angles(plant.geometry, trajectory.pose(time)), clock, trajectory.breaks, rtol
-    )
+    states = _integrated(loop, plant, trajectory, clock, rtol)
     lengths = plant.geometry.home_lengths + states[:, :6] / plant.geometry.turns
     low, high = plant.geometry.limits
     beyond = ((lengths < low) | (lengths > high)).any(axis=1)
@@ -258,14 +243,10 @@ def follow_with_torques(
     plant: StewartPlatform | ExtendedNonlinearPlant, K: StateSpaceModel, trajectory: SineTrajectory, t: ArrayLike, *,
     at: Trim,
 ) -> TrajectoryFollowing:  # fmt: skip
-    """Simulate a machine without motors under a controller, with or without effects at its joints."""
-    machine = plant.plant if isinstance(plant, ExtendedNonlinearPlant) else plant
-    if not isinstance(machine, StewartPlatform) or machine.motors:
-        raise InputError("follow_with_torques", "no Stewart platform that takes torques", "motors = False")
-    record = Record(t, name="follow")
-    if not record.is_uniform:
-        raise InputError("follow_with_torques: t", "irregular times", "equal steps")
-    clock, reference = record.t, _within(machine, trajectory, record.t)
+    """Simulate a machine without motors under a controller, with or without effects at its joints, in equal steps."""
+    machine: Any = plant.plant if isinstance(plant, ExtendedNonlinearPlant) else plant
+    clock = Record(t, name="follow").t
+    reference = _within(machine, trajectory, clock)
     loop = torque_loop(plant, K, at)
     if isinstance(loop, ControlledNonlinearPlant):  # stepped like a plant with effects, because the loop is stiff
         loop = ExtendedNonlinearPlant(loop.name, loop.parameters, loop.inputs, loop.outputs, loop.states, loop, ())
@@ -299,12 +280,15 @@ def _within(plant: StewartPlatform, trajectory: SineTrajectory, clock: Array) ->
 
 
 def _integrated(
-    loop: ControlledNonlinearPlant, angles: Callable[[float], Array], t: Array, breaks: tuple[float, ...], rtol: float
+    loop: ControlledNonlinearPlant, plant: StewartPlatform, trajectory: SineTrajectory, t: Array, rtol: float
 ) -> Array:
-    """Integrate from the loop's equilibrium; return states (n, n_x) at the times t."""
+    """Integrate from the loop's equilibrium, between discontinuities; return states (n, n_x) at the times t."""
     from scipy.integrate import solve_ivp
 
     number("follow: rtol", rtol, "a number between 0 and 1", above=0, below=1)
+
+    def angles(time: float) -> Array:
+        return nut_angles(plant.geometry, trajectory.pose(time))
 
     def rates(time: float, state: Array) -> Array:
         try:
@@ -318,7 +302,8 @@ def _integrated(
     # Absolute tolerances of angles, rates, currents, and the controller's integrals, relative to rtol.
     small = np.abs(loop.K.C).max(axis=0)
     scale = np.concatenate([np.full(12, 1.0), np.full(6, 0.1), 0.1 / np.maximum(small, 1.0)])
-    edges = [t[0], *sorted({b for b in breaks if t[0] < b < t[-1]}), t[-1]]
+    breaks = {0.0, trajectory.lift_time, trajectory.lift_time + trajectory.rise_time}
+    edges = [t[0], *sorted(b for b in breaks if t[0] < b < t[-1]), t[-1]]
     states, state = np.empty((len(t), len(loop.states))), loop.start
     for first, last in itertools.pairwise(edges):
         found = solve_ivp(

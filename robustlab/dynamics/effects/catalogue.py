@@ -33,8 +33,3 @@ def effect(name: str) -> Effect:
     if name not in known:
         raise unknown_name(f"effect {name!r}", "no such effect", name, known)
     return known[name]
-
-
-def effect_names() -> tuple[str, ...]:
-    """Return the ids of all effects of the catalogue."""
-    return tuple(catalogue())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -305,6 +305,10 @@ class Effect:
         """Return the argument p of the force law: all parameters in their order."""
         return tuple(values[name] for name in self._names)
 
+    def names_of(self, values: Mapping[str, float]) -> Sequence[str]:
+        """Return the names of all parameters at a place where these values are given."""
+        return self._names
+
     @cached_property
     def _names(self) -> tuple[str, ...]:
         return tuple(p.name for p in self.parameters(Scales()))
@@ -322,11 +326,11 @@ class Effect:
 
     def lag(self, values: Mapping[str, float]) -> float:
         """Return the time in s by which the recorded outputs lag behind the plant."""
-        return 0.0
+        return values[self.delay] if self.delay and self.site_kind == "output" else 0.0
 
     def shown(self, values: Mapping[str, float]) -> float:
         """Return the ratio of a recorded output to the true one; 1 if the output is not scaled."""
-        return 1.0
+        return values[self.scale] if self.scale and self.site_kind == "output" else 1.0
 
     def bias(self, values: Mapping[str, float]) -> float:
         """Return the recorded value of a zero output."""
@@ -341,10 +345,8 @@ class Effect:
         return None
 
     def checked(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Return the values by name; raise an error if one is missing or not finite."""
-        return self._checked(values, [p.name for p in self.parameters(Scales())])
-
-    def _checked(self, values: Mapping[str, float], names: list[str]) -> dict[str, float]:
+        """Return the values by name; raise an error if one is missing or unknown."""
+        names = self.names_of(values)
         for name in values:
             if name not in names:
                 raise InputError(
@@ -353,8 +355,4 @@ class Effect:
         missing = [name for name in names if name not in values]
         if missing:
             raise InputError(f"effect {self.id}", f"no value for {missing[0]!r}", f"{', '.join(names)}")
-        checked = {name: float(values[name]) for name in names}
-        for name, value in checked.items():
-            if not np.isfinite(value):
-                raise InputError(f"effect {self.id}: {name}", f"{value}", "a finite number")
-        return checked
+        return {name: float(values[name]) for name in names}

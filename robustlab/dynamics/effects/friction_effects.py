@@ -34,15 +34,21 @@ def dry_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return dry_mean_force(seen[V0], seen[V], seen[GV], p[0], 0.0, 1.0)
 
 
-class CoulombFriction(Effect, row="coulomb-friction"):
-    """Dry friction: a force of constant size against the motion that holds the joint at rest."""
+class RelayEffect(Effect):
+    """A force of constant size against the motion, or a voltage of constant size against the current."""
 
     force = dry_force
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
-        # Describing function of the relay for a sinusoidal speed of amplitude a: 4 Fc / (pi a).
-        gain = 4.0 * values["Fc"] / (math.pi * amplitude)
-        return Footprint(site.name, "speed", 0.0, gain, offset=values["Fc"], describing=gain)
+        # Describing function of the relay of level F for a sinusoidal signal of amplitude a: 4 F / (pi a).
+        (level,) = self.arguments(values)
+        gain = 4.0 * level / (math.pi * amplitude)
+        signal = "current" if self.site_kind == "current" else "speed"
+        return Footprint(site.name, signal, 0.0, gain, offset=level, describing=gain)
+
+
+class CoulombFriction(RelayEffect, row="coulomb-friction"):
+    """Dry friction: a force of constant size against the motion that holds the joint at rest."""
 
 
 ROUNDING = 1e-13
@@ -313,15 +319,8 @@ class QuadraticDrag(Effect, row="quadratic-drag"):
         return Footprint(site.name, "speed", 0.0, values["c"] * amplitude)
 
 
-class BrushDrop(Effect, row="brush-drop"):
+class BrushDrop(RelayEffect, row="brush-drop"):
     """Voltage drop of brushes: a constant voltage against the current."""
-
-    force = dry_force
-
-    def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
-        # Describing function of the relay at the current amplitude a: 4 Vb / (pi a).
-        gain = 4.0 * values["Vb"] / (math.pi * amplitude)
-        return Footprint(site.name, "current", 0.0, gain, offset=values["Vb"], describing=gain)
 
 
 @law

@@ -5,7 +5,7 @@ r"""Wrong parameters of the plant: one physical quantity, scaled.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,7 +14,6 @@ import numpy as np
 from robustlab.dynamics.effects.contract import Effect, EffectParameter, Scales, Site
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, parameter_groups, port_model
-from robustlab.errors import InputError
 
 
 class ParameterEffect(Effect):
@@ -31,16 +30,7 @@ class ParameterEffect(Effect):
     def factors(self, plant: AnyPlant, site: Site, values: Mapping[str, float]) -> dict[str, float]:
         if site.kind != "parameter":
             return {}
-        names = self._group(plant, site)
-        return dict.fromkeys(names, values["s"])
-
-    def _group(self, plant: AnyPlant, site: Site) -> list[str]:
-        """Return the parameters of the group with this label."""
-        names = site.name.split("+")
-        for name in names:
-            if name not in plant.parameters:
-                raise InputError(f"effect {self.id}: site {site.name!r}", "no such parameters", f"of {plant.name}")
-        return names
+        return dict.fromkeys(site.name.split("+"), values["s"])
 
 
 def has_ground_term(plant: AnyPlant, port: Port, role: str, rows: tuple[Port, ...], of: str) -> bool:
@@ -65,6 +55,8 @@ class MotorEffect(ParameterEffect):
     :math:`\Delta \dot x = (s - 1)\, T x`, with T the terms of the parameter.
     """
 
+    couples: bool  # whether it is in the terms that couple the current with other states, else in that of the current
+
     def sites(self, plant: AnyPlant, model: PortModel) -> tuple[Site, ...]:
         currents = tuple(p.name for p in model.ports.values() if p.kind == "current")
         one = tuple(Site("current", name) for name in currents) if len(currents) > 1 else ()
@@ -74,14 +66,11 @@ class MotorEffect(ParameterEffect):
         if site.kind != "current":
             return model
         k = int(np.argmax(model.ports[site.name].velocity))
+        others = [j for j in range(model.own) if j != k]
         a = model.A.copy()
-        for row, column in self.terms(model, k):
+        for row, column in [*((j, k) for j in others), *((k, j) for j in others)] if self.couples else [(k, k)]:
             a[..., row, column] += (values["s"] - 1.0) * model.A[..., row, column]
         return replace(model, A=a)
-
-    def terms(self, model: PortModel, current: int) -> list[tuple[int, int]]:
-        """Return rows and columns of A that contain the parameter of this motor; ``current``: index of its current."""
-        raise NotImplementedError
 
 
 class MisplacedEffect(ParameterEffect):
@@ -97,8 +86,7 @@ class MisplacedEffect(ParameterEffect):
         return ({p.name: p.prior.value(0.1) for p in self.parameters(scales)},)
 
     def factors(self, plant: AnyPlant, site: Site, values: Mapping[str, float]) -> dict[str, float]:
-        names = self._group(plant, site)
-        own = [plant.parameters[name] for name in names]
+        own = [plant.parameters[name] for name in site.name.split("+")]
         return {p.name: (p.value + values[n]) / p.reference for p, n in zip(own, self.rows, strict=True)}
 
 
@@ -138,17 +126,10 @@ class GroundedEffect(ParameterEffect):
         if site.kind != "joint":
             return model
         port = model.ports[site.name]
-        row = getattr(port, self.of)
-        if row is None:
-            raise InputError(
-                f"effect {self.id}: {site.name}", f"a joint without a {self.of}", f"a joint with a {self.of}"
-            )
-        return model.with_state_feedback(port, -values[self.symbol] * row)
+        return model.with_state_feedback(port, -values[self.symbol] * getattr(port, self.of))
 
-    def checked(self, values: Mapping[str, float]) -> dict[str, float]:
-        if self.symbol not in values:
-            return super().checked(values)
-        return self._checked(values, list(self.at_joint))
+    def names_of(self, values: Mapping[str, float]) -> Sequence[str]:
+        return list(self.at_joint) if self.symbol in values else super().names_of(values)
 
 
 class Inertia(ParameterEffect, row="inertia"):
@@ -166,16 +147,13 @@ class GravityDirection(MisplacedEffect, row="gravity-direction"):
 class Resistance(MotorEffect, row="resistance"):
     """Wrong resistance: the true value is a multiple of the nominal one."""
 
-    def terms(self, model: PortModel, current: int) -> list[tuple[int, int]]:
-        return [(current, current)]
+    couples = False
 
 
 class TorqueConstant(MotorEffect, row="torque-constant"):
     """Wrong torque constant: the true value is a multiple of the nominal one."""
 
-    def terms(self, model: PortModel, current: int) -> list[tuple[int, int]]:
-        others = [k for k in range(model.own) if k != current]
-        return [(k, current) for k in others] + [(current, k) for k in others]
+    couples = True
 
 
 class Stiffness(GroundedEffect, row="stiffness"):

@@ -35,12 +35,6 @@ class SignalDelay(Effect):
 
     delay = "d"
 
-    def steps(self, values: Mapping[str, float], h: float) -> float:
-        """Return the delay in steps of h seconds."""
-        if values["d"] < 0.0:
-            raise InputError(f"effect {self.id}: d", f"{values['d']:g} s", "a delay of 0 s or more")
-        return values["d"] / h
-
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         return Footprint(site.name, self.site_kind, 1.0, 1.0, delay=values["d"])
 
@@ -55,7 +49,7 @@ class InputDelay(SignalDelay, row="input-delay"):
     """Input delay: the input acts d seconds late."""
 
     def input(self, signal: Array, values: Mapping[str, float], h: float) -> Array:
-        steps = self.steps(values, h)
+        steps = values["d"] / h
         whole = int(min(steps, len(signal)))
         part = min(1.0, steps - whole)
         k = np.arange(len(signal)) - whole  # the first value is held before the first sample
@@ -100,12 +94,9 @@ class ActuatorLag(Effect, row="actuator-lag"):
     """First-order lag of the actuator."""
 
     def input(self, signal: Array, values: Mapping[str, float], h: float) -> Array:
-        time = values["T"]
-        if time < 0.0:
-            raise InputError(f"effect {self.id}: T", f"{time:g} s", "a time constant of 0 s or more")
-        if time == 0.0 or not len(signal):
+        if values["T"] == 0.0 or not len(signal):
             return signal
-        return _lagged_means(np.ascontiguousarray(signal), h / time)
+        return _lagged_means(np.ascontiguousarray(signal), h / values["T"])
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # Unit static gain; the lag is a state wherever delays are rational.
@@ -116,9 +107,6 @@ class SensorGain(SignalGain, row="sensor-gain"):
     """Sensor gain: a wrong scale factor, gear ratio or calibration."""
 
     output = SignalGain.scaled
-
-    def shown(self, values: Mapping[str, float]) -> float:
-        return values["s"]
 
 
 class SensorBias(Effect, row="sensor-bias"):
@@ -154,7 +142,7 @@ class SensorDelay(SignalDelay, row="sensor-delay"):
     """Sensor delay: the reading is d seconds late, or its clock lags behind that of the input."""
 
     def output(self, signal: Array, values: Mapping[str, float], h: float) -> Array:
-        steps, n = self.steps(values, h), signal.shape[1]
+        steps, n = values["d"] / h, signal.shape[1]
         if n < 4:
             return signal
         at = np.arange(n) - steps
@@ -168,9 +156,6 @@ class SensorDelay(SignalDelay, row="sensor-delay"):
             + (p + 1) * p * (p - 1) / 6 * after
         )
         return np.where(at < 0.0, signal[:, :1] + at * (signal[:, 1:2] - signal[:, :1]), inside)
-
-    def lag(self, values: Mapping[str, float]) -> float:
-        return values["d"]
 
 
 POSITION_UNITS = ("rad", "m")

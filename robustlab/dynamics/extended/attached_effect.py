@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -317,20 +317,13 @@ class AttachedEffect:
 
     def to_json(self) -> dict[str, Any]:
         """Return id, texts, site, source, and parameters with value, standard deviation and unit."""
-        e, own = self.effect, {p.name: p for p in self.parameters}
         parameters = {
-            name: {"value": self.values[name], "std": self.std.get(name), "unit": p.unit, "meaning": p.meaning}
-            for name, p in own.items()
+            p.name: {"value": self.values[p.name], "std": self.std.get(p.name), "unit": p.unit, "meaning": p.meaning}
+            for p in self.parameters
         }
-        return {
-            "id": e.id,
-            "title": e.title,
-            "equation": e.equation,
-            "site": self.site.name,
-            "site_kind": self.site.kind,
-            "source": self.source,
-            "parameters": parameters,
-        }
+        texts = {name: getattr(self.effect, name) for name in ("id", "title", "equation")}
+        place = {"site": self.site.name, "site_kind": self.site.kind, "source": self.source}
+        return {**texts, **place, "parameters": parameters}
 
     def __repr__(self) -> str:
         values = ", ".join(f"{name}={value:g}" for name, value in self.values.items())
@@ -346,9 +339,7 @@ def _parameters(effect: Effect, site: Site) -> tuple[EffectParameter, ...]:
     return effect.parameters(Scales(force_unit="N" if site.kind in ("joint", "current") else ""))
 
 
-def attach(
-    key: str, given: Mapping[str, Any], plant: AnyPlant, model: PortModel, taken: Iterable[AttachedEffect] = ()
-) -> AttachedEffect:
+def attach(key: str, given: Mapping[str, Any], plant: AnyPlant, model: PortModel) -> AttachedEffect:
     """Return the effect ``"id"`` or ``"id@site"`` with the given values at its only, or named, site."""
     from robustlab.dynamics.effects.catalogue import effect as named
 
@@ -360,20 +351,15 @@ def attach(
     values: dict[str, float] = {}
     std: dict[str, float] = {}
     for parameter, value in given.items():
-        if isinstance(value, (tuple, list)):
-            if len(value) != 2:
-                raise InputError(
-                    f"{where}: {parameter}", f"{len(value)} entries", "a value or (value, standard deviation)"
-                )
-            values[parameter], std[parameter] = value
-        else:
+        if not isinstance(value, (tuple, list)):
             values[parameter] = value
+            continue
+        if len(value) != 2:
+            raise InputError(f"{where}: {parameter}", f"{len(value)} entries", "a value or (value, standard deviation)")
+        values[parameter], std[parameter] = value
     values = effect.checked({n: _number(where, n, v) for n, v in values.items()})
     sites = [s for s in effect.sites(plant, model) if {p.name for p in _parameters(effect, s)} == set(values)]
-    attached = AttachedEffect(effect, _site(where, sites, place, plant), values, std)
-    if any(other.effect.id == name and other.site == attached.site for other in taken):
-        raise InputError(f"{where} at {attached.site}", "given twice", "each effect once at a site")
-    return attached
+    return AttachedEffect(effect, _site(where, sites, place, plant), values, std)
 
 
 def _site(where: str, sites: list[Site], place: str, plant: AnyPlant) -> Site:

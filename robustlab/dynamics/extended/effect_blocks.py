@@ -26,9 +26,9 @@ from robustlab.dynamics.extended.extended_plant import (
     ExtendedNonlinearPlant,
     ExtendedPlant,
     with_effects,
+    with_signals,
     without_signals,
 )
-from robustlab.dynamics.extended.signal_blocks import with_signals
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant, tied_plant
 from robustlab.dynamics.plant_contract import Trim
 from robustlab.dynamics.ports.port_model import Port, PortModel, port_model
@@ -65,12 +65,10 @@ class ForceSector:
     approximate: bool
 
     @property
-    def middle(self) -> float:
-        return 0.5 * (self.low + self.high)
-
-    @property
-    def radius(self) -> float:
-        return 0.5 * (self.high - self.low)
+    def range(self) -> ParameterRange:
+        below = self.port.position_unit if self.signal == "position" else self.port.speed_unit
+        unit = "" if self.signal == "force" else f"{self.port.unit}/({below})"
+        return ParameterRange(0.5 * (self.low + self.high), 0.5 * (self.high - self.low), unit)
 
     @property
     def row(self) -> Array:
@@ -80,14 +78,6 @@ class ForceSector:
         row = self.port.position if self.signal == "position" else self.port.velocity
         assert row is not None
         return row
-
-    @property
-    def unit(self) -> str:
-        """Unit of the gain."""
-        if self.signal == "force":
-            return ""
-        below = self.port.position_unit if self.signal == "position" else self.port.speed_unit
-        return f"{self.port.unit}/({below})"
 
 
 @dataclass(frozen=True)
@@ -120,7 +110,8 @@ def _force_parts(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude], dry: 
             continue
         key = _signal_name(plant, port, seen.signal)
         as_gain, as_load = _as_gain_or_force(e, seen, key in amplitude, dry)
-        if as_gain and key not in amplitude and not _same_everywhere(e):
+        everywhere = {(f.gain_lower, f.gain_upper) for a in STRETCHES if (f := e.footprint(a)) is not None}
+        if as_gain and key not in amplitude and len(everywhere) != 1:
             if seen.signal == "position" and not seen.offset:
                 parts.left_out[f"{e!r}"] = f"only its slope at the point is in the model: give an amplitude of {key}"
             else:
@@ -129,8 +120,8 @@ def _force_parts(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude], dry: 
         row = np.zeros_like(port.velocity)
         if as_gain:
             found = _sector(e, port, seen, amplitude.get(key), width)
-            row = found.middle * found.row
-            if found.radius > 0:
+            row = found.range.nominal * found.row
+            if found.range.radius > 0:
                 parts.sectors.append(found)
         if as_load:
             (name,) = _free_names([e.load_name], [load.name for load, _ in parts.bounded])
@@ -201,11 +192,6 @@ def _as_gain_or_force(e: AttachedEffect, seen: Footprint, known: bool, dry: Dry 
     if mode == "both" and seen.signal == "position":  # no opposition to a speed: the error would be F + k |s|
         mode = "load"
     return mode != "load", mode != "gain"
-
-
-def _same_everywhere(e: AttachedEffect) -> bool:
-    found = [e.footprint(a) for a in STRETCHES]
-    return len({(f.gain_lower, f.gain_upper) for f in found if f is not None}) == 1 and found[0] is not None
 
 
 def _sector(e: AttachedEffect, port: Port, seen: Footprint, amplitude: Amplitude | None, width: float) -> ForceSector:
@@ -338,15 +324,15 @@ def effect_blocks(
         loads = _residual_force(port_model(plant), unnamed)
         inner = tied_plant(plant, tied)
         whole = _with_origins(_with_forces(inner, [port for _, port in loads]).uncertain(), inner)
-        made = EffectBlocks(*_errors_first(whole, plant, _at_forces(plant, loads)), {})
+        errors = [(load, len(plant.inputs) + i) for i, (load, _) in enumerate(loads)]
+        made = EffectBlocks(*_errors_first(whole, plant, errors), {})
     elif isinstance(plant, ExtendedPlant):
         made = _of_extended(plant, width, dict(amplitude or {}), dry, pade, unnamed, tied)
     else:
         raise InputError("effect_blocks", type(plant).__name__, "a linear plant, with or without effects")
     if outputs is None:
         return made
-    m, (_, p) = made.model.M, made.model.delta_shape
-    kept = drop_unconnected(m.select(m.input_names, [*m.output_names[:p], *outputs]))
+    kept = drop_unconnected(made.model.select(outputs=outputs).M)
     return dataclasses.replace(made, model=UncertainModel(kept, made.model.blocks))
 
 
@@ -373,7 +359,7 @@ def _of_extended(
     signals = plant.signal_levels(point.x, point.u)
     into, out = ([s for s in signals if s[0].site.kind == kind] for kind in ("input", "output"))
     whole = with_signals(whole, signals, levels, width, pade)
-    errors = _at_forces(plant, loads)
+    errors = [(load, len(plant.inputs) + i) for i, (load, _) in enumerate(loads)]
     for e, k, _ in into:
         if e.site.name not in amplitude and _is_bounded_error(plant, e):  # the bound of its error on the input
             words = f"{e.in_words} as a bounded error, for every motion; {e.values_in_words}"
@@ -409,11 +395,6 @@ def _is_bounded_error(plant: ExtendedPlant, e: AttachedEffect) -> bool:
     """Return whether a driver only adds a bounded error to an unscaled input."""
     others = [o for o in plant.effects if o.site == e.site and o is not e and o.scale is not None]
     return e.site.kind == "input" and e.input_error() is not None and not others
-
-
-def _at_forces(plant: AnyLinear, loads: Sequence[tuple[NoiseInput, Port]]) -> list[tuple[NoiseInput, int]]:
-    """Return the loads with their indices among the inputs and forces."""
-    return [(load, len(plant.inputs) + i) for i, (load, _) in enumerate(loads)]
 
 
 def _errors_first(
@@ -492,7 +473,7 @@ def _with_sectors(whole: UncertainModel, sectors: Sequence[ForceSector], n_u: in
     columns = [*ins[:q], *ins[q + n_u : q + n_u + k], *ins[q : q + n_u], *ins[q + n_u + k :]]
     rows = [*outs[:p], *outs[p + n_y :], *outs[p : p + n_y]]
     scale = np.ones(m.n_inputs)
-    scale[q : q + k] = [s.radius if s.signal == "force" else -s.radius for s in sectors]
+    scale[q : q + k] = [s.range.radius if s.signal == "force" else -s.range.radius for s in sectors]
     names = _free_names([s.effect.key for s in sectors], [b.name for b in whole.blocks])
     inputs, outputs = [m.inputs[j] for j in columns], [m.outputs[j] for j in rows]
     inputs[q : q + k], outputs[p : p + k] = ([Signal(f"{w}_{n}") for n in names] for w in "wz")
@@ -504,7 +485,7 @@ def _with_sectors(whole: UncertainModel, sectors: Sequence[ForceSector], n_u: in
     for name, s in zip(names, sectors, strict=True):
         seen = "of the force there" if s.signal == "force" else f"of its {s.signal}"
         words = f"{s.effect.in_words} as a sector {seen}; {s.valid}; {s.effect.values_in_words}"
-        blocks.append(RealScalar(name, 1, ParameterRange(s.middle, s.radius, s.unit), origin=words))
+        blocks.append(RealScalar(name, 1, s.range, origin=words))
     found = UncertainModel(model, [*whole.blocks, *blocks], whole.operating_point)
     return found, [name for name, s in zip(names, sectors, strict=True) if s.approximate]
 
@@ -633,21 +614,19 @@ def loaded_model(
 ) -> tuple[StateSpaceModel, tuple[NoiseInput, ...]]:
     """Return the linear model with bounded loads of a nonlinear plant with effects at a trim, and these loads."""
     linear, ports = plant.linear_model(at), plant.about(at.x, plant.mapped_input(at.u)).model.ports
-    loads, columns = [], []
-    for e in plant.effects:
-        if _is_linear(e) or not e.effect.nameable:
-            continue
-        load, way = _load(plant, ports, e, sigmas)
+    effects = [e for e in plant.effects if not _is_linear(e) and e.effect.nameable]
+    made = [_load(plant, ports, e, sigmas) for e in effects]
+    loads = tuple(load for load, _ in made)
+    for e, load in zip(effects, loads, strict=True):
         if not np.isfinite(load.bound):
             raise InputError(f"loads of {e.in_words}", "no bound whatever the motion", "effects that have one")
-        loads.append(load)
-        columns.append(load.bound * (linear.B[:, way] if isinstance(way, int) else way.force))
+    columns = [load.bound * (linear.B[:, way] if isinstance(way, int) else way.force) for load, way in made]
     b = np.column_stack([*columns, linear.B])
     d = np.hstack([np.zeros((len(linear.C), len(loads))), linear.D])
     inputs = [*((load.name, "1") for load in loads), *linear.inputs]
     point = OperatingPoint(at.x, np.concatenate([np.zeros(len(loads)), at.u]), at.y)
     model = StateSpaceModel(linear.A, b, linear.C, d, 0.0, inputs, linear.outputs, linear.states, point, plant.name)
-    return model, tuple(loads)
+    return model, loads
 
 
 def _is_linear(e: AttachedEffect) -> bool:

@@ -20,6 +20,7 @@ from robustlab.delays.approximation import pade as rational_delay
 from robustlab.display import AllFields, listed
 from robustlab.dynamics.effects.contract import Footprint, Law
 from robustlab.dynamics.extended.attached_effect import (
+    DEFAULT_AMPLITUDE,
     AttachedEffect,
     holding_force,
     is_set_valued,
@@ -27,10 +28,9 @@ from robustlab.dynamics.extended.attached_effect import (
     slopes,
     steady_force,
 )
-from robustlab.dynamics.extended.nonlinear_steps import About, generic_model
-from robustlab.dynamics.extended.simulator import Simulator
+from robustlab.dynamics.extended.nonlinear_steps import About, factors_of, generic_model, with_linear_parts
 from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant, Trim, point_of
-from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel
+from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, port_model
 from robustlab.dynamics.rest import PASSES, trim_conditions
 from robustlab.dynamics.simulation import CLOCK_JITTER
 from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
@@ -88,9 +88,7 @@ def extended_model(plant: AnyPlant, effects: Iterable[AttachedEffect]) -> PortMo
     attached = list(effects)
     if isinstance(plant, NonlinearPlant):
         return generic_model(plant, attached)
-    none = np.zeros((1, len(plant.inputs)))
-    run = Simulator(plant, [(e.effect, e.site) for e in attached], none, NOMINAL_STEP)
-    return run.model({}, [e.values for e in attached])
+    return with_linear_parts(port_model(plant, factors_of(plant, attached)), attached)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -325,9 +323,11 @@ class ExtendedEquations(SteppedPlant):
             if port.position is not None:
                 a += np.outer(port.force, stiffness * port.position)
         a += self.inertia_jacobian(x, self.mapped_input(u), acting)
-        into, out = self.signal_gains(x, u, amplitude)
+        into, out = np.ones(len(self.inputs)), np.ones(len(self.outputs))
         delays, lags = {"input": [0.0] * len(into), "output": [0.0] * len(out)}, dict[int, float]()
-        for e, k, _ in self.signal_levels(x, u):
+        for e, k, level in self.signal_levels(x, u):
+            gains = into if e.site.kind == "input" else out
+            gains[k] *= e.gain(level, amplitude)
             delays[e.site.kind][k] += e.delay
             if e.time_constant:
                 lags[k] = e.time_constant
@@ -337,14 +337,6 @@ class ExtendedEquations(SteppedPlant):
         )  # fmt: skip
         return _with_delays(linear, pade, delays, lags) if pade and (lags or any(map(any, delays.values()))) else linear
 
-    def signal_gains(self, x: Array, u: Array, amplitude: Mapping[str, float]) -> tuple[Array, Array]:
-        """Return the gains of the effects on the inputs (n_u,) and outputs (n_y,) at (x, u)."""
-        into, out = np.ones(len(self.inputs)), np.ones(len(self.outputs))
-        for e, k, level in self.signal_levels(x, u):
-            gains = into if e.site.kind == "input" else out
-            gains[k] *= e.gain(level, amplitude)
-        return into, out
-
     def left_out(
         self, at: Any = None, amplitude: Mapping[str, float] | None = None, pade: int = 0
     ) -> tuple[LeftOut, ...]:
@@ -353,7 +345,8 @@ class ExtendedEquations(SteppedPlant):
         found: dict[int, LeftOut] = {}
 
         def note(e: AttachedEffect, reason: str) -> None:
-            found.setdefault(id(e), LeftOut(e, reason, _footprint(e, amplitude)))
+            footprint = e.footprint(amplitude.get(e.site.name, DEFAULT_AMPLITUDE))
+            found.setdefault(id(e), LeftOut(e, reason, footprint))
 
         for e, law, port in self.laws:
             q, v = _motion(port, x)
@@ -366,7 +359,7 @@ class ExtendedEquations(SteppedPlant):
             else:
                 note(e, "nonlinear: the model has its slopes at the point only")
         for e, _, level in self.signal_levels(x, u):
-            seen_by = _footprint(e, amplitude)
+            seen_by = e.footprint(amplitude.get(e.site.name, DEFAULT_AMPLITUDE))
             if e.delay:
                 words = f"as a Padé approximation of order {pade}" if pade else "left out"
                 note(e, f"a delay of {e.delay:g} s, {words}")
@@ -397,10 +390,6 @@ class ExtendedEquations(SteppedPlant):
         if isinstance(pade, bool) or not isinstance(pade, int) or not 0 <= pade <= HIGHEST_PADE:
             raise InputError("linearise: pade", f"{pade!r}", f"an order from 0 to {HIGHEST_PADE}")
         return x, u, amplitude or {}
-
-
-def _footprint(e: AttachedEffect, amplitude: Mapping[str, float]) -> Footprint | None:
-    return e.footprint(amplitude[e.site.name]) if e.site.name in amplitude else e.footprint()
 
 
 def _motion(port: Port, x: Array) -> tuple[float, float]:
@@ -436,8 +425,8 @@ def _with_delays(
         whole = bank if whole is None else series(whole, bank)
         for s, m in zip(signals, channels, strict=True):
             count = 0 if m is None else m.n_states
-            name, unit = (f"lag_{s.name}", s.unit) if kind == "lag" else (f"{kind}_{s.name}", "")
-            states += [(name if kind == "lag" else f"{name}_{i + 1}", unit) for i in range(count)]
+            lag = kind == "lag"
+            states += [(f"lag_{s.name}", s.unit) if lag else (f"{kind}_{s.name}_{i + 1}", "") for i in range(count)]
         x.append(np.asarray(-np.linalg.solve(bank.A, bank.B @ level), dtype=np.float64))
     assert whole is not None
     point = OperatingPoint(np.concatenate(x), point.u, point.y)

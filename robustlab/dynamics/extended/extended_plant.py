@@ -1,4 +1,6 @@
 """Plants with effects as plants; the linear part of a linear one with its tolerances as an exact LFT."""
+# Uncertain delays: Wang, Lundström, Skogestad, "Representation of uncertain time delays in the H-infinity framework",
+# Int. J. Control 59 (1994).
 
 from __future__ import annotations
 
@@ -10,18 +12,20 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.checks import number
+from robustlab.delays.approximation import checked_order
+from robustlab.delays.model import covering
 from robustlab.dynamics.extended.attached_effect import POSITION_STEP, AttachedEffect, attach
 from robustlab.dynamics.extended.extended_equations import NOMINAL_STEP, ExtendedEquations, extended_model
 from robustlab.dynamics.extended.nonlinear_steps import (
     About,
     Drive,
+    factors_of,
     load_coordinates,
     march,
     point_model,
     scaled,
     with_linear_parts,
 )
-from robustlab.dynamics.extended.signal_blocks import with_signals
 from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant, with_factors
 from robustlab.dynamics.parameters import Parameter
@@ -31,7 +35,8 @@ from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, linear_plan
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, error_context
 from robustlab.linear_analysis.structural import drop_unconnected
 from robustlab.statespace import Signal, StateSpaceModel, real_array
-from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.blocks import FullBlock, ParameterRange, RealScalar
+from robustlab.uncertainty.lft import UncertainModel, product
 
 # Steps of a nonlinear plant are halved until the states change by less than this share of their RMS, and largest number
 # of halvings.
@@ -80,22 +85,21 @@ class ExtendedNonlinearPlant(ExtendedEquations):
     def motion(
         self, u: Array, dt: float, t0: float, x0: Array, step: float | None, hold: Literal["zoh", "foh"] = "zoh"
     ) -> tuple[Array, Array]:
-        if hold == "foh" and any(e.site.kind == "input" for e in self.effects):
-            raise InputError(
-                f"{self.name}: simulate", "inputs that are not held, with an effect on one", "hold = 'zoh'"
-            )
         parts = max(1, int(np.ceil(dt / (step or NOMINAL_STEP) - 1e-9)))
         states, outputs = self._stepped(_drive(self, u, dt, t0, parts, hold), x0, None)
         if step is not None:
             return states[::parts], outputs[::parts]
-        off = np.inf
+        off, units = np.inf, np.array([s.unit for s in self.states])
         for _ in range(MOST_HALVINGS):
             coarse, parts = states, 2 * parts
             between = np.arange(len(u) * parts) / 2.0
             guess = np.column_stack([np.interp(between, np.arange(len(coarse)), column) for column in coarse.T])
             states, outputs = self._stepped(_drive(self, u, dt, t0, parts, hold), x0, guess)
-            found, before = states[::parts], coarse[:: parts // 2]
-            off = self._difference(found, before)
+            found = states[::parts]
+            size, off_by = (np.sqrt(np.mean(x**2, axis=0)) for x in (found, found - coarse[:: parts // 2]))
+            # RMS difference, relative to the largest state of the same unit
+            shares = [off_by[units == unit].max() / max(size[units == unit].max(), STILL) for unit in set(units)]
+            off = float(max(shares, default=0.0))
             if off <= HALVED:
                 return found, outputs[::parts]
         raise NoTrustworthyNumber(
@@ -115,13 +119,6 @@ class ExtendedNonlinearPlant(ExtendedEquations):
                 k = [s.name for s in self.outputs].index(e.site.name)
                 outputs[:, k] = e.effect.output(outputs[None, :, k], e.values, drive.h)[0]
         return states, outputs
-
-    def _difference(self, one: Array, other: Array) -> float:
-        """Return the RMS difference of two motions, relative to the largest state of the same unit."""
-        size, off = (np.sqrt(np.mean(motion**2, axis=0)) for motion in (one, one - other))
-        units = np.array([s.unit for s in self.states])
-        shares = (off[units == unit].max() / max(size[units == unit].max(), STILL) for unit in dict.fromkeys(units))
-        return float(max(shares, default=0.0))
 
     def search_start(self, where: Mapping[str, Any]) -> tuple[Array, Mapping[str, Any]]:
         signals = {s.name for s in (*self.states, *self.inputs, *self.outputs)}
@@ -144,7 +141,7 @@ class ExtendedNonlinearPlant(ExtendedEquations):
 def _drive(plant: ExtendedNonlinearPlant, u: Array, dt: float, t0: float, parts: int, hold: str) -> Drive:
     """Return the effective inputs in steps, ``parts`` per sample."""
     h = dt / parts
-    if hold == "foh":
+    if hold == "foh":  # of a loop, whose effects are not on its inputs
         between = np.arange(len(u) * parts + 1) / parts
         fine = np.column_stack([np.interp(between, np.arange(len(u)), column) for column in u.T])
         rise = 0.5 * np.diff(fine, axis=0)
@@ -197,8 +194,7 @@ class ExtendedPlant(ExtendedEquations):
         _check(self, whole, linear, width)
         if outputs is None:
             return UncertainModel(whole.M, whole.blocks, point)
-        kept = whole.M.select(whole.M.input_names, [*(s.name for s in whole.M.outputs[: -len(self.outputs)]), *outputs])
-        return UncertainModel(drop_unconnected(kept), whole.blocks)
+        return UncertainModel(drop_unconnected(whole.select(outputs=outputs).M), whole.blocks)
 
 
 @error_context("with_effects")
@@ -240,45 +236,34 @@ def with_effects(
         base, attached = plant.plant, list(plant.effects)
     else:
         base, attached = plant if isinstance(plant, NonlinearPlant) else linear_plant_of(plant, "with_effects"), []
-    if isinstance(effects, Mapping):
-        table: Mapping[Any, Any] = effects
-        for key, values in table.items():
-            attached.append(attach(key, values, base, extended_model(base, attached), attached))
-    else:
-        if not isinstance(effects, AttachedEffect | Iterable):
-            raise InputError("with_effects: effects", repr(effects), "effects with their parameters, {name: {...}}")
-        for e in (effects,) if isinstance(effects, AttachedEffect) else effects:
-            attached.append(_checked(e, base, attached))
+    if not isinstance(effects, AttachedEffect | Iterable):
+        raise InputError("with_effects: effects", repr(effects), "effects with their parameters, {name: {...}}")
+    given: Any = (effects,) if isinstance(effects, AttachedEffect) else effects
+    for one in given:
+        model = extended_model(base, attached)
+        e = attach(one, given[one], base, model) if isinstance(effects, Mapping) else _checked(one, base, model)
+        if any((other.effect.id, other.site) == (e.effect.id, e.site) for other in attached):
+            raise InputError(f"effect {e.effect.id} at {e.site}", "given twice", "each effect once at a site")
+        attached.append(e)
     if not attached:
         raise InputError("with_effects", "no effect", "at least one")
     return _extended(base, tuple(attached))
 
 
-def _checked(e: Any, base: AnyPlant, taken: list[AttachedEffect]) -> AttachedEffect:
-    """Return the attached effect if the plant has its place, without the same effect there."""
+def _checked(e: Any, base: AnyPlant, model: PortModel) -> AttachedEffect:
+    """Return the attached effect if the plant has its place."""
     if not isinstance(e, AttachedEffect):
         raise InputError("with_effects", f"{e!r}", "a table of effects, or attached effects")
-    names = [site.name for site in e.effect.sites(base, extended_model(base, taken)) if site.kind == e.site.kind]
+    names = [site.name for site in e.effect.sites(base, model) if site.kind == e.site.kind]
     if e.site.name not in names:
         hint = did_you_mean(e.site.name, names)
         raise InputError(f"effect {e.effect.id}: site {e.site.name!r}", "no such place", ", ".join(names), hint)
-    if any((other.effect.id, other.site) == (e.effect.id, e.site) for other in taken):
-        raise InputError(f"effect {e.effect.id} at {e.site}", "given twice", "each effect once at a site")
     return e
 
 
 def _extended(base: AnyPlant, effects: tuple[AttachedEffect, ...]) -> ExtendedPlant | ExtendedNonlinearPlant:
-    states = (*base.states, *_further_states(extended_model(base, effects)))
-    signals = base.inputs, base.outputs, states
-    if isinstance(base, NonlinearPlant):
-        return ExtendedNonlinearPlant(base.name, base.parameters, *signals, base, effects)
-    return ExtendedPlant(base.name, base.parameters, *signals, base, effects)
-
-
-def _further_states(model: PortModel) -> tuple[Signal, ...]:
-    """Return the states that effects have added, named after their ports."""
-    found = []
-    for k in range(model.own, len(model.A)):
+    model, states = extended_model(base, effects), list(base.states)
+    for k in range(model.own, len(model.A)):  # added by effects, named after their ports
         unit = np.eye(len(model.A))[k]
         name, of = f"effect_state_{k - model.own + 1}", ""
         for port in model.ports.values():
@@ -286,8 +271,11 @@ def _further_states(model: PortModel) -> tuple[Signal, ...]:
                 name, of = port.name, port.position_unit
             elif np.array_equal(port.velocity, unit):
                 name, of = f"{port.name}.rate", port.speed_unit
-        found.append(Signal(name, of))
-    return tuple(found)
+        states.append(Signal(name, of))
+    signals = base.inputs, base.outputs, tuple(states)
+    if isinstance(base, NonlinearPlant):
+        return ExtendedNonlinearPlant(base.name, base.parameters, *signals, base, effects)
+    return ExtendedPlant(base.name, base.parameters, *signals, base, effects)
 
 
 def without_signals(plant: ExtendedPlant, linear: StateSpaceModel, width: float) -> LinearPlant:
@@ -296,7 +284,7 @@ def without_signals(plant: ExtendedPlant, linear: StateSpaceModel, width: float)
     parameters = {name: replace(p, value=scaled[name]) for name, p in base.parameters.items()}
     tied: dict[str, list[str]] = {}
     for e in plant.effects:
-        names = list(_scaled_by(plant, e))
+        names = list(factors_of(base, [e]))
         if not (names and e.scale and e.scale_std):
             continue
         tolerance = width * e.scale_std / e.scale
@@ -324,17 +312,9 @@ def without_signals(plant: ExtendedPlant, linear: StateSpaceModel, width: float)
     return LinearPlant(plant.name, parameters, plant.inputs, plant.outputs, plant.states, equations, base.exact)
 
 
-def _scaled_by(plant: ExtendedPlant, e: AttachedEffect) -> dict[str, float]:
-    """Return plant parameter -> factor of the effect."""
-    return e.effect.factors(plant.plant, e.site, e.values)
-
-
 def _scaled_values(plant: ExtendedPlant) -> dict[str, float]:
-    values = plant.plant.values
-    for e in plant.effects:
-        for name, factor in _scaled_by(plant, e).items():
-            values[name] *= factor
-    return values
+    base, factors = plant.plant, factors_of(plant.plant, plant.effects)
+    return base.values | {name: base.parameters[name].reference * factor for name, factor in factors.items()}
 
 
 def _joint_terms(plant: ExtendedPlant, linear: StateSpaceModel, width: float) -> dict[str, tuple[Parameter, Array]]:
@@ -348,7 +328,11 @@ def _joint_terms(plant: ExtendedPlant, linear: StateSpaceModel, width: float) ->
             value, std = e.values[parameter.name], e.std.get(parameter.name, 0.0)
             if not std:
                 continue
-            first, second = (_changed(plant, e, {parameter.name: share * value}) for share in (1.25, 1.5))
+            first, second = (
+                extended_model(plant.plant, [other if item is e else item for item in plant.effects]).A - plant.model.A
+                for share in (1.25, 1.5)
+                for other in [replace(e, values={**e.values, parameter.name: share * value})]
+            )
             if not np.allclose(second, 2.0 * first, rtol=FORM_ROUNDING, atol=0.0):
                 continue
             label = f"{e.key}.{parameter.name}"
@@ -356,12 +340,6 @@ def _joint_terms(plant: ExtendedPlant, linear: StateSpaceModel, width: float) ->
             per_unit = inertia @ first / (0.25 * value)
             found[label] = Parameter(label, value, parameter.unit, tolerance, e.source, e.effect.title), per_unit
     return found
-
-
-def _changed(plant: ExtendedPlant, e: AttachedEffect, values: Mapping[str, float]) -> Array:
-    """Return the change of A for other values of an effect."""
-    other = replace(e, values={**e.values, **values})
-    return extended_model(plant.plant, [other if item is e else item for item in plant.effects]).A - plant.model.A
 
 
 def _structure(plant: ExtendedPlant, linear: StateSpaceModel) -> Callable[[Mapping[str, float]], list[Array]]:
@@ -392,12 +370,12 @@ def _check(plant: ExtendedPlant, whole: UncertainModel, linear: StateSpaceModel,
     """Check that the set includes the nominal model, and the plant with every deviation at its upper end."""
     changed = {n: (p.value + p.radius, 0.0) for n, p in plant.parameters.items() if p.tolerance}
     for e in plant.effects:
-        for name in _scaled_by(plant, e) if e.scale_std else ():
+        for name in factors_of(plant.plant, [e]) if e.scale_std else ():
             changed.pop(name, None)
     terms = _joint_terms(plant, linear, width)
     effects = []
     for e in plant.effects:
-        scales = e.on_signal or bool(_scaled_by(plant, e))
+        scales = e.on_signal or bool(factors_of(plant.plant, [e]))
         linear_ones = {n for n in e.std if (n == e.effect.scale and scales) or f"{e.key}.{n}" in terms}
         up = {n: v + width * e.std[n] if n in linear_ones else v for n, v in e.values.items()}
         effects.append(replace(e, values=up))
@@ -414,3 +392,81 @@ def _check(plant: ExtendedPlant, whole: UncertainModel, linear: StateSpaceModel,
                     None,
                     "take the tolerances off the parameters that act together with an effect, or take it off",
                 )
+
+
+def _lag_block(time: float, spread: float, name: str, origin: str) -> UncertainModel:
+    """Return the exact set of all lags :math:`1 / (1 + s T)` with T within ``spread`` of ``time``, in s."""
+    if not 0.0 <= spread < time:
+        raise InputError(f"lag {name}", f"{time:g} s +- {spread:g} s", "a time constant that stays positive")
+    a = -1.0 / time
+    if not spread:
+        return UncertainModel(StateSpaceModel([[a]], [[-a]], [[1.0]], [[0.0]]), [])
+    model = StateSpaceModel([[a]], [[a * spread, -a]], [[a], [1.0]], [[a * spread, -a], [0.0, 0.0]])
+    return UncertainModel(model, [RealScalar(name, 1, ParameterRange(time, spread, "s"), origin=origin)])
+
+
+def delay_block(delay: float, spread: float, pade: int, name: str, origin: str = "") -> UncertainModel:
+    r"""Return a cover :math:`P + w \Delta` of all delays from ``delay - spread`` (at least 0) to ``delay + spread``."""
+    n = checked_order(pade, "delay_block", 1)
+    # With a spread the error's slope changes from 1 to 2 n + 1: a weight of lower order fits better.
+    made = covering(delay, spread, n, n + 1 if spread else min(n + 2, 2 * n + 1))
+    return UncertainModel(made.M, [FullBlock(name, 1, 1, origin=origin, covers=made.blocks[0].covers)])
+
+
+def with_signals(
+    whole: UncertainModel,
+    signals: Sequence[tuple[AttachedEffect, int, float]],
+    amplitude: Mapping[str, float],
+    width: float,
+    pade: int = 0,
+) -> UncertainModel:
+    """Add uncertain gains of effects (effect, index of signal, level), and with ``pade`` their delays and lags."""
+    into, out = ([s for s in signals if s[0].site.kind == kind] for kind in ("input", "output"))
+    for e, k, level in [*reversed(into), *out]:  # the effect next to the plant first
+        for block in _signal_blocks(e, level, amplitude, width, pade):
+            if e.site.kind == "input":
+                whole = product(whole, _at_channel(block, whole.inputs, k, e.key))
+            else:
+                whole = product(_at_channel(block, whole.outputs, k, e.key), whole)
+    return whole
+
+
+def _signal_blocks(
+    e: AttachedEffect, level: float, amplitude: Mapping[str, float], width: float, pade: int
+) -> list[UncertainModel]:
+    """Return the blocks of an effect in its signal: an uncertain gain, a delay, a lag."""
+    found: list[UncertainModel] = []
+    gain, seen = e.gain(level, amplitude), e.sector(amplitude, ("input", "output"))
+    reach = width * e.scale_std if seen is None else 0.5 * (seen.gain_upper - seen.gain_lower)
+    if reach:
+        words = f"{e.in_words}" + ("" if seen is None else " as a sector") + f"; {e.values_in_words}"
+        block = RealScalar(e.key, 1, ParameterRange(gain, reach), origin=words)
+        found.append(UncertainModel(StateSpaceModel([], [], [], [[0.0, reach], [1.0, gain]]), [block]))
+    elif gain != 1.0:
+        found.append(UncertainModel(StateSpaceModel([], [], [], [[gain]]), []))
+    if e.delay and pade:
+        spread = width * e.std.get(e.effect.delay, 0.0)
+        words = f"{e.in_words}, {e.delay:.6g} s +- {spread:.3g} s, as Padé of order {pade} and a weight proved to cover"
+        words = f"{words} what that misses; {e.values_in_words}"
+        found.append(delay_block(e.delay, spread, pade, e.key, words))
+    if e.time_constant and pade:
+        spread = width * e.std.get(e.effect.time_constant, 0.0)
+        words = f"{e.in_words}, {e.time_constant:.6g} s +- {spread:.3g} s; {e.values_in_words}"
+        found.append(_lag_block(e.time_constant, spread, e.key, words))
+    return found
+
+
+def _at_channel(block: UncertainModel, signals: Sequence[Signal], k: int, name: str) -> UncertainModel:
+    """Return the block of this name in signal k, with identity in all others."""
+    g, (q, p), n = block.M, block.delta_shape, len(signals)
+    into, out = np.zeros((q + 1, q + n)), np.zeros((p + n, p + 1))
+    into[:q, :q], into[q, q + k] = np.eye(q), 1.0
+    out[:p, :p], out[p + k, p] = np.eye(p), 1.0
+    passed = np.zeros((p + n, q + n))
+    passed[p:, q:] = np.diag(np.arange(n) != k)
+    model = StateSpaceModel(
+        g.A, g.B @ into, out @ g.C, out @ g.D @ into + passed, 0.0,
+        [*(f"w_{name}" for _ in range(q)), *signals], [*(f"z_{name}" for _ in range(p)), *signals],
+        [f"{name} {i + 1}" for i in range(g.n_states)], where="effect_blocks",
+    )  # fmt: skip
+    return UncertainModel(model, block.blocks)

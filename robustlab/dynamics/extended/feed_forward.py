@@ -105,28 +105,23 @@ def feed_forward(plant: Any, sigmas: float = 2.0) -> FeedForward:
     if len(ports) > 1:
         raise InputError(where, f"effects at {', '.join(ports)}", "effects at one joint")
     port = next(iter(ports.values()))
-    signal, gain = _input_at(plant, port, where)
+    size = float(port.force @ port.force)
+    driving = [
+        (signal, gain)
+        for signal, column in zip(plant.inputs, plant.model.B.T, strict=True)
+        if (gain := float(column @ port.force) / size)
+        and np.abs(column - gain * port.force).max() <= ALONG * np.abs(column).max()
+    ]
+    if not driving:
+        raise InputError(where, f"no input that acts at {port.name} alone", "a plant driven at that joint")
+    signal, gain = driving[0]
+    rows = zip(plant.outputs, plant.model.C, strict=True)
+    position = [s for s, row in rows if port.position is not None and np.array_equal(row, port.position)]
     made = [_AGAINST[e.effect.id](e.values) for e, _ in known]
     waves = [Wave(c / gain, s / gain, k) for parts, _ in made for c, s, k in parts]
     dry = [DryLevel(level / gain, more / gain, vs) for _, parts in made for level, more, vs in parts]
     left = sum(e.largest_offset(sigmas) - e.largest_offset(0.0) for e, _ in known) / abs(gain)
     words = tuple(e.in_words for e, _ in known)
-    return FeedForward(signal, _position_of(plant, port, where), tuple(waves), tuple(dry), words, left)
-
-
-def _input_at(plant: Any, port: Any, where: str) -> tuple[Signal, float]:
-    """Return the input that acts only at the port, and its force per unit."""
-    size = float(port.force @ port.force)
-    for signal, column in zip(plant.inputs, plant.model.B.T, strict=True):
-        gain = float(column @ port.force) / size
-        if gain and np.abs(column - gain * port.force).max() <= ALONG * np.abs(column).max():
-            return signal, gain
-    raise InputError(where, f"no input that acts at {port.name} alone", "a plant driven at that joint")
-
-
-def _position_of(plant: Any, port: Any, where: str) -> Signal:
-    """Return the output that is the port's position."""
-    for signal, row in zip(plant.outputs, plant.model.C, strict=True):
-        if port.position is not None and np.array_equal(row, port.position):
-            return signal
-    raise InputError(where, f"no output that is the position of {port.name}", "a plant that shows it")
+    if not position:
+        raise InputError(where, f"no output that is the position of {port.name}", "a plant that shows it")
+    return FeedForward(signal, position[0], tuple(waves), tuple(dry), words, left)

@@ -16,8 +16,8 @@ from robustlab.dynamics.effects.contract import Law
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.extended.simulator import Windows, step_laws
 from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant
-from robustlab.dynamics.ports.motion_model import Course, exponentials, local_port_model
-from robustlab.dynamics.ports.port_model import PortModel
+from robustlab.dynamics.ports.motion_model import Course, exponentials, local_port_model, times
+from robustlab.dynamics.ports.port_model import AnyPlant, PortModel
 from robustlab.errors import InputError, NoTrustworthyNumber
 
 
@@ -29,13 +29,18 @@ class About(NamedTuple):
     outputs: Array
 
 
-def scaled(plant: NonlinearPlant, effects: Iterable[AttachedEffect]) -> NonlinearPlant:
-    """Return the plant with the parameters scaled by the effects."""
+def factors_of(plant: AnyPlant, effects: Iterable[AttachedEffect]) -> dict[str, float]:
+    """Return plant parameter -> common factor of the effects."""
     factors: dict[str, float] = {}
     for e in effects:
         for name, factor in e.effect.factors(plant, e.site, e.values).items():
             factors[name] = factors.get(name, 1.0) * factor
-    changed = {name: plant.parameters[name].reference * factor for name, factor in factors.items()}
+    return factors
+
+
+def scaled(plant: NonlinearPlant, effects: Iterable[AttachedEffect]) -> NonlinearPlant:
+    """Return the plant with the parameters scaled by the effects."""
+    changed = {name: plant.parameters[name].reference * f for name, f in factors_of(plant, effects).items()}
     return plant.with_parameters(**changed) if changed else plant
 
 
@@ -208,23 +213,28 @@ class _Block:
             size[:own] = np.maximum(size[:own], np.abs(rates).max(axis=0))
             if parts:  # transformed by the effects
                 enters, adds, drives = ((here + share * by + 0.5 * share**2 * twice)[of] for here, by, twice in parts)
-                rates = _times(enters, rates) + _times(adds, x) + _times(drives, u)
-            sides.append(rates - _times(model.A[of], x))
+                rates = times(enters, rates) + times(adds, x) + times(drives, u)
+            sides.append(rates - times(model.A[of], x))
         phi, psi, ramp = (matrices[of] for matrices in halves)
         middle, rise = 0.5 * (sides[0] + sides[1]), (sides[1] - sides[0]) / (4.0 * GAUSS)
-        turned = _times(ramp, 0.5 * rise)
-        first = _times(psi, middle - 0.5 * rise) + turned
-        second = _times(psi, middle + 0.5 * rise) + turned
-        drift = np.array([_times(phi, first) + second, first, second])
+        turned = times(ramp, 0.5 * rise)
+        first = times(psi, middle - 0.5 * rise) + turned
+        second = times(psi, middle + 0.5 * rise) + turned
+        drift = np.array([times(phi, first) + second, first, second])
         push = np.zeros((2, len(model.A), len(self.laws), model.A.shape[-1]))
         for j, law in enumerate(self.laws):
             here, by, twice = _with_differences(model.ports[law.port].force)
             for k, share in enumerate((-0.25, 0.25)):  # over the halves: mean, and half of the rise
                 rising = 0.25 * by + 0.5 * share * twice
-                push[k, :, j] = _times(halves[1], here + share * by + twice / 24.0) + _times(halves[2], rising)
+                push[k, :, j] = times(halves[1], here + share * by + twice / 24.0) + times(halves[2], rising)
         whole = push[0] @ np.swapaxes(halves[0], 1, 2) + push[1]
         phi = np.array([halves[0] @ halves[0], halves[0], halves[0]])
-        self._table = _padded(count, stride, phi, np.array([whole, *push]), drift), model.ports, stride
+        push = np.array([whole, *push])
+        rows = np.minimum(np.arange(-(-(count + 1) // stride)), phi.shape[1] - 1)
+        if len(rows) > phi.shape[1]:  # one more step, for the state at the end
+            phi, push = (np.ascontiguousarray(np.take(part, rows, axis=1)) for part in (phi, push))
+        drift = np.concatenate([drift, drift[:, -1:]], axis=1)
+        self._table = (phi, push, drift), model.ports, stride
         return self._stepped(start, self.memory.copy(), count + 1), size
 
     def _stepped(self, start: Array, memory: Array, length: int) -> Array:
@@ -243,16 +253,3 @@ def _with_differences(values: Array) -> tuple[Array, Array, Array]:
         return values, np.zeros_like(values), np.zeros_like(values)
     first = np.gradient(values, axis=0, edge_order=2)
     return values, first, np.gradient(first, axis=0, edge_order=2)
-
-
-def _padded(count: int, stride: int, phi: Array, push: Array, drift: Array) -> tuple[Array, Array, Array]:
-    """Return the table with one more step than ``count``, for the state at the end."""
-    rows = np.minimum(np.arange(-(-(count + 1) // stride)), phi.shape[1] - 1)
-    if len(rows) > phi.shape[1]:
-        phi, push = (np.ascontiguousarray(np.take(part, rows, axis=1)) for part in (phi, push))
-    return phi, push, np.concatenate([drift, drift[:, -1:]], axis=1)
-
-
-def _times(matrices: Array, vectors: Array) -> Array:
-    """Return the products (m, p) of matrices (m, p, q) and vectors (m, q)."""
-    return (matrices @ vectors[..., None])[..., 0]

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,10 +22,10 @@ from robustlab.dynamics.ports.motion_model import (
     MotionModel,
     exponentials,
     motion_model,
+    times,
     with_factors,
 )
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, port_model
-from robustlab.errors import InputError, unknown_name
 
 # Number of cached matrix exponentials and models.
 KEPT = 512
@@ -38,8 +38,6 @@ class SampledInput:
     """One input of a record."""
 
     def __init__(self, samples: Array, hold: Hold = "zoh") -> None:
-        if hold not in get_args(Hold):
-            raise unknown_name("hold of an input", f"{hold!r}", hold, get_args(Hold))
         self.hold: Hold = hold
         self.count = len(samples)
         pieces = samples[:, None] if hold == "zoh" else _pieces(samples, 1 if hold == "linear" else DEGREE)
@@ -166,16 +164,11 @@ class Simulator:
         self.plant, self.effects, self.dt, self.t0 = plant, tuple(effects), dt, t0
         self.rough, self._course = rough, None
         if isinstance(plant, NonlinearPlant):
-            if motion is None:
-                raise InputError("simulation", f"the nonlinear plant {plant.name}", "a motion about which it is linear")
+            assert motion is not None  # about which it is linear
             self._course = _course(plant, motion, u, dt)
             sub = LEAST_STEPS if sub is None else sub
         self.sub = stepping(plant, dt) if sub is None else sub
-        if self.sub < 1:
-            raise InputError("simulation: steps a sample", f"{self.sub}", "1 or more")
         holds = ("zoh",) * len(plant.inputs) if hold is None else tuple(hold)
-        if len(holds) != len(plant.inputs):
-            raise InputError("simulation: hold", f"{len(holds)} of them", f"one for each of {len(plant.inputs)} inputs")
         self._inputs = [_cached_input(column.tobytes(), kind) for column, kind in zip(u.T, holds, strict=True)]
         self._steps: dict[tuple[float, ...], Array] = {}
 
@@ -202,32 +195,24 @@ class Simulator:
         seen = self._seen(values, late)
         start = self._start(model, values, seen, x0, windows, about)
         states, forces = self._step(model, self.laws(values), seen, start, windows, about)
-        u = None
+        direct = 0.0
         if model.D.any():
             u = [signal.samples(d / self.dt) for signal, d in zip(self._inputs, late, strict=True)]
             u = np.column_stack(self._mapped(u, values, self.dt))[windows.starts[:, None] + np.arange(windows.length)]
+            d = model.D if about is None else model.D[about.points].reshape(*u.shape[:2], *model.D.shape[1:])
+            direct = times(d, u)
         runs = np.split(states, len(states) // len(windows.starts)) if len(windows.starts) else [states]
-        outputs = np.concatenate([self._measured(self.plain_outputs(run, about, model, u), values) for run in runs])
-        return Motion(states, outputs, forces, about, model)
-
-    def _measured(self, outputs: Array, values: Sequence[Mapping[str, float]]) -> Array:
-        """Apply the effects on the outputs of one run, in place."""
+        outputs = np.concatenate([_outputs_along(about, model, run) + direct for run in runs])
+        runs = np.split(outputs, len(runs))  # views
         for (effect, site), v in zip(self.effects, values, strict=True):
             if site.kind == "output":
                 k = [s.name for s in self.plant.outputs].index(site.name)
-                outputs[:, :, k] = effect.output(outputs[:, :, k], v, self.dt)
-        return outputs
+                for run in runs:
+                    run[:, :, k] = effect.output(run[:, :, k], v, self.dt)
+        return Motion(states, outputs, forces, about, model)
 
     def laws(self, values: Sequence[Mapping[str, float]]) -> list[Law]:
         return [law for (e, site), v in zip(self.effects, values, strict=True) for law in e.laws(site, v)]
-
-    def plain_outputs(self, states: Array, about: MotionModel | None, model: PortModel, u: Array | None) -> Array:
-        """Return outputs (n_windows, length, n_y) before effects on them; u: inputs if the plant has a direct term."""
-        outputs = states @ model.C.T if about is None else _outputs_along(about, model, states)
-        if u is not None and model.D.any():
-            d = model.D if about is None else model.D[about.points].reshape(*u.shape[:2], *model.D.shape[1:])
-            outputs = outputs + (d @ u[..., None])[..., 0]
-        return outputs
 
     def model(self, factors: Mapping[str, float], values: Sequence[Mapping[str, float]]) -> PortModel:
         """Return the linear equations with effects; of a nonlinear plant at some points of its motion."""
@@ -282,8 +267,6 @@ class Simulator:
         """Return the delay of each input in s; delays commute with the other maps."""
         names = [s.name for s in self.plant.inputs]
         late = [0.0] * len(names) if shift is None else [float(d) for d in shift]
-        if len(late) != len(names):
-            raise InputError("simulation: shift", f"{len(late)} of them", f"one for each of {len(names)} inputs")
         for (effect, site), v in zip(self.effects, values, strict=True):
             if site.kind == "input" and effect.delay:
                 late[names.index(site.name)] += v[effect.delay]
@@ -323,7 +306,7 @@ class Simulator:
         phi, psi, gamma_u, drift, stride = self._table(model, u.shape[1], about)
         push = np.zeros((phi.shape[1], len(laws), phi.shape[-1]))
         for j, law in enumerate(laws):
-            push[:, j] = (psi @ model.ports[law.port].force[..., None])[..., 0]
+            push[:, j] = times(psi, model.ports[law.port].force)
         whole = push @ np.swapaxes(phi[1], 1, 2) + push
         # Windows of a nonlinear plant need not be consecutive: x0 sets all states.
         own = model.own if about is None else phi.shape[-1]
@@ -466,12 +449,14 @@ def _in_steps(b: Array, phi: Array, psi: Array, ramp: Array, rising: bool) -> tu
     return np.array([phi @ phi, phi, phi]), psi, np.array([phi @ first + second, first, second])
 
 
-def _outputs_along(about: MotionModel, model: PortModel, motion: Array) -> Array:
-    """Return outputs of states (n_windows, length, n) along a motion, without direct terms."""
+def _outputs_along(about: MotionModel | None, model: PortModel, motion: Array) -> Array:
+    """Return outputs of states (n_windows, length, n), without direct terms."""
+    if about is None:
+        return motion @ model.C.T
     if (model.C[0] == model.C).all():
         return motion @ model.C[0].T + about.offsets.reshape(*motion.shape[:2], -1)
     c = model.C[about.points].reshape(*motion.shape[:2], *model.C.shape[1:])
-    return (c @ motion[..., None])[..., 0] + about.offsets.reshape(*motion.shape[:2], -1)
+    return times(c, motion) + about.offsets.reshape(*motion.shape[:2], -1)
 
 
 def exponential(a: Array, h: float) -> tuple[Array, Array, Array]:

@@ -10,15 +10,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from robustlab.arrays import Array
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.parameters import overridden, published
 from robustlab.errors import InputError, unknown_name
-from robustlab.statespace import MAX_STATES, Signal, real_array
+from robustlab.statespace import MAX_STATES, Signal
 
 _PUBLISHED = published(Path(__file__).with_name("parameters.toml"))
+
+
+def _made(
+    name: str, given: Any, driving: Signal, outputs: tuple[Signal, ...], states: tuple[Signal, ...], equations: Any,
+    exact: tuple[str, ...] = (),
+) -> LinearPlant:  # fmt: skip
+    """Return the plant with one input, its published parameters overridden by the given ones."""
+    return LinearPlant(name, overridden(_PUBLISHED[name], given, name), (driving,), outputs, states, equations, exact)
 
 
 def servo_axis(**given: Any) -> LinearPlant:
@@ -26,14 +32,7 @@ def servo_axis(**given: Any) -> LinearPlant:
     # Janot, Gautier, Brunot, "Data set and reference models of EMPS", Workshop on Nonlinear System Identification
     # Benchmarks (2019).
     states = (Signal("q", "m"), Signal("v", "m/s"))
-    return LinearPlant(
-        "servo-axis",
-        overridden(_PUBLISHED["servo-axis"], given, "servo-axis"),
-        (Signal("u", "V"),),
-        states,
-        states,
-        equations=_servo_axis,
-    )
+    return _made("servo-axis", given, Signal("u", "V"), states, states, _servo_axis)
 
 
 def _servo_axis(p: Any) -> Descriptor:
@@ -43,14 +42,8 @@ def _servo_axis(p: Any) -> Descriptor:
 def two_mass(**given: Any) -> LinearPlant:
     """Return two inertias coupled by a spring and a damper; the torque acts on the first."""
     angles = (Signal("phi1", "rad"), Signal("phi2", "rad"))
-    return LinearPlant(
-        "two-mass",
-        overridden(_PUBLISHED["two-mass"], given, "two-mass"),
-        (Signal("torque", "N m"),),
-        angles,
-        (*angles, Signal("omega1", "rad/s"), Signal("omega2", "rad/s")),
-        equations=_two_mass,
-    )
+    states = (*angles, Signal("omega1", "rad/s"), Signal("omega2", "rad/s"))
+    return _made("two-mass", given, Signal("torque", "N m"), angles, states, _two_mass)
 
 
 def _two_mass(p: Any) -> Descriptor:
@@ -120,8 +113,7 @@ STATES = (Signal("phi", "rad"), Signal("omega", "rad/s"), Signal("i", "A"))
 def dc_motor(**given: Any) -> LinearPlant:
     """Return a permanent-magnet DC motor; defaults: the thesis' Maxon RE 35."""
     # Březina 2010, eqs 7.3-7.5 (states omega and i; the angle is added here).
-    parameters = overridden(_PUBLISHED["dc-motor"], given, "dc-motor")
-    return LinearPlant("dc-motor", parameters, (Signal("u", "V"),), STATES, STATES, equations=_dc_motor)
+    return _made("dc-motor", given, Signal("u", "V"), STATES, STATES, _dc_motor)
 
 
 def _dc_motor(p: Any) -> Descriptor:
@@ -142,14 +134,7 @@ def brushless_motor(**given: Any) -> LinearPlant:
     """Return a brushless motor under current control; input: the q current."""
     # Gerry Chen, measurements of cogging and friction of a brushless motor, github.com/gchenfc.
     states = (Signal("phi", "rad"), Signal("omega", "rad/s"))
-    return LinearPlant(
-        "brushless-motor",
-        overridden(_PUBLISHED["brushless-motor"], given, "brushless-motor"),
-        (Signal("i", "A"),),
-        states,
-        states,
-        equations=_brushless_motor,
-    )
+    return _made("brushless-motor", given, Signal("i", "A"), states, states, _brushless_motor)
 
 
 def _brushless_motor(p: Any) -> Descriptor:
@@ -158,28 +143,11 @@ def _brushless_motor(p: Any) -> Descriptor:
 
 def linear_actuator(**given: Any) -> LinearPlant:
     """Return a linear actuator on its test jig: DC motor, gears, ball screw, cart; defaults: the thesis' leg."""
-    # Březina 2010, section 7.2 (gears, motor) and chapter 11 (jig; eq. 11.1 is `cart_travel`).
-    return LinearPlant(
-        "linear-actuator",
-        overridden(_PUBLISHED["linear-actuator"], given, "linear-actuator"),
-        (Signal("u", "V"),),
-        STATES,
-        STATES,
-        equations=_linear_actuator,
-        exact=("ratio", "lead"),
-    )
-
-
-def cart_travel(plant: LinearPlant, phi: ArrayLike) -> Array:
-    r"""Return the cart's travel in m at the motor angles phi (n,) in rad: :math:`q = h \varphi` (eq. 11.1)."""
-    return np.asarray(_travel_per_radian(plant.values) * real_array("phi", phi, 1, plant.name))
-
-
-def _travel_per_radian(p: Any) -> float:
-    return p["lead"] / (2 * math.pi * p["ratio"])
+    # Březina 2010, section 7.2 (gears, motor) and chapter 11 (jig).
+    return _made("linear-actuator", given, Signal("u", "V"), STATES, STATES, _linear_actuator, ("ratio", "lead"))
 
 
 def _linear_actuator(p: Any) -> Descriptor:
-    h = _travel_per_radian(p)
+    h = p["lead"] / (2 * math.pi * p["ratio"])  # travel of the cart per angle of the motor (eq. 11.1)
     inertia = p["J"] + p["J_nut"] / p["ratio"] ** 2 + (p["m_screw"] + p["m_cart"]) * h**2
     return motor_equations(p, inertia)

@@ -93,11 +93,11 @@ def motion_model(course: Course, factors: Mapping[str, float], starts: Indices, 
     local = plant.local_models(*at, values)
     own = (np.arange(len(starts))[:, None] * points + np.arange(steps) // stride).ravel()
     x, u = course.at((starts[:, None] + (np.arange(steps) + 0.5) / sub).ravel())
-    rates = plant.rates_along(x, u, values) - _times(local.A, own, x) - _times(local.B, own, u)
+    rates = plant.rates_along(x, u, values) - times(local.A[own], x) - times(local.B[own], u)
     seen = (np.arange(len(starts))[:, None] * points + np.arange(length) * sub // stride).ravel()
     samples = (starts[:, None] + np.arange(length)).ravel()
     x, u = course.x[samples], course.u[samples]
-    offsets = plant.outputs_along(x, u, values) - _times(local.C, seen, x) - _times(local.D, seen, u)
+    offsets = plant.outputs_along(x, u, values) - times(local.C[seen], x) - times(local.D[seen], u)
     model = local_port_model(plant, local, values)
     return MotionModel(model, rates, offsets, stride, own, seen, at, local.rates, local.outputs)
 
@@ -114,9 +114,9 @@ def _values(plant: NonlinearPlant, factors: Mapping[str, float]) -> dict[str, fl
     return plant.values | {name: plant.parameters[name].reference * factor for name, factor in factors.items()}
 
 
-def _times(matrices: Array, of: Indices, vectors: Array) -> Array:
-    """Return products (n, p) of matrices (m, p, q), selected for each of the vectors (n, q)."""
-    return (matrices[of] @ vectors[..., None])[..., 0]
+def times(matrices: Array, vectors: Array) -> Array:
+    """Return the products (..., p) of matrices (..., p, q) and vectors (..., q)."""
+    return (matrices @ vectors[..., None])[..., 0]
 
 
 def local_port_model(plant: NonlinearPlant, local: LocalModels, values: Mapping[str, float] | None = None) -> PortModel:
@@ -164,7 +164,9 @@ def exponentials(a: Array, h: float) -> tuple[Array, Array, Array]:
     size = float(np.abs(a).sum(axis=-1).max(initial=0.0)) * h
     doublings = max(0, int(np.ceil(np.log2(size / SMALL)))) if size > 0.0 else 0
     z, one = a * (h / 2.0**doublings), np.eye(a.shape[-1])
-    second = _series(z)
+    second = np.broadcast_to(one / math.factorial(TERMS + 2), z.shape)
+    for j in range(TERMS - 1, -1, -1):  # sum of z^j / (j + 2)! by Horner's rule
+        second = one / math.factorial(j + 2) + z @ second
     first = one + z @ second
     zeroth = one + z @ first
     for _ in range(doublings):
@@ -172,12 +174,3 @@ def exponentials(a: Array, h: float) -> tuple[Array, Array, Array]:
         first = 0.5 * (zeroth @ first + first)
         zeroth = zeroth @ zeroth
     return zeroth, h * first, h * (2.0 * second - first)
-
-
-def _series(z: Array) -> Array:
-    r"""Return :math:`\sum_j z^j / (j + 2)!` of small z, by Horner's rule."""
-    one = np.eye(z.shape[-1])
-    found = np.broadcast_to(one / math.factorial(TERMS + 2), z.shape)
-    for j in range(TERMS - 1, -1, -1):
-        found = one / math.factorial(j + 2) + z @ found
-    return found

@@ -56,13 +56,9 @@ class Port:
 
     def widened(self, extra: int) -> Port:
         """Return the port of a model with ``extra`` further states at the end."""
-        position = None if self.position is None else np.append(self.position, np.zeros(extra))
-        return replace(
-            self,
-            force=_padded(self.force, extra),
-            velocity=np.append(self.velocity, np.zeros(extra)),
-            position=position,
-        )
+        position = None if self.position is None else _padded(self.position, extra)
+        force, velocity = _padded(self.force, extra), _padded(self.velocity, extra)
+        return replace(self, force=force, velocity=velocity, position=position)
 
 
 def _padded(array: Array, extra: int) -> Array:
@@ -105,8 +101,6 @@ def port_model(plant: LinearPlant, factors: Mapping[str, float] | None = None) -
     """Return the plant's matrices and ports with some parameters at ``factors`` of `Parameter.reference`."""
     values = dict(plant.values)
     for name, factor in (factors or {}).items():
-        if name not in values:
-            raise InputError(f"{plant.name}: {name!r}", "no such parameter", f"one of {', '.join(values)}")
         values[name] = plant.parameters[name].reference * factor
     e, f, g, c, d = plant.matrices(values)
     n, n_u = len(plant.states), len(plant.inputs)

@@ -52,8 +52,10 @@ def _with_carried_load(model: PortModel, joint: str, share: float, relative: str
     a[:, n, n + 1] = 1.0
     a[:, n + 1], b[:, n + 1] = a[:, j] - load_row_a, b[:, j] - load_row_b
     ports = {name: _on_load(p, wide.ports[joint], rows, s, inertia) for name, p in wide.ports.items()}
-    ports[joint] = _on_drive(wide.ports[joint], 1.0 / drive[:, 0])
-    load = _load(wide.ports[joint], rows, s)
+    load = _load(wide.ports[joint], ports[joint].force)
+    force = np.zeros_like(load.force)  # of the drive, on the drive and on the relative velocity
+    force[:, [j, n + 1]] = 1.0 / drive
+    ports[joint] = replace(wide.ports[joint], force=force)
     gap = _relative_port(ports[joint], load, f"{joint}.{relative}", (s * drive)[:, 0, None])
     return replace(wide, A=a, B=b, ports={**ports, load.name: load, gap.name: gap})
 
@@ -86,17 +88,13 @@ def shares_behind(plant: NonlinearPlant, joint: str) -> tuple[float, ...]:
     return (min(found), max(found))[: len(set(found))] if found else ()
 
 
-def _masses(model: PortModel, port: Port, rows: Indices) -> Array:
-    """Return the joint's row of the mass matrix, (n_points, n_joints)."""
+def _drives_own(model: PortModel, port: Port, places: Mapping[str, int], rows: Indices) -> tuple[Array, Array]:
+    """Return the drive's own force by inputs, currents and viscous friction, as rows over states and columns of B."""
     joints = [p for p in model.ports.values() if p.kind == "joint"]
     push = np.stack([p.force[:, rows] for p in joints], axis=2)
     unit = np.array([float(p.name == port.name) for p in joints])[:, None]
-    return np.linalg.solve(np.swapaxes(push, 1, 2), np.broadcast_to(unit, (len(push), *unit.shape)))[..., 0]
-
-
-def _drives_own(model: PortModel, port: Port, places: Mapping[str, int], rows: Indices) -> tuple[Array, Array]:
-    """Return the drive's own force by inputs, currents and viscous friction, as rows over states and columns of B."""
-    row = _masses(model, port, rows)
+    # the joint's row of the mass matrix, (n_points, n_joints)
+    row = np.linalg.solve(np.swapaxes(push, 1, 2), np.broadcast_to(unit, (len(push), *unit.shape)))[..., 0]
     n, n_u = len(port.velocity), model.B.shape[-1] - model.own
     over_x = np.zeros((len(row), n + 2))
     for other in model.ports.values():
@@ -109,15 +107,8 @@ def _drives_own(model: PortModel, port: Port, places: Mapping[str, int], rows: I
     return over_x, over_b
 
 
-def _on_drive(port: Port, mobility: Array) -> Port:
-    """Return the port of the drive: its force acts on the drive and the relative velocity."""
-    force = np.zeros_like(port.force)
-    force[:, int(np.argmax(port.velocity))] = force[:, -1] = mobility
-    return replace(port, force=force)
-
-
 def _on_load(port: Port, joint: Port, rows: Indices, s: Array, inertia: Array) -> Port:
-    """Return the port of another place, where a force acts on the machine without the drive."""
+    """Return the port at which a force acts on the machine without the drive."""
     j = int(np.argmax(joint.velocity))
     at_joint = port.force[:, j, None]
     force = port.force.copy()
@@ -127,24 +118,16 @@ def _on_load(port: Port, joint: Port, rows: Indices, s: Array, inertia: Array) -
     return replace(port, force=force)
 
 
-def _load(joint: Port, rows: Indices, s: Array) -> Port:
+def _load(joint: Port, force: Array) -> Port:
     """Return the port of the load: its motion is the joint's minus the relative one."""
     delta, rate = np.eye(len(joint.velocity))[-2:]
-    j = int(np.argmax(joint.velocity))
-    force = joint.force.copy()
-    force[:, rows] /= s
-    force[:, -1] = -force[:, j]
-    force[:, j] = 0.0
     position = None if joint.position is None else joint.position - delta
     return replace(joint, name=f"{joint.name}.load", force=force, velocity=joint.velocity - rate, position=position)
 
 
 def with_load_side(model: PortModel, joint: str, share: float, relative: str, where: str) -> PortModel:
     """Return the model with the joint's load as a separate body, without force between drive and load."""
-    port = model.ports.get(joint)
-    if port is None or port.kind != "joint":
-        joints = ", ".join(p.name for p in model.ports.values() if p.kind == "joint")
-        raise InputError(f"{where}: {joint!r}", "no such joint", f"one of {joints}")
+    port = model.ports[joint]
     if f"{joint}.load" in model.ports or "." in joint:
         raise InputError(f"{where}: {joint!r}", "another effect that splits the joint in two", "one of them at a joint")
     number(f"{where}: share", share, "a share of the inertia between 0 and 1", above=0.0, below=1.0)
@@ -164,7 +147,7 @@ def with_load_side(model: PortModel, joint: str, share: float, relative: str, wh
         force[..., -1] = split.ports[name].force @ drive.velocity
         ports[name] = replace(p, force=force)
     drive = ports[joint]
-    load = _free_load(drive, 1.0 / (share * port.inertia))
+    load = _load(drive, -1.0 / (share * port.inertia[..., None]) * np.eye(n + 2)[-1])
     gap = _relative_port(drive, load, f"{joint}.{relative}", (share * (1.0 - share) * port.inertia)[..., None])
     return replace(wide, A=a, B=b, ports={**ports, load.name: load, gap.name: gap})
 
@@ -184,11 +167,3 @@ def _with_less_inertia(model: PortModel, port: Port, share: float) -> PortModel:
     change = np.eye(len(port.velocity)) + share / (1.0 - share) * pulled
     ports = {name: replace(p, force=(change @ p.force[..., None])[..., 0]) for name, p in model.ports.items()}
     return replace(model, A=change @ model.A, B=change @ model.B, ports=ports)
-
-
-def _free_load(drive: Port, mobility: Array) -> Port:
-    """Return the port of the load: its motion is the drive's minus the relative one."""
-    delta, rate = np.eye(len(drive.velocity))[-2:]
-    position = None if drive.position is None else drive.position - delta
-    name, force = f"{drive.name}.load", -mobility[..., None] * rate
-    return replace(drive, name=name, force=force, velocity=drive.velocity - rate, position=position)

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -84,14 +83,11 @@ class DirectPoses:
     """Poses found by Newton's method, each with its certificate; arrays of n rows."""
 
     poses: Array  # shape (n, 6)
-    lengths: Array  # required actuator lengths, (n, 6)
     # true where the Newton-Kantorovich theorem proves a unique pose within ``radius``
     proved: NDArray[np.bool_]
     # Kantorovich's number (at most 1/2), and the bound on |dT|, r_p |d angles| to the exact pose in m
     h: Array
     radius: Array
-    residual: Array  # euclidean norm of the lengths' errors in m
-    iterations: NDArray[np.int64]  # Newton steps; -1: singular Jacobian
 
     @property
     def pose(self) -> Array:
@@ -104,10 +100,6 @@ class DirectPoses:
     def status(self) -> Status:
         return Status.CERTIFIED if self.proved.all() else Status.INCONCLUSIVE
 
-    def to_json(self) -> dict[str, Any]:
-        names = ("poses", "lengths", "proved", "h", "radius", "residual", "iterations")
-        return {**{name: getattr(self, name) for name in names}, "status": self.status}
-
 
 def direct_kinematics(geometry: Geometry, lengths: ArrayLike, start: ArrayLike | None = None) -> DirectPoses:
     """Find the poses for these actuator lengths."""
@@ -115,20 +107,14 @@ def direct_kinematics(geometry: Geometry, lengths: ArrayLike, start: ArrayLike |
     if (target <= 0).any():
         k, i = np.argwhere(target <= 0)[0]
         raise InputError("direct_kinematics", f"lengths[{k},{i}] = {target[k, i]:g} m", "positive lengths")
-    if start is None:
-        seeds = np.empty_like(target)
-        seeds[:] = geometry.home
-    else:
-        seed, one = poses_array(start, "start")
-        if not one and len(seed) != len(target):
-            raise InputError(
-                "direct_kinematics", f"{len(seed)} starts", f"1 or {len(target)}, one for each row of lengths"
-            )
-        seeds = np.array(np.broadcast_to(seed, target.shape), order="C")
+    seed, one = poses_array(geometry.home if start is None else start, "start")
+    if not one and len(seed) != len(target):
+        raise InputError("direct_kinematics", f"{len(seed)} starts", f"1 or {len(target)}, one for each row of lengths")
+    seeds = np.array(np.broadcast_to(seed, target.shape), order="C")
     poses, facts = np.empty_like(target), np.empty((len(target), 4))
     kernels().direct_poses(target, seeds, geometry.legs, geometry.c, LIMIT, poses, facts)
-    proved = (facts[:, 0] >= 0) & (facts[:, 1] <= 0.5)
-    return DirectPoses(poses, target, proved, facts[:, 1], facts[:, 2], facts[:, 3], facts[:, 0].astype(np.int64))
+    proved = (facts[:, 0] >= 0) & (facts[:, 1] <= 0.5)  # facts: Newton steps (-1: singular), h, radius, residual
+    return DirectPoses(poses, proved, facts[:, 1], facts[:, 2])
 
 
 # Allowed excess of a limit in m: rounding of a published limit pose.
@@ -157,14 +143,11 @@ def singularity(geometry: Geometry, poses: ArrayLike) -> Array:
 def check_pose(geometry: Geometry, pose: ArrayLike, where: str) -> Array:
     """Return the pose (6,) if it is within the workspace and not singular."""
     array = real_array_of_one(pose, where)
-    found, matrix = np.empty((1, 6)), np.empty((1, 6, 6))
-    kernels().jacobians(array[None], geometry.legs, geometry.c, found, matrix)
-    lengths = found[0]
+    lengths = inverse_kinematics(geometry, array)
     low, high = geometry.limits
-    if lengths.min() < low - SLACK or lengths.max() > high + SLACK:
-        beyond = (lengths < low - SLACK) | (lengths > high + SLACK)
+    count = int(((lengths < low - SLACK) | (lengths > high + SLACK)).sum())
+    if count:
         i = int(np.argmax(np.maximum(low - lengths, lengths - high)))
-        count = int(beyond.sum())
         more = f" ({count} of 6 actuators are out of range)" if count > 1 else ""
         raise InputError(
             where,
@@ -172,11 +155,10 @@ def check_pose(geometry: Geometry, pose: ArrayLike, where: str) -> Array:
             f"{1e3 * low:.6g} .. {1e3 * high:.6g} mm",
             "the limits are the parameters L_min and L_max",
         )
-    matrix[0, :, 3:] /= geometry.radius
-    sigma = np.linalg.svd(matrix[0], compute_uv=False)
-    if not sigma[5] > SINGULAR * sigma[0]:
+    smallest, largest = singularity(geometry, array)
+    if not smallest > SINGULAR * largest:
         raise NoTrustworthyNumber(
-            where, f"singular pose: the Jacobian's smallest singular value is {sigma[5]:.3g}", None,
+            where, f"singular pose: the Jacobian's smallest singular value is {smallest:.3g}", None,
             "the actuators cannot hold the platform there",
         )  # fmt: skip
     return array

@@ -20,6 +20,7 @@ from robustlab.arrays import Array
 from robustlab.dynamics.descriptor_family import TrimmedDescriptor
 from robustlab.dynamics.parameters import overridden
 from robustlab.dynamics.plant_contract import InputSignal, LocalModels, PlantAlong, PortPlace, Trim
+from robustlab.dynamics.rest import descriptor
 from robustlab.dynamics.stewart.geometry import (
     CONSTANTS,
     Geometry,
@@ -127,10 +128,6 @@ class StewartPlatform(PlantAlong):
         object.__setattr__(self, "constants", constants(values))
         self.constants.setflags(write=False)
 
-    def with_parameters(self, **given: Any) -> StewartPlatform:
-        parameters = overridden(self.parameters.values(), given, self.name)
-        return StewartPlatform(self.name, parameters, self.inputs, self.outputs, self.states, self.preset, self.motors)
-
     def poses(self, phi: ArrayLike, start: ArrayLike | None = None) -> Array:
         """Return poses (n, 6) at the nut angles (n, 6), or (6,) at (6,); proved by `direct_kinematics`."""
         angles, one = poses_array(phi, "phi")
@@ -230,21 +227,25 @@ class StewartPlatform(PlantAlong):
         if phi is not None:
             pose = self.poses(real_array("phi", phi, 1, self.name))
         at = check_pose(self.geometry, self.geometry.home if pose is None else pose, self.name)
-        rest, p = (at[None], np.zeros((1, 6))), self.values
-        try:
-            angles, held = _held(self.geometry, self.constants, at)
-        except np.linalg.LinAlgError:
-            raise NoTrustworthyNumber(
-                self.name, "singular pose: the actuators cannot hold the platform there"
-            ) from None
-        x, u = np.concatenate([angles, np.zeros(6)]), held
-        if self.motors:
-            x, u = np.concatenate([x, u / p["Km"]]), p["R"] * u / p["Km"]
+        rest = at[None], np.zeros((1, 6))
+        x, u = self._held(*self._at(None), at)
         residual = float(np.abs(self._rates(rest, *self._at(None), x[None], u[None])).max())
         # free fall accelerates a nut by about turns * gravity
         still = residual <= ROUNDING * max(self.geometry.turns * abs(self.values["gravity"]), 1.0)
         status = Status.CONVERGED if still else Status.INACCURATE
         return Trim(self.name, x, u, x[:12].copy(), residual, at.copy(), status)
+
+    def _held(self, shape: Geometry, numbers: Array, p: Mapping[str, float], pose: Array) -> tuple[Array, Array]:
+        """Return states and inputs at rest at a pose."""
+        of = _equations(shape, numbers, np.array(pose[None]), np.zeros((1, 6)))
+        try:
+            torque = np.linalg.solve(of.jacobian[0].T, of.force[0]) / p["ratio"]
+        except np.linalg.LinAlgError:
+            raise NoTrustworthyNumber(
+                self.name, "singular pose: the actuators cannot hold the platform there"
+            ) from None
+        x = np.concatenate([of.phi[0], np.zeros(6)])
+        return (np.concatenate([x, torque / p["Km"]]), p["R"] * torque / p["Km"]) if self.motors else (x, torque)
 
     def trimmed_descriptor(
         self, trim: Trim, hold: Sequence[str] | None, tried: Mapping[str, Mapping[str, float]]
@@ -252,14 +253,15 @@ class StewartPlatform(PlantAlong):
         if hold is not None:
             raise InputError(f"{self.name}: hold", f"{', '.join(hold)}", "None: the pose is held")
         pose = self.poses(trim.x[:6]) if trim.pose is None else trim.pose
-        limits = {
-            name: self.values[name] for name in ("L_min", "L_max")
-        }  # limits of the travel do not matter at the point
+        # limits of the travel do not matter at the point
+        limits = {name: self.values[name] for name in ("L_min", "L_max")}
 
         def matrices(values: Mapping[str, float]) -> Array:
             p = {**values, **limits}
-            mass, stiffness = _mass_and_stiffness(pose, geometry(p), constants(p), self.name)
-            return _descriptor(mass, stiffness, p, self.motors)
+            known = geometry(p), constants(p), p
+            x, u = self._held(*known, pose)
+            local = self._local((np.array(pose[None]), np.zeros((1, 6))), *known, x[None], u[None])
+            return descriptor(local, range(6, len(x)))
 
         follow = "torques, currents and voltages" if self.motors else "torques"
         return TrimmedDescriptor(matrices, f"the pose is held, the {follow} follow")
@@ -303,12 +305,6 @@ def _equations(shape: Geometry, numbers: Array, poses: Any, twists: Any) -> _Bod
 def _force(of: _Bodies, push: Array) -> Array:
     """Return the accelerating force of the platform under torques at the nuts (n, 6)."""
     return (np.swapaxes(of.jacobian, 1, 2) @ push[..., None])[..., 0] - of.force
-
-
-def _held(shape: Geometry, numbers: Array, pose: Array) -> tuple[Array, Array]:
-    """Return nut angles and holding motor torques (6,) of a pose."""
-    of = _equations(shape, numbers, np.array(pose[None]), np.zeros((1, 6)))
-    return of.phi[0], np.linalg.solve(of.jacobian[0].T, of.force[0]) / numbers[CONSTANTS.index("ratio")]
 
 
 def _slopes(shape: Geometry, numbers: Array, at: tuple[Array, Array], torque: Array) -> tuple[Array, Array, Array]:
@@ -355,32 +351,3 @@ def mass_matrix(plant: StewartPlatform, pose: ArrayLike) -> Array:
 def bias_torque(plant: StewartPlatform, pose: ArrayLike, phidot: ArrayLike) -> Array:
     """Return torques b in N m at the nuts: gravity and velocity terms at the nut rates phidot (6,)."""
     return _at_nuts(plant, real_array_of_one(pose, plant.name), real_array("phidot", phidot, 1, plant.name))[1]
-
-
-def _mass_and_stiffness(pose: Array, shape: Geometry, numbers: Array, where: str) -> tuple[Array, Array]:
-    """Return M and K (6, 6) of ``M phidd = K phi + k tau`` at rest."""
-    at = np.array(pose[None]), np.zeros((1, 6))
-    try:
-        stiffness = _slopes(shape, numbers, at, _held(shape, numbers, pose)[1][None])[0]
-        of = _equations(shape, numbers, *at)
-        inverse = np.linalg.inv(of.jacobian[0])
-    except np.linalg.LinAlgError:
-        raise NoTrustworthyNumber(where, "singular pose: no linear model in nut coordinates") from None
-    nuts = inverse.T @ of.mass[0] @ inverse
-    return nuts, nuts @ stiffness[0]
-
-
-def _descriptor(mass: Array, stiffness: Array, p: Mapping[str, float], motors: bool) -> Array:
-    """Return N = ``[F G -E; C 0 0]`` of the platform for `robustlab.dynamics.descriptor_family`."""
-    n, one, k = 18 if motors else 12, np.eye(6), p["ratio"]
-    made = np.zeros((n + 12, 2 * n + 6))
-    f, g, e = made[:n, :n], made[:n, n : n + 6], made[:n, n + 6 :]
-    f[:6, 6:12], e[:6, :6] = one, -one
-    f[6:12, :6], e[6:12, 6:12] = stiffness, -mass
-    if motors:
-        f[6:12, 6:12], f[6:12, 12:] = -p["Kf"] * k**2 * one, k * p["Km"] * one
-        f[12:, 6:12], f[12:, 12:], g[12:], e[12:, 12:] = -p["Kb"] * k * one, -p["R"] * one, one, -p["L"] * one
-    else:
-        g[6:12] = k * one
-    made[n:, :12] = np.eye(12)
-    return made

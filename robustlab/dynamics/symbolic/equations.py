@@ -70,7 +70,12 @@ class PlantEquations:
 
     def __init__(self, name: str) -> None:
         self._where = _title(name, "PlantEquations", "name of the plant")
-        self._ca = _casadi(self._where)
+        try:
+            import casadi
+        except ImportError:
+            where = f"{self._where}: its equations need CasADi"
+            raise DependencyMissing(where, "pip install 'robustlab[casadi]'") from None
+        self._ca: Any = casadi
         self._parameters: dict[str, Parameter] = {}
         self._inputs: list[Signal] = []
         self._states: list[Signal] = []
@@ -109,15 +114,14 @@ class PlantEquations:
             raise InputError(where, f"sign {sign!r}", f"one of {_listed(choices)}", did_you_mean(str(sign), choices))
         kept: Any = "" if role in (None, NONE) else role
         sign = sign or SIGNS.get(kept, "any")
-        symbol = self._new(name, "parameter")
-        _unit(unit, where)
+        symbol = self._new(name, "parameter", unit)
         self._parameters[name] = Parameter(name, value, unit, tolerance, source, meaning, sign, kept)
         return symbol
 
     def input(self, name: str, unit: str = "") -> Any:
         """Add an input; return its symbol."""
-        symbol = self._new(name, "input")
-        self._inputs.append(Signal(name, _unit(unit, f"{self._where}: input {name!r}")))
+        symbol = self._new(name, "input", unit)
+        self._inputs.append(Signal(name, unit))
         return symbol
 
     def joint(self, position: str, velocity: str, unit: str) -> tuple[Any, Any]:
@@ -134,8 +138,8 @@ class PlantEquations:
         """Add a state; return its symbol. ``current``: one in A whose rate must contain a `voltage`."""
         if current and unit != "A":
             raise InputError(f"{self._where}: state {name!r}", f"a current in {unit!r}", '"A"')
-        symbol = self._new(name, "state")
-        self._states.append(Signal(name, _unit(unit, f"{self._where}: state {name!r}")))
+        symbol = self._new(name, "state", unit)
+        self._states.append(Signal(name, unit))
         if current:
             self._currents.append(name)
         return symbol
@@ -180,7 +184,7 @@ class PlantEquations:
         _title(name, self._where, "output")
         if name in self._outputs:
             raise InputError(f"{self._where}: output {name!r}", "said twice", "one of that name")
-        unit = _unit(unit, f"{self._where}: output {name!r}")
+        _check_unit(unit, f"{self._where}: output {name!r}")
         self._outputs[name] = self._matrix(expression, (1, 1), f"output {name}"), unit
 
     def plant(self, **given: Any) -> SymbolicPlant:
@@ -190,16 +194,11 @@ class PlantEquations:
             raise InputError(self._where, "no state", "p.joint(...) or p.state(...)")
         if not self._outputs:
             raise InputError(self._where, "no output", "p.output(name, expression, unit)")
-        return SymbolicPlant(
-            self._where,
-            parameters,
-            tuple(self._inputs),
-            tuple(Signal(name, unit) for name, (_, unit) in self._outputs.items()),
-            tuple(self._states),
-            self._equations(parameters),
-        )
+        outputs = tuple(Signal(name, unit) for name, (_, unit) in self._outputs.items())
+        equations = self._equations(parameters, outputs)
+        return SymbolicPlant(self._where, parameters, tuple(self._inputs), outputs, tuple(self._states), equations)
 
-    def _equations(self, parameters: dict[str, Parameter]) -> Equations:
+    def _equations(self, parameters: dict[str, Parameter], signals: Sequence[Signal]) -> Equations:
         """Compile tapes of rates, outputs and local models, with the places where forces act."""
         ca, name = self._ca, self._where
         x, u, p = (
@@ -219,14 +218,13 @@ class PlantEquations:
         a, b = jacobian[:, : x.numel()], jacobian[:, x.numel() :]
         blocks = (rates, outputs, a, b, c, d, push)
         rows = ca.vertcat(*(ca.vec(ca.densify(block).T) for block in blocks))
-        titles = labels(self._states, self._inputs, [Signal(y, unit) for y, (_, unit) in self._outputs.items()], places)
+        titles = labels(self._states, self._inputs, signals, places)
         rows, everything = ca.cse(rows), ca.vertcat(x, u, p)
-        return Equations(
-            tape_of(everything, ca.cse(rates), len(parameters), name, titles.__getitem__),
-            tape_of(everything, ca.cse(outputs), len(parameters), name, titles[len(self._states) :].__getitem__),
-            tape_of(everything, rows, len(parameters), name, titles.__getitem__),
-            places,
-        )
+        tapes = [
+            tape_of(everything, of, len(parameters), name, named.__getitem__)
+            for of, named in ((ca.cse(rates), titles), (ca.cse(outputs), titles[len(self._states) :]), (rows, titles))
+        ]
+        return Equations(*tapes, places)
 
     def _places(self) -> tuple[PortPlace, ...]:
         """Return the places where forces and voltages act; check that they enter the rates."""
@@ -257,9 +255,10 @@ class PlantEquations:
         rates = dict(self._rates)
         for position, velocity, _ in self._joints:
             rates[position] = self._symbols[velocity]
-        missing = [s.name for s in self._states if s.name not in rates and not self._moved(s.name)]
+        joints = [v for _, v, _ in self._joints]
+        moved = joints if self._motion is not None else []
+        missing = [s.name for s in self._states if s.name not in rates and s.name not in moved]
         if missing:
-            joints = [v for _, v, _ in self._joints]
             kind = "the velocity of a joint" if missing[0] in joints else "a state"
             raise InputError(
                 f"{self._where}: {missing[0]!r}",
@@ -270,7 +269,7 @@ class PlantEquations:
         rows = {name: (expression, ca.jacobian(expression, z)) for name, expression in rates.items()}
         if self._motion is not None:
             matrix, forces = self._motion
-            both = next((v for _, v, _ in self._joints if v in self._rates), None)
+            both = next((v for v in joints if v in self._rates), None)
             if both is not None:
                 raise InputError(f"{self._where}: {both!r}", "p.rate and p.motion for one joint", "one of them")
             n = len(self._joints)
@@ -284,14 +283,11 @@ class PlantEquations:
             held = ca.SX.sym("a", n)
             rest = ca.jacobian(forces - ca.mtimes(matrix, held), z)
             slopes = ca.sparsify(ca.ldl_solve(ca.substitute(rest, held, a), *factor))
-            rows |= {v: (a[k], slopes[k, :]) for k, (_, v, _) in enumerate(self._joints)}
+            rows |= {v: (a[k], slopes[k, :]) for k, v in enumerate(joints)}
         found = [rows[s.name] for s in self._states]
         jacobian = ca.vertcat(*(slope for _, slope in found))
         split = x.numel() + u.numel()
         return ca.vertcat(*(rate for rate, _ in found)), jacobian[:, :split], jacobian[:, split:]
-
-    def _moved(self, name: str) -> bool:
-        return self._motion is not None and any(name == v for _, v, _ in self._joints)
 
     def _check_symbols(self, pushes: list[Any]) -> None:
         """Check that all symbols belong to the plant, and that outputs and masses contain no forces."""
@@ -353,10 +349,11 @@ class PlantEquations:
         if smallest and max(smallest) <= 0:
             raise InputError(where, f"an eigenvalue of {max(smallest):.3g}", "a positive definite matrix")
 
-    def _new(self, name: str, kind: str) -> Any:
+    def _new(self, name: str, kind: str, unit: str = "") -> Any:
         _title(name, self._where, kind)
         if name in self._symbols:
             raise InputError(f"{self._where}: {kind} {name!r}", "a name that is used already", "unique names")
+        _check_unit(unit, f"{self._where}: {kind} {name!r}")
         self._symbols[name] = self._ca.SX.sym(name)
         return self._symbols[name]
 
@@ -371,10 +368,10 @@ class PlantEquations:
 
     def _name_of(self, symbol: Any) -> str:
         """Return the name of a state given by its symbol or name, or the argument as text."""
-        for name, known in self._symbols.items():
-            one = isinstance(symbol, self._ca.SX) and symbol.shape == (1, 1)
-            if one and known.element_hash() == symbol.element_hash():
-                return name
+        if isinstance(symbol, self._ca.SX) and symbol.shape == (1, 1):
+            for name, known in self._symbols.items():
+                if known.element_hash() == symbol.element_hash():
+                    return name
         return str(symbol)
 
     def _matrix(self, given: Any, shape: tuple[int, int], what: str) -> Any:
@@ -405,19 +402,10 @@ def _title(name: Any, where: str, kind: str) -> str:
     return name
 
 
-def _unit(unit: Any, where: str) -> str:
+def _check_unit(unit: Any, where: str) -> None:
     if not isinstance(unit, str):
         raise InputError(where, f"unit {unit!r}", "a text; empty where there is none")
-    return unit
 
 
 def _listed(names: Any) -> str:
     return ", ".join(repr(n) for n in names) or "none"
-
-
-def _casadi(where: str) -> Any:
-    try:
-        import casadi
-    except ImportError:
-        raise DependencyMissing(f"{where}: its equations need CasADi", "pip install 'robustlab[casadi]'") from None
-    return casadi

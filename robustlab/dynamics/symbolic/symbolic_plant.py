@@ -101,9 +101,15 @@ class SymbolicPlant(PlantAlong):
                 raise InputError(f"{self.name}: {name}", f"shape {np.shape(array)}", f"({n}, {width})")
         points = np.empty((n, tape.n_in))
         points[:, :n_x], points[:, n_x : n_x + n_u] = x, u
-        parameters = _with_values(self, values, n)
-        for k, value in enumerate(parameters):
-            points[:, n_x + n_u + k] = value
+        points[:, n_x + n_u :] = list(self.values.values())
+        for name, value in (values or {}).items():
+            place = f"{self.name}: {name}"
+            if name not in self.parameters:
+                raise unknown_name(place, "no such parameter", name, self.parameters)
+            array = real_array(name, value, np.ndim(value), self.name)
+            if array.shape not in ((), (n,)):
+                raise InputError(place, f"shape {array.shape}", f"one value, or {n}: one for each point")
+            points[:, n_x + n_u + list(self.parameters).index(name)] = array
         found = tape(points)
         if not np.isfinite(found).all():
             row, column = (int(k) for k in np.argwhere(~np.isfinite(found))[0])
@@ -113,21 +119,6 @@ class SymbolicPlant(PlantAlong):
             point = f"point {row} of {n} ({point})" if n > 1 else point
             raise NoTrustworthyNumber(self.name, f"{label} is {found[row, column]} at {point}")
         return found
-
-
-def _with_values(plant: SymbolicPlant, given: Mapping[str, Any] | None, n: int) -> list[Any]:
-    """Return the values of the parameters, overridden by the given ones, each a number or an array (n,)."""
-    values: dict[str, Any] = dict(plant.values)
-    if given:
-        for name, value in given.items():
-            place = f"{plant.name}: {name}"
-            if name not in values:
-                raise unknown_name(place, "no such parameter", name, values)
-            array = real_array(name, value, np.ndim(value), plant.name)
-            if array.shape not in ((), (n,)):
-                raise InputError(place, f"shape {array.shape}", f"one value, or {n}: one for each point")
-            values[name] = array
-    return list(values.values())
 
 
 def labels(

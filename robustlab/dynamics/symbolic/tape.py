@@ -83,8 +83,6 @@ class Tape:
 
     def __call__(self, points: Array) -> Array:
         """Evaluate outputs (n, n_out) at the points (n, n_in); NaN or infinite where undefined."""
-        if points.ndim != 2 or points.shape[1] != self.n_in:
-            raise InputError("tape", f"points of shape {points.shape}", f"(n, {self.n_in})")
         results = np.empty((len(points), self.n_out))
         tape_kernels().evaluate(self.code, np.array(points, dtype=np.float64, order="C"), results)
         return results
@@ -138,7 +136,11 @@ def tape_of(inputs: Any, outputs: Any, n_still: int, where: str, label: Callable
         elif op == ca.OP_CONST:
             value = float(function.instruction_constant(k))
             if not np.isfinite(value):
-                title = _concerned(outputs, label, _not_finite)
+                title = _concerned(
+                    outputs,
+                    label,
+                    lambda f, i: f.instruction_id(i) == ca.OP_CONST and not np.isfinite(f.instruction_constant(i)),
+                )
                 raise InputError(f"{where}: {title}", f"the number {value} in it", "finite numbers")
             held[to[0]] = ("constant", constants.setdefault(value, len(constants)))
         elif op == ca.OP_ASSIGN:
@@ -191,12 +193,6 @@ def _grouped(steps: list[tuple[int, Source, Source]], n_moving: int) -> list[int
                     if not waits[user] and moving[user] == part:
                         ready.setdefault(steps[user][0], []).append(user)
     return order
-
-
-def _not_finite(function: Any, k: int) -> bool:
-    import casadi as ca
-
-    return function.instruction_id(k) == ca.OP_CONST and not np.isfinite(function.instruction_constant(k))
 
 
 def _concerned(outputs: Any, label: Callable[[int], str], wrong: Callable[[Any, int], bool]) -> str:

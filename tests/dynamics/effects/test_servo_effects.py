@@ -127,18 +127,6 @@ def test_a_body_stops_by_the_level_of_its_direction_and_stays(v0, level):
     assert (states[math.ceil(abs(v0) / level * 1e3) + 1 :, 1] == 0).all()
 
 
-# --- load-dependent friction -----------------------------------------------------------------------------------------
-
-
-def test_a_gear_takes_one_share_while_driven_and_another_while_braking():
-    force = np.where(np.arange(2000) < 1000, 3.0, -3.0)
-    v = turned([("load-dependent-friction", {"kd": 0.2, "kb": 0.6})], 2000, 1e-3, u=force)[:, 1]
-    assert v[1000] == pytest.approx(0.8 * 3.0, rel=1e-9)
-    stop = v[1000] / (1.6 * 3.0)
-    assert v[1400] == pytest.approx(v[1000] - 1.6 * 3.0 * 0.4, rel=1e-9)
-    assert v[-1] == pytest.approx(-0.8 * 3.0 * (0.999 - stop), rel=1e-9)
-
-
 # --- hysteretic spring -----------------------------------------------------------------------------------------------
 
 

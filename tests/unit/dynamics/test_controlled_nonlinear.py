@@ -64,9 +64,5 @@ def test_bad_loops(machine, rough):
     late = rl.with_effects(machine, {"input-delay@torque_2": {"d": 1e-3}})
     with pytest.raises(InputError, match="forces at joints"):
         torque_loop(late, K, at)
-    with pytest.raises(InputError, match="takes torques"):
-        follow_with_torques(rl.plant("stewart-platform", motors=True), K, None, [0.0, 0.1], at=at)
-    with pytest.raises(InputError, match="equal steps"):
-        follow_with_torques(machine, K, SineTrajectory(machine.geometry.home), [0.0, 0.1, 0.3], at=at)
     with pytest.raises(InputError, match="its rest"):
         torque_loop(machine, K, at).equilibrium(pose=machine.geometry.home)

@@ -206,27 +206,6 @@ def test_a_delayed_input_is_the_shifted_input():
         assert np.abs(record[name] - own[name]).max() < 1e-7
 
 
-# --- the platform ----------------------------------------------------------------------------------------------------
-
-
-def test_viscous_friction_at_one_nut_is_a_torque_against_its_motor():
-    plant, c = platform(), 0.05
-    home, ratio = rl.trim(plant), plant.values["ratio"]
-    t = 1e-3 * np.arange(61)
-    pull = home.u + 2e-3 * np.array([1, -1, 1, -1, 1, -1.0])
-    record = rl.simulate(rl.with_effects(plant, {"viscous-friction@phidot_3": {"b": c}}), t, np.tile(pull, (61, 1)))
-
-    def rates(_, x):
-        torque = pull.copy()
-        torque[2] -= c * x[8] / ratio
-        return plant.derivative(x, torque)
-
-    true = solve_ivp(rates, (0.0, t[-1]), home.x, "DOP853", rtol=1e-9, atol=1e-11, t_eval=t[::10]).y
-    assert np.abs(true[2]).max() > 0.02
-    for i in range(6):
-        assert np.abs(record[f"phi_{i + 1}"][::10] - true[i]).max() < 1e-7
-
-
 # --- rest and linear models ------------------------------------------------------------------------------------------
 
 

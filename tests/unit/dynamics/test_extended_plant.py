@@ -6,7 +6,6 @@ from oracle.stick_slip import stick_slip
 from scipy.integrate import solve_ivp
 
 import robustlab as rl
-from robustlab.delays import pade
 from robustlab.dynamics import Law, holding_force, is_set_valued, rest_band
 
 T = np.arange(2001) * 1e-3
@@ -106,16 +105,6 @@ def test_dry_friction_is_reported_as_omitted_or_taken_at_an_amplitude():
     assert rl.linearise(plant).A[1, 1] - damped.A[1, 1] == pytest.approx(extra, rel=1e-12)
     moving = rl.linearise(plant, at=([0.0, 0.3], [1.0]))
     np.testing.assert_allclose(moving.A, rl.linearise(plant).A, atol=1e-12)
-
-
-@pytest.mark.parametrize("order", [1, 2, 4])
-def test_pade_delays_follow_the_true_phase(order):
-    model = pade(0.01, order)
-    omega = np.array([1.0, 20.0, 60.0])
-    response = np.array([(model.C @ np.linalg.solve(1j * w * np.eye(order) - model.A, model.B) + model.D)[0, 0]
-                         for w in omega])  # fmt: skip
-    np.testing.assert_allclose(np.abs(response), 1.0, rtol=1e-11)
-    np.testing.assert_allclose(response, np.exp(-0.01j * omega), atol=0.05 ** min(order, 3))
 
 
 # --- uncertainty -----------------------------------------------------------------------------------------------------

@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 import robustlab as rl
 from robustlab.dynamics import Simulator, Windows, linear_plant_of, parameter_groups, port_model
@@ -28,18 +26,6 @@ def test_a_motor_has_a_joint_with_its_angle_and_a_current_port():
     assert (current.kind, current.unit) == ("current", "V")
     assert current.force == pytest.approx([0, 0, 1 / 0.62e-3], rel=1e-12)  # 1 V into the coil: di/dt = 1/L
     assert current.position is None
-
-
-@settings(max_examples=25)
-@given(k=st.floats(-50.0, 500.0))
-def test_a_force_from_the_position_is_a_spring(k):
-    plant = rl.plant("mass-spring-damper")
-    model = port_model(plant)
-    port = model.ports["v"]
-    assert port.position is not None
-    stiffer = plant.with_parameters(k=plant.values["k"] + k)
-    loop = model.with_state_feedback(port, -k * port.position)
-    assert np.abs(loop.A - stiffer.state_space().A).max() < 1e-12 * (100 + abs(k))
 
 
 # --- bare models -----------------------------------------------------------------------------------------------------

@@ -80,19 +80,6 @@ def test_parameters_are_within_the_tolerances_printed_and_assumed():
     assert "one that we assume (R 10 %, L 10 %, motor constant 5 %, rotor 10 %)" in text
 
 
-def test_the_demo_excites_and_disagrees():
-    t, u, phi, i = rows("motor_record").T
-    assert np.abs(u).max() == 12.0
-    assert (np.diff(np.sign(u)) != 0).sum() > 8
-    # the encoder counts, the current is noisy while the motor rests
-    counts = phi / (2 * np.pi / 2000)
-    np.testing.assert_allclose(counts, np.round(counts), atol=0.01)
-    assert 0.01 < i[t < 0.1].std() < 0.03
-    model = rl.simulate(rl.plant("dc-motor"), t, u)
-    gap = np.abs(model["phi"] - phi).max() / np.ptp(phi)
-    assert 0.05 < gap < 0.5  # the nominal model is visibly wrong, and visibly a model of this machine
-
-
 @pytest.mark.slow  # 30 s
 def test_its_hidden_effects_are_named():
     """Parameters of its script: a driver that loses 0.6 V, and dry friction of 6 mN m with presliding, still there."""

@@ -118,20 +118,6 @@ def test_energy_over_a_second(preset):
     assert np.abs(energy - energy[0] - work).max() < 1e-8 * moved
 
 
-def test_three_fold_symmetry():
-    third = 2 * np.pi / 3
-    c, s = np.cos(third), np.sin(third)
-    pose = np.array([0.004, -0.002, 0.13, 0.0, 0.0, 0.05])  # yaw alone: R commutes with the turn
-    turned = np.array([c * pose[0] - s * pose[1], s * pose[0] + c * pose[1], *pose[2:]])
-    np.testing.assert_allclose(np.roll(rl.trim(THESIS, pose=pose).u, 2), rl.trim(THESIS, pose=turned).u, rtol=1e-12)
-    np.testing.assert_allclose(
-        np.roll(stewart.mass_matrix(THESIS, pose), (2, 2), (0, 1)),
-        stewart.mass_matrix(THESIS, turned),
-        rtol=1e-11,
-        atol=1e-18,
-    )
-
-
 # --- derivatives ---------------------------------------------------------------
 
 

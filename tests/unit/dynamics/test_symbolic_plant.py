@@ -1,8 +1,6 @@
 """User-defined plants compared with built-in ones, and their features."""
 
 import numpy as np
-import own_plants
-import pytest
 
 import robustlab as rl
 from robustlab.dynamics import input_signal, port_model
@@ -84,22 +82,3 @@ def test_discontinuous_inputs_are_exact():
     v = np.r_[0.0, np.cumsum(u[:-1] * np.diff(t))]
     truth = np.r_[0.0, np.cumsum(v[:-1] * np.diff(t) + 0.5 * u[:-1] * np.diff(t) ** 2)]
     np.testing.assert_allclose(states, np.column_stack([truth, v]), atol=1e-13)
-
-
-# --- twelve states ---------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def chain():
-    return own_plants.chain()
-
-
-def test_the_chain_keeps_its_energy(chain):
-    t = np.linspace(0.0, 3.0, 301)
-    states = chain.trajectory(input_signal(t, np.zeros((301, 1)), "zoh"), own_plants.START, 1e-11)
-    m, length = (np.array([chain.values[f"{name}_{k}"] for k in range(6)]) for name in ("m", "l"))
-    q, w = states[:, ::2], states[:, 1::2]
-    vx, vy = np.cumsum(length * np.cos(q) * w, axis=1), np.cumsum(length * np.sin(q) * w, axis=1)
-    height = -np.cumsum(length * np.cos(q), axis=1)
-    energy = (m * (0.5 * (vx**2 + vy**2) + 9.81 * height)).sum(axis=1)
-    assert np.ptp(energy) < 1e-8 * np.abs(energy).max()

@@ -79,12 +79,12 @@ print(found.status, found.label, digest(found))
 @pytest.mark.slow
 def test_a_discovery_is_the_same_under_load():
     found = same_under_load("""
-from robustlab.dynamics import effect_names
+from robustlab.dynamics import catalogue
 t, rng = 2.5e-3 * np.arange(500), np.random.default_rng(0)
 u = np.repeat(rng.uniform(-3.0, 3.0, size=10), 50)
 machine = rl.with_effects(rl.plant("servo-axis"), {"coulomb-friction": {"Fc": 20.0}})
 q = rl.simulate(machine, t, u)["q"] + 1e-6 * rng.standard_normal(500)
-others = sorted(set(effect_names()) - {"coulomb-friction", "constant-load"})
+others = sorted(set(catalogue()) - {"coulomb-friction", "constant-load"})
 found = rl.discover(rl.plant("servo-axis"), rl.Record(t, {"u": u}, {"q": q}, {"u": "V", "q": "m"}), exclude=others)
 print(found.verdict, digest(found))
 """)
