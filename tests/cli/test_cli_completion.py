@@ -92,8 +92,8 @@ def test_fish_gets_words_or_completes_files():
             _ROBUSTLAB_COMPLETE="complete_fish", _TYPER_COMPLETE_ARGS=line, _TYPER_COMPLETE_FISH_ACTION=action
         )
 
-    assert asked("robustlab run x --progress j", "get-args").stdout == "json\n"
-    assert asked("robustlab run x --progress j", "is-args").returncode == 0
+    assert asked("robustlab run x --progress n", "get-args").stdout == "none\n"
+    assert asked("robustlab run x --progress n", "is-args").returncode == 0
     assert asked("robustlab mu ", "is-args").returncode == 1
 
 

@@ -66,7 +66,7 @@ def answer(monkeypatch):
 def test_friction_is_named_by_the_real_command(files, tmp_path):
     out = tmp_path / "out"
     words = ("servo-axis", files / "run7.h5", "--held-out", files / "run8.h5", *EXCLUDED)
-    code, text, err = run("discover", *words, "--out", out, "--json", "--progress", "json")
+    code, text, _ = run("discover", *words, "--out", out, "--json")
     result = json.loads(text)
     assert (code, result["command"], result["verdict"], result["names"]) == (
         0,
@@ -83,14 +83,6 @@ def test_friction_is_named_by_the_real_command(files, tmp_path):
     assert "servo-axis lacks Coulomb (dry) friction" in page
     assert {p.stem for p in (out / "figures").glob("*.svg")} == set(FIGURES)
     assert str(out / "report.html") in result["files"]
-    states = [json.loads(line)["progress"] for line in err.splitlines() if line.startswith('{"schema"')]
-    counted = [state for state in states if state["total"]]
-    assert counted
-    for state in counted:
-        assert 0 <= state["done"] <= state["total"]
-        assert state["part"]
-        assert "what could be added to " in state["text"]
-    assert states[-1]["ended"]
 
 
 def test_options_reach_the_search(files, answer, real):
@@ -250,18 +242,3 @@ def test_a_record_without_information_exits_with_4_and_a_wrong_one_with_3(tmp_pa
     code, text, err = run("discover", "servo-axis", tmp_path / "turned.h5")
     assert (code, text) == (3, "")
     assert "sign" in err
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("what", ["--out", "--figure"])
-def test_files_are_written_while_progress_is_shown(files, real, answer, tmp_path, what):
-    """The last line of progress comes after them."""
-    answer(real)
-    target = {"--out": "out", "--figure": "f.svg"}[what]
-    words = ("discover", "servo-axis", files / "run7.h5", what, tmp_path / target, "--progress", "json")
-    *lines, last = run(*words)[2].splitlines()
-    assert json.loads(last)["progress"]["ended"]
-    assert any(str(tmp_path) in line for line in lines)
-    states = [json.loads(line)["progress"] for line in lines if line.startswith("{")]
-    assert states[-1]["text"] == "figures and files"
-    assert not any(state["ended"] for state in states)
