@@ -31,19 +31,17 @@ class LoopChannels:
         return Channels(K.n_inputs, K.n_outputs).posed(system, where, nominal)
 
 
-AS_CONTROLLER, USUAL = LoopChannels(), Search()
-
-
 @operation("synth reduce", "reduce-controller", result="synthesis.reduction.controller_reduction.ReducedController",
       gives="controller", made="controller")  # fmt: skip
 def reduce_controller(
     plant: Plant,
     controller: K,
+    *,
     loss: Annotated[float, Number(least=0, most=10), "Largest loss allowed, as a share."] = 0.01,
     order: Annotated[Order, "States of the result, whatever it loses."] = None,
     measure: Annotated[str, Choice(("hinf", "h2", "mu")), "mu: robust performance, with the plant's Delta."] = "hinf",
-    channels: LoopChannels = AS_CONTROLLER,
-    search: Search = USUAL,
+    channels: LoopChannels,
+    search: Search,
     progress: Any = None,
 ) -> Any:
     """Controller of the lowest order whose closed loop, rebuilt and proved anew, loses no more than a stated share.
@@ -54,9 +52,7 @@ def reduce_controller(
     """
     P = channels.around(plant, controller, "reduce-controller", False if measure == "mu" else None)
     given: Any = measure
-    return rl.reduce_controller(
-        P, controller, loss=loss, order=order, measure=given, progress=progress, **search.options
-    )
+    return rl.reduce_controller(P, controller, loss=loss, order=order, measure=given, progress=progress, **vars(search))
 
 
 Method = Annotated[
@@ -66,18 +62,6 @@ Method = Annotated[
 ]
 
 
-@dataclass(frozen=True)
-class Sampling:
-    """Sample time, delay and filter of the digital controller."""
-
-    dt: SampleTime
-    delay: Annotated[float, Number(least=0), "Computation delay in s."] = 0.0
-    antialiasing: Annotated[float | None, Number(above=0), "Corner of a filter before the sampler in rad/s."] = None
-    prewarp: Annotated[
-        float | None, Number("rad/s", above=0), "rad/s; the peak of the continuous loop where left out."
-    ] = None
-
-
 @operation("synth discretise", "discretise", result="synthesis.sampled.sampled_controller.SampledController",
       gives="controller", made="controller")  # fmt: skip
 def discretise(
@@ -85,13 +69,19 @@ def discretise(
         Plant, "The problem or generalised plant that the controller was designed for.", Named(key="plant")
     ],
     controller: Annotated[K, Named(key="of")],
-    sampling: Sampling,
+    *,
+    dt: SampleTime,
+    delay: Annotated[float, Number(least=0), "Computation delay in s."] = 0.0,
+    antialiasing: Annotated[float | None, Number(above=0), "Corner of a filter before the sampler in rad/s."] = None,
+    prewarp: Annotated[
+        float | None, Number("rad/s", above=0), "rad/s; the peak of the continuous loop where left out."
+    ] = None,
     method: Method = "auto",
     loss: Annotated[
         float, Number(least=0, most=100), "Share of the norm from which on auto designs for the sampled plant."
     ] = 0.1,
-    channels: LoopChannels = AS_CONTROLLER,
-    search: Search = USUAL,
+    channels: LoopChannels,
+    search: Search,
     progress: Any = None,
 ) -> Any:
     """Digital form of a controller, with the proved norm of the sampled loop, between samples too, and its loss.
@@ -105,7 +95,8 @@ def discretise(
     P = channels.around(plant, controller, "discretise")
     given: Any = method
     return rl.discretise(
-        controller, method=given, plant=_nominal(P), loss=loss, progress=progress, **vars(sampling), **search.options,
+        controller, dt=dt, method=given, plant=_nominal(P), delay=delay, antialiasing=antialiasing, prewarp=prewarp,
+        loss=loss, progress=progress, **vars(search),
     )  # fmt: skip
 
 

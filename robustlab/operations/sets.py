@@ -30,7 +30,6 @@ COVERS = (
     "elements", "pca", "additive", "input-multiplicative", "output-multiplicative", "inverse-additive",
     "inverse-input-multiplicative", "inverse-output-multiplicative",
 )  # fmt: skip
-USUAL_SEARCH = Search()
 EXACT = 1e-12  # largest error of the ends of an element-wise set, relative to the largest entry
 ANY = ("plant", "model", "uncertain", "any")
 NOTHING = "no uncertainty: mu = 0"
@@ -152,6 +151,7 @@ def expressions(file: Annotated[str, TextFile(), "TOML file with A, B, C, D in n
 @operation("uncertain cover", result="mu_analysis.margins.cover.Cover", gives="uncertain", made="model")
 def cover(
     models: Annotated[list[Any], Thing(ANY, model=True, many=True), "Files of the models to cover; at least two."],
+    *,
     form: Annotated[str, Choice(COVERS), "Of the cover."] = "elements",
     rtol: Annotated[
         float, Number(least=0, below=1), "Relative differences up to this are noise; none where left out."
@@ -164,7 +164,7 @@ def cover(
         Named(option="--controller,-k"),
     ] = None,
     feedback: Sign = None,
-    search: Search = USUAL_SEARCH,
+    search: Search,
     progress: Any = None,
 ) -> Any:
     """The smallest uncertain model of a form that contains a set of models, with its conservatism.
@@ -182,7 +182,7 @@ def cover(
         loop = lambda g: g.feedback(around, sign)  # noqa: E731
     found = rl.cover(
         models, form, tolerance=rtol, directions=directions, order=weight_order, loop=loop, progress=progress,
-        **search.options,
+        **vars(search),
     )  # fmt: skip
     return InLoop(found, words)
 

@@ -41,10 +41,6 @@ class Search:
     effort: Effort = 1.0
     time_limit: TimeLimit = None
 
-    @property
-    def options(self) -> dict[str, Any]:
-        return {"effort": self.effort, "time_limit": self.time_limit}
-
 
 @dataclass(frozen=True)
 class Signals:
