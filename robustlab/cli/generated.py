@@ -86,7 +86,7 @@ def command_of(declared: Operation, private: Options | None = None, more: More |
     if any(kind.settings for kind, _ in things):
         reading["plant"] = None
     written = private if private is not None else (OUT, *([DRAWN] if _draws(declared) else []))
-    verbose = [VERBOSE] if declared.takes_progress and not declared.progress else []
+    verbose = [VERBOSE] if declared.takes("progress") and not declared.progress else []
     own = [*(option for kind in reading for option in READ[kind]), *written, *verbose, AS_JSON, PROGRESS]
 
     def command(**given: Any) -> None:
@@ -135,9 +135,9 @@ def answer(
     ) as report:  # fmt: skip
         values = _values(chosen, given, shared, files)
         above = _overruled(values, given)
-        if chosen.takes_progress:
+        if chosen.takes("progress"):
             values["progress"] = report.listener if chosen.progress == "parts" else report
-        if chosen.takes_drawn:
+        if chosen.takes("drawn"):
             values["drawn"] = figure is not None
         try:
             found = {part: chosen(**case) for part, case in _cases(chosen, values, files, out).items()}

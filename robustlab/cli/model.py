@@ -12,7 +12,7 @@ from robustlab.cli.console import emit, note
 from robustlab.cli.generated import AS_JSON, READ, add_commands, taking
 from robustlab.cli.plant import parameter_lines, signal_lines
 from robustlab.errors import UsageError
-from robustlab.operations.kinds import Numbers, Table
+from robustlab.operations.kinds import Quantity, Table, in_units
 
 if TYPE_CHECKING:
     from robustlab.storage import Loaded
@@ -95,7 +95,8 @@ def convert(
     if loaded.kind == "pair":
         raise UsageError(source, "two models, /nominal and /perturbed", "one", "--group nominal, or --group perturbed")
     origin = Provenance.now("model convert", inputs={source: file_sha256(source)})
-    limits = Table(Numbers(), words="NAME=LOW:HIGH").read("--saturation", saturation)
+    ends = Table(Quantity("must"), words="NAME=LOW:HIGH").read("--saturation", saturation)
+    limits = in_units("--saturation", ends, {}) or None
     if limits is not None or anti_windup is not None or target.lower().endswith(".c"):
         rl.export_controller(
             target, loaded.object, prefix=prefix, saturation=limits, anti_windup=anti_windup, provenance=origin

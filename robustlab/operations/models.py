@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import robustlab as rl
 from robustlab.errors import UsageError
 from robustlab.operations.declaration import InLoop, Named, operation
-from robustlab.operations.kinds import Number, Numbers, Pair, Quantity, Table, Thing, Whole, in_units
+from robustlab.operations.kinds import Number, Numbers, Pair, Quantity, Table, Thing, Whole, bounded, in_units
 from robustlab.operations.words import Model, Outputs
 
 PLANT = "Name of the plant (dc-motor), file.py:name, or an HDF5 file with one."
@@ -22,9 +22,7 @@ class Rest(Table):
     """The equilibrium of a nonlinear plant: values by name; in a recipe also the six numbers of a pose."""
 
     def field(self) -> Any:
-        from pydantic import Field
-
-        return Annotated[list[float], Field(min_length=6, max_length=6)] | dict[str, float]
+        return bounded(list[float], min_length=6, max_length=6) | dict[str, float]
 
     def of_field(self, given: Any) -> Any:
         return given

@@ -86,7 +86,7 @@ class OperationStep(Step):
                 given = p.kind.of_field(getattr(self, p.key))
                 if given is not None or p.needed:
                     values[p.name] = _thing(p.kind, given, work) if isinstance(p.kind, Thing) else given
-        if self.declared.takes_drawn:
+        if self.declared.takes("drawn"):
             values["drawn"] = True
         return values
 
