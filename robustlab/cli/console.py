@@ -95,12 +95,11 @@ def figure_place(path: str, name: str, suffix: str = "") -> tuple[Path, str]:
     return target.parent, (target.stem if target.suffix.lower() in (".svg", ".png") else target.name) + suffix
 
 
-def save_figures(pictures: Mapping[str, Picture], path: str, part: str = "") -> list[str]:
+def save_figures(pictures: Mapping[str, Picture], path: str) -> list[str]:
     """Write each figure as SVG and PNG, the first as ``path``, others with their own name added; return the paths."""
     from robustlab.report.style import save_figure
 
     made: list[str] = []
     for name, picture in pictures.items():
-        own, suffix = "-".join(filter(None, (part, name))), "".join(f"-{t}" for t in (part, name if made else "") if t)
-        made += map(str, save_figure(picture.figure, *figure_place(path, own, suffix)))
+        made += map(str, save_figure(picture.figure, *figure_place(path, name, f"-{name}" if made else "")))
     return made

@@ -428,6 +428,9 @@ class Thing(Kind):
         for text in loaded.warnings:
             remark(f"warning: {file}: {text}")
         if loaded.kind == "pair":
+            if not self.pair:
+                hint = "--group nominal, or --group perturbed"
+                raise UsageError(file, "two models, nominal and perturbed", "one", hint)
             return Pair(*(self.as_wanted(model, file) for model in loaded.object))
         return self.as_wanted(loaded.object, file)
 
