@@ -15,12 +15,12 @@ import robustlab as rl
 from robustlab.cli.console import FIGURE, emit, note, require_trust, result_alone, save_figures
 from robustlab.cli.offers import one_of, plant_or_file
 from robustlab.cli.options import JsonOption, ProgressOption, RecordOptions, read_named, signals_of
-from robustlab.cli.plant import machine
 from robustlab.cli.progress import shown
 from robustlab.display import text_table
 from robustlab.errors import EXIT_REQUIREMENT_NOT_MET, EnvironmentFault, RobustlabError, UsageError
 from robustlab.operations.declaration import COMMANDS, REQUIRED, InLoop, Operation, Parameter, load_family
-from robustlab.operations.kinds import Choice, Feedback, Flag, Kind, Machine, RecordFile, Table, TextFile, Thing
+from robustlab.operations.kinds import Choice, Feedback, Flag, Kind, RecordFile, Table, TextFile, Thing
+from robustlab.operations.reading import runs_code
 
 # Options that all commands share.
 OUT = ("out", str | None, typer.Option("--out", "-o", metavar="PATH", help="File to write."), None)
@@ -253,19 +253,11 @@ def _read(p: Parameter, given: Any, shared: Mapping[str, Any], files: list[str],
         records = [read_named(RecordOptions(**reading), beside, name, files, kind.remarks) for name in names]
         return (records or None) if kind.many else records[0] if records else None
     files += [name for name in names if Path(name).is_file()]
-    if isinstance(kind, Machine):
-        return machine(kind, names[0], **reading) if names else None
-    things = [_loaded(kind, name, {key: value for key, value in reading.items() if value}) for name in names]
+    if (kind.reading == "plant" or "plant" in kind.gives) and any(map(runs_code, names)):
+        result_alone()  # a user's code may print
+    chosen = {key: value for key, value in reading.items() if value}
+    things = [kind.load(name, note, **chosen) for name in names]
     return things if kind.many else things[0] if things else None
-
-
-def _loaded(kind: Thing, name: str, reading: Mapping[str, Any]) -> Any:
-    """Load the object of a name; a user's code may print, but stdout is for the result alone."""
-    from robustlab.operations.reading import runs_code
-
-    if "plant" in kind.gives and runs_code(name):
-        result_alone()
-    return kind.load(name, note, **reading)
 
 
 def _typed(chosen: Operation, given: Mapping[str, Any], shared: Mapping[str, Any], files: Sequence[str]) -> str:

@@ -418,7 +418,7 @@ class Thing(Kind):
                 return float(file)
         if self.discovery and Path(file).is_dir():
             file = str(Path(file) / UPDATED_PLANT)
-        if "plant" in self.gives:
+        if "plant" in self.gives or self.reading == "plant":
             from robustlab.operations.reading import named_plant
 
             plant = named_plant(file, settings)
@@ -466,6 +466,23 @@ class Machine(Thing):
     @property
     def metavar(self) -> str | None:
         return "MODEL"
+
+    def as_wanted(self, found: Any, where: str) -> Any:
+        """Return the object, or the set of a plant where an uncertain model is required."""
+        from robustlab.dynamics.plant_contract import Plant
+        from robustlab.provenance import code_of
+
+        if self.gives[0] != "uncertain" or not isinstance(found, Plant):
+            return super().as_wanted(found, where)
+        uncertain = getattr(found, "uncertain", None)
+        if uncertain is None:
+            raise InputError(where, f"{found.name} is not linear", "a linear plant, with or without effects")
+        if not any(p.tolerance for p in found.parameters.values()):
+            raise InputError(where, "no parameter has a tolerance", "a plant whose parameters may vary")
+        made = uncertain()
+        if code_of(found):
+            made.traced(found.provenance)
+        return made
 
 
 @dataclass(frozen=True)
