@@ -81,25 +81,20 @@ def require_trust(status: rl.Status) -> None:
         raise typer.Exit(NoTrustworthyNumber.exit_code)
 
 
-def figure_place(path: str, name: str, suffix: str = "") -> tuple[Path, str]:
-    """Return folder and name, without ending, of a figure written to ``path``.
-
-    In a folder (one that exists, or a path that ends in a slash) it has its own ``name``, else that of the path with
-    the ``suffix``.
-    """
-    target = Path(path)
-    if path.endswith(("/", os.sep)) or target.is_dir():
-        return target, name
-    if not target.stem:
-        raise InputError("--figure", repr(path), "a name, for example design.svg, or a folder")
-    return target.parent, (target.stem if target.suffix.lower() in (".svg", ".png") else target.name) + suffix
-
-
 def save_figures(pictures: Mapping[str, Picture], path: str) -> list[str]:
-    """Write each figure as SVG and PNG, the first as ``path``, others with their own name added; return the paths."""
+    """Write each figure as SVG and PNG; return the paths.
+
+    In a folder (one that exists, or a path that ends in a slash) each has its own name, else the first is ``path``
+    and the others have their own name added.
+    """
     from robustlab.report.style import save_figure
 
-    made: list[str] = []
+    target, made = Path(path), list[str]()
+    alone = path.endswith(("/", os.sep)) or target.is_dir()
+    if not (alone or target.stem):
+        raise InputError("--figure", repr(path), "a name, for example design.svg, or a folder")
+    stem = target.stem if target.suffix.lower() in (".svg", ".png") else target.name
     for name, picture in pictures.items():
-        made += map(str, save_figure(picture.figure, *figure_place(path, name, f"-{name}" if made else "")))
+        place = (target, name) if alone else (target.parent, f"{stem}-{name}" if made else stem)
+        made += map(str, save_figure(picture.figure, *place))
     return made

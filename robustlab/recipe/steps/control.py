@@ -269,11 +269,11 @@ def _closed(step: RobustPerformanceStep, work: Workspace, name: str) -> tuple[An
 
     given, K = work.values[step.of], as_model(work.values[name], name)
     if isinstance(given, TrackingProblem):
-        problem = given if step.set is None else given.on(work.uncertain(step.set))
+        problem = given if step.set is None else given.on(work.wanted(step.set, rl.UncertainModel))
         return problem.close(K), K.n_states
     if step.set is not None:
         raise InputError("set", f"given, but {step.of} is no tracking problem", "no set")
-    return work.uncertain(step.of).close(K), K.n_states
+    return work.wanted(step.of, rl.UncertainModel).close(K), K.n_states
 
 
 def _signals(G: Any) -> tuple[list[str], list[str]]:

@@ -71,7 +71,7 @@ class DataCoverStep(Step):
 
         def thinned(name: str) -> Any:
             # An input is averaged until the next kept sample, over which it is then held.
-            r, k = work.record(name), self.decimate
+            r, k = work.wanted(name, rl.Record), self.decimate
             n = r.n // k
             inputs = {key: u[: n * k].reshape(n, k).mean(axis=1) for key, u in r.inputs.items()}
             outputs = {key: y[: n * k : k] for key, y in r.outputs.items()}
@@ -162,12 +162,6 @@ class CoverModelsStep(Step):
         return replace(source.select(self.outputs), inputs=None, leaves={**Cover.quantities, "loads": {"*": float}})
 
     def run(self, work: Workspace) -> Outcome:
-        """The smallest uncertain model of a form around a set of models, with its conservatism.
-
-        Numbers: ``blocks``, ``channels``, ``members``, ``missed`` (largest miss of a model), ``size`` (largest delta);
-        ``order``, ``excess`` and ``radius`` of an unstructured form; ``conservatism`` and
-        ``conservatism_at_least``; ``loads.INPUT``, the bound of a load in its unit.
-        """
         from robustlab.report.set_figures import cover_figures
         from robustlab.synthesis.specifications.tracking_loop import tracking_loop, with_law
 
@@ -210,13 +204,9 @@ class WithLoadsStep(Step):
         return Inferred(outputs=ahead[self.record].outputs)
 
     def run(self, work: Workspace) -> Outcome:
-        """The record with the loads of a plant's effects: known signals, at most one.
-
-        Numbers: ``largest.INPUT`` along the record, ``bound.INPUT`` in its unit.
-        """
         from robustlab.dynamics.extended.effect_blocks import effect_loads
 
-        record = work.record(self.record)
+        record = work.wanted(self.record, rl.Record)
         made = effect_loads(work.values[self.of], self.sigmas, [record])
         shown = made.along(record)
         largest = {load.name: float(abs(shown[load.name]).max()) for load in made.loads}

@@ -51,7 +51,7 @@ class RecordStep(Step):
         notes = (" ".join(self.about.split()),) if self.about else ()
         if self.simulated:
             work.simulated.add(work.step)
-        return _as_record(found, f"Record {path.name} read ({work.origin(work.step)}).", notes)
+        return _as_record(found, f"Record {path.name} read ({'simulated' if self.simulated else 'measured'}).", notes)
 
 
 @step
@@ -78,7 +78,7 @@ class JoinStep(Step):
 
         if work.simulated & {self.first, self.second}:
             work.simulated.add(work.step)
-        found = join_clocks(work.record(self.first), work.record(self.second), self.dt)
+        found = join_clocks(work.wanted(self.first, rl.Record), work.wanted(self.second, rl.Record), self.dt)
         return _as_record(found, f"{self.first} and {self.second} on one clock.", ())
 
 
