@@ -215,15 +215,6 @@ def test_the_updated_plant_is_kept(files, tmp_path, answer, real):
     assert [e.effect.id for e in back.effects] == ["coulomb-friction"]
 
 
-@pytest.mark.slow
-def test_figures_alone(files, tmp_path, answer, real):
-    answer(real)
-    code, _, err = run("discover", "servo-axis", files / "run7.h5", "--figure", f"{tmp_path}/f/")
-    assert code == 0
-    assert {p.stem for p in (tmp_path / "f").glob("*.png")} == set(FIGURES)
-    assert "gap.png" in err
-
-
 def test_a_tolerance_of_no_parameter_is_named(files):
     code, _, err = run("discover", "servo-axis", files / "run7.h5", "--tolerance", "mass=0.1", *EXCLUDED)
     assert (code, "mass" in err) == (3, True)

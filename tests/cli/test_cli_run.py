@@ -284,27 +284,6 @@ def test_a_number_that_is_not_there_after_all_is_a_fault_in_the_report(recipe, m
         assert cases_of(recipe / "out/small")["covered"][0][0] == "error"
 
 
-@pytest.mark.parametrize(
-    ("value", "words", "code"),
-    [
-        (float("nan"), "there is no number to judge (NaN)", 1),
-        ("high", "'high', expected a number, because the condition compares numbers", 3),
-        ({"a": 1.0}, "names a table, expected a single number, text, or yes/no", 3),
-    ],
-)
-def test_what_is_no_number_is_a_fault(recipe, monkeypatch, value, words, code):
-    (recipe / "small.toml").write_text(
-        RECIPE.replace("covers.0", "peak_deviation").replace("equals = true", "at_most = 1.0")
-    )
-    numbers = {"outputs": {"omega": {"peak_deviation": value}}}
-    monkeypatch.setattr(KINDS["sample"], "run", lambda *_: Outcome(None, "done", numbers))
-    assert words in robustlab("run", "small.toml", code=code).out
-    (asked,) = result(recipe / "out/small")["requirements"]
-    assert (asked["met"], asked["why_not"]) == (False, words)
-    assert words.replace("'", "&#39;") in page_of(recipe / "out/small")
-    assert cases_of(recipe / "out/small")["covered"] == [("error", words)]
-
-
 def lags(*poles):
     for name, pole in zip("ab", poles, strict=True):
         rl.save(f"{name}.h5", rl.StateSpaceModel([[pole]], [[1.0]], [[1.0]], [[0.0]]))
