@@ -9,10 +9,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import typer
-
 import robustlab as rl
-from robustlab.errors import InputError, NoTrustworthyNumber, plain_text
+from robustlab.errors import InputError, plain_text
 
 if TYPE_CHECKING:
     from robustlab.report.drawings import Picture
@@ -73,12 +71,6 @@ def note(text: str) -> None:
 def named(signals: Iterable[rl.Signal]) -> list[str]:
     """Return the signals with their units."""
     return [f"{s.name} [{s.unit}]" if s.unit else s.name for s in signals]
-
-
-def require_trust(status: rl.Status) -> None:
-    """Exit with code 4 where the status is not trustworthy; the result has been printed."""
-    if not status.trustworthy:
-        raise typer.Exit(NoTrustworthyNumber.exit_code)
 
 
 def save_figures(pictures: Mapping[str, Picture], path: str) -> list[str]:

@@ -12,12 +12,12 @@ from typing import Annotated, Any, NamedTuple, get_args, get_type_hints
 import typer
 
 import robustlab as rl
-from robustlab.cli.console import FIGURE, emit, note, require_trust, result_alone, save_figures
+from robustlab.cli.console import FIGURE, emit, note, result_alone, save_figures
 from robustlab.cli.offers import one_of, plant_or_file
 from robustlab.cli.options import JsonOption, ProgressOption, RecordOptions, read_named, signals_of
 from robustlab.cli.progress import shown
 from robustlab.display import text_table
-from robustlab.errors import EXIT_REQUIREMENT_NOT_MET, EnvironmentFault, RobustlabError, UsageError
+from robustlab.errors import EXIT_REQUIREMENT_NOT_MET, EnvironmentFault, NoTrustworthyNumber, RobustlabError, UsageError
 from robustlab.operations.declaration import COMMANDS, REQUIRED, InLoop, Operation, Parameter, load_family
 from robustlab.operations.kinds import Choice, Feedback, Flag, Kind, RecordFile, Table, TextFile, Thing
 from robustlab.operations.reading import runs_code
@@ -174,8 +174,8 @@ def answer(
         one.result.require()
     for result in (one.result, *one.beside.values()):
         for status in getattr(result, "statuses", [getattr(result, "status", None)]):
-            if status is not None:
-                require_trust(status)
+            if status is not None and not status.trustworthy:
+                raise typer.Exit(NoTrustworthyNumber.exit_code)
     if getattr(one.result, "met", None) is False:
         raise typer.Exit(EXIT_REQUIREMENT_NOT_MET)
 

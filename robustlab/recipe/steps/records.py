@@ -38,12 +38,9 @@ class RecordStep(Step):
     )
 
     def infer(self, ahead: Ahead) -> Inferred:
-        options: dict[str, Any] = {"units": self.units} if self.units else {}
-        if self.clock is not None:
-            options["clock"] = self.clock
         path = ahead.sources[ahead.step]
         return Inferred.of(
-            rl.Record.read(path, group=self.group, inputs=self.inputs, outputs=self.outputs, dt=self.dt, **options)
+            rl.Record.read(path, self.group, self.inputs, self.outputs, self.dt, units=self.units, clock=self.clock)
         )
 
     def run(self, work: Workspace) -> Outcome:
