@@ -109,9 +109,8 @@ def test_a_run_with_all_requirements_met(recipe):
 
 
 def test_a_requirement_that_is_not_met_is_exit_code_1(recipe):
-    assert (
-        "NOT MET" in robustlab("run", "small.toml", "--set", "set.tolerances.Kf=0.3", "--out", "out/small", code=1).out
-    )
+    ending = robustlab("run", "small.toml", "--set", "set.tolerances.Kf=0.3", "--out", "out/small", code=1)
+    assert "NOT MET" in ending.out
     root = ET.parse(recipe / "out/small/junit.xml").getroot()
     assert root.get("failures") == "1"
     assert "✗ not met" in (recipe / "out/small/report.html").read_text(encoding="utf-8")
@@ -374,16 +373,10 @@ def test_report_writes_the_same_page_again(recipe):
 @pytest.mark.parametrize(
     ("step", "message"),
     [
-        ('do = "robust-stability"\nof = "a"', "step 'a' gives a StateSpaceModel, expected an UncertainModel"),
         ('do = "sample"\nof = "a"\nn = 1\ninput = { u1 = 1.0 }\nt_end = 1.0', "expected an UncertainModel"),
         ('do = "compare"\nof = "a"\nrecord = "a"', "expected a Record"),
-        (
-            'do = "worst-case"\nof = "set"\nmetric = "peak-deviation"\ninput = { u9 = 1.0 }\nt_end = 1.0',
-            "step.last.input.u9: 'u9': set has no such input, expected one of u1",
-        ),
         ('do = "worst-case"\nof = "set"\noutput = "y9"\ninput = { u1 = 1.0 }\nt_end = 1.0', "y9"),
         ('do = "close-loop"\nof = "set"\ncontroller = "wide"', "controller: 2 inputs and 1 outputs, expected 1 and 1"),
-        ('do = "steady-state"\nof = "a"\ninputs = { u9 = 1.0 }', "no such input"),
         ('do = "hinf"\nof = "a"\nmeasurements = 5\ncontrols = 1', "n_meas is 5"),
     ],
 )
