@@ -10,7 +10,7 @@ from robustlab.errors import UsageError
 from robustlab.operations.declaration import InLoop, Named, operation
 from robustlab.operations.designs import Channels, Controls, K, Measured, Of, Order, Plant
 from robustlab.operations.kinds import Choice, Number, Thing
-from robustlab.operations.words import SampleTime, Search, Sign
+from robustlab.operations.words import Controller, SampleTime, Search, Sign, System
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ def reduce_controller(
     *,
     loss: Annotated[float, Number(least=0, most=10), "Largest loss allowed, as a share."] = 0.01,
     order: Annotated[Order, "States of the result, whatever it loses."] = None,
-    measure: Annotated[str, Choice(("hinf", "h2", "mu")), "mu: robust performance, with the plant's Delta."] = "hinf",
+    measure: Annotated[Any, Choice(("hinf", "h2", "mu")), "mu: robust performance, with the plant's Delta."] = "hinf",
     channels: LoopChannels,
     search: Search,
     progress: Any = None,
@@ -51,12 +51,13 @@ def reduce_controller(
     Example: robustlab synth reduce plant.h5 controller.h5 --loss 0.02 --out small.h5
     """
     P = channels.around(plant, controller, "reduce-controller", False if measure == "mu" else None)
-    given: Any = measure
-    return rl.reduce_controller(P, controller, loss=loss, order=order, measure=given, progress=progress, **vars(search))
+    return rl.reduce_controller(
+        P, controller, loss=loss, order=order, measure=measure, progress=progress, **vars(search)
+    )
 
 
 Method = Annotated[
-    str,
+    Any,
     Choice(("auto", "direct", "tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")),
     "Formula, or a design for the sampled plant.",
 ]
@@ -93,9 +94,8 @@ def discretise(
     Example: robustlab synth discretise plant.h5 controller.h5 --dt 0.01 --out digital.h5
     """
     P = channels.around(plant, controller, "discretise")
-    given: Any = method
     return rl.discretise(
-        controller, dt=dt, method=given, plant=_nominal(P), delay=delay, antialiasing=antialiasing, prewarp=prewarp,
+        controller, dt=dt, method=method, plant=_nominal(P), delay=delay, antialiasing=antialiasing, prewarp=prewarp,
         loss=loss, progress=progress, **vars(search),
     )  # fmt: skip
 
@@ -119,7 +119,7 @@ def reduce_model(
         Named(option="--max-error"),
     ] = None,
     method: Annotated[
-        str,
+        Any,
         Choice(("truncation", "residualisation", "hankel", "stochastic", "coprime")),
         "stochastic: relative error; coprime: unstable modes too.",
     ] = "truncation",
@@ -134,9 +134,8 @@ def reduce_model(
 
     Example: robustlab model reduce plant.h5 --max-error 0.01 --out small.h5
     """
-    given: Any = method
     return rl.reduce_model(
-        system, order, tolerance=tolerance, method=given, floor=floor, input_weight=input_weight,
+        system, order, tolerance=tolerance, method=method, floor=floor, input_weight=input_weight,
         output_weight=output_weight,
     )  # fmt: skip
 
@@ -174,7 +173,7 @@ def discretise_by_formula(
     system: Annotated[Any, Thing(("plant", "model", "any")), "HDF5 or .mat file.", Named(key="of")],
     dt: SampleTime,
     method: Annotated[
-        str, Choice(("tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")), "The formula."
+        Any, Choice(("tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")), "The formula."
     ] = "tustin",
     prewarp: Annotated[
         float | None, Number("rad/s", above=0), "Of tustin-prewarp: frequency in rad/s where it is exact."
@@ -192,21 +191,19 @@ def discretise_by_formula(
 
     delayed = isinstance(system, rl.DelayedModel)
     model: Any = system if delayed else as_model(system, "model discretise")
-    given: Any = method
-    found = rl.discretise(model, dt, given, prewarp=prewarp)
+    found = rl.discretise(model, dt, method, prewarp=prewarp)
     return InLoop(found, notes=tuple(f"warning: {pair}" for pair in merged_modes(model.H if delayed else model, dt)))
 
 
 @operation("", "close-loop", result="synthesis.specifications.tracking_loop.ClosedLoop", gives="uncertain",
       made="model", infer=_inferred_loop)  # fmt: skip
 def close_loop(
-    system: Annotated[Any, Thing(("plant", "model", "uncertain", "any")), "HDF5 or MATLAB file.", Named(key="of")],
-    controller: Annotated[Any, Thing(("controller", "any")), "File with the controller."],
+    system: Annotated[System, Named(key="of")],
+    controller: Controller,
     sign: Annotated[Sign, Named(option="--feedback")] = None,
 ) -> Any:
     """The tracking loop of a controller around a model: reference in, the controlled outputs and controls out."""
     from robustlab.synthesis.specifications.tracking_loop import ClosedLoop, tracking_loop, with_law
 
-    given: Any = sign
-    K, words = with_law(system, controller, given)
+    K, words = with_law(system, controller, sign)
     return ClosedLoop(tracking_loop(system, K), words)

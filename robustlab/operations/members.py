@@ -273,7 +273,7 @@ def campaign(
     judged: Judged,
     drive: Excitation,
     n: Annotated[int, Whole(1, 10**9), "Number of samples, vertices or searches.", Named(option="-n,--samples")] = 1000,
-    kind: Annotated[str, Choice(("samples", "vertices", "search")), "What is drawn."] = "samples",
+    kind: Annotated[Any, Choice(("samples", "vertices", "search")), "What is drawn."] = "samples",
     starts: Annotated[int, Whole(1), "For searches: points each one starts from."] = 64,
     seed: Seed = 0,
     workers: WorkerOptions,
@@ -293,9 +293,8 @@ def campaign(
     u, hold = drive.of(uncertain)["u"], "zoh"
     if drive.sine:  # not a constant: sample by sample
         u, hold = {name: values.tolist() for name, values in u.items()}, "foh"
-    kind_: Any = kind
     settings = CampaignSettings(
-        judged.metric, n, kind_, seed, judged.output, judged.from_input, u, drive.t_end, drive.points, hold,
+        judged.metric, n, kind, seed, judged.output, judged.from_input, u, drive.t_end, drive.points, hold,
         starts=starts, band=judged.band,
     )  # fmt: skip
     with _counted(progress, store, n) as advance:

@@ -9,7 +9,7 @@ import robustlab as rl
 from robustlab.errors import UsageError
 from robustlab.operations.declaration import InLoop, Named, operation
 from robustlab.operations.kinds import Number, Numbers, Pair, Quantity, Table, Thing, Whole, bounded, in_units
-from robustlab.operations.words import Model, Outputs
+from robustlab.operations.words import Model, Outputs, System
 
 PLANT = "Name of the plant (dc-motor), file.py:name, or an HDF5 file with one."
 Plant = Annotated[Any, Thing(("plant",), settings=True), PLANT]
@@ -97,7 +97,7 @@ def left_out(missing: Any) -> tuple[str, ...]:
 
 @operation("model check", "structural", result="linear_analysis.structural.Structure")
 def check(
-    system: Annotated[Any, Thing(("plant", "model", "uncertain", "any")), "HDF5 or MATLAB file.", Named(key="of")],
+    system: Annotated[System, Named(key="of")],
 ) -> Any:
     """Poles, stability, controllability and observability of a model.
 

@@ -26,7 +26,7 @@ Intervals = Annotated[bool, Flag(), "Print the proved frequency intervals.", Nam
 
 
 Skew = Annotated[float, Number(), "0: equal factors of gain up and down; positive: more up."]
-At = Annotated[str, Choice(("input", "output", "both")), "Where gain and phase change."]
+At = Annotated[Any, Choice(("input", "output", "both")), "Where gain and phase change."]
 
 
 @operation("model margins", "disk-margin", result="mu_analysis.margins.disk_margin.DiskMargins")
@@ -46,10 +46,8 @@ def disk_margin(
 
     Example: robustlab model margins plant.h5 --controller K.h5 --at both
     """
-    options: dict[str, Any] = {**vars(search), "seed": seed}
-    given: Any = at
     loop, K, sign, words = _loop(plant, around)
-    found = rl.disk_margin(loop, K, at=given, sign=sign, frequency=frequency, skew=skew, **options)
+    found = rl.disk_margin(loop, K, at=at, sign=sign, frequency=frequency, skew=skew, seed=seed, **vars(search))
     return InLoop(replace(found, loop=words), beside={"feedback": WORDS[sign]})
 
 
@@ -66,9 +64,8 @@ def classical_margins(
     """
     if isinstance(plant, rl.UncertainModel):
         raise UsageError("classical-margins", "an uncertain plant", "one model")
-    given: Any = at
     loop, K, sign, words = _loop(plant, around)
-    found = rl.classical_margins(loop, K, at=given, sign=sign)
+    found = rl.classical_margins(loop, K, at=at, sign=sign)
     return InLoop(replace(found, loop=words), beside={"feedback": WORDS[sign]})
 
 

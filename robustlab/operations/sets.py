@@ -214,7 +214,7 @@ def uncertain_from(
         "Amplitude of a speed or signal at which effects are described, or LOW:HIGH, NAME=VALUE; repeatable.",
     ] = None,
     dry: Annotated[
-        str | None,
+        Any,
         Choice(("gain", "load", "both")),
         "Dry friction and other bounded forces: load, an input, exact at any speed; gain, that of the describing "
         "function; where left out, a gain where an amplitude is given, else a load.",
@@ -229,9 +229,8 @@ def uncertain_from(
     Example: robustlab uncertain discovery found/ --amplitude v=0.05 --out set.h5
     """
     named = in_units("amplitude", amplitude, {})
-    given: Any = dry
     try:
-        return rl.uncertain_from(discovery, outputs, sigmas=sigmas, amplitude=named or None, dry=given, pade=pade)
+        return rl.uncertain_from(discovery, outputs, sigmas=sigmas, amplitude=named or None, dry=dry, pade=pade)
     except InputError as error:
         if "amplitude" in (error.expected or "") and error.hint:
             raise UsageError("uncertain_from", error.found, "--amplitude NAME=VALUE for it", error.hint) from None

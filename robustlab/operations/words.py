@@ -18,7 +18,7 @@ Measured = Annotated[Any, RecordFile(), "Record: HDF5, MATLAB, CSV or TXT file."
 Repeats = Annotated[list[Any] | None, RecordFile(many=True), "Further record with the same input, for the noise floor."]
 Controller = Annotated[Any, Thing(("controller", "any")), "File with the controller."]
 Sign = Annotated[
-    int | None,
+    Any,
     Feedback(),
     "negative (u = -K y; -1 in a recipe) or positive (1); if left out, as the controller says of itself.",
     Named(argument="sign"),
