@@ -121,8 +121,8 @@ class Quantity(Kind):
         return text if len(parts) == 1 else tuple(parts)
 
     def field(self) -> Any:
-        number = bounded(float, ge=self.least)
-        two = bounded(list[number], min_length=2, max_length=2)
+        number: Any = bounded(float, ge=self.least)
+        two: Any = bounded(list[number], min_length=2, max_length=2)
         return {"": number, "may": number | two, "must": two}[self.ends]
 
     def of_field(self, given: Any) -> Any:
@@ -277,10 +277,8 @@ class Numbers(Kind):
         return self.of_field(found)
 
     def field(self) -> Any:
-        number = bounded(float, ge=0) if self.unit == "rad/s" else float
-        return (
-            list[number] if self.count is None else bounded(list[number], min_length=self.count, max_length=self.count)
-        )
+        number: Any = bounded(float, ge=0) if self.unit == "rad/s" else float
+        return bounded(list[number], min_length=self.count, max_length=self.count)
 
     def of_field(self, given: Any) -> Any:
         return given if given is None or self.count is None else tuple(given)
