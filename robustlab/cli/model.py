@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -14,15 +14,12 @@ from robustlab.cli.plant import parameter_lines, signal_lines
 from robustlab.errors import UsageError
 from robustlab.operations.kinds import Quantity, Table, in_units
 
-if TYPE_CHECKING:
-    from robustlab.storage import Loaded
-
 app = typer.Typer(help="Build, show, check, compare and convert models.", no_args_is_help=True, add_completion=False)
 
 SHOWN_STATES = 12
 
 
-def _read(file: str, reading: Mapping[str, Any]) -> Loaded:
+def _read(file: str, reading: Mapping[str, Any]) -> Any:
     from robustlab.storage import read
 
     loaded = read(file, **reading)
@@ -51,14 +48,9 @@ def show(
         )
     kind = f"{loaded.kind}, {'' if loaded.verified else 'not '}verified by a content hash"
     content = named if pair else loaded.object
-    result = {
-        "file": file,
-        "kind": loaded.kind,
-        "verified": loaded.verified,
-        "warnings": loaded.warnings,
-        "provenance": origin,
-    }
-    emit("model show", {**result, "content": content}, "\n".join([f"{file}: {kind}", *parts]), as_json)
+    result = {name: getattr(loaded, name) for name in ("kind", "verified", "warnings", "provenance")}
+    text = "\n".join([f"{file}: {kind}", *parts])
+    emit("model show", {"file": file, **result, "content": content}, text, as_json)
 
 
 @app.command()

@@ -427,7 +427,7 @@ class Thing(Kind):
             remark(f"warning: {file}: {text}")
         if loaded.kind == "pair":
             if not self.pair:
-                hint = "--group nominal, or --group perturbed"
+                hint = "group='nominal', or group='perturbed'"
                 raise UsageError(file, "two models, nominal and perturbed", "one", hint)
             return Pair(*(self.as_wanted(model, file) for model in loaded.object))
         return self.as_wanted(loaded.object, file)

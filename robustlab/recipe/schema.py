@@ -135,17 +135,9 @@ class Judgement:
 
     def to_json(self) -> dict[str, Any]:
         """Return plain types."""
-        r = self.requirement
         return {
-            "text": r.text,
-            "that": r.that,
-            "condition": r.condition,
-            "limits": r.limits,
-            "unit": r.unit,
-            "value": self.value,
-            "met": self.met,
-            "why_not": self.why_not,
-            "free_run": self.free_run,
+            **{name: getattr(self.requirement, name) for name in ("text", "that", "condition", "limits", "unit")},
+            **{name: getattr(self, name) for name in ("value", "met", "why_not", "free_run")},
         }
 
 

@@ -65,7 +65,8 @@ def _units(signals: Any) -> dict[str, str] | None:
 class Ahead:
     """Knowledge before anything runs: the files that steps read, and the inferred properties of earlier steps."""
 
-    sources: Mapping[str, Path]  # as in `Workspace`
+    # Step name -> the file it reads, or the code of a plant; see `robustlab.recipe.load.find_file`.
+    sources: Mapping[str, Path]
     steps: dict[str, Inferred] = field(default_factory=dict)
     step: str = ""  # name of the current step
 
@@ -142,8 +143,6 @@ class Workspace:
     """The values of earlier steps, the files found for them, the seed, and a folder to write to."""
 
     folder: Path  # the output folder; `files` lists the files written, relative to it
-    # Step name -> the file it reads, or the code of a plant; see `robustlab.recipe.load.find_file`.
-    sources: Mapping[str, Path]
     seed: int  # seed of the recipe
     # Step name -> value of each finished step, and its numbers for requirements.
     values: dict[str, Any] = field(default_factory=dict)

@@ -61,8 +61,8 @@ class PlantStep(Step):
         given = self._given
         facts: list[Fact] = []
         numbers: dict[str, Any] = {}
-        if work.step in work.sources:
-            source, given = work.sources[work.step], {**given, **self.choices}
+        if work.step in work.ahead.sources:
+            source, given = work.ahead.sources[work.step], {**given, **self.choices}
             unit = unit_reference(self.plant)
             made: Any = rl.plant(str(source), **given) if unit else plant_from_file(self.plant, given, source)
             numbers["code"] = code_of(made)
@@ -106,7 +106,7 @@ class LoadStep(Step):
     def run(self, work: Workspace) -> Outcome:
         from robustlab.storage import read
 
-        path = work.sources[work.step] if self.saved is None else work.values[self.saved]
+        path = work.ahead.sources[work.step] if self.saved is None else work.values[self.saved]
         loaded = read(path)
         found: Any = loaded.object
         kind = type(found).__name__

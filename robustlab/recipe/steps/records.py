@@ -44,7 +44,7 @@ class RecordStep(Step):
         )
 
     def run(self, work: Workspace) -> Outcome:
-        path, found = work.sources[work.step], work.ahead[work.step].value
+        path, found = work.ahead.sources[work.step], work.ahead[work.step].value
         notes = (" ".join(self.about.split()),) if self.about else ()
         if self.simulated:
             work.simulated.add(work.step)
