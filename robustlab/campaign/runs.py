@@ -25,7 +25,7 @@ from robustlab.result import Status
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.members import decoded
 
-Existing = Literal["resume", "restart", "fork"]
+Existing = Literal["resume", "restart"]
 ALL_PROCESSORS = Crew()
 MAX_LOST_SHARE = 0.01  # largest share of samples without a value
 # Sizes of pieces of work; the samples do not depend on them.
@@ -50,14 +50,12 @@ def run_campaign(
     The same model, settings and code give the same samples, independent of workers and interruptions. A sample that
     raises is lost alone; if a worker process ends, the run ends, and a later one resumes the store.
 
-    ``existing``: if ``store`` holds another campaign, ``"resume"`` rejects it, ``"restart"`` deletes it, ``"fork"``
-    keeps it and writes to ``NAME-2.sqlite``, ... ``limit``: count the samples that are worse. ``progress``: called with
+    ``existing``: if ``store`` holds another campaign, ``"resume"`` rejects it, ``"restart"`` deletes it.
+    ``limit``: count the samples that are worse. ``progress``: called with
     the number of newly stored samples, first with that of the samples already stored.
     """
     evaluator = Evaluator(uncertain, settings)
     identity, path = Identity.of(uncertain, settings), Path(store)
-    if existing == "fork" and Store.exists(path):
-        path = _free_name(path)
     with locked(path):
         if existing == "restart":
             Store.delete(path)
@@ -233,18 +231,9 @@ def _same_campaign(store: Store, identity: Identity) -> None:
         store.where,
         f"the campaign {since} ({changes[0]})",
         None,
-        "--restart computes all samples anew, --fork keeps this store and begins another beside it",
+        "--restart computes all samples anew, another --store keeps this one",
         tuple(f"{store.where}: {line}" for line in changes[1:]),
     )
-
-
-def _free_name(path: Path) -> Path:
-    """Return ``NAME-2.sqlite`` or the next free name."""
-    for k in range(2, 10_000):
-        candidate = path.with_name(f"{path.stem}-{k}{path.suffix}")
-        if not candidate.exists():
-            return candidate
-    raise EnvironmentFault(str(path), "has more than 9998 forks already")
 
 
 # --- work of the missing samples -------------------------------------------------------------------------------------

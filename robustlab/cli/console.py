@@ -9,10 +9,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import typer
-
 import robustlab as rl
-from robustlab.errors import InputError, NoTrustworthyNumber, plain_text
+from robustlab.errors import InputError, plain_text
 
 if TYPE_CHECKING:
     from robustlab.report.drawings import Picture
@@ -75,32 +73,20 @@ def named(signals: Iterable[rl.Signal]) -> list[str]:
     return [f"{s.name} [{s.unit}]" if s.unit else s.name for s in signals]
 
 
-def require_trust(status: rl.Status) -> None:
-    """Exit with code 4 where the status is not trustworthy; the result has been printed."""
-    if not status.trustworthy:
-        raise typer.Exit(NoTrustworthyNumber.exit_code)
+def save_figures(pictures: Mapping[str, Picture], path: str) -> list[str]:
+    """Write each figure as SVG and PNG; return the paths.
 
-
-def figure_place(path: str, name: str, suffix: str = "") -> tuple[Path, str]:
-    """Return folder and name, without ending, of a figure written to ``path``.
-
-    In a folder (one that exists, or a path that ends in a slash) it has its own ``name``, else that of the path with
-    the ``suffix``.
+    In a folder (one that exists, or a path that ends in a slash) each has its own name, else the first is ``path``
+    and the others have their own name added.
     """
-    target = Path(path)
-    if path.endswith(("/", os.sep)) or target.is_dir():
-        return target, name
-    if not target.stem:
-        raise InputError("--figure", repr(path), "a name, for example design.svg, or a folder")
-    return target.parent, (target.stem if target.suffix.lower() in (".svg", ".png") else target.name) + suffix
-
-
-def save_figures(pictures: Mapping[str, Picture], path: str, part: str = "") -> list[str]:
-    """Write each figure as SVG and PNG, the first as ``path``, others with their own name added; return the paths."""
     from robustlab.report.style import save_figure
 
-    made: list[str] = []
+    target, made = Path(path), list[str]()
+    alone = path.endswith(("/", os.sep)) or target.is_dir()
+    if not (alone or target.stem):
+        raise InputError("--figure", repr(path), "a name, for example design.svg, or a folder")
+    stem = target.stem if target.suffix.lower() in (".svg", ".png") else target.name
     for name, picture in pictures.items():
-        own, suffix = "-".join(filter(None, (part, name))), "".join(f"-{t}" for t in (part, name if made else "") if t)
-        made += map(str, save_figure(picture.figure, *figure_place(path, own, suffix)))
+        place = (target, name) if alone else (target.parent, f"{stem}-{name}" if made else stem)
+        made += map(str, save_figure(picture.figure, *place))
     return made

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,9 +16,9 @@ from robustlab.cli.generated import (
     PROGRESS,
     READ,
     Beyond,
+    Options,
     add_commands,
     command_of,
-    options_of,
     provenance_of,
     taking,
 )
@@ -65,20 +64,12 @@ def convert(
 # --- discover: writes a folder instead of one file -------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class DiscoveryFiles:
-    """Output options of a discovery.
-
-    The folder gets ``report.html``, ``result.json``, ``figures/``, ``updated-plant.h5``, and ``next-experiment.csv``
-    where one is proposed.
-    """
-
-    figures: Annotated[str | None, typer.Option("--figure", metavar="PATH", help=FIGURE)] = None
-    folder: Annotated[
-        str | None,
-        typer.Option("--out", "-o", metavar="PATH", help="Folder for report, result, figures and updated plant."),
-    ] = None
-    details: Annotated[bool, typer.Option("--details", help="Print the details of the answer, too.")] = False
+FILES: Options = (
+    ("figures", str | None, typer.Option("--figure", metavar="PATH", help=FIGURE), None),
+    ("folder", str | None, typer.Option("--out", "-o", metavar="PATH", help="Folder for report, result, figures and"
+     " updated plant."), None),
+    ("details", bool, typer.Option("--details", help="Print the details of the answer, too."), False),
+)  # fmt: skip
 
 
 def _discovered(found: Discovery, values: Mapping[str, Any], options: Mapping[str, Any], files: list[str]) -> Beyond:
@@ -105,7 +96,7 @@ def _discovered(found: Discovery, values: Mapping[str, Any], options: Mapping[st
     return Beyond({**result, "files": written}, f"{found.headline()}.\n{text}", remark, code)
 
 
-app.command("discover")(command_of(COMMANDS["data discover"], options_of(DiscoveryFiles), _discovered))
+app.command("discover")(command_of(COMMANDS["data discover"], FILES, _discovered))
 
 
 def _fill_folder(found: Discovery, result: Mapping[str, Any], folder: Path, origin: Provenance) -> list[str]:

@@ -12,15 +12,15 @@ from typing import Annotated, Any, NamedTuple, get_args, get_type_hints
 import typer
 
 import robustlab as rl
-from robustlab.cli.console import FIGURE, emit, note, require_trust, result_alone, save_figures
+from robustlab.cli.console import FIGURE, emit, note, result_alone, save_figures
 from robustlab.cli.offers import one_of, plant_or_file
 from robustlab.cli.options import JsonOption, ProgressOption, RecordOptions, read_named, signals_of
-from robustlab.cli.plant import machine
 from robustlab.cli.progress import shown
 from robustlab.display import text_table
-from robustlab.errors import EXIT_REQUIREMENT_NOT_MET, EnvironmentFault, RobustlabError, UsageError
+from robustlab.errors import EXIT_REQUIREMENT_NOT_MET, EnvironmentFault, NoTrustworthyNumber, RobustlabError, UsageError
 from robustlab.operations.declaration import COMMANDS, REQUIRED, InLoop, Operation, Parameter, load_family
-from robustlab.operations.kinds import Choice, Feedback, Flag, Kind, Machine, Pair, RecordFile, Table, TextFile, Thing
+from robustlab.operations.kinds import Choice, Feedback, Flag, Kind, RecordFile, Table, TextFile, Thing
+from robustlab.operations.reading import runs_code
 
 # Options that all commands share.
 OUT = ("out", str | None, typer.Option("--out", "-o", metavar="PATH", help="File to write."), None)
@@ -86,7 +86,7 @@ def command_of(declared: Operation, private: Options | None = None, more: More |
     if any(kind.settings for kind, _ in things):
         reading["plant"] = None
     written = private if private is not None else (OUT, *([DRAWN] if _draws(declared) else []))
-    verbose = [VERBOSE] if declared.takes_progress and not declared.progress else []
+    verbose = [VERBOSE] if declared.takes("progress") and not declared.progress else []
     own = [*(option for kind in reading for option in READ[kind]), *written, *verbose, AS_JSON, PROGRESS]
 
     def command(**given: Any) -> None:
@@ -135,65 +135,49 @@ def answer(
     ) as report:  # fmt: skip
         values = _values(chosen, given, shared, files)
         above = _overruled(values, given)
-        if chosen.takes_progress:
+        if chosen.takes("progress"):
             values["progress"] = report.listener if chosen.progress == "parts" else report
-        if chosen.takes_drawn:
+        if chosen.takes("drawn"):
             values["drawn"] = figure is not None
         try:
-            found = {part: chosen(**case) for part, case in _cases(chosen, values, files, out).items()}
+            one = chosen(**values)
         except RobustlabError as error:
             error.hint = error.hint and chosen.hint(error.hint, of_command=True)
             raise
         beyond = Beyond()
         if more is not None:
-            beyond = more(found[""].result, values, {**shared, "named": given, "report": report}, files)
+            beyond = more(one.result, values, {**shared, "named": given, "report": report}, files)
         written = []
         if out:
-            made = chosen.made_of(found[""].result)
             typed = _typed(chosen, given, shared, files)
-            rl.save(out, made, provenance_of(words, files, values, given.get("seed"), typed))
+            rl.save(out, chosen.made_of(one.result), provenance_of(words, files, values, given.get("seed"), typed))
             written.append(out)
         rows = [f"written: {file}" for file in written]
         if figure is not None:
+            from robustlab.report.drawings import pictures_of
+
             report("figures")
-            written += [file for part, one in found.items() for file in _draw(one, figure, part)]
-    for remark in dict.fromkeys(text for one in found.values() for text in one.notes):
+            results = (one.result, *one.beside.values())
+            drawn = save_figures({name: p for result in results for name, p in pictures_of(result, note)}, figure)
+            note("\n".join(f"written: {file}" for file in drawn) or "nothing to draw")
+            written += drawn
+    for remark in dict.fromkeys(one.notes):
         note(remark)
-    text = "\n".join(f"{part}: {_text(one)}" if part else _text(one) for part, one in found.items())
-    text = above + text.replace("as the controller says", f"as {given.get('controller')} says")
-    json = {part: _json(one) for part, one in found.items()}
-    made = {**(json if len(json) > 1 else json[""]), **({"files": written} if written else {}), **beyond.json}
+    text = above + _text(one).replace("as the controller says", f"as {given.get('controller')} says")
+    made = {**_json(one), **({"files": written} if written else {}), **beyond.json}
     emit(words, made, "\n".join([text if beyond.text is None else beyond.text, *rows]), shared["as_json"])
     if beyond.note:
         note(beyond.note)
     if beyond.exit_code:
         raise typer.Exit(beyond.exit_code)
-    for one in found.values():
-        _require(one)
-
-
-def _require(one: InLoop) -> None:
-    """Exit with the code of a result that is not trustworthy, or of a requirement that is not met."""
     if hasattr(one.result, "require"):
         one.result.require()
     for result in (one.result, *one.beside.values()):
         for status in getattr(result, "statuses", [getattr(result, "status", None)]):
-            if status is not None:
-                require_trust(status)
+            if status is not None and not status.trustworthy:
+                raise typer.Exit(NoTrustworthyNumber.exit_code)
     if getattr(one.result, "met", None) is False:
         raise typer.Exit(EXIT_REQUIREMENT_NOT_MET)
-
-
-def _cases(chosen: Operation, values: dict[str, Any], files: list[str], out: str | None) -> dict[str, dict[str, Any]]:
-    """Return the arguments of the call, or of two where a file holds a nominal and a perturbed model."""
-    kinds = {p.name: p.kind for p in chosen.parameters}
-    pairs = [name for name, v in values.items() if isinstance(v, Pair) and not getattr(kinds.get(name), "pair", False)]
-    if not pairs:
-        return {"": values}
-    if len(pairs) > 1 or out is not None:
-        hint = "--group nominal, or --group perturbed"
-        raise UsageError(files[0], "two models, nominal and perturbed", "one", hint)
-    return {part: {**values, pairs[0]: getattr(values[pairs[0]], part)} for part in Pair._fields}
 
 
 def _text(one: InLoop) -> str:
@@ -269,19 +253,11 @@ def _read(p: Parameter, given: Any, shared: Mapping[str, Any], files: list[str],
         records = [read_named(RecordOptions(**reading), beside, name, files, kind.remarks) for name in names]
         return (records or None) if kind.many else records[0] if records else None
     files += [name for name in names if Path(name).is_file()]
-    if isinstance(kind, Machine):
-        return machine(kind, names[0], **reading) if names else None
-    things = [_loaded(kind, name, {key: value for key, value in reading.items() if value}) for name in names]
+    if (kind.reading == "plant" or "plant" in kind.gives) and any(map(runs_code, names)):
+        result_alone()  # a user's code may print
+    chosen = {key: value for key, value in reading.items() if value}
+    things = [kind.load(name, note, **chosen) for name in names]
     return things if kind.many else things[0] if things else None
-
-
-def _loaded(kind: Thing, name: str, reading: Mapping[str, Any]) -> Any:
-    """Load the object of a name; a user's code may print, but stdout is for the result alone."""
-    from robustlab.operations.reading import runs_code
-
-    if "plant" in kind.gives and runs_code(name):
-        result_alone()
-    return kind.load(name, note, **reading)
 
 
 def _typed(chosen: Operation, given: Mapping[str, Any], shared: Mapping[str, Any], files: Sequence[str]) -> str:
@@ -304,18 +280,6 @@ def provenance_of(
 
     code = {file: sha for value in values.values() for file, sha in code_of(value).items()}
     return Provenance.now(words, {f: file_sha256(f) for f in files} | code, seed, typed)
-
-
-def _draw(one: InLoop, figure: str, part: str) -> list[str]:
-    """Write every picture of the result and of additional results; return the paths."""
-    from robustlab.report.drawings import pictures_of
-
-    pictures = dict(pictures_of(one.result, note))
-    for result in one.beside.values():
-        pictures |= dict(pictures_of(result, note))
-    files = save_figures(pictures, figure, part)
-    note("\n".join(f"written: {file}" for file in files) or "nothing to draw")
-    return files
 
 
 def _draws(declared: Operation) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -12,17 +12,14 @@ from robustlab.cli.console import emit, note
 from robustlab.cli.generated import AS_JSON, READ, add_commands, taking
 from robustlab.cli.plant import parameter_lines, signal_lines
 from robustlab.errors import UsageError
-from robustlab.operations.kinds import Numbers, Table
-
-if TYPE_CHECKING:
-    from robustlab.storage import Loaded
+from robustlab.operations.kinds import Quantity, Table, in_units
 
 app = typer.Typer(help="Build, show, check, compare and convert models.", no_args_is_help=True, add_completion=False)
 
 SHOWN_STATES = 12
 
 
-def _read(file: str, reading: Mapping[str, Any]) -> Loaded:
+def _read(file: str, reading: Mapping[str, Any]) -> Any:
     from robustlab.storage import read
 
     loaded = read(file, **reading)
@@ -51,14 +48,9 @@ def show(
         )
     kind = f"{loaded.kind}, {'' if loaded.verified else 'not '}verified by a content hash"
     content = named if pair else loaded.object
-    result = {
-        "file": file,
-        "kind": loaded.kind,
-        "verified": loaded.verified,
-        "warnings": loaded.warnings,
-        "provenance": origin,
-    }
-    emit("model show", {**result, "content": content}, "\n".join([f"{file}: {kind}", *parts]), as_json)
+    result = {name: getattr(loaded, name) for name in ("kind", "verified", "warnings", "provenance")}
+    text = "\n".join([f"{file}: {kind}", *parts])
+    emit("model show", {"file": file, **result, "content": content}, text, as_json)
 
 
 @app.command()
@@ -95,7 +87,8 @@ def convert(
     if loaded.kind == "pair":
         raise UsageError(source, "two models, /nominal and /perturbed", "one", "--group nominal, or --group perturbed")
     origin = Provenance.now("model convert", inputs={source: file_sha256(source)})
-    limits = Table(Numbers(), words="NAME=LOW:HIGH").read("--saturation", saturation)
+    ends = Table(Quantity("must"), words="NAME=LOW:HIGH").read("--saturation", saturation)
+    limits = in_units("--saturation", ends, {}) or None
     if limits is not None or anti_windup is not None or target.lower().endswith(".c"):
         rl.export_controller(
             target, loaded.object, prefix=prefix, saturation=limits, anti_windup=anti_windup, provenance=origin

@@ -20,8 +20,7 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object 
 ProgressOption = Annotated[
     str,
     typer.Option(
-        "--progress", metavar="WORD", help="auto: a bar on terminals; json: JSON lines on stderr; none.",
-        autocompletion=one_of("auto", "json", "none"),
+        "--progress", metavar="WORD", help="auto: a bar on terminals; none.", autocompletion=one_of("auto", "none"),
     ),
 ]  # fmt: skip
 RecipeArgument = Annotated[

@@ -1,4 +1,4 @@
-"""``robustlab plant``: list plants, show one, start one of your own; reading of a plant for all commands."""
+"""``robustlab plant``: list plants, show one, start one of your own."""
 
 from __future__ import annotations
 
@@ -14,39 +14,12 @@ from robustlab.cli.options import JsonOption
 from robustlab.display import text_table as table
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError
 from robustlab.operations import reading
-from robustlab.operations.kinds import Machine, Number, Table
+from robustlab.operations.kinds import Number, Table
 from robustlab.operations.reading import made_of, plant_settings
 
 app = typer.Typer(
     help="List plants, show one; start one of your own in a file.", no_args_is_help=True, add_completion=False
 )
-
-
-# --- what other commands read ----------------------------------------------------------------------------------------
-
-
-def machine(kind: Machine, name: str, settings: list[str] | None) -> Any:
-    """Return the plant or model that a command names, or the set of a plant where an uncertain model is required."""
-    from robustlab.dynamics.plant_contract import Plant
-    from robustlab.provenance import code_of
-
-    if reading.runs_code(name):
-        result_alone()
-    found = reading.named_plant(name, settings or [])
-    found = rl.load(name) if found is None else found
-    if kind.gives[0] != "uncertain":
-        return kind.as_wanted(found, name)
-    if isinstance(found, Plant):
-        uncertain = getattr(found, "uncertain", None)
-        if uncertain is None:
-            raise InputError(name, f"{found.name} is not linear", "a linear plant, with or without effects")
-        if not any(p.tolerance for p in found.parameters.values()):
-            raise InputError(name, "no parameter has a tolerance", "a plant whose parameters may vary")
-        made = uncertain()
-        if code_of(found):
-            made.traced(found.provenance)
-        return made
-    return kind.as_wanted(found, name)
 
 
 # --- commands --------------------------------------------------------------------------------------------------------

@@ -6,7 +6,7 @@ __all__, __getattr__ = lazily(
     __name__,
     {
         "declaration": "COMMANDS Operation STEPS every_operation reading_option",
-        "kinds": "Choice Numbers Table Thing Whole",
+        "kinds": "Choice Numbers Table Thing",
         "members": "METRICS",
         "sets": "COVERS elementwise",
         "vocabulary": "Positive ToModel",

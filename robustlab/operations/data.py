@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import robustlab as rl
@@ -129,49 +128,33 @@ def watch(
     )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Cut:
-    """The part of the record that is used, and how."""
-
-    domain: Annotated[
-        Literal["time", "frequency"],
-        Choice(("time", "frequency")),
-        "time, or frequency: whole periods in steady state, line by line.",
-    ] = "time"
-    period: Annotated[float | None, Number(above=0), "Frequency domain: period in s where no signal shows it."] = None
-    at_rest: Annotated[bool, Flag(), "The record starts at rest; otherwise its initial state is free."] = False
-    window: Annotated[float | None, Number(above=0), "Length of windows with a free start in s."] = None
-
-
-@dataclass(frozen=True)
-class Bounds:
-    """The noise norm and the precision of the bounds."""
-
-    noise_norm: Annotated[
-        Literal["peak", "rms"] | None,
-        Choice(("peak", "rms")),
-        "What the bound is of: peak or rms (frequency domain: rms).",
-    ] = None
-    precision: Annotated[float, Number(least=1e-4, most=0.2), "Relative width of the bounds."] = 0.01
-
-
-WHOLE, USUAL_BOUNDS, USUAL_SEARCH = Cut(), Bounds(), Search()
-
-
 @operation(
     "data validate", "validate", result="identification.validation.validation_result.Validation", progress="lines"
 )
 def validate(
     uncertain: Annotated[UncertainPlant, Named(key="of")],
     record: Measured,
+    *,
     noise: Annotated[
         dict[str, float] | None,
         Table(Number(least=0), "outputs"),
         "Noise bound of an output, in its unit; from the record's own repeats where all are left out.",
     ] = None,
-    cut: Cut = WHOLE,
-    bounds: Bounds = USUAL_BOUNDS,
-    search: Search = USUAL_SEARCH,
+    domain: Annotated[
+        Literal["time", "frequency"],
+        Choice(("time", "frequency")),
+        "time, or frequency: whole periods in steady state, line by line.",
+    ] = "time",
+    period: Annotated[float | None, Number(above=0), "Frequency domain: period in s where no signal shows it."] = None,
+    at_rest: Annotated[bool, Flag(), "The record starts at rest; otherwise its initial state is free."] = False,
+    window: Annotated[float | None, Number(above=0), "Length of windows with a free start in s."] = None,
+    noise_norm: Annotated[
+        Literal["peak", "rms"] | None,
+        Choice(("peak", "rms")),
+        "What the bound is of: peak or rms (frequency domain: rms).",
+    ] = None,
+    precision: Annotated[float, Number(least=1e-4, most=0.2), "Relative width of the bounds."] = 0.01,
+    search: Search,
     progress: Callable[[str], None] | None = None,
 ) -> Any:
     """Find the smallest scaling of Delta with which an uncertain model could have produced a record.
@@ -182,7 +165,8 @@ def validate(
     Example: robustlab data validate axis.h5 run3.csv --noise q=2e-5
     """
     return rl.validate(
-        uncertain, record, noise or None, progress=progress, **vars(cut), **vars(bounds), **search.options,
+        uncertain, record, noise or None, domain=domain, period=period, at_rest=at_rest, window=window,
+        noise_norm=noise_norm, precision=precision, progress=progress, **vars(search),
     )  # fmt: skip
 
 

@@ -94,13 +94,8 @@ class Operation:
         """Return the parameters that a user gives: all but ``progress`` and ``drawn``."""
         return _parameters(self.function)
 
-    @property
-    def takes_drawn(self) -> bool:
-        return "drawn" in inspect.signature(self.function).parameters
-
-    @property
-    def takes_progress(self) -> bool:
-        return "progress" in inspect.signature(self.function).parameters
+    def takes(self, name: str) -> bool:
+        return name in inspect.signature(self.function).parameters
 
     @property
     def result_classes(self) -> list[Any]:
@@ -204,62 +199,34 @@ def _parameters(function: Callable[..., Any]) -> list[Parameter]:
     hints = get_type_hints(function, include_extras=True)
     found: list[Parameter] = []
     for name, given in inspect.signature(function).parameters.items():
-        if name in ("progress", "drawn"):
-            continue
         if is_dataclass(hints[name]):
             of_field = get_type_hints(hints[name], include_extras=True)
             found += [
-                _parameter(function, f.name, of_field[f.name], REQUIRED if f.default is MISSING else f.default)
+                _parameter(f.name, of_field[f.name], REQUIRED if f.default is MISSING else f.default)
                 for f in fields(hints[name])
             ]
-        else:
-            found.append(_parameter(function, name, hints[name], given.default))
+        elif name not in ("progress", "drawn"):
+            found.append(_parameter(name, hints[name], given.default))
     return found
 
 
-def _parameter(function: Callable[..., Any], name: str, hint: Any, default: Any) -> Parameter:
-    marks = _marks(hint)
-    kind = next((m for m in reversed(marks) if isinstance(m, Kind)), None)
-    if kind is None:
-        raise TypeError(f"{function.__module__}.{function.__name__}: {name} has no kind in its annotation")
-    texts = [m for m in marks if isinstance(m, str)]
-    called = next((m for m in reversed(marks) if isinstance(m, Named)), Named())
-    return Parameter(name, kind, default, texts[-1] if texts else "", called)
+def _parameter(name: str, hint: Any, default: Any) -> Parameter:
+    """Return a parameter with the outermost kind, help and names in its annotation."""
+    marks: dict[Any, Any] = {}
+    for mark in _marks(hint):
+        marks[Kind if isinstance(mark, Kind) else type(mark)] = mark
+    return Parameter(name, marks[Kind], default, marks.get(str, ""), marks.get(Named, Named()))
 
 
 @cache
 def _groups(function: Callable[..., Any]) -> dict[str, Any]:
-    hints = get_type_hints(function, include_extras=True)
-    return {name: hints[name] for name in inspect.signature(function).parameters if is_dataclass(hints.get(name))}
+    return {name: hint for name, hint in get_type_hints(function).items() if is_dataclass(hint)}
 
 
 def _marks(hint: Any) -> list[Any]:
     """Return the metadata of an annotation, also of alternatives in a union; the outermost comes last."""
     inner = [mark for part in get_args(hint) for mark in _marks(part)] if get_origin(hint) is not Literal else []
     return [*inner, *getattr(hint, "__metadata__", ())]
-
-
-def closed(system: Any, controller: Any, sign: int | None, where: str) -> tuple[Any, str]:
-    """Close a system with a controller; return the loop and its description, or the system without a controller."""
-    from robustlab.errors import NoTrustworthyNumber, UsageError
-    from robustlab.feedback import feedback_loop
-    from robustlab.linear_analysis.structural import with_hidden
-    from robustlab.statespace import StateSpaceModel
-
-    if controller is None:
-        if sign is not None:
-            raise UsageError("--feedback", "without --controller", "a controller to close the loop with")
-        return system, ""
-    around, sign, words = feedback_loop(system, controller, sign, where, None)
-    loop = system.feedback(around, sign)
-    nominal = getattr(loop, "nominal", None)
-    if isinstance(nominal, StateSpaceModel) and not nominal.is_stable():
-        poles = nominal.poles()
-        worst = poles[(abs(poles) if nominal.is_discrete else poles.real).argmax()]
-        found = with_hidden(f"the nominal loop {words} is unstable (pole {worst:.4g})", nominal)
-        hint = "was this controller designed for this plant? sign=-1 or sign=1 closes it otherwise"
-        raise NoTrustworthyNumber(where, found, "a stable loop", hint)
-    return loop, words
 
 
 def load_family(family: str) -> None:

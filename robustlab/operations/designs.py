@@ -84,10 +84,7 @@ Structure = Annotated[
     "static, p, i, pi, pd, pid (one per channel), order:N, poles:-1,-20, ipd or two-layer (with :full, :diagonal, "
     ":scalar), decentralised:WORD.",
 ]
-Starts = Annotated[int, Whole(0, 1000), "Number of random starts."]
 Order = Annotated[int | None, Whole(0, 1000)]
-
-DEFAULT_CHANNELS, USUAL, ALL_SIGNALS = Channels(), Search(), Signals()
 
 
 def _design(found: Any, system: Any = None, proved: bool = True, drawn: bool = False) -> Any:
@@ -105,10 +102,11 @@ def _design(found: Any, system: Any = None, proved: bool = True, drawn: bool = F
 @operation("synth hinf", "hinf", result=DESIGN + "HinfSynthesis", gives="controller", made="controller")
 def hinf(
     system: Plant,
-    channels: Channels = DEFAULT_CHANNELS,
+    *,
+    channels: Channels,
     nominal: NominalProblem = None,
     gamma_rel: GammaRel = 1.05,
-    search: Search = USUAL,
+    search: Search,
     progress: Any = None,
     drawn: bool = False,
 ) -> Any:
@@ -119,16 +117,17 @@ def hinf(
     Example: robustlab synth hinf plant.h5 --measurements 1 --controls 1 --out controller.h5
     """
     P = channels.posed(system, "hinf", nominal)
-    found = rl.hinf(P, gamma_rel=gamma_rel, progress=progress, **search.options)
+    found = rl.hinf(P, gamma_rel=gamma_rel, progress=progress, **vars(search))
     return _design(found, system, drawn=drawn)
 
 
 @operation("synth h2", "h2", result="synthesis.h2.h2_synthesis.H2Synthesis", gives="controller", made="controller")
 def h2(
     system: Plant,
-    channels: Channels = DEFAULT_CHANNELS,
+    *,
+    channels: Channels,
     nominal: NominalProblem = None,
-    search: Search = USUAL,
+    search: Search,
     progress: Any = None,
     drawn: bool = False,
 ) -> Any:
@@ -139,54 +138,30 @@ def h2(
     Example: robustlab synth h2 plant.h5 --measurements y --controls u --out controller.h5
     """
     P = channels.posed(system, "h2", nominal)
-    return _design(rl.h2(P, progress=progress, **search.options), system, drawn=drawn)
-
-
-@dataclass(frozen=True)
-class Way:
-    """Options of minimising mu."""
-
-    start: Annotated[Any, Thing(("controller", "any")), "Stabilising controller to start from."] = None
-    direct: Annotated[bool, Flag(), "Continue with direct minimisation after D-K iteration."] = True
-    mixed: Annotated[bool, Flag(), "Use that real blocks are real."] = True
-
-
-@dataclass(frozen=True)
-class Orders:
-    """Limits on the controller's order."""
-
-    max_order: Annotated[Order, "Largest order of the controller."] = None
-    order_rel: Annotated[
-        float,
-        Number(least=0, below=1),
-        "Loss of level allowed for a controller of lower order, then for one with slower poles.",
-    ] = 0.01
-
-
-@dataclass(frozen=True)
-class Tries:
-    """Random starts of a search."""
-
-    starts: Starts = 3
-    seed: Seed = 0
-
-
-USUAL_WAY, ANY_ORDER, USUAL_TRIES = Way(), Orders(), Tries()
+    return _design(rl.h2(P, progress=progress, **vars(search)), system, drawn=drawn)
 
 
 @operation("synth dk", "dk", result="synthesis.dk.dk_design.DKSynthesis", gives="controller", made="controller")
 def dk(
     system: Plant,
-    channels: Channels = DEFAULT_CHANNELS,
+    *,
+    channels: Channels,
     blocks: Annotated[
         str | None,
         Kind(),
         'Blocks of Delta as rows "r,c" separated by ";" (-r,0 real repeated, r,0 complex repeated, r,c full); those of '
         "the uncertain model where left out.",
     ] = None,
-    way: Way = USUAL_WAY,
-    order: Orders = ANY_ORDER,
-    search: Search = USUAL,
+    start: Annotated[Any, Thing(("controller", "any")), "Stabilising controller to start from."] = None,
+    direct: Annotated[bool, Flag(), "Continue with direct minimisation after D-K iteration."] = True,
+    mixed: Annotated[bool, Flag(), "Use that real blocks are real."] = True,
+    max_order: Annotated[Order, "Largest order of the controller."] = None,
+    order_rel: Annotated[
+        float,
+        Number(least=0, below=1),
+        "Loss of level allowed for a controller of lower order, then for one with slower poles.",
+    ] = 0.01,
+    search: Search,
     progress: Any = None,
     drawn: bool = False,
 ) -> Any:
@@ -198,8 +173,10 @@ def dk(
     Example: robustlab synth dk uncertain.h5 --measurements y --controls u --figure design.svg --out controller.h5
     """
     rows = None if blocks is None else _rows(blocks)
-    options: dict[str, Any] = {**search.options, **vars(order), "direct": way.direct, "mixed": way.mixed}
-    found = rl.dk(channels.posed(system, "dk"), rows, K0=way.start, progress=progress, **options)
+    found = rl.dk(
+        channels.posed(system, "dk"), rows, K0=start, direct=direct, mixed=mixed, max_order=max_order,
+        order_rel=order_rel, progress=progress, **vars(search),
+    )  # fmt: skip
     return _design(found, system, proved=False, drawn=drawn)
 
 
@@ -226,12 +203,14 @@ def _rows(text: str) -> list[list[int]]:
 )
 def fixed_structure(
     system: Plant,
+    *,
     structure: Structure = "static",
-    channels: Channels = DEFAULT_CHANNELS,
+    channels: Channels,
     nominal: Nominal = False,
     objective: Annotated[str, Choice(("hinf", "h2")), "The norm that is made small."] = "hinf",
-    tries: Tries = USUAL_TRIES,
-    search: Search = USUAL,
+    starts: Annotated[int, Whole(0, 1000), "Number of random starts."] = 3,
+    seed: Seed = 0,
+    search: Search,
     progress: Any = None,
     drawn: bool = False,
 ) -> Any:
@@ -246,8 +225,8 @@ def fixed_structure(
 
     P = channels.posed(system, "fixed", nominal)
     found = rl.fixed_structure(
-        P, structure_in_words(structure, P), objective=objective, progress=progress, **vars(tries),
-        **search.options,
+        P, structure_in_words(structure, P), objective=objective, starts=starts, seed=seed, progress=progress,
+        **vars(search),
     )  # fmt: skip
     return _design(found, system, nominal and objective == "hinf", drawn)
 
@@ -258,6 +237,7 @@ def fixed_structure(
 @operation("synth mixsyn", "mixsyn", result=DESIGN + "HinfSynthesis", gives="controller", made="controller")
 def mixsyn(
     system: Of,
+    *,
     w1: Annotated[
         Any,
         Weight("performance_weight"),
@@ -273,9 +253,9 @@ def mixsyn(
         'On the output: a number, or "bandwidth=100,peak=2,roll_off=0.001".',
         Named(key="W3"),
     ] = None,
-    signals: Signals = ALL_SIGNALS,
+    signals: Signals,
     gamma_rel: GammaRel = 1.05,
-    search: Search = USUAL,
+    search: Search,
     progress: Any = None,
 ) -> Any:
     """Mixed-sensitivity controller u = K (r - y) of a plant: makes the norm of [W1 S; W2 K S; W3 T] small, verified.
@@ -291,13 +271,14 @@ def mixsyn(
     kept = drop_unconnected(model)
     gone = [name for name in model.state_names if name not in kept.state_names]
     notes = (f"left out, for no chosen input or output touches them: states {', '.join(gone)}",) if gone else ()
-    found = rl.mixsyn(kept, w1, w2, w3, gamma_rel=gamma_rel, progress=progress, **search.options)
+    found = rl.mixsyn(kept, w1, w2, w3, gamma_rel=gamma_rel, progress=progress, **vars(search))
     return InLoop(found, "", notes)
 
 
 @operation("synth ncf", "ncf", result=f"{HINF}loop_shaping.NcfSynthesis", gives="controller", made="controller")
 def ncf(
     system: Of,
+    *,
     w1: Annotated[
         Any,
         Thing(("model", "any"), model=True, number=True),
@@ -310,7 +291,7 @@ def ncf(
         "Behind the plant: a number, or a model.",
         Named(key="W2"),
     ] = None,
-    signals: Signals = ALL_SIGNALS,
+    signals: Signals,
     factor: Annotated[float, Number(above=1, most=100), "Back-off from the smallest gamma, above 1."] = 1.1,
 ) -> Any:
     """Loop shaping with normalised coprime factors: u = K y (positive feedback), gamma_min exact.

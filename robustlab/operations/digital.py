@@ -10,7 +10,7 @@ from robustlab.errors import UsageError
 from robustlab.operations.declaration import InLoop, Named, operation
 from robustlab.operations.designs import Channels, Controls, K, Measured, Of, Order, Plant
 from robustlab.operations.kinds import Choice, Number, Thing
-from robustlab.operations.words import SampleTime, Search, Sign
+from robustlab.operations.words import Controller, SampleTime, Search, Sign, System
 
 
 @dataclass(frozen=True)
@@ -31,19 +31,17 @@ class LoopChannels:
         return Channels(K.n_inputs, K.n_outputs).posed(system, where, nominal)
 
 
-AS_CONTROLLER, USUAL = LoopChannels(), Search()
-
-
 @operation("synth reduce", "reduce-controller", result="synthesis.reduction.controller_reduction.ReducedController",
       gives="controller", made="controller")  # fmt: skip
 def reduce_controller(
     plant: Plant,
     controller: K,
+    *,
     loss: Annotated[float, Number(least=0, most=10), "Largest loss allowed, as a share."] = 0.01,
     order: Annotated[Order, "States of the result, whatever it loses."] = None,
-    measure: Annotated[str, Choice(("hinf", "h2", "mu")), "mu: robust performance, with the plant's Delta."] = "hinf",
-    channels: LoopChannels = AS_CONTROLLER,
-    search: Search = USUAL,
+    measure: Annotated[Any, Choice(("hinf", "h2", "mu")), "mu: robust performance, with the plant's Delta."] = "hinf",
+    channels: LoopChannels,
+    search: Search,
     progress: Any = None,
 ) -> Any:
     """Controller of the lowest order whose closed loop, rebuilt and proved anew, loses no more than a stated share.
@@ -53,29 +51,16 @@ def reduce_controller(
     Example: robustlab synth reduce plant.h5 controller.h5 --loss 0.02 --out small.h5
     """
     P = channels.around(plant, controller, "reduce-controller", False if measure == "mu" else None)
-    given: Any = measure
     return rl.reduce_controller(
-        P, controller, loss=loss, order=order, measure=given, progress=progress, **search.options
+        P, controller, loss=loss, order=order, measure=measure, progress=progress, **vars(search)
     )
 
 
 Method = Annotated[
-    str,
+    Any,
     Choice(("auto", "direct", "tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")),
     "Formula, or a design for the sampled plant.",
 ]
-
-
-@dataclass(frozen=True)
-class Sampling:
-    """Sample time, delay and filter of the digital controller."""
-
-    dt: SampleTime
-    delay: Annotated[float, Number(least=0), "Computation delay in s."] = 0.0
-    antialiasing: Annotated[float | None, Number(above=0), "Corner of a filter before the sampler in rad/s."] = None
-    prewarp: Annotated[
-        float | None, Number("rad/s", above=0), "rad/s; the peak of the continuous loop where left out."
-    ] = None
 
 
 @operation("synth discretise", "discretise", result="synthesis.sampled.sampled_controller.SampledController",
@@ -85,13 +70,19 @@ def discretise(
         Plant, "The problem or generalised plant that the controller was designed for.", Named(key="plant")
     ],
     controller: Annotated[K, Named(key="of")],
-    sampling: Sampling,
+    *,
+    dt: SampleTime,
+    delay: Annotated[float, Number(least=0), "Computation delay in s."] = 0.0,
+    antialiasing: Annotated[float | None, Number(above=0), "Corner of a filter before the sampler in rad/s."] = None,
+    prewarp: Annotated[
+        float | None, Number("rad/s", above=0), "rad/s; the peak of the continuous loop where left out."
+    ] = None,
     method: Method = "auto",
     loss: Annotated[
         float, Number(least=0, most=100), "Share of the norm from which on auto designs for the sampled plant."
     ] = 0.1,
-    channels: LoopChannels = AS_CONTROLLER,
-    search: Search = USUAL,
+    channels: LoopChannels,
+    search: Search,
     progress: Any = None,
 ) -> Any:
     """Digital form of a controller, with the proved norm of the sampled loop, between samples too, and its loss.
@@ -103,9 +94,9 @@ def discretise(
     Example: robustlab synth discretise plant.h5 controller.h5 --dt 0.01 --out digital.h5
     """
     P = channels.around(plant, controller, "discretise")
-    given: Any = method
     return rl.discretise(
-        controller, method=given, plant=_nominal(P), loss=loss, progress=progress, **vars(sampling), **search.options,
+        controller, dt=dt, method=method, plant=_nominal(P), delay=delay, antialiasing=antialiasing, prewarp=prewarp,
+        loss=loss, progress=progress, **vars(search),
     )  # fmt: skip
 
 
@@ -128,7 +119,7 @@ def reduce_model(
         Named(option="--max-error"),
     ] = None,
     method: Annotated[
-        str,
+        Any,
         Choice(("truncation", "residualisation", "hankel", "stochastic", "coprime")),
         "stochastic: relative error; coprime: unstable modes too.",
     ] = "truncation",
@@ -143,9 +134,8 @@ def reduce_model(
 
     Example: robustlab model reduce plant.h5 --max-error 0.01 --out small.h5
     """
-    given: Any = method
     return rl.reduce_model(
-        system, order, tolerance=tolerance, method=given, floor=floor, input_weight=input_weight,
+        system, order, tolerance=tolerance, method=method, floor=floor, input_weight=input_weight,
         output_weight=output_weight,
     )  # fmt: skip
 
@@ -183,7 +173,7 @@ def discretise_by_formula(
     system: Annotated[Any, Thing(("plant", "model", "any")), "HDF5 or .mat file.", Named(key="of")],
     dt: SampleTime,
     method: Annotated[
-        str, Choice(("tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")), "The formula."
+        Any, Choice(("tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")), "The formula."
     ] = "tustin",
     prewarp: Annotated[
         float | None, Number("rad/s", above=0), "Of tustin-prewarp: frequency in rad/s where it is exact."
@@ -201,21 +191,19 @@ def discretise_by_formula(
 
     delayed = isinstance(system, rl.DelayedModel)
     model: Any = system if delayed else as_model(system, "model discretise")
-    given: Any = method
-    found = rl.discretise(model, dt, given, prewarp=prewarp)
+    found = rl.discretise(model, dt, method, prewarp=prewarp)
     return InLoop(found, notes=tuple(f"warning: {pair}" for pair in merged_modes(model.H if delayed else model, dt)))
 
 
 @operation("", "close-loop", result="synthesis.specifications.tracking_loop.ClosedLoop", gives="uncertain",
       made="model", infer=_inferred_loop)  # fmt: skip
 def close_loop(
-    system: Annotated[Any, Thing(("plant", "model", "uncertain", "any")), "HDF5 or MATLAB file.", Named(key="of")],
-    controller: Annotated[Any, Thing(("controller", "any")), "File with the controller."],
+    system: Annotated[System, Named(key="of")],
+    controller: Controller,
     sign: Annotated[Sign, Named(option="--feedback")] = None,
 ) -> Any:
     """The tracking loop of a controller around a model: reference in, the controlled outputs and controls out."""
     from robustlab.synthesis.specifications.tracking_loop import ClosedLoop, tracking_loop, with_law
 
-    given: Any = sign
-    K, words = with_law(system, controller, given)
+    K, words = with_law(system, controller, sign)
     return ClosedLoop(tracking_loop(system, K), words)

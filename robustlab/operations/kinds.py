@@ -26,6 +26,13 @@ def _as_usage(found: str = "") -> Any:
         raise UsageError(error.where, f"{found}{error.found}", error.expected) from None
 
 
+def bounded(taken: Any, **bounds: Any) -> Any:
+    """Return the type of a recipe's key with bounds of its value or length."""
+    from pydantic import Field
+
+    return Annotated[taken, Field(**bounds)]
+
+
 @dataclass(frozen=True)
 class Kind:
     """A text; base of the other kinds."""
@@ -76,15 +83,22 @@ class Number(Kind):
     def read(self, option: str, given: Any) -> Any:
         return amount(option, given, self.unit) if isinstance(given, str) else given
 
-    def field(self) -> Any:
-        from pydantic import Field
+    def of_text(self, where: str, text: str, unit: str) -> Any:
+        """Return a value of a `Table`."""
+        with _as_usage("no number after =: "):
+            return amount(where, text, unit)
 
-        return Annotated[float, Field(gt=self.above, ge=self.least, lt=self.below, le=self.most)]
+    def field(self) -> Any:
+        return bounded(float, gt=self.above, ge=self.least, lt=self.below, le=self.most)
 
 
 @dataclass(frozen=True)
 class Share(Number):
     """A relative tolerance: ``0.05`` or ``5%``."""
+
+    def of_text(self, where: str, text: str, unit: str) -> Any:
+        with _as_usage():
+            return share(where, text)
 
     def field(self) -> Any:
         from robustlab.operations.vocabulary import PriorTolerance, RelativeTolerance
@@ -99,7 +113,7 @@ class Quantity(Kind):
     ends: Literal["", "may", "must"] = ""
     least: float | None = None
 
-    def of_text(self, where: str, text: str) -> Any:
+    def of_text(self, where: str, text: str, unit: str) -> Any:
         """Return the text, or the texts of both ends."""
         parts = text.split(":") if self.ends else [text]
         if len(parts) > 2 or (self.ends == "must" and len(parts) == 1):
@@ -107,10 +121,8 @@ class Quantity(Kind):
         return text if len(parts) == 1 else tuple(parts)
 
     def field(self) -> Any:
-        from pydantic import Field
-
-        number: Any = Annotated[float, Field(ge=self.least)]
-        two: Any = Annotated[list[number], Field(min_length=2, max_length=2)]
+        number: Any = bounded(float, ge=self.least)
+        two: Any = bounded(list[number], min_length=2, max_length=2)
         return {"": number, "may": number | two, "must": two}[self.ends]
 
     def of_field(self, given: Any) -> Any:
@@ -145,9 +157,7 @@ class Whole(Kind):
     taken = int
 
     def field(self) -> Any:
-        from pydantic import Field
-
-        return Annotated[int, Field(ge=self.least, le=self.most)]
+        return bounded(int, ge=self.least, le=self.most)
 
 
 @dataclass(frozen=True)
@@ -235,11 +245,9 @@ class ByNumber(Kind):
         return None if given is None else int(given) if given.isdecimal() else comma_separated(given)
 
     def field(self) -> Any:
-        from pydantic import Field
-
         from robustlab.operations.vocabulary import Text
 
-        return Annotated[int, Field(ge=1)] | Annotated[list[Text], Field(min_length=1, max_length=100)]
+        return bounded(int, ge=1) | bounded(list[Text], min_length=1, max_length=100)
 
 
 @dataclass(frozen=True)
@@ -269,12 +277,8 @@ class Numbers(Kind):
         return self.of_field(found)
 
     def field(self) -> Any:
-        from pydantic import Field
-
-        number = Annotated[float, Field(ge=0)] if self.unit == "rad/s" else float
-        if self.count is None:
-            return list[number]
-        return Annotated[list[number], Field(min_length=self.count, max_length=self.count)]
+        number: Any = bounded(float, ge=0) if self.unit == "rad/s" else float
+        return bounded(list[number], min_length=self.count, max_length=self.count)
 
     def of_field(self, given: Any) -> Any:
         return given if given is None or self.count is None else tuple(given)
@@ -284,7 +288,7 @@ class Numbers(Kind):
 class Table(Kind):
     """Names with a value each: ``NAME=VALUE``, repeatable; a table in a recipe."""
 
-    value: Kind = Number()
+    value: Number | Quantity = Number()
     side: Side = ""
     of: str = "of"
     words: str = "NAME=VALUE"
@@ -298,35 +302,14 @@ class Table(Kind):
         """Return the table, None if empty. ``units``: name -> unit that its value is converted to."""
         found: dict[str, Any] = {}
         for text in given or []:
-            name, equals, value = text.partition("=") if type(self.value) is Kind else text.rpartition("=")
-            if not (name and equals) or (
-                not value and not isinstance(self.value, Share)
-            ):  # `share` reports an empty one
-                raise UsageError(f"{option} {text}", "no name and value", self.words)
+            where, (name, equals, value) = f"{option} {text}", text.rpartition("=")
+            # `share` reports an empty value itself.
+            if not (name and equals) or not (value or isinstance(self.value, Share)):
+                raise UsageError(where, "no name and value", self.words)
             if name in found:
-                raise UsageError(f"{option} {text}", f"{name!r} is given twice", "each name once")
-            found[name] = self._value(f"{option} {text}", value, (units or {}).get(name, ""))
+                raise UsageError(where, f"{name!r} is given twice", "each name once")
+            found[name] = self.value.of_text(where, value, (units or {}).get(name, ""))
         return found or None
-
-    def _value(self, where: str, text: str, unit: str) -> Any:
-        if type(self.value) is Kind:
-            return text
-        if isinstance(self.value, Quantity):
-            return self.value.of_text(where, text)
-        if isinstance(self.value, Share):
-            with _as_usage():
-                return share(where, text)
-        unit = getattr(self.value, "unit", "") or unit
-        parts = text.split(":") if isinstance(self.value, Numbers) else [text]
-        if isinstance(self.value, Numbers) and len(parts) != 2:
-            raise UsageError(where, "no name and two numbers", self.words)
-        with _as_usage("no number after =: "):
-            found = tuple(amount(where, part, unit) for part in parts)
-        if isinstance(self.value, Whole):
-            if not float(found[0]).is_integer():  # nan and inf are none
-                raise UsageError(where, "no whole number", self.words)
-            return int(found[0])
-        return found if isinstance(self.value, Numbers) else found[0]
 
     def field(self) -> Any:
         from robustlab.operations import vocabulary
@@ -433,7 +416,7 @@ class Thing(Kind):
                 return float(file)
         if self.discovery and Path(file).is_dir():
             file = str(Path(file) / UPDATED_PLANT)
-        if "plant" in self.gives:
+        if "plant" in self.gives or self.reading == "plant":
             from robustlab.operations.reading import named_plant
 
             plant = named_plant(file, settings)
@@ -443,6 +426,9 @@ class Thing(Kind):
         for text in loaded.warnings:
             remark(f"warning: {file}: {text}")
         if loaded.kind == "pair":
+            if not self.pair:
+                hint = "group='nominal', or group='perturbed'"
+                raise UsageError(file, "two models, nominal and perturbed", "one", hint)
             return Pair(*(self.as_wanted(model, file) for model in loaded.object))
         return self.as_wanted(loaded.object, file)
 
@@ -478,6 +464,23 @@ class Machine(Thing):
     @property
     def metavar(self) -> str | None:
         return "MODEL"
+
+    def as_wanted(self, found: Any, where: str) -> Any:
+        """Return the object, or the set of a plant where an uncertain model is required."""
+        from robustlab.dynamics.plant_contract import Plant
+        from robustlab.provenance import code_of
+
+        if self.gives[0] != "uncertain" or not isinstance(found, Plant):
+            return super().as_wanted(found, where)
+        uncertain = getattr(found, "uncertain", None)
+        if uncertain is None:
+            raise InputError(where, f"{found.name} is not linear", "a linear plant, with or without effects")
+        if not any(p.tolerance for p in found.parameters.values()):
+            raise InputError(where, "no parameter has a tolerance", "a plant whose parameters may vary")
+        made = uncertain()
+        if code_of(found):
+            made.traced(found.provenance)
+        return made
 
 
 @dataclass(frozen=True)

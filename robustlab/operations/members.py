@@ -96,19 +96,6 @@ class Excitation:
         return {"t": t, "u": u, "hold": "foh"}
 
 
-@dataclass(frozen=True)
-class Certainty:
-    """The required probability and the confidence of its bounds."""
-
-    probability: Annotated[
-        float | None, Number(above=0, below=1), "Show P(violation) at most so large; else exit code 1."
-    ] = None
-    confidence: Annotated[float, Number(above=0, below=1), "Confidence of all bounds."] = 0.95
-
-
-USUAL, UNDRIVEN, USUAL_SEARCH, USUAL_CERTAINTY = Judged(), Excitation(), Search(), Certainty()
-
-
 def unit_of_metric(step: Any, ahead: Any) -> Any:
     """Return the unit of a metric's values; ``float`` where it is not known before the run."""
     _check_sine(step.sine, step.frequency)
@@ -135,17 +122,18 @@ def _inferred_violation(step: Any, ahead: Any) -> Any:
 @operation("worst-case", "worst-case", result="worst_case_analysis.worst_case_search.WorstCase", infer=_inferred_worst)
 def worst_case(
     uncertain: Of,
-    judged: Judged = USUAL,
-    drive: Excitation = UNDRIVEN,
+    *,
+    judged: Judged,
+    drive: Excitation,
     n: Annotated[int, Whole(1, 100_000), "Points that the search starts from.", Named(option="-n,--samples")] = 256,
     seed: Seed = 0,
-    search: Search = USUAL_SEARCH,
+    search: Search,
 ) -> Any:
     """The worst member that a search over all normalised Delta finds, with its Delta; a lower bound, not a guarantee.
 
     Example: robustlab worst-case uncertain.h5 --metric peak-deviation --outputs omega --input-value u=42 --t-end 0.1
     """
-    options: dict[str, Any] = {**judged.options, **drive.of(uncertain), **search.options}
+    options: dict[str, Any] = {**judged.options, **drive.of(uncertain), **vars(search)}
     return rl.worst_case(uncertain, judged.metric, n=n, seed=seed, **options)
 
 
@@ -157,13 +145,17 @@ def worst_case(
 )
 def violation_probability(
     uncertain: Of,
+    *,
     limit: Annotated[Any, Quantity(), "Limit whose violations are counted, such as '0.5 rad'."],
-    judged: Judged = USUAL,
+    judged: Judged,
     unit: Annotated[
         str | None, Kind(), "Unit of the limit, which must be that of the metric.", Named(only="step")
     ] = None,
-    certainty: Certainty = USUAL_CERTAINTY,
-    drive: Excitation = UNDRIVEN,
+    probability: Annotated[
+        float | None, Number(above=0, below=1), "Show P(violation) at most so large; else exit code 1."
+    ] = None,
+    confidence: Annotated[float, Number(above=0, below=1), "Confidence of all bounds."] = 0.95,
+    drive: Excitation,
     n: Annotated[
         int | None,
         Whole(1, 10_000_000),
@@ -182,7 +174,7 @@ def violation_probability(
     options: dict[str, Any] = {**judged.options, **drive.of(uncertain)}
     return rl.violation_probability(
         uncertain, judged.metric, limit if unit is None else f"{limit!r} {unit}", n=n, seed=seed, workers=workers,
-        **vars(certainty), **options,
+        probability=probability, confidence=confidence, **options,
     )  # fmt: skip
 
 
@@ -207,10 +199,11 @@ def show(uncertain: Of) -> Any:
 @operation("uncertain sample", result="worst_case_analysis.sampling.Responses")
 def sample(
     uncertain: Of,
+    *,
     n: Annotated[int, Whole(0, 1_000_000), "Number of random samples.", Named(option="-n,--samples")] = 20,
     seed: Seed = 0,
     vertices: Annotated[str, Kind(), "Vertices to add: a number, or all."] = "0",
-    drive: Excitation = UNDRIVEN,
+    drive: Excitation,
 ) -> Any:
     """Time responses of random members and vertices: nominal, envelope, and the sample farthest from nominal.
 
@@ -248,22 +241,6 @@ class WorkerOptions:
         return Crew(self.workers, self.cluster)
 
 
-@dataclass(frozen=True)
-class Existing:
-    """Treatment of an existing store."""
-
-    restart: Annotated[bool, Flag(), "Delete the content of the store and start again."] = False
-    fork: Annotated[bool, Flag(), "Keep the store, and start another one."] = False
-
-    def mode(self) -> Any:
-        if self.restart and self.fork:
-            raise UsageError("campaign run", "--restart and --fork", "one of them")
-        return "restart" if self.restart else "fork" if self.fork else "resume"
-
-
-LOCAL, RESUME = WorkerOptions(), Existing()
-
-
 @contextmanager
 def _counted(progress: Any, store: str, n: int) -> Iterator[Any]:
     """Yield a counter of stored samples, those of earlier runs first; report how to resume after Ctrl-C."""
@@ -290,16 +267,17 @@ def _counted(progress: Any, store: str, n: int) -> Iterator[Any]:
 @operation("campaign run", result=RESULT, progress="steps")
 def campaign(
     uncertain: Of,
+    *,
     store: Annotated[str, TextFile(), "SQLite file to write; an unfinished one is continued.",
                      Named(option="--store")],
-    judged: Judged = USUAL,
-    drive: Excitation = UNDRIVEN,
+    judged: Judged,
+    drive: Excitation,
     n: Annotated[int, Whole(1, 10**9), "Number of samples, vertices or searches.", Named(option="-n,--samples")] = 1000,
-    kind: Annotated[str, Choice(("samples", "vertices", "search")), "What is drawn."] = "samples",
+    kind: Annotated[Any, Choice(("samples", "vertices", "search")), "What is drawn."] = "samples",
     starts: Annotated[int, Whole(1), "For searches: points each one starts from."] = 64,
     seed: Seed = 0,
-    workers: WorkerOptions = LOCAL,
-    existing: Existing = RESUME,
+    workers: WorkerOptions,
+    restart: Annotated[bool, Flag(), "Delete the content of the store and start again."] = False,
     limit: Bound = None,
     progress: Any = None,
 ) -> Any:  # fmt: skip
@@ -312,23 +290,27 @@ def campaign(
     """
     from robustlab.campaign import CampaignSettings, run_campaign
 
-    mode, driven, hold = existing.mode(), drive.of(uncertain), "zoh"
-    u = driven["u"]
+    u, hold = drive.of(uncertain)["u"], "zoh"
     if drive.sine:  # not a constant: sample by sample
         u, hold = {name: values.tolist() for name, values in u.items()}, "foh"
-    kind_: Any = kind
     settings = CampaignSettings(
-        judged.metric, n, kind_, seed, judged.output, judged.from_input, u, drive.t_end, drive.points, hold,
+        judged.metric, n, kind, seed, judged.output, judged.from_input, u, drive.t_end, drive.points, hold,
         starts=starts, band=judged.band,
     )  # fmt: skip
     with _counted(progress, store, n) as advance:
         return run_campaign(
-            uncertain, settings, store, existing=mode, crew=workers.crew(), limit=limit, progress=advance
+            uncertain,
+            settings,
+            store,
+            existing="restart" if restart else "resume",
+            crew=workers.crew(),
+            limit=limit,
+            progress=advance,
         )
 
 
 @operation("campaign resume", result=RESULT, progress="steps")
-def resume(store: Store, workers: WorkerOptions = LOCAL, limit: Bound = None, progress: Any = None) -> Any:
+def resume(store: Store, *, workers: WorkerOptions, limit: Bound = None, progress: Any = None) -> Any:
     """Continue an interrupted campaign; model and settings are in the store.
 
     Example: robustlab campaign resume motor.sqlite --workers 2

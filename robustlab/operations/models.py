@@ -8,8 +8,8 @@ from typing import Annotated, Any
 import robustlab as rl
 from robustlab.errors import UsageError
 from robustlab.operations.declaration import InLoop, Named, operation
-from robustlab.operations.kinds import Number, Numbers, Pair, Quantity, Table, Thing, Whole, in_units
-from robustlab.operations.words import Model, Outputs
+from robustlab.operations.kinds import Number, Numbers, Pair, Quantity, Table, Thing, Whole, bounded, in_units
+from robustlab.operations.words import Model, Outputs, System
 
 PLANT = "Name of the plant (dc-motor), file.py:name, or an HDF5 file with one."
 Plant = Annotated[Any, Thing(("plant",), settings=True), PLANT]
@@ -22,9 +22,7 @@ class Rest(Table):
     """The equilibrium of a nonlinear plant: values by name; in a recipe also the six numbers of a pose."""
 
     def field(self) -> Any:
-        from pydantic import Field
-
-        return Annotated[list[float], Field(min_length=6, max_length=6)] | dict[str, float]
+        return bounded(list[float], min_length=6, max_length=6) | dict[str, float]
 
     def of_field(self, given: Any) -> Any:
         return given
@@ -99,7 +97,7 @@ def left_out(missing: Any) -> tuple[str, ...]:
 
 @operation("model check", "structural", result="linear_analysis.structural.Structure")
 def check(
-    system: Annotated[Any, Thing(("plant", "model", "uncertain", "any")), "HDF5 or MATLAB file.", Named(key="of")],
+    system: Annotated[System, Named(key="of")],
 ) -> Any:
     """Poles, stability, controllability and observability of a model.
 

@@ -21,26 +21,22 @@ def read_plant(name: str, parameters: Mapping[str, Any]) -> Any:
     """Return the shipped plant, or the plant in a Python file (``file.py:name``, which is run) or an HDF5 file."""
     from robustlab.storage.interchange import is_plant_file, load_plant
 
-    if runs_code(name):
-        return rl.plant(name, **parameters)
-    if not is_plant_file(name):
+    if is_plant_file(name) and not runs_code(name):
+        made = load_plant(name)
+        return made.with_parameters(**parameters) if parameters else made
+    if not runs_code(name):
         _require_known(name)
-        return rl.plant(name, **parameters)
-    made = load_plant(name)
-    return made.with_parameters(**parameters) if parameters else made
+    return rl.plant(name, **parameters)
 
 
 def named_plant(name: str, settings: Sequence[str]) -> Any:
     """Return the plant of a name or a user's code; None where the name is that of another file."""
     from robustlab.dynamics import plant_names
+    from robustlab.storage.interchange import is_plant_file
 
-    if name in plant_names() or runs_code(name):
+    if name in plant_names() or runs_code(name) or (settings and is_plant_file(name)):
         return read_plant(name, plant_settings(settings))
     if settings:
-        from robustlab.storage.interchange import is_plant_file
-
-        if is_plant_file(name):
-            return read_plant(name, plant_settings(settings))
         known = f"one of {', '.join(plant_names())}, or path/to/file.py:name"
         raise UsageError(f"--set {settings[0]}", f"{name} is no plant", known, did_you_mean(name, plant_names()))
     if not Path(name).suffix:

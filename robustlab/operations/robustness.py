@@ -17,7 +17,6 @@ WORDS = {-1: "negative", 1: "positive"}
 AT = "mu_analysis.margins.at_frequencies."
 Of = Annotated[Model, Named(key="of")]
 OfSet = Annotated[Uncertain, Named(key="of")]
-NO_LOOP, ALL_SIGNALS, USUAL = Loop(), Signals(), Search()
 Tolerance = Annotated[float, Number(above=0), "Target of the relative gap of the bounds; inf: no branch and bound."]
 Accuracy = Annotated[float, Number(above=0, below=1), "Relative distance to the best margin that D, G can prove."]
 Intervals = Annotated[bool, Flag(), "Print the proved frequency intervals.", Named(only="command")]
@@ -27,17 +26,18 @@ Intervals = Annotated[bool, Flag(), "Print the proved frequency intervals.", Nam
 
 
 Skew = Annotated[float, Number(), "0: equal factors of gain up and down; positive: more up."]
-At = Annotated[str, Choice(("input", "output", "both")), "Where gain and phase change."]
+At = Annotated[Any, Choice(("input", "output", "both")), "Where gain and phase change."]
 
 
 @operation("model margins", "disk-margin", result="mu_analysis.margins.disk_margin.DiskMargins")
 def disk_margin(
     plant: Annotated[System, "HDF5 or MATLAB file with the plant, or the open loop.", Named(key="of")],
-    around: Loop = NO_LOOP,
+    *,
+    around: Loop,
     at: At = "output",
     frequency: Frequency = None,
     skew: Skew = 0.0,
-    search: Search = USUAL,
+    search: Search,
     seed: Seed = 0,
 ) -> Any:
     """Disk margins of a loop with the worst gain and phase.
@@ -46,17 +46,16 @@ def disk_margin(
 
     Example: robustlab model margins plant.h5 --controller K.h5 --at both
     """
-    options: dict[str, Any] = {**search.options, "seed": seed}
-    given: Any = at
     loop, K, sign, words = _loop(plant, around)
-    found = rl.disk_margin(loop, K, at=given, sign=sign, frequency=frequency, skew=skew, **options)
+    found = rl.disk_margin(loop, K, at=at, sign=sign, frequency=frequency, skew=skew, seed=seed, **vars(search))
     return InLoop(replace(found, loop=words), beside={"feedback": WORDS[sign]})
 
 
 @operation("model classical-margins", "classical-margins", result="mu_analysis.margins.classical.ClassicalMargins")
 def classical_margins(
     plant: Annotated[System, "HDF5 or MATLAB file with the plant, or the open loop.", Named(key="of")],
-    around: Loop = NO_LOOP,
+    *,
+    around: Loop,
     at: At = "output",
 ) -> Any:
     """Gain, phase and delay margin of each loop alone, with all crossings.
@@ -65,9 +64,8 @@ def classical_margins(
     """
     if isinstance(plant, rl.UncertainModel):
         raise UsageError("classical-margins", "an uncertain plant", "one model")
-    given: Any = at
     loop, K, sign, words = _loop(plant, around)
-    found = rl.classical_margins(loop, K, at=given, sign=sign)
+    found = rl.classical_margins(loop, K, at=at, sign=sign)
     return InLoop(replace(found, loop=words), beside={"feedback": WORDS[sign]})
 
 
@@ -97,11 +95,12 @@ def _grid(system: Any, drawn: bool) -> Any:
 @operation("mu", "robust-stability", result=f"mu_analysis.axis.margin.Margin, {AT}MarginAt")
 def robust_stability(
     system: OfSet,
-    around: Loop = NO_LOOP,
+    *,
+    around: Loop,
     frequency: Frequency = None,
     tolerance: Tolerance | None = None,
     accuracy: Accuracy | None = None,
-    search: Search = USUAL,
+    search: Search,
     seed: Seed = 0,
     intervals: Intervals = False,
     drawn: bool = False,
@@ -121,7 +120,7 @@ def robust_stability(
         del options["omega"]
         if intervals:
             raise UsageError("mu", "--intervals at given frequencies", "the margin, or worst-gain")
-    found: Any = rl.robust_stability(loop, frequency=frequency, **search.options, seed=seed, **options)
+    found: Any = rl.robust_stability(loop, frequency=frequency, **vars(search), seed=seed, **options)
     beside: dict[str, Any] = {}
     if drawn and isinstance(found, Margin) and found.delta and loop.outputs:
         try:
@@ -134,11 +133,12 @@ def robust_stability(
 @operation("worst-gain", "worst-gain", result=f"mu_analysis.axis.margin.WorstCaseGain, {AT}GainAt")
 def worst_case_gain(
     system: OfSet,
-    around: Loop = NO_LOOP,
+    *,
+    around: Loop,
     frequency: Frequency = None,
-    signals: Signals = ALL_SIGNALS,
+    signals: Signals,
     tolerance: Tolerance | None = None,
-    search: Search = USUAL,
+    search: Search,
     seed: Seed = 0,
     intervals: Intervals = False,
     drawn: bool = False,
@@ -151,7 +151,7 @@ def worst_case_gain(
     kept = signals.of(loop)
     at = frequency is not None or isinstance(kept, rl.UncertainFrequencyData)
     options: dict[str, Any] = {} if at else {
-        "omega": _grid(kept, drawn), "tolerance": tolerance, **search.options
+        "omega": _grid(kept, drawn), "tolerance": tolerance, **vars(search)
     }  # fmt: skip
     found: Any = rl.peak_gain(kept, frequency=frequency, seed=seed, **options)
     return InLoop(found, words, (), {}, (found.proved_intervals(),) if intervals else ())
@@ -160,11 +160,12 @@ def worst_case_gain(
 @operation("performance-margin", "performance-margin", result="mu_analysis.axis.margin.PerformanceMargin")
 def robust_performance(
     system: OfSet,
-    around: Loop = NO_LOOP,
-    signals: Signals = ALL_SIGNALS,
+    *,
+    around: Loop,
+    signals: Signals,
     tolerance: Tolerance = 0.01,
     accuracy: Accuracy = 3e-5,
-    search: Search = USUAL,
+    search: Search,
     seed: Seed = 0,
     intervals: Intervals = False,
     drawn: bool = False,
@@ -177,6 +178,6 @@ def robust_performance(
     kept = signals.of(loop)
     found = rl.robust_performance(
         kept, omega=_grid(kept, drawn), tolerance=tolerance, accuracy=accuracy, seed=seed,
-        **search.options,
+        **vars(search),
     )  # fmt: skip
     return InLoop(found, words, (), {}, (found.proved_intervals(),) if intervals else ())

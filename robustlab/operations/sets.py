@@ -30,7 +30,6 @@ COVERS = (
     "elements", "pca", "additive", "input-multiplicative", "output-multiplicative", "inverse-additive",
     "inverse-input-multiplicative", "inverse-output-multiplicative",
 )  # fmt: skip
-USUAL_SEARCH = Search()
 EXACT = 1e-12  # largest error of the ends of an element-wise set, relative to the largest entry
 ANY = ("plant", "model", "uncertain", "any")
 NOTHING = "no uncertainty: mu = 0"
@@ -151,6 +150,7 @@ def expressions(file: Annotated[str, TextFile(), "TOML file with A, B, C, D in n
 @operation("uncertain cover", result="mu_analysis.margins.cover.Cover", gives="uncertain", made="model")
 def cover(
     models: Annotated[list[Any], Thing(ANY, model=True, many=True), "Files of the models to cover; at least two."],
+    *,
     form: Annotated[str, Choice(COVERS), "Of the cover."] = "elements",
     rtol: Annotated[
         float, Number(least=0, below=1), "Relative differences up to this are noise; none where left out."
@@ -163,7 +163,7 @@ def cover(
         Named(option="--controller,-k"),
     ] = None,
     feedback: Sign = None,
-    search: Search = USUAL_SEARCH,
+    search: Search,
     progress: Any = None,
 ) -> Any:
     """The smallest uncertain model of a form that contains a set of models, with its conservatism.
@@ -181,7 +181,7 @@ def cover(
         loop = lambda g: g.feedback(around, sign)  # noqa: E731
     found = rl.cover(
         models, form, tolerance=rtol, directions=directions, order=weight_order, loop=loop, progress=progress,
-        **search.options,
+        **vars(search),
     )  # fmt: skip
     return InLoop(found, words)
 
@@ -213,7 +213,7 @@ def uncertain_from(
         "Amplitude of a speed or signal at which effects are described, or LOW:HIGH, NAME=VALUE; repeatable.",
     ] = None,
     dry: Annotated[
-        str | None,
+        Any,
         Choice(("gain", "load", "both")),
         "Dry friction and other bounded forces: load, an input, exact at any speed; gain, that of the describing "
         "function; where left out, a gain where an amplitude is given, else a load.",
@@ -228,9 +228,8 @@ def uncertain_from(
     Example: robustlab uncertain discovery found/ --amplitude v=0.05 --out set.h5
     """
     named = in_units("amplitude", amplitude, {})
-    given: Any = dry
     try:
-        return rl.uncertain_from(discovery, outputs, sigmas=sigmas, amplitude=named or None, dry=given, pade=pade)
+        return rl.uncertain_from(discovery, outputs, sigmas=sigmas, amplitude=named or None, dry=dry, pade=pade)
     except InputError as error:
         if "amplitude" in (error.expected or "") and error.hint:
             raise UsageError("uncertain_from", error.found, "--amplitude NAME=VALUE for it", error.hint) from None

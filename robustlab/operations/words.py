@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from robustlab.operations.declaration import Named, closed
+from robustlab.operations.declaration import Named
 from robustlab.operations.kinds import Feedback, Machine, Names, Number, Numbers, RecordFile, Thing, Whole
 
 Model = Annotated[Any, Thing(("plant", "model", "uncertain", "any"), model=True), "HDF5 or MATLAB file."]
@@ -18,7 +18,7 @@ Measured = Annotated[Any, RecordFile(), "Record: HDF5, MATLAB, CSV or TXT file."
 Repeats = Annotated[list[Any] | None, RecordFile(many=True), "Further record with the same input, for the noise floor."]
 Controller = Annotated[Any, Thing(("controller", "any")), "File with the controller."]
 Sign = Annotated[
-    int | None,
+    Any,
     Feedback(),
     "negative (u = -K y; -1 in a recipe) or positive (1); if left out, as the controller says of itself.",
     Named(argument="sign"),
@@ -40,10 +40,6 @@ class Search:
 
     effort: Effort = 1.0
     time_limit: TimeLimit = None
-
-    @property
-    def options(self) -> dict[str, Any]:
-        return {"effort": self.effort, "time_limit": self.time_limit}
 
 
 @dataclass(frozen=True)
@@ -71,5 +67,23 @@ class Loop:
     sign: Annotated[Sign, Named(option="--feedback")] = None
 
     def around(self, system: Any, where: str) -> tuple[Any, str]:
-        """Return the closed loop and its description."""
-        return closed(system, self.controller, self.sign, where)
+        """Return the closed loop and its description, or the system without a controller."""
+        from robustlab.errors import NoTrustworthyNumber, UsageError
+        from robustlab.feedback import feedback_loop
+        from robustlab.linear_analysis.structural import with_hidden
+        from robustlab.statespace import StateSpaceModel
+
+        if self.controller is None:
+            if self.sign is not None:
+                raise UsageError("--feedback", "without --controller", "a controller to close the loop with")
+            return system, ""
+        around, sign, words = feedback_loop(system, self.controller, self.sign, where, None)
+        loop = system.feedback(around, sign)
+        nominal = getattr(loop, "nominal", None)
+        if isinstance(nominal, StateSpaceModel) and not nominal.is_stable():
+            poles = nominal.poles()
+            worst = poles[(abs(poles) if nominal.is_discrete else poles.real).argmax()]
+            found = with_hidden(f"the nominal loop {words} is unstable (pole {worst:.4g})", nominal)
+            hint = "was this controller designed for this plant? sign=-1 or sign=1 closes it otherwise"
+            raise NoTrustworthyNumber(where, found, "a stable loop", hint)
+        return loop, words

@@ -59,10 +59,14 @@ def look_through(loaded: LoadedRecipe) -> Ahead:
     if len(faults) == 1:
         raise faults[0]
     if faults:
-        shown = [_in_lines(fault, loaded) for fault in faults[:MAX_FAULTS_SHOWN]]
-        more = [f"  and {len(faults) - len(shown)} more"] if len(faults) > len(shown) else []
-        lines = (*(line for lines in shown for line in lines), *more)
-        raise InputError(loaded.path.name, f"{len(faults)} faults", None, None, lines)
+        lines: list[str] = []
+        for fault in faults[:MAX_FAULTS_SHOWN]:
+            hint = f" ({fault.hint})" if fault.hint else ""
+            lines.append(f"  {fault.line.removeprefix(f'{loaded.path.name}: ')}{hint}")
+            lines += [f"    {line.strip()}" for line in fault.more]
+        if len(faults) > MAX_FAULTS_SHOWN:
+            lines.append(f"  and {len(faults) - MAX_FAULTS_SHOWN} more")
+        raise InputError(loaded.path.name, f"{len(faults)} faults", None, None, tuple(lines))
     return ahead
 
 
@@ -78,18 +82,11 @@ def at_step(error: RobustlabError, loaded: LoadedRecipe, name: str) -> Robustlab
 
 def step_hint(error: RobustlabError, word: str) -> str | None:
     """Return the hint of an error as a step of a recipe writes its arguments."""
-    operation = STEPS.get(word)
     if not error.hint:
         return None
-    if operation is not None:
-        return operation.hint(error.hint, of_command=False)
+    if word in STEPS:
+        return STEPS[word].hint(error.hint, of_command=False)
     return rewritten(error.hint, lambda name, value: f"{name} = {in_toml(value)}")
-
-
-def _in_lines(fault: RobustlabError, loaded: LoadedRecipe) -> list[str]:
-    hint = f" ({fault.hint})" if fault.hint else ""
-    first = f"{fault.line.removeprefix(f'{loaded.path.name}: ')}{hint}"
-    return [f"  {first}", *(f"    {line.strip()}" for line in fault.more)]
 
 
 # --- steps -----------------------------------------------------------------------------------------------------------

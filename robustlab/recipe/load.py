@@ -237,20 +237,17 @@ def _override(data: dict[str, Any], key: str, text: str) -> None:
             target = target.setdefault(part, {})
         else:
             raise UsageError(where, f"{part!r} is not a table", "a key that holds a value")
+    try:
+        value = tomllib.loads(f"x = {text}")["x"] if "\n" not in text else text
+    except (ValueError, RecursionError):
+        value = text
     last = parts[-1]
     if isinstance(target, list) and last.isdigit() and int(last) < len(target):
-        target[int(last)] = _value(text)
+        target[int(last)] = value
     elif isinstance(target, dict):
-        target[last] = _value(text)
+        target[last] = value
     else:
         raise UsageError(where, f"{last!r} is inside a value", "a key that holds a value")
-
-
-def _value(text: str) -> Any:
-    try:
-        return tomllib.loads(f"x = {text}")["x"] if "\n" not in text else text
-    except (ValueError, RecursionError):
-        return text
 
 
 def find_file(loaded: LoadedRecipe, name: str, step: Step) -> Path | None:
@@ -267,9 +264,16 @@ def find_file(loaded: LoadedRecipe, name: str, step: Step) -> Path | None:
     measured = isinstance(step, RecordStep)
     about = step.about if measured else ""
     path = _find(f"{loaded.path.name}: step.{name}.{key}", given, loaded.path.parent, typed, about)
-    if not measured and not typed:
-        _check_inside(loaded.path, f"step.{name}.{key}", given, path)
-    return path
+    folder = loaded.path.parent
+    roots = [folder, folder.parent] if folder.parent.parent != folder.parent else [folder]  # never the whole disk
+    if measured or typed or any(path.is_relative_to(root) for root in roots):
+        return path
+    raise InputError(
+        loaded.path.name,
+        f'step.{name}.{key} = "{given}" leaves the recipe folder',
+        f"a file in {' or '.join(map(str, roots))}",
+        f"to read it all the same, type --set {name}.{key}={given}",
+    )
 
 
 def _named_file(step: Step) -> tuple[str, str | None]:
@@ -287,12 +291,9 @@ def _named_file(step: Step) -> tuple[str, str | None]:
 def _find(where: str, given: str, folder: Path, typed: bool, about: str) -> Path:
     if "\0" in given:
         raise InputError(where, "a path with a NUL character", "a path")
-    places = [folder, folder.parent, Path.cwd()]
-    if typed:
-        places = [places[2], places[0], places[1]]
-    candidates = list(
-        dict.fromkeys((place / given).resolve() for place in places)
-    )  # an absolute path gives one candidate
+    near, here = [folder, folder.parent], [Path.cwd()]
+    places = here + near if typed else near + here
+    candidates = list(dict.fromkeys((place / given).resolve() for place in places))  # one of an absolute path
     try:
         for path in candidates:
             if path.is_file():
@@ -303,24 +304,10 @@ def _find(where: str, given: str, folder: Path, typed: bool, about: str) -> Path
         raise InputError(where, f"{given}: {error.strerror}", "a file") from None
     siblings = sorted({p.name for c in candidates if c.parent.is_dir() for p in c.parent.iterdir()})
     step = where.rpartition("step.")[2]
-    hint = " or ".join(
-        filter(None, (did_you_mean(Path(given).name, siblings), f"point to a copy with --set {step}=FILE"))
-    )
+    near_name = did_you_mean(Path(given).name, siblings)
+    hint = f"{near_name + ' or ' if near_name else ''}point to a copy with --set {step}=FILE"
     looked = ", ".join(str(path.parent) for path in candidates)
     raise InputError(where, f"{given}: no such file (looked in {looked})", None, hint, tuple(about.splitlines()))
-
-
-def _check_inside(recipe: Path, key: str, given: str, path: Path) -> None:
-    folder = recipe.parent
-    roots = [folder, folder.parent] if folder.parent.parent != folder.parent else [folder]  # never the whole disk
-    if any(path.is_relative_to(root) for root in roots):
-        return
-    raise InputError(
-        recipe.name,
-        f'{key} = "{given}" leaves the recipe folder',
-        f"a file in {' or '.join(map(str, roots))}",
-        f"to read it all the same, type --set {key.removeprefix('step.')}={given}",
-    )
 
 
 def recipe_path(given: str) -> Path:

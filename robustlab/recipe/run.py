@@ -130,7 +130,7 @@ def run_recipe(
         raise EnvironmentFault(str(out), f"cannot be made ({reason})", "a folder to write results into") from error
     named = frozenset(r.that.partition(".")[0] for r in loaded.recipe.require)
     drawn = named if named and figures == "required" else None
-    work = Workspace(target, {}, loaded.recipe.seed, png=png, drawn=drawn)
+    work = Workspace(target, loaded.recipe.seed, png=png, drawn=drawn)
     steps: list[dict[str, Any]] = []
     stale = _files_of_previous_run(target)
     begun = f"begun {Provenance.now('robustlab run').created}"
@@ -140,8 +140,7 @@ def run_recipe(
     ending = Ending(FINISHED)
     try:
         work.ahead = look_through(loaded)
-        work.sources = work.ahead.sources
-        work.inputs = {f"{name}: {path.name}": file_sha256(path) for name, path in work.sources.items()}
+        work.inputs = {f"{name}: {path.name}": file_sha256(path) for name, path in work.ahead.sources.items()}
         for entry in _run_steps(loaded, work, report):
             steps.append(entry)
     except BaseException as error:
@@ -265,9 +264,7 @@ def _result(
         "requirements": [j.to_json() for j in judgements],
         "steps": steps,
         "recipe": {
-            "name": recipe.name,
-            "title": recipe.title,
-            "description": recipe.description,
+            **{name: getattr(recipe, name) for name in ("name", "title", "description")},
             "file": loaded.path.name,
             "sha256": _digest(loaded),
             "overrides": loaded.overrides,

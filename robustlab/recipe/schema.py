@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Annotated, Any, Literal, Self, Union
@@ -135,17 +135,9 @@ class Judgement:
 
     def to_json(self) -> dict[str, Any]:
         """Return plain types."""
-        r = self.requirement
         return {
-            "text": r.text,
-            "that": r.that,
-            "condition": r.condition,
-            "limits": r.limits,
-            "unit": r.unit,
-            "value": self.value,
-            "met": self.met,
-            "why_not": self.why_not,
-            "free_run": self.free_run,
+            **{name: getattr(self.requirement, name) for name in ("text", "that", "condition", "limits", "unit")},
+            **{name: getattr(self, name) for name in ("value", "met", "why_not", "free_run")},
         }
 
 
@@ -170,20 +162,13 @@ def look_up(path: str, numbers: Mapping[str, Any], lists: bool = False) -> Any:
     here: Any = numbers
     done: list[str] = []
     for part in path.split("."):
-        known: list[str] = []
-        if isinstance(here, Mapping):
-            known = [str(key) for key in here]
-            if part in here:
-                here = here[part]
-                done.append(part)
-                continue
-        elif isinstance(here, Sequence) and not isinstance(here, str):
-            known = [str(i) for i in range(len(here))]
-            if part in known:
-                here = here[int(part)]
-                done.append(part)
-                continue
-        raise nothing_there(f"require: {path}", done, part, known)
+        if isinstance(here, (list, tuple)):
+            here = {str(i): item for i, item in enumerate(here)}
+        known: Mapping[str, Any] = here if isinstance(here, Mapping) else {}
+        if part not in known:
+            raise nothing_there(f"require: {path}", done, part, [str(key) for key in known])
+        here = known[part]
+        done.append(part)
     if lists and isinstance(here, (list, tuple)):
         return list(here)
     if isinstance(here, (Mapping, list, tuple)):

@@ -52,17 +52,12 @@ at_least = 788.5
 
 def write_starter(name: str, force: bool = False) -> Path:
     """Write ``NAME.toml`` in the working directory, or in the folder before the name."""
-    path = Path(os.path.dirname(name), f"{stem_of(name)}.toml")  # noqa: PTH120  a slash at the end is no name
+    folder, stem = os.path.split(name.removesuffix(".toml"))  # a slash at the end is no name
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]{0,59}", stem):
+        raise UsageError(f"recipe new {name}", "not a name", "letters, digits, - and _, with a letter first")
+    path = Path(folder, f"{stem}.toml")
     if path.exists() and not force:
         raise EnvironmentFault(str(path), "exists already", "a new name, or --force to write over it")
     content = STARTER.format(name=path.stem)
     atomic_write(path, lambda temporary: temporary.write_text(content, encoding="utf-8"))
     return path
-
-
-def stem_of(name: str) -> str:
-    """Return the recipe's name without folder and ``.toml``; raise where a recipe cannot have it."""
-    stem = os.path.basename(name).removesuffix(".toml")  # noqa: PTH119  empty after a slash at the end
-    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]{0,59}", stem):
-        raise UsageError(f"recipe new {name}", "not a name", "letters, digits, - and _, with a letter first")
-    return stem

@@ -88,20 +88,8 @@ def test_other_metrics(metric):
 def test_probability_of_a_violation(folder):
     robustlab("uncertain", "plant", "dc-motor", "--tolerance", "Kf=0.35", "--out", "kf.h5", code=0)
     drive = ("--outputs", "omega", "--input-value", "u=42", "--t-end", "0.1", "--seed", "3")
-    words = (
-        "violation-probability",
-        "kf.h5",
-        "--limit",
-        "9.3 rad/s",
-        "-n",
-        "500",
-        "--figure",
-        "f/",
-        "--out",
-        "p.h5",
-        "--json",
-    )
-    found = robustlab(*words, *drive, code=0).json
+    written = ("-n", "500", "--figure", "f/", "--out", "p.h5", "--json")
+    found = robustlab("violation-probability", "kf.h5", "--limit", "9.3 rad/s", *written, *drive, code=0).json
     assert found["lower"] < found["probability"] < found["upper"] < 0.1
     assert len(list((folder / "f").iterdir())) == 4
     assert rl.load("p.h5").data["violations"] == found["violations"]

@@ -51,7 +51,8 @@ def test_pair_files():
                 file[f"{group}/{name}"] = [[value]]
     assert "perturbed: StateSpaceModel" in robustlab("model", "show", "pair.h5", code=0).out
     assert "1 of 4 entries" in robustlab("model", "diff", "pair.h5", code=0).out
-    assert "--group nominal" in robustlab("model", "convert", "pair.h5", "q.h5", code=2).err
+    for words in (("convert", "pair.h5", "q.h5"), ("check", "pair.h5")):
+        assert "--group nominal" in robustlab("model", *words, code=2).err
     robustlab("model", "convert", "pair.h5", "q.h5", "--group", "perturbed", code=0)
     assert rl.load("q.h5").A[0, 0] == -2.0
 

@@ -55,7 +55,6 @@ def test_json(folder, monkeypatch):
     ("words", "code", "text"),
     [
         (("run", "motor.h5", "--store", "x.sqlite", "--kind", "sample"), 2, "did you mean samples?"),
-        (("run", "motor.h5", "--store", "x.sqlite", "--restart", "--fork"), 2, "--restart and --fork"),
         (("run", "motor.h5"), 2, "--store"),
         (("run", "motor.h5", "--store", "motor.h5", "--restart"), 3, "not a campaign store"),
         (("run", "motor.h5", "--store", "motor.sqlite", "--seed", "2"), 3, "changed since sample 0"),

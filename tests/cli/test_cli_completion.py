@@ -1,4 +1,4 @@
-"""Completion by TAB: bash as a user runs it, zsh and fish by the protocol of their scripts."""
+"""Completion by TAB: bash as a user runs it."""
 
 from __future__ import annotations
 
@@ -75,26 +75,6 @@ def test_bash_completes_words(tab, tmp_path):
     assert tab("recipe", "check", "first") == ["first-light", "first-folder/", "first-try.toml"]
     assert tab("mu", "") == []  # and `complete -o default` means files then
     assert tab("no-such-command", "") == list(GROUPS)
-
-
-def test_zsh_gets_each_word_with_its_line_of_help():
-    message = called(_ROBUSTLAB_COMPLETE="complete_zsh", _TYPER_COMPLETE_ARGS="robustlab m").stdout
-    assert message.startswith("_arguments '*: :((")
-    assert '"mu":"Robust stability margin with proved mu bounds."' in message
-    assert '"model":' in message
-    assert "synth" not in message
-    assert called(_ROBUSTLAB_COMPLETE="complete_zsh", _TYPER_COMPLETE_ARGS="robustlab mu ").stdout == "_files\n"
-
-
-def test_fish_gets_words_or_completes_files():
-    def asked(line, action):
-        return called(
-            _ROBUSTLAB_COMPLETE="complete_fish", _TYPER_COMPLETE_ARGS=line, _TYPER_COMPLETE_FISH_ACTION=action
-        )
-
-    assert asked("robustlab run x --progress j", "get-args").stdout == "json\n"
-    assert asked("robustlab run x --progress j", "is-args").returncode == 0
-    assert asked("robustlab mu ", "is-args").returncode == 1
 
 
 def test_tab_loads_no_numerical_library_and_only_the_group_that_is_named():

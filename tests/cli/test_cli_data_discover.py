@@ -66,7 +66,7 @@ def answer(monkeypatch):
 def test_friction_is_named_by_the_real_command(files, tmp_path):
     out = tmp_path / "out"
     words = ("servo-axis", files / "run7.h5", "--held-out", files / "run8.h5", *EXCLUDED)
-    code, text, err = run("discover", *words, "--out", out, "--json", "--progress", "json")
+    code, text, _ = run("discover", *words, "--out", out, "--json")
     result = json.loads(text)
     assert (code, result["command"], result["verdict"], result["names"]) == (
         0,
@@ -83,14 +83,6 @@ def test_friction_is_named_by_the_real_command(files, tmp_path):
     assert "servo-axis lacks Coulomb (dry) friction" in page
     assert {p.stem for p in (out / "figures").glob("*.svg")} == set(FIGURES)
     assert str(out / "report.html") in result["files"]
-    states = [json.loads(line)["progress"] for line in err.splitlines() if line.startswith('{"schema"')]
-    counted = [state for state in states if state["total"]]
-    assert counted
-    for state in counted:
-        assert 0 <= state["done"] <= state["total"]
-        assert state["part"]
-        assert "what could be added to " in state["text"]
-    assert states[-1]["ended"]
 
 
 def test_options_reach_the_search(files, answer, real):
@@ -223,15 +215,6 @@ def test_the_updated_plant_is_kept(files, tmp_path, answer, real):
     assert [e.effect.id for e in back.effects] == ["coulomb-friction"]
 
 
-@pytest.mark.slow
-def test_figures_alone(files, tmp_path, answer, real):
-    answer(real)
-    code, _, err = run("discover", "servo-axis", files / "run7.h5", "--figure", f"{tmp_path}/f/")
-    assert code == 0
-    assert {p.stem for p in (tmp_path / "f").glob("*.png")} == set(FIGURES)
-    assert "gap.png" in err
-
-
 def test_a_tolerance_of_no_parameter_is_named(files):
     code, _, err = run("discover", "servo-axis", files / "run7.h5", "--tolerance", "mass=0.1", *EXCLUDED)
     assert (code, "mass" in err) == (3, True)
@@ -250,18 +233,3 @@ def test_a_record_without_information_exits_with_4_and_a_wrong_one_with_3(tmp_pa
     code, text, err = run("discover", "servo-axis", tmp_path / "turned.h5")
     assert (code, text) == (3, "")
     assert "sign" in err
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("what", ["--out", "--figure"])
-def test_files_are_written_while_progress_is_shown(files, real, answer, tmp_path, what):
-    """The last line of progress comes after them."""
-    answer(real)
-    target = {"--out": "out", "--figure": "f.svg"}[what]
-    words = ("discover", "servo-axis", files / "run7.h5", what, tmp_path / target, "--progress", "json")
-    *lines, last = run(*words)[2].splitlines()
-    assert json.loads(last)["progress"]["ended"]
-    assert any(str(tmp_path) in line for line in lines)
-    states = [json.loads(line)["progress"] for line in lines if line.startswith("{")]
-    assert states[-1]["text"] == "figures and files"
-    assert not any(state["ended"] for state in states)

@@ -9,7 +9,6 @@ import pytest
 
 from robustlab.cli import GROUPS, help_text, main_guard, parser
 from robustlab.cli import run_command as run
-from robustlab.display import text_table as table
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError
 
 HEAVY = ["numpy", "scipy", "control", "cvxpy", "h5py", "matplotlib", "pydantic", "slycot", "clarabel", "jinja2"]
@@ -97,12 +96,3 @@ def test_control_characters_of_a_message_do_not_reach_the_terminal(capsys):
     err = capsys.readouterr().err
     assert "\x1b" not in err
     assert "\u202e" not in err
-
-
-def test_table_aligns_columns():
-    assert table([("a", "1"), ("long", "22")], ("name", "n")).splitlines() == [
-        "name  n",
-        "----  --",
-        "a     1",
-        "long  22",
-    ]

@@ -229,13 +229,6 @@ def test_what_a_file_prints_does_not_stand_in_the_result(folder):
     assert all(letter in done.stderr for letter in "ABCD")
 
 
-def test_in_this_process_too(folder):
-    stdout = sys.stdout
-    ending = robustlab("model", "build", "noisy.py:axis", "--out", "m.h5", "--json", code=0)
-    assert ending.json["inputs"] == [["u", "V"]]
-    assert sys.stdout is stdout
-
-
 def test_ctrl_c_ends_an_endless_loop(folder):
     (folder / "loop.py").write_text("from pathlib import Path\nPath('began').touch()\nwhile True:\n    pass\n")
     words = [sys.executable, "-m", "robustlab.cli.main", "model", "build", "loop.py:axis", "--out", "m.h5"]

@@ -155,20 +155,9 @@ def test_a_record_in_degrees_is_compared_with_a_model_in_radians(tmp_path):
     clean = rl.simulate(rl.plant("dc-motor"), t, 10 * np.sin(40 * t))
     columns = np.column_stack([t * 1e3, clean["u"], np.degrees(clean["phi"])])
     np.savetxt(tmp_path / "m.csv", columns, delimiter=",", header="t,u,phi", comments="", fmt="%.17g")
-    words = [
-        "data",
-        "compare",
-        "dc-motor",
-        "m.csv",
-        "--outputs",
-        "phi",
-        "--unit",
-        "t=ms",
-        "--unit",
-        "phi=deg",
-        "--json",
-    ]
-    found = json.loads(call(*words))["outputs"]["phi"]
+    units = ("--unit", "t=ms", "--unit", "phi=deg")
+    ending = call("data", "compare", "dc-motor", "m.csv", "--outputs", "phi", *units, "--json")
+    found = json.loads(ending)["outputs"]["phi"]
     assert (found["unit"], found["fit"] > 99.99) == ("rad", True)
     (tmp_path / "m.toml").write_text("""
 schema = "robustlab.recipe/1"

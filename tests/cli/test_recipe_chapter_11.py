@@ -10,11 +10,9 @@ import pytest
 
 import robustlab as rl
 from robustlab.dynamics import catalogue
-from robustlab.errors import InputError
-from robustlab.recipe import load_recipe, parse_recipe, recipe_path, run_recipe
+from robustlab.recipe import load_recipe, recipe_path, run_recipe
 
 ROOT = Path(__file__).parents[2]
-HEAD = 'schema = "robustlab.recipe/1"\nname = "r"\n[step.motor]\ndo = "plant"\nplant = "dc-motor"\n'
 
 
 def unmet(result):
@@ -71,16 +69,3 @@ def test_the_code_of_the_page_runs(monkeypatch, capsys):
     for block in re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL):
         exec(block, names)
     assert "inside the envelope" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("step", "message"),
-    [
-        ('[step.s]\ndo = "cover"\nof = "motor"\nrecord = "motor"\n', "gives plant, expected a step that gives"),
-        ('[step.s]\ndo = "cover"\nof = "motor"\nrecord = "motor"\nrate = 0.0\n', "rate"),
-    ],
-)
-def test_faults_of_a_recipe_are_named(step, message):
-    with pytest.raises(InputError) as caught:
-        parse_recipe(HEAD + step)
-    assert message in f"{caught.value} {caught.value.more}"

@@ -67,7 +67,6 @@ def checked(tmp_path, monkeypatch):
             "step.speed.outputs.0: 'omga': motor has no such output, expected one of phi, omega, i",
         ),
         (WHOLE + require("margin.lowre", "at_least = 1.0"), "require.0.that: margin has no 'lowre', expected one of"),
-        (WHOLE + require("margin", "at_least = 1.0"), "'margin' names a step, expected one of its numbers"),
         (WHOLE + require("margin.frequency", "at_least = 1.0", "Hz"), "require.0.unit: Hz, expected rad/s, that of"),
         (WHOLE + require("margin.lower", "at_least = 1.0", "%"), "require.0.unit: %, expected no unit: it is a pure"),
         (HEAD + MOTOR + 'parameters = { L = "0.3 mW" }\n', "step.motor: dc-motor: L: '0.3 mW'"),

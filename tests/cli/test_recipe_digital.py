@@ -93,9 +93,7 @@ def test_all_formats_hold_the_same_controller(finished):
     ("old", "new", "code", "words"),
     [
         ("dt = 1e-2\n", "dt = 0.0\n", 3, "step.digital.dt"),
-        ("dt = 1e-2\n", "dt = 1e-2\nmethod = 'tusting'\n", 3, "step.digital.method"),
         ("dt = 1e-2\n", "dt = 100.0\nmethod = 'tustin'\n", 4, "step 'digital' gave no number"),
-        ('of = "digital"', 'of = "nosuch"', 3, "no step 'nosuch'"),
         ('of = "k"', 'of = "task"', 3, "n_con is 3"),
         ('prefix = "speed"', 'prefix = "a;b"', 3, "step.files.prefix"),
     ],

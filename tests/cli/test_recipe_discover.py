@@ -157,11 +157,8 @@ def test_numbers_that_do_not_exist_are_refused(run):
         (DISCOVER.replace('"train"', '"trian"'), r"step.naming.records.0: no step 'trian' .*did you mean train"),
         (DISCOVER.replace('["train"]', "[]"), r"step.naming.records"),
         (DISCOVER.replace('["train"]', '["train", "axis"]'), r"records.1: step 'axis' gives plant, expected .*record"),
-        (DISCOVER + 'held_out = ["naming"]\n', r"held_out.0: step 'naming' comes later"),
         (DISCOVER + 'accept = ["perhaps"]\n', r"step.naming.accept"),
         (DISCOVER + "tolerances = { M = -0.1 }\n", r"step.naming.tolerances.M"),
-        (require("axis.names", 'contains = ""'), r"require.0.contains"),
-        (require("axis.names", 'contains = "a"\nequals = "b"'), r"require.0.*one condition"),
     ],
 )
 def test_faults_of_the_step_are_named(text, fault):

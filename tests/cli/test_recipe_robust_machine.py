@@ -89,16 +89,8 @@ def test_the_report_has_the_tables_and_figures(actuator):
 @pytest.mark.slow
 def test_the_platform_under_the_thesis_upper_layer(tmp_path):
     """Its robust performance on a cover of all 72 entries, and the nonlinear machine beginning at the other height."""
-    steps = [
-        "home",
-        "low",
-        "cover",
-        "platform_task",
-        "machine",
-        "platform_pid",
-        "platform_performance",
-        "platform_runs_low",
-    ]
+    steps = ["home", "low", "cover", "machine"]
+    steps += [f"platform_{part}" for part in ("task", "pid", "performance", "runs_low")]
     all_three = 'controllers = ["platform_pid", "platform_hinf", "platform_dk"]'
     changes = {
         all_three: 'controllers = ["platform_pid"]',

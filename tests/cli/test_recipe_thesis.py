@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.errors import InputError
 from robustlab.recipe import load_recipe, recipe_path, run_recipe
 
 ROOT = Path(__file__).parents[2]
@@ -59,20 +58,3 @@ def test_the_committed_platform_models_are_those_of_their_recipe(tmp_path):
         for matrix in "ABCD":  # compiled code may round differently elsewhere
             size = np.abs(getattr(made, matrix)).max()
             np.testing.assert_allclose(getattr(made, matrix), getattr(committed, matrix), rtol=0, atol=1e-9 * size)
-
-
-@pytest.mark.parametrize(
-    ("plant", "at", "message"),
-    [
-        ("dc-motor", [0, 0, 0.1262, 0, 0, 0], "which is linear"),
-        ("stewart-platform", [0, 0, 0.2, 0, 0, 0], "out of the workspace"),
-    ],
-)
-def test_a_pose_that_cannot_be(tmp_path, plant, at, message):
-    file = tmp_path / "r.toml"
-    file.write_text(
-        f'schema = "robustlab.recipe/1"\nname = "r"\n[step.p]\ndo = "plant"\nplant = "{plant}"\n'
-        f'[step.m]\ndo = "linearise"\nof = "p"\nat = {[float(x) for x in at]}\n'
-    )
-    with pytest.raises(InputError, match=message):
-        run_recipe(load_recipe(file), tmp_path / "out")

@@ -146,11 +146,8 @@ def test_changed_settings_model_and_code_are_refused_by_name(tmp_path, motor):
     assert saved_samples(path) == (64, 300)
 
 
-def test_restart_and_fork(tmp_path, motor):
+def test_restart(tmp_path, motor):
     path = begun(tmp_path / "s.sqlite", motor, n=64)
-    fork = run_campaign(motor, settings_of(n=65), path, existing="fork", crew=Crew(1))
-    assert Path(fork.store).name == "s-2.sqlite"
-    assert (fork.done, saved_samples(path)) == (65, (64, 64))
     assert read_campaign(path).worst == 63.0  # what `begun` wrote
     fresh = run_campaign(motor, settings_of(n=64), path, existing="restart", crew=Crew(1))
     assert (fresh.store, fresh.done) == (str(path), 64)

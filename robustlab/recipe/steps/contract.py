@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 # Value of ``do`` -> the class of such steps; filled by `step`.
 KINDS: dict[str, type[Step]] = {}
 Kind = TypeVar("Kind", bound="type[Step]")
+Wanted = TypeVar("Wanted")
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,8 @@ def _units(signals: Any) -> dict[str, str] | None:
 class Ahead:
     """Knowledge before anything runs: the files that steps read, and the inferred properties of earlier steps."""
 
-    sources: Mapping[str, Path]  # as in `Workspace`
+    # Step name -> the file it reads, or the code of a plant; see `robustlab.recipe.load.find_file`.
+    sources: Mapping[str, Path]
     steps: dict[str, Inferred] = field(default_factory=dict)
     step: str = ""  # name of the current step
 
@@ -141,8 +143,6 @@ class Workspace:
     """The values of earlier steps, the files found for them, the seed, and a folder to write to."""
 
     folder: Path  # the output folder; `files` lists the files written, relative to it
-    # Step name -> the file it reads, or the code of a plant; see `robustlab.recipe.load.find_file`.
-    sources: Mapping[str, Path]
     seed: int  # seed of the recipe
     # Step name -> value of each finished step, and its numbers for requirements.
     values: dict[str, Any] = field(default_factory=dict)
@@ -161,23 +161,13 @@ class Workspace:
     png: bool = False  # draw figures as PNG, too
     drawn: frozenset[str] | None = None  # names of the steps whose figures are drawn; None: of all
 
-    def uncertain(self, name: str) -> rl.UncertainModel:
-        """Return the uncertain model of an earlier step; a loaded file may hold something else."""
+    def wanted(self, name: str, kind: type[Wanted]) -> Wanted:
+        """Return the object of an earlier step; a loaded file may hold something else."""
         value = self.values[name]
-        if not isinstance(value, rl.UncertainModel):
-            raise InputError(f"step {name!r}", f"gave a {type(value).__name__}", "an UncertainModel")
+        if not isinstance(value, kind):
+            words = f"{'an' if kind.__name__[0] in 'AEIOU' else 'a'} {kind.__name__}"
+            raise InputError(f"step {name!r}", f"gave a {type(value).__name__}", words)
         return value
-
-    def record(self, name: str) -> rl.Record:
-        """Return the record of an earlier step; a loaded file may hold something else."""
-        value = self.values[name]
-        if not isinstance(value, rl.Record):
-            raise InputError(f"step {name!r}", f"gave a {type(value).__name__}", "a Record")
-        return value
-
-    def origin(self, name: str) -> str:
-        """Return "simulated" where the recipe declares the record so, else "measured"."""
-        return "simulated" if name in self.simulated else "measured"
 
     def provenance(self) -> Provenance:
         """Return the provenance of the current step's result."""

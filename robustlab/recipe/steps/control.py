@@ -72,6 +72,7 @@ class TrackingProblemStep(Step):
         return self
 
     def run(self, work: Workspace) -> Outcome:
+        from robustlab.statespace import as_model
         from robustlab.synthesis.specifications.tracking_problem import tracking_problem as pose
         from robustlab.synthesis.specifications.weight_design import error_weight
 
@@ -79,7 +80,8 @@ class TrackingProblemStep(Step):
         G = given.uncertain() if hasattr(given, "uncertain") and hasattr(given, "with_parameters") else given
         first = error_weight if isinstance(self.W1, ErrorWeight) else rl.performance_weight
         makers = {"W1": first, "W2": rl.control_weight, "W3": rl.complementary_weight}
-        inputs, outputs = _signals(G)
+        base = G if hasattr(G, "blocks") else as_model(G, "tracking problem")
+        inputs, outputs = ([s.name for s in side] for side in (base.inputs, base.outputs))
         controlled, measured = _matching(self.controlled, outputs), _matching(self.measured, outputs)
         loads = {k: v for k, v in _sizes_of(self.loads, inputs).items() if "*" not in k}
         problem = pose(
@@ -269,19 +271,11 @@ def _closed(step: RobustPerformanceStep, work: Workspace, name: str) -> tuple[An
 
     given, K = work.values[step.of], as_model(work.values[name], name)
     if isinstance(given, TrackingProblem):
-        problem = given if step.set is None else given.on(work.uncertain(step.set))
+        problem = given if step.set is None else given.on(work.wanted(step.set, rl.UncertainModel))
         return problem.close(K), K.n_states
     if step.set is not None:
         raise InputError("set", f"given, but {step.of} is no tracking problem", "no set")
-    return work.uncertain(step.of).close(K), K.n_states
-
-
-def _signals(G: Any) -> tuple[list[str], list[str]]:
-    """Return the names of the inputs and outputs of a model or an uncertain model."""
-    from robustlab.statespace import as_model
-
-    base = G if hasattr(G, "blocks") else as_model(G, "tracking problem")
-    return [s.name for s in base.inputs], [s.name for s in base.outputs]
+    return work.wanted(step.of, rl.UncertainModel).close(K), K.n_states
 
 
 def _matching(names: Sequence[str], known: Sequence[str]) -> list[str]:

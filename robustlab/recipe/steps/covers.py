@@ -71,7 +71,7 @@ class DataCoverStep(Step):
 
         def thinned(name: str) -> Any:
             # An input is averaged until the next kept sample, over which it is then held.
-            r, k = work.record(name), self.decimate
+            r, k = work.wanted(name, rl.Record), self.decimate
             n = r.n // k
             inputs = {key: u[: n * k].reshape(n, k).mean(axis=1) for key, u in r.inputs.items()}
             outputs = {key: y[: n * k : k] for key, y in r.outputs.items()}
@@ -162,21 +162,17 @@ class CoverModelsStep(Step):
         return replace(source.select(self.outputs), inputs=None, leaves={**Cover.quantities, "loads": {"*": float}})
 
     def run(self, work: Workspace) -> Outcome:
-        """The smallest uncertain model of a form around a set of models, with its conservatism.
-
-        Numbers: ``blocks``, ``channels``, ``members``, ``missed`` (largest miss of a model), ``size`` (largest delta);
-        ``order``, ``excess`` and ``radius`` of an unstructured form; ``conservatism`` and
-        ``conservatism_at_least``; ``loads.INPUT``, the bound of a load in its unit.
-        """
         from robustlab.report.set_figures import cover_figures
         from robustlab.synthesis.specifications.tracking_loop import tracking_loop, with_law
 
-        models = _models(self, work)
+        models = [_selected(work.values[name], self.outputs) for name in self.models]
+        at_poses = [_at_pose(work.values[self.of], pose) for pose in self.poses] if self.of is not None else []
+        models += [_selected(model, self.outputs) for model, _ in at_poses]
         words, loop = "", None
         if self.controller is not None:  # one sign for all: that of the first
             K, words = with_law(models[0], work.values[self.controller], self.sign)
             loop = partial(tracking_loop, controller=K)
-        nominal = None if self.nominal is None else _selected(rl.linearise, work.values[self.nominal], self.outputs)
+        nominal = None if self.nominal is None else _selected(work.values[self.nominal], self.outputs)
         found = rl.cover(
             models, self.form, nominal=nominal, tolerance=self.tolerance, directions=self.directions, order=self.order,
             excess=self.excess, loop=loop, gain=self.conservatism,
@@ -186,7 +182,7 @@ class CoverModelsStep(Step):
         for name, (figure, caption) in cover_figures(found, models).items():
             work.draw(figure, name, caption)
         numbers, facts = found.numbers(), (*facts_of(found), *([Fact("Loop", words)] if words else []))
-        loads = () if self.of is None else _at_pose(work.values[self.of], self.poses[0])[1]
+        loads = at_poses[0][1] if at_poses else ()
         numbers["loads"] = {load.name: load.bound for load in loads}
         facts += tuple(Fact(x.name, f"at most {quantity(x.bound, x.unit)}", x.origin) for x in loads)
         return Outcome(found.model, f"{found.headline()}.", numbers, facts, found.status, found.notes, found.tables())
@@ -210,13 +206,9 @@ class WithLoadsStep(Step):
         return Inferred(outputs=ahead[self.record].outputs)
 
     def run(self, work: Workspace) -> Outcome:
-        """The record with the loads of a plant's effects: known signals, at most one.
-
-        Numbers: ``largest.INPUT`` along the record, ``bound.INPUT`` in its unit.
-        """
         from robustlab.dynamics.extended.effect_blocks import effect_loads
 
-        record = work.record(self.record)
+        record = work.wanted(self.record, rl.Record)
         made = effect_loads(work.values[self.of], self.sigmas, [record])
         shown = made.along(record)
         largest = {load.name: float(abs(shown[load.name]).max()) for load in made.loads}
@@ -233,14 +225,6 @@ class WithLoadsStep(Step):
         return Outcome(shown, summary, numbers, facts)
 
 
-def _models(step: CoverModelsStep, work: Workspace) -> list[rl.StateSpaceModel]:
-    made = [_selected(rl.linearise, work.values[name], step.outputs) for name in step.models]
-    if step.of is not None:
-        plant = work.values[step.of]
-        made += [_selected(lambda p, at=pose: _at_pose(p, at)[0], plant, step.outputs) for pose in step.poses]
-    return made
-
-
 def _at_pose(plant: Any, pose: list[float]) -> tuple[rl.StateSpaceModel, tuple[NoiseInput, ...]]:
     """Linearise a plant at a pose; return the model with the effects' loads before its inputs, and the loads."""
     from robustlab.dynamics.extended.effect_blocks import loaded_model
@@ -250,11 +234,11 @@ def _at_pose(plant: Any, pose: list[float]) -> tuple[rl.StateSpaceModel, tuple[N
     return loaded_model(plant, at) if isinstance(plant, ExtendedNonlinearPlant) else (rl.linearise(plant, at=at), ())
 
 
-def _selected(linearise: Any, given: Any, outputs: list[str] | None) -> rl.StateSpaceModel:
+def _selected(given: Any, outputs: list[str] | None) -> rl.StateSpaceModel:
     """Return a model, of a plant its linearisation, with the outputs that are kept."""
     from robustlab.dynamics import Plant
     from robustlab.linear_analysis.structural import drop_unconnected
     from robustlab.statespace import as_model
 
-    model = linearise(given) if isinstance(given, Plant) else as_model(given)
+    model = rl.linearise(given) if isinstance(given, Plant) else as_model(given)
     return model if outputs is None else drop_unconnected(model.select(outputs=outputs))

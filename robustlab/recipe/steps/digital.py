@@ -81,11 +81,6 @@ class FeedForwardStep(Step):
     of: ToPlantOrFile = Field(description="A discover step, or a plant with effects.")
 
     def run(self, work: Workspace) -> Outcome:
-        """Compute the feed-forward; its numbers are in units of the input.
-
-        ``largest`` is a bound, ``waves`` (amplitudes) have ``counts`` in 2 pi of the position, ``dry`` is the level of
-        the dry friction, ``left`` the uncertainty of the largest.
-        """
         from robustlab.dynamics.extended.feed_forward import feed_forward
 
         found = feed_forward(work.values[self.of])

@@ -86,7 +86,7 @@ class OperationStep(Step):
                 given = p.kind.of_field(getattr(self, p.key))
                 if given is not None or p.needed:
                     values[p.name] = _thing(p.kind, given, work) if isinstance(p.kind, Thing) else given
-        if self.declared.takes_drawn:
+        if self.declared.takes("drawn"):
             values["drawn"] = True
         return values
 
@@ -94,12 +94,11 @@ class OperationStep(Step):
         """Save and draw the result, and return its outcome."""
         result = found.result
         if self.declared.made or self.gives == "nothing":  # a model alone is no evidence
-            for name, one in (("", result), *found.beside.items()):
+            for part, one in (("", result), *found.beside.items()):
                 if getattr(one, "status", None) is not None:
-                    work.keep(one, name)
-            for shown in (result, *found.beside.values()):
-                for name, picture in work.pictures(shown):
-                    if shown is not result or name not in found.beside:  # an additional result replaces the picture
+                    work.keep(one, part)
+                for name, picture in work.pictures(one):
+                    if part or name not in found.beside:  # an additional result replaces the picture
                         work.draw(picture.figure, name, picture.caption)
         first = _first(self.declared)
         of = getattr(self, first) if first else ""

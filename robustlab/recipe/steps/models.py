@@ -61,8 +61,8 @@ class PlantStep(Step):
         given = self._given
         facts: list[Fact] = []
         numbers: dict[str, Any] = {}
-        if work.step in work.sources:
-            source, given = work.sources[work.step], {**given, **self.choices}
+        if work.step in work.ahead.sources:
+            source, given = work.ahead.sources[work.step], {**given, **self.choices}
             unit = unit_reference(self.plant)
             made: Any = rl.plant(str(source), **given) if unit else plant_from_file(self.plant, given, source)
             numbers["code"] = code_of(made)
@@ -106,20 +106,26 @@ class LoadStep(Step):
     def run(self, work: Workspace) -> Outcome:
         from robustlab.storage import read
 
-        path = work.sources[work.step] if self.saved is None else work.values[self.saved]
+        path = work.ahead.sources[work.step] if self.saved is None else work.values[self.saved]
         loaded = read(path)
         found: Any = loaded.object
         kind = type(found).__name__
         model = found.to_model() if hasattr(found, "to_model") else found
-        is_model = isinstance(model, rl.StateSpaceModel)
+        numbers: dict[str, Any] = {"kind": kind, "verified": loaded.verified}
+        facts: tuple[Fact, ...] = ()
+        if isinstance(model, rl.StateSpaceModel):
+            numbers |= {
+                "states": model.n_states, "inputs": list(model.input_names), "outputs": list(model.output_names),
+                "spectral_abscissa": model.spectral_abscissa(), "poles": model.poles(),
+            }  # fmt: skip
+            shown = sorted(model.poles(), key=abs)[:12]
+            poles = ", ".join(f"{p.real:.5g}{p.imag:+.5g}j" if p.imag else f"{p.real:.5g}" for p in shown)
+            facts = (
+                Fact("States", ", ".join(model.state_names) or "none"),
+                Fact("Poles", f"{poles or 'none'} {'rad/s' if not model.dt else ''}"),
+            )
         proof = "its checksums and content hash are right" if loaded.verified else "it carries no content hash to check"
-        return Outcome(
-            found,
-            f"{kind} read from {path.name}; {proof}.",
-            {"kind": kind, "verified": loaded.verified, **(_model_numbers(model) if is_model else {})},
-            _model_facts(model) if is_model else (),
-            notes=loaded.warnings,
-        )
+        return Outcome(found, f"{kind} read from {path.name}; {proof}.", numbers, facts, notes=loaded.warnings)
 
 
 @step
@@ -151,29 +157,5 @@ class SaveStep(Step):
         with h5py.File(path) as written:
             # Excludes provenance: equal content gives an equal hash.
             digest = str(written.attrs["content_sha256"])
-        return Outcome(
-            path,
-            f"{type(given).__name__} of {self.of} written to {self.file}.",
-            {"sha256": digest},
-            (Fact("SHA-256 of the content", digest),),
-        )
-
-
-def _model_numbers(model: Any) -> dict[str, Any]:
-    return {
-        "states": model.n_states,
-        "inputs": list(model.input_names),
-        "outputs": list(model.output_names),
-        "spectral_abscissa": model.spectral_abscissa(),
-        "poles": model.poles(),
-    }
-
-
-def _model_facts(model: Any) -> tuple[Fact, ...]:
-    poles = ", ".join(
-        f"{p.real:.5g}{p.imag:+.5g}j" if p.imag else f"{p.real:.5g}" for p in sorted(model.poles(), key=abs)[:12]
-    )
-    return (
-        Fact("States", ", ".join(model.state_names) or "none"),
-        Fact("Poles", f"{poles or 'none'} {'rad/s' if not model.dt else ''}"),
-    )
+        summary = f"{type(given).__name__} of {self.of} written to {self.file}."
+        return Outcome(path, summary, {"sha256": digest}, (Fact("SHA-256 of the content", digest),))

@@ -38,20 +38,17 @@ class RecordStep(Step):
     )
 
     def infer(self, ahead: Ahead) -> Inferred:
-        options: dict[str, Any] = {"units": self.units} if self.units else {}
-        if self.clock is not None:
-            options["clock"] = self.clock
         path = ahead.sources[ahead.step]
         return Inferred.of(
-            rl.Record.read(path, group=self.group, inputs=self.inputs, outputs=self.outputs, dt=self.dt, **options)
+            rl.Record.read(path, self.group, self.inputs, self.outputs, self.dt, units=self.units, clock=self.clock)
         )
 
     def run(self, work: Workspace) -> Outcome:
-        path, found = work.sources[work.step], work.ahead[work.step].value
+        path, found = work.ahead.sources[work.step], work.ahead[work.step].value
         notes = (" ".join(self.about.split()),) if self.about else ()
         if self.simulated:
             work.simulated.add(work.step)
-        return _as_record(found, f"Record {path.name} read ({work.origin(work.step)}).", notes)
+        return _as_record(found, f"Record {path.name} read ({'simulated' if self.simulated else 'measured'}).", notes)
 
 
 @step
@@ -78,7 +75,7 @@ class JoinStep(Step):
 
         if work.simulated & {self.first, self.second}:
             work.simulated.add(work.step)
-        found = join_clocks(work.record(self.first), work.record(self.second), self.dt)
+        found = join_clocks(work.wanted(self.first, rl.Record), work.wanted(self.second, rl.Record), self.dt)
         return _as_record(found, f"{self.first} and {self.second} on one clock.", ())
 
 

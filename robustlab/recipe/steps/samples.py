@@ -62,27 +62,15 @@ class SampleStep(Step):
         return Inferred(leaves={"outputs": left, "members": "1", "unstable": "1"})
 
     def run(self, work: Workspace) -> Outcome:
-        import numpy as np
+        from robustlab.operations.members import Excitation
 
-        model = work.uncertain(self.of)
-        outputs, inputs = ([s.name for s in side] for side in (model.outputs, model.inputs))
-        for where, given, known in (
-            ("outputs:", self.outputs or [], outputs), ("input", [*self.input, *self.sine], inputs)
-        ):  # fmt: skip
-            for name in given:
-                if name not in known:
-                    raise unknown_name(f"{where} {name!r}", "no such signal", name, known)
-        self._check_references(self.outputs or outputs)
+        model = work.wanted(self.of, rl.UncertainModel)
         if self.outputs:
             model = model.select(None, self.outputs)
-        t = np.linspace(0.0, self.t_end, self.points)
-        u = np.tile([self.input.get(name, 0.0) for name in inputs], (self.points, 1))
-        if self.frequency is not None:
-            wave = np.sin(2 * np.pi * self.frequency * t)
-            u = u + wave[:, None] * [self.sine.get(name, 0.0) for name in inputs]
+        self._check_references([s.name for s in model.outputs])
+        drive = Excitation(self.input, self.sine, self.frequency, self.t_end, self.points).of(model)
         seed = work.seed if self.seed is None else self.seed
-        hold = "foh" if self.sine else "zoh"
-        responses = rl.sample(model, self.n, seed, vertices=self.vertices).respond(t, u, hold=hold)
+        responses = rl.sample(model, self.n, seed, vertices=self.vertices).respond(**drive)
         if not responses.status.trustworthy:
             raise NoTrustworthyNumber(f"sample {self.of}", "responses outgrow every number", hint="a smaller t_end")
         numbers: dict[str, Any] = {}

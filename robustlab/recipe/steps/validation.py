@@ -85,21 +85,14 @@ class ThesisCaseStep(Step):
 
         (case,) = [c for c in cases(stewart_platform()) if c.name == self.case]
         model = rl.elementwise(*case.with_gravity(), self.structure)
-        numbers: dict[str, Any] = {
-            "blocks": len(model.blocks),
-            "channels": model.delta_shape[0],
-            "published": case.published,
-            "gain_percent": case.gain_percent,
-            "released": case.released,
-            "worst": case.worst,
-        }
+        numbers: dict[str, Any] = {"blocks": len(model.blocks), "channels": model.delta_shape[0]}
+        numbers |= {name: getattr(case, name) for name in ("published", "gain_percent", "released", "worst")}
         if self.n:
             picture, numbers["changes"] = case_picture(case, self.n, work.seed)
             work.draw(picture.figure, f"case-{case.name}", picture.caption)
+        what = f"{len(model.blocks)} real parameters ({self.structure}), {model.delta_shape[0]} channels"
         facts = (
-            Fact(
-                "Uncertain", f"{len(model.blocks)} real parameters ({self.structure}), {model.delta_shape[0]} channels"
-            ),
+            Fact("Uncertain", what),
             Fact("The thesis prints", f"±{quantity(case.published, '%')}", "figures 10.6-10.21"),
             Fact("Change of the torques' gain B alone", quantity(case.gain_percent, "%")),
             Fact("Holding torque, nominal minus perturbed", quantity(case.released, "N m")),

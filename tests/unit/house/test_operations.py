@@ -13,7 +13,7 @@ import robustlab as rl
 from robustlab.cli import command_of
 from robustlab.display import Displayable
 from robustlab.errors import InputError, UsageError
-from robustlab.operations import Choice, Numbers, Operation, Table, Thing, Whole, every_operation
+from robustlab.operations import Choice, Numbers, Operation, Table, Thing, every_operation
 from robustlab.recipe import KINDS, look_ahead
 
 OPERATIONS = every_operation()
@@ -100,8 +100,6 @@ def test_families_declare_operations_without_numerical_libraries() -> None:
         (Numbers("rad/s", 2, "LOW,HIGH"), "1"),
         (Table(), ["a"]),
         (Table(), ["a=1", "a=2"]),
-        (Table(Whole()), ["a=3.5"]),
-        (Table(Numbers(), words="NAME=LOW:HIGH"), ["a=1"]),
         (Choice(("a", "b")), "c"),
     ],
 )

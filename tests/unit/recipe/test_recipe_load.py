@@ -23,14 +23,6 @@ def faults(text: str, **overrides: str) -> str:
     return str(caught.value)
 
 
-def test_a_minimal_recipe():
-    recipe = parse_recipe(HEAD + MOTOR)
-    assert recipe.name == "x"
-    assert recipe.seed == 0
-    assert list(recipe.step) == ["motor"]
-    assert recipe.step["motor"].kind == "plant"
-
-
 def test_all_faults_are_listed_at_once_with_their_keys():
     text = faults(
         HEAD
@@ -209,14 +201,3 @@ def test_device_files_are_refused(project):
     for path in ("pipe.h5", "/dev/zero"):
         with pytest.raises(InputError, match="not a regular file"):
             found(project, path)
-
-
-# --- what is committed -----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("path", sorted((ROOT / "recipes").glob("*.toml")), ids=lambda p: p.stem)
-def test_every_shipped_recipe_loads(path):
-    loaded = load_recipe(path)
-    assert loaded.recipe.name == path.stem
-    assert loaded.recipe.require
-    assert loaded.recipe.description
