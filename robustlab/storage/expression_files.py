@@ -53,6 +53,8 @@ def load_parametric(path: str | Path) -> UncertainModel:
     try:
         ranges = {name: _range(name, given) for name, given in data["parameters"].items()}
         options = {key: data[key] for key in ("dt", *SIGNALS) if key in data}
+        for key in SIGNALS:
+            _check_names(key, options.get(key, []))
         return parametric(data["A"], data["B"], data["C"], data["D"], ranges, **options)
     except InputError as error:
         found = f"{error.where}: {error.found}"
@@ -76,3 +78,9 @@ def _range(name: str, given: Any) -> Any:
         raise InputError(where, f"unit {unit!r}", "a text")
     nominal = float(given["nominal"]) if "nominal" in given else None
     return ParameterRange.between(float(given["low"]), float(given["high"]), nominal, unit)
+
+
+def _check_names(key: str, given: Any) -> None:
+    pairs = [item if isinstance(item, list) else [item] for item in given] if isinstance(given, list) else [[given, 0]]
+    if not all(len(pair) <= 2 and all(isinstance(part, str) for part in pair) for pair in pairs):
+        raise InputError(key, f"{given!r}"[:80], "a list of names, or of [name, unit]")
