@@ -6,7 +6,7 @@ imaginary parts of the entries of other blocks.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Literal, overload
@@ -39,9 +39,6 @@ Hold = Literal["zoh", "foh"]
 
 # Largest relative difference of the step of t from a discrete model's sample time.
 SAMPLE_TIME_TOLERANCE = 1e-6
-
-
-# --- excitation -------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -223,11 +220,9 @@ class Ensemble:
 
     def spectral_abscissa(self) -> Array:
         """Return `StateSpaceModel.spectral_abscissa` of every member, shape (k,); ``inf`` where ill-posed."""
-        if not self.A.shape[1]:
-            return np.where(self.ill_posed, np.inf, -np.inf)
         poles = np.linalg.eigvals(self.A)
-        value = np.abs(poles).max(axis=1) - 1.0 if self.dt else poles.real.max(axis=1)
-        return np.where(self.ill_posed, np.inf, value)
+        value = np.abs(poles) - 1.0 if self.dt else poles.real
+        return np.where(self.ill_posed, np.inf, value.max(axis=1, initial=-np.inf))
 
     def is_stable(self) -> Mask:
         """Return which members are asymptotically stable and well-posed, (k,); all well-posed ones without states."""
@@ -235,18 +230,19 @@ class Ensemble:
 
     def is_unstable(self, margin: float) -> Mask:
         """Return whether a pole is unstable by more than ``margin`` times the member's largest pole."""
-        if not self.A.shape[1]:
-            return self.ill_posed
         poles = np.linalg.eigvals(self.A)
-        size = np.abs(poles).max(axis=1)
-        return self.ill_posed | (size - 1.0 > margin if self.dt else poles.real.max(axis=1) > margin * size)
+        size = np.abs(poles).max(axis=1, initial=0.0)
+        return self.ill_posed | (size - 1.0 > margin if self.dt else (poles.real > margin * size[:, None]).any(axis=1))
 
 
-def chunks(count: int, numbers_each: int) -> Iterator[slice]:
-    """Yield slices of ``range(count)``, each of which needs about ``CHUNK`` numbers."""
-    step = max(1, CHUNK // max(1, numbers_each))
-    for first in range(0, count, step):
-        yield slice(first, min(first + step, count))
+def blocks_of(count: int, size: int) -> list[slice]:
+    """Split ``range(count)`` into blocks."""
+    return [slice(first, min(first + size, count)) for first in range(0, count, size)]
+
+
+def chunks(count: int, numbers_each: int) -> list[slice]:
+    """Split ``range(count)`` into slices, each of which needs about ``CHUNK`` numbers."""
+    return blocks_of(count, max(1, CHUNK // max(1, numbers_each)))
 
 
 class MemberSet:
@@ -310,11 +306,6 @@ class MemberSet:
         n = self.n_states
         blocks = whole[:, :n, :n], whole[:, :n, n:], whole[:, n:, :n], whole[:, n:, n:]
         return Ensemble(*blocks, self.dt, ill_posed, self._scale)
-
-
-def blocks_of(count: int, size: int) -> list[slice]:
-    """Split ``range(count)`` into blocks."""
-    return [slice(first, min(first + size, count)) for first in range(0, count, size)]
 
 
 def state_scale(a: Array) -> Array:
@@ -384,8 +375,7 @@ def transitions(
     block = np.zeros((k, n + orders * m, n + orders * m))
     block[:, :n, :n] = a / scale[:, None] * scale * h
     block[:, :n, n : n + m] = b / scale[:, None] / column * h
-    if orders == 2:
-        block[:, n : n + m, n + m :] = np.eye(m)
+    block[:, n : n + m, n + m :] = np.eye(m)[:, : (orders - 1) * m]
     e = expm(block)[:, :n]
     phi = scale[:, None] * e[:, :, :n] / scale
     gamma = scale[:, None] * e[:, :, n : n + m] * column

@@ -41,21 +41,13 @@ ROUNDING = 1e-11  # largest relative change of a score by rounding
 
 @dataclass(frozen=True)
 class WorstResponse(Evidence):
-    """The response of one output, nominal and of the worst member.
+    """The response of one output, nominal and of the worst member."""
 
-    Attributes
-    ----------
-    t
-        Times in s, shape (n_t,).
-    nominal, worst
-        The output, (n_t,).
-    output, unit
-        Its name and unit.
-    """
-
-    t: Array
+    t: Array  # times in s, shape (n_t,)
+    # nominal, worst: the output, (n_t,)
     nominal: Array
     worst: Array
+    # output, unit: its name and unit
     output: str
     unit: str
 
