@@ -270,10 +270,10 @@ def _response(metric: Metric, delta: Mapping[str, Any]) -> WorstResponse | None:
     if not isinstance(metric, TimeMetric):
         return None
     try:
-        nominal, worst = (metric.response(values) for values in ({}, delta))
+        nominal, worst = (metric.response(metric.uncertain.evaluate(values)) for values in ({}, delta))
     except NoTrustworthyNumber:
         return None
-    return WorstResponse(metric.clock, nominal, worst, *metric.uncertain.outputs[0])
+    return WorstResponse(metric.drive.t, nominal, worst, *metric.uncertain.outputs[0])
 
 
 # --- the search ------------------------------------------------------------------------------------------------------

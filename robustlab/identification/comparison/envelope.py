@@ -132,13 +132,13 @@ def cover(
 ) -> EnvelopeCoverage:
     """Simulate members of an uncertain model with the inputs of a record, and check whether they enclose the record.
 
+    The initial state of all members is fitted to the first 20 samples with the nominal model. A miss is a result, not
+    an error (Březina 2010, sections 11.1-11.3).
+
     Parameters
     ----------
-    uncertain
-        The set; all its inputs must be recorded, at least one of its outputs, and its Delta must be real.
-    record
-        The measurement, on a uniform time base. The initial state of all members is fitted to its first 20
-        samples with the nominal model.
+    uncertain, record
+        The set, whose Delta must be real, and a measurement on a uniform time base of all its inputs and of an output.
     n, vertices, seed
         Members, as in `robustlab.sample`.
     rate
@@ -147,23 +147,6 @@ def cover(
     allowance
         Output name -> error bound of its sensor (noise, resolution), in the output's unit; default 0. For a rate it is
         twice that over ``rate``.
-
-    Returns
-    -------
-    EnvelopeCoverage
-        A miss is a result, not an error.
-
-    Raises
-    ------
-    InputError
-        Signals that do not fit, complex blocks, a nonuniform time base, an allowance for an unknown output or
-        below 0, a rate over less than a sample or more than a quarter of the record.
-    NoTrustworthyNumber
-        A member exceeds double precision.
-
-    References
-    ----------
-    Březina 2010, sections 11.1-11.3.
     """
     require_linear_set("cover", uncertain)
     response = response_of(uncertain.nominal, record)
@@ -210,34 +193,29 @@ def _coverage(
     upper = np.maximum(members.max(axis=0), nominal)
     outside = np.maximum(np.maximum(lower - measured, measured - upper) - allowance, 0.0)
     size = float(np.abs(measured - measured[0]).max())
-    gap = float(np.abs(measured - nominal).max())
-    reach = float(np.maximum(upper - nominal, nominal - lower).max())
     worst = int(outside.argmax())
     miss = float(outside[worst])
-    side: Literal["", "above", "below"] = "" if miss == 0 else "above" if measured[worst] > upper[worst] else "below"
-
-    def percent(value: float) -> float:
-        return 100.0 * value / size if size else np.nan
-
+    far = {
+        "miss": miss,
+        "gap": float(np.abs(measured - nominal).max()),
+        "reach": float(np.maximum(upper - nominal, nominal - lower).max()),
+    }
+    percent = {f"{key}_percent": 100.0 * value / size if size else np.nan for key, value in far.items()}
     return SignalCoverage(
         name=name,
         unit=unit,
         size=size,
         share=float(np.mean(outside == 0)),
-        miss=miss,
-        miss_percent=percent(miss),
         miss_time=float(t[worst]) if miss else np.nan,
-        miss_side=side,
-        gap=gap,
-        gap_percent=percent(gap),
-        reach=reach,
-        reach_percent=percent(reach),
+        miss_side="" if miss == 0 else "above" if measured[worst] > upper[worst] else "below",
         allowance=allowance,
         t=t,
         measured=measured,
         nominal=nominal,
         lower=lower,
         upper=upper,
+        **far,
+        **percent,
     )
 
 

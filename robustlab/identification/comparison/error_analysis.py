@@ -143,9 +143,8 @@ def bins(value: Array, error: Array, edges: Array) -> tuple[Bin, ...]:
 
 def directions(speed: Array, error: Array) -> dict[str, Bin]:
     """Sort an error (n,) by the direction of the speed (n,): ``"backward"``, ``"rest"``, ``"forward"``."""
-    top = float(np.abs(speed).max())
-    return dict(zip(("backward", "rest", "forward"), bins(speed, error, top * np.array([-1.0, -REST, REST, 1.0])),
-                    strict=True))  # fmt: skip
+    edges = float(np.abs(speed).max()) * np.array([-1.0, -REST, REST, 1.0])
+    return dict(zip(("backward", "rest", "forward"), bins(speed, error, edges), strict=True))
 
 
 def uniform_samples(t: Array, *signals: Array) -> tuple[float, list[Array]]:
