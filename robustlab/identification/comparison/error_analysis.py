@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array
-from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.identification.comparison.repeats import Excess, NoiseFloor, noise_floor
+from robustlab.errors import InputError
+from robustlab.identification.comparison.repeats import Excess, NoiseFloor
 from robustlab.identification.comparison.residual_tests import (
     EvenOdd,
     InputCorrelation,
@@ -215,22 +215,6 @@ class NoiseGap(Evidence):
     excess: Excess
 
 
-def noise_gaps(
-    outputs: Sequence[str], errors: Array, floor: NoiseFloor, rms: Mapping[str, tuple[float, float]]
-) -> dict[str, NoiseGap]:
-    """Compare the errors of every output with the noise floor.
-
-    ``errors``: measured minus windowed simulation of every repeat, cut at the same phases, (count, samples, n_y).
-    ``rms``: output name -> RMS of the free run's error (NaN where there is none) and of the windowed error.
-    """
-    result: dict[str, NoiseGap] = {}
-    for k, name in enumerate(outputs):
-        std = floor.std[name]
-        free, windowed = (100.0 * value / std if std else None for value in rms[name])
-        result[name] = NoiseGap(std, free, windowed, floor.excess(errors[:, :, k]))
-    return result
-
-
 @dataclass(frozen=True)
 class OutputGap(Evidence):
     r"""Disagreement at one output, in its unit and in percent.
@@ -329,16 +313,6 @@ class Linearisation(Evidence):
         return texts
 
 
-def noise_of(
-    record: Record, others: tuple[Record, ...], outputs: Sequence[str], period: float | None
-) -> tuple[NoiseFloor | None, str]:
-    """Return the noise floor, or the reason why there is none."""
-    try:
-        return noise_floor(record, period=period, repeats=others, outputs=outputs), ""
-    except NoTrustworthyNumber as none:
-        return None, f"{none.found}; {none.hint}" if none.hint else none.found
-
-
 def excitation(inputs: Sequence[str], noise: NoiseFloor | None) -> str | None:
     """Return the one signal whose periods excite the system: the repeating reference, else the model's input."""
     if noise is None or noise.source != "periods":
@@ -372,10 +346,8 @@ def localised(
     ``free``: the free run (n, n_y); None where it does not reach the end of the record. ``size``: input name ->
     magnitude (n,) over which the error is sorted.
     """
-    result: dict[str, dict[str, Any]] = {
-        key: {}
-        for key in ("outputs", "windows", "speed", "direction", "position", "amplitude", "frequency", "residual")
-    }
+    keys = ("outputs", "windows", "speed", "direction", "position", "amplitude", "frequency", "residual")
+    result: dict[str, dict[str, Any]] = {key: {} for key in keys}
     t, u, y = whole.t, whole.u, whole.y
     for k, (name, unit) in enumerate(outputs):
         local, motion = y[:, k] - windows.y[:, k], motions[name]

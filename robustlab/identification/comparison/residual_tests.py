@@ -203,13 +203,13 @@ def even_odd(floor: NoiseFloor, excitation: Array, signals: Mapping[str, Array],
     if (excited % 2 == 0).any():
         which = "only even" if (excited % 2 == 0).all() else "both even and odd"
         return EvenOdd({}, words, f"the excitation does not allow it: {which} harmonics are excited")
+    if not (kind > 0).any():
+        return EvenOdd({}, words, "the excitation does not allow it: no line of it is quiet enough")
     reason = ""
     if not (kind == 1).any():
         reason = "the excitation does not allow a test of even nonlinearity: no even line of it is quiet enough"
     elif not (kind == 2).any():
         reason = "the excitation does not allow a test of odd nonlinearity: no odd harmonic is left out"
-    if not (kind > 0).any():
-        return EvenOdd({}, words, "the excitation does not allow it: no line of it is quiet enough")
     shares = {name: harmonic_shares(floor.periodic(x), lines, kind, dt) for name, x in signals.items()}
     return EvenOdd(shares, words, reason)
 

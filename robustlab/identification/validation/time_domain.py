@@ -15,7 +15,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.validation.cone_programme import Search
 from robustlab.identification.validation.constant_parameters import smallest_parameters
 from robustlab.identification.validation.sampled_problem import Recorded, SampledProblem, at_nominal, sampled
-from robustlab.identification.validation.time_varying import Contractions, disproved_by, smallest_contractions
+from robustlab.identification.validation.time_varying import disproved_by, smallest_contractions
 from robustlab.identification.validation.validation_result import (
     SMALLEST,
     BlockSize,
@@ -132,11 +132,7 @@ def _relaxed(recorded: Recorded, search: Search) -> tuple[float, Mapping[str, Ar
     """
     problem = sampled(recorded.first(LONGEST_RELAXED), recorded.uncertain.M, recorded.uncertain.blocks)
     found = smallest_contractions(problem, search._replace(budget=search.budget.share(RELAXED_SHARE)))
-    return found.lower, _certificate(found)
-
-
-def _certificate(found: Contractions) -> dict[str, Array]:
-    return {"energy": found.multipliers.D, "noise": found.multipliers.noise}
+    return found.lower, found.multipliers.arrays()
 
 
 def _dynamic(recorded: Recorded, search: Search) -> _Found:
@@ -157,9 +153,11 @@ def _dynamic(recorded: Recorded, search: Search) -> _Found:
         recheck = lambda: disproved_by(problem, c.multipliers, search, start)  # noqa: E731
     if long:
         label = f"lower bound from the first {LONGEST_PROGRAMME} samples (time-varying), no explanation sought"
-        return _Found(c.lower, np.inf, label, True, c.noise, c.excess, multipliers=_certificate(c), recheck=recheck)
-    return _Found(c.lower, c.upper, label, True, c.noise, c.excess, {}, problem, c.w, c.z, c.states, _certificate(c),
-                  recheck)  # fmt: skip
+        return _Found(
+            c.lower, np.inf, label, True, c.noise, c.excess, multipliers=c.multipliers.arrays(), recheck=recheck
+        )
+    arrays = c.multipliers.arrays()
+    return _Found(c.lower, c.upper, label, True, c.noise, c.excess, {}, problem, c.w, c.z, c.states, arrays, recheck)
 
 
 def _block(block: Block, found: _Found, sizes: Mapping[str, float]) -> BlockSize:
