@@ -58,7 +58,6 @@ from robustlab.identification.response.response import Response, Stretch, respon
 from robustlab.identification.response.windowed_simulation import (
     InitialState,
     LinearResponse,
-    WindowedSimulation,
     starting_state,
     window_edges,
     windowed_simulation,
@@ -165,7 +164,11 @@ def compare(
         if np.abs(free).max() > LARGEST_OUTPUT:
             hint = "compare a shorter stretch (Record.between)"
             raise NoTrustworthyNumber(f"compare {record.name}", "the free run overflows", "a stable model", hint)
-    motions, of_joints = _motions(matching, speed, position, length)
+    if isinstance(model, MotionResponse) and not (speed or position):
+        motions, of_joints = motions_of_outputs(model, record), motions_of_joints(model, record)
+    else:
+        of_joints = [motion_of(record, speed, position, length)]
+        motions = dict.fromkeys(outputs, of_joints[0])
     whole_run, lags = free if run.whole else None, min(lags, record.n // 4)
     found = localised(whole, matching.outputs, whole_run, windows, motions, _sizes(matching), lags)
     others = [_matching(plant, other) for other in repeats]
@@ -178,6 +181,11 @@ def compare(
     if not isinstance(model, MotionResponse):
         linear, linear_reason = _linear(record, model.response, whole, noise)
     error = whole.y - windows.y
+    disturbance: dict[str, InputDisturbance] = {}
+    if isinstance(model, LinearResponse):
+        disturbance = input_disturbances(plant, model, error, windows.edges, of_joints[0])
+    elif matching.smoothed:
+        disturbance = joint_disturbances(model, matching.smoothed, error, windows.edges, of_joints)
     checked = linearisation(along, windows, outputs) if along else None
     compared = Comparison(
         status=Status.CONVERGED,
@@ -190,7 +198,7 @@ def compare(
         simulated=kept(record, inputs, outputs, free, f"{record.name} (free run)") if len(free) > 1 else None,
         windowed=kept(record, inputs, outputs, windows.y, f"{record.name} (windowed simulation)"),
         recursive={name: windows.residual[:, k] for k, name in enumerate(outputs)},
-        disturbance=_disturbances(plant, matching, error, windows, of_joints),
+        disturbance=disturbance,
         warnings=(
             *matching.warnings,
             *channel_warnings(record, tuple(inputs), tuple(outputs)),
@@ -219,25 +227,6 @@ def _matching(plant: Any, record: Record) -> Matching:
     record = response.with_units(record)
     model = LinearResponse(response, response.stretch(record))
     return Matching(model, record, list(response.model.input_names), response.outputs, response.warnings)
-
-
-def _motions(
-    matching: Matching, speed: str | None, position: str | None, length: int
-) -> tuple[dict[str, Motion], list[Motion]]:
-    """Return the motion by output, and by joint (one for all where they share it)."""
-    if isinstance(matching.model, MotionResponse) and not (speed or position):
-        return motions_of_outputs(matching.model, matching.record), motions_of_joints(matching.model, matching.record)
-    motion = motion_of(matching.record, speed, position, length)
-    return dict.fromkeys((s.name for s in matching.outputs), motion), [motion]
-
-
-def _disturbances(
-    plant: Any, matching: Matching, error: Array, windows: WindowedSimulation, motions: Sequence[Motion]
-) -> dict[str, InputDisturbance]:
-    model = matching.model
-    if isinstance(model, LinearResponse):
-        return input_disturbances(plant, model, error, windows.edges, motions[0])
-    return joint_disturbances(model, matching.smoothed, error, windows.edges, motions) if matching.smoothed else {}
 
 
 def _sizes(matching: Matching) -> dict[str, Array]:

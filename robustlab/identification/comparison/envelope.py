@@ -151,8 +151,16 @@ def cover(
     require_linear_set("cover", uncertain)
     response = response_of(uncertain.nominal, record)
     names = response.output_names
-    allowed = _allowances(allowance or {}, names, record.name)
-    lag = None if rate is None else _lag(rate, record)
+    for name, value in (allowance or {}).items():
+        where = f"cover {record.name}: allowance of {name!r}"
+        if name not in names:
+            raise unknown_name(where, "no such compared output", name, names)
+        checks.number(where, value, "a number that is not negative", at_least=0)
+    allowed = {**dict.fromkeys(names, 0.0), **(allowance or {})}
+    lag = 0 if rate is None or not np.isfinite(rate) else round(rate / record.dt)
+    if rate is not None and not 1 <= lag <= record.n // 4:
+        span = f"between {record.dt:.6g} and {record.duration / 4:.6g} s"
+        raise InputError(f"cover {record.name}", f"rate over {rate:g} s", span)
     shifted, offset = deviations(response.with_units(record), uncertain, names)
     chosen = uncertain.select(outputs=names)
     nominal = response_of(chosen.nominal, shifted)
@@ -166,8 +174,8 @@ def cover(
     signals: dict[str, SignalCoverage] = {}
     for k, (name, unit) in enumerate(response.outputs):
         measured, centre, members = record.outputs[name], found.nominal[:, k] + offset[k], found.y[:, :, k] + offset[k]
-        signals[name] = _coverage(name, unit, record.t, measured, centre, members, allowed[name])
-        if lag is not None:
+        signals[name] = _coverage(name, unit, record.t, measured, centre, members, float(allowed[name]))
+        if lag:
             seconds = lag * record.dt
             middle = 0.5 * (record.t[lag:] + record.t[:-lag])
             rate_y, rate_0, rate_k = ((y[..., lag:] - y[..., :-lag]) / seconds for y in (measured, centre, members))
@@ -230,19 +238,3 @@ def deviations(record: Record, uncertain: UncertainModel, names: tuple[str, ...]
     outputs = {name: record.outputs[name] - at_y[name] for name in names}
     units = {name: record.units[name] for name in (*inputs, *outputs)}
     return Record(record.t, inputs, outputs, units, record.name), np.array([at_y[name] for name in names])
-
-
-def _lag(rate: float, record: Record) -> int:
-    lag = round(rate / record.dt) if np.isfinite(rate) else 0
-    if not 1 <= lag <= record.n // 4:
-        span = f"between {record.dt:.6g} and {record.duration / 4:.6g} s"
-        raise InputError(f"cover {record.name}", f"rate over {rate:g} s", span)
-    return lag
-
-
-def _allowances(given: Mapping[str, float], names: tuple[str, ...], record: str) -> dict[str, float]:
-    for name, value in given.items():
-        if name not in names:
-            raise unknown_name(f"cover {record}: allowance of {name!r}", "no such compared output", name, names)
-        checks.number(f"cover {record}: allowance of {name!r}", value, "a number that is not negative", at_least=0)
-    return {name: float(given.get(name, 0.0)) for name in names}

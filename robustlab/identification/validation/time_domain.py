@@ -120,19 +120,12 @@ def _bounds(recorded: Recorded, search: Search) -> _Found:
         found = replace(found, lower=0.0, values=values, multipliers={}, recheck=None, certified=False)
     if not recorded.uncertain.dt or not found.upper:
         return replace(found, label=f"{what}, {NO_BOUND if found.upper else RELAXATION}")
-    lower, multipliers = _relaxed(recorded, search)
+    # Valid for constants in discrete time only: in continuous time w = delta z is not held between samples.
+    problem = sampled(recorded.first(LONGEST_RELAXED), recorded.uncertain.M, blocks)
+    relaxed = smallest_contractions(problem, search._replace(budget=search.budget.share(RELAXED_SHARE)))
+    lower, multipliers = relaxed.lower, relaxed.multipliers.arrays()
     upper = np.inf if np.isinf(lower) else found.upper
     return replace(found, lower=lower, upper=upper, label=f"{what}, {RELAXATION}", multipliers=multipliers)
-
-
-def _relaxed(recorded: Recorded, search: Search) -> tuple[float, Mapping[str, Array]]:
-    """Compute the lower bound with every block a time-varying system, and its multipliers.
-
-    Valid for constants in discrete time only: in continuous time w = delta z is not held between samples.
-    """
-    problem = sampled(recorded.first(LONGEST_RELAXED), recorded.uncertain.M, recorded.uncertain.blocks)
-    found = smallest_contractions(problem, search._replace(budget=search.budget.share(RELAXED_SHARE)))
-    return found.lower, found.multipliers.arrays()
 
 
 def _dynamic(recorded: Recorded, search: Search) -> _Found:
@@ -199,22 +192,20 @@ def _without_starts(recorded: Recorded, M: StateSpaceModel, error: Array | None 
 
 def _assumptions(recorded: Recorded, estimated: bool) -> tuple[str, ...]:
     dynamic = not all(b.interval for b in recorded.uncertain.blocks)
-    texts = []
-    if recorded.norm == "peak":
-        texts.append("no sample of the noise is beyond its bound")
-    else:
-        texts.append("the root mean square of the noise over the record is within its bound")
+    peak, windows = recorded.norm == "peak", len(recorded.starts)
+    texts = [
+        "no sample of the noise is beyond its bound"
+        if peak
+        else "the root mean square of the noise over the record is within its bound"
+    ]
     if estimated:
         texts.append("the noise bound was estimated from the record's own periods")
     if dynamic:
         texts.append("complex and full blocks are causal time-varying systems with zero initial state")
     if recorded.uncertain.dt == 0:
-        held = "u and w are" if dynamic else "u is"
-        texts.append(f"{held} held between samples of {recorded.dt:.6g} s")
-    if recorded.at_rest:
-        texts.append("the model starts at equilibrium")
-    else:
-        texts.append("observable states are free at the start, the others zero")
-    if len(recorded.starts) > 1:
-        texts.append(f"{len(recorded.starts)} windows, each with a free start; Delta is one over all of them")
+        texts.append(f"{'u and w are' if dynamic else 'u is'} held between samples of {recorded.dt:.6g} s")
+    rest, free = "the model starts at equilibrium", "observable states are free at the start, the others zero"
+    texts.append(rest if recorded.at_rest else free)
+    if windows > 1:
+        texts.append(f"{windows} windows, each with a free start; Delta is one over all of them")
     return tuple(texts)
