@@ -59,30 +59,26 @@ def excitation(
     None for a unit step on the only input.
     """
     clock = real_array("t", t, 1, where)
-    if len(clock) < 2:
-        raise InputError(where, f"t has {len(clock)} samples", "at least 2")
+    n, names = len(clock), [s.name for s in inputs]
+    if n < 2:
+        raise InputError(where, f"t has {n} samples", "at least 2")
     step = np.diff(clock)
     h = float((clock[-1] - clock[0]) / len(step))
     if h <= 0 or np.abs(step - h).max() > UNIFORM_TOLERANCE * h:
         raise InputError(where, "t is not uniform", "increasing times with one step", "use numpy.linspace(0, t_end, n)")
     if dt and abs(h - dt) > SAMPLE_TIME_TOLERANCE * dt:
         raise InputError(where, f"t has a step of {h:.9g} s", f"the discrete model's sample time {dt:.9g} s")
-    return Excitation(clock, h, _samples(inputs, len(clock), u, where))
-
-
-def _samples(inputs: Sequence[Signal], n: int, u: Mapping[str, ArrayLike] | ArrayLike | None, where: str) -> Array:
-    names = [s.name for s in inputs]
     if u is None:
         if len(names) != 1:
             hint = f"say which input steps: u={{{names[0]!r}: 1.0}}" if names else None
             raise InputError(where, f"{len(names)} inputs and no u", "one input, or u", hint)
-        return np.ones((n, 1))
+        return Excitation(clock, h, np.ones((n, 1)))
     if isinstance(u, Mapping):
         held = {name: np.repeat(value, n) if np.ndim(value) == 0 else value for name, value in u.items()}
         u = {**dict.fromkeys(names, np.zeros(n)), **held}
     elif np.ndim(u) == 0:
         u = np.repeat(np.asarray(u), n)
-    return sampled_inputs(tuple(inputs), u, n)
+    return Excitation(clock, h, sampled_inputs(tuple(inputs), u, n))
 
 
 # --- Deltas -----------------------------------------------------------------------------------------------------------
@@ -249,6 +245,8 @@ class MemberSet:
     """A set prepared for the evaluation of many members; `block` is the number for one call."""
 
     def __init__(self, uncertain: UncertainModel) -> None:
+        from scipy.linalg import matrix_balance
+
         m, (q, p), self.blocks = uncertain.M, uncertain.delta_shape, uncertain.blocks
         self.n_states, self.dt = m.n_states, m.dt
         self._left, self._right = np.vstack([m.B[:, :q], m.D[p:, :q]]), np.hstack([m.C[:p], m.D[:p, q:]])
@@ -256,7 +254,9 @@ class MemberSet:
         ends = np.cumsum([0, *(b.n_coordinates for b in self.blocks)])
         self._parts = [slice(a, b) for a, b in pairwise(ends)]
         self.size, self.all_real = int(ends[-1]), all(b.interval for b in self.blocks)
-        self._scale = state_scale(m.A)
+        self._scale = np.ones(0)
+        if self.n_states:
+            self._scale = np.asarray(matrix_balance(m.A, permute=False, separate=True)[1][0], dtype=float)
         self.block = max(1, min(BLOCK, BLOCK_NUMBERS // max(1, self._nominal.size)))
         self._table: Array | None = None
         if self.all_real and not self._d11.any() and self.block == BLOCK and self.size * self._nominal.size <= TABLE:
@@ -265,15 +265,6 @@ class MemberSet:
             table = np.zeros((self.size, *self._nominal.shape))
             np.add.at(table, np.repeat(np.arange(self.size), [b.rows for b in self.blocks]), products)
             self._table = table.reshape(self.size, self._nominal.size)
-
-    def drawn(self, deltas: Deltas, part: slice, where: str) -> Ensemble:
-        """Return the members at some of the samples. Raises NoTrustworthyNumber: one of them is ill-posed."""
-        ensemble = self.members(deltas.numbers(part))
-        if ensemble.ill_posed.any():
-            index = part.start + int(np.argmax(ensemble.ill_posed))
-            found = f"sample {index} makes the model ill-posed (I - D11 Delta is singular): {deltas[index]}"
-            raise NoTrustworthyNumber(where, found)
-        return ensemble
 
     def deltas(self, theta: Array) -> NDArray[Any]:
         """Return Deltas (k, q, p) at coordinates (k, d); blocks outside their ball are projected onto it."""
@@ -306,15 +297,6 @@ class MemberSet:
         n = self.n_states
         blocks = whole[:, :n, :n], whole[:, :n, n:], whole[:, n:, :n], whole[:, n:, n:]
         return Ensemble(*blocks, self.dt, ill_posed, self._scale)
-
-
-def state_scale(a: Array) -> Array:
-    """Return powers of two that balance A (n_x, n_x), shape (n_x,)."""
-    from scipy.linalg import matrix_balance
-
-    if not len(a):
-        return np.ones(0)
-    return np.asarray(matrix_balance(a, permute=False, separate=True)[1][0], dtype=float)
 
 
 # --- time ------------------------------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from robustlab.display import Displayable, Facts, listed, number, with_units
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.plant_contract import NonlinearPlant, Plant
 from robustlab.dynamics.simulation import simulate
-from robustlab.errors import InputError, error_context
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.result import Status
 from robustlab.statespace import Signal, real_array
 from robustlab.tables import Table, Tabular
@@ -148,7 +148,11 @@ class Samples(Tabular, Displayable):
         unstable: list[int] = []
         members = MemberSet(uncertain)
         for part in blocks_of(len(self), members.block):
-            ensemble = members.drawn(self.deltas, part, "respond")
+            ensemble = members.members(self.deltas.numbers(part))
+            if ensemble.ill_posed.any():
+                index = part.start + int(np.argmax(ensemble.ill_posed))
+                found = f"sample {index} makes the model ill-posed (I - D11 Delta is singular): {self.deltas[index]}"
+                raise NoTrustworthyNumber("respond", found)
             unstable += [part.start + int(i) for i in np.flatnonzero(ensemble.is_unstable(MARGINAL))]
             y[part] = time_responses(ensemble, drive, start, hold)
         return y, time_responses(members.members(np.zeros((1, members.size))), drive, start, hold)[0], unstable

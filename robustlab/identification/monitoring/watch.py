@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
@@ -151,10 +152,8 @@ class Watch(Tabular, Evidence):
 
     def table(self) -> Table:
         """Return a row for each piece."""
-        names = ("stop", "evidence", "misfit")
-        return Table(
-            ("start", [p.start for p in self.pieces]), {n: [getattr(p, n) for p in self.pieces] for n in names}
-        )
+        columns = {name: [getattr(p, name) for p in self.pieces] for name in ("stop", "evidence", "misfit")}
+        return Table(("start", [p.start for p in self.pieces]), columns)
 
 
 def span_of(seconds: float) -> str:
@@ -249,10 +248,8 @@ def watch(
             count = len(watched.pieces)
             progress(f"{word}piece {count}, up to {watched.pieces[-1].stop:.6g} s: log E = {evidence:.2f}")
     if watched is None or len(watched.pieces) < 2:
-        raise InputError(
-            "watch", f"{0 if watched is None else 1} piece", "at least two",
-            "one record is cut into pieces by every=SECONDS",
-        )  # fmt: skip
+        hint = "one record is cut into pieces by every=SECONDS"
+        raise InputError("watch", f"{0 if watched is None else 1} piece", "at least two", hint)
     pieces, used = tuple(watched.pieces), watched.windows[0] / watched.windows[1]
     result = Watch(
         Status.INCONCLUSIVE if onsets is None and used < 0.5 else Status.CONVERGED, "explained", false_alarm,
@@ -264,14 +261,13 @@ def watch(
     # A change may begin too late within a piece to be visible there.
     since, since_lower, since_upper = (pieces[k].start for k in (began, max(lower - 1, 0), upper))
     known = {name: tolerance for name, (tolerance, assumed) in stated.items() if not assumed}
-    try:
+    found = None
+    with suppress(InputError, NoTrustworthyNumber):  # too poor
         last = watched.records[max(began, len(watched.records) - MOST_DISCOVERED) :]
         found = discover(plant, last, tolerances=known, exclude=left_out)
-    except (InputError, NoTrustworthyNumber):  # too poor
-        found = None
-    over = next(p for p in pieces if p.evidence >= alarm)
+    stop = next(p.stop for p in pieces if p.evidence >= alarm)
     return replace(
-        result, verdict="changed", alarm=over.stop, since=since, since_lower=since_lower, since_upper=since_upper,
+        result, verdict="changed", alarm=stop, since=since, since_lower=since_lower, since_upper=since_upper,
         found=found,
     )  # fmt: skip
 
