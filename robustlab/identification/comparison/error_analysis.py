@@ -370,7 +370,7 @@ def localised(
         residual = windows.residual[:, k]
         known = residual[np.isfinite(residual)]
         rms = float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
-        against = {name_u: input_correlation(samples, residual, lags) for name_u, samples in u.items()}
+        against = {key: input_correlation(samples, residual, lags) for key, samples in u.items()}
         result["residual"][name] = ResidualTests(rms, whiteness(residual, lags), against)
     return result
 
@@ -378,12 +378,12 @@ def localised(
 def _gap(signal: Signal, t: Array, y: Array, error: Array | None, local: Array) -> OutputGap:
     spread, spread_rms = float(np.ptp(y)), float(np.sqrt(np.mean((y - y.mean()) ** 2)))
 
+    # Percentages are undefined if the spread or its square vanishes in floating point.
+    percent = 100.0 / spread if spread_rms else np.nan
+
     def sizes(e: Array) -> tuple[float, float, float, float, float]:
         peak, rms = float(np.abs(e).max()), float(np.sqrt(np.mean(e**2)))
-        # Percentages are undefined if the spread or its square vanishes in floating point.
-        percent = 100.0 / spread if spread_rms else np.nan
-        fit = 100.0 * (1.0 - rms / spread_rms) if spread_rms else np.nan
-        return peak, rms, peak * percent, rms * percent, fit
+        return peak, rms, peak * percent, rms * percent, 100.0 * (1.0 - rms / spread_rms) if spread_rms else np.nan
 
     none = (np.nan, np.nan, np.nan, np.nan, np.nan)
     free = none if error is None else sizes(error)
@@ -402,9 +402,8 @@ def _window_errors(t: Array, error: Array | None, local: Array, edges: NDArray[n
 def samples_of(what: str, seconds: float, record: Record) -> int:
     """Convert a stated length of time to samples."""
     if not np.isfinite(seconds) or not 2 * record.dt <= seconds <= record.duration + record.dt:
-        raise InputError(
-            f"compare {record.name}: {what}", f"{seconds:g} s", f"{2 * record.dt:g} s to {record.duration:g} s"
-        )
+        expected = f"{2 * record.dt:g} s to {record.duration:g} s"
+        raise InputError(f"compare {record.name}: {what}", f"{seconds:g} s", expected)
     return round(seconds / record.dt)
 
 

@@ -60,8 +60,8 @@ def fits_frequency_domain(
     if domain == "time":
         raise InputError(where, "a frequency response in the time domain", 'domain="frequency"')
     if norm == "peak" and isinstance(data, Record):
-        raise InputError(where, "a peak bound of the noise in the frequency domain", "an rms bound",
-                         'noise_norm="rms"; a transform keeps the energy of the noise, not its peak')  # fmt: skip
+        hint = 'noise_norm="rms"; a transform keeps the energy of the noise, not its peak'
+        raise InputError(where, "a peak bound of the noise in the frequency domain", "an rms bound", hint)
     if norm == "rms" and isinstance(data, FrequencyData):
         raise InputError(where, "an rms bound on a frequency response", "a bound at each line")
     for name, given in (("windows", window), ("at_rest", at_rest)):

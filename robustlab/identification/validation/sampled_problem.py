@@ -239,13 +239,12 @@ def at_nominal(uncertain: UncertainModel) -> tuple[StateSpaceModel, tuple[Block,
 
 def observable_directions(A: Array, C: Array) -> Array:
     """Return an orthonormal basis of the observable state directions: the row space of the observability matrix."""
-    rows, found = C, [C]
-    for _ in range(1, len(A)):
-        rows = rows @ A
-        rows = rows / (np.linalg.norm(rows, axis=1, keepdims=True) + 1e-300)
-        found.append(rows)
     if not len(A):
         return np.zeros((0, 0))
+    found = [C]
+    for _ in range(1, len(A)):
+        rows = found[-1] @ A
+        found.append(rows / (np.linalg.norm(rows, axis=1, keepdims=True) + 1e-300))
     stacked = np.vstack(found)
     stacked = stacked / np.maximum(np.linalg.norm(stacked, axis=1, keepdims=True), 1e-300)
     _, sigma, right = np.linalg.svd(stacked)
@@ -267,12 +266,9 @@ def noise_bounds(noise: Mapping[str, float], names: tuple[str, ...], norm: str, 
         value = noise[name]
         number(f"{where}: noise of {name!r}", value, "a positive number", at_least=0)
         if value == 0:
-            raise NoTrustworthyNumber(
-                f"{where}: noise of {name!r}",
-                "singular noise model: with a bound of 0 the last digit of a sample would decide",
-                "a positive bound",
-                "at least the resolution of the sensor",
-            )
+            found = "singular noise model: with a bound of 0 the last digit of a sample would decide"
+            hint = "at least the resolution of the sensor"
+            raise NoTrustworthyNumber(f"{where}: noise of {name!r}", found, "a positive bound", hint)
     return np.array([float(noise[name]) for name in names])
 
 
