@@ -317,12 +317,12 @@ def time_responses(ensemble: Ensemble, drive: Excitation, x0: Array, hold: Hold 
             forced = u[:-1, used] @ gamma.transpose(0, 2, 1)
             if hold == "foh":
                 forced += np.diff(u[:, used], axis=0) @ slope.transpose(0, 2, 1)
-            x = _recursion(phi, forced, x0)
+            x = recursion(phi, forced, x0)
             y[part] = x @ ensemble.C[part].transpose(0, 2, 1) + u @ ensemble.D[part].transpose(0, 2, 1)
     return y
 
 
-def _recursion(phi: Array, forced: Array, x0: Array) -> Array:
+def recursion(phi: Array, forced: Array, x0: Array) -> Array:
     """Compute ``x[j+1] = phi x[j] + forced[j]`` for every member, shape (k, n_t, n_x).
 
     A scan by doubling in log2(n_t) passes: after that with stride s every x[j] has the last 2 s terms of its sum.
@@ -330,9 +330,10 @@ def _recursion(phi: Array, forced: Array, x0: Array) -> Array:
     k, steps, n = forced.shape
     x = np.concatenate([np.broadcast_to(x0, (k, 1, n)), forced], axis=1)
     power, stride = phi, 1
-    while stride <= steps:
-        x[:, stride:] += x[:, :-stride] @ power.transpose(0, 2, 1)
-        power, stride = power @ power, 2 * stride
+    with np.errstate(over="ignore", invalid="ignore"):
+        while stride <= steps:
+            x[:, stride:] += x[:, :-stride] @ power.transpose(0, 2, 1)
+            power, stride = power @ power, 2 * stride
     return x
 
 
