@@ -314,10 +314,12 @@ class ViolationProbability(Tabular, Displayable):
         """Whether the required probability is confirmed; None where none was stated."""
         return self.shown
 
+    @property
+    def _event(self) -> str:
+        return f"{self.metric} {'above' if self.sense > 0 else 'below'} {number(self.limit, self.unit)}"
+
     def headline(self) -> str:
-        beyond = "above" if self.sense > 0 else "below"
-        limit = number(self.limit, self.unit)
-        return f"{self.metric} {beyond} {limit} in {self.violations} of {self.n} random members"
+        return f"{self._event} in {self.violations} of {self.n} random members"
 
     def details(self) -> list[Part]:
         value = f"value [{self.unit}]" if self.unit else "value"
@@ -328,21 +330,17 @@ class ViolationProbability(Tabular, Displayable):
         return [Part("", header, rows), Part("", header_of_rows, matter)]
 
     def facts(self) -> Facts:
-        beyond = "above" if self.sense > 0 else "below"
         sure = f"{100 * self.confidence:g} %"
         span = f"{number(self.lower)} .. {number(self.upper)} at {sure} confidence (Clopper-Pearson)"
-        word = "shown" if self.shown else "not shown"
+        word, worst = "shown" if self.shown else "not shown", number(self.worst_value, self.unit)
         need = f"({self.samples_needed} samples without a violation would do)"
         return [
             ("probability", f"{span}; {self.violations} of {self.n} samples"),
             ("one-sided", f"at most {number(self.at_most)} at {sure} confidence"),
-            ("of", f"{self.metric} {beyond} {number(self.limit, self.unit)}"),
+            ("of", self._event),
             ("wanted", "" if self.wanted is None else f"at most {self.wanted:g}: {word} at {sure} {need}"),
             ("without a bounded value", f"{self.unbounded} (unstable, or not settled)" if self.unbounded else ""),
-            (
-                "worst sample",
-                f"number {self.worst_index}: {number(self.worst_value, self.unit)}: {member(self.worst_delta)}",
-            ),
+            ("worst sample", f"number {self.worst_index}: {worst}: {member(self.worst_delta)}"),
             ("quantiles", listed(f"{q.share:g}: {number(q.value, self.unit)}" for q in self.quantiles)),
             *(("note", note) for note in self.notes),
             ("said", self.label),

@@ -217,10 +217,9 @@ class NoiseGap(Evidence):
 
 @dataclass(frozen=True)
 class OutputGap(Evidence):
-    r"""Disagreement at one output, in its unit and in percent.
+    """Disagreement at one output, in its unit and in percent of its measured range (max - min).
 
-    Percent is of the measured range :math:`\max y - \min y` of this record. The fit is
-    :math:`100 (1 - \|y - \hat y\| / \|y - \bar y\|)` percent: 100 is perfect, 0 as good as the mean, negative worse.
+    The fit is 100 (1 - |y - y_model| / |y - mean(y)|) percent: 100 is perfect, 0 as good as the mean.
     """
 
     name: str

@@ -36,10 +36,6 @@ RELAXATION = "lower bound with all blocks time-varying (relaxation)"
 NO_BOUND = "no lower bound (a constant in continuous time)"
 
 
-def _nothing() -> Array:
-    return np.zeros((0, 0))
-
-
 @dataclass(frozen=True)
 class _Found:
     """Bounds of gamma with the explanation of the record."""
@@ -52,8 +48,8 @@ class _Found:
     excess: float
     values: Mapping[str, float] = field(default_factory=dict)  # of the constants
     problem: SampledProblem | None = None  # of the dynamic blocks, with their signals and states:
-    w: Array = field(default_factory=_nothing)
-    z: Array = field(default_factory=_nothing)
+    w: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    z: Array = field(default_factory=lambda: np.zeros((0, 0)))
     states: Mapping[int, Array] = field(default_factory=dict)
     multipliers: Mapping[str, Array] = field(default_factory=dict)
     recheck: Callable[[], float] | None = None
@@ -66,8 +62,8 @@ def validate_by_samples(
     found = _bounds(recorded, search)
     progress(f"gamma {found.lower:.4g} .. {found.upper:.4g}")
     if np.isfinite(found.upper) and found.lower > found.upper * (1 + MEET) + SMALLEST:
-        contradiction = f"a lower bound of gamma, {found.lower:.6g}, above the upper one, {found.upper:.6g}"
-        raise NoTrustworthyNumber(f"validate {record.name}", contradiction)
+        found_both = f"a lower bound of gamma, {found.lower:.6g}, above the upper one, {found.upper:.6g}"
+        raise NoTrustworthyNumber(f"validate {record.name}", found_both)
     measured = np.column_stack([record.outputs[s.name] for s in recorded.outputs])
     explained, error = np.full(measured.shape, np.nan), 0.0
     if np.isfinite(found.upper):

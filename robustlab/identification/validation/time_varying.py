@@ -34,6 +34,7 @@ AHEAD = 3.0  # initial energy of z in the first guess: larger, and no early samp
 FLOOR = 1e-7  # a multiplier of this share of the largest makes every sweep strictly concave, and is as valid
 FLAT = 1e-11  # curvatures below this share of the largest count as zero, and the linear term there must vanish
 UNBOUNDED = 1e9  # multiplier of a signal that is zero anyhow, over those of the noise
+NONE = np.zeros((0, 0))
 NO_ENERGY = 1e-18  # an energy of z below this share of its final one forces w to zero for any finite gain
 
 
@@ -217,8 +218,7 @@ def _by_noise(programme: _Programme) -> Contractions:
 
 
 def _unexplained(lower: float, multipliers: Multipliers, excess: float) -> Contractions:
-    empty = np.zeros((0, 0))
-    return Contractions(lower, np.inf, multipliers, empty, excess, empty, empty, {})
+    return Contractions(lower, np.inf, multipliers, NONE, excess, NONE, NONE, {})
 
 
 # --- the programme ---------------------------------------------------------------------------------------------------
