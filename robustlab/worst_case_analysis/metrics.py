@@ -557,11 +557,11 @@ class MetricBatch:
         deltas = self._deltas(first + count)
         # Rounding of products depends on the position in a block: begin at the start of a block.
         start = first - first % BLOCK
-        values = np.empty(first + count - start)
-        for part in blocks_of(len(values), self.judge.set.block):
-            theta = deltas.numbers(slice(start + part.start, start + part.stop))
-            values[part] = self.judge.of(self.judge.set.members(theta))
-        return values[first - start :]
+        values = [
+            self.judge.of(self.judge.set.members(deltas.numbers(slice(start + part.start, start + part.stop))))
+            for part in blocks_of(first + count - start, self.judge.set.block)
+        ]
+        return np.concatenate([np.zeros(0), *values])[first - start :]
 
     def theta(self, n: int) -> Array:
         """Return the coordinates of the first n samples (n, d)."""
