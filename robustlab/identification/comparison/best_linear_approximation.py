@@ -60,10 +60,10 @@ class BestLinearApproximation(Evidence):
         """Return the model error per band, and the medians of coherence, noise and distortion over the response."""
         part = bin_index(self.frequency, self.bands)
         size = np.abs(self.response)
-        relative = {
-            name: None if s is None else self._medians(np.divide(s, size, out=np.zeros_like(s), where=size > 0))
-            for name, s in (("noise", self.noise_std), ("nonlinear", self.nonlinear_std), ("std", self.std))
-        }
+
+        def relative(s: Array | None) -> list[float | None] | None:
+            return None if s is None else self._medians(np.divide(s, size, out=np.zeros_like(s), where=size > 0))
+
         return {
             "method": self.method,
             "bands": self.bands,
@@ -71,9 +71,9 @@ class BestLinearApproximation(Evidence):
             "relative_error": list(self.relative_error),
             "outside": list(self.outside),
             "coherence": self.band_coherence(),
-            "relative_std": relative["std"],
-            "relative_noise": relative["noise"],
-            "relative_nonlinear": relative["nonlinear"],
+            "relative_std": relative(self.std),
+            "relative_noise": relative(self.noise_std),
+            "relative_nonlinear": relative(self.nonlinear_std),
             "notes": list(self.notes),
         }
 

@@ -399,15 +399,12 @@ def _own(there: AttachedEffect, pool: Sequence[Candidate]) -> Candidate:
 
 
 def _about(parameter: EffectParameter, value: float, std: float) -> EffectParameter:
-    prior = parameter.prior
+    prior, centre, spread = parameter.prior, value, parameter.prior.spread
     if prior.kind == "log":
-        centre = value or np.finfo(float).tiny ** 0.25 * prior.centre
-        return replace(parameter, prior=replace(prior, centre=centre, spread=OWN_SPREAD))
-    if prior.kind == "linear":
-        return replace(
-            parameter, prior=replace(prior, centre=value, spread=std or OWN_SPREAD * abs(value) or prior.spread)
-        )
-    return replace(parameter, prior=replace(prior, centre=value))
+        centre, spread = value or np.finfo(float).tiny ** 0.25 * prior.centre, OWN_SPREAD
+    elif prior.kind == "linear":
+        spread = std or OWN_SPREAD * abs(value) or prior.spread
+    return replace(parameter, prior=replace(prior, centre=centre, spread=spread))
 
 
 def _equations(problem: Problem, fit: Fit, spread: Array) -> tuple[PieceEquations, int]:

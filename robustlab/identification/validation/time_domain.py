@@ -153,12 +153,10 @@ def _block(block: Block, found: _Found, sizes: Mapping[str, float]) -> BlockSize
     if not block.interval:
         return BlockSize(block.name, "time-varying", sizes.get(block.name, np.nan))
     value = found.values.get(block.name)
-    if value is None:
-        return BlockSize(block.name, "constant", np.nan)
-    physical, impossible = None, ""
-    if block.parameter is not None:
-        physical = block.parameter.value(value), block.parameter.unit
-        impossible = block.parameter.impossible(physical[0])
+    if value is None or block.parameter is None:
+        return BlockSize(block.name, "constant", np.nan if value is None else abs(value), value)
+    size = block.parameter.value(value)
+    physical, impossible = (size, block.parameter.unit), block.parameter.impossible(size)
     return BlockSize(block.name, "constant", abs(value), value, physical, impossible)
 
 
