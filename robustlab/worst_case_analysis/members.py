@@ -6,7 +6,7 @@ imaginary parts of the entries of other blocks.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Literal, overload
@@ -41,9 +41,6 @@ Hold = Literal["zoh", "foh"]
 SAMPLE_TIME_TOLERANCE = 1e-6
 
 
-# --- excitation -------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Excitation:
     """Times ``t (n_t,)`` in s, their step ``h``, and input samples ``u (n_t, n_u)``."""
@@ -62,30 +59,26 @@ def excitation(
     None for a unit step on the only input.
     """
     clock = real_array("t", t, 1, where)
-    if len(clock) < 2:
-        raise InputError(where, f"t has {len(clock)} samples", "at least 2")
+    n, names = len(clock), [s.name for s in inputs]
+    if n < 2:
+        raise InputError(where, f"t has {n} samples", "at least 2")
     step = np.diff(clock)
     h = float((clock[-1] - clock[0]) / len(step))
     if h <= 0 or np.abs(step - h).max() > UNIFORM_TOLERANCE * h:
         raise InputError(where, "t is not uniform", "increasing times with one step", "use numpy.linspace(0, t_end, n)")
     if dt and abs(h - dt) > SAMPLE_TIME_TOLERANCE * dt:
         raise InputError(where, f"t has a step of {h:.9g} s", f"the discrete model's sample time {dt:.9g} s")
-    return Excitation(clock, h, _samples(inputs, len(clock), u, where))
-
-
-def _samples(inputs: Sequence[Signal], n: int, u: Mapping[str, ArrayLike] | ArrayLike | None, where: str) -> Array:
-    names = [s.name for s in inputs]
     if u is None:
         if len(names) != 1:
             hint = f"say which input steps: u={{{names[0]!r}: 1.0}}" if names else None
             raise InputError(where, f"{len(names)} inputs and no u", "one input, or u", hint)
-        return np.ones((n, 1))
+        return Excitation(clock, h, np.ones((n, 1)))
     if isinstance(u, Mapping):
         held = {name: np.repeat(value, n) if np.ndim(value) == 0 else value for name, value in u.items()}
         u = {**dict.fromkeys(names, np.zeros(n)), **held}
     elif np.ndim(u) == 0:
         u = np.repeat(np.asarray(u), n)
-    return sampled_inputs(tuple(inputs), u, n)
+    return Excitation(clock, h, sampled_inputs(tuple(inputs), u, n))
 
 
 # --- Deltas -----------------------------------------------------------------------------------------------------------
@@ -223,11 +216,9 @@ class Ensemble:
 
     def spectral_abscissa(self) -> Array:
         """Return `StateSpaceModel.spectral_abscissa` of every member, shape (k,); ``inf`` where ill-posed."""
-        if not self.A.shape[1]:
-            return np.where(self.ill_posed, np.inf, -np.inf)
         poles = np.linalg.eigvals(self.A)
-        value = np.abs(poles).max(axis=1) - 1.0 if self.dt else poles.real.max(axis=1)
-        return np.where(self.ill_posed, np.inf, value)
+        value = np.abs(poles) - 1.0 if self.dt else poles.real
+        return np.where(self.ill_posed, np.inf, value.max(axis=1, initial=-np.inf))
 
     def is_stable(self) -> Mask:
         """Return which members are asymptotically stable and well-posed, (k,); all well-posed ones without states."""
@@ -235,24 +226,27 @@ class Ensemble:
 
     def is_unstable(self, margin: float) -> Mask:
         """Return whether a pole is unstable by more than ``margin`` times the member's largest pole."""
-        if not self.A.shape[1]:
-            return self.ill_posed
         poles = np.linalg.eigvals(self.A)
-        size = np.abs(poles).max(axis=1)
-        return self.ill_posed | (size - 1.0 > margin if self.dt else poles.real.max(axis=1) > margin * size)
+        size = np.abs(poles).max(axis=1, initial=0.0)
+        return self.ill_posed | (size - 1.0 > margin if self.dt else (poles.real > margin * size[:, None]).any(axis=1))
 
 
-def chunks(count: int, numbers_each: int) -> Iterator[slice]:
-    """Yield slices of ``range(count)``, each of which needs about ``CHUNK`` numbers."""
-    step = max(1, CHUNK // max(1, numbers_each))
-    for first in range(0, count, step):
-        yield slice(first, min(first + step, count))
+def blocks_of(count: int, size: int) -> list[slice]:
+    """Split ``range(count)`` into blocks."""
+    return [slice(first, min(first + size, count)) for first in range(0, count, size)]
+
+
+def chunks(count: int, numbers_each: int) -> list[slice]:
+    """Split ``range(count)`` into slices, each of which needs about ``CHUNK`` numbers."""
+    return blocks_of(count, max(1, CHUNK // max(1, numbers_each)))
 
 
 class MemberSet:
     """A set prepared for the evaluation of many members; `block` is the number for one call."""
 
     def __init__(self, uncertain: UncertainModel) -> None:
+        from scipy.linalg import matrix_balance
+
         m, (q, p), self.blocks = uncertain.M, uncertain.delta_shape, uncertain.blocks
         self.n_states, self.dt = m.n_states, m.dt
         self._left, self._right = np.vstack([m.B[:, :q], m.D[p:, :q]]), np.hstack([m.C[:p], m.D[:p, q:]])
@@ -260,7 +254,9 @@ class MemberSet:
         ends = np.cumsum([0, *(b.n_coordinates for b in self.blocks)])
         self._parts = [slice(a, b) for a, b in pairwise(ends)]
         self.size, self.all_real = int(ends[-1]), all(b.interval for b in self.blocks)
-        self._scale = state_scale(m.A)
+        self._scale = np.ones(0)
+        if self.n_states:
+            self._scale = np.asarray(matrix_balance(m.A, permute=False, separate=True)[1][0], dtype=float)
         self.block = max(1, min(BLOCK, BLOCK_NUMBERS // max(1, self._nominal.size)))
         self._table: Array | None = None
         if self.all_real and not self._d11.any() and self.block == BLOCK and self.size * self._nominal.size <= TABLE:
@@ -269,15 +265,6 @@ class MemberSet:
             table = np.zeros((self.size, *self._nominal.shape))
             np.add.at(table, np.repeat(np.arange(self.size), [b.rows for b in self.blocks]), products)
             self._table = table.reshape(self.size, self._nominal.size)
-
-    def drawn(self, deltas: Deltas, part: slice, where: str) -> Ensemble:
-        """Return the members at some of the samples. Raises NoTrustworthyNumber: one of them is ill-posed."""
-        ensemble = self.members(deltas.numbers(part))
-        if ensemble.ill_posed.any():
-            index = part.start + int(np.argmax(ensemble.ill_posed))
-            found = f"sample {index} makes the model ill-posed (I - D11 Delta is singular): {deltas[index]}"
-            raise NoTrustworthyNumber(where, found)
-        return ensemble
 
     def deltas(self, theta: Array) -> NDArray[Any]:
         """Return Deltas (k, q, p) at coordinates (k, d); blocks outside their ball are projected onto it."""
@@ -312,20 +299,6 @@ class MemberSet:
         return Ensemble(*blocks, self.dt, ill_posed, self._scale)
 
 
-def blocks_of(count: int, size: int) -> list[slice]:
-    """Split ``range(count)`` into blocks."""
-    return [slice(first, min(first + size, count)) for first in range(0, count, size)]
-
-
-def state_scale(a: Array) -> Array:
-    """Return powers of two that balance A (n_x, n_x), shape (n_x,)."""
-    from scipy.linalg import matrix_balance
-
-    if not len(a):
-        return np.ones(0)
-    return np.asarray(matrix_balance(a, permute=False, separate=True)[1][0], dtype=float)
-
-
 # --- time ------------------------------------------------------------------------------------------------------------
 
 
@@ -344,12 +317,12 @@ def time_responses(ensemble: Ensemble, drive: Excitation, x0: Array, hold: Hold 
             forced = u[:-1, used] @ gamma.transpose(0, 2, 1)
             if hold == "foh":
                 forced += np.diff(u[:, used], axis=0) @ slope.transpose(0, 2, 1)
-            x = _recursion(phi, forced, x0)
+            x = recursion(phi, forced, x0)
             y[part] = x @ ensemble.C[part].transpose(0, 2, 1) + u @ ensemble.D[part].transpose(0, 2, 1)
     return y
 
 
-def _recursion(phi: Array, forced: Array, x0: Array) -> Array:
+def recursion(phi: Array, forced: Array, x0: Array) -> Array:
     """Compute ``x[j+1] = phi x[j] + forced[j]`` for every member, shape (k, n_t, n_x).
 
     A scan by doubling in log2(n_t) passes: after that with stride s every x[j] has the last 2 s terms of its sum.
@@ -357,9 +330,10 @@ def _recursion(phi: Array, forced: Array, x0: Array) -> Array:
     k, steps, n = forced.shape
     x = np.concatenate([np.broadcast_to(x0, (k, 1, n)), forced], axis=1)
     power, stride = phi, 1
-    while stride <= steps:
-        x[:, stride:] += x[:, :-stride] @ power.transpose(0, 2, 1)
-        power, stride = power @ power, 2 * stride
+    with np.errstate(over="ignore", invalid="ignore"):
+        while stride <= steps:
+            x[:, stride:] += x[:, :-stride] @ power.transpose(0, 2, 1)
+            power, stride = power @ power, 2 * stride
     return x
 
 
@@ -384,8 +358,7 @@ def transitions(
     block = np.zeros((k, n + orders * m, n + orders * m))
     block[:, :n, :n] = a / scale[:, None] * scale * h
     block[:, :n, n : n + m] = b / scale[:, None] / column * h
-    if orders == 2:
-        block[:, n : n + m, n + m :] = np.eye(m)
+    block[:, n : n + m, n + m :] = np.eye(m)[:, : (orders - 1) * m]
     e = expm(block)[:, :n]
     phi = scale[:, None] * e[:, :, :n] / scale
     gamma = scale[:, None] * e[:, :, n : n + m] * column

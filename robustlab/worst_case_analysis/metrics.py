@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
 from robustlab.dynamics.simulation import default_clock, simulate
-from robustlab.errors import InputError, NoTrustworthyNumber, UsageError, did_you_mean, is_function
+from robustlab.errors import InputError, NoTrustworthyNumber, UsageError, did_you_mean, is_function, unknown_name
 from robustlab.linear_analysis.frequency import default_grid
 from robustlab.linear_analysis.structural import drop_unconnected
 from robustlab.statespace import StateSpaceModel
@@ -83,11 +83,6 @@ class Metric:
     # True where re-evaluation may find a worse value than the search (a peak between its grid points).
     one_sided: bool = False
 
-    @property
-    def unbounded(self) -> float:
-        """Value of a member without a bounded one."""
-        return self.sense * np.inf
-
     def of(self, ensemble: Ensemble) -> Array:
         """Return the metric of each member, shape (k,)."""
         raise NotImplementedError
@@ -102,7 +97,7 @@ class Metric:
         try:
             model = self.uncertain.evaluate(delta)
         except NoTrustworthyNumber as error:  # ill-posed
-            return Evaluation(self.unbounded, reason=error.found)
+            return Evaluation(self.sense * np.inf, reason=error.found)
         return self.of_model(model)
 
     def of_model(self, model: StateSpaceModel) -> Evaluation:
@@ -131,23 +126,14 @@ class Metric:
 # --- shared checks ---------------------------------------------------------------------------------------------------
 
 
-def connected(uncertain: UncertainModel) -> UncertainModel:
-    """Remove states that are structurally unreachable or unobservable for every Delta."""
-    return UncertainModel(drop_unconnected(uncertain.M), uncertain.blocks)
-
-
 def selected(uncertain: UncertainModel, input: str | None, output: str | None) -> UncertainModel:
-    """Return the set with the named input and output only; None keeps all."""
+    """Return the set with the named input and output only (None: all), and the states that connect them."""
     for kind, name, known in (("input", input, uncertain.inputs), ("output", output, uncertain.outputs)):
         names = [s.name for s in known]
         if name is not None and name not in names:
-            raise InputError(
-                f"worst_case: {kind} {name!r}",
-                "no such signal",
-                f"one of {', '.join(names)}",
-                did_you_mean(name, names),
-            )
-    return uncertain.select([input] if input else None, [output] if output else None)
+            raise unknown_name(f"worst_case: {kind} {name!r}", "no such signal", name, names)
+    chosen = uncertain.select([input] if input else None, [output] if output else None)
+    return UncertainModel(drop_unconnected(chosen.M), chosen.blocks)
 
 
 def need_real(uncertain: UncertainModel, what: str) -> None:
@@ -204,7 +190,7 @@ class HinfGain(Metric):
     one_sided = True
 
     def __init__(self, uncertain: UncertainModel, input: str | None, output: str | None) -> None:
-        self.uncertain = connected(selected(uncertain, input, output))
+        self.uncertain = selected(uncertain, input, output)
         nominal = self.uncertain.nominal
         need_stable(nominal, "its H-infinity norm is infinite")
         self._grid = default_grid(nominal, GRID_POINTS)
@@ -219,12 +205,9 @@ class HinfGain(Metric):
         return Evaluation(norm.value, norm.frequency, norm.status.trustworthy, norm.reason)
 
     def evaluate(self, delta: Mapping[str, Any]) -> Evaluation:
-        if np.iscomplexobj(delta_matrix(self.uncertain.blocks, delta)):
-            return self._complex_gain(delta)
-        return super().evaluate(delta)
-
-    def _complex_gain(self, delta: Mapping[str, Any]) -> Evaluation:
-        """Return the gain at the search's frequency, from `UncertainModel.response`; stability from the poles."""
+        """As `Metric.evaluate`; of a complex Delta the gain at the search's frequency, stability from the poles."""
+        if not np.iscomplexobj(delta_matrix(self.uncertain.blocks, delta)):
+            return super().evaluate(delta)
         ensemble = self.set.members(encoded(self.uncertain.blocks, delta)[None])
         if not ensemble.spectral_abscissa()[0] < 0 and self.uncertain.M.n_states:
             return Evaluation(np.inf)
@@ -242,7 +225,7 @@ class H2Gain(Metric):
 
     def __init__(self, uncertain: UncertainModel, input: str | None, output: str | None) -> None:
         need_real(uncertain, "h2")
-        self.uncertain = connected(selected(uncertain, input, output))
+        self.uncertain = selected(uncertain, input, output)
         need_stable(self.uncertain.nominal, "its H2 norm is infinite")
         if not uncertain.dt and self.uncertain.nominal.D.any():
             hint = "choose input and output without direct feedthrough, or use the metric hinf"
@@ -291,7 +274,7 @@ class PoleMetric(Metric):
         return np.where(size > 0, -poles.real / np.where(size > 0, size, 1.0), 0.0).min(axis=-1)
 
     def of(self, ensemble: Ensemble) -> Array:
-        return np.where(ensemble.ill_posed, self.unbounded, self._worst(np.linalg.eigvals(ensemble.A)))
+        return np.where(ensemble.ill_posed, self.sense * np.inf, self._worst(np.linalg.eigvals(ensemble.A)))
 
     def of_model(self, model: StateSpaceModel) -> Evaluation:
         return Evaluation(float(self._worst(model.poles())))
@@ -330,8 +313,7 @@ class UserMetric(Metric):
         return value
 
     def work(self, count: int) -> float:
-        """Assume a few milliseconds per call."""
-        return 3000.0 * count
+        return 3000.0 * count  # a few milliseconds per call
 
     def of_model(self, model: StateSpaceModel) -> Evaluation:
         return Evaluation(self._number(model))
@@ -405,10 +387,7 @@ MEASURES = {
 
 
 class TimeMetric(Metric):
-    """A measure of the response of one output from zero initial state; infinite where that grows without bound.
-
-    ``drive``, ``hold``: times, input, and the input between samples.
-    """
+    """A measure of the response of one output from zero initial state; infinite where that grows without bound."""
 
     location = "t [s]"
 
@@ -416,8 +395,8 @@ class TimeMetric(Metric):
         self, uncertain: UncertainModel, name: str, output: str, drive: Excitation, hold: Hold, band: float
     ) -> None:
         need_real(uncertain, name)
-        self.uncertain = connected(selected(uncertain, None, output))
-        self._measure, self._drive, self._band = MEASURES[name], drive, band
+        self.uncertain = selected(uncertain, None, output)
+        self._measure, self.drive, self._band = MEASURES[name], drive, band
         self._hold: Hold = hold
         self.unit = self._measure.unit or self.uncertain.outputs[0].unit
         self.location = "" if name in ("rms", "settling-time") else "t [s]"
@@ -430,7 +409,7 @@ class TimeMetric(Metric):
     def _check_settles(self, name: str, centre: Ensemble) -> None:
         if not 0 < self._band < 1:
             raise InputError("worst_case", f"band is {self._band!r}", "a share of the final value between 0 and 1")
-        if np.ptp(self._drive.u, axis=0).max(initial=0.0) > 0:
+        if np.ptp(self.drive.u, axis=0).max(initial=0.0) > 0:
             raise InputError("worst_case", "an input that changes", f"constant inputs: {name} is that of a step")
         need_stable(self.uncertain.nominal, f"it has no {name}")
         final = float(self._finals(centre)[0])
@@ -442,27 +421,15 @@ class TimeMetric(Metric):
                 "use the metric peak",
             )
 
-    @property
-    def clock(self) -> Array:
-        """Times in s, (n_t,)."""
-        return self._drive.t
-
-    def response(self, delta: Mapping[str, Any]) -> Array:
-        """Return the output of a member, (n_t,), by the second method.
-
-        Raises NoTrustworthyNumber: it overflows.
-        """
-        return self._simulated(self.uncertain.evaluate(delta))
-
     def _responses(self, ensemble: Ensemble) -> Array:
         start = np.zeros(ensemble.A.shape[1])
-        return time_responses(ensemble, self._drive, start, self._hold)[:, :, 0]
+        return time_responses(ensemble, self.drive, start, self._hold)[:, :, 0]
 
     def _finals(self, ensemble: Ensemble) -> Array:
         """Return the final values of all members (k,) if the measure needs them; infinite for unstable members."""
         final = np.full(len(ensemble), np.inf)
         if self._measure.settled:
-            stable, n, u = ensemble.is_stable(), ensemble.A.shape[1], self._drive.u[0]
+            stable, n, u = ensemble.is_stable(), ensemble.A.shape[1], self.drive.u[0]
             some = ensemble.part(np.flatnonzero(stable))
             shift = np.eye(n) if ensemble.dt else np.zeros((n, n))
             x = np.linalg.solve(shift - some.A, (some.B @ u)[:, :, None])
@@ -473,24 +440,25 @@ class TimeMetric(Metric):
         with np.errstate(all="ignore"):
             y = self._responses(ensemble)
             y = y - self._nominal if self._measure.deviation else y
-            value, _ = self._measure.of(self._drive.t, y, self._finals(ensemble), self._band)
+            value, _ = self._measure.of(self.drive.t, y, self._finals(ensemble), self._band)
         return np.where(ensemble.ill_posed | np.isnan(value), np.inf, value)
 
-    def _simulated(self, model: StateSpaceModel) -> Array:
-        return np.asarray(simulate(model, self._drive.t, self._drive.u, hold=self._hold)[model.output_names[0]])
+    def response(self, model: StateSpaceModel) -> Array:
+        """Return the output of a model, (n_t,), by the second method; NoTrustworthyNumber where it overflows."""
+        return np.asarray(simulate(model, self.drive.t, self.drive.u, hold=self._hold)[model.output_names[0]])
 
     def of_model(self, model: StateSpaceModel) -> Evaluation:
-        t, final = self._drive.t, np.full(1, np.inf)
+        t, final = self.drive.t, np.full(1, np.inf)
         try:
-            y = self._simulated(model)
+            y = self.response(model)
             if self._measure.deviation:
-                y = y - self._simulated(self.uncertain.nominal)
+                y = y - self.response(self.uncertain.nominal)
         except NoTrustworthyNumber:
             return Evaluation(np.inf, reason="the response outgrows double precision")
         if self._measure.settled:
             if model.n_states and not model.is_stable():
                 return Evaluation(np.inf, reason="this member is unstable and never settles")
-            final[0] = model.dc_gain()[0] @ self._drive.u[0]
+            final[0] = model.dc_gain()[0] @ self.drive.u[0]
         with np.errstate(all="ignore"):
             values, at = self._measure.of(t, y[None], final, self._band)
         last = f"this member has not settled by t = {t[-1]:.6g} s, the last of the times"
@@ -499,11 +467,11 @@ class TimeMetric(Metric):
 
     def slack(self, value: float) -> float:
         """Return the tolerance, including that of the final value and of a time step."""
-        return self.tolerance * (abs(value) + self._measure.size + self._drive.h * self._measure.steps)
+        return self.tolerance * (abs(value) + self._measure.size + self.drive.h * self._measure.steps)
 
     def work(self, count: int) -> float:
         """Estimate the work; members computed together share most of the steps."""
-        n, steps = self.uncertain.M.n_states, len(self._drive.t)
+        n, steps = self.uncertain.M.n_states, len(self.drive.t)
         return 300 + steps * (0.1 + n**2 / 160) + count * (20 + n**3 / 50 + steps * (0.05 + n**2 / 6000))
 
 
@@ -589,11 +557,11 @@ class MetricBatch:
         deltas = self._deltas(first + count)
         # Rounding of products depends on the position in a block: begin at the start of a block.
         start = first - first % BLOCK
-        values = np.empty(first + count - start)
-        for part in blocks_of(len(values), self.judge.set.block):
-            theta = deltas.numbers(slice(start + part.start, start + part.stop))
-            values[part] = self.judge.of(self.judge.set.members(theta))
-        return values[first - start :]
+        values = [
+            self.judge.of(self.judge.set.members(deltas.numbers(slice(start + part.start, start + part.stop))))
+            for part in blocks_of(first + count - start, self.judge.set.block)
+        ]
+        return np.concatenate([np.zeros(0), *values])[first - start :]
 
     def theta(self, n: int) -> Array:
         """Return the coordinates of the first n samples (n, d)."""

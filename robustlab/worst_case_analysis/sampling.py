@@ -15,7 +15,7 @@ from robustlab.display import Displayable, Facts, listed, number, with_units
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.plant_contract import NonlinearPlant, Plant
 from robustlab.dynamics.simulation import simulate
-from robustlab.errors import InputError, error_context
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.result import Status
 from robustlab.statespace import Signal, real_array
 from robustlab.tables import Table, Tabular
@@ -148,7 +148,11 @@ class Samples(Tabular, Displayable):
         unstable: list[int] = []
         members = MemberSet(uncertain)
         for part in blocks_of(len(self), members.block):
-            ensemble = members.drawn(self.deltas, part, "respond")
+            ensemble = members.members(self.deltas.numbers(part))
+            if ensemble.ill_posed.any():
+                index = part.start + int(np.argmax(ensemble.ill_posed))
+                found = f"sample {index} makes the model ill-posed (I - D11 Delta is singular): {self.deltas[index]}"
+                raise NoTrustworthyNumber("respond", found)
             unstable += [part.start + int(i) for i in np.flatnonzero(ensemble.is_unstable(MARGINAL))]
             y[part] = time_responses(ensemble, drive, start, hold)
         return y, time_responses(members.members(np.zeros((1, members.size))), drive, start, hold)[0], unstable
@@ -186,46 +190,21 @@ class Samples(Tabular, Displayable):
 
 @dataclass(frozen=True)
 class Responses(Displayable):
-    """Time responses of samples, and the envelope of them and the nominal response.
+    """Time responses of samples, and the envelope of them and the nominal response."""
 
-    Attributes
-    ----------
-    t
-        Times in s, shape (n_t,).
-    u
-        Input samples, shape (n_t, n_u).
-    y
-        Outputs, shape (n_samples, n_t, n_y).
-    nominal
-        Outputs of the nominal model, shape (n_t, n_y).
-    lower, upper
-        Envelope over the samples and the nominal model, shape (n_t, n_y); infinite where a response overflows.
-    worst
-        For each output the sample with the largest ``|y - nominal|`` at any time.
-    deltas
-        The samples' Deltas.
-    inputs, outputs
-        Signals of u and y.
-    unstable
-        Samples with a pole beyond the stability boundary (an integrator is none): they grow with the horizon.
-    status
-        CONVERGED, or INACCURATE where a response overflows.
-    label
-        Meaning of the envelope.
-    """
-
-    t: Array
-    u: Array
-    y: Array
-    nominal: Array
+    t: Array  # times in s, shape (n_t,)
+    u: Array  # input samples, shape (n_t, n_u)
+    y: Array  # outputs, shape (n_samples, n_t, n_y)
+    nominal: Array  # outputs of the nominal model, shape (n_t, n_y)
+    # lower, upper: envelope of the samples and the nominal model, (n_t, n_y); infinite where a response overflows
     lower: Array
     upper: Array
-    worst: tuple[int, ...]
+    worst: tuple[int, ...]  # for each output the sample with the largest |y - nominal| at any time
     deltas: Sequence[Mapping[str, Any]]
     inputs: tuple[Signal, ...]
     outputs: tuple[Signal, ...]
-    unstable: tuple[int, ...]
-    status: Status
+    unstable: tuple[int, ...]  # samples with a pole beyond the stability boundary: they grow with the horizon
+    status: Status  # CONVERGED, or INACCURATE where a response overflows
     label: str = LABEL
 
     @property
@@ -317,19 +296,9 @@ def _uncertain_parameters(plant: NonlinearPlant) -> Iterator[RealScalar]:
 
 def _envelope(y: Array, nominal: Array) -> tuple[Array, Array, Array, bool]:
     """Return lower, upper (n_t, n_y), each sample's peak deviation (k, n_y), and whether all numbers are finite."""
-    lower, upper = nominal.copy(), nominal.copy()
-    deviation, finite = np.zeros((len(y), nominal.shape[1])), bool(np.isfinite(nominal).all())
-    for part in blocks_of(len(y), max(1, MAX_NUMBERS // 32 // max(1, nominal.size))):
-        some = y[part]
-        lost = np.isnan(some)
-        finite = finite and bool(np.isfinite(some).all())
-        if lost.any():
-            lower = np.minimum(lower, np.where(lost, -np.inf, some).min(axis=0))
-            upper = np.maximum(upper, np.where(lost, np.inf, some).max(axis=0))
-        else:
-            lower, upper = np.minimum(lower, some.min(axis=0)), np.maximum(upper, some.max(axis=0))
-        with np.errstate(invalid="ignore"):  # inf - inf, where member and nominal model overflow
-            gap = np.abs(some - nominal)
-        deviation[part] = np.nan_to_num(gap, nan=np.inf, posinf=np.inf).max(axis=1)
-    nowhere = np.isnan(nominal)
-    return np.where(nowhere, -np.inf, lower), np.where(nowhere, np.inf, upper), deviation, finite
+    with np.errstate(invalid="ignore"):  # inf - inf, where member and nominal model overflow
+        lower, upper = np.minimum(y.min(axis=0), nominal), np.maximum(y.max(axis=0), nominal)
+        deviation = np.array([np.abs(member - nominal).max(axis=0) for member in y])
+    finite = bool(np.isfinite(lower).all() and np.isfinite(upper).all())
+    lower, upper = (np.where(np.isnan(edge), far, edge) for edge, far in ((lower, -np.inf), (upper, np.inf)))
+    return lower, upper, np.where(np.isnan(deviation), np.inf, deviation), finite

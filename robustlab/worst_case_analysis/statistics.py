@@ -32,50 +32,23 @@ MOST_BINS = 32  # along each parameter, for the share of the variance that it ex
 
 @dataclass(frozen=True)
 class Influence(Tabular, Displayable):
-    """Influence of each real parameter on a metric, from samples.
+    """Influence of each real parameter on a metric, from samples."""
 
-    Attributes
-    ----------
-    names
-        The parameters (blocks).
-    first_order
-        Share of the variance that each explains by itself, (d,); at least 0.
-    noise
-        95 % quantile of ``first_order`` for a parameter without influence.
-    rank_coefficients
-        Standardised rank regression coefficients, (d,): positive where a larger delta means a larger value. NaN for
-        fewer samples than parameters.
-    rank_fit
-        R^2 of that regression. Coefficients of a poor fit are of little use.
-    of_ranks
-        True where ranks replace values because members have no bounded value.
-    worst_value
-        The metric at the worst sample.
-    restored
-        The metric with that sample's delta k at nominal and all others kept, (d,): the effect of knowing parameter k
-        exactly.
-    alone
-        The metric with delta k of that sample and all others nominal, (d,).
-    nominal_value
-        The metric at Delta = 0.
-    unit
-        Unit of the values.
-    n
-        Number of samples.
-    """
-
-    names: tuple[str, ...]
-    first_order: Array
-    noise: float
+    names: tuple[str, ...]  # the parameters (blocks)
+    first_order: Array  # share of the variance that each explains by itself, (d,); at least 0
+    noise: float  # 95 % quantile of ``first_order`` for a parameter without influence
+    # standardised rank regression coefficients, (d,): positive where a larger delta means a larger value. NaN for fewer
+    # samples than parameters.
     rank_coefficients: Array
-    rank_fit: float
-    of_ranks: bool
-    worst_value: float
+    rank_fit: float  # R^2 of that regression. Coefficients of a poor fit are of little use.
+    of_ranks: bool  # true where ranks replace values because members have no bounded value
+    worst_value: float  # the metric at the worst sample
+    # the metric with that sample's delta k at nominal and all others kept, (d,): the effect of knowing parameter k
     restored: Array
-    alone: Array
-    nominal_value: float
+    alone: Array  # the metric with delta k of that sample and all others nominal, (d,)
+    nominal_value: float  # the metric at Delta = 0
     unit: str
-    n: int
+    n: int  # number of samples
 
     @property
     def savings(self) -> Array:
@@ -139,23 +112,19 @@ def influence_of(batch: MetricBatch, values: Array, worst: int) -> Influence:
     ``values``: those of ``batch`` for its first n samples, (n,); ``worst``: index of the worst.
     """
     theta = batch.theta(len(values))
+    d = theta.shape[1]
     finite = bool(np.isfinite(values).all())
     numbers = values if finite else _ranks(values)
-    coefficients, fit = _rank_regression(theta, values)
     bins = int(np.clip(np.sqrt(len(values)), 4, MOST_BINS))
-    first_order = np.array([_between_bins(theta[:, k], numbers, bins) for k in range(theta.shape[1])])
-    at = theta[worst]
-    d = len(at)
-    others = np.where(np.eye(d, dtype=bool), 0.0, at)
-    single = np.where(np.eye(d, dtype=bool), at, 0.0)
+    own = np.eye(d, dtype=bool)
     judge = batch.judge
-    found = judge.of(judge.set.members(np.vstack([others, single, np.zeros((1, d))])))
+    trials = np.vstack([np.where(own, 0.0, theta[worst]), np.where(own, theta[worst], 0.0), np.zeros((1, d))])
+    found = judge.of(judge.set.members(trials))
     return Influence(
         tuple(b.name for b in batch.uncertain.blocks),
-        first_order,
+        np.array([_between_bins(theta[:, k], numbers, bins) for k in range(d)]),
         _noise(len(values), bins),
-        coefficients,
-        fit,
+        *_rank_regression(theta, values),
         not finite,
         float(values[worst]),
         found[:d],
@@ -194,17 +163,16 @@ def _ranks(y: Array) -> Array:
 
 
 def _rank_regression(theta: Array, values: Array) -> tuple[Array, float]:
+    """Return the coefficients (d,) and R^2."""
     n, d = theta.shape
-    x, y = _ranks(theta), _ranks(values)
-    x, y = x - x.mean(axis=0), y - y.mean()
     if n <= d + 1:
         return np.full(d, np.nan), np.nan
-    size, spread = x.std(axis=0), y.std()
-    if spread == 0:
+    x, y = (ranks - ranks.mean(axis=0) for ranks in (_ranks(theta), _ranks(values)))
+    if y.std() == 0:
         return np.zeros(d), 1.0
-    found = np.linalg.lstsq(x / size, y / spread, rcond=None)[0]
-    residual = y / spread - (x / size) @ found
-    return found, float(1.0 - (residual**2).mean())
+    x, y = x / x.std(axis=0), y / y.std()
+    found = np.linalg.lstsq(x, y, rcond=None)[0]
+    return found, float(1.0 - ((y - x @ found) ** 2).mean())
 
 
 FEWEST_SAMPLES = 32
@@ -346,10 +314,12 @@ class ViolationProbability(Tabular, Displayable):
         """Whether the required probability is confirmed; None where none was stated."""
         return self.shown
 
+    @property
+    def _event(self) -> str:
+        return f"{self.metric} {'above' if self.sense > 0 else 'below'} {number(self.limit, self.unit)}"
+
     def headline(self) -> str:
-        beyond = "above" if self.sense > 0 else "below"
-        limit = number(self.limit, self.unit)
-        return f"{self.metric} {beyond} {limit} in {self.violations} of {self.n} random members"
+        return f"{self._event} in {self.violations} of {self.n} random members"
 
     def details(self) -> list[Part]:
         value = f"value [{self.unit}]" if self.unit else "value"
@@ -360,21 +330,17 @@ class ViolationProbability(Tabular, Displayable):
         return [Part("", header, rows), Part("", header_of_rows, matter)]
 
     def facts(self) -> Facts:
-        beyond = "above" if self.sense > 0 else "below"
         sure = f"{100 * self.confidence:g} %"
         span = f"{number(self.lower)} .. {number(self.upper)} at {sure} confidence (Clopper-Pearson)"
-        word = "shown" if self.shown else "not shown"
+        word, worst = "shown" if self.shown else "not shown", number(self.worst_value, self.unit)
         need = f"({self.samples_needed} samples without a violation would do)"
         return [
             ("probability", f"{span}; {self.violations} of {self.n} samples"),
             ("one-sided", f"at most {number(self.at_most)} at {sure} confidence"),
-            ("of", f"{self.metric} {beyond} {number(self.limit, self.unit)}"),
+            ("of", self._event),
             ("wanted", "" if self.wanted is None else f"at most {self.wanted:g}: {word} at {sure} {need}"),
             ("without a bounded value", f"{self.unbounded} (unstable, or not settled)" if self.unbounded else ""),
-            (
-                "worst sample",
-                f"number {self.worst_index}: {number(self.worst_value, self.unit)}: {member(self.worst_delta)}",
-            ),
+            ("worst sample", f"number {self.worst_index}: {worst}: {member(self.worst_delta)}"),
             ("quantiles", listed(f"{q.share:g}: {number(q.value, self.unit)}" for q in self.quantiles)),
             *(("note", note) for note in self.notes),
             ("said", self.label),

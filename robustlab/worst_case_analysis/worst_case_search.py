@@ -41,21 +41,13 @@ ROUNDING = 1e-11  # largest relative change of a score by rounding
 
 @dataclass(frozen=True)
 class WorstResponse(Evidence):
-    """The response of one output, nominal and of the worst member.
+    """The response of one output, nominal and of the worst member."""
 
-    Attributes
-    ----------
-    t
-        Times in s, shape (n_t,).
-    nominal, worst
-        The output, (n_t,).
-    output, unit
-        Its name and unit.
-    """
-
-    t: Array
+    t: Array  # times in s, shape (n_t,)
+    # nominal, worst: the output, (n_t,)
     nominal: Array
     worst: Array
+    # output, unit: its name and unit
     output: str
     unit: str
 
@@ -233,44 +225,40 @@ def worst_case(
         if not is_count(count, least):
             raise InputError("worst_case", f"{name} is {count!r}", f"a whole number, at least {least}")
     with one_thread():
-        search = _Search(make_metric(uncertain, request), budget)
+        metric = make_metric(uncertain, request)
+        search = _Search(metric, budget)
         theta, score = search.run(int(n), int(seed))
-        return _result(uncertain, request, search, theta, search.metric.sense * score, int(seed))
-
-
-def _result(
-    uncertain: UncertainModel, request: MetricRequest, search: _Search, theta: Array, found: float, seed: int
-) -> WorstCase:
-    metric = search.metric
-    delta = delta_values(uncertain.blocks, metric.set.deltas(theta[None])[0])
-    evaluation = metric.evaluate(delta)
-    value = evaluation.value
-    status = Status.CONVERGED if evaluation.accurate and metric.agrees(found, value) else Status.INACCURATE
+        delta = delta_values(uncertain.blocks, metric.set.deltas(theta[None])[0])
+        again, nominal = metric.evaluate(delta), metric.evaluate({})
+        abscissa = float(MemberSet(uncertain).members(theta[None]).spectral_abscissa()[0])
+        response = _response(metric, delta)
+    found = metric.sense * score
+    status = Status.CONVERGED if again.accurate and metric.agrees(found, again.value) else Status.INACCURATE
     if search.ended:
-        status = Status.TIMEOUT if search.budget.struck else Status.INCONCLUSIVE
-    why = f": {evaluation.reason}" if evaluation.reason else ""
+        status = Status.TIMEOUT if budget.struck else Status.INCONCLUSIVE
     label = LABEL_SMALLEST if metric.sense < 0 else LABEL
-    label = label if np.isfinite(value) else f"{UNBOUNDED}{why}"
-    remark = [search.budget.remark] if search.ended and search.budget.remark else []
+    if not np.isfinite(again.value):
+        label = f"{UNBOUNDED}: {again.reason}" if again.reason else UNBOUNDED
+    remark = [budget.remark] if search.ended and budget.remark else []
     return WorstCase(
-        value,
+        again.value,
         delta,
         request.name,
-        metric.evaluate({}).value,
+        nominal.value,
         status,
         "; ".join([label, *remark, *uncertain.remarks]),
         search.evaluations,
         uncertain.physical(delta),
-        evaluation.at,
+        again.at,
         metric.location,
         found,
         metric.unit,
         request.input,
         request.output,
-        float(MemberSet(uncertain).members(theta[None]).spectral_abscissa()[0]),
-        seed,
+        abscissa,
+        int(seed),
         search.gradients,
-        _response(metric, delta),
+        response,
     )
 
 
@@ -278,10 +266,10 @@ def _response(metric: Metric, delta: Mapping[str, Any]) -> WorstResponse | None:
     if not isinstance(metric, TimeMetric):
         return None
     try:
-        nominal, worst = (metric.response(values) for values in ({}, delta))
+        nominal, worst = (metric.response(metric.uncertain.evaluate(values)) for values in ({}, delta))
     except NoTrustworthyNumber:
         return None
-    return WorstResponse(metric.clock, nominal, worst, *metric.uncertain.outputs[0])
+    return WorstResponse(metric.drive.t, nominal, worst, *metric.uncertain.outputs[0])
 
 
 # --- the search ------------------------------------------------------------------------------------------------------

@@ -190,13 +190,14 @@ def _onward(model: MotionResponse, x: Array, first: int, last: int) -> tuple[Arr
         return run(x, first, last), ""
     except NoTrustworthyNumber:
         pass  # the sample and the reason are found sample by sample below
-    states: list[Array] = []
+    states, reason = [x], ""
     for k in range(first, last):
         try:
-            states.append(run(states[-1] if states else x, k, k + 1)[0])
+            states.append(run(states[-1], k, k + 1)[0])
         except NoTrustworthyNumber as end:
-            return np.array(states).reshape(len(states), len(x)), end.found
-    return np.array(states), ""
+            reason = end.found
+            break
+    return np.array(states)[1:], reason
 
 
 def linearisation(model: MotionResponse, windows: WindowedSimulation, names: Sequence[str]) -> Linearisation:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array, ComplexArray
-from robustlab.errors import InputError
+from robustlab.dynamics.simulation import transition
 from robustlab.identification.comparison.error_analysis import bin_index, log_bands, uniform_samples, welch_segments
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.result import Evidence
@@ -60,10 +60,10 @@ class BestLinearApproximation(Evidence):
         """Return the model error per band, and the medians of coherence, noise and distortion over the response."""
         part = bin_index(self.frequency, self.bands)
         size = np.abs(self.response)
-        relative = {
-            name: None if s is None else self._medians(np.divide(s, size, out=np.zeros_like(s), where=size > 0))
-            for name, s in (("noise", self.noise_std), ("nonlinear", self.nonlinear_std), ("std", self.std))
-        }
+
+        def relative(s: Array | None) -> list[float | None] | None:
+            return None if s is None else self._medians(np.divide(s, size, out=np.zeros_like(s), where=size > 0))
+
         return {
             "method": self.method,
             "bands": self.bands,
@@ -71,9 +71,9 @@ class BestLinearApproximation(Evidence):
             "relative_error": list(self.relative_error),
             "outside": list(self.outside),
             "coherence": self.band_coherence(),
-            "relative_std": relative["std"],
-            "relative_noise": relative["noise"],
-            "relative_nonlinear": relative["nonlinear"],
+            "relative_std": relative(self.std),
+            "relative_noise": relative(self.noise_std),
+            "relative_nonlinear": relative(self.nonlinear_std),
             "notes": list(self.notes),
         }
 
@@ -97,8 +97,6 @@ def periodic_bla(
 ) -> BestLinearApproximation | None:
     """Estimate the best linear approximation from whole periods in steady state, u and y (count, n)."""
     u, y = (np.asarray(x, dtype=np.float64) for x in (u, y))
-    if u.shape != y.shape or u.ndim != 2 or len(u) < 2:
-        raise InputError("periodic_bla", f"shapes {u.shape} and {y.shape}", "equal, at least two periods")
     count, n = u.shape
     lines = np.arange(1, (n + 1) // 2) if lines is None else np.asarray(lines)
     U, Y = (np.fft.rfft(x, axis=1)[:, lines] / n for x in (u, y))
@@ -143,16 +141,10 @@ def arbitrary_bla(
     segment, averages = welch_segments(len(y))
     if not names or averages < len(names) + 1 or segment < 8:
         return {}
-    options: dict[str, Any] = {
-        "fs": 1.0 / dt,
-        "window": "hann",
-        "nperseg": segment,
-        "noverlap": segment // 2,
-        "detrend": "constant",
-    }
+    options: dict[str, Any] = {"fs": 1.0 / dt, "nperseg": segment, "noverlap": segment // 2}
 
     def cross(a: Array, b: Array) -> tuple[Array, ComplexArray]:
-        f, s = csd(a, b, **options)  # conj(A) B
+        f, s = csd(a, b, window="hann", detrend="constant", **options)  # conj(A) B
         return np.asarray(f, dtype=np.float64), np.asarray(s, dtype=np.complex128)
 
     f, of_y = cross(y, y)
@@ -186,13 +178,8 @@ def held_response(model: StateSpaceModel, f: Array, dt: float) -> ComplexArray:
     omega = 2.0 * np.pi * np.asarray(f, dtype=np.float64)
     if model.is_discrete or not model.n_states:
         return frequency_response(model, omega)
-    from scipy.linalg import expm
-
-    n, m = model.n_states, model.n_inputs
-    block = np.zeros((n + m, n + m))
-    block[:n, :n], block[:n, n:] = model.A * dt, model.B * dt
-    step = np.asarray(expm(block), dtype=np.float64)
-    held = StateSpaceModel(step[:n, :n], step[:n, n:], model.C, model.D, dt=dt)
+    phi, gamma, _ = transition(model, dt)
+    held = StateSpaceModel(phi, gamma, model.C, model.D, dt=dt)
     return frequency_response(held, omega)
 
 
@@ -228,15 +215,15 @@ def _with_bands(
     bands = log_bands(f[0], f[-1])
     part = bin_index(f, bands)
     error = np.abs(model - response) ** 2
+    size = np.abs(response) ** 2
+    # Rounding is no disagreement.
+    missed = error > circle * variance + 1e-18 * size
     relative: list[float | None] = []
     outside: list[float | None] = []
-    for k in range(len(bands) - 1):
-        inside = part == k
-        size = float((np.abs(response[inside]) ** 2).sum())
-        relative.append(float(np.sqrt(error[inside].sum() / size)) if size else None)
-        # Rounding is no disagreement.
-        limit = circle * variance[inside] + (1e-9 * np.abs(response[inside])) ** 2
-        outside.append(float(np.mean(error[inside] > limit)) if inside.any() else None)
+    for inside in (part == k for k in range(len(bands) - 1)):
+        total = float(size[inside].sum())
+        relative.append(float(np.sqrt(error[inside].sum() / total)) if total else None)
+        outside.append(float(np.mean(missed[inside])) if inside.any() else None)
     return BestLinearApproximation(
         method, f, response, np.sqrt(variance), noise_std, nonlinear_std, coherence, model, bands,
         tuple(relative), tuple(outside), notes,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -35,13 +35,13 @@ from robustlab.identification.comparison.error_analysis import (
     FreeRun,
     Linearisation,
     Motion,
+    NoiseGap,
+    OutputGap,
     even_odd_test,
     excitation,
     kept,
     localised,
     motion_of,
-    noise_gaps,
-    noise_of,
     samples_of,
 )
 from robustlab.identification.comparison.input_disturbance import (
@@ -49,7 +49,7 @@ from robustlab.identification.comparison.input_disturbance import (
     input_disturbances,
     joint_disturbances,
 )
-from robustlab.identification.comparison.repeats import NoiseFloor
+from robustlab.identification.comparison.repeats import NoiseFloor, noise_floor
 from robustlab.identification.comparison.residual_tests import judged_lines
 from robustlab.identification.data_checks.suitability import channel_warnings
 from robustlab.identification.greybox.prepared_record import window_length
@@ -58,7 +58,6 @@ from robustlab.identification.response.response import Response, Stretch, respon
 from robustlab.identification.response.windowed_simulation import (
     InitialState,
     LinearResponse,
-    WindowedSimulation,
     starting_state,
     window_edges,
     windowed_simulation,
@@ -161,18 +160,32 @@ def compare(
     if isinstance(model, MotionResponse):
         run, free = free_run(model, initial.x0, outputs)
     else:
-        run, free = _free_run(model.response, whole, record, initial)
-    motions, of_joints = _motions(matching, speed, position, length)
+        run, free = FreeRun(float(record.t[-1]), ""), model.response.simulate(whole.t, whole.u, initial.x0)
+        if np.abs(free).max() > LARGEST_OUTPUT:
+            hint = "compare a shorter stretch (Record.between)"
+            raise NoTrustworthyNumber(f"compare {record.name}", "the free run overflows", "a stable model", hint)
+    if isinstance(model, MotionResponse) and not (speed or position):
+        motions, of_joints = motions_of_outputs(model, record), motions_of_joints(model, record)
+    else:
+        of_joints = [motion_of(record, speed, position, length)]
+        motions = dict.fromkeys(outputs, of_joints[0])
     whole_run, lags = free if run.whole else None, min(lags, record.n // 4)
     found = localised(whole, matching.outputs, whole_run, windows, motions, _sizes(matching), lags)
     others = [_matching(plant, other) for other in repeats]
-    noise, noise_reason = noise_of(record, tuple(other.record for other in others), outputs, period)
-    rms = {name: (gap.rms, gap.windowed_rms) for name, gap in found["outputs"].items()}
-    errors = _errors_of_repeats(noise, matching, others, length) if noise else None
+    noise, noise_reason = None, ""
+    try:
+        noise = noise_floor(record, period=period, repeats=tuple(other.record for other in others), outputs=outputs)
+    except NoTrustworthyNumber as none:
+        noise_reason = f"{none.found}; {none.hint}" if none.hint else none.found
     linear, linear_reason = {}, "not defined for a nonlinear plant"
     if not isinstance(model, MotionResponse):
         linear, linear_reason = _linear(record, model.response, whole, noise)
     error = whole.y - windows.y
+    disturbance: dict[str, InputDisturbance] = {}
+    if isinstance(model, LinearResponse):
+        disturbance = input_disturbances(plant, model, error, windows.edges, of_joints[0])
+    elif matching.smoothed:
+        disturbance = joint_disturbances(model, matching.smoothed, error, windows.edges, of_joints)
     checked = linearisation(along, windows, outputs) if along else None
     compared = Comparison(
         status=Status.CONVERGED,
@@ -185,7 +198,7 @@ def compare(
         simulated=kept(record, inputs, outputs, free, f"{record.name} (free run)") if len(free) > 1 else None,
         windowed=kept(record, inputs, outputs, windows.y, f"{record.name} (windowed simulation)"),
         recursive={name: windows.residual[:, k] for k, name in enumerate(outputs)},
-        disturbance=_disturbances(plant, matching, error, windows, of_joints),
+        disturbance=disturbance,
         warnings=(
             *matching.warnings,
             *channel_warnings(record, tuple(inputs), tuple(outputs)),
@@ -193,7 +206,7 @@ def compare(
         ),
         noise=noise,
         noise_reason=noise_reason,
-        against_noise=noise_gaps(outputs, errors, noise, rms) if noise and errors is not None else {},
+        against_noise=_against_noise(noise, matching, others, length, found["outputs"]) if noise else {},
         linear=linear,
         linear_reason=linear_reason,
         nonlinearity=even_odd_test(record, inputs, outputs, noise),
@@ -216,33 +229,6 @@ def _matching(plant: Any, record: Record) -> Matching:
     return Matching(model, record, list(response.model.input_names), response.outputs, response.warnings)
 
 
-def _free_run(response: Response, whole: Stretch, record: Record, initial: InitialState) -> tuple[FreeRun, Array]:
-    free = response.simulate(whole.t, whole.u, initial.x0)
-    if np.abs(free).max() > LARGEST_OUTPUT:
-        hint = "compare a shorter stretch (Record.between)"
-        raise NoTrustworthyNumber(f"compare {record.name}", "the free run overflows", "a stable model", hint)
-    return FreeRun(float(record.t[-1]), ""), free
-
-
-def _motions(
-    matching: Matching, speed: str | None, position: str | None, length: int
-) -> tuple[dict[str, Motion], list[Motion]]:
-    """Return the motion by output, and by joint (one for all where they share it)."""
-    if isinstance(matching.model, MotionResponse) and not (speed or position):
-        return motions_of_outputs(matching.model, matching.record), motions_of_joints(matching.model, matching.record)
-    motion = motion_of(matching.record, speed, position, length)
-    return dict.fromkeys((s.name for s in matching.outputs), motion), [motion]
-
-
-def _disturbances(
-    plant: Any, matching: Matching, error: Array, windows: WindowedSimulation, motions: Sequence[Motion]
-) -> dict[str, InputDisturbance]:
-    model = matching.model
-    if isinstance(model, LinearResponse):
-        return input_disturbances(plant, model, error, windows.edges, motions[0])
-    return joint_disturbances(model, matching.smoothed, error, windows.edges, motions) if matching.smoothed else {}
-
-
 def _sizes(matching: Matching) -> dict[str, Array]:
     """Return |deviation from the operating point| (n,) of each moving input; for a nonlinear plant of a single one."""
     moving = {name: x for name, x in matching.model.whole.u.items() if np.ptp(x)}
@@ -253,8 +239,10 @@ def _sizes(matching: Matching) -> dict[str, Array]:
     return {name: np.abs(x - offset.get(name, 0.0)) for name, x in moving.items()}
 
 
-def _errors_of_repeats(floor: NoiseFloor, matching: Matching, others: Sequence[Matching], length: int) -> Array:
-    """Compute measured minus windowed simulation of the repeats of a noise floor at equal phases, (count, n, n_y)."""
+def _against_noise(
+    floor: NoiseFloor, matching: Matching, others: Sequence[Matching], length: int, gaps: Mapping[str, OutputGap]
+) -> dict[str, NoiseGap]:
+    """Compare the errors of every output with the noise floor, with windows at the same phases of every repeat."""
     n, errors = floor.samples, []
     parts = [(one, 0) for one in (matching, *others)]
     if floor.source == "periods":
@@ -262,7 +250,12 @@ def _errors_of_repeats(floor: NoiseFloor, matching: Matching, others: Sequence[M
     for one, first in parts:
         windows = windowed_simulation(one.model, first + window_edges(n, length))
         errors.append((one.model.whole.y - windows.y)[first : first + n])
-    return np.stack(errors)
+    found: dict[str, NoiseGap] = {}
+    for k, (name, gap) in enumerate(gaps.items()):
+        std = floor.std[name]
+        free, windowed = (100.0 * rms / std if std else None for rms in (gap.rms, gap.windowed_rms))
+        found[name] = NoiseGap(std, free, windowed, floor.excess(np.stack([e[:, k] for e in errors])))
+    return found
 
 
 def _linear(

@@ -181,23 +181,18 @@ class Comparison(Tabular, Evidence):
 
     def headline(self) -> str:
         """Report the output with the largest error, in free run where that is complete, else in windows."""
-        if self.free_run.whole:
-            most = max(self.outputs.values(), key=lambda gap: gap.rms_percent)
-            size, how = most.rms_percent, "in free run"
-            when = f"most at {number(most.peak_time, 's', 3)}"
+        free, gaps = self.free_run, self.outputs.values()
+        if free.whole:
+            most = max(gaps, key=lambda gap: gap.rms_percent)
+            size, how, when = most.rms_percent, "in free run", f"most at {number(most.peak_time, 's', 3)}"
         else:
-            most = max(self.outputs.values(), key=lambda gap: gap.windowed_rms_percent)
+            most = max(gaps, key=lambda gap: gap.windowed_rms_percent)
             size, how = most.windowed_rms_percent, f"in windows of {number(self.window, 's', 3)}"
-            when = f"the free run ends at {number(self.free_run.end, 's', 3)}"
+            when = f"the free run ends at {number(free.end, 's', 3)}"
         return f"against {self.record}: {how} {most.name} is off by {size:.3g} % of its range (rms); {when}"
 
     def facts(self) -> Facts:
-        gaps = [
-            (f"{name}: in windows", _errors(
-                g.unit, g.windowed_peak, g.windowed_peak_percent, g.windowed_rms, g.windowed_rms_percent, g.windowed_fit
-            ))
-            for name, g in self.outputs.items()
-        ]  # fmt: skip
+        gaps = [(f"{name}: in windows", _errors(g, "windowed_")) for name, g in self.outputs.items()]
         end = "" if self.free_run.whole else f"ends at {number(self.free_run.end, 's')}: {self.free_run.reason}"
         return [
             ("model", self.model),
@@ -221,7 +216,7 @@ class Comparison(Tabular, Evidence):
 
     def _more(self, name: str) -> Facts:
         g, motion = self.outputs[name], self.motions[name]
-        free = _errors(g.unit, g.peak, g.peak_percent, g.rms, g.rms_percent, g.fit) if self.free_run.whole else ""
+        free = _errors(g, "") if self.free_run.whole else ""
         places = ["{:.3g} to {:.3g} s".format(*self.worst_window[name])]
         for bins, over, unit in (
             (self.speed.get(name), "of speed", motion.speed_unit),
@@ -241,11 +236,9 @@ class Comparison(Tabular, Evidence):
         """Report the windowed error in multiples of the noise: of the repeats, else of the sensor's scatter."""
         g, gap, scatter = self.outputs[name], self.against_noise.get(name), self.sensor_noise.get(name)
         if gap is None:
-            return (
-                f"{number(scatter, g.unit, 3)}; the windowed error is {g.windowed_rms / scatter:.3g} times that"
-                if scatter
-                else ""
-            )
+            if not scatter:
+                return ""
+            return f"{number(scatter, g.unit, 3)}; the windowed error is {g.windowed_rms / scatter:.3g} times that"
         e = gap.excess
         if gap.windowed_rms_percent is None or e.F is None:
             return "none: the repeats are equal to the last bit"
@@ -260,9 +253,8 @@ class Comparison(Tabular, Evidence):
         left = sorted((u for u, test in r.inputs.items() if test.p_value < 0.01), key=lambda u: r.inputs[u].p_value)
         white = "white" if r.whiteness.p_value >= 0.01 else "not white"
         share = f"{100 * r.whiteness.predictable_share:.1f} % of its variance is predictable from its past"
-        return f"{white} (p {_p(r.whiteness.p_value)}), {share}; " + (
-            f"{listed(left)} still in it" if left else "independent of the inputs"
-        )
+        rest = f"{listed(left)} still in it" if left else "independent of the inputs"
+        return f"{white} (p {_p(r.whiteness.p_value)}), {share}; {rest}"
 
     def _linear_in_words(self) -> str:
         found = self.linearisation
@@ -276,8 +268,9 @@ class Comparison(Tabular, Evidence):
         n = self.noise
         if n is None:
             return f"none ({self.noise_reason})"
-        alike = f"{n.count} records with the same input"
-        what = alike if n.period is None else f"{n.count} periods of {n.period:.6g} s ({n.signal or 'stated'})"
+        what = f"{n.count} records with the same input"
+        if n.period is not None:
+            what = f"{n.count} periods of {n.period:.6g} s ({n.signal or 'stated'})"
         spread = ", ".join(number(v, self.measured.units.get(u, ""), 3) + f" at {u}" for u, v in n.input_std.items())
         return "; ".join([f"from {what}", *([f"fed back by a controller: {spread}"] if spread else []), *n.notes])
 
@@ -367,9 +360,12 @@ class Comparison(Tabular, Evidence):
         return {key: next(iter(by.values())) if alike else by for key, by in by_output.items()}
 
 
-def _errors(unit: str, peak: float, peak_percent: float, rms: float, rms_percent: float, fit: float) -> str:
-    peak_text = f"peak {number(peak, unit, 3)} ({peak_percent:.3g} % of the range)"
-    return f"{peak_text}, rms {number(rms, unit, 3)} ({rms_percent:.3g} %), fit {fit:.4g} %"
+def _errors(gap: OutputGap, of: str) -> str:
+    peak, peak_percent, rms, rms_percent, fit = (
+        float(getattr(gap, of + key)) for key in ("peak", "peak_percent", "rms", "rms_percent", "fit")
+    )
+    peak_text = f"peak {number(peak, gap.unit, 3)} ({peak_percent:.3g} % of the range)"
+    return f"{peak_text}, rms {number(rms, gap.unit, 3)} ({rms_percent:.3g} %), fit {fit:.4g} %"
 
 
 def _p(p_value: float) -> str:

@@ -132,13 +132,13 @@ def cover(
 ) -> EnvelopeCoverage:
     """Simulate members of an uncertain model with the inputs of a record, and check whether they enclose the record.
 
+    The initial state of all members is fitted to the first 20 samples with the nominal model. A miss is a result, not
+    an error (Březina 2010, sections 11.1-11.3).
+
     Parameters
     ----------
-    uncertain
-        The set; all its inputs must be recorded, at least one of its outputs, and its Delta must be real.
-    record
-        The measurement, on a uniform time base. The initial state of all members is fitted to its first 20
-        samples with the nominal model.
+    uncertain, record
+        The set, whose Delta must be real, and a measurement on a uniform time base of all its inputs and of an output.
     n, vertices, seed
         Members, as in `robustlab.sample`.
     rate
@@ -147,29 +147,20 @@ def cover(
     allowance
         Output name -> error bound of its sensor (noise, resolution), in the output's unit; default 0. For a rate it is
         twice that over ``rate``.
-
-    Returns
-    -------
-    EnvelopeCoverage
-        A miss is a result, not an error.
-
-    Raises
-    ------
-    InputError
-        Signals that do not fit, complex blocks, a nonuniform time base, an allowance for an unknown output or
-        below 0, a rate over less than a sample or more than a quarter of the record.
-    NoTrustworthyNumber
-        A member exceeds double precision.
-
-    References
-    ----------
-    Březina 2010, sections 11.1-11.3.
     """
     require_linear_set("cover", uncertain)
     response = response_of(uncertain.nominal, record)
     names = response.output_names
-    allowed = _allowances(allowance or {}, names, record.name)
-    lag = None if rate is None else _lag(rate, record)
+    for name, value in (allowance or {}).items():
+        where = f"cover {record.name}: allowance of {name!r}"
+        if name not in names:
+            raise unknown_name(where, "no such compared output", name, names)
+        checks.number(where, value, "a number that is not negative", at_least=0)
+    allowed = {**dict.fromkeys(names, 0.0), **(allowance or {})}
+    lag = 0 if rate is None or not np.isfinite(rate) else round(rate / record.dt)
+    if rate is not None and not 1 <= lag <= record.n // 4:
+        span = f"between {record.dt:.6g} and {record.duration / 4:.6g} s"
+        raise InputError(f"cover {record.name}", f"rate over {rate:g} s", span)
     shifted, offset = deviations(response.with_units(record), uncertain, names)
     chosen = uncertain.select(outputs=names)
     nominal = response_of(chosen.nominal, shifted)
@@ -183,8 +174,8 @@ def cover(
     signals: dict[str, SignalCoverage] = {}
     for k, (name, unit) in enumerate(response.outputs):
         measured, centre, members = record.outputs[name], found.nominal[:, k] + offset[k], found.y[:, :, k] + offset[k]
-        signals[name] = _coverage(name, unit, record.t, measured, centre, members, allowed[name])
-        if lag is not None:
+        signals[name] = _coverage(name, unit, record.t, measured, centre, members, float(allowed[name]))
+        if lag:
             seconds = lag * record.dt
             middle = 0.5 * (record.t[lag:] + record.t[:-lag])
             rate_y, rate_0, rate_k = ((y[..., lag:] - y[..., :-lag]) / seconds for y in (measured, centre, members))
@@ -210,34 +201,29 @@ def _coverage(
     upper = np.maximum(members.max(axis=0), nominal)
     outside = np.maximum(np.maximum(lower - measured, measured - upper) - allowance, 0.0)
     size = float(np.abs(measured - measured[0]).max())
-    gap = float(np.abs(measured - nominal).max())
-    reach = float(np.maximum(upper - nominal, nominal - lower).max())
     worst = int(outside.argmax())
     miss = float(outside[worst])
-    side: Literal["", "above", "below"] = "" if miss == 0 else "above" if measured[worst] > upper[worst] else "below"
-
-    def percent(value: float) -> float:
-        return 100.0 * value / size if size else np.nan
-
+    far = {
+        "miss": miss,
+        "gap": float(np.abs(measured - nominal).max()),
+        "reach": float(np.maximum(upper - nominal, nominal - lower).max()),
+    }
+    percent = {f"{key}_percent": 100.0 * value / size if size else np.nan for key, value in far.items()}
     return SignalCoverage(
         name=name,
         unit=unit,
         size=size,
         share=float(np.mean(outside == 0)),
-        miss=miss,
-        miss_percent=percent(miss),
         miss_time=float(t[worst]) if miss else np.nan,
-        miss_side=side,
-        gap=gap,
-        gap_percent=percent(gap),
-        reach=reach,
-        reach_percent=percent(reach),
+        miss_side="" if miss == 0 else "above" if measured[worst] > upper[worst] else "below",
         allowance=allowance,
         t=t,
         measured=measured,
         nominal=nominal,
         lower=lower,
         upper=upper,
+        **far,
+        **percent,
     )
 
 
@@ -252,19 +238,3 @@ def deviations(record: Record, uncertain: UncertainModel, names: tuple[str, ...]
     outputs = {name: record.outputs[name] - at_y[name] for name in names}
     units = {name: record.units[name] for name in (*inputs, *outputs)}
     return Record(record.t, inputs, outputs, units, record.name), np.array([at_y[name] for name in names])
-
-
-def _lag(rate: float, record: Record) -> int:
-    lag = round(rate / record.dt) if np.isfinite(rate) else 0
-    if not 1 <= lag <= record.n // 4:
-        span = f"between {record.dt:.6g} and {record.duration / 4:.6g} s"
-        raise InputError(f"cover {record.name}", f"rate over {rate:g} s", span)
-    return lag
-
-
-def _allowances(given: Mapping[str, float], names: tuple[str, ...], record: str) -> dict[str, float]:
-    for name, value in given.items():
-        if name not in names:
-            raise unknown_name(f"cover {record}: allowance of {name!r}", "no such compared output", name, names)
-        checks.number(f"cover {record}: allowance of {name!r}", value, "a number that is not negative", at_least=0)
-    return {name: float(given.get(name, 0.0)) for name in names}

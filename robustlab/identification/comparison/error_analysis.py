@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array
-from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.identification.comparison.repeats import Excess, NoiseFloor, noise_floor
+from robustlab.errors import InputError
+from robustlab.identification.comparison.repeats import Excess, NoiseFloor
 from robustlab.identification.comparison.residual_tests import (
     EvenOdd,
     InputCorrelation,
@@ -143,9 +143,8 @@ def bins(value: Array, error: Array, edges: Array) -> tuple[Bin, ...]:
 
 def directions(speed: Array, error: Array) -> dict[str, Bin]:
     """Sort an error (n,) by the direction of the speed (n,): ``"backward"``, ``"rest"``, ``"forward"``."""
-    top = float(np.abs(speed).max())
-    return dict(zip(("backward", "rest", "forward"), bins(speed, error, top * np.array([-1.0, -REST, REST, 1.0])),
-                    strict=True))  # fmt: skip
+    edges = float(np.abs(speed).max()) * np.array([-1.0, -REST, REST, 1.0])
+    return dict(zip(("backward", "rest", "forward"), bins(speed, error, edges), strict=True))
 
 
 def uniform_samples(t: Array, *signals: Array) -> tuple[float, list[Array]]:
@@ -216,28 +215,11 @@ class NoiseGap(Evidence):
     excess: Excess
 
 
-def noise_gaps(
-    outputs: Sequence[str], errors: Array, floor: NoiseFloor, rms: Mapping[str, tuple[float, float]]
-) -> dict[str, NoiseGap]:
-    """Compare the errors of every output with the noise floor.
-
-    ``errors``: measured minus windowed simulation of every repeat, cut at the same phases, (count, samples, n_y).
-    ``rms``: output name -> RMS of the free run's error (NaN where there is none) and of the windowed error.
-    """
-    result: dict[str, NoiseGap] = {}
-    for k, name in enumerate(outputs):
-        std = floor.std[name]
-        free, windowed = (100.0 * value / std if std else None for value in rms[name])
-        result[name] = NoiseGap(std, free, windowed, floor.excess(errors[:, :, k]))
-    return result
-
-
 @dataclass(frozen=True)
 class OutputGap(Evidence):
-    r"""Disagreement at one output, in its unit and in percent.
+    """Disagreement at one output, in its unit and in percent of its measured range (max - min).
 
-    Percent is of the measured range :math:`\max y - \min y` of this record. The fit is
-    :math:`100 (1 - \|y - \hat y\| / \|y - \bar y\|)` percent: 100 is perfect, 0 as good as the mean, negative worse.
+    The fit is 100 (1 - |y - y_model| / |y - mean(y)|) percent: 100 is perfect, 0 as good as the mean.
     """
 
     name: str
@@ -330,16 +312,6 @@ class Linearisation(Evidence):
         return texts
 
 
-def noise_of(
-    record: Record, others: tuple[Record, ...], outputs: Sequence[str], period: float | None
-) -> tuple[NoiseFloor | None, str]:
-    """Return the noise floor, or the reason why there is none."""
-    try:
-        return noise_floor(record, period=period, repeats=others, outputs=outputs), ""
-    except NoTrustworthyNumber as none:
-        return None, f"{none.found}; {none.hint}" if none.hint else none.found
-
-
 def excitation(inputs: Sequence[str], noise: NoiseFloor | None) -> str | None:
     """Return the one signal whose periods excite the system: the repeating reference, else the model's input."""
     if noise is None or noise.source != "periods":
@@ -373,10 +345,8 @@ def localised(
     ``free``: the free run (n, n_y); None where it does not reach the end of the record. ``size``: input name ->
     magnitude (n,) over which the error is sorted.
     """
-    result: dict[str, dict[str, Any]] = {
-        key: {}
-        for key in ("outputs", "windows", "speed", "direction", "position", "amplitude", "frequency", "residual")
-    }
+    keys = ("outputs", "windows", "speed", "direction", "position", "amplitude", "frequency", "residual")
+    result: dict[str, dict[str, Any]] = {key: {} for key in keys}
     t, u, y = whole.t, whole.u, whole.y
     for k, (name, unit) in enumerate(outputs):
         local, motion = y[:, k] - windows.y[:, k], motions[name]
@@ -399,7 +369,7 @@ def localised(
         residual = windows.residual[:, k]
         known = residual[np.isfinite(residual)]
         rms = float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
-        against = {name_u: input_correlation(samples, residual, lags) for name_u, samples in u.items()}
+        against = {key: input_correlation(samples, residual, lags) for key, samples in u.items()}
         result["residual"][name] = ResidualTests(rms, whiteness(residual, lags), against)
     return result
 
@@ -407,12 +377,12 @@ def localised(
 def _gap(signal: Signal, t: Array, y: Array, error: Array | None, local: Array) -> OutputGap:
     spread, spread_rms = float(np.ptp(y)), float(np.sqrt(np.mean((y - y.mean()) ** 2)))
 
+    # Percentages are undefined if the spread or its square vanishes in floating point.
+    percent = 100.0 / spread if spread_rms else np.nan
+
     def sizes(e: Array) -> tuple[float, float, float, float, float]:
         peak, rms = float(np.abs(e).max()), float(np.sqrt(np.mean(e**2)))
-        # Percentages are undefined if the spread or its square vanishes in floating point.
-        percent = 100.0 / spread if spread_rms else np.nan
-        fit = 100.0 * (1.0 - rms / spread_rms) if spread_rms else np.nan
-        return peak, rms, peak * percent, rms * percent, fit
+        return peak, rms, peak * percent, rms * percent, 100.0 * (1.0 - rms / spread_rms) if spread_rms else np.nan
 
     none = (np.nan, np.nan, np.nan, np.nan, np.nan)
     free = none if error is None else sizes(error)
@@ -431,9 +401,8 @@ def _window_errors(t: Array, error: Array | None, local: Array, edges: NDArray[n
 def samples_of(what: str, seconds: float, record: Record) -> int:
     """Convert a stated length of time to samples."""
     if not np.isfinite(seconds) or not 2 * record.dt <= seconds <= record.duration + record.dt:
-        raise InputError(
-            f"compare {record.name}: {what}", f"{seconds:g} s", f"{2 * record.dt:g} s to {record.duration:g} s"
-        )
+        expected = f"{2 * record.dt:g} s to {record.duration:g} s"
+        raise InputError(f"compare {record.name}: {what}", f"{seconds:g} s", expected)
     return round(seconds / record.dt)
 
 

@@ -5,7 +5,7 @@ Noise is coloured and changes along the period: Satterthwaite's rule gives the e
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import lcm
 
@@ -132,7 +132,7 @@ def noise_floor(
     count = record.n // samples
     first = record.n - count * samples
     stacked = {name: x[first:].reshape(count, samples) for name, x in (*record.inputs.items(), *record.outputs.items())}
-    _require_alike(record, {name: stacked[name] for name in record.inputs}, f"a period of {samples * record.dt:.6g} s")
+    _require_alike(record, stacked, f"a period of {samples * record.dt:.6g} s")
     skipped = _transient([stacked[name] for name in names])
     notes = []
     if skipped:
@@ -140,9 +140,8 @@ def noise_floor(
     elif count == 2 and first < samples // 2:
         notes.append("two periods only: a transient at the start would count as noise")
     stacked = {name: x[skipped:] for name, x in stacked.items()}
-    return _floor(
-        "periods", signal, samples * record.dt, first + skipped * samples, stacked, names, list(record.inputs), notes
-    )
+    start = first + skipped * samples
+    return _floor("periods", signal, samples * record.dt, start, stacked, names, record.inputs, notes)
 
 
 def period_of(samples: ArrayLike, tolerance: float | None = None) -> int | None:
@@ -236,9 +235,7 @@ def _found_period(record: Record, names: list[str]) -> tuple[int, str]:
             where, f"the common period of {each} is {common * record.dt:.4g} s", "two common periods in the record"
         )
     still = [
-        name
-        for name, x in record.inputs.items()
-        if name not in found and not _alike(x[record.n % common :].reshape(-1, common))
+        n for n, x in record.inputs.items() if n not in found and not _alike(x[record.n % common :].reshape(-1, common))
     ]
     if still:
         raise NoTrustworthyNumber(where, f"{signal} repeats, input {', '.join(still)} does not", "one common period")
@@ -247,20 +244,14 @@ def _found_period(record: Record, names: list[str]) -> tuple[int, str]:
 
 def _stated_period(record: Record, period: float) -> int:
     where = f"noise floor of {record.name}: period"
-    longest = record.n * record.dt / 2
-    if not np.isfinite(period) or not SHORTEST_PERIOD * record.dt * (1 - 1e-9) <= period <= longest * (1 + 1e-9):
-        raise InputError(
-            where, f"{period:g} s", f"{SHORTEST_PERIOD * record.dt:.4g} s to half the record, {longest:.6g} s"
-        )
+    shortest, longest = SHORTEST_PERIOD * record.dt, record.n * record.dt / 2
+    if not np.isfinite(period) or not shortest * (1 - 1e-9) <= period <= longest * (1 + 1e-9):
+        raise InputError(where, f"{period:g} s", f"{shortest:.4g} s to half the record, {longest:.6g} s")
     samples = round(period / record.dt)
     slip = abs(period / record.dt - samples) * (record.n // samples)
     if slip > 0.5:
-        raise InputError(
-            where,
-            f"{period:g} s is {period / record.dt:.4f} samples",
-            "a whole number of samples",
-            "resample the record to a fraction of the period",
-        )
+        hint = "resample the record to a fraction of the period"
+        raise InputError(where, f"{period:g} s is {period / record.dt:.4f} samples", "a whole number of samples", hint)
     return samples
 
 
@@ -270,14 +261,11 @@ def _alike(stacked: Array) -> bool:
     return spread <= ROUGHLY * float(stacked.std())
 
 
-def _require_alike(record: Record, inputs: Mapping[str, Array], what: str) -> None:
-    for name, x in inputs.items():
-        if not _alike(x):
-            raise InputError(
-                f"noise floor of {record.name}: {name}",
-                f"does not repeat with {what}",
-                "the same input in every repeat (to 10 % in closed loop)",
-            )
+def _require_alike(record: Record, stacked: Mapping[str, Array], what: str) -> None:
+    for name in record.inputs:
+        if not _alike(stacked[name]):
+            expected = "the same input in every repeat (to 10 % in closed loop)"
+            raise InputError(f"noise floor of {record.name}: {name}", f"does not repeat with {what}", expected)
 
 
 def _transient(outputs: Sequence[Array]) -> int:
@@ -315,12 +303,11 @@ def _drifts(x: Array) -> bool:
 def _spread(x: Array) -> tuple[float, float]:
     """Estimate the standard deviation of the noise in a sample, and of the level of a drifting output."""
     count, n = x.shape
-    deviation = x - x.mean(axis=0)
-    if not _drifts(x):
-        return float(np.sqrt((deviation**2).sum() / ((count - 1) * n))), 0.0
-    level = x.mean(axis=1)
-    deviation = deviation - (level - level.mean())[:, None]
-    return float(np.sqrt((deviation**2).sum() / ((count - 1) * (n - 1)))), float(level.std(ddof=1))
+    level, deviation, drifts = x.mean(axis=1), x - x.mean(axis=0), _drifts(x)
+    if drifts:
+        deviation = deviation - (level - level.mean())[:, None]
+    std = float(np.sqrt((deviation**2).sum() / ((count - 1) * (n - drifts))))
+    return std, float(level.std(ddof=1)) if drifts else 0.0
 
 
 def _floor(
@@ -330,12 +317,11 @@ def _floor(
     first: int,
     stacked: Mapping[str, Array],
     outputs: list[str],
-    inputs: list[str],
+    inputs: Iterable[str],
     notes: list[str],
 ) -> NoiseFloor:
     found = {name: _spread(stacked[name]) for name in outputs}
-    drifting = [name for name in outputs if found[name][1]]
-    if drifting:
+    if drifting := [name for name, (_, level) in found.items() if level]:
         notes.append(
             f"{', '.join(drifting)} drifts from repeat to repeat: its level was removed, noise slower than a repeat "
             "is not in the floor"
@@ -343,31 +329,23 @@ def _floor(
     spreads = {name: _spread(stacked[name])[0] for name in inputs if np.ptp(stacked[name])}
     spreads = {name: s for name, s in spreads.items() if s > EXACT * float(np.ptp(stacked[name]))}
     count, samples = next(iter(stacked.values())).shape
-    std = {name: s for name, (s, _) in found.items()}
-    level = {name: s for name, (_, s) in found.items()}
+    std, level = ({name: pair[k] for name, pair in found.items()} for k in (0, 1))
     return NoiseFloor(source, signal, period, samples, count, first, std, level, spreads, tuple(notes))
 
 
 def _from_records(record: Record, repeats: Sequence[Record], outputs: list[str]) -> NoiseFloor:
     """Estimate the noise floor from records with the same input, cut to the shortest."""
-    n = min(r.n for r in (record, *repeats))
-    stacked: dict[str, Array] = {}
+    n, names = min(r.n for r in (record, *repeats)), (*record.inputs, *outputs)
     for number, other in enumerate(repeats, start=1):
+        where = f"repeat {number} ({other.name})"
         if abs(other.dt - record.dt) > 1e-3 * record.dt:
-            raise InputError(f"repeat {number} ({other.name})", f"sample time {other.dt:g} s", f"{record.dt:g} s")
-        missing = [name for name in (*record.inputs, *outputs) if name not in (*other.inputs, *other.outputs)]
-        if missing:
-            raise InputError(
-                f"repeat {number} ({other.name})", f"no signal {missing[0]!r}", "the signals of the record"
-            )
-    for name in (*record.inputs, *outputs):
-        stacked[name] = np.stack([r[name][:n] for r in (record, *repeats)])
+            raise InputError(where, f"sample time {other.dt:g} s", f"{record.dt:g} s")
+        if missing := [name for name in names if name not in (*other.inputs, *other.outputs)]:
+            raise InputError(where, f"no signal {missing[0]!r}", "the signals of the record")
     if n < SHORTEST_PERIOD:
         raise InputError(f"noise floor of {record.name}", f"{n} samples in common", f"at least {SHORTEST_PERIOD}")
-    _require_alike(record, {name: stacked[name] for name in record.inputs}, "the repeats")
-    exact = [
-        name
-        for name in record.inputs
-        if np.ptp(stacked[name]) > 0 and np.ptp(stacked[name], axis=0).max() <= EXACT * np.ptp(stacked[name])
-    ]
-    return _floor("repeated records", ", ".join(exact), None, 0, stacked, outputs, list(record.inputs), [])
+    stacked = {name: np.stack([r[name][:n] for r in (record, *repeats)]) for name in names}
+    _require_alike(record, stacked, "the repeats")
+    size = {name: np.ptp(stacked[name]) for name in record.inputs}
+    exact = [name for name, s in size.items() if s > 0 and np.ptp(stacked[name], axis=0).max() <= EXACT * s]
+    return _floor("repeated records", ", ".join(exact), None, 0, stacked, outputs, record.inputs, [])

@@ -23,12 +23,9 @@ NOT_EXCITED = 1e-10
 
 @dataclass(frozen=True)
 class Whiteness(Evidence):
-    r"""Autocorrelation of a residual and the Ljung-Box test.
+    """Autocorrelation of a residual, not centred, and the Ljung-Box test Q = N (N + 2) sum r_k^2 / N_k of m lags.
 
-    .. math:: Q = N (N + 2) \sum_{k=1}^{m} \frac{r_k^2}{N_k}, \qquad Q \sim \chi^2_m \text{ for a white residual}
-
-    with :math:`N_k` the number of pairs at lag k (N - k without gaps). The residual is not centred: a constant offset
-    is an error. Degrees of freedom are not reduced, as no parameter was fitted.
+    N_k is the number of pairs at lag k. Q of a white residual has m degrees of freedom, as no parameter was fitted.
     """
 
     # lags, autocorrelation: lags 0..m in samples, and r_k with r_0 = 1, shape (m + 1,)
@@ -45,13 +42,10 @@ class Whiteness(Evidence):
 
 @dataclass(frozen=True)
 class InputCorrelation(Evidence):
-    r"""Cross-correlation of one input with a residual, and the test of their independence.
+    """Cross-correlation of one input, without its mean, with a residual, and the test of their independence.
 
-    .. math:: r_k = \frac{\sum_t e_{t+k} \tilde u_t}{\sqrt{\sum e^2 \sum \tilde u^2}}, \qquad
-              Q = N_m R^2 \sim \chi^2_{rank} \text{ for a white residual independent of } u
-
-    with :math:`\tilde u` the input without its mean, and R² of the regression of e on :math:`\tilde u_t, ..., \tilde
-    u_{t-m}` at the :math:`N_m` samples that have all of these.
+    Q = N_m R^2 with the R^2 of the regression of the residual on lags 0..m of the input at the N_m samples that have
+    all of them.
     """
 
     # lags, correlation: lags -m..m in samples (positive: the residual after the input), and r_k, shape (2 m + 1,).
@@ -203,13 +197,13 @@ def even_odd(floor: NoiseFloor, excitation: Array, signals: Mapping[str, Array],
     if (excited % 2 == 0).any():
         which = "only even" if (excited % 2 == 0).all() else "both even and odd"
         return EvenOdd({}, words, f"the excitation does not allow it: {which} harmonics are excited")
+    if not (kind > 0).any():
+        return EvenOdd({}, words, "the excitation does not allow it: no line of it is quiet enough")
     reason = ""
     if not (kind == 1).any():
         reason = "the excitation does not allow a test of even nonlinearity: no even line of it is quiet enough"
     elif not (kind == 2).any():
         reason = "the excitation does not allow a test of odd nonlinearity: no odd harmonic is left out"
-    if not (kind > 0).any():
-        return EvenOdd({}, words, "the excitation does not allow it: no line of it is quiet enough")
     shares = {name: harmonic_shares(floor.periodic(x), lines, kind, dt) for name, x in signals.items()}
     return EvenOdd(shares, words, reason)
 

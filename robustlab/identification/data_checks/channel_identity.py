@@ -44,27 +44,30 @@ def turned_channels(plant: NonlinearPlant, record: Record) -> dict[str, float]:
     whole = stretch_of(record, [s.name for s in plant.inputs], names).cut(first, first + LONGEST)
     columns = tuple(k for k, s in enumerate(plant.outputs) if s.name in names)
     u = np.column_stack(list(whole.u.values()))
-    reason: NoTrustworthyNumber | None = None
-    try:
-        error = _error(plant, whole, u, whole.y, columns)
-    except NoTrustworthyNumber as none:
-        error, reason = np.inf, none
-    if error < SUSPECT**2:
+    reasons: list[NoTrustworthyNumber] = []
+
+    def error(u: Array, y: Array) -> float:
+        try:
+            return _error(plant, whole, u, y, columns)
+        except NoTrustworthyNumber as none:
+            reasons.append(none)
+            return np.inf
+
+    now = error(u, whole.y)
+    impossible = reasons[0] if reasons else None
+    if now < SUSPECT**2:
         return {}
-    left = {}
-    for kind, signals, labels in (("u", u, list(whole.u)), ("y", whole.y, names)):
-        for j, name in enumerate(labels):
-            turned = signals.copy()
-            turned[:, j] *= -1.0
-            try:
-                left[name] = _error(plant, whole, *((turned, whole.y) if kind == "u" else (u, turned)), columns)
-            except NoTrustworthyNumber:
-                left[name] = np.inf
+    left = {name: error(_turned(u, j), whole.y) for j, name in enumerate(whole.u)}
+    left |= {name: error(u, _turned(whole.y, j)) for j, name in enumerate(names)}
     best = min(left, key=lambda name: left[name])
-    if reason is not None and not left[best] < SUSPECT**2:
-        raise reason
-    share = left[best] / error
+    if impossible is not None and not left[best] < SUSPECT**2:
+        raise impossible
+    share = left[best] / now
     return {best: share} if share < LEFT else {}
+
+
+def _turned(signals: Array, j: int) -> Array:
+    return signals * np.where(np.arange(signals.shape[1]) == j, -1.0, 1.0)
 
 
 def _error(plant: NonlinearPlant, whole: Stretch, u: Array, y: Array, columns: Sequence[int]) -> float:
@@ -419,10 +422,7 @@ def _with_state_inputs(model: StateSpaceModel, dt: float) -> tuple[Array, Array]
     wide = np.hstack([model.B, np.eye(model.n_states)])
     if model.is_discrete:
         return model.A, wide
-    names = [f"input {k}" for k in range(wide.shape[1])]
-    through = np.zeros((len(model.C), wide.shape[1]))
-    phi, gamma, _ = transition(StateSpaceModel(model.A, wide, model.C, through, inputs=names), dt)
-    return phi, gamma
+    return transition(StateSpaceModel(model.A, wide, model.C, np.zeros((len(model.C), wide.shape[1]))), dt)[:2]
 
 
 def _ports(model: StateSpaceModel) -> list[int]:

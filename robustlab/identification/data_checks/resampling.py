@@ -92,18 +92,15 @@ def join_clocks(first: Record, second: Record, dt: float | None = None) -> Recor
     twice = sorted({*first.inputs, *first.outputs} & {*second.inputs, *second.outputs})
     if twice:
         raise InputError(where, f"signal {twice[0]!r} is in both", "each signal once")
-    steps = {id(r): clock_step(r.t) for r in (first, second)}
-    for r in (first, second):
-        refuse_gaps(r.name, _gaps(r.t, steps[id(r)]), "join")
-    equal = abs(steps[id(first)] - steps[id(second)]) <= SAME_TIME * steps[id(first)]
-    ordered = sorted((first, second), key=lambda r: len(r.outputs) if equal else 0, reverse=True)
+    steps = [clock_step(r.t) for r in (first, second)]
+    for r, step in zip((first, second), steps, strict=True):
+        refuse_gaps(r.name, _gaps(r.t, step), "join")
+    equal = abs(steps[0] - steps[1]) <= SAME_TIME * steps[0]
+    ordered = (second, first) if equal and len(second.outputs) > len(first.outputs) else (first, second)
     clock, _ = common_clock(where, {f"{k}": r.t for k, r in enumerate(ordered)}, dt)
     step = float(np.median(np.diff(clock)))
-    inputs: dict[str, Array] = {}
-    outputs: dict[str, Array] = {}
-    for r in (first, second):
-        inputs.update({name: held(clock, r.t, samples, step) for name, samples in r.inputs.items()})
-        outputs.update({name: interpolated(clock, r.t, x, step)[0] for name, x in r.outputs.items()})
+    inputs = {n: held(clock, r.t, x, step) for r in (first, second) for n, x in r.inputs.items()}
+    outputs = {n: interpolated(clock, r.t, x, step)[0] for r in (first, second) for n, x in r.outputs.items()}
     units, meaning = {**first.units, **second.units}, {**first.meaning, **second.meaning}
     done = f"2 clocks brought on one of {1 / step:.6g} Hz, inputs held, outputs interpolated"
     clocks = [f"{r.name}: {summarise_clock(r.t).text()}" for r in (first, second)]

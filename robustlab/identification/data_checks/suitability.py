@@ -98,17 +98,16 @@ class RecordCheck(Evidence):
 
     def numbers(self) -> dict[str, Any]:
         """Return the time base, the remarks, and the range of each channel by name."""
-        found = self.to_json()
-        clock = {name: found[name] for name in ("n", "duration", "dt", "is_uniform")}
-        return {"record": clock, "remarks": self.remarks, "channels": {c.name: vars(c) for c in self.channels}}
+        return {"record": self._clock(), "remarks": self.remarks, "channels": {c.name: vars(c) for c in self.channels}}
+
+    def _clock(self) -> dict[str, object]:
+        return {name: getattr(self.record, name) for name in ("n", "duration", "dt", "is_uniform")}
 
     def to_json(self) -> dict[str, object]:
         """Return all but the samples."""
-        r = self.record
-        clock = {"n": r.n, "duration": r.duration, "dt": r.dt, "is_uniform": r.is_uniform}
         channels: dict[str, object] = {"channels": [vars(c) for c in self.channels], "remarks": self.remarks}
         fit = {} if self.suitability is None else {"suitability": self.suitability.to_json()}
-        return {"name": r.name, **clock, **channels, **fit, "status": self.status}
+        return {"name": self.record.name, **self._clock(), **channels, **fit, "status": self.status}
 
 
 def check_record(record: Record, plant: Any = None) -> RecordCheck:
@@ -143,11 +142,8 @@ def channel_warnings(record: Record, inputs: tuple[str, ...], outputs: tuple[str
     warnings = [f"{name} is constant: {record[name][0]:.6g} {record.unit(name)}".rstrip() for name in constant]
     for name in outputs:
         if runs := _clipped(record, name):
-            count = sum(last - first for first, last in runs)
-            warnings.append(
-                f"{name} looks clipped: {count} of {record.n} samples are at the end of its range, reached at full "
-                f"slope (first: samples {runs[0][0]} to {runs[0][1] - 1})"
-            )
+            where = f"(first: samples {runs[0][0]} to {runs[0][1] - 1})"
+            warnings.append(f"{name} looks clipped: {_at_the_end(record, runs)} {where}")
     return warnings
 
 
@@ -155,6 +151,11 @@ def _clipped(record: Record, name: str) -> list[tuple[int, int]]:
     """Return `clipped_runs` of a channel, or none if they are a negligible part of the record."""
     runs = clipped_runs(record[name])
     return runs if sum(last - first for first, last in runs) > CLIPPED_SHARE * record.n else []
+
+
+def _at_the_end(record: Record, runs: list[tuple[int, int]]) -> str:
+    count = sum(last - first for first, last in runs)
+    return f"{count} of {record.n} samples are at the end of its range, reached at full slope"
 
 
 def clipped_runs(y: Array) -> list[tuple[int, int]]:
@@ -272,9 +273,9 @@ def suitability(plant: Any, record: Record) -> Suitability:
         record = with_units(record, (*plant.inputs, *shared))
         level = uniform(record)
         inputs, outputs = tuple(s.name for s in plant.inputs), tuple(s.name for s in shared)
+        findings = [*_clock(record, level), *_samples(record, outputs)]
         # A dead sensor would indicate a joint at standstill.
-        dead = [replace(f, fatal=True) for f in _dead(record, outputs)]
-        findings = [*_clock(record, level), *_samples(record, outputs), *dead]
+        findings += [replace(f, fatal=True) for f in _dead(record, outputs)]
         findings += _unexcited(record, inputs, outputs, {})
         if not isinstance(plant, SteppedPlant) and not any(f.fatal for f in findings):
             findings += _along_motion(plant, level)
@@ -359,7 +360,7 @@ def _samples(record: Record, outputs: tuple[str, ...]) -> list[Finding]:
         y, unit = record[name], record.unit(name)
         if runs := _clipped(record, name):
             count = sum(last - first for first, last in runs)
-            text = f"clipped: {count} of {record.n} samples are at the end of its range, reached at full slope"
+            text = f"clipped: {_at_the_end(record, runs)}"
             evidence: dict[str, object] = {"samples": count, "runs": runs, "range": [float(y.min()), float(y.max())]}
             hint = "choose a larger range of the sensor, or cut these stretches out: record.between(start, stop)"
             found.append(Finding("clipped", name, text, "a sensor within its range", hint, False, evidence))
@@ -372,11 +373,11 @@ def _samples(record: Record, outputs: tuple[str, ...]) -> list[Finding]:
 
 def _dead(record: Record, outputs: tuple[str, ...]) -> list[Finding]:
     dead = [name for name in outputs if not np.ptp(record[name])]
+    hint = "check its cable and scaling, or leave it out, with outputs=... for the others"
     found: list[Finding] = []
     for name in dead:
         value = float(record[name][0])
         text = f"stands at {value:.6g} {record.unit(name)}".rstrip() + " throughout: a dead sensor"
-        hint = "check its cable and scaling, or leave it out, with outputs=... for the others"
         everything = len(dead) == len(outputs)
         found.append(Finding("constant-output", name, text, "an output that moves", hint, everything, {"value": value}))
     return found
@@ -406,24 +407,23 @@ def _too_short(response: Response, record: Record) -> list[Finding]:
 def _unexcited(
     record: Record, inputs: tuple[str, ...], outputs: tuple[str, ...], shown: dict[str, float]
 ) -> list[Finding]:
-    found: list[Finding] = []
-    still = [name for name in outputs if np.ptp(record[name]) and not _moves(record[name], shown.get(name, 0.0))]
     alive = [name for name in outputs if np.ptp(record[name])]
+    still = [name for name in alive if not _moves(record[name], shown.get(name, 0.0))]
     constant = [name for name in inputs if not np.ptp(record[name])]
     nothing = bool(alive) and len(still) == len(alive)
+    found: list[Finding] = []
     if inputs and len(constant) == len(inputs):
         what = ", ".join(f"{name} = {record[name][0]:.6g} {record.unit(name)}".rstrip() for name in constant)
-        free = not any(record[name].any() for name in constant)
-        reason = "a constant load cannot be distinguished from it"
         if nothing:
             reason = "no output leaves its noise either"
-        elif free:
+        elif any(record[name].any() for name in constant):
+            reason = "a constant load cannot be distinguished from it"
+        else:
             reason = "free motion alone, which tells no gain of an input"
-        text = f"constant: {what}; {reason}"
         hint = "move the machine: steps in both directions, at two levels at least, and slow ramps through zero"
         evidence: dict[str, object] = {"constant": constant, "outputs_in_noise": still}
-        found.append(Finding("unexcited", ", ".join(inputs), text, "an input that moves", hint, nothing, evidence))
-        return found
+        text, expected = f"constant: {what}; {reason}", "an input that moves"
+        return [Finding("unexcited", ", ".join(inputs), text, expected, hint, nothing, evidence)]
     for name in still:
         noise = _noise(record[name])
         text = f"does not leave its noise ({noise:.3g} {record.unit(name)}".rstrip() + " rms from sample to sample)"
@@ -476,31 +476,26 @@ def _along_motion(plant: NonlinearPlant, level: UniformRecord) -> list[Finding]:
 
 
 def _named(one: Contradiction, response: Response, record: Record) -> Finding:
-    channel, either = ", ".join(one.channels), " or ".join(one.channels)
-    units = {s.name: record.unit(s.name) or s.unit for s in (*response.model.inputs, *response.outputs)}
-    because = _because(one)
+    first, either, e = one.channels[0], " or ".join(one.channels), one.evidence
+    if "slope_swapped" in e:
+        because = f"{e['test']} exchanged has the slope {e['slope_swapped']:.3g}"
+    elif "slope" in e:
+        because = f"{e['test']}: slope {e['slope']:.3g} instead of 1, R² {e['r2']:.3g}"
+    else:
+        because = f"its response is {e['found']:.3g} times the model's, R² {e['r2']:.3g}"
     if one.kind == "sign":
         text = f"{either} seems to be measured with the other sign ({because})"
         hint = f"check the wiring and the counting direction; if it is so, turn the sign of {either} in the record"
         expected = "the model's sign"
     elif one.kind == "unit":
-        unit = units[one.channels[0]] or "the model's unit"
-        as_if = f"seems to be recorded in {one.unit}" if one.unit else "seems to be recorded in another unit"
-        text = f"{either} {as_if}: its values are about {one.factor:.4g} times those in {unit} ({because})"
-        hint = f"if it is so, divide {one.channels[0]} by {one.factor:.6g}"
-        expected = unit
+        units = {s.name: record.unit(s.name) or s.unit for s in (*response.model.inputs, *response.outputs)}
+        expected = units[first] or "the model's unit"
+        as_if = f"seems to be recorded in {one.unit or 'another unit'}"
+        text = f"{either} {as_if}: its values are about {one.factor:.4g} times those in {expected} ({because})"
+        hint = f"if it is so, divide {first} by {one.factor:.6g}"
     else:
         text = f"{' and '.join(one.channels)} seem to be swapped ({because})"
         hint = "exchange the two names in the record"
         expected = "each signal under its own name"
-    evidence = {**one.evidence, "factor": one.factor, "unit": one.unit}
-    return Finding(one.kind, channel, text, expected, hint, True, evidence)
-
-
-def _because(one: Contradiction) -> str:
-    e = one.evidence
-    if "slope_swapped" in e:
-        return f"{e['test']} exchanged has the slope {e['slope_swapped']:.3g}"
-    if "slope" in e:
-        return f"{e['test']}: slope {e['slope']:.3g} instead of 1, R² {e['r2']:.3g}"
-    return f"its response is {e['found']:.3g} times the model's, R² {e['r2']:.3g}"
+    evidence = {**e, "factor": one.factor, "unit": one.unit}
+    return Finding(one.kind, ", ".join(one.channels), text, expected, hint, True, evidence)

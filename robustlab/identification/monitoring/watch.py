@@ -1,9 +1,15 @@
-"""`watch`: detect when a model stops explaining a running log, with a bounded rate of false alarms."""
+"""`watch`: detect when a model stops explaining a running log, with a bounded rate of false alarms (docs/watch.md).
+
+The sequential test is an e-process: E mixes the likelihood ratios of all changes from each piece on, with the
+parameters integrated out; by Ville's inequality it reaches 1 / alpha with probability alpha at most while the model is
+valid.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -39,7 +45,6 @@ from robustlab.identification.greybox.prepared_record import PreparedRecord, por
 from robustlab.identification.missing_effects.discovery import discover, known_plant
 from robustlab.identification.missing_effects.discovery_result import Discovery
 from robustlab.identification.missing_effects.set_search import clock_nuisances, held_inputs
-from robustlab.identification.monitoring.change_test import ChangeTest, PieceEquations, onset
 from robustlab.identification.response.response import with_units
 from robustlab.record import Record
 from robustlab.result import Evidence, Status
@@ -52,6 +57,12 @@ MOST_BENT = 1.0  # square of the change of a window's residuals, over the noise 
 STEPS = 4  # per sample
 SLOW = 6  # cosines in a window, for errors that are not a parameter
 OWN_SPREAD = 0.3  # relative: prior of a model's effect before its first piece, if not given
+DIFFUSE = 1e-4  # precision of the standardised parameters: 100 times their tolerances is practically flat
+SIZES = (0.05, 0.5)  # of a change to be detected, over its usual size
+GROWING = 5.0  # pieces in which a growing change reaches the size of an abrupt one
+SCATTERS = (1.0, 100.0)  # variance of random errors, over the noise; below one half it would test the noise itself
+UNNAMED = 0.5  # share of the alternatives that are not a parameter
+NEGLIGIBLE = 1e-9  # of a column's own square: rounding
 
 
 @dataclass(frozen=True)
@@ -151,10 +162,8 @@ class Watch(Tabular, Evidence):
 
     def table(self) -> Table:
         """Return a row for each piece."""
-        names = ("stop", "evidence", "misfit")
-        return Table(
-            ("start", [p.start for p in self.pieces]), {n: [getattr(p, n) for p in self.pieces] for n in names}
-        )
+        columns = {name: [getattr(p, name) for p in self.pieces] for name in ("stop", "evidence", "misfit")}
+        return Table(("start", [p.start for p in self.pieces]), columns)
 
 
 def span_of(seconds: float) -> str:
@@ -182,7 +191,7 @@ def watch(
     r"""Detect when a model stops explaining a running log, and report what it lacks since then.
 
     While the model explains the log, :math:`P(\exists t: E_t \ge 1/\alpha) \le \alpha` for the test's E (Ville's
-    inequality), for any length of the log and at any time; see `robustlab.identification.monitoring.change_test`.
+    inequality), for any length of the log and at any time.
 
     ASSUMPTIONS: the sensors' noise is white and Gaussian of the standard deviation ``noise``. The parameters are
     constant, and the model is linear within their uncertainty after the first piece; windows in which it is not are
@@ -249,10 +258,8 @@ def watch(
             count = len(watched.pieces)
             progress(f"{word}piece {count}, up to {watched.pieces[-1].stop:.6g} s: log E = {evidence:.2f}")
     if watched is None or len(watched.pieces) < 2:
-        raise InputError(
-            "watch", f"{0 if watched is None else 1} piece", "at least two",
-            "one record is cut into pieces by every=SECONDS",
-        )  # fmt: skip
+        hint = "one record is cut into pieces by every=SECONDS"
+        raise InputError("watch", f"{0 if watched is None else 1} piece", "at least two", hint)
     pieces, used = tuple(watched.pieces), watched.windows[0] / watched.windows[1]
     result = Watch(
         Status.INCONCLUSIVE if onsets is None and used < 0.5 else Status.CONVERGED, "explained", false_alarm,
@@ -264,14 +271,13 @@ def watch(
     # A change may begin too late within a piece to be visible there.
     since, since_lower, since_upper = (pieces[k].start for k in (began, max(lower - 1, 0), upper))
     known = {name: tolerance for name, (tolerance, assumed) in stated.items() if not assumed}
-    try:
+    found = None
+    with suppress(InputError, NoTrustworthyNumber):  # too poor
         last = watched.records[max(began, len(watched.records) - MOST_DISCOVERED) :]
         found = discover(plant, last, tolerances=known, exclude=left_out)
-    except (InputError, NoTrustworthyNumber):  # too poor
-        found = None
-    over = next(p for p in pieces if p.evidence >= alarm)
+    stop = next(p.stop for p in pieces if p.evidence >= alarm)
     return replace(
-        result, verdict="changed", alarm=over.stop, since=since, since_lower=since_lower, since_upper=since_upper,
+        result, verdict="changed", alarm=stop, since=since, since_lower=since_lower, since_upper=since_upper,
         found=found,
     )  # fmt: skip
 
@@ -393,15 +399,12 @@ def _own(there: AttachedEffect, pool: Sequence[Candidate]) -> Candidate:
 
 
 def _about(parameter: EffectParameter, value: float, std: float) -> EffectParameter:
-    prior = parameter.prior
+    prior, centre, spread = parameter.prior, value, parameter.prior.spread
     if prior.kind == "log":
-        centre = value or np.finfo(float).tiny ** 0.25 * prior.centre
-        return replace(parameter, prior=replace(prior, centre=centre, spread=OWN_SPREAD))
-    if prior.kind == "linear":
-        return replace(
-            parameter, prior=replace(prior, centre=value, spread=std or OWN_SPREAD * abs(value) or prior.spread)
-        )
-    return replace(parameter, prior=replace(prior, centre=value))
+        centre, spread = value or np.finfo(float).tiny ** 0.25 * prior.centre, OWN_SPREAD
+    elif prior.kind == "linear":
+        spread = std or OWN_SPREAD * abs(value) or prior.spread
+    return replace(parameter, prior=replace(prior, centre=centre, spread=spread))
 
 
 def _equations(problem: Problem, fit: Fit, spread: Array) -> tuple[PieceEquations, int]:
@@ -438,3 +441,98 @@ def _equations(problem: Problem, fit: Fit, spread: Array) -> tuple[PieceEquation
     within = np.swapaxes(slow, 1, 2) @ left
     whole, inside = (np.einsum("wpi,wpj->ij", part, part, optimize=True) for part in (left, within))
     return PieceEquations(whole, inside, int(known.sum()) - count * n_x, count * slow.shape[2]), count
+
+
+# --- the sequential test ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class PieceEquations:
+    """A piece with M = [J r], (points, k + 1), its windows' initial states projected out."""
+
+    whole: Array  # M^T M
+    slow: Array  # M^T U U^T M with the slow directions U of its windows
+    points: int
+    slow_points: int
+
+
+@dataclass(eq=False)
+class ChangeTest:
+    """The test over the pieces so far; ``size`` (k,): a usual change of each parameter, 0 for nuisances."""
+
+    size: Array
+    pieces: list[PieceEquations] = field(default_factory=list)
+
+    def add(self, piece: PieceEquations) -> float:
+        """Return log E after one more piece."""
+        self.pieces.append(piece)
+        return float(np.logaddexp(log_sum(self.evidence()), -np.log(len(self.pieces) + 1.0)))
+
+    def evidence(self) -> Array:
+        """Compute the log evidence of a change from each piece on, with its prior share, (n_tau,)."""
+        tau = np.arange(len(self.pieces))
+        may = self.size > 0.0
+        named = self._strengths() + np.log((1.0 - UNNAMED) / 2.0 / max(may.sum(), 1))
+        named[0], named[:, :, ~may] = -np.inf, -np.inf  # from the first piece on it is no change
+        kinds = ([(p.slow, p.slow_points) for p in self.pieces], [(p.whole, p.points) for p in self.pieces])
+        scatter = [
+            self._scatter(np.stack([part for part, _ in kind]), np.array([number for _, number in kind]), v)
+            for kind in kinds
+            for v in SCATTERS
+        ]
+        unnamed = log_sum(np.array(scatter), axis=0) - np.log(len(scatter)) + np.log(UNNAMED)
+        both = np.concatenate([named.reshape(len(tau), -1), unnamed[:, None]], axis=1)
+        return log_sum(both, axis=1) - np.log((tau + 1.0) * (tau + 2.0))
+
+    def _strengths(self) -> Array:
+        """Compute the log ratio of an abrupt or growing change of each parameter, (n_tau, 2, k)."""
+        k, whole = len(self.size), np.stack([p.whole for p in self.pieces])
+        once = _since(whole)  # sums over the pieces since each one, next weighted with 1, 2, ..., then 1, 3, 6, ...
+        growing = _since(once)
+        squares = np.diagonal(np.stack([once, 2.0 * _since(growing) - growing], axis=1), axis1=2, axis2=3)[..., :k]
+        rows = np.stack([once, growing], axis=1)[:, :, :k]  # (n_tau, 2, k, k + 1)
+        inverse = np.linalg.inv(once[0, :k, :k] + DIFFUSE * np.eye(k))
+        cross = rows[..., :k]
+        lost = ((cross @ inverse) * cross).sum(axis=-1)
+        a = np.maximum(squares - lost, 0.0) + NEGLIGIBLE * squares
+        b = rows[..., k] - cross @ (inverse @ once[0, :k, k])
+        found = []
+        for size in SIZES:
+            variance = (size * self.size / np.array([[1.0], [GROWING]])) ** 2
+            found.append(0.5 * b**2 * variance / (1.0 + a * variance) - 0.5 * np.log1p(a * variance))
+        return log_sum(np.array(found), axis=0) - np.log(len(SIZES))
+
+    def _scatter(self, parts: Array, points: Array, variance: float) -> Array:
+        """Compute the log ratio, (n_tau,), of random errors with this variance in the directions of the parts."""
+        k, whole = len(self.size), np.sum([p.whole for p in self.pieces], axis=0)
+        part, number = _since(parts), _since(points)
+        before, after = _profile(whole, k), _profile(whole - variance / (1.0 + variance) * part, k)
+        return -0.5 * (after[0] - before[0] + after[1] - before[1] + number * np.log1p(variance))
+
+
+def onset(evidence: Array) -> tuple[int, int, int]:
+    """Return the piece at which the change most probably began, and the ends of its 95 % interval."""
+    share = np.exp(evidence - log_sum(evidence))
+    below = np.cumsum(share)
+    lower, upper = (min(int(np.searchsorted(below, q)), len(below) - 1) for q in (0.025, 0.975))
+    return int(np.argmax(share)), lower, upper
+
+
+def _since(values: Array) -> Array:
+    """Sum from each entry of the first axis to its end."""
+    return np.cumsum(values[::-1], axis=0)[::-1]
+
+
+def log_sum(logs: Array, axis: int | None = None) -> Array:
+    """Sum numbers given by their logarithms, along an axis or over all."""
+    from scipy.special import logsumexp
+
+    return np.asarray(logsumexp(logs, axis=axis))
+
+
+def _profile(sums: Array, k: int) -> tuple[Array, Array]:
+    """Minimise the cost over k parameters; also the log determinant of their information; ``sums`` (..., k+1, k+1)."""
+    information = sums[..., :k, :k] + DIFFUSE * np.eye(k)
+    right = sums[..., :k, k]
+    cost = sums[..., k, k] - (right * np.linalg.solve(information, right[..., None])[..., 0]).sum(axis=-1)
+    return cost, np.linalg.slogdet(information)[1]

@@ -44,6 +44,17 @@ class Rows(NamedTuple):
     label: tuple[str, int] | None = None
 
 
+@dataclass(frozen=True)
+class Multipliers:
+    """Nonnegative multipliers of a certificate: D (n, blocks) of the energies, and noise (n, n_y)."""
+
+    D: Array
+    noise: Array
+
+    def arrays(self) -> dict[str, Array]:
+        return {"energy": self.D, "noise": self.noise}
+
+
 class Search(NamedTuple):
     """Required relative width of the bounds, and the work budget."""
 

@@ -53,16 +53,16 @@ def smallest_parameters(recorded: Recorded, search: Search) -> Parameters:
     m = len(recorded.uncertain.blocks)
     rng = np.random.default_rng(0)
     starts = [np.zeros(m), *(rng.uniform(-1, 1, m) for _ in range(STARTS if m > 1 else 1))]
-    best = Parameters(np.inf, np.zeros(m), np.zeros(recorded.y.shape), np.inf)
-    least = np.inf
+    found: list[Parameters] = []
     for start in starts:
-        found = _descend(recorded, start, search)
-        least = min(least, found.excess)
-        if (found.upper, found.excess) < (best.upper, best.excess):
-            best = found
-        if not best.upper:
+        found.append(_descend(recorded, start, search))
+        if not found[-1].upper:
             break
-    return Parameters(best.upper, best.delta, best.noise, best.excess if np.isfinite(best.upper) else least)
+    return min(found, key=_rank)
+
+
+def _rank(found: Parameters) -> tuple[float, float]:
+    return found.upper, found.excess
 
 
 def _descend(recorded: Recorded, start: Array, search: Search) -> Parameters:
@@ -85,17 +85,16 @@ def _descend(recorded: Recorded, start: Array, search: Search) -> Parameters:
             break
         slope = np.column_stack([(a - b) / (2 * step) for a, b in zip(known[::2], known[1::2], strict=True)])
         moved = _move(recorded, at, slope, search, radius)
-        new = None if moved is None else _windows(recorded, at.delta + moved[0], search)
         if moved is None:
             break
+        new = _windows(recorded, at.delta + moved[0], search)
         if new is None:
             radius /= 4
             continue
         there = _sized(recorded, new, moved[1])
         was, now = max(here.excess - 1, 0.0) * PRICE, max(there.excess - 1, 0.0) * PRICE
         creeps = creeps + 1 if now > CREEP * was > 0 else 0
-        if (there.upper, there.excess) < (best.upper, best.excess):
-            best = there
+        best = min(best, there, key=_rank)
         if was + np.abs(at.delta).max() > now + np.abs(new.delta).max():
             length, size = float(np.abs(moved[0]).max()), float(np.abs(new.delta).max())
             at, x, radius = new, moved[1], min(2 * radius, max(4 * length, 1e-3), WIDEST)
@@ -126,9 +125,8 @@ def _windows(recorded: Recorded, delta: Array, search: Search) -> _Windows | Non
     for a, b in cuts:
         u = recorded.u[a:b]
         e[a:b] = (recorded.y[a:b] - u @ model.D.T) / recorded.bound - states(A, u @ B.T, np.zeros(len(A))) @ C.T
-        rests = a == 0 and recorded.at_rest
         part = columns[: b - a].reshape((b - a) * e.shape[1], -1)
-        free.append(sparse.csr_matrix(part[:, :0] if rests else part))
+        free.append(sparse.csr_matrix(part[:, :0] if a == 0 and recorded.at_rest else part))
     together = sparse.block_diag(free, format="csr")
     return _Windows(delta, e, together) if np.isfinite(e).all() and np.isfinite(together.data).all() else None
 

@@ -72,13 +72,11 @@ class DataCover(Evidence):
         return self.held_out <= self.radius and self.held_out_loads <= 1 + LOAD_ACCURACY
 
     def facts(self) -> Facts:
-        held = (
-            "none"
-            if np.isnan(self.held_out)
-            else f"needs {number(self.held_out)}: {'explained' if self.passes else 'NOT explained'}"
-        )
-        if self.loads and not np.isnan(self.held_out):
-            held += f", with loads up to {number(self.held_out_loads, digits=3)} of their bounds"
+        held = "none"
+        if not np.isnan(self.held_out):
+            held = f"needs {number(self.held_out)}: {'explained' if self.passes else 'NOT explained'}"
+            if self.loads:
+                held += f", with loads up to {number(self.held_out_loads, digits=3)} of their bounds"
         return [
             ("unmodelled dynamics", f"{number(self.radius)} of the input"),
             ("needed by the records", f"{number(self.needed_lower)} .. {number(self.needed)}"),

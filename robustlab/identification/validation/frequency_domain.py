@@ -7,7 +7,6 @@ Hermitian system per line, disproves gamma (Smith, Doyle 1992; Huang, Zhang 2007
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,6 +17,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.validation.cone_programme import (
     SLACK,
     ConeSolution,
+    Multipliers,
     Rows,
     Search,
     largest_disproved,
@@ -60,8 +60,8 @@ def fits_frequency_domain(
     if domain == "time":
         raise InputError(where, "a frequency response in the time domain", 'domain="frequency"')
     if norm == "peak" and isinstance(data, Record):
-        raise InputError(where, "a peak bound of the noise in the frequency domain", "an rms bound",
-                         'noise_norm="rms"; a transform keeps the energy of the noise, not its peak')  # fmt: skip
+        hint = 'noise_norm="rms"; a transform keeps the energy of the noise, not its peak'
+        raise InputError(where, "a peak bound of the noise in the frequency domain", "an rms bound", hint)
     if norm == "rms" and isinstance(data, FrequencyData):
         raise InputError(where, "an rms bound on a frequency response", "a bound at each line")
     for name, given in (("windows", window), ("at_rest", at_rest)):
@@ -125,7 +125,7 @@ def validate_by_lines(
         outputs=tuple((s.name, s.unit) for s in spectrum.outputs),
         w=w,
         z=z,
-        multipliers={"energy": found.multipliers.D, "noise": found.multipliers.noise},
+        multipliers=found.multipliers.arrays(),
         recheck=found.recheck,
         domain="frequency",
         omega=problem.omega,
@@ -167,21 +167,13 @@ def _explained(spectrum: Spectrum, w: ComplexArray) -> Array:
 # --- the smallest gamma over all lines -------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class LineMultipliers:
-    """Multipliers of a certificate: D (n, blocks), and noise (n, n_y); the same over all lines for a total bound."""
-
-    D: Array
-    noise: Array
-
-
 class _Sizes(NamedTuple):
     """Bounds of gamma; both inf if no Delta of any size explains the data."""
 
     lower: float
     upper: float
     w: ComplexArray  # (n, q); zeros if nothing was found
-    multipliers: LineMultipliers  # of the lower bound
+    multipliers: Multipliers  # of the lower bound; noise is the same over all lines for a total bound
     least_noise: float  # factor on the noise bound with which some Delta explains the data; at most 1: no increase
     known: bool  # whether z is known, and the test thereby convex
     recheck: Callable[[], float] | None  # recomputes the lower bound from the multipliers alone
@@ -191,19 +183,19 @@ def _smallest(problem: SpectralProblem, search: Search) -> _Sizes:
     programme = _Programme(problem, search)
     known = not np.abs(problem.M11).max(initial=0.0)
     none = np.zeros((problem.n, problem.M21.shape[2]), dtype=complex)
-    empty = LineMultipliers(np.zeros((problem.n, len(problem.blocks))), np.zeros(problem.e.shape))
+    empty = Multipliers(np.zeros((problem.n, len(problem.blocks))), np.zeros(problem.e.shape))
     nominal = problem.excess(problem.noise(none))
     if nominal <= 1:
         return _Sizes(0.0, 0.0, none, empty, nominal, known, None)
     free = programme.least_noise()
     least = problem.excess(problem.noise(free.w))
     if least > 1 + SLACK:
-        multipliers = LineMultipliers(empty.D, programme.multipliers(free).noise)
+        multipliers = Multipliers(empty.D, programme.multipliers(free).noise)
         if not line_lagrangian(problem, multipliers, 1.0) < 0:
             raise NoTrustworthyNumber("validate", f"the noise bound is missed by {least - 1:.1e} of itself, unproved")
         return _Sizes(np.inf, np.inf, none, multipliers, least, known, None)
 
-    def disproved(by: LineMultipliers, start: float) -> float:
+    def disproved(by: Multipliers, start: float) -> float:
         return largest_disproved(lambda gamma: line_lagrangian(problem, by, gamma) < 0, start, FINEST)
 
     best, at, lower, multipliers = np.inf, none, 0.0, empty
@@ -245,7 +237,7 @@ def _descend(programme: _Programme, z: ComplexArray, known: bool) -> tuple[float
 # --- certificate -----------------------------------------------------------------------------------------------------
 
 
-def line_lagrangian(problem: SpectralProblem, multipliers: LineMultipliers, gamma: float) -> float:
+def line_lagrangian(problem: SpectralProblem, multipliers: Multipliers, gamma: float) -> float:
     """Maximise L over all w: for a total bound the sum over lines, else the line with the smallest maximum.
 
     +inf if L is not bounded above. A negative value is a proof.
@@ -361,7 +353,7 @@ class _Programme:
         w = found.x[:many] + 1j * found.x[many : 2 * many]
         return _Solved(w.reshape(p.n, -1), np.maximum(self.g @ found.x, 0.0), found)
 
-    def multipliers(self, solved: _Solved) -> LineMultipliers:
+    def multipliers(self, solved: _Solved) -> Multipliers:
         """Derive the multipliers of the quadratic certificate from those of the cone programme."""
         p = self.problem
         noise, D = np.zeros(p.e.shape), np.zeros((p.n, len(p.blocks)))
@@ -376,4 +368,4 @@ class _Programme:
             D += FLOOR * max(float(D.max(initial=0.0)), float(noise.max(initial=0.0)))
         else:
             D += FLOOR * np.maximum(D.max(axis=1, initial=0.0), noise.max(axis=1, initial=0.0))[:, None]
-        return LineMultipliers(D, noise)
+        return Multipliers(D, noise)

@@ -22,6 +22,7 @@ from robustlab.record import Record
 from robustlab.statespace import Signal, StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices
 from robustlab.uncertainty.lft import UncertainModel
+from robustlab.worst_case_analysis.members import recursion
 
 NoiseNorm = Literal["peak", "rms"]
 
@@ -239,13 +240,12 @@ def at_nominal(uncertain: UncertainModel) -> tuple[StateSpaceModel, tuple[Block,
 
 def observable_directions(A: Array, C: Array) -> Array:
     """Return an orthonormal basis of the observable state directions: the row space of the observability matrix."""
-    rows, found = C, [C]
-    for _ in range(1, len(A)):
-        rows = rows @ A
-        rows = rows / (np.linalg.norm(rows, axis=1, keepdims=True) + 1e-300)
-        found.append(rows)
     if not len(A):
         return np.zeros((0, 0))
+    found = [C]
+    for _ in range(1, len(A)):
+        rows = found[-1] @ A
+        found.append(rows / (np.linalg.norm(rows, axis=1, keepdims=True) + 1e-300))
     stacked = np.vstack(found)
     stacked = stacked / np.maximum(np.linalg.norm(stacked, axis=1, keepdims=True), 1e-300)
     _, sigma, right = np.linalg.svd(stacked)
@@ -267,12 +267,9 @@ def noise_bounds(noise: Mapping[str, float], names: tuple[str, ...], norm: str, 
         value = noise[name]
         number(f"{where}: noise of {name!r}", value, "a positive number", at_least=0)
         if value == 0:
-            raise NoTrustworthyNumber(
-                f"{where}: noise of {name!r}",
-                "singular noise model: with a bound of 0 the last digit of a sample would decide",
-                "a positive bound",
-                "at least the resolution of the sensor",
-            )
+            found = "singular noise model: with a bound of 0 the last digit of a sample would decide"
+            hint = "at least the resolution of the sensor"
+            raise NoTrustworthyNumber(f"{where}: noise of {name!r}", found, "a positive bound", hint)
     return np.array([float(noise[name]) for name in names])
 
 
@@ -287,24 +284,5 @@ def _starts(window: float | None, record: Record, n_states: int, where: str) -> 
 
 
 def states(A: Array, drive: Array, first: Array) -> Array:
-    """Simulate ``x_{t+1} = A x_t + drive_t`` from ``x_0 = first``, shape (n, n_x); the last drive is not used.
-
-    Chunks run in parallel, so that about 2 sqrt(n) steps run in Python.
-    """
-    n, n_x = drive.shape
-    size = max(1, int(np.sqrt(n)))
-    count = -(-n // size)
-    chunks = np.zeros((count * size, n_x))
-    chunks[:n] = drive
-    chunks = chunks.reshape(count, size, n_x)
-    local = np.zeros((count, size + 1, n_x))
-    step = [np.eye(n_x)]
-    with np.errstate(over="ignore", invalid="ignore"):
-        for k in range(size):
-            local[:, k + 1] = local[:, k] @ A.T + chunks[:, k]
-            step.append(A @ step[-1])
-        heads = [first]
-        for j in range(count - 1):
-            heads.append(step[size] @ heads[-1] + local[j, size])
-        free = np.einsum("kij,hj->hki", np.array(step[:size]), np.array(heads))
-        return (local[:, :size] + free).reshape(count * size, n_x)[:n]
+    """Simulate ``x_{t+1} = A x_t + drive_t`` from ``x_0 = first``, shape (n, n_x); the last drive is not used."""
+    return recursion(A[None], drive[None, :-1], first)[0]

@@ -94,14 +94,12 @@ class FrequencyData(Tabular, Evidence):
         self.__post_init__()
 
     def facts(self) -> Facts:
+        first, last = number(float(self.omega[0])), number(float(self.omega[-1]), "rad/s")
         return [
             ("name", self.name),
             ("from", self.input),
             ("to", listed(self.outputs)),
-            (
-                "frequencies",
-                f"{len(self.omega)}, {number(float(self.omega[0]))} .. {number(float(self.omega[-1]), 'rad/s')}",
-            ),
+            ("frequencies", f"{len(self.omega)}, {first} .. {last}"),
         ]
 
     def uncertain(self, radius: ArrayLike) -> UncertainFrequencyData:
@@ -244,11 +242,12 @@ def spectrum_of_record(
     ]
     if M.dt == 0:
         assumptions.append(f"u and w are held between samples of {dt:.6g} s")
-    kept = lines
     poles = np.linalg.eigvals(M.A) if len(M.A) else np.zeros(0)
-    if (np.abs(poles - (1.0 if M.dt else 0.0)) <= 1e-9 * max(float(np.abs(poles).max(initial=0.0)), 1.0)).any():
-        kept = lines[1:]
+    rounding = 1e-9 * max(float(np.abs(poles).max(initial=0.0)), 1.0)
+    integrates = bool((np.abs(poles - (1.0 if M.dt else 0.0)) <= rounding).any())
+    if integrates:
         assumptions.append("the mean over a period is excluded: the model integrates")
+    kept = lines[int(integrates) :]
     f = kept / (n * dt)
     response = held_response(M, f, dt)
     U, Y = np.fft.rfft(u, axis=0)[kept] / n, np.fft.rfft(y, axis=0)[kept] / n
@@ -262,20 +261,12 @@ def spectrum_of_record(
     whole = np.zeros((n // 2 + 1, len(recorded.outputs)), dtype=complex)
     whole[kept] = forced[:, p:] * n
     nominal = np.fft.irfft(whole, n, axis=0)
-    if len(kept) < len(lines):
+    if integrates:
         nominal = nominal + y.mean(axis=0)
     bound = {s.name: float(b) for s, b in zip(recorded.outputs, recorded.bound, strict=True)}
-    return Spectrum(
-        problem,
-        recorded.outputs,
-        bound,
-        np.arange(n, dtype=np.float64) * dt,
-        y,
-        np.asarray(nominal, dtype=np.float64),
-        Y,
-        recorded.bound[None],
-        tuple(assumptions),
-    )
+    t, nominal = np.arange(n, dtype=np.float64) * dt, np.asarray(nominal, dtype=np.float64)
+    unit = recorded.bound[None]
+    return Spectrum(problem, recorded.outputs, bound, t, y, nominal, Y, unit, tuple(assumptions))
 
 
 def spectrum_of_response(uncertain: UncertainModel, data: FrequencyData, noise: Mapping[str, ArrayLike]) -> Spectrum:
@@ -283,11 +274,10 @@ def spectrum_of_response(uncertain: UncertainModel, data: FrequencyData, noise: 
     where = f"validate {data.name}"
     _refused_blocks(uncertain, where)
     names = [s.name for s in uncertain.inputs]
-    for kind, given, known in (("input", (data.input,), names),
-                               ("output", data.outputs, [s.name for s in uncertain.outputs])):  # fmt: skip
-        unknown = [name for name in given if name not in known]
-        if unknown:
-            raise InputError(where, f"the model has no {kind} {unknown[0]!r}", f"one of {', '.join(known)}")
+    known = {"input": names, "output": [s.name for s in uncertain.outputs]}
+    for kind, given in (("input", (data.input,)), ("output", data.outputs)):
+        if unknown := [name for name in given if name not in known[kind]]:
+            raise InputError(where, f"the model has no {kind} {unknown[0]!r}", f"one of {', '.join(known[kind])}")
     chosen = uncertain.select(outputs=list(data.outputs))
     n = len(data.omega)
     for name in set(noise) - set(data.outputs):

@@ -15,7 +15,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.validation.cone_programme import Search
 from robustlab.identification.validation.constant_parameters import smallest_parameters
 from robustlab.identification.validation.sampled_problem import Recorded, SampledProblem, at_nominal, sampled
-from robustlab.identification.validation.time_varying import Contractions, disproved_by, smallest_contractions
+from robustlab.identification.validation.time_varying import disproved_by, smallest_contractions
 from robustlab.identification.validation.validation_result import (
     SMALLEST,
     BlockSize,
@@ -36,10 +36,6 @@ RELAXATION = "lower bound with all blocks time-varying (relaxation)"
 NO_BOUND = "no lower bound (a constant in continuous time)"
 
 
-def _nothing() -> Array:
-    return np.zeros((0, 0))
-
-
 @dataclass(frozen=True)
 class _Found:
     """Bounds of gamma with the explanation of the record."""
@@ -52,8 +48,8 @@ class _Found:
     excess: float
     values: Mapping[str, float] = field(default_factory=dict)  # of the constants
     problem: SampledProblem | None = None  # of the dynamic blocks, with their signals and states:
-    w: Array = field(default_factory=_nothing)
-    z: Array = field(default_factory=_nothing)
+    w: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    z: Array = field(default_factory=lambda: np.zeros((0, 0)))
     states: Mapping[int, Array] = field(default_factory=dict)
     multipliers: Mapping[str, Array] = field(default_factory=dict)
     recheck: Callable[[], float] | None = None
@@ -66,8 +62,8 @@ def validate_by_samples(
     found = _bounds(recorded, search)
     progress(f"gamma {found.lower:.4g} .. {found.upper:.4g}")
     if np.isfinite(found.upper) and found.lower > found.upper * (1 + MEET) + SMALLEST:
-        contradiction = f"a lower bound of gamma, {found.lower:.6g}, above the upper one, {found.upper:.6g}"
-        raise NoTrustworthyNumber(f"validate {record.name}", contradiction)
+        found_both = f"a lower bound of gamma, {found.lower:.6g}, above the upper one, {found.upper:.6g}"
+        raise NoTrustworthyNumber(f"validate {record.name}", found_both)
     measured = np.column_stack([record.outputs[s.name] for s in recorded.outputs])
     explained, error = np.full(measured.shape, np.nan), 0.0
     if np.isfinite(found.upper):
@@ -120,23 +116,12 @@ def _bounds(recorded: Recorded, search: Search) -> _Found:
         found = replace(found, lower=0.0, values=values, multipliers={}, recheck=None, certified=False)
     if not recorded.uncertain.dt or not found.upper:
         return replace(found, label=f"{what}, {NO_BOUND if found.upper else RELAXATION}")
-    lower, multipliers = _relaxed(recorded, search)
+    # Valid for constants in discrete time only: in continuous time w = delta z is not held between samples.
+    problem = sampled(recorded.first(LONGEST_RELAXED), recorded.uncertain.M, blocks)
+    relaxed = smallest_contractions(problem, search._replace(budget=search.budget.share(RELAXED_SHARE)))
+    lower, multipliers = relaxed.lower, relaxed.multipliers.arrays()
     upper = np.inf if np.isinf(lower) else found.upper
     return replace(found, lower=lower, upper=upper, label=f"{what}, {RELAXATION}", multipliers=multipliers)
-
-
-def _relaxed(recorded: Recorded, search: Search) -> tuple[float, Mapping[str, Array]]:
-    """Compute the lower bound with every block a time-varying system, and its multipliers.
-
-    Valid for constants in discrete time only: in continuous time w = delta z is not held between samples.
-    """
-    problem = sampled(recorded.first(LONGEST_RELAXED), recorded.uncertain.M, recorded.uncertain.blocks)
-    found = smallest_contractions(problem, search._replace(budget=search.budget.share(RELAXED_SHARE)))
-    return found.lower, _certificate(found)
-
-
-def _certificate(found: Contractions) -> dict[str, Array]:
-    return {"energy": found.multipliers.D, "noise": found.multipliers.noise}
 
 
 def _dynamic(recorded: Recorded, search: Search) -> _Found:
@@ -157,21 +142,21 @@ def _dynamic(recorded: Recorded, search: Search) -> _Found:
         recheck = lambda: disproved_by(problem, c.multipliers, search, start)  # noqa: E731
     if long:
         label = f"lower bound from the first {LONGEST_PROGRAMME} samples (time-varying), no explanation sought"
-        return _Found(c.lower, np.inf, label, True, c.noise, c.excess, multipliers=_certificate(c), recheck=recheck)
-    return _Found(c.lower, c.upper, label, True, c.noise, c.excess, {}, problem, c.w, c.z, c.states, _certificate(c),
-                  recheck)  # fmt: skip
+        return _Found(
+            c.lower, np.inf, label, True, c.noise, c.excess, multipliers=c.multipliers.arrays(), recheck=recheck
+        )
+    arrays = c.multipliers.arrays()
+    return _Found(c.lower, c.upper, label, True, c.noise, c.excess, {}, problem, c.w, c.z, c.states, arrays, recheck)
 
 
 def _block(block: Block, found: _Found, sizes: Mapping[str, float]) -> BlockSize:
     if not block.interval:
         return BlockSize(block.name, "time-varying", sizes.get(block.name, np.nan))
     value = found.values.get(block.name)
-    if value is None:
-        return BlockSize(block.name, "constant", np.nan)
-    physical, impossible = None, ""
-    if block.parameter is not None:
-        physical = block.parameter.value(value), block.parameter.unit
-        impossible = block.parameter.impossible(physical[0])
+    if value is None or block.parameter is None:
+        return BlockSize(block.name, "constant", np.nan if value is None else abs(value), value)
+    size = block.parameter.value(value)
+    physical, impossible = (size, block.parameter.unit), block.parameter.impossible(size)
     return BlockSize(block.name, "constant", abs(value), value, physical, impossible)
 
 
@@ -201,22 +186,20 @@ def _without_starts(recorded: Recorded, M: StateSpaceModel, error: Array | None 
 
 def _assumptions(recorded: Recorded, estimated: bool) -> tuple[str, ...]:
     dynamic = not all(b.interval for b in recorded.uncertain.blocks)
-    texts = []
-    if recorded.norm == "peak":
-        texts.append("no sample of the noise is beyond its bound")
-    else:
-        texts.append("the root mean square of the noise over the record is within its bound")
+    peak, windows = recorded.norm == "peak", len(recorded.starts)
+    texts = [
+        "no sample of the noise is beyond its bound"
+        if peak
+        else "the root mean square of the noise over the record is within its bound"
+    ]
     if estimated:
         texts.append("the noise bound was estimated from the record's own periods")
     if dynamic:
         texts.append("complex and full blocks are causal time-varying systems with zero initial state")
     if recorded.uncertain.dt == 0:
-        held = "u and w are" if dynamic else "u is"
-        texts.append(f"{held} held between samples of {recorded.dt:.6g} s")
-    if recorded.at_rest:
-        texts.append("the model starts at equilibrium")
-    else:
-        texts.append("observable states are free at the start, the others zero")
-    if len(recorded.starts) > 1:
-        texts.append(f"{len(recorded.starts)} windows, each with a free start; Delta is one over all of them")
+        texts.append(f"{'u and w are' if dynamic else 'u is'} held between samples of {recorded.dt:.6g} s")
+    rest, free = "the model starts at equilibrium", "observable states are free at the start, the others zero"
+    texts.append(rest if recorded.at_rest else free)
+    if windows > 1:
+        texts.append(f"{windows} windows, each with a free start; Delta is one over all of them")
     return tuple(texts)

@@ -18,6 +18,7 @@ from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.validation.cone_programme import (
     SLACK,
     ConeSolution,
+    Multipliers,
     Rows,
     Search,
     largest_disproved,
@@ -33,27 +34,19 @@ AHEAD = 3.0  # initial energy of z in the first guess: larger, and no early samp
 FLOOR = 1e-7  # a multiplier of this share of the largest makes every sweep strictly concave, and is as valid
 FLAT = 1e-11  # curvatures below this share of the largest count as zero, and the linear term there must vanish
 UNBOUNDED = 1e9  # multiplier of a signal that is zero anyhow, over those of the noise
+NONE = np.zeros((0, 0))
 NO_ENERGY = 1e-18  # an energy of z below this share of its final one forces w to zero for any finite gain
 
 
 # --- the certificate -------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Multipliers:
-    """Multipliers of a certificate: D (n, blocks), nonincreasing along a column; noise (n, n_y); both nonnegative."""
-
-    D: Array
-    noise: Array
-
-    @classmethod
-    def cleaned(cls, D: Array, noise: Array) -> Multipliers:
-        """Make any numbers valid multipliers, scaled to a largest noise multiplier of one."""
-        scale = float(np.abs(noise).max(initial=0.0)) or 1.0
-        noise = np.maximum(noise, 0.0) / scale
-        D = np.maximum(D, 0.0) / scale
-        D = np.maximum.accumulate(D[::-1], axis=0)[::-1]
-        return cls(D + FLOOR * np.maximum(D.max(axis=0, initial=0.0), 1e-12), noise)
+def _cleaned(D: Array, noise: Array) -> Multipliers:
+    """Make any numbers valid multipliers, D nonincreasing, scaled to a largest noise multiplier of one."""
+    scale = float(np.abs(noise).max(initial=0.0)) or 1.0
+    noise, D = np.maximum(noise, 0.0) / scale, np.maximum(D, 0.0) / scale
+    D = np.maximum.accumulate(D[::-1], axis=0)[::-1]
+    return Multipliers(D + FLOOR * np.maximum(D.max(axis=0, initial=0.0), 1e-12), noise)
 
 
 def lagrangian_maximum(problem: SampledProblem, multipliers: Multipliers, gamma: float) -> float:
@@ -214,7 +207,7 @@ def _by_noise(programme: _Programme) -> Contractions:
             silent[:, k] = _silent(problem, problem.z0, cols)
     solved = programme.least_noise(silent)
     D = np.where(np.cumsum(~silent, axis=0) == 0, UNBOUNDED, 0.0)
-    multipliers = Multipliers(D, Multipliers.cleaned(np.zeros_like(D), programme.multipliers(solved).noise).noise)
+    multipliers = Multipliers(D, _cleaned(np.zeros_like(D), programme.multipliers(solved).noise).noise)
     w, jumps = programme.signals(solved.x)
     z, noise = problem.respond(w, jumps)
     excess = problem.excess(noise)
@@ -225,8 +218,7 @@ def _by_noise(programme: _Programme) -> Contractions:
 
 
 def _unexplained(lower: float, multipliers: Multipliers, excess: float) -> Contractions:
-    empty = np.zeros((0, 0))
-    return Contractions(lower, np.inf, multipliers, empty, excess, empty, empty, {})
+    return Contractions(lower, np.inf, multipliers, NONE, excess, NONE, NONE, {})
 
 
 # --- the programme ---------------------------------------------------------------------------------------------------
@@ -358,4 +350,4 @@ class _Programme:
                 noise[:, k] = 0.5 * np.abs(part[0, : p.n] - part[0, p.n :])
             else:
                 noise[:, k] = 0.5 * abs(part[0, 0]) / p.radius
-        return Multipliers.cleaned(D, noise)
+        return _cleaned(D, noise)

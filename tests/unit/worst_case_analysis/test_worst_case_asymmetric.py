@@ -51,31 +51,6 @@ def test_with_a_complex_block_the_entry_keeps_its_sign():
     assert found.physical["pole"][0] == pytest.approx(0.25, abs=1e-6)
 
 
-def random_set(dt):
-    """Repeated blocks, D11 not zero, ranges with the wider side above, below, and none."""
-    rng = np.random.default_rng(2)
-    a = rng.standard_normal((4, 4))
-    a -= (np.linalg.eigvals(a).real.max() + 0.5) * np.eye(4)
-    if dt:
-        a = np.linalg.inv(np.eye(4) - a * dt / 2) @ (np.eye(4) + a * dt / 2)
-    d = 0.1 * rng.standard_normal((7, 7))
-    d[5:] = 0.0
-    m = StateSpaceModel(a, 0.3 * rng.standard_normal((4, 7)), 0.5 * rng.standard_normal((7, 4)), d, dt)
-    wide_below, wide_above = ParameterRange(1.0, 0.2, below=0.36), ParameterRange(1.0, 0.5, below=0.2)
-    blocks = [RealScalar("a", 2, wide_below), RealScalar("b", 1, wide_above), RealScalar("c", 2)]
-    return UncertainModel(m, blocks)
-
-
-@pytest.mark.parametrize("dt", [0.0, 0.1])
-@pytest.mark.parametrize("metric", ["hinf", "h2", "spectral-abscissa", "damping", "peak", "peak-deviation", "rms"])
-def test_samples_have_the_value_of_their_member_by_a_second_method(metric, dt):
-    model = random_set(dt)
-    t, u = 0.1 * np.arange(120), np.random.default_rng(5).standard_normal((120, 2))
-    batch = MetricBatch(model, MetricRequest(metric, model.outputs[0].name, None, t, u, "zoh"), 4)
-    for k, value in enumerate(batch(0, 12)):
-        assert batch.judge.agrees(value, batch.judge.evaluate(batch.delta(k)).value)  # delta_matrix and simulation
-
-
 # --- samples ---------------------------------------------------------------------------------------------------------
 
 
