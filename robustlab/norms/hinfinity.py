@@ -214,7 +214,7 @@ def _level_test(s: StateSpaceModel, rtol: float, band: Band | None) -> tuple[flo
         if turn and gains[top] <= level:
             return lower, at, level, error, size, True
         lower, at = float(gains[top]), float(omega[top])
-        sizes, errors = _terms(s.A, s.B, s.C, s.D, 1j * np.array([at, *near]))
+        sizes, errors = _terms(s.A, s.B, s.C, s.D, np.array([complex(0.0, w) for w in (at, *near)]))
         size, error, near = float(sizes[0]), max(error, float(errors.max())), near[:0]
         margin = MARGIN if lower > error else 2.0  # a gain of rounding size has no peak
         level = lower + max(rtol * lower, margin * error)

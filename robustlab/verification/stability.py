@@ -1,7 +1,7 @@
 r"""Stability: every eigenvalue of A left of the imaginary axis (discrete: inside the unit circle).
 
-Lyapunov: A is stable if some P > 0 has :math:`-(A^T P + P A) > 0` (discrete: :math:`P - A^T P A > 0`). P comes with
-the claim, or floating point finds one; else the eigenvalues are enclosed.
+Lyapunov: A is stable if some P > 0 has :math:`-(A^T P + P A) > 0` (discrete: :math:`P - A^T P A > 0`). Floating
+point finds P; else the eigenvalues are enclosed.
 """
 
 from __future__ import annotations
@@ -25,18 +25,15 @@ def lyapunov_form(G: Model, P: Matrix) -> Matrix:
     return -(adjoint(product) + product)
 
 
-def stable(G: Model, P: NDArray[np.float64] | None, work: Work) -> Verdict:
-    """Prove that every matrix in the balls of A is stable, or refute it by an eigenvalue enclosed outside.
-
-    ``P``: a symmetric matrix (n, n) that may be the proof, or None.
-    """
+def stable(G: Model, work: Work) -> Verdict:
+    """Prove that every matrix in the balls of A is stable, or refute it by an eigenvalue enclosed outside."""
     work.spend(G.n)
-    for hint in (P, lyapunov_hint(G)):
-        if hint is not None:
-            candidate = exact(hint)
-            work.spend(G.n)
-            if definite(candidate).proved and definite(lyapunov_form(G, candidate)).proved:
-                return PROVED
+    hint = lyapunov_hint(G)
+    if hint is not None:
+        candidate = exact(hint)
+        work.spend(G.n)
+        if definite(candidate).proved and definite(lyapunov_form(G, candidate)).proved:
+            return PROVED
     work.spend(2 * G.n)
     values = eigenvalues(G.A)
     for value in values:
