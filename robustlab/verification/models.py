@@ -167,13 +167,8 @@ def gain_exceeds(G: Model, w: float, gamma: float) -> bool:
             M = G.D + G.C * shifted(G, w).solve(exact(np.eye(G.n, dtype=complex)) * G.B)
         except ZeroDivisionError:
             return False
-    return norm_exceeds(M, gamma)
-
-
-def norm_exceeds(M: Matrix, gamma: float) -> bool:
-    """Prove :math:`|M u| > gamma |u|` of every matrix in M, for the direction u that floating point finds."""
     hint = midpoints(M)
-    if not hint.size or not np.isfinite(hint).all():
+    if not np.isfinite(hint).all():
         return False
     u = exact(np.linalg.svd(hint)[2][:1].conj().T)
     response = M * u
