@@ -69,10 +69,12 @@ def lyapunov_hint(G: Model) -> NDArray[np.float64] | None:
     :math:`A^T P + P A = -(I - hA)^T (I - hA) / (2h)`.
     """
     A = midpoints(G.A)
-    if not G.n or not 1e-100 < np.abs(A).max() < 1e100:
+    if not G.n or not np.isfinite(A).all():
         return None
     d = np.exp2(exponents(np.abs(A), np.zeros((G.n, 0)), np.zeros((0, G.n))))
     A = d[:, None] * A / d
+    if not 1e-100 < np.abs(A).max() < 1e100:
+        return None
     F, one = A, np.eye(G.n)
     if not G.dt:
         h = 1 / np.linalg.norm(A)
