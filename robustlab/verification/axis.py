@@ -185,6 +185,7 @@ def _bases(hint: np.ndarray, r: float) -> Iterator[tuple[np.ndarray, np.ndarray]
         values, vectors = np.linalg.eig(hint)
         if np.abs(values).max() * r < 1:
             sizes = np.abs(hint)
+            np.fill_diagonal(sizes, 0.0)
             level = np.exp2(exponents(sizes, sizes[:, :0], sizes[:0]))
             even = level[:, None] * hint / level
             Q = _triangularising(even)
