@@ -132,14 +132,6 @@ def test_unspecified_time_bases_are_refused(dt):
         StateSpaceModel.from_control(system)
 
 
-def test_transfer_function_comes_in_with_its_response():
-    tf = control.tf([1.0, 2.0], [1.0, 0.4, 3.0])
-    model = as_model(tf)
-    s = 0.7j
-    value = (model.C @ np.linalg.solve(s * np.eye(2) - model.A, model.B) + model.D)[0, 0]
-    assert abs(value - tf(s)) < 1e-12
-
-
 # --- interconnection -------------------------------------------------------------------------------------------------
 
 
