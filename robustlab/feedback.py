@@ -106,13 +106,7 @@ def feedback_loop(
 
 
 def wired(K: Any, measurements: Sequence[Signal], controls: Sequence[Signal], where: str) -> Any:
-    """Return K for the lower LFT ``u = K y`` of a generalised plant with these measurements and controls.
-
-    Inputs and outputs are brought into the plant's order where their names match; an input that takes ``r - y`` of a
-    measurement y gets the opposite sign.
-
-    Raises InputError: K takes other signals than the plant has; UnitMismatch: connected signals have different units.
-    """
+    """Return K for the lower LFT ``u = K y`` of a generalised plant: with its order and signs."""
     if (len(K.inputs), len(K.outputs)) != (len(measurements), len(controls)):
         return K  # the caller refuses the size
     measured = [s if isinstance(s, Taken) else Taken(*s) for s in measurements]
@@ -248,10 +242,7 @@ def _selection(every: Sequence[str], some: Sequence[str]) -> np.ndarray[Any, np.
 
 
 def _by_stability(plant: Any, k: Any, takes: Sequence[Signal], where: str) -> FeedbackLoop:
-    """Connect with the only sign that makes the nominal loop stable; negative if none does.
-
-    Raises InputError: both signs do, or stability cannot be decided for these kinds of models.
-    """
+    """Connect with the only sign that makes the nominal loop stable; negative if none does."""
     around = StateSpaceModel([], [], [], np.eye(len(plant.inputs))) if k is None else k
     one, other = _rational(plant), _rational(around)
     mismatch = f"it takes {listed(_label(s) for s in takes)}, this plant has {listed(s.name for s in plant.outputs)}"

@@ -224,10 +224,7 @@ def _times_power(values: ComplexArray, exponents: AnyArray) -> ComplexArray:
 
 
 def _singular(P: ComplexArray, size: Array) -> tuple[ComplexArray, Array, ComplexArray, AnyArray, AnyArray]:
-    """Return left vectors, singular values and right vectors of P with scaled rows and columns, and their exponents.
-
-    ``size``: sizes of P's entries before cancellation, which determine the scaling.
-    """
+    """Return the SVD of P with rows and columns scaled by powers of two, from ``size``, and exponents."""
     r, c = equilibrating_exponents(size)
     left, sigma, right = np.linalg.svd(_times_power(P, r[:, None] + c))
     return left, sigma, right.conj().T, r, c
