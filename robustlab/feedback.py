@@ -83,10 +83,7 @@ def closing(
 def feedback_loop(
     plant: Any, K: Any, sign: int | None = None, where: str = "feedback", assumed: Sign | None = -1
 ) -> tuple[Any, Sign, str]:
-    """Return K with an input for every output of the plant and an output for every input, the sign, and the loop.
-
-    Signals of the plant that K does not take or drive get zeros. The loop is in words.
-    """
+    """Return K with inputs and outputs for all of the plant's, zero where it takes or drives none, sign, and words."""
     if is_constant(K):
         found = closing(plant, None if any(isinstance(s, Taken) for s in plant.inputs) else K, sign, where)
         if found.plant is not plant:
@@ -150,9 +147,6 @@ def without_references(k: Any) -> Any:
     names = [s.name for s in k.inputs]
     fed = [s.name for s in k.inputs if not (isinstance(s, Taken) and s.sign == 0)]
     return k if len(fed) == len(names) else k[[s.name for s in k.outputs], fed]
-
-
-# --- matching of signals ----------------------------------------------------------------------------------------------
 
 
 def _label(s: Signal) -> str:
@@ -236,9 +230,6 @@ def _selection(every: Sequence[str], some: Sequence[str]) -> np.ndarray[Any, np.
     found = np.zeros((len(some), len(every)))
     found[range(len(some)), [list(every).index(name) for name in some]] = 1.0
     return found
-
-
-# --- the sign of a controller without one -----------------------------------------------------------------------------
 
 
 def _by_stability(plant: Any, k: Any, takes: Sequence[Signal], where: str) -> FeedbackLoop:

@@ -205,9 +205,6 @@ def _chosen(key: Any, known: tuple[str, ...], kind: str) -> list[str]:
     return chosen
 
 
-# --- operands ---------------------------------------------------------------------------------------------------------
-
-
 def is_number(operand: Any) -> bool:
     """Return whether an operand is one real number."""
     return isinstance(operand, (int, float, np.number)) and not isinstance(operand, bool)

@@ -387,14 +387,7 @@ def series(first: StateSpaceModel, second: StateSpaceModel) -> StateSpaceModel:
 
 
 def product(second: Any, first: Any) -> StateSpaceModel:
-    r"""Return ``second @ first``, the transfer matrix :math:`G_2(s) G_1(s)`: outputs of ``first`` enter ``second``.
-
-    A number multiplies every channel. A matrix or a number has no signal names: those of the other side are kept where
-    sizes allow it.
-
-    Raises InputError: sizes or sample times that do not fit, or no operand; UnitMismatch: an output of ``first`` and
-    the input of ``second`` that it drives have different units.
-    """
+    """Return ``second @ first``: outputs of ``first`` enter ``second``; a number multiplies every channel."""
     if is_number(second):
         second = float(second) * np.eye(_operand(first, "product").n_outputs)
     elif is_number(first):
@@ -434,11 +427,7 @@ def inverse(model: Any) -> StateSpaceModel:
 
 
 def feedback(plant: Any, controller: Any = 1.0, sign: int = -1) -> StateSpaceModel:
-    """Return the closed loop from r to y for ``y = G e``, ``e = r + sign * K y``, with the names of ``plant``.
-
-    Raises InputError: sizes that do not fit, or an algebraic loop without solution (I - sign D_G D_K singular);
-    UnitMismatch: connected signals have different units.
-    """
+    """Return the closed loop from r to y for ``y = G e``, ``e = r + sign * K y``, with the names of ``plant``."""
     if sign not in (1, -1):
         raise InputError("feedback", f"sign {sign!r}", "1 or -1")
     g = _operand(plant, "feedback")

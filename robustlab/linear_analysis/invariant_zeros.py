@@ -210,9 +210,6 @@ def _found(m: StateSpaceModel) -> tuple[ComplexArray, int, str]:
     return slicot.invariant_zeros(m.A, m.B, m.C, m.D)[0], rank, reason
 
 
-# --- the test of a zero in P(s) --------------------------------------------------------------------------------------
-
-
 def _pencil(S: Array, s: complex, n: int) -> ComplexArray:
     P = S.astype(complex)
     P[range(n), range(n)] -= s
@@ -267,9 +264,6 @@ def _direction(vector: ComplexArray, exponents: AnyArray, single: bool) -> Compl
 def _loses_rank(block: ComplexArray, size: Array) -> bool:
     sigma = _singular(block, size)[1]
     return bool(sigma[-1] <= HIDDEN * sigma[0])
-
-
-# --- effect of rounding of the entries -------------------------------------------------------------------------------
 
 
 def _decided_by_rounding(S: Array, n: int, z: complex, least: float) -> bool:
