@@ -111,6 +111,8 @@ def norm_case(rng: Rng) -> Case | None:
         numbers.pop("P", None)
         numbers.pop("P_low", None)
         numbers |= norm_matrix(G, level, float(found.upper)) if rng.random() < 0.3 else {}
+    if rng.random() < 0.3 and np.isfinite(found.frequency):
+        numbers["frequency"] = np.array(float(found.frequency))
     return Case("norm", numbers)
 
 
