@@ -83,10 +83,7 @@ def closing(
 def feedback_loop(
     plant: Any, K: Any, sign: int | None = None, where: str = "feedback", assumed: Sign | None = -1
 ) -> tuple[Any, Sign, str]:
-    """Return K with an input for every output of the plant and an output for every input, the sign, and the loop.
-
-    Signals of the plant that K does not take or drive get zeros. The loop is in words.
-    """
+    """Return K with inputs and outputs for all of the plant's, zero where it takes or drives none, sign, and words."""
     if is_constant(K):
         found = closing(plant, None if any(isinstance(s, Taken) for s in plant.inputs) else K, sign, where)
         if found.plant is not plant:
@@ -106,13 +103,7 @@ def feedback_loop(
 
 
 def wired(K: Any, measurements: Sequence[Signal], controls: Sequence[Signal], where: str) -> Any:
-    """Return K for the lower LFT ``u = K y`` of a generalised plant with these measurements and controls.
-
-    Inputs and outputs are brought into the plant's order where their names match; an input that takes ``r - y`` of a
-    measurement y gets the opposite sign.
-
-    Raises InputError: K takes other signals than the plant has; UnitMismatch: connected signals have different units.
-    """
+    """Return K for the lower LFT ``u = K y`` of a generalised plant: with its order and signs."""
     if (len(K.inputs), len(K.outputs)) != (len(measurements), len(controls)):
         return K  # the caller refuses the size
     measured = [s if isinstance(s, Taken) else Taken(*s) for s in measurements]
@@ -156,9 +147,6 @@ def without_references(k: Any) -> Any:
     names = [s.name for s in k.inputs]
     fed = [s.name for s in k.inputs if not (isinstance(s, Taken) and s.sign == 0)]
     return k if len(fed) == len(names) else k[[s.name for s in k.outputs], fed]
-
-
-# --- matching of signals ----------------------------------------------------------------------------------------------
 
 
 def _label(s: Signal) -> str:
@@ -244,14 +232,8 @@ def _selection(every: Sequence[str], some: Sequence[str]) -> np.ndarray[Any, np.
     return found
 
 
-# --- the sign of a controller without one -----------------------------------------------------------------------------
-
-
 def _by_stability(plant: Any, k: Any, takes: Sequence[Signal], where: str) -> FeedbackLoop:
-    """Connect with the only sign that makes the nominal loop stable; negative if none does.
-
-    Raises InputError: both signs do, or stability cannot be decided for these kinds of models.
-    """
+    """Connect with the only sign that makes the nominal loop stable; negative if none does."""
     around = StateSpaceModel([], [], [], np.eye(len(plant.inputs))) if k is None else k
     one, other = _rational(plant), _rational(around)
     mismatch = f"it takes {listed(_label(s) for s in takes)}, this plant has {listed(s.name for s in plant.outputs)}"

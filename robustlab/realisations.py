@@ -274,10 +274,7 @@ def _least(
     parts: list[Part], D: Any, entries: dict[tuple[int, int], list[Part]], dt: float, inputs: Any, outputs: Any,
     where: str,
 ) -> StateSpaceModel:  # fmt: skip
-    """Sum up parts of a transfer matrix, pair by pair, each sum in least order; warn of cancellations in an entry.
-
-    ``entries``: the realisation of each entry alone.
-    """
+    """Sum up parts of a transfer matrix in least order; warn of what cancels in one of ``entries``."""
     zero = np.zeros(np.shape(D))
     models = [least_order(StateSpaceModel(*part, zero, dt)).model for part in parts]
     while len(models) > 1:
@@ -316,9 +313,6 @@ def _warn_of_sensitive_poles(den: Array, dt: float) -> None:
             " rl.zpk takes zeros, poles and gain",
             stacklevel=4,  # the caller of rl.tf
         )
-
-
-# --- zeros, poles, gain ----------------------------------------------------------------------------------------------
 
 
 def cascade(zeros: Any, poles: Any, gain: float, dt: float, where: str) -> StateSpaceModel:

@@ -119,11 +119,7 @@ SignalLike = str | Signal | tuple[str, str]
 
 
 def real_array(name: str, value: ArrayLike, ndim: int, where: str = "StateSpaceModel") -> Array:
-    """Return ``value`` as a read-only, finite float64 array with ``ndim`` dimensions.
-
-    Raises InputError: complex, non-numeric, wrong number of dimensions, NaN or Inf (with the index of the first bad
-    entry).
-    """
+    """Return ``value`` as a read-only, finite float64 array with ``ndim`` dimensions, or refuse it."""
     try:
         raw = np.asarray(value)
     except ValueError as error:
@@ -185,10 +181,7 @@ def signal_positions(names: str | Sequence[str] | None, known: Sequence[str], wh
 
 
 def picked(key: Any, outputs: tuple[str, ...], inputs: tuple[str, ...]) -> tuple[list[str], list[str]]:
-    """Return the names of outputs and inputs of ``G[outputs, inputs]``: numbers, slices, names, lists of these.
-
-    Raises InputError: no pair, an unknown number or name.
-    """
+    """Return the names of outputs and inputs of ``G[outputs, inputs]``: numbers, slices, names, lists of these."""
     if not isinstance(key, tuple) or len(key) != 2:
         raise InputError(
             "indexing", f"[{key!r}]", "two indices: G[outputs, inputs]", "write G[0, :] for the first output"
@@ -210,9 +203,6 @@ def _chosen(key: Any, known: tuple[str, ...], kind: str) -> list[str]:
             )
         chosen.append(known[item])
     return chosen
-
-
-# --- operands ---------------------------------------------------------------------------------------------------------
 
 
 def is_number(operand: Any) -> bool:

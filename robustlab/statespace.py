@@ -387,14 +387,7 @@ def series(first: StateSpaceModel, second: StateSpaceModel) -> StateSpaceModel:
 
 
 def product(second: Any, first: Any) -> StateSpaceModel:
-    r"""Return ``second @ first``, the transfer matrix :math:`G_2(s) G_1(s)`: outputs of ``first`` enter ``second``.
-
-    A number multiplies every channel. A matrix or a number has no signal names: those of the other side are kept where
-    sizes allow it.
-
-    Raises InputError: sizes or sample times that do not fit, or no operand; UnitMismatch: an output of ``first`` and
-    the input of ``second`` that it drives have different units.
-    """
+    """Return ``second @ first``: outputs of ``first`` enter ``second``; a number multiplies every channel."""
     if is_number(second):
         second = float(second) * np.eye(_operand(first, "product").n_outputs)
     elif is_number(first):
@@ -408,13 +401,7 @@ def product(second: Any, first: Any) -> StateSpaceModel:
 
 
 def parallel(first: Any, second: Any, sign: int = 1) -> StateSpaceModel:
-    """Return ``first + sign * second`` for two models of one size, with the signals of the first.
-
-    A number is a 1 x 1 gain: for more channels, where it is ambiguous, a matrix is required.
-
-    Raises InputError: sizes or sample times that do not fit, or no operand; UnitMismatch: signals that are added have
-    different units.
-    """
+    """Return ``first + sign * second`` of one size, with the signals of the first; a number is a 1 x 1 gain."""
     a, b = _operand(first, "sum"), _operand(second, "sum")
     if a.D.shape != b.D.shape:
         found = f"{a.n_outputs} x {a.n_inputs} and {b.n_outputs} x {b.n_inputs}"
@@ -428,12 +415,7 @@ def parallel(first: Any, second: Any, sign: int = 1) -> StateSpaceModel:
 
 
 def inverse(model: Any) -> StateSpaceModel:
-    r"""Return the inverse of a square model, whose inputs and outputs change places.
-
-    .. math:: G^{-1}: \quad (A - B D^{-1} C, \; B D^{-1}, \; -D^{-1} C, \; D^{-1})
-
-    Raises InputError: not square; NoTrustworthyNumber: D is singular: the inverse is not proper.
-    """
+    """Return the inverse of a square model with regular D, whose inputs and outputs change places."""
     g = _operand(model, "inverse")
     if g.n_inputs != g.n_outputs:
         raise InputError("inverse", f"{g.n_outputs} x {g.n_inputs}", "a square model")
@@ -445,11 +427,7 @@ def inverse(model: Any) -> StateSpaceModel:
 
 
 def feedback(plant: Any, controller: Any = 1.0, sign: int = -1) -> StateSpaceModel:
-    """Return the closed loop from r to y for ``y = G e``, ``e = r + sign * K y``, with the names of ``plant``.
-
-    Raises InputError: sizes that do not fit, or an algebraic loop without solution (I - sign D_G D_K singular);
-    UnitMismatch: connected signals have different units.
-    """
+    """Return the closed loop from r to y for ``y = G e``, ``e = r + sign * K y``, with the names of ``plant``."""
     if sign not in (1, -1):
         raise InputError("feedback", f"sign {sign!r}", "1 or -1")
     g = _operand(plant, "feedback")
@@ -470,20 +448,7 @@ def feedback(plant: Any, controller: Any = 1.0, sign: int = -1) -> StateSpaceMod
 
 
 def lower_lft(P: StateSpaceModel, K: StateSpaceModel) -> StateSpaceModel:
-    r"""Return the lower linear fractional transformation, ``u = K y`` with positive feedback.
-
-    .. math:: F_l(P, K) = P_{11} + P_{12} K (I - P_{22} K)^{-1} P_{21}
-
-    The last ``K.n_outputs`` inputs of P are u, its last ``K.n_inputs`` outputs are y. States of the result: those of P,
-    then of K.
-
-    Raises InputError: K is larger than P, other sample times, or I - D22 D_K is singular (the loop is not well posed);
-    NoTrustworthyNumber: a product of their entries overflows.
-
-    References
-    ----------
-    Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), section 10.1.
-    """
+    """Return ``P11 + P12 K (I - P22 K)^-1 P21``: u = K y around the last inputs and outputs of P."""
     dt = _common_dt((P, K), "lower_lft")
     n_u, n_y = K.n_outputs, K.n_inputs
     if n_u > P.n_inputs or n_y > P.n_outputs:

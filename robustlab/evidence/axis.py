@@ -194,9 +194,6 @@ def _attained(blocks: Sequence[Block], delta: NDArray[Any]) -> NDArray[np.float6
     return np.array([1 / n if n > 0 else 1e300 for n in norms])
 
 
-# --- norms of loops, and disks ---------------------------------------------------------------------------------------
-
-
 def coprime_claims(found: CoprimeMargin) -> list[Claim]:
     """Return the claim of a stable loop with a four-block norm of at most one over ``lower``."""
     if found.plant is None or found.K is None or not found.lower > 0:
@@ -223,9 +220,6 @@ def one_disk_claims(found: DiskMargin) -> list[Claim]:
     budget = search_budget("verify", WORK, 1.0, None)
     margin = margin_within(system, budget, accuracy=1e-4)
     return [claim for claim in margin_claims(margin) if claim.kind == "mu-axis"]
-
-
-# --- exact delays, and weights that cover them ------------------------------------------------------------------------
 
 
 def delayed_stability_claims(found: DelayStability) -> list[Claim]:

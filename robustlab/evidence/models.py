@@ -95,9 +95,6 @@ def set_claims(found: BuiltModel) -> list[Claim]:
     return [Claim("set", numbers if off == 0 else {**numbers, "tolerance": np.array(off)})]
 
 
-# --- covers -----------------------------------------------------------------------------------------------------------
-
-
 def cover_claims(found: Cover) -> list[Claim]:
     """Return the claims that each model is a member: at its parameters, or (``additive``) by an H-infinity norm."""
     if len(found.deltas) != len(found.models):

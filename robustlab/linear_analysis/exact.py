@@ -42,6 +42,7 @@ BITS = 128  # of a root, relative to its modulus
 POINT = 0x9E3779B97F4A7C15  # at which a pencil is singular by chance only
 FAR = 10**6  # above every exponent
 
+# A model, the indices of its input signals, those of the rows to which its outputs are added, and their sign.
 Block = tuple[StateSpaceModel, Indices, Indices, int]
 
 
@@ -110,11 +111,7 @@ def normal_rank(M: Array, n: int) -> int:
 
 
 def wired(blocks: Iterable[Block], J: Array) -> tuple[Array, int]:
-    """Return the matrix M and the number n of states of models wired by signals, for `determinant`.
-
-    A block is a model, the indices of its input signals, those of the rows to which its outputs are added, and their
-    sign. ``J`` (k, k): the part of the signals in their own rows. No entries are multiplied.
-    """
+    """Return M and n, for `determinant`, of `Block` models wired by signals, with the part J in their own rows."""
     blocks = list(blocks)
     n, k = sum(model.n_states for model, *_ in blocks), len(J)
     M, first = np.zeros((n + k, n + k)), 0

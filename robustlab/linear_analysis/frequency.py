@@ -1,17 +1,21 @@
-"""Frequency grids and batched frequency responses; frequency comes first: ``(n_omega, n_outputs, n_inputs)``."""
+"""Frequency grids, responses (frequency comes first: ``(n_omega, n_outputs, n_inputs)``), and steady states."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array, ComplexArray
-from robustlab.errors import InputError, NoTrustworthyNumber, error_context
+from robustlab.display import AllFields, Displayable, Facts, number
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context, unknown_name
 from robustlab.linear_analysis.magnitude import refuse_overflow
 from robustlab.linear_analysis.narrow_peaks import narrow_frequencies
+from robustlab.linear_analysis.structural import drop_unconnected
+from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model, real_array
 
 # Numbers in a chunk of the (n_omega, n, n) complex systems: more need fresh pages of memory.
@@ -19,11 +23,7 @@ CHUNK = 20_000
 
 
 def default_grid(model: StateSpaceModel, n: int = 200, decades: float = 2.0) -> Array:
-    """Return a logarithmic grid in rad/s around the model's own dynamics, shape (n,).
-
-    From ``decades`` below the slowest to ``decades`` above the fastest pole; the frequency of every lightly damped pole
-    is added, and some inside narrow peaks. A discrete model's grid ends at the Nyquist frequency pi / dt.
-    """
+    """Return a logarithmic grid in rad/s, from ``decades`` below the slowest to ``decades`` above the fastest pole."""
     poles = model.poles()
     if model.is_discrete:
         poles = np.log(poles[np.abs(poles) > 1e-12]) / model.dt
@@ -141,3 +141,39 @@ def value_at(model: Any, s: ArrayLike) -> ComplexArray:
             raise NoTrustworthyNumber("G(s)", "s hits a pole exactly", "a number that is no pole") from None
         refuse_overflow("G(s)", found)
     return found if point.ndim else found[0]
+
+
+@dataclass(frozen=True)
+class SteadyState(AllFields, Displayable):
+    """Outputs in steady state, by name, with the inputs and the units of both."""
+
+    inputs: Mapping[str, float]
+    outputs: Mapping[str, float]
+    units: Mapping[str, str]
+    status: Status = Status.CONVERGED
+
+    quantities: ClassVar[Mapping[str, Any]] = {"outputs": {"*": float}}
+
+    def headline(self) -> str:
+        given = ", ".join(f"{name} = {number(value, self.units[name], 5)}" for name, value in self.inputs.items())
+        return f"steady state at {given or 'zero'}"
+
+    def facts(self) -> Facts:
+        return [(name, number(value, self.units[name], 6)) for name, value in self.outputs.items()]
+
+
+def steady_state(model: Any, inputs: Mapping[str, float], outputs: Sequence[str] | None = None) -> SteadyState:
+    """Compute outputs :math:`y = G(0) u` (discrete :math:`G(1) u`) under constant inputs; inputs left out are zero."""
+    given = as_model(model, "steady state")
+    if outputs is not None:
+        given = drop_unconnected(given.select(outputs=outputs))
+    for name in inputs:
+        if name not in given.input_names:
+            raise unknown_name(f"inputs.{name}", "no such input", name, given.input_names)
+    if not given.is_stable():
+        found, hint = "is not stable, so it has no steady state", "keep only outputs that settle with outputs = [...]"
+        raise InputError("model", found, "a stable model", hint)
+    y = given.dc_gain() @ np.array([inputs.get(name, 0.0) for name in given.input_names])
+    units = {s.name: s.unit for s in (*given.inputs, *given.outputs)}
+    values = {s.name: float(value) for s, value in zip(given.outputs, y, strict=True)}
+    return SteadyState({n: inputs[n] for n in given.input_names if n in inputs}, values, units)

@@ -22,7 +22,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -162,13 +162,15 @@ def zeros(model: Any) -> Zeros:
     values, rank, reason = _found(m)
     S, n = _system(m), m.n_states
     tested = [_tested(S, z, n, rank) for z in values.tolist()]
-    residuals = np.array([x.residual for x in tested], dtype=float)
+    columns: Any = zip(*tested, strict=True) if tested else ((),) * 4
+    kinds, into, out, left = columns
+    residuals = np.array(left, dtype=float)
     reason = reason or _doubt(m, values, rank, residuals)
     return Zeros(
         values,
-        tuple(x.kind for x in tested),
-        np.array([x.into for x in tested], dtype=complex).reshape(len(tested), m.n_inputs).T,
-        np.array([x.out for x in tested], dtype=complex).reshape(len(tested), m.n_outputs).T,
+        kinds,
+        np.array(into, dtype=complex).reshape(len(tested), m.n_inputs).T,
+        np.array(out, dtype=complex).reshape(len(tested), m.n_outputs).T,
         rank,
         residuals,
         Status.INACCURATE if reason else Status.CONVERGED,
@@ -208,18 +210,6 @@ def _found(m: StateSpaceModel) -> tuple[ComplexArray, int, str]:
     return slicot.invariant_zeros(m.A, m.B, m.C, m.D)[0], rank, reason
 
 
-# --- the test of a zero in P(s) --------------------------------------------------------------------------------------
-
-
-class _Tested(NamedTuple):
-    """A zero tested in P(z): kind, directions at input and output, residual."""
-
-    kind: str
-    into: AnyArray
-    out: AnyArray
-    residual: float
-
-
 def _pencil(S: Array, s: complex, n: int) -> ComplexArray:
     P = S.astype(complex)
     P[range(n), range(n)] -= s
@@ -231,10 +221,7 @@ def _times_power(values: ComplexArray, exponents: AnyArray) -> ComplexArray:
 
 
 def _singular(P: ComplexArray, size: Array) -> tuple[ComplexArray, Array, ComplexArray, AnyArray, AnyArray]:
-    """Return left vectors, singular values and right vectors of P with scaled rows and columns, and their exponents.
-
-    ``size``: sizes of P's entries before cancellation, which determine the scaling.
-    """
+    """Return the SVD of P with rows and columns scaled by powers of two, from ``size``, and exponents."""
     r, c = equilibrating_exponents(size)
     left, sigma, right = np.linalg.svd(_times_power(P, r[:, None] + c))
     return left, sigma, right.conj().T, r, c
@@ -254,7 +241,8 @@ def _rank_within_rounding(m: StateSpaceModel) -> int:
     return best
 
 
-def _tested(S: Array, z: complex, n: int, rank: int) -> _Tested:
+def _tested(S: Array, z: complex, n: int, rank: int) -> tuple[str, ComplexArray, ComplexArray, float]:
+    """Test a zero in P(z): return its kind, directions at input and output, and residual."""
     P, size, k = _pencil(S, z, n), _pencil(np.abs(S), -abs(z), n).real, n + rank - 1
     left, sigma, right, r, c = _singular(P, size)
     unreached, unseen = _loses_rank(P[:n], size[:n]), _loses_rank(P[:, :n], size[:, :n])
@@ -262,7 +250,7 @@ def _tested(S: Array, z: complex, n: int, rank: int) -> _Tested:
             (False, True): "output-decoupling", (False, False): "transmission"}[unreached, unseen]  # fmt: skip
     u = _direction(right[n:, k], c[n:], S.shape[1] - n == rank)
     v = _direction(left[n:, k], r[n:], S.shape[0] - n == rank)
-    return _Tested(kind, u, v, abs(float(sigma[k] / sigma[0])) if sigma[0] else 0.0)
+    return kind, u, v, abs(float(sigma[k] / sigma[0])) if sigma[0] else 0.0
 
 
 def _direction(vector: ComplexArray, exponents: AnyArray, single: bool) -> ComplexArray:
@@ -276,9 +264,6 @@ def _direction(vector: ComplexArray, exponents: AnyArray, single: bool) -> Compl
 def _loses_rank(block: ComplexArray, size: Array) -> bool:
     sigma = _singular(block, size)[1]
     return bool(sigma[-1] <= HIDDEN * sigma[0])
-
-
-# --- effect of rounding of the entries -------------------------------------------------------------------------------
 
 
 def _decided_by_rounding(S: Array, n: int, z: complex, least: float) -> bool:

@@ -36,14 +36,7 @@ def balancing_factors(matrix: AnyArray) -> AnyArray:
 
 
 def balancing_exponents(A: AnyArray, into: AnyArray, out: AnyArray) -> AnyArray:
-    """Return exponents t (n,) of states ``x = 2^t x'`` that balance rows of [A, into] against columns of [A; out].
-
-    ``into`` (n, m) and ``out`` (p, n) count as if their largest entries were as large as A's.
-
-    References
-    ----------
-    Osborne 1960, with the largest entry as the norm, so that exponents are enough.
-    """
+    """Return exponents t (n,) of states ``x = 2^t x'`` that balance rows of [A, into] against columns of [A; out]."""
     n = len(A)
     a, b, c = _exponents(A), _exponents(into).max(1, initial=-np.inf), _exponents(out).max(0, initial=-np.inf)
     off, t = np.where(np.eye(n, dtype=bool), -np.inf, a), np.zeros(n)
@@ -65,12 +58,7 @@ def balancing_exponents(A: AnyArray, into: AnyArray, out: AnyArray) -> AnyArray:
 
 
 def equilibrating_exponents(matrix: AnyArray) -> tuple[AnyArray, AnyArray]:
-    """Return exponents r, c such that the largest entries of rows and columns of ``2^r matrix 2^c`` are near 1.
-
-    References
-    ----------
-    Ruiz, "A scaling algorithm to equilibrate both rows and columns norms in matrices" (2001).
-    """
+    """Return exponents r, c: the largest entries of rows and columns of ``2^r matrix 2^c`` are near 1 (Ruiz 2001)."""
     e, r, c = _exponents(np.abs(matrix)), np.zeros((len(matrix), 1)), np.zeros(matrix.shape[1])
     for _ in range(SWEEPS):
         now = e + r + c

@@ -163,11 +163,7 @@ def _stable_graph(A: AnyArray, G: AnyArray, Q: AnyArray) -> AnyArray | None:
 
 
 def _schur_graph(A: AnyArray, G: AnyArray, Q: AnyArray) -> AnyArray | None:
-    """Return the symmetric X whose graph ``[I; X]`` is the stable subspace of ``[[A, -G], [-Q, -A^T]]``.
-
-    Laub 1979: ordered real Schur form of the balanced Hamiltonian. None if the stable eigenvalues are not as many as
-    the states, or the subspace is no graph.
-    """
+    """Return the X with ``[I; X]`` the stable subspace of ``[[A, -G], [-Q, -A^T]]`` (Laub 1979); or None."""
     n = len(A)
     hamiltonian = np.empty((2 * n, 2 * n))
     hamiltonian[:n, :n], hamiltonian[:n, n:] = A, -G

@@ -236,10 +236,7 @@ def observability(model: Any) -> StructuralTest:
 
 
 def drop_unconnected(model: Any) -> StateSpaceModel:
-    """Remove the states without a path of non-zero entries of A, B and C from an input and to an output.
-
-    The input-output behaviour from zero initial state is exactly the same. Modes that cancel by value are kept.
-    """
+    """Remove the states without a path of non-zero entries of A, B and C from an input and to an output."""
     model = as_model(model, "drop_unconnected")
     moved = reached(model.A != 0, (model.B != 0).any(axis=1))
     keep = np.flatnonzero(moved & reached((model.A != 0).T, (model.C != 0).any(axis=0)))
@@ -319,11 +316,7 @@ class _Reached:
         )
 
     def basis(self) -> tuple[Array, Indices, float]:
-        r"""Return T and rows ``kept``, where it is the identity, with ``A T = T (A T)[kept]`` and ``B = T B[kept]``.
-
-        Entries become short binary fractions where these fit no worse, so that exact cancellations have no rounding.
-        Last, the largest residual of these equations, scaled.
-        """
+        """Return T and rows ``kept`` (T is I there), ``A T = T (A T)[kept]``, ``B = T B[kept]``; the residual."""
         from scipy.linalg import qr
 
         rank, inner, exponent = self.rank, self.inner, self.exponent
@@ -336,7 +329,7 @@ class _Reached:
         mixed = np.where(np.abs(share - short) <= ROUNDED, short, share)
         size = np.abs(self.b).max(axis=0, initial=0.0)
         found: list[tuple[float, Array]] = []
-        for part in (mixed, share):
+        for part in (mixed, share):  # short fractions where they fit no worse: exact cancellations have no rounding
             t = np.zeros((len(self.a), rank))
             t[inner[kept], range(rank)] = 1.0
             t[inner[rest]] = np.ldexp(part, exponent[rest, None] - exponent[None, kept])
@@ -364,10 +357,7 @@ class LeastOrder:
 
 
 def least_order(model: StateSpaceModel, tolerance: float | None = None) -> LeastOrder:
-    """Remove the modes that no input moves, then those that no output shows, by the staircase form.
-
-    Singular values up to ``tolerance`` count as zero, relative to the scaled model; None: those below rounding.
-    """
+    """Remove the modes that no input moves, then those that no output shows; ``tolerance``: see `_Reached.of`."""
     first = _Reached.of(model.A, model.B, tolerance)
     t, kept, missed = first.basis()
     names = [model.states[k] for k in kept]
@@ -404,10 +394,7 @@ def with_hidden(text: str, *models: StateSpaceModel) -> str:
 
 
 def _staircase(a: Array, b: Array, zero: float) -> tuple[Array, Array, int, float]:
-    """Build the controllable subspace by orthogonal steps: range of B, then ranges of A's blocks until none is left.
-
-    Return ``q^T A q``, q, the rank, and the largest singular value dropped; those up to ``zero`` are.
-    """
+    """Build the controllable subspace by orthogonal steps: return ``q^T A q``, q, its rank, the largest value lost."""
     n = len(a)
     a, q = a.copy(order="F"), np.eye(n, order="F")
     block, done, dropped = b, 0, 0.0
@@ -506,10 +493,8 @@ def _hidden_modes(
 
 
 def strong_components(acts: Mask) -> Indices:
-    """Return the strongly connected component of each node, numbered by their first nodes; ``acts[i, j]``: edge j to i.
-
-    The matrix of paths is squared until it is constant: for a few nodes faster than scipy's search and its import.
-    """
+    """Return the strong component of each node, numbered by first nodes; ``acts[i, j]``: edge from j to i."""
+    # Squaring the matrix of paths is faster than scipy's search, with its import, for a few nodes.
     paths = acts | np.eye(len(acts), dtype=bool)
     while True:
         count = paths.astype(np.float32)

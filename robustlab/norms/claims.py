@@ -47,10 +47,7 @@ def h2_claims(found: H2Norm) -> list[Claim]:
 
 
 def gramian_claims(model: StateSpaceModel, value: float, numbers: Numbers | None = None) -> list[Claim]:
-    """Claim the level ``value`` (1 + 1e-6) by a slightly enlarged Gramian; no claim if none was found.
-
-    ``numbers``: those of plant and controller if the model is a loop; by default those of the model.
-    """
+    """Claim the level ``value`` (1 + 1e-6) of a model, or the loop of ``numbers``, by a slightly enlarged Gramian."""
     numbers, level = model_numbers(model) if numbers is None else numbers, above(value)
     proof = gramian_matrix(model, value, level, numbers) if model.n_states else {}
     return [Claim("gramian", {**numbers, "value": np.array(level), **proof})] if proof else []

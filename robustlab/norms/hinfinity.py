@@ -108,11 +108,7 @@ def hinf_norm(model: Any, rtol: float = 1e-6) -> HinfNorm:
 
 @error_context("linf_norm")
 def linf_norm(model: Any, rtol: float = 1e-6, *, band: tuple[float, float] | None = None) -> HinfNorm:
-    """Compute the peak gain over the frequency axis or a band of it, of a model that may be unstable.
-
-    Whether a pole lies on the stability boundary is decided in exact arithmetic up to 12 states; with more states a
-    pole indistinguishable from the boundary makes the norm infinite with status INACCURATE.
-    """
+    """Compute the peak gain over the frequency axis or a band of it, of a model that may be unstable."""
     given = as_model(model, "linf_norm")
     part = None if band is None else checked_band(band, given.dt, "linf_norm")
     infinite = partial(_on_the_boundary, None) if part is None else partial(_on_the_boundary, part)

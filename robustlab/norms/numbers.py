@@ -39,9 +39,6 @@ def loop_numbers(plant: StateSpaceModel, K: StateSpaceModel) -> Numbers:
 
 
 def block_rows(blocks: Sequence[Any]) -> NDArray[np.int64]:
-    """Return ``[kind, rows, cols]`` of each block: 0 real, 1 complex number times the identity, 2 a full matrix.
-
-    Any other set of matrices counts as a full block, which contains it.
-    """
+    """Return ``[kind, rows, cols]`` of each block: 0 real, 1 complex number times I, 2 a full matrix or another set."""
     rows = [(0 if b.interval else 1 if b.is_scalar else 2, b.rows, b.cols) for b in blocks]
     return np.array(rows, dtype=np.int64).reshape(-1, 3)

@@ -121,7 +121,7 @@ def _inferred_steady_state(step: Any, ahead: Any) -> Any:
     return replace(ahead[None], leaves={"outputs": {"*": float} if kept is None else dict(kept)})
 
 
-@operation("", "steady-state", result="linear_analysis.steady_state.SteadyState", infer=_inferred_steady_state)
+@operation("", "steady-state", result="linear_analysis.frequency.SteadyState", infer=_inferred_steady_state)
 def steady_state(
     model: Annotated[Model, Named(key="of")],
     inputs: Annotated[
@@ -133,7 +133,7 @@ def steady_state(
     outputs: Outputs = None,
 ) -> Any:
     """Outputs in steady state under constant inputs; inputs left out are zero."""
-    from robustlab.linear_analysis.steady_state import steady_state as computed
+    from robustlab.linear_analysis.frequency import steady_state as computed
 
     return computed(model, in_units("input", inputs, {s.name: s.unit for s in model.inputs}), outputs)
 

@@ -38,7 +38,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from flint import acb, arb, arb_mat
@@ -68,14 +67,6 @@ UNDECIDED = Definite(False, math.nan)
 ALIKE = 1e-14  # an imaginary part below this part of an eigenvalue is rounding
 
 
-@dataclass(frozen=True)
-class Chart:
-    """A continuous model, and the map of its frequency to that of the user's model."""
-
-    model: Model
-    frequency: Callable[[float], float]  # rad/s of the user's model
-
-
 def axis(G: Model, intervals: Sequence[tuple[float, float, Form]], work: Work) -> Verdict:
     """Prove that each interval's form is positive definite at each of its frequencies, the ends included.
 
@@ -86,28 +77,24 @@ def axis(G: Model, intervals: Sequence[tuple[float, float, Form]], work: Work) -
     mapped = on_the_axis(G) if G.dt else G
     if mapped is None:
         return not_proved("the discrete model was not proved to be free of a pole at -1")
-    low, high = Chart(balanced(mapped), lambda t: _unwarped(t, G.dt)), None
+    low, high = balanced(mapped), None
     for start, stop, form in intervals:
         a, b = _warped(start, G.dt, up=False), _warped(stop, G.dt, up=True)
         split = b
         if math.isinf(b):
             split = max(a, _fastest(mapped))
-            high = high or _around_infinity(mapped, G.dt)
+            high = high or reciprocal(mapped)
             if high is None:
                 return not_proved("high frequencies: A was not proved regular")
-            verdict = _boxes(high, -rounded_up(1 / arb(split)), 0.0, form, work)
+            # in which w = inf is 0, and w is -1/w
+            verdict = _boxes(balanced(high), lambda v: _unwarped(-1 / v if v else math.inf, G.dt),
+                             -rounded_up(1 / arb(split)), 0.0, form, work)  # fmt: skip
             if not verdict.proved:
                 return verdict
-        verdict = _boxes(low, a, split, form, work)
+        verdict = _boxes(low, lambda t: _unwarped(t, G.dt), a, split, form, work)
         if not verdict.proved:
             return verdict
     return PROVED
-
-
-def _around_infinity(mapped: Model, dt: float) -> Chart | None:
-    """Return the chart in which w = inf is 0, and w is ``-1/w``; None where A was not proved regular."""
-    inverted = reciprocal(mapped)
-    return Chart(balanced(inverted), lambda v: _unwarped(-1 / v if v else math.inf, dt)) if inverted else None
 
 
 def _warped(w: float, dt: float, *, up: bool) -> float:
@@ -132,18 +119,21 @@ def _fastest(G: Model) -> float:
     return float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)) or 1.0 if np.isfinite(A).all() else 1.0
 
 
-def _boxes(chart: Chart, a: float, b: float, form: Form, work: Work) -> Verdict:
-    """Prove the form positive definite on [a, b]; the ends are doubles that neighbouring boxes share."""
-    todo, quadratic = [(a, b)], form.of_sum(chart.model.D, chart.model.C)
+def _boxes(G: Model, frequency: Callable[[float], float], a: float, b: float, form: Form, work: Work) -> Verdict:
+    """Prove the form positive definite on [a, b]; the ends are doubles that neighbouring boxes share.
+
+    ``frequency``: the map from those of the continuous model G to those of the user's model, in rad/s.
+    """
+    todo, quadratic = [(a, b)], form.of_sum(G.D, G.C)
     while todo:
         a, b = todo.pop()
         w0 = min(max(a + (b - a) / 2, a), b)
         r = max(rounded_up(arb(b) - arb(w0)), rounded_up(arb(w0) - arb(a)))
-        work.spend(max(2 * chart.model.n, chart.model.size))
-        answer = _box(chart.model, w0, r, quadratic)
+        work.spend(max(2 * G.n, G.size))
+        answer = _box(G, w0, r, quadratic)
         if answer.proved:
             continue
-        at = f"at {chart.frequency(w0):.9g} rad/s"
+        at = f"at {frequency(w0):.9g} rad/s"
         if answer.least < INDEFINITE:
             return not_proved(f"{at} the form's smallest eigenvalue is {answer.least:.3g} of its size")
         if not a < w0 < b:
@@ -195,6 +185,7 @@ def _bases(hint: np.ndarray, r: float) -> Iterator[tuple[np.ndarray, np.ndarray]
         values, vectors = np.linalg.eig(hint)
         if np.abs(values).max() * r < 1:
             sizes = np.abs(hint)
+            np.fill_diagonal(sizes, 0.0)
             level = np.exp2(exponents(sizes, sizes[:, :0], sizes[:0]))
             even = level[:, None] * hint / level
             Q = _triangularising(even)

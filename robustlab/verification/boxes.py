@@ -30,7 +30,7 @@ from robustlab.verification.claim import PROVED, Claim, Verdict, Work, not_prove
 from robustlab.verification.forms import REAL, Block, read_blocks, read_scalings, scaled_form
 from robustlab.verification.models import Model, model_of
 from robustlab.verification.mu import beyond_nyquist
-from robustlab.verification.norms import climb, evidence
+from robustlab.verification.norms import climb
 from robustlab.verification.stability import stable
 
 Sides = Sequence[tuple[Any, Any]]  # the ends of each block's interval: doubles, or exact fractions
@@ -42,7 +42,7 @@ def prove_mu_boxes(claim: Claim, work: Work, build: Callable[[Claim], Model] = m
 
     ``ranges`` (k, 2): the ends for size one, about zero; of blocks that are not real -1, 1, their norms are within
     1/``level``. Evidence: ``box`` (N, k, 2), ``low``, ``high`` (N,) in rad/s, ``D_w``, ``D_z``, ``G`` (N, ...): in each
-    box, at the frequencies of its interval, the form is positive definite; ``P`` may prove the nominal model stable.
+    box, at the frequencies of its interval, the form is positive definite.
     """
     G = build(claim)
     blocks, size = read_blocks(claim, G.m, G.p), Fraction(scalar(claim, "size"))
@@ -59,8 +59,8 @@ def prove_mu_boxes(claim: Claim, work: Work, build: Callable[[Claim], Model] = m
     if left is not None:
         sides = ", ".join(f"{float(x):.6g} .. {float(y):.6g}" for x, y in left[0])
         raise InputError("box", f"nothing covers {sides} between {left[1]} and {left[2]} rad/s", "boxes that cover all")
-    stacks, P = read_scalings(claim, G.m, G.p, count), evidence(claim, G.n)
-    verdict = climb(lambda: stable(build(claim), P, work))
+    stacks = read_scalings(claim, G.m, G.p, count)
+    verdict = climb(lambda: stable(build(claim), work))
     if not verdict.proved:
         return verdict
 

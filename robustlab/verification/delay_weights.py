@@ -48,7 +48,7 @@ def prove_delay_weight(claim: Claim, work: Work) -> Verdict:
         raise InputError("range, R, W", f"{low}, {high}", "in order; one input, one output")
 
     def attempt() -> Verdict:
-        verdict = stable(R, None, work)
+        verdict = stable(R, work)
         (r, r_back), (w, w_back), floor = _fractions(R), _fractions(W), arb(epsilon) ** 2
 
         def above(v: arb, h: Series) -> Series:

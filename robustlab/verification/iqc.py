@@ -81,7 +81,7 @@ def prove_multipliers(claim: Claim, work: Work, gain: bool) -> Verdict:
         G = _about_the_middles(model_of(claim), blocks, natures, rows, size)
         if G is None:
             return not_proved("the set's middle was not proved to be well posed")
-        verdict = stable(G, None, work)
+        verdict = stable(G, work)
         if not verdict.proved:
             return verdict
         F, x = Filtered(G, filters, extra), Multipliers(values, work)

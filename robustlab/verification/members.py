@@ -44,7 +44,7 @@ def prove_mu_lower(claim: Claim, work: Work) -> Verdict:
     """Prove that a Delta of the ``blocks`` within (1 + 1e-9)/``level`` near ``delta`` makes I - M Delta singular."""
     M = complex_or_real(claim, "M", (None, None))
     blocks = read_blocks(claim, M.shape[1], M.shape[0])
-    return singular_member(claim, exact(M), blocks, work, ALLOWANCE)
+    return singular_member(claim, exact(M), blocks, work)
 
 
 def prove_unstable_member(claim: Claim, work: Work) -> Verdict:
@@ -53,7 +53,25 @@ def prove_unstable_member(claim: Claim, work: Work) -> Verdict:
     A member that is not well posed (I - D Delta singular) counts, too.
     """
     G = model_of(claim)
-    return unstable_member(claim, read_blocks(claim, G.m, G.p), work, ALLOWANCE)
+    blocks = read_blocks(claim, G.m, G.p)
+    delta = given_delta(claim, blocks, G.m, G.p)
+
+    def attempt() -> Verdict:
+        model = model_of(claim)
+        larger = exact(delta) * arb(LARGER)
+        A = closed(model, larger)
+        if A is None or not np.isfinite(midpoints(A)).all():
+            return not_proved("the given Delta's member was not proved to be well posed")
+        work.spend(2 * model.n)
+        if within(blocks, larger, arb(ALLOWANCE), work) and any(outside(v, model.dt) for v in eigenvalues(A)):
+            return PROVED
+        return not_proved("no pole on or beyond the boundary was proved")
+
+    verdict = climb(attempt)
+    if verdict.proved:
+        return verdict
+    ill_posed = singular_member(claim, G.D, blocks, work)
+    return ill_posed if ill_posed.proved else verdict
 
 
 def given_delta(claim: Claim, blocks: Sequence[Block], q: int, p: int) -> NDArray[Any]:
@@ -63,8 +81,8 @@ def given_delta(claim: Claim, blocks: Sequence[Block], q: int, p: int) -> NDArra
     return delta
 
 
-def singular_member(claim: Claim, M: Matrix, blocks: Sequence[Block], work: Work, allowance: float) -> Verdict:
-    """Prove that a Delta of the structure with norms within ``allowance / level`` makes I - M Delta singular."""
+def singular_member(claim: Claim, M: Matrix, blocks: Sequence[Block], work: Work) -> Verdict:
+    """Prove that a Delta of the structure with norms within ``ALLOWANCE / level`` makes I - M Delta singular."""
     p, q = M.nrows(), M.ncols()
     delta = given_delta(claim, blocks, q, p)
 
@@ -79,7 +97,7 @@ def singular_member(claim: Claim, M: Matrix, blocks: Sequence[Block], work: Work
         found = exact(delta)
         for E, r in zip(directions, radii, strict=True):
             found = found + exact(E) * arb(0, r)
-        if not within(blocks, found, arb(allowance), work):
+        if not within(blocks, found, arb(ALLOWANCE), work):
             return not_proved("a Delta makes the loop singular, but its norm was not proved to be within the bound")
         return PROVED
 
@@ -165,29 +183,6 @@ def _value_and_slopes(
         return arb_mat(1, 1, [x[n, 0]]), arb_mat(1, 1, slopes)
     g = x[n, 0]
     return arb_mat(2, 1, [g.real, g.imag]), arb_mat(2, 2, [v.real for v in slopes] + [v.imag for v in slopes])
-
-
-def unstable_member(claim: Claim, blocks: Sequence[Block], work: Work, allowance: float) -> Verdict:
-    """Prove that a Delta within ``allowance / level`` gives a pole on or beyond the boundary, or no solution."""
-    G = model_of(claim)
-    delta = given_delta(claim, blocks, G.m, G.p)
-
-    def attempt() -> Verdict:
-        model = model_of(claim)
-        larger = exact(delta) * arb(LARGER if allowance > 1 else 1.0)
-        A = closed(model, larger)
-        if A is None or not np.isfinite(midpoints(A)).all():
-            return not_proved("the given Delta's member was not proved to be well posed")
-        work.spend(2 * model.n)
-        if within(blocks, larger, arb(allowance), work) and any(outside(v, model.dt) for v in eigenvalues(A)):
-            return PROVED
-        return not_proved("no pole on or beyond the boundary was proved")
-
-    verdict = climb(attempt)
-    if verdict.proved:
-        return verdict
-    ill_posed = singular_member(claim, G.D, blocks, work, allowance)
-    return ill_posed if ill_posed.proved else verdict
 
 
 def closed(G: Model, delta: Matrix) -> Matrix | None:

@@ -167,13 +167,8 @@ def gain_exceeds(G: Model, w: float, gamma: float) -> bool:
             M = G.D + G.C * shifted(G, w).solve(exact(np.eye(G.n, dtype=complex)) * G.B)
         except ZeroDivisionError:
             return False
-    return norm_exceeds(M, gamma)
-
-
-def norm_exceeds(M: Matrix, gamma: float) -> bool:
-    """Prove :math:`|M u| > gamma |u|` of every matrix in M, for the direction u that floating point finds."""
     hint = midpoints(M)
-    if not hint.size or not np.isfinite(hint).all():
+    if not np.isfinite(hint).all():
         return False
     u = exact(np.linalg.svd(hint)[2][:1].conj().T)
     response = M * u
@@ -189,6 +184,7 @@ def balanced(G: Model) -> Model:
     sizes = [np.abs(midpoints(X)) for X in (G.A, G.B, G.C)]
     if not all(np.isfinite(X).all() for X in sizes):
         return G
+    np.fill_diagonal(sizes[0], 0.0)
     unit = exponents(*sizes)
     T, back = (diagonal([arb(2) ** int(sign * x) for x in unit]) for sign in (1, -1))
     return Model(T * G.A * back, T * G.B, G.C * back, G.D, G.dt)
@@ -197,7 +193,6 @@ def balanced(G: Model) -> Model:
 def exponents(A: NDArray[np.float64], B: NDArray[np.float64], C: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return exponents of two (n,) for the rows of A and B that make each as large as its column in A and C."""
     A, B, C = (np.log2(np.maximum(X, TINY)) for X in (A, B, C))
-    np.fill_diagonal(A, np.log2(TINY))
     unit = np.zeros(len(A))
     for i in list(range(len(A))) * SWEEPS:
         row = max((A[i] + unit[i] - unit).max(initial=-np.inf), B[i].max(initial=-np.inf) + unit[i])

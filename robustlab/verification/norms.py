@@ -16,7 +16,6 @@ from collections.abc import Callable
 
 import numpy as np
 from flint import arb
-from numpy.typing import NDArray
 
 from robustlab.verification.axis import axis
 from robustlab.verification.balls import (
@@ -68,11 +67,6 @@ def climb(attempt: Callable[[], Verdict]) -> Verdict:
     return verdict
 
 
-def evidence(claim: Claim, n: int) -> NDArray[np.float64] | None:
-    """Return the claim's P, None where it has none."""
-    return symmetric(claim, "P", n) if "P" in claim.numbers else None
-
-
 def in_two_parts(claim: Claim, n: int) -> Matrix:
     """Return the claim's P, plus ``P_low``, its further digits, where given."""
     P = exact(symmetric(claim, "P", n))
@@ -80,11 +74,11 @@ def in_two_parts(claim: Claim, n: int) -> Matrix:
 
 
 def prove_stable(claim: Claim, work: Work) -> Verdict:
-    """Prove that A (n, n) is stable, by P (n, n) where it is given and suffices."""
+    """Prove that A (n, n) is stable."""
     A = real(claim, "A", (None, None))
     n = len(real(claim, "A", (len(A), len(A))))
-    dt, P = scalar(claim, "dt", zero=True), evidence(claim, n)
-    return climb(lambda: stable(Model(exact(A), zeros(n, 0), zeros(0, n), zeros(0, 0), dt), P, work))
+    dt = scalar(claim, "dt", zero=True)
+    return climb(lambda: stable(Model(exact(A), zeros(n, 0), zeros(0, n), zeros(0, 0), dt), work))
 
 
 def bounded_real_form(G: Model, P: Matrix, gamma: float) -> Matrix:
@@ -101,16 +95,8 @@ def bounded_real_form(G: Model, P: Matrix, gamma: float) -> Matrix:
 
 
 def prove_norm(claim: Claim, build: Callable[[Claim], Model], work: Work) -> Verdict:
-    """Prove that the model of ``build`` is stable with H-infinity norm <= ``gamma``.
-
-    ``P`` may be the proof (`prove_bounded_real`), ``frequency`` that of a counterexample.
-    """
+    """Prove that the model of ``build`` is stable with H-infinity norm <= ``gamma``, by ``P`` where it is a proof."""
     gamma = scalar(claim, "gamma")
-    given = scalar(claim, "frequency", zero=True) if "frequency" in claim.numbers else None
-
-    def stability() -> Verdict:
-        G = build(claim)
-        return stable(G, evidence(claim, G.n), work)
 
     def by_frequency() -> Verdict:
         G = build(claim)
@@ -122,10 +108,10 @@ def prove_norm(claim: Claim, build: Callable[[Claim], Model], work: Work) -> Ver
             return verdict
     with precision(PRECISIONS[0]):
         work.spend(build(claim).size)
-        counterexample = gain_above(build(claim), gamma, given)
+        counterexample = gain_above(build(claim), gamma)
     if counterexample is not None:
         return counterexample
-    verdict = climb(stability)
+    verdict = climb(lambda: stable(build(claim), work))
     return climb(by_frequency) if verdict.proved else verdict
 
 
@@ -143,17 +129,12 @@ def prove_bounded_real(claim: Claim, build: Callable[[Claim], Model], work: Work
     return climb(attempt)
 
 
-def gain_above(G: Model, gamma: float, given: float | None) -> Verdict | None:
-    """Return the refutation of ``norm <= gamma`` by a frequency with a larger gain; None where none was found.
-
-    ``given``: a candidate in rad/s.
-    """
+def gain_above(G: Model, gamma: float) -> Verdict | None:
+    """Return the refutation of ``norm <= gamma`` by a frequency with a larger gain; None where none was found."""
     mapped = on_the_axis(G) if G.dt else G
     if mapped is None or not (G.m and G.p):
         return None
-    half = 0.0 if given is None else given * G.dt / 2
-    first = [] if given is None or not math.isfinite(half) else [math.tan(half) if G.dt else given]
-    for w in (*first, *peaks(mapped), math.inf):
+    for w in (*peaks(mapped), math.inf):
         if gain_exceeds(mapped, w, gamma):
             at = 2 * math.atan(w) / G.dt if G.dt else w
             return refuted(f"the gain at {at:.9g} rad/s was proved to be larger")

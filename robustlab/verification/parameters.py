@@ -84,10 +84,12 @@ def prove_parameters(claim: Claim, work: Work) -> Verdict:
         raise InputError("P", "not symmetric to the last bit", "symmetric matrices")
 
     def attempt() -> Verdict:
-        models = {at: exact(np.ascontiguousarray(M[at])) for at in np.ndindex(*grid)}
-        bounds = {} if deviation is None else {cell: deviation[cell] for cell in np.ndindex(*cells)}
+        models: Stack = {at: exact(np.ascontiguousarray(M[at])) for at in np.ndindex(*grid)}
+        bounds: Mapping[Index, NDArray[np.float64]] = {}
+        if deviation is not None:
+            bounds = {cell: deviation[cell] for cell in np.ndindex(*cells)}
         if "K" in claim.numbers:
-            models, bounds = _loops(claim, models, bounds, n, n_K)
+            models, bounds = _loops(claim, M, bounds, n, n_K)
         squares = {at: exact(np.ascontiguousarray(P[at])) for at in np.ndindex(*P.shape[:k])}
         for at, X in squares.items():
             work.spend(n + n_K)
@@ -165,36 +167,32 @@ def _dissipation(PAB: Matrix, CD: Matrix, motion: Matrix, gamma: float) -> Matri
 
 
 def _loops(
-    claim: Claim, plants: Stack, bounds: Mapping[Index, NDArray[np.float64]], n: int, n_K: int
+    claim: Claim, M: NDArray[np.float64], bounds: Mapping[Index, NDArray[np.float64]], n: int, n_K: int
 ) -> tuple[Stack, Mapping[Index, NDArray[np.float64]]]:
     """Return the loop at each point, states of the plant first, and its E. InputError: it is not multi-linear."""
-    y, u = _size(claim, "n_meas"), _size(claim, "n_con")
-    first = next(iter(plants.values()))
-    z, w = first.nrows() - n - y, first.ncols() - n - u
-    grid = tuple(last + 1 for last in max(plants))
+    y, u, grid = _size(claim, "n_meas"), _size(claim, "n_con"), M.shape[:-2]
+    z, w = M.shape[-2] - n - y, M.shape[-1] - n - u
     K = real(claim, "K", (*grid, n_K + u, n_K + y))
     if z < 0 or w < 0:
         raise InputError("n_meas, n_con", f"{y}, {u}", "some of the plant's outputs and inputs")
     fixed = np.zeros((n + z + y, n + w + u), dtype=bool)
     fixed[n + z :], fixed[:, n + w :] = True, True
-    M = np.asarray(claim.numbers["M"])
-    same = (M[(0,) * len(grid)] == M)[..., fixed].all() and not any(E[fixed].any() for E in bounds.values())
+    first = M[(0,) * len(grid)]
+    same = (first == M)[..., fixed].all() and not any(E[fixed].any() for E in bounds.values())
     if not same or M[..., n + z :, n + w :].any():
         raise InputError("M", "B2, C2, D12 or D21 that depend on a parameter, or D22", "constant ones, and D22 = 0")
-    into, out = exact(M[(0,) * len(grid)][: n + z, n + w :]), exact(M[(0,) * len(grid)][n + z :, : n + w])
-    # With K = [A_K B_K; C_K D_K] the loop is [M_11 0; 0 0] + U K V, rows (x, z; x_K), columns (x, w; x_K).
-    U = stack([[zeros(n + z, n_K), into], [identity(n_K), zeros(n_K, u)]])
-    V = stack([[zeros(n_K, n + w), identity(n_K)], [out, zeros(y, n_K)]])
-    rows, cols = (_order(n, rest, n_K) for rest in (z, w))
-    loops: dict[Index, Matrix] = {}
-    for at, X in plants.items():
-        own = part(X, slice(0, n + z), slice(0, n + w))
-        both = stack([[own, zeros(n + z, n_K)], [zeros(n_K, n + w + n_K)]]) + U * exact(np.ascontiguousarray(K[at])) * V
-        loops[at] = arb_mat(len(rows), len(cols), [both[i, j] for i in rows for j in cols])
-    wide = {cell: np.pad(E[: n + z, : n + w], ((0, n_K), (0, n_K)))[np.ix_(rows, cols)] for cell, E in bounds.items()}
-    return loops, wide
+    # With K = [A_K B_K; C_K D_K] the loop is [M_11 0; 0 0] + U K V, rows (x, x_K, z), columns (x, x_K, w).
+    inner = slice(n, n + n_K)
+    rows, cols = (np.r_[:n, n + n_K : n + n_K + rest] for rest in (z, w))
+    U, V = np.zeros((n + n_K + z, n_K + u)), np.zeros((n_K + y, n + n_K + w))
+    U[inner, :n_K] = V[:n_K, inner] = np.eye(n_K)
+    U[rows, n_K:], V[n_K:, cols] = first[: n + z, n + w :], first[n + z :, : n + w]
 
+    def widened(X: NDArray[np.float64]) -> NDArray[np.float64]:
+        wide = np.zeros((len(U), V.shape[1]))
+        wide[np.ix_(rows, cols)] = X[: n + z, : n + w]
+        return wide
 
-def _order(n: int, rest: int, n_K: int) -> list[int]:
-    """Return the permutation from (x, signals; x_K) to (x, x_K; signals)."""
-    return [*range(n), *range(n + rest, n + rest + n_K), *range(n, n + rest)]
+    loops = {at: exact(widened(M[at])) + exact(U) * exact(np.ascontiguousarray(K[at])) * exact(V)
+             for at in np.ndindex(*grid)}  # fmt: skip
+    return loops, {cell: widened(E) for cell, E in bounds.items()}

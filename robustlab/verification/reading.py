@@ -15,11 +15,7 @@ GROUP = "claims"
 
 
 def claims_in_file(path: str | Path) -> list[Claim]:
-    """Read the claims in the groups ``claims/0``, ``claims/1``, ... of an HDF5 file; none without such a group.
-
-    A claim is a group with the attribute ``claim`` (its kind) and one dataset for each of its numbers. Raises
-    InputError: no HDF5 file, one whose content hash does not match, or an invalid claim.
-    """
+    """Read the claims in the groups ``claims/0``, ``claims/1``, ... of an HDF5 file, by a kind and datasets each."""
     return claims_in(read_checked(path))
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import scipy.signal
 
 from robustlab import frequency_response
 from robustlab.errors import NoTrustworthyNumber
@@ -35,12 +34,6 @@ def test_against_control(n, n_u, n_y, dt):
     omega = OMEGA.compress(np.less(OMEGA, nyquist))
     theirs = np.moveaxis(model.to_control()(np.exp(1j * omega * dt) if dt else 1j * omega, squeeze=False), -1, 0)
     np.testing.assert_allclose(frequency_response(model, omega), theirs, rtol=1e-9, atol=1e-11)
-
-
-def test_against_scipy():
-    model = random_model(3, 4, 1, 1)
-    _, theirs = scipy.signal.freqresp((model.A, model.B, model.C, model.D), OMEGA)
-    np.testing.assert_allclose(frequency_response(model, OMEGA)[:, 0, 0], theirs, rtol=1e-7)
 
 
 def test_closed_form_and_limits():

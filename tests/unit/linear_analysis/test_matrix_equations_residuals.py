@@ -24,12 +24,6 @@ def test_care_residual_and_stability(n, indefinite):
     np.testing.assert_allclose(found.X, found.X.T)
 
 
-def test_care_scalar_closed_form():
-    a, b, q, r = 0.7, 2.0, 3.0, 0.5
-    expected = (a + np.sqrt(a * a + q * b * b / r)) * r / (b * b)
-    assert care([[a]], [[b]], [[q]], [[r]]).X[0, 0] == pytest.approx(expected, rel=1e-12)
-
-
 def test_a_chain_of_lags_over_nine_decades_has_the_poles_of_its_spectral_factor():
     """With ``y = k u / p(s)`` the optimal poles are the stable roots of ``p(s) p(-s) + k^2``, for Q = c^T c, R = 1.
 

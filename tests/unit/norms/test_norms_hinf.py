@@ -6,11 +6,9 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
 
 from robustlab.linear_analysis import exactly_stable
-from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete, h2_norm, hinf_norm
+from robustlab.norms import h2_norm, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 
@@ -58,12 +56,8 @@ def test_empty_sizes_have_norm_zero(n_inputs, n_outputs, n_states):
         np.zeros((n_outputs, n_inputs)),
     )
     assert hinf_norm(model).value == 0.0
-
-
-def test_cancelling_channels_give_a_norm_of_rounding_size():
-    model = StateSpaceModel(np.diag([-1.0, -1.0]), [[1.0], [1.0]], [[1.0, -1.0]], [[0.0]])
-    norm = hinf_norm(model)
-    assert norm.upper < 1e-14
+    if n_states:  # also without channels it may be unstable
+        assert hinf_norm(StateSpaceModel(-model.A, model.B, model.C, model.D)).upper == np.inf
 
 
 @pytest.mark.parametrize("pole", [0.0, 1.0, 1e-9])
@@ -82,24 +76,6 @@ def test_discrete_lag(pole):
         assert norm.frequency == pytest.approx(np.pi / 0.1)
 
 
-def test_bilinear_map_there_and_back():
-    rng = np.random.default_rng(3)
-    A = rng.standard_normal((4, 4)) * 0.4
-    model = StateSpaceModel(
-        A, rng.standard_normal((4, 2)), rng.standard_normal((3, 4)), rng.standard_normal((3, 2)), 0.02
-    )
-    back = bilinear_to_discrete(bilinear_to_continuous(model), 0.02)
-    for name in "ABCD":
-        np.testing.assert_allclose(getattr(back, name), getattr(model, name), atol=1e-12)
-
-
-def test_h2_of_a_lag_in_any_time_unit():
-    for rate in (1e-4, 1.0, 1e6):
-        norm = h2_norm(StateSpaceModel([[-rate]], [[1.0]], [[1.0]], [[0.0]]))
-        assert norm.value == pytest.approx(1 / np.sqrt(2 * rate), rel=1e-12)
-        assert norm.status is Status.CONVERGED
-
-
 @pytest.mark.parametrize("damping", [1e-6, 1e-9, 1e-12, 1e-14])
 def test_a_peak_between_two_neighbouring_numbers_is_not_certified(damping):
     # 1 / (s^2 + 2 d s + 1) peaks at sqrt(1 - 2 d^2), which no floating-point number reaches for d = 1e-14
@@ -109,15 +85,6 @@ def test_a_peak_between_two_neighbouring_numbers_is_not_certified(damping):
         assert norm.lower <= expected * (1 + 1e-12)
         assert norm.upper >= expected
     assert (norm.status is Status.CERTIFIED) == (damping > 1e-13)
-
-
-def test_an_unstable_model_without_channels_has_no_finite_norm():
-    """A model without inputs or outputs may be unstable, too."""
-    none_in, none_out = np.zeros((1, 0)), np.zeros((0, 1))
-    unstable = StateSpaceModel([[1.0]], none_in, none_out, np.zeros((0, 0)))
-    stable = StateSpaceModel([[-1.0]], none_in, none_out, np.zeros((0, 0)))
-    assert hinf_norm(unstable).upper == np.inf
-    assert hinf_norm(stable).upper == 0.0
 
 
 @pytest.mark.parametrize("dt", [0.0, 0.1])
@@ -163,17 +130,6 @@ def test_stability_in_exact_arithmetic(A, discrete, stable):
         a, b = (Fraction(x) for x in A[0])
         stable = a * a + b * b < 1
     assert exactly_stable(A, discrete) is stable
-
-
-@settings(max_examples=60)
-@given(st.integers(1, 6), st.integers(0, 2**32), st.booleans())
-def test_stability_in_exact_arithmetic_agrees_with_clear_eigenvalues(n, seed, discrete):
-    A = np.random.default_rng(seed).standard_normal((n, n))
-    A = A / np.sqrt(n) if discrete else A - np.sqrt(n) * np.eye(n)
-    poles = np.linalg.eigvals(A)
-    distance = np.abs(poles).max() - 1 if discrete else poles.real.max()
-    assume(abs(distance) > 1e-6)
-    assert exactly_stable(A, discrete) is bool(distance < 0)
 
 
 def test_a_stable_jordan_block_of_unstable_computed_eigenvalues_is_not_certified_unstable():

