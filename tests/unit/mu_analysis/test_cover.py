@@ -195,25 +195,3 @@ def test_a_set_without_spread():
     assert found.sizes == (0.0, 0.0)
     with pytest.raises(rl.InputError, match="all the same"):
         rl.cover([LAGS[0], LAGS[0]], "additive")
-
-
-@pytest.mark.parametrize(
-    ("models", "options", "words"),
-    [
-        ([LAGS[0]], {}, "at least two"),
-        (LAGS[0], {}, "a list"),
-        ([LAGS[0], "no model"], {}, "model 2"),
-        ([LAGS[0], lag(1, 1, 0.1)], {}, "dt"),
-        (LAGS, {"form": "element"}, "did you mean elements"),
-        (LAGS, {"tolerance": -1.0}, "tolerance"),
-        (LAGS, {"form": "pca", "directions": 0}, "directions: 0, expected a whole number of at least 1"),
-        (LAGS, {"directions": 2}, "form pca"),
-        (LAGS, {"form": "additive", "directions": 2}, "form pca"),
-        (LAGS, {"form": "pca", "nominal": LAGS[0]}, "middle of the box"),
-        ([rl.StateSpaceModel([], [], [], [[1.0, k]]) for k in (1.0, 2.0)], {"form": "input-multiplicative"}, "as many"),
-        (LAGS, {"form": "additive", "order": 99}, "0 to 12"),
-    ],
-)
-def test_invalid_inputs_are_rejected(models, options, words):
-    with pytest.raises(rl.InputError, match=words):
-        rl.cover(models, **{"gain": False, **options})

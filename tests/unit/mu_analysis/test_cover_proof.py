@@ -79,13 +79,6 @@ def test_models_without_an_inverse_are_rejected(form):
         rl.cover(models, form, gain=False)
 
 
-def test_a_loop_that_returns_no_model_is_rejected():
-    models = [rl.StateSpaceModel([[-p]], [[1.0]], [[1.0]], [[0.0]]) for p in (1.0, 1.2)]
-    for loop in (3, lambda g: None):
-        with pytest.raises(rl.InputError, match="cover: loop"):
-            rl.cover(models, loop=loop)
-
-
 # --- through the zeros: chains of large gains ------------------------------------------------------------------------
 
 

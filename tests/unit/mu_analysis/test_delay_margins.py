@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.errors import InputError
 from robustlab.result import Status
 
 LAG = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
@@ -43,13 +42,6 @@ def test_a_neutral_loop_is_stable_only_with_a_proof():
     # 1 + 0.6 z + 0.5 z^2 has its zeros outside the unit circle, but not with delays of 1 and 1.9 s: their moduli add up
     # to more than one.
     assert verdict(through.feedback(0.6 * rl.delay(1.0) + 0.5 * rl.delay(2.0))) is None
-
-
-def test_invalid_requests_are_rejected():
-    with pytest.raises(InputError, match=r"order: given for a model with exact delays"):
-        rl.robust_stability(rl.delay(1.0), order=4)
-    with pytest.raises(InputError, match=r"pole: given for a model with exact delays"):
-        rl.robust_stability(rl.delay(1.0), pole=1.0)
 
 
 # --- proofs for a set that contains the loop ------------------------------------------------------------------------

@@ -124,14 +124,6 @@ def test_no_uncertainty_in_the_loop_is_an_infinite_margin():
         assert margin.status is rl.Status.CERTIFIED
 
 
-@pytest.mark.parametrize("dt", [0.0, 0.1])
-def test_unstable_nominal_model_is_rejected_with_its_pole(dt):
-    a = 1.2
-    M = rl.StateSpaceModel([[a]], [[1.0]], [[1.0]], [[0.0]], dt)
-    with pytest.raises(rl.NoTrustworthyNumber, match=r"nominal closed loop unstable \(pole 1.2\+0j\)"):
-        rl.robust_stability(rl.UncertainModel(M, [rl.RealScalar("a")]))
-
-
 def test_no_time_means_no_proof(two_mass):
     margin = rl.robust_stability(two_mass, omega=[1.0, 575.0], time_limit=0.0)
     assert margin.status is rl.Status.TIMEOUT

@@ -33,12 +33,3 @@ def test_the_critical_delta_has_an_undamped_oscillation(kind, dt):
     assert np.abs(shown.nominal[-20:]).max() < 1e-4
     inside = np.abs(shown.inside)
     assert inside[-40:].max() < 0.9 * inside[:40].max()
-
-
-def test_invalid_replays_are_rejected():
-    uncertain = rl.UncertainModel(rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), [])
-    with pytest.raises(rl.InputError, match="without a critical Delta"):
-        replay(uncertain, rl.robust_stability(uncertain))
-    margin = rl.robust_stability(oscillator(rl.RealScalar))
-    with pytest.raises(rl.InputError, match="this very model"):
-        replay(uncertain, margin)

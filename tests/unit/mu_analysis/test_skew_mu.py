@@ -57,18 +57,3 @@ def test_a_stack_and_a_closed_form():
     bounds = rl.mu(stack, [[1, 0], [1, 1]], fixed=["delta1"])
     assert bounds.upper == pytest.approx([2.0, 0.0], abs=1e-3)
     assert bounds.lower[0] == pytest.approx(2.0, rel=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("fixed", "tolerance", "message"),
-    [
-        (["d9"], None, "no block 'd9'"),
-        ([9], None, "no block 9"),
-        (["d0", "d1", "d2", "p"], None, "all blocks are fixed"),
-        ([0], 0.1, "given with fixed blocks"),
-    ],
-)
-def test_invalid_fixed_blocks_are_rejected(fixed, tolerance, message):
-    M, blocks = gain_problem(0, rl.RealScalar)
-    with pytest.raises(rl.InputError, match=message):
-        rl.mu(M, blocks, fixed=fixed, tolerance=tolerance)

@@ -117,12 +117,6 @@ def test_robust_performance_is_the_fixed_point_of_the_worst_case_gain():
     assert np.linalg.norm(margin.delta["performance"], 2) <= margin.upper * (1 + 1e-9)
 
 
-def test_a_block_called_performance_is_rejected():
-    M = rl.StateSpaceModel([[-0.5]], [[0.1, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
-    with pytest.raises(rl.InputError, match="another name"):
-        rl.robust_performance(rl.UncertainModel(M, [rl.RealScalar("performance")]))
-
-
 def test_the_gain_without_uncertainty_has_the_status_of_the_norm():
     """1/(s + 1) - (1 - 1e-13)/(s + 1): the difference has lost its digits."""
     little = rl.StateSpaceModel(-np.eye(2), [[1.0], [1.0]], [[1.0, 1e-13 - 1.0]], [[0.0]])

@@ -106,26 +106,6 @@ def test_an_unstable_controller_and_a_discrete_one():
     assert discrete.gamma == pytest.approx(rl.peak_gain(lower_lft(digital, discrete.K)).upper, rel=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"loss": -0.1}, "loss: -0.1"),
-        ({"loss": float("nan")}, "loss: nan"),
-        ({"order": 99}, "whole number from 0"),
-        ({"measure": "l1"}, "'hinf', 'h2' or 'mu'"),
-        ({"measure": "hinf", "blocks": (rl.ComplexScalar("d"),)}, "measure='mu'"),
-        ({"measure": "mu"}, "blocks of 0 inputs"),
-        ({"scalings": 3}, "the pair"),
-        ({"scalings": (rl.StateSpaceModel([], [], [], [[1.0]]),) * 2}, "D_z is 1 x 1, expected 2 x 2"),
-        ({"time_limit": 0.0}, "time_limit is 0"),
-        ({"K": rl.StateSpaceModel([], [], [], np.ones((2, 1)))}, "K is 2 x 1, expected 1 x 1"),
-    ],
-)
-def test_bad_requests_are_named(design, options, message):
-    with pytest.raises(rl.InputError, match=message):
-        rl.reduce_controller(design, **options)
-
-
 UNSTABLE = rl.StateSpaceModel([[1.0]], [[1.0]], [[1.0]], [[0.0]])
 
 

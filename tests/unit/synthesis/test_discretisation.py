@@ -50,34 +50,6 @@ def test_holds_are_exact_at_the_samples():
             np.testing.assert_allclose(stepped[name], exact[name], atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("model", "dt", "options", "message"),
-    [
-        (LAG, 0.0, {}, "positive sample time"),
-        (LAG, -1.0, {}, "positive sample time"),
-        (LAG, float("nan"), {}, "positive sample time"),
-        (LAG, True, {}, "positive sample time"),
-        (rl.StateSpaceModel([[0.5]], [[1]], [[1]], [[0]], 0.1), 0.1, {}, "the model has dt = 0.1 s"),
-        (LAG, 0.1, {"method": "tustn"}, "did you mean tustin"),
-        (LAG, 0.1, {"method": "tustin-prewarp"}, "prewarp with 'tustin-prewarp' alone"),
-        (LAG, 0.1, {"method": "zoh", "prewarp": 1.0}, "prewarp with 'tustin-prewarp' alone"),
-        (LAG, 0.1, {"method": "tustin-prewarp", "prewarp": 32.0}, "Nyquist"),
-        (TWO_BY_TWO, 0.1, {"method": "matched"}, "2 inputs and 2 outputs"),
-        (TWO_BY_TWO, 0.1, {"method": "impulse"}, "direct term"),
-    ],
-)
-def test_bad_requests_are_named(model, dt, options, message):
-    with pytest.raises(rl.InputError, match=message):
-        rl.discretise(model, dt, **options)
-
-
-def test_a_pole_that_tustin_sends_to_infinity_and_one_that_overflows():
-    with pytest.raises(rl.NoTrustworthyNumber, match="2/dt"):
-        rl.discretise(rl.StateSpaceModel([[20.0]], [[1]], [[1]], [[0]]), 0.1, "tustin")
-    with pytest.raises(rl.NoTrustworthyNumber, match="overflows"):
-        rl.discretise(rl.StateSpaceModel([[1e6]], [[1]], [[1]], [[0]]), 0.1, "zoh")
-
-
 def test_pathological_sampling_is_named():
     oscillator = rl.StateSpaceModel([[0, 10], [-10, 0]], [[0], [1]], [[1, 0]], [[0]])
     (merged,) = merged_modes(oscillator, np.pi / 10)
@@ -110,9 +82,3 @@ def test_mean_and_variance_of_an_interval_are_integrals(h):
     np.testing.assert_allclose(mean, exact * np.sqrt(h), rtol=1e-9)
     about = quad_vec(spread, 0, h, epsrel=1e-10, epsabs=1e-300)[0]
     np.testing.assert_allclose(variance, about, atol=1e-7 * np.abs(about).max())
-
-
-def test_matched_zeros_too_fast_for_the_sample_time_are_refused():
-    G = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[-1e-8]])  # a zero at 1e8
-    with pytest.raises(rl.NoTrustworthyNumber, match="poles and zeros that grow by"):
-        rl.discretise(G, 0.1, "matched")

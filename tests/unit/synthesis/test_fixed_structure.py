@@ -10,7 +10,7 @@ from scipy.optimize import minimize_scalar
 
 import robustlab as rl
 from robustlab.budget import MILLION, Budget
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, lower_lft
@@ -172,60 +172,6 @@ def test_a_given_order_starts_from_the_reduced_full_order_design():
     assert {s.kind for s in second.starts} == {"reduced", "structure"}
     assert full.gamma * (1 - 1e-3) <= second.gamma
     assert second.gamma <= 0.95 * static.gamma
-
-
-# --- infeasible designs and bad arguments -----------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("plants", "options", "text"),
-    [
-        (
-            [lag(1, 1), lag(1, -1)],
-            {"starts": 2},
-            r"(?s)no start stabilised plant [12]: nearest pole s = .*no proof that there is none",
-        ),
-        (double_integrator(), {"starts": 1}, "no start stabilised the plant"),
-        ([lag(1, 1), lag(1, 0)], {}, "plant 2: no stabilising controller exists: unstable mode s = 1 "),
-        (lag(-1, 1), {"limits": [Decay(5.0)], "bounds": {GAIN: (-1, 1)}, "starts": 1}, "decay rate >= 5 1/s"),
-    ],
-)
-def test_infeasible_designs_are_reported(plants, options, text):
-    with pytest.raises(NoTrustworthyNumber, match=text):
-        rl.fixed_structure(plants, "static", n_meas=1, n_con=1, **options)
-
-
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        ({"objective": "h1"}, "objective: 'h1'"),
-        ({"starts": -1}, "starts: -1"),
-        ({"time_limit": 0.0}, "time_limit is 0"),
-        ({"time_limit": float("nan")}, "time_limit is nan"),
-        ({"limits": ["fast"]}, "limits: 'fast'"),
-        ({"bounds": {"K": (0, 1)}}, "parameter: 'K'"),
-        ({"bounds": {GAIN: (1, 0)}}, r"bounds of K\[u2,y3\]: \(1, 0\)"),
-        ({"bounds": {GAIN: 3}}, "expected \\(low, high\\)"),
-        ({"start": {"K": 1.0}}, "parameter: 'K'"),
-        ({"start": [3.0]}, "start: float"),
-        ({"n_meas": 5}, "n_meas"),
-    ],
-)
-def test_bad_arguments_are_reported(options, text):
-    with pytest.raises(InputError, match=text):
-        rl.fixed_structure(lag(1, 1), "static", **({"n_meas": 1, "n_con": 1} | options))
-
-
-def test_incompatible_plants_are_reported():
-    with pytest.raises(InputError, match=r"plant 2: 1 measurements, 1 controls, dt = 0.1 s"):
-        rl.fixed_structure([lag(1, 1), double_integrator(0.1)], "static", n_meas=1, n_con=1)
-    with pytest.raises(InputError, match="empty list"):
-        rl.fixed_structure([], "static", n_meas=1, n_con=1)
-
-
-def test_an_infinite_h2_norm_is_rejected_before_the_search():
-    with pytest.raises(InputError, match="H2 norm is infinite"):
-        rl.fixed_structure(noisy_lag(1, 1), "static", n_meas=1, n_con=1, objective="h2")
 
 
 # --- descent from a known controller ----------------------------------------------------------------------------------

@@ -13,7 +13,6 @@ from robustlab import (
     mixsyn,
     performance_weight,
 )
-from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 
 OMEGA = np.geomspace(1e-3, 1e3, 60)
@@ -58,15 +57,3 @@ def test_a_mixed_sensitivity_design_is_within_its_bounds():
     bound = loop.bound("S", [2.0])
     assert bound is not None
     assert bound[0] == pytest.approx(design.gamma / abs(frequency_response(weights[0], [2.0])[0, 0, 0]), rel=1e-12)
-
-
-def test_bad_arguments_are_reported():
-    lag = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
-    with pytest.raises(InputError, match="K is 1 x 2"):
-        loop_functions(lag, StateSpaceModel([], [], [], [[1.0, 2.0]]))
-    with pytest.raises(InputError, match="sign"):
-        loop_functions(lag, lag, sign=0)
-    with pytest.raises(InputError, match="'L'"):
-        loop_functions(lag, lag).gain("L", [1.0])
-    with pytest.raises(InputError, match="not well posed"):
-        loop_functions(StateSpaceModel([], [], [], [[1.0]]), StateSpaceModel([], [], [], [[-1.0]]))

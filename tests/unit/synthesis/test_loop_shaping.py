@@ -7,7 +7,6 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 from robustlab import hinf, loop_functions, ncf, nu_gap
-from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, feedback, lower_lft, series
@@ -103,23 +102,6 @@ def test_plants_nearer_in_the_nu_gap_than_the_margin_are_stabilised():
             tried += 1
             assert lower_lft(four_block(other), design.K).is_stable()
     assert tried >= 3
-
-
-def test_refusals():
-    with pytest.raises(InputError, match="factor"):
-        ncf(DISTURBED, factor=1.0)
-    with pytest.raises(InputError, match="W1: 2 outputs"):
-        ncf(DISTURBED, np.eye(2))
-    with pytest.raises(InputError, match="W2: dt"):
-        ncf(DISTURBED, None, StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1))
-    with pytest.raises(InputError, match="no matrix"):
-        ncf(DISTURBED, [PI])
-    with pytest.raises(InputError, match="synth ncf: G"):
-        ncf(StateSpaceModel([[-1.0]], np.zeros((1, 0)), [[1.0]], np.zeros((1, 0))))
-    # The plant differentiates what the weight integrates.
-    washed = StateSpaceModel([[-1.0]], [[1.0]], [[-1.0]], [[1.0]])
-    with pytest.raises(NoTrustworthyNumber, match="W2 G W1"):
-        ncf(washed, PI)
 
 
 def test_the_discrete_example_of_raoc_as_published_and_by_two_discrete_riccati_equations():

@@ -105,27 +105,6 @@ def test_sizes_at_the_edge(n_u, method):
     assert found.error.upper == pytest.approx(0.0, abs=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({}, "expected one of the two"),
-        ({"order": 1, "tolerance": 0.1}, "expected one of the two"),
-        ({"order": 5}, "whole number from 0 to 4"),
-        ({"order": -1}, "whole number from 0 to 4"),
-        ({"order": True}, "whole number"),
-        ({"tolerance": 0.0}, "a positive number"),
-        ({"tolerance": float("nan")}, "a positive number"),
-        ({"order": 1, "method": "modal"}, "one of truncation"),
-        ({"order": 1, "input_weight": rl.StateSpaceModel([[1.0]], [[1.0]], [[1.0]], [[0.0]])}, "not stable"),
-        ({"order": 1, "output_weight": rl.StateSpaceModel([], [], [], np.ones((1, 2)))}, "2 inputs, expected 3"),
-        ({"order": 1, "method": "coprime", "input_weight": rl.StateSpaceModel([], [], [], [[1.0]])}, "weights"),
-    ],
-)
-def test_bad_requests_are_named(arguments, message):
-    with pytest.raises(rl.InputError, match=message):
-        rl.reduce_model(stable_model(4, 1), **arguments)
-
-
 # --- least order --------------------
 
 COPIED = rl.StateSpaceModel(  # [1/(s-1); 1/((s-1)(s+2))] with the unstable pole twice

@@ -12,7 +12,6 @@ import robustlab as rl
 T = 0.1
 FLIP = rl.StateSpaceModel([[-0.5]], [[1.0]], [[1.0]], [[0.0]], T)
 DELAY = rl.StateSpaceModel([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]], T)
-CONTINUOUS = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
 
 
 def plant(seed=0):
@@ -41,21 +40,3 @@ def test_tustin_is_the_map_of_python_control():
     found = rl.d2c(control.sample_system(truth.to_control(), T, method="bilinear"), "tustin")
     one, two = (rl.frequency_response(m, [0.1, 3.0, 50.0]) for m in (found, truth))
     np.testing.assert_allclose(one, two, rtol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("convert", "error", "text"),
-    [
-        (lambda: rl.d2c(FLIP), rl.NoTrustworthyNumber, r"d2c \(zoh\): a pole at z = -0\.5: no continuous model"),
-        (lambda: rl.d2c(DELAY), rl.NoTrustworthyNumber, r"d2c \(zoh\): a pole at z = 0: no continuous model"),
-        (lambda: rl.d2c(rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], T), "tustin"),
-         rl.NoTrustworthyNumber, "a pole at z = -1"),
-        (lambda: rl.d2c(rl.StateSpaceModel(1e-4 * np.eye(3) + np.eye(3, k=1), np.ones((3, 1)), np.ones((1, 3)),
-                                           [[0.0]], T)), rl.NoTrustworthyNumber, "gives A back to"),
-        (lambda: rl.d2c(CONTINUOUS), rl.InputError, "d2c: the model is continuous"),
-        (lambda: rl.d2c(DELAY, "zho"), rl.InputError, "(?s)method: 'zho', expected one of zoh, tustin.*mean zoh"),
-    ],
-)  # fmt: skip
-def test_models_without_a_continuous_one_are_refused(convert, error, text):
-    with pytest.raises(error, match=text):
-        convert()

@@ -109,19 +109,3 @@ def test_lifting_repeats_the_plant_over_a_period():
         else:  # the old control acts for 0.1 s, the new one for 0.3 s
             assert model.B[0, -1] == pytest.approx(1 - np.exp(-0.3), rel=1e-12)
             assert model.A[0, 1] == pytest.approx(np.exp(-0.3) * (1 - np.exp(-0.1)), rel=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "options", "message"),
-    [
-        ((rl.StateSpaceModel([], [], [], [[-1.0]]), 0.0), {}, "sample time: 0"),
-        ((rl.StateSpaceModel([], [], [], [[-1.0]], 0.1), 0.1), {}, "dt = 0.1 s already"),
-        ((rl.StateSpaceModel([], [], [], np.ones((1, 4))), 0.1), {}, "n_meas is 4"),
-        ((rl.StateSpaceModel([], [], [], [[-1.0]]), 0.1), {"method": "tusting"}, "did you mean tustin"),
-        ((rl.StateSpaceModel([], [], [], [[-1.0]]), 0.1), {"delay": -1.0}, "delay is -1"),
-        ((rl.StateSpaceModel([], [], [], [[-1.0]]), 0.1), {"loss": -1.0}, "loss: -1"),
-    ],
-)
-def test_bad_requests_are_named(arguments, options, message):
-    with pytest.raises(rl.InputError, match=message):
-        rl.discretise(*arguments, plant=LOW, **options)

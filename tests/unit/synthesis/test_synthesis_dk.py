@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab import ComplexScalar, FullBlock, ParameterRange, RealScalar, frequency_response
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab import ComplexScalar, FullBlock, RealScalar, frequency_response
 from robustlab.norms import bilinear_to_discrete
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis import DKSynthesis, structure_with_performance
@@ -176,30 +175,3 @@ def test_blocks_of_all_channels_and_of_an_uncertain_model() -> None:
     assert structure_with_performance(oscillator(), whole, 1, 1)[1] == tuple(whole)
     uncertain = rl.UncertainModel(oscillator(), [RealScalar("k")])
     assert structure_with_performance(uncertain, None, 1, 1)[1] == (RealScalar("k"), FullBlock("performance", 2, 2))
-
-
-def test_bad_inputs_are_reported() -> None:
-    plant = oscillator()
-    cases = [
-        ({"blocks": []}, "use hinf"),
-        ({"blocks": None}, "no uncertainty"),
-        ({"blocks": [FullBlock("a", 3, 1)]}, "blocks of 3 inputs w and 1 outputs z"),
-        ({"blocks": [ComplexScalar("performance")]}, "another name"),
-        ({"blocks": [RealScalar("k", 1, ParameterRange(1.0, 0.5, below=0.25))]}, "centred"),
-        ({"blocks": [[1, 0]], "max_order": 1}, "max_order"),
-        ({"blocks": [[1, 0]], "order_rel": 1.5}, "order_rel"),
-        ({"blocks": [[1, 0]], "time_limit": 0}, "time_limit"),
-        ({"blocks": [[1, 0]], "K0": StateSpaceModel([], [], [], [[1.0, 2.0]])}, "K0"),
-        ({"blocks": [[1, 0]], "K0": StateSpaceModel([], [], [], [[5.0]])}, "not stable"),
-    ]
-    for options, text in cases:
-        with pytest.raises(InputError, match=text):
-            rl.dk(plant, n_meas=1, n_con=1, **options)
-
-
-def test_a_mode_that_cannot_be_stabilised_is_reported() -> None:
-    plant = StateSpaceModel(
-        [[0.5, 0], [0, -1]], [[1, 1, 0], [1, 1, 1]], [[1, 1], [1, 0], [1, 1]], np.zeros((3, 3)), states=["tank", "lag"]
-    )
-    with pytest.raises(NoTrustworthyNumber, match=r"unstable mode s = 0\.5 .*tank.* cannot be moved"):
-        rl.dk(plant, [[1, 0]], 1, 1)

@@ -55,17 +55,6 @@ def test_hinf_takes_an_uncertain_model_and_bounds_the_whole_of_delta_and_perform
     assert hinf_norm(design.closed_loop).value <= design.gamma
 
 
-def test_unknown_names_and_double_use():
-    with pytest.raises(InputError, match="did you mean"):
-        generalized_plant(uncertain_model(), ["vv"], ["u"])
-    with pytest.raises(InputError, match="both"):
-        generalized_plant(uncertain_model(), ["v"], ["u"], disturbances=["u"])
-    with pytest.raises(InputError, match="n_meas"):
-        generalized_plant(uncertain_model(), [], ["u"])
-    with pytest.raises(InputError, match="leave them out"):
-        hinf(generalized_plant(uncertain_model(), ["v"], ["u"]), 2, 1)
-
-
 @pytest.mark.parametrize(("n_w", "n_z", "missing"), [(0, 0, "w and no performance"), (0, 1, "w"), (1, 0, "output z")])
 @pytest.mark.parametrize("design", ["hinf", "h2", "fixed", "fixed of two", "sampled norm"])
 def test_a_plant_without_performance_channels_is_refused(design, n_w, n_z, missing):
