@@ -6,10 +6,7 @@ accelerations under the holding torque of its own, perturbed masses.
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,14 +15,7 @@ import robustlab as rl
 
 pytest.importorskip("pinocchio")
 
-_SPEC = importlib.util.spec_from_file_location(
-    "stewart_pinocchio_of_sets", Path(__file__).with_name("stewart_pinocchio.py")
-)
-assert _SPEC is not None
-assert _SPEC.loader is not None
-oracle = importlib.util.module_from_spec(_SPEC)
-sys.modules[_SPEC.name] = oracle
-_SPEC.loader.exec_module(oracle)
+from oracle import stewart_pinocchio as oracle
 
 POSE = np.array([0.004, -0.003, 0.128, 0.02, -0.03, 0.04])
 RATIO = 4.8 * 41 / 21
@@ -42,16 +32,9 @@ def tree(values: dict[str, float]):
         )
         return replace(old, mass=values.get(f"{name}_mass", old.mass), inertia=inertia)
 
-    return oracle.PinocchioStewart(
-        replace(
-            given,
-            lower_link=body(given.lower_link, "link"),
-            nut=body(given.nut, "nut"),
-            ball_screw=body(given.ball_screw, "screw"),
-            motor=body(given.motor, "motor"),
-            platform=body(given.platform, "platform"),
-        )
-    )
+    names = {"lower_link": "link", "nut": "nut", "ball_screw": "screw", "motor": "motor", "platform": "platform"}
+    bodies = {part: body(getattr(given, part), name) for part, name in names.items()}
+    return oracle.PinocchioStewart(replace(given, **bodies))
 
 
 def stiffness(model, step: float = 2e-4) -> np.ndarray:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robustlab import frequency_response
-from robustlab.statespace import StateSpaceModel, append, feedback, lower_lft, series
+from robustlab.statespace import StateSpaceModel, append, feedback, lower_lft
 
 OMEGA = np.array([0.0, 0.3, 1.0, 7.0, 50.0])
 SETTINGS = settings(max_examples=40)
@@ -30,15 +30,6 @@ def random_model(seed, n, n_u, n_y, dt=0.0):
 
 states, ports, seeds = st.integers(0, 4), st.integers(1, 3), st.integers(0, 10_000)
 sample_times = st.sampled_from([0.0, 0.05])
-
-
-@SETTINGS
-@given(seeds, states, states, ports, ports, ports, sample_times)
-def test_series_is_the_product(seed, n1, n2, n_u, n_mid, n_y, dt):
-    first, second = random_model(seed, n1, n_u, n_mid, dt), random_model(seed + 1, n2, n_mid, n_y, dt)
-    whole = frequency_response(series(first, second), OMEGA)
-    product = frequency_response(second, OMEGA) @ frequency_response(first, OMEGA)
-    np.testing.assert_allclose(whole, product, rtol=1e-9, atol=1e-9)
 
 
 @SETTINGS

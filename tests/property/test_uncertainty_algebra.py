@@ -76,6 +76,9 @@ def test_product_sum_and_concatenation(seed, n1, n2, size, middle, width, dt):
     assert_same(at(gain @ f, values), gain @ F)
     assert_same(at(f + np.ones((middle, width)), values), F + 1)
     assert_same(at(np.ones((middle, width)) - f, values), 1 - F)
+    assert_same(at(f / 2, values), F / 2)
+    assert_same(at(f[:, 0], values), F[:, :, :1])
+    assert_same(at(f[[0], :], values), F[:, :1])
     for result in (g @ f, f + h):
         names = [b.name for b in result.blocks]
         assert len(set(names)) == len(names)
@@ -95,6 +98,8 @@ def test_feedback_and_inverse(seed, n1, n2, n_y, n_u, sign):
         assume(np.linalg.cond(g.nominal.D) < 1e3)
         assume(np.linalg.cond(G).max() < 1e3)
         assert_same(at(g.inverse(), values), np.linalg.inv(G))
+        assert_same(at(g**-1, values), np.linalg.inv(G))
+        assert_same(at(g**0, values), np.broadcast_to(np.eye(n_y), G.shape))
         assert g.inverse().inputs == g.outputs
         if not any(isinstance(b, FullBlock) for b in g.blocks):  # a full block occurs once only
             unit = at(g.inverse() @ g, values)
@@ -145,6 +150,7 @@ def test_the_same_name_is_the_same_parameter():
     assert (k + k).blocks[0].repeats == 1  # one repetition carries 2 k
     square = k @ k
     assert square.blocks[0].repeats == 2
+    assert pytest.approx(1.3**2) == (k**2).evaluate({"k": 0.6}).D
     assert pytest.approx(1.3**2) == square.evaluate({"k": 0.6}).D
     same = k.inverse() @ k
     assert [b.name for b in same.blocks] == ["k"]  # without effect, but still known

@@ -12,9 +12,9 @@ from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis import Synthesis
 
 
-def output_feedback_problem(a: float) -> StateSpaceModel:
-    """x' = a x + w1 + u, z = [x; u], y = x + w2; its smallest gamma is a + sqrt(a^2 + 2)."""
-    return StateSpaceModel([[a]], [[1, 0, 1]], [[1], [0], [1]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
+def output_feedback_problem(a: float, d22: float = 0.0) -> StateSpaceModel:
+    """x' = a x + w1 + u, z = [x; u], y = x + w2 + d22 u; its smallest gamma is a + sqrt(a^2 + 2)."""
+    return StateSpaceModel([[a]], [[1, 0, 1]], [[1], [0], [1]], [[0, 0, 0], [0, 0, 1], [0, 1, d22]])
 
 
 def check(design: Synthesis, plant: StateSpaceModel) -> None:
@@ -45,7 +45,7 @@ def test_singular_state_feedback_closed_form(a):
     assert gamma * (1 - 1e-9) <= design.gamma <= 1.002 * gamma
 
 
-@pytest.mark.parametrize(("time", "u", "y"), [(1e-6, 1e-4, 1e5), (1e5, 1e6, 1e-3)])
+@pytest.mark.parametrize(("time", "u", "y"), [(1e-6, 1e-4, 1e5), (1e6, 1e-12, 1e12)])
 def test_units_of_time_controls_and_measurements_do_not_matter(time, u, y):
     base = output_feedback_problem(-1.0)
     scale_in, scale_out = np.array([1, 1, u]), np.array([1, 1, y])
@@ -68,14 +68,30 @@ def test_static_plant_meets_parrotts_bound():
     assert design.gamma == pytest.approx(max(np.hypot(a, b), np.hypot(a, c)), rel=1e-3)
 
 
-def test_direct_term_from_controls_to_measurements_does_not_change_gamma():
-    base = output_feedback_problem(0.5)
-    D = base.D.copy()
-    D[2, 2] = 3.0
-    plant = StateSpaceModel(base.A, base.B, base.C, D)
+@pytest.mark.parametrize("d22", [3.0, 1e8, -1.0])
+def test_direct_term_from_controls_to_measurements_does_not_change_gamma(d22):
+    plant = output_feedback_problem(0.5, d22)
     design = hinf(plant, 1, 1, gamma_rel=1.0)
     check(design, plant)
     assert design.gamma == pytest.approx(0.5 + 1.5, rel=1e-3)
+    assert np.linalg.cond(np.eye(1) - design.K.D * d22) < 1e12
+
+
+def test_broken_assumptions_are_named_with_their_meaning():
+    """No direct penalty on the valve, no noise on the level, and an undamped oscillation that z does not show."""
+    plant = StateSpaceModel(
+        [[0.0, 2.0, 0.0], [-2.0, 0.0, 0.0], [0.0, 0.0, -1.0]], [[1.0, 1.0], [0.0, 1.0], [1.0, 1.0]],
+        [[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]], np.zeros((2, 2)),
+        inputs=["w", "valve"], outputs=["z", "level"], states=["swing", "swing rate", "tank"],
+    )  # fmt: skip
+    design = hinf(plant, 1, 1)
+    text = " | ".join(design.assumptions)
+    assert "control valve has no direct penalty" in text
+    assert "measurement level has no direct noise" in text
+    assert "zero on the axis at 2 rad/s" in text
+    assert "swing" in text
+    assert design.status is Status.CERTIFIED
+    assert ("regularised, because", design.assumptions[0]) in design.facts()
 
 
 @pytest.mark.parametrize("dt", [1e-3, 0.5])
