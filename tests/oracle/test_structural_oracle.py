@@ -24,22 +24,6 @@ def test_rank_of_ctrb_and_obsv(seed):
     assert rl.observability(model).rank == np.linalg.matrix_rank(control.obsv(a, c))
 
 
-@pytest.mark.parametrize("seed", range(10))
-def test_hidden_modes_are_cancelled_in_the_transfer_function(seed):
-    """The input-decoupling pencil [A - s I, B] drops rank at each reported mode, and at no other pole."""
-    rng = np.random.default_rng(100 + seed)
-    n, hidden = 6, 2
-    a, b = rng.normal(size=(n, n)), rng.normal(size=(n, 1))
-    a[n - hidden :, : n - hidden], b[n - hidden :] = 0, 0
-    q = np.linalg.qr(rng.normal(size=(n, n)))[0]
-    a, b = q @ a @ q.T, q @ b
-    test = rl.controllability(rl.StateSpaceModel(a, b, np.eye(n), np.zeros((n, 1))))
-    modes = [m.eigenvalue for m in test.modes]
-    for pole in np.linalg.eigvals(a):
-        smallest = np.linalg.svd(np.hstack([a - pole * np.eye(n), b]), compute_uv=False)[-1]
-        assert (min(abs(pole - m) for m in modes) < 1e-8) == (smallest < 1e-10)
-
-
 @pytest.mark.parametrize("density", [0.05, 0.15, 0.4])
 def test_strong_components_are_those_of_scipy(density):
     rng = np.random.default_rng(5)

@@ -76,28 +76,3 @@ def test_complex_scalars_come_close_to_the_upper_bound(n):
     M = np.stack([random_matrix(seed, [[1, 0]] * n) for seed in range(5)])
     bounds = rl.mu(M, [[1, 0]] * n)
     assert np.median(bounds.lower / bounds.upper) >= 0.98
-
-
-def damped_chain() -> rl.StateSpaceModel:
-    A = np.array([[0, 1, 0, 0], [-2, -0.1, 1, 0], [0, 0, 0, 1], [1, 0, -3, -0.2]])
-    B = np.array([[0, 0, 0], [0.4, 0.2, 0], [0, 0, 0], [0, 0.1, 0.5]])
-    C = np.array([[1, 0, 0, 0], [0, 1, 0, 0.3], [0, 0, 1, 0.0]])
-    return rl.StateSpaceModel(A, B, C, np.zeros((3, 3)))
-
-
-@pytest.mark.parametrize("D", [0.0, 0.3])
-def test_a_destabilising_delta_has_a_pole_on_the_axis_and_no_vertex_is_smaller(D):
-    model = damped_chain()
-    model = rl.StateSpaceModel(model.A, model.B, model.C, D * np.eye(3)[::-1])
-    margin = rl.robust_stability(rl.UncertainModel(model, [[-1, 0]] * 3), tolerance=np.inf)
-    found = np.diag([margin.delta[f"delta{i}"] for i in (1, 2, 3)])
-
-    def abscissa(delta):
-        return np.linalg.eigvals(
-            model.A + model.B @ delta @ np.linalg.solve(np.eye(3) - model.D @ delta, model.C)
-        ).real.max()
-
-    assert abs(abscissa(found)) < 1e-9
-    rng = np.random.default_rng(0)
-    points = [np.array(s) for s in itertools.product([-1.0, 1.0], repeat=3)] + list(rng.uniform(-1, 1, (500, 3)))
-    assert max(abscissa(np.diag(p) * margin.upper * 0.999) for p in points) < 0
