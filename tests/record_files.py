@@ -38,7 +38,12 @@ def _put(file, group, name, value):
         dataset.attrs["MATLAB_class"] = np.bytes_("char")
         dataset.attrs["MATLAB_int_decode"] = np.int32(2)
     else:
-        group.create_dataset(name, data=np.atleast_2d(value).T).attrs["MATLAB_class"] = np.bytes_("double")
+        value = np.atleast_2d(value)
+        # Empty arrays are stored as their sizes.
+        dataset = group.create_dataset(name, data=value.T if value.size else np.array(value.shape, dtype=np.uint64))
+        if not value.size:
+            dataset.attrs["MATLAB_empty"] = np.uint8(1)
+        dataset.attrs["MATLAB_class"] = np.bytes_("double")
 
 
 def matlab5_object(path, variable, kind):

@@ -200,26 +200,14 @@ def test_an_empty_file_is_begun_and_a_value_changed_after_the_end_is_noticed(tmp
         read_campaign(path)
 
 
-def damaged_page(path, page, motor):
-    size = 4096
-    data = bytearray(path.read_bytes())
-    data[page * size : (page + 1) * size] = b"\xa5" * size
-    path.write_bytes(data)
-
-
-@pytest.mark.parametrize("page", [1, 2, 3])
-def test_a_damaged_page_is_named(tmp_path, motor, page):
+@pytest.mark.parametrize("page", [1, 2, 3, None])
+def test_a_damaged_page_and_a_truncated_store_are_named(tmp_path, motor, page):
     path = begun(tmp_path / "s.sqlite", motor, saved=200)
-    damaged_page(path, page, motor)
+    data, size = bytearray(path.read_bytes()), 4096
+    if page is not None:
+        data[page * size : (page + 1) * size] = b"\xa5" * size
+    path.write_bytes(data if page is not None else data[: len(data) // 2])
     with pytest.raises(InputError, match=r"s\.sqlite: damaged campaign store: "):
-        read_campaign(path)
-
-
-def test_a_truncated_store(tmp_path, motor):
-    path = begun(tmp_path / "s.sqlite", motor, saved=200)
-    with path.open("r+b") as stream:
-        stream.truncate(path.stat().st_size // 2)
-    with pytest.raises(InputError, match="damaged campaign store"):
         read_campaign(path)
 
 

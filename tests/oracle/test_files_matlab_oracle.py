@@ -5,6 +5,7 @@ import h5py
 import numpy as np
 import pytest
 import scipy.io
+from record_files import matlab73
 
 import robustlab as rl
 from robustlab.errors import InputError
@@ -22,38 +23,6 @@ def assert_model(model, dt=0.0):
     for name, value in MATRICES.items():
         np.testing.assert_array_equal(getattr(model, name), value)
     assert model.dt == dt
-
-
-def matlab73(path, variables):
-    """A version 7.3 file as MATLAB lays it out: user block of 512 bytes, matrices column by column, classes marked."""
-    with h5py.File(path, "w", userblock_size=512) as file:
-        for name, value in variables.items():
-            _put73(file, name, value)
-    text = b"MATLAB 7.3 MAT-file, Platform: GLNXA64, Created on: Mon Jan  5 10:00:00 2026 HDF5 schema 1.00 ."
-    with path.open("r+b") as stream:
-        stream.write(text.ljust(116) + bytes(8) + b"\x00\x02IM")
-    return path
-
-
-def _put73(group, name, value):
-    if isinstance(value, dict):
-        struct = group.create_group(name)
-        struct.attrs["MATLAB_class"] = np.bytes_("struct")
-        for key, item in value.items():
-            _put73(struct, key, item)
-    elif isinstance(value, str):
-        codes = np.array([ord(ch) for ch in value], dtype=np.uint16).reshape(-1, 1)
-        dataset = group.create_dataset(name, data=codes)
-        dataset.attrs["MATLAB_class"] = np.bytes_("char")
-        dataset.attrs["MATLAB_int_decode"] = np.int32(2)
-    else:
-        value = np.atleast_2d(value)
-        if value.size:
-            dataset = group.create_dataset(name, data=value.T)
-        else:  # empty arrays are stored as their sizes
-            dataset = group.create_dataset(name, data=np.array(value.shape, dtype=np.uint64))
-            dataset.attrs["MATLAB_empty"] = np.uint8(1)
-        dataset.attrs["MATLAB_class"] = np.bytes_("double")
 
 
 @pytest.mark.parametrize("isolate", [True, False])

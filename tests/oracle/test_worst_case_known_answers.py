@@ -238,18 +238,21 @@ def test_no_uncertainty(metric):
     assert (found.delta, found.status) == ({}, Status.CONVERGED)
 
 
-def test_requests_that_make_no_sense():
-    with pytest.raises(UsageError, match="2 outputs and none named"):
-        worst_case(motor())
-    with pytest.raises(UsageError, match="metric 'h3'"):
-        worst_case(motor(), "h3")
-    with pytest.raises(InputError, match="output 'speed'"):
-        worst_case(motor(), "hinf", output="speed")
-    with pytest.raises(InputError, match="n is 0"):
-        worst_case(motor(), "hinf", n=0)
-    m = StateSpaceModel([[-1.0]], [[0.5, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
-    with pytest.raises(InputError, match="is complex"):
-        worst_case(UncertainModel(m, [ComplexScalar("d")]))
-    growing = StateSpaceModel([[0.1]], [[1.0]], [[1.0]], [[0.0]])
-    with pytest.raises(InputError, match="unstable and no times"):
-        worst_case(elementwise(growing, growing))
+LAG = StateSpaceModel([[-1.0]], [[0.5, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
+GROWING = StateSpaceModel([[0.1]], [[1.0]], [[1.0]], [[0.0]])
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "text"),
+    [
+        (lambda: worst_case(motor()), UsageError, "2 outputs and none named"),
+        (lambda: worst_case(motor(), "h3"), UsageError, "metric 'h3'"),
+        (lambda: worst_case(motor(), "hinf", output="speed"), InputError, "output 'speed'"),
+        (lambda: worst_case(motor(), "hinf", n=0), InputError, "n is 0"),
+        (lambda: worst_case(UncertainModel(LAG, [ComplexScalar("d")])), InputError, "is complex"),
+        (lambda: worst_case(elementwise(GROWING, GROWING)), InputError, "unstable and no times"),
+    ],
+)
+def test_requests_that_make_no_sense(call, error, text):
+    with pytest.raises(error, match=text):
+        call()

@@ -8,8 +8,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import block_diag
 
-from robustlab import ComplexScalar, FullBlock, RealScalar, UncertainModel, elementwise, frequency_response
+from robustlab import (
+    ComplexScalar,
+    FullBlock,
+    RealScalar,
+    UncertainModel,
+    elementwise,
+    frequency_response,
+    reduce_model,
+)
 from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.result import plain
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty import delta_matrix, delta_values, interconnection
 
@@ -139,3 +148,16 @@ def test_minimal_blocks_stay_and_dead_ones_vanish():
     np.testing.assert_array_equal(dead.evaluate({}).A, [[-1.0]])
     with pytest.raises(InputError):
         dead.evaluate({"k": 0.5})
+
+
+def test_sets_without_blocks_states_or_signals():
+    gain = UncertainModel(StateSpaceModel([], [], [], [[1.0]]), ())
+    assert reduce_model(gain).after == {}
+    dead = UncertainModel(StateSpaceModel([[-1.0]], [[0.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2))), [RealScalar("k")])
+    assert reduce_model(dead).after == {}
+    assert "k 1 -> 0" in str(reduce_model(dead))
+    full = UncertainModel(StateSpaceModel([], [], [], np.ones((2, 2))), [FullBlock("f", 1, 1)])
+    assert reduce_model(full).after == {"f": 1}
+    assert plain(reduce_model(full).to_json())["status"] == "converged"
+    with pytest.raises(InputError, match="tolerance"):
+        reduce_model(gain, tolerance=2.0)

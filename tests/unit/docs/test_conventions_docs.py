@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.errors import InputError, UnitMismatch
 
 G = rl.StateSpaceModel(
     [[0.0, 1.0], [-1.0, -0.2]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]], inputs=["u"], outputs=[("q", "rad")]
@@ -22,30 +21,6 @@ def test_the_gain_of_python_control_s_lqr_closes_the_loop_of_the_states():
     positive = -K
     with pytest.raises(rl.NoTrustworthyNumber, match="unstable"):
         rl.disk_margin(states, 3 * positive, at="input")
-
-
-def test_blocks_the_wrong_way_round_are_told():
-    with pytest.raises(InputError, match=r"expected \(3, 2\)") as told:
-        rl.mu(np.ones((2, 3)), [[2, 3]])
-    assert "transposed shape" in told.value.hint
-
-
-def test_degrees_and_radians_do_not_meet():
-    degrees = rl.StateSpaceModel([], [], [], [[1.0]], inputs=[("q", "deg")], outputs=["u"])
-    for close in (lambda: rl.disk_margin(G, degrees), lambda: rl.UncertainModel(G, []).feedback(degrees)):
-        with pytest.raises(UnitMismatch, match=r"q \[rad\] meets q \[deg\]"):
-            close()
-
-
-def test_sample_times_do_not_meet():
-    digital = rl.StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1)
-    for close in (
-        lambda: rl.disk_margin(G, digital),
-        lambda: rl.UncertainModel(G, []).feedback(digital),
-        lambda: rl.generalized_plant(G, ["q"], ["u"], disturbances=[]).close(digital),
-    ):
-        with pytest.raises(InputError, match="sample time"):
-            close()
 
 
 def test_the_break_point_is_named():

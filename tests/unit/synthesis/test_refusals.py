@@ -185,6 +185,7 @@ REQUESTS = [
     (lambda: rl.generalized_plant(partition.uncertain_model(), ["vv"], ["u"]), "did you mean"),
     (lambda: rl.generalized_plant(partition.uncertain_model(), ["v"], ["u"], disturbances=["u"]), "both"),
     (lambda: rl.generalized_plant(partition.uncertain_model(), [], ["u"]), "n_meas"),
+    (lambda: rl.generalized_plant(partition.uncertain_model(), ["v"], ["u"]).close(SAMPLED), "sample time"),
     (lambda: rl.hinf(rl.generalized_plant(partition.uncertain_model(), ["v"], ["u"]), 2, 1), "leave them out"),
     (lambda: rl.loop_functions(UNSTABLE, gain([1.0, 2.0])), "K is 1 x 2"),
     (lambda: rl.loop_functions(UNSTABLE, UNSTABLE, sign=0), "sign"),
