@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from unit.mu_analysis.test_branch_and_bound import model_with_a_gap
 from unit.mu_analysis.test_cover import LAGS
 from unit.mu_analysis.test_cover import lag as late
 from unit.mu_analysis.test_frequency_data import MOTORS
-from unit.mu_analysis.test_replay import oscillator
-from unit.mu_analysis.test_skew_mu import gain_problem
+from unit.mu_analysis.test_mu_margin import model_with_a_gap, oscillator
+from unit.mu_analysis.test_mu_matrix import gain_problem
 
 import robustlab as rl
 from robustlab import disk_margin

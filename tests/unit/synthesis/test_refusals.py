@@ -10,15 +10,13 @@ from unit.synthesis import test_controller_reduction as reduction
 from unit.synthesis import test_controller_structures as structures
 from unit.synthesis import test_fixed_structure as fixed
 from unit.synthesis import test_loop_shaping as shaping
-from unit.synthesis import test_resampling as resampling
 from unit.synthesis import test_scheduling as lpv
 from unit.synthesis import test_synthesis_dk as dk
 from unit.synthesis import test_synthesis_h2 as h2
 from unit.synthesis import test_synthesis_hinf as hinf
 from unit.synthesis import test_synthesis_mixsyn as mixsyn
-from unit.synthesis import test_synthesis_partition as partition
 from unit.synthesis import test_tracking_problem as tracking
-from unit.synthesis.test_discretisation import LAG, TWO_BY_TWO
+from unit.synthesis.test_discretisation import DELAY, FLIP, LAG, TWO_BY_TWO
 from unit.synthesis.test_goal_tuning import LAG as SERVO
 from unit.synthesis.test_model_reduction import stable_model
 from unit.synthesis.test_reduction_methods import lag as slow
@@ -182,11 +180,11 @@ REQUESTS = [
     (lambda: rl.ncf(shaping.DISTURBED, None, SAMPLED), "W2: dt"),
     (lambda: rl.ncf(shaping.DISTURBED, [shaping.PI]), "no matrix"),
     (lambda: rl.ncf(DEAF), "synth ncf: G"),
-    (lambda: rl.generalized_plant(partition.uncertain_model(), ["vv"], ["u"]), "did you mean"),
-    (lambda: rl.generalized_plant(partition.uncertain_model(), ["v"], ["u"], disturbances=["u"]), "both"),
-    (lambda: rl.generalized_plant(partition.uncertain_model(), [], ["u"]), "n_meas"),
-    (lambda: rl.generalized_plant(partition.uncertain_model(), ["v"], ["u"]).close(SAMPLED), "sample time"),
-    (lambda: rl.hinf(rl.generalized_plant(partition.uncertain_model(), ["v"], ["u"]), 2, 1), "leave them out"),
+    (lambda: rl.generalized_plant(hinf.uncertain_model(), ["vv"], ["u"]), "did you mean"),
+    (lambda: rl.generalized_plant(hinf.uncertain_model(), ["v"], ["u"], disturbances=["u"]), "both"),
+    (lambda: rl.generalized_plant(hinf.uncertain_model(), [], ["u"]), "n_meas"),
+    (lambda: rl.generalized_plant(hinf.uncertain_model(), ["v"], ["u"]).close(SAMPLED), "sample time"),
+    (lambda: rl.hinf(rl.generalized_plant(hinf.uncertain_model(), ["v"], ["u"]), 2, 1), "leave them out"),
     (lambda: rl.loop_functions(UNSTABLE, gain([1.0, 2.0])), "K is 1 x 2"),
     (lambda: rl.loop_functions(UNSTABLE, UNSTABLE, sign=0), "sign"),
     (lambda: rl.loop_functions(UNSTABLE, UNSTABLE).gain("L", [1.0]), "'L'"),
@@ -259,7 +257,7 @@ REQUESTS = [
     (lambda: digital(delay=-1.0), "delay is -1"),
     (lambda: digital(loss=-1.0), "loss: -1"),
     (lambda: rl.d2c(LAG), "d2c: the model is continuous"),
-    (lambda: rl.d2c(resampling.DELAY, "zho"), "(?s)method: 'zho', expected one of zoh, tustin.*mean zoh"),
+    (lambda: rl.d2c(DELAY, "zho"), "(?s)method: 'zho', expected one of zoh, tustin.*mean zoh"),
 ]
 
 
@@ -304,8 +302,8 @@ NO_ANSWER = [
     (lambda: rl.discretise(slow(-1e6, 1.0), 0.1, "zoh"), "overflows"),
     (lambda: rl.discretise(StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[-1e-8]]), 0.1, "matched"),  # a zero at 1e8
      "poles and zeros that grow by"),
-    (lambda: rl.d2c(resampling.FLIP), r"d2c \(zoh\): a pole at z = -0\.5: no continuous model"),
-    (lambda: rl.d2c(resampling.DELAY), r"d2c \(zoh\): a pole at z = 0: no continuous model"),
+    (lambda: rl.d2c(FLIP), r"d2c \(zoh\): a pole at z = -0\.5: no continuous model"),
+    (lambda: rl.d2c(DELAY), r"d2c \(zoh\): a pole at z = 0: no continuous model"),
     (lambda: rl.d2c(StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], 0.1), "tustin"), "a pole at z = -1"),
     (lambda: rl.d2c(StateSpaceModel(1e-4 * np.eye(3) + np.eye(3, k=1), BOTH[[0, 0, 0]], [[1.0] * 3], [[0.0]], 0.1)),
      "gives A back to"),

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from robustlab import Controller, hinf
+import robustlab as rl
+from robustlab import Controller, RealScalar, UncertainModel, frequency_response, generalized_plant, hinf, mixsyn
+from robustlab.errors import InputError
 from robustlab.norms import bilinear_to_discrete, hinf_norm
-from robustlab.result import Status
+from robustlab.result import Status, plain
 from robustlab.statespace import StateSpaceModel, lower_lft
-from robustlab.synthesis import Synthesis
+from robustlab.synthesis import GeneralizedPlant, Synthesis, gamma_bound
 
 
 def output_feedback_problem(a: float, d22: float = 0.0) -> StateSpaceModel:
@@ -116,3 +122,142 @@ def test_controller_has_names_units_and_evidence():
     assert (stored.gamma, stored.status, stored.method) == (design.gamma, Status.CERTIFIED, "hinf")
     assert set(design.to_json()) >= {"gamma", "status", "K", "peak_frequency", "reason", "norm"}
     assert "z" in design.limit
+
+
+# --- evidence of an h-infinity design: lower bounds, estimates, bandwidth ---------------------------------------------
+
+
+SINGULAR = StateSpaceModel([[-1.0]], [[1, 1]], [[1], [0], [1]], [[0, 0], [0, 1], [0, 0]])
+
+
+# --- lower bounds ---
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_hidden_mode_next_to_a_multiple_pole_is_no_zero(seed):
+    """Four integrators in a row in any coordinates: only W1(inf) = 0.5 limits gamma."""
+    rng = np.random.default_rng(seed)
+    T = rng.normal(size=(4, 4))
+    A = T @ np.diag(np.ones(3), 1) @ np.linalg.inv(T)
+    G = StateSpaceModel(A, rng.normal(size=(4, 2)), rng.normal(size=(1, 4)), np.zeros((1, 2)))
+    design = mixsyn(G, StateSpaceModel([[-1e-7]], [[1.0]], [[5e-5]], [[0.5]]), 0.3)
+    assert design.lower_bound.value == pytest.approx(0.5, rel=1e-6)
+    assert 0.5 < design.gamma < 0.55
+
+
+def test_a_right_half_plane_zero_bounds_gamma_by_the_weight_there():
+    """S(z) = 1 at a zero z of the plant, so ||W1 S|| >= |W1(z)|; with a small penalty on u it is attained."""
+    zero = 2.0
+    G = StateSpaceModel([[-1.0]], [[1.0]], [[-1.0 - zero]], [[1.0]])  # (s - 2) / (s + 1)
+    W1 = StateSpaceModel([[-0.1]], [[1.0]], [[3.0]], [[0.0]])
+    design = mixsyn(G, W1, gamma_rel=1.0)
+    exact = 3.0 / (zero + 0.1)
+    assert design.gamma_lower == pytest.approx(exact, rel=1e-5)
+    assert design.gamma_lower <= exact
+    assert exact * (1 - 1e-9) <= design.gamma <= 1.001 * exact
+    assert "right half plane" in design.lower_bound.known
+    assert "proved at the zero s = 2 rad/s" in design.lower_bound.known
+
+
+def test_lower_bound_equals_gamma_if_one_frequency_decides():
+    design = hinf(SINGULAR, 1, 1, gamma_rel=1.0)
+    exact = 1 / np.sqrt(2)
+    assert design.gamma_lower <= exact * (1 + 1e-12)
+    assert design.gamma_lower == pytest.approx(exact, rel=1e-4)
+    assert "0 rad/s: no controller, causal or not" in design.lower_bound.known
+
+
+@settings(max_examples=25)
+@given(st.integers(0, 10**6))
+def test_no_stable_loop_is_below_the_bound(seed):
+    """No stabilising controller, here K = 0 or a small random K of a stable plant, violates it."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 5))
+    A = rng.standard_normal((n, n))
+    A = A - (np.linalg.eigvals(A).real.max() + 0.3) * np.eye(n)
+    D = rng.standard_normal((3, 3)) * rng.integers(0, 2, (3, 3))
+    D[2, 2] = 0.0
+    plant = StateSpaceModel(A, rng.standard_normal((n, 3)), rng.standard_normal((3, n)), D)
+    found = gamma_bound(GeneralizedPlant(plant, 1, 1)).value
+    for size in (0.0, 0.1, 1.0):
+        k = rng.standard_normal(4) * size
+        K = StateSpaceModel([[-1.0 - abs(k[0])]], [[k[1]]], [[k[2]]], [[k[3]]])
+        norm = hinf_norm(GeneralizedPlant(plant, 1, 1).close(K))
+        assert found <= norm.upper * (1 + 1e-9)
+
+
+def test_bound_of_a_discrete_plant():
+    plant = bilinear_to_discrete(SINGULAR, 0.5)
+    design = hinf(plant, 1, 1, gamma_rel=1.0)
+    assert design.gamma_lower == pytest.approx(1 / np.sqrt(2), rel=1e-4)
+    assert "0 rad/s" in design.lower_bound.known
+
+
+def test_the_evidence_is_in_the_file():
+    data = json.loads(json.dumps(plain(hinf(SINGULAR, 1, 1).to_json())))
+    assert {"gamma_lower", "lower_bound", "assumptions"} <= data.keys()
+    assert data["lower_bound"]["proved"] is True
+
+
+# --- generalised plants from models and uncertain models, scaling, and their loops ------------------------------------
+
+
+def uncertain_model() -> UncertainModel:
+    M = StateSpaceModel(
+        [[-1.0, 0.2], [0.0, -2.0]],
+        [[0.1, 1.0, 0.0], [0.0, 0.5, 1.0]],
+        [[1.0, 0.0], [1.0, 1.0], [0.0, 1.0]],
+        np.zeros((3, 3)),
+        inputs=["w1", "force", "u"],
+        outputs=["z1", "q", "v"],
+    )
+    return UncertainModel(M, [RealScalar("k")])
+
+
+def test_thesis_ordering_delta_then_performance_then_measurement():
+    plant = generalized_plant(uncertain_model(), measurements=["v"], controls=["u"])
+    assert plant.model.input_names == ("w1", "force", "u")
+    assert plant.model.output_names == ("z1", "q", "v", "v measured")
+    assert (plant.n_meas, plant.n_con, len(plant.blocks)) == (1, 1, 1)
+    m = plant.model
+    assert m.C[2].tolist() == m.C[3].tolist()
+    narrow = generalized_plant(uncertain_model(), ["v"], ["u"], disturbances=["force"], performance=["q"])
+    assert narrow.model.output_names == ("z1", "q", "v")
+
+
+def test_closing_the_generalised_plant_is_closing_the_uncertain_model():
+    uncertain = uncertain_model()
+    plant = generalized_plant(uncertain, ["v"], ["u"])
+    K = StateSpaceModel([[-3.0]], [[1.0]], [[0.5]], [[-0.1]])
+    loop = UncertainModel(plant.close(K), uncertain.blocks).evaluate({"k": 0.7})
+    direct = lower_lft(
+        generalized_plant(uncertain.evaluate({"k": 0.7}), ["v"], ["u"]).model,
+        K,
+    )
+    omega = np.geomspace(1e-2, 1e2, 20)
+    np.testing.assert_allclose(frequency_response(loop, omega), frequency_response(direct, omega), atol=1e-12)
+
+
+def test_hinf_takes_an_uncertain_model_and_bounds_the_whole_of_delta_and_performance():
+    plant = generalized_plant(uncertain_model(), ["v"], ["u"])
+    design = hinf(plant)
+    assert design.closed_loop.input_names == ("w1", "force")
+    assert hinf_norm(design.closed_loop).value <= design.gamma
+
+
+@pytest.mark.parametrize(("n_w", "n_z", "missing"), [(0, 0, "w and no performance"), (0, 1, "w"), (1, 0, "output z")])
+@pytest.mark.parametrize("design", ["hinf", "h2", "fixed", "fixed of two", "sampled norm"])
+def test_a_plant_without_performance_channels_is_refused(design, n_w, n_z, missing):
+    """Every norm of its loop is zero."""
+    P = StateSpaceModel(
+        np.diag([1.0, -2.0]), np.ones((2, n_w + 1)), np.ones((n_z + 1, 2)), np.zeros((n_z + 1, n_w + 1))
+    )
+    calls = {
+        "hinf": lambda: rl.hinf(P, 1, 1),
+        "h2": lambda: rl.h2(P, 1, 1),
+        "fixed": lambda: rl.fixed_structure(P, 1, n_meas=1, n_con=1),
+        "fixed of two": lambda: rl.fixed_structure([P, P], 1, n_meas=1, n_con=1),
+        "sampled norm": lambda: rl.sampled_data_norm(P, StateSpaceModel([], [], [], [[-5.0]], 0.01)),
+    }
+    with pytest.raises(InputError, match=f"no .*{missing}.* beside 1 controls and 1 measurements"):
+        calls[design]()
