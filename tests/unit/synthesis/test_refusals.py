@@ -16,11 +16,10 @@ from unit.synthesis import test_synthesis_h2 as h2
 from unit.synthesis import test_synthesis_hinf as hinf
 from unit.synthesis import test_synthesis_mixsyn as mixsyn
 from unit.synthesis import test_tracking_problem as tracking
-from unit.synthesis.test_discretisation import DELAY, FLIP, LAG, TWO_BY_TWO
+from unit.synthesis.test_discretisation import DELAY, FLIP, LAG, LOW, TWO_BY_TWO
 from unit.synthesis.test_goal_tuning import LAG as SERVO
 from unit.synthesis.test_model_reduction import stable_model
 from unit.synthesis.test_reduction_methods import lag as slow
-from unit.synthesis.test_sampled_controller import LOW
 
 import robustlab as rl
 from robustlab.errors import InputError, NoTrustworthyNumber
