@@ -76,6 +76,11 @@ HOLD = np.tile(rl.trim(PLANT).u, (31, 1))
 FAR = np.array([1500.0, 0, 0, 0, 0, 0])  # one actuator 0.95 m longer than the others
 G = PLANT.geometry
 REFUSED = [
+    (lambda: PLANT.uncertain(hold=["phi_1"]), rl.InputError, "the pose is held"),
+    (lambda: PLANT.uncertain(at=[0, 0, 0.5, 0, 0, 0]), rl.InputError, "mm"),
+    (lambda: PLANT.uncertain(ranges={"platform_mas": (3.0, 4.0)}), rl.InputError, "did you mean platform_mass"),
+    (lambda: PLANT.uncertain(ranges={"platform_mass": (-1.0, 4.0)}), rl.InputError, "positive"),
+    (lambda: PLANT.uncertain(["nothing"], ranges={"platform_mass": (3.0, 4.0)}), rl.InputError, "nothing"),
     (lambda: rl.trim(PLANT, phi=FAR), rl.NoTrustworthyNumber, "no pose"),
     (lambda: rl.trim(PLANT, phi=-300.0 * np.ones(6)), rl.NoTrustworthyNumber, "shorter than nothing"),
     (lambda: PLANT.derivative(np.r_[FAR, np.zeros(6)], np.zeros(6)), rl.NoTrustworthyNumber, "no pose"),

@@ -133,17 +133,3 @@ def test_ranges_that_are_not_symmetric(name):
         values = {k: v for k, (v, _) in model.physical(deltas).items()}
         assert values[key] == pytest.approx(factor * value, rel=1e-14)
         assert_same(model.evaluate(deltas), plant.with_parameters(**values).state_space())
-
-
-def test_ranges_of_plants_that_are_none():
-    plant = rl.plant("dc-motor")
-    r = plant.values["R"]
-    for ranges, text in (
-        ({"Q": (1.0, 2.0)}, "no such parameter"),
-        ({"R": (2 * r, 3 * r)}, "low < nominal < high"),
-        ({"R": (-1.0, 3 * r)}, "a positive value"),
-        ({"R": (np.nan, 3 * r)}, "finite"),
-        ({"R": (1.0, 2.0, 3.0)}, r"\(low, high\)"),
-    ):
-        with pytest.raises(rl.InputError, match=text):
-            plant.uncertain(ranges=ranges)

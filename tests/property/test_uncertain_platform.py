@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robustlab as rl
-from robustlab.errors import InputError
 
 QUICK = settings(max_examples=25)
 POSES = {"home": None, "tilted": [0.004, -0.003, 0.13, 0.02, -0.03, 0.05]}
@@ -140,19 +139,3 @@ def explaining(uncertain, delta, wanted):
     z = np.hstack([c_z, d_zu]) + d_zw @ w
     assert w.shape[1] == n + len(uncertain.inputs)
     return w @ np.linalg.pinv(z)
-
-
-@pytest.mark.parametrize(
-    ("ask", "words"),
-    [
-        (lambda p: p.uncertain(hold=["phi_1"]), "the pose is held"),
-        (lambda p: p.uncertain(at=[0, 0, 0.5, 0, 0, 0]), "mm"),
-        (lambda p: p.uncertain(ranges={"platform_mas": (3.0, 4.0)}), "did you mean platform_mass"),
-        (lambda p: p.uncertain(ranges={"platform_mass": (-1.0, 4.0)}), "positive"),
-        (lambda p: p.uncertain(["nothing"], ranges={"platform_mass": (3.0, 4.0)}), "nothing"),
-    ],
-)
-def test_bad_input(ask, words):
-    with pytest.raises(InputError) as caught:
-        ask(rl.plant("stewart-platform"))
-    assert words in f"{caught.value} {caught.value.hint}"
