@@ -223,12 +223,3 @@ def test_a_start_says_which_of_many_rests():
         start = (np.array([angle + 0.1, 0.0, 0.0, 0.0]), np.zeros(2))
         found = rl.trim(arm, torque_1=0.0, torque_2=0.0, start=start)
         np.testing.assert_allclose(found.x, [angle, 0.0, 0.0, 0.0], atol=1e-9)
-
-
-def test_the_linear_model_of_the_hanging_pole_swings_at_its_frequency():
-    plant = maker("cart_pole")(c=0.0, d=0.0)
-    p = plant.values
-    model = rl.linearise(plant, at=([0, 0, np.pi, 0], [0]))
-    total, arm, inertia = p["M"] + p["m"], p["m"] * p["l"], p["J"] + p["m"] * p["l"] ** 2
-    squared = arm * G * total / (total * inertia - arm**2)
-    assert np.abs(model.poles().imag).max() == pytest.approx(np.sqrt(squared), rel=1e-9)
