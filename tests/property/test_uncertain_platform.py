@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from unit.dynamics.test_uncertain_nonlinear import off
 
 import robustlab as rl
 
@@ -32,16 +33,6 @@ def machine(preset: str, motors: bool, pose: str, more: tuple[tuple[str, float],
 def rebuilt(plant, uncertain, delta, pose):
     values = {name: value for name, (value, _) in uncertain.physical(delta).items()}
     return rl.linearise(plant.with_parameters(**values), at=POSES[pose])
-
-
-def off(left, right) -> float:
-    """Largest difference, relative to the largest entry of its row."""
-    worst = 0.0
-    for name in "ABCD":
-        a, b = getattr(left, name), getattr(right, name)
-        row = np.abs(b).max(axis=1, keepdims=True)
-        worst = max(worst, float((np.abs(a - b) / np.where(row > 0, row, 1.0)).max()))
-    return worst
 
 
 @pytest.mark.parametrize("pose", list(POSES))

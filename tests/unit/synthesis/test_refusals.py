@@ -12,7 +12,6 @@ from unit.synthesis import test_fixed_structure as fixed
 from unit.synthesis import test_loop_shaping as shaping
 from unit.synthesis import test_scheduling as lpv
 from unit.synthesis import test_synthesis_dk as dk
-from unit.synthesis import test_synthesis_h2 as h2
 from unit.synthesis import test_synthesis_hinf as hinf
 from unit.synthesis import test_synthesis_mixsyn as mixsyn
 from unit.synthesis import test_tracking_problem as tracking
@@ -165,9 +164,9 @@ REQUESTS = [
     (lambda: rl.hinf(hinf.output_feedback_problem(1.0)), "missing"),
     (lambda: rl.hinf(hinf.output_feedback_problem(1.0), 1, 1, gamma_rel=0.9), "gamma_rel"),
     (lambda: rl.hinf(hinf.output_feedback_problem(1.0), 1, 1, time_limit=0), "time_limit"),
-    (lambda: rl.h2(h2.regular_plant(), 9, 1), "n_meas"),
-    (lambda: rl.h2(h2.regular_plant(), 2, 2, gamma_rel=0.9), "gamma_rel"),
-    (lambda: rl.h2(h2.regular_plant(), 2, 2, time_limit=0.0), "time_limit"),
+    (lambda: rl.h2(hinf.regular_plant(), 9, 1), "n_meas"),
+    (lambda: rl.h2(hinf.regular_plant(), 2, 2, gamma_rel=0.9), "gamma_rel"),
+    (lambda: rl.h2(hinf.regular_plant(), 2, 2, time_limit=0.0), "time_limit"),
     (lambda: rl.mixsyn(mixsyn.plant_2x2()), "no weight"),
     (lambda: rl.mixsyn(mixsyn.plant_2x2(), StateSpaceModel([[0.0]], [[1.0]], [[1.0]], [[0.0]])), "W1.*abscissa"),
     (lambda: rl.mixsyn(mixsyn.plant_2x2(), 1.0, np.eye(2)), "W2: 2 inputs"),
@@ -288,7 +287,7 @@ NO_ANSWER = [
     (lambda: rl.hinf(hidden(0.0, BOTH, [[0.0, 1.0]]), 1, 1), "s = 0 .*" + SHOWN),
     (lambda: rl.h2(hidden(0.7, [[0.0], [1.0]], BOTH.T), 1, 1), MOVED),
     (lambda: rl.dk(TANK, [[1, 0]], 1, 1), r"unstable mode s = 0\.5 .*tank.* cannot be moved"),
-    (lambda: rl.h2(h2.regular_plant(D11=True), 2, 2), "infinite for every controller"),  # D12 is 3 x 2
+    (lambda: rl.h2(hinf.regular_plant(D11=True), 2, 2), "infinite for every controller"),  # D12 is 3 x 2
     (lambda: rl.ncf(WASHOUT, shaping.PI), "W2 G W1"),  # the plant differentiates what the weight integrates
     (lambda: static([fixed.lag(1, 1), fixed.lag(1, -1)], starts=2),
      r"(?s)no start stabilised plant [12]: nearest pole s = .*no proof that there is none"),
