@@ -192,7 +192,7 @@ def test_a_motion_that_no_step_resolves_is_no_number():
 CLATTER = {"gap": 1e-3, "share": 0.5, "f": 4e4}
 
 
-# --- wrong equations of a user: each an error of one line that names the fault ----------------------------------------
+# --- wrong equations of a user ----------------------------------------------------------------------------------------
 
 
 def begun():

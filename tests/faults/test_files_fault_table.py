@@ -435,7 +435,7 @@ def test_a_measured_file_is_no_model_and_names_its_groups(tmp_path, capfd):
     assert "--group train" in err
 
 
-# --- text that hangs, nests or grows is parsed in a process of its own; matlab files count before they ar -------------
+# --- text that hangs, nests or grows ----------------------------------------------------------------------------------
 
 
 HOSTILE = {

@@ -113,7 +113,7 @@ def test_what_is_refused(call, error, words):
     assert caught.value.exit_code == (4 if error is rl.NoTrustworthyNumber else 3)
 
 
-# --- two-layer control: rejected input and its messages ---------------------------------------------------------------
+# --- two-layer control ------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")

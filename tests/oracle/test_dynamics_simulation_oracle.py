@@ -1,4 +1,4 @@
-"""Simulation against scipy and python-control."""
+"""Linear models in time and frequency against scipy and python-control."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_motor_against_an_integrator():
         np.testing.assert_allclose(record[name], row, rtol=2e-5, atol=2e-5 * np.abs(row).max())
 
 
-# --- discretisation beside scipy and python-control -------------------------------------------------------------------
+# --- discretisation ---------------------------------------------------------------------------------------------------
 
 
 def model(n, m, p):
@@ -103,7 +103,7 @@ def test_python_control_prewarp_and_matched():
     np.testing.assert_allclose(rl.discretise(G, 0.1, "matched").to_control()(z), matched(z), rtol=1e-7)
 
 
-# --- frequency responses against python-control, scipy and closed forms -----------------------------------------------
+# --- frequency responses ----------------------------------------------------------------------------------------------
 
 
 OMEGA = np.geomspace(0.01, 100.0, 40)
@@ -158,7 +158,7 @@ def test_default_grid_holds_resonances_and_ends_at_nyquist():
     assert len(default_grid(StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[1.0]]))) > 10
 
 
-# --- ranks against python-control's ctrb and obsv on small, well-scaled models with small whole numbers ( -------------
+# --- ranks of models of small whole numbers, exact there --------------------------------------------------------------
 
 
 @pytest.mark.parametrize("seed", range(40))

@@ -98,7 +98,7 @@ def test_the_best_linear_approximation_meets_the_model_where_friction_is_small(r
     assert np.median(g.nonlinear_std / np.abs(g.response)) > 20 * np.median(g.noise_std / np.abs(g.response))
 
 
-# --- `rl.validate` on EMPS, a measured servo axis; the record is not ours to ship -------------------------------------
+# --- validation -------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""H-infinity norms against SLICOT's AB13DD, which is right on well-scaled models."""
+"""Norms against SLICOT's AB13DD, which is right on well-scaled models, and reductions against AB09AD."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_slicot_is_never_called_with_what_it_does_not_return_from(wrong):
         slicot.lyapunov_solution(np.diag([1.0, -1.0]), np.eye(2), False)
 
 
-# --- balanced truncation beside slicot's ab09ad, and the hankel norm of an optimal error by the same rout -------------
+# --- balanced truncation, and the Hankel norm of an optimal error -----------------------------------------------------
 
 
 @pytest.mark.parametrize("dt", [0.0, 0.1])

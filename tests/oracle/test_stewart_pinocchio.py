@@ -179,7 +179,7 @@ def test_encoders_that_are_off():
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
 
 
-# --- members of the uncertain platform against the linear models of a rigid-body tree with the same masse -------------
+# --- members of the uncertain platform --------------------------------------------------------------------------------
 
 
 POSE = np.array([0.004, -0.003, 0.128, 0.02, -0.03, 0.04])

@@ -1,4 +1,4 @@
-"""Every block of code of these pages runs, in its order, and so does every command of the tutorials."""
+"""Code and commands of the pages run, in their order, and the numbers printed beside them are right."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_there_is_a_tutorial_for_each_plant():
     assert sorted(path.stem.replace("_", "-") for path in (ROOT / "models" / "plants").glob("*.py")) == TUTORIALS
 
 
-# --- docs/analysis.md: the code runs, and what is printed beside it is right ------------------------------------------
+# --- docs/analysis.md -------------------------------------------------------------------------------------------------
 
 
 def python_of(name: str) -> list[str]:
@@ -146,7 +146,7 @@ def test_the_page_runs_and_its_numbers_are_right(capsys):
         assert number in printed
 
 
-# --- docs/plants.md: the code in it runs, and the plant built in it is right ------------------------------------------
+# --- docs/plants.md ---------------------------------------------------------------------------------------------------
 
 
 TEXT = (Path(__file__).parents[3] / "docs" / "plants.md").read_text(encoding="utf-8")
@@ -179,7 +179,7 @@ def test_the_table_names_every_plant_and_its_signals():
             assert re.search(rf"[` ]{word}[` :]", row), (name, word)
 
 
-# --- docs/conventions.md: the code runs and its numbers are right; each convention, built the wrong way,  -------------
+# --- docs/conventions.md ----------------------------------------------------------------------------------------------
 
 
 G = rl.StateSpaceModel(

@@ -215,7 +215,7 @@ def test_without_pandas_the_error_has_the_command_to_install_it(make, monkeypatc
     assert "robustlab[frames]" in str(error.value)
 
 
-# --- what requirements may refer to is declared by the results of designs, reductions and resampling, and -------------
+# --- what requirements may refer to -----------------------------------------------------------------------------------
 
 
 KINDS = [
@@ -236,7 +236,7 @@ def test_what_is_declared_is_there(kind):
         assert numbers["gamma"] == plain(found.gamma)
 
 
-# --- results as plain json --------------------------------------------------------------------------------------------
+# --- results as plain JSON --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -46,7 +46,7 @@ def test_a_type_checker_knows_every_public_name(tmp_path):
         assert message.rpartition(" is ")[2].strip('"') not in ("Any", "Unknown"), line
 
 
-# --- names of other programs and mistyped ones, and unknown arguments, are answered with existing names ---------------
+# --- names of other programs, and mistyped ones -----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -59,7 +59,7 @@ def test_an_unknown_name_is_answered(name, answer):
     assert {word for text in NAMES for word in re.findall(r"\brl\.(\w+)", text)} <= set(rl.__all__)
 
 
-# --- every example in a docstring gives its output --------------------------------------------------------------------
+# --- examples in docstrings -------------------------------------------------------------------------------------------
 
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -80,7 +80,7 @@ def test_there_are_examples():
     assert len(MODULES) > 60
 
 
-# --- the exception tree is the list of exit codes; messages are one clear line, safe on a terminal --------------------
+# --- errors and exit codes --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -197,7 +197,7 @@ def test_a_set_without_spread():
         rl.cover([LAGS[0], LAGS[0]], "additive")
 
 
-# --- covers over the whole axis: no crossing between points is missed -------------------------------------------------
+# --- covers over the whole axis ---------------------------------------------------------------------------------------
 
 
 OMEGA = np.geomspace(1e-3, 1e4, 20_001)

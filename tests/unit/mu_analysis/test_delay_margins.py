@@ -169,7 +169,7 @@ def test_a_delay_in_the_loop_moves_the_integrator():
         rl.frequency_response(rl.tf([1], [1, 0]) @ rl.delay(1.0), [1.0, 0.0])
 
 
-# --- margins of loops with exact delays: closed forms, models without delays, dense grids, random points --------------
+# --- margins of loops with exact delays -------------------------------------------------------------------------------
 
 
 K2 = rl.StateSpaceModel(-0.5 * np.eye(2), np.eye(2), np.eye(2), [[1.0, 0.2], [-0.1, 0.8]])

@@ -254,7 +254,7 @@ def test_light_modes_between_resonances_are_bounded_at_their_mu():
     assert (bounds.upper <= 0.2 * (1 + 5e-4)).all()
 
 
-# --- branch and bound: closes the gap of the d, g bounds; proofs hold for sampled members -----------------------------
+# --- branch and bound -------------------------------------------------------------------------------------------------
 
 
 def model_with_a_gap(seed: int = 10, n: int = 6) -> rl.UncertainModel:
@@ -309,7 +309,7 @@ def test_the_leaves_cover_the_set_at_every_frequency(uncertain, margins):
             assert np.linalg.svd(np.eye(6) - M * delta, compute_uv=False)[-1] > 0
 
 
-# --- ascent of modes to the axis: slopes by differences, members rebuilt from physics, valid bounds -------------------
+# --- a chain with light damping ---------------------------------------------------------------------------------------
 
 
 def member(model: StateSpaceModel, values: np.ndarray, repeats: int) -> np.ndarray:
@@ -331,7 +331,7 @@ def test_the_margin_of_a_chain_closes_and_holds_for_members_inside():
         assert np.linalg.eigvals(member(model, values, 3)).real.max() < 0
 
 
-# --- the critical delta in the time domain ----------------------------------------------------------------------------
+# --- the critical Delta in the time domain ----------------------------------------------------------------------------
 
 
 def oscillator(kind, dt: float = 0.0) -> rl.UncertainModel:

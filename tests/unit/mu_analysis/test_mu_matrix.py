@@ -182,7 +182,7 @@ def test_a_bound_that_is_too_small_is_not_proved():
     assert not proves(SLICOT, -bounds.D, -bounds.D_z, bounds.G, bounds.upper)
 
 
-# --- lower bounds of mu and destabilising perturbations: closed forms, exhaustive truth, published number -------------
+# --- lower bounds of mu -----------------------------------------------------------------------------------------------
 
 
 STRUCTURES = {
@@ -253,7 +253,7 @@ def test_complex_scalars_come_close_to_the_upper_bound(n):
     assert np.median(bounds.lower / bounds.upper) >= 0.98
 
 
-# --- skewed mu: its closed forms and limits, both bounds re-proved from their evidence --------------------------------
+# --- skewed mu --------------------------------------------------------------------------------------------------------
 
 
 def gain_problem(seed: int, kind, n: int = 3):

@@ -140,7 +140,7 @@ def test_the_worst_gain_of_a_nearly_cancelled_mode_is_that_of_its_narrow_peak():
     assert 2.74200471 * (1 - 1e-5) <= found.upper <= 2.74200471 * (1 + 1e-3)
 
 
-# --- sets with one full block: the six m by their closed formulas, and the worst delta --------------------------------
+# --- sets with one full block -----------------------------------------------------------------------------------------
 
 
 LAG = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.2]])

@@ -146,7 +146,7 @@ def test_the_measure_of_a_bare_plant_is_the_four_block_gain_of_its_loop():
     assert digital.gamma == pytest.approx(four_block_gain(K), rel=0.05)
 
 
-# --- designs prove the loop of p and k in ball arithmetic: a wrong rebuilt loop is detected ---------------------------
+# --- a wrong rebuilt loop is detected by the checker ------------------------------------------------------------------
 
 
 HOSTILE = Path(__file__).resolve().parents[4] / "shared" / "data" / "hostile" / "hinf_r150.npz"

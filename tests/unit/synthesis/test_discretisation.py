@@ -87,7 +87,7 @@ def test_mean_and_variance_of_an_interval_are_integrals(h):
     np.testing.assert_allclose(variance, about, atol=1e-7 * np.abs(about).max())
 
 
-# --- rl.d2c against scipy's and python-control's discretisation, and its refusals -------------------------------------
+# --- back to continuous time ------------------------------------------------------------------------------------------
 
 
 T = 0.1
@@ -123,7 +123,7 @@ def test_tustin_is_the_map_of_python_control():
     np.testing.assert_allclose(one, two, rtol=1e-9)
 
 
-# --- digital controllers: the best formula, the direct design, refusals -----------------------------------------------
+# --- digital controllers: the best formula, the direct design ---------------------------------------------------------
 
 
 LOW = rl.StateSpaceModel(

@@ -205,7 +205,7 @@ def test_descend_improves_a_detuned_controller():
         descend(plant, StateSpaceModel([], [], [], [[1.0, 2.0]]), Budget(MILLION))
 
 
-# --- norms of closed loops and their gradients against independent ones -----------------------------------------------
+# --- gradients of norms of closed loops -------------------------------------------------------------------------------
 
 
 def family_and_theta(order, discrete, seed=1):

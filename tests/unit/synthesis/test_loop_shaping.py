@@ -135,7 +135,7 @@ def test_the_discrete_example_of_raoc_as_published_and_by_two_discrete_riccati_e
     assert design.gamma_min == pytest.approx(np.sqrt(1 + np.abs(np.linalg.eigvals(X @ Z)).max()), rel=1e-8)
 
 
-# --- S, T, K S and S G against their definitions, in both signs, and the bounds of weights ----------------------------
+# --- S, T, K S and S G by their definitions ---------------------------------------------------------------------------
 
 
 OMEGA = np.geomspace(1e-3, 1e3, 60)

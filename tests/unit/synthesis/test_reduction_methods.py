@@ -106,7 +106,7 @@ def test_a_floor_helps_a_model_whose_gain_vanishes():
     assert rl.reduce_model(washout, 0, method="stochastic", floor=0.1).status is Status.CERTIFIED
 
 
-# --- what splitting a model costs: the error of a reduced model holds between the model given and the one -------------
+# --- what splitting a model costs -------------------------------------------------------------------------------------
 
 
 def mixed(apart, gain, seed=0, dt=0.0):

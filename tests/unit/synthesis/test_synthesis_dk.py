@@ -244,7 +244,7 @@ def test_a_level_found_over_ten_decades_of_poles_is_proved() -> None:
     assert found.level <= 1.001 * level.beta
 
 
-# --- lower bound of mu over all controllers: closed forms, sampled controllers, and members of the set ----------------
+# --- lower bound of mu over all controllers ---------------------------------------------------------------------------
 
 
 def servo(spread: float = 0.5) -> GeneralizedPlant:

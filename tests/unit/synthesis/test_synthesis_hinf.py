@@ -124,13 +124,10 @@ def test_controller_has_names_units_and_evidence():
     assert "z" in design.limit
 
 
-# --- evidence of an h-infinity design: lower bounds, estimates, bandwidth ---------------------------------------------
+# --- lower bounds of gamma --------------------------------------------------------------------------------------------
 
 
 SINGULAR = StateSpaceModel([[-1.0]], [[1, 1]], [[1], [0], [1]], [[0, 0], [0, 1], [0, 0]])
-
-
-# --- lower bounds ---
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -192,7 +189,7 @@ def test_the_evidence_is_in_the_file():
     assert data["lower_bound"]["proved"] is True
 
 
-# --- generalised plants from models and uncertain models, scaling, and their loops ------------------------------------
+# --- generalised plants and their loops -------------------------------------------------------------------------------
 
 
 def uncertain_model() -> UncertainModel:
@@ -249,7 +246,7 @@ def test_a_plant_without_performance_channels_is_refused(design, n_w, n_z, missi
         calls[design]()
 
 
-# --- H2 synthesis: optimality by perturbing K, discrete time, direct terms, refusals ----------------------------------
+# --- H2 synthesis -----------------------------------------------------------------------------------------------------
 
 
 def regular_plant(seed=0, n=4, m1=3, m2=2, p1=3, p2=2, dt=0.0, D11=False, D22=False, unstable=True):

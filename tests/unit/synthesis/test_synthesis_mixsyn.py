@@ -122,7 +122,7 @@ def test_makeweight_as_in_matlab(arguments, dt, gains):
     assert [abs(complex(W(s)[0, 0])) for s in z] == pytest.approx(gains, rel=1e-9)
 
 
-# --- one weight alone: singular problems whose best controller is improper, against optima known in close -------------
+# --- one weight alone, against optima in closed form ------------------------------------------------------------------
 
 
 def random_discrete(seed: int) -> StateSpaceModel:
