@@ -10,6 +10,8 @@ from attack_cases import FAMILIES, FUNCTIONS, Case, make_case
 from attack_verdicts import judge
 from exact_delta import Part, distance_to_singular, proves, singular_inside
 from exact_loops import Model, exact, is_stable, with_precision
+from verify_claims import MAKERS
+from verify_judge import judge as judge_of_checker
 
 # Half of a round through all families and functions, like a chess board; the first two rows have every function.
 SUBSET = [
@@ -191,3 +193,22 @@ def test_gains_that_lie():
     assert found(case, claim, upper=0.99 * claim["lower"], lower=0.98 * claim["lower"])
     assert found(case, claim, lower=1.01 * claim["upper"], upper=1.02 * claim["upper"])
     assert found(case, claim, lower=np.inf, upper=np.inf)
+
+
+# --- the judge of the checker: what is true passes, planted lies do not -----------------------------------------------
+
+LIES = {"norm": "gamma", "mu-upper": "level", "mu-axis": "level", "worst-gain": "gamma", "gramian": "value"}
+
+
+@pytest.mark.parametrize("kind", LIES)
+def test_a_level_that_is_too_low_is_found(kind):
+    rng, found = np.random.default_rng(3), 0
+    for _ in range(6):
+        case = MAKERS[kind](rng)
+        if case is None:
+            continue
+        assert judge_of_checker(kind, case.numbers, True, case.hints) == ""
+        lie = case.numbers | {LIES[kind]: np.asarray(case.numbers[LIES[kind]]) * 0.5}
+        assert judge_of_checker(kind, lie, True, case.hints).startswith(("false", "unjustified"))
+        found += 1
+    assert found

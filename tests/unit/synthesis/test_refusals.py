@@ -17,8 +17,8 @@ from unit.synthesis import test_synthesis_mixsyn as mixsyn
 from unit.synthesis import test_tracking_problem as tracking
 from unit.synthesis.test_discretisation import DELAY, FLIP, LAG, LOW, TWO_BY_TWO
 from unit.synthesis.test_goal_tuning import LAG as SERVO
+from unit.synthesis.test_model_reduction import lag as slow
 from unit.synthesis.test_model_reduction import stable_model
-from unit.synthesis.test_reduction_methods import lag as slow
 
 import robustlab as rl
 from robustlab.errors import InputError, NoTrustworthyNumber
