@@ -39,11 +39,11 @@ def _put(file, group, name, value):
         dataset.attrs["MATLAB_int_decode"] = np.int32(2)
     else:
         value = np.atleast_2d(value)
-        # empty arrays are stored as their sizes
+        # Empty arrays are stored as their sizes.
         dataset = group.create_dataset(name, data=value.T if value.size else np.array(value.shape, dtype=np.uint64))
-        dataset.attrs["MATLAB_class"] = np.bytes_("double")
         if not value.size:
             dataset.attrs["MATLAB_empty"] = np.uint8(1)
+        dataset.attrs["MATLAB_class"] = np.bytes_("double")
 
 
 def matlab5_object(path, variable, kind):

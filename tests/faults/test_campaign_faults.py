@@ -146,8 +146,11 @@ def test_changed_settings_model_and_code_are_refused_by_name(tmp_path, motor):
     assert saved_samples(path) == (64, 300)
 
 
-def test_restart(tmp_path, motor):
+def test_restart_and_fork(tmp_path, motor):
     path = begun(tmp_path / "s.sqlite", motor, n=64)
+    fork = run_campaign(motor, settings_of(n=65), path, existing="fork", crew=Crew(1))
+    assert Path(fork.store).name == "s-2.sqlite"
+    assert (fork.done, saved_samples(path)) == (65, (64, 64))
     assert read_campaign(path).worst == 63.0  # what `begun` wrote
     fresh = run_campaign(motor, settings_of(n=64), path, existing="restart", crew=Crew(1))
     assert (fresh.store, fresh.done) == (str(path), 64)
@@ -200,12 +203,10 @@ def test_an_empty_file_is_begun_and_a_value_changed_after_the_end_is_noticed(tmp
 @pytest.mark.parametrize("page", [1, 2, 3, None])
 def test_a_damaged_page_and_a_truncated_store_are_named(tmp_path, motor, page):
     path = begun(tmp_path / "s.sqlite", motor, saved=200)
-    data = bytearray(path.read_bytes())
-    if page is None:
-        del data[len(data) // 2 :]
-    else:
-        data[page * 4096 : (page + 1) * 4096] = b"\xa5" * 4096
-    path.write_bytes(data)
+    data, size = bytearray(path.read_bytes()), 4096
+    if page is not None:
+        data[page * size : (page + 1) * size] = b"\xa5" * size
+    path.write_bytes(data if page is not None else data[: len(data) // 2])
     with pytest.raises(InputError, match=r"s\.sqlite: damaged campaign store: "):
         read_campaign(path)
 

@@ -69,10 +69,20 @@ def test_a_parameter_may_carry_its_unit_and_a_tolerance_a_percent_sign(given, va
     assert (found.value, found.tolerance) == pytest.approx((value, tolerance), rel=1e-15)
 
 
-@pytest.mark.parametrize("ends", [(-0.2, 0.3), (0.0, 0.1), ("-0.2 N m/A", "0.3 N m/A")])
-def test_a_range_of_a_torque_constant_holds_no_zero(ends):
-    with pytest.raises(rl.InputError, match="does not hold 0"):
-        rl.plant("dc-motor").uncertain(ranges={"Km": ends})
+@pytest.mark.parametrize(
+    ("name", "ends", "words"),
+    [
+        *(("Km", ends, "does not hold 0") for ends in ((-0.2, 0.3), (0.0, 0.1), ("-0.2 N m/A", "0.3 N m/A"))),
+        ("Q", (1.0, 2.0), "no such parameter"),
+        ("R", (5.0, 6.0), "low < nominal < high"),
+        ("R", (-1.0, 6.0), "a positive value"),
+        ("R", (np.nan, 6.0), "finite"),
+        ("R", (1.0, 2.0, 3.0), r"\(low, high\)"),
+    ],
+)
+def test_bad_ranges(name, ends, words):
+    with pytest.raises(rl.InputError, match=words):
+        rl.plant("dc-motor").uncertain(ranges={name: ends})
 
 
 def tank(equations, **values):
@@ -116,18 +126,25 @@ def test_bad_inputs(u, words):
         rl.simulate(rl.plant("dc-motor"), T, u)
 
 
-def test_bad_clock_start_and_hold():
-    motor = rl.plant("dc-motor")
-    with pytest.raises(rl.InputError, match="runs backwards"):
-        rl.simulate(motor, [0, 1, 0.5], np.ones(3))
-    with pytest.raises(rl.InputError, match="repeats the stamp"):
-        rl.simulate(motor, [0, 1, 1], np.ones(3))
-    with pytest.raises(rl.InputError, match="x0 has 2 entries, expected 3"):
-        rl.simulate(motor, T, ONES, [0, 0])
-    with pytest.raises(rl.InputError, match="zoh"):
-        rl.simulate(motor, T, ONES, hold="spline")
-    with pytest.raises(rl.InputError, match="StateSpaceModel"):
-        rl.simulate("dc-motor", T, ONES)
+MOTOR = rl.plant("dc-motor")
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: rl.simulate(MOTOR, [0, 1, 0.5], np.ones(3)), "runs backwards"),
+        (lambda: rl.simulate(MOTOR, [0, 1, 1], np.ones(3)), "repeats the stamp"),
+        (lambda: rl.simulate(MOTOR, T, ONES, [0, 0]), "x0 has 2 entries, expected 3"),
+        (lambda: rl.simulate(MOTOR, T, ONES, hold="spline"), "zoh"),
+        (lambda: rl.simulate("dc-motor", T, ONES), "StateSpaceModel"),
+        (lambda: rl.linearise("dc-motor"), "a linear plant"),
+        (lambda: rl.linearise(MOTOR, at=([0, 0], [0])), "2 numbers for phi, omega, i, expected 3"),
+        (lambda: rl.linearise(MOTOR, at=3.0), "or None"),
+    ],
+)
+def test_bad_clock_start_hold_and_point(call, words):
+    with pytest.raises(rl.InputError, match=words):
+        call()
 
 
 def test_overflow_names_the_time():
@@ -136,12 +153,3 @@ def test_overflow_names_the_time():
         # e^(100 t) / 100 passes 1.8e308 between t = 7.1 and 7.2
         rl.simulate(explosive, np.arange(101) * 0.1, np.ones(101))
     assert caught.value.exit_code == 4
-
-
-def test_linearise_rejects_other_objects_than_plants():
-    with pytest.raises(rl.InputError, match="a linear plant"):
-        rl.linearise("dc-motor")
-    with pytest.raises(rl.InputError, match="2 numbers for phi, omega, i, expected 3"):
-        rl.linearise(rl.plant("dc-motor"), at=([0, 0], [0]))
-    with pytest.raises(rl.InputError, match="or None"):
-        rl.linearise(rl.plant("dc-motor"), at=3.0)

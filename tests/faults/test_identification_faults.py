@@ -24,6 +24,11 @@ def test_a_missing_input_is_reported_with_the_existing_ones():
         rl.compare(rl.plant("servo-axis"), record(inputs={}))
 
 
+def test_a_plant_with_effects_is_not_judged_by_its_linear_part():
+    with pytest.raises(InputError, match="nonlinear plant"):
+        rl.compare(rl.with_effects(rl.plant("servo-axis"), {"coulomb-friction": {"Fc": 20.0}}), record())
+
+
 @pytest.mark.parametrize("units", [{"u": "A", "q": "m"}, {"q": "deg"}])
 def test_units_that_disagree(units):
     with pytest.raises(UnitMismatch) as caught:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.dynamics import stewart
+from robustlab.dynamics import SineTrajectory, follow, stewart, two_layer
 
 PLANT = rl.plant("stewart-platform")
 HOME = PLANT.geometry.home
@@ -76,6 +76,11 @@ HOLD = np.tile(rl.trim(PLANT).u, (31, 1))
 FAR = np.array([1500.0, 0, 0, 0, 0, 0])  # one actuator 0.95 m longer than the others
 G = PLANT.geometry
 REFUSED = [
+    (lambda: PLANT.uncertain(hold=["phi_1"]), rl.InputError, "the pose is held"),
+    (lambda: PLANT.uncertain(at=[0, 0, 0.5, 0, 0, 0]), rl.InputError, "mm"),
+    (lambda: PLANT.uncertain(ranges={"platform_mas": (3.0, 4.0)}), rl.InputError, "did you mean platform_mass"),
+    (lambda: PLANT.uncertain(ranges={"platform_mass": (-1.0, 4.0)}), rl.InputError, "positive"),
+    (lambda: PLANT.uncertain(["nothing"], ranges={"platform_mass": (3.0, 4.0)}), rl.InputError, "nothing"),
     (lambda: rl.trim(PLANT, phi=FAR), rl.NoTrustworthyNumber, "no pose"),
     (lambda: rl.trim(PLANT, phi=-300.0 * np.ones(6)), rl.NoTrustworthyNumber, "shorter than nothing"),
     (lambda: PLANT.derivative(np.r_[FAR, np.zeros(6)], np.zeros(6)), rl.NoTrustworthyNumber, "no pose"),
@@ -106,3 +111,49 @@ def test_what_is_refused(call, error, words):
     with pytest.raises(error, match=words) as caught:
         call()
     assert caught.value.exit_code == (4 if error is rl.NoTrustworthyNumber else 3)
+
+
+# --- two-layer control ------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def machine():
+    return rl.plant("stewart-platform", motors=True)
+
+
+def test_controllers_that_are_none(machine):
+    with pytest.raises(rl.InputError, match="a plant without motors"):
+        two_layer(rl.plant("stewart-platform"))
+    for name in ("p_up", "p_low", "rotor_J"):
+        for value in (0.0, -3.0, float("nan")):
+            with pytest.raises(rl.InputError, match=name):
+                two_layer(machine, **{name: value})
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"start": np.zeros(5)}, "start has 5 entries"),
+        ({"amplitude": [np.nan] * 6}, "amplitude"),
+        ({"omega": 0.0}, "a number that is positive"),
+        ({"lift_time": -1.0}, "a number that is positive"),
+        ({"rise_time": -1.0}, "a number that is not negative"),
+    ],
+)
+def test_trajectories_that_are_none(given, words):
+    with pytest.raises(rl.InputError, match=words):
+        SineTrajectory(**({"start": np.zeros(6)} | given))
+
+
+def test_a_trajectory_out_of_the_workspace_is_reported_with_its_time(machine):
+    path = SineTrajectory(machine.geometry.home, lift=(0, 0, 0.04, 0, 0, 0))
+    with pytest.raises(rl.InputError, match=r"trajectory at t = 1.*out of the workspace: actuator"):
+        follow(machine, two_layer(machine), path, np.linspace(0, 3, 301))
+
+
+def test_an_unstable_loop_is_reported_with_its_time(machine):
+    path = SineTrajectory(machine.geometry.home)
+    with pytest.raises(rl.NoTrustworthyNumber, match=r"t = \d"):
+        follow(machine, two_layer(machine, p_low=1200.0), path, np.linspace(0, 3, 301))
+    with pytest.raises(rl.InputError, match="rtol"):
+        follow(machine, two_layer(machine), path, np.linspace(0, 1, 11), rtol=0.0)

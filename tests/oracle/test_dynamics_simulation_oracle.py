@@ -1,12 +1,20 @@
-"""Simulation against scipy and python-control."""
+"""Linear models in time and frequency against scipy and python-control."""
 
 from __future__ import annotations
 
+import control
 import numpy as np
 import pytest
+import scipy.signal
 from scipy import signal
+from scipy.signal import cont2discrete
+from scipy.sparse.csgraph import connected_components
 
 import robustlab as rl
+from robustlab import frequency_response
+from robustlab.errors import NoTrustworthyNumber
+from robustlab.linear_analysis import default_grid, strong_components
+from robustlab.statespace import StateSpaceModel
 
 
 def random_model(seed: int, n: int, n_u: int, n_y: int, dt: float = 0.0) -> rl.StateSpaceModel:
@@ -64,3 +72,122 @@ def test_motor_against_an_integrator():
     record = rl.simulate(rl.plant("dc-motor"), t, 10 * np.sin(20 * t), hold="foh")
     for row, name in zip(truth, ("phi", "omega", "i"), strict=True):
         np.testing.assert_allclose(record[name], row, rtol=2e-5, atol=2e-5 * np.abs(row).max())
+
+
+# --- discretisation ---------------------------------------------------------------------------------------------------
+
+
+def model(n, m, p):
+    rng = np.random.default_rng(0)
+    A = rng.normal(size=(n, n)) - 1.5 * np.eye(n)
+    return rl.StateSpaceModel(A, rng.normal(size=(n, m)), rng.normal(size=(p, n)), rng.normal(size=(p, m)))
+
+
+@pytest.mark.parametrize(("n", "m", "p"), [(1, 1, 1), (4, 2, 3), (8, 3, 1)])
+def test_scipy(n, m, p):
+    G = model(n, m, p)
+    a, b, c, d, _ = cont2discrete((G.A, G.B, G.C, G.D), 0.1, "bilinear")
+    omega = np.linspace(0, 30, 20)
+    expected = rl.frequency_response(rl.StateSpaceModel(a, b, c, d, 0.1), omega)
+    np.testing.assert_allclose(rl.frequency_response(rl.discretise(G, 0.1, "tustin"), omega), expected, atol=1e-11)
+
+
+def test_python_control_prewarp_and_matched():
+    G = model(4, 1, 1)
+    z = np.exp(0.1j * np.linspace(0.1, 30, 20))
+    warped = control.sample_system(G.to_control(), 0.1, "bilinear", prewarp_frequency=3.0)
+    found = rl.discretise(G, 0.1, "tustin-prewarp", prewarp=3.0).to_control()
+    np.testing.assert_allclose(found(z), warped(z), rtol=1e-9)
+    # With as many zeros as poles nothing is left to convention.
+    matched = control.c2d(control.tf(G.to_control()), 0.1, "matched")
+    np.testing.assert_allclose(rl.discretise(G, 0.1, "matched").to_control()(z), matched(z), rtol=1e-7)
+
+
+# --- frequency responses ----------------------------------------------------------------------------------------------
+
+
+OMEGA = np.geomspace(0.01, 100.0, 40)
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.02])
+@pytest.mark.parametrize(("n", "n_u", "n_y"), [(1, 1, 1), (5, 2, 3), (12, 3, 1)])
+def test_against_control(n, n_u, n_y, dt):
+    model = random_model(n, n, n_u, n_y, dt)
+    nyquist = np.pi / 0.02
+    omega = OMEGA.compress(np.less(OMEGA, nyquist))
+    theirs = np.moveaxis(model.to_control()(np.exp(1j * omega * dt) if dt else 1j * omega, squeeze=False), -1, 0)
+    np.testing.assert_allclose(frequency_response(model, omega), theirs, rtol=1e-9, atol=1e-11)
+
+
+def test_against_scipy():
+    model = random_model(3, 4, 1, 1)
+    _, theirs = scipy.signal.freqresp((model.A, model.B, model.C, model.D), OMEGA)
+    np.testing.assert_allclose(frequency_response(model, OMEGA)[:, 0, 0], theirs, rtol=1e-7)
+
+
+def test_closed_form_and_limits():
+    lag = StateSpaceModel([[-2.0]], [[3.0]], [[1.0]], [[0.5]])
+    w = np.array([0.0, 2.0, np.inf])
+    np.testing.assert_allclose(frequency_response(lag, w)[:, 0, 0], [2.0, 0.5 + 3.0 / (2 + 2j), 0.5])
+    assert frequency_response(lag, 1.0).shape == (1, 1, 1)
+    assert frequency_response(lag, []).shape == (0, 1, 1)
+
+
+def test_chunks_do_not_change_the_answer(monkeypatch):
+    model = random_model(7, 6, 2, 2)
+    whole = frequency_response(model, OMEGA)
+    monkeypatch.setattr("robustlab.linear_analysis.frequency.CHUNK", 36 * 7)
+    np.testing.assert_array_equal(frequency_response(model, OMEGA), whole)
+
+
+def test_a_frequency_on_a_pole_is_refused():
+    oscillator = StateSpaceModel([[0.0, 1.0], [-1.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]])
+    with pytest.raises(NoTrustworthyNumber, match="hits a pole"):
+        frequency_response(oscillator, [0.5, 1.0])
+
+
+def test_default_grid_holds_resonances_and_ends_at_nyquist():
+    oscillator = StateSpaceModel([[0.0, 1.0], [-25.0, -0.1]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]])
+    grid = default_grid(oscillator)
+    assert np.abs(grid - np.sqrt(25.0 - 0.05**2)).min() < 1e-12
+    assert grid[0] <= 0.05
+    assert grid[-1] >= 499.0
+    assert (np.diff(grid) > 0).all()
+    discrete = default_grid(StateSpaceModel([[0.9]], [[1.0]], [[1.0]], [[0.0]], 0.1))
+    assert discrete[-1] == pytest.approx(np.pi / 0.1)
+    assert len(default_grid(StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[1.0]]))) > 10
+
+
+# --- ranks of models of small whole numbers, exact there --------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_rank_of_ctrb_and_obsv(seed):
+    import control
+
+    rng = np.random.default_rng(seed)
+    n, n_u, n_y = rng.integers(1, 6), rng.integers(1, 3), rng.integers(1, 3)
+    a = rng.integers(-1, 2, (n, n)).astype(float)
+    b, c = rng.integers(-1, 2, (n, n_u)).astype(float), rng.integers(-1, 2, (n_y, n)).astype(float)
+    model = rl.StateSpaceModel(a, b, c, np.zeros((n_y, n_u)))
+    # whole numbers of at most a few hundred: the rank is exact
+    assert rl.controllability(model).rank == np.linalg.matrix_rank(control.ctrb(a, b))
+    assert rl.observability(model).rank == np.linalg.matrix_rank(control.obsv(a, c))
+
+
+@pytest.mark.parametrize("density", [0.05, 0.15, 0.4])
+def test_strong_components_are_those_of_scipy(density):
+    rng = np.random.default_rng(5)
+    for n in (1, 2, 5, 30):
+        acts = rng.random((n, n)) < density
+        count, labels = connected_components(acts, directed=True, connection="strong")
+        found = strong_components(acts)
+        assert sorted(set(found)) == list(range(count))
+        assert ((found[:, None] == found) == (labels[:, None] == labels)).all()
+
+
+def test_a_long_cycle_is_one_component_and_a_chain_none():
+    chain = np.eye(200, k=1, dtype=bool)
+    assert (strong_components(chain) == np.arange(200)).all()
+    chain[-1, 0] = True
+    assert not strong_components(chain).any()

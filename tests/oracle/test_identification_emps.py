@@ -1,5 +1,7 @@
 """The published frictionless model of the EMPS axis against the measured record (Janot, Gautier, Brunot 2019)."""
 
+from __future__ import annotations
+
 from pathlib import Path
 
 import numpy as np
@@ -94,3 +96,19 @@ def test_the_best_linear_approximation_meets_the_model_where_friction_is_small(r
     assert g.relative_error[-1] < 0.12  # 3 to 4.6 Hz: inertia
     assert min(g.band_coherence()[:2]) < 0.5  # below 1 Hz dry friction: no linear model
     assert np.median(g.nonlinear_std / np.abs(g.response)) > 20 * np.median(g.noise_std / np.abs(g.response))
+
+
+# --- validation -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.shared
+def test_a_linear_axis_does_not_explain_the_record_and_a_millimetre_hides_it():
+    """24841 samples in windows of 0.48 s: no mass and viscous friction is found that leaves less than 1.7 mm."""
+    if not EMPS.is_file():
+        pytest.skip("the measured record is not at hand")
+    record = rl.Record.read(EMPS, group="test", inputs=["u"], outputs=["q"])
+    model = rl.plant("servo-axis", M=(95.1089, 0.05), Fv=(203.5, 0.3)).uncertain(outputs=["q"])
+    found = rl.validate(model, record, {"q": 1e-3}, window=0.48)
+    assert (found.status, found.upper) == (rl.Status.INCONCLUSIVE, float("inf"))
+    assert 1.5 < found.excess < 2.0

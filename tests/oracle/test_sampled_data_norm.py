@@ -8,6 +8,7 @@ from scipy.linalg import expm
 
 import robustlab as rl
 from robustlab.result import Status
+from robustlab.statespace import lower_lft
 
 
 def gain(k: float, dt: float) -> rl.StateSpaceModel:
@@ -103,29 +104,11 @@ def test_brute_force_over_a_finite_horizon(delay):
     assert (4 * long - short) / 3 == pytest.approx(found.lower, rel=8e-3)
 
 
-def test_no_sinusoid_exceeds_the_norm_and_the_loop_between_samples_counts():
+def test_the_loop_between_samples_counts():
     P, K = loop_of_two()
     found = rl.sampled_data_norm(P, K, n_meas=1, n_con=1, rtol=2e-3)
     # At the samples alone: the exact discrete loop for a w held over the period.
-    from robustlab.statespace import lower_lft
-
-    sampled = rl.peak_gain(lower_lft(rl.discretise(P, K.dt, "zoh"), K)).value
-    assert sampled < found.lower
-    fine, periods = 60, 200
-    t = np.arange(fine * periods) * K.dt / fine
-    for omega in (0.0, 1.0, 2.0, 2.4, 4.0):
-        x, k, u, energy, whole = np.zeros(2), np.zeros(1), 0.0, 0.0, 0.0
-        step = expm(np.block([[P.A, P.B], [np.zeros((2, 4))]]) * K.dt / fine)[:2]
-        for i, w in enumerate(np.cos(omega * (t + K.dt / fine / 2))):
-            if i % fine == 0:
-                y = x[0]
-                u = (K.C @ k)[0] + K.D[0, 0] * y
-                k = K.A @ k + K.B[:, 0] * y
-            if i >= fine * periods // 2:  # the transient is over
-                z = P.C[:2] @ x + P.D[:2] @ [w, u]
-                energy, whole = energy + z @ z, whole + w * w
-            x = step @ np.concatenate([x, [w, u]])
-        assert np.sqrt(energy / whole) <= found.upper * 1.01
+    assert rl.peak_gain(lower_lft(rl.discretise(P, K.dt, "zoh"), K)).value < found.lower
 
 
 def test_a_delay_of_a_whole_period_is_a_shift_in_the_controller():
@@ -148,8 +131,6 @@ def test_delays_next_to_a_whole_period_agree_with_it():
 def test_the_bracket_shrinks_from_both_sides_to_the_continuous_norm():
     P, _ = loop_of_two()
     static = rl.StateSpaceModel([], [], [], [[-2.0]])
-    from robustlab.statespace import lower_lft
-
     continuous = rl.peak_gain(lower_lft(P, static)).value
     found = rl.sampled_data_norm(P, gain(-2.0, 1e-3), n_meas=1, n_con=1, rtol=1e-3)
     assert found.lower == pytest.approx(continuous, rel=0.02)

@@ -48,6 +48,15 @@ def random_delta(blocks, rng):
     return delta
 
 
+def check_evidence(M, blocks, bounds):
+    if bounds.upper > 0:
+        assert proves(M, bounds.D, bounds.D_z, bounds.G, bounds.upper)
+    if bounds.lower > 0:
+        values = np.linalg.svd(np.eye(len(M)) - M @ bounds.delta, compute_uv=False)
+        assert values[-1] <= 1e-8 * (1 + values[0])
+        assert abs(delta_norm(blocks, bounds.delta) * bounds.lower - 1) <= 1e-8
+
+
 @given(problems())
 @settings(max_examples=40)
 def test_bounds_and_their_evidence(problem):
@@ -55,12 +64,7 @@ def test_bounds_and_their_evidence(problem):
     bounds = rl.mu(M, blocks)
     assert 0 <= bounds.lower <= bounds.upper
     assert np.isfinite(bounds.upper)
-    if bounds.upper > 0:
-        assert proves(M, bounds.D, bounds.D_z, bounds.G, bounds.upper)
-    if bounds.lower > 0:
-        values = np.linalg.svd(np.eye(len(M)) - M @ bounds.delta, compute_uv=False)
-        assert values[-1] <= 1e-8 * (1 + values[0])
-        assert abs(delta_norm(blocks, bounds.delta) * bounds.lower - 1) <= 1e-8
+    check_evidence(M, blocks, bounds)
     # No Delta inside the proved ball makes the loop singular: det(I - M t Delta) keeps its distance along random rays.
     if bounds.upper > 0:
         for _ in range(5):
@@ -184,12 +188,7 @@ def test_bounds_of_nasty_matrices():
     for M, blocks in nasty_matrices():
         bounds = rl.mu(M, blocks)
         assert bounds.lower <= bounds.upper < np.inf
-        if bounds.upper > 0:
-            assert proves(M, bounds.D, bounds.D_z, bounds.G, bounds.upper)
-        if bounds.lower > 0:
-            values = np.linalg.svd(np.eye(len(M)) - M @ bounds.delta, compute_uv=False)
-            assert values[-1] <= 1e-8 * (1 + values[0])
-            assert abs(delta_norm(blocks, bounds.delta) * bounds.lower - 1) <= 1e-8
+        check_evidence(M, blocks, bounds)
         # Newton's method of another author, inside the proved ball: scalar blocks move, full ones keep a random shape.
         radius = (1 - 1e-6) / bounds.upper if bounds.upper > 0 else 1e3 / np.abs(M).max()
         shape = random_delta(blocks, rng)

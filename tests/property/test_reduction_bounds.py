@@ -8,6 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robustlab as rl
+from robustlab import frequency_response
+from robustlab.norms import bilinear_to_discrete, hinf_norm
+from robustlab.statespace import StateSpaceModel
 
 
 def random_model(seed: int, n: int, dt: float) -> rl.StateSpaceModel:
@@ -65,3 +68,46 @@ def test_a_reduced_controller_loses_the_reported_share_and_no_more_than_allowed(
     assert small.gamma <= design.gamma * (1 + loss) * (1 + 1e-5)
     peak = rl.peak_gain(small.closed_loop)  # wide where the closed loop is badly conditioned, and never beside gamma
     assert peak.lower * (1 - 1e-5) <= small.gamma <= peak.upper * (1 + 1e-5)
+
+
+# --- properties of the h-infinity norm on random models ---------------------------------------------------------------
+
+
+SETTINGS = settings(max_examples=40)
+
+
+@st.composite
+def stable_models(draw):
+    n = draw(st.integers(1, 7))
+    m, p = draw(st.integers(1, 3)), draw(st.integers(1, 3))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    A = rng.standard_normal((n, n))
+    A -= np.eye(n) * (np.linalg.eigvals(A).real.max() + 10 ** draw(st.floats(-4, 1)))
+    A *= 10 ** draw(st.floats(-4, 4))
+    t = 10 ** rng.uniform(-3, 3, n)  # a badly scaled basis
+    D = rng.standard_normal((p, m)) * draw(st.sampled_from([0.0, 1.0, 30.0]))
+    return StateSpaceModel(
+        A * t[:, None] / t, rng.standard_normal((n, m)) * t[:, None], rng.standard_normal((p, n)) / t, D
+    )
+
+
+@SETTINGS
+@given(stable_models())
+def test_bracket_holds_against_a_dense_sweep(model):
+    norm = hinf_norm(model)
+    size = np.abs(model.poles())
+    omega = np.concatenate([np.geomspace(size.min() / 100, size.max() * 100, 3000), np.abs(model.poles().imag)])
+    sweep = np.linalg.norm(frequency_response(model, omega), 2, axis=(1, 2)).max()
+    assert norm.status.trustworthy
+    assert sweep <= norm.upper * (1 + 1e-9)
+    assert sweep <= norm.value * (1 + 2e-6)
+    attained = np.linalg.norm(frequency_response(model, norm.frequency)[0], 2)
+    assert abs(attained - norm.lower) <= 1e-9 * norm.lower
+
+
+@SETTINGS
+@given(stable_models(), st.floats(-2, 1))
+def test_the_bilinear_map_keeps_the_norm(model, log_step):
+    dt = 10**log_step / np.median(np.abs(model.poles()))
+    norm, mapped = hinf_norm(model), hinf_norm(bilinear_to_discrete(model, dt))
+    assert abs(mapped.value / norm.value - 1) < 1e-5

@@ -50,41 +50,18 @@ class Tags(html.parser.HTMLParser):
 
 def result(name: str, value: object, met: bool) -> dict:
     """A result as result.json holds it, with ``name`` in every text."""
-    step = {
-        "name": name,
-        "do": name,
-        "title": name,
-        "status": name,
-        "trustworthy": met,
-        "summary": name,
-        "error": "" if met else name,
-        "numbers": {name: value},
-        "facts": [{"label": name, "value": name, "source": name}],
-        "notes": [name],
-        "text": name,
-        "figures": [],
-        "seconds": 0.0,
-    }
+    step = dict.fromkeys(("name", "do", "title", "status", "summary", "text"), name) | {
+        "trustworthy": met, "error": "" if met else name, "numbers": {name: value}, "notes": [name], "figures": [],
+        "facts": [{"label": name, "value": name, "source": name}], "seconds": 0.0,
+    }  # fmt: skip
+    require = {"text": name, "that": name, "condition": name, "value": value, "met": met, "why_not": ""}
+    recipe = dict.fromkeys(("name", "title", "file", "text"), name)
+    recipe |= {"description": f"{name}\n\n{name}", "sha256": "0", "overrides": {name: name}}
+    made = {"created": name, "inputs": {name: name}, "versions": {name: name}}
     return {
-        "schema": "robustlab.result/1",
-        "command": "run",
-        "exit_code": 0,
-        "requirements": [{"text": name, "that": name, "condition": name, "value": value, "met": met, "why_not": ""}],
-        "steps": [step],
-        "recipe": {
-            "name": name,
-            "title": name,
-            "description": f"{name}\n\n{name}",
-            "file": name,
-            "sha256": "0",
-            "overrides": {name: name},
-            "text": name,
-        },
-        "seed": 0,
-        "seconds": 1.0,
-        "provenance": {"created": name, "inputs": {name: name}, "versions": {name: name}},
-        "files": [],
-    }
+        "schema": "robustlab.result/1", "command": "run", "exit_code": 0, "requirements": [require], "steps": [step],
+        "recipe": recipe, "seed": 0, "seconds": 1.0, "provenance": made, "files": [],
+    }  # fmt: skip
 
 
 @given(names, numbers, st.booleans())

@@ -105,16 +105,6 @@ def test_delayed_models(data, lengths):
     assert_same_model(back.H, delayed.H)
 
 
-def test_what_the_algebra_makes_comes_back():
-    lag = rl.parametric([["-1/tau"]], [["1/tau"]], [[1]], [[0]], {"tau": (1.0, 0.75, 1.5)})
-    weight = rl.StateSpaceModel([[-10.0]], [[1.0]], [[10.0]], [[0.1]])
-    plain = rl.StateSpaceModel([], [], [], [[1.0]])
-    loop = (rl.unstructured(plain, weight, "output-multiplicative") @ lag @ lag).feedback(0.5)
-    back = there_and_back(loop)
-    assert back.blocks == loop.blocks
-    assert_same_model(back.M, loop.M)
-
-
 @SETTINGS
 @given(models(), st.none() | st.floats(0, 1e6) | st.just(np.inf), st.sampled_from(list(Status)), TEXTS)
 def test_controllers(model, gamma, status, method):

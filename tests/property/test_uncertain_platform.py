@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from unit.dynamics.test_uncertain_nonlinear import off
 
 import robustlab as rl
-from robustlab.errors import InputError
 
 QUICK = settings(max_examples=25)
 POSES = {"home": None, "tilted": [0.004, -0.003, 0.13, 0.02, -0.03, 0.05]}
@@ -33,16 +33,6 @@ def machine(preset: str, motors: bool, pose: str, more: tuple[tuple[str, float],
 def rebuilt(plant, uncertain, delta, pose):
     values = {name: value for name, (value, _) in uncertain.physical(delta).items()}
     return rl.linearise(plant.with_parameters(**values), at=POSES[pose])
-
-
-def off(left, right) -> float:
-    """Largest difference, relative to the largest entry of its row."""
-    worst = 0.0
-    for name in "ABCD":
-        a, b = getattr(left, name), getattr(right, name)
-        row = np.abs(b).max(axis=1, keepdims=True)
-        worst = max(worst, float((np.abs(a - b) / np.where(row > 0, row, 1.0)).max()))
-    return worst
 
 
 @pytest.mark.parametrize("pose", list(POSES))
@@ -140,19 +130,3 @@ def explaining(uncertain, delta, wanted):
     z = np.hstack([c_z, d_zu]) + d_zw @ w
     assert w.shape[1] == n + len(uncertain.inputs)
     return w @ np.linalg.pinv(z)
-
-
-@pytest.mark.parametrize(
-    ("ask", "words"),
-    [
-        (lambda p: p.uncertain(hold=["phi_1"]), "the pose is held"),
-        (lambda p: p.uncertain(at=[0, 0, 0.5, 0, 0, 0]), "mm"),
-        (lambda p: p.uncertain(ranges={"platform_mas": (3.0, 4.0)}), "did you mean platform_mass"),
-        (lambda p: p.uncertain(ranges={"platform_mass": (-1.0, 4.0)}), "positive"),
-        (lambda p: p.uncertain(["nothing"], ranges={"platform_mass": (3.0, 4.0)}), "nothing"),
-    ],
-)
-def test_bad_input(ask, words):
-    with pytest.raises(InputError) as caught:
-        ask(rl.plant("stewart-platform"))
-    assert words in f"{caught.value} {caught.value.hint}"

@@ -76,6 +76,9 @@ def test_product_sum_and_concatenation(seed, n1, n2, size, middle, width, dt):
     assert_same(at(gain @ f, values), gain @ F)
     assert_same(at(f + np.ones((middle, width)), values), F + 1)
     assert_same(at(np.ones((middle, width)) - f, values), 1 - F)
+    assert_same(at(f / 2, values), F / 2)
+    assert_same(at(f[:, 0], values), F[:, :, :1])
+    assert_same(at(f[[0], :], values), F[:, :1])
     for result in (g @ f, f + h):
         names = [b.name for b in result.blocks]
         assert len(set(names)) == len(names)
@@ -95,6 +98,8 @@ def test_feedback_and_inverse(seed, n1, n2, n_y, n_u, sign):
         assume(np.linalg.cond(g.nominal.D) < 1e3)
         assume(np.linalg.cond(G).max() < 1e3)
         assert_same(at(g.inverse(), values), np.linalg.inv(G))
+        assert_same(at(g**-1, values), np.linalg.inv(G))
+        assert_same(at(g**0, values), np.broadcast_to(np.eye(n_y), G.shape))
         assert g.inverse().inputs == g.outputs
         if not any(isinstance(b, FullBlock) for b in g.blocks):  # a full block occurs once only
             unit = at(g.inverse() @ g, values)
@@ -145,24 +150,14 @@ def test_the_same_name_is_the_same_parameter():
     assert (k + k).blocks[0].repeats == 1  # one repetition carries 2 k
     square = k @ k
     assert square.blocks[0].repeats == 2
+    assert pytest.approx(1.3**2) == (k**2).evaluate({"k": 0.6}).D
     assert pytest.approx(1.3**2) == square.evaluate({"k": 0.6}).D
     same = k.inverse() @ k
     assert [b.name for b in same.blocks] == ["k"]  # without effect, but still known
     assert pytest.approx(1.0) == same.evaluate({"k": 0.4}).D
 
 
-def test_clashing_blocks_are_refused_by_name():
-    k = gain_of("k")
-    other = UncertainModel(k.M, [ComplexScalar("k")])
-    with pytest.raises(InputError, match=r"'k'.*RealScalar in one operand and a ComplexScalar"):
-        k + other
-    with pytest.raises(InputError, match=r"'k'.*stands for"):
-        k + gain_of("k", 1.0, 0.4)
-    with pytest.raises(InputError, match=r"'k'.*stands for"):
-        k @ UncertainModel(k.M, [RealScalar("k")])
-    full = UncertainModel(StateSpaceModel([], [], [], np.ones((3, 3))), [FullBlock("d", 2, 2)])
-    with pytest.raises(InputError, match=r"'d'.*full block in several operands"):
-        full + full
+def test_a_full_block_of_one_entry_is_a_scalar_that_may_repeat():
     small = UncertainModel(StateSpaceModel([], [], [], [[0.0, 1.0], [1.0, 1.0]]), [FullBlock("d", 1, 1)])
     twice = small @ small
     assert twice.blocks == (ComplexScalar("d", 2),)
@@ -199,40 +194,48 @@ def test_mixed_operands_and_edge_sizes():
     assert nothing.inverse().delta_shape == (0, 0)
 
 
+LAG = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+DIGITAL = StateSpaceModel([[0.1]], [[1.0]], [[1.0]], [[0.0]], 0.1)
+K, FORCE = gain_of("k"), gain_of("k", unit="N")
+FULL = UncertainModel(StateSpaceModel([], [], [], np.ones((3, 3))), [FullBlock("d", 2, 2)])
+DYNAMIC = UncertainModel(StateSpaceModel([], [], [], [[0.5, 1.0], [1.0, 1.0]]), [ComplexScalar("c")])
+OPERANDS = [
+    (lambda: K + UncertainModel(K.M, [ComplexScalar("k")]), r"'k'.*RealScalar in one operand and a ComplexScalar"),
+    (lambda: K + gain_of("k", 1.0, 0.4), r"'k'.*stands for"),
+    (lambda: K @ UncertainModel(K.M, [RealScalar("k")]), r"'k'.*stands for"),
+    (lambda: FULL + FULL, r"'d'.*full block in several operands"),
+    (lambda: K @ np.ones((2, 1)), "2 outputs into 1 inputs"),
+    (lambda: K + np.eye(2), "equal sizes"),
+    (lambda: [[1.0], [1.0]] @ K + 1.0, "numpy.eye"),
+    (lambda: K.feedback(K, 0), "sign: 0"),
+    (lambda: K.feedback(np.eye(2)), "2 x 2, expected 1 x 1"),
+    (lambda: ([[1.0], [1.0]] @ K).feedback(1.0), "the number 1.0"),
+    (([[1.0], [1.0]] @ K).inverse, "a square model"),
+    (lambda: rl.star(K, K, 2), "n_to_second: 2, expected a whole number from 0 to 1"),
+    (lambda: K @ [[np.nan]], "NaN"),
+    (lambda: K @ [[1j]], "complex"),
+    (lambda: K @ DIGITAL @ LAG, "sample times"),
+    (lambda: UncertainModel(DYNAMIC.M, [RealScalar("c")]).evaluate({"c": LAG}), "a dynamic value for a real block"),
+    (lambda: DYNAMIC.evaluate({"d": LAG}), "no such block"),
+    (lambda: DYNAMIC.evaluate({"c": [[1.0], [1.0]] @ LAG}), "a model of 2 x 1, expected 1 x 1"),
+    (lambda: (DYNAMIC @ LAG).evaluate({"c": DIGITAL}), "sample times"),
+]
+ILL_POSED = [
+    (lambda: FORCE.feedback(1.0, sign=1), "not well posed at Delta = 0"),
+    ((FORCE - 1.0).inverse, "D is singular at Delta = 0"),
+    # I - 1.25 (1 + 0.5 delta) = 0 at delta = -0.4
+    (lambda: FORCE.feedback(1.25, sign=1).evaluate({"k": -0.4}), r"ill-posed \(Delta: k = -0.4: 0.8 N\)"),
+    (lambda: DYNAMIC.evaluate({"c": LAG + 2.0}), r"ill-posed.*c = a model"),
+]
+
+
 @pytest.mark.parametrize(
-    ("operation", "text"),
-    [
-        (lambda k: k @ np.ones((2, 1)), "2 outputs into 1 inputs"),
-        (lambda k: k + np.eye(2), "equal sizes"),
-        (lambda k: [[1.0], [1.0]] @ k + 1.0, "numpy.eye"),
-        (lambda k: k.feedback(k, 0), "sign: 0"),
-        (lambda k: k.feedback(np.eye(2)), "2 x 2, expected 1 x 1"),
-        (lambda k: ([[1.0], [1.0]] @ k).feedback(1.0), "the number 1.0"),
-        (lambda k: ([[1.0], [1.0]] @ k).inverse(), "a square model"),
-        (lambda k: rl.star(k, k, 2), "n_to_second: 2, expected a whole number from 0 to 1"),
-        (lambda k: k @ [[np.nan]], "NaN"),
-        (lambda k: k @ [[1j]], "complex"),
-        (lambda k: k @ StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], 0.1) @ _lag(), "sample times"),
-    ],
-)  # fmt: skip
-def test_operands_that_do_not_fit(operation, text):
-    with pytest.raises(InputError, match=text):
-        operation(gain_of("k"))
-
-
-def _lag():
-    return StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
-
-
-def test_loops_that_are_not_well_posed_are_named():
-    k = gain_of("k", 1.0, 0.5, unit="N")
-    with pytest.raises(NoTrustworthyNumber, match="not well posed at Delta = 0"):
-        k.feedback(1.0, sign=1)
-    with pytest.raises(NoTrustworthyNumber, match="D is singular at Delta = 0"):
-        (k - 1.0).inverse()
-    loop = k.feedback(1.25, sign=1)  # I - 1.25 (1 + 0.5 delta) = 0 at delta = -0.4
-    with pytest.raises(NoTrustworthyNumber, match=r"ill-posed \(Delta: k = -0.4: 0.8 N\)"):
-        loop.evaluate({"k": -0.4})
+    ("operation", "error", "text"),
+    [*((o, InputError, t) for o, t in OPERANDS), *((o, NoTrustworthyNumber, t) for o, t in ILL_POSED)],
+)
+def test_operands_that_do_not_fit(operation, error, text):
+    with pytest.raises(error, match=text):
+        operation()
 
 
 # --- dynamic blocks ---------------------------------------------------------------------------------------------------
@@ -258,25 +261,6 @@ def test_a_dynamic_delta_is_closed_in(seed, n):
     assert (member.inputs, member.outputs) == (model.inputs, model.outputs)
 
 
-def dynamic_gain():
-    return UncertainModel(StateSpaceModel([], [], [], [[0.5, 1.0], [1.0, 1.0]]), [ComplexScalar("c")])
-
-
-def test_dynamic_values_that_do_not_fit():
-    model = dynamic_gain()
-    lag = _lag()
-    with pytest.raises(InputError, match="a dynamic value for a real block"):
-        UncertainModel(model.M, [RealScalar("c")]).evaluate({"c": lag})
-    with pytest.raises(InputError, match="no such block"):
-        model.evaluate({"d": lag})
-    with pytest.raises(InputError, match="a model of 2 x 1, expected 1 x 1"):
-        model.evaluate({"c": [[1.0], [1.0]] @ lag})
-    with pytest.raises(InputError, match="sample times"):
-        (dynamic_gain() @ lag).evaluate({"c": StateSpaceModel([[0.1]], [[1.0]], [[1.0]], [[0.0]], 0.1)})
-    with pytest.raises(NoTrustworthyNumber, match=r"ill-posed.*c = a model"):
-        model.evaluate({"c": StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[2.0]])})
-
-
 # --- centring -----------------------------------------------------------------------------------------------------
 
 
@@ -292,3 +276,81 @@ def test_the_centred_set_has_the_same_members(seed, level, n):
     inside = {name: level * v for name, v in values.items()}
     inside["k"] = SHARED.parameter.delta(span.value(values["k"]))
     assert_same(at(middle, values), at(model, inside))
+
+
+# --- connect ---------------------------------------------------------------------------------------------------------
+
+
+DELTA = {"a": 0.8, "b": -0.5}
+
+
+def wiring(rng):
+    """Parts with random inputs out of all signals, sums over some, and what comes from outside."""
+    outside = ["r1", "r2", "r3"]
+    counts = [(int(rng.integers(1, 3)), int(rng.integers(1, 4))) for _ in range(int(rng.integers(1, 5)))]
+    made = [[f"y{k}.{j}" for j in range(n_y)] for k, (n_y, _) in enumerate(counts)]
+    summed = [f"s{k}" for k in range(int(rng.integers(0, 4)))]
+    known = [*outside, *(name for names in made for name in names), *summed]
+    sums = []
+    for name in summed:
+        terms = rng.choice(known, int(rng.integers(1, 4)), replace=False)
+        signs = rng.choice(["+", "-"], len(terms))
+        sums.append((name, list(zip(signs, map(str, terms), strict=True))))
+    parts = []
+    for (_, n_u), outputs in zip(counts, made, strict=True):
+        inputs = [str(name) for name in rng.choice(known, n_u, replace=False)]
+        parts.append(random_part(rng, inputs, outputs))
+    fed = {s.name for part in parts for s in part.inputs} | {t for _, terms in sums for _, t in terms}
+    inputs = [name for name in outside if name in fed]
+    outputs = [name for name in known if name in fed or name not in outside]
+    rng.shuffle(outputs)
+    return parts, sums, inputs, outputs
+
+
+def random_part(rng, inputs, outputs):
+    n, blocks = int(rng.integers(0, 3)), [[], [rl.RealScalar("a")], [rl.RealScalar("b"), rl.RealScalar("a")]]
+    own = blocks[int(rng.integers(0, 3))]
+    q = len(own)
+    d = 0.4 * rng.standard_normal((q + len(outputs), q + len(inputs))) * (rng.random() < 0.7)
+    names = ([f"w{k}" for k in range(q)] + inputs, [f"z{k}" for k in range(q)] + outputs)
+    m = rl.StateSpaceModel(
+        rng.standard_normal((n, n)) - 3 * np.eye(n), rng.standard_normal((n, q + len(inputs))),
+        rng.standard_normal((q + len(outputs), n)), d, 0.0, *names,
+    )  # fmt: skip
+    return rl.UncertainModel(m, own) if q else m
+
+
+def response_of(part):
+    if isinstance(part, rl.UncertainModel):
+        return part.response(OMEGA, {b.name: DELTA[b.name] for b in part.blocks})
+    return rl.frequency_response(part, OMEGA)
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 1_000_000))
+def test_a_connected_model_solves_the_equations_of_its_signals(seed):
+    parts, sums, inputs, outputs = wiring(np.random.default_rng(seed))
+    texts = [f"{name} = " + " ".join(f"{sign} {term}" for sign, term in terms) for name, terms in sums]
+    signals = sorted({*inputs, *outputs})
+    place = {name: k for k, name in enumerate(signals)}
+    # (I - T) signals = S inputs, at each frequency; no word of the implementation's wiring
+    equations = np.tile(np.eye(len(signals), dtype=complex), (len(OMEGA), 1, 1))
+    for part in parts:
+        rows, columns = ([place[s.name] for s in side] for side in (part.outputs, part.inputs))
+        equations[np.ix_(range(len(OMEGA)), rows, columns)] -= response_of(part)
+    for name, terms in sums:
+        for sign, term in terms:
+            equations[:, place[name], place[term]] -= 1.0 if sign == "+" else -1.0
+    assume(np.linalg.cond(equations).max() < 1e6)
+    right = np.zeros((len(signals), len(inputs)))
+    right[[place[name] for name in inputs], range(len(inputs))] = 1.0
+    truth = np.linalg.solve(equations, right)[:, [place[name] for name in outputs]]
+    try:
+        found = rl.connect(*parts, inputs=inputs, outputs=outputs, sums=texts)
+    except NoTrustworthyNumber:  # well posed at these members and frequencies, not at infinity or Delta = 0
+        assume(False)
+    if isinstance(found, rl.UncertainModel):
+        got = found.response(OMEGA, {b.name: DELTA[b.name] for b in found.blocks})
+    else:
+        got = rl.frequency_response(found, OMEGA)
+    assert np.abs(got - truth).max(initial=0.0) <= 1e-7 * (1 + np.abs(truth).max(initial=0.0))

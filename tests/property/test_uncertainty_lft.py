@@ -8,8 +8,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import block_diag
 
-from robustlab import ComplexScalar, FullBlock, RealScalar, UncertainModel, elementwise, frequency_response
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab import (
+    ComplexScalar,
+    FullBlock,
+    RealScalar,
+    UncertainModel,
+    elementwise,
+    frequency_response,
+    reduce_model,
+)
+from robustlab.errors import InputError
+from robustlab.result import plain
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty import delta_matrix, delta_values, interconnection
 
@@ -66,14 +75,6 @@ def test_evaluate_and_response_agree_and_complex_deltas_respond(seed, n):
     np.testing.assert_array_equal(back["f"], real["f"])
 
 
-def test_ill_posed_deltas_are_named():
-    m = StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0)), [[0.5, 1.0], [1.0, 0.0]])
-    model = UncertainModel(m, [RealScalar("k")])
-    np.testing.assert_allclose(model.evaluate({"k": 1.0}).D, [[2.0]])
-    with pytest.raises(NoTrustworthyNumber, match="ill-posed"):
-        model.evaluate({"k": 2.0})
-
-
 # --- reduction -------------------------------------------------------------------------------------------------------
 
 
@@ -127,15 +128,22 @@ def test_thesis_repetition_shrinks_to_the_rank():
     np.testing.assert_allclose(small.evaluate({"k": 1.0}).A, a + change, atol=1e-12)
 
 
-def test_minimal_blocks_stay_and_dead_ones_vanish():
+def test_minimal_blocks_stay():
     rng = np.random.default_rng(5)
     first = StateSpaceModel(rng.standard_normal((4, 4)), np.ones((4, 1)), np.ones((1, 4)), [[0.0]])
     second = StateSpaceModel(rng.standard_normal((4, 4)), np.ones((4, 1)), np.ones((1, 4)), [[0.0]])
     model = elementwise(first, second, "single")
     assert model.reduce().blocks == model.blocks
-    m = StateSpaceModel([[-1.0]], [[0.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
-    dead = UncertainModel(m, [RealScalar("k")]).reduce()
-    assert dead.blocks == ()
-    np.testing.assert_array_equal(dead.evaluate({}).A, [[-1.0]])
-    with pytest.raises(InputError):
-        dead.evaluate({"k": 0.5})
+
+
+def test_sets_without_blocks_states_or_signals():
+    gain = UncertainModel(StateSpaceModel([], [], [], [[1.0]]), ())
+    assert reduce_model(gain).after == {}
+    dead = UncertainModel(StateSpaceModel([[-1.0]], [[0.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2))), [RealScalar("k")])
+    assert reduce_model(dead).after == {}
+    assert "k 1 -> 0" in str(reduce_model(dead))
+    full = UncertainModel(StateSpaceModel([], [], [], np.ones((2, 2))), [FullBlock("f", 1, 1)])
+    assert reduce_model(full).after == {"f": 1}
+    assert plain(reduce_model(full).to_json())["status"] == "converged"
+    with pytest.raises(InputError, match="tolerance"):
+        reduce_model(gain, tolerance=2.0)

@@ -1,5 +1,6 @@
 """User-defined plants compared with built-in ones, and their features."""
 
+import casadi as ca
 import numpy as np
 
 import robustlab as rl
@@ -82,3 +83,35 @@ def test_discontinuous_inputs_are_exact():
     v = np.r_[0.0, np.cumsum(u[:-1] * np.diff(t))]
     truth = np.r_[0.0, np.cumsum(v[:-1] * np.diff(t) + 0.5 * u[:-1] * np.diff(t) ** 2)]
     np.testing.assert_allclose(states, np.column_stack([truth, v]), atol=1e-13)
+
+
+# --- twelve states ---------------------------------------------------------------------------------------------------
+
+
+def chain(links=6):
+    """Pendulum of point masses on rigid rods in a plane, by their absolute angles: a full mass matrix."""
+    p = rl.PlantEquations("chain")
+    m = [p.parameter(f"m_{k}", 1.0 - 0.1 * k, "kg") for k in range(links)]
+    length = [p.parameter(f"l_{k}", 0.5 - 0.05 * k, "m") for k in range(links)]
+    q, w = zip(*(p.joint(f"q_{k}", f"w_{k}", "rad") for k in range(links)), strict=True)
+    below, turned = [sum(m[k:]) for k in range(links)], range(links)
+    arm = [[below[max(i, j)] * length[i] * length[j] for j in turned] for i in turned]
+    force = [
+        -sum(arm[i][j] * ca.sin(q[i] - q[j]) * w[j] ** 2 for j in turned) - below[i] * 9.81 * length[i] * ca.sin(q[i])
+        for i in turned
+    ]
+    p.motion([[arm[i][j] * ca.cos(q[i] - q[j]) for j in turned] for i in turned], force)
+    p.output("q_0", q[0], "rad")
+    return p.plant()
+
+
+def test_a_chain_of_six_links_keeps_its_energy():
+    plant, t = chain(), np.linspace(0.0, 3.0, 301)
+    start = np.ravel([[angle, 0.0] for angle in np.linspace(0.5, 2.0, 6)])
+    states = plant.trajectory(input_signal(t, np.zeros((301, 0)), "zoh"), start, 1e-11)
+    m, length = (np.array([plant.values[f"{name}_{k}"] for k in range(6)]) for name in ("m", "l"))
+    q, w = states[:, ::2], states[:, 1::2]
+    vx, vy = np.cumsum(length * np.cos(q) * w, axis=1), np.cumsum(length * np.sin(q) * w, axis=1)
+    height = -np.cumsum(length * np.cos(q), axis=1)
+    energy = (m * (0.5 * (vx**2 + vy**2) + 9.81 * height)).sum(axis=1)
+    assert np.ptp(energy) < 1e-8 * np.abs(energy).max()

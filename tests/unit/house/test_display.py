@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import json
 import typing
 from xml.etree import ElementTree as ET
 
@@ -18,7 +19,8 @@ from robustlab.display import LINES, Displayable
 from robustlab.errors import DependencyMissing, InputError
 from robustlab.files import frames
 from robustlab.report import DRAWINGS
-from robustlab.result import Status
+from robustlab.result import Result, Status, plain
+from robustlab.synthesis import Design
 from robustlab.tables import Tabular
 
 mpl.use("Agg")
@@ -211,3 +213,59 @@ def test_without_pandas_the_error_has_the_command_to_install_it(make, monkeypatc
     with pytest.raises(DependencyMissing, match="needs the package") as error:
         make("Margin").to_pandas()
     assert "robustlab[frames]" in str(error.value)
+
+
+# --- what requirements may refer to -----------------------------------------------------------------------------------
+
+
+KINDS = [
+    *("DKSynthesis", "FixedSynthesis", "H2Synthesis", "HinfSynthesis"),
+    *("LPVSynthesis", "NcfSynthesis", "ReducedController", "ReducedModel"),
+    *("SampledController", "TunedSynthesis"),
+]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_is_declared_is_there(kind):
+    found = shown_objects.made(kind)
+    numbers = plain(found.numbers())
+    unset = {name for name in found.quantities if getattr(found, name, "") is None}  # a filter that is not there
+    assert set(numbers) == set(found.quantities) - unset
+    if isinstance(found, Design):
+        assert found.headline()
+        assert numbers["gamma"] == plain(found.gamma)
+
+
+# --- results as plain JSON --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("value", "wanted"),
+    [
+        (None, None),
+        (True, True),
+        (np.True_, True),
+        (Status.FAILED, "failed"),
+        (3, 3),
+        (np.int64(3), 3),
+        (np.float32(0.5), 0.5),
+        (float("inf"), "inf"),
+        (-np.inf, "-inf"),
+        (np.nan, "nan"),
+        (1 + 2j, {"re": 1.0, "im": 2.0}),
+        (np.array([[1.0, np.nan]]), [[1.0, "nan"]]),
+        (np.array([1j]), [{"re": 0.0, "im": 1.0}]),
+        ((1, [2.0]), [1, [2.0]]),
+        ({1: {"a": np.zeros(0)}}, {"1": {"a": []}}),
+        (Result("Margin", Status.CERTIFIED, {"lower": 2.0}), {"type": "Margin", "lower": 2.0, "status": "certified"}),
+    ],
+)
+def test_plain_forms(value, wanted):
+    found = plain(value)
+    assert found == wanted
+    json.dumps(found, allow_nan=False)
+
+
+def test_what_has_no_plain_form_is_an_error():
+    with pytest.raises(TypeError, match="no plain form"):
+        plain(object())

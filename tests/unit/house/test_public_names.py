@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+import doctest
 import json
+import pickle
+import re
 import subprocess
 import sys
+from importlib import import_module
+from pathlib import Path
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from patience import PATIENCE
 from stub import STUB, stub_text
 
 import robustlab as rl
+from robustlab import errors
+from robustlab.errors import InputError, RobustlabError
+from robustlab.name_hints import NAMES
 
 
 def test_importing_the_package_loads_nothing_heavy():
@@ -34,3 +44,74 @@ def test_a_type_checker_knows_every_public_name(tmp_path):
         message = found[k]["message"]
         assert found[k]["severity"] == "information", message
         assert message.rpartition(" is ")[2].strip('"') not in ("Any", "Unknown"), line
+
+
+# --- names of other programs, and mistyped ones -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "answer"),
+    [("wcgain", "no 'wcgain'; here it is rl.peak_gain"), ("robust_stabilty", "did you mean robust_stability?")],
+)
+def test_an_unknown_name_is_answered(name, answer):
+    with pytest.raises(AttributeError, match=re.escape(answer)):
+        getattr(rl, name)
+    assert {word for text in NAMES for word in re.findall(r"\brl\.(\w+)", text)} <= set(rl.__all__)
+
+
+# --- examples in docstrings -------------------------------------------------------------------------------------------
+
+
+ROOT = Path(__file__).resolve().parents[3]
+MODULES = [
+    ".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+    for file in sorted((ROOT / "robustlab").rglob("*.py"))
+    if ">>> " in file.read_text()
+]
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_examples(module):
+    result = doctest.testmod(import_module(module), optionflags=doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS)
+    assert not result.failed
+
+
+def test_there_are_examples():
+    assert len(MODULES) > 60
+
+
+# --- errors and exit codes --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "code", "base"),
+    [
+        ("UsageError", 2, RobustlabError),
+        ("InputError", 3, ValueError),
+        ("UnitMismatch", 3, InputError),
+        ("NoTrustworthyNumber", 4, ArithmeticError),
+        ("NativeTimeout", 4, errors.NoTrustworthyNumber),
+        ("EnvironmentFault", 5, OSError),
+        ("DependencyMissing", 5, errors.EnvironmentFault),
+    ],
+)
+def test_exit_codes(name, code, base):
+    kind = getattr(errors, name)
+    assert kind.exit_code == code
+    assert issubclass(kind, base)
+    assert issubclass(kind, RobustlabError)
+
+
+def test_errors_cross_process_boundaries():
+    error = InputError("a", "b", "c", "d", ("e",))
+    copy = pickle.loads(pickle.dumps(error))
+    assert type(copy) is InputError
+    assert str(copy) == str(error)
+
+
+@settings(max_examples=50)
+@given(st.text(max_size=40))
+def test_no_control_character_reaches_the_terminal(text):
+    shown = str(RobustlabError(text, text, text, text, (text,)))
+    assert all(ch.isprintable() for line in shown.split("\n") for ch in line)
+    assert not set("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069\u200e\u200f\x1b") & set(shown)

@@ -45,12 +45,6 @@ def test_an_unstable_loop_has_crossings_and_no_margins():
     assert "unstable" in margin.summary()
 
 
-def test_a_gain_of_one_everywhere_is_rejected():
-    allpass = StateSpaceModel([[-1.0]], [[1.0]], [[-2.0]], [[1.0]])
-    with pytest.raises(rl.NoTrustworthyNumber, match="gain is 1 at every frequency"):
-        rl.classical_margins(allpass)
-
-
 @settings(max_examples=30)
 @given(st.integers(0, 10**6))
 def test_crossings_and_ends_of_random_loops(seed):

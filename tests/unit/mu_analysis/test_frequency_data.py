@@ -90,35 +90,6 @@ def test_disk_margins_at_a_frequency():
     assert np.allclose(same.lower_at, at_points.lower_at)
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: rl.frequency_data([1.0], [0.0, 1.0]), r"UncertainFrequencyData|frequency_data: M"),
-        (lambda: rl.frequency_data([1.0, 2.0], [1.0, 0.5]), "do not increase"),
-        (lambda: rl.frequency_data(LAG, [1.0], radius=0.1), "a radius of a model"),
-        (lambda: rl.frequency_data([1.0, 2.0], [0.0, 1.0], radius=-1.0), "negative"),
-        (lambda: rl.peak_gain(MOTORS, frequency=[]), "frequencies that do not increase"),
-        (lambda: rl.robust_stability(MOTORS, frequency=[1.0], order=3), "order: given for given frequencies"),
-        (lambda: rl.robust_stability(rl.frequency_data(LAG, [1.0])), "no uncertainty"),
-        (lambda: rl.frequency_data(LAG, [1.0]).feedback(np.eye(2)), "what is fed back is 2 x 2|1 x 1"),
-        (lambda: rl.disk_margin(MOTORS, frequency=[1.0]), "without blocks"),
-        (lambda: rl.h2_norm(rl.frequency_data(LAG, [1.0])), "no state-space model"),
-        (lambda: rl.frequency_data([1.0], "abc"), "omega"),
-        (lambda: rl.frequency_data(["a"], [1.0]), "response"),
-        (lambda: rl.frequency_data([1.0], [1.0], radius=1j), "radius"),
-        (lambda: rl.UncertainFrequencyData([1.0], [[[1.0]]], inputs=3.0), "signals 3.0"),
-    ],
-)
-def test_invalid_requests_are_rejected(call, message):
-    with pytest.raises(rl.InputError, match=message):
-        call()
-
-
-def test_a_pole_at_a_frequency_is_rejected():
-    with pytest.raises(rl.NoTrustworthyNumber, match="singular at 1 rad/s"):
-        rl.frequency_data([-1.0, 2.0], [1.0, 2.0]).feedback(1.0)
-
-
 def test_data_survive_saving_and_loading(tmp_path):
     G = two_by_two()
     data = rl.frequency_data(G, OMEGA, radius=abs(G), inputs=[("a", "V"), "b"], outputs=["c", ("d", "m")]).feedback(0.5)

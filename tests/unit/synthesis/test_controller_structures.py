@@ -7,7 +7,6 @@ import pytest
 
 from robustlab import frequency_response
 from robustlab.dynamics import LayeredController, TorqueGains, Trim, upper_layer
-from robustlab.errors import InputError
 from robustlab.statespace import Signal
 from robustlab.synthesis import PID, Decentralised, FixedOrder, FixedPoles, MultichannelPID, Part, StaticGain
 
@@ -112,28 +111,3 @@ def test_decentralised_parts_take_named_channels():
     K = frequency_response(law.model(p, 0.0), [0.5])[0]
     assert (np.abs(K) > 0).tolist() == [[False, False, True], [True, True, False]]
     assert [q.name for q in law.parameters][:2] == ["1.K[u1,y3]", "2.R1[u2,y1]"]
-
-
-@pytest.mark.parametrize(
-    ("structure", "n_y", "n_u", "text"),
-    [
-        (StaticGain([[1, 1]]), 1, 1, r"mask: shape \(1, 2\), expected \(1, 1\)"),
-        (StaticGain([[0]]), 1, 1, "at least one of them 1"),
-        (FixedOrder(-1), 1, 1, "order: -1"),
-        (FixedOrder(0, strictly_proper=True), 1, 1, "strictly proper controller without states"),
-        (PID(), 1, 1, "tau: missing"),
-        (PID(tau=-1.0), 1, 1, "tau: -1.0"),
-        (PID("PX"), 1, 1, "terms: 'PX'"),
-        (PID("PI"), 2, 1, "1 controls for 2 measurements"),
-        (PID("P", limit=-2.0), 1, 1, "limit: -2"),
-        (MultichannelPID("ipd"), 5, 2, "5 measurements for 2 controls"),
-        (MultichannelPID("three-layer"), 5, 2, "'three-layer'"),
-        (FixedPoles([1 + 1j]), 1, 1, "without its conjugate"),
-        (FixedPoles([]), 1, 1, "at least one finite pole"),
-        (Decentralised([StaticGain()]), 2, 2, "1 parts for 2 measurements"),
-        (Decentralised([Part(StaticGain(), ["z1"], ["u1"])]), 1, 1, "'z1': no such signal"),
-    ],
-)
-def test_bad_structures_are_reported(structure, n_y, n_u, text):
-    with pytest.raises(InputError, match=text):
-        law_of(structure, n_y, n_u)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import control
 import numpy as np
 import pytest
 from scipy.integrate import quad_vec
 from scipy.linalg import expm
+from scipy.signal import cont2discrete
 
 import robustlab as rl
-from robustlab.synthesis import mean_and_variance, merged_modes
+from robustlab.result import Status
+from robustlab.synthesis import lift, mean_and_variance, merged_modes
 
 LAG = rl.StateSpaceModel([[-2.0]], [[1.0]], [[2.0]], [[0.0]], inputs=[("u", "V")], outputs=[("y", "m")])
 TWO_BY_TWO = rl.StateSpaceModel([[-1.0, 2.0], [0.0, -3.0]], np.eye(2), np.eye(2), [[1.0, 0.0], [0.0, 0.5]])
@@ -50,34 +53,6 @@ def test_holds_are_exact_at_the_samples():
             np.testing.assert_allclose(stepped[name], exact[name], atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("model", "dt", "options", "message"),
-    [
-        (LAG, 0.0, {}, "positive sample time"),
-        (LAG, -1.0, {}, "positive sample time"),
-        (LAG, float("nan"), {}, "positive sample time"),
-        (LAG, True, {}, "positive sample time"),
-        (rl.StateSpaceModel([[0.5]], [[1]], [[1]], [[0]], 0.1), 0.1, {}, "the model has dt = 0.1 s"),
-        (LAG, 0.1, {"method": "tustn"}, "did you mean tustin"),
-        (LAG, 0.1, {"method": "tustin-prewarp"}, "prewarp with 'tustin-prewarp' alone"),
-        (LAG, 0.1, {"method": "zoh", "prewarp": 1.0}, "prewarp with 'tustin-prewarp' alone"),
-        (LAG, 0.1, {"method": "tustin-prewarp", "prewarp": 32.0}, "Nyquist"),
-        (TWO_BY_TWO, 0.1, {"method": "matched"}, "2 inputs and 2 outputs"),
-        (TWO_BY_TWO, 0.1, {"method": "impulse"}, "direct term"),
-    ],
-)
-def test_bad_requests_are_named(model, dt, options, message):
-    with pytest.raises(rl.InputError, match=message):
-        rl.discretise(model, dt, **options)
-
-
-def test_a_pole_that_tustin_sends_to_infinity_and_one_that_overflows():
-    with pytest.raises(rl.NoTrustworthyNumber, match="2/dt"):
-        rl.discretise(rl.StateSpaceModel([[20.0]], [[1]], [[1]], [[0]]), 0.1, "tustin")
-    with pytest.raises(rl.NoTrustworthyNumber, match="overflows"):
-        rl.discretise(rl.StateSpaceModel([[1e6]], [[1]], [[1]], [[0]]), 0.1, "zoh")
-
-
 def test_pathological_sampling_is_named():
     oscillator = rl.StateSpaceModel([[0, 10], [-10, 0]], [[0], [1]], [[1, 0]], [[0]])
     (merged,) = merged_modes(oscillator, np.pi / 10)
@@ -112,7 +87,135 @@ def test_mean_and_variance_of_an_interval_are_integrals(h):
     np.testing.assert_allclose(variance, about, atol=1e-7 * np.abs(about).max())
 
 
-def test_matched_zeros_too_fast_for_the_sample_time_are_refused():
-    G = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[-1e-8]])  # a zero at 1e8
-    with pytest.raises(rl.NoTrustworthyNumber, match="poles and zeros that grow by"):
-        rl.discretise(G, 0.1, "matched")
+# --- back to continuous time ------------------------------------------------------------------------------------------
+
+
+T = 0.1
+FLIP = rl.StateSpaceModel([[-0.5]], [[1.0]], [[1.0]], [[0.0]], T)
+DELAY = rl.StateSpaceModel([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]], T)
+
+
+def plant(seed=0):
+    """Continuous, with poles well below the Nyquist frequency of 31 rad/s, one of them at 0."""
+    rng = np.random.default_rng(seed)
+    a = 4 * rng.standard_normal((3, 3))
+    a -= (np.linalg.eigvals(a).real.max() - 0.5) * np.eye(3)
+    a[:, 0] = 0.0
+    b, c, d = rng.standard_normal((3, 2)), rng.standard_normal((2, 3)), rng.standard_normal((2, 2))
+    return rl.StateSpaceModel(a, b, c, d, inputs=[("u", "V"), "d"], outputs=["y", ("omega", "rad/s")])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_models_discretised_by_scipy_are_recovered(seed):
+    truth = plant(seed)
+    given = rl.StateSpaceModel(
+        *cont2discrete((truth.A, truth.B, truth.C, truth.D), T)[:4], T, truth.inputs, truth.outputs
+    )
+    back = rl.d2c(given)
+    np.testing.assert_allclose(np.hstack([back.A, back.B]), np.hstack([truth.A, truth.B]), atol=1e-9)
+    assert (back.dt, back.inputs, back.outputs) == (0.0, truth.inputs, truth.outputs)
+
+
+def test_tustin_is_the_map_of_python_control():
+    truth = plant()
+    found = rl.d2c(control.sample_system(truth.to_control(), T, method="bilinear"), "tustin")
+    one, two = (rl.frequency_response(m, [0.1, 3.0, 50.0]) for m in (found, truth))
+    np.testing.assert_allclose(one, two, rtol=1e-9)
+
+
+# --- digital controllers: the best formula, the direct design ---------------------------------------------------------
+
+
+LOW = rl.StateSpaceModel(
+    [[-1.0]], [[1, 0, 1]], [[1], [0], [1]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]],
+    inputs=["w", "n", "u"], outputs=["z", "effort", "y"],
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def design():
+    return rl.hinf(LOW, 1, 1)
+
+
+@pytest.fixture(scope="module")
+def flexible():
+    """Three equal masses and springs, damping ratio 0.5 %: force on the first, measured at the last."""
+    n, zero = 3, np.zeros((3, 3))
+    stiffness = np.array([[1.0, -1, 0], [-1, 2, -1], [0, -1, 1]])
+    squares, modes = np.linalg.eigh(stiffness)
+    damping = modes @ np.diag(0.01 * np.sqrt(np.maximum(squares, 0))) @ modes.T
+    A = np.block([[zero, np.eye(n)], [-stiffness, -damping]])
+    B, C = np.zeros((2 * n, 3)), np.zeros((3, 2 * n))
+    B[n + 2, 0] = B[n, 2] = C[0, 2] = C[2, 2] = 1.0
+    names = ["force", "noise", "u"], ["position", "effort", "y"]
+    P = rl.StateSpaceModel(A, B, C, [[0, 0, 0], [0, 0, 1], [0, 0.1, 0]], 0.0, *names)
+    plant = rl.generalized_plant(P, ["y"], ["u"])
+    return plant, rl.hinf(plant)
+
+
+def crossover(plant, K):
+    omega = np.geomspace(1e-3, 1e2, 4000)
+    loop = rl.frequency_response(plant.model, omega)[:, 2, 2] * rl.frequency_response(K, omega)[:, 0, 0]
+    return omega[np.abs(loop) > 1].max()
+
+
+def test_fast_sampling_loses_nothing_and_reports_the_methods_tried(design):
+    lines: list[str] = []
+    found = rl.discretise(design, 1e-3, progress=lines.append)
+    assert found.status is Status.CERTIFIED
+    assert abs(found.loss) < 0.01
+    assert {t.method for t in found.trials} >= {"tustin", "zoh", "foh", "matched"}
+    assert all(t.method != "direct" for t in found.trials)
+    assert len(lines) == len(found.trials)
+    assert found.norm.held == ("n",)
+    again = rl.sampled_data_norm(LOW, found.K, n_meas=1, n_con=1)
+    assert again.upper == pytest.approx(found.gamma, rel=1e-9)
+
+
+def test_on_a_flexible_chain_the_direct_design_loses_little_where_no_formula_is_stable(flexible):
+    plant, design = flexible
+    dt = 2 * np.pi / (12 * crossover(plant, design.K))
+    found = rl.discretise(design, dt)
+    assert found.chosen == "direct"
+    assert found.loss < 0.1
+    assert all(not np.isfinite(t.upper) for t in found.trials if t.method != "direct")
+    assert found.K.is_discrete
+    assert found.K.n_states <= plant.model.n_states
+    again = rl.sampled_data_norm(plant, found.K)
+    assert again.status is Status.CERTIFIED
+    assert again.upper == pytest.approx(found.gamma, rel=1e-9)
+    # the exact discrete loop is stable, too
+    from robustlab.statespace import lower_lft
+
+    assert lower_lft(rl.discretise(plant.model, dt, "zoh"), found.K).is_stable()
+
+
+def test_the_direct_design_loses_less_by_a_delay(design):
+    losses = [rl.discretise(design, 0.3, method="direct", delay=delay).loss for delay in (0.0, 0.45)]
+    assert losses[0] < losses[1]
+    tustin = rl.discretise(design, 0.3, method="tustin", delay=0.45).loss
+    assert losses[1] < tustin * 1.02 + 0.02
+
+
+def test_pathological_sampling_of_an_oscillator_is_named():
+    # an undamped oscillator sampled every half period
+    P = rl.StateSpaceModel(
+        [[0, 10], [-10, 0]], [[0, 0, 0], [1, 0, 1]], [[1, 0], [0, 0], [1, 0]], [[0, 0, 0], [0, 0, 0.1], [0, 0.1, 0]]
+    )
+    design = rl.hinf(P, 1, 1, gamma_rel=1.0)
+    with pytest.raises(rl.NoTrustworthyNumber) as caught:
+        rl.discretise(design, np.pi / 10, method="tustin")
+    assert any("pathological sampling" in line for line in caught.value.more)
+
+
+def test_lifting_repeats_the_plant_over_a_period():
+    # Without delay the lifted state map is the exact discrete one for any number of intervals.
+    held = rl.discretise(LOW, 0.4, "zoh")
+    for n_intervals, delay in ((1, 0.0), (3, 0.0), (4, 0.1)):
+        model = lift(rl.synthesis.GeneralizedPlant(LOW, 1, 1), 0.4, n_intervals, delay).generalized_plant().model
+        assert model.A[0, 0] == pytest.approx(held.A[0, 0], rel=1e-12)
+        if not delay:
+            assert model.B[0, -1] == pytest.approx(held.B[0, 2], rel=1e-12)
+        else:  # the old control acts for 0.1 s, the new one for 0.3 s
+            assert model.B[0, -1] == pytest.approx(1 - np.exp(-0.3), rel=1e-12)
+            assert model.A[0, 1] == pytest.approx(np.exp(-0.3) * (1 - np.exp(-0.1)), rel=1e-12)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.synthesis import (
     Damping,
     GainGoal,
@@ -105,28 +104,3 @@ def test_a_sampled_plant() -> None:
     assert found.goals[1].value == pytest.approx(max(at) / 5, rel=1e-4)
     S0 = 1 / (1 + k * b / (1 - a))
     assert found.goals[0].value >= 100 * S0 * (1 - 1e-6)  # 1/error at z = 1
-
-
-@pytest.mark.parametrize(
-    ("goals", "error", "text"),
-    [
-        ([], InputError, "at least one goal"),
-        ([Damping(0.5)], InputError, "at least one goal in addition to limits"),
-        (["tracking"], InputError, "'tracking'"),
-        ([TrackingGoal(0.0)], InputError, "response_time"),
-        ([MarginGoal(1.0, "middle")], InputError, "middle"),
-        ([GainGoal(1.0, "reference", "outputs")], InputError, "'outputs'"),
-        ([VarianceGoal(1.0, "noise", "control")], InputError, "H2 norm is infinite"),
-    ],
-)
-def test_bad_goals_are_reported(goals: Any, error: Any, text: str) -> None:
-    with pytest.raises(error, match=text):
-        rl.tune(LAG, "p", goals, starts=0)
-
-
-def test_incompatible_plants_and_an_insufficient_structure_are_reported() -> None:
-    with pytest.raises(InputError, match="other signals"):
-        rl.tune([LAG, LAG.renamed(["v"], ["y"])], "p", [TrackingGoal(1.0)])
-    double = rl.StateSpaceModel([[0, 1], [0, 0]], [[0], [1]], [[1, 0]], [[0]])
-    with pytest.raises(NoTrustworthyNumber, match="no start stabilised"):
-        rl.tune(double, "p", [TrackingGoal(1.0)], starts=0)

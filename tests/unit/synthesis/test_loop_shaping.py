@@ -6,8 +6,17 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
-from robustlab import hinf, loop_functions, ncf, nu_gap
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab import (
+    complementary_weight,
+    control_weight,
+    frequency_response,
+    hinf,
+    loop_functions,
+    mixsyn,
+    ncf,
+    nu_gap,
+    performance_weight,
+)
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, feedback, lower_lft, series
@@ -105,23 +114,6 @@ def test_plants_nearer_in_the_nu_gap_than_the_margin_are_stabilised():
     assert tried >= 3
 
 
-def test_refusals():
-    with pytest.raises(InputError, match="factor"):
-        ncf(DISTURBED, factor=1.0)
-    with pytest.raises(InputError, match="W1: 2 outputs"):
-        ncf(DISTURBED, np.eye(2))
-    with pytest.raises(InputError, match="W2: dt"):
-        ncf(DISTURBED, None, StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1))
-    with pytest.raises(InputError, match="no matrix"):
-        ncf(DISTURBED, [PI])
-    with pytest.raises(InputError, match="synth ncf: G"):
-        ncf(StateSpaceModel([[-1.0]], np.zeros((1, 0)), [[1.0]], np.zeros((1, 0))))
-    # The plant differentiates what the weight integrates.
-    washed = StateSpaceModel([[-1.0]], [[1.0]], [[-1.0]], [[1.0]])
-    with pytest.raises(NoTrustworthyNumber, match="W2 G W1"):
-        ncf(washed, PI)
-
-
 def test_the_discrete_example_of_raoc_as_published_and_by_two_discrete_riccati_equations():
     """RobustAndOptimalControl.jl: 200/(0.025 s^3 + 1.0025 s^2 + 10.1 s + 1), W1 = (s + 2)/(s + 1e-6), zoh at 0.01 s."""
     from scipy.linalg import matrix_balance
@@ -141,3 +133,50 @@ def test_the_discrete_example_of_raoc_as_published_and_by_two_discrete_riccati_e
     X = solve_discrete_are(A, B, C.T @ C, np.eye(1))
     Z = solve_discrete_are(A.T, C.T, B @ B.T, np.eye(1))
     assert design.gamma_min == pytest.approx(np.sqrt(1 + np.abs(np.linalg.eigvals(X @ Z)).max()), rel=1e-8)
+
+
+# --- S, T, K S and S G by their definitions ---------------------------------------------------------------------------
+
+
+OMEGA = np.geomspace(1e-3, 1e3, 60)
+
+
+def random_model(rng, n, p, m, dt=0.0, direct=1.0):
+    A = rng.standard_normal((n, n)) * 0.3
+    return StateSpaceModel(
+        A, rng.standard_normal((n, m)), rng.standard_normal((p, n)), direct * rng.standard_normal((p, m)), dt
+    )
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+@pytest.mark.parametrize("dt", [0.0, 0.01])
+def test_functions_equal_their_definitions(sign, dt):
+    rng = np.random.default_rng(3)
+    G, K = random_model(rng, 4, 2, 3, dt), random_model(rng, 2, 3, 2, dt, 0.2)
+    loop = loop_functions(G, K, sign=sign)
+    omega = OMEGA[OMEGA < 300]
+    g, k = frequency_response(G, omega), frequency_response(K, omega)
+    s = np.linalg.inv(np.eye(2) - sign * g @ k)
+    for name, expected in (("S", s), ("T", -sign * g @ k @ s), ("KS", -sign * k @ s), ("SG", s @ g)):
+        np.testing.assert_allclose(frequency_response(loop.model(name), omega), expected, atol=1e-9)
+    np.testing.assert_allclose(loop.singular_values("SG", omega), np.linalg.svd(s @ g, compute_uv=False), atol=1e-9)
+
+
+def test_a_mixed_sensitivity_design_is_within_its_bounds():
+    rng = np.random.default_rng(5)
+    G = random_model(rng, 4, 2, 3)
+    weights = performance_weight(1.0), control_weight(10.0, 50.0), complementary_weight(20.0)
+    design = mixsyn(G, *weights, gamma_rel=1.0)
+    loop = loop_functions(design)
+    assert loop.is_stable()
+    assert loop.S.n_states == G.n_states + design.K.n_states  # without states of the weights
+    g, k = frequency_response(G, OMEGA), frequency_response(design.K, OMEGA)
+    s = np.linalg.inv(np.eye(2) + g @ k)
+    np.testing.assert_allclose(frequency_response(loop.S, OMEGA), s, atol=1e-8)
+    np.testing.assert_allclose(frequency_response(loop.KS, OMEGA), k @ s, atol=1e-8)
+    for name in ("S", "KS", "T"):
+        assert (loop.gain(name, OMEGA) <= loop.bound(name, OMEGA) * (1 + 1e-9)).all()
+    assert loop.bound("SG", OMEGA) is None
+    bound = loop.bound("S", [2.0])
+    assert bound is not None
+    assert bound[0] == pytest.approx(design.gamma / abs(frequency_response(weights[0], [2.0])[0, 0, 0]), rel=1e-12)

@@ -95,44 +95,10 @@ def test_the_thesis_cascade_has_the_thesis_error():
     assert 5 * share == pytest.approx(5 * abs(1 - (236 / (1j * np.pi + 236)) ** 3), rel=2e-3)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"W1": None, "W2": None, "W3": None}, "no weight"),
-        ({"W1": StateSpaceModel([[1.0]], [[1.0]], [[1.0]], [[0.0]])}, "a stable weight"),
-        ({"W2": StateSpaceModel([[-1.0]], [[1.0, 0.0]], [[1.0]], [[0.0, 0.0]])}, "one of each"),
-        ({"W1": StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1)}, "dt is 0.1 s"),
-        ({"reference": {"q": 1.0}}, "none for v"),
-        ({"reference": -1.0}, "a positive number"),
-        ({"reference": float("nan")}, "a positive number"),
-        ({"disturbance": {"g": 1.0}}, "one of f, u"),
-        ({"noise": {"q": 1.0}}, "one of q_ref, v_ref, v, x"),
-        ({"reference_bandwidth": 0.0}, "a positive number in rad/s"),
-    ],
-)
-def test_bad_requirements_are_reported(changes, message):
-    with pytest.raises(InputError) as caught:
-        problem_of(**changes)
-    assert message in str(caught.value)
-
-
-@pytest.mark.parametrize(("controlled", "measured", "message"), [
-    ([], ["q"], "no output"), (["q"], ["qq"], "did you mean q"), (["q", "q"], ["q"], "named twice"),
-])  # fmt: skip
-def test_bad_signals_are_reported(controlled, measured, message):
-    with pytest.raises(InputError) as caught:
-        tracking_problem(plant(), controlled, measured, W1=1.0)
-    assert message in str(caught.value)
-
-
-def test_error_weight_values_and_bad_numbers():
+def test_error_weight_values():
     W = error_weight(0.04, 2.0, 1e-3)
     gain = np.abs(frequency_response(W, [0.0, 2.0, 1e6])[:, 0, 0])
     assert gain == pytest.approx([1000.0, 25 * np.sqrt(2) / np.sqrt(1 + 0.025**2), 25.0], rel=1e-6)
-    with pytest.raises(InputError):
-        error_weight(0.01, 1.0, 0.02)
-    with pytest.raises(InputError):
-        error_weight(0.01, float("inf"))
 
 
 def test_a_load_reaches_the_error_through_its_own_input():
