@@ -253,8 +253,8 @@ class Store:
     def samples(self, condition: str = "ORDER BY idx", *values: Any) -> Iterator[Sample]:
         """Stream rows, all by index where no condition is given."""
         question = f"SELECT idx, status, value, delta, seconds, reason FROM sample {condition}"  # noqa: S608  our own texts
-        for index, status, value, *rest, reason in self._asked(question, *values):
-            yield Sample(index, status, np.nan if value is None else value, *rest, reason or "")
+        for index, status, value, delta, seconds, reason in self._asked(question, *values):
+            yield Sample(index, status, np.nan if value is None else value, delta, seconds, reason or "")
 
     def _asked(self, question: str, *values: Any) -> Iterator[Any]:
         """Stream the answer to a question."""

@@ -225,18 +225,18 @@ def worst_case(
         if not is_count(count, least):
             raise InputError("worst_case", f"{name} is {count!r}", f"a whole number, at least {least}")
     with one_thread():
-        metric = make_metric(uncertain, request)
-        search = _Search(metric, budget)
+        judge = make_metric(uncertain, request)
+        search = _Search(judge, budget)
         theta, score = search.run(int(n), int(seed))
-        delta = delta_values(uncertain.blocks, metric.set.deltas(theta[None])[0])
-        again, nominal = metric.evaluate(delta), metric.evaluate({})
+        delta = delta_values(uncertain.blocks, judge.set.deltas(theta[None])[0])
+        again, nominal = judge.evaluate(delta), judge.evaluate({})
         abscissa = float(MemberSet(uncertain).members(theta[None]).spectral_abscissa()[0])
-        response = _response(metric, delta)
-    found = metric.sense * score
-    status = Status.CONVERGED if again.accurate and metric.agrees(found, again.value) else Status.INACCURATE
+        response = _response(judge, delta)
+    found = judge.sense * score
+    status = Status.CONVERGED if again.accurate and judge.agrees(found, again.value) else Status.INACCURATE
     if search.ended:
         status = Status.TIMEOUT if budget.struck else Status.INCONCLUSIVE
-    label = LABEL_SMALLEST if metric.sense < 0 else LABEL
+    label = LABEL_SMALLEST if judge.sense < 0 else LABEL
     if not np.isfinite(again.value):
         label = f"{UNBOUNDED}: {again.reason}" if again.reason else UNBOUNDED
     remark = [budget.remark] if search.ended and budget.remark else []
@@ -250,9 +250,9 @@ def worst_case(
         search.evaluations,
         uncertain.physical(delta),
         again.at,
-        metric.location,
+        judge.location,
         found,
-        metric.unit,
+        judge.unit,
         request.input,
         request.output,
         abscissa,

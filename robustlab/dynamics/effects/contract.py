@@ -350,7 +350,10 @@ class Effect:
         for name in values:
             if name not in names:
                 raise InputError(
-                    f"effect {self.id}: {name!r}", "no such parameter", f"{', '.join(names)}", did_you_mean(name, names)
+                    f"effect {self.id}: {name!r}",
+                    "no such parameter",
+                    f"{', '.join(names)}",
+                    did_you_mean(name, list(names)),
                 )
         missing = [name for name in names if name not in values]
         if missing:

@@ -220,11 +220,11 @@ class PlantEquations:
         rows = ca.vertcat(*(ca.vec(ca.densify(block).T) for block in blocks))
         titles = labels(self._states, self._inputs, signals, places)
         rows, everything = ca.cse(rows), ca.vertcat(x, u, p)
-        tapes = [
+        motion, shown, along = (
             tape_of(everything, of, len(parameters), name, named.__getitem__)
             for of, named in ((ca.cse(rates), titles), (ca.cse(outputs), titles[len(self._states) :]), (rows, titles))
-        ]
-        return Equations(*tapes, places)
+        )
+        return Equations(motion, shown, along, places)
 
     def _places(self) -> tuple[PortPlace, ...]:
         """Return the places where forces and voltages act; check that they enter the rates."""
