@@ -131,7 +131,7 @@ def test_changed_settings_model_and_code_are_refused_by_name(tmp_path, motor):
     with pytest.raises(InputError, match=r"changed since sample 0 \(settings.seed: 0 -> 1\)") as caught:
         run_campaign(motor, settings_of(seed=1), path)
     assert "--restart" in str(caught.value)
-    assert "--fork" in str(caught.value)
+    assert "another --store" in str(caught.value)
     stiffer = rl.plant("dc-motor", Kf=(4.8e-5, 0.30), R=(2.07, 0.1)).uncertain(outputs=["omega"])
     with pytest.raises(InputError, match=r"changed since sample 0 \(the uncertain model: "):
         run_campaign(stiffer, settings_of(), path)
@@ -146,12 +146,8 @@ def test_changed_settings_model_and_code_are_refused_by_name(tmp_path, motor):
     assert saved_samples(path) == (64, 300)
 
 
-def test_restart_and_fork(tmp_path, motor):
+def test_restart(tmp_path, motor):
     path = begun(tmp_path / "s.sqlite", motor, n=64)
-    fork = run_campaign(motor, settings_of(n=65), path, existing="fork", crew=Crew(1))
-    assert Path(fork.store).name == "s-2.sqlite"
-    assert (fork.done, saved_samples(path)) == (65, (64, 64))
-    assert read_campaign(path).worst == 63.0  # what `begun` wrote
     fresh = run_campaign(motor, settings_of(n=64), path, existing="restart", crew=Crew(1))
     assert (fresh.store, fresh.done) == (str(path), 64)
     assert fresh.worst < 63.0

@@ -124,7 +124,7 @@ def machine():
 def test_controllers_that_are_none(machine):
     with pytest.raises(rl.InputError, match="a plant without motors"):
         two_layer(rl.plant("stewart-platform"))
-    for name in ("p_up", "p_low", "rotor_J"):
+    for name in ("p_up", "p_low"):
         for value in (0.0, -3.0, float("nan")):
             with pytest.raises(rl.InputError, match=name):
                 two_layer(machine, **{name: value})

@@ -40,7 +40,7 @@ from robustlab.uncertainty.frequency_responses import UncertainFrequencyData, cl
 ASSUMED = "the nominal system is stable: taken for granted, responses at points do not show it"
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class _Curves(Tabular):
     """Base of margins with both bounds at each frequency."""
 

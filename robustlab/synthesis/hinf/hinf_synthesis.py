@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import cache
 from itertools import islice
@@ -73,7 +73,8 @@ class Verifier:
     def smallest(self, candidates: list[Candidate]) -> Verified | None:
         """Return the proved candidate of smallest norm; if none is proved, that of smallest norm."""
         found, near = list[Closed](), 0
-        for closed in self._stable(sorted(candidates, key=lambda c: c.gamma)[:MOST_TRIES]):
+        # One at least, even without work left: a time limit returns what was found by then.
+        for closed in filter(None, map(self.closed, sorted(candidates, key=lambda c: c.gamma)[:MOST_TRIES])):
             found.append(closed)
             near += closed.norm.upper <= LOSS * closed.candidate.gamma
             if near == PROOFS or len(found) == TRIES or self.budget.over:
@@ -91,16 +92,9 @@ class Verifier:
         """Return the proved candidate of least stiffness within the ratio of the best gamma; else the best."""
         limit = ratio * best.gamma
         allowed = sorted((c for c in candidates if c.gamma <= limit), key=lambda c: (c.stiffness, c.gamma))
-        within = (closed for closed in self._stable(allowed[:TRIES]) if closed.norm.upper <= limit)
-        proofs = map(self.verified, islice(within, PROOFS))
+        stable = filter(None, (self.closed(c) for c in allowed[:TRIES] if not self.budget.over))
+        proofs = map(self.verified, islice((c for c in stable if c.norm.upper <= limit), PROOFS))
         return next((v for v in proofs if v.gamma <= limit and not v.doubt), best)
-
-    def _stable(self, candidates: list[Candidate]) -> Iterator[Closed]:
-        """Yield those with a stable loop, as far as the budget allows."""
-        for candidate in candidates:
-            closed = None if self.budget.over else self.closed(candidate)
-            if closed is not None:
-                yield closed
 
     def _closed(self, candidate: Candidate) -> Closed | None:
         """Return the candidate with the norm of its loop; None if that is not stable or not well posed."""

@@ -170,7 +170,7 @@ def test_the_nearest_constant_of_a_lag_in_closed_form():
     # 6 / (s + 2) has the Hankel value 1.5, and 6 / (s + 2) - 1.5 = 1.5 (2 - s) / (s + 2) is all-pass.
     found = rl.reduce_model(lag(2.0, 6.0), 0, method="hankel")
     np.testing.assert_allclose(found.model.D, [[1.5]], rtol=1e-12)
-    assert found.bound == pytest.approx(1.5)
+    assert 1.5 <= found.bound <= 1.5 * (1 + 2e-6)  # not below the proved error
     assert found.error.upper == pytest.approx(1.5, rel=1e-5)
     assert found.status is Status.CERTIFIED
 
