@@ -83,21 +83,6 @@ def watch() -> Any:
     return rl.watch(rough, pieces, noise={"q": 1e-4}, exclude=all_but("coulomb-friction", "constant-load"))
 
 
-def periodic_comparison() -> Any:
-    """A periodic record of odd lines, some left out: what friction makes of it shows between them."""
-    n, rng = 512, np.random.default_rng(0)
-    lines = [line for k, line in enumerate(range(1, 80, 2)) if k % 4 != 3]
-    phases = rng.uniform(0.0, 2.0 * np.pi, len(lines))
-    period = 0.4 * sum(np.cos(2 * np.pi * k * np.arange(n) / n + p) for k, p in zip(lines, phases, strict=True))
-    u = np.tile(period, 8)
-    rough = rl.with_effects(rl.plant("servo-axis"), {"coulomb-friction": {"Fc": 20.0}})
-    run = rl.simulate(rough, 0.01 * np.arange(len(u)), u)
-    t, kept = 0.01 * np.arange(5 * n), slice(-5 * n, None)
-    q = run["q"][kept] + 1e-6 * rng.standard_normal(len(t))
-    record = rl.Record(t, {"u": u[kept]}, {"q": q}, {"u": "V", "q": "m"}, "periodic run")
-    return rl.compare(rl.plant("servo-axis"), record, period=0.01 * n)
-
-
 def validation_over_frequency() -> Any:
     omega = np.geomspace(0.1, 10.0, 30)
     model = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["y"])
@@ -222,7 +207,7 @@ def critical_response() -> Any:
 
 
 # Drawing -> an object that has data for it, where that in `OBJECTS` has none.
-OTHERS = {("Comparison", "harmonics"): periodic_comparison, ("Validation", "delta"): validation_over_frequency}
+OTHERS = {("Validation", "delta"): validation_over_frequency}
 
 # Class name -> how one is made; a campaign needs a folder and is made by `campaign`.
 OBJECTS: dict[str, Any] = {

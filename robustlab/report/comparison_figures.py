@@ -1,7 +1,4 @@
-"""Figures of a comparison: error by condition, over time, speed and frequency; residual tests.
-
-Also the frequency response of a record, and the lines of a periodic one with nonlinear distortion.
-"""
+"""Figures of a comparison: error by condition, over time, speed and frequency; residual tests."""
 
 from __future__ import annotations
 
@@ -10,19 +7,15 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array
-from robustlab.errors import InputError
 from robustlab.identification.comparison.comparison_result import Comparison
 from robustlab.identification.comparison.error_analysis import Bin
 from robustlab.report import style
 
-FEW_LINES = 60  # drawn with a marker each
 MOST_INPUTS = 3  # side by side
-SHOWN_BEYOND = 3.0  # times the highest excited line
-FEWEST_SHOWN = 20  # lines
 BINS_PER_DECADE = 30  # densities are drawn as their means over such bins of frequency
 DECADES = 12  # shown below the largest density
 FREE, WINDOWED = style.WORST, style.NOMINAL
@@ -239,78 +232,3 @@ def _stems(axes: Axes, lags: NDArray[np.int_], values: Array, band: float) -> No
     axes.plot(lags, values, "o", color=style.NOMINAL, ms=2.6)
     axes.set_xlabel("lag [samples]")
     style.zero_line(axes)
-
-
-@style.house_style()
-def response_figure(comparison: Comparison, output: str | None = None) -> Figure:
-    """Magnitude, phase and coherence of the response from each input, recorded and of the model."""
-    output = style.chosen([y for y, row in comparison.linear.items() if row], output, "output")
-    row = comparison.linear[output]
-    ratios, width = {"height_ratios": [3, 2, 2]}, max(7.6, 4.6 * len(row))
-    figure, axes = style.new_figure(3, len(row), width=width, height=2.2, sharex="col", gridspec_kw=ratios)
-    recorded: dict[str, Any] = {"color": style.MEASURED, "lw": 1.2}
-    modelled: dict[str, Any] = {"color": style.WORST, "ls": style.DASHED, "lw": 1.4}
-    for j, (u, g) in enumerate(row.items()):
-        above, middle, below = axes[j :: len(row)]
-        few = len(g.frequency) <= FEW_LINES
-        f, marker = g.frequency, "o" if few else ""
-        # Of many lines, those smaller than their deviation are not drawn.
-        size = np.where(few | (g.std < np.abs(g.response)), np.abs(g.response), np.nan)
-        bottom = 0.3 * float(np.nanmin(np.append(size[size > 0], np.abs(g.model).min() or np.nan)))
-        band = np.maximum(size - 2 * g.std, bottom), size + 2 * g.std
-        above.fill_between(f, *band, color=style.BAND, alpha=0.35, lw=0, label="± 2 std")
-        above.plot(f, size, marker=marker, ms=3, label="record", **recorded)
-        above.plot(f, np.abs(g.model), label="model", **modelled)
-        levels = (g.nonlinear_std, style.LIMIT, "nonlinear distortion"), (g.noise_std, style.GOOD, "noise")
-        for level, colour, label in levels:
-            if level is not None and (level > 0).any():
-                above.plot(f, np.where(level > 0, level, np.nan), color=colour, lw=1.2, label=label)
-                bottom = min(bottom, 0.5 * float(level[level > 0].min())) if label == "noise" else bottom
-        style.logarithmic(above.yaxis)
-        units = f"{comparison.outputs[output].unit or '1'}/{comparison.measured.unit(u) or '1'}"
-        above.set(
-            ylim=(bottom, 3.0 * float(np.nanmax(np.append(size, np.abs(g.model))))),
-            ylabel=style.plain_label(f"magnitude [{units}]"),
-            title=style.plain_label(f"{u} to {output}: best linear approximation ({g.method})"),
-        )
-        above.legend(loc="best", ncols=2)
-        turn = np.unwrap(np.angle(g.model))
-        for values, how in ((np.where(np.isfinite(size), g.response, np.nan), recorded), (g.model, modelled)):
-            near = turn + np.angle(np.exp(1j * (np.angle(values) - turn)))  # within 180 degrees of the model
-            middle.plot(f, np.degrees(near), **how)
-        middle.set_ylabel("phase [degrees]")
-        below.plot(f, g.coherence, color=style.NOMINAL, marker=marker, ms=3, lw=1.2)
-        below.set(ylim=(-0.03, 1.05), ylabel="coherence", xlabel="frequency [Hz]", xscale="log")
-        below.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        below.xaxis.set_minor_formatter(NullFormatter())
-        below.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=20))
-        if len(f) > 1:
-            below.set_xlim(f[0], f[-1])
-    return figure
-
-
-@style.house_style()
-def harmonics_figure(comparison: Comparison) -> Figure:
-    """Lines of every judged signal: excited, even and odd ones that are not, over the noise."""
-    test = comparison.nonlinearity
-    if not test.signals:
-        raise InputError("plot('harmonics')", test.reason or "no test", "a periodic excitation")
-    figure, axes = style.new_figure(len(test.signals), 1, width=7.6, height=2.6, sharex=True)
-    kinds = ("excited", style.MEASURED, "o"), ("even", style.WORST, "s"), ("odd, not excited", style.NOMINAL, "D")
-    for panel, (name, s) in zip(axes, test.signals.items(), strict=True):
-        shown = s.frequency <= max(SHOWN_BEYOND * s.frequency[s.kind == 0].max(), FEWEST_SHOWN * s.frequency[0])
-        for kind, (label, colour, marker) in enumerate(kinds):
-            some = shown & (s.kind == kind) & (s.amplitude > 0)
-            panel.plot(s.frequency[some], s.amplitude[some], marker, ms=4, mew=0, color=colour, label=label)
-        some = shown & (s.noise > 0)
-        panel.plot(s.frequency[some], s.noise[some], "-", lw=1.0, color=style.GOOD, label="noise alone")
-        style.logarithmic(panel.yaxis)
-        top = float(s.amplitude[shown].max())
-        panel.set(
-            ylim=(max(panel.get_ylim()[0], 1e-9 * top), 5.0 * top),
-            ylabel=style.axis_label("amplitude", comparison.measured.units.get(name, "")),
-            title=style.plain_label(f"{name}: {s.words()} of its power is nonlinear"),
-        )
-    axes[0].legend(loc="upper right", ncols=4)
-    axes[-1].set_xlabel("frequency [Hz]")
-    return figure

@@ -62,7 +62,7 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     # measurements
     "Comparison": {
         name: f"comparison_figures.{name}_figure"
-        for name in ("where", "time", "speed", "spectrum", "response", "residual", "harmonics")
+        for name in ("where", "time", "speed", "spectrum", "residual")
     },
     "Discovery": {
         "gap": "discovery.gap_figure",

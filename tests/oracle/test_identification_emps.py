@@ -73,31 +73,6 @@ def test_the_reference_tells_the_period_and_the_noise_floor(repeated):
     assert gap.excess.noise < 0.02 * gap.excess.repeatable
 
 
-def test_the_even_harmonics_of_the_input_are_those_of_the_published_asymmetric_friction(repeated):
-    # Published: viscous friction 166.7 forward, 240.4 backward N s/m. Its even part is -36.86 |v| N, so the controller
-    # adds -36.86 |v| / 35.15 V to u, in even harmonics only; Coulomb friction adds odd ones, the offset none.
-    record, found = repeated
-    shares = found.nonlinearity.signals["u"]
-    q = record["q"][-3 * 6240 :].reshape(3, 6240).mean(axis=0)
-    v = (np.roll(q, -5) - np.roll(q, 5)) / 10e-3
-    expected = np.fft.rfft((240.4236 - 166.7061) / 2 * np.abs(v) / 35.15065) * 2 / 6240
-    low = np.array([2, 4, 6, 8])
-    measured = shares.amplitude[np.isin(np.round(shares.frequency * 6.24).astype(int), low)]
-    assert np.linalg.norm(measured) == pytest.approx(np.linalg.norm(expected[low]), rel=0.1)
-    assert shares.even_p < 1e-6
-    assert shares.odd_p > 0.01 or shares.odd < 1e-6
-    assert shares.even == pytest.approx(1.3e-3, rel=0.1)
-
-
-def test_the_best_linear_approximation_meets_the_model_where_friction_is_small(repeated):
-    _, found = repeated
-    g = found.linear["q"]["u"]
-    assert g.method == "periods"
-    assert g.relative_error[-1] < 0.12  # 3 to 4.6 Hz: inertia
-    assert min(g.band_coherence()[:2]) < 0.5  # below 1 Hz dry friction: no linear model
-    assert np.median(g.nonlinear_std / np.abs(g.response)) > 20 * np.median(g.noise_std / np.abs(g.response))
-
-
 # --- validation -------------------------------------------------------------------------------------------------------
 
 

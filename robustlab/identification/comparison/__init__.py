@@ -5,12 +5,11 @@ from robustlab.lazily import lazily
 __all__, __getattr__ = lazily(
     __name__,
     {
-        "best_linear_approximation": "arbitrary_bla held_response periodic_bla",
         "comparison": "compare",
         "error_analysis": "bins directions motion_of spectrum",
         "envelope": "cover",
         "repeats": "NoiseFloor noise_floor period_of",
-        "residual_tests": "even_odd input_correlation whiteness",
+        "residual_tests": "input_correlation whiteness",
         "along_motion": "pose_of",
     },
 )

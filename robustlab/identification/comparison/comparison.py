@@ -25,11 +25,6 @@ from robustlab.identification.comparison.along_motion import (
     pose_of,
     unstable,
 )
-from robustlab.identification.comparison.best_linear_approximation import (
-    BestLinearApproximation,
-    arbitrary_bla,
-    periodic_bla,
-)
 from robustlab.identification.comparison.comparison_result import Comparison
 from robustlab.identification.comparison.error_analysis import (
     FreeRun,
@@ -37,8 +32,6 @@ from robustlab.identification.comparison.error_analysis import (
     Motion,
     NoiseGap,
     OutputGap,
-    even_odd_test,
-    excitation,
     kept,
     localised,
     motion_of,
@@ -50,11 +43,10 @@ from robustlab.identification.comparison.input_disturbance import (
     joint_disturbances,
 )
 from robustlab.identification.comparison.repeats import NoiseFloor, noise_floor
-from robustlab.identification.comparison.residual_tests import judged_lines
 from robustlab.identification.data_checks.suitability import channel_warnings
 from robustlab.identification.greybox.prepared_record import window_length
 from robustlab.identification.response.motion_response import MotionResponse
-from robustlab.identification.response.response import Response, Stretch, response_of
+from robustlab.identification.response.response import response_of
 from robustlab.identification.response.windowed_simulation import (
     InitialState,
     LinearResponse,
@@ -177,9 +169,6 @@ def compare(
         noise = noise_floor(record, period=period, repeats=tuple(other.record for other in others), outputs=outputs)
     except NoTrustworthyNumber as none:
         noise_reason = f"{none.found}; {none.hint}" if none.hint else none.found
-    linear, linear_reason = {}, "not defined for a nonlinear plant"
-    if not isinstance(model, MotionResponse):
-        linear, linear_reason = _linear(record, model.response, whole, noise)
     error = whole.y - windows.y
     disturbance: dict[str, InputDisturbance] = {}
     if isinstance(model, LinearResponse):
@@ -207,9 +196,6 @@ def compare(
         noise=noise,
         noise_reason=noise_reason,
         against_noise=_against_noise(noise, matching, others, length, found["outputs"]) if noise else {},
-        linear=linear,
-        linear_reason=linear_reason,
-        nonlinearity=even_odd_test(record, inputs, outputs, noise),
         free_run=run,
         linearisation=checked,
         sensor_noise=dict(zip(outputs, (1.0 / whole.weight).tolist(), strict=True)) if along else {},
@@ -258,27 +244,6 @@ def _against_noise(
     return found
 
 
-def _linear(
-    record: Record, response: Response, whole: Stretch, noise: NoiseFloor | None
-) -> tuple[dict[str, dict[str, BestLinearApproximation]], str]:
-    """Estimate the best linear approximation of every output from every moving input, or the reason for none."""
-    moving = [name for name, u in whole.u.items() if np.ptp(u)]
-    if not moving:
-        return {}, "no input moves"
-    source = excitation(response.model.input_names, noise)
-    result: dict[str, dict[str, BestLinearApproximation]] = {}
-    for k, name in enumerate(response.output_names):
-        model = response.model.select(inputs=list(whole.u), outputs=[name])
-        if noise is None or source is None or len(moving) > 1:
-            result[name] = arbitrary_bla(whole.t, whole.u, whole.y[:, k], model)
-            continue
-        lines, kind = judged_lines(noise.periodic(record[source]))
-        u, y = noise.periodic(whole.u[moving[0]]), noise.periodic(whole.y[:, k])
-        line = periodic_bla(u, y, record.dt, model.select(inputs=moving), lines[kind == 0])
-        result[name] = {moving[0]: line} if line else {}
-    return result, "" if all(result.values()) else "too few samples, or no line excited above the noise"
-
-
 def _window_length(plant: Any, matching: Matching, window: float | None) -> int:
     record, model = matching.record, matching.model
     if window is not None:
@@ -318,7 +283,7 @@ def _warnings(
 
 
 def _left_out(run: FreeRun, motions: dict[str, Motion], inputs: Sequence[str]) -> tuple[str, ...]:
-    texts = ["frequency response: not defined for a nonlinear plant"]
+    texts = []
     if not run.whole:
         texts.append("places in frequency: the free run does not reach the end of the record")
     if len(inputs) > 1:

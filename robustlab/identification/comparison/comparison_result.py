@@ -10,7 +10,6 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.display import Each, Facts, Part, listed, number
-from robustlab.identification.comparison.best_linear_approximation import BestLinearApproximation
 from robustlab.identification.comparison.error_analysis import (
     Bin,
     FreeRun,
@@ -24,7 +23,6 @@ from robustlab.identification.comparison.error_analysis import (
 )
 from robustlab.identification.comparison.input_disturbance import InputDisturbance, located
 from robustlab.identification.comparison.repeats import NoiseFloor
-from robustlab.identification.comparison.residual_tests import EvenOdd
 from robustlab.identification.response.windowed_simulation import InitialState
 from robustlab.record import Record
 from robustlab.result import Evidence, Status
@@ -33,10 +31,9 @@ from robustlab.tables import Table, Tabular
 # Fields that become JSON in another form, or not at all.
 NOT_AS_IT_IS = frozenset((
     "motions", "measured", "simulated", "windowed", "recursive",
-    "noise_reason", "against_noise", "linear_reason", "pose",
+    "noise_reason", "against_noise", "pose",
 ))  # fmt: skip
 POSE = ("tx", "ty", "tz", "ax", "ay", "az")
-LINEAR = 0.5  # bands with a lower coherence do not allow a judgement of a linear model
 ROUNDING = 1e-9  # a residual below this share of the range is rounding and is not tested
 
 REFERENCE = (
@@ -89,11 +86,6 @@ class Comparison(Tabular, Evidence):
         Noise floor where the record repeats, else None and the reason why there is none.
     against_noise
         Output name -> `NoiseGap`; empty without a noise floor.
-    linear, linear_reason
-        Output name -> input name -> `BestLinearApproximation` and the model's response; the reason where one is
-        missing.
-    nonlinearity
-        Even/odd test; its ``reason`` states why it is missing or incomplete.
     free_run
         Extent of the free run.
     linearisation
@@ -130,9 +122,6 @@ class Comparison(Tabular, Evidence):
     noise: NoiseFloor | None
     noise_reason: str
     against_noise: Mapping[str, NoiseGap]
-    linear: Mapping[str, Mapping[str, BestLinearApproximation]]
-    linear_reason: str
-    nonlinearity: EvenOdd
     free_run: FreeRun
     linearisation: Linearisation | None = None
     sensor_noise: Mapping[str, float] = field(default_factory=dict)
@@ -151,7 +140,6 @@ class Comparison(Tabular, Evidence):
         "direction": Each("outputs", {"*": Bin}),
         "amplitude": Each("outputs", {"*": [Bin]}),
         "disturbance": Each("inputs", InputDisturbance, ("torque at *", "force at *")),
-        "nonlinearity": EvenOdd,
         "initial_state": InitialState,
         "free_run": FreeRun,
         "linearisation": Linearisation,
@@ -159,7 +147,7 @@ class Comparison(Tabular, Evidence):
         "window": "s",
         "left_out": [str],
         "warnings": [str],
-        **dict.fromkeys(("speed", "position", "frequency", "noise", "linear"), ...),
+        **dict.fromkeys(("speed", "position", "frequency", "noise"), ...),
     }
 
     @property
@@ -205,11 +193,6 @@ class Comparison(Tabular, Evidence):
             ("worst of all", self._worst_in_words()),
             *self._missing(),
             ("noise floor", self._floor_in_words()),
-            *(
-                (f"{name}: even/odd nonlinearity", f"{s.words()} of its power")
-                for name, s in self.nonlinearity.signals.items()
-            ),
-            ("even/odd nonlinearity", self.nonlinearity.reason),
             *(("left out", text) for text in self.left_out),
             *(("warning", text) for text in self.warnings),
         ]
@@ -295,17 +278,9 @@ class Comparison(Tabular, Evidence):
              f"{np.abs(t.correlation).max():.3f}", f"{t.band:.3f}")
             for name, r in self.residual.items() for u, t in r.inputs.items()
         ]  # fmt: skip
-        bands = [
-            (name, u, f"{g.bands[k]:.3g} to {g.bands[k + 1]:.3g}", f"{100 * error:.3g} %", f"{share:.2f}")
-            for name, row in self.linear.items() for u, g in row.items()
-            for k, (error, share) in enumerate(zip(g.relative_error, g.band_coherence(), strict=True))
-            if error is not None and share is not None and share >= LINEAR
-        ]  # fmt: skip
         return [
             Part("residual against the inputs",
                  ("output", "input", "p", "explained", "largest correlation", "99 % band"), tests),
-            Part(f"frequency response of the model, where the coherence is {LINEAR:g} or more",
-                 ("output", "input", "Hz", "off by", "coherence"), bands),
         ]  # fmt: skip
 
     def _worst_in_words(self) -> str:
@@ -334,13 +309,6 @@ class Comparison(Tabular, Evidence):
             "position": {**self._of_motions(signal="position_name", unit="position_unit"), "bins": self.position},
             "frequency": {name: s.to_json() if series else s.band_table() for name, s in self.frequency.items()},
             "noise": {"floor": self.noise, "reason": self.noise_reason, "outputs": self.against_noise},
-            "linear": {
-                "reason": self.linear_reason,
-                "outputs": {
-                    y: {u: g.to_json() if series else g.band_table() for u, g in row.items()}
-                    for y, row in self.linear.items()
-                },
-            },
             "residual_reference": REFERENCE,
         }
         if series:

@@ -11,12 +11,10 @@ from numpy.typing import NDArray
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError
-from robustlab.identification.comparison.repeats import Excess, NoiseFloor
+from robustlab.identification.comparison.repeats import Excess
 from robustlab.identification.comparison.residual_tests import (
-    EvenOdd,
     InputCorrelation,
     Whiteness,
-    even_odd,
     input_correlation,
     whiteness,
 )
@@ -310,25 +308,6 @@ class Linearisation(Evidence):
                 f"{self.broken[0]:.4g} s"
             )
         return texts
-
-
-def excitation(inputs: Sequence[str], noise: NoiseFloor | None) -> str | None:
-    """Return the one signal whose periods excite the system: the repeating reference, else the model's input."""
-    if noise is None or noise.source != "periods":
-        return None
-    sources = noise.signal.split(", ") if noise.signal else list(inputs)
-    return sources[0] if len(sources) == 1 else None
-
-
-def even_odd_test(record: Record, inputs: Sequence[str], outputs: Sequence[str], noise: NoiseFloor | None) -> EvenOdd:
-    """Apply the even/odd test to the outputs and to the inputs that a controller corrects."""
-    source = excitation(inputs, noise)
-    if noise is None or source is None:
-        several = noise is not None and noise.source == "periods"
-        reason = "several signals excite at once" if several else "the record holds no repeated periods"
-        return EvenOdd({}, "", f"the excitation does not allow it: {reason}")
-    judged = [*outputs, *(name for name in noise.input_std if name != source)]
-    return even_odd(noise, record[source], {name: record[name] for name in judged}, record.dt)
 
 
 def localised(

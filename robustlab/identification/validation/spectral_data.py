@@ -12,13 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from robustlab.arrays import Array, ComplexArray
 from robustlab.display import Facts, listed, number
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.identification.comparison.best_linear_approximation import held_response
 from robustlab.identification.comparison.repeats import noise_floor
-from robustlab.identification.validation.sampled_problem import noise_bounds, prepared
+from robustlab.identification.validation.sampled_problem import noise_bounds, prepared, zero_order_hold
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.record import Record
 from robustlab.result import Evidence
-from robustlab.statespace import Signal, real_array
+from robustlab.statespace import Signal, StateSpaceModel, real_array
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import block_slices
 from robustlab.uncertainty.frequency_responses import UncertainFrequencyData, frequency_data
@@ -249,7 +248,8 @@ def spectrum_of_record(
         assumptions.append("the mean over a period is excluded: the model integrates")
     kept = lines[int(integrates) :]
     f = kept / (n * dt)
-    response = held_response(M, f, dt)
+    A, B = zero_order_hold(M, dt)
+    response = frequency_response(StateSpaceModel(A, B, M.C, M.D, dt=dt), 2 * np.pi * f)
     U, Y = np.fft.rfft(u, axis=0)[kept] / n, np.fft.rfft(y, axis=0)[kept] / n
     forced = np.einsum("kij,kj->ki", response[:, :, q:], U)
     e = (Y - forced[:, p:]) / recorded.bound

@@ -5,6 +5,7 @@ import pytest
 
 import robustlab as rl
 from robustlab.identification import compare
+from robustlab.identification.comparison import bins, directions
 from robustlab.statespace import OperatingPoint, StateSpaceModel
 
 UNITS = {"u": "V", "q": "m", "v": "m/s"}
@@ -151,3 +152,27 @@ def test_operating_point_is_subtracted_and_added_back():
     found = compare(model, rl.Record(t, {"u": 2.0 + deviation}, {"y": 10.0 + y}))
     assert found.outputs["y"].peak_percent < 1e-8
     assert found.initial_state.x0 == pytest.approx([0.4])
+
+
+def test_direction_and_amplitude_bins_are_direct_sums():
+    speed = np.array([-1.0, -0.5, 0.0, 0.01, 0.4, 1.0])
+    error = np.array([1.0, 1.0, 5.0, 5.0, 2.0, 4.0])
+    found = directions(speed, error)
+    assert [d.samples for d in found.values()] == [2, 2, 2]
+    assert found["backward"].rms == pytest.approx(1.0)
+    assert found["forward"].mean == pytest.approx(3.0)
+    assert sum(d.share for d in found.values()) == pytest.approx(1.0)
+    one_way = directions(np.abs(speed) + 1, error)["backward"]
+    assert (one_way.samples, one_way.mean, one_way.rms, one_way.share) == (0, 0.0, 0.0, 0.0)
+    model = rl.StateSpaceModel([[-3.0]], [[3.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["y"])
+    t = np.arange(600) * 0.01
+    u = np.repeat([0.0, 1.0, -2.0, 3.0], 150)
+    y = rl.simulate(model, t, u, [0.0])["y"] * 1.1
+    c = rl.compare(model, rl.Record(t, {"u": u}, {"y": y}))
+    local = c.measured["y"] - c.windowed["y"]
+    groups = c.amplitude["y"]["u"]
+    assert groups == bins(np.abs(u), local, np.linspace(0, 3, 7))
+    assert sum(b.samples for b in groups) == 600
+    assert c.noise is None
+    assert "repeats" in c.noise_reason
+    assert c.against_noise == {}
