@@ -6,9 +6,7 @@ Each sample is stored when computed; an interrupted or killed run can be resumed
 from robustlab.campaign.campaign_result import CampaignResult
 from robustlab.campaign.evaluation import TILE, Evaluator, Rows
 from robustlab.campaign.runs import (
-    Replay,
     read_campaign,
-    replay_sample,
     resume_campaign,
     run_campaign,
     saved_samples,
@@ -24,11 +22,9 @@ __all__ = [
     "Crew",
     "Evaluator",
     "Identity",
-    "Replay",
     "Rows",
     "Store",
     "read_campaign",
-    "replay_sample",
     "resume_campaign",
     "run_campaign",
     "saved_samples",

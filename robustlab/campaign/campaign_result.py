@@ -170,7 +170,6 @@ class CampaignResult(Tabular, Displayable):
             bounds = f"probability {v.lower:.4g} .. {v.upper:.4g}, each side with 95 % confidence"
             limit = f"{number(v.limit, self.unit, 9)}: {v.count} of {v.of} (lost ones counted); {bounds}"
         unseen = f"at most {self.unseen:.3g} of the set, with 95 % confidence"
-        lost = [f"robustlab campaign replay {self.store} {sample.index}" for sample in self.lost_samples[:1]]
         return [
             (f"worst {self.metric}", worst if self.done else ""),
             ("through the second path", number(self.again, self.unit, 9)),
@@ -183,7 +182,6 @@ class CampaignResult(Tabular, Displayable):
             ("store", self.store),
             ("digest", self.digest),
             ("time of all samples", number(self.seconds, "s")),
-            ("look at a lost one", "".join(lost)),
         ]
 
     def details(self) -> list[Part]:

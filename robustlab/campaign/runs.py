@@ -1,27 +1,20 @@
-"""Running, resuming, reading and replaying campaigns."""
+"""Running, resuming and reading campaigns."""
 
 from __future__ import annotations
 
 import json
-import math
-import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
-
-from robustlab.campaign.campaign_result import CampaignResult, place_of, result_of
-from robustlab.campaign.evaluation import LOST, Evaluator, Rows, compute
+from robustlab.campaign.campaign_result import CampaignResult, result_of
+from robustlab.campaign.evaluation import Evaluator, Rows, compute
 from robustlab.campaign.settings import CampaignSettings, Identity, code_identity, differences, model_from_bytes
 from robustlab.campaign.store import Store, locked
 from robustlab.campaign.workers import Crew, Workers, started_workers
-from robustlab.display import AllFields, Displayable, Facts, Part, member_rows, number
 from robustlab.errors import EnvironmentFault, InputError, NoTrustworthyNumber
-from robustlab.result import Status
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.members import decoded
 
@@ -95,83 +88,6 @@ def saved_samples(store: str | Path) -> tuple[int, int]:
     """Return the numbers of stored and of requested samples."""
     with closing(Store.open(Path(store))) as opened:
         return sum(opened.counts()), opened.identity.settings.n
-
-
-@dataclass(frozen=True)
-class Replay(AllFields, Displayable):
-    """One sample computed again in this process."""
-
-    status: Status  # CONVERGED where both paths agree with each other and with the store; INACCURATE else
-    # index, kind, metric, unit: which sample of what
-    index: int
-    kind: str
-    metric: str
-    unit: str
-    # stored, reason: its value in the store (NaN where lost or missing), and why it was lost
-    stored: float
-    reason: str
-    value: float  # its value now, computed as in the campaign
-    # again, at, location: its value by the second method, and where it is attained
-    again: float
-    at: float
-    location: str
-    identical: bool  # whether `value` has the bits of `stored`
-    # delta, physical: its normalised Delta, and its parameters as (value, unit)
-    delta: Mapping[str, Any]
-    physical: Mapping[str, tuple[float, str]]
-    seconds: float  # time it took
-
-    def facts(self) -> Facts:
-        place = place_of(self, " ")
-        stored = number(self.stored, self.unit, 9) or "no value"
-        return [
-            (f"{self.metric} of sample {self.index}", number(self.value, self.unit, 9)),
-            ("in the store", f"{stored} (the same bits)" if self.identical else stored),
-            ("through the second path", f"{number(self.again, self.unit, 9)}{place}"),
-            ("lost", self.reason),
-            ("time", number(self.seconds, "s", 3)),
-        ]
-
-    def details(self) -> list[Part]:
-        return [member_rows(self.delta, self.physical)]
-
-
-def replay_sample(store: str | Path, index: int) -> Replay:
-    """Compute one sample again in this process."""
-    with closing(Store.open(Path(store))) as opened:
-        evaluator, row = _evaluator(opened), opened.sample(index)
-    n = evaluator.settings.n
-    if not 0 <= index < n:
-        raise InputError(str(store), f"no sample {index}", f"0 .. {n - 1}")
-    started = time.perf_counter()
-    if row is None or row.status == LOST:
-        rows = evaluator.alone(index)
-    else:  # with its neighbours, as it was computed
-        first = index // evaluator.tile * evaluator.tile
-        rows = evaluator.rows(first, first + evaluator.tile)
-    place = index - rows.first
-    value = float(rows.values[place])
-    delta = decoded(evaluator.uncertain.blocks, rows.deltas[place])
-    again, stored = evaluator.evaluate(delta), math.nan if row is None else row.value
-    kept = math.isnan(stored) or value == stored or bool(np.isclose(value, stored, rtol=1e-9, atol=0.0))
-    agrees = kept and evaluator.agrees(value, again)
-    return Replay(
-        status=Status.CONVERGED if agrees else Status.INACCURATE,
-        index=index,
-        kind=evaluator.settings.kind,
-        metric=evaluator.settings.metric,
-        unit=evaluator.unit,
-        stored=stored,
-        reason=rows.lost.get(index) or (row.reason if row else ""),
-        value=value,
-        again=again.value,
-        at=again.at,
-        location=evaluator.location,
-        identical=value == stored,
-        delta=delta,
-        physical=evaluator.uncertain.physical(delta),
-        seconds=time.perf_counter() - started,
-    )
 
 
 # --- parts -----------------------------------------------------------------------------------------------------------
@@ -297,6 +213,6 @@ def _stop_if_too_many(store: Store, lost: int, n: int) -> None:
         store.where,
         f"{lost} of {n} samples are lost, more than {100 * MAX_LOST_SHARE:g} %",
         None,
-        f"robustlab campaign replay {store.where} {first[0].index}",
+        "rl.sample(set, n, seed).deltas[INDEX] is the member of a lost sample",
         tuple(f"sample {row.index}: {row.reason}" for row in first),
     )

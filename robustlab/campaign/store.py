@@ -210,10 +210,6 @@ class Store:
         found = dict(self._asked("SELECT status, COUNT(*) FROM sample GROUP BY status"))
         return found.get(DONE, 0), found.get(LOST, 0)
 
-    def sample(self, index: int) -> Sample | None:
-        """Return one row, or None where it is missing."""
-        return next(self.samples("WHERE idx = ?", index), None)
-
     def lost(self, most: int) -> list[Sample]:
         """Return the first lost samples."""
         return list(self.samples("WHERE status = ? ORDER BY idx LIMIT ?", LOST, most))

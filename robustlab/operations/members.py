@@ -332,14 +332,3 @@ def stored(store: Store, limit: Bound = None) -> Any:
     from robustlab.campaign import read_campaign
 
     return read_campaign(store, limit)
-
-
-@operation("campaign replay", result="campaign.runs.Replay")
-def replay(store: Store, index: Annotated[int, Whole(0, 10**9), "Number of the sample.", Named(option="*")]) -> Any:
-    """Compute one sample again in this process.
-
-    Example: robustlab campaign replay motor.sqlite 4711
-    """
-    from robustlab.campaign import replay_sample
-
-    return replay_sample(store, index)

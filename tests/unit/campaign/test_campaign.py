@@ -15,7 +15,6 @@ from robustlab.campaign import (
     Crew,
     Evaluator,
     read_campaign,
-    replay_sample,
     resume_campaign,
     run_campaign,
     saved_samples,
@@ -197,17 +196,6 @@ def test_a_finished_campaign_is_not_computed_again(finished, motor):
     assert read_campaign(path).digest == result.digest
     assert resume_campaign(path).digest == result.digest
     assert saved_samples(path) == (2000, 2000)
-
-
-def test_a_sample_is_replayed_with_the_same_bits(finished):
-    path, result = finished
-    replay = replay_sample(path, result.worst_index)
-    assert replay.identical
-    assert replay.status == rl.Status.CONVERGED
-    assert replay.value == result.worst
-    assert replay.delta == result.delta
-    with pytest.raises(InputError, match=r"no sample 2000, expected 0 .. 1999"):
-        replay_sample(path, 2000)
 
 
 @pytest.mark.parametrize("metric", sorted(METRICS))

@@ -23,7 +23,7 @@ ONE_WAY: dict[str, str] = {
     "expressions": "a recipe loads the set that the command wrote",
     "cover": "the step takes a plant at several poses, and compares loops with references",
     "discretise_by_formula": "one line in Python",
-    **dict.fromkeys(("show", "sample", "campaign", "resume", "stored", "replay"), "of a command alone"),
+    **dict.fromkeys(("show", "sample", "campaign", "resume", "stored"), "of a command alone"),
     **dict.fromkeys(("steady_state", "close_loop"), "one line in Python; shipped recipes use the step"),
 }
 
