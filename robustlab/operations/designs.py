@@ -121,7 +121,7 @@ def hinf(
     return _design(found, system, drawn=drawn)
 
 
-@operation("synth h2", "h2", result="synthesis.h2.h2_synthesis.H2Synthesis", gives="controller", made="controller")
+@operation("synth h2", "h2", result="synthesis.h2.H2Synthesis", gives="controller", made="controller")
 def h2(
     system: Plant,
     *,

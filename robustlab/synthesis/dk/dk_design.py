@@ -19,7 +19,7 @@ from robustlab.mu_analysis.matrix.box import centre_matrix
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.dk.dynamic_scalings import DynamicScalings, proved_level
 from robustlab.synthesis.problem.design import Synthesis
-from robustlab.synthesis.problem.gamma_bounds import GammaBound, pointwise_bound
+from robustlab.synthesis.problem.limits import GammaBound, pointwise_bound
 from robustlab.synthesis.problem.partition import PlantMatrices
 from robustlab.synthesis.problem.scaling import equilibrated, paths_first
 from robustlab.tables import Table, Tabular

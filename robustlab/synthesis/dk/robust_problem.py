@@ -17,10 +17,9 @@ from robustlab.norms.numbers import ABOVE
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.dk.dynamic_scalings import DynamicScalings, plant_at_level, proved_level
 from robustlab.synthesis.dk.riccati_level import LevelSearch
-from robustlab.synthesis.hinf.search import channel_gains, trial_loop
-from robustlab.synthesis.problem.certify import SHARES, certified
+from robustlab.synthesis.hinf.hinf_synthesis import channel_gains, trial_loop
+from robustlab.synthesis.problem.certify import SHARES, certified, named_controller, with_direct_term
 from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices, Realisation
-from robustlab.synthesis.problem.rebuilt_loop import named_controller, with_direct_term
 from robustlab.synthesis.problem.scaling import equilibrated, paths_first
 from robustlab.uncertainty.blocks import Block
 from robustlab.verification.checker import check

@@ -18,7 +18,7 @@ from robustlab.result import Status
 from robustlab.signals import law
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.problem.controller import Controller
-from robustlab.synthesis.problem.gamma_bounds import GammaBound
+from robustlab.synthesis.problem.limits import GammaBound
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 
 

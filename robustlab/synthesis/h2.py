@@ -18,9 +18,16 @@ from robustlab.linear_analysis.matrix_equations import care, dare
 from robustlab.norms import H2Norm, h2_by_channels
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.problem.assumptions import require_stabilisable
-from robustlab.synthesis.problem.certify import CANCELLED, Certificate, certified
+from robustlab.synthesis.problem.certify import (
+    CANCELLED,
+    Certificate,
+    certified,
+    named_controller,
+    surely_stable,
+    with_direct_term,
+)
 from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status
+from robustlab.synthesis.problem.limits import require_stabilisable
 from robustlab.synthesis.problem.partition import (
     GeneralizedPlant,
     PlantMatrices,
@@ -28,7 +35,6 @@ from robustlab.synthesis.problem.partition import (
     as_generalized_plant,
     require_performance,
 )
-from robustlab.synthesis.problem.rebuilt_loop import named_controller, surely_stable, with_direct_term
 from robustlab.synthesis.problem.scaling import Scaling, equilibrated, paths_first
 
 # Work of a design at effort 1.
