@@ -271,9 +271,7 @@ def _around(centre: complex, points: AnyArray) -> AnyArray:
 
 def _bounds(p: PlantMatrices, s: AnyArray) -> AnyArray:
     _, n_w, _, n_z, _ = p.sizes
-    B, C = np.hstack([p.B1, p.B2]), np.vstack([p.C1, p.C2])
-    D = np.block([[p.D11, p.D12], [p.D21, np.zeros((p.D21.shape[0], p.D12.shape[1]))]])
-    P, error = _responses(p.A, B, C, D, s)
+    P, error = _responses(*p.whole(), s)
     usable = np.asarray((np.abs(P) < LARGEST).all(axis=(1, 2)) & (error < LARGEST).all(axis=(1, 2)))  # and no NaN
     P, error = (np.where(usable[:, None, None], part, 0.0) for part in (P, error))
     upright = (P[:, :n_z, :n_w], P[:, :n_z, n_w:], error[:, :n_z, :n_w], error[:, :n_z, n_w:])

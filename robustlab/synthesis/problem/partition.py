@@ -74,15 +74,11 @@ class PlantMatrices:
         D11[:n_z, : self.D11.shape[1]] = self.D11
         return replace(self, B1=B1, C1=C1, D11=D11, D12=D12, D21=D21)
 
-    def model(self) -> StateSpaceModel:
-        """Return the model from [w; u] to [z; y]."""
+    def whole(self) -> Realisation:
+        """Return the system from [w; u] to [z; y]."""
         _, _, n_u, _, n_y = self.sizes
-        return StateSpaceModel(
-            self.A,
-            np.hstack([self.B1, self.B2]),
-            np.vstack([self.C1, self.C2]),
-            np.block([[self.D11, self.D12], [self.D21, np.zeros((n_y, n_u))]]),
-        )
+        D = np.block([[self.D11, self.D12], [self.D21, np.zeros((n_y, n_u))]])
+        return Realisation(self.A, np.hstack([self.B1, self.B2]), np.vstack([self.C1, self.C2]), D)
 
 
 def dual(p: PlantMatrices) -> PlantMatrices:

@@ -16,10 +16,20 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import AnyArray
+from robustlab.budget import Budget, dense
+from robustlab.linear_analysis.frequency import default_grid, frequency_response
+from robustlab.mu_analysis.matrix.upper import UpperBound, points_work, upper_bounds
 from robustlab.norms import HinfNorm, hinf_norm
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
-from robustlab.uncertainty.blocks import Block, block_slices, structure_size
+from robustlab.uncertainty.blocks import Block, block_slices
+
+FIRST_POINTS = 40  # frequencies of the first grid
+ROUNDS = 3  # rounds of refinement ...
+ADDED = 24  # ... and frequencies added in each; more: fewer peaks missed, more work
+CHUNK = 8  # frequencies between two checks of the budget
+MU_TOLERANCE = 1e-4  # of the upper bounds
+LOG_ERROR = 0.1  # mu lower than the peak by this logarithm counts half for the constant D; larger: even weights
 
 Sections = tuple[tuple[float, ...], ...]
 
@@ -57,14 +67,6 @@ class Factor:
     def with_section(self, log_zero: float, log_pole: float) -> Factor:
         """Multiply by ``(s/z + 1) / (s/p + 1)``; two sections of first order become one of second."""
         return replace(self, sections=_extended(self.sections, log_zero, log_pole))
-
-    def log_modulus(self, omega: AnyArray) -> AnyArray:
-        """Return ``log |d(j omega)|``, shape (n_omega,)."""
-        result = np.full(len(omega), self.log_gain)
-        for section in self.sections:
-            half = len(section) // 2
-            result += _log_modulus(section[:half], omega) - _log_modulus(section[half:], omega)
-        return result
 
 
 def _put(items: tuple[Any, ...], at: int, new: Any) -> tuple[Any, ...]:
@@ -104,14 +106,6 @@ def _section(values: tuple[float, ...]) -> Realisation:
     A = np.array([[0.0, w_p], [-w_p, -two_p * w_p]])
     C = np.array([[1 - d, two_z * w_p / w_z - d * two_p]])
     return Realisation(A, np.array([[0.0], [w_p]]), C, np.array([[d]]))
-
-
-def _log_modulus(values: tuple[float, ...], omega: AnyArray) -> AnyArray:
-    with np.errstate(over="ignore"):
-        ratio = omega / np.exp(values[0])
-        if len(values) == 1:
-            return 0.5 * np.log1p(ratio**2)
-        return 0.5 * np.log((1 - ratio**2) ** 2 + (np.exp(values[1]) * ratio) ** 2)
 
 
 @dataclass(frozen=True)
@@ -172,6 +166,11 @@ class DynamicScalings:
 
     blocks: tuple[Block, ...]
     parts: tuple[BlockScaling, ...]
+    slices: tuple[tuple[slice, slice], ...] = ()  # channels of each block, w and z; found where left out
+
+    def __post_init__(self) -> None:
+        if not self.slices:
+            object.__setattr__(self, "slices", tuple(block_slices(self.blocks)))
 
     @property
     def orders(self) -> tuple[int, ...]:
@@ -217,15 +216,21 @@ class DynamicScalings:
         parts = (replace(part, factors=tuple(own)) for part, own in zip(self.parts, factors, strict=True))
         return replace(self, parts=tuple(parts))
 
-    def enlarged(self, places: Sequence[float]) -> Iterator[DynamicScalings]:
-        """Yield scalings with one section more, of a factor or of a G, at each of these places."""
+    def enlarged(self, places: Sequence[float], apart: float) -> Iterator[tuple[DynamicScalings, DynamicScalings]]:
+        """Yield scalings of the same level with one section more, of a factor or of a G, at each of these places.
+
+        The second of each pair has the two frequencies of that section, which cancel at first, this far apart.
+        """
         for i, part in enumerate(self.parts):
             for name in ("factors", "g"):
                 items = getattr(part, name)
                 for k, item in enumerate(items):
                     for at in places:
-                        larger = replace(part, **{name: _put(items, k, item.with_section(at, at))})
-                        yield replace(self, parts=_put(self.parts, i, larger))
+                        flat, tilted = (
+                            replace(part, **{name: _put(items, k, item.with_section(at + move, at))})
+                            for move in (0.0, apart)
+                        )
+                        yield tuple(replace(self, parts=_put(self.parts, i, one)) for one in (flat, tilted))
 
     def to_json(self) -> list[dict[str, object]]:
         return [
@@ -238,52 +243,58 @@ class DynamicScalings:
             for block, part in zip(self.blocks, self.parts, strict=True)
         ]
 
-    def on_outputs(self) -> Realisation:
-        """Return ``D_z(s)``, shape (p, p)."""
-        (A, B, C, D), T = self._diagonal(1), self._mixing(1)
-        return Realisation(A, B @ T, C, D @ T)
+    def on_outputs(self, size: int = 0) -> Realisation:
+        """Return ``D_z(s)``, shape (p, p), with further channels of gain 1 up to ``size``."""
+        A, B, C, D = self._diagonal(1, size)
+        T = self._mixing(1, len(D))
+        return Realisation(A, B, C, D) if T is None else Realisation(A, B @ T, C, D @ T)
 
-    def on_inputs(self) -> Realisation:
-        """Return ``D_w(s)^{-1}``, shape (q, q)."""
-        (A, B, C, D), back = self._diagonal(0), np.linalg.inv(self._mixing(0))
-        return Realisation(A, B, back @ C, back @ D)
+    def on_inputs(self, size: int = 0) -> Realisation:
+        """Return ``D_w(s)^{-1}``, shape (q, q), with further channels of gain 1 up to ``size``."""
+        A, B, C, D = self._diagonal(0, size)
+        T = self._mixing(0, len(D))
+        return Realisation(A, B, C, D) if T is None else Realisation(A, B, np.linalg.solve(T, C), np.linalg.solve(T, D))
 
-    def coprime(self) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
-        """Return ``(A, B, F, C)``, ``G_M = I + F (sI - A)^-1 B`` (q x q), ``G_N = C (sI - A)^-1 B`` (p x q)."""
-        q, p = structure_size(self.blocks)
+    def coprime(self, m: int, p: int) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
+        """Return ``(A, B, F, C)``, ``G_M = I + F (sI - A)^-1 B`` (m x m), ``G_N = C (sI - A)^-1 B`` (p x m)."""
         n, at = sum(part.g_states for part in self.parts), 0
-        A, B, F, C = np.zeros((n, n)), np.zeros((n, q)), np.zeros((q, n)), np.zeros((p, n))
-        for part, (w, z) in zip(self.parts, block_slices(self.blocks), strict=True):
+        A, B, F, C = np.zeros((n, n)), np.zeros((n, m)), np.zeros((m, n)), np.zeros((p, n))
+        for part, (w, z) in zip(self.parts, self.slices, strict=True):
             for i, pair in enumerate(part.g):
-                here = slice(at, at + pair.n_states)
-                A[here, here], b, F[w.start + i, here], C[z.start + i, here] = _coprime(pair)
-                B[here, w.start + i], at = b[:, 0], here.stop
+                if pair.sections:
+                    here = slice(at, at + pair.n_states)
+                    A[here, here], b, F[w.start + i, here], C[z.start + i, here] = _coprime(pair)
+                    B[here, w.start + i], at = b[:, 0], here.stop
         return A, B, F, C
 
-    def _diagonal(self, side: int) -> Realisation:
-        """Return the factors (on the inputs: their inverses) on their channels, 1 for blocks with D = 1."""
-        size, pieces = structure_size(self.blocks)[side], list[tuple[Realisation, int]]()
-        D = np.zeros((size, size))
-        for block, part, where in zip(self.blocks, self.parts, block_slices(self.blocks), strict=True):
-            channels = range(where[side].start, where[side].stop)
-            if not part.factors:
-                D[channels, channels] = 1.0
-                continue
-            # The factor of a full block is repeated for every channel.
-            factors = part.factors * len(channels) if block.d_order == 1 else part.factors
-            made = [_realised(factor if side else factor.inverse) for factor in factors]
-            pieces += zip(made, channels, strict=True)
-        n, at = sum(len(piece[0].A) for piece in pieces), 0
-        A, B, C = np.zeros((n, n)), np.zeros((n, size)), np.zeros((size, n))
-        for (a, b, c, d), i in pieces:
+    def _diagonal(self, side: int, size: int) -> Realisation:
+        """Return the factors (on the inputs: their inverses) on their channels, 1 on all others."""
+        size = max(size, self.slices[-1][side].stop)
+        direct, dynamic, n = np.ones(size), list[tuple[int, Realisation]](), 0
+        for block, part, where in zip(self.blocks, self.parts, self.slices, strict=True):
+            first, stop = where[side].start, where[side].stop
+            for k, factor in enumerate(part.factors):
+                # The factor of a full block is repeated for every channel.
+                channels = range(first, stop) if block.d_order == 1 else range(first + k, first + k + 1)
+                if factor.sections:
+                    made = _realised(factor if side else factor.inverse)
+                    direct[channels] = made.D[0, 0]
+                    dynamic += [(i, made) for i in channels]
+                    n += len(channels) * len(made.A)
+                else:
+                    direct[channels] = np.exp(factor.log_gain if side else -factor.log_gain)
+        A, B, C, at = np.zeros((n, n)), np.zeros((n, size)), np.zeros((size, n)), 0
+        for i, (a, b, c, _) in dynamic:
             here = slice(at, at + len(a))
-            A[here, here], B[here, i], C[i, here], D[i, i] = a, b[:, 0], c[0], d[0, 0]
-            at += len(a)
-        return Realisation(A, B, C, D)
+            A[here, here], B[here, i], C[i, here], at = a, b[:, 0], c[0], here.stop
+        return Realisation(A, B, C, np.diag(direct))
 
-    def _mixing(self, side: int) -> AnyArray:
-        T = np.eye(structure_size(self.blocks)[side])
-        for part, where in zip(self.parts, block_slices(self.blocks), strict=True):
+    def _mixing(self, side: int, size: int) -> AnyArray | None:
+        """Return the constant triangular matrices of all repeated scalars; None for none."""
+        if not any(part.mixing for part in self.parts):
+            return None
+        T = np.eye(size)
+        for part, where in zip(self.parts, self.slices, strict=True):
             if part.mixing:
                 rows, columns = np.triu_indices(len(part.factors), 1)
                 T[rows + where[side].start, columns + where[side].start] = part.mixing
@@ -331,15 +342,11 @@ def unit_scalings(blocks: Sequence[Block]) -> DynamicScalings:
     return DynamicScalings(tuple(blocks), tuple(parts))
 
 
-def plant_at_level(p: PlantMatrices, scalings: DynamicScalings, beta: float) -> PlantMatrices:
+def plant_at_level(
+    whole: Realisation, sizes: tuple[int, int, int, int, int], scalings: DynamicScalings, beta: float
+) -> PlantMatrices:
     """Return the plant with these scalings at a level; channels beyond the blocks (regularisation) get beta alone."""
-    _, n_w, n_u, n_z, n_y = p.sizes
-    whole = Realisation(
-        p.A,
-        np.hstack([p.B1, p.B2]),
-        np.vstack([p.C1, p.C2]),
-        np.block([[p.D11, p.D12], [p.D21, np.zeros((n_y, n_u))]]),
-    )
+    _, n_w, _, n_z, _ = sizes
     A, B, C, D = _at_level(whole, scalings, beta, n_w)
     return PlantMatrices(A, B[:, :n_w], B[:, n_w:], C[:n_z], C[n_z:], D[:n_z, :n_w], D[:n_z, n_w:], D[n_z:, :n_w])
 
@@ -352,24 +359,16 @@ def loop_at_level(loop: StateSpaceModel, scalings: DynamicScalings, beta: float 
 
 def _at_level(system: Realisation, scalings: DynamicScalings, beta: float, n_w: int) -> Realisation:
     """Return the system with its first channels scaled, and its first ``n_w`` inputs divided by beta."""
-    (q, r), (p, m) = structure_size(scalings.blocks), system.D.shape
-    A, B, F, G_N = scalings.coprime()
-    direct = np.eye(m)
-    direct[range(n_w), range(n_w)] /= beta
-    n = len(A)
-    into = Realisation(A, np.hstack([B, np.zeros((n, m - q))]), np.vstack([F / beta, np.zeros((m - q, n))]), direct)
-    for stage in (_padded(scalings.on_inputs(), m - q), system, _padded(scalings.on_outputs(), p - r)):
-        into = _in_series(into, stage)
-    into.C[:r, :n] -= G_N
-    return into
-
-
-def _padded(system: Realisation, extra: int) -> Realisation:
-    """Return the system with ``extra`` further channels of gain 1."""
-    A, B, C, D = system
-    n, direct = len(A), np.eye(len(D) + extra)
-    direct[: len(D), : len(D)] = D
-    return Realisation(A, np.hstack([B, np.zeros((n, extra))]), np.vstack([C, np.zeros((extra, n))]), direct)
+    p, m = system.D.shape
+    A, B, C, D = scalings.on_inputs(m)
+    rows = np.where(np.arange(m) < n_w, 1 / beta, 1.0)[:, None]
+    scaled = _in_series(_in_series(Realisation(A, B, rows * C, rows * D), system), scalings.on_outputs(p))
+    if not scalings.mixed:
+        return scaled
+    A, B, F, G_N = scalings.coprime(m, p)
+    both = _in_series(Realisation(A, B, F, np.eye(m)), scaled)
+    both.C[:, : len(A)] -= G_N
+    return both
 
 
 def proved_level(
@@ -394,3 +393,87 @@ def proved_level(
         else:
             trial, step = trial * (1 + step if low else 1 - step), min(3 * step, 0.9)
     return high, norm
+
+
+# --- mu of a loop, and the constant D nearest to its scalings ---------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class MuCurve:
+    """Upper bounds of mu with their D, G at frequencies in rad/s."""
+
+    omega: AnyArray  # ascending frequencies, shape (n_omega,)
+    response: AnyArray  # frequency response of the loop, shape (n_omega, p, q)
+    bounds: tuple[UpperBound, ...]
+
+    @property
+    def levels(self) -> AnyArray:
+        """The upper bounds, shape (n_omega,)."""
+        return np.array([bound.beta for bound in self.bounds])
+
+    @property
+    def peak(self) -> float:
+        """The largest upper bound; not a bound between the frequencies."""
+        return float(self.levels.max(initial=0.0))
+
+
+def mu_curve(loop: StateSpaceModel, blocks: Sequence[Block], budget: Budget, first: AnyArray | None = None) -> MuCurve:
+    """Return the curve of a stable continuous loop on adaptive frequencies."""
+    # Each round adds the middles of the intervals in which mu is close to its peak or D changes most.
+    grid = default_grid(loop, FIRST_POINTS, 1.0) if first is None else first
+    # Interleaved, so that a small budget covers the whole axis.
+    stride = max(1, len(grid) // CHUNK)
+    order = np.concatenate([np.arange(start, len(grid), stride) for start in range(stride)])
+    curve = _measured(None, loop, blocks, grid[order], budget)
+    for _ in range(ROUNDS):
+        if budget.over:
+            break
+        levels, omega, top = curve.levels, curve.omega, max(curve.peak, 1e-300)
+        d = np.log(np.array([np.einsum("ii->i", b.Dw).real for b in curve.bounds]))
+        d -= d.mean(axis=1, keepdims=True)
+        height = np.maximum(levels[1:], levels[:-1]) / top
+        change = np.abs(np.diff(d, axis=0)).max(axis=1) + np.abs(np.diff(levels)) / top
+        urgency = height**4 * change * (np.diff(np.log(omega)) > 1e-3)
+        chosen = np.argsort(-urgency)[:ADDED]
+        chosen = chosen[urgency[chosen] > 0.02]
+        if not len(chosen):
+            break
+        curve = _measured(curve, loop, blocks, np.sqrt(omega[chosen]) * np.sqrt(omega[chosen + 1]), budget)
+    return curve
+
+
+def _measured(
+    curve: MuCurve | None, loop: StateSpaceModel, blocks: Sequence[Block], omega: AnyArray, budget: Budget
+) -> MuCurve:
+    """Return the curve extended by these frequencies as far as the budget allows, at least by the first ones."""
+    responses, bounds = ([], []) if curve is None else ([curve.response], list(curve.bounds))
+    known = np.zeros(0) if curve is None else curve.omega
+    done = 0
+    while done < len(omega) and (not done or not budget.over):
+        chunk = omega[done : done + CHUNK]
+        budget.spend(points_work(blocks, len(chunk)) + dense(loop.n_states))
+        responses.append(frequency_response(loop, chunk))
+        bounds += upper_bounds(responses[-1], blocks, MU_TOLERANCE)
+        done += len(chunk)
+    known = np.concatenate([known, omega[:done]])
+    order = np.argsort(known, kind="stable")
+    return MuCurve(known[order], np.concatenate(responses)[order], tuple(bounds[i] for i in order))
+
+
+def constant_scalings(curve: MuCurve, blocks: Sequence[Block]) -> DynamicScalings:
+    """Return the constant D nearest to the scalings of the curve, above all around its peak."""
+    unit, D = unit_scalings(blocks), np.stack([bound.Dw for bound in curve.bounds])
+    weights = LOG_ERROR / (LOG_ERROR + np.log(max(curve.peak, 1e-300) / np.maximum(curve.levels, 1e-300)))
+    one, top, parts = reference_block(blocks), int(np.argmax(curve.levels)), list[BlockScaling]()
+    known = 1.0 if one is None else D[:, unit.slices[one][0].start, unit.slices[one][0].start].real
+    for i, (block, part, (w, _)) in enumerate(zip(blocks, unit.parts, unit.slices, strict=True)):
+        own, mixing = D[:, w, w], part.mixing
+        if block.d_order > 1:
+            lower = np.linalg.cholesky(own[top].real)
+            T = (lower / np.diag(lower)).T
+            back, mixing = np.linalg.inv(T), tuple(T[np.triu_indices(block.rows, 1)])
+            own = back.T @ own @ back
+        logs = [0.5 * np.log(np.maximum(own[:, k, k].real, 1e-300) / known) for k in range(block.d_order)]
+        factors = () if i == one else tuple(Factor(float(np.average(log, weights=weights))) for log in logs)
+        parts.append(BlockScaling(factors, mixing, part.g))
+    return DynamicScalings(unit.blocks, tuple(parts))
