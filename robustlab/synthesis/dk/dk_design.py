@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -200,18 +200,11 @@ def _closed(p: PlantMatrices, delta: Array) -> PlantMatrices | None:
     loop = np.eye(len(p.C1)) - p.D11 @ delta
     if np.linalg.cond(loop) > 1e10:
         return None
+    (A, B, C, D), n_w, n_z = p.whole(), p.B1.shape[1], len(p.C1)
     through = delta @ np.linalg.inv(loop)
-    inside = np.eye(p.B1.shape[1]) + through @ p.D11
-    return PlantMatrices(
-        A=p.A + p.B1 @ through @ p.C1,
-        B1=p.B1 @ inside,
-        B2=p.B2 + p.B1 @ through @ p.D12,
-        C1=np.linalg.solve(loop, p.C1),
-        C2=p.C2 + p.D21 @ through @ p.C1,
-        D11=np.linalg.solve(loop, p.D11),
-        D12=np.linalg.solve(loop, p.D12),
-        D21=p.D21 @ inside,
-    )
+    into, out = np.vstack([B[:, :n_w], D[:, :n_w]]) @ through, np.hstack([C[:n_z], D[:n_z]])
+    moved, n = np.block([[A, B], [C, D]]) + into @ out, len(A)
+    return PlantMatrices.of(Realisation(moved[:n, :n], moved[:n, n:], moved[n:, :n], moved[n:, n:]), n_w, n_z)
 
 
 def why_not_less(smallest: float, start_mu: float, floor: float, blocks: Sequence[Block]) -> str:
@@ -240,14 +233,6 @@ class Iterate:
     def pace(self) -> float:
         """Largest modulus of the controller's poles."""
         return float(np.abs(self.K.poles()).max(initial=0.0))
-
-
-class DKProof(NamedTuple):
-    """A level of mu, the intervals that prove it (none: the scaled loop's norm), and the reason of a failed proof."""
-
-    gamma: float
-    pieces: tuple[Piece, ...]
-    doubt: str
 
 
 class RobustProblem:
@@ -333,15 +318,20 @@ class RobustProblem:
             return None
         return Iterate(K, loop, scalings, level) if np.isfinite(level) else None
 
-    def certified(self, iterate: Iterate, blocks: tuple[Block, ...], cover: AxisCover) -> DKProof:
-        """Prove mu by the checker: the level of the cover's intervals, or else that of the iterate's scalings."""
+    def certified(
+        self, iterate: Iterate, blocks: tuple[Block, ...], cover: AxisCover
+    ) -> tuple[float, tuple[Piece, ...], str]:
+        """Prove mu by the checker: the level of the cover's intervals, or else that of the iterate's scalings.
+
+        Return it with the intervals that prove it (none: the norm of the scaled loop) and the reason of a failed proof.
+        """
         plant, K, doubt, best = self.plant, iterate.K, "", iterate.level
         if cover.pieces and not cover.open and cover.beta < iterate.level:
             best, doubt = cover.beta, "pieces of the proof could not be joined"
             for claim in loop_axis_claims(plant.model, K, blocks, cover.beta * ABOVE, cover.pieces):
                 found = check(claim, effort=AXIS_EFFORT)
                 if found.outcome is Outcome.PROVED:
-                    return DKProof(cover.beta, tuple(cover.pieces), "")
+                    return cover.beta, tuple(cover.pieces), ""
                 doubt = f"not proved in ball arithmetic of P and K as they are: {found.where}"
         # The norm of the scaled loop: with G at a slightly higher level, where it is below one; without G at level one.
         mixed = iterate.scalings.mixed
@@ -352,8 +342,8 @@ class RobustProblem:
         if plant.model.is_discrete:  # the image of K differs from K by the rounding of the map
             open_doubt = open_doubt or certified(plant, K, hinf_norm(plant.close(K))).doubt
         if not open_doubt:
-            return DKProof(beta * max(proof.gamma, 1.0) if mixed else proof.gamma, (), "")
-        return DKProof(max(best, beta * proof.gamma), (), open_doubt or doubt)
+            return (beta * max(proof.gamma, 1.0) if mixed else proof.gamma), (), ""
+        return max(best, beta * proof.gamma), (), open_doubt or doubt
 
     def _scaled(self, scalings: DynamicScalings, beta: float) -> GeneralizedPlant:
         """Return the scaled plant, D22 included."""

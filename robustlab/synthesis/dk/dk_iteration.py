@@ -16,14 +16,13 @@ from robustlab.mu_analysis.axis.intervals import AxisCover, cover_axis
 from robustlab.mu_analysis.axis.margin import PERFORMANCE
 from robustlab.mu_analysis.matrix.certificate import project
 from robustlab.mu_analysis.matrix.lower import lower_bounds
-from robustlab.mu_analysis.matrix.upper import compile_kernels, points_work
+from robustlab.mu_analysis.matrix.upper import compile_kernels
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.dk.dk_design import DKStep, DKSynthesis, Iterate, RobustProblem, mu_floor, why_not_less
 from robustlab.synthesis.dk.riccati_level import Found, grown, minimised
 from robustlab.synthesis.dk.scalings import (
     FIRST_POINTS,
-    CoprimePair,
     DynamicScalings,
     MuCurve,
     constant_scalings,
@@ -40,17 +39,14 @@ from robustlab.uncertainty.blocks import Block, FullBlock, as_blocks, delta_valu
 WORK = 120 * MILLION  # the usual work at effort 1
 START_SHARE = 0.25  # share for the H-infinity start; larger: a better first controller, less time for the rest
 SEARCH_END = 0.8  # share at which the whole search ends; the rest is for the proof
-RELAXATION_END = 0.85  # share at which the search for slower controllers ends
+RELAXATION = 0.25  # share of that rest for the search for slower controllers
 PROGRESS = 2e-3  # relative progress of an enlargement of the scalings below which it gained nothing
 FALLS = 2  # consecutive enlargements of that kind that end the search
-LEAST_SEARCH = 0.3  # least share for the search even where the last curve of mu would need more
-MANY_BLOCKS = 30  # from this number on the lower bound is computed at one frequency instead of four
+LOWER_POINTS = 4  # frequencies at which the lower bound of mu is computed
 NEAR_PEAK = 0.9  # sections of all factors are spread over the band in which mu of the first loop is above this share
 MAX_SECTIONS = 8  # of a factor
 BAND_LEVEL = 0.3  # new sections are placed where mu is above this share of its peak ...
 BEYOND = 30.0  # ... and up to this factor beyond; larger: slower and faster sections
-LAST_CURVES = 1.5  # work reserved for the end, in curves of mu ...
-CURVE_POINTS = 112  # ... of this number of frequencies
 PROOF_ACCURACY = 1e-3  # of the proof by intervals; smaller: more intervals
 START_POINTS = 16  # frequencies of the first loop at which mu of real blocks is computed
 FINE = 0.03  # share of the loop's gain that regularisation may cost; smaller: stiffer
@@ -197,18 +193,11 @@ class _Search:
         self.plant, self.budget, self.whole, self.max_order, self.say = plant, budget, budget.left, max_order, say
         self.mixed = mixed and any(b.g_basis() for b in blocks)
         self.real, self.blocks = blocks, tuple(b.as_complex() for b in blocks)
-        self.curve_work = points_work(self.real if self.mixed else self.blocks, CURVE_POINTS)
-        self.search = self._until(SEARCH_END)
+        self.search = budget.share(SEARCH_END)
         self.problem = RobustProblem(plant, self.search)
         self.max_states = max_order - plant.model.n_states  # of the scalings
         self.iterates: list[Iterate] = []
         self.history: list[DKStep] = []
-
-    def _until(self, end: float) -> Budget:
-        """Return a budget up to this share of the whole, with enough work reserved for a last curve of mu."""
-        end = min(end, max(1 - LAST_CURVES * self.curve_work / self.whole, LEAST_SEARCH))
-        left = self.budget.left
-        return self.budget.share(max(1 - (1 - end) * self.whole / left, 0.0) if left > 0 else 0.0)
 
     @property
     def late(self) -> bool:
@@ -254,7 +243,9 @@ class _Search:
         if not dynamic:
             return
         if self.mixed:
-            self._grow(_with_g(constant, self.real), "D-G-K")
+            pairs = zip(constant.parts, self.real, strict=True)
+            parts = (replace(part, g=((),) * block.rows if block.g_basis() else ()) for part, block in pairs)
+            self._grow(DynamicScalings(self.real, tuple(parts)), "D-G-K")
             return
         low, high = np.log(self._band(NEAR_PEAK))
         for k in range(1, MAX_SECTIONS + 1):
@@ -310,12 +301,12 @@ class _Search:
 
     def finished(self, order_rel: float) -> DKSynthesis:
         """Return the design of the iterate of lowest order close to the best, with the tighter of two proofs."""
-        self.problem.budget, best = self._until(RELAXATION_END), self.best
+        self.problem.budget, best = self.budget.share(RELAXATION), self.best
         chosen = self.problem.relaxed(self._chosen(order_rel), best.level * (1 + order_rel))
         blocks = self.real if self.mixed else self.blocks
         # The proof by intervals comes last: it takes the remaining budget.
         curve = self._last_curve(chosen, blocks)
-        lower, delta, omega = _lower(curve, blocks, 4 if len(blocks) < MANY_BLOCKS else 1)
+        lower, delta, omega = _lower(curve, blocks)
         loop, cover = self.plant.close(chosen.K), AxisCover()
         if curve.peak * (1 + PROOF_ACCURACY) < chosen.level:
             peaks = curve.omega[np.argsort(-curve.levels)[:8]]
@@ -344,27 +335,18 @@ class _Search:
         )  # fmt: skip
 
     def _last_curve(self, chosen: Iterate, blocks: tuple[Block, ...]) -> MuCurve:
-        """Return the curve of mu, with little work remaining only around the peak of the scaled loop."""
+        """Return the curve of mu; without work left only around the peak of the scaled loop."""
         peak = proved_level(chosen.loop, chosen.scalings, chosen.level)[1].frequency
         around = peak * np.geomspace(0.8, 1.25, 5) if 0 < peak < np.inf else np.array([1e-6, 1e-3, 1.0])
-        if self.budget.left < 0.6 * LAST_CURVES * self.curve_work or self.budget.over:
+        if self.budget.over:
             return mu_curve(chosen.loop, blocks, Budget(0.0), around)
         first = np.unique(np.concatenate([default_grid(chosen.loop, FIRST_POINTS, 1.0), around]))
         return mu_curve(chosen.loop, blocks, self.budget.share(0.5), first)
 
 
-def _with_g(scalings: DynamicScalings, blocks: tuple[Block, ...]) -> DynamicScalings:
-    """Return the same D, with a G at real blocks."""
-    parts = tuple(
-        replace(part, g=(part.g or (CoprimePair(),) * block.rows) if block.g_basis() else ())
-        for block, part in zip(blocks, scalings.parts, strict=True)
-    )
-    return DynamicScalings(blocks, parts)
-
-
-def _lower(curve: MuCurve, blocks: tuple[Block, ...], most: int) -> tuple[float, dict[str, Any], float]:
+def _lower(curve: MuCurve, blocks: tuple[Block, ...]) -> tuple[float, dict[str, Any], float]:
     """Return the largest attained lower bound at the frequencies of the largest upper bounds."""
-    top = np.argsort(-curve.levels)[:most]
+    top = np.argsort(-curve.levels)[:LOWER_POINTS]
     found = lower_bounds(curve.response[top], blocks, restarts=4, steps=24)
     best = max(range(len(found)), key=lambda k: found[k][0])
     value, delta = found[best]

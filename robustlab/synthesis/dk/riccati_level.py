@@ -18,7 +18,7 @@ from robustlab.budget import Budget, dense
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.matrix_equations import balanced_eigenvalues, care, judged_afterwards
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.dk.scalings import DynamicScalings
+from robustlab.synthesis.dk.scalings import FIRST_STEP, DynamicScalings
 from robustlab.synthesis.hinf.two_riccati import RiccatiPair, TwoRiccatiProblem, quadratic, smallest_level
 from robustlab.synthesis.problem.partition import PlantMatrices, dual
 from robustlab.synthesis.problem.scaling import Scaling
@@ -28,7 +28,6 @@ STEP = 1e-5  # of logarithmic parameters in derivatives of the frozen forms, whi
 NEGLIGIBLE = 1e-3  # eigenvalues of X Y below this share of the largest are far from the level, or noise
 STEEPEST = 1e6  # logarithmic derivatives beyond this are rounding
 LEVEL_RTOL = 1e-6  # of the smallest level
-FIRST_STEP = 1e-4  # of the logarithm of the level away from the guess
 WITHIN = 0.5  # distance (log beta) below the level of the branches in the model of a step ...
 MOST = 5  # ... and their largest number; more: kinks are detected earlier, each step costs more
 
@@ -134,7 +133,7 @@ class LevelSearch:
                 return None
             # X and Y do not depend on the coordinates of w, z, u, y.
             solved = RiccatiPair(self.scaling.gain, pair.X, pair.Y, pair.coupling)
-            K = TwoRiccatiProblem(self._scaled(theta, beta), False, self.budget).central_controller(solved)
+            K = TwoRiccatiProblem(self._scaled(theta, beta), self.budget).central_controller(solved)
             return StateSpaceModel(*self.scaling.controller_to_plant(K))
         except (NoTrustworthyNumber, InputError, np.linalg.LinAlgError):
             return None

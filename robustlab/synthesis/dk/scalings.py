@@ -21,9 +21,11 @@ from robustlab.linear_analysis.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.matrix.upper import UpperBound, points_work, upper_bounds
 from robustlab.norms import HinfNorm, hinf_norm
 from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis.hinf.two_riccati import smallest_level
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 from robustlab.uncertainty.blocks import Block, block_slices
 
+FIRST_STEP = 1e-4  # of the logarithm of a level away from its guess
 FIRST_POINTS = 40  # frequencies of the first grid
 ROUNDS = 3  # rounds of refinement ...
 ADDED = 24  # ... and frequencies added in each; more: fewer peaks missed, more work
@@ -64,9 +66,9 @@ class Factor:
         """Return a factor of the same form with the next numbers of ``values``."""
         return Factor(float(next(values)), _taken(self.sections, values))
 
-    def with_section(self, log_zero: float, log_pole: float) -> Factor:
-        """Multiply by ``(s/z + 1) / (s/p + 1)``; two sections of first order become one of second."""
-        return replace(self, sections=_extended(self.sections, log_zero, log_pole))
+    def with_section(self, zero: float, pole: float) -> Factor:
+        """Multiply by ``(s/z + 1) / (s/p + 1)`` with these logarithms of z and p."""
+        return replace(self, sections=_extended(self.sections, zero, pole))
 
 
 def _put(items: tuple[Any, ...], at: int, new: Any) -> tuple[Any, ...]:
@@ -108,26 +110,6 @@ def _section(values: tuple[float, ...]) -> Realisation:
     return Realisation(A, np.array([[0.0], [w_p]]), C, np.array([[d]]))
 
 
-@dataclass(frozen=True)
-class CoprimePair:
-    """G_M and G_N of a real channel: half the sum and half the difference of two all-pass functions U and V.
-
-    ``|G_M|^2 + |G_N|^2 = 1``, and G = G_N / G_M is imaginary on the axis; it vanishes where U = V.
-    """
-
-    # `(log p, log q)` or `(log w_p, log 2 zeta_p, log w_q, log 2 zeta_q)` of V and U; none: G = 0.
-    sections: Sections = ()
-
-    @property
-    def n_states(self) -> int:
-        """States of U and V together."""
-        return sum(map(len, self.sections))
-
-    def with_section(self, log_p: float, log_q: float) -> CoprimePair:
-        """Increase the order by one; for p = q, G does not change."""
-        return CoprimePair(_extended(self.sections, log_p, log_q))
-
-
 def _extended(sections: Sections, one: float, two: float) -> Sections:
     """Return sections with a first-order pair more, merged with an existing first-order pair."""
     last = sections[-1] if sections else ()
@@ -147,7 +129,10 @@ class BlockScaling:
     # One for a full block, one per channel for a repeated scalar, none for the block with D = 1.
     factors: tuple[Factor, ...]
     mixing: tuple[float, ...] = ()  # of a repeated scalar D = diag(d) T: entries of the unit triangular T, row by row
-    g: tuple[CoprimePair, ...] = ()  # G for each channel of a real scalar
+    # G of each channel of a real scalar, by two all-pass functions V and U: `(log p, log q)` or `(log w_p,
+    # log 2 zeta_p, log w_q, log 2 zeta_q)`. G_M and G_N are half their sum and half their difference:
+    # |G_M|^2 + |G_N|^2 = 1, G = G_N / G_M is imaginary on the axis. Where U = V, and without sections, G = 0.
+    g: tuple[Sections, ...] = ()
 
     @property
     def order(self) -> int:
@@ -157,7 +142,7 @@ class BlockScaling:
     @property
     def g_states(self) -> int:
         """Number of states of all G."""
-        return sum(pair.n_states for pair in self.g)
+        return sum(len(section) for sections in self.g for section in sections)
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +180,7 @@ class DynamicScalings:
         values: list[float] = []
         for part in self.parts:
             values += chain(*(factor.parameters() for factor in part.factors), part.mixing)
-            values += chain(*(section for pair in part.g for section in pair.sections))
+            values += chain(*chain(*part.g))
         return np.array(values)
 
     def with_parameters(self, theta: AnyArray) -> DynamicScalings:
@@ -204,7 +189,7 @@ class DynamicScalings:
         for part in self.parts:
             factors = tuple(factor.with_parameters(values) for factor in part.factors)
             mixing = tuple(float(next(values)) for _ in part.mixing)
-            g = tuple(CoprimePair(_taken(pair.sections, values)) for pair in part.g)
+            g = tuple(_taken(sections, values) for sections in part.g)
             parts.append(BlockScaling(factors, mixing, g))
         return replace(self, parts=tuple(parts))
 
@@ -222,15 +207,17 @@ class DynamicScalings:
         The second of each pair has the two frequencies of that section, which cancel at first, this far apart.
         """
         for i, part in enumerate(self.parts):
-            for name in ("factors", "g"):
-                items = getattr(part, name)
-                for k, item in enumerate(items):
-                    for at in places:
-                        flat, tilted = (
-                            replace(part, **{name: _put(items, k, item.with_section(at + move, at))})
-                            for move in (0.0, apart)
-                        )
-                        yield tuple(replace(self, parts=_put(self.parts, i, one)) for one in (flat, tilted))
+            larger = [
+                [replace(part, factors=_put(part.factors, k, f.with_section(at + move, at))) for move in (0.0, apart)]
+                for k, f in enumerate(part.factors)
+                for at in places
+            ] + [
+                [replace(part, g=_put(part.g, k, _extended(g, at + move, at))) for move in (0.0, apart)]
+                for k, g in enumerate(part.g)
+                for at in places
+            ]
+            for flat, tilted in larger:
+                yield replace(self, parts=_put(self.parts, i, flat)), replace(self, parts=_put(self.parts, i, tilted))
 
     def to_json(self) -> list[dict[str, object]]:
         return [
@@ -238,7 +225,7 @@ class DynamicScalings:
                 "block": block.name,
                 "factors": [vars(factor) for factor in part.factors],
                 "mixing": part.mixing,
-                "g": [pair.sections for pair in part.g],
+                "g": part.g,
             }
             for block, part in zip(self.blocks, self.parts, strict=True)
         ]
@@ -260,10 +247,11 @@ class DynamicScalings:
         n, at = sum(part.g_states for part in self.parts), 0
         A, B, F, C = np.zeros((n, n)), np.zeros((n, m)), np.zeros((m, n)), np.zeros((p, n))
         for part, (w, z) in zip(self.parts, self.slices, strict=True):
-            for i, pair in enumerate(part.g):
-                if pair.sections:
-                    here = slice(at, at + pair.n_states)
-                    A[here, here], b, F[w.start + i, here], C[z.start + i, here] = _coprime(pair)
+            for i, sections in enumerate(part.g):
+                if sections:
+                    made, b, f, c = _coprime(sections)
+                    here = slice(at, at + len(made))
+                    A[here, here], F[w.start + i, here], C[z.start + i, here] = made, f, c
                     B[here, w.start + i], at = b[:, 0], here.stop
         return A, B, F, C
 
@@ -302,12 +290,10 @@ class DynamicScalings:
 
 
 @lru_cache(maxsize=4096)
-def _coprime(pair: CoprimePair) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
+def _coprime(sections: Sections) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
     """Return ``(A, B, F, C)`` with ``G_M = 1 + F (sI - A)^-1 B`` and ``G_N = C (sI - A)^-1 B``."""
     V, U = (
-        reduce(
-            _in_series, [_all_pass(s[: len(s) // 2] if first else s[len(s) // 2 :]) for s in pair.sections], _gain(1)
-        )
+        reduce(_in_series, [_all_pass(s[: len(s) // 2] if first else s[len(s) // 2 :]) for s in sections], _gain(1))
         for first in (True, False)
     )
     n = len(U.A)
@@ -337,7 +323,7 @@ def unit_scalings(blocks: Sequence[Block]) -> DynamicScalings:
     one, parts = reference_block(blocks), list[BlockScaling]()
     for i, block in enumerate(blocks):
         r = block.d_order
-        g = (CoprimePair(),) * r if block.g_basis() else ()
+        g = ((),) * r if block.g_basis() else ()
         parts.append(BlockScaling(() if i == one else (Factor(),) * r, (0.0,) * (r * (r - 1) // 2), g))
     return DynamicScalings(tuple(blocks), tuple(parts))
 
@@ -347,8 +333,7 @@ def plant_at_level(
 ) -> PlantMatrices:
     """Return the plant with these scalings at a level; channels beyond the blocks (regularisation) get beta alone."""
     _, n_w, _, n_z, _ = sizes
-    A, B, C, D = _at_level(whole, scalings, beta, n_w)
-    return PlantMatrices(A, B[:, :n_w], B[:, n_w:], C[:n_z], C[n_z:], D[:n_z, :n_w], D[:n_z, n_w:], D[n_z:, :n_w])
+    return PlantMatrices.of(_at_level(whole, scalings, beta, n_w), n_w, n_z)
 
 
 def loop_at_level(loop: StateSpaceModel, scalings: DynamicScalings, beta: float = 1.0) -> StateSpaceModel:
@@ -378,21 +363,14 @@ def proved_level(
     norm = hinf_norm(loop_at_level(loop, scalings), rtol)
     if not scalings.mixed:
         return norm.upper, norm
-    # With G: steps away from the guess that grow, then bisection.
-    low, high, trial, step = 0.0, np.inf, guess, 1e-4
-    for _ in range(80):
-        found = hinf_norm(loop_at_level(loop, scalings, trial), min(rtol, 1e-7))
-        if found.upper <= 1:
-            high, norm = trial, found
-        else:
-            low = trial
-        if high - low <= rtol * high < np.inf:
-            break
-        if low and high < np.inf:
-            trial = float(np.sqrt(low * high))
-        else:
-            trial, step = trial * (1 + step if low else 1 - step), min(3 * step, 0.9)
-    return high, norm
+    norms = dict[float, HinfNorm]()
+
+    def largest(beta: float) -> float | None:
+        norms[beta] = hinf_norm(loop_at_level(loop, scalings, beta), min(rtol, 1e-7))
+        return norms[beta].upper if np.isfinite(norms[beta].upper) else None
+
+    found = smallest_level(largest, guess, rtol, Budget(), FIRST_STEP)
+    return (np.inf, norm) if found is None else (found[0], norms[found[0]])
 
 
 # --- mu of a loop, and the constant D nearest to its scalings ---------------------------------------------------------

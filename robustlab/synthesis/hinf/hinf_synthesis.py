@@ -18,7 +18,7 @@ from robustlab.linear_analysis.magnitude import refuse_extremes
 from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.hinf.two_riccati import PROBES, TwoRiccatiProblem
+from robustlab.synthesis.hinf.two_riccati import TwoRiccatiProblem
 from robustlab.synthesis.nonsmooth.objectives import ModalLoop, largest_gain
 from robustlab.synthesis.problem.certify import (
     EFFORT,
@@ -57,8 +57,6 @@ PROVED = 3e-4
 REGULAR = 1e-6
 # Scaled gains below it are zero for every purpose.
 NEGLIGIBLE = 1e-7
-# Relative difference of two scalings above which both are searched again carefully. Smaller: more often.
-DISAGREEMENT = 5e-4
 # Rounds of bisection in `relax`; steps in the first and in the later ones. More: slower poles.
 RELAX_ROUNDS = 3
 RELAX_STEPS = 5
@@ -99,7 +97,6 @@ class Search:
         self.D22 = scaling.y[:, None] * D22 * scaling.u
         self.scaling, self.plant = scaling, scaling.apply(plant)
         self.budget, self.floor = budget, floor  # floor: a proved lower bound of gamma in the plant's units
-        self.careful = False  # both Riccati solvers and all probes
         self.candidates: list[Candidate] = []
         # Smallest gamma that passes the plant's own Riccati test; 0 if the plant needs regularisation.
         self.regular_gamma = 0.0
@@ -187,7 +184,7 @@ class Search:
     ) -> tuple[float | None, Candidate | None]:
         """Return the smallest gamma of the regularised problem in the plant's units, and the best controller for it."""
         problem = self._problem(weights)
-        gamma = problem and problem.smallest_gamma(start, rtol, PROBES if self.careful else PROBES[:1])
+        gamma = problem and problem.smallest_gamma(start, rtol)
         if problem is None or gamma is None:
             return None, None
         found: list[Candidate] = []
@@ -204,7 +201,7 @@ class Search:
         """Return the problem with these added channels; None if D12 or D21 is rank deficient."""
         plant = self.plant if weights is None else self.plant.with_channels(*weights)
         with suppress(NoTrustworthyNumber):
-            return TwoRiccatiProblem(plant, self.careful, self.budget)
+            return TwoRiccatiProblem(plant, self.budget)
         return None
 
     def _central(self, problem: TwoRiccatiProblem, gamma: float, limit: float = np.inf) -> Candidate | None:
@@ -254,33 +251,19 @@ def portfolio(
         search.ladder()
         if search.proved(search.best):
             return search, other, float("nan")
-    if one.best is None and two.best is None:
-        for search in (one, two):
-            search.careful = True
-            search.ladder()
     leader, other = (one, two) if _gamma(one.best) <= _gamma(two.best) else (two, one)
     if not leader.settled:
         leader.refine(leader.best)
     reached, best = _gamma(other.best), leader.best
     if best is not None and not leader.proved(best):
         # One regularisation has to confirm it in any case: the Riccati test may have failed by rounding alone.
-        reached = min(reached, _confirmed(leader, other, SHARES[3:4]))
-        if not leader.negligible(best) and not abs(reached - best.gamma) <= DISAGREEMENT * best.gamma:
-            # One search is stuck: repeat both from the better loop, with both solvers and all probes.
-            leader.careful = other.careful = True
-            leader.refine(best)
-            reached = min(reached, _confirmed(leader, other, SHARES[1:]))
-            if reached < _gamma(leader.best) * (1 - IMPROVEMENT):
-                leader, other, reached = other, leader, _gamma(leader.best)
+        before = len(other.candidates)
+        other.refine(best, SHARES[3:4])
+        reached = min(reached, _gamma(smallest(other.candidates[before:])))
+        if reached < best.gamma * (1 - IMPROVEMENT):
+            leader, other, reached = other, leader, best.gamma
     smaller, larger = sorted((_gamma(leader.best), reached))
     return leader, other, larger / smaller - 1 if smaller > 0 and larger < np.inf else float("nan")
-
-
-def _confirmed(leader: Search, other: Search, shares: tuple[float, ...]) -> float:
-    """Return the gamma that the other search reaches from the leader's best loop."""
-    before = len(other.candidates)
-    other.refine(leader.best, shares)
-    return _gamma(smallest(other.candidates[before:]))
 
 
 def _gamma(candidate: Candidate | None) -> float:

@@ -7,7 +7,6 @@ those of Zhou, Doyle, Glover (1996), theorem 17.1: Z of (27) goes into B instead
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +14,7 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, dense
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.linear_analysis.matrix_equations import care, hamiltonian_riccati
+from robustlab.linear_analysis.matrix_equations import hamiltonian_riccati
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation, dual
 
 # Rounding of an exact X = 0, scaled, which must not count as indefinite. Larger: false passes.
@@ -28,9 +27,8 @@ MAX_TESTS = 40  # pairs of Riccati equations to find a level ...
 SECANTS = 15  # ... of which the later ones only bisect
 SLOPE = -4.0  # first guess of the derivative of log rho(X Y) by log beta
 FARTHEST = 60.0  # step of the logarithm at which the search for a bracket ends
-# Shares of the smallest gamma found that are tested again (the first one; in a careful search all of them): the test
-# in floating point is not monotone in gamma. Longer: fewer false ends, more tests.
-PROBES = (0.93, 0.8, 0.6, 0.4, 0.2, 0.07, 0.02)
+# Share of the smallest gamma found that is tested again: the test in floating point is not monotone in gamma.
+PROBE = 0.93
 # Singular values of D12 or D21 below this share of the largest count as zero.
 RANK = 1e-13
 LARGEST = 1e150  # direct term whose square, over many channels, does not overflow
@@ -48,7 +46,7 @@ class RiccatiPair(NamedTuple):
 class TwoRiccatiProblem:
     """A regular plant in the coordinates ``D12 = [0; I]``, ``D21 = [0 I]``, and the gamma test on it."""
 
-    def __init__(self, plant: PlantMatrices, careful: bool, budget: Budget) -> None:
+    def __init__(self, plant: PlantMatrices, budget: Budget) -> None:
         _, n_w, n_u, n_z, n_y = plant.sizes
         if n_z < n_u or n_w < n_y:
             raise NoTrustworthyNumber("H-infinity Riccati test", "D12 or D21 cannot have full rank")
@@ -56,7 +54,7 @@ class TwoRiccatiProblem:
         W, s21, Rt = np.linalg.svd(plant.D21)
         if min(s12.min(), s21.min()) <= RANK * max(1.0, s12.max(), s21.max()):
             raise NoTrustworthyNumber("H-infinity Riccati test", "D12 or D21 is rank deficient")
-        self.careful, self.budget = careful, budget  # careful: a second Riccati solver where the first fails
+        self.budget = budget
         self.u_back = Vt.T / s12  # u = u_back @ u_normalised
         self.y_into = W.T / s21[:, None]  # y_normalised = y_into @ y
         z_turn = np.hstack([U[:, n_u:], U[:, :n_u]]).T
@@ -82,13 +80,13 @@ class TwoRiccatiProblem:
         """Return both solutions for any coupling; None if one does not exist or is not positive semidefinite."""
         self.budget.spend(dense(len(self.plant.A), 3))
         control, filtering = self.equations
-        X = None if gamma <= self.floor * (1 + 1e-12) else _solution(control, gamma, self.careful)
-        Y = None if X is None else _solution(filtering, gamma, self.careful)
+        X = None if gamma <= self.floor * (1 + 1e-12) else _solution(control, gamma)
+        Y = None if X is None else _solution(filtering, gamma)
         if X is None or Y is None:
             return None
         return RiccatiPair(gamma, X, Y, float(np.abs(np.linalg.eigvals(X @ Y)).max(initial=0.0)) / gamma**2)
 
-    def smallest_gamma(self, start: float, rtol: float, probes: tuple[float, ...]) -> float | None:
+    def smallest_gamma(self, start: float, rtol: float) -> float | None:
         """Return the smallest gamma that passes the test; None where none was found."""
 
         def coupling(gamma: float) -> float | None:
@@ -98,16 +96,9 @@ class TwoRiccatiProblem:
         high = max(start, self.floor * 1.01 + 1e-12)
         while (found := smallest_level(coupling, high, rtol, self.budget, 0.03)) is not None:
             high = found[0]
-            if high < SMALLEST_GAMMA:
+            if high < SMALLEST_GAMMA or self.budget.over or self.solve(high * PROBE) is None:
                 return high
-            for share in probes:
-                if self.budget.over:
-                    return high
-                if self.solve(high * share) is not None:
-                    high *= share
-                    break
-            else:
-                return high
+            high *= PROBE
         return None
 
     def central_controller(self, pair: RiccatiPair) -> Realisation:
@@ -199,7 +190,7 @@ def quadratic(p: PlantMatrices) -> Quadratic:
     return Quadratic(p.A, np.hstack([p.B1, p.B2]), p.C1.T @ p.C1, p.C1.T @ row, 0.5 * (R + R.T), p.B1.shape[1])
 
 
-def _solution(equation: Quadratic, gamma: float, careful: bool) -> AnyArray | None:
+def _solution(equation: Quadratic, gamma: float) -> AnyArray | None:
     """Return the stabilising positive semidefinite X, or None."""
     (A, B, Q, S, _, _), R, n = equation, equation.R(gamma), len(equation.A)
     try:
@@ -209,9 +200,6 @@ def _solution(equation: Quadratic, gamma: float, careful: bool) -> AnyArray | No
     by_B, by_S = solved[:, :n], solved[:, n:]
     G, Q_left = B @ by_B, Q - S @ by_S
     X = hamiltonian_riccati(A - B @ by_S, 0.5 * (G + G.T), 0.5 * (Q_left + Q_left.T), tolerance=RESIDUAL)
-    if X is None and careful:
-        with suppress(NoTrustworthyNumber):
-            X = care(A, B, Q, R, S, tolerance=RESIDUAL).X
     if X is None:
         return None
     values, vectors = np.linalg.eigh(X)

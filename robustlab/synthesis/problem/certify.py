@@ -104,11 +104,19 @@ def balanced_states(model: StateSpaceModel) -> StateSpaceModel:
 
 
 def moderate_states(model: StateSpaceModel) -> StateSpaceModel:
-    """Return a model in the states that keep its digits."""
+    """Return a model in balanced states, or in coordinates of its modes where these keep more digits."""
     balanced = balanced_states(model)
     hidden = _cancellation(balanced.A)
-    modes = separated_modes(model) if hidden > HIDDEN else None
-    return balanced if modes is None or _cancellation(modes.A) >= 1e-2 * hidden else modes
+    if not hidden > HIDDEN:
+        return balanced
+    values, vectors = np.linalg.eig(balanced.A)
+    # real and imaginary part of a conjugate pair
+    basis = np.where(np.imag(values) < 0, np.imag(vectors), np.real(vectors))
+    if not np.isfinite(basis).all() or not np.linalg.cond(basis) < NO_BASIS:
+        return balanced
+    modes = in_states(balanced, basis)
+    modes = balanced if modes is None else balanced_states(modes)
+    return modes if _cancellation(modes.A) < 1e-2 * hidden else balanced
 
 
 def _cancellation(A: Array) -> float:
@@ -117,20 +125,6 @@ def _cancellation(A: Array) -> float:
         return float((np.abs(np.linalg.inv(A)) @ np.abs(A)).sum(axis=1).max(initial=0.0))
     except np.linalg.LinAlgError:
         return float("inf")
-
-
-def separated_modes(model: StateSpaceModel) -> StateSpaceModel | None:
-    """Return the model in coordinates of its modes, each entry rounded once; None if these are no basis."""
-    if model.n_states < 2:
-        return None
-    m = balanced_states(model)
-    values, vectors = np.linalg.eig(m.A)
-    # real and imaginary part of a conjugate pair
-    basis = np.where(np.imag(values) < 0, np.imag(vectors), np.real(vectors))
-    if not np.isfinite(basis).all() or not np.linalg.cond(basis) < NO_BASIS:
-        return None
-    modes = in_states(m, basis)
-    return None if modes is None else balanced_states(modes)
 
 
 def surely_stable(loop: StateSpaceModel) -> bool:

@@ -49,6 +49,12 @@ class PlantMatrices:
     D12: Array
     D21: Array
 
+    @classmethod
+    def of(cls, system: Realisation, n_w: int, n_z: int) -> PlantMatrices:
+        """Return the matrices of a system from [w; u] to [z; y], without D22."""
+        A, B, C, D = system
+        return cls(A, B[:, :n_w], B[:, n_w:], C[:n_z], C[n_z:], D[:n_z, :n_w], D[:n_z, n_w:], D[n_z:, :n_w])
+
     @property
     def sizes(self) -> tuple[int, int, int, int, int]:
         """``(n_x, n_w, n_u, n_z, n_y)``."""
@@ -130,9 +136,7 @@ class GeneralizedPlant(Displayable):
 
     def matrices(self) -> PlantMatrices:
         """Return the matrices without D22."""
-        m, w, z = self.model, self.n_w, self.n_z
-        parts = (m.A, m.B[:, :w], m.B[:, w:], m.C[:z], m.C[z:], m.D[:z, :w], m.D[:z, w:], m.D[z:, :w])
-        return PlantMatrices(*(np.array(part) for part in parts))
+        return PlantMatrices.of(Realisation.of(self.model), self.n_w, self.n_z)
 
     def close(self, K: StateSpaceModel) -> StateSpaceModel:
         """Return the closed loop from w to z for ``u = K y``; signals are matched by `robustlab.feedback.wired`."""

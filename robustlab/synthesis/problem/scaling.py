@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -9,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.linear_analysis.magnitude import balancing_factors
 from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices, Realisation
 
 
@@ -74,16 +74,31 @@ def _start(p: PlantMatrices) -> Scaling:
     return Scaling(rate, np.ones(n), np.ones(n_u), np.ones(n_y))
 
 
-def _balanced(p: PlantMatrices, states: AnyArray) -> AnyArray:
+def _osborne(p: PlantMatrices, states: AnyArray, sweeps: int) -> AnyArray:
     """Return state factors that balance rows of [A B1 B2] against columns of [A; C1; C2], state by state."""
-    n = len(states)
+    n, t = len(states), states.copy()
     # The last column has all inputs of each state, the last row all outputs.
-    sizes = np.zeros((n + 1, n + 1))
-    sizes[:n, :n] = p.A
-    sizes[:n, n] = np.linalg.norm(np.hstack([p.B1, p.B2]), axis=1)
-    sizes[n, :n] = np.linalg.norm(np.vstack([p.C1, p.C2]), axis=0)
-    t = balancing_factors(sizes)
-    return states * (t[:n] / t[n])
+    squares = np.zeros((n + 1, n + 1))
+    squares[:n, :n] = p.A**2
+    squares[:n, n] = (p.B1**2).sum(1) + (p.B2**2).sum(1)
+    squares[n, :n] = (p.C1**2).sum(0) + (p.C2**2).sum(0)
+    np.fill_diagonal(squares, 0.0)
+    for _ in range(sweeps):
+        sizes = squares.sum(1)[:n], squares.sum(0)[:n]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            off = np.subtract(*np.log2(sizes))
+        if not np.round(0.25 * off[np.isfinite(off)]).any():  # the sweep would change nothing
+            break
+        for i in range(n):
+            row, column = float(squares[i].sum()), float(squares[:, i].sum())
+            if not (0 < row < np.inf and 0 < column < np.inf):
+                continue
+            power = round(0.25 * (math.log2(row) - math.log2(column)))
+            if power:
+                squares[i] *= 4.0**-power
+                squares[:, i] *= 4.0**power
+                t[i] *= 2.0**power
+    return t
 
 
 def paths_first(p: PlantMatrices) -> Scaling:
@@ -95,7 +110,7 @@ def paths_first(p: PlantMatrices) -> Scaling:
             z = float(_power(1 / (_rms(q.D12) or _rms(q.C1) or 1.0)))
             w = float(_power(1 / (_rms(q.D21) or _rms(q.B1) or 1.0)))
             s, q = _changed(s, q, p, w=w, z=z)
-        s, q = _changed(s, q, p, states=_balanced(q, s.states))
+        s, q = _changed(s, q, p, states=_osborne(q, s.states, 20))
         if last:
             return s
         u = _channel(np.linalg.norm(q.D12, axis=0), np.linalg.norm(q.B2, axis=0))
@@ -121,7 +136,7 @@ def equilibrated(p: PlantMatrices) -> Scaling:
     s = _start(p)
     for _ in range(30):
         before = s
-        s = replace(s, states=_balanced(s.apply(p), s.states))
+        s = replace(s, states=_osborne(s.apply(p), s.states, 1))
         q = s.apply(p)
         u = _power(np.hypot(np.linalg.norm(q.B2, axis=0), np.linalg.norm(q.D12, axis=0)))
         y = _power(np.hypot(np.linalg.norm(q.C2, axis=1), np.linalg.norm(q.D21, axis=1)))
