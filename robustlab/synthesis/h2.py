@@ -37,16 +37,14 @@ from robustlab.synthesis.problem.partition import (
 )
 from robustlab.synthesis.problem.scaling import Scaling, equilibrated, paths_first
 
-# Work of a design at effort 1.
-WORK = 60 * MILLION
+WORK = 60 * MILLION  # work of a design at effort 1
 # Sizes of added penalties and noises, scaled. Longer: singular plants get closer to their infimum, K faster.
 LADDER = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
 # Singular values of D12 or D21, scaled, above which that side is not regularised. Smaller: digits are lost.
 REGULAR = 1e-6
 # The regularised optimum falls with the regularisation; two steps that gain less than this end the ladder.
 SETTLED = 1e-4
-# Controllers, best first, that are given to the checker. More: fewer unconfirmed results, slower.
-PROOFS = 3
+PROOFS = 3  # controllers, best first, that are given to the checker. More: fewer unconfirmed results, slower
 # Largest residual of a Riccati solution: those of singular plants lose digits; the rebuilt loop decides.
 RESIDUAL = 1e-3
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray, Array
 from robustlab.budget import Budget, dense
-from robustlab.display import Facts
+from robustlab.display import AllFields, Facts
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.mu_analysis.axis.intervals import AxisCover, Piece
 from robustlab.mu_analysis.axis.joined_scalings import loop_axis_claims
@@ -48,7 +48,7 @@ NEAR = 0.01  # relative distance to a limit, or to the start of the search, that
 
 
 @dataclass(frozen=True)
-class DKStep:
+class DKStep(AllFields):
     """One iterate of the search."""
 
     stage: str  # `"start"`, `"D-K"` (constant D), `"direct"` or `"D-G-K"`
@@ -57,9 +57,6 @@ class DKStep:
     order: int  # states of the controller
     scaling_orders: tuple[int, ...]  # orders of D (and G) of each block
     work: float  # work since the start in the units of `robustlab.budget`
-
-    def to_json(self) -> dict[str, object]:
-        return vars(self).copy()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -118,13 +115,10 @@ class DKSynthesis(Tabular, Synthesis):
 
     def proved_again(self) -> float:
         """Return the bound of mu that the scalings prove for the loop rebuilt from plant and K; inf: none."""
-        from robustlab.norms import bilinear_to_continuous
-
         loop: StateSpaceModel = self.plant.close(self.K)
         if not loop.is_stable():
             return float("inf")
-        loop = bilinear_to_continuous(loop) if loop.is_discrete else loop
-        return proved_level(loop, self.scalings, self.scaled_level)[0]
+        return proved_level(_mapped(loop), self.scalings, self.scaled_level)[0]
 
     def _gamma_text(self) -> str:
         return f"{self.gamma:.6g} (mu is at most this at all frequencies)"
@@ -229,18 +223,13 @@ class Iterate:
     scalings: DynamicScalings  # D, G whose scaled loop proves `level`
     level: float  # upper bound of mu at all frequencies
 
-    @property
-    def pace(self) -> float:
-        """Largest modulus of the controller's poles."""
-        return float(np.abs(self.K.poles()).max(initial=0.0))
-
 
 class RobustProblem:
     """Plant, structure and regularisation of a robust-performance synthesis."""
 
     def __init__(self, plant: GeneralizedPlant, budget: Budget) -> None:
         self.plant, self.budget = plant, budget
-        self._continuous = GeneralizedPlant(_mapped(plant.model), plant.n_meas, plant.n_con)
+        self._continuous = plant.continuous()
         self.bare = self._continuous.matrices()
         self.matrices = self.bare
         self.scale = paths_first(self.bare)
@@ -257,27 +246,19 @@ class RobustProblem:
         units = equilibrated(scaled) if alternative else paths_first(scaled)
         return LevelSearch(at, units, self.budget)
 
-    def solve(self, scalings: DynamicScalings, start: float) -> Iterate | None:
-        """Return the controller of smallest proved level for given scalings; None where none was found."""
+    def solve(self, scalings: DynamicScalings, beta: float) -> Iterate | None:
+        """Return the controller of smallest proved level among those a little above the known smallest level."""
         best: Iterate | None = None
         for alternative in (False, True):
-            level = self.search(scalings, alternative).smallest(scalings.parameters(), start, 1e-5)
-            found = None if level is None else self.at_level(scalings, level.beta, alternative)
-            if found is not None and (best is None or found.level < best.level):
-                best = found
-            if best is not None and level is not None and best.level <= level.beta * (1 + ACCEPTED):
-                break
-        return best
-
-    def at_level(self, scalings: DynamicScalings, beta: float, alternative: bool = False) -> Iterate | None:
-        """Return the controller of smallest proved level among those a little above the known smallest level."""
-        search, best = self.search(scalings, alternative), None
-        for share in BACKOFF:
-            K = search.controller(scalings.parameters(), beta * (1 + share))
-            found = None if K is None else self.closed(K, scalings, beta)
-            if found is not None and (best is None or found.level < best.level):
-                best = found
-            if best is not None and best.level <= beta * (1 + share) * (1 + 1e-3):
+            search = self.search(scalings, alternative)
+            for share in BACKOFF:
+                K = search.controller(scalings.parameters(), beta * (1 + share))
+                found = None if K is None else self.closed(K, scalings, beta)
+                if found is not None and (best is None or found.level < best.level):
+                    best = found
+                if best is not None and best.level <= beta * (1 + share) * (1 + 1e-3):
+                    break
+            if best is not None and best.level <= beta * (1 + ACCEPTED):
                 break
         return best
 
@@ -285,12 +266,16 @@ class RobustProblem:
         """Return the same scalings with the controller of slowest poles whose proved level is at most ``limit``."""
         if not iterate.level:  # the loop is zero
             return iterate
+
+        def fastest(of: Iterate) -> float:
+            return float(np.abs(of.K.poles()).max(initial=0.0))
+
         search, best = self.search(iterate.scalings), iterate
         for share in SLACK_SHARES:
             level = iterate.level * (limit / iterate.level) ** share
             K = search.controller(iterate.scalings.parameters(), level)
             found = None if K is None or self.budget.over else self.closed(K, iterate.scalings, iterate.level)
-            if found is not None and found.level <= limit and found.pace < best.pace:
+            if found is not None and found.level <= limit and fastest(found) < fastest(best):
                 best = found
         return best
 

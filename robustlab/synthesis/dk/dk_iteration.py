@@ -266,14 +266,13 @@ class _Search:
             if self._settled(levels):
                 break
             larger = grown(self.problem.search, *found, (low / BEYOND, high * BEYOND), self.max_states)
-            found = None if larger is None else minimised(self.problem.search, *larger)
+            found = None if larger is None else minimised(self.problem.search, larger, found[1])
 
     def _taken(self, found: Found | None, stage: str) -> float:
         """Keep the controller of minimised scalings, and return their level; inf: none."""
         if found is None or (self.late and found[1] >= self.best.level):
             return np.inf
-        # The result of a minimisation that ends with the budget is still used.
-        iterate = (self.problem.at_level if self.late else self.problem.solve)(*found)
+        iterate = self.problem.solve(*found)
         if iterate is not None:
             self._keep(iterate, stage)
         return found[1]
@@ -338,10 +337,8 @@ class _Search:
         """Return the curve of mu; without work left only around the peak of the scaled loop."""
         peak = proved_level(chosen.loop, chosen.scalings, chosen.level)[1].frequency
         around = peak * np.geomspace(0.8, 1.25, 5) if 0 < peak < np.inf else np.array([1e-6, 1e-3, 1.0])
-        if self.budget.over:
-            return mu_curve(chosen.loop, blocks, Budget(0.0), around)
-        first = np.unique(np.concatenate([default_grid(chosen.loop, FIRST_POINTS, 1.0), around]))
-        return mu_curve(chosen.loop, blocks, self.budget.share(0.5), first)
+        grid = [] if self.budget.over else default_grid(chosen.loop, FIRST_POINTS, 1.0)
+        return mu_curve(chosen.loop, blocks, self.budget.share(0.5), np.union1d(grid, around))
 
 
 def _lower(curve: MuCurve, blocks: tuple[Block, ...]) -> tuple[float, dict[str, Any], float]:

@@ -39,8 +39,6 @@ PATIENCE = 5  # ... this number of steps below which a minimisation ends
 LARGEST_MOVE = 1.0  # largest change of a logarithmic parameter in one step
 LARGEST_RANGE = 16.0  # largest distance of a logarithmic parameter from the start: they may diverge
 PLACES = 9  # frequencies tried for a new section
-SHORT = 10  # minimisation steps for a candidate for a new section ...
-PURSUED = 4  # ... and number of steepest candidates that are minimised
 
 # Measured work of a test and of a frozen form, without that of their factorisations.
 TEST_WORK, FORM_WORK = 300, 250
@@ -227,7 +225,7 @@ Searches = Callable[[DynamicScalings], LevelSearch]  # the level search of scali
 Found = tuple[DynamicScalings, float]
 
 
-def minimised(searches: Searches, scalings: DynamicScalings, guess: float, steps: int = STEPS) -> Found | None:
+def minimised(searches: Searches, scalings: DynamicScalings, guess: float) -> Found | None:
     """Return scalings of the same form with a smaller level, and that level; None where the start has none."""
     # min_d max_i (values_i + slopes_i^T d) + d^T H^-1 d / 2, with H by BFGS updates of the Lagrangian: where two
     # eigenvalues of X Y meet the level has a kink, at which a descent on one of them stops early.
@@ -238,7 +236,7 @@ def minimised(searches: Searches, scalings: DynamicScalings, guess: float, steps
     local = search.branches(x, level)
     start = H = np.eye(len(x))
     levels = [float(np.log(level.beta))]
-    for _ in range(steps):
+    for _ in range(STEPS):
         if local is None or not len(x) or search.budget.over:
             break
         multipliers, predicted = _multipliers(local, H)
@@ -321,8 +319,8 @@ def _updated(H: AnyArray, s: AnyArray, y: AnyArray, first: bool) -> AnyArray:
 
 def grown(
     searches: Searches, scalings: DynamicScalings, level: float, omega: tuple[float, float], max_states: int
-) -> Found | None:
-    """Return scalings with one section of D or G more; None where no place for it lowers the level."""
+) -> DynamicScalings | None:
+    """Return scalings of the same level with one section of D or G more where the level falls most steeply."""
 
     def local(trial: DynamicScalings, moves: AnyArray | None = None) -> Branches | None:
         search, x = searches(trial), trial.parameters()
@@ -342,10 +340,4 @@ def grown(
         if found is not None:
             slope = float(weights[: len(found.slopes)] @ found.slopes[: len(weights), 0])
             candidates.append((-(slope**2) / (flat.n_states - scalings.n_states), flat))
-    candidates.sort(key=lambda pair: pair[0])
-    best: Found | None = None
-    for _, trial in candidates[:PURSUED]:
-        found = minimised(searches, trial, level, SHORT)
-        if found is not None and (best is None or found[1] < best[1]):
-            best = found
-    return best
+    return min(candidates, key=lambda pair: pair[0])[1] if candidates else None

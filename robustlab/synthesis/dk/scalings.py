@@ -336,12 +336,6 @@ def plant_at_level(
     return PlantMatrices.of(_at_level(whole, scalings, beta, n_w), n_w, n_z)
 
 
-def loop_at_level(loop: StateSpaceModel, scalings: DynamicScalings, beta: float = 1.0) -> StateSpaceModel:
-    """Return a continuous loop on the blocks' channels with these scalings at a level."""
-    scaled = _at_level(Realisation.of(loop), scalings, beta, loop.n_inputs)
-    return StateSpaceModel(*scaled, where="scaled loop")
-
-
 def _at_level(system: Realisation, scalings: DynamicScalings, beta: float, n_w: int) -> Realisation:
     """Return the system with its first channels scaled, and its first ``n_w`` inputs divided by beta."""
     p, m = system.D.shape
@@ -360,17 +354,18 @@ def proved_level(
     loop: StateSpaceModel, scalings: DynamicScalings, guess: float = 1.0, rtol: float = 1e-6
 ) -> tuple[float, HinfNorm]:
     """Return the smallest bound of mu of a stable continuous loop that these scalings prove; inf: none."""
-    norm = hinf_norm(loop_at_level(loop, scalings), rtol)
-    if not scalings.mixed:
-        return norm.upper, norm
     norms = dict[float, HinfNorm]()
 
-    def largest(beta: float) -> float | None:
-        norms[beta] = hinf_norm(loop_at_level(loop, scalings, beta), min(rtol, 1e-7))
+    def norm(beta: float) -> float | None:
+        scaled = _at_level(Realisation.of(loop), scalings, beta, loop.n_inputs)
+        norms[beta] = hinf_norm(StateSpaceModel(*scaled, where="scaled loop"), min(rtol, 1e-7 if scalings.mixed else 1))
         return norms[beta].upper if np.isfinite(norms[beta].upper) else None
 
-    found = smallest_level(largest, guess, rtol, Budget(), FIRST_STEP)
-    return (np.inf, norm) if found is None else (found[0], norms[found[0]])
+    if not scalings.mixed:
+        norm(1.0)
+        return norms[1.0].upper, norms[1.0]
+    found = smallest_level(norm, guess, rtol, Budget(), FIRST_STEP)
+    return (np.inf, next(iter(norms.values()))) if found is None else (found[0], norms[found[0]])
 
 
 # --- mu of a loop, and the constant D nearest to its scalings ---------------------------------------------------------

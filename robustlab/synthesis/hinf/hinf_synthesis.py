@@ -39,6 +39,18 @@ from robustlab.synthesis.problem.partition import (
 )
 from robustlab.synthesis.problem.scaling import Scaling, equilibrated, paths_first
 
+# Work of a design at effort 1; most plants need less than a tenth. More: longer searches on hard plants.
+WORK = 60 * MILLION
+# Ratio of gamma allowed for a certified norm where the best loop is so stiff that its norm loses digits.
+LESS_STIFF = 1.001
+# Candidates of finite norm that are considered, and how many of them are given to the checker, best first.
+TRIES = 8
+PROOFS = 3
+MOST_TRIES = 40  # candidates that are closed before the search counts as failed
+# Ratio of verified to searched gamma above which the next candidate is tried. Larger: quicker, a little worse.
+LOSS = 1.0005
+# Largest ratio of a certified gamma to a smaller one without certificate. Larger: worse gammas, more certificates.
+CERTIFICATE_WORTH = 2.0
 # Sizes of added penalties and noises, scaled. Longer: singular plants get closer to their infimum.
 LADDER = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
 # A central controller at gamma itself is ill-conditioned: gamma is increased until the gain of the loop agrees.
@@ -49,20 +61,16 @@ FINE_BACKOFFS = (1e-4, 1e-3, 1e-2, 3e-2, 0.1)
 SHARES = (0.2, 0.1, 0.05, 0.02, 0.01)
 # Most trials of that kind. More: slower, and a little lower on plants that keep falling.
 SELF_SCALED_STEPS = 14
-# Relative gain of a trial that counts as one. Smaller: more trials for less.
-IMPROVEMENT = 5e-4
-# A gamma this near (relative) to a proved bound ends the search. Larger: sooner.
-PROVED = 3e-4
+IMPROVEMENT = 5e-4  # relative gain of a trial that counts as one. Smaller: more trials for less
+PROVED = 3e-4  # a gamma this near (relative) to a proved bound ends the search. Larger: sooner
 # Singular values of D12 or D21, scaled, above which that side is not regularised. Smaller: digits are lost.
 REGULAR = 1e-6
-# Scaled gains below it are zero for every purpose.
-NEGLIGIBLE = 1e-7
+NEGLIGIBLE = 1e-7  # scaled gains below it are zero for every purpose
 # Rounds of bisection in `relax`; steps in the first and in the later ones. More: slower poles.
 RELAX_ROUNDS = 3
 RELAX_STEPS = 5
 RELAX_LATER_STEPS = 3
-# Share of the loop's gain from which the second relaxation starts.
-RELAX_SHARE = 0.05
+RELAX_SHARE = 0.05  # share of the loop's gain from which the second relaxation starts
 
 
 class Regularisation(NamedTuple):
@@ -117,10 +125,6 @@ class Search:
         """Return whether no controller can be better by more than PROVED."""
         return candidate is not None and candidate.gamma <= (1 + PROVED) * self.floor
 
-    def negligible(self, candidate: Candidate) -> bool:
-        """Return whether the gain is negligible in the plant scaled to order one."""
-        return candidate.gamma * self.scaling.gain <= NEGLIGIBLE
-
     def ladder(self) -> None:
         """Try regularisations of fixed size, from large to small, until gamma falls no more."""
         sizes = self.plant.direct_sizes
@@ -147,7 +151,9 @@ class Search:
         """Try ever smaller regularisations scaled by the best loop so far, until gamma falls no more."""
         k = 0
         for _ in range(SELF_SCALED_STEPS):
-            if best is None or k == len(shares) or self.budget.over or self.negligible(best) or self.proved(best):
+            if best is None or k == len(shares) or self.budget.over or self.proved(best):
+                return
+            if best.gamma * self.scaling.gain <= NEGLIGIBLE:
                 return
             regularisation = self.relative(best, shares[k], 0.3)
             if regularisation is None:
@@ -241,33 +247,26 @@ def smallest(candidates: list[Candidate]) -> Candidate | None:
 
 def portfolio(
     matrices: PlantMatrices, scalings: tuple[Scaling, Scaling], budget: Budget, floor: float, D22: Array
-) -> tuple[Search, Search, float]:
-    """Search both scalings coarsely, refine the better one, and confirm its gamma in the other one.
+) -> list[Search]:
+    """Search both scalings coarsely, refine the better one, and try its best loop in the other one; the better first.
 
-    Return the search that found the smallest gamma, the other one, and the relative difference of their gammas.
+    That trial is made in any case: the Riccati test may have failed by rounding alone.
     """
-    one, two = (Search(matrices, scaling, budget, floor, D22) for scaling in scalings)
-    for search, other in ((one, two), (two, one)):
+
+    def gamma(search: Search) -> float:
+        return np.inf if search.best is None else search.best.gamma
+
+    searches = [Search(matrices, scaling, budget, floor, D22) for scaling in scalings]
+    for search in searches:
         search.ladder()
         if search.proved(search.best):
-            return search, other, float("nan")
-    leader, other = (one, two) if _gamma(one.best) <= _gamma(two.best) else (two, one)
+            break
+    leader, other = sorted(searches, key=gamma)
     if not leader.settled:
         leader.refine(leader.best)
-    reached, best = _gamma(other.best), leader.best
-    if best is not None and not leader.proved(best):
-        # One regularisation has to confirm it in any case: the Riccati test may have failed by rounding alone.
-        before = len(other.candidates)
-        other.refine(best, SHARES[3:4])
-        reached = min(reached, _gamma(smallest(other.candidates[before:])))
-        if reached < best.gamma * (1 - IMPROVEMENT):
-            leader, other, reached = other, leader, best.gamma
-    smaller, larger = sorted((_gamma(leader.best), reached))
-    return leader, other, larger / smaller - 1 if smaller > 0 and larger < np.inf else float("nan")
-
-
-def _gamma(candidate: Candidate | None) -> float:
-    return float("inf") if candidate is None else candidate.gamma
+    if not leader.proved(leader.best):
+        other.refine(leader.best, SHARES[3:4])
+    return sorted((leader, other), key=gamma)
 
 
 def relax(search: Search, start: Candidate, gamma: float) -> None:
@@ -346,41 +345,18 @@ def trial_loop(p: PlantMatrices, K: Realisation) -> Realisation:
     )
 
 
-# Work of a design at effort 1; most plants need less than a tenth. More: longer searches on hard plants.
-WORK = 60 * MILLION
-# Ratio of gamma allowed for a certified norm where the best loop is so stiff that its norm loses digits.
-LESS_STIFF = 1.001
-# Candidates of finite norm that are considered, and how many of them are given to the checker, best first.
-TRIES = 8
-PROOFS = 3
-# Candidates that are closed before the search counts as failed.
-MOST_TRIES = 40
-# Ratio of verified to searched gamma above which the next candidate is tried. Larger: quicker, a little worse.
-LOSS = 1.0005
-# Largest ratio of a certified gamma to a smaller one without certificate. Larger: worse gammas, more certificates.
-CERTIFICATE_WORTH = 2.0
-
-
 class Closed(NamedTuple):
-    """A controller in the units and the time domain of the plant as given, D22 included, and its loop."""
+    """A controller in the units and the time domain of the plant as given, D22 included, and its loop.
+
+    The loop of P and K has at most the norm ``gamma``, proved by the checker where ``doubt`` is empty.
+    """
 
     candidate: Candidate
     K: StateSpaceModel
     loop: StateSpaceModel
     norm: HinfNorm
-
-
-class Verified(NamedTuple):
-    """The result of the checker: the loop of P and K has at most the norm ``gamma``, proved if ``doubt`` is empty."""
-
-    closed: Closed
-    gamma: float
-    doubt: str
-
-    @property
-    def pace(self) -> float:
-        """Largest modulus of the controller's poles in rad/s."""
-        return self.closed.candidate.pace
+    gamma: float = np.inf
+    doubt: str = "not checked"
 
 
 class Verifier:
@@ -388,9 +364,9 @@ class Verifier:
 
     def __init__(self, plant: GeneralizedPlant, D22: Array, budget: Budget) -> None:
         self.plant, self.D22, self.budget = plant, D22, budget
-        self.closed, self.proofs = cache(self._closed), dict[Candidate, Verified]()
+        self.closed, self.proofs = cache(self._closed), dict[Candidate, Closed]()
 
-    def smallest(self, candidates: list[Candidate]) -> Verified | None:
+    def smallest(self, candidates: list[Candidate]) -> Closed | None:
         """Return the proved candidate of smallest norm; if none is proved, that of smallest norm."""
         found, near = list[Closed](), 0
         # One at least, even without work left: a time limit returns what was found by then.
@@ -399,7 +375,7 @@ class Verifier:
             near += closed.norm.upper <= LOSS * closed.candidate.gamma
             if near == PROOFS or len(found) == TRIES or self.budget.over:
                 break
-        tried: list[Verified] = []
+        tried: list[Closed] = []
         for closed in sorted(found, key=lambda c: c.norm.upper)[:PROOFS]:
             tried.append(self.verified(closed, 1 if tried else EFFORT))
             if not tried[-1].doubt:
@@ -408,7 +384,7 @@ class Verifier:
         least = min(tried, key=lambda v: v.gamma, default=None)
         return best if best is None or least is None or best.gamma <= CERTIFICATE_WORTH * least.gamma else least
 
-    def least_stiff(self, candidates: list[Candidate], best: Verified, ratio: float) -> Verified:
+    def least_stiff(self, candidates: list[Candidate], best: Closed, ratio: float) -> Closed:
         """Return the proved candidate of least stiffness within the ratio of the best gamma; else the best."""
         limit = ratio * best.gamma
         allowed = sorted((c for c in candidates if c.gamma <= limit), key=lambda c: (c.stiffness, c.gamma))
@@ -431,12 +407,12 @@ class Verifier:
                 return Closed(candidate, K, loop, norm)
         return None
 
-    def verified(self, closed: Closed, effort: int = 1) -> Verified:
+    def verified(self, closed: Closed, effort: int = 1) -> Closed:
         """Return the candidate with the result of the checker; at little ``effort`` only matrix proofs are tried."""
         if closed.candidate not in self.proofs:
             self.budget.spend(dense(closed.loop.n_states, 200))
-            proof = certified(self.plant, closed.K, closed.norm, effort=effort)
-            self.proofs[closed.candidate] = Verified(closed, *proof)
+            gamma, doubt = certified(self.plant, closed.K, closed.norm, effort=effort)
+            self.proofs[closed.candidate] = closed._replace(gamma=gamma, doubt=doubt)
         return self.proofs[closed.candidate]
 
 
@@ -481,7 +457,7 @@ def synthesize(
     require_stabilisable(scaled, plant.model.state_names, where, rate)
     lower, assumptions = pointwise_bound(matrices, scalings, plant.model.dt), broken_assumptions(scaled, plant, rate)
     verifier = Verifier(plant, continuous.D22, budget)
-    leader, other, disagree = portfolio(matrices, scalings, budget, lower.value, continuous.D22)
+    leader, other = portfolio(matrices, scalings, budget, lower.value, continuous.D22)
     best = verifier.smallest(leader.candidates + other.candidates)
     if best is None:
         ended = f": {NOT_REPEATABLE}" if budget.struck else " within the work budget" if budget.over else ""
@@ -494,26 +470,24 @@ def synthesize(
         )
     report(f"two Riccati equations: gamma {best.gamma:.6g}")
     if best.doubt:  # the controller is so fast that digits are lost
-        relax(leader, best.closed.candidate, (0.2 + 0.8 * LESS_STIFF) * best.gamma)
+        relax(leader, best.candidate, (0.2 + 0.8 * LESS_STIFF) * best.gamma)
         best = verifier.least_stiff(leader.candidates + other.candidates, best, LESS_STIFF)
     chosen = best
     if gamma_rel > 1:
-        relax(leader, best.closed.candidate, gamma_rel * best.gamma)
+        relax(leader, best.candidate, gamma_rel * best.gamma)
         chosen = verifier.least_stiff(leader.candidates + other.candidates, best, gamma_rel)
-        report(f"softened: gamma {chosen.gamma:.6g}, fastest pole {chosen.pace:.4g} rad/s")
+        report(f"softened: gamma {chosen.gamma:.6g}, fastest pole {chosen.candidate.pace:.4g} rad/s")
     if chosen.gamma < best.gamma:  # the relaxation found a smaller gamma
         best = chosen
-    parts = [
-        chosen.doubt or "loop of P and K is stable, its norm proved in ball arithmetic",
-        "by two Riccati equations",
-    ]
+    proved = "loop of P and K is stable, its norm proved in ball arithmetic"
+    parts = [chosen.doubt or proved, "by two Riccati equations"]
     if chosen is not best:
         allowed = f"allowed {gamma_rel - 1:.0%} above the smallest gamma {best.gamma:.6g}"
         parts.append(f"the softest controller within the {allowed}")
     status, reason = final_status(Status.INACCURATE if chosen.doubt else Status.CERTIFIED, parts, budget)
-    _, K, loop, norm = chosen.closed
+    loop, norm = chosen.loop, chosen.norm
     return HinfSynthesis(
-        K=K, gamma=chosen.gamma, closed_loop=loop, status=status, peak_frequency=norm.frequency, reason=reason,
-        limit=limiting_channels(loop, norm.frequency), smallest_gamma=best.gamma, scalings_disagree=disagree,
+        K=chosen.K, gamma=chosen.gamma, closed_loop=loop, status=status, peak_frequency=norm.frequency, reason=reason,
+        limit=limiting_channels(loop, norm.frequency), smallest_gamma=best.gamma,
         lower_bound=lower, assumptions=assumptions, norm=norm, plant=plant, method=method, weights=dict(weights or {}),
     )  # fmt: skip

@@ -31,6 +31,8 @@ from robustlab.uncertainty.distances.coprime import (
     four_block,
 )
 
+SHAPED_LOSS = 1.001  # ratio of the verified gamma to the one requested above which digits count as lost
+
 
 @error_context("synth mixsyn")
 def mixsyn(
@@ -179,10 +181,6 @@ def weight_on_channels(given: Any, n: int, dt: float, where: str, hint: str | No
     if n > 1 and (weight.n_inputs, weight.n_outputs) == (1, 1):
         weight = append(*(weight.renamed([f"u{i}"], [f"y{i}"]) for i in range(n)))
     return weight
-
-
-# Ratio of the verified gamma to the one requested above which digits count as lost.
-SHAPED_LOSS = 1.001
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

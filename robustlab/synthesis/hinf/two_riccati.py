@@ -19,18 +19,15 @@ from robustlab.synthesis.problem.partition import PlantMatrices, Realisation, du
 
 # Rounding of an exact X = 0, scaled, which must not count as indefinite. Larger: false passes.
 SEMIDEFINITE = 1e-6
-# Largest residual of a Riccati solution; the loop is verified afterwards.
-RESIDUAL = 1e-3
-# A gamma below it, scaled, is not made smaller.
-SMALLEST_GAMMA = 1e-9
+RESIDUAL = 1e-3  # largest residual of a Riccati solution; the loop is verified afterwards
+SMALLEST_GAMMA = 1e-9  # a gamma below it, scaled, is not made smaller
 MAX_TESTS = 40  # pairs of Riccati equations to find a level ...
 SECANTS = 15  # ... of which the later ones only bisect
 SLOPE = -4.0  # first guess of the derivative of log rho(X Y) by log beta
 FARTHEST = 60.0  # step of the logarithm at which the search for a bracket ends
 # Share of the smallest gamma found that is tested again: the test in floating point is not monotone in gamma.
 PROBE = 0.93
-# Singular values of D12 or D21 below this share of the largest count as zero.
-RANK = 1e-13
+RANK = 1e-13  # singular values of D12 or D21 below this share of the largest count as zero
 LARGEST = 1e150  # direct term whose square, over many channels, does not overflow
 
 

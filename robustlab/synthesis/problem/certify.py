@@ -41,12 +41,23 @@ from robustlab.verification.models import loop as closed_in_balls
 
 # Largest condition number of I + D_K D22 at which the controller with D22 included keeps its digits.
 ILL_POSED = 1e10
-# Smallest singular values of I + D22 D_K that replace smaller ones.
-DISTANCES = (1e-4, 1e-3, 1e-2, 1e-1)
-# Largest condition number of a basis of modes.
-NO_BASIS = 1e12
-# Skeel's condition number above which other states are tried.
-HIDDEN = 1e6
+DISTANCES = (1e-4, 1e-3, 1e-2, 1e-1)  # smallest singular values of I + D22 D_K that replace smaller ones
+NO_BASIS = 1e12  # largest condition number of a basis of modes
+HIDDEN = 1e6  # Skeel's condition number above which other states are tried
+# Shares above the gain at the peak at which a proof is tried. The last is the largest loss for a certificate; norms of
+# the rebuilt loop and of P and K that differ by more disagree.
+SHARES = (1e-4, 1e-3)
+AGREEMENT = SHARES[-1]
+# Effort of the checker at 20 states where no matrix proves the norm: enough for a counterexample, and for some boxes.
+EFFORT = 400
+BITS = 192
+CANCELLED = 1e-10  # a direct term from w to z below this share of D11 is rounding of the cancellation by D_K
+MEASURE_GRID = 60  # points of the grid on which candidates are compared before the proof
+MARGIN_WORK = 30 * MILLION  # most work of the proof of one candidate without scalings
+
+MeasureName = Literal["hinf", "h2", "mu"]
+Evidence = HinfNorm | H2Norm | Margin
+Scalings = tuple[StateSpaceModel, StateSpaceModel]
 
 
 def with_direct_term(K: StateSpaceModel, D22: Array) -> StateSpaceModel:
@@ -132,17 +143,6 @@ def surely_stable(loop: StateSpaceModel) -> bool:
     return not loop.n_states or loop.spectral_abscissa() < -eigenvalue_blur(loop)
 
 
-# Shares above the gain at the peak at which a proof is tried. The last is the largest loss for a certificate; norms of
-# the rebuilt loop and of P and K that differ by more disagree.
-SHARES = (1e-4, 1e-3)
-AGREEMENT = SHARES[-1]
-# Effort of the checker at 20 states where no matrix proves the norm: enough for a counterexample, and for some boxes.
-EFFORT = 400
-BITS = 192
-# A direct term from w to z below this share of D11 is rounding of the cancellation by D_K.
-CANCELLED = 1e-10
-
-
 class Certificate(NamedTuple):
     """An upper bound of the norm of a loop, and why it is not certified (empty if it is)."""
 
@@ -166,7 +166,9 @@ def certified(
     quick = _plain_gramian(plant.model, K, numbers, value) if isinstance(norm, H2Norm) else None
     if norm.status.trustworthy and quick is not None and check(quick, effort=work).outcome is Outcome.PROVED:
         return Certificate(value, "")
-    true = closed_exactly(plant, K)
+    with precision(BITS):  # the loop of P and K, each entry rounded once
+        exact = closed_in_balls(Claim("", numbers))
+        true = StateSpaceModel(*(midpoints(X) for X in (exact.A, exact.B, exact.C, exact.D)), plant.model.dt)
     if isinstance(norm, H2Norm):
         if not norm.status.trustworthy or not true.n_states:
             return _in_floats(true, norm, value, norm.reason)
@@ -207,14 +209,6 @@ def _plain_gramian(plant: StateSpaceModel, K: StateSpaceModel, numbers: Numbers,
     return Claim("gramian", {**numbers, "value": np.array(level), "P": 0.5 * (P + P.T) / t[:, None] / t})
 
 
-def closed_exactly(plant: GeneralizedPlant, K: StateSpaceModel) -> StateSpaceModel:
-    """Return the loop of P and K, each entry rounded once."""
-    with precision(BITS):
-        exact = closed_in_balls(Claim("", loop_numbers(plant.model, K)))
-        A, B, C, D = (midpoints(X) for X in (exact.A, exact.B, exact.C, exact.D))
-        return StateSpaceModel(A, B, C, D, plant.model.dt)
-
-
 def _in_floats(true: StateSpaceModel, norm: HinfNorm | H2Norm, value: float, doubt: str) -> Certificate:
     """Return the doubt, or the norm of the loop of P and K where it is larger than that of the rebuilt loop."""
     larger = h2_by_gramians(true).value if isinstance(norm, H2Norm) else hinf_norm(true).upper
@@ -231,16 +225,6 @@ def _h2_claims(plant: GeneralizedPlant, K: StateSpaceModel, true: StateSpaceMode
     if true.dt or not 0 < np.abs(true.D).max(initial=0.0) <= cancelled:
         return h2_loop_claims(plant.model, K, level)
     return gramian_claims(StateSpaceModel(true.A, true.B, true.C, np.zeros_like(true.D)), level)
-
-
-# Points of the grid on which candidates are compared before the proof.
-MEASURE_GRID = 60
-# Most work of the proof of one candidate without scalings.
-MARGIN_WORK = 30 * MILLION
-
-MeasureName = Literal["hinf", "h2", "mu"]
-Evidence = HinfNorm | H2Norm | Margin
-Scalings = tuple[StateSpaceModel, StateSpaceModel]
 
 
 @dataclass(frozen=True)

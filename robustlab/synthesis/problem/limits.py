@@ -23,12 +23,9 @@ from robustlab.synthesis.problem.scaling import Scaling, equilibrated, paths_fir
 # sigma_min of the Popov-Belevitch-Hautus matrix below this share of its norm counts as rank loss (plant scaled to
 # order one).
 PBH_TOLERANCE = 1e-11
-# Channels weaker than this share of the fastest pole are scaled up to it before the test.
-WEAK = 1e-6
-# Real parts within this share of the largest modulus count as "on the axis".
-AXIS = 1e-10
-# A singular value of D12 or D21 below this (plant scaled to order one) is regularised.
-DIRECT = 1e-6
+WEAK = 1e-6  # channels weaker than this share of the fastest pole are scaled up to it before the test
+AXIS = 1e-10  # real parts within this share of the largest modulus count as "on the axis"
+DIRECT = 1e-6  # a singular value of D12 or D21 below this (plant scaled to order one) is regularised
 # sigma_min of the system matrix below this share of its norm is a zero; candidates this near to the axis are tested.
 ZERO, NEAR = 1e-9, 1e-5
 
@@ -51,7 +48,8 @@ def require_stabilisable(p: PlantMatrices, states: tuple[str, ...], where: str, 
             state = _null_state(matrix)
             if state is not None:
                 kind = "unstable" if pole.real > AXIS * size else "marginal"
-                faults.append(f"{kind} mode s = {_text(pole * rate)} rad/s (mostly state {states[state]}) {text}")
+                s = rate * (pole.real if abs(pole.imag) <= AXIS * abs(pole) else pole)
+                faults.append(f"{kind} mode s = {s:.6g} rad/s (mostly state {states[state]}) {text}")
     if faults:
         hint = "add an actuator or a sensor for it; rl.minimal takes out what is hidden from all signals"
         found = f"no stabilising controller exists: {faults[0]}"
@@ -74,10 +72,6 @@ def _null_state(matrix: AnyArray) -> int | None:
     return int(np.argmax(np.abs(vh[n - 1])))
 
 
-def _text(pole: complex) -> str:
-    return f"{pole.real:.6g}" if abs(pole.imag) <= AXIS * abs(pole) else f"{pole.real:.6g}{pole.imag:+.6g}j"
-
-
 def broken_assumptions(p: PlantMatrices, plant: GeneralizedPlant, rate: float = 1.0) -> tuple[str, ...]:
     """Return the assumptions of the Riccati method that the plant violates, each with its physical meaning."""
     controls, measurements = ([s.name for s in group] for group in (plant.controls, plant.measurements))
@@ -93,8 +87,8 @@ def broken_assumptions(p: PlantMatrices, plant: GeneralizedPlant, rate: float = 
     missing = ("performance output showing it", "disturbance driving it through the measurements")
     for side, text in zip((p, dual(p)), missing, strict=True):
         found += [
-            f"zero on the axis at {_rounded(omega * rate)} rad/s: a motion mostly of {states[state]} can go on "
-            f"undamped without any {text}"
+            f"zero on the axis at {omega * (omega * rate > 1e-9) * rate:.4g} rad/s: a motion mostly of {states[state]} "
+            f"can go on undamped without any {text}"
             for omega, state in _axis_zeros(side.A, side.B2, side.C1, side.D12)
         ]
     return tuple(found)
@@ -132,12 +126,7 @@ def _axis_zeros(A: Any, B: Any, C: Any, D: Any) -> list[tuple[float, int]]:
     return sorted(found)
 
 
-def _rounded(omega: float) -> str:
-    return f"{omega:.4g}" if abs(omega) > 1e-9 else "0"
-
-
-# Points of the right half plane: radii and angles of a polar grid. More: a little higher bounds.
-RADII = 48
+RADII = 48  # points of the right half plane: radii and angles of a polar grid. More: a little higher bounds
 ANGLES = (0.0, 0.5, 1.0, 1.35, 1.5, math.pi / 2)
 # Refinements around the best points, number of these, and of points that every scaling has to confirm.
 REFINEMENTS = 4
@@ -146,8 +135,7 @@ CONFIRMED = 12
 
 # Share subtracted from every bound, as rounding is counted to first order; factor of eps in that count.
 MARGIN, ROUNDING = 1e-7, 4.0
-# A point nearer to zero than this counts as zero, in the plant's own time unit.
-AT_ZERO = 1e-9
+AT_ZERO = 1e-9  # a point nearer to zero than this counts as zero, in the plant's own time unit
 # A column space is known to about eps over this; points where P12 or P21 is worse conditioned prove nothing.
 CONDITION = 1e-7
 LARGEST = 1e50  # responses beyond it prove nothing
