@@ -71,9 +71,9 @@ _PUBLIC = {
     "Nonlinearity": "iqc.block_types",
     # synthesis
     "hinf": "analysis.synthesis",
-    "h2": "synthesis.h2.h2_synthesis",
+    "h2": "synthesis.h2",
     "loop_functions": "synthesis.specifications.loop_functions",
-    "mixsyn": "synthesis.hinf.mixed_sensitivity",
+    "mixsyn": "synthesis.hinf.loop_shaping",
     "ncf": "synthesis.hinf.loop_shaping",
     "dk": "synthesis.dk.dk_iteration",
     "fixed_structure": "synthesis.fixed.fixed_structure",

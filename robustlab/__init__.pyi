@@ -50,9 +50,9 @@ from robustlab.storage.interchange import save as save
 from robustlab.synthesis.dk.dk_iteration import dk as dk
 from robustlab.synthesis.fixed.fixed_structure import fixed_structure as fixed_structure
 from robustlab.synthesis.fixed.goal_tuning import tune as tune
-from robustlab.synthesis.h2.h2_synthesis import h2 as h2
+from robustlab.synthesis.h2 import h2 as h2
+from robustlab.synthesis.hinf.loop_shaping import mixsyn as mixsyn
 from robustlab.synthesis.hinf.loop_shaping import ncf as ncf
-from robustlab.synthesis.hinf.mixed_sensitivity import mixsyn as mixsyn
 from robustlab.synthesis.problem.controller import Controller as Controller
 from robustlab.synthesis.problem.partition import generalized_plant as generalized_plant
 from robustlab.synthesis.reduction.controller_reduction import reduce_controller as reduce_controller

@@ -121,7 +121,7 @@ def hinf(
     return _design(found, system, drawn=drawn)
 
 
-@operation("synth h2", "h2", result="synthesis.h2.h2_synthesis.H2Synthesis", gives="controller", made="controller")
+@operation("synth h2", "h2", result="synthesis.h2.H2Synthesis", gives="controller", made="controller")
 def h2(
     system: Plant,
     *,
@@ -153,7 +153,7 @@ def dk(
         "the uncertain model where left out.",
     ] = None,
     start: Annotated[Any, Thing(("controller", "any")), "Stabilising controller to start from."] = None,
-    direct: Annotated[bool, Flag(), "Continue with direct minimisation after D-K iteration."] = True,
+    direct: Annotated[bool, Flag(), "Let D and G depend on the frequency; else D is constant."] = True,
     mixed: Annotated[bool, Flag(), "Use that real blocks are real."] = True,
     max_order: Annotated[Order, "Largest order of the controller."] = None,
     order_rel: Annotated[
@@ -165,7 +165,7 @@ def dk(
     progress: Any = None,
     drawn: bool = False,
 ) -> Any:
-    """Robust controller u = K y (positive feedback): makes the peak of mu small, by D-K iteration and directly.
+    """Robust controller u = K y (positive feedback): makes the peak of mu small, over K and scalings together.
 
     The blocks of an uncertain plant are known; the other channels of w and z are the performance. gamma is an upper
     bound of mu at all frequencies. Exit code 4: no controller could be verified.

@@ -1,1 +1,1 @@
-"""Robust performance: D-K iteration, direct minimisation over the scalings, D-G-K."""
+"""Robust performance: direct minimisation over D(s) and G(s), with K from two Riccati equations."""

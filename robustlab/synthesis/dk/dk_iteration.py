@@ -1,4 +1,4 @@
-"""Robust-performance synthesis: D-K iteration, direct minimisation over the scalings, and D-G-K for real blocks."""
+"""Robust-performance synthesis: K and D together by direct minimisation over the scalings, and G for real blocks."""
 
 from __future__ import annotations
 
@@ -16,14 +16,20 @@ from robustlab.mu_analysis.axis.intervals import AxisCover, cover_axis
 from robustlab.mu_analysis.axis.margin import PERFORMANCE
 from robustlab.mu_analysis.matrix.certificate import project
 from robustlab.mu_analysis.matrix.lower import lower_bounds
-from robustlab.mu_analysis.matrix.upper import compile_kernels, points_work
+from robustlab.mu_analysis.matrix.upper import compile_kernels
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
-from robustlab.synthesis.dk.direct_minimisation import grown, minimised
-from robustlab.synthesis.dk.dk_design import DKStep, DKSynthesis, mu_floor, why_not_less
-from robustlab.synthesis.dk.dynamic_scalings import CoprimePair, DynamicScalings, proved_level, unit_scalings
-from robustlab.synthesis.dk.robust_problem import Iterate, RobustProblem
-from robustlab.synthesis.dk.scalings_fit import FIRST_POINTS, MuCurve, as_complex, fitted_scalings, mu_curve
+from robustlab.synthesis.dk.dk_design import DKStep, DKSynthesis, Iterate, RobustProblem, mu_floor, why_not_less
+from robustlab.synthesis.dk.riccati_level import Found, grown, minimised
+from robustlab.synthesis.dk.scalings import (
+    FIRST_POINTS,
+    DynamicScalings,
+    MuCurve,
+    constant_scalings,
+    mu_curve,
+    proved_level,
+    unit_scalings,
+)
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.problem.controller import Controller
 from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status, limiting_channels
@@ -32,27 +38,18 @@ from robustlab.uncertainty.blocks import Block, FullBlock, as_blocks, delta_valu
 
 WORK = 120 * MILLION  # the usual work at effort 1
 START_SHARE = 0.25  # share for the H-infinity start; larger: a better first controller, less time for the rest
-CLASSICAL_END = 0.5  # share of the work at which D-K iteration ends when direct minimisation follows
 SEARCH_END = 0.8  # share at which the whole search ends; the rest is for the proof
-RELAXATION_END = 0.85  # share at which the search for slower controllers ends
-ITERATIONS = 60  # most D-K iterations
-FIT_LOSS = 0.002  # loss of a fit of D at single frequencies; smaller: higher orders
-FIRST_LOSS = 0.2  # the same for the start of direct minimisation: a rough D of few states
-PROGRESS = 5e-4  # relative progress below which a stage ends; smaller: longer, hardly better
-ROUGH_PROGRESS = 2e-2  # the same for D-K iteration where direct minimisation follows
-LEAST_SEARCH = 0.3  # least share for the search even where the last curve of mu would need more
-FALLS = 2  # consecutive enlargements of the scalings below `PROGRESS` that end the search
-MANY_BLOCKS = 30  # from this number on the lower bound is computed at one frequency instead of four
+RELAXATION = 0.25  # share of that rest for the search for slower controllers
+PROGRESS = 2e-3  # relative progress of an enlargement of the scalings below which it gained nothing
+FALLS = 2  # consecutive enlargements of that kind that end the search
+LOWER_POINTS = 4  # frequencies at which the lower bound of mu is computed
 NEAR_PEAK = 0.9  # sections of all factors are spread over the band in which mu of the first loop is above this share
 MAX_SECTIONS = 8  # of a factor
 BAND_LEVEL = 0.3  # new sections are placed where mu is above this share of its peak ...
 BEYOND = 30.0  # ... and up to this factor beyond; larger: slower and faster sections
-LAST_CURVES = 1.5  # work reserved for the end, in curves of mu ...
-CURVE_POINTS = 112  # ... of this number of frequencies
 PROOF_ACCURACY = 1e-3  # of the proof by intervals; smaller: more intervals
 START_POINTS = 16  # frequencies of the first loop at which mu of real blocks is computed
-ROUGH = 0.1  # share of the loop's gain that regularisation may cost while iterating; smaller: stiffer
-FINE = 0.03  # the same at the end
+FINE = 0.03  # share of the loop's gain that regularisation may cost; smaller: stiffer
 
 
 @error_context("synth dk")
@@ -76,10 +73,10 @@ def dk(
     .. math:: \min_K \sup_\omega \mu_\Delta (F_l(P, K)(j \omega)) \le
         \min_{K, D, G} \; \beta: \; \| D_z F_l(P, K) D_w^{-1} G_M / \beta - G_N \|_\infty \le 1
 
-    Three stages, each starting from the best of the one before. *D-K iteration* alternates H-infinity synthesis for the
-    scaled plant with fits of the scalings that are optimal at single frequencies. *Direct* minimises gamma over the
-    parameters of the scalings, in growing order. *D-G-K* adds G for real blocks. Every controller is evaluated on the
-    loop rebuilt from it, which must be stable, and by the bound that its scalings prove at all frequencies.
+    *D-K*: H-infinity synthesis, the constant D that is best for its loop, and then K and D together: gamma is minimised
+    over the parameters of D, of which the two Riccati equations give K. *Direct* continues with D(s) of growing order;
+    *D-G-K* with D(s) and G(s) where blocks are real. Every controller is evaluated on the loop rebuilt from it, which
+    must be stable, and by the bound that its scalings prove at all frequencies.
 
     Parameters
     ----------
@@ -97,7 +94,7 @@ def dk(
         Stabilising controller to start from (StateSpaceModel, Controller, any Synthesis); default: H-infinity
         synthesis.
     direct
-        Whether direct minimisation follows D-K iteration.
+        Whether D and G may depend on the frequency; False keeps D constant.
     mixed
         Whether to use that real blocks are real; False treats them as complex.
     max_order
@@ -154,9 +151,7 @@ def dk(
         compile_kernels()
         search = _Search(plant, all_blocks, budget, int(max_order), mixed, progress or (lambda _: None))
         search.start(K0)
-        search.alternate(direct)
-        if direct:
-            search.descend()
+        search.descend(direct)
         return search.finished(order_rel)
 
 
@@ -197,21 +192,12 @@ class _Search:
     ) -> None:  # fmt: skip
         self.plant, self.budget, self.whole, self.max_order, self.say = plant, budget, budget.left, max_order, say
         self.mixed = mixed and any(b.g_basis() for b in blocks)
-        self.real, self.blocks = blocks, as_complex(blocks)
-        self.curve_work = points_work(self.real if self.mixed else self.blocks, CURVE_POINTS)
-        self.search = self._until(SEARCH_END)
+        self.real, self.blocks = blocks, tuple(b.as_complex() for b in blocks)
+        self.search = budget.share(SEARCH_END)
         self.problem = RobustProblem(plant, self.search)
         self.max_states = max_order - plant.model.n_states  # of the scalings
         self.iterates: list[Iterate] = []
         self.history: list[DKStep] = []
-        self.curve: MuCurve | None = None
-        self.curved: Iterate | None = None  # the iterate of that curve
-
-    def _until(self, end: float) -> Budget:
-        """Return a budget up to this share of the whole, with enough work reserved for a last curve of mu."""
-        end = min(end, max(1 - LAST_CURVES * self.curve_work / self.whole, LEAST_SEARCH))
-        left = self.budget.left
-        return self.budget.share(max(1 - (1 - end) * self.whole / left, 0.0) if left > 0 else 0.0)
 
     @property
     def late(self) -> bool:
@@ -234,79 +220,59 @@ class _Search:
         if found is None:
             raise NoTrustworthyNumber("synth dk", "the H-infinity design could not be verified in the loop")
         self._keep(found, "start")
-        self.first_curve = curve = self._curve(found)
+        self.curve = curve = mu_curve(found.loop, self.blocks, self.problem.budget)
         self.start_mu = curve.peak  # largest mu at single frequencies
         if self.mixed:  # mu of real blocks where complex mu is largest
             top = np.sort(curve.omega[np.argsort(-curve.levels)[:START_POINTS]])
             self.start_mu = mu_curve(found.loop, self.real, Budget(0.0), top).peak
 
-    def alternate(self, rough: bool) -> None:
-        """Iterate D-K until two iterations in a row gain little; ``rough``: direct minimisation follows."""
-        progress = ROUGH_PROGRESS if rough else PROGRESS
-        if rough:
-            self.problem.budget = self._until(CLASSICAL_END)
-        now, stuck = self.iterates[-1], 0
-        for _ in range(ITERATIONS):
-            if self.late or stuck == 2:
-                break
-            curve, before = self._curve(now), self.best.level
-            scalings = self._fitted(curve, FIT_LOSS, self.problem.budget)
-            refitted = self.problem.proved(now.K, scalings, now.level)
-            if refitted is not None and refitted.level < before:
-                self._keep(refitted, "D-K", curve.peak)
-            self.problem.regularise(refitted or now, ROUGH)
-            found = self.problem.solve(scalings, min(now.level, 1.1 * curve.peak))
-            if found is None:
-                break
-            self._keep(found, "D-K")
-            stuck = stuck + 1 if found.level > before * (1 - progress) else 0
-            now = found
-        self.problem.budget = self.search
-
-    def descend(self) -> None:
-        """Minimise directly over D: with one section more in every factor each time, or section by section where these
-        are too many; for real blocks then over D and G.
+    def descend(self, dynamic: bool) -> None:
+        """Minimise over constant D, then over D(s) with one section more in every factor each time, or section by
+        section where these are too many; for real blocks over D and G, section by section.
         """
+        first, constant = self.best, constant_scalings(self.curve, self.blocks)
+        refitted = self.problem.proved(first.K, constant, first.level)
+        if refitted is not None and refitted.level < first.level:
+            self._keep(refitted, "D-K", self.curve.peak)
+        constant = self.best.scalings  # that, or D = I
         self.problem.regularise(self.best, FINE)
+        found = minimised(self.problem.search, constant, self.best.level)
+        levels = [self._taken(found, "D-K")]
+        self.problem.regularise(self.best, FINE)
+        constant = constant if found is None else found[0]
+        if not dynamic:
+            return
         if self.mixed:
-            self.problem.budget = self.search.share(1 / 3)
-        low, high = np.log(self._band(self.first_curve, NEAR_PEAK))
-        first, levels, before = self.iterates[0], [np.inf], self.best.level
-        bases = unit_scalings(self.blocks), self._fitted(self.first_curve, np.inf, self.problem.budget)
-        proved = [self.problem.proved(first.K, base, first.level) for base in bases]
-        constant = bases[int(np.argmin([np.inf if one is None else one.level for one in proved]))]
+            pairs = zip(constant.parts, self.real, strict=True)
+            parts = (replace(part, g=((),) * block.rows if block.g_basis() else ()) for part, block in pairs)
+            self._grow(DynamicScalings(self.real, tuple(parts)), "D-G-K")
+            return
+        low, high = np.log(self._band(NEAR_PEAK))
         for k in range(1, MAX_SECTIONS + 1):
             scalings = constant.spread((low + (high - low) * (np.arange(k) + 0.5) / k).tolist())
             if scalings.n_states > self.max_states or self._settled(levels):
                 break
-            levels.append(self._taken(minimised(self.problem, scalings, self.best.level), "direct"))
-        if levels[-1] > min(levels) * (1 + PROGRESS) or min(levels) > before:  # other local minima each time
+            levels.append(self._taken(minimised(self.problem.search, scalings, self.best.level), "direct"))
+        if levels[-1] > min(levels) * (1 + PROGRESS):  # other local minima each time
             self._grow(constant, "direct")
-        self.problem.budget = self.search
-        if self.mixed and not self.late:
-            # A rough D: that of the iterate of lowest order, or a fit to the best loop if that has fewer states.
-            fitted = self._fitted(self._curve(self.best), FIRST_LOSS, self.search)
-            first = min(self._chosen(FIRST_LOSS).scalings, fitted, key=lambda scalings: scalings.n_states)
-            self._grow(_with_g(first, self.real), "D-G-K")
 
     def _grow(self, scalings: DynamicScalings, stage: str) -> None:
         """Minimise and enlarge the scalings by one section in turn until this gains little."""
-        low, high = self._band(self.first_curve, BAND_LEVEL)
-        found = None if self.late else minimised(self.problem, scalings, self.best.level)
+        low, high = self._band(BAND_LEVEL)
+        found = None if self.late else minimised(self.problem.search, scalings, self.best.level)
         levels = [np.inf]
         while found is not None:
             levels.append(self._taken(found, stage))
             if self._settled(levels):
                 break
-            larger = grown(self.problem, *found, (low / BEYOND, high * BEYOND), self.max_states)
-            found = None if larger is None else minimised(self.problem, *larger)
+            larger = grown(self.problem.search, *found, (low / BEYOND, high * BEYOND), self.max_states)
+            found = None if larger is None else minimised(self.problem.search, larger, found[1])
 
-    def _taken(self, found: tuple[DynamicScalings, float] | None, stage: str) -> float:
+    def _taken(self, found: Found | None, stage: str) -> float:
         """Keep the controller of minimised scalings, and return their level; inf: none."""
         if found is None or (self.late and found[1] >= self.best.level):
             return np.inf
-        # The result of a minimisation that ends with the budget is still used.
-        iterate = (self.problem.at_level if self.late else self.problem.solve)(*found)
+        iterate = self.problem.solve(*found)
         if iterate is not None:
             self._keep(iterate, stage)
         return found[1]
@@ -315,20 +281,10 @@ class _Search:
         """Return whether the last enlargements gained little, or the work is spent."""
         return self.late or min(levels[-FALLS:]) > min(levels[:-FALLS], default=np.inf) * (1 - PROGRESS)
 
-    @staticmethod
-    def _band(curve: MuCurve, share: float) -> tuple[float, float]:
-        """Return the lowest and the highest frequency (rad/s) at which mu is above this share of its peak."""
-        high = curve.omega[curve.levels >= share * curve.peak]
+    def _band(self, share: float) -> tuple[float, float]:
+        """Return the lowest and the highest frequency (rad/s) at which mu of the first loop is above this share."""
+        high = self.curve.omega[self.curve.levels >= share * self.curve.peak]
         return float(high[0]), float(high[-1])
-
-    def _fitted(self, curve: MuCurve, loss: float, budget: Budget) -> DynamicScalings:
-        return fitted_scalings(curve, self.blocks, loss, self.max_states, budget)
-
-    def _curve(self, iterate: Iterate) -> MuCurve:
-        """Return the curve of complex mu of an iterate; the last one is cached."""
-        if self.curve is None or self.curved is not iterate:
-            self.curve, self.curved = mu_curve(iterate.loop, self.blocks, self.problem.budget), iterate
-        return self.curve
 
     def _keep(self, iterate: Iterate, stage: str, mu: float = float("nan")) -> None:
         self.iterates.append(iterate)
@@ -344,12 +300,12 @@ class _Search:
 
     def finished(self, order_rel: float) -> DKSynthesis:
         """Return the design of the iterate of lowest order close to the best, with the tighter of two proofs."""
-        self.problem.budget, best = self._until(RELAXATION_END), self.best
+        self.problem.budget, best = self.budget.share(RELAXATION), self.best
         chosen = self.problem.relaxed(self._chosen(order_rel), best.level * (1 + order_rel))
         blocks = self.real if self.mixed else self.blocks
         # The proof by intervals comes last: it takes the remaining budget.
         curve = self._last_curve(chosen, blocks)
-        lower, delta, omega = _lower(curve, blocks, 4 if len(blocks) < MANY_BLOCKS else 1)
+        lower, delta, omega = _lower(curve, blocks)
         loop, cover = self.plant.close(chosen.K), AxisCover()
         if curve.peak * (1 + PROOF_ACCURACY) < chosen.level:
             peaks = curve.omega[np.argsort(-curve.levels)[:8]]
@@ -378,27 +334,16 @@ class _Search:
         )  # fmt: skip
 
     def _last_curve(self, chosen: Iterate, blocks: tuple[Block, ...]) -> MuCurve:
-        """Return the curve of mu, with little work remaining only around the peak of the scaled loop."""
+        """Return the curve of mu; without work left only around the peak of the scaled loop."""
         peak = proved_level(chosen.loop, chosen.scalings, chosen.level)[1].frequency
         around = peak * np.geomspace(0.8, 1.25, 5) if 0 < peak < np.inf else np.array([1e-6, 1e-3, 1.0])
-        if self.budget.left < 0.6 * LAST_CURVES * self.curve_work or self.budget.over:
-            return mu_curve(chosen.loop, blocks, Budget(0.0), around)
-        first = np.unique(np.concatenate([default_grid(chosen.loop, FIRST_POINTS, 1.0), around]))
-        return mu_curve(chosen.loop, blocks, self.budget.share(0.5), first)
+        grid = [] if self.budget.over else default_grid(chosen.loop, FIRST_POINTS, 1.0)
+        return mu_curve(chosen.loop, blocks, self.budget.share(0.5), np.union1d(grid, around))
 
 
-def _with_g(scalings: DynamicScalings, blocks: tuple[Block, ...]) -> DynamicScalings:
-    """Return the same D, with a G at real blocks."""
-    parts = tuple(
-        replace(part, g=(part.g or (CoprimePair(),) * block.rows) if block.g_basis() else ())
-        for block, part in zip(blocks, scalings.parts, strict=True)
-    )
-    return DynamicScalings(blocks, parts)
-
-
-def _lower(curve: MuCurve, blocks: tuple[Block, ...], most: int) -> tuple[float, dict[str, Any], float]:
+def _lower(curve: MuCurve, blocks: tuple[Block, ...]) -> tuple[float, dict[str, Any], float]:
     """Return the largest attained lower bound at the frequencies of the largest upper bounds."""
-    top = np.argsort(-curve.levels)[:most]
+    top = np.argsort(-curve.levels)[:LOWER_POINTS]
     found = lower_bounds(curve.response[top], blocks, restarts=4, steps=24)
     best = max(range(len(found)), key=lambda k: found[k][0])
     value, delta = found[best]

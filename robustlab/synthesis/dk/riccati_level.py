@@ -1,12 +1,14 @@
-r"""Smallest level beta of a scaled H-infinity problem, and its derivative by the parameters of the scalings.
+r"""Smallest level beta of a scaled H-infinity problem, and its minimisation over the parameters of the scalings.
 
-The level is where :math:`\rho(X Y) = 1`. One Lyapunov equation for each of X and Y gives the derivative by all
-parameters. Doyle, Glover, Khargonekar, Francis (1989), theorem 3; Glover, Doyle (1988) for D11.
+The level is where :math:`\rho(X Y) = 1`, which eliminates K. One Lyapunov equation for each of X and Y gives the
+derivative by all parameters. Doyle, Glover, Khargonekar, Francis (1989), theorem 3; Glover, Doyle (1988) for D11;
+minimax by sequential quadratic programming: Fletcher, *Practical Methods of Optimization* (1987), section 14.4.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -16,20 +18,27 @@ from robustlab.budget import Budget, dense
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.matrix_equations import balanced_eigenvalues, care, judged_afterwards
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.hinf.two_riccati import RiccatiPair, TwoRiccatiProblem, quadratic
+from robustlab.synthesis.dk.scalings import FIRST_STEP, DynamicScalings
+from robustlab.synthesis.hinf.two_riccati import RiccatiPair, TwoRiccatiProblem, quadratic, smallest_level
 from robustlab.synthesis.problem.partition import PlantMatrices, dual
 from robustlab.synthesis.problem.scaling import Scaling
 
 RESIDUAL = 1e-7  # of a solution after Newton's steps; 1e-3 accepts levels without a proof
 STEP = 1e-5  # of logarithmic parameters in derivatives of the frozen forms, which are smooth
-NEGLIGIBLE = 1e-6  # eigenvalues of X Y below this share of the largest are noise
+NEGLIGIBLE = 1e-3  # eigenvalues of X Y below this share of the largest are far from the level, or noise
 STEEPEST = 1e6  # logarithmic derivatives beyond this are rounding
 LEVEL_RTOL = 1e-6  # of the smallest level
-MAX_TESTS = 40  # pairs of Riccati equations to find a level ...
-SECANTS = 15  # ... of which the later ones only bisect
-SLOPE = -4.0  # first guess of the derivative of log rho(X Y) by log beta
 WITHIN = 0.5  # distance (log beta) below the level of the branches in the model of a step ...
 MOST = 5  # ... and their largest number; more: kinks are detected earlier, each step costs more
+
+DECREASE = 1e-3  # share of the predicted decrease that a step must reach (Armijo)
+LINE_STEPS = 10  # trials of one line search
+STEPS = 60  # of one minimisation
+STEP_PROGRESS = 2e-5  # relative progress in ...
+PATIENCE = 5  # ... this number of steps below which a minimisation ends
+LARGEST_MOVE = 1.0  # largest change of a logarithmic parameter in one step
+LARGEST_RANGE = 16.0  # largest distance of a logarithmic parameter from the start: they may diverge
+PLACES = 9  # frequencies tried for a new section
 
 # Measured work of a test and of a frozen form, without that of their factorisations.
 TEST_WORK, FORM_WORK = 300, 250
@@ -76,53 +85,39 @@ class LevelSearch:
 
     def smallest(self, theta: AnyArray, start: float, rtol: float = LEVEL_RTOL) -> Level | None:
         """Return the smallest level near ``start``; None where none is found."""
-        # Secants of f = log rho(X Y) over t = log beta in a bracket: above the level f < 0, below it f >= 0, or an
-        # equation has no solution.
-        t = float(np.log(max(start, 1e-300)))
-        low, high, smooth, step, slope = -np.inf, np.inf, False, 1e-4, SLOPE
-        best: Pair | None = None
-        last: tuple[float, float] | None = None
-        for k in range(MAX_TESTS):
-            pair = self._test(theta, float(np.exp(t)))
-            f = np.nan if pair is None else float(np.log(pair.coupling))
-            if last is not None and abs(t - last[0]) > 3 * rtol and (f - last[1]) * (t - last[0]) < 0:
-                slope = (f - last[1]) / (t - last[0])
-            last = (t, f) if pair is not None else last
-            if f < 0:
-                high, best = t, pair
-                if slope != SLOPE and f / slope <= rtol:
-                    low, smooth = t, True
-            else:
-                low, smooth = t, pair is not None
-            if high - low <= rtol or step > 60 or self.budget.over:
-                break
-            bracketed, aim = high - low < np.inf, t - f / slope + 0.3 * rtol if k < SECANTS else np.nan
-            if low < aim < high and (bracketed or abs(aim - t) < 1):
-                t = aim
-            elif bracketed:
-                t = 0.5 * (low + high)
-            else:
-                t, step = t + (step if high == np.inf else -step), 4 * step
-        return None if best is None or low == -np.inf else Level(float(np.exp(high)), smooth, best)
+        pairs = dict[float, Pair]()
 
-    def branches(self, theta: AnyArray, level: Level) -> Branches | None:
-        """Return the largest eigenvalues of X Y at and slightly below the level by theta; None: no smooth level."""
+        def coupling(beta: float) -> float | None:
+            pair = self.test(theta, beta)
+            if pair is None:
+                return None
+            pairs[beta] = pair
+            return pair.coupling
+
+        found = smallest_level(coupling, start, rtol, self.budget, FIRST_STEP)
+        return None if found is None or not found[2] else Level(found[0], found[1], pairs[found[0]])
+
+    def branches(self, theta: AnyArray, level: Level, moves: AnyArray | None = None) -> Branches | None:
+        """Return the largest eigenvalues of X Y at and slightly below the level, with their slopes; None: not smooth.
+
+        The slopes are those along ``moves``, each of length STEP: by default every parameter by itself.
+        """
         if not level.smooth:
             return None
-        n = len(self.scaling.states)
-        self.budget.spend(dense(n, 2 * MOST) + (len(theta) + 2) * (FORM_WORK + n**3 // 100))
+        n, moves = len(self.scaling.states), STEP * np.eye(len(theta)) if moves is None else moves
+        self.budget.spend(dense(n, 2 * MOST) + (len(moves) + 2) * (FORM_WORK + n**3 // 100))
         forms, log_beta = self._frozen(theta, level), float(np.log(level.beta))
         here = forms(theta, log_beta)
         slope = (forms(theta, log_beta + STEP) - here) / STEP
-        size = level.pair.eigenvalues[:MOST]
+        size = level.pair.eigenvalues[: len(slope)]
         below = np.log(size) * size / np.where(slope < 0, -slope, np.nan)
         if not below[0] > -np.inf:
             return None
         # Of an eigenvalue at the level of rounding both the logarithm and the slope are noise.
         near = (below - below[0] > -WITHIN) & np.isfinite(below)
-        kept = np.flatnonzero(near & (size > NEGLIGIBLE * size[0]))
-        moved = [(forms(theta + e, log_beta) - here) / STEP for e in STEP * np.eye(len(theta))]
-        slopes = np.array(moved).reshape(len(theta), len(slope)).T
+        kept = np.flatnonzero(near)
+        moved = [(forms(theta + move, log_beta) - here) / STEP for move in moves]
+        slopes = np.array(moved).reshape(len(moves), len(slope)).T
         relative = slopes[kept] / -slope[kept, None]
         sound = np.abs(relative).max(axis=1, initial=0.0) < STEEPEST
         found = Branches(log_beta + below[kept][sound] - below[0], relative[sound])
@@ -131,12 +126,12 @@ class LevelSearch:
     def controller(self, theta: AnyArray, beta: float) -> StateSpaceModel | None:
         """Return the central controller at this level for the plant without D22; None where there is none."""
         try:
-            pair = self._test(theta, beta)
+            pair = self.test(theta, beta)
             if pair is None or pair.coupling >= 1:
                 return None
             # X and Y do not depend on the coordinates of w, z, u, y.
             solved = RiccatiPair(self.scaling.gain, pair.X, pair.Y, pair.coupling)
-            K = TwoRiccatiProblem(self._scaled(theta, beta), False, self.budget).central_controller(solved)
+            K = TwoRiccatiProblem(self._scaled(theta, beta), self.budget).central_controller(solved)
             return StateSpaceModel(*self.scaling.controller_to_plant(K))
         except (NoTrustworthyNumber, InputError, np.linalg.LinAlgError):
             return None
@@ -144,7 +139,8 @@ class LevelSearch:
     def _scaled(self, theta: AnyArray, beta: float) -> PlantMatrices:
         return self.scaling.apply(self._plant(theta, beta))
 
-    def _test(self, theta: AnyArray, beta: float) -> Pair | None:
+    def test(self, theta: AnyArray, beta: float) -> Pair | None:
+        """Return the solutions of both equations; None where one has none."""
         self.budget.spend(TEST_WORK + dense(len(self.scaling.states), 4))
         try:
             p = self._scaled(theta, beta)
@@ -177,20 +173,31 @@ class LevelSearch:
         return found.X, found.gain
 
     def _frozen(self, theta: AnyArray, level: Level) -> Callable[[AnyArray, float], AnyArray]:
-        """Return ``tr(V_X M_X) + tr(V_Y M_Y)`` of each eigenvalue for fixed X, Y, V, which has the slopes of rho."""
+        """Return a function of theta and log beta with the slopes of each eigenvalue, for fixed X, Y and weights.
+
+        ``tr(Lambda (2 X (A + B F) + C_F^T C_F))``, C_F = C + D F, and the same of the dual plant; A + B F of X has the
+        Lyapunov solution Lambda for the eigenvalue's direction.
+        """
         pair, gain = level.pair, self.scaling.gain
         p = self._scaled(theta, level.beta)
-        A_X, A_Y = p.A + np.hstack([p.B1, p.B2]) @ pair.F, p.A.T + np.vstack([p.C1, p.C2]).T @ pair.L
-        weights = []
-        for rho, direction in zip(pair.eigenvalues[:MOST], pair.directions.T, strict=False):
-            # With Y = S S^T and q an eigenvector of S^T X S: u = X S q, Y u = rho S q, u^T Y u = rho^2.
-            dual_direction = pair.X @ direction / np.sqrt(rho * gain**2)
-            weights.append((_adjoint(A_X, pair.F, direction), _adjoint(A_Y, pair.L, dual_direction)))
+        # With Y = S S^T and q an eigenvector of S^T X S: u = X S q, Y u = rho S q, u^T Y u = rho^2.
+        size = pair.eigenvalues[:MOST]
+        size = size[size > NEGLIGIBLE * size[0]]
+        directions = pair.directions[:, : len(size)]
+        duals = pair.X @ directions / (np.sqrt(size) * gain)
+        sides = [
+            (X, F, np.array([_weight(side.A + np.hstack([side.B1, side.B2]) @ F, d) for d in some.T]))
+            for side, X, F, some in ((p, pair.X, pair.F, directions), (dual(p), pair.Y, pair.L, duals))
+        ]
 
         def value(at: AnyArray, log_beta: float) -> AnyArray:
-            q = self._scaled(at, float(np.exp(log_beta)))
-            M_X, M_Y = _form(q, pair.X, gain), _form(dual(q), pair.Y, gain)
-            return np.array([(V_X * M_X).sum() + (V_Y * M_Y).sum() for V_X, V_Y in weights]) / gain**2
+            q, total = self._scaled(at, float(np.exp(log_beta))), 0.0
+            for side, (X, F, weights) in zip((q, dual(q)), sides, strict=True):
+                n_w = side.B1.shape[1]
+                A = side.A + side.B1 @ F[:n_w] + side.B2 @ F[n_w:]
+                C = side.C1 + side.D11 @ F[:n_w] + side.D12 @ F[n_w:]
+                total = total + np.tensordot(weights, 2 * X @ A + C.T @ C, 2)
+            return np.asarray(total) / gain**2
 
         return value
 
@@ -203,18 +210,134 @@ def _root(Y: AnyArray) -> AnyArray:
     return size[:, None] * (vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
-def _adjoint(closed: AnyArray, gain: AnyArray, direction: AnyArray) -> AnyArray:
-    """Return ``[I; F] Lambda [I F^T]`` with ``A_X Lambda + Lambda A_X^T + d d^T = 0``."""
+def _weight(closed: AnyArray, direction: AnyArray) -> AnyArray:
+    """Return Lambda of ``closed Lambda + Lambda closed^T + d d^T = 0``."""
     from scipy.linalg import solve_continuous_lyapunov
 
     with judged_afterwards():  # eigenvalues may nearly mirror each other; slopes of rounding are removed by their size
-        weight = solve_continuous_lyapunov(closed, -np.outer(direction, direction))
-    tall = np.vstack([np.eye(len(closed)), gain])
-    return tall @ weight @ tall.T
+        return solve_continuous_lyapunov(closed, -np.outer(direction, direction))
 
 
-def _form(p: PlantMatrices, X: AnyArray, gamma: float) -> AnyArray:
-    """Return the symmetric ``[A^T X + X A + Q, X B + S; ., R]``."""
-    A, B, Q, S, _, _ = equation = quadratic(p)
-    drift, cross = X @ A, X @ B + S
-    return np.block([[drift + drift.T + Q, cross], [cross.T, equation.R(gamma)]])
+# --- minimisation over the scalings -----------------------------------------------------------------------------------
+
+
+Searches = Callable[[DynamicScalings], LevelSearch]  # the level search of scalings of one form
+Found = tuple[DynamicScalings, float]
+
+
+def minimised(searches: Searches, scalings: DynamicScalings, guess: float) -> Found | None:
+    """Return scalings of the same form with a smaller level, and that level; None where the start has none."""
+    # min_d max_i (values_i + slopes_i^T d) + d^T H^-1 d / 2, with H by BFGS updates of the Lagrangian: where two
+    # eigenvalues of X Y meet the level has a kink, at which a descent on one of them stops early.
+    search, centre = searches(scalings), scalings.parameters()
+    x, level = centre, search.smallest(centre, guess)
+    if level is None:
+        return None
+    local = search.branches(x, level)
+    start = H = np.eye(len(x))
+    levels = [float(np.log(level.beta))]
+    for _ in range(STEPS):
+        if local is None or not len(x) or search.budget.over:
+            break
+        multipliers, predicted = _multipliers(local, H)
+        direction = -H @ (multipliers @ local.slopes)
+        shrink = min(1.0, LARGEST_MOVE / max(float(np.abs(direction).max()), 1e-300))
+        step, found = shrink, None
+        for _ in range(LINE_STEPS):  # backtracking to a share of the predicted decrease
+            if search.budget.over:
+                break
+            s = step * direction
+            inside = np.abs(x + s - centre).max(initial=0.0) <= LARGEST_RANGE
+            expected = level.beta * np.exp(step * predicted)
+            trial = search.smallest(x + s, expected) if inside else None
+            if trial is not None and np.log(trial.beta) <= levels[-1] + DECREASE * step * predicted - 1e-9:
+                found = s, trial
+                break
+            step *= 0.35
+        if found is None:
+            if H is start:
+                break
+            H = start
+            continue
+        s, level = found
+        after, first = search.branches(x + s, level), len(levels) == 1
+        if after is not None:
+            H = _updated(start if first else H, s, _change(local, after, multipliers), first)
+        x, local = x + s, after
+        levels.append(float(np.log(level.beta)))
+        if len(levels) > PATIENCE and levels[-1 - PATIENCE] - levels[-1] < STEP_PROGRESS:
+            break
+    return scalings.with_parameters(x), level.beta
+
+
+def _multipliers(branches: Branches, H: AnyArray) -> tuple[AnyArray, float]:
+    """Return the weights of the branches in the best step, shape (m,), and the predicted change of log beta (<= 0)."""
+    values, Q = branches.values - branches.values[0], branches.slopes @ H @ branches.slopes.T
+    m = len(values)
+    best, best_value = np.eye(m)[0], values[0] - 0.5 * Q[0, 0]
+    for size in range(1, m + 1):
+        for active in combinations(range(m), size):
+            a = list(active)
+            kkt = np.block([[Q[np.ix_(a, a)], np.ones((size, 1))], [np.ones((1, size)), np.zeros((1, 1))]])
+            try:
+                weights = np.linalg.solve(kkt, np.append(values[a], 1.0))[:-1]
+            except np.linalg.LinAlgError:
+                continue
+            if not np.isfinite(weights).all() or (weights < 0).any():
+                continue
+            value = values[a] @ weights - 0.5 * weights @ Q[np.ix_(a, a)] @ weights
+            if value > best_value:
+                best, best_value = np.zeros(m), value
+                best[a] = weights
+    # The dual value is the minimum of the model, of which -lambda^T Q lambda / 2 is the quadratic term.
+    return best, float(best_value)
+
+
+def _change(before: Branches, after: Branches, multipliers: AnyArray) -> AnyArray:
+    """Return the change of the slope of the Lagrangian; branches are matched by their slopes."""
+    result = np.zeros(before.slopes.shape[1])
+    for weight, slope in zip(multipliers, before.slopes, strict=True):
+        if weight > 0:
+            near = int(np.argmin(np.linalg.norm(after.slopes - slope, axis=1)))
+            result += weight * (after.slopes[near] - slope)
+    return result
+
+
+def _updated(H: AnyArray, s: AnyArray, y: AnyArray, first: bool) -> AnyArray:
+    """Return the BFGS update of the inverse Hessian, damped (Powell) so that it stays positive definite."""
+    if first and s @ y > 0:
+        H = np.eye(len(s)) * float(s @ y) / float(y @ y)
+    B_s = np.linalg.solve(H, s)
+    curvature = float(s @ B_s)
+    if s @ y < 0.1 * curvature:
+        share = 0.9 * curvature / (curvature - float(s @ y))
+        y = share * y + (1 - share) * B_s
+    rho = 1 / float(s @ y)
+    V = np.eye(len(s)) - rho * np.outer(s, y)
+    return V @ H @ V.T + rho * np.outer(s, s)
+
+
+def grown(
+    searches: Searches, scalings: DynamicScalings, level: float, omega: tuple[float, float], max_states: int
+) -> DynamicScalings | None:
+    """Return scalings of the same level with one section of D or G more where the level falls most steeply."""
+
+    def local(trial: DynamicScalings, moves: AnyArray | None = None) -> Branches | None:
+        search, x = searches(trial), trial.parameters()
+        pair = None if search.budget.over else search.test(x, level)
+        return None if pair is None else search.branches(x, Level(level, True, pair), moves)
+
+    base = local(scalings)
+    weights = np.ones(1) if base is None else _multipliers(base, np.eye(base.slopes.shape[1]))[0]
+    # Sections start with zero = pole (of G: p = q), which changes neither the level nor its other slopes; that by the
+    # pole is the one by the zero with the other sign.
+    candidates: list[tuple[float, DynamicScalings]] = []
+    places = np.linspace(np.log(omega[0]), np.log(omega[1]), PLACES).tolist()
+    for flat, tilted in scalings.enlarged(places, STEP):
+        if flat.n_states > max_states:
+            continue
+        found = local(flat, (tilted.parameters() - flat.parameters())[None])
+        if found is not None:
+            slope = float(weights[: len(found.slopes)] @ found.slopes[: len(weights), 0])
+            candidates.append((-(slope**2) / (flat.n_states - scalings.n_states), flat))
+    return min(candidates, key=lambda pair: pair[0])[1] if candidates else None

@@ -28,9 +28,9 @@ from robustlab.synthesis.laws.controller_structures import as_structure
 from robustlab.synthesis.nonsmooth.design_limits import Limit
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
 from robustlab.synthesis.nonsmooth.parameter_search import Start, multi_start
-from robustlab.synthesis.problem.assumptions import require_stabilisable
 from robustlab.synthesis.problem.certify import Certificate, certified
 from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status, limiting_channels
+from robustlab.synthesis.problem.limits import require_stabilisable
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant, require_performance
 from robustlab.synthesis.problem.scaling import common_scaling
 from robustlab.tables import Table, Tabular

@@ -22,13 +22,13 @@ from robustlab.result import Status
 from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel, append, as_model, series
 from robustlab.synthesis.fixed import fixed_structure as fixed
-from robustlab.synthesis.hinf.mixed_sensitivity import weight_on_channels
+from robustlab.synthesis.hinf.loop_shaping import weight_on_channels
 from robustlab.synthesis.laws.controller_laws import Law
 from robustlab.synthesis.nonsmooth.design_limits import Limit
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
 from robustlab.synthesis.nonsmooth.parameter_search import BARRIER_CLOSER, central_path, multi_start, refined
 from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status
-from robustlab.synthesis.problem.gamma_bounds import gamma_bound
+from robustlab.synthesis.problem.limits import gamma_bound
 from robustlab.synthesis.problem.partition import GeneralizedPlant, signal_positions
 from robustlab.synthesis.specifications.weight_design import performance_weight
 from robustlab.tables import Table

@@ -11,7 +11,7 @@ from robustlab.arrays import AnyArray
 from robustlab.budget import MILLION, Budget
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.h2.h2_synthesis import synthesize_h2
+from robustlab.synthesis.h2 import synthesize_h2
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.laws.controller_laws import Law
 from robustlab.synthesis.nonsmooth.design_problem import DesignProblem

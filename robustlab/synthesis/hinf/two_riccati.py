@@ -6,7 +6,7 @@ those of Zhou, Doyle, Glover (1996), theorem 17.1: Z of (27) goes into B instead
 
 from __future__ import annotations
 
-from contextlib import suppress
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -14,21 +14,20 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, dense
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.linear_analysis.matrix_equations import care, hamiltonian_riccati
+from robustlab.linear_analysis.matrix_equations import hamiltonian_riccati
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation, dual
 
 # Rounding of an exact X = 0, scaled, which must not count as indefinite. Larger: false passes.
 SEMIDEFINITE = 1e-6
-# Largest residual of a Riccati solution; the loop is verified afterwards.
-RESIDUAL = 1e-3
-# Range of gamma that is searched, scaled.
-SMALLEST_GAMMA = 1e-9
-LARGEST_GAMMA = 1e9
-# Shares of the smallest gamma found that are tested again (the first one; in a careful search all of them): the test
-# in floating point is not monotone in gamma. Longer: fewer false ends, more tests.
-PROBES = (0.93, 0.8, 0.6, 0.4, 0.2, 0.07, 0.02)
-# Singular values of D12 or D21 below this share of the largest count as zero.
-RANK = 1e-13
+RESIDUAL = 1e-3  # largest residual of a Riccati solution; the loop is verified afterwards
+SMALLEST_GAMMA = 1e-9  # a gamma below it, scaled, is not made smaller
+MAX_TESTS = 40  # pairs of Riccati equations to find a level ...
+SECANTS = 15  # ... of which the later ones only bisect
+SLOPE = -4.0  # first guess of the derivative of log rho(X Y) by log beta
+FARTHEST = 60.0  # step of the logarithm at which the search for a bracket ends
+# Share of the smallest gamma found that is tested again: the test in floating point is not monotone in gamma.
+PROBE = 0.93
+RANK = 1e-13  # singular values of D12 or D21 below this share of the largest count as zero
 LARGEST = 1e150  # direct term whose square, over many channels, does not overflow
 
 
@@ -44,7 +43,7 @@ class RiccatiPair(NamedTuple):
 class TwoRiccatiProblem:
     """A regular plant in the coordinates ``D12 = [0; I]``, ``D21 = [0 I]``, and the gamma test on it."""
 
-    def __init__(self, plant: PlantMatrices, careful: bool, budget: Budget) -> None:
+    def __init__(self, plant: PlantMatrices, budget: Budget) -> None:
         _, n_w, n_u, n_z, n_y = plant.sizes
         if n_z < n_u or n_w < n_y:
             raise NoTrustworthyNumber("H-infinity Riccati test", "D12 or D21 cannot have full rank")
@@ -52,7 +51,7 @@ class TwoRiccatiProblem:
         W, s21, Rt = np.linalg.svd(plant.D21)
         if min(s12.min(), s21.min()) <= RANK * max(1.0, s12.max(), s21.max()):
             raise NoTrustworthyNumber("H-infinity Riccati test", "D12 or D21 is rank deficient")
-        self.careful, self.budget = careful, budget  # careful: a second Riccati solver where the first fails
+        self.budget = budget
         self.u_back = Vt.T / s12  # u = u_back @ u_normalised
         self.y_into = W.T / s21[:, None]  # y_normalised = y_into @ y
         z_turn = np.hstack([U[:, n_u:], U[:, :n_u]]).T
@@ -78,62 +77,26 @@ class TwoRiccatiProblem:
         """Return both solutions for any coupling; None if one does not exist or is not positive semidefinite."""
         self.budget.spend(dense(len(self.plant.A), 3))
         control, filtering = self.equations
-        X = None if gamma <= self.floor * (1 + 1e-12) else _solution(control, gamma, self.careful)
-        Y = None if X is None else _solution(filtering, gamma, self.careful)
+        X = None if gamma <= self.floor * (1 + 1e-12) else _solution(control, gamma)
+        Y = None if X is None else _solution(filtering, gamma)
         if X is None or Y is None:
             return None
         return RiccatiPair(gamma, X, Y, float(np.abs(np.linalg.eigvals(X @ Y)).max(initial=0.0)) / gamma**2)
 
-    def smallest_gamma(self, start: float, rtol: float, probes: tuple[float, ...]) -> float | None:
-        """Return the smallest gamma that passes the test; None if none up to LARGEST_GAMMA does."""
-        high, low = max(start, self.floor * 1.01 + 1e-12), self.floor
-        while (at_high := self.solve(high)) is None:
-            low, high = high, 4 * high
-            if high > LARGEST_GAMMA or self.budget.over:
-                return None
-        while True:
-            high = self._closed(low, at_high, rtol)
-            if high < SMALLEST_GAMMA:
-                return high
-            for share in probes:
-                if self.budget.over:
-                    return high
-                at_high = self.solve(high * share)
-                if at_high is not None:
-                    high, low = high * share, self.floor
-                    break
-            else:
-                return high
+    def smallest_gamma(self, start: float, rtol: float) -> float | None:
+        """Return the smallest gamma that passes the test; None where none was found."""
 
-    def _closed(self, low: float, at_high: RiccatiPair, rtol: float) -> float:
-        """Return the upper end of a bracket of relative width ``rtol``, from a passing pair and a gamma below it."""
-        at_low: RiccatiPair | None = None
-        step = 0.03
-        while not self.budget.over:
-            high = at_high.gamma
-            # rho(X Y) falls with gamma: below this one the coupling is 1 or more.
-            low = max(low, high * float(np.sqrt(at_high.coupling)) * (1 - 1e-9), 1e-3 * high)
-            if high - low <= rtol * high or high < SMALLEST_GAMMA:
+        def coupling(gamma: float) -> float | None:
+            pair = self.pair(gamma)
+            return None if pair is None else pair.coupling
+
+        high = max(start, self.floor * 1.01 + 1e-12)
+        while (found := smallest_level(coupling, high, rtol, self.budget, 0.03)) is not None:
+            high = found[0]
+            if high < SMALLEST_GAMMA or self.budget.over or self.solve(high * PROBE) is None:
                 return high
-            if at_low is not None and at_high.coupling > 0:
-                slope = float(np.log(at_low.coupling / at_high.coupling))
-                share = -float(np.log(at_high.coupling)) / slope if slope > 0 else 0.5
-                # Aim half a tolerance to the passing side, so that the bracket closes from both ends.
-                trial = high * (at_low.gamma / high) ** share * (1 + 0.4 * rtol)
-                if at_low.coupling < 1 + rtol:
-                    trial = max(trial, low * (1 + 0.9 * rtol))
-                trial = min(max(trial, low * (low / high) ** -0.02), high * (low / high) ** 0.02)
-            elif low < high * (1 - 3 * step):  # no lower end is known near: growing steps down
-                trial, step = high * (1 - step), min(3 * step, 0.9)
-            else:
-                trial = float(np.sqrt(low * high))
-            found = self.pair(trial)
-            if found is not None and found.coupling < 1:
-                at_high = found
-            else:
-                low, at_low = trial, found
-                step = np.inf  # the bracket has a lower end: bisect from now on
-        return at_high.gamma
+            high *= PROBE
+        return None
 
     def central_controller(self, pair: RiccatiPair) -> Realisation:
         """Return the central controller of a pair, (19) to (27) without the free parameter, for the plant as given."""
@@ -164,6 +127,42 @@ class TwoRiccatiProblem:
         return found
 
 
+def smallest_level(
+    coupling: Callable[[float], float | None], start: float, rtol: float, budget: Budget, step: float
+) -> tuple[float, bool, bool] | None:
+    """Return the smallest level that passes, near ``start``; None where none does within e^80 of it.
+
+    ``coupling`` gives rho(X Y) over the square of a level, below 1 where it passes, or None without solutions. Also
+    returned: whether the coupling is 1 there, and whether a level below was seen to fail.
+    """
+    # Secants of f = log coupling over t = log level in a bracket: above the level f < 0.
+    t = float(np.log(max(start, 1e-300)))
+    low, high, smooth, slope = -np.inf, np.inf, False, SLOPE
+    last: tuple[float, float] | None = None
+    for k in range(MAX_TESTS):
+        rho = coupling(float(np.exp(t)))
+        f = np.nan if rho is None else float(np.log(max(rho, 1e-300)))
+        if last is not None and abs(t - last[0]) > 3 * rtol and (f - last[1]) * (t - last[0]) < 0:
+            slope = (f - last[1]) / (t - last[0])
+        last = (t, f) if rho is not None else last
+        if f < 0:
+            high = t
+            if slope != SLOPE and f / slope <= rtol:
+                low, smooth = t, True
+        else:
+            low, smooth = t, rho is not None
+        if high - low <= rtol or step > FARTHEST or budget.over:
+            break
+        bracketed, aim = high - low < np.inf, t - f / slope + 0.3 * rtol if k < SECANTS else np.nan
+        if low < aim < high and (bracketed or abs(aim - t) < 1):
+            t = aim
+        elif bracketed:
+            t = 0.5 * (low + high)
+        else:
+            t, step = t + (step if high == np.inf else -step), 4 * step
+    return None if high == np.inf else (float(np.exp(high)), smooth, low > -np.inf)
+
+
 class Quadratic(NamedTuple):
     """The state-feedback equation ``A' X + X A + Q - (X B + S) R^-1 (B' X + S') = 0`` of a plant."""
 
@@ -188,7 +187,7 @@ def quadratic(p: PlantMatrices) -> Quadratic:
     return Quadratic(p.A, np.hstack([p.B1, p.B2]), p.C1.T @ p.C1, p.C1.T @ row, 0.5 * (R + R.T), p.B1.shape[1])
 
 
-def _solution(equation: Quadratic, gamma: float, careful: bool) -> AnyArray | None:
+def _solution(equation: Quadratic, gamma: float) -> AnyArray | None:
     """Return the stabilising positive semidefinite X, or None."""
     (A, B, Q, S, _, _), R, n = equation, equation.R(gamma), len(equation.A)
     try:
@@ -198,9 +197,6 @@ def _solution(equation: Quadratic, gamma: float, careful: bool) -> AnyArray | No
     by_B, by_S = solved[:, :n], solved[:, n:]
     G, Q_left = B @ by_B, Q - S @ by_S
     X = hamiltonian_riccati(A - B @ by_S, 0.5 * (G + G.T), 0.5 * (Q_left + Q_left.T), tolerance=RESIDUAL)
-    if X is None and careful:
-        with suppress(NoTrustworthyNumber):
-            X = care(A, B, Q, R, S, tolerance=RESIDUAL).X
     if X is None:
         return None
     values, vectors = np.linalg.eigh(X)

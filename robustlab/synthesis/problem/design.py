@@ -18,7 +18,7 @@ from robustlab.result import Status
 from robustlab.signals import law
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.problem.controller import Controller
-from robustlab.synthesis.problem.gamma_bounds import GammaBound
+from robustlab.synthesis.problem.limits import GammaBound
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 
 
@@ -167,8 +167,6 @@ class HinfSynthesis(Synthesis):
         Frequency in rad/s at which the closed loop attains its norm.
     smallest_gamma
         Smallest verified gamma of the search; K may be a slower controller within the allowed ratio of it.
-    scalings_disagree
-        Relative difference between the best gammas of the two scalings that were tried; NaN where one gave none.
     norm
         The bracket of the closed loop's norm.
     lower_bound
@@ -181,16 +179,15 @@ class HinfSynthesis(Synthesis):
 
     quantities: ClassVar[Mapping[str, Any]] = {
         **Synthesis.quantities,
-        **dict.fromkeys(("smallest_gamma", "peak_frequency", "scalings_disagree", "gamma_lower"), float),
+        **dict.fromkeys(("smallest_gamma", "peak_frequency", "gamma_lower"), float),
     }  # fmt: skip
     saved = (
-        *Synthesis.saved, "smallest_gamma", "peak_frequency", "scalings_disagree", "norm", "gamma_lower", "lower_bound",
+        *Synthesis.saved, "smallest_gamma", "peak_frequency", "norm", "gamma_lower", "lower_bound",
         "assumptions",
     )  # fmt: skip
 
     peak_frequency: float
     smallest_gamma: float
-    scalings_disagree: float
     norm: HinfNorm
     lower_bound: GammaBound
     assumptions: tuple[str, ...]

@@ -49,6 +49,12 @@ class PlantMatrices:
     D12: Array
     D21: Array
 
+    @classmethod
+    def of(cls, system: Realisation, n_w: int, n_z: int) -> PlantMatrices:
+        """Return the matrices of a system from [w; u] to [z; y], without D22."""
+        A, B, C, D = system
+        return cls(A, B[:, :n_w], B[:, n_w:], C[:n_z], C[n_z:], D[:n_z, :n_w], D[:n_z, n_w:], D[n_z:, :n_w])
+
     @property
     def sizes(self) -> tuple[int, int, int, int, int]:
         """``(n_x, n_w, n_u, n_z, n_y)``."""
@@ -74,15 +80,11 @@ class PlantMatrices:
         D11[:n_z, : self.D11.shape[1]] = self.D11
         return replace(self, B1=B1, C1=C1, D11=D11, D12=D12, D21=D21)
 
-    def model(self) -> StateSpaceModel:
-        """Return the model from [w; u] to [z; y]."""
+    def whole(self) -> Realisation:
+        """Return the system from [w; u] to [z; y]."""
         _, _, n_u, _, n_y = self.sizes
-        return StateSpaceModel(
-            self.A,
-            np.hstack([self.B1, self.B2]),
-            np.vstack([self.C1, self.C2]),
-            np.block([[self.D11, self.D12], [self.D21, np.zeros((n_y, n_u))]]),
-        )
+        D = np.block([[self.D11, self.D12], [self.D21, np.zeros((n_y, n_u))]])
+        return Realisation(self.A, np.hstack([self.B1, self.B2]), np.vstack([self.C1, self.C2]), D)
 
 
 def dual(p: PlantMatrices) -> PlantMatrices:
@@ -134,9 +136,7 @@ class GeneralizedPlant(Displayable):
 
     def matrices(self) -> PlantMatrices:
         """Return the matrices without D22."""
-        m, w, z = self.model, self.n_w, self.n_z
-        parts = (m.A, m.B[:, :w], m.B[:, w:], m.C[:z], m.C[z:], m.D[:z, :w], m.D[:z, w:], m.D[z:, :w])
-        return PlantMatrices(*(np.array(part) for part in parts))
+        return PlantMatrices.of(Realisation.of(self.model), self.n_w, self.n_z)
 
     def close(self, K: StateSpaceModel) -> StateSpaceModel:
         """Return the closed loop from w to z for ``u = K y``; signals are matched by `robustlab.feedback.wired`."""

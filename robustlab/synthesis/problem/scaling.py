@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -84,11 +83,7 @@ def _osborne(p: PlantMatrices, states: AnyArray, sweeps: int) -> AnyArray:
     squares[n, :n] = (p.C1**2).sum(0) + (p.C2**2).sum(0)
     np.fill_diagonal(squares, 0.0)
     for _ in range(sweeps):
-        sizes = squares.sum(1)[:n], squares.sum(0)[:n]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            off = np.subtract(*np.log2(sizes))
-        if not np.round(0.25 * off[np.isfinite(off)]).any():  # the sweep would change nothing
-            break
+        before = t.copy()
         for i in range(n):
             row, column = float(squares[i].sum()), float(squares[:, i].sum())
             if not (0 < row < np.inf and 0 < column < np.inf):
@@ -98,6 +93,8 @@ def _osborne(p: PlantMatrices, states: AnyArray, sweeps: int) -> AnyArray:
                 squares[i] *= 4.0**-power
                 squares[:, i] *= 4.0**power
                 t[i] *= 2.0**power
+        if (t == before).all():
+            break
     return t
 
 
@@ -109,22 +106,16 @@ def paths_first(p: PlantMatrices) -> Scaling:
         if (s.z, s.w) == (1.0, 1.0):
             z = float(_power(1 / (_rms(q.D12) or _rms(q.C1) or 1.0)))
             w = float(_power(1 / (_rms(q.D21) or _rms(q.B1) or 1.0)))
-            s, q = _changed(s, q, p, w=w, z=z)
-        s, q = _changed(s, q, p, states=_osborne(q, s.states, 20))
+            s = replace(s, w=w, z=z)
+        s = replace(s, states=_osborne(s.apply(p), s.states, 20))
         if last:
-            return s
+            break
+        q = s.apply(p)
         u = _channel(np.linalg.norm(q.D12, axis=0), np.linalg.norm(q.B2, axis=0))
         y = _channel(np.linalg.norm(q.D21, axis=1), np.linalg.norm(q.C2, axis=1))
-        s, q = _changed(s, q, p, u=s.u / u, y=s.y / y)
+        s = replace(s, u=s.u / u, y=s.y / y)
+        q = s.apply(p)
     return s
-
-
-def _changed(s: Scaling, q: PlantMatrices, p: PlantMatrices, **factors: Any) -> tuple[Scaling, PlantMatrices]:
-    """Return a scaling with other factors, and p scaled by it: q where the factors are as before."""
-    if all(np.array_equal(factor, getattr(s, name)) for name, factor in factors.items()):
-        return s, q
-    s = replace(s, **factors)
-    return s, s.apply(p)
 
 
 def _channel(direct: AnyArray, dynamic: AnyArray) -> AnyArray:

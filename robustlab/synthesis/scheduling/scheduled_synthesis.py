@@ -211,10 +211,10 @@ def _frozen_states(p: PlantMatrices, budget: Budget) -> tuple[Array | None, floa
     found: list[tuple[float, TwoRiccatiProblem]] = []
     for size in ADDED:
         try:
-            problem = TwoRiccatiProblem(p.with_channels(size, size, size, size), True, budget)
+            problem = TwoRiccatiProblem(p.with_channels(size, size, size, size), budget)
         except NoTrustworthyNumber:
             break
-        gamma = problem.smallest_gamma(found[-1][0] if found else 1.0, 1e-2, ())
+        gamma = problem.smallest_gamma(found[-1][0] if found else 1.0, 1e-2)
         if gamma is None:
             break
         found.append((gamma, problem))

@@ -237,8 +237,8 @@ def test_a_level_found_over_ten_decades_of_poles_is_proved() -> None:
     scalings = replace(unit, parts=tuple(parts))
     problem = RobustProblem(plant, Budget())
     level = problem.search(scalings).smallest(scalings.parameters(), 1.5, 1e-5)
-    found = problem.solve(scalings, 1.5)
     assert level is not None
+    found = problem.solve(scalings, level.beta)
     assert found is not None
     assert level.beta == pytest.approx(4.9931, rel=1e-4)
     assert found.level <= 1.001 * level.beta

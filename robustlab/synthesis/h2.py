@@ -18,9 +18,16 @@ from robustlab.linear_analysis.matrix_equations import care, dare
 from robustlab.norms import H2Norm, h2_by_channels
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.problem.assumptions import require_stabilisable
-from robustlab.synthesis.problem.certify import CANCELLED, Certificate, certified
+from robustlab.synthesis.problem.certify import (
+    CANCELLED,
+    Certificate,
+    certified,
+    named_controller,
+    surely_stable,
+    with_direct_term,
+)
 from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status
+from robustlab.synthesis.problem.limits import require_stabilisable
 from robustlab.synthesis.problem.partition import (
     GeneralizedPlant,
     PlantMatrices,
@@ -28,19 +35,16 @@ from robustlab.synthesis.problem.partition import (
     as_generalized_plant,
     require_performance,
 )
-from robustlab.synthesis.problem.rebuilt_loop import named_controller, surely_stable, with_direct_term
 from robustlab.synthesis.problem.scaling import Scaling, equilibrated, paths_first
 
-# Work of a design at effort 1.
-WORK = 60 * MILLION
+WORK = 60 * MILLION  # work of a design at effort 1
 # Sizes of added penalties and noises, scaled. Longer: singular plants get closer to their infimum, K faster.
 LADDER = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
 # Singular values of D12 or D21, scaled, above which that side is not regularised. Smaller: digits are lost.
 REGULAR = 1e-6
 # The regularised optimum falls with the regularisation; two steps that gain less than this end the ladder.
 SETTLED = 1e-4
-# Controllers, best first, that are given to the checker. More: fewer unconfirmed results, slower.
-PROOFS = 3
+PROOFS = 3  # controllers, best first, that are given to the checker. More: fewer unconfirmed results, slower
 # Largest residual of a Riccati solution: those of singular plants lose digits; the rebuilt loop decides.
 RESIDUAL = 1e-3
 
