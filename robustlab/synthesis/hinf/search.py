@@ -17,10 +17,10 @@ from robustlab.arrays import AnyArray, Array
 from robustlab.budget import Budget, dense
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.synthesis.hinf.two_riccati import PROBES, TwoRiccatiProblem
-from robustlab.synthesis.nonsmooth.objectives import ModalLoop, largest_gain
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 from robustlab.synthesis.problem.rebuilt_loop import well_posed_neighbours
 from robustlab.synthesis.problem.scaling import Scaling
+from robustlab.synthesis.structures.loops import ModalLoop, largest_gain
 
 # Sizes of added penalties and noises, scaled. Longer: singular plants get closer to their infimum.
 LADDER = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)

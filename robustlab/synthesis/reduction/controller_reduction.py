@@ -31,7 +31,6 @@ from robustlab.feedback import wired
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft, parallel
 from robustlab.synthesis.hinf.loop_shaping import with_default_performance
-from robustlab.synthesis.nonsmooth.parameter_search import descend
 from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status, limiting_channels
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.problem.performance_measure import (
@@ -43,6 +42,7 @@ from robustlab.synthesis.problem.performance_measure import (
 )
 from robustlab.synthesis.reduction.balancing import Balancing, Projection, block_factor, gramian_factors, split_stable
 from robustlab.synthesis.reduction.ways import way_of, weighted_factors
+from robustlab.synthesis.structures.search import descend
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import Block
 
