@@ -216,7 +216,6 @@ class TunedSynthesis(fixed.ParametricDesign):
         The controller's parameters.
     """
 
-    quantities: ClassVar[Mapping[str, Any]] = {**Synthesis.quantities, "missed": float}
     saved = (*Synthesis.saved, "goals", "limits", "parameters")
 
     goals: tuple[GoalValue, ...]
@@ -225,9 +224,6 @@ class TunedSynthesis(fixed.ParametricDesign):
     def missed(self) -> tuple[GoalValue, ...]:
         """Hard goals that are not met."""
         return tuple(goal for goal in self.goals if goal.hard and not goal.met)
-
-    def numbers(self) -> dict[str, Any]:
-        return {**super().numbers(), "missed": len(self.missed)}
 
     def _gamma_text(self) -> str:
         return f"{self.gamma:.6g} (largest {'' if all(goal.hard for goal in self.goals) else 'soft '}goal, verified)"
@@ -241,12 +237,9 @@ class TunedSynthesis(fixed.ParametricDesign):
         return [*rows, *self.parameter_facts()]
 
     def table(self) -> Table:
-        """A row for each goal."""
+        """Return a row for each goal."""
         columns = {key: [getattr(goal, key) for goal in self.goals] for key in ("hard", "value", "met")}
         return Table(("goal", [goal.text for goal in self.goals]), columns)
-
-    def to_json(self) -> dict[str, Any]:
-        return super().to_json() | {"missed": [goal.text for goal in self.missed]}
 
 
 @error_context("synth tune")
@@ -346,15 +339,11 @@ def tune(
             met = needed <= 1
             if budget.over or (wished <= 0 if met else k == len(GOAL_SHARES)):
                 break
-            trial = problem(1 / wished if met else GOAL_SHARES[k], budget)
-            q, _ = refined(trial, p)
+            q, _ = refined(problem(1 / wished if met else GOAL_SHARES[k], budget), p)
             now, lower = reached(q)
-            if met and not (now <= 1 and lower < wished):
+            if met and not (now <= 1 and lower < wished * (1 - GOAL_PROGRESS)):
                 break
-            converged = met and lower > wished * (1 - GOAL_PROGRESS)
             p, needed, wished = q, now, lower
-            if converged:
-                break
         return _verified(p, law, loops, wanted, limits, budget)
 
 

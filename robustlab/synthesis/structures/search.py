@@ -25,8 +25,8 @@ STABLE = -1e-6  # abscissa (scaled time) at which a start counts as stable
 STABILISE_STEPS = 300  # most steps to it
 DEEPER_STEPS, DEEP = 15, -0.5  # further steps inside, and the abscissa at which they end
 ENTRY_STEPS = 24  # steps on the norm of every start
-REFINED = 3  # number of distinct starts that are refined. More: slower, seldom better
-SHAKES, SHAKE = 3, 0.1  # further refinements of the best from near it, and their distance relative to the variables
+REFINED = 2  # number of distinct starts that are refined. More: slower, seldom better
+SHAKES, SHAKE = 2, 0.1  # further refinements of the best from near it, and their distance relative to the variables
 REFINE_ROUNDS = 8
 DESCENT_STEPS = 100  # before the first round
 ROUND_LINEAR, ROUND_DESCENT = 40, 40  # steps of a round
@@ -74,47 +74,46 @@ def multi_start(
     for i in range(total):
         if problem.budget.over and field:
             break
+        kind, v = "structure", problem.start
         if i < len(given):
             kind, v = given[i][0], problem.variables(given[i][1])
-        elif i == len(given):
-            kind, v = "structure", problem.start
-        else:
-            rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i - len(given),)))
-            kind, v = "random", _random(problem, rng, (i - len(given)) % 2 == 0)
+        elif i > len(given):
+            kind, v = "random", _random(problem, seed, i - len(given))
         v, instability = stabilised(problem, v)
-        start = Start(kind, instability, np.inf, problem.parameters(v)[0])
+        gamma = np.inf
         if instability < STABLE:
-            v, value = descended(problem, v, ENTRY_STEPS, BARRIER)
-            start = replace(start, gamma=value / problem.gain, p=problem.parameters(v)[0])
-        field.append(start)
+            v, gamma = descended(problem, v, ENTRY_STEPS, BARRIER)
+        field.append(Start(kind, instability, gamma / problem.gain, problem.parameters(v)[0]))
         best = min(start.gamma for start in field)
         text = f"best norm {best:.6g}" if np.isfinite(best) else "none stabilises yet"
-        progress(f"start {i + 1} of {total}: norm {start.gamma:.6g}, {text}")
+        progress(f"start {i + 1} of {total}: norm {field[-1].gamma:.6g}, {text}")
     field.sort(key=lambda s: s.gamma)
     distinct = [i for i, s in enumerate(field) if not i or s.gamma > field[i - 1].gamma * (1 + SAME)]
     for i in distinct[:REFINED]:
-        if 0 < field[i].gamma < np.inf and not problem.budget.over:
-            p, value = refined(problem, field[i].p)
-            field[i] = replace(field[i], gamma=min(value / problem.gain, field[i].gamma), p=p)
+        field[i] = _improved(problem, field[i], field[i].p)
+    field.sort(key=lambda s: s.gamma)
     rng = np.random.default_rng(seed)
     for _ in range(SHAKES):
-        field.sort(key=lambda s: s.gamma)
-        if problem.budget.over or not 0 < field[0].gamma < np.inf:
-            break
         v = problem.variables(field[0].p)
         v = v + SHAKE * rng.standard_normal(len(v)) * np.maximum(np.abs(v), SHAKE)
-        p, value = refined(problem, problem.parameters(v)[0])
-        if value / problem.gain < field[0].gamma:
-            field[0] = replace(field[0], gamma=value / problem.gain, p=p)
-    return sorted(field, key=lambda s: s.gamma)
+        field[0] = _improved(problem, field[0], problem.parameters(v)[0])
+    return field
 
 
-def _random(problem: DesignProblem, rng: np.random.Generator, uneven: bool) -> AnyArray:
-    """Return a random start; ``uneven``: parameters over decades, as channels can differ that much."""
-    count = len(problem.free)
-    spread = 10 ** (rng.uniform(-2.0, 2.0, count) if uneven else np.full(count, rng.uniform(-1.0, 1.0)))
+def _random(problem: DesignProblem, seed: int, number: int) -> AnyArray:
+    """Return a random start; every other one has parameters over decades, as channels can differ that much."""
+    rng, count = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,))), len(problem.free)
+    spread = 10 ** (np.full(count, rng.uniform(-1.0, 1.0)) if number % 2 else rng.uniform(-2.0, 2.0, count))
     sizes = np.select([problem.centred, problem.logarithmic], [0.5, 0.3], spread)
     return problem.centre + rng.standard_normal(count) * sizes
+
+
+def _improved(problem: DesignProblem, start: Start, p: AnyArray) -> Start:
+    """Return the start moved to the end of a refinement from p if that is lower, else itself."""
+    if problem.budget.over or not 0 < start.gamma < np.inf:
+        return start
+    q, value = refined(problem, p)
+    return replace(start, gamma=value / problem.gain, p=q) if value / problem.gain < start.gamma else start
 
 
 def stabilised(problem: DesignProblem, v: AnyArray) -> tuple[AnyArray, float]:
