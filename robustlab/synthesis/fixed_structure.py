@@ -426,10 +426,8 @@ def _for_worst_member(
     deltas: list[Mapping[str, Any]] = [{}]
     members = [GeneralizedPlant(uncertain.nominal, plant.n_meas, plant.n_con)]
     done: list[tuple[FixedSynthesis, WorstCaseGain]] = []
-    for number in range(ROUNDS):
-        if done and budget.over:
-            break
-        last = [("given", np.array([p.value for p in done[-1][0].parameters]))] if done else []
+    last: list[tuple[str, AnyArray]] = []
+    while len(done) < ROUNDS and not (done and budget.over):
         try:
             problem = DesignProblem(members, law, "hinf", limits, budget.share(DESIGN_SHARE))
             found = design(problem, [*last, *given])
@@ -440,24 +438,22 @@ def _for_worst_member(
         loop = UncertainModel(lower_lft(uncertain.M, found.K), uncertain.blocks)
         worst = gain_within(loop, budget.share(SEARCH_SHARE), tolerance=0.02)
         done.append((replace(found, worst=worst, scenarios=tuple(deltas), uncertain=uncertain), worst))
-        gains = f"gain {found.gamma:.5g}, worst member {worst.lower:.5g}"
-        say(f"round {number + 1}: {len(members)} scenarios, {gains}")
+        say(f"{len(members)} scenarios: gain {found.gamma:.5g}, worst member {worst.lower:.5g}")
         member = _member(uncertain, worst) if worst.lower > ENOUGH * found.gamma else None
         if member is None:
             break
+        last = [("given", np.array([p.value for p in found.parameters]))]
         deltas.append(dict(worst.delta))
         members.append(GeneralizedPlant(member, plant.n_meas, plant.n_con))
     found, worst = min(done, key=lambda pair: (pair[1].lower, pair[1].upper))
-    scenarios = f"{len(found.scenarios)} scenarios"
     if np.isfinite(worst.upper) and worst.status is Status.CERTIFIED:
         gamma = worst.upper if found.status.trustworthy else max(worst.upper, found.gamma)
         sound = Status.INACCURATE if found.status is Status.INACCURATE else Status.CERTIFIED
-        parts = [found.reason, "worst-case gain over the whole set proved", scenarios]
+        parts = [found.reason, "worst-case gain over the whole set proved"]
     else:
         gamma, sound = max(found.gamma, worst.lower), Status.INCONCLUSIVE
-        unstable = not np.isfinite(worst.lower)
-        parts = ["a member is unstable" if unstable else "the worst-case gain was not proved", scenarios]
-    status, reason = final_status(sound, parts, budget)
+        parts = ["the worst-case gain was not proved" if np.isfinite(worst.lower) else "a member is unstable"]
+    status, reason = final_status(sound, [*parts, f"{len(found.scenarios)} scenarios"], budget)
     return replace(found, gamma=gamma, status=status, reason=reason)
 
 

@@ -64,6 +64,11 @@ class Law:
         np.add.at(theta, (self.row, self.column), self.weight * top * share)
         return theta
 
+    def steepness(self, p: AnyArray, scale: AnyArray) -> AnyArray:
+        """Return the norm of ``scale * dTheta/dp_j`` for every parameter; 0 for one that only divides."""
+        by = self.weight * self._factors(p)[1] * scale[self.row, self.column]
+        return np.sqrt(np.bincount(self.top % (len(p) + 1), by**2, len(p) + 1)[:-1])
+
     def pullback(self, p: AnyArray, G: AnyArray) -> AnyArray:
         """Return ``sum(G * dTheta/dp_j)`` for every parameter."""
         n, (top, share) = len(p), self._factors(p)
@@ -177,12 +182,10 @@ class FixedOrder(Structure):
             for j in range(max(i - 1, 0), min(i + 2, k)):
                 centre = -1.0 if i == j and not dt else 0.0
                 builder.parameter(Parameter(f"A[{i + 1},{j + 1}]", "" if dt else "1/s", centre=centre), (i, j, 1.0))
-        for i in range(k):
-            for j, y in enumerate(measurements):
-                builder.parameter(Parameter(f"B[{i + 1},{y.name}]"), (i, k + j, 1.0))
-        for i, u in enumerate(controls):
-            for j in range(k):
-                builder.parameter(Parameter(f"C[{u.name},{j + 1}]"), (k + i, j, 1.0))
+        for i, j in np.ndindex(k, len(measurements)):
+            builder.parameter(Parameter(f"B[{i + 1},{measurements[j].name}]"), (i, k + j, 1.0))
+        for i, j in np.ndindex(len(controls), k):
+            builder.parameter(Parameter(f"C[{controls[i].name},{j + 1}]"), (k + i, j, 1.0))
         if not self.strictly_proper:
             builder.direct_term(measurements, controls)
         return builder.law()

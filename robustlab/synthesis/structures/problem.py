@@ -240,7 +240,9 @@ class DesignProblem:
         self.fixed = np.clip(start, low, high)
         self.free = np.flatnonzero(low < high)
         self.low, self.high, self.centred = low[self.free], high[self.free], centre[self.free] != 0
-        self._size = self._natural_sizes(self.fixed)
+        # A change of one in v changes the scaled controller by one.
+        steep = self.law.steepness(self.fixed, self._scale)[self.free]
+        self._size = 1 / np.where((steep > 0) & np.isfinite(steep), steep, 1.0)
         self._above, self._below = np.isfinite(self.low), np.isfinite(self.high)
         self._both = self._above & self._below
         self.logarithmic = self._both & (self.low > 0) & (self.high > 10 * self.low)
@@ -251,16 +253,6 @@ class DesignProblem:
         self._unit = np.where(self.logarithmic, 1.0, np.minimum(self._size / self._half, 1.0))
         self.start = self.variables(self.fixed)
         self.centre = self.start + centre[self.free]
-
-    def _natural_sizes(self, p: AnyArray) -> AnyArray:
-        """Return the changes of the free parameters that change the scaled controller by one."""
-        base, sizes = self.law.packed(p), np.ones(len(self.free))
-        for i, j in enumerate(self.free):
-            moved = p.copy()
-            moved[j] += (step := max(abs(p[j]), 1.0))
-            change = np.linalg.norm((self.law.packed(moved) - base) * self._scale) / step
-            sizes[i] = 1 / change if np.isfinite(change) and change > 0 else 1.0
-        return sizes
 
     # --- variables, parameters, controllers --------------------------------------------------------------------------
 

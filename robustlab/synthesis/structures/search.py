@@ -14,7 +14,6 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.budget import Budget
-from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.structures.laws import Law, LawBuilder, Parameter
@@ -288,9 +287,6 @@ def _step(
 
 def descend(plant: GeneralizedPlant, K0: StateSpaceModel, budget: Budget) -> StateSpaceModel:
     """Return a controller of the order of K0 with at most the norm of K0, by descent from K0."""
-    if (K0.n_inputs, K0.n_outputs) != (plant.n_meas, plant.n_con):
-        found = f"K0 has {K0.n_inputs} inputs and {K0.n_outputs} outputs"
-        raise InputError("descend", found, f"{plant.n_meas} and {plant.n_con}")
     law, p = law_around(K0)
     problem = DesignProblem([plant], law, "hinf", (), budget)
     before = problem.value_at(p)
