@@ -39,6 +39,7 @@ HARDER = 1 + 1e-5  # factor of hard goals in the search, so that they hold in th
 GOAL_SHARES = (0.5, 0.2, 0.05, 0.01, 0.0)  # weights of the soft goals, in turn, until the hard ones are met
 GOAL_ROUNDS = 12  # most rounds
 GOAL_PROGRESS = 1e-3  # relative decrease of the soft goals below which the rounds end
+BOLD = 1.5  # power of the hard goals' slack by which soft ones weigh more: 5 rounds for 10, until it misses one
 GOAL_START = 0.6  # share of the work for the first search, from many starts
 
 
@@ -335,15 +336,19 @@ def tune(
         if not stable:
             raise fixed.not_found(first, ends)
         needed, wished, p = min(stable, key=lambda found: (max(found[0], 1.0), found[1]))
+        bold = BOLD
         for k in range(GOAL_ROUNDS if hard.any() else 0):
             met = needed <= 1
             if budget.over or (wished <= 0 if met else k == len(GOAL_SHARES)):
                 break
-            q, _ = refined(problem(1 / wished if met else GOAL_SHARES[k], budget), p)
+            q, _ = refined(problem(needed**-bold / wished if met else GOAL_SHARES[k], budget), p)
             now, lower = reached(q)
-            if met and not (now <= 1 and lower < wished * (1 - GOAL_PROGRESS)):
+            if not met or (now <= 1 and lower < wished * (1 - GOAL_PROGRESS)):
+                p, needed, wished = q, now, lower
+            elif bold:
+                bold = 0.0
+            else:
                 break
-            p, needed, wished = q, now, lower
         return _verified(p, law, loops, wanted, limits, budget)
 
 

@@ -134,7 +134,8 @@ class ModalLoop:
 
     def sigma(self, omega: AnyArray) -> AnyArray:
         """Return the largest singular values at finite frequencies."""
-        return np.linalg.norm(self.response(omega), 2, axis=(1, 2))
+        gain = self.response(omega)
+        return np.linalg.norm(gain, 2 if min(gain.shape[1:]) > 1 else None, axis=(1, 2))
 
 
 class _Member(NamedTuple):
