@@ -15,8 +15,8 @@ from robustlab.norms import H2Norm, hinf_norm
 from robustlab.norms.claims import h2_loop_claims, loop_claims
 from robustlab.norms.numbers import ABOVE, Numbers, loop_numbers
 from robustlab.synthesis.dk.dk_design import DKSynthesis
-from robustlab.synthesis.fixed.fixed_structure import FixedSynthesis
-from robustlab.synthesis.fixed.goal_tuning import TunedSynthesis
+from robustlab.synthesis.fixed_structure import FixedSynthesis
+from robustlab.synthesis.goal_tuning import TunedSynthesis
 from robustlab.synthesis.hinf.loop_shaping import NcfSynthesis
 from robustlab.synthesis.problem.design import Synthesis
 from robustlab.synthesis.reduction.controller_reduction import ReducedController

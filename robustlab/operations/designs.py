@@ -197,7 +197,7 @@ def _rows(text: str) -> list[list[int]]:
 @operation(
     "synth fixed",
     "fixed",
-    result="synthesis.fixed.fixed_structure.FixedSynthesis",
+    result="synthesis.fixed_structure.FixedSynthesis",
     gives="controller",
     made="controller",
 )
@@ -221,7 +221,7 @@ def fixed_structure(
 
     Example: robustlab synth fixed plant.h5 --structure order:2 --measurements 1 --controls 1 --out controller.h5
     """
-    from robustlab.synthesis.laws.controller_structures import structure_in_words
+    from robustlab.synthesis.structures.laws import structure_in_words
 
     P = channels.posed(system, "fixed", nominal)
     found = rl.fixed_structure(

@@ -6,7 +6,7 @@ __all__, __getattr__ = lazily(
     __name__,
     {
         "interchange": "Loaded load load_pair read save",
-        "controller_export": "c_source",
+        "controller_export": "back_calculation c_source",
         "expression_files": "load_parametric",
         "matrices": "Problems",
         "pairs": "check_pair",

@@ -8,6 +8,7 @@ appear in comments only, never in code.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,7 +26,6 @@ from robustlab.signals import Taken, law
 from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
 from robustlab.storage.interchange import save
 from robustlab.synthesis.problem.controller import Controller
-from robustlab.synthesis.windup.back_calculation import back_calculation
 from robustlab.uncertainty.lft import UncertainModel
 
 PREFIX = re.compile(r"[a-z][a-z0-9_]{0,30}")
@@ -40,6 +40,7 @@ SIGNS = {  # what an input takes -> lines of its comment
 }
 TERMS = 4  # of a statement on one line
 ANTI_WINDUP_SAMPLES = 10.0  # in which modes decay during saturation, unless a time is given
+MIRROR = 1.5  # modes are mirrored at exp(-MIRROR dt / time), a little inside the limit of slow modes
 CHECKED = 3  # samples of the sign check in the comment
 
 
@@ -79,6 +80,48 @@ def _back_calculation(
     if gain.shape != shape:
         raise InputError("C export: anti_windup", f"a gain of {gain.shape}", f"{shape}: states and outputs")
     return None, gain
+
+
+def back_calculation(model: StateSpaceModel, limits: Sequence[tuple[float, float]], time: float) -> Array:
+    r"""Return the gain L (n, p) with which every mode decays within ``time`` while all outputs saturate.
+
+    :math:`x_{k+1} = (A - L C) x_k + (B - L D) u_k + L v_k`; nothing is proved where only some of several saturate.
+    """
+    if not time >= model.dt:
+        raise InputError("anti-windup", f"a time of {time:g} s", f"at least one sample time, {model.dt:g} s")
+    scale = np.array([0.5 * (high - low) for low, high in limits])
+    slowest = math.exp(-model.dt / time)
+    gain = _mirroring_gain(model.A, model.C / scale[:, None], slowest, math.exp(-MIRROR * model.dt / time))
+    found = np.zeros((model.n_states, model.n_outputs)) if gain is None else gain / scale
+    radius = float(np.abs(np.linalg.eigvals(model.A - found @ model.C)).max(initial=0.0))
+    if radius > slowest * (1 + 1e-6):
+        raise InputError(
+            "anti-windup",
+            f"a mode of modulus {radius:.6g} that does not show in the control signals",
+            f"modes slower than {time:g} s that do",
+            "take it out first (robustlab synth reduce), or allow a longer time",
+        )
+    return found
+
+
+def _mirroring_gain(A: Array, C: Array, slowest: float, mirror: float) -> Array | None:
+    """Return L for outputs scaled to one; None if no mode is slow."""
+    from scipy.linalg import schur, solve_discrete_lyapunov
+
+    if not A.size:
+        return None
+    ordered: Any = schur(A.T, output="complex", sort=lambda pole: abs(pole) <= slowest * (1 + 1e-12))
+    T, Z, n_fast = ordered
+    if n_fast == len(A):
+        return None
+    F, modes = T[n_fast:, n_fast:] / mirror, Z[:, n_fast:]
+    G = modes.conj().T @ C.T / mirror
+    inverse = np.linalg.inv(F)
+    driven = inverse @ G
+    Y = solve_discrete_lyapunov(inverse, driven @ driven.conj().T)
+    X = np.linalg.pinv(Y, rcond=1e-13, hermitian=True)
+    feedback = np.linalg.solve(np.eye(G.shape[1]) + G.conj().T @ X @ G, G.conj().T @ X @ F)
+    return (feedback @ modes.conj().T).real.T
 
 
 def c_source(
@@ -246,7 +289,7 @@ def export_controller(
         Of the C names.
     saturation
         ``(low, high)`` of all control signals, or a mapping by name; the C step holds its outputs between them,
-        with back-calculation against windup (`robustlab.synthesis.windup.back_calculation`).
+        with back-calculation against windup (`robustlab.storage.back_calculation`).
     anti_windup
         For ``.c`` with a saturation: time in s within which, during saturation, all modes of the controller decay. Ten
         samples by default; inf does not change a stable controller's states. Or the gain itself, (n, p), such as that

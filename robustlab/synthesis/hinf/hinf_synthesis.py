@@ -19,7 +19,7 @@ from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.hinf.two_riccati import TwoRiccatiProblem
-from robustlab.synthesis.nonsmooth.objectives import ModalLoop, largest_gain
+from robustlab.synthesis.structures.loops import ModalLoop, largest_gain
 from robustlab.synthesis.problem.certify import (
     EFFORT,
     certified,

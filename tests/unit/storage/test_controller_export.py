@@ -13,8 +13,7 @@ from patience import PATIENCE
 import robustlab as rl
 from robustlab import discretise
 from robustlab.errors import InputError
-from robustlab.storage import c_source
-from robustlab.synthesis import back_calculation
+from robustlab.storage import back_calculation, c_source
 
 CC = shutil.which("cc")
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-O2", "-ffp-contract=off"]

@@ -92,10 +92,11 @@ def test_the_two_layers_are_the_thesis_controller():
     low = TorqueGains(kp=2.0, kd=3.0, ki=5.0)
     gains = {name: rng.standard_normal((6, 6)) for name in ("Kp", "Kd", "Ki")}
     made = LayeredController(upper_layer(**gains), low, Trim("unused", *np.zeros((3, 6)), 0.0))
-    start = {**gains, "kp": low.kp, "kd": low.kd, "ki": low.ki}
     model = made.state_space()
-    law = MultichannelPID("two-layer", start=start).law(model.inputs, model.outputs, 0.0)
-    K = law.model(np.array([q.start for q in law.parameters]), 0.0)
+    law = MultichannelPID("two-layer").law(model.inputs, model.outputs, 0.0)
+    values = {f"{name}[{i + 1},{j + 1}]": x for name, gain in gains.items() for (i, j), x in np.ndenumerate(gain)}
+    values |= {"kp": low.kp, "kd": low.kd, "ki": low.ki}
+    K = law.model(np.array([values[q.name] for q in law.parameters]), 0.0)
     for ours, theirs in ((K.A, model.A), (K.B, model.B), (K.C, model.C), (K.D, model.D)):
         np.testing.assert_array_equal(ours, theirs)
     units = {q.name: q.unit for q in law.parameters}

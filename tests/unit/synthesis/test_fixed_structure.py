@@ -10,7 +10,6 @@ from scipy.optimize import minimize_scalar
 
 import robustlab as rl
 from robustlab.budget import MILLION, Budget
-from robustlab.errors import InputError
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, lower_lft
@@ -178,9 +177,9 @@ def position_loop():
 def test_a_given_order_starts_from_the_reduced_full_order_design():
     P = position_loop()
     static = rl.fixed_structure(P, "static", n_meas=2, n_con=1, starts=0)
-    second = rl.fixed_structure(P, 2, n_meas=2, n_con=1, starts=0)
+    second = rl.fixed_structure(P, 2, n_meas=2, n_con=1, starts=2)
     full = rl.hinf(P, 2, 1, gamma_rel=1.0)
-    assert {s.kind for s in second.starts} == {"reduced", "structure"}
+    assert {s.kind for s in second.starts} == {"reduced", "structure", "random"}
     assert full.gamma * (1 - 1e-3) <= second.gamma
     assert second.gamma <= 0.95 * static.gamma
 
@@ -201,8 +200,6 @@ def test_descend_improves_a_detuned_controller():
     assert better.n_states == detuned.K.n_states
     unstable = StateSpaceModel([[-1.0]], [[0.0]], [[0.0]], [[0.0]])
     assert descend(plant, unstable, Budget(MILLION)) is unstable
-    with pytest.raises(InputError, match="descend"):
-        descend(plant, StateSpaceModel([], [], [], [[1.0, 2.0]]), Budget(MILLION))
 
 
 # --- gradients of norms of closed loops -------------------------------------------------------------------------------
@@ -239,16 +236,3 @@ def test_gradients_are_those_of_differences(order, discrete):
         expected = slope(lambda x, f=function: f(x)[0], theta, direction)
         # The gradient of the norm is that at the peak's frequency, accurate to about 1e-6.
         assert (G * direction).sum() == pytest.approx(expected, rel=1e-5)
-
-
-def test_a_narrow_peak_is_not_missed():
-    """A resonance of damping 1e-5 and a lower, broad maximum."""
-    A = np.array([[0, 1, 0], [-9.0, -6e-5, 0], [0, 0, -1.0]])
-    plant = PlantMatrices(
-        A, np.array([[0], [1e-3], [1.0]]), np.zeros((3, 1)), np.array([[1.0, 0, 1.0]]), np.zeros((1, 3)),
-        np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)),
-    )  # fmt: skip
-    family = LoopFamily(plant, np.zeros((1, 1)), 0, False)
-    norm = hinf_norm(StateSpaceModel(A, plant.B1, plant.C1, [[0.0]]))
-    assert norm.lower > 5
-    assert family.norm(np.zeros((1, 1)))[0] == pytest.approx(norm.lower, rel=1e-6)

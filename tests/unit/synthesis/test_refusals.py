@@ -142,7 +142,6 @@ REQUESTS = [
     (lambda: structure(PID(tau=-1.0)), "tau: -1.0"),
     (lambda: structure(PID("PX")), "terms: 'PX'"),
     (lambda: structure(PID("PI"), 2), "1 controls for 2 measurements"),
-    (lambda: structure(PID("P", limit=-2.0)), "limit: -2"),
     (lambda: structure(MultichannelPID("ipd"), 5, 2), "5 measurements for 2 controls"),
     (lambda: structure(MultichannelPID("three-layer"), 5, 2), "'three-layer'"),
     (lambda: structure(FixedPoles([1 + 1j])), "without its conjugate"),

@@ -7,7 +7,7 @@ A goal is the norm of a weighted loop of ``u = K (r - y)`` and is met where it i
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -21,16 +21,15 @@ from robustlab.norms import bilinear_to_discrete
 from robustlab.result import Status
 from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel, append, as_model, series
-from robustlab.synthesis.fixed import fixed_structure as fixed
+from robustlab.synthesis import fixed_structure as fixed
 from robustlab.synthesis.hinf.loop_shaping import weight_on_channels
-from robustlab.synthesis.laws.controller_laws import Law
-from robustlab.synthesis.nonsmooth.design_limits import Limit
-from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
-from robustlab.synthesis.nonsmooth.parameter_search import BARRIER_CLOSER, central_path, multi_start, refined
 from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status
 from robustlab.synthesis.problem.limits import gamma_bound
-from robustlab.synthesis.problem.partition import GeneralizedPlant, signal_positions
+from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.specifications.weight_design import performance_weight
+from robustlab.synthesis.structures.laws import Law
+from robustlab.synthesis.structures.problem import DesignProblem, Limit
+from robustlab.synthesis.structures.search import multi_start, refined
 from robustlab.tables import Table
 
 INPUTS = ("reference", "disturbance", "noise")
@@ -40,6 +39,7 @@ HARDER = 1 + 1e-5  # factor of hard goals in the search, so that they hold in th
 GOAL_SHARES = (0.5, 0.2, 0.05, 0.01, 0.0)  # weights of the soft goals, in turn, until the hard ones are met
 GOAL_ROUNDS = 12  # most rounds
 GOAL_PROGRESS = 1e-3  # relative decrease of the soft goals below which the rounds end
+BOLD = 1.5  # power of the hard goals' slack by which soft ones weigh more: 5 rounds for 10, until it misses one
 GOAL_START = 0.6  # share of the work for the first search, from many starts
 
 
@@ -53,8 +53,8 @@ class Goal:
     @property
     def text(self) -> str:
         """The goal in words: its numbers by name."""
-        named = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("hard", "weight")}
-        words = [f"{n} {v:g}" if isinstance(v, float) else f"{n} {v}" for n, v in named.items() if v is not None]
+        named = {n: v for n, v in vars(self).items() if n not in ("hard", "weight") and v is not None}
+        words = [f"{n} {v:g}" if isinstance(v, float) else f"{n} {v}" for n, v in named.items()]
         return f"{type(self).__name__.removesuffix('Goal').lower()}: {', '.join(words)}"
 
     def requirement(self) -> tuple[str, str, Any]:
@@ -65,9 +65,7 @@ class Goal:
         """Return the generalised plant whose norm is at most one where the goal is met; z times ``share``."""
         model, n_z, n_w = loop.model, loop.n_z, loop.n_w
         into, out, weight = self.requirement()
-        only = self.outputs if isinstance(self, TrackingGoal) else None
-        ins = _signals(model.input_names[:n_w], into, INPUTS, only)
-        outs = _signals(model.output_names[:n_z], out, OUTPUTS, only)
+        ins, outs = _signals(model.input_names[:n_w], into, INPUTS), _signals(model.output_names[:n_z], out, OUTPUTS)
         T, n = model.select([*ins, *model.input_names[n_w:]], [*outs, *model.output_names[n_z:]]), len(outs)
         D = np.array(T.D)
         if isinstance(self, MarginGoal):
@@ -83,21 +81,17 @@ class Goal:
 
 @dataclass(frozen=True)
 class TrackingGoal(Goal):
-    """Tracking of references by the named outputs (default: all): ``|W S| <= 1`` with the weight of
-    `robustlab.performance_weight` at the bandwidth 2 / response_time, with this steady-state error and peak.
+    """Tracking of the references: ``|W S| <= 1`` with the weight of `robustlab.performance_weight` at the bandwidth
+    2 / response_time, with this steady-state error and peak.
     """
 
     response_time: float
     error: float = 1e-2
     peak: float = 2.0
-    outputs: Sequence[str] | None = None
 
     def requirement(self) -> tuple[str, str, Any]:
-        return (
-            "reference",
-            "error",
-            performance_weight(2 / _positive("response_time", self.response_time), self.error, self.peak),
-        )
+        bandwidth = 2 / _positive("response_time", self.response_time)
+        return "reference", "error", performance_weight(bandwidth, self.error, self.peak)
 
 
 @dataclass(frozen=True)
@@ -159,11 +153,10 @@ def _positive(name: str, value: float) -> float:
     return number(f"goal: {name}", value, "a positive number", above=0)
 
 
-def _signals(names: Sequence[str], group: str, groups: Sequence[str], only: Sequence[str] | None) -> list[str]:
-    """Return the signals of a group among the names; ``only``: those of the named outputs of the plant."""
+def _signals(names: Sequence[str], group: str, groups: Sequence[str]) -> list[str]:
+    """Return the signals of a group among the names."""
     choice(f"goal: {'inputs' if groups is INPUTS else 'outputs'}", group, groups)
-    known = [name.removeprefix(f"{group} ") for name in names if name.startswith(f"{group} ")]
-    return [f"{group} {known[i]}" for i in signal_positions(known if only is None else only, known, f"goal: {group}")]
+    return [name for name in names if name.startswith(f"{group} ")]
 
 
 def _loop(g: StateSpaceModel) -> GeneralizedPlant:
@@ -224,7 +217,6 @@ class TunedSynthesis(fixed.ParametricDesign):
         The controller's parameters.
     """
 
-    quantities: ClassVar[Mapping[str, Any]] = {**Synthesis.quantities, "missed": float}
     saved = (*Synthesis.saved, "goals", "limits", "parameters")
 
     goals: tuple[GoalValue, ...]
@@ -233,9 +225,6 @@ class TunedSynthesis(fixed.ParametricDesign):
     def missed(self) -> tuple[GoalValue, ...]:
         """Hard goals that are not met."""
         return tuple(goal for goal in self.goals if goal.hard and not goal.met)
-
-    def numbers(self) -> dict[str, Any]:
-        return {**super().numbers(), "missed": len(self.missed)}
 
     def _gamma_text(self) -> str:
         return f"{self.gamma:.6g} (largest {'' if all(goal.hard for goal in self.goals) else 'soft '}goal, verified)"
@@ -249,12 +238,9 @@ class TunedSynthesis(fixed.ParametricDesign):
         return [*rows, *self.parameter_facts()]
 
     def table(self) -> Table:
-        """A row for each goal."""
+        """Return a row for each goal."""
         columns = {key: [getattr(goal, key) for goal in self.goals] for key in ("hard", "value", "met")}
         return Table(("goal", [goal.text for goal in self.goals]), columns)
-
-    def to_json(self) -> dict[str, Any]:
-        return super().to_json() | {"missed": [goal.text for goal in self.missed]}
 
 
 @error_context("synth tune")
@@ -350,20 +336,18 @@ def tune(
         if not stable:
             raise fixed.not_found(first, ends)
         needed, wished, p = min(stable, key=lambda found: (max(found[0], 1.0), found[1]))
+        bold = BOLD
         for k in range(GOAL_ROUNDS if hard.any() else 0):
             met = needed <= 1
             if budget.over or (wished <= 0 if met else k == len(GOAL_SHARES)):
                 break
-            trial = problem(1 / wished if met else GOAL_SHARES[k], budget)
-            v, _ = central_path(trial, trial.variables(p), BARRIER_CLOSER)
-            q, value = refined(trial, trial.parameters(v)[0])
-            q = q if value < trial.norm(trial.variables(p))[0] else p
+            q, _ = refined(problem(needed**-bold / wished if met else GOAL_SHARES[k], budget), p)
             now, lower = reached(q)
-            if met and not (now <= 1 and lower < wished):
-                break
-            converged = met and lower > wished * (1 - GOAL_PROGRESS)
-            p, needed, wished = q, now, lower
-            if converged:
+            if not met or (now <= 1 and lower < wished * (1 - GOAL_PROGRESS)):
+                p, needed, wished = q, now, lower
+            elif bold:
+                bold = 0.0
+            else:
                 break
         return _verified(p, law, loops, wanted, limits, budget)
 

@@ -1,28 +1,127 @@
-"""Controller structures, which can be combined.
+r"""Controllers as functions of named parameters, and the structures that give them.
 
-They have short forms in Python (an order, a mask, a name) and words in commands and recipes (``pid``, ``order:3``).
+A law is the packed matrix :math:`\Theta(p) = [A_K, B_K; C_K, D_K]`. Structures can be combined; they have short forms
+in Python (an order, a mask, a name) and words in commands and recipes (``pid``, ``order:3``).
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from robustlab.arrays import Mask
+from robustlab.arrays import AnyArray, Mask
 from robustlab.checks import choice, whole
 from robustlab.errors import InputError
-from robustlab.statespace import Signal
-from robustlab.synthesis.laws.controller_laws import Law, LawBuilder, Parameter, side_by_side
+from robustlab.statespace import Signal, StateSpaceModel
 from robustlab.synthesis.problem.partition import GeneralizedPlant, signal_positions
 from robustlab.synthesis.problem.scaling import common_scaling
 
 Signals = tuple[Signal, ...]
 WHERE = "fixed structure"
 GAINS = ("full", "diagonal", "scalar")
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter of a controller."""
+
+    name: str
+    unit: str = ""  # empty: not stated
+    low: float = -np.inf
+    high: float = np.inf
+    start: float = 0.0  # where a search starts
+    centre: float = 0.0  # centre of random starts, in units of its natural size and relative to `start`
+
+
+@dataclass(frozen=True, eq=False)
+class Law:
+    """``Theta(p) = base + sum of entries``; an entry at (row, column) is ``weight * p[top] / (p[below] + dt)``.
+
+    ``top``, ``below`` -1: that factor is one.
+    """
+
+    parameters: tuple[Parameter, ...]
+    sizes: tuple[int, int, int]  # numbers of states, controls and measurements
+    base: AnyArray
+    top: AnyArray
+    row: AnyArray
+    column: AnyArray
+    weight: AnyArray
+    below: AnyArray
+    dt: float = 0.0  # of the backward differences of a sampled derivative filter; 0: continuous
+
+    def _factors(self, p: AnyArray) -> tuple[AnyArray, AnyArray]:
+        return np.append(p, 1.0)[self.top], 1 / np.append(p + self.dt, 1.0)[self.below]
+
+    def packed(self, p: AnyArray) -> AnyArray:
+        """Return ``[A_K, B_K; C_K, D_K]``, shape (n_states + n_controls, n_states + n_measurements)."""
+        top, share = self._factors(p)
+        theta = self.base.astype(np.result_type(self.base, p))
+        np.add.at(theta, (self.row, self.column), self.weight * top * share)
+        return theta
+
+    def steepness(self, p: AnyArray, scale: AnyArray) -> AnyArray:
+        """Return the norm of ``scale * dTheta/dp_j`` for every parameter; 0 for one that only divides."""
+        by = self.weight * self._factors(p)[1] * scale[self.row, self.column]
+        return np.sqrt(np.bincount(self.top % (len(p) + 1), by**2, len(p) + 1)[:-1])
+
+    def pullback(self, p: AnyArray, G: AnyArray) -> AnyArray:
+        """Return ``sum(G * dTheta/dp_j)`` for every parameter."""
+        n, (top, share) = len(p), self._factors(p)
+        by = self.weight * G[self.row, self.column] * share
+        above = np.bincount(self.top % (n + 1), by, n + 1)
+        return (above - np.bincount(self.below % (n + 1), by * top * share, n + 1))[:n]
+
+    def model(self, p: AnyArray, dt: float, inputs: Any = None, outputs: Any = None) -> StateSpaceModel:
+        """Return the controller as a model."""
+        k = self.sizes[0]
+        return StateSpaceModel(*unpacked(self.packed(p), k), dt, inputs, outputs, [f"k{i + 1}" for i in range(k)])
+
+
+def unpacked(theta: AnyArray, n_states: int) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
+    """Return ``(A_K, B_K, C_K, D_K)`` of packed matrices."""
+    k = n_states
+    return theta[:k, :k], theta[:k, k:], theta[k:, :k], theta[k:, k:]
+
+
+@dataclass
+class LawBuilder:
+    """Builder of a law from its parameters and the entries of the packed matrices that they fill."""
+
+    n_states: int
+    n_controls: int
+    n_measurements: int
+    parameters: list[Parameter] = field(default_factory=list)
+    entries: list[tuple[int, int, int, float, int]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.base = np.zeros((self.n_states + self.n_controls, self.n_states + self.n_measurements))
+
+    def parameter(self, parameter: Parameter, *entries: tuple[int, int, float], below: int = -1) -> None:
+        """Add a parameter with its entries ``(row, column, weight)``, divided by that of number ``below``."""
+        self.entries += [(len(self.parameters), row, column, weight, below) for row, column, weight in entries]
+        self.parameters.append(parameter)
+
+    def direct_term(self, measurements: Signals, controls: Signals, name: str = "D", mask: Any = None) -> None:
+        """Add the free entries of D_K as parameters."""
+        k = self.n_states
+        for i, j in np.argwhere(_mask(mask, len(controls), len(measurements))).tolist():
+            u, y = controls[i], measurements[j]
+            self.parameter(Parameter(f"{name}[{u.name},{y.name}]", _unit(u, y)), (k + i, k + j, 1.0))
+
+    def law(self, dt: float = 0.0) -> Law:
+        """Return the finished law."""
+        sizes = self.n_states, self.n_controls, self.n_measurements
+        top, row, column, weight, below = np.array(self.entries, dtype=float).reshape(-1, 5).T
+        places = [at.astype(int) for at in (top, row, column)]
+        return Law(tuple(self.parameters), sizes, self.base, *places, weight, below.astype(int), dt)
+
+
+# --- structures -------------------------------------------------------------------------------------------------------
 
 
 class Structure(ABC):
@@ -44,28 +143,6 @@ def _unit(out: Signal, into: Signal, suffix: str = "") -> str:
     return f"{out.unit or '1'}/{below}"
 
 
-@dataclass(frozen=True, eq=False)
-class StaticGain(Structure):
-    """``u = K y`` with a constant gain."""
-
-    mask: Any = None  # free entries of K, shape (n_con, n_meas), default: all; the others are zero
-
-    def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
-        builder = LawBuilder(0, len(controls), len(measurements))
-        _add_direct_term(builder, measurements, controls, "K", self.mask)
-        return builder.law()
-
-
-def _add_direct_term(
-    builder: LawBuilder, measurements: Signals, controls: Signals, name: str = "D", mask: Any = None
-) -> None:
-    """Add the free entries of D_K as parameters."""
-    k = builder.n_states
-    for i, j in np.argwhere(_mask(mask, len(controls), len(measurements))).tolist():
-        u, y = controls[i], measurements[j]
-        builder.parameter(Parameter(f"{name}[{u.name},{y.name}]", _unit(u, y)), (k + i, k + j, 1.0))
-
-
 def _mask(mask: Any, n_u: int, n_y: int) -> Mask:
     if mask is None:
         return np.ones((n_u, n_y), dtype=bool)
@@ -75,6 +152,18 @@ def _mask(mask: Any, n_u: int, n_y: int) -> Mask:
     if not np.isin(free, (0, 1)).all() or not free.any():
         raise InputError(f"{WHERE}: mask", "no mask", "zeros and ones, at least one of them 1")
     return free.astype(bool)
+
+
+@dataclass(frozen=True, eq=False)
+class StaticGain(Structure):
+    """``u = K y`` with a constant gain."""
+
+    mask: Any = None  # free entries of K, shape (n_con, n_meas), default: all; the others are zero
+
+    def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
+        builder = LawBuilder(0, len(controls), len(measurements))
+        builder.direct_term(measurements, controls, "K", self.mask)
+        return builder.law()
 
 
 @dataclass(frozen=True)
@@ -93,14 +182,12 @@ class FixedOrder(Structure):
             for j in range(max(i - 1, 0), min(i + 2, k)):
                 centre = -1.0 if i == j and not dt else 0.0
                 builder.parameter(Parameter(f"A[{i + 1},{j + 1}]", "" if dt else "1/s", centre=centre), (i, j, 1.0))
-        for i in range(k):
-            for j, y in enumerate(measurements):
-                builder.parameter(Parameter(f"B[{i + 1},{y.name}]"), (i, k + j, 1.0))
-        for i, u in enumerate(controls):
-            for j in range(k):
-                builder.parameter(Parameter(f"C[{u.name},{j + 1}]"), (k + i, j, 1.0))
+        for i, j in np.ndindex(k, len(measurements)):
+            builder.parameter(Parameter(f"B[{i + 1},{measurements[j].name}]"), (i, k + j, 1.0))
+        for i, j in np.ndindex(len(controls), k):
+            builder.parameter(Parameter(f"C[{controls[i].name},{j + 1}]"), (k + i, j, 1.0))
         if not self.strictly_proper:
-            _add_direct_term(builder, measurements, controls)
+            builder.direct_term(measurements, controls)
         return builder.law()
 
 
@@ -129,10 +216,6 @@ class MultichannelPID(Structure):
         Of ``layout="pid"``: the terms among P, I, D.
     tau
         Time constant of the derivative filters in s: a number, or ``(low, high)`` to optimise it; required with D.
-    limit
-        Largest modulus of every gain.
-    start
-        Gains to start from by name of the matrix: ``{"Kp": ..., "Ki": ..., "Kd": ..., "kp": .., "ki": .., "kd": ..}``.
 
     References
     ----------
@@ -143,8 +226,6 @@ class MultichannelPID(Structure):
     gains: Any = "full"
     terms: str = "PID"
     tau: Any = None
-    limit: float = np.inf
-    start: Any = None
 
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
         if choice(f"{WHERE}: layout", self.layout, ("pid", "ipd", "two-layer")) == "pid":
@@ -161,30 +242,22 @@ class MultichannelPID(Structure):
             raise InputError(f"{WHERE}: terms", f"{self.terms!r}", 'letters of "PID"')
         groups = self._groups(n_u, n_y)
         n_i, n_d = n_y * ("I" in self.terms), n_y * ("D" in self.terms)
-        k = n_i + n_d
+        k, rate = n_i + n_d, dt or 1.0
         builder = LawBuilder(k, n_u, n_y)
-        for j in range(n_i):
-            builder.base[j, j] = 1.0 if dt else 0.0
-            builder.base[j, k + j] = dt or 1.0
+        builder.base[range(k), range(k)] = 1.0 if dt else 0.0
+        builder.base[range(n_i), range(k, k + n_i)] = rate
         terms = [t for t in "PID" if t in self.terms]
         tau = len(terms) * len(groups)  # index of that parameter, after all gains
         for term in terms:
             for name, places in groups:
-                u, y = controls[places[0][0]], measurements[places[0][1]]
-                if term == "P":
-                    entries = [(k + i, k + j, 1.0) for i, j in places]
-                elif term == "I":
-                    entries = [(k + i, j, 1.0) for i, j in places]
-                else:
-                    entries = [e for i, j in places for e in ((k + i, k + j, 1.0), (k + i, n_i + j, -1.0))]
-                unit = _unit(u, y, "/s") if term == "I" else _unit(u, y)
+                unit = _unit(controls[places[0][0]], measurements[places[0][1]], "/s" if term == "I" else "")
                 if term == "D":
                     unit = unit.replace("/", " s/", 1) or "s"
-                gain = self._gain(f"K{term.lower()}", name, unit, *places[0])
-                builder.parameter(gain, *entries, below=tau if term == "D" else -1)
+                first, sign = {"P": (k, 0.0), "I": (0, 0.0), "D": (k, -1.0)}[term]
+                entries = [(k + i, first + j, 1.0) for i, j in places]
+                entries += [(k + i, n_i + j, sign) for i, j in places if sign]
+                builder.parameter(Parameter(f"K{term.lower()}{name}", unit), *entries, below=tau if sign else -1)
         for i in range(n_i, k):  # tau x' = -x + y, sampled by backward differences; acts as (y - x) / tau
-            builder.base[i, i] = 1.0 if dt else 0.0
-            rate = dt or 1.0
             builder.entries += [(-1, i, i, -rate, tau), (-1, i, k + i - n_i, rate, tau)]
         if n_d:
             builder.parameter(self._filter())
@@ -210,13 +283,6 @@ class MultichannelPID(Structure):
         free = _mask(None if form == "full" else self.gains, n_u, n_y)
         return [(f"[{i + 1},{j + 1}]", [(i, j)]) for i, j in np.argwhere(free).tolist()]
 
-    def _gain(self, matrix: str, index: str, unit: str, i: int, j: int) -> Parameter:
-        given = np.asarray((self.start or {}).get(matrix, 0.0), dtype=float)
-        value, bound = float(given[i, j] if given.ndim else given), float(self.limit)
-        if not bound > 0:
-            raise InputError(f"{WHERE}: limit", f"{bound:g}", "a positive number")
-        return Parameter(matrix + index, unit, -bound, bound, float(np.clip(value, -bound, bound)), abs(value))
-
     # --- I-PD and two-layer ------------------------------------------------------------------------------------------
 
     def _layers(self, measurements: Signals, controls: Signals, dt: float) -> Law:
@@ -237,29 +303,29 @@ class MultichannelPID(Structure):
                 builder.base[k + j, 2 * n + j] = 1.0
         row = n if two else k  # of m_ref
         out = Signal("torque", measurements[3 * n].unit) if two else controls[0]
-        groups = self._groups(n, n)
         for matrix, column, sign, signal, power in (
             ("Kp", phi, -1.0, measurements[n], ""),
             ("Kd", rate, -1.0, measurements[2 * n], ""),
             ("Ki", 0, 1.0, measurements[0], "/s"),
         ):
-            for name, places in groups:
+            for name, places in self._groups(n, n):
                 entries = [(row + i, column + j, sign) for i, j in places]
-                builder.parameter(self._gain(matrix, name, _unit(out, signal, power), *places[0]), *entries)
+                builder.parameter(Parameter(matrix + name, _unit(out, signal, power)), *entries)
         if two:  # one kp, ki, kd for the loops of all axes
-            m, u = measurements[3 * n], controls[0]
-            for name, entries, unit in (
-                ("kp", [(2 * n + j, torque + j, -1.0) for j in range(n)], _unit(u, m, "/s")),
-                ("kd", [(k + j, torque + j, -1.0) for j in range(n)], _unit(u, m)),
-                ("ki", [(2 * n + j, n + j, 1.0) for j in range(n)], _unit(u, m, "/s2")),
+            m, u, axes = measurements[3 * n], controls[0], range(n)
+            for name, first, column, sign, power in (
+                ("kp", 2 * n, torque, -1.0, "/s"),
+                ("kd", k, torque, -1.0, ""),
+                ("ki", 2 * n, n, 1.0, "/s2"),
             ):
-                builder.parameter(self._gain(name, "", unit, 0, 0), *entries)
+                entries = [(first + j, column + j, sign) for j in axes]
+                builder.parameter(Parameter(name, _unit(u, m, power)), *entries)
         return builder.law()
 
 
-def PID(terms: str = "PID", tau: Any = None, limit: float = np.inf, start: Any = None) -> MultichannelPID:
+def PID(terms: str = "PID", tau: Any = None) -> MultichannelPID:
     """Return one PID per channel, from measurement i to control i; see `MultichannelPID`."""
-    return MultichannelPID("pid", "diagonal", terms, tau, limit, start)
+    return MultichannelPID("pid", "diagonal", terms, tau)
 
 
 @dataclass(frozen=True, eq=False)
@@ -295,7 +361,7 @@ class FixedPoles(Structure):
                     builder.parameter(Parameter(text, unit), (k + i, at + part, 1.0))
                 at += size
         if not self.strictly_proper:
-            _add_direct_term(builder, measurements, controls)
+            builder.direct_term(measurements, controls)
         return builder.law()
 
 
@@ -340,16 +406,25 @@ class Sum(Structure):
 
 
 def _together(parts: Sequence[Part], measurements: Signals, controls: Signals, dt: float) -> Law:
-    """Return the law of parts, whose parameters get the number of the part as a prefix."""
-    laws, rows, columns = list[Law](), list[list[int]](), list[list[int]]()
-    for i, part in enumerate(parts, start=1):
+    """Return the law of parts, whose shared controls add up; parameters get the number of their part as a prefix."""
+    made = list[tuple[Law, list[int], list[int]]]()
+    for part in parts:
         y = signal_positions(part.measurements, [s.name for s in measurements], f"{WHERE}: measurement")
         u = signal_positions(part.controls, [s.name for s in controls], f"{WHERE}: control")
         law = part.structure.law(tuple(measurements[j] for j in y), tuple(controls[j] for j in u), dt)
-        laws.append(replace(law, parameters=tuple(replace(p, name=f"{i}.{p.name}") for p in law.parameters)))
-        rows.append(u)
-        columns.append(y)
-    return side_by_side(laws, rows, columns, len(controls), len(measurements))
+        made.append((law, u, y))
+    builder = LawBuilder(sum(law.sizes[0] for law, _, _ in made), len(controls), len(measurements))
+    k, state = builder.n_states, 0
+    for number, (law, u, y) in enumerate(made, start=1):
+        own, first = range(state, state + law.sizes[0]), len(builder.parameters)
+        rows, columns = (np.array([*own, *(k + i for i in channels)], dtype=int) for channels in (u, y))
+        builder.base[rows[:, None], columns] += law.base
+        top, below = (np.where(at < 0, -1, at + first) for at in (law.top, law.below))
+        parts_of = (top, rows[law.row], columns[law.column], law.weight, below)
+        builder.entries += zip(*(each.tolist() for each in parts_of), strict=True)
+        builder.parameters += [replace(p, name=f"{number}.{p.name}") for p in law.parameters]
+        state = own.stop
+    return builder.law(max(law.dt for law, _, _ in made))
 
 
 def as_structure(structure: Any, rate: float) -> Structure:

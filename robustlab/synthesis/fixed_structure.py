@@ -22,17 +22,18 @@ from robustlab.mu_analysis.axis.robustness import gain_within
 from robustlab.norms import H2Norm, HinfNorm, h2_by_gramians, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, lower_lft
-from robustlab.synthesis.fixed.structure_starts import informed_starts
-from robustlab.synthesis.laws.controller_laws import Law
-from robustlab.synthesis.laws.controller_structures import as_structure
-from robustlab.synthesis.nonsmooth.design_limits import Limit
-from robustlab.synthesis.nonsmooth.design_problem import DesignProblem
-from robustlab.synthesis.nonsmooth.parameter_search import Start, multi_start
+from robustlab.synthesis.h2 import synthesize_h2
+from robustlab.synthesis.hinf.hinf_synthesis import synthesize
+from robustlab.synthesis.problem.limits import require_stabilisable
 from robustlab.synthesis.problem.certify import Certificate, certified
 from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status, limiting_channels
 from robustlab.synthesis.problem.limits import require_stabilisable
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant, require_performance
 from robustlab.synthesis.problem.scaling import common_scaling
+from robustlab.synthesis.reduction.model_reduction import reduce_model
+from robustlab.synthesis.structures.laws import FixedOrder, Law, as_structure
+from robustlab.synthesis.structures.problem import DesignProblem, Limit
+from robustlab.synthesis.structures.search import Start, law_around, multi_start
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import realise_delta
@@ -40,10 +41,13 @@ from robustlab.uncertainty.realised_delta import realise_delta
 WHERE = "synth fixed"
 WORK = 60 * MILLION  # of a design at effort 1
 VERIFIED = 4  # best candidates that are verified: the norm of the search is not a proof. More: slower, seldom better
+SAME = 1 + 1e-4  # ratio of the verified norm to that of the search up to which no other candidate is verified
 ROUNDS = 12  # most scenarios
 ENOUGH = 1.01  # ratio of the worst-case gain to the scenarios' gain that ends the rounds. Smaller: more rounds
 DESIGN_SHARE, SEARCH_SHARE = 0.5, 0.3  # of the remaining work: for one design, for one worst member with its proof
 KEPT = 1e-9  # largest value at which a limit counts as kept: the search stays strictly inside
+FULL_SHARE, FULL_WORK = 0.2, 10 * MILLION  # share of the remaining work for the full-order design, and most for it
+FULL_HINF_REL, FULL_H2_REL = 1.05, 1.0005  # its norm over the optimum: a lower bandwidth is easier to reduce
 MOST_STARTS = 10000  # largest number of random starts
 
 
@@ -120,14 +124,12 @@ class FixedSynthesis(ParametricDesign):
         The controller's parameters.
     gammas
         Verified norm (H-infinity: upper bound) of every model's loop; for an uncertain plant, of every scenario.
-    norms
-        Their evidence.
     peak_frequency
         Frequency in rad/s at which the worst loop attains its norm; NaN for H2.
     limits
         The limits with their values.
     starts
-        The result of every start, best first; ``values`` is its history.
+        The result of every start, best first.
     scenarios
         For an uncertain plant: the Delta of every scenario.
     worst
@@ -141,12 +143,11 @@ class FixedSynthesis(ParametricDesign):
     quantities: ClassVar[Mapping[str, Any]] = {**Synthesis.quantities, "peak_frequency": float}
     saved = (
         *Synthesis.saved, "objective", "parameters", "gammas", "peak_frequency", "limits", "active", "starts",
-        "scenarios", "norms", "worst_case_gain",
+        "scenarios", "worst_case_gain",
     )  # fmt: skip
 
     objective: str
     gammas: tuple[float, ...]
-    norms: tuple[HinfNorm | H2Norm, ...]
     peak_frequency: float
     starts: tuple[Start, ...]
     scenarios: tuple[Mapping[str, Any], ...] = ()
@@ -208,11 +209,10 @@ def fixed_structure(
 
     .. math:: \min_p \max_i \|F_l(P_i, K(p))\|, \qquad K(p) \text{ stabilises every } P_i
 
-    From every start, BFGS minimises the spectral abscissa of all loops until they are stable and keep the limits, then
-    takes some steps on the norm. The best starts continue along minimisers of :math:`\ln\gamma + \mu \sum \varphi` for
-    decreasing mu, with the entropy of the loops as a smooth barrier of their norms (the structure's own start and all
-    starts with limits do so from the beginning), and end with linear programs over all active peaks. Gradients are
-    analytic. The problem is not convex: the result is a local optimum, verified on the loops rebuilt from K.
+    From every start, BFGS minimises the spectral abscissa of all loops until they are stable, then the largest limit
+    until all are kept, then takes some steps on the norm; limits are kept by a barrier of falling weight. The best
+    starts are refined by linear programs over all active peaks and descents in turn, and the best once more from near
+    it. Gradients are analytic. The problem is not convex: a local optimum, verified on the loops rebuilt from K.
 
     Parameters
     ----------
@@ -221,7 +221,7 @@ def fixed_structure(
         model the worst-case gain from w to z is minimised by adding scenarios, and the bound proved for the whole set
         is reported.
     structure
-        A structure of `robustlab.synthesis.laws.controller_structures`, or ``"static"``, ``"p"``, ``"pi"``, ``"pid"``,
+        A structure of `robustlab.synthesis.structures.laws`, or ``"static"``, ``"p"``, ``"pi"``, ``"pid"``,
         an order, a mask of a static gain, a list of structures (one per channel).
     n_meas, n_con
         Numbers of measurements and controls; not needed for a `GeneralizedPlant`.
@@ -261,7 +261,7 @@ def fixed_structure(
 
     References
     ----------
-    Lewis, Overton 2013 (BFGS); Apkarian, Noll 2006 (active peaks); Mustafa, Glover 1990 (entropy).
+    Lewis, Overton 2013 (BFGS); Apkarian, Noll 2006 (active peaks).
 
     Examples
     --------
@@ -295,7 +295,8 @@ def fixed_structure(
         problem = DesignProblem(plants, law, objective, limits, budget)
         if objective == "h2":
             require_finite_h2(problem)
-        return design(problem, [*given, *informed_starts(problem, seed)])
+        ordered = isinstance(as_structure(structure, 1.0), FixedOrder)
+        return design(problem, [*given, *(_reduced_start(problem) if ordered else [])])
 
 
 def law_of(plant: GeneralizedPlant, structure: Any, bounds: Mapping[str, tuple[float, float]] | None) -> Law:
@@ -373,6 +374,31 @@ def given_starts(law: Law, start: Any) -> list[AnyArray]:
     return found
 
 
+def _reduced_start(problem: DesignProblem) -> list[tuple[str, AnyArray]]:
+    """Return ``("reduced", p)``: the full-order design for the first plant, reduced to the order of the law.
+
+    Nothing where either fails, or where that design has a lower order. It wins 21 of 38 COMPleib designs of order 1
+    and 2 from one random start.
+    """
+    law, plant, budget = problem.law, problem.plants[0], problem.budget
+    order, part = law.sizes[0], budget.share(min(FULL_SHARE, FULL_WORK / max(budget.left, 1.0)))
+    if not order or part.over:
+        return []
+    try:
+        hinf = problem.objective == "hinf"
+        K = (synthesize(plant, "hinf", FULL_HINF_REL, part) if hinf else synthesize_h2(plant, FULL_H2_REL, part)).K
+    except (InputError, NoTrustworthyNumber):
+        return []
+    for method in ("coprime", "truncation") if K.n_states >= order else ():
+        # A controller can be too fast for the one, or have too many unstable modes for the other.
+        with suppress(InputError, NoTrustworthyNumber):
+            around, q = law_around(reduce_model(K, order, method=method).model if K.n_states > order else K)
+            p = np.zeros(len(law.parameters))
+            p[law.top] = around.packed(q)[law.row, law.column]
+            return [("reduced", np.clip(p, [q.low for q in law.parameters], [q.high for q in law.parameters]))]
+    return []
+
+
 # --- search -----------------------------------------------------------------------------------------------------------
 
 
@@ -382,7 +408,7 @@ def _best_verified(problem: DesignProblem, found: Sequence[Start]) -> FixedSynth
     for start in found[:VERIFIED]:
         design = _verified(problem, start) if np.isfinite(start.gamma) else None
         kept += [] if design is None else [design]
-        if design is not None and design.status.trustworthy:
+        if design is not None and design.status.trustworthy and design.gamma <= start.gamma * SAME:
             break
     if not kept:
         raise not_found(problem, found)
@@ -401,10 +427,8 @@ def _for_worst_member(
     deltas: list[Mapping[str, Any]] = [{}]
     members = [GeneralizedPlant(uncertain.nominal, plant.n_meas, plant.n_con)]
     done: list[tuple[FixedSynthesis, WorstCaseGain]] = []
-    for number in range(ROUNDS):
-        if done and budget.over:
-            break
-        last = [("given", np.array([p.value for p in done[-1][0].parameters]))] if done else []
+    last: list[tuple[str, AnyArray]] = []
+    while len(done) < ROUNDS and not (done and budget.over):
         try:
             problem = DesignProblem(members, law, "hinf", limits, budget.share(DESIGN_SHARE))
             found = design(problem, [*last, *given])
@@ -415,31 +439,29 @@ def _for_worst_member(
         loop = UncertainModel(lower_lft(uncertain.M, found.K), uncertain.blocks)
         worst = gain_within(loop, budget.share(SEARCH_SHARE), tolerance=0.02)
         done.append((replace(found, worst=worst, scenarios=tuple(deltas), uncertain=uncertain), worst))
-        gains = f"gain {found.gamma:.5g}, worst member {worst.lower:.5g}"
-        say(f"round {number + 1}: {len(members)} scenarios, {gains}")
+        say(f"{len(members)} scenarios: gain {found.gamma:.5g}, worst member {worst.lower:.5g}")
         member = _member(uncertain, worst) if worst.lower > ENOUGH * found.gamma else None
         if member is None:
             break
+        last = [("given", np.array([p.value for p in found.parameters]))]
         deltas.append(dict(worst.delta))
         members.append(GeneralizedPlant(member, plant.n_meas, plant.n_con))
     found, worst = min(done, key=lambda pair: (pair[1].lower, pair[1].upper))
-    scenarios = f"{len(found.scenarios)} scenarios"
     if np.isfinite(worst.upper) and worst.status is Status.CERTIFIED:
         gamma = worst.upper if found.status.trustworthy else max(worst.upper, found.gamma)
         sound = Status.INACCURATE if found.status is Status.INACCURATE else Status.CERTIFIED
-        parts = [found.reason, "worst-case gain over the whole set proved", scenarios]
+        parts = [found.reason, "worst-case gain over the whole set proved"]
     else:
         gamma, sound = max(found.gamma, worst.lower), Status.INCONCLUSIVE
-        unstable = not np.isfinite(worst.lower)
-        parts = ["a member is unstable" if unstable else "the worst-case gain was not proved", scenarios]
-    status, reason = final_status(sound, parts, budget)
+        parts = ["the worst-case gain was not proved" if np.isfinite(worst.lower) else "a member is unstable"]
+    status, reason = final_status(sound, [*parts, f"{len(found.scenarios)} scenarios"], budget)
     return replace(found, gamma=gamma, status=status, reason=reason)
 
 
 def _member(uncertain: UncertainModel, worst: WorstCaseGain) -> StateSpaceModel | None:
     """Return the member at the worst Delta as a model; complex values are realised as stable systems."""
     with suppress(NoTrustworthyNumber):
-        if not any(np.imag(value).any() for value in worst.delta.values()):
+        if not any(np.any(np.imag(value)) for value in worst.delta.values()):
             return uncertain.evaluate({name: np.real(value) for name, value in worst.delta.items()})
         if worst.frequency is not None:
             return uncertain.evaluate(realise_delta(uncertain.blocks, worst.delta, worst.frequency, uncertain.dt))
@@ -491,7 +513,7 @@ def _verified(problem: DesignProblem, start: Start) -> FixedSynthesis | None:
         reason=doubt or f"{many} rebuilt from K: stable, norm proved in ball arithmetic",
         limit=limiting_channels(loops[worst], peak) if np.isfinite(peak) else "",
         plant=plants[worst], method="fixed", objective=problem.objective, parameters=parameter_values(law, start.p),
-        gammas=gammas, norms=norms, peak_frequency=peak, limits=limits, starts=(start,),
+        gammas=gammas, peak_frequency=peak, limits=limits, starts=(start,),
         plants=tuple(plants),
     )  # fmt: skip
 
@@ -501,8 +523,8 @@ def require_finite_h2(problem: DesignProblem) -> None:
     moved = problem.start + np.random.default_rng(0).standard_normal(len(problem.start))
     for i, (family, kind) in enumerate(zip(problem.families, problem.kinds, strict=True), start=1):
         for v in () if problem.dt or kind != "h2" else (problem.start, moved):
-            loop = family.loop(problem.theta(problem.parameters(v)[0]))
-            if loop is not None and loop.D.any():
+            loop = family.member(problem.theta(problem.parameters(v)[0]))
+            if loop is not None and loop.loop.D.any():
                 raise InputError(
                     f"{WHERE}: plant {i}",
                     "the closed loop has a direct term from w to z: its H2 norm is infinite",
@@ -513,21 +535,18 @@ def require_finite_h2(problem: DesignProblem) -> None:
 
 def not_found(problem: DesignProblem, found: Sequence[Start]) -> NoTrustworthyNumber:
     """Return the error that names the unstable pole or the violated limits of the start that came nearest."""
-    theta = problem.theta(min(found, key=lambda s: s.instability).p)
-    unit = 1.0 if problem.dt else problem.scaling.rate
-    edge, which, pole = -np.inf, 0, complex(np.nan)
-    for i, family in enumerate(problem.families):
-        value, _ = family.abscissa(theta)
-        worst = family.pole(theta, np.abs if problem.dt else np.real)
-        if worst is not None and value > edge:
-            edge, which, pole = value, i, worst.value * unit
-    plant = "the plant" if len(problem.families) == 1 else f"plant {which + 1}"
-    if edge < 0 and problem.limits:
-        broken = [limit.text for limit in problem.broken_limits(theta)]
-        text = f"no start kept every limit; in the nearest, {', '.join(dict.fromkeys(broken)) or 'the norm'} fails"
+    theta, discrete = problem.theta(min(found, key=lambda s: s.instability).p), problem.dt > 0
+    edges = [family.abscissa(theta)[0] for family in problem.families]
+    which = int(np.argmax(edges))
+    if edges[which] < 0 and problem.limits:
+        broken = ", ".join(dict.fromkeys(problem.broken_limits(theta))) or "the norm"
+        text = f"no start kept every limit; in the nearest, {broken} fails"
     else:
+        worst = problem.families[which].pole(theta, np.abs if discrete else np.real)
+        pole = complex(np.nan) if worst is None else worst[0] * (1.0 if discrete else problem.scaling.rate)
         pole_text = f"{pole.real:.6g}" + (f"{pole.imag:+.6g}j" if pole.imag else "")
-        text = f"no start stabilised {plant}: nearest pole {'z' if problem.dt else 's'} = {pole_text}"
+        plant = "the plant" if len(edges) == 1 else f"plant {which + 1}"
+        text = f"no start stabilised {plant}: nearest pole {'z' if discrete else 's'} = {pole_text}"
     return NoTrustworthyNumber(
         WHERE,
         f"{text} ({len(found)} starts{f'; {NOT_REPEATABLE}' if problem.budget.struck else ''})",

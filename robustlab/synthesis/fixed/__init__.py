@@ -1,1 +1,0 @@
-"""Controllers of fixed structure or order, for one plant, several plants, an uncertain set, or goals."""

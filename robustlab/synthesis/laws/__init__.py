@@ -1,1 +1,0 @@
-"""Controller structures and parameterised controller laws."""

@@ -1,1 +1,0 @@
-"""Nonsmooth optimisation of loops."""

@@ -1,1 +1,0 @@
-"""Controllers whose actuators saturate."""
