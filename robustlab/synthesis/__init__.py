@@ -1,6 +1,7 @@
-"""Controllers, every one verified in the loop rebuilt from it; packages, each importing from those before it only:
+"""Controllers, every one verified in the loop rebuilt from it; parts, each importing from those before it only:
 
-problem, specifications, laws, nonsmooth, hinf, h2, dk, scheduling, reduction, fixed, sampled, windup.
+problem, specifications, laws, nonsmooth, hinf, h2, dk, scheduling, reduction, fixed, sampled_norm,
+discretisation, windup.
 """
 
 from robustlab.lazily import lazily
@@ -19,17 +20,16 @@ __all__, __getattr__ = lazily(
         "problem.performance_measure": "MeasureName plant_with_scalings",
         "problem.gamma_bounds": "gamma_bound",
         "hinf.mixed_sensitivity": "mixed_sensitivity_plant",
-        "specifications.tracking_problem": "TrackingLoop tracking_problem",
         "specifications.weight_design": "error_weight",
-        "specifications.tracking_loop": "tracking_loop with_law",
+        "specifications.tracking": "TrackingLoop tracking_loop tracking_problem with_law",
         "nonsmooth.loop_family": "LoopFamily",
         "nonsmooth.parameter_search": "descend",
         "dk.dk_design": "DKSynthesis mu_floor",
         "dk.robust_problem": "RobustProblem",
         "dk.dynamic_scalings": "BlockScaling Factor unit_scalings",
         "dk.dk_iteration": "structure_with_performance",
-        "sampled.discretisation": "SampledMethod merged_modes",
-        "sampled.lifting": "lift mean_and_variance",
+        "discretisation": "SampledMethod merged_modes",
+        "sampled_norm": "lift mean_and_variance",
         "windup.back_calculation": "back_calculation",
         "reduction.controller_reduction": "ReducedController",
     },

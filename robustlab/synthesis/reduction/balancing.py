@@ -1,9 +1,39 @@
-r"""Square-root balancing: Hankel values, truncation and residualisation of a model from factors of two Gramians.
+r"""Balanced models and the methods of reduction: truncation, residualisation, Hankel norm, stochastic, coprime factors.
+
+Square-root balancing with any two positive semidefinite matrices in place of the Gramians (those of a weighted model,
+or of a closed loop):
 
 .. math:: P = L_c L_c^T, \quad Q = L_o L_o^T, \quad L_o^T L_c = U \Sigma V^T, \quad
    T = L_c V \Sigma^{-1/2}, \quad T^{-1} = \Sigma^{-1/2} U^T L_o^T
 
-Any two positive semidefinite matrices may replace the Gramians: those of a weighted model, or of a closed loop.
+Stochastic balancing keeps the error small relative to the model's own gain. W is the minimum-phase factor of the power
+spectrum, P the controllability Gramian of G, X the observability Gramian of W; beta is a floor of the gain, below which
+errors count absolutely.
+
+.. math:: G G^\sim + \beta^2 I = W^\sim W, \quad R = D D^T + \beta^2 I, \quad B_W = P C^T + B D^T, \quad
+   A^T X + X A + (C - B_W^T X)^T R^{-1} (C - B_W^T X) = 0
+
+.. math:: \left\| (W^\sim)^{-1} (G - G_r) \right\|_\infty =
+   \sup_\omega \sigma_{max}\big( (G G^* + \beta^2 I)^{-1/2} (G - G_r) \big) \le
+   \prod_{i > r} \frac{1 + \mu_i}{1 - \mu_i} - 1, \qquad \mu_i^2 = \lambda_i(P X)
+
+Optimal Hankel-norm approximation is the all-pass dilation of balanced states. With
+:math:`\Sigma = \mathrm{diag}(\Sigma_1, \sigma I)`, :math:`\sigma = \sigma_{k+1}`, and A, B, C cut alike,
+
+.. math:: U = -(C_2^T)^+ B_2, \quad \Gamma = \Sigma_1^2 - \sigma^2 I, \quad
+   \hat A = \Gamma^{-1} (\sigma^2 A_{11}^T + \Sigma_1 A_{11} \Sigma_1 - \sigma C_1^T U B_1^T), \quad
+   \hat B = \Gamma^{-1} (\Sigma_1 B_1 + \sigma C_1^T U), \quad \hat C = C_1 \Sigma_1 + \sigma U B_1^T, \quad
+   \hat D = D - \sigma U
+
+differs from the model by no more than sigma at any frequency. Its k stable modes are the nearest model of order k in
+the Hankel norm, at a distance of exactly sigma; a constant replaces the others, which are not stable. U is a
+contraction: a block of a unitary matrix for the model with rows and columns of zeros, so that models need not be
+square, and U is unique.
+
+References
+----------
+Glover, Int. J. Control 39 (1984), theorems 6.3 and 9.7; Desai, Pal, IEEE TAC 29 (1984); Green, "A relative error bound
+for balanced stochastic truncation", IEEE TAC 33 (1988); Varga, Fasol 1993 for beta.
 """
 
 from __future__ import annotations
@@ -14,23 +44,34 @@ from typing import Literal
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.errors import NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis import slicot
-from robustlab.linear_analysis.magnitude import balancing_factors
-from robustlab.linear_analysis.matrix_equations import small_residual
+from robustlab.linear_analysis.magnitude import balancing_exponents, balancing_factors
+from robustlab.linear_analysis.matrix_equations import care, small_residual
 from robustlab.linear_analysis.structural import HiddenMode, LeastOrder, least_order
-from robustlab.statespace import StateSpaceModel, parallel
+from robustlab.norms import HinfNorm, bilinear_to_continuous, bilinear_to_discrete, hinf_norm, linf_norm
+from robustlab.statespace import StateSpaceModel, inverse, parallel, series
+from robustlab.uncertainty.distances.coprime import continuous_models, coprime_factors
 from robustlab.verification.balls import exact, midpoints, precision
 
 Projection = Literal["truncation", "residualisation"]
+Weights = tuple[StateSpaceModel | None, StateSpaceModel | None]  # W_i and W_o
+
 BITS = 128  # precision of residuals
 RESIDUAL = 1e-8  # relative, of the equations of the Gramians
-
 # Hankel values below this share of the largest are rounding: their states are truncated.
 NEGLIGIBLE = 1e-14
 EPS = float(np.finfo(float).eps)
 # A pole counts as stable from this distance to the boundary on, as a share of its modulus (of 1 for a discrete one).
 STABLE_MARGIN = 1e-10
+HINT = "floor=: the gain below which errors count absolutely"
+RTOL = 1e-6  # relative width of the bracket of an error
+# D of full row rank: smallest over largest eigenvalue of D D^T. Else the gain vanishes at infinite frequency.
+FULL_RANK = 1e-12
+# Both ends of the bracket allow for the error of the factor, which may be at most this share of the spectrum.
+TRUSTED_SHARE = 1e-2
+# Hankel values that agree to this share are one repeated value: division by their difference would lose more digits.
+REPEATED = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,3 +232,237 @@ class Balancing:
 
 def _model(like: StateSpaceModel, a: AnyArray, b: AnyArray, c: AnyArray, d: AnyArray) -> StateSpaceModel:
     return StateSpaceModel(a, b, c, d, like.dt, like.inputs, like.outputs, where="reduced model")
+
+
+# --- methods ---------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Way:
+    """One method for a part of a model."""
+
+    method: str
+    split: SplitModel
+    part: StateSpaceModel  # the reduced part: the stable one, or the coprime factors
+    model: StateSpaceModel  # the same, or its continuous image for the methods that exist in continuous time only
+    balancing: Balancing
+    weights: Weights = (None, None)
+    spectrum: Spectrum | None = None
+    mirrored: bool = False  # whether the coprime factors are those of G(-z)
+
+    def reduced(self, order: int) -> StateSpaceModel:
+        """Return the part with this order."""
+        if self.method == "hankel":
+            small = nearest_in_hankel_norm(self.model, self.balancing, order)
+        else:
+            kind = "residualisation" if self.method == "residualisation" else "truncation"
+            small = self.balancing.reduced(self.model, order, kind)
+        return bilinear_to_discrete(small, self.part.dt) if self.part.dt != self.model.dt else small
+
+    def whole(self, small: StateSpaceModel) -> StateSpaceModel:
+        """Return the model that belongs to a reduced part: ``N M^{-1}`` for coprime factors."""
+        if self.method != "coprime":
+            return self.split.joined(small)
+        p, dt = self.split.stable.n_outputs, self.split.stable.dt
+        if small.n_inputs and np.linalg.cond(small.D[p:]) > 1e12:
+            raise NoTrustworthyNumber("reduce_model", "the factor M of the reduced model has no inverse")
+        back = np.linalg.inv(small.D[p:])
+        gain, into = back @ small.C[p:], small.B @ back
+        C, D = small.C[:p] - small.D[:p] @ gain, small.D[:p] @ back
+        model = StateSpaceModel(small.A - into @ small.C[p:], into, C, D)
+        model = bilinear_to_discrete(model, dt) if dt else model
+        return StateSpaceModel(-model.A, -model.B, model.C, model.D, dt) if self.mirrored else model
+
+    def bound(self, order: int) -> float:
+        """Return the a-priori bound of the error; NaN with weights."""
+        tail = self.balancing.values[order:]
+        if self.weights != (None, None):
+            return np.nan
+        if self.spectrum is None:
+            return (1 if self.method == "hankel" else 2) * float(tail.sum())
+        # A value of one belongs to a zero in the right half-plane, whose state must stay.
+        return np.inf if (tail >= 1 - 1e-8).any() else float(np.expm1(np.sum(np.log1p(tail) - np.log1p(-tail))))
+
+    def measured(self, difference: StateSpaceModel) -> HinfNorm:
+        """Return the certified size of a difference of parts."""
+        dt = difference.dt
+        if self.spectrum is not None:
+            found = self.spectrum.relative(bilinear_to_continuous(difference) if dt else difference)
+            return replace(found, frequency=2 / dt * float(np.arctan(found.frequency * dt / 2))) if dt else found
+        into, out = self.weights
+        difference = difference if into is None else series(into, difference)
+        return hinf_norm(difference if out is None else series(difference, out), RTOL)
+
+    def per_gain(self) -> float:
+        """Return an upper bound of the size of a difference of gain 1."""
+        if self.spectrum is not None:
+            return self.spectrum.per_gain()
+        return float(np.prod([hinf_norm(w, 1e-2).upper for w in self.weights if w is not None]))
+
+
+def way_of(full: StateSpaceModel, method: str, weights: Weights = (None, None), floor: float = 0.0) -> Way:
+    """Return a method for the stable part of a model, or for the coprime factors of all of it."""
+    if method == "coprime":  # truncation of the normalised right factors [N; M] (continuous)
+        least = least_order(full)
+        unstable = any(not mode.stable for mode in least.hidden)
+        full = least.model if unstable else full
+        mapped = continuous_models(full)
+        factors = coprime_factors(mapped.models[0]).right
+        nothing = StateSpaceModel([], [], [], 0 * full.D, full.dt)
+        removed = (lost_at_least_order(least), least.hidden) if unstable else ()
+        balancing = Balancing.of(*gramian_factors(factors))
+        split = SplitModel(full, nothing, *removed)
+        return Way(method, split, factors, factors, balancing, mirrored=mapped.mirrored)
+    split = split_stable(full)
+    stable = split.stable
+    continuous = bilinear_to_continuous(stable) if stable.dt and method in ("stochastic", "hankel") else stable
+    if method == "stochastic":
+        spectrum = Spectrum.of(continuous, floor)
+        return Way(method, split, stable, spectrum.model, spectrum.balancing, spectrum=spectrum)
+    balancing = Balancing.of(*weighted_factors(continuous, *weights))
+    return Way(method, split, stable, continuous, balancing, weights)
+
+
+def weighted_factors(
+    model: StateSpaceModel, into: StateSpaceModel | None, out: StateSpaceModel | None
+) -> tuple[AnyArray, AnyArray]:
+    """Return factors of the model's blocks of the Gramians of ``G W_i`` and ``W_o G`` (Enns)."""
+    reach, see = gramian_factors(model)
+    if into is not None:  # states of the series connection: weight first, then model
+        reach = block_factor(gramian_factors(series(into, model))[0][into.n_states :])
+    if out is not None:
+        see = block_factor(gramian_factors(series(model, out))[1][: model.n_states])
+    return reach, see
+
+
+# --- Hankel norm ------------------------------------------------------------------------------------------------------
+
+
+def _dilated(m: StateSpaceModel, values: AnyArray, k: int, unitary: bool = False) -> tuple[StateSpaceModel, AnyArray]:
+    """Return the dilation of a balanced model without the (repeated) value at index k, and the other values.
+
+    Its states are scaled by the root of ``|Gamma|``; U may be completed to a unitary matrix for a square model.
+    """
+    level = values[k]
+    cut = np.abs(values - level) <= REPEATED * level
+    u = -np.linalg.pinv(m.C[:, cut].T) @ m.B[cut]
+    if unitary:
+        eye = np.eye(len(u))
+        left, _, right = np.linalg.svd(u + (eye - u @ u.T) @ (eye - u.T @ u))
+        u = left @ right
+    s, a, b, c = values[~cut], m.A[np.ix_(~cut, ~cut)], m.B[~cut], m.C[:, ~cut]
+    gamma = s**2 - level**2
+    root = np.sqrt(np.abs(gamma))
+    inverse = (np.sign(gamma) / root)[:, None]
+    middle = level**2 * a.T + s[:, None] * a * s - level * c.T @ u @ b.T
+    dilated = StateSpaceModel(
+        inverse * middle / root,
+        inverse * (s[:, None] * b + level * c.T @ u),
+        (c * s + level * u @ b.T) / root,
+        m.D - level * u,
+    )
+    return dilated, s
+
+
+def nearest_in_hankel_norm(model: StateSpaceModel, balancing: Balancing, order: int) -> StateSpaceModel:
+    """Return the nearest model of at most this order; of a lower one if the value after the cut is repeated."""
+    values = balancing.values[: len(balancing.left)]
+    if order >= len(values):
+        return balancing.reduced(model, order, "truncation")
+    order = int((values > values[order] * (1 + REPEATED)).sum())
+    parts = split_stable(_dilated(balancing.reduced(model, len(values), "truncation"), values, order)[0])
+    m = parts.stable
+    if m.n_states != order:
+        found = f"{m.n_states} stable modes where there should be {order}: digits were lost"
+        raise NoTrustworthyNumber("Hankel-norm approximation", found, hint="another order, or method='truncation'")
+    return StateSpaceModel(m.A, m.B, m.C, m.D + _constant_near(parts.apart), 0.0, model.inputs, model.outputs)
+
+
+def _constant_near(unstable: StateSpaceModel) -> AnyArray:
+    """Return a constant no farther from a strictly proper antistable model than the sum of its Hankel values.
+
+    The values are removed one by one, the smallest first: each dilation changes the model by no more than its value,
+    and is balanced with the other values, as the model is square and U unitary.
+    """
+    mirrored = StateSpaceModel(-unstable.A, -unstable.B, unstable.C, unstable.D)
+    balancing = Balancing.of(*gramian_factors(mirrored))
+    values = balancing.values[: len(balancing.left)]
+    left = balancing.reduced(mirrored, len(values), "truncation")
+    (p, m), size = left.D.shape, max(left.D.shape)
+    square = np.pad(left.B, ((0, 0), (0, size - m))), np.pad(left.C, ((0, size - p), (0, 0)))
+    left = StateSpaceModel(left.A, *square, np.pad(left.D, ((0, size - p), (0, size - m))))
+    while len(values):
+        left, values = _dilated(left, values, len(values) - 1, unitary=True)
+    return left.D[:p, :m]
+
+
+# --- relative error ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """The power spectrum of a stable continuous model and its factor."""
+
+    model: StateSpaceModel
+    factor: StateSpaceModel  # W, with the states of G
+    balancing: Balancing  # of P and X; its values are the mu_i, at most 1
+    doubt: float  # share of the spectrum by which `W~ W` may be off, from the residuals of both equations
+
+    @classmethod
+    def of(cls, model: StateSpaceModel, floor: float) -> Spectrum:
+        """Compute the factor by a Riccati equation."""
+        # Residuals are weighted by gains from and to all states, which must have similar sizes for that.
+        t = 2.0 ** balancing_exponents(model.A, model.B, model.C)
+        a, b, c, d = model.A / t[:, None] * t, model.B / t[:, None], model.C * t, model.D
+        model = StateSpaceModel(a, b, c, d)
+        sizes, turn = np.linalg.eigh(d @ d.T + floor**2 * np.eye(len(d)))
+        if not len(d) or sizes[0] <= FULL_RANK * sizes[-1]:
+            found = "the gain vanishes at infinite frequency: D has no full row rank"
+            raise InputError("reduce_model", found, "a gain that vanishes nowhere", HINT)
+        root, back = (turn * np.sqrt(sizes) @ turn.T, turn / np.sqrt(sizes) @ turn.T)
+        reach = slicot.gramian_factors(a, b, c, False)[0]
+        P = reach @ reach.T
+        into = P @ c.T + b @ d.T
+        try:
+            X = care(a, into, np.zeros_like(a), -root @ root, -c.T).X
+        except NoTrustworthyNumber as error:
+            found = "the power spectrum has no factor: the gain vanishes at some frequency, or nearly"
+            raise NoTrustworthyNumber("reduce_model", f"{found} ({error.found})", hint=HINT) from None
+        out = back @ (c - into.T @ X)
+        factor = StateSpaceModel(a, into, out, root)
+        doubt = _doubt(factor, c, a @ P + P @ a.T + b @ b.T, a.T @ X + X @ a + out.T @ out)
+        if not doubt <= TRUSTED_SHARE:
+            found = f"the factor of the power spectrum may be off by {doubt:.1e} of it"
+            raise NoTrustworthyNumber("reduce_model", found, hint=HINT)
+        return cls(model, factor, Balancing.of(reach, slicot.gramian_factors(a, b, out, False)[1]), doubt)
+
+    def per_gain(self) -> float:
+        """Bound the relative error of an absolute error of gain 1."""
+        found = linf_norm(inverse(_conjugate(self.factor)), 1e-2)
+        return found.upper / np.sqrt(1 - self.doubt) if found.status.trustworthy else np.inf
+
+    def relative(self, error: StateSpaceModel) -> HinfNorm:
+        """Return the norm of an error relative to the model, proved for every frequency."""
+        found = linf_norm(series(error, inverse(_conjugate(self.factor))), RTOL)
+        ends = {"lower": found.lower / np.sqrt(1 + self.doubt), "upper": found.upper / np.sqrt(1 - self.doubt)}
+        return replace(found, **ends)
+
+
+def _conjugate(model: StateSpaceModel) -> StateSpaceModel:
+    """Return ``G(-s)^T``."""
+    return StateSpaceModel(-model.A.T, model.C.T, -model.B.T, model.D.T)
+
+
+def _doubt(factor: StateSpaceModel, c: AnyArray, into: AnyArray, out: AnyArray) -> float:
+    r"""Bound :math:`\|(W^\sim)^{-1} (G G^\sim + \beta^2 I - W^\sim W) W^{-1}\|_\infty`.
+
+    The residuals E_P and E_X give the error ``C F E_P F~ C^T + B_W^T F~ E_X F B_W`` with ``F = (sI - A)^-1``.
+    """
+    n, p = factor.n_states, factor.n_outputs
+    if not n:
+        return 0.0
+    gain = factor.B @ np.linalg.inv(factor.D)
+    right = StateSpaceModel(factor.A - gain @ factor.C, gain, np.eye(n), np.zeros((n, p)))
+    left = series(StateSpaceModel(factor.A, np.eye(n), c, np.zeros((p, n))), inverse(_conjugate(factor)))
+    sizes = [float(np.linalg.norm(residual, 2)) for residual in (into, out)]
+    return sizes[0] * linf_norm(left, 1e-2).upper ** 2 + sizes[1] * hinf_norm(right, 1e-2).upper ** 2

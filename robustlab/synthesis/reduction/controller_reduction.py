@@ -1,16 +1,7 @@
-r"""Reduction of controllers to the lowest order whose rebuilt closed loop has a proved loss within the allowed one.
+"""Reduction of controllers to the lowest order whose rebuilt closed loop has a proved loss within the allowed one.
 
 The controller blocks of the closed loop's Gramians measure how much w moves each state of K, and how much each state
-of K moves z. Other candidates weight K with
-
-.. math:: T_{yw} = (I - P_{22} K)^{-1} P_{21}, \qquad T_{zu} = P_{12} (I - K P_{22})^{-1}
-
-because a change of K by a small E changes the closed loop by ``T_zu E T_yw``.
-
-References
-----------
-Anderson, Liu, "Controller reduction: concepts and approaches", IEEE TAC 34 (1989); Enns (1984); Zhou, Doyle, Glover
-(1996), chapter 19.
+of K moves z: Anderson, Liu, "Controller reduction: concepts and approaches", IEEE TAC 34 (1989).
 """
 
 from __future__ import annotations
@@ -42,7 +33,6 @@ from robustlab.synthesis.problem.performance_measure import (
     make_measure,
 )
 from robustlab.synthesis.reduction.balancing import Balancing, Projection, block_factor, gramian_factors, split_stable
-from robustlab.synthesis.reduction.ways import way_of, weighted_factors
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import Block
 
@@ -152,10 +142,10 @@ def reduce_controller(
 
     .. math:: \min \text{order}(K_r) \quad \text{with} \quad J(F_l(P, K_r)) \le (1 + \text{loss}) \, J(F_l(P, K))
 
-    Candidates of every order come from the controller's blocks of the closed loop's Gramians, from balanced coprime
-    factors of K, and from balanced truncation of K with the loop as weights on both sides; each truncated and
-    residualised; nonsmooth descent improves one that loses more than the loss allowed, but less than ten times that.
-    The loop of every candidate is rebuilt, and J of the best one is proved anew.
+    Candidates of every order come from the controller's blocks of the closed loop's Gramians, for disturbances and for
+    measurement noise, and from balanced truncation of K; each truncated and residualised; nonsmooth descent improves
+    one that loses more than the loss allowed, but less than ten times that. The loop of every candidate is rebuilt, and
+    J of the best one is proved anew.
 
     Parameters
     ----------
@@ -207,7 +197,7 @@ def reduce_controller(
 
     References
     ----------
-    Anderson, Liu 1989; Goddard, Glover 1998 (performance preserving reduction); Enns 1984.
+    Anderson, Liu 1989; Goddard, Glover 1998 (performance preserving reduction).
 
     Examples
     --------
@@ -217,43 +207,28 @@ def reduce_controller(
     >>> small.K.n_states, small.loss <= 0.1, small.status.value
     (0, True, 'certified')
     """
-    plant, full = _plant_and_controller(design_or_plant, K, n_meas, n_con)
+    if K is None and not isinstance(design_or_plant, Synthesis):
+        raise InputError(WHERE, "K is missing", "a design, or a plant and its controller")
+    given = design_or_plant.plant if isinstance(design_or_plant, Synthesis) else design_or_plant
+    full = as_model(getattr(design_or_plant if K is None else K, "K", K), f"{WHERE}: K")
+    plant = as_generalized_plant(given, n_meas or full.n_inputs, n_con or full.n_outputs, WHERE)
+    if (full.n_outputs, full.n_inputs) != (plant.n_con, plant.n_meas):
+        raise InputError(WHERE, f"K is {full.n_outputs} x {full.n_inputs}", f"{plant.n_con} x {plant.n_meas}")
+    full = wired(full, plant.measurements, plant.controls, WHERE)
+    plant = with_default_performance(plant, WHERE)
     number(f"{WHERE}: loss", loss, "a number >= 0 (0.01: one per cent)", at_least=0)
     budget = design_budget(WHERE, WORK, effort, time_limit)
     if order is not None:
         whole(f"{WHERE}: order", order, 0, full.n_states)
     if scalings is None and measure in (None, "mu"):
-        scalings, blocks = _of_design(design_or_plant, blocks)
+        scalings = getattr(design_or_plant, "scalings", None)
+        if getattr(scalings, "mixed", False):  # they include G, and bound no norm
+            scalings, blocks = None, design_or_plant.blocks if blocks is None else blocks
     norm = "h2" if getattr(design_or_plant, "method", "") == "h2" else "hinf"
     name = measure or ("mu" if scalings is not None or blocks is not None else norm)
     judge = make_measure(plant, name, blocks, scalings, WHERE, budget)
     with one_thread():
         return _descended(judge, full, loss, order, progress or (lambda _: None))
-
-
-def _plant_and_controller(
-    given: Any, K: Any, n_meas: int | None, n_con: int | None
-) -> tuple[GeneralizedPlant, StateSpaceModel]:
-    if isinstance(given, Synthesis):
-        plant = as_generalized_plant(given.plant, n_meas, n_con, WHERE)
-        full = given.K if K is None else as_model(getattr(K, "K", K), f"{WHERE}: K")
-    elif K is None:
-        raise InputError(WHERE, "K is missing", "a design, or a plant and its controller")
-    else:
-        full = as_model(getattr(K, "K", K), f"{WHERE}: K")
-        plant = as_generalized_plant(given, n_meas or full.n_inputs, n_con or full.n_outputs, WHERE)
-    if (full.n_outputs, full.n_inputs) != (plant.n_con, plant.n_meas):
-        raise InputError(WHERE, f"K is {full.n_outputs} x {full.n_inputs}", f"{plant.n_con} x {plant.n_meas}")
-    full = wired(full, plant.measurements, plant.controls, WHERE)
-    return with_default_performance(plant, WHERE), full
-
-
-def _of_design(given: Any, blocks: Sequence[Block] | None) -> tuple[Any, Sequence[Block] | None]:
-    """Return the scalings of a design, or its blocks where the scalings include G and thus bound no norm."""
-    scalings = getattr(given, "scalings", None)
-    if not getattr(scalings, "mixed", False):
-        return scalings, blocks
-    return None, given.blocks if blocks is None else blocks
 
 
 def _sign_hint(plant: GeneralizedPlant, K: StateSpaceModel) -> str:
@@ -379,7 +354,7 @@ class Family(NamedTuple):
 
 
 def _families(plant: GeneralizedPlant, K: StateSpaceModel) -> list[Family]:
-    """Return all reduction methods that apply to K and the loop; ``plant`` includes weights and scalings."""
+    """Return the methods that apply to K and its loop; ``plant`` includes weights and scalings."""
     K, found = StateSpaceModel(K.A, K.B, K.C, K.D, K.dt), list[Family]()
 
     def add(name: str, factors: tuple[AnyArray, AnyArray], model: StateSpaceModel, apart: StateSpaceModel) -> None:
@@ -400,8 +375,8 @@ def _families(plant: GeneralizedPlant, K: StateSpaceModel) -> list[Family]:
         add(name, (reach, see), K, StateSpaceModel([], [], [], 0 * K.D, K.dt))
 
     m, n_w, n_z = plant.model, plant.n_w, plant.n_z
-    # Each is added if its Gramians exist for this K and keep their digits. Of 14 controllers without the second, the
-    # plainly balanced ones and those step by step, four end with a state or two more.
+    # Each is added if its Gramians exist for this K and keep their digits. Of 14 controllers four end with a state or
+    # two more without the second, the plainly balanced ones and those step by step.
     with suppress(NoTrustworthyNumber, InputError):
         of_loop("closed-loop Gramians", plant.close(K))
     with suppress(NoTrustworthyNumber, InputError):
@@ -410,17 +385,6 @@ def _families(plant: GeneralizedPlant, K: StateSpaceModel) -> list[Family]:
         D = np.block([[np.zeros((plant.n_con, plant.n_meas)), np.eye(plant.n_con)], [np.eye(plant.n_meas), plant.D22]])
         of_loop("loop from measurement noise to control", lower_lft(StateSpaceModel(m.A, B, C, D, m.dt), K))
     with suppress(NoTrustworthyNumber, InputError):
-        way = way_of(K, "coprime")
-        most = len(way.balancing.left)
-        found.append(Family("normalised coprime factors", 0, most, lambda order: way.whole(way.reduced(order))))
-    with suppress(NoTrustworthyNumber, InputError):
         split = split_stable(K)
         add("balanced", gramian_factors(split.stable), split.stable, split.apart)
-        # T_yw and T_zu: the measurements as further outputs, a disturbance on the controls as further input.
-        outs, ins = np.r_[: m.n_outputs, n_z : m.n_outputs], np.r_[: m.n_inputs, n_w : m.n_inputs]
-        loop = lower_lft(StateSpaceModel(m.A, m.B[:, ins], m.C[outs], m.D[outs][:, ins], m.dt), K)
-        into = StateSpaceModel(loop.A, loop.B[:, :n_w], loop.C[n_z:], loop.D[n_z:, :n_w], m.dt)
-        out = StateSpaceModel(loop.A, loop.B[:, n_w:], loop.C[:n_z], loop.D[:n_z, n_w:], m.dt)
-        factors = weighted_factors(split.stable, into, out)
-        add("weighted by the loop on both sides", factors, split.stable, split.apart)
     return found

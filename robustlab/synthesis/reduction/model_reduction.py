@@ -2,30 +2,32 @@
 
 from __future__ import annotations
 
-from functools import partial
-from typing import Any, Literal, get_args, overload
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any, ClassVar, Literal, NamedTuple, get_args, overload
 
 import numpy as np
 
-from robustlab.arrays import AnyArray
+from robustlab.arrays import AnyArray, Array
 from robustlab.checks import choice, number, whole
+from robustlab.display import Displayable, Facts
+from robustlab.display import number as in_words
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
-from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.magnitude import refuse_extremes
 from robustlab.linear_analysis.structural import least_order
-from robustlab.norms import HinfNorm, hinf_norm, linf_norm
+from robustlab.norms import HinfNorm, linf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, append, as_model, parallel
-from robustlab.synthesis.reduction.balancing import lost_at_least_order
-from robustlab.synthesis.reduction.reduced_model import Evidence, ReducedModel
-from robustlab.synthesis.reduction.ways import Way, Weights, way_of
+from robustlab.synthesis.reduction.balancing import Way, Weights, lost_at_least_order, way_of
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.reduction import Reduction, reduction
 
 Method = Literal["truncation", "residualisation", "hankel", "stochastic", "coprime"]
-Band = tuple[float, float]
+Bands = tuple[tuple[float, float], ...]
 
 METHODS = get_args(Method)
+LABELS = {"weighted": "weighted error", "coprime": "error of the coprime factors", "stochastic": "relative error"}
 # A certified error may exceed the a-priori bound by this share of the largest Hankel value: rounding of the model.
 BOUND_ROUNDING = 1e-10
 # Share of the error that splitting off modes may add, before frequencies next to a mode on the boundary are left out;
@@ -33,9 +35,139 @@ BOUND_ROUNDING = 1e-10
 SPLIT_SHARE, OVERLOOKED = 1e-3, 1e-9
 # A pole counts as one on the boundary up to this share of its frequency (one at zero: of the slowest stable one).
 NEAR = 1e-6
-# Half widths of the bands left out, as shares of the same, the widest first.
-WIDTHS = np.logspace(-2, -13, 23)
-TINY = float(np.finfo(float).tiny)
+WIDTHS = 10.0 ** np.arange(-12, -1)  # half widths of the bands left out, as shares of the same
+
+
+class Evidence(NamedTuple):
+    """The error of a reduced model with its proof; see the properties of `ReducedModel`."""
+
+    error: HinfNorm
+    left_out: Bands = ()
+    reason: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedModel(Displayable):
+    r"""A model of lower order with its certified error, which is computed when it is first read.
+
+    Attributes
+    ----------
+    model, full
+        The reduced model, with the inputs and outputs of the one given; the model as given.
+    method
+        ``"truncation"`` or ``"residualisation"``, with ``"weighted "`` before it where there are weights;
+        ``"hankel"``, ``"stochastic"``, ``"coprime"`` or ``"minimal"``.
+    hankel
+        Hankel singular values of the reduced part (of the coprime factors for ``"coprime"``, of the phase of the model
+        for ``"stochastic"``), in decreasing order.
+    n_apart
+        Number of states kept apart, because their modes are not stable.
+    promised
+        A-priori bound of the error, without rounding; NaN where there is none.
+    weights
+        The weights on inputs and outputs, where there are any; for `robustlab.verify`.
+    removed
+        The uncontrollable or unobservable modes that were removed: with ``"minimal"`` all, with other methods those
+        that are not stable.
+    """
+
+    quantities: ClassVar[Mapping[str, Any]] = {
+        "order": "1", "error": float, "states": "1", "bound": float, "n_apart": "1", "hankel": [float], "stable": bool,
+    }  # fmt: skip
+
+    model: StateSpaceModel
+    method: str
+    hankel: Array
+    n_apart: int
+    full: StateSpaceModel
+    promised: float
+    judge: Callable[[], Evidence]
+    weights: Weights = (None, None)
+    removed: tuple[str, ...] = ()
+
+    @cached_property
+    def evidence(self) -> Evidence:
+        """The error with its proof."""
+        return self.judge()
+
+    @property
+    def error(self) -> HinfNorm:
+        """Largest gain of the difference of the two models, as given and as returned, but at ``left_out``.
+
+        Times the weights where there are any; relative to the gain of the stable part for ``"stochastic"``; for
+        ``"coprime"`` of the normalised right coprime factors ``[N; M]``.
+        """
+        return self.evidence.error
+
+    @property
+    def left_out(self) -> Bands:
+        """Intervals (low, high) in rad/s for which ``error`` says nothing, around modes on the stability boundary.
+
+        Rounding moves such a mode, or its share of the response, and no bound of the difference is finite there. Their
+        width keeps the contribution of rounding to ``error`` below a thousandth of it.
+        """
+        return self.evidence.left_out
+
+    @property
+    def reason(self) -> str:
+        """Why the status is INACCURATE; else empty."""
+        return self.evidence.reason
+
+    @property
+    def bound(self) -> float:
+        """``promised``, or ``error.upper`` where that is larger, as the model returned is rounded."""
+        return self.promised if np.isnan(self.promised) else max(self.promised, self.error.upper)
+
+    @property
+    def status(self) -> Status:
+        """CERTIFIED where ``error`` is proved, and within what theory promises; INACCURATE where digits were lost."""
+        sure = not self.reason and self.error.status is Status.CERTIFIED
+        return Status.CERTIFIED if sure else Status.INACCURATE
+
+    @property
+    def order(self) -> int:
+        """Number of states of the reduced model."""
+        return self.model.n_states
+
+    def to_model(self) -> StateSpaceModel:
+        """Return the reduced model."""
+        return self.model
+
+    def headline(self) -> str:
+        kept = f"{self.order} of {self.full.n_states} states by {self.method}"
+        return f"{kept}, with an error of at most {in_words(self.error.upper)}"
+
+    def numbers(self) -> dict[str, Any]:
+        return {
+            "order": self.order, "error": self.error.upper, "states": self.full.n_states,
+            "bound": None if np.isnan(self.bound) else self.bound, "n_apart": self.n_apart,
+            "hankel": self.hankel, "stable": self.model.is_stable(),
+        }  # fmt: skip
+
+    def facts(self) -> Facts:
+        at = "" if np.isnan(self.error.frequency) else f" at {self.error.frequency:.4g} rad/s"
+        bound = f"; promised: at most {self.bound:.6g}" if np.isfinite(self.bound) else ""
+        label = LABELS.get(self.method.partition(" ")[0], "error")
+        around = ", ".join(
+            f"{0.5 * (low + high):.6g} +- {0.5 * (high - low):.2g}" if low else f"0 to {high:.2g}"
+            for low, high in self.left_out
+        )
+        return [
+            ("order", f"{self.order} of {self.full.n_states} states"),
+            ("method", self.method),
+            (label, f"{self.error.upper:.6g}{at} (verified upper bound{bound})"),
+            ("not proved at", around and f"{around} rad/s (modes on the stability boundary, kept apart)"),
+            ("status", self.status.value),
+            ("Hankel values", ", ".join(f"{value:.4g}" for value in self.hankel[:12]) or "none"),
+            ("kept apart", f"{self.n_apart} states of modes that are not stable" if self.n_apart else ""),
+            *(("removed", mode) for mode in self.removed),
+            ("why", self.reason),
+        ]
+
+    def to_json(self) -> dict[str, Any]:
+        names = "model method error bound hankel n_apart status reason left_out removed order"
+        data = {name: getattr(self, name) for name in names.split()}
+        return {"type": "ReducedModel", **data, "full_order": self.full.n_states}
 
 
 @overload
@@ -148,8 +280,8 @@ def reduce_model(
     k 1 -> 0; invariance 0.0e+00, difference 0.0e+00 (converged)
     """
     if isinstance(model, UncertainModel):
-        more = {"order": order, "input_weight": input_weight, "output_weight": output_weight}
-        more |= {"method": None if method == "truncation" else method, "floor": floor or None}
+        more = {"order": order, "method": None if method == "truncation" else method, "floor": floor or None}
+        more |= {"input_weight": input_weight, "output_weight": output_weight}
         if given := next((name for name, value in more.items() if value is not None), None):
             hint = "the nominal model (.nominal) takes it"
             raise InputError(f"reduce_model: {given}", "given with an uncertain model", "tolerance alone", hint)
@@ -234,28 +366,22 @@ def _reduced(full: StateSpaceModel, way: Way, order: int) -> ReducedModel:
 
 def _judged(way: Way, small: StateSpaceModel) -> Evidence:
     """Return the error of a reduced part, that of splitting off the other modes included."""
-    split, relative, promised = way.split, way.spectrum is not None, way.bound(small.n_states)
+    split, promised = way.split, way.bound(small.n_states)
     largest = float(way.balancing.values.max(initial=0.0))
-    difference = parallel(way.part, small, -1)
-    error, left_out, reason = way.measured(difference), (), ""
-    whole = hinf_norm(difference) if relative else None
+    error, left_out, reason = way.measured(parallel(way.part, small, -1)), (), ""
     if way.method == "coprime" and split.lost is not None:
         reason = "the modes that were removed before are not exactly hidden"
     elif split.lost is not None:
         per_gain = way.per_gain()
-        wanted = SPLIT_SHARE * max(error.upper, OVERLOOKED * (1.0 if relative else largest)) / max(per_gain, TINY)
+        floor = OVERLOOKED * (1.0 if way.method == "stochastic" else largest)
+        wanted = SPLIT_SHARE * max(error.upper, floor) / per_gain if per_gain else np.inf
         upper, left_out, doubt = _lost_gain(split.lost, split.apart.poles(), split.stable.poles(), wanted)
-        error = _widened(error, per_gain * upper if upper else 0.0, doubt)
-        whole = None if whole is None else _widened(whole, upper, doubt)
+        by, status = per_gain * upper if upper else 0.0, Status.INACCURATE if doubt else error.status
+        ends = max(error.lower - by, 0.0), error.upper + by
+        error = HinfNorm(*ends, error.frequency, status, error.reason or doubt)
     if error.lower > promised + BOUND_ROUNDING * largest + 1e-12 * error.lower:
         reason = f"the error {error.lower:.6g} exceeds what theory promises, {promised:.6g}: digits were lost"
-    return Evidence(error, left_out, error.reason or reason, whole)
-
-
-def _widened(norm: HinfNorm, by: float, reason: str) -> HinfNorm:
-    """Widen the bracket of a norm; not certified if there is a reason against it."""
-    status = Status.INACCURATE if reason else norm.status
-    return HinfNorm(max(norm.lower - by, 0.0), norm.upper + by, norm.frequency, status, norm.reason or reason)
+    return Evidence(error, left_out, error.reason or reason)
 
 
 @error_context("minimal")
@@ -320,11 +446,12 @@ def minimal(model: Any, *, tolerance: float | None = None) -> ReducedModel:
 
 def _lost_gain(
     lost: StateSpaceModel, apart: AnyArray, stable: AnyArray, wanted: float = 0.0
-) -> tuple[float, tuple[Band, ...], str]:
+) -> tuple[float, Bands, str]:
     """Return a bound of the gain of ``lost``, the bands in rad/s that are left out, and why it is not proved.
 
-    At a mode on the stability boundary that gain is infinite: an interval around it is left out, as narrow as the bound
-    ``wanted`` allows. ``apart``, ``stable``: the poles of the model that are not stable, and the others.
+    At a mode on the stability boundary that gain is infinite: an interval around it is left out, the narrowest with a
+    bound of ``wanted``, or from which on wider ones help little. ``apart``, ``stable``: the poles of the model that are
+    not stable, and the others.
     """
     if not lost.D.size:
         return 0.0, (), ""
@@ -332,38 +459,25 @@ def _lost_gain(
     if dt:  # in rad/s
         apart, stable = (np.log(poles[np.abs(poles) > 1e-12].astype(complex)) / dt for poles in (apart, stable))
     slow = np.abs(stable).min() if len(stable) else 1 / dt if dt else np.abs(apart).max(initial=0.0) or 1.0
-    at = np.abs(np.imag(apart))
-    centre = np.where(at > 1e-3 * slow, at, 0.0)
+    centre = np.where(np.abs(np.imag(apart)) > 1e-3 * slow, np.abs(np.imag(apart)), 0.0)
     scale = np.where(centre > 0, centre, slow)
     near = np.abs(np.real(apart)) <= NEAR * scale
-    centre, scale = centre[near], scale[near]
-    offset = scale[:, None] * WIDTHS
-    sizes = _gains(lost, np.abs(np.stack([centre[:, None] - offset, centre[:, None] + offset]))).max(axis=0)
-    elsewhere = max(_gains(lost, np.abs(apart[~near])).max(initial=0.0), sizes[:, :1].max(initial=0.0))
-    small = np.logical_and.accumulate(sizes <= max(wanted, 2 * elsewhere), axis=1).sum(axis=1) - 1
-    while True:
-        half = scale * WIDTHS[np.maximum(small, 0)]
-        left_out = _merged(np.clip([centre - half, centre + half], low, high).T.tolist())
+    upper, left_out, doubt = np.inf, (), ""
+    for width in WIDTHS:
+        last, half = upper, width * scale[near]
+        left_out = _merged(np.clip([centre[near] - half, centre[near] + half], low, high).T.tolist())
         ends = [low, *(end for interval in left_out for end in interval), high]
         found = [linf_norm(lost, 0.01, band=(a, b)) for a, b in zip(ends[::2], ends[1::2], strict=True) if a < b]
+        upper = max((norm.upper for norm in found), default=0.0)
         doubt = next((norm.reason or "not proved" for norm in found if norm.status is not Status.CERTIFIED), "")
-        small = small - 2  # ten times as wide, as rounding decides so near to a pole
-        if not doubt or not (small >= 0).any():
-            return max((norm.upper for norm in found), default=0.0), left_out, doubt
+        if not near.any() or (not doubt and (upper <= wanted or upper > 0.5 * last)):
+            break
+    return upper, left_out, doubt
 
 
-def _gains(model: StateSpaceModel, omega: AnyArray) -> AnyArray:
-    """Return ``sigma_max`` in the shape of omega; infinite where a frequency is indistinguishable from a pole."""
-    try:
-        response = frequency_response(model, omega.ravel())
-    except NoTrustworthyNumber:
-        return np.full(omega.shape, np.inf)
-    return np.linalg.norm(response, 2, axis=(1, 2)).reshape(omega.shape)
-
-
-def _merged(intervals: list[list[float]]) -> tuple[Band, ...]:
+def _merged(intervals: list[list[float]]) -> Bands:
     """Return the intervals in order, with overlapping ones merged and empty ones left out."""
-    found: list[Band] = []
+    found: list[tuple[float, float]] = []
     for low, high in sorted(intervals):
         if found and low <= found[-1][1]:
             found[-1] = found[-1][0], max(found[-1][1], high)

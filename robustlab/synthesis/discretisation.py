@@ -1,10 +1,20 @@
-"""Digital controllers: each formula verified in the sampled loop, and direct design on the lifted plant."""
+r"""From continuous to discrete time and back: by formula, and of a controller judged in its sampled loop.
+
+====================  ==================================================================================================
+``tustin``            :math:`s = (2/T) (z - 1)/(z + 1)`: keeps stability and the H-infinity norm, bends frequencies
+``tustin-prewarp``    :math:`s = (\omega_0 / \tan(\omega_0 T / 2)) (z - 1)/(z + 1)`: exact at :math:`\omega_0`
+``zoh``               exact at the samples for an input held over the sample time (a D/A converter)
+``foh``               exact at the samples for an input that is linear from sample to sample
+====================  ==================================================================================================
+"""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar, overload
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any, ClassVar, Literal, get_args, overload
 
 import numpy as np
 
@@ -13,36 +23,163 @@ from robustlab.checks import choice, number
 from robustlab.display import AllFields, Facts
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.feedback import wired
-from robustlab.norms import HinfNorm, hinf_norm
+from robustlab.norms import HinfNorm, bilinear_to_continuous, bilinear_to_discrete, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.hinf.loop_shaping import with_default_performance
 from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status, limiting_channels
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
-from robustlab.synthesis.problem.performance_measure import given_scalings, plant_with_scalings
-from robustlab.synthesis.sampled.discretisation import (
-    METHODS,
-    MergedModes,
-    Method,
-    SampledMethod,
-    by_formula,
-    merged_modes,
-)
-from robustlab.synthesis.sampled.lifting import lift
-from robustlab.synthesis.sampled.sampled_norm import (
+from robustlab.synthesis.sampled_norm import (
     SampledDataNorm,
     check_sampling,
+    lift,
     sampled_loop_norm,
     with_antialiasing,
 )
 
+Method = Literal["tustin", "tustin-prewarp", "zoh", "foh"]
+SampledMethod = Literal["auto", "direct", "tustin", "tustin-prewarp", "zoh", "foh"]
+Hold = Literal["zoh", "tustin"]
+METHODS = get_args(Method)
+
+# Two sampled modes closer than this, relative to their modulus, count as one mode.
+MERGED = 1e-6
+# Accuracy to which the exponential of a logarithm must reproduce the matrix.
+CLOSE = 1e-10
+EPS = float(np.finfo(float).eps)
 CONTROLLER_WORK = 60 * MILLION  # the usual work at effort 1
 DESIGN_INTERVALS = 4  # of a period, for disturbance and performance in the direct design
 DESIGN_GAMMA_REL = 1.02  # allowed ratio of its gamma to the smallest: larger: slower poles
 MOST_DESIGN = 48  # lifted channels of the direct design at most
 
 WHERE = "discretise"
+
+
+@error_context(WHERE)
+def by_formula(model: Any, dt: float, method: str, prewarp: float | None = None) -> StateSpaceModel:
+    """Discretise a model without a plant; see `robustlab.discretise`."""
+    m = as_model(getattr(model, "K", model), "discretise")
+    if m.is_discrete:
+        raise InputError(WHERE, f"the model has dt = {m.dt:g} s", "a continuous model (dt = 0)")
+    number(f"{WHERE}: dt", dt, "a positive sample time in s", above=0)
+    choice(f"{WHERE}: method", method, METHODS)
+    if (prewarp is None) == (method == "tustin-prewarp"):
+        found = f"method {method!r} with prewarp={prewarp}"
+        raise InputError(WHERE, found, "prewarp with 'tustin-prewarp' alone")
+    if prewarp is not None and not 0 < prewarp < np.pi / dt:
+        expected = f"between 0 and the Nyquist frequency {np.pi / dt:g}"
+        raise InputError(WHERE, f"prewarp is {prewarp:g} rad/s", expected)
+    if method in ("tustin", "tustin-prewarp"):
+        found = bilinear_to_discrete(m, 2 * float(np.tan(prewarp * dt / 2)) / prewarp if prewarp else dt)
+    else:
+        found = _sampled(m, dt, method)
+    return StateSpaceModel(
+        found.A, found.B, found.C, found.D, dt, m.inputs, m.outputs, m.states,
+        m.operating_point if method == "zoh" else None, where=f"discretise ({method})",
+    )  # fmt: skip
+
+
+def _sampled(m: StateSpaceModel, dt: float, method: str) -> StateSpaceModel:
+    """Discretise by one matrix exponential; the state of ``foh`` is ``x_k`` less its part from ``u_k``."""
+    from scipy.signal import cont2discrete
+
+    with np.errstate(over="ignore", invalid="ignore"):
+        made: Any = cont2discrete((m.A, m.B, m.C, m.D), dt, method=method)
+    a, b, c, d = made[:4]
+    if not (np.isfinite(a).all() and np.isfinite(b).all()):
+        fastest = m.spectral_abscissa()
+        found = f"e^(A dt) overflows: a pole at {fastest:.6g} 1/s grows too much in dt = {dt:g} s"
+        if fastest < 0:
+            rate = float(np.abs(m.poles()).max())
+            found = f"e^(A dt) overflows on its way: rates up to {rate:.3g} 1/s in dt = {dt:g} s"
+        raise NoTrustworthyNumber(f"discretise ({method})", found)
+    return StateSpaceModel(a, b, c, d)
+
+
+# --- back to continuous time, and to another sample time --------------------------------------------------------------
+
+
+@error_context("d2c")
+def d2c(model: Any, method: Hold = "zoh") -> StateSpaceModel:
+    r"""Compute a continuous model of a discrete one.
+
+    .. math:: \begin{bmatrix} A & B \\ 0 & 0 \end{bmatrix}
+              = \frac{1}{T} \log \begin{bmatrix} A_d & B_d \\ 0 & I \end{bmatrix}
+
+    Parameters
+    ----------
+    model
+        Discrete StateSpaceModel with sample time T in s, controller or python-control object.
+    method
+        ``"zoh"``: the model whose samples under a held input these are, with its modes below the Nyquist frequency.
+        ``"tustin"``: the inverse of Tustin's rule.
+
+    Returns
+    -------
+    StateSpaceModel
+        With the signals of the model; with ``"zoh"`` also its states and its operating point.
+
+    Raises
+    ------
+    InputError
+        A continuous model, an unknown method.
+    NoTrustworthyNumber
+        ``"zoh"``: a pole on the closed negative real axis, or a logarithm that does not reproduce the model to 1e-10.
+        ``"tustin"``: a pole at z = -1.
+
+    References
+    ----------
+    Higham, *Functions of Matrices* (2008), theorem 1.31.
+
+    Examples
+    --------
+    >>> d2c(StateSpaceModel([[0.5]], [[0.5]], [[1.0]], [[0.0]], dt=0.1)).A.round(6)
+    array([[-6.931472]])
+    """
+    m = as_model(getattr(model, "K", model), "d2c")
+    if not m.is_discrete:
+        raise InputError("d2c", "the model is continuous (dt = 0)", "a discrete one", "rl.discretise makes one")
+    if choice("d2c: method", method, get_args(Hold)) == "tustin":
+        return replace(bilinear_to_continuous(m), inputs=m.inputs, outputs=m.outputs, states=m.states)
+    from scipy.linalg import expm, logm
+
+    poles, n = m.poles(), m.n_states
+    real = poles[np.abs(poles.imag) <= 1e-12 * np.abs(poles)].real
+    sizes = np.linalg.svd(m.A, compute_uv=False)
+    singular = n and sizes[-1] <= n * EPS * sizes[0]
+    if singular or (real <= 0).any():
+        found = (
+            f"a pole at z = {0.0 if singular else real.min():.6g}: no continuous model of this order has such samples"
+        )
+        hint = "method='tustin' maps this pole"
+        raise NoTrustworthyNumber("d2c (zoh)", found, "poles off the closed negative real axis", hint)
+    held = np.block([[m.A, m.B], [np.zeros((m.n_inputs, n)), np.eye(m.n_inputs)]])
+    with warnings.catch_warnings():  # scipy's own estimate; the exponential below decides
+        warnings.simplefilter("ignore", RuntimeWarning)
+        rate: Any = logm(held)
+    size = np.abs(held).max(initial=1.0)
+    off = np.abs(expm(rate.real) - held).max(initial=0.0) / size if np.isfinite(rate).all() else np.inf
+    if not off <= CLOSE:
+        raise NoTrustworthyNumber("d2c (zoh)", f"the exponential of log A gives A back to {off:.1e} of its size only")
+    rate = rate.real / m.dt
+    return replace(m, A=rate[:n, :n], B=rate[:n, n:], dt=0.0)
+
+
+def merged_modes(model: StateSpaceModel, dt: float) -> tuple[str, ...]:
+    """Describe the pairs of different modes that are one mode at the samples: pathological sampling."""
+    found = list[str]()
+    for one, two in combinations(model.poles().astype(complex).tolist(), 2):
+        multiple = round((one - two).imag * dt / (2 * np.pi))
+        if multiple and abs((one - two) * dt - 2j * np.pi * multiple) <= MERGED:
+            names = " and ".join(f"{pole.real:.6g}{pole.imag:+.6g}j" for pole in (one, two))
+            effect = "they cannot be controlled one by one" if one.real < 0 else "no digital controller moves both"
+            multiples = f"differ by {abs(multiple)} sampling frequencies"
+            found.append(f"pathological sampling: modes {names} rad/s {multiples}; {effect}")
+    return tuple(found)
+
+
+# --- controllers in their sampled loops -------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -75,24 +212,18 @@ class SampledController(Synthesis):
 
     Attributes
     ----------
-    original
-        The continuous controller.
-    continuous_norm
-        Norm of the continuous loop with it.
+    original, continuous_norm
+        The continuous controller, and the norm of its continuous loop.
     norm
         Bracket of the sampled-data norm.
     allowed_loss
         The loss up to which no direct design is tried.
-    trials
-        All methods tried.
-    delay
-        Computational delay in s.
-    antialiasing
-        Corner of the filter before the sampler in rad/s; None: no filter.
+    trials, chosen
+        All methods tried, and that of K.
+    delay, antialiasing
+        Computational delay in s; corner of the filter before the sampler in rad/s, None: no filter.
     pathological
-        Pairs of plant modes with one sampled mode.
-    chosen
-        The method of K.
+        Pairs of plant modes with one sampled mode, in words.
     """
 
     quantities: ClassVar[Mapping[str, Any]] = {
@@ -110,7 +241,7 @@ class SampledController(Synthesis):
     trials: tuple[SampledTrial, ...]
     delay: float
     antialiasing: float | None
-    pathological: tuple[MergedModes, ...]
+    pathological: tuple[str, ...]
     chosen: str
 
     @property
@@ -143,7 +274,7 @@ class SampledController(Synthesis):
         elif self.norm.held:
             head.append(("taken as constant between samples", ", ".join(self.norm.held)))
         tried = [f"{t.method}: {t.text.removeprefix('loss ')}" for t in self.trials]
-        notes = [("note", str(merged)) for merged in self.pathological]
+        notes = [("note", merged) for merged in self.pathological]
         return [*head, *rows, ("loss by method", ", ".join(tried)), *notes]
 
 
@@ -170,7 +301,6 @@ def discretise(
     loss: float = 0.1,
     delay: float = 0.0,
     antialiasing: float | None = None,
-    scalings: Any = None,
     time_limit: float | None = None,
     effort: float = 1.0,
     progress: Callable[[str], None] | None = None,
@@ -179,8 +309,8 @@ def discretise(
 
     .. math:: \dot x = A x + B u \quad\to\quad x_{k+1} = A_d x_k + B_d u_k
 
-    The states of ``zoh`` and ``impulse`` and their operating point are those of the model; the other methods have
-    states of their own and no operating point.
+    The states of ``zoh`` and their operating point are those of the model; the other methods have states of their own
+    and no operating point.
 
     A controller with its plant, a design or a controller with ``plant=``, is evaluated in its loop, between the samples
     too:
@@ -198,9 +328,9 @@ def discretise(
     dt
         Sample time in s.
     method
-        See the table of `robustlab.synthesis.sampled.discretisation`, ``"tustin"`` where left out. ``"matched"`` is for
-        one input and one output. Of a controller with its plant also ``"direct"``, and ``"auto"`` where left out: the
-        best of the formulas, or the direct design where they lose more than ``loss``.
+        See the table of `robustlab.synthesis.discretisation`, ``"tustin"`` where left out. Of a
+        controller with its plant also ``"direct"``, and ``"auto"`` where left out: the best of the formulas, or the
+        direct design where they lose more than ``loss``.
     plant
         Generalised plant of the controller (see `hinf`), or the design whose plant it is; that of a design where left
         out. Of a bare plant, whose every input is a control and every output a measurement, the four-block loop is
@@ -214,9 +344,6 @@ def discretise(
         Computational delay in s, between sample and change of the control.
     antialiasing
         Corner frequency in rad/s of a filter before the sampler; see `sampled_data_norm`.
-    scalings
-        Pair of stable models ``(D_z, D_w^-1)``: the norm of the scaled loop then bounds mu for the linear
-        time-invariant perturbations that commute with them, in the sampled loop as well.
     time_limit
         Time in s, checked between methods and by the direct design; none where left out. Where it ends the search the
         status is TIMEOUT.
@@ -228,18 +355,17 @@ def discretise(
     Returns
     -------
     StateSpaceModel or SampledController
-        Discrete, with n states (``"matched"``: as many as there are poles), and the signals of the model. Of a
-        controller with its plant the one of smallest proved norm among those tried, with the loss of each.
+        Discrete, with n states and the signals of the model. Of a controller with its plant the one of smallest proved
+        norm among those tried, with the loss of each.
 
     Raises
     ------
     InputError
         A discrete model (its dt is named), a sample time that is not positive, an unknown method, a prewarp frequency
-        beyond the Nyquist frequency, a direct term with ``"impulse"``, several channels with ``"matched"``; a delay in
-        a loop or between dynamic parts; options of a loop without a plant.
+        beyond the Nyquist frequency; a delay in a loop or between dynamic parts; options of a loop without a plant.
     NoTrustworthyNumber
-        A pole that the bilinear map sends to infinity; poles and zeros that do not reproduce the response; a continuous
-        loop that is not stable; no method that leaves the sampled loop stable (pathological sampling is named).
+        A pole that the bilinear map sends to infinity; a continuous loop that is not stable; no method that leaves the
+        sampled loop stable (pathological sampling is named).
 
     References
     ----------
@@ -263,9 +389,9 @@ def discretise(
     found: Any = plant if plant is not None else model if isinstance(model, Synthesis) else None
     if found is None:
         loop = {"loss": loss != 0.1, "delay": delay != 0, "antialiasing": antialiasing is not None}
-        loop |= {"scalings": scalings is not None, "method": method in ("auto", "direct")}
+        loop |= {"method": method in ("auto", "direct")}
         if given := next((name for name, is_given in loop.items() if is_given), None):
-            raise InputError(f"discretise: {given}", "no plant to judge the loop with", "plant= beside it")
+            raise InputError(f"{WHERE}: {given}", "no plant to judge the loop with", "plant= beside it")
         return by_formula(model, dt, "tustin" if method is None else method, prewarp)
     full = as_model(getattr(model, "K", model), WHERE)
     p = as_generalized_plant(
@@ -279,18 +405,16 @@ def discretise(
     choice(f"{WHERE}: method", method or "auto", ("auto", "direct", *METHODS))
     number(f"{WHERE}: loss", loss, at_least=0)
     budget = design_budget(WHERE, CONTROLLER_WORK, effort, time_limit)
-    judged = p if scalings is None else plant_with_scalings(p, given_scalings(scalings, 0.0, WHERE), WHERE)
     with one_thread():
-        continuous = hinf_norm(judged.close(full))
+        continuous = hinf_norm(p.close(full))
         if not np.isfinite(continuous.upper):
             raise NoTrustworthyNumber(WHERE, f"the continuous loop is not stable ({continuous.reason})")
-        judged = with_antialiasing(judged, antialiasing, WHERE)
+        judged = with_antialiasing(p, antialiasing, WHERE)
         merged = merged_modes(judged.model, dt)
         corner = continuous.frequency if prewarp is None else prewarp
         names = [method] if method not in (None, "auto", "direct") else []
         if method in (None, "auto"):
             names = ["tustin", *["tustin-prewarp"] * bool(0 < continuous.frequency < 0.9 * np.pi / dt), "zoh", "foh"]
-            names += ["matched"] * ((full.n_inputs, full.n_outputs) == (1, 1))
         trials, best = list[SampledTrial](), None
         for name in [*names, *["direct"] * (method in (None, "auto", "direct"))]:
             enough = best is not None and _loss(best[2].upper, continuous) <= loss
@@ -311,9 +435,8 @@ def discretise(
                 if np.isfinite(upper) and (not status.trustworthy, upper) < (not sure, least):
                     best = name, made, norm
             except (InputError, NoTrustworthyNumber) as error:  # InputError: a loop that is not well posed
-                named = [str(pair) for pair in merged if not pair.stable and name == "direct"]
                 order, lower, upper, status = -1, np.inf, np.inf, Status.FAILED
-                reason = "; ".join([error.line, *named])
+                reason = "; ".join([error.line, *(merged if name == "direct" else ())])
             trials.append(SampledTrial(name, order, lower, upper, _loss(upper, continuous), status, reason))
             if progress is not None:
                 progress(f"{name}: {reason if order < 0 else f'sampled-data norm {upper:.6g}, {trials[-1].text}'}")
@@ -322,7 +445,7 @@ def discretise(
         outcomes = [f"{trial.method}: {trial.reason or 'not stable'}" for trial in trials]
         raise NoTrustworthyNumber(
             WHERE, f"no digital controller with dt = {dt:g} s left the sampled loop stable{ended}",
-            hint="a shorter sample time", more=(*map(str, merged), *outcomes),
+            hint="a shorter sample time", more=(*merged, *outcomes),
         )  # fmt: skip
     name, made, norm = best
     how = norm.reason or f"norm proved on {norm.n_intervals} intervals a period"
