@@ -86,7 +86,7 @@ _PUBLIC = {
     "Controller": "synthesis.problem.controller",
     # gain scheduling
     "LPVModel": "synthesis.scheduling.parameter_varying",
-    "lpv_model": "synthesis.scheduling.lpv_sources",
+    "lpv_model": "synthesis.scheduling.parameter_varying",
     # reduction and discretisation
     "reduce_model": "synthesis.reduction.model_reduction",
     "minimal": "synthesis.reduction.model_reduction",

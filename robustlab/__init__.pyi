@@ -61,8 +61,8 @@ from robustlab.synthesis.reduction.controller_reduction import reduce_controller
 from robustlab.synthesis.reduction.model_reduction import minimal as minimal
 from robustlab.synthesis.reduction.model_reduction import reduce_model as reduce_model
 from robustlab.synthesis.sampled_norm import sampled_data_norm as sampled_data_norm
-from robustlab.synthesis.scheduling.lpv_sources import lpv_model as lpv_model
 from robustlab.synthesis.scheduling.parameter_varying import LPVModel as LPVModel
+from robustlab.synthesis.scheduling.parameter_varying import lpv_model as lpv_model
 from robustlab.synthesis.specifications.loop_functions import loop_functions as loop_functions
 from robustlab.synthesis.specifications.weight_design import complementary_weight as complementary_weight
 from robustlab.synthesis.specifications.weight_design import control_weight as control_weight

@@ -23,12 +23,12 @@ ROUNDING = 1e-14  # of the largest entry: allowance in addition to a member's st
 
 
 def reduction_claims(found: ReducedModel) -> list[Claim]:
-    """Return the claim of the error norm, weighted or not; none for a relative error, or that of coprime factors."""
+    """Return the claim of the error norm, weighted or not; none for that of coprime factors."""
     if found.left_out:
         return []
     if found.weights != (None, None):
         return _weighted(found)
-    return _difference(found, found.error) if found.method in ("truncation", "residualisation", "hankel") else []
+    return _difference(found, found.error) if found.method not in ("coprime", "minimal") else []
 
 
 def _difference(found: ReducedModel, norm: HinfNorm) -> list[Claim]:

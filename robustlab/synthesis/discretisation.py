@@ -30,23 +30,15 @@ from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.hinf.loop_shaping import with_default_performance
 from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status, limiting_channels
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
-from robustlab.synthesis.sampled_norm import (
-    SampledDataNorm,
-    check_sampling,
-    lift,
-    sampled_loop_norm,
-    with_antialiasing,
-)
+from robustlab.synthesis.sampled_norm import SampledDataNorm, check_sampling, lift, sampled_loop_norm, with_antialiasing
 
 Method = Literal["tustin", "tustin-prewarp", "zoh", "foh"]
 SampledMethod = Literal["auto", "direct", "tustin", "tustin-prewarp", "zoh", "foh"]
 Hold = Literal["zoh", "tustin"]
 METHODS = get_args(Method)
 
-# Two sampled modes closer than this, relative to their modulus, count as one mode.
-MERGED = 1e-6
-# Accuracy to which the exponential of a logarithm must reproduce the matrix.
-CLOSE = 1e-10
+MERGED = 1e-6  # sampled modes closer than this, relative to their modulus, count as one
+CLOSE = 1e-10  # accuracy to which the exponential of a logarithm must reproduce the matrix
 EPS = float(np.finfo(float).eps)
 CONTROLLER_WORK = 60 * MILLION  # the usual work at effort 1
 DESIGN_INTERVALS = 4  # of a period, for disturbance and performance in the direct design
@@ -72,29 +64,21 @@ def by_formula(model: Any, dt: float, method: str, prewarp: float | None = None)
         raise InputError(WHERE, f"prewarp is {prewarp:g} rad/s", expected)
     if method in ("tustin", "tustin-prewarp"):
         found = bilinear_to_discrete(m, 2 * float(np.tan(prewarp * dt / 2)) / prewarp if prewarp else dt)
-    else:
-        found = _sampled(m, dt, method)
-    return StateSpaceModel(
-        found.A, found.B, found.C, found.D, dt, m.inputs, m.outputs, m.states,
-        m.operating_point if method == "zoh" else None, where=f"discretise ({method})",
-    )  # fmt: skip
+        made = found.A, found.B, found.C, found.D
+    else:  # by one matrix exponential; the state of `foh` is x_k less its part from u_k
+        from scipy.signal import cont2discrete
 
-
-def _sampled(m: StateSpaceModel, dt: float, method: str) -> StateSpaceModel:
-    """Discretise by one matrix exponential; the state of ``foh`` is ``x_k`` less its part from ``u_k``."""
-    from scipy.signal import cont2discrete
-
-    with np.errstate(over="ignore", invalid="ignore"):
-        made: Any = cont2discrete((m.A, m.B, m.C, m.D), dt, method=method)
-    a, b, c, d = made[:4]
-    if not (np.isfinite(a).all() and np.isfinite(b).all()):
-        fastest = m.spectral_abscissa()
-        found = f"e^(A dt) overflows: a pole at {fastest:.6g} 1/s grows too much in dt = {dt:g} s"
-        if fastest < 0:
-            rate = float(np.abs(m.poles()).max())
-            found = f"e^(A dt) overflows on its way: rates up to {rate:.3g} 1/s in dt = {dt:g} s"
-        raise NoTrustworthyNumber(f"discretise ({method})", found)
-    return StateSpaceModel(a, b, c, d)
+        with np.errstate(over="ignore", invalid="ignore"):
+            made = cont2discrete((m.A, m.B, m.C, m.D), dt, method=method)[:4]
+        if not (np.isfinite(made[0]).all() and np.isfinite(made[1]).all()):
+            fastest = m.spectral_abscissa()
+            found = f"e^(A dt) overflows: a pole at {fastest:.6g} 1/s grows too much in dt = {dt:g} s"
+            if fastest < 0:
+                rate = float(np.abs(m.poles()).max())
+                found = f"e^(A dt) overflows on its way: rates up to {rate:.3g} 1/s in dt = {dt:g} s"
+            raise NoTrustworthyNumber(f"discretise ({method})", found)
+    at = m.operating_point if method == "zoh" else None
+    return StateSpaceModel(*made, dt, m.inputs, m.outputs, m.states, at, where=f"discretise ({method})")
 
 
 # --- back to continuous time, and to another sample time --------------------------------------------------------------
@@ -149,9 +133,8 @@ def d2c(model: Any, method: Hold = "zoh") -> StateSpaceModel:
     sizes = np.linalg.svd(m.A, compute_uv=False)
     singular = n and sizes[-1] <= n * EPS * sizes[0]
     if singular or (real <= 0).any():
-        found = (
-            f"a pole at z = {0.0 if singular else real.min():.6g}: no continuous model of this order has such samples"
-        )
+        pole = 0.0 if singular else real.min()
+        found = f"a pole at z = {pole:.6g}: no continuous model of this order has such samples"
         hint = "method='tustin' maps this pole"
         raise NoTrustworthyNumber("d2c (zoh)", found, "poles off the closed negative real axis", hint)
     held = np.block([[m.A, m.B], [np.zeros((m.n_inputs, n)), np.eye(m.n_inputs)]])
@@ -323,14 +306,12 @@ def discretise(
 
     Parameters
     ----------
-    model
-        Continuous StateSpaceModel with n states, controller, design or python-control object.
-    dt
-        Sample time in s.
+    model, dt
+        Continuous StateSpaceModel with n states, controller, design or python-control object; sample time in s.
     method
-        See the table of `robustlab.synthesis.discretisation`, ``"tustin"`` where left out. Of a
-        controller with its plant also ``"direct"``, and ``"auto"`` where left out: the best of the formulas, or the
-        direct design where they lose more than ``loss``.
+        See the table of `robustlab.synthesis.discretisation`, ``"tustin"`` where left out. Of a controller with its
+        plant also ``"direct"``, and ``"auto"`` where left out: the best of the formulas, or the direct design where
+        they lose more than ``loss``.
     plant
         Generalised plant of the controller (see `hinf`), or the design whose plant it is; that of a design where left
         out. Of a bare plant, whose every input is a control and every output a measurement, the four-block loop is
@@ -338,17 +319,12 @@ def discretise(
     prewarp
         Frequency in rad/s at which ``"tustin-prewarp"`` is exact, below pi / dt; with a plant, the frequency of the
         continuous loop's peak where left out.
-    loss
-        Largest loss allowed, as a share.
-    delay
-        Computational delay in s, between sample and change of the control.
-    antialiasing
-        Corner frequency in rad/s of a filter before the sampler; see `sampled_data_norm`.
-    time_limit
-        Time in s, checked between methods and by the direct design; none where left out. Where it ends the search the
-        status is TIMEOUT.
-    effort
-        Multiple of the usual work.
+    loss, delay, antialiasing
+        Largest loss allowed, as a share; computational delay in s, between sample and change of the control; corner
+        frequency in rad/s of a filter before the sampler (see `sampled_data_norm`).
+    time_limit, effort
+        s, checked between methods and by the direct design, after which the status is TIMEOUT; multiple of the usual
+        work.
     progress
         Called with one line for each method.
 

@@ -6,16 +6,13 @@ or of a closed loop):
 .. math:: P = L_c L_c^T, \quad Q = L_o L_o^T, \quad L_o^T L_c = U \Sigma V^T, \quad
    T = L_c V \Sigma^{-1/2}, \quad T^{-1} = \Sigma^{-1/2} U^T L_o^T
 
-Stochastic balancing keeps the error small relative to the model's own gain. W is the minimum-phase factor of the power
-spectrum, P the controllability Gramian of G, X the observability Gramian of W; beta is a floor of the gain, below which
-errors count absolutely.
+Stochastic balancing keeps the error small relative to the model's own gain, by
+:math:`\prod_{i > r} (1 + \mu_i) / (1 - \mu_i) - 1` with :math:`\mu_i^2 = \lambda_i(P X)`: P is the controllability
+Gramian of G, X the observability Gramian of the minimum-phase factor W of the power spectrum, and beta a floor of the
+gain, below which errors count absolutely:
 
 .. math:: G G^\sim + \beta^2 I = W^\sim W, \quad R = D D^T + \beta^2 I, \quad B_W = P C^T + B D^T, \quad
    A^T X + X A + (C - B_W^T X)^T R^{-1} (C - B_W^T X) = 0
-
-.. math:: \left\| (W^\sim)^{-1} (G - G_r) \right\|_\infty =
-   \sup_\omega \sigma_{max}\big( (G G^* + \beta^2 I)^{-1/2} (G - G_r) \big) \le
-   \prod_{i > r} \frac{1 + \mu_i}{1 - \mu_i} - 1, \qquad \mu_i^2 = \lambda_i(P X)
 
 Optimal Hankel-norm approximation is the all-pass dilation of balanced states. With
 :math:`\Sigma = \mathrm{diag}(\Sigma_1, \sigma I)`, :math:`\sigma = \sigma_{k+1}`, and A, B, C cut alike,
@@ -46,11 +43,11 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis import slicot
-from robustlab.linear_analysis.magnitude import balancing_exponents, balancing_factors
+from robustlab.linear_analysis.magnitude import balancing_factors
 from robustlab.linear_analysis.matrix_equations import care, small_residual
 from robustlab.linear_analysis.structural import HiddenMode, LeastOrder, least_order
-from robustlab.norms import HinfNorm, bilinear_to_continuous, bilinear_to_discrete, hinf_norm, linf_norm
-from robustlab.statespace import StateSpaceModel, inverse, parallel, series
+from robustlab.norms import HinfNorm, bilinear_to_continuous, bilinear_to_discrete, hinf_norm
+from robustlab.statespace import StateSpaceModel, parallel, series
 from robustlab.uncertainty.distances.coprime import continuous_models, coprime_factors
 from robustlab.verification.balls import exact, midpoints, precision
 
@@ -68,8 +65,6 @@ HINT = "floor=: the gain below which errors count absolutely"
 RTOL = 1e-6  # relative width of the bracket of an error
 # D of full row rank: smallest over largest eigenvalue of D D^T. Else the gain vanishes at infinite frequency.
 FULL_RANK = 1e-12
-# Both ends of the bracket allow for the error of the factor, which may be at most this share of the spectrum.
-TRUSTED_SHARE = 1e-2
 # Hankel values that agree to this share are one repeated value: division by their difference would lose more digits.
 REPEATED = 1e-8
 
@@ -247,7 +242,6 @@ class Way:
     model: StateSpaceModel  # the same, or its continuous image for the methods that exist in continuous time only
     balancing: Balancing
     weights: Weights = (None, None)
-    spectrum: Spectrum | None = None
     mirrored: bool = False  # whether the coprime factors are those of G(-z)
 
     def reduced(self, order: int) -> StateSpaceModel:
@@ -274,29 +268,19 @@ class Way:
         return StateSpaceModel(-model.A, -model.B, model.C, model.D, dt) if self.mirrored else model
 
     def bound(self, order: int) -> float:
-        """Return the a-priori bound of the error; NaN with weights."""
-        tail = self.balancing.values[order:]
-        if self.weights != (None, None):
-            return np.nan
-        if self.spectrum is None:
-            return (1 if self.method == "hankel" else 2) * float(tail.sum())
-        # A value of one belongs to a zero in the right half-plane, whose state must stay.
-        return np.inf if (tail >= 1 - 1e-8).any() else float(np.expm1(np.sum(np.log1p(tail) - np.log1p(-tail))))
+        """Return the a-priori bound of the error; NaN with weights and for a relative one."""
+        factor = 1 if self.method == "hankel" else 2
+        none = self.method == "stochastic" or self.weights != (None, None)
+        return np.nan if none else factor * float(self.balancing.values[order:].sum())
 
     def measured(self, difference: StateSpaceModel) -> HinfNorm:
         """Return the certified size of a difference of parts."""
-        dt = difference.dt
-        if self.spectrum is not None:
-            found = self.spectrum.relative(bilinear_to_continuous(difference) if dt else difference)
-            return replace(found, frequency=2 / dt * float(np.arctan(found.frequency * dt / 2))) if dt else found
         into, out = self.weights
         difference = difference if into is None else series(into, difference)
         return hinf_norm(difference if out is None else series(difference, out), RTOL)
 
     def per_gain(self) -> float:
         """Return an upper bound of the size of a difference of gain 1."""
-        if self.spectrum is not None:
-            return self.spectrum.per_gain()
         return float(np.prod([hinf_norm(w, 1e-2).upper for w in self.weights if w is not None]))
 
 
@@ -317,8 +301,7 @@ def way_of(full: StateSpaceModel, method: str, weights: Weights = (None, None), 
     stable = split.stable
     continuous = bilinear_to_continuous(stable) if stable.dt and method in ("stochastic", "hankel") else stable
     if method == "stochastic":
-        spectrum = Spectrum.of(continuous, floor)
-        return Way(method, split, stable, spectrum.model, spectrum.balancing, spectrum=spectrum)
+        return Way(method, split, stable, continuous, _stochastic(continuous, floor))
     balancing = Balancing.of(*weighted_factors(continuous, *weights))
     return Way(method, split, stable, continuous, balancing, weights)
 
@@ -399,70 +382,19 @@ def _constant_near(unstable: StateSpaceModel) -> AnyArray:
 # --- relative error ---------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class Spectrum:
-    """The power spectrum of a stable continuous model and its factor."""
-
-    model: StateSpaceModel
-    factor: StateSpaceModel  # W, with the states of G
-    balancing: Balancing  # of P and X; its values are the mu_i, at most 1
-    doubt: float  # share of the spectrum by which `W~ W` may be off, from the residuals of both equations
-
-    @classmethod
-    def of(cls, model: StateSpaceModel, floor: float) -> Spectrum:
-        """Compute the factor by a Riccati equation."""
-        # Residuals are weighted by gains from and to all states, which must have similar sizes for that.
-        t = 2.0 ** balancing_exponents(model.A, model.B, model.C)
-        a, b, c, d = model.A / t[:, None] * t, model.B / t[:, None], model.C * t, model.D
-        model = StateSpaceModel(a, b, c, d)
-        sizes, turn = np.linalg.eigh(d @ d.T + floor**2 * np.eye(len(d)))
-        if not len(d) or sizes[0] <= FULL_RANK * sizes[-1]:
-            found = "the gain vanishes at infinite frequency: D has no full row rank"
-            raise InputError("reduce_model", found, "a gain that vanishes nowhere", HINT)
-        root, back = (turn * np.sqrt(sizes) @ turn.T, turn / np.sqrt(sizes) @ turn.T)
-        reach = slicot.gramian_factors(a, b, c, False)[0]
-        P = reach @ reach.T
-        into = P @ c.T + b @ d.T
-        try:
-            X = care(a, into, np.zeros_like(a), -root @ root, -c.T).X
-        except NoTrustworthyNumber as error:
-            found = "the power spectrum has no factor: the gain vanishes at some frequency, or nearly"
-            raise NoTrustworthyNumber("reduce_model", f"{found} ({error.found})", hint=HINT) from None
-        out = back @ (c - into.T @ X)
-        factor = StateSpaceModel(a, into, out, root)
-        doubt = _doubt(factor, c, a @ P + P @ a.T + b @ b.T, a.T @ X + X @ a + out.T @ out)
-        if not doubt <= TRUSTED_SHARE:
-            found = f"the factor of the power spectrum may be off by {doubt:.1e} of it"
-            raise NoTrustworthyNumber("reduce_model", found, hint=HINT)
-        return cls(model, factor, Balancing.of(reach, slicot.gramian_factors(a, b, out, False)[1]), doubt)
-
-    def per_gain(self) -> float:
-        """Bound the relative error of an absolute error of gain 1."""
-        found = linf_norm(inverse(_conjugate(self.factor)), 1e-2)
-        return found.upper / np.sqrt(1 - self.doubt) if found.status.trustworthy else np.inf
-
-    def relative(self, error: StateSpaceModel) -> HinfNorm:
-        """Return the norm of an error relative to the model, proved for every frequency."""
-        found = linf_norm(series(error, inverse(_conjugate(self.factor))), RTOL)
-        ends = {"lower": found.lower / np.sqrt(1 + self.doubt), "upper": found.upper / np.sqrt(1 - self.doubt)}
-        return replace(found, **ends)
-
-
-def _conjugate(model: StateSpaceModel) -> StateSpaceModel:
-    """Return ``G(-s)^T``."""
-    return StateSpaceModel(-model.A.T, model.C.T, -model.B.T, model.D.T)
-
-
-def _doubt(factor: StateSpaceModel, c: AnyArray, into: AnyArray, out: AnyArray) -> float:
-    r"""Bound :math:`\|(W^\sim)^{-1} (G G^\sim + \beta^2 I - W^\sim W) W^{-1}\|_\infty`.
-
-    The residuals E_P and E_X give the error ``C F E_P F~ C^T + B_W^T F~ E_X F B_W`` with ``F = (sI - A)^-1``.
-    """
-    n, p = factor.n_states, factor.n_outputs
-    if not n:
-        return 0.0
-    gain = factor.B @ np.linalg.inv(factor.D)
-    right = StateSpaceModel(factor.A - gain @ factor.C, gain, np.eye(n), np.zeros((n, p)))
-    left = series(StateSpaceModel(factor.A, np.eye(n), c, np.zeros((p, n))), inverse(_conjugate(factor)))
-    sizes = [float(np.linalg.norm(residual, 2)) for residual in (into, out)]
-    return sizes[0] * linf_norm(left, 1e-2).upper ** 2 + sizes[1] * hinf_norm(right, 1e-2).upper ** 2
+def _stochastic(model: StateSpaceModel, floor: float) -> Balancing:
+    """Return the balancing of P and X of a stable continuous model; its values are the mu_i, at most 1."""
+    a, b, c, d = model.A, model.B, model.C, model.D
+    sizes, turn = np.linalg.eigh(d @ d.T + floor**2 * np.eye(len(d)))
+    if not len(d) or sizes[0] <= FULL_RANK * sizes[-1]:
+        found = "the gain vanishes at infinite frequency: D has no full row rank"
+        raise InputError("reduce_model", found, "a gain that vanishes nowhere", HINT)
+    root, back = turn * np.sqrt(sizes) @ turn.T, turn / np.sqrt(sizes) @ turn.T
+    reach = gramian_factors(model)[0]
+    into = reach @ (reach.T @ c.T) + b @ d.T
+    try:
+        X = care(a, into, np.zeros_like(a), -root @ root, -c.T).X
+    except NoTrustworthyNumber as error:
+        found = "the power spectrum has no factor: the gain vanishes at some frequency, or nearly"
+        raise NoTrustworthyNumber("reduce_model", f"{found} ({error.found})", hint=HINT) from None
+    return Balancing.of(reach, gramian_factors(StateSpaceModel(a, b, back @ (c - into.T @ X), d))[1])

@@ -22,7 +22,6 @@ from robustlab.feedback import wired
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft, parallel
 from robustlab.synthesis.hinf.loop_shaping import with_default_performance
-from robustlab.synthesis.nonsmooth.parameter_search import descend
 from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status, limiting_channels
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.problem.performance_measure import (
@@ -38,8 +37,6 @@ from robustlab.uncertainty.blocks import Block
 
 WORK = 60 * MILLION  # the usual work at effort 1, in units of about a microsecond
 PATIENCE = 3  # orders tried after the first that loses too much: the loss is not monotone in the order
-WORTH_IMPROVING = 10.0  # candidates up to this multiple of the loss allowed are improved ...
-IMPROVEMENT_SHARE = 0.25  # ... each with this share of the work left
 GAIN = 1e-3  # smallest relative gain for which another candidate of the same order is proved
 
 WHERE = "reduce_controller"
@@ -63,18 +60,14 @@ class ReducedController(Tabular, Synthesis):
 
     Attributes
     ----------
-    original
-        The controller that was reduced.
-    original_gamma
-        The measure of its loop, verified in the same way.
-    measure
-        The measure in words.
+    original, original_gamma
+        The controller that was reduced, and the measure of its loop, verified in the same way.
+    measure, evidence
+        The measure in words, and the proof of ``gamma``: a norm's bracket, or the margin with its scalings.
     allowed_loss
         The largest loss allowed.
     orders
         The loss of each order, the highest first: the evidence for the order chosen.
-    evidence
-        The proof of ``gamma``: a norm's bracket, or the margin with its scalings.
     scaled
         The plant with the scalings given, whose loop has the norm ``gamma``; None without them.
     """
@@ -143,9 +136,8 @@ def reduce_controller(
     .. math:: \min \text{order}(K_r) \quad \text{with} \quad J(F_l(P, K_r)) \le (1 + \text{loss}) \, J(F_l(P, K))
 
     Candidates of every order come from the controller's blocks of the closed loop's Gramians, for disturbances and for
-    measurement noise, and from balanced truncation of K; each truncated and residualised; nonsmooth descent improves
-    one that loses more than the loss allowed, but less than ten times that. The loop of every candidate is rebuilt, and
-    J of the best one is proved anew.
+    measurement noise, and from balanced truncation of K; each truncated and residualised. The loop of every candidate
+    is rebuilt, and J of the best one is proved anew.
 
     Parameters
     ----------
@@ -154,30 +146,24 @@ def reduce_controller(
         plant, whose every input is a control and every output a measurement, the four-block gain of the loop is the
         measure: from noise on y and a disturbance on u to y and u (its inverse is the coprime margin).
     K
-        The controller to reduce, where it is not that of the design: ``u = K y`` with *positive* feedback, as
-        everywhere in this package. For negative feedback, ``u = -C y``, take ``K = -C``.
-    loss
-        Largest loss allowed, as a share.
-    order
-        The requested order, in place of the lowest one; any loss is then reported.
+        The controller to reduce, where it is not that of the design: ``u = K y`` with *positive* feedback. For negative
+        feedback, ``u = -C y``, take ``K = -C``.
+    loss, order
+        Largest loss allowed, as a share; or the requested order, whose loss is then reported.
     measure
         J: ``"hinf"`` or ``"h2"`` norm of the closed loop, or ``"mu"``: robust performance at all frequencies. Where
         left out: ``"mu"`` where scalings are given or the design has them, ``"h2"`` for an H2 design, else
         ``"hinf"``.
-    blocks
-        Perturbation blocks of the plant's first channels, for ``"mu"``; those of the design or the plant where left
-        out.
-    scalings
-        For ``"mu"``: the pair of stable models ``(D_z, D_w^-1)`` that commute with the perturbation, whose scaled norm
-        then is J (quick); where left out the mu analysis finds its own scalings for every candidate (slow), also for
-        a design whose scalings include G for real blocks.
+    blocks, scalings
+        For ``"mu"``: perturbation blocks of the plant's first channels (those of the design or the plant where left
+        out); the pair of stable models ``(D_z, D_w^-1)`` that commute with the perturbation, whose scaled norm then is
+        J (quick). Without scalings the mu analysis finds its own for every candidate (slow), also for a design whose
+        scalings include G for real blocks.
     n_meas, n_con
         Numbers of measurements and controls, where a plain plant is given.
-    time_limit
-        Time in s, checked between candidates; none where left out. The lowest order verified by then is returned, with
-        status TIMEOUT.
-    effort
-        Multiple of the usual work, which is counted, so that the search ends the same way on every machine.
+    time_limit, effort
+        s, checked between candidates, after which the lowest order verified by then is returned with status TIMEOUT;
+        multiple of the usual work, counted, not timed.
     progress
         Called with one line for each order.
 
@@ -209,9 +195,11 @@ def reduce_controller(
     """
     if K is None and not isinstance(design_or_plant, Synthesis):
         raise InputError(WHERE, "K is missing", "a design, or a plant and its controller")
-    given = design_or_plant.plant if isinstance(design_or_plant, Synthesis) else design_or_plant
     full = as_model(getattr(design_or_plant if K is None else K, "K", K), f"{WHERE}: K")
-    plant = as_generalized_plant(given, n_meas or full.n_inputs, n_con or full.n_outputs, WHERE)
+    if isinstance(design_or_plant, Synthesis):
+        plant = as_generalized_plant(design_or_plant.plant, n_meas, n_con, WHERE)
+    else:
+        plant = as_generalized_plant(design_or_plant, n_meas or full.n_inputs, n_con or full.n_outputs, WHERE)
     if (full.n_outputs, full.n_inputs) != (plant.n_con, plant.n_meas):
         raise InputError(WHERE, f"K is {full.n_outputs} x {full.n_inputs}", f"{plant.n_con} x {plant.n_meas}")
     full = wired(full, plant.measurements, plant.controls, WHERE)
@@ -258,7 +246,6 @@ def _descended(
             hint=None if judge.plant.close(full).is_stable() else _sign_hint(judge.plant, full),
         )
     limit = np.inf if order is not None else (1 + allowed) * reference.value
-    worth = (1 + WORTH_IMPROVING * allowed) * reference.value
     families, tried = _families(plant, full), list[OrderTried]()
     how, chosen, performance, failed = "", full, reference, 0
     stage = full  # the best of the order before: its loop gives further candidates
@@ -269,8 +256,6 @@ def _descended(
         budget.spend(dense(plant.model.n_states + stage.n_states, 5 if again else 1))
         more = [f._replace(name=f"{f.name}, step by step") for f in _families(plant, stage)] if again else []
         found = _best(judge, full, [*families, *more], n, limit)
-        if found is not None and (n == order or (order is None and limit < found[2].value <= worth)):
-            found = _improved(judge, *found)
         enough, stage = False, full if found is None else found[1]
         if found is None:
             tried.append(OrderTried(n, "", np.inf, np.inf, Status.CONVERGED))
@@ -328,19 +313,6 @@ def _best(
     return best
 
 
-def _improved(judge: PerformanceMeasure, name: str, K: StateSpaceModel, value: Performance) -> Found:
-    """Improve a controller by nonsmooth descent; not for H2, nor for mu by margins."""
-    if judge.budget.over or (judge.name != "hinf" and judge.scaled is None):
-        return name, K, value
-    with suppress(InputError, NoTrustworthyNumber):
-        better = descend(judge.gramian_plant, K, judge.budget.share(IMPROVEMENT_SHARE))
-        named = StateSpaceModel(better.A, better.B, better.C, better.D, K.dt, K.inputs, K.outputs)
-        verified = judge.certified(named)
-        if better.n_states <= K.n_states and verified.value < value.value:
-            return f"{name}, improved", named, verified
-    return name, K, value
-
-
 # --- candidates ---------------------------------------------------------------------------------------------------
 
 
@@ -357,9 +329,9 @@ def _families(plant: GeneralizedPlant, K: StateSpaceModel) -> list[Family]:
     """Return the methods that apply to K and its loop; ``plant`` includes weights and scalings."""
     K, found = StateSpaceModel(K.A, K.B, K.C, K.D, K.dt), list[Family]()
 
-    def add(name: str, factors: tuple[AnyArray, AnyArray], model: StateSpaceModel, apart: StateSpaceModel) -> None:
+    def add(name: str, reach: AnyArray, see: AnyArray, model: StateSpaceModel, apart: StateSpaceModel) -> None:
         """Add both projections of a model that these factors of Gramians balance, ``apart`` in parallel to it."""
-        balancing, more = Balancing.of(*factors), apart.n_states
+        balancing, more = Balancing.of(reach, see), apart.n_states
         for kind in get_args(Projection):
 
             def make(order: int, kind: Projection = kind) -> StateSpaceModel:
@@ -372,7 +344,7 @@ def _families(plant: GeneralizedPlant, K: StateSpaceModel) -> list[Family]:
         """Add reductions by the controller's blocks in the Gramians of a loop whose last states are those of K."""
         own = slice(closed.n_states - K.n_states, None)
         reach, see = (block_factor(factor[own]) for factor in gramian_factors(closed))
-        add(name, (reach, see), K, StateSpaceModel([], [], [], 0 * K.D, K.dt))
+        add(name, reach, see, K, StateSpaceModel([], [], [], 0 * K.D, K.dt))
 
     m, n_w, n_z = plant.model, plant.n_w, plant.n_z
     # Each is added if its Gramians exist for this K and keep their digits. Of 14 controllers four end with a state or
@@ -386,5 +358,5 @@ def _families(plant: GeneralizedPlant, K: StateSpaceModel) -> list[Family]:
         of_loop("loop from measurement noise to control", lower_lft(StateSpaceModel(m.A, B, C, D, m.dt), K))
     with suppress(NoTrustworthyNumber, InputError):
         split = split_stable(K)
-        add("balanced", gramian_factors(split.stable), split.stable, split.apart)
+        add("balanced", *gramian_factors(split.stable), split.stable, split.apart)
     return found

@@ -55,13 +55,9 @@ class LoopFunctions(Displayable):
         found: StateSpaceModel = getattr(self, name)
         return found
 
-    def singular_values(self, name: str, omega: ArrayLike) -> AnyArray:
-        """Return the singular values of one function at ``omega`` in rad/s, largest first, shape (n_omega, k)."""
-        return np.linalg.svd(frequency_response(self.model(name), omega), compute_uv=False)
-
     def gain(self, name: str, omega: ArrayLike) -> AnyArray:
         """Return the largest singular value of one function at ``omega`` in rad/s, shape (n_omega,)."""
-        return self.singular_values(name, omega)[:, 0]
+        return np.linalg.norm(frequency_response(self.model(name), omega), 2, axis=(1, 2))
 
     def bound(self, name: str, omega: ArrayLike) -> AnyArray | None:
         """Return the bound of the largest singular value by weight and gamma, (n_omega,); None without a weight."""

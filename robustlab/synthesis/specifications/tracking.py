@@ -32,23 +32,16 @@ from robustlab.uncertainty.lft import UncertainModel
 
 Sizes = float | Mapping[str, float]
 TAKES = {-1: "r - y", 1: "y"}  # input of a controller without a stored sign, by the sign of the feedback
+FUNCTIONS = {"S": "W1", "KS": "W2", "T": "W3"}
 REFERRED = {-1: "u = K (r - y)", 1: "u = K (y - r)"}  # the same with references
 
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoop(Displayable):
-    """The tracking loop of a model and a controller.
+    """The tracking loop of a model and a controller."""
 
-    Attributes
-    ----------
-    model
-        The loop as an uncertain model, without blocks for a certain model.
-    loop
-        The control law and its source.
-    """
-
-    model: UncertainModel
-    loop: str
+    model: UncertainModel  # without blocks for a certain model
+    loop: str  # the control law and its source
 
     quantities: ClassVar[Mapping[str, Any]] = {
         **UncertainModel.quantities, "spectral_abscissa": float, "nominally_stable": bool,
@@ -93,18 +86,14 @@ def with_law(system: Any, controller: Any, sign: Sign | None = None) -> tuple[An
     own = {s.sign for s in fed if isinstance(s, Taken)}
     if by_name and own:
         return K, loop.said
-    of = (
-        {s.name: s.name for s in fed}
-        if by_name
-        else {s.name: y.name for s, y in zip(fed, loop.plant.outputs, strict=True)}
-    )
+    known = fed if by_name else loop.plant.outputs
+    of = {s.name: y.name for s, y in zip(fed, known, strict=True)}
     word = {} if len(own) > 1 or loop.sign in own else dict.fromkeys(of, TAKES[loop.sign])
     takes = [
         Taken(s.name, s.unit, word.get(s.name, getattr(s, "takes", "")), of[s.name]) if s.name in of else s
         for s in K.inputs
     ]
-    control_law = loop.said if own else loop.said.replace(SIGNS[loop.sign], REFERRED[loop.sign], 1)
-    return K.renamed(inputs=takes), control_law
+    return K.renamed(inputs=takes), loop.said if own else loop.said.replace(SIGNS[loop.sign], REFERRED[loop.sign], 1)
 
 
 def tracking_loop(system: Any, controller: Any) -> Any:
@@ -223,46 +212,30 @@ class TrackingProblem(Displayable):
         closed = lower_lft(self.signals.nominal, self._checked(K))
         n_r = len(self.controlled)
         response = frequency_response(closed, omega)[:, :, :n_r]
-        rows = {"S": slice(0, n_r), "KS": slice(n_r, n_r + self.n_con), "T": slice(n_r + self.n_con, None)}
-        return {name: np.linalg.norm(response[:, part], 2, axis=(1, 2)) for name, part in rows.items()}
+        parts = np.split(response, [n_r, n_r + self.n_con], axis=1)
+        return {name: np.linalg.norm(part, 2, axis=(1, 2)) for name, part in zip(("S", "KS", "T"), parts, strict=True)}
 
     def bounds(self, omega: ArrayLike) -> dict[str, Array]:
         """Return the bounds ``1 / |W F|`` of the functions of `gains` that have a weight."""
-        shape = np.abs(frequency_response(self.shape, omega)[:, 0, 0])
-        found: dict[str, Array] = {}
-        for name, weight in (("S", "W1"), ("KS", "W2"), ("T", "W3")):
-            if weight in self.weights:
-                found[name] = 1 / (shape * np.abs(frequency_response(self.weights[weight], omega)[:, 0, 0]))
-        return found
+        shaped = {name: series(self.shape, self.weights[w]) for name, w in FUNCTIONS.items() if w in self.weights}
+        return {name: 1 / np.abs(frequency_response(weight, omega)[:, 0, 0]) for name, weight in shaped.items()}
 
     def _checked(self, K: Any) -> StateSpaceModel:
         model = as_model(K, "controller")
         if (model.n_inputs, model.n_outputs) != (self.n_meas, self.n_con):
-            raise InputError(
-                "controller",
-                f"{model.n_inputs} inputs and {model.n_outputs} outputs",
-                f"{self.n_meas} inputs ({', '.join(s.name for s in self.plant.measurements)}) and {self.n_con} outputs",
-            )
+            found = f"{model.n_inputs} inputs and {model.n_outputs} outputs"
+            names = ", ".join(s.name for s in self.plant.measurements)
+            raise InputError("controller", found, f"{self.n_meas} inputs ({names}) and {self.n_con} outputs")
         return wired(model, self.plant.measurements, self.plant.controls, "controller")
 
 
 @dataclass(frozen=True, eq=False)
 class TrackingLoop(Displayable):
-    """The nominal loop of a tracking problem under a design, for a figure with the bounds by its weights.
-
-    Attributes
-    ----------
-    problem
-        The tracking problem.
-    design
-        The design, a `Synthesis`.
-    gamma
-        Verified gamma of the nominal loop if the design proves it; else None.
-    """
+    """The nominal loop of a tracking problem under a design, for a figure with the bounds by its weights."""
 
     problem: TrackingProblem
-    design: Any
-    gamma: float | None
+    design: Any  # a `Synthesis`
+    gamma: float | None  # verified gamma of the nominal loop if the design proves it
 
     def facts(self) -> Facts:
         proved = "" if self.gamma is None else number(self.gamma)
@@ -309,11 +282,8 @@ def tracking_problem(
     base = G if isinstance(G, UncertainModel) else UncertainModel(as_model(G, "tracking problem: G"), [])
     c, m = _positions(controlled, base.outputs, "controlled"), _positions(measured, base.outputs, "measured")
     follow, seen = tuple(base.outputs[i] for i in c), tuple(base.outputs[i] for i in m)
-    weights = {
-        name: _weight(w, f"tracking problem: {name}", base.dt)
-        for name, w in (("W1", W1), ("W2", W2), ("W3", W3))
-        if w is not None
-    }
+    given = {"W1": W1, "W2": W2, "W3": W3}
+    weights = {name: _weight(w, f"tracking problem: {name}", base.dt) for name, w in given.items() if w is not None}
     if not weights:
         raise InputError("tracking problem", "no weight", "at least one of W1, W2, W3")
     forces = _sizes("loads", loads, base.inputs)
@@ -332,13 +302,9 @@ def tracking_problem(
 
 
 def _built(
-    base: UncertainModel,
-    places: tuple[list[int], list[int]],
-    sizes: Sequence[Mapping[str, float]],
-    loads: Mapping[str, float],
-    weights: Mapping[str, StateSpaceModel],
-    shape: StateSpaceModel,
-) -> tuple[StateSpaceModel, StateSpaceModel]:
+    base: UncertainModel, places: tuple[list[int], list[int]], sizes: Sequence[Mapping[str, float]],
+    loads: Mapping[str, float], weights: Mapping[str, StateSpaceModel], shape: StateSpaceModel,
+) -> tuple[StateSpaceModel, StateSpaceModel]:  # fmt: skip
     """Return the model from [w; r; d; n; u] to [z; e; u; y_c; v] without weights, and the weighted one."""
     M, (q, p) = base.M, base.delta_shape
     follow, seen = ([base.outputs[i] for i in part] for part in places)
@@ -353,32 +319,24 @@ def _built(
     acting = _placed([s.name for s in controls], names_u) @ u + _placed(entering, names_u) @ (size_d[:, None] * d)
     noisy = _placed(noise, [*(f"{s.name}_ref" for s in follow), *(s.name for s in seen)]) @ (size_n[:, None] * n)
     into = np.vstack([w, acting])
-    C, T, share = M.C, M.D @ into, np.diag(1 / size_r)
+    # [z; y_c / r; y_m] of M, then rows of [z; e; u; y_c / r; v].
     y_c, y_m = ([p + i for i in part] for part in places)
-    rows = [
-        (C[:p], T[:p]),
-        (-share @ C[y_c], r - share @ T[y_c]),
-        (np.zeros((n_u, M.n_states)), u),
-        (share @ C[y_c], share @ T[y_c]),
-        (np.zeros((n_r, M.n_states)), size_r[:, None] * r + noisy[:n_r]),
-        (C[y_m], T[y_m] + noisy[n_r:]),
-    ]
-    out, direct = (np.vstack(part) for part in zip(*rows, strict=True))
-    words = [f"{name}_disturbance" for name in sizes[1]] + [f"{name}, over its size" for name in loads]
-    words = [f"{s.name}_ref" for s in follow] + words + [f"{name}_noise" for name in noise]
+    C, T = (np.vstack([X[:p], X[y_c] / size_r[:, None], X[y_m]]) for X in (M.C, M.D @ into))
+    z, y, v = np.split(np.arange(len(C)), [p, p + n_r])
+    none = np.zeros((n_u, M.n_states)), np.zeros((n_r, M.n_states))
+    out = np.vstack([C[z], -C[y], none[0], C[y], none[1], C[v]])
+    direct = np.vstack([T[z], r - T[y], u, T[y], size_r[:, None] * r + noisy[:n_r], T[v] + noisy[n_r:]])
+    words = [f"{s.name}_ref" for s in follow] + [f"{name}_disturbance" for name in sizes[1]]
+    words += [f"{name}, over its size" for name in loads] + [f"{name}_noise" for name in noise]
     inputs = [*M.inputs[:q], *(Signal(word, "1") for word in words), *controls]
     signals = StateSpaceModel(M.A, M.B @ into, out, direct, M.dt, inputs, None, M.states)
-
+    # The same behind F and before the weights, without rows that have no weight.
     one, at = _shape(None, M.dt), [*range(p)]
     filters, outputs, states = [_each(one, p, "z")], [Signal(s.name, s.unit) for s in M.outputs[:p]], [*M.states]
-    channels = {
-        "W1": ("error", p, follow),
-        "W2": ("control", p + n_r, controls),
-        "W3": ("output", p + n_r + n_u, follow),
-    }
+    first = {"W1": ("error", p, follow), "W2": ("control", p + n_r, controls), "W3": ("output", p + n_r + n_u, follow)}
     for name, weight in weights.items():
-        word, first, part = channels[name]
-        at += range(first, first + len(part))
+        word, start, part = first[name]
+        at += range(start, start + len(part))
         filters.append(_each(weight, len(part), name))
         outputs += [Signal(f"{name} {word}: {s.name}") for s in part]
         states += [Signal(f"{name} {s.name} x{i + 1}") for s in part for i in range(weight.n_states)]

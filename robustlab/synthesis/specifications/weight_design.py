@@ -32,7 +32,7 @@ def performance_weight(bandwidth: float, error: float = 1e-3, peak: float = 2.0,
     Returns
     -------
     StateSpaceModel
-        The weight, of one channel.
+        Of one channel, as all weights here.
 
     Raises
     ------
