@@ -188,26 +188,7 @@ class SampledTrial(AllFields):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SampledController(Synthesis):
-    """A digital controller; ``gamma`` is the proved H-infinity norm of the sampled-data loop, between samples too.
-
-    ``closed_loop`` is the discrete loop over whole sample periods (lifted): from w to z on the intervals of a period.
-    ``plant`` is the continuous plant as given.
-
-    Attributes
-    ----------
-    original, continuous_norm
-        The continuous controller, and the norm of its continuous loop.
-    norm
-        Bracket of the sampled-data norm.
-    allowed_loss
-        The loss up to which no direct design is tried.
-    trials, chosen
-        All methods tried, and that of K.
-    delay, antialiasing
-        Computational delay in s; corner of the filter before the sampler in rad/s, None: no filter.
-    pathological
-        Pairs of plant modes with one sampled mode, in words.
-    """
+    """A digital controller; ``gamma`` is the proved H-infinity norm of the sampled-data loop, between samples too."""
 
     quantities: ClassVar[Mapping[str, Any]] = {
         **Synthesis.quantities, "dt": "s", "delay": "s", "antialiasing": "rad/s", "loss": float, "allowed_loss": float,
@@ -217,15 +198,17 @@ class SampledController(Synthesis):
         "trials", "pathological", "original",
     )  # fmt: skip
 
-    original: StateSpaceModel
-    continuous_norm: HinfNorm
-    norm: SampledDataNorm
-    allowed_loss: float
-    trials: tuple[SampledTrial, ...]
-    delay: float
-    antialiasing: float | None
-    pathological: tuple[str, ...]
-    chosen: str
+    # plant: the continuous one as given; closed_loop: discrete, over whole sample periods (lifted), from w to z on the
+    # intervals of a period.
+    original: StateSpaceModel  # the continuous controller
+    continuous_norm: HinfNorm  # of the continuous loop with it
+    norm: SampledDataNorm  # bracket of the sampled-data norm
+    allowed_loss: float  # up to which no direct design is tried
+    trials: tuple[SampledTrial, ...]  # all methods tried
+    delay: float  # in s
+    antialiasing: float | None  # corner of the filter before the sampler in rad/s; None: no filter
+    pathological: tuple[str, ...]  # pairs of plant modes with one sampled mode, in words
+    chosen: str  # the method of K
 
     @property
     def dt(self) -> float:

@@ -35,37 +35,20 @@ DOUBLINGS = 12  # at least; the error of the start falls by 4 in each
 
 @dataclass(frozen=True, eq=False)
 class SampledDataNorm(PeakGain):
-    """Norm of a sampled-data loop as a bracket.
+    """Norm of a sampled-data loop as a bracket, ``lower <= norm <= upper``.
 
-    Attributes
-    ----------
-    value
-        ``upper``.
-    lower, upper
-        ``lower <= norm <= upper``: ``lower`` is the gain of a disturbance that is constant on the intervals, ``upper``
-        holds for all. Both inf where the loop is not stable.
-    frequency
-        Frequency in rad/s, from 0 to pi / dt, of the loop over whole periods at which ``lower`` is attained.
-    n_intervals, history
-        Number of intervals of a period in the end; ``(n_intervals, lower, upper)`` of every step.
-    held
-        Names of the disturbances that change at the samples only, because they reach the sampler directly.
-    loop
-        The discrete closed loop over whole periods, whose norm is ``lower``: from the means of w to the means and rests
-        of z.
-    status
-        CERTIFIED: the bracket is proved and closed to the requested tolerance. CONVERGED: ``lower`` has settled to it,
-        the proved bracket is wider. INACCURATE: neither.
-    reason
-        Why it is not certified, or infinite; else empty.
+    ``lower`` is the gain of a disturbance that is constant on the intervals, ``upper`` for all; both are inf where
+    the loop is not stable. CERTIFIED: the bracket is proved and closed to the requested tolerance. CONVERGED: ``lower``
+    has settled to it, the proved bracket is wider. INACCURATE: neither.
     """
 
-    frequency: float
-    n_intervals: int
-    history: tuple[tuple[int, float, float], ...]
+    frequency: float  # in rad/s, from 0 to pi / dt, of the loop over whole periods, at which `lower` is attained
+    n_intervals: int  # of a period in the end
+    history: tuple[tuple[int, float, float], ...]  # `(n_intervals, lower, upper)` of every step
+    # The discrete closed loop over whole periods, whose norm is `lower`: from means of w to means and rests of z.
     loop: StateSpaceModel
-    held: tuple[str, ...]
-    reason: str = ""
+    held: tuple[str, ...]  # disturbances that change at the samples only, because they reach the sampler directly
+    reason: str = ""  # why it is not certified, or infinite; else empty
 
     unsaved: ClassVar[tuple[str, ...]] = ("loop",)
     unstable: ClassVar[str] = "infinite: the loop is not stable"
@@ -106,12 +89,10 @@ def sampled_data_norm(
         Continuous generalised plant (see `hinf`).
     K
         Discrete controller, ``u = K y``; its dt is the sample time.
-    delay
-        Computational delay in s, of any length.
-    antialiasing
-        Corner frequency in rad/s of a first-order low-pass filter before the sampler, on every measurement that w or u
-        reach directly; w then is any disturbance of finite energy. Where left out, those that reach the sampler
-        directly change at the samples only (``held`` names them).
+    delay, antialiasing
+        Computational delay in s, of any length; corner frequency in rad/s of a first-order low-pass filter before the
+        sampler, on every measurement that w or u reach directly. With it w is any disturbance of finite energy; where
+        left out, those that reach the sampler directly change at the samples only (``held`` names them).
     n_meas, n_con
         Numbers of measurements and controls, where a plain plant is given.
     rtol

@@ -56,21 +56,7 @@ class OrderTried(AllFields):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ReducedController(Tabular, Synthesis):
-    """A controller of lower order; ``gamma`` is the measure of the loop rebuilt from it, verified.
-
-    Attributes
-    ----------
-    original, original_gamma
-        The controller that was reduced, and the measure of its loop, verified in the same way.
-    measure, evidence
-        The measure in words, and the proof of ``gamma``: a norm's bracket, or the margin with its scalings.
-    allowed_loss
-        The largest loss allowed.
-    orders
-        The loss of each order, the highest first: the evidence for the order chosen.
-    scaled
-        The plant with the scalings given, whose loop has the norm ``gamma``; None without them.
-    """
+    """A controller of lower order; ``gamma`` is the measure of the loop rebuilt from it, verified."""
 
     quantities: ClassVar[Mapping[str, Any]] = {
         **Synthesis.quantities, **dict.fromkeys(("original_order", "original_gamma", "loss", "allowed_loss"), float),
@@ -80,13 +66,13 @@ class ReducedController(Tabular, Synthesis):
         "original",
     )  # fmt: skip
 
-    original: StateSpaceModel
-    original_gamma: float
-    measure: str
+    original: StateSpaceModel  # the controller that was reduced
+    original_gamma: float  # the measure of its loop, verified in the same way
+    measure: str  # in words
     allowed_loss: float
-    orders: tuple[OrderTried, ...]
-    evidence: Evidence
-    scaled: GeneralizedPlant | None = None
+    orders: tuple[OrderTried, ...]  # the loss of each order, the highest first: the evidence for the order chosen
+    evidence: Evidence  # the proof of `gamma`: a norm's bracket, or the margin with its scalings
+    scaled: GeneralizedPlant | None = None  # the plant with the scalings given, whose loop has the norm `gamma`
 
     @property
     def original_order(self) -> int:

@@ -48,42 +48,21 @@ class Evidence(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ReducedModel(Displayable):
-    r"""A model of lower order with its certified error, which is computed when it is first read.
-
-    Attributes
-    ----------
-    model, full
-        The reduced model, with the inputs and outputs of the one given; the model as given.
-    method
-        ``"truncation"`` or ``"residualisation"``, with ``"weighted "`` before it where there are weights;
-        ``"hankel"``, ``"stochastic"``, ``"coprime"`` or ``"minimal"``.
-    hankel
-        Hankel singular values of the reduced part (of the coprime factors for ``"coprime"``, of the phase of the model
-        for ``"stochastic"``), in decreasing order.
-    n_apart
-        Number of states kept apart, because their modes are not stable.
-    promised
-        A-priori bound of the error, without rounding; NaN where there is none.
-    weights
-        The weights on inputs and outputs, where there are any; for `robustlab.verify`.
-    removed
-        The uncontrollable or unobservable modes that were removed: with ``"minimal"`` all, with other methods those
-        that are not stable.
-    """
+    """A model of lower order with its certified error, which is computed when it is first read."""
 
     quantities: ClassVar[Mapping[str, Any]] = {
         "order": "1", "error": float, "states": "1", "bound": float, "n_apart": "1", "hankel": [float], "stable": bool,
     }  # fmt: skip
 
-    model: StateSpaceModel
-    method: str
-    hankel: Array
-    n_apart: int
-    full: StateSpaceModel
-    promised: float
+    model: StateSpaceModel  # with the inputs and outputs of the one given
+    method: str  # one of METHODS, with "weighted " before it where there are weights, or "minimal"
+    hankel: Array  # Hankel values of the reduced part (or of the coprime factors, or of the phase), in decreasing order
+    n_apart: int  # number of states kept apart, because their modes are not stable
+    full: StateSpaceModel  # the model as given
+    promised: float  # a-priori bound of the error, without rounding; NaN where there is none
     judge: Callable[[], Evidence]
     weights: Weights = (None, None)
-    removed: tuple[str, ...] = ()
+    removed: tuple[str, ...] = ()  # hidden modes that were removed: all of them by "minimal", else those not stable
 
     @cached_property
     def evidence(self) -> Evidence:

@@ -40,29 +40,23 @@ Lyapunov = Literal["constant", "varying"]
 
 @dataclass(frozen=True, eq=False)
 class LPVGain(PeakGain, Traced):
-    r"""A bracket of the induced L2 gain over all trajectories of the parameters, and what proves it.
+    """A bracket of the induced L2 gain over all trajectories of the parameters, and what proves it.
 
     Attributes
     ----------
     lower, at, frequency
         Largest H-infinity norm of the frozen models at the points, attained as parameters may be constant (infinite
         where one is not stable); where, and at which frequency in rad/s, or that of the unstable pole.
-    upper
-        Proved bound of the gain; infinite where none was found.
-    P
+    upper, status, reason
+        Proved bound of the gain (infinite where none was found), and how. CERTIFIED: proved in ball arithmetic from P
+        and the model. CONVERGED: proved likewise, but the distance of the family from its interpolation was only
+        sampled. INFEASIBLE: the frozen model at ``at`` is not stable, or by the solver no such Lyapunov function
+        exists, which does not prove instability. INCONCLUSIVE: nothing was proved, or a pole is indistinguishable from
+        the stability boundary.
+    P, lyapunov
         Lyapunov matrices at the points of the grid, shape (n_1, ..., n_k, n_x, n_x) with 1 along parameters on which
-        they do not depend; empty where nothing was proved.
-    lyapunov
-        ``"constant"``: proved for trajectories of any rate; ``"varying"``: for those within the bounds of the rates.
-    model
-        The model, for verification.
-    status
-        CERTIFIED: proved in ball arithmetic from P and the model. CONVERGED: proved likewise, but the distance of the
-        family from its interpolation was only sampled. INFEASIBLE: the frozen model at ``at`` is not stable, or by the
-        solver no such Lyapunov function exists, which does not prove instability. INCONCLUSIVE: nothing was proved, or
-        a pole is indistinguishable from the stability boundary.
-    reason
-        Method of the proof, or reason of its failure.
+        they do not depend, empty where nothing was proved; ``"constant"``: proved for trajectories of any rate,
+        ``"varying"``: for those within the bounds of the rates.
     """
 
     frequency: float

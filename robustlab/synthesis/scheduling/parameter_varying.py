@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,14 +17,14 @@ from robustlab.arrays import Array
 from robustlab.checks import choice, whole
 from robustlab.display import Displayable, Facts, listed, number, short, with_units
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, error_context, is_function
-from robustlab.mu_analysis.matrix.certificate import EPS
 from robustlab.operators import Behaviour
 from robustlab.provenance import Traced
 from robustlab.result import Status
 from robustlab.signals import Signal, law, real_array
 from robustlab.statespace import StateSpaceModel, as_model
-from robustlab.uncertainty.blocks import block_slices
-from robustlab.uncertainty.lft import UncertainModel
+
+if TYPE_CHECKING:
+    from robustlab.uncertainty.lft import UncertainModel
 
 # Origin of the bound of the deviation between the points of the grid.
 KNOWN = EXACT, PROVED, SAMPLED = "exact", "proved", "sampled"
@@ -44,10 +44,9 @@ class SchedulingParameter:
         values = real_array("points", self.points, 1, where)
         if len(values) < 2 or not (np.diff(values) > 0).all():
             raise InputError(where, f"points {listed(values)}", "at least two, ascending")
-        object.__setattr__(self, "points", tuple(float(v) for v in values))
         if isinstance(self.rate, bool) or not isinstance(self.rate, (int, float, np.number)) or not self.rate >= 0:
             raise InputError(where, f"rate {self.rate!r}", "a bound >= 0 in its unit per second, or inf")
-        object.__setattr__(self, "rate", float(self.rate))
+        self.__dict__.update(points=tuple(values.tolist()), rate=float(self.rate))
 
     @property
     def words(self) -> str:
@@ -72,7 +71,7 @@ class LPVModel(Behaviour, Displayable, Traced):
     points
         Name of each parameter -> its values, ascending. Two values each give a polytopic model.
     models
-        Models at the points, the last parameter varying fastest: a list of all of them, or nested lists.
+        List of the models at all points, the last parameter varying fastest.
     rates, units
         Name -> bound of ``|d rho/dt|`` (default: infinite), and unit of the parameter.
     deviation, known
@@ -122,19 +121,18 @@ class LPVModel(Behaviour, Displayable, Traced):
                 raise InputError(f"LPVModel: {word}", f"{given!r}", "parameter -> value, such as {'a': ...}")
         for name in (*rates, *units):
             _require_name("LPVModel", name, tuple(points))
-        found = tuple(
+        if not points:
+            raise InputError("LPVModel", "no parameter", "at least one", "a model without any is a StateSpaceModel")
+        found = [
             SchedulingParameter(n, tuple(np.atleast_1d(p)), rates.get(n, np.inf), units.get(n, ""))
             for n, p in points.items()
-        )
-        if not found:
-            raise InputError("LPVModel", "no parameter", "at least one", "a model without any is a StateSpaceModel")
-        grid = tuple(len(p.points) for p in found)
-        flat = _flat(models)
+        ]
+        grid, flat = tuple(len(p.points) for p in found), [as_model(m, "LPVModel: models") for m in models]
         if len(flat) != int(np.prod(grid)):
             raise InputError("LPVModel", f"{len(flat)} models", f"{' x '.join(map(str, grid))}, one for each point")
         for k, other in enumerate(flat):
             _check_alike(k, flat[0], other)
-        stack, one = np.array([np.block([[m.A, m.B], [m.C, m.D]]) for m in flat]), flat[0]
+        stack, one = np.array([_whole(m) for m in flat]), flat[0]
         matrices = stack.reshape(*grid, *stack.shape[1:])
         made = LPVModel.of(found, matrices, one.n_states, one.inputs, one.outputs, one.states, deviation, known)
         self.__dict__.update(vars(made))
@@ -153,11 +151,11 @@ class LPVModel(Behaviour, Displayable, Traced):
             raise InputError("LPVModel: deviation", found, f"shape {cells}, entries >= 0")
         if known == EXACT and given.any():
             raise InputError("LPVModel: known", "'exact' with a deviation that is not zero", "'proved' or 'sampled'")
-        matrices, given = np.array(matrices), np.array(given)
-        for array in (matrices, given):
+        arrays = np.array(matrices), np.array(given)
+        for array in arrays:
             array.setflags(write=False)
-        fields = (tuple(parameters), matrices, n_states, tuple(inputs), tuple(outputs), tuple(states), given, known)
-        made = object.__new__(cls)
+        made, sides = object.__new__(cls), (tuple(inputs), tuple(outputs), tuple(states))
+        fields = (tuple(parameters), arrays[0], n_states, *sides, arrays[1], known)
         made.__dict__.update(zip(cls.__dataclass_fields__, fields, strict=True))
         return made
 
@@ -206,10 +204,9 @@ class LPVModel(Behaviour, Displayable, Traced):
         for name in given:
             _require_name("LPVModel.at", name, self.names)
         for p in self.parameters:
-            low, high = p.points[0], p.points[-1]
-            if p.name not in given or not low <= given[p.name] <= high:
+            if p.name not in given or not p.points[0] <= given[p.name] <= p.points[-1]:
                 found = f"{p.name} = {given[p.name]:g}" if p.name in given else f"{p.name} is missing"
-                raise InputError("LPVModel.at", found, f"{low:g} .. {high:g} {p.unit}".strip())
+                raise InputError("LPVModel.at", found, f"{p.points[0]:g} .. {p.points[-1]:g} {p.unit}".strip())
         return np.array([float(given[name]) for name in self.names])
 
     def matrix_at(self, rho: Array) -> Array:
@@ -269,16 +266,13 @@ class LPVModel(Behaviour, Displayable, Traced):
         return {"parameters": [vars(p) for p in self.parameters], **sides, **own}
 
 
+def _whole(m: StateSpaceModel) -> Array:
+    return np.block([[m.A, m.B], [m.C, m.D]])
+
+
 def _require_name(where: str, name: str, known: tuple[str, ...]) -> None:
     if name not in known:
         raise InputError(where, f"no parameter {name!r}", f"one of {', '.join(known)}", did_you_mean(name, known))
-
-
-def _flat(models: Any) -> list[StateSpaceModel]:
-    """Return all models of nested lists, the last level varying fastest."""
-    if isinstance(models, (list, tuple, np.ndarray)):
-        return [m for part in models for m in _flat(part)]
-    return [as_model(models, "LPVModel: models")]
 
 
 def _check_alike(k: int, first: StateSpaceModel, other: StateSpaceModel) -> None:
@@ -286,15 +280,11 @@ def _check_alike(k: int, first: StateSpaceModel, other: StateSpaceModel) -> None
     where = f"LPVModel: model {k}"
     if other.is_discrete:
         raise InputError(where, f"discrete, dt = {other.dt:g} s", "a continuous model")
-    if (other.n_states, *other.D.shape) != (first.n_states, *first.D.shape):
-        found = f"{other.n_states} states, {other.n_inputs} inputs, {other.n_outputs} outputs"
-        raise InputError(where, found, f"{first.n_states}, {first.n_inputs} and {first.n_outputs} as model 0")
     for side in ("states", "inputs", "outputs"):
         mine, theirs = getattr(first, side), getattr(other, side)
         if mine != theirs:
-            one, two = next((a, b) for a, b in zip(mine, theirs, strict=True) if a != b)
             hint = "the coordinates must be the same at all points" if side == "states" else None
-            raise InputError(where, f"{side}: {' '.join(two).strip()!r}", f"{' '.join(one).strip()!r}", hint)
+            raise InputError(where, f"{side} {with_units(theirs)}", f"{with_units(mine)} as model 0", hint)
 
 
 @dataclass(frozen=True, eq=False)
@@ -381,12 +371,15 @@ def lpv_model(
     >>> lpv_model(spring, rates={"k": 0.5}).known
     'exact'
     """
+    from robustlab.uncertainty.lft import UncertainModel
+
+    points, units = points or {}, units or {}
     if isinstance(source, UncertainModel):
-        return _of_uncertain(source, points or {}, rates, units or {})
+        return _of_uncertain(source, points, rates, units)
     if not is_function(source):
         found = type(source).__name__
         raise InputError("lpv_model", f"a {found}", "an UncertainModel or a function of the parameters")
-    return _of_function(source, points or {}, rates, units, samples)
+    return _of_function(source, points, rates, units, samples)
 
 
 def _of_uncertain(
@@ -397,17 +390,13 @@ def _of_uncertain(
         if not (b.is_real and b.is_scalar):
             hint = "scheduling parameters must be measured: evaluate the set at a value of that block"
             raise InputError(f"lpv_model: block {b.name!r}", type(b).__name__, "real parameters only", hint)
-    known = [b.name for b in blocks]
     for name in points:
-        if name not in known:
-            raise InputError("lpv_model: points", f"no parameter {name!r}", f"one of {', '.join(known)}")
+        _require_name("lpv_model: points", name, tuple(b.name for b in blocks))
     values = {b.name: _values(b, points.get(b.name, 2)) for b in blocks}
     spans = [(0.0, 1.0) if b.parameter is None else (b.parameter.nominal, b.parameter.radius) for b in blocks]
     entries = [(v - middle) / radius for v, (middle, radius) in zip(values.values(), spans, strict=True)]  # of Delta
-    models = [
-        source.evaluate({b.name: b.delta(float(e)) for b, e in zip(blocks, at, strict=True)})
-        for at in product(*entries)
-    ]
+    at_points = (zip(blocks, at, strict=True) for at in product(*entries))
+    models = [source.evaluate({b.name: b.delta(float(e)) for b, e in at}) for at in at_points]
     deviation = _proved_deviation(source, entries)
     own = {b.name: b.parameter.unit for b in blocks if b.parameter is not None}
     return LPVModel(values, models, rates, {**own, **units}, deviation, PROVED if deviation.any() else EXACT)
@@ -427,6 +416,8 @@ def _values(block: Any, given: int | Sequence[float]) -> Array:
 
 def _proved_deviation(source: UncertainModel, entries: Sequence[Array]) -> Array:
     """Return a bound of the interpolation error in each cell, entry by entry."""
+    from robustlab.uncertainty.blocks import block_slices
+
     (q, p), m, n = source.delta_shape, source.M, source.M.n_states
     inner, size = m.D[:p, :q], np.abs(m.D[:p, :q])
     left = np.abs(np.vstack([m.B[:, :q], m.D[p:, :q]]))
@@ -472,8 +463,8 @@ def _of_function(
         share = np.full(len(cell), 0.5) if k < len(cells) else rng.uniform(size=len(cell))
         at = np.array([v[i] + s * (v[i + 1] - v[i]) for v, i, s in zip(values.values(), cell, share, strict=True)])
         true = _called(source, dict(zip(values, at.tolist(), strict=True)))
-        found = np.abs(np.block([[true.A, true.B], [true.C, true.D]]) - plain.matrix_at(at))
-        found[found <= 16 * EPS * np.abs(plain.matrix_at(at))] = 0.0  # rounding
+        found = np.abs(_whole(true) - plain.matrix_at(at))
+        found[found <= 16 * np.finfo(float).eps * np.abs(plain.matrix_at(at))] = 0.0  # rounding
         deviation[cell] = np.maximum(deviation[cell], found)
     return LPVModel(values, models, rates, units, deviation, SAMPLED)
 
