@@ -1,5 +1,7 @@
 r"""From continuous to discrete time and back: by formula, and of a controller judged in its sampled loop.
 
+Franklin, Powell, Workman (1998), chapter 6; of the logarithm Higham, *Functions of Matrices* (2008), theorem 1.31.
+
 ====================  ==================================================================================================
 ``tustin``            :math:`s = (2/T) (z - 1)/(z + 1)`: keeps stability and the H-infinity norm, bends frequencies
 ``tustin-prewarp``    :math:`s = (\omega_0 / \tan(\omega_0 T / 2)) (z - 1)/(z + 1)`: exact at :math:`\omega_0`
@@ -111,10 +113,6 @@ def d2c(model: Any, method: Hold = "zoh") -> StateSpaceModel:
     NoTrustworthyNumber
         ``"zoh"``: a pole on the closed negative real axis, or a logarithm that does not reproduce the model to 1e-10.
         ``"tustin"``: a pole at z = -1.
-
-    References
-    ----------
-    Higham, *Functions of Matrices* (2008), theorem 1.31.
 
     Examples
     --------
@@ -231,14 +229,13 @@ class SampledController(Synthesis):
     def facts(self) -> Facts:
         rows = [("sampled-data norm" if label == "gamma" else label, text) for label, text in super().facts()]
         text = f"{100 * self.loss:.3g} % of the continuous loop's {self.continuous_norm.upper:.6g}"
+        corner = None if self.antialiasing is None else f"first-order filter at {self.antialiasing:.4g} rad/s"
         head = [
             ("method", f"{self.chosen}, dt = {self.K.dt:g} s" + (f", delay {self.delay:g} s" if self.delay else "")),
             ("loss", f"{text} (allowed: {100 * self.allowed_loss:g} %)"),
+            ("before the sampler", corner or ""),
+            ("taken as constant between samples", "" if corner else ", ".join(self.norm.held)),
         ]
-        if self.antialiasing is not None:
-            head.append(("before the sampler", f"first-order filter at {self.antialiasing:.4g} rad/s"))
-        elif self.norm.held:
-            head.append(("taken as constant between samples", ", ".join(self.norm.held)))
         tried = [f"{t.method}: {t.text.removeprefix('loss ')}" for t in self.trials]
         notes = [("note", merged) for merged in self.pathological]
         return [*head, *rows, ("loss by method", ", ".join(tried)), *notes]
@@ -326,24 +323,11 @@ def discretise(
         A pole that the bilinear map sends to infinity; a continuous loop that is not stable; no method that leaves the
         sampled loop stable (pathological sampling is named).
 
-    References
-    ----------
-    Franklin, Powell, Workman (1998), chapter 6; Chen, Francis, *Optimal Sampled-Data Control Systems* (1995), chapters
-    8, 13; Bamieh, Pearson (1992).
-
     Examples
     --------
     >>> lag = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
     >>> discretise(lag, 0.1, "zoh").A.round(6)
     array([[0.904837]])
-
-    A design, evaluated between the samples too:
-
-    >>> from robustlab.synthesis.hinf.hinf_synthesis import hinf
-    >>> P = StateSpaceModel([[-1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
-    >>> digital = discretise(hinf(P, 1, 1), 0.05)
-    >>> digital.status.value, digital.loss < 0.1, digital.K.dt
-    ('certified', True, 0.05)
     """
     found: Any = plant if plant is not None else model if isinstance(model, Synthesis) else None
     if found is None:

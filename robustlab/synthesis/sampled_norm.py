@@ -108,10 +108,6 @@ def sampled_data_norm(
     InputError
         A discrete plant, a continuous K, sizes that do not fit, a negative delay, a loop that is not well posed.
 
-    References
-    ----------
-    Chen, Francis, *Optimal Sampled-Data Control Systems* (1995), chapters 10, 13.
-
     Examples
     --------
     >>> P = StateSpaceModel([[-1.0]], [[1.0, 1.0]], [[1.0], [1.0]], [[0, 0], [0, 0]])  # x' = -x + w + u, z = y = x
@@ -193,15 +189,14 @@ def _confirmed(norm: SampledDataNorm, lifted: LiftedPlant, K: StateSpaceModel) -
 
 def _bracket(lifted: LiftedPlant, loop: StateSpaceModel, rtol: float) -> SampledDataNorm:
     """Return the bracket of one number of intervals."""
-    n, n_mean = lifted.n_w, lifted.n_means
-    w, kick = slice(0, n), slice(n, n + lifted.n_kick)
-    mean, rest = slice(0, n_mean), slice(n_mean, n_mean + lifted.n_rests)
-    whole = loop.select(loop.input_names[w], loop.output_names[: rest.stop])
+    n = lifted.n_w
+    w, kick = slice(0, n), slice(n, loop.n_inputs)
+    mean, rest, all_z = slice(0, lifted.n_means), slice(lifted.n_means, loop.n_outputs), slice(0, loop.n_outputs)
 
     def norm(rows: slice, columns: slice, rtol: float) -> HinfNorm:
         return hinf_norm(_few_outputs(loop, rows, columns), rtol)
 
-    lower = norm(slice(0, rest.stop), w, rtol)
+    lower = norm(all_z, w, rtol)
     upper, norms = lower.upper, [lower]
     if np.isfinite(upper) and len(lifted.held) < n:  # if all of w is held, it has no rest
         norms.append(norm(mean, w, rtol))
@@ -210,8 +205,8 @@ def _bracket(lifted: LiftedPlant, loop: StateSpaceModel, rtol: float) -> Sampled
         upper = max(float(np.linalg.norm(gains, 2)), upper)
     doubtful = next((norm for norm in norms if norm.status is not Status.CERTIFIED), None)
     status = Status.CERTIFIED if doubtful is None else Status.INACCURATE
-    held = tuple(loop.input_names[i] for i in range(n - len(lifted.held), n))
-    reason = (doubtful or lower).reason
+    names, reason = loop.input_names[:n], (doubtful or lower).reason
+    whole, held = loop.select(names), names[n - len(lifted.held) :]
     return SampledDataNorm(lower.lower, upper, lower.frequency, status, lifted.n_intervals, (), whole, held, reason)
 
 
@@ -237,10 +232,8 @@ class LiftedPlant:
     # its states are those of the plant and the delayed controls.
     model: StateSpaceModel
     n_intervals: int
-    n_means: int  # sizes of the first two groups of outputs
-    n_rests: int
-    n_w: int  # of the first two groups of inputs together, and of the kick
-    n_kick: int
+    n_means: int  # size of the first group of outputs
+    n_w: int  # of the first two groups of inputs together
     n_meas: int
     n_con: int
     held: tuple[int, ...]  # positions of the disturbances that are constant over whole periods
@@ -250,7 +243,7 @@ class LiftedPlant:
     def generalized_plant(self) -> GeneralizedPlant:
         """Return the discrete plant for synthesis: without the kick."""
         names = self.model.input_names
-        keep = [*names[: self.n_w], *names[self.n_w + self.n_kick :]]
+        keep = [*names[: self.n_w], *names[-self.n_con :]]
         return GeneralizedPlant(self.model.select(keep), self.n_meas, self.n_con)
 
 
@@ -306,8 +299,7 @@ def lift(plant: GeneralizedPlant, dt: float, n_intervals: int, delay: float = 0.
         [*wide, *[f"kick{i + 1}" for i in range(n)], *plant.controls], [*outputs, *plant.measurements],
         [*m.state_names, *past], where="lifting",
     )  # fmt: skip
-    sizes = N, N * n_z, len(rows), len(wide), n, n_y, n_u
-    return LiftedPlant(model, *sizes, tuple(held.tolist()), to_mean, to_rest)
+    return LiftedPlant(model, N, N * n_z, len(wide), n_y, n_u, tuple(held.tolist()), to_mean, to_rest)
 
 
 @dataclass(frozen=True, eq=False)

@@ -46,7 +46,7 @@ from robustlab.linear_analysis import slicot
 from robustlab.linear_analysis.magnitude import balancing_factors
 from robustlab.linear_analysis.matrix_equations import care, small_residual
 from robustlab.linear_analysis.structural import HiddenMode, LeastOrder, least_order
-from robustlab.norms import HinfNorm, bilinear_to_continuous, bilinear_to_discrete, hinf_norm
+from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete
 from robustlab.statespace import StateSpaceModel, parallel, series
 from robustlab.uncertainty.distances.coprime import continuous_models, coprime_factors
 from robustlab.verification.balls import exact, midpoints, precision
@@ -62,7 +62,6 @@ EPS = float(np.finfo(float).eps)
 # A pole counts as stable from this distance to the boundary on, as a share of its modulus (of 1 for a discrete one).
 STABLE_MARGIN = 1e-10
 HINT = "floor=: the gain below which errors count absolutely"
-RTOL = 1e-6  # relative width of the bracket of an error
 # D of full row rank: smallest over largest eigenvalue of D D^T. Else the gain vanishes at infinite frequency.
 FULL_RANK = 1e-12
 # Hankel values that agree to this share are one repeated value: division by their difference would lose more digits.
@@ -257,16 +256,6 @@ class Way:
         factor = 1 if self.method == "hankel" else 2
         none = self.method == "stochastic" or self.weights != (None, None)
         return np.nan if none else factor * float(self.balancing.values[order:].sum())
-
-    def measured(self, difference: StateSpaceModel) -> HinfNorm:
-        """Return the certified size of a difference of parts."""
-        into, out = self.weights
-        difference = difference if into is None else series(into, difference)
-        return hinf_norm(difference if out is None else series(difference, out), RTOL)
-
-    def per_gain(self) -> float:
-        """Return an upper bound of the size of a difference of gain 1."""
-        return float(np.prod([hinf_norm(w, 1e-2).upper for w in self.weights if w is not None]))
 
 
 def way_of(full: StateSpaceModel, method: str, weights: Weights = (None, None), floor: float = 0.0) -> Way:

@@ -1,7 +1,7 @@
 """Reduction of controllers to the lowest order whose rebuilt closed loop has a proved loss within the allowed one.
 
 The controller blocks of the closed loop's Gramians measure how much w moves each state of K, and how much each state
-of K moves z: Anderson, Liu, "Controller reduction: concepts and approaches", IEEE TAC 34 (1989).
+of K moves z: Anderson, Liu, "Controller reduction: concepts and approaches", IEEE TAC 34 (1989); Goddard, Glover 1998.
 """
 
 from __future__ import annotations
@@ -166,10 +166,6 @@ def reduce_controller(
     NoTrustworthyNumber
         The loop with the full K is not stable (the message names the other sign of K if that helps), or its measure is
         not trustworthy; or no controller of the requested ``order`` leaves the loop stable.
-
-    References
-    ----------
-    Anderson, Liu 1989; Goddard, Glover 1998 (performance preserving reduction).
 
     Examples
     --------

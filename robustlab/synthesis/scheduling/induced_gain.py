@@ -42,29 +42,21 @@ Lyapunov = Literal["constant", "varying"]
 class LPVGain(PeakGain, Traced):
     """A bracket of the induced L2 gain over all trajectories of the parameters, and what proves it.
 
-    Attributes
-    ----------
-    lower, at, frequency
-        Largest H-infinity norm of the frozen models at the points, attained as parameters may be constant (infinite
-        where one is not stable); where, and at which frequency in rad/s, or that of the unstable pole.
-    upper, status, reason
-        Proved bound of the gain (infinite where none was found), and how. CERTIFIED: proved in ball arithmetic from P
-        and the model. CONVERGED: proved likewise, but the distance of the family from its interpolation was only
-        sampled. INFEASIBLE: the frozen model at ``at`` is not stable, or by the solver no such Lyapunov function
-        exists, which does not prove instability. INCONCLUSIVE: nothing was proved, or a pole is indistinguishable from
-        the stability boundary.
-    P, lyapunov
-        Lyapunov matrices at the points of the grid, shape (n_1, ..., n_k, n_x, n_x) with 1 along parameters on which
-        they do not depend, empty where nothing was proved; ``"constant"``: proved for trajectories of any rate,
-        ``"varying"``: for those within the bounds of the rates.
+    ``lower`` is the largest H-infinity norm of the frozen models at the points, attained as parameters may be constant;
+    ``upper`` the proved bound, infinite where none was found. CERTIFIED: proved in ball arithmetic from P and model.
+    CONVERGED: likewise, but the distance of the family from its interpolation was only sampled. INFEASIBLE: the frozen
+    model at ``at`` is not stable, or by the solver no such Lyapunov function exists, which does not prove instability.
+    INCONCLUSIVE: nothing was proved, or a pole is indistinguishable from the stability boundary.
     """
 
-    frequency: float
-    at: dict[str, float]
+    frequency: float  # in rad/s, at which `lower` is attained, or that of the unstable pole
+    at: dict[str, float]  # the parameters there
+    # Lyapunov matrices at the points, shape (n_1, ..., n_k, n_x, n_x) with 1 along parameters on which they do not
+    # depend; empty where nothing was proved
     P: Array
-    lyapunov: str
+    lyapunov: str  # "constant": proved for any rate; "varying": for those within the bounds of the rates
     model: LPVModel
-    reason: str
+    reason: str  # method of the proof, or reason of its failure
 
     unsaved: ClassVar[tuple[str, ...]] = ("model",)
     unstable: ClassVar[str] = "infinite: a frozen model is not stable"
@@ -94,9 +86,8 @@ class LPVGain(PeakGain, Traced):
     def bounds(self) -> str:
         """Return the bracket with the origin of each side."""
         upper = f"{number(self.upper, digits=6)} (proved)" if np.isfinite(self.upper) else "no bound proved"
-        return (
-            self.unstable if np.isinf(self.lower) else f"{number(self.lower, digits=6)} (frozen, attained) .. {upper}"
-        )
+        frozen = f"{number(self.lower, digits=6)} (frozen, attained)"
+        return self.unstable if np.isinf(self.lower) else f"{frozen} .. {upper}"
 
     def place(self) -> str:
         """Return the parameters and the frequency at which ``lower`` is attained."""

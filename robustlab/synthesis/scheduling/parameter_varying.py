@@ -359,11 +359,6 @@ def lpv_model(
     NoTrustworthyNumber
         Cells too wide for a proved error: more points are required.
 
-    Notes
-    -----
-    Models linearised at equilibria describe deviations from an equilibrium x0. They do not contain the motion of the
-    equilibrium itself, ``- dx0/drho rho'``.
-
     Examples
     --------
     >>> from robustlab.uncertainty.parametric import parametric

@@ -170,20 +170,18 @@ def _conditioned(
         return None, "the frozen plant in the middle has no controller"
     unit = 2.0 ** -round(float(np.log2(size)))  # with it gamma is about one
     scaling, turn = replace(scaling, z=scaling.z * unit), turn / np.sqrt(unit)
-    found, waited, text = None, 0, ""
+    found, last, text = None, np.inf, ""
     for _ in range(BALANCINGS):
         plants = [_turned(scaling.apply(p), turn) for p in matrices]
         gamma, outer, text = _projection(plants, None, 1.0, budget)
         if gamma is None or outer is None:
             break
         say(f"states balanced by R and S: optimum {gamma / scaling.gain:.6g}")
-        best = np.inf if found is None else found.gamma
-        if gamma < best:
+        if found is None or gamma < found.gamma:
             found = _Conditioned(plants, scaling, turn, gamma)
-        # The optimum may rise in the first rounds after a bad start.
-        waited = 0 if gamma < best * (1 - 0.5 * NEAR) else waited + 1
-        if waited == 2 or abs(gamma / best - 1) < 0.5 * NEAR:
+        if abs(gamma / last - 1) < 0.5 * NEAR:
             break
+        last = gamma
         # R and S are moderate above the optimum; if the solver finds none there, those at the optimum are used.
         _, relaxed, _ = _projection(plants, 1.05 * gamma + 1e-9, 1.5, budget)
         turn = turn @ _balancing(*(outer if relaxed is None else relaxed))

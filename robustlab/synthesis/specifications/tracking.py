@@ -130,7 +130,7 @@ class TrackingProblem(Displayable):
     """A weighted tracking problem."""
 
     uncertain: UncertainModel  # from [w of Delta; r; d; n; u] to [z of Delta; z; v], v: inputs of the controller
-    signals: UncertainModel  # the same without weights and F: [w; r; d; n; u] of their full sizes to [z; e; u; y_c; v]
+    base: UncertainModel  # the plant that was given
     controlled: tuple[Signal, ...]  # outputs with references
     measured: tuple[Signal, ...]  # outputs measured by the controller, in addition to the references
     weights: Mapping[str, StateSpaceModel]  # given weights of one channel by name `"W1"`, `"W2"`, `"W3"`
@@ -147,12 +147,9 @@ class TrackingProblem(Displayable):
 
     def numbers(self) -> dict[str, Any]:
         return {
-            "states": self.uncertain.M.n_states,
-            "blocks": [b.name for b in self.uncertain.blocks],
-            "channels": self.uncertain.delta_shape[0],
-            "measurements": self.n_meas,
-            "controls": self.n_con,
-        }
+            "states": self.uncertain.M.n_states, "blocks": [b.name for b in self.uncertain.blocks],
+            "channels": self.uncertain.delta_shape[0], "measurements": self.n_meas, "controls": self.n_con,
+        }  # fmt: skip
 
     def facts(self) -> Facts:
         plant, blocks = self.plant, self.uncertain.blocks
@@ -175,8 +172,7 @@ class TrackingProblem(Displayable):
     @property
     def n_con(self) -> int:
         """Number of controls."""
-        w = len(self.reference) + len(self.disturbance) + len(self.loads) + len(self.noise)
-        return len(self.uncertain.inputs) - w
+        return len(self.base.inputs) - len(self.loads)
 
     @property
     def plant(self) -> GeneralizedPlant:
@@ -192,16 +188,14 @@ class TrackingProblem(Displayable):
         """Return `uncertain`."""
         return self.uncertain
 
-    def on(self, G: Any) -> TrackingProblem:
+    def on(self, G: Any, **changes: Any) -> TrackingProblem:
         """Return the same problem for another plant or set with the same signals, without loads that it lacks."""
         bandwidth = -float(self.shape.A[0, 0]) if self.shape.n_states else None
         inputs = [s.name for s in (G if isinstance(G, UncertainModel) else as_model(G, "tracking problem: G")).inputs]
         loads = {name: size for name, size in self.loads.items() if name in inputs}
-        return tracking_problem(
-            G, [s.name for s in self.controlled], [s.name for s in self.measured], **self.weights,
-            reference=self.reference, reference_bandwidth=bandwidth, disturbance=self.disturbance, noise=self.noise,
-            loads=loads,
-        )  # fmt: skip
+        given: dict[str, Any] = {name: getattr(self, name) for name in ("reference", "disturbance", "noise")}
+        given |= {**self.weights, "reference_bandwidth": bandwidth, "loads": loads, **changes}
+        return tracking_problem(G, [s.name for s in self.controlled], [s.name for s in self.measured], **given)
 
     def close(self, K: Any) -> UncertainModel:
         """Return the weighted loop under ``u = K v`` as an uncertain model from (r, d, n) to z."""
@@ -209,11 +203,11 @@ class TrackingProblem(Displayable):
 
     def gains(self, K: Any, omega: ArrayLike) -> dict[str, Array]:
         """Return the largest singular values of S, K S, T of the nominal loop at ``omega`` in rad/s, (n_omega,)."""
-        closed = lower_lft(self.signals.nominal, self._checked(K))
         n_r = len(self.controlled)
-        response = frequency_response(closed, omega)[:, :, :n_r]
+        plain = self.on(self.base, W1=1.0, W2=1.0, W3=1.0, reference_bandwidth=None)
+        response = frequency_response(plain.close(K).nominal, omega)[:, :, :n_r]
         parts = np.split(response, [n_r, n_r + self.n_con], axis=1)
-        return {name: np.linalg.norm(part, 2, axis=(1, 2)) for name, part in zip(("S", "KS", "T"), parts, strict=True)}
+        return {name: np.linalg.norm(part, 2, axis=(1, 2)) for name, part in zip(FUNCTIONS, parts, strict=True)}
 
     def bounds(self, omega: ArrayLike) -> dict[str, Array]:
         """Return the bounds ``1 / |W F|`` of the functions of `gains` that have a weight."""
@@ -296,16 +290,15 @@ def tracking_problem(
         _sizes("noise", noise, [*(Signal(f"{s.name}_ref", s.unit) for s in follow), *seen]),
     )
     shape = _shape(reference_bandwidth, base.dt)
-    signals, model = _built(base, (c, m), sizes, forces, weights, shape)
-    problem, bare = UncertainModel(model, base.blocks), UncertainModel(signals, base.blocks)
-    return TrackingProblem(problem, bare, follow, seen, weights, shape, *sizes, forces)
+    problem = UncertainModel(_built(base, (c, m), sizes, forces, weights, shape), base.blocks)
+    return TrackingProblem(problem, base, follow, seen, weights, shape, *sizes, forces)
 
 
 def _built(
     base: UncertainModel, places: tuple[list[int], list[int]], sizes: Sequence[Mapping[str, float]],
     loads: Mapping[str, float], weights: Mapping[str, StateSpaceModel], shape: StateSpaceModel,
-) -> tuple[StateSpaceModel, StateSpaceModel]:  # fmt: skip
-    """Return the model from [w; r; d; n; u] to [z; e; u; y_c; v] without weights, and the weighted one."""
+) -> StateSpaceModel:  # fmt: skip
+    """Return the weighted model from [w; r; d; n; u] to [z of Delta; z; v]."""
     M, (q, p) = base.M, base.delta_shape
     follow, seen = ([base.outputs[i] for i in part] for part in places)
     controls = [Signal(s.name, s.unit) for s in base.inputs if s.name not in loads]
@@ -319,34 +312,33 @@ def _built(
     acting = _placed([s.name for s in controls], names_u) @ u + _placed(entering, names_u) @ (size_d[:, None] * d)
     noisy = _placed(noise, [*(f"{s.name}_ref" for s in follow), *(s.name for s in seen)]) @ (size_n[:, None] * n)
     into = np.vstack([w, acting])
-    # [z; y_c / r; y_m] of M, then rows of [z; e; u; y_c / r; v].
     y_c, y_m = ([p + i for i in part] for part in places)
-    C, T = (np.vstack([X[:p], X[y_c] / size_r[:, None], X[y_m]]) for X in (M.C, M.D @ into))
-    z, y, v = np.split(np.arange(len(C)), [p, p + n_r])
-    none = np.zeros((n_u, M.n_states)), np.zeros((n_r, M.n_states))
-    out = np.vstack([C[z], -C[y], none[0], C[y], none[1], C[v]])
-    direct = np.vstack([T[z], r - T[y], u, T[y], size_r[:, None] * r + noisy[:n_r], T[v] + noisy[n_r:]])
+    C, T, none = M.C, M.D @ into, np.zeros((n_r, M.n_states))
+    share = 1 / size_r[:, None]
     words = [f"{s.name}_ref" for s in follow] + [f"{name}_disturbance" for name in sizes[1]]
     words += [f"{name}, over its size" for name in loads] + [f"{name}_noise" for name in noise]
     inputs = [*M.inputs[:q], *(Signal(word, "1") for word in words), *controls]
-    signals = StateSpaceModel(M.A, M.B @ into, out, direct, M.dt, inputs, None, M.states)
-    # The same behind F and before the weights, without rows that have no weight.
-    one, at = _shape(None, M.dt), [*range(p)]
+    weighted = {
+        "W1": ("error", follow, -share * C[y_c], r - share * T[y_c]),
+        "W2": ("control", controls, np.zeros((n_u, M.n_states)), u),
+        "W3": ("output", follow, share * C[y_c], share * T[y_c]),
+    }
+    one, rows = _shape(None, M.dt), [(C[:p], T[:p])]
     filters, outputs, states = [_each(one, p, "z")], [Signal(s.name, s.unit) for s in M.outputs[:p]], [*M.states]
-    first = {"W1": ("error", p, follow), "W2": ("control", p + n_r, controls), "W3": ("output", p + n_r + n_u, follow)}
     for name, weight in weights.items():
-        word, start, part = first[name]
-        at += range(start, start + len(part))
+        word, part, *row = weighted[name]
+        rows.append((row[0], row[1]))
         filters.append(_each(weight, len(part), name))
         outputs += [Signal(f"{name} {word}: {s.name}") for s in part]
         states += [Signal(f"{name} {s.name} x{i + 1}") for s in part for i in range(weight.n_states)]
-    at += range(p + 2 * n_r + n_u, len(out))
+    rows += [(none, size_r[:, None] * r + noisy[:n_r]), (C[y_m], T[y_m] + noisy[n_r:])]
+    out, direct = (np.vstack(part) for part in zip(*rows, strict=True))
     before = append(_each(one, q, "w"), _each(shape, n_r, "F"), _each(one, sum(counts) - q - n_r, "d"))
-    picked = StateSpaceModel(signals.A, signals.B, out[at], direct[at], M.dt)
-    joined = series(series(before, picked), append(*filters, _each(one, n_r + len(seen), "v")))
+    bare = StateSpaceModel(M.A, M.B @ into, out, direct, M.dt)
+    joined = series(series(before, bare), append(*filters, _each(one, n_r + len(seen), "v")))
     states = [*(Signal(f"{s.name}_ref x{i + 1}") for s in follow for i in range(shape.n_states)), *states]
     outputs += [*(Taken(f"{s.name}_ref", s.unit, "r", s.name) for s in follow), *(Taken(*s) for s in seen)]
-    return signals, StateSpaceModel(
+    return StateSpaceModel(
         joined.A, joined.B, joined.C, joined.D, joined.dt, inputs, outputs, states, where="tracking problem"
     )
 
@@ -407,7 +399,7 @@ def _sizes(what: str, given: Sizes | None, known: Sequence[Signal], whole: bool 
 def _weight(given: Any, where: str, dt: float) -> StateSpaceModel:
     """Return a stable weight of one channel in the plant's time."""
     if isinstance(given, (int, float)) and not isinstance(given, bool):
-        return StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[given]], dt, where=where)
+        return StateSpaceModel([], [], [], [[given]], dt, where=where)
     w = as_model(given, where)
     if (w.n_inputs, w.n_outputs) != (1, 1):
         raise InputError(where, f"{w.n_inputs} inputs and {w.n_outputs} outputs", "one of each")
