@@ -20,7 +20,7 @@ from typing import Any, ClassVar, Literal, get_args, overload
 
 import numpy as np
 
-from robustlab.budget import MILLION, Budget, dense, one_thread
+from robustlab.budget import MILLION, dense, one_thread
 from robustlab.checks import choice, number
 from robustlab.display import AllFields, Facts
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
@@ -31,7 +31,7 @@ from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.hinf.loop_shaping import with_default_performance
 from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status, limiting_channels
-from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
+from robustlab.synthesis.problem.partition import as_generalized_plant
 from robustlab.synthesis.sampled_norm import SampledDataNorm, check_sampling, lift, sampled_loop_norm, with_antialiasing
 
 Method = Literal["tustin", "tustin-prewarp", "zoh", "foh"]
@@ -154,9 +154,10 @@ def merged_modes(model: StateSpaceModel, dt: float) -> tuple[str, ...]:
         multiple = round((one - two).imag * dt / (2 * np.pi))
         if multiple and abs((one - two) * dt - 2j * np.pi * multiple) <= MERGED:
             names = " and ".join(f"{pole.real:.6g}{pole.imag:+.6g}j" for pole in (one, two))
-            effect = "they cannot be controlled one by one" if one.real < 0 else "no digital controller moves both"
-            multiples = f"differ by {abs(multiple)} sampling frequencies"
-            found.append(f"pathological sampling: modes {names} rad/s {multiples}; {effect}")
+            found.append(
+                f"pathological sampling: modes {names} rad/s differ by {abs(multiple)} sampling frequencies; "
+                + ("they cannot be controlled one by one" if one.real < 0 else "no digital controller moves both")
+            )
     return tuple(found)
 
 
@@ -273,10 +274,8 @@ def discretise(
     .. math:: \dot x = A x + B u \quad\to\quad x_{k+1} = A_d x_k + B_d u_k
 
     The states of ``zoh`` and their operating point are those of the model; the other methods have states of their own
-    and no operating point.
-
-    A controller with its plant, a design or a controller with ``plant=``, is evaluated in its loop, between the samples
-    too:
+    and no operating point. A controller with its plant, a design or a controller with ``plant=``, is evaluated in its
+    loop, between the samples too:
 
     .. math:: \text{loss} = \frac{\|F_l(P, H K_d S)\|}{\|F_l(P, K)\|_\infty} - 1
 
@@ -332,14 +331,13 @@ def discretise(
     found: Any = plant if plant is not None else model if isinstance(model, Synthesis) else None
     if found is None:
         loop = {"loss": loss != 0.1, "delay": delay != 0, "antialiasing": antialiasing is not None}
-        loop |= {"method": method in ("auto", "direct")}
+        loop["method"] = method in ("auto", "direct")
         if given := next((name for name, is_given in loop.items() if is_given), None):
             raise InputError(f"{WHERE}: {given}", "no plant to judge the loop with", "plant= beside it")
         return by_formula(model, dt, "tustin" if method is None else method, prewarp)
     full = as_model(getattr(model, "K", model), WHERE)
-    p = as_generalized_plant(
-        found.plant if isinstance(found, Synthesis) else found, full.n_inputs, full.n_outputs, f"{WHERE}: plant"
-    )
+    given = found.plant if isinstance(found, Synthesis) else found
+    p = as_generalized_plant(given, full.n_inputs, full.n_outputs, f"{WHERE}: plant")
     check_sampling(p, full, dt, delay, WHERE)
     if full.is_discrete:
         raise InputError(WHERE, f"the controller has dt = {full.dt:g} s already", "a continuous controller")
@@ -355,18 +353,19 @@ def discretise(
         judged = with_antialiasing(p, antialiasing, WHERE)
         merged = merged_modes(judged.model, dt)
         corner = continuous.frequency if prewarp is None else prewarp
-        names = [method] if method not in (None, "auto", "direct") else []
-        if method in (None, "auto"):
-            names = ["tustin", *["tustin-prewarp"] * bool(0 < continuous.frequency < 0.9 * np.pi / dt), "zoh", "foh"]
+        warped = ["tustin-prewarp"] * bool(0 < continuous.frequency < 0.9 * np.pi / dt)
+        names = ["tustin", *warped, "zoh", "foh", "direct"] if method in (None, "auto") else [method]
         trials, best = list[SampledTrial](), None
-        for name in [*names, *["direct"] * (method in (None, "auto", "direct"))]:
+        for name in names:
             enough = best is not None and _loss(best[2].upper, continuous) <= loss
             if budget.over or (name == "direct" and enough):
                 break
             try:
                 if name == "direct":
-                    made = _designed(judged, float(dt), delay, budget)
-                    made = StateSpaceModel(made.A, made.B, made.C, made.D, dt, full.inputs, full.outputs)
+                    most = MOST_DESIGN // max(judged.n_w, judged.n_z, 1)
+                    lifted = lift(judged, float(dt), int(np.clip(most, 1, DESIGN_INTERVALS)), delay)
+                    k = synthesize(lifted.generalized_plant(), "hinf", DESIGN_GAMMA_REL, budget).K
+                    made = StateSpaceModel(k.A, k.B, k.C, k.D, dt, full.inputs, full.outputs)
                 else:
                     made = by_formula(full, dt, name, corner if name == "tustin-prewarp" else None)
                 budget.spend(dense(judged.model.n_states + made.n_states, 200))  # as measured
@@ -406,10 +405,3 @@ def discretise(
 
 def _loss(value: float, reference: HinfNorm) -> float:
     return value / reference.upper - 1 if reference.upper > 0 else float(np.inf if value else 0.0)
-
-
-def _designed(plant: GeneralizedPlant, dt: float, delay: float, budget: Budget) -> StateSpaceModel:
-    """Design a controller by H-infinity synthesis on the lifted plant."""
-    n_intervals = int(np.clip(MOST_DESIGN // max(plant.n_w, plant.n_z, 1), 1, DESIGN_INTERVALS))
-    lifted = lift(plant, dt, n_intervals, delay).generalized_plant()
-    return synthesize(lifted, "hinf", DESIGN_GAMMA_REL, budget).K

@@ -24,8 +24,7 @@ Optimal Hankel-norm approximation is the all-pass dilation of balanced states. W
 
 differs from the model by no more than sigma at any frequency. Its k stable modes are the nearest model of order k in
 the Hankel norm, at a distance of exactly sigma; a constant replaces the others, which are not stable. U is a
-contraction: a block of a unitary matrix for the model with rows and columns of zeros, so that models need not be
-square, and U is unique.
+contraction, so models need not be square.
 
 References
 ----------
@@ -331,16 +330,16 @@ def nearest_in_hankel_norm(model: StateSpaceModel, balancing: Balancing, order: 
 def _constant_near(unstable: StateSpaceModel) -> AnyArray:
     """Return a constant no farther from a strictly proper antistable model than the sum of its Hankel values.
 
-    The values are removed one by one, the smallest first: each dilation changes the model by no more than its value,
-    and is balanced with the other values, as the model is square and U unitary.
+    They are removed one by one, the smallest first, each at the price of its value, as U is unitary.
     """
     mirrored = StateSpaceModel(-unstable.A, -unstable.B, unstable.C, unstable.D)
     balancing = Balancing.of(*gramian_factors(mirrored))
     values = balancing.values[: len(balancing.left)]
     left = balancing.reduced(mirrored, len(values), "truncation")
     (p, m), size = left.D.shape, max(left.D.shape)
-    square = np.pad(left.B, ((0, 0), (0, size - m))), np.pad(left.C, ((0, size - p), (0, 0)))
-    left = StateSpaceModel(left.A, *square, np.pad(left.D, ((0, size - p), (0, size - m))))
+    rows, columns = (0, size - p), (0, size - m)
+    square = np.pad(left.B, ((0, 0), columns)), np.pad(left.C, (rows, (0, 0))), np.pad(left.D, (rows, columns))
+    left = StateSpaceModel(left.A, *square)
     while len(values):
         left, values = _dilated(left, values, len(values) - 1, unitary=True)
     return left.D[:p, :m]

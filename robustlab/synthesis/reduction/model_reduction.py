@@ -383,11 +383,9 @@ def minimal(model: Any, *, tolerance: float | None = None) -> ReducedModel:
     upper, left_out, doubt = (0.0, (), "") if lost is None else _lost_gain(lost, poles[~stable], poles[stable])
     unclear = f"the order depends on rounding: a singular value of {found.dropped:.1e} counted as zero; tolerance="
     error = HinfNorm(0.0, upper, np.nan, Status.INACCURATE if doubt else Status.CERTIFIED, doubt)
-    evidence = Evidence(error, left_out, doubt or ("" if found.clear else unclear))
+    judge = partial(Evidence, error, left_out, doubt or ("" if found.clear else unclear))
     removed = tuple(mode.meaning for mode in found.hidden)
-    return ReducedModel(
-        found.model, "minimal", np.zeros(0), 0, full, np.nan, partial(Evidence, *evidence), removed=removed
-    )
+    return ReducedModel(found.model, "minimal", np.zeros(0), 0, full, np.nan, judge, removed=removed)
 
 
 # --- error of splitting or removing modes -----------------------------------------------------------------------------

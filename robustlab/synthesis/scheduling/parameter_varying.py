@@ -300,10 +300,6 @@ class LPVController(Displayable, Traced):
     status: Status = Status.INCONCLUSIVE
     method: str = ""
 
-    def __post_init__(self) -> None:
-        if not isinstance(self.K, LPVModel):
-            raise InputError("LPVController: K", type(self.K).__name__, "an LPVModel")
-
     def at(self, rho: Any = None, **values: float) -> StateSpaceModel:
         """Return the controller at one value of every parameter; see `LPVModel.at`."""
         return self.K.at(rho, **values)

@@ -15,6 +15,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.budget import Budget, one_thread, search_budget
+from robustlab.checks import whole
 from robustlab.conic import bounded_real, equal_rows, least
 from robustlab.display import Facts, number
 from robustlab.errors import InputError, NoTrustworthyNumber
@@ -329,9 +330,9 @@ def _plant_matrices(plant: LPVModel, n_meas: int, n_con: int) -> list[PlantMatri
         raise InputError("hinf", "a plant without states", "one with states")
     n, n_z, n_w = plant.n_states, len(plant.outputs) - n_meas, len(plant.inputs) - n_con
     for word, count, left in (("n_meas", n_meas, n_z), ("n_con", n_con, n_w)):
-        if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1 or left < 1:
+        if whole(f"hinf: {word}", count, 1) and left < 1:
             found = f"{word} = {count!r} of a plant with {len(plant.inputs)} inputs and {len(plant.outputs)} outputs"
-            raise InputError("hinf", found, "at least one, and at least one w and z in addition")
+            raise InputError("hinf", found, "at least one w and z in addition")
     m = plant.matrices.reshape(-1, *plant.matrices.shape[-2:])
     if m[:, n + n_z :, n + n_w :].any() or plant.deviation[..., n + n_z :, n + n_w :].any():
         hint = "put a fast lag between controls and measurements"

@@ -232,8 +232,7 @@ class TrackingLoop(Displayable):
     gamma: float | None  # verified gamma of the nominal loop if the design proves it
 
     def facts(self) -> Facts:
-        proved = "" if self.gamma is None else number(self.gamma)
-        return [("design", type(self.design).__name__), ("gamma of the nominal loop", proved)]
+        return [("design", type(self.design).__name__), ("gamma of the nominal loop", number(self.gamma))]
 
 
 def tracking_problem(
@@ -387,8 +386,8 @@ def _sizes(what: str, given: Sizes | None, known: Sequence[Signal], whole: bool 
     table = dict(given) if isinstance(given, Mapping) else dict.fromkeys(names, given)
     for name, size in table.items():
         if name not in names:
-            raise InputError(f"{where} {name!r}", "no such signal", f"one of {', '.join(names)}",
-                             did_you_mean(str(name), names))  # fmt: skip
+            hint = did_you_mean(str(name), names)
+            raise InputError(f"{where} {name!r}", "no such signal", f"one of {', '.join(names)}", hint)
         checks.number(f"{where} {name!r}", size, "a positive number", above=0)
     missing = [name for name in names if name not in table]
     if whole and missing:
