@@ -28,8 +28,6 @@ __all__, __getattr__ = lazily(
         "dk.robust_problem": "RobustProblem",
         "dk.dynamic_scalings": "BlockScaling Factor unit_scalings",
         "dk.dk_iteration": "structure_with_performance",
-        "discretisation": "SampledMethod merged_modes",
-        "sampled_norm": "lift mean_and_variance",
         "windup.back_calculation": "back_calculation",
         "reduction.controller_reduction": "ReducedController",
     },
