@@ -6,6 +6,7 @@ Van Dooren, "The generalized eigenstructure problem in linear system theory", IE
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any, ClassVar, Literal, NamedTuple, get_args, overload
@@ -17,6 +18,7 @@ from robustlab.checks import choice, number, whole
 from robustlab.display import Displayable, Facts
 from robustlab.display import number as in_words
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
+from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.magnitude import refuse_extremes
 from robustlab.linear_analysis.structural import least_order
 from robustlab.norms import HinfNorm, hinf_norm, linf_norm
@@ -396,9 +398,9 @@ def _lost_gain(
 ) -> tuple[float, Bands, str]:
     """Return a bound of the gain of ``lost``, the bands in rad/s that are left out, and why it is not proved.
 
-    At a mode on the stability boundary that gain is infinite: an interval around it is left out, the narrowest with a
-    bound of ``wanted``, or from which on wider ones help little. ``apart``, ``stable``: the poles of the model that are
-    not stable, and the others.
+    At a mode on the stability boundary that gain is infinite: an interval around it is left out, the narrowest at whose
+    ends it is ``wanted``, or twice that of the widest. ``apart``, ``stable``: the poles of the model that are not
+    stable, and the others.
     """
     if not lost.D.size:
         return 0.0, (), ""
@@ -409,15 +411,20 @@ def _lost_gain(
     centre = np.where(np.abs(np.imag(apart)) > 1e-3 * slow, np.abs(np.imag(apart)), 0.0)
     scale = np.where(centre > 0, centre, slow)
     near = np.abs(np.real(apart)) <= NEAR * scale
+    first = 0
+    with suppress(NoTrustworthyNumber):  # a frequency that is indistinguishable from a pole
+        ends = np.abs(centre[near] + np.multiply.outer(np.append(-WIDTHS, WIDTHS), scale[near]))
+        gains = np.linalg.norm(frequency_response(lost, ends.ravel()), 2, axis=(1, 2))
+        gains = gains.reshape(2, len(WIDTHS), -1).max(axis=(0, 2), initial=0.0)
+        first = int(np.argmax(gains <= max(wanted, 2 * gains[-1])))
     upper, left_out, doubt = np.inf, (), ""
-    for width in WIDTHS:
-        last, half = upper, width * scale[near]
+    for half in np.multiply.outer(WIDTHS[first:], scale[near]):
         left_out = _merged(np.clip([centre[near] - half, centre[near] + half], low, high).T.tolist())
         ends = [low, *(end for interval in left_out for end in interval), high]
         found = [linf_norm(lost, 0.01, band=(a, b)) for a, b in zip(ends[::2], ends[1::2], strict=True) if a < b]
         upper = max((norm.upper for norm in found), default=0.0)
         doubt = next((norm.reason or "not proved" for norm in found if norm.status is not Status.CERTIFIED), "")
-        if not near.any() or (not doubt and (upper <= wanted or upper > 0.5 * last)):
+        if not doubt or not near.any():
             break
     return upper, left_out, doubt
 
