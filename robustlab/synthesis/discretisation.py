@@ -113,11 +113,6 @@ def d2c(model: Any, method: Hold = "zoh") -> StateSpaceModel:
     NoTrustworthyNumber
         ``"zoh"``: a pole on the closed negative real axis, or a logarithm that does not reproduce the model to 1e-10.
         ``"tustin"``: a pole at z = -1.
-
-    Examples
-    --------
-    >>> d2c(StateSpaceModel([[0.5]], [[0.5]], [[1.0]], [[0.0]], dt=0.1)).A.round(6)
-    array([[-6.931472]])
     """
     m = as_model(getattr(model, "K", model), "d2c")
     if not m.is_discrete:

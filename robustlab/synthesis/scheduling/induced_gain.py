@@ -30,8 +30,10 @@ NEAR = 0.02  # relative distance of a loop from the LMIs' optimum that ends the 
 # Back-offs from the optimum of the LMIs at which the margin is maximised. Smaller: tighter bounds, more failed proofs.
 GAIN_BACKOFFS = (1e-4, 1e-3, 1e-2, 0.1)
 SMALLEST = 1e-5  # smallest scaled gain that is distinguishable from zero
-LEVELS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 9.0, 99.0)  # above the smallest, at which P is proved
+# Shares above the smallest level at which P is proved, the first that holds.
+LEVELS = (1.5e-5, 5e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 9.0, 99.0)
 INEQUALITIES = 4000  # most inequalities of one problem
+SIGNED = 3  # most deviating entries for which all signs are used: exact, but 2^n inequalities
 NOTHING = np.zeros((0, 0))  # P where nothing was proved
 
 Index = tuple[int, ...]
@@ -225,10 +227,10 @@ def _lmis(
         gamma, margin, size = (cp.Variable(nonneg=True) for _ in range(3))
         bound = gamma if level is None else level * z
         conditions = [margin <= 1, *(X >> 0 for X in P.values())]
-        if level is not None or model.deviation.any():
+        if level is not None or any(rest.any() for *_, rest in inequalities):
             conditions += [size * np.eye(n) - X >> 0 for X in P.values()]
-        for pairs, slopes, rest in inequalities:
-            models = [(left @ model.matrices[v] @ right, w) for v, w in pairs]
+        for pairs, slopes, shift, rest in inequalities:
+            models = [(left @ (model.matrices[v] + shift) @ right, w) for v, w in pairs]
             out = np.mean([m[n:] for m, _ in models], axis=0)
 
             # L_c for P at its vertices.
@@ -256,13 +258,18 @@ def _lmis(
     return solve, len(inequalities), z
 
 
-def _coefficients(model: LPVModel, varies: list[bool]) -> list[tuple[Any, Any, Array]]:
+def _coefficients(model: LPVModel, varies: list[bool]) -> list[tuple[Any, Any, Array, Array]]:
     """Return every L_c, those shared by neighbouring cells once: pairs of vertices of the model and of P whose mean it
-    is, differences of P with factors that give its derivative, and the bound of the deviation.
+    is, differences of P with factors that give its derivative, and the deviation: with signs, and as a bound.
     """
-    found: dict[Any, tuple[Any, Any, Array]] = {}
+    found: dict[Any, tuple[Any, Any, Array, Array]] = {}
     for cell in model.cells():
         rest = model.deviation[cell]
+        places = np.flatnonzero(rest) if np.count_nonzero(rest) <= SIGNED else np.zeros(0, int)
+        corners = np.array(list(product((1.0, -1.0), repeat=len(places)))) * rest.ravel()[places]
+        shifts = np.zeros((len(corners), *rest.shape))
+        shifts.reshape(len(corners), -1)[:, places] = corners
+        rest = 0.0 * rest if len(places) else rest
         ends = [(1.0, -1.0) if v and p.rate else (0.0,) for v, p in zip(varies, model.parameters, strict=True)]
         for c in product(*((0, 1, 2) if v else (0, 2) for v in varies)):
             halves = list(product(*(((0, 1), (1, 0)) if x == 1 else ((x // 2, x // 2),) for x in c)))
@@ -274,5 +281,6 @@ def _coefficients(model: LPVModel, varies: list[bool]) -> list[tuple[Any, Any, A
                 for k, (sign, i, p) in enumerate(zip(signs, cell, model.parameters, strict=True)):
                     factor = sign * p.rate / (p.points[i + 1] - p.points[i]) / len(halves) if sign else 0.0
                     slopes += [(factor, (*w[:k], i + 1, *w[k + 1 :]), (*w[:k], i, *w[k + 1 :])) for w in of_P if sign]
-                found[pairs, tuple(slopes), rest.tobytes()] = pairs, slopes, rest
+                for shift in shifts:
+                    found[pairs, tuple(slopes), shift.tobytes(), rest.tobytes()] = pairs, slopes, shift, rest
     return list(found.values())

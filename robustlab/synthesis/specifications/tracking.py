@@ -264,13 +264,6 @@ def tracking_problem(
     ``loads``: inputs of G that are not controls with their sizes: forces on the plant.
     Raises InputError: unknown names, sizes that are not positive, no weight, a weight that is not stable or has several
     channels.
-
-    Examples
-    --------
-    >>> lag = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["q"])
-    >>> problem = tracking_problem(lag, ["q"], ["q"], W1=2.0, W2=0.1, disturbance=0.5)
-    >>> problem.uncertain.inputs[-1].name, [s.name for s in problem.plant.measurements]
-    ('u', ['q_ref', 'q'])
     """
     base = G if isinstance(G, UncertainModel) else UncertainModel(as_model(G, "tracking problem: G"), [])
     c, m = _positions(controlled, base.outputs, "controlled"), _positions(measured, base.outputs, "measured")
