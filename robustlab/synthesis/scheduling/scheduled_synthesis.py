@@ -19,7 +19,7 @@ from robustlab.checks import whole
 from robustlab.conic import bounded_real, equal_rows, least
 from robustlab.display import Facts, number
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.linear_analysis.magnitude import balancing_exponents
+from robustlab.linear_analysis.magnitude import balancing_factors
 from robustlab.signals import Taken
 from robustlab.statespace import Signal
 from robustlab.synthesis.hinf.two_riccati import TwoRiccatiProblem
@@ -279,9 +279,11 @@ def _controller(
         A, B, C, D = problem.scaling.controller_to_plant(K)
         made.append(np.block([[A, B], [C, D]]))
     n, whole = len(X) // 2, np.array(made)
-    # Balance the states' rows and columns of all points together.
+    # Balance the states' rows and columns of all points together, with inputs and outputs as one more row and column.
     size = np.abs(whole).sum(axis=0)
-    units = 2.0 ** balancing_exponents(size[:n, :n], size[:n, n:], size[n:, :n])
+    into, out = size[:n, n:].sum(axis=1, keepdims=True), size[n:, :n].sum(axis=0, keepdims=True)
+    factors = balancing_factors(np.block([[size[:n, :n], into], [out, np.zeros((1, 1))]]))
+    units = factors[:n] / factors[n]
     whole[:, :n] /= units[:, None]
     whole[:, :, :n] *= units
     n_meas, n_con = (len(side) for side in (problem.plants[0].C2, problem.plants[0].B2.T))
