@@ -86,14 +86,14 @@ _PUBLIC = {
     "Controller": "synthesis.problem.controller",
     # gain scheduling
     "LPVModel": "synthesis.scheduling.parameter_varying",
-    "lpv_model": "synthesis.scheduling.lpv_sources",
+    "lpv_model": "synthesis.scheduling.parameter_varying",
     # reduction and discretisation
     "reduce_model": "synthesis.reduction.model_reduction",
     "minimal": "synthesis.reduction.model_reduction",
     "reduce_controller": "synthesis.reduction.controller_reduction",
-    "discretise": "synthesis.sampled.sampled_controller",
-    "d2c": "synthesis.sampled.discretisation",
-    "sampled_data_norm": "synthesis.sampled.sampled_norm",
+    "discretise": "synthesis.discretisation",
+    "d2c": "synthesis.discretisation",
+    "sampled_data_norm": "synthesis.sampled_norm",
     # measurements
     "compare": "identification.comparison.comparison",
     "discover": "identification.missing_effects.discovery",

@@ -47,6 +47,8 @@ from robustlab.statespace import StateSpaceModel as StateSpaceModel
 from robustlab.storage.controller_export import export_controller as export_controller
 from robustlab.storage.interchange import load as load
 from robustlab.storage.interchange import save as save
+from robustlab.synthesis.discretisation import d2c as d2c
+from robustlab.synthesis.discretisation import discretise as discretise
 from robustlab.synthesis.dk.dk_iteration import dk as dk
 from robustlab.synthesis.fixed_structure import fixed_structure as fixed_structure
 from robustlab.synthesis.goal_tuning import tune as tune
@@ -57,11 +59,9 @@ from robustlab.synthesis.problem.partition import generalized_plant as generaliz
 from robustlab.synthesis.reduction.controller_reduction import reduce_controller as reduce_controller
 from robustlab.synthesis.reduction.model_reduction import minimal as minimal
 from robustlab.synthesis.reduction.model_reduction import reduce_model as reduce_model
-from robustlab.synthesis.sampled.discretisation import d2c as d2c
-from robustlab.synthesis.sampled.sampled_controller import discretise as discretise
-from robustlab.synthesis.sampled.sampled_norm import sampled_data_norm as sampled_data_norm
-from robustlab.synthesis.scheduling.lpv_sources import lpv_model as lpv_model
+from robustlab.synthesis.sampled_norm import sampled_data_norm as sampled_data_norm
 from robustlab.synthesis.scheduling.parameter_varying import LPVModel as LPVModel
+from robustlab.synthesis.scheduling.parameter_varying import lpv_model as lpv_model
 from robustlab.synthesis.specifications.loop_functions import loop_functions as loop_functions
 from robustlab.synthesis.specifications.weight_design import complementary_weight as complementary_weight
 from robustlab.synthesis.specifications.weight_design import control_weight as control_weight

@@ -125,8 +125,7 @@ def run(seed: int) -> dict[str, Any]:
     except rl.RobustlabError as error:
         return told | {"status": "refused", "reason": str(error).splitlines()[0]}
     told |= {"status": found.status.value, "reason": found.reason}
-    error = found.difference if case.method == "stochastic" else found.error
-    assert error is not None
+    error = found.error
     omega = frequencies([case.model, found.model], rng)
     ends = np.array(found.left_out).reshape(-1)
     omega = np.concatenate([omega, ends, ends * (1 + 1e-12), ends * (1 - 1e-12)])

@@ -15,7 +15,7 @@ from robustlab.norms import HinfNorm
 from robustlab.norms.claims import band_scalings, loop_claims, norm_matrix
 from robustlab.norms.numbers import Numbers, above, block_rows, loop_numbers, matrices, model_numbers
 from robustlab.statespace import StateSpaceModel, append
-from robustlab.synthesis.reduction.reduced_model import ReducedModel
+from robustlab.synthesis.reduction.model_reduction import ReducedModel
 from robustlab.uncertainty.elementwise import BuiltModel
 from robustlab.verification.claim import Claim
 
@@ -23,14 +23,12 @@ ROUNDING = 1e-14  # of the largest entry: allowance in addition to a member's st
 
 
 def reduction_claims(found: ReducedModel) -> list[Claim]:
-    """Return the claim of the error norm, weighted or not; none for a relative error, or that of coprime factors."""
+    """Return the claim of the error norm, weighted or not; none for that of coprime factors."""
     if found.left_out:
         return []
     if found.weights != (None, None):
         return _weighted(found)
-    plain = found.method in ("truncation", "residualisation", "hankel")
-    whole = found.error if plain else found.difference
-    return [] if whole is None else _difference(found, whole)
+    return _difference(found, found.error) if found.method not in ("coprime", "minimal") else []
 
 
 def _difference(found: ReducedModel, norm: HinfNorm) -> list[Claim]:

@@ -42,7 +42,7 @@ class Channels:
     def posed(self, system: Any, where: str, nominal: bool | None = False) -> Any:
         """Return the generalised plant: of a tracking problem its own, else with channels by number or by name."""
         from robustlab.synthesis.problem.partition import as_generalized_plant
-        from robustlab.synthesis.specifications.tracking_problem import TrackingProblem
+        from robustlab.synthesis.specifications.tracking import TrackingProblem
 
         measurements, controls = self.measurements, self.controls
         if isinstance(system, TrackingProblem):
@@ -89,7 +89,7 @@ Order = Annotated[int | None, Whole(0, 1000)]
 
 def _design(found: Any, system: Any = None, proved: bool = True, drawn: bool = False) -> Any:
     """Return a design, with the loop of a tracking problem against its weights where that is drawn."""
-    from robustlab.synthesis.specifications.tracking_problem import TrackingLoop, TrackingProblem
+    from robustlab.synthesis.specifications.tracking import TrackingLoop, TrackingProblem
 
     if not drawn or not isinstance(system, TrackingProblem):
         return found

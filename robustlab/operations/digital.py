@@ -22,7 +22,7 @@ class LoopChannels:
 
     def around(self, system: Any, K: Any, where: str, nominal: bool | None = False) -> Any:
         """Return the generalised plant of a controller; without names, its channels are the plant's last ones."""
-        from robustlab.synthesis.specifications.tracking_problem import TrackingProblem
+        from robustlab.synthesis.specifications.tracking import TrackingProblem
 
         if (self.measurements is None) != (self.controls is None):
             raise UsageError(f"{where}: measurements, controls", "one of them", "both, or none")
@@ -58,12 +58,12 @@ def reduce_controller(
 
 Method = Annotated[
     Any,
-    Choice(("auto", "direct", "tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")),
+    Choice(("auto", "direct", "tustin", "tustin-prewarp", "zoh", "foh")),
     "Formula, or a design for the sampled plant.",
 ]
 
 
-@operation("synth discretise", "discretise", result="synthesis.sampled.sampled_controller.SampledController",
+@operation("synth discretise", "discretise", result="synthesis.discretisation.SampledController",
       gives="controller", made="controller")  # fmt: skip
 def discretise(
     plant: Annotated[
@@ -107,7 +107,7 @@ def _nominal(plant: Any) -> Any:
     return GeneralizedPlant(nominal, plant.n_meas, plant.n_con) if plant.blocks else plant
 
 
-@operation("model reduce", "reduce-model", result="synthesis.reduction.reduced_model.ReducedModel", gives="model",
+@operation("model reduce", "reduce-model", result="synthesis.reduction.model_reduction.ReducedModel", gives="model",
       made="model", infer="of")  # fmt: skip
 def reduce_model(
     system: Of,
@@ -140,7 +140,7 @@ def reduce_model(
     )  # fmt: skip
 
 
-@operation("model minimal", "minimal", result="synthesis.reduction.reduced_model.ReducedModel", gives="model",
+@operation("model minimal", "minimal", result="synthesis.reduction.model_reduction.ReducedModel", gives="model",
       made="model", infer="of")  # fmt: skip
 def minimal(
     system: Of,
@@ -172,9 +172,7 @@ def _inferred_loop(step: Any, ahead: Any) -> Any:
 def discretise_by_formula(
     system: Annotated[Any, Thing(("plant", "model", "any")), "HDF5 or .mat file.", Named(key="of")],
     dt: SampleTime,
-    method: Annotated[
-        Any, Choice(("tustin", "tustin-prewarp", "zoh", "foh", "impulse", "matched")), "The formula."
-    ] = "tustin",
+    method: Annotated[Any, Choice(("tustin", "tustin-prewarp", "zoh", "foh")), "The formula."] = "tustin",
     prewarp: Annotated[
         float | None, Number("rad/s", above=0), "Of tustin-prewarp: frequency in rad/s where it is exact."
     ] = None,
@@ -187,7 +185,7 @@ def discretise_by_formula(
     Example: robustlab model discretise motor.h5 --dt 0.001 --method zoh --out motor-1ms.h5
     """
     from robustlab.statespace import as_model
-    from robustlab.synthesis.sampled.discretisation import merged_modes
+    from robustlab.synthesis.discretisation import merged_modes
 
     delayed = isinstance(system, rl.DelayedModel)
     model: Any = system if delayed else as_model(system, "model discretise")
@@ -195,7 +193,7 @@ def discretise_by_formula(
     return InLoop(found, notes=tuple(f"warning: {pair}" for pair in merged_modes(model.H if delayed else model, dt)))
 
 
-@operation("", "close-loop", result="synthesis.specifications.tracking_loop.ClosedLoop", gives="uncertain",
+@operation("", "close-loop", result="synthesis.specifications.tracking.ClosedLoop", gives="uncertain",
       made="model", infer=_inferred_loop)  # fmt: skip
 def close_loop(
     system: Annotated[System, Named(key="of")],
@@ -203,7 +201,7 @@ def close_loop(
     sign: Annotated[Sign, Named(option="--feedback")] = None,
 ) -> Any:
     """The tracking loop of a controller around a model: reference in, the controlled outputs and controls out."""
-    from robustlab.synthesis.specifications.tracking_loop import ClosedLoop, tracking_loop, with_law
+    from robustlab.synthesis.specifications.tracking import ClosedLoop, tracking_loop, with_law
 
     K, words = with_law(system, controller, sign)
     return ClosedLoop(tracking_loop(system, K), words)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from robustlab.dynamics.control.controlled_runs import ControlledRuns
     from robustlab.synthesis.problem.design import Synthesis
     from robustlab.synthesis.specifications.loop_functions import LoopFunctions
-    from robustlab.synthesis.specifications.tracking_problem import TrackingLoop
+    from robustlab.synthesis.specifications.tracking import TrackingLoop
 
 # Colour, dashes and width of the compared designs in their order; a narrow curve is visible on a wide one.
 DESIGNS: tuple[dict[str, Any], ...] = (

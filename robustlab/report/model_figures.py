@@ -27,7 +27,7 @@ from robustlab.linear_analysis.invariant_zeros import transmission_zeros
 from robustlab.record import Record
 from robustlab.report import style
 from robustlab.statespace import Signal, StateSpaceModel, as_model
-from robustlab.synthesis.reduction.reduced_model import ReducedModel
+from robustlab.synthesis.reduction.model_reduction import ReducedModel
 from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis import sample

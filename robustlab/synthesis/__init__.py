@@ -1,6 +1,7 @@
-"""Controllers, every one verified in the loop rebuilt from it; packages, each importing from those before it only:
+"""Controllers, every one verified in the loop rebuilt from it; parts, each importing from those before it only:
 
-problem, specifications, structures, hinf, h2, dk, scheduling, reduction, fixed_structure, goal_tuning, sampled.
+problem, specifications, structures, hinf, h2, dk, scheduling, reduction, fixed_structure, goal_tuning,
+sampled_norm, discretisation.
 """
 
 from robustlab.lazily import lazily
@@ -19,16 +20,13 @@ __all__, __getattr__ = lazily(
         "problem.certify": "MeasureName plant_with_scalings",
         "problem.limits": "gamma_bound",
         "hinf.loop_shaping": "mixed_sensitivity_plant",
-        "specifications.tracking_problem": "TrackingLoop tracking_problem",
         "specifications.weight_design": "error_weight",
-        "specifications.tracking_loop": "tracking_loop with_law",
+        "specifications.tracking": "TrackingLoop tracking_loop tracking_problem with_law",
         "structures.loops": "LoopFamily",
         "structures.search": "descend",
         "dk.dk_design": "DKSynthesis RobustProblem mu_floor",
         "dk.scalings": "BlockScaling Factor unit_scalings",
         "dk.dk_iteration": "structure_with_performance",
-        "sampled.discretisation": "SampledMethod merged_modes",
-        "sampled.lifting": "lift mean_and_variance",
         "reduction.controller_reduction": "ReducedController",
     },
 )

@@ -73,7 +73,7 @@ class TrackingProblemStep(Step):
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.statespace import as_model
-        from robustlab.synthesis.specifications.tracking_problem import tracking_problem as pose
+        from robustlab.synthesis.specifications.tracking import tracking_problem as pose
         from robustlab.synthesis.specifications.weight_design import error_weight
 
         given = work.values[self.of]
@@ -267,7 +267,7 @@ class FollowTrajectoryStep(Step):
 def _closed(step: RobustPerformanceStep, work: Workspace, name: str) -> tuple[Any, int]:
     """Close a problem or a generalised plant with a controller; return the loop and the controller's order."""
     from robustlab.statespace import as_model
-    from robustlab.synthesis.specifications.tracking_problem import TrackingProblem
+    from robustlab.synthesis.specifications.tracking import TrackingProblem
 
     given, K = work.values[step.of], as_model(work.values[name], name)
     if isinstance(given, TrackingProblem):

@@ -163,7 +163,7 @@ class CoverModelsStep(Step):
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.report.set_figures import cover_figures
-        from robustlab.synthesis.specifications.tracking_loop import tracking_loop, with_law
+        from robustlab.synthesis.specifications.tracking import tracking_loop, with_law
 
         models = [_selected(work.values[name], self.outputs) for name in self.models]
         at_poses = [_at_pose(work.values[self.of], pose) for pose in self.poses] if self.of is not None else []

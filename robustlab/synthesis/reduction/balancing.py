@@ -1,9 +1,35 @@
-r"""Square-root balancing: Hankel values, truncation and residualisation of a model from factors of two Gramians.
+r"""Balanced models and the methods of reduction: truncation, residualisation, Hankel norm, stochastic, coprime factors.
+
+Square-root balancing with any two positive semidefinite matrices in place of the Gramians (those of a weighted model,
+or of a closed loop):
 
 .. math:: P = L_c L_c^T, \quad Q = L_o L_o^T, \quad L_o^T L_c = U \Sigma V^T, \quad
    T = L_c V \Sigma^{-1/2}, \quad T^{-1} = \Sigma^{-1/2} U^T L_o^T
 
-Any two positive semidefinite matrices may replace the Gramians: those of a weighted model, or of a closed loop.
+Stochastic balancing keeps the error small relative to the model's own gain, by
+:math:`\prod_{i > r} (1 + \mu_i) / (1 - \mu_i) - 1` with :math:`\mu_i^2 = \lambda_i(P X)`: P is the controllability
+Gramian of G, X the observability Gramian of the minimum-phase factor W of the power spectrum, and beta a floor of the
+gain, below which errors count absolutely:
+
+.. math:: G G^\sim + \beta^2 I = W^\sim W, \quad R = D D^T + \beta^2 I, \quad B_W = P C^T + B D^T, \quad
+   A^T X + X A + (C - B_W^T X)^T R^{-1} (C - B_W^T X) = 0
+
+Optimal Hankel-norm approximation is the all-pass dilation of balanced states. With
+:math:`\Sigma = \mathrm{diag}(\Sigma_1, \sigma I)`, :math:`\sigma = \sigma_{k+1}`, and A, B, C cut alike,
+
+.. math:: U = -(C_2^T)^+ B_2, \quad \Gamma = \Sigma_1^2 - \sigma^2 I, \quad
+   \hat A = \Gamma^{-1} (\sigma^2 A_{11}^T + \Sigma_1 A_{11} \Sigma_1 - \sigma C_1^T U B_1^T), \quad
+   \hat B = \Gamma^{-1} (\Sigma_1 B_1 + \sigma C_1^T U), \quad \hat C = C_1 \Sigma_1 + \sigma U B_1^T, \quad
+   \hat D = D - \sigma U
+
+differs from the model by no more than sigma at any frequency. Its k stable modes are the nearest model of order k in
+the Hankel norm, at a distance of exactly sigma; a constant replaces the others, which are not stable. U is a
+contraction, so models need not be square.
+
+References
+----------
+Glover, Int. J. Control 39 (1984), theorems 6.3 and 9.7; Desai, Pal, IEEE TAC 29 (1984); Green, "A relative error bound
+for balanced stochastic truncation", IEEE TAC 33 (1988); Varga, Fasol 1993 for beta.
 """
 
 from __future__ import annotations
@@ -14,23 +40,31 @@ from typing import Literal
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.errors import NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis import slicot
 from robustlab.linear_analysis.magnitude import balancing_factors
-from robustlab.linear_analysis.matrix_equations import small_residual
+from robustlab.linear_analysis.matrix_equations import care, small_residual
 from robustlab.linear_analysis.structural import HiddenMode, LeastOrder, least_order
-from robustlab.statespace import StateSpaceModel, parallel
+from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete
+from robustlab.statespace import StateSpaceModel, parallel, series
+from robustlab.uncertainty.distances.coprime import continuous_models, coprime_factors
 from robustlab.verification.balls import exact, midpoints, precision
 
 Projection = Literal["truncation", "residualisation"]
+Weights = tuple[StateSpaceModel | None, StateSpaceModel | None]  # W_i and W_o
+
 BITS = 128  # precision of residuals
 RESIDUAL = 1e-8  # relative, of the equations of the Gramians
-
 # Hankel values below this share of the largest are rounding: their states are truncated.
 NEGLIGIBLE = 1e-14
 EPS = float(np.finfo(float).eps)
 # A pole counts as stable from this distance to the boundary on, as a share of its modulus (of 1 for a discrete one).
 STABLE_MARGIN = 1e-10
+HINT = "floor=: the gain below which errors count absolutely"
+# D of full row rank: smallest over largest eigenvalue of D D^T. Else the gain vanishes at infinite frequency.
+FULL_RANK = 1e-12
+# Hankel values that agree to this share are one repeated value: division by their difference would lose more digits.
+REPEATED = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,10 +75,6 @@ class SplitModel:
     apart: StateSpaceModel
     lost: StateSpaceModel | None = None  # the model less that sum; None if zero
     hidden: tuple[HiddenMode, ...] = ()  # modes removed before the split
-
-    def joined(self, reduced: StateSpaceModel) -> StateSpaceModel:
-        """Return the sum with a reduced stable part, whose states come first."""
-        return parallel(reduced, self.apart) if self.apart.n_states else reduced
 
 
 def lost_at_least_order(least: LeastOrder) -> StateSpaceModel | None:
@@ -117,11 +147,6 @@ def split_stable(model: StateSpaceModel) -> SplitModel:
         x = solve_sylvester(t[:k, :k], -t[k:, k:], -t[:k, k:]) if 0 < k < n else np.zeros((k, n - k))
     except LinAlgError:
         raise NoTrustworthyNumber("stable part", "its poles cannot be told from the others") from None
-    with np.errstate(over="ignore", invalid="ignore"):
-        residual = np.linalg.norm(t[:k, :k] @ x - x @ t[k:, k:] + t[:k, k:])
-        size = np.linalg.norm(t)
-    if not residual <= 1e-8 * (1 + np.linalg.norm(x)) * size < np.inf:
-        raise NoTrustworthyNumber("stable part", f"its poles cannot be told from the others (residual {residual:.1e})")
     basis = np.hstack([q[:, :k], q[:, :k] @ x + q[:, k:]])
     out, low = c @ basis, q.T @ b
     parts = (
@@ -174,7 +199,7 @@ class Balancing:
         """
         if projection == "truncation" or not len(self.left):
             t, back = self.right[:, :order], self.left[:order]
-            return _model(model, back @ model.A @ t, back @ model.B, model.C @ t, model.D)
+            return StateSpaceModel(back @ model.A @ t, back @ model.B, model.C @ t, model.D, model.dt)
         a, b, c = self.left @ model.A @ self.right, self.left @ model.B, model.C @ self.right
         r = min(order, len(a))
         rest = (np.eye(len(a) - r) if model.is_discrete else 0.0) - a[r:, r:]
@@ -183,11 +208,159 @@ class Balancing:
         except np.linalg.LinAlgError:
             raise NoTrustworthyNumber("residualisation", "the states left out have no equilibrium") from None
         state, gain = solved[:, :r], solved[:, r:]
-        return _model(
-            model, a[:r, :r] + a[:r, r:] @ state, b[:r] + a[:r, r:] @ gain, c[:, :r] + c[:, r:] @ state,
-            model.D + c[:, r:] @ gain,
-        )  # fmt: skip
+        C, D = c[:, :r] + c[:, r:] @ state, model.D + c[:, r:] @ gain
+        return StateSpaceModel(a[:r, :r] + a[:r, r:] @ state, b[:r] + a[:r, r:] @ gain, C, D, model.dt)
 
 
-def _model(like: StateSpaceModel, a: AnyArray, b: AnyArray, c: AnyArray, d: AnyArray) -> StateSpaceModel:
-    return StateSpaceModel(a, b, c, d, like.dt, like.inputs, like.outputs, where="reduced model")
+# --- methods ---------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Way:
+    """One method for a part of a model."""
+
+    method: str
+    split: SplitModel
+    part: StateSpaceModel  # the reduced part: the stable one, or the coprime factors
+    model: StateSpaceModel  # the same, or its continuous image for the methods that exist in continuous time only
+    balancing: Balancing
+    weights: Weights = (None, None)
+    mirrored: bool = False  # whether the coprime factors are those of G(-z)
+
+    def reduced(self, order: int) -> StateSpaceModel:
+        """Return the part with this order."""
+        if self.method == "hankel":
+            small = nearest_in_hankel_norm(self.model, self.balancing, order)
+        else:
+            kind = "residualisation" if self.method == "residualisation" else "truncation"
+            small = self.balancing.reduced(self.model, order, kind)
+        return bilinear_to_discrete(small, self.part.dt) if self.part.dt != self.model.dt else small
+
+    def whole(self, small: StateSpaceModel) -> StateSpaceModel:
+        """Return the model that belongs to a reduced part: ``N M^{-1}`` for coprime factors."""
+        if self.method != "coprime":
+            return parallel(small, self.split.apart) if self.split.apart.n_states else small
+        p, dt = self.split.stable.n_outputs, self.split.stable.dt
+        if small.n_inputs and np.linalg.cond(small.D[p:]) > 1e12:
+            raise NoTrustworthyNumber("reduce_model", "the factor M of the reduced model has no inverse")
+        back = np.linalg.inv(small.D[p:])
+        gain, into = back @ small.C[p:], small.B @ back
+        C, D = small.C[:p] - small.D[:p] @ gain, small.D[:p] @ back
+        model = StateSpaceModel(small.A - into @ small.C[p:], into, C, D)
+        model = bilinear_to_discrete(model, dt) if dt else model
+        return StateSpaceModel(-model.A, -model.B, model.C, model.D, dt) if self.mirrored else model
+
+    def bound(self, order: int) -> float:
+        """Return the a-priori bound of the error; NaN with weights and for a relative one."""
+        factor = 1 if self.method == "hankel" else 2
+        none = self.method == "stochastic" or self.weights != (None, None)
+        return np.nan if none else factor * float(self.balancing.values[order:].sum())
+
+
+def way_of(full: StateSpaceModel, method: str, weights: Weights = (None, None), floor: float = 0.0) -> Way:
+    """Return a method for the stable part of a model, or for the coprime factors of all of it."""
+    if method == "coprime":  # truncation of the normalised right factors [N; M] (continuous)
+        least = least_order(full)
+        unstable = any(not mode.stable for mode in least.hidden)
+        full = least.model if unstable else full
+        mapped = continuous_models(full)
+        factors = coprime_factors(mapped.models[0]).right
+        nothing = StateSpaceModel([], [], [], 0 * full.D, full.dt)
+        removed = (lost_at_least_order(least), least.hidden) if unstable else ()
+        balancing = Balancing.of(*gramian_factors(factors))
+        split = SplitModel(full, nothing, *removed)
+        return Way(method, split, factors, factors, balancing, mirrored=mapped.mirrored)
+    split = split_stable(full)
+    stable = split.stable
+    continuous = bilinear_to_continuous(stable) if stable.dt and method in ("stochastic", "hankel") else stable
+    if method == "stochastic":
+        return Way(method, split, stable, continuous, _stochastic(continuous, floor))
+    reach, see = gramian_factors(continuous)
+    into, out = weights  # the model's blocks of the Gramians of G W_i and W_o G (Enns)
+    if into is not None:  # states of the series connection: weight first, then model
+        reach = block_factor(gramian_factors(series(into, stable))[0][into.n_states :])
+    if out is not None:
+        see = block_factor(gramian_factors(series(stable, out))[1][: stable.n_states])
+    return Way(method, split, stable, continuous, Balancing.of(reach, see), weights)
+
+
+# --- Hankel norm ------------------------------------------------------------------------------------------------------
+
+
+def _dilated(m: StateSpaceModel, values: AnyArray, k: int, unitary: bool = False) -> tuple[StateSpaceModel, AnyArray]:
+    """Return the dilation of a balanced model without the (repeated) value at index k, and the other values.
+
+    Its states are scaled by the root of ``|Gamma|``; U may be completed to a unitary matrix for a square model.
+    """
+    level = values[k]
+    cut = np.abs(values - level) <= REPEATED * level
+    u = -np.linalg.pinv(m.C[:, cut].T) @ m.B[cut]
+    if unitary:
+        eye = np.eye(len(u))
+        left, _, right = np.linalg.svd(u + (eye - u @ u.T) @ (eye - u.T @ u))
+        u = left @ right
+    s, a, b, c = values[~cut], m.A[np.ix_(~cut, ~cut)], m.B[~cut], m.C[:, ~cut]
+    gamma = s**2 - level**2
+    root = np.sqrt(np.abs(gamma))
+    inverse = (np.sign(gamma) / root)[:, None]
+    middle = level**2 * a.T + s[:, None] * a * s - level * c.T @ u @ b.T
+    dilated = StateSpaceModel(
+        inverse * middle / root,
+        inverse * (s[:, None] * b + level * c.T @ u),
+        (c * s + level * u @ b.T) / root,
+        m.D - level * u,
+    )
+    return dilated, s
+
+
+def nearest_in_hankel_norm(model: StateSpaceModel, balancing: Balancing, order: int) -> StateSpaceModel:
+    """Return the nearest model of at most this order; of a lower one if the value after the cut is repeated."""
+    values = balancing.values[: len(balancing.left)]
+    if order >= len(values):
+        return balancing.reduced(model, order, "truncation")
+    order = int((values > values[order] * (1 + REPEATED)).sum())
+    parts = split_stable(_dilated(balancing.reduced(model, len(values), "truncation"), values, order)[0])
+    m = parts.stable
+    if m.n_states != order:
+        found = f"{m.n_states} stable modes where there should be {order}: digits were lost"
+        raise NoTrustworthyNumber("Hankel-norm approximation", found, hint="another order, or method='truncation'")
+    return StateSpaceModel(m.A, m.B, m.C, m.D + _constant_near(parts.apart))
+
+
+def _constant_near(unstable: StateSpaceModel) -> AnyArray:
+    """Return a constant no farther from a strictly proper antistable model than the sum of its Hankel values.
+
+    They are removed one by one, the smallest first, each at the price of its value, as U is unitary.
+    """
+    mirrored = StateSpaceModel(-unstable.A, -unstable.B, unstable.C, unstable.D)
+    balancing = Balancing.of(*gramian_factors(mirrored))
+    values = balancing.values[: len(balancing.left)]
+    left = balancing.reduced(mirrored, len(values), "truncation")
+    (p, m), size = left.D.shape, max(left.D.shape)
+    rows, columns = (0, size - p), (0, size - m)
+    square = np.pad(left.B, ((0, 0), columns)), np.pad(left.C, (rows, (0, 0))), np.pad(left.D, (rows, columns))
+    left = StateSpaceModel(left.A, *square)
+    while len(values):
+        left, values = _dilated(left, values, len(values) - 1, unitary=True)
+    return left.D[:p, :m]
+
+
+# --- relative error ---------------------------------------------------------------------------------------------------
+
+
+def _stochastic(model: StateSpaceModel, floor: float) -> Balancing:
+    """Return the balancing of P and X of a stable continuous model; its values are the mu_i, at most 1."""
+    a, b, c, d = model.A, model.B, model.C, model.D
+    sizes, turn = np.linalg.eigh(d @ d.T + floor**2 * np.eye(len(d)))
+    if not len(d) or sizes[0] <= FULL_RANK * sizes[-1]:
+        found = "the gain vanishes at infinite frequency: D has no full row rank"
+        raise InputError("reduce_model", found, "a gain that vanishes nowhere", HINT)
+    root, back = turn * np.sqrt(sizes) @ turn.T, turn / np.sqrt(sizes) @ turn.T
+    reach = gramian_factors(model)[0]
+    into = reach @ (reach.T @ c.T) + b @ d.T
+    try:
+        X = care(a, into, np.zeros_like(a), -root @ root, -c.T).X
+    except NoTrustworthyNumber as error:
+        found = "the power spectrum has no factor: the gain vanishes at some frequency, or nearly"
+        raise NoTrustworthyNumber("reduce_model", f"{found} ({error.found})", hint=HINT) from None
+    return Balancing.of(reach, gramian_factors(StateSpaceModel(a, b, back @ (c - into.T @ X), d))[1])

@@ -1,16 +1,7 @@
-r"""Reduction of controllers to the lowest order whose rebuilt closed loop has a proved loss within the allowed one.
+"""Reduction of controllers to the lowest order whose rebuilt closed loop has a proved loss within the allowed one.
 
 The controller blocks of the closed loop's Gramians measure how much w moves each state of K, and how much each state
-of K moves z. Other candidates weight K with
-
-.. math:: T_{yw} = (I - P_{22} K)^{-1} P_{21}, \qquad T_{zu} = P_{12} (I - K P_{22})^{-1}
-
-because a change of K by a small E changes the closed loop by ``T_zu E T_yw``.
-
-References
-----------
-Anderson, Liu, "Controller reduction: concepts and approaches", IEEE TAC 34 (1989); Enns (1984); Zhou, Doyle, Glover
-(1996), chapter 19.
+of K moves z: Anderson, Liu, "Controller reduction: concepts and approaches", IEEE TAC 34 (1989); Goddard, Glover 1998.
 """
 
 from __future__ import annotations
@@ -37,15 +28,11 @@ from robustlab.synthesis.problem.certify import Evidence, MeasureName, Performan
 from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status, limiting_channels
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.reduction.balancing import Balancing, Projection, block_factor, gramian_factors, split_stable
-from robustlab.synthesis.reduction.ways import way_of, weighted_factors
-from robustlab.synthesis.structures.search import descend
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import Block
 
 WORK = 60 * MILLION  # the usual work at effort 1, in units of about a microsecond
 PATIENCE = 3  # orders tried after the first that loses too much: the loss is not monotone in the order
-WORTH_IMPROVING = 10.0  # candidates up to this multiple of the loss allowed are improved ...
-IMPROVEMENT_SHARE = 0.25  # ... each with this share of the work left
 GAIN = 1e-3  # smallest relative gain for which another candidate of the same order is proved
 
 WHERE = "reduce_controller"
@@ -65,25 +52,7 @@ class OrderTried(AllFields):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ReducedController(Tabular, Synthesis):
-    """A controller of lower order; ``gamma`` is the measure of the loop rebuilt from it, verified.
-
-    Attributes
-    ----------
-    original
-        The controller that was reduced.
-    original_gamma
-        The measure of its loop, verified in the same way.
-    measure
-        The measure in words.
-    allowed_loss
-        The largest loss allowed.
-    orders
-        The loss of each order, the highest first: the evidence for the order chosen.
-    evidence
-        The proof of ``gamma``: a norm's bracket, or the margin with its scalings.
-    scaled
-        The plant with the scalings given, whose loop has the norm ``gamma``; None without them.
-    """
+    """A controller of lower order; ``gamma`` is the measure of the loop rebuilt from it, verified."""
 
     quantities: ClassVar[Mapping[str, Any]] = {
         **Synthesis.quantities, **dict.fromkeys(("original_order", "original_gamma", "loss", "allowed_loss"), float),
@@ -93,13 +62,13 @@ class ReducedController(Tabular, Synthesis):
         "original",
     )  # fmt: skip
 
-    original: StateSpaceModel
-    original_gamma: float
-    measure: str
+    original: StateSpaceModel  # the controller that was reduced
+    original_gamma: float  # the measure of its loop, verified in the same way
+    measure: str  # in words
     allowed_loss: float
-    orders: tuple[OrderTried, ...]
-    evidence: Evidence
-    scaled: GeneralizedPlant | None = None
+    orders: tuple[OrderTried, ...]  # the loss of each order, the highest first: the evidence for the order chosen
+    evidence: Evidence  # the proof of `gamma`: a norm's bracket, or the margin with its scalings
+    scaled: GeneralizedPlant | None = None  # the plant with the scalings given, whose loop has the norm `gamma`
 
     @property
     def original_order(self) -> int:
@@ -148,10 +117,9 @@ def reduce_controller(
 
     .. math:: \min \text{order}(K_r) \quad \text{with} \quad J(F_l(P, K_r)) \le (1 + \text{loss}) \, J(F_l(P, K))
 
-    Candidates of every order come from the controller's blocks of the closed loop's Gramians, from balanced coprime
-    factors of K, and from balanced truncation of K with the loop as weights on both sides; each truncated and
-    residualised; nonsmooth descent improves one that loses more than the loss allowed, but less than ten times that.
-    The loop of every candidate is rebuilt, and J of the best one is proved anew.
+    Candidates of every order come from the controller's blocks of the closed loop's Gramians, for disturbances and for
+    measurement noise, and from balanced truncation of K; each truncated and residualised. The loop of every candidate
+    is rebuilt, and J of the best one is proved anew.
 
     Parameters
     ----------
@@ -160,30 +128,24 @@ def reduce_controller(
         plant, whose every input is a control and every output a measurement, the four-block gain of the loop is the
         measure: from noise on y and a disturbance on u to y and u (its inverse is the coprime margin).
     K
-        The controller to reduce, where it is not that of the design: ``u = K y`` with *positive* feedback, as
-        everywhere in this package. For negative feedback, ``u = -C y``, take ``K = -C``.
-    loss
-        Largest loss allowed, as a share.
-    order
-        The requested order, in place of the lowest one; any loss is then reported.
+        The controller to reduce, where it is not that of the design: ``u = K y`` with *positive* feedback. For negative
+        feedback, ``u = -C y``, take ``K = -C``.
+    loss, order
+        Largest loss allowed, as a share; or the requested order, whose loss is then reported.
     measure
         J: ``"hinf"`` or ``"h2"`` norm of the closed loop, or ``"mu"``: robust performance at all frequencies. Where
         left out: ``"mu"`` where scalings are given or the design has them, ``"h2"`` for an H2 design, else
         ``"hinf"``.
-    blocks
-        Perturbation blocks of the plant's first channels, for ``"mu"``; those of the design or the plant where left
-        out.
-    scalings
-        For ``"mu"``: the pair of stable models ``(D_z, D_w^-1)`` that commute with the perturbation, whose scaled norm
-        then is J (quick); where left out the mu analysis finds its own scalings for every candidate (slow), also for
-        a design whose scalings include G for real blocks.
+    blocks, scalings
+        For ``"mu"``: perturbation blocks of the plant's first channels (those of the design or the plant where left
+        out); the pair of stable models ``(D_z, D_w^-1)`` that commute with the perturbation, whose scaled norm then is
+        J (quick). Without scalings the mu analysis finds its own for every candidate (slow), also for a design whose
+        scalings include G for real blocks.
     n_meas, n_con
         Numbers of measurements and controls, where a plain plant is given.
-    time_limit
-        Time in s, checked between candidates; none where left out. The lowest order verified by then is returned, with
-        status TIMEOUT.
-    effort
-        Multiple of the usual work, which is counted, so that the search ends the same way on every machine.
+    time_limit, effort
+        s, checked between candidates, after which the lowest order verified by then is returned with status TIMEOUT;
+        multiple of the usual work, counted, not timed.
     progress
         Called with one line for each order.
 
@@ -200,56 +162,31 @@ def reduce_controller(
     NoTrustworthyNumber
         The loop with the full K is not stable (the message names the other sign of K if that helps), or its measure is
         not trustworthy; or no controller of the requested ``order`` leaves the loop stable.
-
-    References
-    ----------
-    Anderson, Liu 1989; Goddard, Glover 1998 (performance preserving reduction); Enns 1984.
-
-    Examples
-    --------
-    >>> from robustlab.synthesis.hinf.hinf_synthesis import hinf
-    >>> P = StateSpaceModel([[-1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
-    >>> small = reduce_controller(hinf(P, 1, 1), loss=0.1)
-    >>> small.K.n_states, small.loss <= 0.1, small.status.value
-    (0, True, 'certified')
     """
-    plant, full = _plant_and_controller(design_or_plant, K, n_meas, n_con)
+    if K is None and not isinstance(design_or_plant, Synthesis):
+        raise InputError(WHERE, "K is missing", "a design, or a plant and its controller")
+    full = as_model(getattr(design_or_plant if K is None else K, "K", K), f"{WHERE}: K")
+    if isinstance(design_or_plant, Synthesis):
+        plant = as_generalized_plant(design_or_plant.plant, n_meas, n_con, WHERE)
+    else:
+        plant = as_generalized_plant(design_or_plant, n_meas or full.n_inputs, n_con or full.n_outputs, WHERE)
+    if (full.n_outputs, full.n_inputs) != (plant.n_con, plant.n_meas):
+        raise InputError(WHERE, f"K is {full.n_outputs} x {full.n_inputs}", f"{plant.n_con} x {plant.n_meas}")
+    full = wired(full, plant.measurements, plant.controls, WHERE)
+    plant = with_default_performance(plant, WHERE)
     number(f"{WHERE}: loss", loss, "a number >= 0 (0.01: one per cent)", at_least=0)
     budget = design_budget(WHERE, WORK, effort, time_limit)
     if order is not None:
         whole(f"{WHERE}: order", order, 0, full.n_states)
     if scalings is None and measure in (None, "mu"):
-        scalings, blocks = _of_design(design_or_plant, blocks)
+        scalings = getattr(design_or_plant, "scalings", None)
+        if getattr(scalings, "mixed", False):  # they include G, and bound no norm
+            scalings, blocks = None, design_or_plant.blocks if blocks is None else blocks
     norm = "h2" if getattr(design_or_plant, "method", "") == "h2" else "hinf"
     name = measure or ("mu" if scalings is not None or blocks is not None else norm)
     judge = make_measure(plant, name, blocks, scalings, WHERE, budget)
     with one_thread():
         return _descended(judge, full, loss, order, progress or (lambda _: None))
-
-
-def _plant_and_controller(
-    given: Any, K: Any, n_meas: int | None, n_con: int | None
-) -> tuple[GeneralizedPlant, StateSpaceModel]:
-    if isinstance(given, Synthesis):
-        plant = as_generalized_plant(given.plant, n_meas, n_con, WHERE)
-        full = given.K if K is None else as_model(getattr(K, "K", K), f"{WHERE}: K")
-    elif K is None:
-        raise InputError(WHERE, "K is missing", "a design, or a plant and its controller")
-    else:
-        full = as_model(getattr(K, "K", K), f"{WHERE}: K")
-        plant = as_generalized_plant(given, n_meas or full.n_inputs, n_con or full.n_outputs, WHERE)
-    if (full.n_outputs, full.n_inputs) != (plant.n_con, plant.n_meas):
-        raise InputError(WHERE, f"K is {full.n_outputs} x {full.n_inputs}", f"{plant.n_con} x {plant.n_meas}")
-    full = wired(full, plant.measurements, plant.controls, WHERE)
-    return with_default_performance(plant, WHERE), full
-
-
-def _of_design(given: Any, blocks: Sequence[Block] | None) -> tuple[Any, Sequence[Block] | None]:
-    """Return the scalings of a design, or its blocks where the scalings include G and thus bound no norm."""
-    scalings = getattr(given, "scalings", None)
-    if not getattr(scalings, "mixed", False):
-        return scalings, blocks
-    return None, given.blocks if blocks is None else blocks
 
 
 def _sign_hint(plant: GeneralizedPlant, K: StateSpaceModel) -> str:
@@ -279,7 +216,6 @@ def _descended(
             hint=None if judge.plant.close(full).is_stable() else _sign_hint(judge.plant, full),
         )
     limit = np.inf if order is not None else (1 + allowed) * reference.value
-    worth = (1 + WORTH_IMPROVING * allowed) * reference.value
     families, tried = _families(plant, full), list[OrderTried]()
     how, chosen, performance, failed = "", full, reference, 0
     stage = full  # the best of the order before: its loop gives further candidates
@@ -290,8 +226,6 @@ def _descended(
         budget.spend(dense(plant.model.n_states + stage.n_states, 5 if again else 1))
         more = [f._replace(name=f"{f.name}, step by step") for f in _families(plant, stage)] if again else []
         found = _best(judge, full, [*families, *more], n, limit)
-        if found is not None and (n == order or (order is None and limit < found[2].value <= worth)):
-            found = _improved(judge, *found)
         enough, stage = False, full if found is None else found[1]
         if found is None:
             tried.append(OrderTried(n, "", np.inf, np.inf, Status.CONVERGED))
@@ -349,19 +283,6 @@ def _best(
     return best
 
 
-def _improved(judge: PerformanceMeasure, name: str, K: StateSpaceModel, value: Performance) -> Found:
-    """Improve a controller by nonsmooth descent; not for H2, nor for mu by margins."""
-    if judge.budget.over or (judge.name != "hinf" and judge.scaled is None):
-        return name, K, value
-    with suppress(InputError, NoTrustworthyNumber):
-        better = descend(judge.gramian_plant, K, judge.budget.share(IMPROVEMENT_SHARE))
-        named = StateSpaceModel(better.A, better.B, better.C, better.D, K.dt, K.inputs, K.outputs)
-        verified = judge.certified(named)
-        if better.n_states <= K.n_states and verified.value < value.value:
-            return f"{name}, improved", named, verified
-    return name, K, value
-
-
 # --- candidates ---------------------------------------------------------------------------------------------------
 
 
@@ -375,12 +296,12 @@ class Family(NamedTuple):
 
 
 def _families(plant: GeneralizedPlant, K: StateSpaceModel) -> list[Family]:
-    """Return all reduction methods that apply to K and the loop; ``plant`` includes weights and scalings."""
+    """Return the methods that apply to K and its loop; ``plant`` includes weights and scalings."""
     K, found = StateSpaceModel(K.A, K.B, K.C, K.D, K.dt), list[Family]()
 
-    def add(name: str, factors: tuple[AnyArray, AnyArray], model: StateSpaceModel, apart: StateSpaceModel) -> None:
+    def add(name: str, reach: AnyArray, see: AnyArray, model: StateSpaceModel, apart: StateSpaceModel) -> None:
         """Add both projections of a model that these factors of Gramians balance, ``apart`` in parallel to it."""
-        balancing, more = Balancing.of(*factors), apart.n_states
+        balancing, more = Balancing.of(reach, see), apart.n_states
         for kind in get_args(Projection):
 
             def make(order: int, kind: Projection = kind) -> StateSpaceModel:
@@ -393,11 +314,11 @@ def _families(plant: GeneralizedPlant, K: StateSpaceModel) -> list[Family]:
         """Add reductions by the controller's blocks in the Gramians of a loop whose last states are those of K."""
         own = slice(closed.n_states - K.n_states, None)
         reach, see = (block_factor(factor[own]) for factor in gramian_factors(closed))
-        add(name, (reach, see), K, StateSpaceModel([], [], [], 0 * K.D, K.dt))
+        add(name, reach, see, K, StateSpaceModel([], [], [], 0 * K.D, K.dt))
 
     m, n_w, n_z = plant.model, plant.n_w, plant.n_z
-    # Each is added if its Gramians exist for this K and keep their digits. Of 14 controllers without the second, the
-    # plainly balanced ones and those step by step, four end with a state or two more.
+    # Each is added if its Gramians exist for this K and keep their digits. Of 14 controllers four end with a state or
+    # two more without the second, the plainly balanced ones and those step by step.
     with suppress(NoTrustworthyNumber, InputError):
         of_loop("closed-loop Gramians", plant.close(K))
     with suppress(NoTrustworthyNumber, InputError):
@@ -406,17 +327,6 @@ def _families(plant: GeneralizedPlant, K: StateSpaceModel) -> list[Family]:
         D = np.block([[np.zeros((plant.n_con, plant.n_meas)), np.eye(plant.n_con)], [np.eye(plant.n_meas), plant.D22]])
         of_loop("loop from measurement noise to control", lower_lft(StateSpaceModel(m.A, B, C, D, m.dt), K))
     with suppress(NoTrustworthyNumber, InputError):
-        way = way_of(K, "coprime")
-        most = len(way.balancing.left)
-        found.append(Family("normalised coprime factors", 0, most, lambda order: way.whole(way.reduced(order))))
-    with suppress(NoTrustworthyNumber, InputError):
         split = split_stable(K)
-        add("balanced", gramian_factors(split.stable), split.stable, split.apart)
-        # T_yw and T_zu: the measurements as further outputs, a disturbance on the controls as further input.
-        outs, ins = np.r_[: m.n_outputs, n_z : m.n_outputs], np.r_[: m.n_inputs, n_w : m.n_inputs]
-        loop = lower_lft(StateSpaceModel(m.A, m.B[:, ins], m.C[outs], m.D[outs][:, ins], m.dt), K)
-        into = StateSpaceModel(loop.A, loop.B[:, :n_w], loop.C[n_z:], loop.D[n_z:, :n_w], m.dt)
-        out = StateSpaceModel(loop.A, loop.B[:, n_w:], loop.C[:n_z], loop.D[:n_z, n_w:], m.dt)
-        factors = weighted_factors(split.stable, into, out)
-        add("weighted by the loop on both sides", factors, split.stable, split.apart)
+        add("balanced", *gramian_factors(split.stable), split.stable, split.apart)
     return found

@@ -1,31 +1,39 @@
-"""Reduction of models with certified errors: by five methods, or to the least order with the same gain."""
+"""Reduction of models with certified errors: by five methods, or to the least order with the same gain.
+
+Van Dooren, "The generalized eigenstructure problem in linear system theory", IEEE TAC 26 (1981), for the latter.
+"""
 
 from __future__ import annotations
 
-from functools import partial
-from typing import Any, Literal, get_args, overload
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any, ClassVar, Literal, NamedTuple, get_args, overload
 
 import numpy as np
 
-from robustlab.arrays import AnyArray
+from robustlab.arrays import AnyArray, Array
 from robustlab.checks import choice, number, whole
+from robustlab.display import Displayable, Facts
+from robustlab.display import number as in_words
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.magnitude import refuse_extremes
 from robustlab.linear_analysis.structural import least_order
 from robustlab.norms import HinfNorm, hinf_norm, linf_norm
 from robustlab.result import Status
-from robustlab.statespace import StateSpaceModel, append, as_model, parallel
-from robustlab.synthesis.reduction.balancing import lost_at_least_order
-from robustlab.synthesis.reduction.reduced_model import Evidence, ReducedModel
-from robustlab.synthesis.reduction.ways import Way, Weights, way_of
+from robustlab.statespace import StateSpaceModel, as_model, parallel, series
+from robustlab.synthesis.reduction.balancing import Way, Weights, lost_at_least_order, way_of
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.reduction import Reduction, reduction
 
 Method = Literal["truncation", "residualisation", "hankel", "stochastic", "coprime"]
-Band = tuple[float, float]
+Bands = tuple[tuple[float, float], ...]
 
 METHODS = get_args(Method)
+LABELS = {"weighted": "weighted error", "coprime": "error of the coprime factors"}
+RTOL = 1e-6  # relative width of the bracket of an error
 # A certified error may exceed the a-priori bound by this share of the largest Hankel value: rounding of the model.
 BOUND_ROUNDING = 1e-10
 # Share of the error that splitting off modes may add, before frequencies next to a mode on the boundary are left out;
@@ -33,9 +41,116 @@ BOUND_ROUNDING = 1e-10
 SPLIT_SHARE, OVERLOOKED = 1e-3, 1e-9
 # A pole counts as one on the boundary up to this share of its frequency (one at zero: of the slowest stable one).
 NEAR = 1e-6
-# Half widths of the bands left out, as shares of the same, the widest first.
-WIDTHS = np.logspace(-2, -13, 23)
-TINY = float(np.finfo(float).tiny)
+WIDTHS = 10.0 ** np.arange(-12, -1)  # half widths of the bands left out, as shares of the same
+
+
+class Evidence(NamedTuple):
+    """The error of a reduced model with its proof; see the properties of `ReducedModel`."""
+
+    error: HinfNorm
+    left_out: Bands = ()
+    reason: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedModel(Displayable):
+    """A model of lower order with its certified error, which is computed when it is first read."""
+
+    quantities: ClassVar[Mapping[str, Any]] = {
+        "order": "1", "error": float, "states": "1", "bound": float, "n_apart": "1", "hankel": [float], "stable": bool,
+    }  # fmt: skip
+
+    model: StateSpaceModel  # with the inputs and outputs of the one given
+    method: str  # one of METHODS, with "weighted " before it where there are weights, or "minimal"
+    hankel: Array  # Hankel values of the reduced part (or of the coprime factors, or of the phase), in decreasing order
+    n_apart: int  # number of states kept apart, because their modes are not stable
+    full: StateSpaceModel  # the model as given
+    promised: float  # a-priori bound of the error, without rounding; NaN where there is none
+    judge: Callable[[], Evidence]
+    weights: Weights = (None, None)
+    removed: tuple[str, ...] = ()  # hidden modes that were removed: all of them by "minimal", else those not stable
+
+    @cached_property
+    def evidence(self) -> Evidence:
+        """The error with its proof."""
+        return self.judge()
+
+    @property
+    def error(self) -> HinfNorm:
+        """Largest gain of the difference of the two models, as given and as returned, but at ``left_out``.
+
+        Times the weights if any; for ``"coprime"`` of the normalised right coprime factors ``[N; M]``.
+        """
+        return self.evidence.error
+
+    @property
+    def left_out(self) -> Bands:
+        """Intervals (low, high) in rad/s around modes on the stability boundary, for which ``error`` says nothing.
+
+        Rounding moves such a mode, or its share of the response, and no bound of the difference is finite there.
+        """
+        return self.evidence.left_out
+
+    @property
+    def reason(self) -> str:
+        """Why the status is INACCURATE; else empty."""
+        return self.evidence.reason
+
+    @property
+    def bound(self) -> float:
+        """``promised``, or ``error.upper`` where that is larger, as the model returned is rounded."""
+        return self.promised if np.isnan(self.promised) else max(self.promised, self.error.upper)
+
+    @property
+    def status(self) -> Status:
+        """CERTIFIED where ``error`` is proved, and within what theory promises; INACCURATE where digits were lost."""
+        sure = not self.reason and self.error.status is Status.CERTIFIED
+        return Status.CERTIFIED if sure else Status.INACCURATE
+
+    @property
+    def order(self) -> int:
+        """Number of states of the reduced model."""
+        return self.model.n_states
+
+    def to_model(self) -> StateSpaceModel:
+        """Return the reduced model."""
+        return self.model
+
+    def headline(self) -> str:
+        kept = f"{self.order} of {self.full.n_states} states by {self.method}"
+        return f"{kept}, with an error of at most {in_words(self.error.upper)}"
+
+    def numbers(self) -> dict[str, Any]:
+        return {
+            "order": self.order, "error": self.error.upper, "states": self.full.n_states,
+            "bound": None if np.isnan(self.bound) else self.bound, "n_apart": self.n_apart,
+            "hankel": self.hankel, "stable": self.model.is_stable(),
+        }  # fmt: skip
+
+    def facts(self) -> Facts:
+        at = "" if np.isnan(self.error.frequency) else f" at {self.error.frequency:.4g} rad/s"
+        bound = f"; promised: at most {self.bound:.6g}" if np.isfinite(self.bound) else ""
+        label = LABELS.get(self.method.partition(" ")[0], "error")
+        around = ", ".join(
+            f"{0.5 * (low + high):.6g} +- {0.5 * (high - low):.2g}" if low else f"0 to {high:.2g}"
+            for low, high in self.left_out
+        )
+        return [
+            ("order", f"{self.order} of {self.full.n_states} states"),
+            ("method", self.method),
+            (label, f"{self.error.upper:.6g}{at} (verified upper bound{bound})"),
+            ("not proved at", around and f"{around} rad/s (modes on the stability boundary, kept apart)"),
+            ("status", self.status.value),
+            ("Hankel values", ", ".join(f"{value:.4g}" for value in self.hankel[:12]) or "none"),
+            ("kept apart", f"{self.n_apart} states of modes that are not stable" if self.n_apart else ""),
+            *(("removed", mode) for mode in self.removed),
+            ("why", self.reason),
+        ]
+
+    def to_json(self) -> dict[str, Any]:
+        names = "model method error bound hankel n_apart status reason left_out removed order"
+        data = {name: getattr(self, name) for name in names.split()}
+        return {"type": "ReducedModel", **data, "full_order": self.full.n_states}
 
 
 @overload
@@ -69,14 +184,9 @@ def reduce_model(
     .. math:: \|G - G_r\|_\infty \le 2 \sum_{i > r} \sigma_i \quad \text{(truncation, residualisation)}, \qquad
        \|G - G_r\|_H = \sigma_{r+1}, \; \|G - G_r\|_\infty \le \sum_{i > r} \sigma_i \quad \text{(hankel)}
 
-    .. math:: \sup_\omega \sigma_{max}( (G G^* + \beta^2 I)^{-1/2} (G - G_r) ) \le
-       \prod_{i > r} \frac{1 + \mu_i}{1 - \mu_i} - 1 \quad \text{(stochastic)}
-
     No model of order r is nearer than :math:`\sigma_{r+1}`. Modes that are not stable are split off and kept, and the
     rounding of this is part of the error; uncontrollable or unobservable ones of them are removed (`minimal`). The
     error is computed when it is first read.
-    ``method="coprime"`` reduces them too, through the normalised right coprime factors ``G = N M^{-1}``, whose error is
-    then the H-infinity norm of ``[N - N_r; M - M_r]`` (a bound of the gap between the two models).
 
     Of an uncertain model the repetitions of its blocks are reduced, exactly: uncontrollable and unobservable ones are
     removed, of all blocks jointly, until none is left (`UncertainModel.reduce` returns the set alone).
@@ -89,14 +199,15 @@ def reduce_model(
     order
         Number of states of the result, those kept apart included; fewer where the rest is not minimal.
     tolerance
-        In place of ``order``: the lowest order whose certified error is at most this; in output units per
-        input unit, for ``"stochastic"`` a share. Of an uncertain model: singular values below ``tolerance`` times the
+        In place of ``order``: the lowest order whose certified error is at most this (all minimal states where none
+        is), in output units per input unit. Of an uncertain model: singular values below ``tolerance`` times the
         largest count as zero, 1e-12 where left out.
     method
         ``"truncation"`` is exact at infinite frequency, ``"residualisation"`` (singular perturbation) at zero
         frequency. ``"hankel"`` (Glover) is nearest in the Hankel norm, with a direct term that halves the bound.
-        ``"stochastic"`` keeps the error small relative to the gain of the stable part, wherever that is small.
-        ``"coprime"`` works for models of any stability.
+        ``"stochastic"`` keeps the error small where the gain of the stable part is small.
+        ``"coprime"`` reduces modes of any stability, through the normalised right coprime factors
+        :math:`G = N M^{-1}`, whose error is then the H-infinity norm of ``[N - N_r; M - M_r]`` (a bound of the gap).
     input_weight, output_weight
         Stable models W_i (as many outputs as G has inputs) and W_o (as many inputs as G has outputs): one or both
         (Enns), the error is that of ``W_o (G - G_r) W_i``. Large where the error shall be small.
@@ -108,8 +219,8 @@ def reduce_model(
     -------
     ReducedModel or Reduction
         With its certified error and the frequencies (``left_out``) next to modes on the stability boundary for which
-        nothing is certified; its states are balanced, those kept apart come last. Of an
-        uncertain model the sizes of its blocks before and after, with the evidence that it is the same set.
+        nothing is certified; its states are balanced, those kept apart come last. Of an uncertain model the sizes of
+        its blocks before and after, with the evidence that it is the same set.
 
     Raises
     ------
@@ -120,15 +231,11 @@ def reduce_model(
         Gramians lost their digits; the reduced model is not stable (two weights give no guarantee), or not
         well posed; the gain vanishes at some frequency.
 
-    Notes
-    -----
-    Where no lower order keeps ``tolerance``, the model is returned with all its (minimal) states.
-
     References
     ----------
     Moore 1981; Glover 1984 (bound, Hankel norm); Liu, Anderson 1989 (residualisation); Green 1988 (stochastic); Enns
-    1984 (weights); Meyer 1990 (coprime factors); Zhou, Doyle, Glover, *Robust and Optimal
-    Control* (1996), chapters 7 and 8. Uncertain models: D'Andrea, Khatri 1997.
+    1984 (weights); Meyer 1990 (coprime factors); Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), chapters 7
+    and 8. Uncertain models: D'Andrea, Khatri 1997.
 
     Examples
     --------
@@ -136,27 +243,28 @@ def reduce_model(
     >>> found = reduce_model(G, tolerance=0.05, method="residualisation")
     >>> found.order, bool(abs(found.model.dc_gain()[0, 0] - G.dc_gain()[0, 0]) < 1e-12)
     (1, True)
-    >>> nearest = reduce_model(G, 1, method="hankel")
-    >>> bool(abs(nearest.error.upper / nearest.hankel[1] - 1) < 1e-5)
-    True
-
-    A parameter that appears twice, and cancels:
-
-    >>> from robustlab.uncertainty.parametric import parametric
-    >>> gain = parametric([], [], [], [["k"]], {"k": (1.0, 0.1)})
-    >>> print(reduce_model(gain @ gain.inverse()))
-    k 1 -> 0; invariance 0.0e+00, difference 0.0e+00 (converged)
     """
     if isinstance(model, UncertainModel):
-        more = {"order": order, "input_weight": input_weight, "output_weight": output_weight}
-        more |= {"method": None if method == "truncation" else method, "floor": floor or None}
+        more = {"order": order, "method": None if method == "truncation" else method, "floor": floor or None}
+        more |= {"input_weight": input_weight, "output_weight": output_weight}
         if given := next((name for name, value in more.items() if value is not None), None):
             hint = "the nominal model (.nominal) takes it"
             raise InputError(f"reduce_model: {given}", "given with an uncertain model", "tolerance alone", hint)
         return reduction(model, 1e-12 if tolerance is None else tolerance)
     full = as_model(model, "reduce_model")
-    weights = _weights(full, input_weight, output_weight)
-    _check_request(full, order, tolerance, method, weights != (None, None), floor)
+    weights = _weight(full, "input_weight", input_weight), _weight(full, "output_weight", output_weight)
+    if (order is None) == (tolerance is None):
+        raise InputError("reduce_model", f"order={order}, tolerance={tolerance}", "one of the two")
+    if order is not None:
+        whole("reduce_model: order", order, 0, full.n_states)
+    if tolerance is not None:
+        number("reduce_model: tolerance", tolerance, above=0)
+    choice("reduce_model: method", method, METHODS)
+    if weights != (None, None) and method not in ("truncation", "residualisation"):
+        raise InputError("reduce_model", f"weights with method {method!r}", "truncation or residualisation")
+    number("reduce_model: floor", floor, "a number that is not negative", at_least=0)
+    if floor and method != "stochastic":
+        raise InputError("reduce_model", f"floor with method {method!r}", "stochastic")
     refuse_extremes(full, "reduce_model")
     way = way_of(full, method, weights, floor)
     apart, values, most = way.split.apart.n_states, way.balancing.values, len(way.balancing.left)
@@ -179,39 +287,20 @@ def reduce_model(
     return _reduced(full, way, most)
 
 
-def _check_request(
-    full: StateSpaceModel, order: int | None, tolerance: float | None, method: str, weighted: bool, floor: float
-) -> None:
-    if (order is None) == (tolerance is None):
-        raise InputError("reduce_model", f"order={order}, tolerance={tolerance}", "one of the two")
-    if order is not None:
-        whole("reduce_model: order", order, 0, full.n_states)
-    if tolerance is not None:
-        number("reduce_model: tolerance", tolerance, above=0)
-    choice("reduce_model: method", method, METHODS)
-    if weighted and method not in ("truncation", "residualisation"):
-        raise InputError("reduce_model", f"weights with method {method!r}", "truncation or residualisation")
-    number("reduce_model: floor", floor, "a number that is not negative", at_least=0)
-    if floor and method != "stochastic":
-        raise InputError("reduce_model", f"floor with method {method!r}", "stochastic")
-
-
-def _weights(full: StateSpaceModel, into: Any, out: Any) -> Weights:
-    found: list[StateSpaceModel | None] = []
-    for name, given, size in (("input_weight", into, full.n_inputs), ("output_weight", out, full.n_outputs)):
-        if given is None:
-            found.append(None)
-            continue
-        where, side = f"reduce_model: {name}", "outputs" if name == "input_weight" else "inputs"
-        w = as_model(given, where)
-        if (w.n_outputs, w.n_inputs) == (1, 1) and size > 1:  # a scalar weight is meant for every channel
-            w = append(*[w.renamed([f"{name} {i}"], [f"{name} {i} out"]) for i in range(size)])
-        if (has := len(getattr(w, side))) != size:
-            raise InputError(where, f"{has} {side}", f"{size}")
-        if w.n_states and not w.is_stable():
-            raise InputError(where, "the weight is not stable", "a stable weight")
-        found.append(StateSpaceModel(w.A, w.B, w.C, w.D, w.dt))
-    return found[0], found[1]
+def _weight(full: StateSpaceModel, name: str, given: Any) -> StateSpaceModel | None:
+    """Return a weight on the inputs or outputs of a model, without signal names."""
+    if given is None:
+        return None
+    where, into = f"reduce_model: {name}", name == "input_weight"
+    w, size = as_model(given, where), full.n_inputs if into else full.n_outputs
+    # a scalar weight is meant for every channel
+    each = np.eye(size if (w.n_outputs, w.n_inputs) == (1, 1) else 1)
+    w = StateSpaceModel(*(np.kron(each, X) for X in (w.A, w.B, w.C, w.D)), w.dt)
+    if (has := w.n_outputs if into else w.n_inputs) != size:
+        raise InputError(where, f"{has} {'outputs' if into else 'inputs'}", f"{size}")
+    if w.n_states and not w.is_stable():
+        raise InputError(where, "the weight is not stable", "a stable weight")
+    return w
 
 
 def _reduced(full: StateSpaceModel, way: Way, order: int) -> ReducedModel:
@@ -221,41 +310,33 @@ def _reduced(full: StateSpaceModel, way: Way, order: int) -> ReducedModel:
         hint = "another order, or one weight instead of two" if weighted else "another order"
         n = small.n_states + split.apart.n_states
         raise NoTrustworthyNumber("reduce_model", f"the model of order {n} is not stable", hint=hint)
-    model = way.whole(small)
-    model = StateSpaceModel(
-        model.A, model.B, model.C, model.D, full.dt, full.inputs, full.outputs, where="reduced model"
-    )
+    made = way.whole(small)
+    model = StateSpaceModel(made.A, made.B, made.C, made.D, full.dt, full.inputs, full.outputs, where="reduced model")
     return ReducedModel(
         model, f"weighted {way.method}" if weighted else way.method, way.balancing.values, split.apart.n_states, full,
-        way.bound(small.n_states), partial(_judged, way, small), way.weights,
-        tuple(mode.meaning for mode in split.hidden),
+        way.bound(small.n_states), partial(_judged, way, small), way.weights, tuple(m.meaning for m in split.hidden),
     )  # fmt: skip
 
 
 def _judged(way: Way, small: StateSpaceModel) -> Evidence:
     """Return the error of a reduced part, that of splitting off the other modes included."""
-    split, relative, promised = way.split, way.spectrum is not None, way.bound(small.n_states)
+    split, promised = way.split, way.bound(small.n_states)
     largest = float(way.balancing.values.max(initial=0.0))
-    difference = parallel(way.part, small, -1)
-    error, left_out, reason = way.measured(difference), (), ""
-    whole = hinf_norm(difference) if relative else None
+    difference, (into, out), left_out, reason = parallel(way.part, small, -1), way.weights, (), ""
+    difference = difference if into is None else series(into, difference)
+    error = hinf_norm(difference if out is None else series(difference, out), RTOL)
     if way.method == "coprime" and split.lost is not None:
         reason = "the modes that were removed before are not exactly hidden"
     elif split.lost is not None:
-        per_gain = way.per_gain()
-        wanted = SPLIT_SHARE * max(error.upper, OVERLOOKED * (1.0 if relative else largest)) / max(per_gain, TINY)
+        per_gain = float(np.prod([hinf_norm(w, 1e-2).upper for w in (into, out) if w is not None]))
+        wanted = SPLIT_SHARE * max(error.upper, OVERLOOKED * largest) / per_gain if per_gain else np.inf
         upper, left_out, doubt = _lost_gain(split.lost, split.apart.poles(), split.stable.poles(), wanted)
-        error = _widened(error, per_gain * upper if upper else 0.0, doubt)
-        whole = None if whole is None else _widened(whole, upper, doubt)
+        by, status = per_gain * upper if upper else 0.0, Status.INACCURATE if doubt else error.status
+        ends = max(error.lower - by, 0.0), error.upper + by
+        error = HinfNorm(*ends, error.frequency, status, error.reason or doubt)
     if error.lower > promised + BOUND_ROUNDING * largest + 1e-12 * error.lower:
         reason = f"the error {error.lower:.6g} exceeds what theory promises, {promised:.6g}: digits were lost"
-    return Evidence(error, left_out, error.reason or reason, whole)
-
-
-def _widened(norm: HinfNorm, by: float, reason: str) -> HinfNorm:
-    """Widen the bracket of a norm; not certified if there is a reason against it."""
-    status = Status.INACCURATE if reason else norm.status
-    return HinfNorm(max(norm.lower - by, 0.0), norm.upper + by, norm.frequency, status, norm.reason or reason)
+    return Evidence(error, left_out, error.reason or reason)
 
 
 @error_context("minimal")
@@ -285,10 +366,6 @@ def minimal(model: Any, *, tolerance: float | None = None) -> ReducedModel:
     InputError
         No linear model, a tolerance that is not between 0 and 1.
 
-    References
-    ----------
-    Van Dooren, "The generalized eigenstructure problem in linear system theory", IEEE TAC 26 (1981).
-
     Examples
     --------
     Two copies of an integrator, one behind a lag; the input moves their difference by the lag alone:
@@ -308,11 +385,9 @@ def minimal(model: Any, *, tolerance: float | None = None) -> ReducedModel:
     upper, left_out, doubt = (0.0, (), "") if lost is None else _lost_gain(lost, poles[~stable], poles[stable])
     unclear = f"the order depends on rounding: a singular value of {found.dropped:.1e} counted as zero; tolerance="
     error = HinfNorm(0.0, upper, np.nan, Status.INACCURATE if doubt else Status.CERTIFIED, doubt)
-    evidence = Evidence(error, left_out, doubt or ("" if found.clear else unclear))
+    judge = partial(Evidence, error, left_out, doubt or ("" if found.clear else unclear))
     removed = tuple(mode.meaning for mode in found.hidden)
-    return ReducedModel(
-        found.model, "minimal", np.zeros(0), 0, full, np.nan, partial(Evidence, *evidence), removed=removed
-    )
+    return ReducedModel(found.model, "minimal", np.zeros(0), 0, full, np.nan, judge, removed=removed)
 
 
 # --- error of splitting or removing modes -----------------------------------------------------------------------------
@@ -320,11 +395,12 @@ def minimal(model: Any, *, tolerance: float | None = None) -> ReducedModel:
 
 def _lost_gain(
     lost: StateSpaceModel, apart: AnyArray, stable: AnyArray, wanted: float = 0.0
-) -> tuple[float, tuple[Band, ...], str]:
+) -> tuple[float, Bands, str]:
     """Return a bound of the gain of ``lost``, the bands in rad/s that are left out, and why it is not proved.
 
-    At a mode on the stability boundary that gain is infinite: an interval around it is left out, as narrow as the bound
-    ``wanted`` allows. ``apart``, ``stable``: the poles of the model that are not stable, and the others.
+    At a mode on the stability boundary that gain is infinite: an interval around it is left out, the narrowest at whose
+    ends it is ``wanted``, or twice that of the widest. ``apart``, ``stable``: the poles of the model that are not
+    stable, and the others.
     """
     if not lost.D.size:
         return 0.0, (), ""
@@ -332,38 +408,30 @@ def _lost_gain(
     if dt:  # in rad/s
         apart, stable = (np.log(poles[np.abs(poles) > 1e-12].astype(complex)) / dt for poles in (apart, stable))
     slow = np.abs(stable).min() if len(stable) else 1 / dt if dt else np.abs(apart).max(initial=0.0) or 1.0
-    at = np.abs(np.imag(apart))
-    centre = np.where(at > 1e-3 * slow, at, 0.0)
+    centre = np.where(np.abs(np.imag(apart)) > 1e-3 * slow, np.abs(np.imag(apart)), 0.0)
     scale = np.where(centre > 0, centre, slow)
     near = np.abs(np.real(apart)) <= NEAR * scale
-    centre, scale = centre[near], scale[near]
-    offset = scale[:, None] * WIDTHS
-    sizes = _gains(lost, np.abs(np.stack([centre[:, None] - offset, centre[:, None] + offset]))).max(axis=0)
-    elsewhere = max(_gains(lost, np.abs(apart[~near])).max(initial=0.0), sizes[:, :1].max(initial=0.0))
-    small = np.logical_and.accumulate(sizes <= max(wanted, 2 * elsewhere), axis=1).sum(axis=1) - 1
-    while True:
-        half = scale * WIDTHS[np.maximum(small, 0)]
-        left_out = _merged(np.clip([centre - half, centre + half], low, high).T.tolist())
+    first = 0
+    with suppress(NoTrustworthyNumber):  # a frequency that is indistinguishable from a pole
+        ends = np.abs(centre[near] + np.multiply.outer(np.append(-WIDTHS, WIDTHS), scale[near]))
+        gains = np.linalg.norm(frequency_response(lost, ends.ravel()), 2, axis=(1, 2))
+        gains = gains.reshape(2, len(WIDTHS), -1).max(axis=(0, 2), initial=0.0)
+        first = int(np.argmax(gains <= max(wanted, 2 * gains[-1])))
+    upper, left_out, doubt = np.inf, (), ""
+    for half in np.multiply.outer(WIDTHS[first:], scale[near]):
+        left_out = _merged(np.clip([centre[near] - half, centre[near] + half], low, high).T.tolist())
         ends = [low, *(end for interval in left_out for end in interval), high]
         found = [linf_norm(lost, 0.01, band=(a, b)) for a, b in zip(ends[::2], ends[1::2], strict=True) if a < b]
+        upper = max((norm.upper for norm in found), default=0.0)
         doubt = next((norm.reason or "not proved" for norm in found if norm.status is not Status.CERTIFIED), "")
-        small = small - 2  # ten times as wide, as rounding decides so near to a pole
-        if not doubt or not (small >= 0).any():
-            return max((norm.upper for norm in found), default=0.0), left_out, doubt
+        if not doubt or not near.any():
+            break
+    return upper, left_out, doubt
 
 
-def _gains(model: StateSpaceModel, omega: AnyArray) -> AnyArray:
-    """Return ``sigma_max`` in the shape of omega; infinite where a frequency is indistinguishable from a pole."""
-    try:
-        response = frequency_response(model, omega.ravel())
-    except NoTrustworthyNumber:
-        return np.full(omega.shape, np.inf)
-    return np.linalg.norm(response, 2, axis=(1, 2)).reshape(omega.shape)
-
-
-def _merged(intervals: list[list[float]]) -> tuple[Band, ...]:
+def _merged(intervals: list[list[float]]) -> Bands:
     """Return the intervals in order, with overlapping ones merged and empty ones left out."""
-    found: list[Band] = []
+    found: list[tuple[float, float]] = []
     for low, high in sorted(intervals):
         if found and low <= found[-1][1]:
             found[-1] = found[-1][0], max(found[-1][1], high)

@@ -30,10 +30,11 @@ NEAR = 0.02  # relative distance of a loop from the LMIs' optimum that ends the 
 # Back-offs from the optimum of the LMIs at which the margin is maximised. Smaller: tighter bounds, more failed proofs.
 GAIN_BACKOFFS = (1e-4, 1e-3, 1e-2, 0.1)
 SMALLEST = 1e-5  # smallest scaled gain that is distinguishable from zero
-GAIN_BISECTIONS = 5  # for the smallest gamma that a Lyapunov matrix proves
+# Shares above the smallest level at which P is proved, the first that holds.
+LEVELS = (1.5e-5, 5e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 9.0, 99.0)
 INEQUALITIES = 4000  # most inequalities of one problem
-NOTHING = np.zeros((0, 0))  # P where nothing was proved
 SIGNED = 3  # most deviating entries for which all signs are used: exact, but 2^n inequalities
+NOTHING = np.zeros((0, 0))  # P where nothing was proved
 
 Index = tuple[int, ...]
 Lyapunov = Literal["constant", "varying"]
@@ -41,37 +42,23 @@ Lyapunov = Literal["constant", "varying"]
 
 @dataclass(frozen=True, eq=False)
 class LPVGain(PeakGain, Traced):
-    r"""A bracket of the induced L2 gain over all trajectories of the parameters, and what proves it.
+    """A bracket of the induced L2 gain over all trajectories of the parameters, and what proves it.
 
-    Attributes
-    ----------
-    lower, at, frequency
-        Largest H-infinity norm of the frozen models at the points, attained as parameters may be constant (infinite
-        where one is not stable); where, and at which frequency in rad/s, or that of the unstable pole.
-    upper
-        Proved bound of the gain; infinite where none was found.
-    P
-        Lyapunov matrices at the points of the grid, shape (n_1, ..., n_k, n_x, n_x) with 1 along parameters on which
-        they do not depend; empty where nothing was proved.
-    lyapunov
-        ``"constant"``: proved for trajectories of any rate; ``"varying"``: for those within the bounds of the rates.
-    model
-        The model, for verification.
-    status
-        CERTIFIED: proved in ball arithmetic from P and the model. CONVERGED: proved likewise, but the distance of the
-        family from its interpolation was only sampled. INFEASIBLE: the frozen model at ``at`` is not stable, or by the
-        solver no such Lyapunov function exists, which does not prove instability. INCONCLUSIVE: nothing was proved, or
-        a pole is indistinguishable from the stability boundary.
-    reason
-        Method of the proof, or reason of its failure.
+    ``lower`` is the largest H-infinity norm of the frozen models at the points, attained as parameters may be constant;
+    ``upper`` the proved bound, infinite where none was found. CERTIFIED: proved in ball arithmetic from P and model.
+    CONVERGED: likewise, but the distance of the family from its interpolation was only sampled. INFEASIBLE: the frozen
+    model at ``at`` is not stable, or by the solver no such Lyapunov function exists, which does not prove instability.
+    INCONCLUSIVE: nothing was proved, or a pole is indistinguishable from the stability boundary.
     """
 
-    frequency: float
-    at: dict[str, float]
+    frequency: float  # in rad/s, at which `lower` is attained, or that of the unstable pole
+    at: dict[str, float]  # the parameters there
+    # Lyapunov matrices at the points, shape (n_1, ..., n_k, n_x, n_x) with 1 along parameters on which they do not
+    # depend; empty where nothing was proved
     P: Array
-    lyapunov: str
+    lyapunov: str  # "constant": proved for any rate; "varying": for those within the bounds of the rates
     model: LPVModel
-    reason: str
+    reason: str  # method of the proof, or reason of its failure
 
     unsaved: ClassVar[tuple[str, ...]] = ("model",)
     unstable: ClassVar[str] = "infinite: a frozen model is not stable"
@@ -101,9 +88,8 @@ class LPVGain(PeakGain, Traced):
     def bounds(self) -> str:
         """Return the bracket with the origin of each side."""
         upper = f"{number(self.upper, digits=6)} (proved)" if np.isfinite(self.upper) else "no bound proved"
-        return (
-            self.unstable if np.isinf(self.lower) else f"{number(self.lower, digits=6)} (frozen, attained) .. {upper}"
-        )
+        frozen = f"{number(self.lower, digits=6)} (frozen, attained)"
+        return self.unstable if np.isinf(self.lower) else f"{frozen} .. {upper}"
 
     def place(self) -> str:
         """Return the parameters and the frequency at which ``lower`` is attained."""
@@ -159,13 +145,21 @@ def gain_from(
     if count > INEQUALITIES:
         expected, hint = f"at most {INEQUALITIES}", "fewer points, or lyapunov='constant'"
         raise InputError("lpv_gain", f"{count} inequalities", expected, hint)
-    lmis = _GainLMIs(model, varies, lower, guess)
-    start = max(lower, SMALLEST / lmis.z)
-    found, text = _by_lmis(lmis, start, budget, say)
-    if found is None:
-        status = Status.INFEASIBLE if "says infeasible" in text else Status.INCONCLUSIVE
-        return result(Status.TIMEOUT if budget.struck else status, f"no bound was proved: {text}")
-    return result(Status.CONVERGED if model.known == SAMPLED else Status.CERTIFIED, text, *found)
+    solve, count, unit = _lmis(model, varies, lower, guess, budget)
+    optimum, _, text = solve(None)
+    if optimum is not None:
+        say(f"LMIs: {count} inequalities, optimum {optimum:.6g}")
+        start = max(optimum, lower, SMALLEST / unit)
+        for backoff in GAIN_BACKOFFS:
+            _, P, text = solve(start * (1 + backoff))
+            levels = () if P is None or not np.isfinite(P).all() else (start * (1 + share) for share in LEVELS)
+            upper = next((level for level in levels if holds(gain_claim(model, P, level))), None)
+            if upper is not None:
+                status = Status.CONVERGED if model.known == SAMPLED else Status.CERTIFIED
+                return result(status, f"LMIs; {count} inequalities, proved in ball arithmetic", upper, P)
+        text = f"an optimum of {optimum:.6g} could not be proved ({text})"
+    status = Status.INFEASIBLE if "says infeasible" in text else Status.INCONCLUSIVE
+    return result(Status.TIMEOUT if budget.struck else status, f"no bound was proved: {text}")
 
 
 def _frozen(model: LPVModel) -> tuple[float, dict[str, float], float, str]:
@@ -202,102 +196,66 @@ def holds(claim: Claim) -> bool:
     return check(claim).outcome is Outcome.PROVED
 
 
-def _smallest(model: LPVModel, P: Array, low: float) -> tuple[float, Array] | None:
-    """Return the smallest level above ``low`` that P proves, and P; None where 100 times ``low`` is not proved."""
-    if not np.isfinite(P).all():
-        return None
+def _lmis(
+    model: LPVModel, varies: list[bool], size: float, guess: Array | None, budget: Budget
+) -> tuple[Callable[[float | None], tuple[float | None, Any, str]], int, float]:
+    """Return the solver of the LMIs over whole cells, the number of inequalities, and the unit of the outputs.
 
-    def proves(level: float) -> bool:
-        return holds(gain_claim(model, P, level))
+    The solver minimises the level (None), or maximises the margin of P at a level, and returns both and the reason of a
+    failure. It works in states in which a guess of P is the identity.
+    """
+    import cvxpy as cp
 
-    high = next((low * f for f in (1.0001, 1.001, 1.01, 1.1, 2.0, 10.0, 100.0) if proves(low * f)), None)
-    if high is None:
-        return None
-    for _ in range(GAIN_BISECTIONS):
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if proves(middle) else (middle, high)
-    return high, P
+    n = model.n_states
+    middle = model.matrices[tuple(points // 2 for points in model.grid)]
+    units, rate = balancing_units(model.model_of(middle))
+    z = 2.0 ** -round(float(np.log2(size))) if size > 0 else 1.0  # of the outputs, so that the gain is about one
+    T = np.diag(units / np.sqrt(rate))
+    if guess is not None and np.linalg.eigvalsh(guess)[0] > 0:
+        T = np.linalg.inv(np.linalg.cholesky(guess * z * rate)).T
+    # States x = T x', time in units of 1 / rate.
+    back = np.linalg.inv(T)
+    left, right = np.eye(len(middle)) * z, np.eye(middle.shape[1])
+    left[:n, :n], right[:n, :n] = back / rate, T
+    inequalities = _coefficients(model, varies)
+    # P at the grid along the parameters on which it depends.
+    shape = tuple(points if v else 1 for points, v in zip(model.grid, varies, strict=True))
+    P = {w: cp.Variable((n, n), symmetric=True) for w in np.ndindex(*shape)}
+    ones = dict.fromkeys(P, np.eye(n))
 
-
-def _by_lmis(
-    lmis: _GainLMIs, start: float, budget: Budget, say: Callable[[str], None]
-) -> tuple[tuple[float, Array] | None, str]:
-    """Return the smallest proved level and its P by the LMIs, or None, and the method or the reason of failure."""
-    optimum, _, text = lmis.solve(None, budget)
-    if optimum is None:
-        return None, text
-    say(f"LMIs: {len(lmis.inequalities)} inequalities, optimum {optimum:.6g}")
-    start = max(optimum, start)
-    for backoff in GAIN_BACKOFFS:
-        _, P, text = lmis.solve(start * (1 + backoff), budget)
-        found = None if P is None else _smallest(lmis.model, P, start)
-        if found is not None:
-            return found, f"LMIs; {len(lmis.inequalities)} inequalities, proved in ball arithmetic"
-    return None, f"an optimum of {optimum:.6g} could not be proved ({text})"
-
-
-class _GainLMIs:
-    """The LMIs over whole cells, scaled and in states in which a guess of P is the identity."""
-
-    def __init__(self, model: LPVModel, varies: list[bool], size: float, guess: Array | None) -> None:
-        self.model, self.varies, n = model, varies, model.n_states
-        middle = model.matrices[tuple(points // 2 for points in model.grid)]
-        units, self.rate = balancing_units(model.model_of(middle))
-        # Of the outputs, so that the gain is about one.
-        self.z = 2.0 ** -round(float(np.log2(size))) if size > 0 else 1.0
-        T = np.diag(units / np.sqrt(self.rate))
-        if guess is not None and np.linalg.eigvalsh(guess)[0] > 0:
-            T = np.linalg.inv(np.linalg.cholesky(guess * self.z * self.rate)).T
-        # States x = T x', time in units of 1 / rate.
-        self.back = np.linalg.inv(T)
-        self.left, self.right = np.eye(len(middle)) * self.z, np.eye(middle.shape[1])
-        self.left[:n, :n], self.right[:n, :n] = self.back / self.rate, T
-        self.inequalities = _coefficients(model, varies)
-
-    @property
-    def shape(self) -> Index:
-        """Shape of the stack of P: the grid along the parameters on which it depends, 1 along the others."""
-        return tuple(size if v else 1 for size, v in zip(self.model.grid, self.varies, strict=True))
-
-    def solve(self, level: float | None, budget: Budget) -> tuple[float | None, Array | None, str]:
-        """Minimise the level (None), or maximise the margin of P at a level; return both, and the reason of failure."""
-        import cvxpy as cp
-
-        n = self.model.n_states
-        P = {w: cp.Variable((n, n), symmetric=True) for w in np.ndindex(*self.shape)}
-        ones = dict.fromkeys(P, np.eye(n))
-        # A bound of P's size for the terms of the deviation.
+    def solve(level: float | None) -> tuple[float | None, Any, str]:
         gamma, margin, size = (cp.Variable(nonneg=True) for _ in range(3))
-        bound = gamma if level is None else level * self.z
-        robust = any(rest.any() for *_, rest in self.inequalities)
+        bound = gamma if level is None else level * z
         conditions = [margin <= 1, *(X >> 0 for X in P.values())]
-        if robust or level is not None:
+        if level is not None or any(rest.any() for *_, rest in inequalities):
             conditions += [size * np.eye(n) - X >> 0 for X in P.values()]
-        for pairs, slopes, shift, rest in self.inequalities:
-            models = [(self.left @ (self.model.matrices[v] + shift) @ self.right, w) for v, w in pairs]
+        for pairs, slopes, shift, rest in inequalities:
+            models = [(left @ (model.matrices[v] + shift) @ right, w) for v, w in pairs]
             out = np.mean([m[n:] for m, _ in models], axis=0)
 
             # L_c for P at its vertices.
             def lhs(P: Any, level: Any, models: Any = models, slopes: Any = slopes, out: Array = out) -> Any:
                 top: Any = sum(P[w] @ m[:n] / len(models) for m, w in models)
-                drift = top[:, :n] + top[:, :n].T + sum(f / self.rate * (P[a] - P[b]) for f, a, b in slopes)
+                drift = top[:, :n] + top[:, :n].T + sum(f / rate * (P[a] - P[b]) for f, a, b in slopes)
                 return bounded_real(cp.hstack([drift, top[:, n:]]), out[:, :n], out[:, n:], level)
 
-            rest = np.abs(self.left) @ rest @ np.abs(self.right)
+            # The terms of the deviation, for a P of at most this size.
+            rest = np.abs(left) @ rest @ np.abs(right)
             parts = rest[:n, :n], rest[:n, n:], rest[n:, :n], rest[n:, n:]
             a, b, o, d = (float(np.linalg.norm(part, 2)) for part in parts)
-            slack = (2 * a + b) * size + o + d if robust else 0.0
             # The margin of the inequality with equally scaled rows, as in the check.
             unit = np.diag(equal_rows(lhs(ones, 1.0).value))
-            scaled = unit @ (lhs(P, bound) + slack * np.eye(len(unit))) @ unit
+            scaled = unit @ (lhs(P, bound) + ((2 * a + b) * size + o + d) * np.eye(len(unit))) @ unit
             conditions.append(-scaled - (0.0 if level is None else margin) * np.eye(len(unit)) >> 0)
         failed = least(gamma if level is None else 1e-6 * size - margin, conditions, budget)
         if failed:
             return None, None, failed
-        found = np.array([X.value for X in P.values()]).reshape(*self.shape, n, n)
-        found = self.back.T @ found @ self.back / (self.z * self.rate)
-        level = float(np.asarray(gamma.value)) / self.z if level is None else level
+        found = np.array([X.value for X in P.values()]).reshape(*shape, n, n)
+        found = back.T @ found @ back / (z * rate)
+        level = float(np.asarray(gamma.value)) / z if level is None else level
         return level, 0.5 * (found + np.swapaxes(found, -1, -2)), ""
+
+    return solve, len(inequalities), z
 
 
 def _coefficients(model: LPVModel, varies: list[bool]) -> list[tuple[Any, Any, Array, Array]]:
@@ -307,24 +265,22 @@ def _coefficients(model: LPVModel, varies: list[bool]) -> list[tuple[Any, Any, A
     found: dict[Any, tuple[Any, Any, Array, Array]] = {}
     for cell in model.cells():
         rest = model.deviation[cell]
-        places, shifts = np.argwhere(rest > 0), [np.zeros_like(rest)]
-        if 0 < len(places) <= SIGNED:
-            shifts = []
-            for signs in product((1.0, -1.0), repeat=len(places)):
-                shifts.append(np.zeros_like(rest))
-                shifts[-1][tuple(places.T)] = signs * rest[tuple(places.T)]
-            rest = np.zeros_like(rest)
+        places = np.flatnonzero(rest) if np.count_nonzero(rest) <= SIGNED else np.zeros(0, int)
+        corners = np.array(list(product((1.0, -1.0), repeat=len(places)))) * rest.ravel()[places]
+        shifts = np.zeros((len(corners), *rest.shape))
+        shifts.reshape(len(corners), -1)[:, places] = corners
+        rest = 0.0 * rest if len(places) else rest
         ends = [(1.0, -1.0) if v and p.rate else (0.0,) for v, p in zip(varies, model.parameters, strict=True)]
         for c in product(*((0, 1, 2) if v else (0, 2) for v in varies)):
             halves = list(product(*(((0, 1), (1, 0)) if x == 1 else ((x // 2, x // 2),) for x in c)))
             own = [tuple(i + a for i, (a, _) in zip(cell, bits, strict=True)) for bits in halves]
             of_P = [tuple((i + b) * v for i, (_, b), v in zip(cell, bits, varies, strict=True)) for bits in halves]
+            pairs = tuple(zip(own, of_P, strict=True))
             for signs in product(*ends):
-                slopes = []
+                slopes: list[tuple[float, Index, Index]] = []
                 for k, (sign, i, p) in enumerate(zip(signs, cell, model.parameters, strict=True)):
                     factor = sign * p.rate / (p.points[i + 1] - p.points[i]) / len(halves) if sign else 0.0
                     slopes += [(factor, (*w[:k], i + 1, *w[k + 1 :]), (*w[:k], i, *w[k + 1 :])) for w in of_P if sign]
                 for shift in shifts:
-                    key = tuple(zip(own, of_P, strict=True)), tuple(slopes), shift.tobytes(), rest.tobytes()
-                    found[key] = key[0], key[1], shift, rest
+                    found[pairs, tuple(slopes), shift.tobytes(), rest.tobytes()] = pairs, slopes, shift, rest
     return list(found.values())

@@ -15,6 +15,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.budget import Budget, one_thread, search_budget
+from robustlab.checks import whole
 from robustlab.conic import bounded_real, equal_rows, least
 from robustlab.display import Facts, number
 from robustlab.errors import InputError, NoTrustworthyNumber
@@ -44,30 +45,16 @@ COST = 30.0
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LPVSynthesis(Design):
-    """A scheduled controller whose loop was rebuilt from plant and controller and verified.
-
-    Attributes
-    ----------
-    K
-        The controllers at the points of the grid, interpolated between them.
-    gamma, gain, status
-        Proved bound of the loop's induced gain, from the result ``gain`` of `peak_gain` of the loop.
-    plant, closed_loop
-        The generalised plant, and the loop rebuilt from plant and controller, from w to z.
-    lmi_gamma
-        Optimum of the LMIs at the grid points: a lower bound for this method.
-    reason
-        Back-off and verification of the design.
-    """
+    """A scheduled controller whose loop was rebuilt from plant and controller, with the proved bound ``gamma``."""
 
     quantities: ClassVar[Mapping[str, Any]] = dict.fromkeys(("gamma", "lmi_gamma"), float)
     saved = ("status", "gamma", "lmi_gamma", "reason", "K", "gain")
 
-    K: LPVModel
+    K: LPVModel  # the controllers at the points of the grid, interpolated between them
     plant: LPVModel
-    closed_loop: LPVModel
-    gain: LPVGain
-    lmi_gamma: float
+    closed_loop: LPVModel  # from w to z
+    gain: LPVGain  # the result of `peak_gain` of the loop
+    lmi_gamma: float  # optimum of the LMIs at the grid points: a lower bound for this method
 
     @property
     def controller(self) -> LPVController:
@@ -112,9 +99,7 @@ def scheduled_hinf(
     """Compute `hinf` of an LPV model."""
     if n_meas is None or n_con is None:
         raise InputError("hinf", "n_meas or n_con is missing", "the numbers of measurements and of controls")
-    matrices = plant_matrices(plant, n_meas, n_con, "hinf")
-    if not plant.n_states:
-        raise InputError("hinf", "a plant without states", "one with states")
+    matrices = _plant_matrices(plant, n_meas, n_con)
     budget = search_budget("hinf", WORK, effort, time_limit)
     with one_thread():
         return _designed(plant, matrices, budget, progress or (lambda _: None))
@@ -186,20 +171,18 @@ def _conditioned(
         return None, "the frozen plant in the middle has no controller"
     unit = 2.0 ** -round(float(np.log2(size)))  # with it gamma is about one
     scaling, turn = replace(scaling, z=scaling.z * unit), turn / np.sqrt(unit)
-    found, waited, text = None, 0, ""
+    found, last, text = None, np.inf, ""
     for _ in range(BALANCINGS):
         plants = [_turned(scaling.apply(p), turn) for p in matrices]
         gamma, outer, text = _projection(plants, None, 1.0, budget)
         if gamma is None or outer is None:
             break
         say(f"states balanced by R and S: optimum {gamma / scaling.gain:.6g}")
-        best = np.inf if found is None else found.gamma
-        if gamma < best:
+        if found is None or gamma < found.gamma:
             found = _Conditioned(plants, scaling, turn, gamma)
-        # The optimum may rise in the first rounds after a bad start.
-        waited = 0 if gamma < best * (1 - 0.5 * NEAR) else waited + 1
-        if waited == 2 or abs(gamma / best - 1) < 0.5 * NEAR:
+        if abs(gamma / last - 1) < 0.5 * NEAR:
             break
+        last = gamma
         # R and S are moderate above the optimum; if the solver finds none there, those at the optimum are used.
         _, relaxed, _ = _projection(plants, 1.05 * gamma + 1e-9, 1.5, budget)
         turn = turn @ _balancing(*(outer if relaxed is None else relaxed))
@@ -297,13 +280,9 @@ def _controller(
         made.append(np.block([[A, B], [C, D]]))
     n, whole = len(X) // 2, np.array(made)
     # Balance the states' rows and columns of all points together, with inputs and outputs as one more row and column.
-    size, bordered = np.abs(whole).sum(axis=0), np.zeros((n + 1, n + 1))
-    bordered[:n, :n], bordered[:n, n], bordered[n, :n] = (
-        size[:n, :n],
-        size[:n, n:].sum(axis=1),
-        size[n:, :n].sum(axis=0),
-    )
-    factors = balancing_factors(bordered)
+    size = np.abs(whole).sum(axis=0)
+    into, out = size[:n, n:].sum(axis=1, keepdims=True), size[n:, :n].sum(axis=0, keepdims=True)
+    factors = balancing_factors(np.block([[size[:n, :n], into], [out, np.zeros((1, 1))]]))
     units = factors[:n] / factors[n]
     whole[:, :n] /= units[:, None]
     whole[:, :, :n] *= units
@@ -347,17 +326,19 @@ def _reconstructed(p: PlantMatrices, X: Array, gamma: float, budget: Budget) -> 
     return Realisation(found[:n, :n], found[:n, n:], found[n:, :n], found[n:, n:])
 
 
-def plant_matrices(plant: LPVModel, n_meas: int, n_con: int, where: str) -> list[PlantMatrices]:
+def _plant_matrices(plant: LPVModel, n_meas: int, n_con: int) -> list[PlantMatrices]:
     """Return the generalised plants at the points of the grid."""
+    if not plant.n_states:
+        raise InputError("hinf", "a plant without states", "one with states")
     n, n_z, n_w = plant.n_states, len(plant.outputs) - n_meas, len(plant.inputs) - n_con
     for word, count, left in (("n_meas", n_meas, n_z), ("n_con", n_con, n_w)):
-        if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1 or left < 1:
+        if whole(f"hinf: {word}", count, 1) and left < 1:
             found = f"{word} = {count!r} of a plant with {len(plant.inputs)} inputs and {len(plant.outputs)} outputs"
-            raise InputError(where, found, "at least one, and at least one w and z in addition")
+            raise InputError("hinf", found, "at least one w and z in addition")
     m = plant.matrices.reshape(-1, *plant.matrices.shape[-2:])
     if m[:, n + n_z :, n + n_w :].any() or plant.deviation[..., n + n_z :, n + n_w :].any():
         hint = "put a fast lag between controls and measurements"
-        raise InputError(where, "a direct term from the controls to the measurements (D22)", "D22 = 0", hint)
+        raise InputError("hinf", "a direct term from the controls to the measurements (D22)", "D22 = 0", hint)
     rows = slice(None, n), slice(n, n + n_z), slice(n + n_z, None)
     cols = slice(None, n), slice(n, n + n_w), slice(n + n_w, None)
     order = ((0, 0), (0, 1), (0, 2), (1, 0), (2, 0), (1, 1), (1, 2), (2, 1))
@@ -372,16 +353,16 @@ def closed_loop(plant: LPVModel, law: LPVModel) -> LPVModel:
     n_z, n_w = len(plant.outputs) - n_meas, len(plant.inputs) - n_con
     n, n_k = plant.n_states, law.n_states
 
+    # Rows and columns of the plant among those of the loop, with states (x, x_k).
+    into = np.insert(np.eye(n + n_z), [n] * n_k, 0.0, axis=0)
+    out = np.insert(np.eye(n + n_w), [n] * n_k, 0.0, axis=1)
+
     def parts(m: Array) -> tuple[Array, Array, Array]:
-        """Return P, U and V of stacked plants (or of bounds of their entries), states (x, x_k)."""
-        lead = m.shape[:-2]
-        P = np.zeros((*lead, n + n_k + n_z, n + n_k + n_w))
-        U, V = np.zeros((*lead, n + n_k + n_z, n_k + n_con)), np.zeros((*lead, n_k + n_meas, n + n_k + n_w))
-        for at, own in ((slice(0, n), slice(0, n)), (slice(n + n_k, None), slice(n, n + n_z))):
-            P[..., at, :n], P[..., at, n + n_k :] = m[..., own, :n], m[..., own, n : n + n_w]
-            U[..., at, n_k:] = m[..., own, n + n_w :]
-        V[..., n_k:, :n], V[..., n_k:, n + n_k :] = m[..., n + n_z :, :n], m[..., n + n_z :, n : n + n_w]
-        return P, U, V
+        """Return P, U and V of stacked plants, or of bounds of their entries."""
+        lead, B, C = m.shape[:-2], into @ m[..., : n + n_z, n + n_w :], m[..., n + n_z :, : n + n_w] @ out
+        U = np.concatenate([np.zeros((*lead, len(into), n_k)), B], axis=-1)
+        V = np.concatenate([np.zeros((*lead, n_k, out.shape[1])), C], axis=-2)
+        return into @ m[..., : n + n_z, : n + n_w] @ out, U, V
 
     P, U, V = parts(plant.matrices)
     U[..., n : n + n_k, :n_k] = V[..., :n_k, n : n + n_k] = np.eye(n_k)

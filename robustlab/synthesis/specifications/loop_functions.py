@@ -32,19 +32,14 @@ class LoopFunctions(Displayable):
 
     for a reference r on the measured output and a disturbance d on the plant's input.
 
-    Attributes
-    ----------
-    S, T, KS, SG
-        Sensitivity, complementary sensitivity, control effort, disturbance response.
-    weights, gamma
-        ``W1``, ``W2``, ``W3`` of a mixed-sensitivity design, on S, KS and T (else empty), and its verified gamma:
-        ``sigma_max(W1 S) <= gamma`` and so on; NaN without weights.
     """
 
-    S: StateSpaceModel
-    T: StateSpaceModel
-    KS: StateSpaceModel
-    SG: StateSpaceModel
+    S: StateSpaceModel  # sensitivity
+    T: StateSpaceModel  # complementary sensitivity
+    KS: StateSpaceModel  # control effort
+    SG: StateSpaceModel  # disturbance response
+    # W1, W2, W3 of a mixed-sensitivity design, on S, KS and T (else empty), and its verified gamma, the bound of
+    # sigma_max(W1 S) and so on; NaN without weights.
     weights: Mapping[str, StateSpaceModel] = field(default_factory=dict)
     gamma: float = float("nan")
 
@@ -52,16 +47,11 @@ class LoopFunctions(Displayable):
         """Return one function by its name, ``"S"``, ``"T"``, ``"KS"`` or ``"SG"``."""
         if name not in FUNCTIONS:
             raise InputError("loop functions", f"{name!r}", f"one of {', '.join(FUNCTIONS)}")
-        found: StateSpaceModel = getattr(self, name)
-        return found
-
-    def singular_values(self, name: str, omega: ArrayLike) -> AnyArray:
-        """Return the singular values of one function at ``omega`` in rad/s, largest first, shape (n_omega, k)."""
-        return np.linalg.svd(frequency_response(self.model(name), omega), compute_uv=False)
+        return getattr(self, name)
 
     def gain(self, name: str, omega: ArrayLike) -> AnyArray:
         """Return the largest singular value of one function at ``omega`` in rad/s, shape (n_omega,)."""
-        return self.singular_values(name, omega)[:, 0]
+        return np.linalg.norm(frequency_response(self.model(name), omega), 2, axis=(1, 2))
 
     def bound(self, name: str, omega: ArrayLike) -> AnyArray | None:
         """Return the bound of the largest singular value by weight and gamma, (n_omega,); None without a weight."""
@@ -99,8 +89,7 @@ def loop_functions(G: Any, K: Any = None, *, sign: Literal[-1, 1] | None = None)
         Plant and controller; or a design (`Synthesis`) alone, whose plant is the transfer from the controls to the
         measured signals of its generalised plant.
     sign
-        s: -1 for a controller of the error, ``u = K (r - y)``; 1 for positive feedback, ``u = K (y - r)``. Default: the
-        sign stored with the controller, else -1.
+        s: -1 for ``u = K (r - y)``, 1 for ``u = K (y - r)``; left out: the sign stored with the controller, else -1.
 
     Returns
     -------
@@ -140,8 +129,8 @@ def loop_functions(G: Any, K: Any = None, *, sign: Literal[-1, 1] | None = None)
     of_y, of_u = slice(n_y, 2 * n_y), slice(2 * n_y, None)
 
     def part(rows: slice, outputs: Any, columns: slice = slice(0, n_y), inputs: Any = references) -> StateSpaceModel:
-        B, D = loop.B[:, columns], loop.D[rows, columns]
-        return StateSpaceModel(loop.A, B, loop.C[rows], D, loop.dt, inputs, outputs)
+        matrices = loop.A, loop.B[:, columns], loop.C[rows], loop.D[rows, columns]
+        return StateSpaceModel(*matrices, loop.dt, inputs, outputs)
 
     return LoopFunctions(
         part(slice(0, n_y), errors), part(of_y, g.outputs), part(of_u, g.inputs),

@@ -21,18 +21,17 @@ def performance_weight(bandwidth: float, error: float = 1e-3, peak: float = 2.0,
 
     Parameters
     ----------
-    bandwidth
-        omega_B in rad/s, at which the asymptote of ``1/|W1|`` crosses one.
+    bandwidth, order
+        omega_B in rad/s, at which the asymptote of ``1/|W1|`` crosses one; k: slope below it in units of 20 dB a
+        decade, and number of states.
     error, peak
         A: largest steady-state error (0 < A < 1; an integrator, A = 0, has no stabilising controller in this problem);
         M: largest peak of the sensitivity (> 1).
-    order
-        k: slope of the weight below the bandwidth in units of 20 dB a decade, and number of states.
 
     Returns
     -------
     StateSpaceModel
-        The weight, of one channel.
+        Of one channel, as all weights here.
 
     Raises
     ------
@@ -75,11 +74,9 @@ def control_weight(limit: float, bandwidth: float | None = None, roll_off: float
 
     Parameters
     ----------
-    limit
-        L: largest gain from reference to control, in control units per output unit.
-    bandwidth, roll_off
-        omega_c in rad/s above which the control falls by 20 dB a decade (default: a constant weight); r: total
-        reduction at high frequency (> 1).
+    limit, bandwidth, roll_off
+        L: largest gain from reference to control, in control units per output unit; omega_c in rad/s above which the
+        control falls by 20 dB a decade (default: a constant weight); r: total reduction at high frequency (> 1).
 
     Returns
     -------
@@ -94,7 +91,7 @@ def control_weight(limit: float, bandwidth: float | None = None, roll_off: float
     where = "control weight"
     _positive(where, limit=limit)
     if bandwidth is None:
-        return StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[1 / limit]])
+        return StateSpaceModel([], [], [], [[1 / limit]])
     _positive(where, bandwidth=bandwidth, roll_off=roll_off)
     if roll_off <= 1:
         raise InputError(where, f"roll_off is {roll_off:g}", "more than 1")
@@ -111,12 +108,11 @@ def complementary_weight(
 
     Parameters
     ----------
-    bandwidth
-        omega_T in rad/s, at which the asymptote of ``1/|W3|`` crosses one.
+    bandwidth, order
+        omega_T in rad/s, at which the asymptote of ``1/|W3|`` crosses one; k: slope above it in units of -20 dB a
+        decade, and number of states.
     peak, roll_off
         M: largest T at low frequency (> 1); A: bound of T at high frequency (0 < A < 1), which makes the weight proper.
-    order
-        k: slope above the bandwidth in units of -20 dB a decade, and number of states.
 
     Returns
     -------
@@ -151,10 +147,9 @@ def makeweight(
     through
         ``omega_c``, the frequency in rad/s at which the gain is 1, or ``(omega_c, c)`` for the gain c there, between
         the other two.
-    dt
-        Sample time in s of a discrete weight (Tustin's rule, exact at omega_c); 0 for a continuous one.
-    order
-        k: slope of the weight in units of 20 dB a decade, and number of states.
+    dt, order
+        Sample time in s of a discrete weight (Tustin's rule, exact at omega_c), 0 for a continuous one; k: slope of the
+        weight in units of 20 dB a decade, and number of states.
 
     Returns
     -------

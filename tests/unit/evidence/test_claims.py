@@ -126,7 +126,6 @@ RESULTS = {
     "reduced between weights": lambda: rl.reduce_model(rows(2, 6), 3, input_weight=INTO, output_weight=OUT),
     "reduced before a weight": lambda: rl.reduce_model(rows(2, 6), 3, output_weight=OUT),
     "unstable, reduced": lambda: rl.reduce_model(with_mode(rows(2, 6), 0.5), 4),
-    "relative error": lambda: rl.reduce_model(rl.tf([1.0, 3.0, 2.0], [1.0, 2.0, 5.0]), 1, method="stochastic"),
     "delayed stability": lambda: rl.robust_stability((2.0 * LATE).feedback()),
     "delayed gain": lambda: rl.peak_gain((2.0 * LATE).feedback()),
     "delayed disk margin": lambda: rl.disk_margin(2.0 * LATE),

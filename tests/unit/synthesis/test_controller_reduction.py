@@ -12,9 +12,8 @@ import robustlab as rl
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, lower_lft
-from robustlab.synthesis import GeneralizedPlant, ReducedController, plant_with_scalings
+from robustlab.synthesis import GeneralizedPlant, ReducedController, plant_with_scalings, sampled_norm
 from robustlab.synthesis.problem import partition
-from robustlab.synthesis.sampled import sampled_norm
 from robustlab.uncertainty.distances import coprime
 from robustlab.verification import Claim, check
 

@@ -5,13 +5,10 @@ from __future__ import annotations
 import control
 import numpy as np
 import pytest
-from scipy.integrate import quad_vec
-from scipy.linalg import expm
 from scipy.signal import cont2discrete
 
 import robustlab as rl
 from robustlab.result import Status
-from robustlab.synthesis import lift, mean_and_variance, merged_modes
 
 LAG = rl.StateSpaceModel([[-2.0]], [[1.0]], [[2.0]], [[0.0]], inputs=[("u", "V")], outputs=[("y", "m")])
 TWO_BY_TWO = rl.StateSpaceModel([[-1.0, 2.0], [0.0, -3.0]], np.eye(2), np.eye(2), [[1.0, 0.0], [0.0, 0.5]])
@@ -26,8 +23,6 @@ def at(model, z):
     [  # 2/(s + 2) with T = 0.1, q = e^-0.2, as functions of z
         ("zoh", lambda z, q: (1 - q) / (z - q)),
         ("tustin", lambda z, q: 2 / (20 * (z - 1) / (z + 1) + 2)),
-        ("impulse", lambda z, q: 0.1 * 2 * z / (z - q)),
-        ("matched", lambda z, q: 0.5 * (1 - q) * (z + 1) / (z - q)),
         # Franklin, Powell, Workman, section 6.3.2: (z - 1)^2 / (T z) Z{G / s^2}
         ("foh", lambda z, q: 1 - (1 - q) * (z - 1) / (0.2 * (z - q))),
     ],
@@ -51,40 +46,6 @@ def test_holds_are_exact_at_the_samples():
         stepped = rl.simulate(found, t, u, x0=-slope @ u[0] if method == "foh" else None)
         for name in ("y1", "y2"):
             np.testing.assert_allclose(stepped[name], exact[name], atol=1e-12)
-
-
-def test_pathological_sampling_is_named():
-    oscillator = rl.StateSpaceModel([[0, 10], [-10, 0]], [[0], [1]], [[1, 0]], [[0]])
-    (merged,) = merged_modes(oscillator, np.pi / 10)
-    assert merged.multiple == 1
-    assert not merged.stable
-    assert "no digital controller moves both" in str(merged)
-    assert merged_modes(oscillator, 0.3) == ()
-    # the sampled oscillator is not controllable
-    sampled = rl.discretise(oscillator, np.pi / 10, "zoh")
-    assert np.linalg.svd(np.hstack([sampled.B, sampled.A @ sampled.B]), compute_uv=False)[1] < 1e-15
-
-
-@pytest.mark.parametrize("h", [1e-6, 0.3, 40.0])
-def test_mean_and_variance_of_an_interval_are_integrals(h):
-    rng = np.random.default_rng(1)
-    A = rng.normal(size=(3, 3)) * 2
-    A = A - (np.linalg.eigvals(A).real.max() + 0.05) * np.eye(3)
-    C = rng.normal(size=(2, 3))
-    moved, mean, variance = mean_and_variance(A, C, h)
-
-    def kernel(t):
-        return C @ expm(A * t)
-
-    exact = quad_vec(kernel, 0, h, epsrel=1e-12, epsabs=1e-300)[0] / h
-
-    def spread(t):
-        return (kernel(t) - exact).T @ (kernel(t) - exact)
-
-    np.testing.assert_allclose(moved, expm(A * h), rtol=1e-12, atol=1e-300)
-    np.testing.assert_allclose(mean, exact * np.sqrt(h), rtol=1e-9)
-    about = quad_vec(spread, 0, h, epsrel=1e-10, epsabs=1e-300)[0]
-    np.testing.assert_allclose(variance, about, atol=1e-7 * np.abs(about).max())
 
 
 # --- back to continuous time ------------------------------------------------------------------------------------------
@@ -164,7 +125,7 @@ def test_fast_sampling_loses_nothing_and_reports_the_methods_tried(design):
     found = rl.discretise(design, 1e-3, progress=lines.append)
     assert found.status is Status.CERTIFIED
     assert abs(found.loss) < 0.01
-    assert {t.method for t in found.trials} >= {"tustin", "zoh", "foh", "matched"}
+    assert {t.method for t in found.trials} >= {"tustin", "zoh", "foh"}
     assert all(t.method != "direct" for t in found.trials)
     assert len(lines) == len(found.trials)
     assert found.norm.held == ("n",)
@@ -206,16 +167,3 @@ def test_pathological_sampling_of_an_oscillator_is_named():
     with pytest.raises(rl.NoTrustworthyNumber) as caught:
         rl.discretise(design, np.pi / 10, method="tustin")
     assert any("pathological sampling" in line for line in caught.value.more)
-
-
-def test_lifting_repeats_the_plant_over_a_period():
-    # Without delay the lifted state map is the exact discrete one for any number of intervals.
-    held = rl.discretise(LOW, 0.4, "zoh")
-    for n_intervals, delay in ((1, 0.0), (3, 0.0), (4, 0.1)):
-        model = lift(rl.synthesis.GeneralizedPlant(LOW, 1, 1), 0.4, n_intervals, delay).generalized_plant().model
-        assert model.A[0, 0] == pytest.approx(held.A[0, 0], rel=1e-12)
-        if not delay:
-            assert model.B[0, -1] == pytest.approx(held.B[0, 2], rel=1e-12)
-        else:  # the old control acts for 0.1 s, the new one for 0.3 s
-            assert model.B[0, -1] == pytest.approx(1 - np.exp(-0.3), rel=1e-12)
-            assert model.A[0, 1] == pytest.approx(np.exp(-0.3) * (1 - np.exp(-0.1)), rel=1e-12)

@@ -15,7 +15,7 @@ from unit.synthesis import test_synthesis_dk as dk
 from unit.synthesis import test_synthesis_hinf as hinf
 from unit.synthesis import test_synthesis_mixsyn as mixsyn
 from unit.synthesis import test_tracking_problem as tracking
-from unit.synthesis.test_discretisation import DELAY, FLIP, LAG, LOW, TWO_BY_TWO
+from unit.synthesis.test_discretisation import DELAY, FLIP, LAG, LOW
 from unit.synthesis.test_goal_tuning import LAG as SERVO
 from unit.synthesis.test_model_reduction import lag as slow
 from unit.synthesis.test_model_reduction import stable_model
@@ -246,8 +246,6 @@ REQUESTS = [
     (lambda: rl.discretise(LAG, 0.1, "tustin-prewarp"), "prewarp with 'tustin-prewarp' alone"),
     (lambda: rl.discretise(LAG, 0.1, "zoh", prewarp=1.0), "prewarp with 'tustin-prewarp' alone"),
     (lambda: rl.discretise(LAG, 0.1, "tustin-prewarp", prewarp=32.0), "Nyquist"),
-    (lambda: rl.discretise(TWO_BY_TWO, 0.1, "matched"), "2 inputs and 2 outputs"),
-    (lambda: rl.discretise(TWO_BY_TWO, 0.1, "impulse"), "direct term"),
     (lambda: digital(dt=0.0), "sample time: 0"),
     (lambda: digital(gain([-1.0], dt=0.1)), "dt = 0.1 s already"),
     (lambda: digital(gain([1.0] * 4)), "n_meas is 4"),
@@ -297,8 +295,6 @@ NO_ANSWER = [
     (lambda: rl.reduce_model(WASHOUT, 0, method="stochastic"), "the gain vanishes at some frequency"),
     (lambda: rl.discretise(slow(-20.0, 1.0), 0.1, "tustin"), "2/dt"),
     (lambda: rl.discretise(slow(-1e6, 1.0), 0.1, "zoh"), "overflows"),
-    (lambda: rl.discretise(StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[-1e-8]]), 0.1, "matched"),  # a zero at 1e8
-     "poles and zeros that grow by"),
     (lambda: rl.d2c(FLIP), r"d2c \(zoh\): a pole at z = -0\.5: no continuous model"),
     (lambda: rl.d2c(DELAY), r"d2c \(zoh\): a pole at z = 0: no continuous model"),
     (lambda: rl.d2c(StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], 0.1), "tustin"), "a pole at z = -1"),

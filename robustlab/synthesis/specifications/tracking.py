@@ -1,4 +1,6 @@
-r"""Tracking problems: plant, requirements and disturbances as one weighted generalised plant.
+r"""Tracking: the closed loop of a model and a controller with references, and weighted tracking problems.
+
+A tracking problem is plant, requirements and disturbances as one weighted generalised plant:
 
 .. math:: e = \frac{r - y_c}{\bar r}, \quad y = G\,(u + d), \quad
     z = \begin{bmatrix} W_1 e \\ W_2 u \\ W_3 y_c / \bar r \end{bmatrix}, \quad
@@ -19,16 +21,108 @@ from numpy.typing import ArrayLike
 
 from robustlab import checks
 from robustlab.arrays import Array
-from robustlab.display import Displayable, Facts, number
+from robustlab.display import Displayable, Facts, listed, number
 from robustlab.errors import InputError, did_you_mean
-from robustlab.feedback import wired
+from robustlab.feedback import SIGNS, Sign, closing, wired
 from robustlab.linear_analysis.frequency import frequency_response
-from robustlab.signals import Taken
-from robustlab.statespace import Signal, StateSpaceModel, append, as_model, lower_lft, series
+from robustlab.signals import Signal, Taken
+from robustlab.statespace import StateSpaceModel, append, as_model, lower_lft, series
 from robustlab.synthesis.problem.partition import GeneralizedPlant, signal_positions
 from robustlab.uncertainty.lft import UncertainModel
 
 Sizes = float | Mapping[str, float]
+TAKES = {-1: "r - y", 1: "y"}  # input of a controller without a stored sign, by the sign of the feedback
+FUNCTIONS = {"S": "W1", "KS": "W2", "T": "W3"}
+REFERRED = {-1: "u = K (r - y)", 1: "u = K (y - r)"}  # the same with references
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedLoop(Displayable):
+    """The tracking loop of a model and a controller."""
+
+    model: UncertainModel  # without blocks for a certain model
+    loop: str  # the control law and its source
+
+    quantities: ClassVar[Mapping[str, Any]] = {
+        **UncertainModel.quantities, "spectral_abscissa": float, "nominally_stable": bool,
+    }  # fmt: skip
+
+    @property
+    def spectral_abscissa(self) -> float:
+        """Spectral abscissa of the nominal loop; negative where it is stable."""
+        return self.model.nominal.spectral_abscissa()
+
+    def numbers(self) -> dict[str, Any]:
+        abscissa = self.spectral_abscissa
+        return {**self.model.numbers(), "spectral_abscissa": abscissa, "nominally_stable": abscissa < 0}
+
+    def headline(self) -> str:
+        return f"nominally {'stable' if self.spectral_abscissa < 0 else 'unstable'}"
+
+    def facts(self) -> Facts:
+        return [
+            ("loop", self.loop),
+            ("inputs", listed(s.name for s in self.model.inputs)),
+            ("outputs", listed(s.name for s in self.model.outputs)),
+            ("rightmost pole of the nominal loop", number(self.spectral_abscissa, "1/s")),
+        ]
+
+    def to_json(self) -> dict[str, Any]:
+        return {**self.model.to_json(), "loop": self.loop, "spectral_abscissa": self.spectral_abscissa}
+
+
+def with_law(system: Any, controller: Any, sign: Sign | None = None) -> tuple[Any, str]:
+    """Return the controller with the measured signal of each input, and the control law in words."""
+    base = system if isinstance(system, UncertainModel) else as_model(system)
+    K = as_model(controller, "controller")
+    names = [s.name for s in base.outputs]
+    fed = [s for s in K.inputs if not (isinstance(s, Taken) and not s.sign)]
+    by_name = all((s.of if isinstance(s, Taken) else s.name) in names for s in fed)
+    if K.n_outputs != len(base.inputs) or not (by_name or len(fed) == len(names)):
+        found = f"{K.n_inputs} inputs and {K.n_outputs} outputs"
+        sizes = f"{len(names)} and {len(base.inputs)}: an input per output of the model, and vice versa"
+        raise InputError("controller", found, sizes)
+    loop = closing(base, K, sign, "controller", None)
+    own = {s.sign for s in fed if isinstance(s, Taken)}
+    if by_name and own:
+        return K, loop.said
+    known = fed if by_name else loop.plant.outputs
+    of = {s.name: y.name for s, y in zip(fed, known, strict=True)}
+    word = {} if len(own) > 1 or loop.sign in own else dict.fromkeys(of, TAKES[loop.sign])
+    takes = [
+        Taken(s.name, s.unit, word.get(s.name, getattr(s, "takes", "")), of[s.name]) if s.name in of else s
+        for s in K.inputs
+    ]
+    return K.renamed(inputs=takes), loop.said if own else loop.said.replace(SIGNS[loop.sign], REFERRED[loop.sign], 1)
+
+
+def tracking_loop(system: Any, controller: Any) -> Any:
+    """Return the closed loop of a model or an uncertain model and a controller with references, as an uncertain one."""
+    base = system if isinstance(system, UncertainModel) else UncertainModel(as_model(system), [])
+    K, _ = with_law(base, controller)
+    takes: list[Any] = list(K.inputs)
+    names = [s.name for s in base.outputs]
+    m, (q, p) = base.M, base.delta_shape
+    n_u, n_y = m.n_inputs - q, m.n_outputs - p
+    # K acts on v = F r + S y; with its own inputs for references, S y is y.
+    F, S = np.zeros((len(takes), n_y)), np.zeros((len(takes), n_y))
+    referred = {s.of for s in takes if not s.sign}
+    order = iter(range(n_y))
+    for row, s in enumerate(takes):
+        j = names.index(s.of) if s.of in names else next(order)
+        S[row, j], F[row, j] = s.sign, 1.0 if not s.sign else 0.0 if s.of in referred else -s.sign
+    w, r, u = np.split(np.eye(q + n_y + n_u), [q, q + n_y])
+    into = np.vstack([w, u])
+    through = m.D @ into
+    C = np.vstack([m.C, np.zeros((n_u, m.n_states)), S @ m.C[p:]])
+    D = np.vstack([through, u, F @ r + S @ through[p:]])
+    inputs = [*m.inputs[:q], *(Signal(f"{s.name}_ref", s.unit) for s in base.outputs), *base.inputs]
+    outputs = [*m.outputs, *base.inputs, *(Taken(f"{s.name} taken", s.unit, s.takes, s.of) for s in takes)]
+    plant = StateSpaceModel(m.A, m.B @ into, C, D, m.dt, inputs, outputs, m.states, where="tracking loop")
+    return UncertainModel(plant, base.blocks).close(K)
+
+
+# --- tracking problems ------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +130,7 @@ class TrackingProblem(Displayable):
     """A weighted tracking problem."""
 
     uncertain: UncertainModel  # from [w of Delta; r; d; n; u] to [z of Delta; z; v], v: inputs of the controller
-    signals: UncertainModel  # the same without weights and F: [w; r; d; n; u] of their full sizes to [z; e; u; y_c; v]
+    base: UncertainModel  # the plant that was given
     controlled: tuple[Signal, ...]  # outputs with references
     measured: tuple[Signal, ...]  # outputs measured by the controller, in addition to the references
     weights: Mapping[str, StateSpaceModel]  # given weights of one channel by name `"W1"`, `"W2"`, `"W3"`
@@ -53,12 +147,9 @@ class TrackingProblem(Displayable):
 
     def numbers(self) -> dict[str, Any]:
         return {
-            "states": self.uncertain.M.n_states,
-            "blocks": [b.name for b in self.uncertain.blocks],
-            "channels": self.uncertain.delta_shape[0],
-            "measurements": self.n_meas,
-            "controls": self.n_con,
-        }
+            "states": self.uncertain.M.n_states, "blocks": [b.name for b in self.uncertain.blocks],
+            "channels": self.uncertain.delta_shape[0], "measurements": self.n_meas, "controls": self.n_con,
+        }  # fmt: skip
 
     def facts(self) -> Facts:
         plant, blocks = self.plant, self.uncertain.blocks
@@ -81,8 +172,7 @@ class TrackingProblem(Displayable):
     @property
     def n_con(self) -> int:
         """Number of controls."""
-        w = len(self.reference) + len(self.disturbance) + len(self.loads) + len(self.noise)
-        return len(self.uncertain.inputs) - w
+        return len(self.base.inputs) - len(self.loads)
 
     @property
     def plant(self) -> GeneralizedPlant:
@@ -98,16 +188,14 @@ class TrackingProblem(Displayable):
         """Return `uncertain`."""
         return self.uncertain
 
-    def on(self, G: Any) -> TrackingProblem:
+    def on(self, G: Any, **changes: Any) -> TrackingProblem:
         """Return the same problem for another plant or set with the same signals, without loads that it lacks."""
         bandwidth = -float(self.shape.A[0, 0]) if self.shape.n_states else None
         inputs = [s.name for s in (G if isinstance(G, UncertainModel) else as_model(G, "tracking problem: G")).inputs]
         loads = {name: size for name, size in self.loads.items() if name in inputs}
-        return tracking_problem(
-            G, [s.name for s in self.controlled], [s.name for s in self.measured], **self.weights,
-            reference=self.reference, reference_bandwidth=bandwidth, disturbance=self.disturbance, noise=self.noise,
-            loads=loads,
-        )  # fmt: skip
+        given: dict[str, Any] = {name: getattr(self, name) for name in ("reference", "disturbance", "noise")}
+        given |= {**self.weights, "reference_bandwidth": bandwidth, "loads": loads, **changes}
+        return tracking_problem(G, [s.name for s in self.controlled], [s.name for s in self.measured], **given)
 
     def close(self, K: Any) -> UncertainModel:
         """Return the weighted loop under ``u = K v`` as an uncertain model from (r, d, n) to z."""
@@ -115,53 +203,36 @@ class TrackingProblem(Displayable):
 
     def gains(self, K: Any, omega: ArrayLike) -> dict[str, Array]:
         """Return the largest singular values of S, K S, T of the nominal loop at ``omega`` in rad/s, (n_omega,)."""
-        closed = lower_lft(self.signals.nominal, self._checked(K))
         n_r = len(self.controlled)
-        response = frequency_response(closed, omega)[:, :, :n_r]
-        rows = {"S": slice(0, n_r), "KS": slice(n_r, n_r + self.n_con), "T": slice(n_r + self.n_con, None)}
-        return {name: np.linalg.norm(response[:, part], 2, axis=(1, 2)) for name, part in rows.items()}
+        plain = self.on(self.base, W1=1.0, W2=1.0, W3=1.0, reference_bandwidth=None)
+        response = frequency_response(plain.close(K).nominal, omega)[:, :, :n_r]
+        parts = np.split(response, [n_r, n_r + self.n_con], axis=1)
+        return {name: np.linalg.norm(part, 2, axis=(1, 2)) for name, part in zip(FUNCTIONS, parts, strict=True)}
 
     def bounds(self, omega: ArrayLike) -> dict[str, Array]:
         """Return the bounds ``1 / |W F|`` of the functions of `gains` that have a weight."""
-        shape = np.abs(frequency_response(self.shape, omega)[:, 0, 0])
-        found: dict[str, Array] = {}
-        for name, weight in (("S", "W1"), ("KS", "W2"), ("T", "W3")):
-            if weight in self.weights:
-                found[name] = 1 / (shape * np.abs(frequency_response(self.weights[weight], omega)[:, 0, 0]))
-        return found
+        shaped = {name: series(self.shape, self.weights[w]) for name, w in FUNCTIONS.items() if w in self.weights}
+        return {name: 1 / np.abs(frequency_response(weight, omega)[:, 0, 0]) for name, weight in shaped.items()}
 
     def _checked(self, K: Any) -> StateSpaceModel:
         model = as_model(K, "controller")
         if (model.n_inputs, model.n_outputs) != (self.n_meas, self.n_con):
-            raise InputError(
-                "controller",
-                f"{model.n_inputs} inputs and {model.n_outputs} outputs",
-                f"{self.n_meas} inputs ({', '.join(s.name for s in self.plant.measurements)}) and {self.n_con} outputs",
-            )
+            found = f"{model.n_inputs} inputs and {model.n_outputs} outputs"
+            names = ", ".join(s.name for s in self.plant.measurements)
+            raise InputError("controller", found, f"{self.n_meas} inputs ({names}) and {self.n_con} outputs")
         return wired(model, self.plant.measurements, self.plant.controls, "controller")
 
 
 @dataclass(frozen=True, eq=False)
 class TrackingLoop(Displayable):
-    """The nominal loop of a tracking problem under a design, for a figure with the bounds by its weights.
-
-    Attributes
-    ----------
-    problem
-        The tracking problem.
-    design
-        The design, a `Synthesis`.
-    gamma
-        Verified gamma of the nominal loop if the design proves it; else None.
-    """
+    """The nominal loop of a tracking problem under a design, for a figure with the bounds by its weights."""
 
     problem: TrackingProblem
-    design: Any
-    gamma: float | None
+    design: Any  # a `Synthesis`
+    gamma: float | None  # verified gamma of the nominal loop if the design proves it
 
     def facts(self) -> Facts:
-        proved = "" if self.gamma is None else number(self.gamma)
-        return [("design", type(self.design).__name__), ("gamma of the nominal loop", proved)]
+        return [("design", type(self.design).__name__), ("gamma of the nominal loop", number(self.gamma))]
 
 
 def tracking_problem(
@@ -193,22 +264,12 @@ def tracking_problem(
     ``loads``: inputs of G that are not controls with their sizes: forces on the plant.
     Raises InputError: unknown names, sizes that are not positive, no weight, a weight that is not stable or has several
     channels.
-
-    Examples
-    --------
-    >>> lag = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["q"])
-    >>> problem = tracking_problem(lag, ["q"], ["q"], W1=2.0, W2=0.1, disturbance=0.5)
-    >>> problem.uncertain.inputs[-1].name, [s.name for s in problem.plant.measurements]
-    ('u', ['q_ref', 'q'])
     """
     base = G if isinstance(G, UncertainModel) else UncertainModel(as_model(G, "tracking problem: G"), [])
     c, m = _positions(controlled, base.outputs, "controlled"), _positions(measured, base.outputs, "measured")
     follow, seen = tuple(base.outputs[i] for i in c), tuple(base.outputs[i] for i in m)
-    weights = {
-        name: _weight(w, f"tracking problem: {name}", base.dt)
-        for name, w in (("W1", W1), ("W2", W2), ("W3", W3))
-        if w is not None
-    }
+    given = {"W1": W1, "W2": W2, "W3": W3}
+    weights = {name: _weight(w, f"tracking problem: {name}", base.dt) for name, w in given.items() if w is not None}
     if not weights:
         raise InputError("tracking problem", "no weight", "at least one of W1, W2, W3")
     forces = _sizes("loads", loads, base.inputs)
@@ -221,20 +282,15 @@ def tracking_problem(
         _sizes("noise", noise, [*(Signal(f"{s.name}_ref", s.unit) for s in follow), *seen]),
     )
     shape = _shape(reference_bandwidth, base.dt)
-    signals, model = _built(base, (c, m), sizes, forces, weights, shape)
-    problem, bare = UncertainModel(model, base.blocks), UncertainModel(signals, base.blocks)
-    return TrackingProblem(problem, bare, follow, seen, weights, shape, *sizes, forces)
+    problem = UncertainModel(_built(base, (c, m), sizes, forces, weights, shape), base.blocks)
+    return TrackingProblem(problem, base, follow, seen, weights, shape, *sizes, forces)
 
 
 def _built(
-    base: UncertainModel,
-    places: tuple[list[int], list[int]],
-    sizes: Sequence[Mapping[str, float]],
-    loads: Mapping[str, float],
-    weights: Mapping[str, StateSpaceModel],
-    shape: StateSpaceModel,
-) -> tuple[StateSpaceModel, StateSpaceModel]:
-    """Return the model from [w; r; d; n; u] to [z; e; u; y_c; v] without weights, and the weighted one."""
+    base: UncertainModel, places: tuple[list[int], list[int]], sizes: Sequence[Mapping[str, float]],
+    loads: Mapping[str, float], weights: Mapping[str, StateSpaceModel], shape: StateSpaceModel,
+) -> StateSpaceModel:  # fmt: skip
+    """Return the weighted model from [w; r; d; n; u] to [z of Delta; z; v]."""
     M, (q, p) = base.M, base.delta_shape
     follow, seen = ([base.outputs[i] for i in part] for part in places)
     controls = [Signal(s.name, s.unit) for s in base.inputs if s.name not in loads]
@@ -248,42 +304,33 @@ def _built(
     acting = _placed([s.name for s in controls], names_u) @ u + _placed(entering, names_u) @ (size_d[:, None] * d)
     noisy = _placed(noise, [*(f"{s.name}_ref" for s in follow), *(s.name for s in seen)]) @ (size_n[:, None] * n)
     into = np.vstack([w, acting])
-    C, T, share = M.C, M.D @ into, np.diag(1 / size_r)
     y_c, y_m = ([p + i for i in part] for part in places)
-    rows = [
-        (C[:p], T[:p]),
-        (-share @ C[y_c], r - share @ T[y_c]),
-        (np.zeros((n_u, M.n_states)), u),
-        (share @ C[y_c], share @ T[y_c]),
-        (np.zeros((n_r, M.n_states)), size_r[:, None] * r + noisy[:n_r]),
-        (C[y_m], T[y_m] + noisy[n_r:]),
-    ]
-    out, direct = (np.vstack(part) for part in zip(*rows, strict=True))
-    words = [f"{name}_disturbance" for name in sizes[1]] + [f"{name}, over its size" for name in loads]
-    words = [f"{s.name}_ref" for s in follow] + words + [f"{name}_noise" for name in noise]
+    C, T, none = M.C, M.D @ into, np.zeros((n_r, M.n_states))
+    share = 1 / size_r[:, None]
+    words = [f"{s.name}_ref" for s in follow] + [f"{name}_disturbance" for name in sizes[1]]
+    words += [f"{name}, over its size" for name in loads] + [f"{name}_noise" for name in noise]
     inputs = [*M.inputs[:q], *(Signal(word, "1") for word in words), *controls]
-    signals = StateSpaceModel(M.A, M.B @ into, out, direct, M.dt, inputs, None, M.states)
-
-    one, at = _shape(None, M.dt), [*range(p)]
-    filters, outputs, states = [_each(one, p, "z")], [Signal(s.name, s.unit) for s in M.outputs[:p]], [*M.states]
-    channels = {
-        "W1": ("error", p, follow),
-        "W2": ("control", p + n_r, controls),
-        "W3": ("output", p + n_r + n_u, follow),
+    weighted = {
+        "W1": ("error", follow, -share * C[y_c], r - share * T[y_c]),
+        "W2": ("control", controls, np.zeros((n_u, M.n_states)), u),
+        "W3": ("output", follow, share * C[y_c], share * T[y_c]),
     }
+    one, rows = _shape(None, M.dt), [(C[:p], T[:p])]
+    filters, outputs, states = [_each(one, p, "z")], [Signal(s.name, s.unit) for s in M.outputs[:p]], [*M.states]
     for name, weight in weights.items():
-        word, first, part = channels[name]
-        at += range(first, first + len(part))
+        word, part, *row = weighted[name]
+        rows.append((row[0], row[1]))
         filters.append(_each(weight, len(part), name))
         outputs += [Signal(f"{name} {word}: {s.name}") for s in part]
         states += [Signal(f"{name} {s.name} x{i + 1}") for s in part for i in range(weight.n_states)]
-    at += range(p + 2 * n_r + n_u, len(out))
+    rows += [(none, size_r[:, None] * r + noisy[:n_r]), (C[y_m], T[y_m] + noisy[n_r:])]
+    out, direct = (np.vstack(part) for part in zip(*rows, strict=True))
     before = append(_each(one, q, "w"), _each(shape, n_r, "F"), _each(one, sum(counts) - q - n_r, "d"))
-    picked = StateSpaceModel(signals.A, signals.B, out[at], direct[at], M.dt)
-    joined = series(series(before, picked), append(*filters, _each(one, n_r + len(seen), "v")))
+    bare = StateSpaceModel(M.A, M.B @ into, out, direct, M.dt)
+    joined = series(series(before, bare), append(*filters, _each(one, n_r + len(seen), "v")))
     states = [*(Signal(f"{s.name}_ref x{i + 1}") for s in follow for i in range(shape.n_states)), *states]
     outputs += [*(Taken(f"{s.name}_ref", s.unit, "r", s.name) for s in follow), *(Taken(*s) for s in seen)]
-    return signals, StateSpaceModel(
+    return StateSpaceModel(
         joined.A, joined.B, joined.C, joined.D, joined.dt, inputs, outputs, states, where="tracking problem"
     )
 
@@ -332,8 +379,8 @@ def _sizes(what: str, given: Sizes | None, known: Sequence[Signal], whole: bool 
     table = dict(given) if isinstance(given, Mapping) else dict.fromkeys(names, given)
     for name, size in table.items():
         if name not in names:
-            raise InputError(f"{where} {name!r}", "no such signal", f"one of {', '.join(names)}",
-                             did_you_mean(str(name), names))  # fmt: skip
+            hint = did_you_mean(str(name), names)
+            raise InputError(f"{where} {name!r}", "no such signal", f"one of {', '.join(names)}", hint)
         checks.number(f"{where} {name!r}", size, "a positive number", above=0)
     missing = [name for name in names if name not in table]
     if whole and missing:
@@ -344,7 +391,7 @@ def _sizes(what: str, given: Sizes | None, known: Sequence[Signal], whole: bool 
 def _weight(given: Any, where: str, dt: float) -> StateSpaceModel:
     """Return a stable weight of one channel in the plant's time."""
     if isinstance(given, (int, float)) and not isinstance(given, bool):
-        return StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[given]], dt, where=where)
+        return StateSpaceModel([], [], [], [[given]], dt, where=where)
     w = as_model(given, where)
     if (w.n_inputs, w.n_outputs) != (1, 1):
         raise InputError(where, f"{w.n_inputs} inputs and {w.n_outputs} outputs", "one of each")
