@@ -1,10 +1,8 @@
 """Classical margins of single loops: every crossing of the unit circle and of the negative real axis.
 
-Skogestad, Postlethwaite, *Multivariable Feedback Control*, section 2.4.
+A loop is a fraction of polynomials, so its crossings are the roots of two others, computed in whole numbers from the
+matrices as given, without a grid and independent of scaling: Skogestad, Postlethwaite, section 2.4.
 """
-
-# A loop is a fraction of polynomials, so its crossings are the roots of two others, computed in whole numbers from
-# the matrices as given, without a grid and independent of scaling.
 
 from __future__ import annotations
 
@@ -28,23 +26,12 @@ from robustlab.linear_analysis.exact import (
     wired,
 )
 from robustlab.linear_analysis.structural import with_hidden
-from robustlab.mu_analysis.margins.disk_margin import (
-    AT,
-    Place,
-    channel_names,
-    channel_places,
-    check_disk,
-    closed_around,
-    in_decibels,
-    in_degrees,
-)
+from robustlab.mu_analysis.margins.disk_margin import AT, Place, in_decibels, in_degrees, opened_at
 from robustlab.result import Status
-from robustlab.statespace import StateSpaceModel
+from robustlab.statespace import StateSpaceModel, as_model
 
 if TYPE_CHECKING:
     from flint import fmpz_poly
-
-__all__ = ["ClassicalMargin", "ClassicalMargins", "GainCrossing", "PhaseCrossing", "classical_margins"]
 
 POLE = 1e9  # larger real responses are due to a pole and give no factor of gain
 LEAST = 1e-300  # factors beyond one over this are infinite
@@ -58,6 +45,12 @@ class GainCrossing(AllFields, Displayable):
     lag: float
     delay: float
 
+    @classmethod
+    def at(cls, omega: float, angle: float) -> GainCrossing:
+        """Return the crossing at a frequency where -L has this angle in rad."""
+        lag = angle % (2 * math.pi)
+        return cls(omega, lag, lag / omega)
+
 
 @dataclass(frozen=True)
 class PhaseCrossing(AllFields, Displayable):
@@ -69,19 +62,17 @@ class PhaseCrossing(AllFields, Displayable):
 
 @dataclass(frozen=True, eq=False)
 class ClassicalMargin(Displayable):
-    """Margins of one loop, the others closed.
+    """Margins of one loop, the others closed; None of an unstable one.
 
     Attributes
     ----------
     stable
-        Whether the closed loop is stable as it is; margins of an unstable one are None.
+        Whether the closed loop is stable as it is.
     gain_margin
         Ends of the positive factors of gain about 1 that leave it stable: 0 and inf where nothing is crossed.
-    phase_margin
-        Least change of phase in rad, either way, that destabilises; inf where ``|L|`` never is 1.
-    delay_margin
-        Least delay in s that destabilises; inf where ``|L|`` never is 1, 0 where the direct term is 1 or larger (any
-        delay, however small, then destabilises a continuous loop).
+    phase_margin, delay_margin
+        Least change of phase in rad, either way, and least delay in s that destabilise; inf where ``|L|`` never is 1.
+        A continuous loop with a direct term of 1 or larger has the delay margin 0.
     gain_crossings, phase_crossings
         All of them, by rising frequency.
     status
@@ -114,13 +105,27 @@ class ClassicalMargin(Displayable):
             ("reason", self.reason),
         ]
 
+    @classmethod
+    def of(
+        cls, stable: bool, gain: Sequence[GainCrossing], phase: Sequence[PhaseCrossing], reason: str = "",
+        *, most: float = math.inf, late: float = math.inf,
+    ) -> ClassicalMargin:  # fmt: skip
+        """Return the margins at these crossings; ``most``, ``late``: ends of the gain and of the delay without any."""
+        if not stable:
+            return cls(False, None, None, None, tuple(gain), tuple(phase), Status.CONVERGED, reason)
+        low = max((c.factor for c in phase if c.factor <= 1), default=0.0)
+        high = min((c.factor for c in phase if c.factor >= 1), default=most)
+        lag = min((min(c.lag, 2 * math.pi - c.lag) for c in gain), default=math.inf)
+        delay = min((*(c.delay for c in gain), late))
+        return cls(True, (low, high), lag, delay, tuple(gain), tuple(phase), Status.CONVERGED)
+
     def to_json(self) -> dict[str, Any]:
         return {"type": "ClassicalMargin", **vars(self)}
 
 
 @dataclass(frozen=True, eq=False)
 class ClassicalMargins(Displayable):
-    """Margins of each loop by the name of its signal, one at a time, and where the loops were opened.
+    """Margins of each loop, one at a time, and where the loops were opened.
 
     Attributes
     ----------
@@ -178,8 +183,7 @@ class ClassicalMargins(Displayable):
         )
 
     def facts(self) -> Facts:
-        facts = [("closed loop", "stable" if self.stable else "unstable")]
-        low, high = self.gain_low, self.gain_high
+        facts, low, high = [("closed loop", "stable" if self.stable else "unstable")], self.gain_low, self.gain_high
         if self.stable and self.phase is not None and low is not None and high is not None:
             facts += [
                 ("gain margin", f"factors {number(low)} .. {number(high)}{in_decibels(low, high)}"),
@@ -209,17 +213,11 @@ def classical_margins(
     plant: Any, K: Any = None, *, at: Place = "output", sign: Literal[-1, 1] | None = None
 ) -> ClassicalMargins:
     """`robustlab.classical_margins` of a rational plant and controller."""
-    closed = closed_around(plant, K, sign, "classical_margins")
-    p = closed.plant
-    check_disk(at, 0.0, "classical_margins")
-    names = channel_names(p.input_names, p.output_names, at)
-    stable, loops = loop_fractions(p, closed.K, closed.sign, channel_places(p.n_inputs, p.n_outputs, at))
-    unstable = "" if stable else with_hidden("the closed loop is unstable", p, closed.K)
-    channels = {name: _margin(L, unstable, name) for name, L in zip(names, loops, strict=True)}
-    return ClassicalMargins(channels, at, Status.CONVERGED, closed.said)
-
-
-# --- crossings --------------------------------------------------------------------------------------------------------
+    opened = opened_at(plant, K, at, sign, "classical_margins", as_model)
+    stable, loops = loop_fractions(opened.P, opened.K, opened.sign, opened.places)
+    unstable = "" if stable else with_hidden("the closed loop is unstable", opened.P, opened.K)
+    channels = {name: _margin(L, unstable, name) for name, L in zip(opened.names, loops, strict=True)}
+    return ClassicalMargins(channels, at, Status.CONVERGED, opened.said)
 
 
 def _margin(L: LoopFraction, unstable: str, name: str) -> ClassicalMargin:
@@ -231,28 +229,13 @@ def _margin(L: LoopFraction, unstable: str, name: str) -> ClassicalMargin:
     for x in with_gain_one:
         at = L.at(x)
         assert at is not None, "a gain of 1 at a pole"
-        omega, away = L.frequency(x), _square_root(x * at[1] ** 2)
-        lag = math.atan2(math.copysign(away, -at[1]), -at[0]) % (2 * math.pi)
-        gain.append(GainCrossing(omega, lag, lag / omega))
+        away = math.copysign(_square_root(x * at[1] ** 2), -at[1])
+        gain.append(GainCrossing.at(L.frequency(x), math.atan2(away, -at[0])))
     points = [(L.frequency(x), at[0]) for x in (Fraction(0), *L.with_real_response()) if (at := L.at(x)) is not None]
     points.append((math.pi / L.dt if L.dt else math.inf, L.at_infinity()))
-    phase = tuple(PhaseCrossing(omega, float(-1 / real)) for omega, real in points if -POLE < real < -LEAST)
-    if unstable:
-        return ClassicalMargin(False, None, None, None, tuple(gain), phase, Status.CONVERGED, unstable)
-    ends, lag, delay = least_changes(gain, phase)
-    if not L.dt and abs(L.at_infinity()) >= 1:
-        delay = 0.0
-    return ClassicalMargin(True, ends, lag, delay, tuple(gain), phase, Status.CONVERGED)
-
-
-def least_changes(
-    gain: Sequence[GainCrossing], phase: Sequence[PhaseCrossing], most: float = math.inf
-) -> tuple[tuple[float, float], float, float]:
-    """Return the factors of gain on both sides of 1, the change of phase and the delay to the next crossing."""
-    low = max((c.factor for c in phase if c.factor <= 1), default=0.0)
-    high = min((c.factor for c in phase if c.factor >= 1), default=most)
-    lag = min((min(c.lag, 2 * math.pi - c.lag) for c in gain), default=math.inf)
-    return (low, high), lag, min((c.delay for c in gain), default=math.inf)
+    phase = [PhaseCrossing(omega, float(-1 / real)) for omega, real in points if -POLE < real < -LEAST]
+    late = 0.0 if not L.dt and abs(L.at_infinity()) >= 1 else math.inf
+    return ClassicalMargin.of(not unstable, gain, phase, unstable, late=late)
 
 
 # --- loops as fractions of polynomials --------------------------------------------------------------------------------
