@@ -1,10 +1,10 @@
 """Stability, gain and margins of models with exact delays, proved for a set that contains them.
 
 In each set a delay is e^(-s tau) = R(s) + W(s) Delta(s), |Delta| <= 1 in the right half plane: Padé's approximation
-with a proved weight of its error, or, of order 0, R = 0, W = 1. Where mu < 1 on the axis, its end included, no root crosses
-while the block grows from 0 to Delta, and none comes from infinity: the model has as many roots right of the axis as
-the set's nominal one. With one more block, one over a level in size, its gain is below that level: Zhou, Doyle, Glover
-(1996), theorems 11.8, 11.9.
+with a proved weight of its error, or, of order 0, R = 0, W = 1. Where mu < 1 on the axis, its end included, no root
+crosses while the block grows from 0 to Delta, and none comes from infinity: the model has as many roots right of the
+axis as the set's nominal one. With one more block, one over a level in size, its gain is below that level: Zhou, Doyle,
+Glover (1996), theorems 11.8, 11.9.
 """
 
 from __future__ import annotations
@@ -153,7 +153,7 @@ def delay_stability(model: DelayedModel, effort: float = 1.0) -> DelayStability:
         nominal = covering_set(g, order).M
         poles = nominal.poles()
         root = complex(poles[poles.real.argmax()]) if len(poles) else None
-        known = nominal.is_stable() or _surely_unstable(nominal)
+        known = nominal.is_stable() or (root is not None and root.real > 0 and _surely_unstable(nominal))
         if known and (proof := proof_below(g, order, effort=effort)) is not None:
             return DelayStability.of(nominal.is_stable(), order, root, proof, g)
     return DelayStability.of(None, order, root, None, g)

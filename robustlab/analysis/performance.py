@@ -1,19 +1,26 @@
-"""Largest size of a set for which every member's gain is below a level."""
+"""Performance of sets: the largest size that keeps a gain below a level, and one requirement under several controllers.
+
+Packard, Balas, Liu, Shin, "Results on worst-case performance assessment", ACC 2000.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from robustlab.display import Facts, Part, bracket, member, number
+from robustlab.analysis.questions import peak_gain
+from robustlab.display import Displayable, Facts, Part, bracket, member, number
 from robustlab.errors import InputError, error_context
-from robustlab.mu_analysis import WorstCaseGain, worst_case_gain
+from robustlab.mu_analysis import Margin, WorstCaseGain, robust_performance, worst_case_gain
 from robustlab.mu_analysis.axis.margin import delta_rows
-from robustlab.result import Bracket, Status
+from robustlab.norms import PeakGain
+from robustlab.result import Bracket, Status, least_trusted
 from robustlab.statespace import StateSpaceModel
+from robustlab.synthesis.specifications.loop_functions import frequencies
 from robustlab.uncertainty.lft import UncertainModel
 
 LARGEST = 2.0**20  # largest size of the set that is tried, relative to the given one
@@ -100,10 +107,6 @@ def robust_gain(
     InputError, NoTrustworthyNumber
         No uncertain model, or a level or tolerance that is not positive. The nominal model is unstable.
 
-    References
-    ----------
-    Packard, Balas, Liu, Shin, "Results on worst-case performance assessment", ACC 2000.
-
     Examples
     --------
     >>> import robustlab as rl
@@ -157,3 +160,107 @@ def _grown(uncertain: UncertainModel, size: float) -> UncertainModel:
     by = np.where(np.arange(M.n_inputs) < uncertain.delta_shape[0], size, 1.0)
     larger = StateSpaceModel(M.A, M.B * by, M.C, M.D * by, M.dt, M.inputs, M.outputs, M.states)
     return UncertainModel(larger, uncertain.blocks)
+
+
+# --- several controllers ----------------------------------------------------------------------------------------------
+
+
+class Performance(NamedTuple):
+    """Order, nominal gain, margin and, if requested, worst-case gain of one controller."""
+
+    order: int
+    nominal_gain: float
+    margin: Margin
+    gain: PeakGain | None = None
+
+    def numbers(self) -> dict[str, Any]:
+        found = {
+            "order": self.order, "nominal_gain": self.nominal_gain, "mu_lower": inverse(self.margin.upper),
+            "mu_upper": inverse(self.margin.lower), "frequency": self.margin.frequency,
+        }  # fmt: skip
+        worst = {} if self.gain is None else {"gain_lower": self.gain.lower, "gain_upper": self.gain.upper}
+        return found | worst
+
+
+@dataclass(frozen=True, eq=False)
+class PerformanceComparison(Displayable):
+    """Robust performance of one problem under several controllers, the same requirement for all."""
+
+    controllers: Mapping[str, Performance]  # controller -> its performance
+
+    @property
+    def margins(self) -> dict[str, Margin]:
+        """Controller -> margin."""
+        return {name: one.margin for name, one in self.controllers.items()}
+
+    @property
+    def status(self) -> Status:
+        """Least trusted status of all proofs."""
+        return least_trusted([part.status for part in self._proofs().values()])
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Meaning of the numbers, and the remarks of the proofs."""
+        first = (
+            "μ at most 1: for every Δ of the set the weighted gain is at most 1. The worst-case gain is over that set."
+        )
+        return (first, *(f"{of}: {text}." for of, part in self._proofs().items() for text in part.notes))
+
+    def _proofs(self) -> dict[str, Any]:
+        """Every margin and gain, labelled with its controller."""
+        found: dict[str, Any] = {}
+        for name, one in self.controllers.items():
+            found |= {f"{name}, μ": one.margin} | ({} if one.gain is None else {f"{name}, gain": one.gain})
+        return found
+
+    def headline(self) -> str:
+        return f"robust performance under {len(self.controllers)} controllers, the same requirement for all"
+
+    def facts(self) -> Facts:
+        met = [name for name, one in self.controllers.items() if inverse(one.margin.lower) <= 1]
+        return [("requirement met by every member, proved", ", ".join(met) or "by none of them")]
+
+    def details(self) -> list[Part]:
+        header = ["controller", "order", "nominal gain", "μ, attained .. proved"]
+        rows = []
+        for name, one in self.controllers.items():
+            mu = f"{inverse(one.margin.upper):.4g} .. {inverse(one.margin.lower):.4g}"
+            gain = [] if one.gain is None else [f"{one.gain.lower:.4g} .. {one.gain.upper:.4g}"]
+            rows.append((name, str(one.order), f"{one.nominal_gain:.4g}", mu, *gain))
+        return [Part("", (*header, "worst-case gain")[: len(rows[0])], rows)]
+
+    def numbers(self) -> dict[str, Any]:
+        return {"controllers": {name: one.numbers() for name, one in self.controllers.items()}}
+
+    def to_json(self) -> dict[str, Any]:
+        return {"status": self.status, **self.numbers()}
+
+
+def compare_performance(
+    loops: Mapping[str, tuple[UncertainModel, int]],
+    *,
+    gain: bool = True,
+    points: int = 120,
+    accuracy: float = 1e-3,
+    **options: Any,
+) -> PerformanceComparison:
+    """Proved mu of robust performance of each loop, and its worst-case gain.
+
+    ``loops``: controller -> the weighted loop under it, whose gain is to be at most 1, and the controller's order.
+    ``points``: frequencies of the margins' curves. ``options``: ``effort``, ``time_limit``, ``seed`` of the proofs.
+    """
+    found: dict[str, Performance] = {}
+    for name, (loop, order) in loops.items():
+        if not loop.nominal.is_stable():
+            raise InputError(f"controller {name!r}", "does not stabilise the problem", "a stable nominal loop")
+        margin = robust_performance(
+            loop, omega=frequencies(loop.M, points), accuracy=accuracy, tolerance=math.inf, **options
+        )
+        worst = peak_gain(loop, tolerance=0.01, **options) if gain else None
+        found[name] = Performance(order, float(peak_gain(loop.nominal).upper), margin, worst)
+    return PerformanceComparison(found)
+
+
+def inverse(value: float) -> float:
+    """One over a margin; inf for none."""
+    return 1 / value if value > 0 else math.inf
