@@ -117,20 +117,13 @@ def hinf(
 
 @dataclass(frozen=True, eq=False)
 class GapMetric(Bracket):
-    """The gap between two models.
+    """The gap between two models; ``upper`` is the proved norm of the worse of two designs.
 
-    Attributes
-    ----------
-    lower, upper
-        ``lower <= gap <= upper``; ``upper`` is the proved norm of the worse of two designs.
-    directed, nu
-        Upper bounds of both directed gaps, equal below 1; the nu-gap, which never exceeds the gap.
-    status
-        CONVERGED where the bounds agree to a thousandth, else INCONCLUSIVE.
+    CONVERGED where the bounds agree to a thousandth, else INCONCLUSIVE.
     """
 
-    directed: tuple[float, float]
-    nu: NuGap
+    directed: tuple[float, float]  # upper bounds of both directed gaps, equal below 1
+    nu: NuGap  # never exceeds the gap
 
     @property
     def value(self) -> float:

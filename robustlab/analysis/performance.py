@@ -33,26 +33,16 @@ INNER = 0.25  # each of them is proved to this share of the tolerance, less wher
 class RobustGain(Bracket):
     """Largest size of a set for which every member's gain is below ``level``.
 
-    Attributes
-    ----------
-    lower, upper, frequency
-        Every member of the set ``lower`` times as large has a gain below ``level``, proved; the member ``delta`` of the
-        set ``upper`` times as large reaches it at ``frequency``, rad/s. Both are 0 where the nominal model reaches it;
-        ``upper`` is inf where no member of the largest set does. Above 1 the set as given stays below the level.
-    level
-        In the unit of the outputs over that of the inputs.
-    delta, physical
-        That member, in units of the set as given, and its physical parameters with units.
-    proof
-        The worst-case gain of the set ``lower`` times as large; None where ``lower`` is 0.
-    status
-        CERTIFIED where the bounds are as close as requested; else INCONCLUSIVE.
+    Every member of the set ``lower`` times as large has a gain below ``level``, proved; the member ``delta`` of the set
+    ``upper`` times as large reaches it at ``frequency``, rad/s. Both are 0 where the nominal model reaches it;
+    ``upper`` is inf where no member of the largest set does. Above 1 the set as given stays below the level. CERTIFIED
+    where the bounds are as close as requested; else INCONCLUSIVE.
     """
 
-    level: float
-    delta: Mapping[str, Any]
-    physical: Mapping[str, tuple[float, str]]
-    proof: WorstCaseGain | None
+    level: float  # in the unit of the outputs over that of the inputs
+    delta: Mapping[str, Any]  # that member, in units of the set as given
+    physical: Mapping[str, tuple[float, str]]  # its parameters with units
+    proof: WorstCaseGain | None  # of the set ``lower`` times as large; None where ``lower`` is 0
 
     quantities: ClassVar[Mapping[str, Any]] = {
         "lower": "1", "upper": "1", "frequency": "rad/s", "delta": {"*": ...}, "level": float,

@@ -174,7 +174,7 @@ def peak_gain(
     -------
     PeakGain
         Both bounds, and the evidence of the kind of system: `HinfNorm`, `DelayGain`, `WorstCaseGain`, `GainAt`,
-        `IqcGain`, `LPVGain`, `EffectGain`.
+        `IqcGain`, `LPVGain`.
 
     Raises
     ------

@@ -5,7 +5,7 @@ from robustlab.lazily import lazily
 __all__, __getattr__ = lazily(
     __name__,
     {
-        "analysis": "EffectGain IqcGain IqcProof IqcStability posed",
+        "analysis": "IqcGain IqcProof IqcStability posed",
         "block_types": "Nature Nonlinearity Varying",
         "inequality": "Filtered",
     },

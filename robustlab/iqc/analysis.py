@@ -12,10 +12,10 @@ too, and the inequality is strict at infinite frequency.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -23,12 +23,11 @@ from robustlab.arrays import Array
 from robustlab.budget import MILLION, Budget, one_thread, search_budget
 from robustlab.checks import number as checked
 from robustlab.checks import whole
-from robustlab.display import Facts, bracket, listed, member, number
+from robustlab.display import Facts, listed, member, number
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, error_context
 from robustlab.feedback import feedback_loop
 from robustlab.iqc.block_types import Nature, Nonlinearity, Varying
 from robustlab.iqc.inequality import Filtered, Form, Inequality, Point, filter_order, law, linear
-from robustlab.mu_analysis import WorstCaseGain, worst_case_gain
 from robustlab.mu_analysis.axis.margin import StabilityMargin
 from robustlab.norms import PeakGain, balancing_units, hinf_norm
 from robustlab.result import Evidence, Status
@@ -65,13 +64,6 @@ ODD_INPUTS = ("input-saturation", "input-dead-zone")
 Natures = Mapping[Any, Nature]
 
 
-class Basis(NamedTuple):
-    """Pole a in rad/s and highest power of ``a / (s + a)``."""
-
-    pole: float
-    order: int
-
-
 @dataclass(frozen=True)
 class IqcProof(Evidence):
     """Evidence that proves a bound in ball arithmetic, without a solver."""
@@ -100,26 +92,15 @@ class Posed(Evidence):
 class IqcGain(PeakGain):
     """Bounds of the worst L2 gain over all blocks of their classes.
 
-    Attributes
-    ----------
-    lower, upper
-        ``upper`` is proved for every block of its class; ``lower`` is the gain of the member ``delta``, in which all
-        blocks are constant gains. inf: nothing was proved; a member is unstable.
-    delta
-        That member: one normalised value per block; 0 is the middle of a range.
-    nature, conditions
-        Block -> its type in words; the motions for which a law is in its sector, where not all.
-    proof, posed
-        Evidence of ``upper`` (None where nothing was proved), and the problem, for another proof.
-    status
-        CERTIFIED: ``upper`` was proved in ball arithmetic. INCONCLUSIVE: nothing was proved, the loop may be stable.
-        INFEASIBLE: the member ``delta`` is unstable. TIMEOUT: the time limit ended the search.
+    ``upper`` is proved for every block of its class; ``lower`` is the gain of a member in which all blocks are constant
+    gains. CERTIFIED: ``upper`` was proved in ball arithmetic. INCONCLUSIVE: nothing was proved, the loop may be stable.
+    INFEASIBLE: the member ``delta`` is unstable. TIMEOUT: the time limit ended the search.
     """
 
-    delta: Mapping[str, float]
-    nature: Mapping[str, str]
-    proof: IqcProof | None
-    posed: Posed = field(kw_only=True)
+    delta: Mapping[str, float]  # that member: one normalised value per block; 0 is the middle of a range
+    nature: Mapping[str, str]  # block -> its type in words
+    proof: IqcProof | None  # of ``upper``; None where nothing was proved
+    posed: Posed = field(kw_only=True)  # the problem, for another proof
 
     unsaved: ClassVar[tuple[str, ...]] = ("posed",)
 
@@ -134,19 +115,10 @@ class IqcGain(PeakGain):
 class IqcStability(StabilityMargin):
     """Stability for all blocks of their classes.
 
-    Attributes
-    ----------
-    lower, upper
-        Largest proved size: the factor by which every range is enlarged about its middle, and the slopes with it. At
-        least 1 where ``stable``; 0 where nothing was proved. Unstable members are not searched: ``upper`` is inf.
-    nature, conditions, proof, posed
-        As in `IqcGain`; the proof is that of ``lower``.
-    status
-        CERTIFIED: ``lower`` was proved in ball arithmetic. INCONCLUSIVE: it is 0. TIMEOUT: the time limit ended the
-        search; ``lower`` holds.
+    ``lower`` is the largest proved size: the factor by which every range is enlarged about its middle, and the slopes
+    with it; 0 where nothing was proved. Unstable members are not searched: ``upper`` is inf. CERTIFIED: ``lower`` was
+    proved in ball arithmetic. INCONCLUSIVE: it is 0. TIMEOUT: the time limit ended the search; ``lower`` holds.
     """
-
-    quantities: ClassVar[Mapping[str, Any]] = {**StabilityMargin.quantities, "margin": "1"}
 
     nature: Mapping[str, str]
     conditions: tuple[str, ...]
@@ -160,13 +132,8 @@ class IqcStability(StabilityMargin):
 
     @property
     def stable(self) -> bool:
-        """Return whether stability is proved for the set as given."""
+        """Whether stability is proved for the set as given."""
         return self.lower >= 1
-
-    @property
-    def margin(self) -> float:
-        """Return the proved size, ``lower``."""
-        return self.lower
 
     def headline(self) -> str:
         return "proved stable for all blocks of their classes" if self.stable else "not proved stable"
@@ -174,14 +141,14 @@ class IqcStability(StabilityMargin):
     def facts(self) -> Facts:
         return [
             ("stable as given", "proved" if self.stable else "not proved"),
-            ("margin", f"{number(self.margin)} (proved)"),
+            ("margin", f"{number(self.lower)} (proved)"),
             _blocks(self.nature),
             ("holds", listed(self.conditions)),
             *_proof_facts(self.proof),
         ]
 
     def to_json(self) -> dict[str, Any]:
-        return {**super().to_json(), "stable": self.stable, "margin": self.margin}
+        return {**super().to_json(), "stable": self.stable}
 
 
 def _blocks(nature: Mapping[str, str]) -> tuple[str, str]:
@@ -215,8 +182,8 @@ def iqc_gain(
         lower, delta = problem.worst_member()
         best: tuple[float, IqcProof] | None = None
         enough = lower * (1 + CLOSE)
-        for basis in problem.bases if np.isfinite(lower) else ():
-            found = problem.least_gain(basis, budget, enough)
+        for a in problem.poles if np.isfinite(lower) else ():
+            found = problem.least_gain(a, budget, enough)
             if found is not None and (best is None or found[0] < best[0]):
                 best = found
             if budget.over or (best is not None and best[0] <= enough):
@@ -260,47 +227,6 @@ def iqc_stability(
 # --- effects of a plant -----------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class EffectGain(PeakGain):
-    """The gain of a loop with effects: proved for their own classes, and that of constant gains for comparison.
-
-    A saturation or dead zone of an input is an odd law with slopes in [0, 1], Coulomb friction with a stick speed v_s
-    one with sector and slopes [0, Fc / v_s], any other effect with a sector a gain that may change at every instant.
-
-    Attributes
-    ----------
-    lower, upper, proved, status
-        Those of ``proved``, by integral quadratic constraints; its blocks are the effects and the uncertain parameters.
-    as_constants
-        The worst-case gain of the same set with all effects as constant gains, as in mu and harmonic balance. It is no
-        proof for a nonlinearity; it shows the conservatism of one.
-    left_out
-        Effect at its place -> the reason why it is in no block; bounded errors, which are inputs, among them.
-    loop
-        The feedback law and its source.
-    """
-
-    proved: IqcGain
-    as_constants: WorstCaseGain
-    left_out: Mapping[str, str]
-    loop: str = ""
-
-    quantities: ClassVar[Mapping[str, Any]] = {**PeakGain.quantities, "as_constants": float}
-
-    def claims(self) -> list[Claim]:
-        return self.proved.claims()
-
-    def numbers(self) -> dict[str, Any]:
-        return {**super().numbers(), "as_constants": self.as_constants.upper}
-
-    def facts(self) -> Facts:
-        return [("loop", self.loop), *super().facts()]
-
-    def evidence(self) -> Facts:
-        constants = bracket(self.as_constants.lower, self.as_constants.upper, ("attained", "proved for constants"))
-        return [*self.proved.evidence(), ("as constant gains", constants)]
-
-
 @error_context("effect_gain")
 def effect_gain(
     plant: ExtendedPlant,
@@ -312,8 +238,12 @@ def effect_gain(
     order: int = 2,
     time_limit: float | None = None,
     effort: float = 1.0,
-) -> EffectGain:
-    """`robustlab.peak_gain` of a plant with effects in a loop, from disturbances at its inputs to its outputs."""
+) -> IqcGain:
+    """`robustlab.peak_gain` of a plant with effects in a loop, from disturbances at its inputs to its outputs.
+
+    A saturation or dead zone of an input is an odd law with slopes in [0, 1], Coulomb friction with a stick speed v_s
+    one with sector and slopes [0, Fc / v_s], any other effect with a sector a gain that may change at every instant.
+    """
     from robustlab.dynamics.extended.effect_blocks import effect_blocks
 
     if controller is None:
@@ -336,15 +266,10 @@ def effect_gain(
     inputs = [s.name for s in plant.inputs]
     around, s, source = feedback_loop(made.model.select(inputs), controller, sign, "effect_gain")
     loop = made.model.select(inputs).feedback(around, s)
-    proved = iqc_gain(
-        loop, _natures(plant, made, amplitude or {}, slow), order=order, time_limit=time_limit, effort=effort
-    )
-    constants = worst_case_gain(loop, time_limit=time_limit, effort=effort)
+    natures = _natures(plant, made, amplitude or {}, slow)
+    found = iqc_gain(loop, natures, order=order, time_limit=time_limit, effort=effort)
     left = {**made.left_out, **{n.name: "a bounded error: an input, no gain" for n in made.noise}}
-    return EffectGain(
-        proved.lower, proved.upper, None, proved.status, proved, constants, left, source,
-        conditions=proved.conditions, notes=tuple(f"not in it: {name}: {why}" for name, why in left.items()),
-    )  # fmt: skip
+    return replace(found, notes=(f"loop: {source}", *(f"not in it: {name}: {why}" for name, why in left.items())))
 
 
 def _natures(
@@ -372,7 +297,7 @@ def _natures(
     return found
 
 
-# --- claims -----------------------------------------------------------------------------------------------------------
+# --- the problem ------------------------------------------------------------------------------------------------------
 
 
 def claim_of(posed: Posed, proof: IqcProof, *, gamma: float | None = None, size: float = 1.0) -> Claim:
@@ -398,9 +323,6 @@ def claim_of(posed: Posed, proof: IqcProof, *, gamma: float | None = None, size:
     })  # fmt: skip
 
 
-# --- the problem ------------------------------------------------------------------------------------------------------
-
-
 def posed(
     where: str, model: Any, natures: Natures | None, order: int, pole: float | None, time_limit: float | None,
     effort: float, channel: tuple[Sequence[str] | None, Sequence[str] | None] = (None, None),
@@ -424,10 +346,9 @@ def posed(
     if not opened.blocks:
         raise InputError(where, "no block at all", "an uncertain model, or a nature with signals")
     known = [b.name for b in opened.blocks]
-    for name in named:
-        if name not in known:
-            expected = f"one of {listed(known)}"
-            raise InputError(f"{where}: {name!r}", "no such block", expected, did_you_mean(name, known))
+    for name in (name for name in named if name not in known):
+        expected = f"one of {listed(known)}"
+        raise InputError(f"{where}: {name!r}", "no such block", expected, did_you_mean(name, known))
     own = len(known) - len(laws)  # blocks of the set, before those of the laws
     kinds = [_in_delta(where, b, named.get(b.name), i >= own) for i, b in enumerate(opened.blocks)]
     ranges = [
@@ -548,25 +469,19 @@ class Problem:
         speed = np.abs(poles[np.abs(poles) > 0])
         self.speed = float(np.median(speed)) if len(speed) else 1.0
         filtered = any(filter_order(nature, order) for nature in self.natures)
-        tried = [self.speed * t for t in (POLES if filtered else (1.0,))] if pole is None else [pole]
-        self.bases = [Basis(a, order) for a in tried]
-
-    # --- from below ---------------------------------------------------------------------------------------------------
+        # Of the filters in rad/s, and the highest power of a / (s + a).
+        self.poles = [self.speed * t for t in (POLES if filtered else (1.0,))] if pole is None else [pole]
+        self.order = order
 
     def worst_member(self) -> tuple[float, dict[str, float]]:
         """Return the largest gain of a linear member at the ends of the ranges (inf: unstable), and that member."""
-        reach: dict[str, tuple[float, float]] = {}
-        for b, nature in zip(self.middle.blocks, self.natures, strict=True):
-            if b.is_scalar:
-                m, k = (isinstance(nature, Nonlinearity) and nature.slope) or (-1.0, 1.0)
-                reach[b.name] = max(-1.0, m), min(1.0, k)
-        every: Iterable[tuple[float, ...]] = product(*reach.values())
-        if 2 ** len(reach) > MEMBERS:
-            rng = np.random.default_rng(0)
-            every = [tuple(pair[rng.integers(2)] for pair in reach.values()) for _ in range(MEMBERS)]
-        worst, at = hinf_norm(self.middle.nominal).lower, dict.fromkeys(reach, 0.0)
-        for values in every:
-            delta = dict(zip(reach, values, strict=True))
+        names = [b.name for b in self.middle.blocks if b.is_scalar]
+        corners: Any = product((-1.0, 1.0), repeat=len(names))
+        if 2 ** len(names) > MEMBERS:
+            corners = np.random.default_rng(0).choice([-1.0, 1.0], (MEMBERS, len(names))).tolist()
+        worst, at = hinf_norm(self.middle.nominal).lower, dict.fromkeys(names, 0.0)
+        for values in corners:
+            delta = dict(zip(names, values, strict=True))
             try:
                 one = self.middle.evaluate(delta)
             except NoTrustworthyNumber:  # not well posed
@@ -578,9 +493,7 @@ class Problem:
                 break
         return float(worst), at
 
-    # --- from above ---------------------------------------------------------------------------------------------------
-
-    def least_gain(self, basis: Basis, budget: Budget, enough: float = 0.0) -> tuple[float, IqcProof] | None:
+    def least_gain(self, pole: float, budget: Budget, enough: float = 0.0) -> tuple[float, IqcProof] | None:
         """Return the least gain proved with these filters and its proof, or None; the search ends below ``enough``."""
         size = float(max(hinf_norm(self.middle.nominal).upper, 1e-12))
         if math.isinf(size):  # a pole indistinguishable from the axis
@@ -588,11 +501,11 @@ class Problem:
         unit, scales = 2.0 ** round(math.log2(size)), np.ones(self.middle.M.n_states)
         best: tuple[float, IqcProof] | None = None
         for _ in range(BALANCINGS):
-            made = self._inequality(basis, 1.0, unit, scales)
+            made = self._inequality(pole, 1.0, unit, scales)
             least = made and made.solve(budget)
             if made is None or least is None or not least.square > 0:
                 break
-            found = self._backed_off(basis, made, least.square, unit, budget)
+            found = self._backed_off(pole, made, least.square, unit, budget)
             if found is None:
                 break
             settled = best is not None and found[0] >= BETTER * best[0]
@@ -607,7 +520,7 @@ class Problem:
         return best
 
     def _backed_off(
-        self, basis: Basis, made: Inequality, least: float, unit: float, budget: Budget
+        self, pole: float, made: Inequality, least: float, unit: float, budget: Budget
     ) -> tuple[float, IqcProof] | None:
         """Return a gain a little above the least one that is proved, and its proof."""
         for share in BACK_OFFS:
@@ -615,26 +528,30 @@ class Problem:
             if point is None or not point.slack > 0:
                 continue
             gain = unit * math.sqrt(point.square) * (1 + 1e-15)
-            proof = _proof(basis, made, point, unit**2)
-            if holds(claim_of(self.posed, proof, gamma=gain)):
+            if (proof := self._proof(pole, made, point, unit**2, gamma=gain)) is not None:
                 return gain, proof
         return None
 
+    def _proof(self, pole: float, made: Inequality, point: Point, square: float, **level: float) -> IqcProof | None:
+        """Return a point as a proof, if the independent checker accepts it for the given model, in ball arithmetic."""
+        P, unknowns = square * point.P, square * point.multipliers
+        proof = IqcProof(made.kinds, pole, self.order, point.slack, P, unknowns)
+        return proof if check(claim_of(self.posed, proof, **level)).outcome is Outcome.PROVED else None
+
     def proved_stable(self, size: float, budget: Budget, thorough: bool = True) -> IqcProof | None:
-        """Return a proof that the set times ``size`` is stable, with any basis or the best so far, or None."""
-        for basis in tuple(self.bases if thorough else self.bases[:1]):
-            made = self._inequality(basis, size, None)
+        """Return a proof that the set times ``size`` is stable, with any filters or the best so far, or None."""
+        for pole in tuple(self.poles if thorough else self.poles[:1]):
+            made = self._inequality(pole, size, None)
             point = None if made is None or budget.over else made.solve(budget)
             if made is None or point is None or not point.slack > 0:
                 continue
-            proof = _proof(basis, made, point, 1.0)
-            if holds(claim_of(self.posed, proof, size=size)):
-                self.bases.sort(key=lambda one: one is not basis)  # tried first at the next size
+            if (proof := self._proof(pole, made, point, 1.0, size=size)) is not None:
+                self.poles.sort(key=lambda one: one != pole)  # tried first at the next size
                 return proof
         return None
 
     def _inequality(
-        self, basis: Basis, size: float, unit: float | None, scales: Array | float = 1.0
+        self, pole: float, size: float, unit: float | None, scales: Array | float = 1.0
     ) -> Inequality | None:
         """Return the inequality in balanced states; None: too many states.
 
@@ -651,7 +568,7 @@ class Problem:
             balance, rate = balancing_units(StateSpaceModel(M.A, B, C, D))
             units = balance * scales / np.sqrt(rate)
         parts = list(zip(self.middle.blocks, self.natures, block_slices(self.middle.blocks), strict=True))
-        orders = [filter_order(nature, basis.order) for _, nature, _ in parts]
+        orders = [filter_order(nature, self.order) for _, nature, _ in parts]
         rated = [k * b.cols if isinstance(n, Varying) else 0 for k, (b, n, _) in zip(orders, parts, strict=True)]
         filters = sum(k * (b.cols + b.rows) for k, (b, *_) in zip(orders, parts, strict=True))
         if M.n_states + filters > STATES:
@@ -666,10 +583,10 @@ class Problem:
             d = 2.0 ** round(0.5 * math.log2(ins / outs)) if ins and outs else 1.0
             if isinstance(nature, Nonlinearity):
                 free = not D[z, :q].any(), not D[z].any()
-                kinds, form = law(F, z, F.input(w), order, basis.pole, nature, free)
+                kinds, form = law(F, z, F.input(w), order, pole, nature, free)
             else:
                 kinds, form = linear(
-                    F, F.outputs[z], F.input(w), order, basis.pole, scalar=block.is_scalar, real=block.is_real,
+                    F, F.outputs[z], F.input(w), order, pole, scalar=block.is_scalar, real=block.is_real,
                     rate=np.inf if nature is None else nature.rate / size,
                 )  # fmt: skip
             found[block.name] = kinds, form, d**2
@@ -677,14 +594,3 @@ class Problem:
             inputs[w], added = 1 / d, [*added, *[1 / d] * extra]
         units = np.concatenate([units, inputs, added])
         return Inequality(F, units, found, F.outputs[p : p + n_z], F.input(slice(q, q + n_w)))
-
-
-def _proof(basis: Basis, made: Inequality, point: Point, square: float) -> IqcProof:
-    """Return the proof of a point; ``square``: of the unit of the gain."""
-    P, unknowns = square * point.P, square * point.multipliers
-    return IqcProof(made.kinds, basis.pole, basis.order, point.slack, P, unknowns)
-
-
-def holds(claim: Claim) -> bool:
-    """Prove a claim in ball arithmetic, for the given model, with the independent checker."""
-    return check(claim).outcome is Outcome.PROVED

@@ -33,12 +33,16 @@ ASSUMED = "the nominal system is stable: taken for granted, responses at points 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class _Curves(Tabular):
-    """Base of margins with both bounds, and the Delta of the upper one, at each frequency."""
+    """Base of margins with both bounds at each frequency."""
 
-    omega: Array
-    lower_at: Array
-    upper_at: Array
-    delta_at: tuple[Mapping[str, Any], ...]
+    omega: Array  # rad/s, (N,)
+    lower_at: Array  # proved, (N,)
+    upper_at: Array  # attained, (N,)
+    delta_at: tuple[Mapping[str, Any], ...]  # the Delta of ``upper_at``
+    assumed: str = ASSUMED
+
+    def scope(self) -> Facts:
+        return [("holds", _scope(self.omega)), ("assumed", self.assumed)]
 
     def details(self) -> list[Part]:
         return [_rows(self.omega, self.lower_at, self.upper_at)]
@@ -52,21 +56,10 @@ class _Curves(Tabular):
 class MarginAt(_Curves, StabilityMargin):
     """Robust stability margin at given frequencies; its bounds are those where it is smallest.
 
-    Attributes
-    ----------
-    lower, upper, frequency
-        The smallest margin, and where: at ``frequency`` no Delta smaller than ``lower`` makes the loop singular,
-        ``delta``, of size ``upper``, does. Both inf where none can.
-    omega, lower_at, upper_at, delta_at
-        Frequencies in rad/s, (N,), and at each of them the bounds of the margin, (N,), and the Delta found.
-    status
-        CERTIFIED: ``lower_at`` proved at each frequency, ``upper_at`` attained. CONVERGED: proved, not attained
-        everywhere.
-    assumed
-        Assumption of the answer.
+    At ``frequency`` no Delta smaller than ``lower`` makes the loop singular, ``delta``, of size ``upper``, does; both
+    inf where none can. CERTIFIED: ``lower_at`` proved at each frequency, ``upper_at`` attained. CONVERGED: not attained
+    everywhere.
     """
-
-    assumed: str = ASSUMED
 
     @property
     def stable(self) -> bool | None:
@@ -81,8 +74,7 @@ class MarginAt(_Curves, StabilityMargin):
             ("smallest margin", bracket(self.lower, self.upper, ("proved", "attained"))),
             ("critical frequency", number(self.frequency, "rad/s")),
             ("critical member", member(self.delta, {})),
-            ("holds", _scope(self.omega)),
-            ("assumed", self.assumed),
+            *self.scope(),
         ]
 
 
@@ -90,26 +82,17 @@ class MarginAt(_Curves, StabilityMargin):
 class GainAt(Tabular, PeakGain):
     """Largest gain at given frequencies; nothing is claimed between them.
 
-    Attributes
-    ----------
-    lower, upper, delta, nominal
-        At ``frequency``, the one of the largest ``gain_upper``: the largest gain found, the proved bound, the Delta of
-        the former by block name, and the gain of the nominal member.
-    omega, nominal_gain, gain_lower, gain_upper, deltas
-        Frequencies in rad/s, (N,), and at each of them the same numbers; a bound is inf where a Delta of the set may
-        make the loop singular.
-    status
-        CERTIFIED: ``gain_upper`` is finite at each frequency, else INCONCLUSIVE.
+    CERTIFIED: ``gain_upper`` is finite at each frequency, else INCONCLUSIVE.
     """
 
-    frequency: float
-    delta: Mapping[str, Any]
-    nominal: float
-    omega: Array
+    frequency: float  # of the largest ``gain_upper``
+    delta: Mapping[str, Any]  # of ``lower``, by block name
+    nominal: float  # gain of the nominal member there
+    omega: Array  # rad/s, (N,), and at each of them:
     nominal_gain: Array
-    gain_lower: Array
-    gain_upper: Array
-    deltas: tuple[Mapping[str, Any], ...]
+    gain_lower: Array  # the largest gain found
+    gain_upper: Array  # the proved bound, inf where a Delta of the set may make the loop singular
+    deltas: tuple[Mapping[str, Any], ...]  # the Delta of the largest gain found
 
     quantities: ClassVar[Mapping[str, Any]] = {**PeakGain.quantities, "frequency": "rad/s"}
 
@@ -135,20 +118,6 @@ class GainAt(Tabular, PeakGain):
 @dataclass(frozen=True, eq=False)
 class DiskMarginAt(_Curves, DiskBounds):
     """Disk margin of some channels at given frequencies, as `MarginAt`; ``delta_at`` by the name of the loop."""
-
-
-@dataclass(frozen=True, eq=False)
-class DiskMarginsAt(DiskMargins):
-    """Disk margins at given frequencies ``omega``, with the attributes of `DiskMargins`; all are `DiskMarginAt`."""
-
-    omega: Array
-    assumed: str = ASSUMED
-
-    def facts(self) -> Facts:
-        return [*super().facts(), ("holds", _scope(self.omega)), ("assumed", self.assumed)]
-
-    def details(self) -> list[Part]:
-        return [*super().details(), *self.simultaneous.details()]
 
 
 @error_context("robust_stability_at")
@@ -197,7 +166,7 @@ def disk_margin_at(
     skew: float = 0.0,
     sign: Literal[-1, 1] | None = None,
     seed: int = 0,
-) -> DiskMarginsAt:
+) -> DiskMargins:
     """`robustlab.disk_margin` of a loop of models or of data at frequencies."""
     where = "disk_margin_at"
     P = _data(plant, frequency, where)
@@ -222,7 +191,7 @@ def disk_margin_at(
     def bounds(loop: UncertainFrequencyData, names: Sequence[str]) -> DiskMarginAt:
         return DiskMarginAt(**_bounds_at(loop.omega, loop.M, [ComplexScalar(name) for name in names], seed), skew=skew)
 
-    return DiskMarginsAt.of(opened, loop, bounds, omega=P.omega)
+    return DiskMargins.of(opened, loop, bounds)
 
 
 def _data(system: Any, frequency: ArrayLike | None, where: str) -> UncertainFrequencyData:

@@ -64,31 +64,17 @@ class PhaseCrossing(AllFields, Displayable):
 class ClassicalMargin(Displayable):
     """Margins of one loop, the others closed; None of an unstable one.
 
-    Attributes
-    ----------
-    stable
-        Whether the closed loop is stable as it is.
-    gain_margin
-        Ends of the positive factors of gain about 1 that leave it stable: 0 and inf where nothing is crossed.
-    phase_margin, delay_margin
-        Least change of phase in rad, either way, and least delay in s that destabilise; inf where ``|L|`` never is 1.
-        A continuous loop with a direct term of 1 or larger has the delay margin 0.
-    gain_crossings, phase_crossings
-        All of them, by rising frequency.
-    status
-        CONVERGED: all crossings, to the last digits; of loops with delays those found on a grid.
-    reason
-        That the closed loop is unstable, with the modes no feedback changes; else empty.
+    CONVERGED: all crossings, to the last digits; of loops with delays those found on a grid.
     """
 
-    stable: bool
-    gain_margin: tuple[float, float] | None
-    phase_margin: float | None
-    delay_margin: float | None
-    gain_crossings: tuple[GainCrossing, ...]
+    stable: bool  # the closed loop as it is
+    gain_margin: tuple[float, float] | None  # factors about 1 that leave it stable: 0 and inf where nothing is crossed
+    phase_margin: float | None  # least change in rad, either way, that destabilises; inf where |L| never is 1
+    delay_margin: float | None  # least delay in s that does; 0 of a continuous loop with a direct term of 1 or larger
+    gain_crossings: tuple[GainCrossing, ...]  # by rising frequency
     phase_crossings: tuple[PhaseCrossing, ...]
     status: Status
-    reason: str = ""
+    reason: str = ""  # that the closed loop is unstable, with the modes no feedback changes
 
     def facts(self) -> Facts:
         met, negative = ([number(c.frequency) for c in those] for those in (self.gain_crossings, self.phase_crossings))
@@ -125,24 +111,12 @@ class ClassicalMargin(Displayable):
 
 @dataclass(frozen=True, eq=False)
 class ClassicalMargins(Displayable):
-    """Margins of each loop, one at a time, and where the loops were opened.
+    """Margins of each loop, one at a time, and where the loops were opened."""
 
-    Attributes
-    ----------
-    channels
-        `ClassicalMargin` by the name of the plant's signal.
-    at
-        Where the loops were opened: at the plant's "output", "input" or "both".
-    status
-        The least of the channels'.
-    loop
-        The law that closes the loop, and its source.
-    """
-
-    channels: Mapping[str, ClassicalMargin]
+    channels: Mapping[str, ClassicalMargin]  # by the name of the plant's signal
     at: Place
     status: Status
-    loop: str = ""
+    loop: str = ""  # the law that closes the loop, and its source
 
     # None, all but `stable`, where the closed loop is unstable.
     quantities: ClassVar[Mapping[str, Any]] = {

@@ -98,25 +98,14 @@ def proof_below(
 class DelayStability(StabilityMargin):
     """Whether a model with exact delays is stable, and the evidence.
 
-    Attributes
-    ----------
-    lower, upper
-        Nothing is uncertain: both inf where the model is stable, both 0 where it is not, 0 and inf where neither could
-        be shown.
-    status
-        CERTIFIED: proved on the whole frequency axis, in floating point. INCONCLUSIVE: not decided up to the highest
-        order.
-    order
-        Order of Padé's approximations in the set of the proof, or the last one that was tried; 0 where the result holds
-        for all delays.
-    root
-        The rightmost pole of that set's nominal model, in 1/s: near a root of the model where the order is not 0; or
-        the unstable pole of a part without delays in its loops.
-    system, proof
-        The model and the scalings, for `robustlab.verify`.
+    Nothing is uncertain: both bounds are inf where the model is stable, 0 where it is not, 0 and inf where neither was
+    shown. CERTIFIED: proved on the whole frequency axis, in floating point. INCONCLUSIVE: not decided up to the highest
+    order.
     """
 
-    order: int
+    order: int  # of Padé's approximations in the set of the proof, or the last one tried; 0: it holds for all delays
+    # The rightmost pole of that set's nominal model, in 1/s: near a root of the model where the order is not 0; or the
+    # unstable pole of a part without delays in its loops.
     root: complex | None
     proof: DelayProof | None = None
     system: DelayedModel | None = None
@@ -193,26 +182,14 @@ def _undelayed_pole(g: DelayedModel) -> complex | None:
 class DelayGain(PeakGain):
     """Bounds of the largest gain over frequency of a model with exact delays.
 
-    Attributes
-    ----------
-    lower, upper
-        ``lower <= gain <= upper``: the exact gain at ``frequency``, and a bound that is proved on the whole axis; inf
-        where none was. Both inf where the model is proved not to be stable.
-    frequency
-        In rad/s.
-    stability
-        Stability of the model, without which no gain is proved.
-    status
-        CERTIFIED where the bounds are within the tolerance, INACCURATE where they are not, INCONCLUSIVE without an
-        upper one.
-    system, proof
-        The model and the scalings, for `robustlab.verify`.
+    ``lower`` is the exact gain at ``frequency``; ``upper`` is proved on the whole axis. CERTIFIED where the bounds are
+    within the tolerance, INACCURATE where they are not, INCONCLUSIVE without an upper one.
     """
 
     frequency: float
     unstable: ClassVar[str] = "infinite: the model is not stable"
 
-    stability: DelayStability
+    stability: DelayStability  # without it no gain is proved
     system: DelayedModel | None = None
     proof: DelayProof | None = None
 

@@ -39,25 +39,14 @@ AT: Mapping[Place, str] = {
 
 @dataclass(frozen=True, eq=False)
 class DiskBounds(Bracket):
-    """Bounds of a disk margin, and the guarantees of the lower one.
+    """Bounds of a disk margin, and the guarantees of the lower one, which is proved: on the axis, or at frequencies.
 
-    Attributes
-    ----------
-    lower, upper
-        ``lower <= margin <= upper``; ``lower`` is proved: over the whole axis, or at the given frequencies.
-    frequency
-        Where ``upper`` is attained, rad/s; None where nothing destabilises.
-    skew
-        sigma.
-    delta
-        Values that attain ``upper``, by the name of the loop or block; empty where nothing destabilises.
-    notes
-        Remarks for the reader of a report.
+    ``frequency``: where ``upper`` is attained, rad/s; None where nothing destabilises.
     """
 
-    skew: float
-    delta: Mapping[str, Any]
-    notes: tuple[str, ...]
+    skew: float  # sigma
+    delta: Mapping[str, Any]  # attains ``upper``, by the name of the loop or block; empty where nothing destabilises
+    notes: tuple[str, ...]  # for the reader of a report
 
     quantities: ClassVar[Mapping[str, Any]] = {
         "lower": "1", "upper": "1", "frequency": "rad/s", "phase_margin": "rad",
@@ -84,7 +73,11 @@ class DiskBounds(Bracket):
         return f"disk margin of at least {number(self.lower)}: {allowed}"
 
     def facts(self) -> Facts:
-        return [*self._bounds(), *(("note", note) for note in self.notes)]
+        return [*self._bounds(), *self.scope()]
+
+    def scope(self) -> Facts:
+        """Return for what the bounds hold, and the notes."""
+        return [("note", note) for note in self.notes]
 
     def _bounds(self) -> Facts:
         low, high = self.gain_margin
@@ -103,69 +96,51 @@ class DiskBounds(Bracket):
 
 @dataclass(frozen=True, eq=False)
 class DiskMargin(DiskBounds):
-    """Margin for disks of equal size in some loops at once, with the attributes of `DiskBounds`.
+    """Margin for disks of equal size in some loops at once: stable for all ``|delta| < lower``, not for ``delta``.
 
-    Attributes
-    ----------
-    lower, upper
-        Stable for all ``|delta| < lower``, not for the ``delta``, whose largest modulus is ``upper``. Both inf where
-        nothing destabilises.
-    factor
-        The critical factors f by the name of the loop; inf where f is infinite.
-    perturbation
-        Models of the critical factors: stable (of first order, second at most, per loop) where ``(1 + sigma) |delta| <
-        2``. Empty where a factor is infinite, or where only complex numbers at frequency zero are critical.
-    status
-        CERTIFIED where ``lower`` is proved; TIMEOUT where the time limit ended the proof.
-    system, proof
-        The loop at the deltas of its factors, and with exact delays the scalings, for `robustlab.verify`.
+    Both bounds are inf where nothing destabilises. CERTIFIED where ``lower`` is proved; TIMEOUT where the time limit
+    ended the proof.
     """
 
-    factor: Mapping[str, complex]
+    factor: Mapping[str, complex]  # the critical factors f by the name of the loop; inf where f is infinite
+    # Models of these: stable (of first order, second at most, per loop) where (1 + sigma) |delta| < 2. Empty where a
+    # factor is infinite, or where only complex numbers at frequency zero are critical.
     perturbation: Mapping[str, StateSpaceModel]
-    system: Any = None
-    proof: Any = None
+    system: Any = None  # the loop at the deltas of its factors, for `robustlab.verify`
+    proof: Any = None  # with exact delays the scalings
 
     unsaved: ClassVar[tuple[str, ...]] = ("system", "proof")
+
+    def details(self) -> list[Part]:
+        rows = [(name, _polar(factor)) for name, factor in self.factor.items()]
+        return [Part(f"worst factors at {number(self.frequency, 'rad/s', 6)}:", ("loop", "factor"), rows)]
 
 
 @dataclass(frozen=True, eq=False)
 class DiskMargins(DiskBounds):
     """Disk margins of a loop of any type; the attributes of `DiskBounds` are those of all loops at once.
 
-    Attributes
-    ----------
-    simultaneous
-        Margin with all channels changed independently at once, with its evidence.
-    channels
-        Margin of each channel with the others unchanged, by name; empty where only all at once were requested.
-    at
-        ``"input"``, ``"output"`` or ``"both"``: where the factors are.
-    loop
-        The law that closes the loop, and its source.
-    status
-        CERTIFIED where all are, else the first that is not.
+    CERTIFIED where all are, else the first status that is not.
     """
 
-    simultaneous: DiskBounds
-    channels: Mapping[str, DiskBounds]
-    at: Place
-    loop: str
+    simultaneous: DiskBounds  # all channels changed independently at once, with its evidence
+    channels: Mapping[str, DiskBounds]  # each channel with the others unchanged, by name
+    at: Place  # of the factors
+    loop: str  # the law that closes the loop, and its source
 
     @classmethod
-    def of(cls, opened: Opened, loop: Any, bounds: Callable[[Any, Sequence[str]], DiskBounds], **evidence: Any) -> Self:
+    def of(cls, opened: Opened, loop: Any, bounds: Callable[[Any, Sequence[str]], DiskBounds]) -> Self:
         """Return the margins of a closed loop at the places where it was opened; ``bounds``: of named channels."""
         names = opened.names
         channels = {name: bounds(loop[i, i], [name]) for i, name in enumerate(names)}
         whole = channels[names[0]] if len(names) == 1 else bounds(loop, names)
         shared = {f.name: getattr(whole, f.name) for f in fields(DiskBounds)}
-        shared["status"] = next(
-            (m.status for m in (*channels.values(), whole) if m.status is not Status.CERTIFIED), Status.CERTIFIED
-        )
-        return cls(**shared, simultaneous=whole, channels=channels, at=opened.at, loop=opened.said, **evidence)
+        doubtful = [m.status for m in (*channels.values(), whole) if m.status is not Status.CERTIFIED]
+        shared["status"] = doubtful[0] if doubtful else Status.CERTIFIED
+        return cls(**shared, simultaneous=whole, channels=channels, at=opened.at, loop=opened.said)
 
     def facts(self) -> Facts:
-        return [("loop", self.loop), ("at", AT[self.at]), *self._bounds(), *(("note", note) for note in self.notes)]
+        return [("loop", self.loop), ("at", AT[self.at]), *self._bounds(), *self.simultaneous.scope()]
 
     def details(self) -> list[Part]:
         every = dict(self.channels)
@@ -173,9 +148,7 @@ class DiskMargins(DiskBounds):
             every["all at once"] = self.simultaneous
         rows = [_row(name, margin) for name, margin in every.items()]
         parts = [Part("", ("loop", "disk margin", "gain", "phase", "critical at", "status"), rows)]
-        factors: Mapping[str, complex] = getattr(self.simultaneous, "factor", {})
-        worst = [(name, _polar(factor)) for name, factor in factors.items()]
-        return [*parts, Part(f"worst factors at {number(self.frequency, 'rad/s', 6)}:", ("loop", "factor"), worst)]
+        return [*parts, *self.simultaneous.details()]
 
 
 def in_decibels(low: float, high: float) -> str:
