@@ -52,14 +52,14 @@ def hinf(
 
     .. math:: \min_K \|F_l(P, K)\|_\infty, \qquad F_l(P, K) = P_{11} + P_{12} K (I - P_{22} K)^{-1} P_{21}
 
-    Two Riccati equations (Glover, Doyle; general D11, D22) on a regularised plant in two scalings. Nothing is assumed
-    about the ranks of D12 and D21 or about zeros on the axis; every controller is verified on P as given, and gamma is
-    the verified norm of the loop rebuilt from the returned K.
-    A discrete P is mapped by the bilinear rule and verified in discrete time.
+    Two Riccati equations (Glover, Doyle 1988; general D11, D22) on a regularised plant in two scalings. Nothing is
+    assumed about the ranks of D12 and D21 or about zeros on the axis; every controller is verified on P as given, and
+    gamma is the verified norm of the loop rebuilt from the returned K. A discrete P is mapped by the bilinear rule and
+    verified in discrete time. Zhou, Doyle, Glover 1996, chapters 16 and 17.
 
     The controller ``u = K(rho) y`` of a scheduled plant (`LPVModel`) is scheduled by the same measured parameters and
     does not need their rates; gamma bounds the induced gain over all their trajectories, by a quadratic Lyapunov
-    function:
+    function (Apkarian, Gahinet, Becker 1995; Wu, Yang, Packard, Becker 1996):
 
     .. math:: \min_{K(\cdot)} \; \sup_{\rho(\cdot)} \sup_{w \ne 0} \|z\|_2 / \|w\|_2
 
@@ -93,11 +93,6 @@ def hinf(
         Numbers of channels that P does not have, ``gamma_rel`` below 1, an option that P's type does not have. A mode
         that no controller can stabilise (named), or no controller could be verified; the LMIs of an LPV model have no
         solution.
-
-    References
-    ----------
-    Glover, Doyle 1988; Doyle, Glover, Khargonekar, Francis 1989; Zhou, Doyle, Glover 1996, chapters 16 and 17;
-    Gahinet, Apkarian 1994. Scheduled: Apkarian, Gahinet, Becker 1995; Wu, Yang, Packard, Becker 1996.
 
     Examples
     --------
@@ -143,7 +138,8 @@ def gap(P1: Any, P2: Any) -> GapMetric:
     .. math:: \vec\delta(P_1, P_2) = \inf_{Q \in H_\infty} \| G_1 - G_2 Q \|_\infty, \qquad
        \delta = \max(\vec\delta(P_1, P_2), \vec\delta(P_2, P_1)),
 
-    which `hinf` solves and proves, since Q is the controller of a stable plant.
+    which `hinf` solves and proves, since Q is the controller of a stable plant (Georgiou, "On the computation of the
+    gap metric", Systems & Control Letters 11, 1988).
 
     Parameters
     ----------
@@ -159,10 +155,6 @@ def gap(P1: Any, P2: Any) -> GapMetric:
     ------
     InputError, NoTrustworthyNumber
         As for `nu_gap`.
-
-    References
-    ----------
-    Georgiou, "On the computation of the gap metric", Systems & Control Letters 11 (1988).
 
     Examples
     --------

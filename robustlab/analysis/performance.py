@@ -16,7 +16,6 @@ from robustlab.analysis.questions import peak_gain
 from robustlab.display import Displayable, Facts, Part, bracket, member, number
 from robustlab.errors import InputError, error_context
 from robustlab.mu_analysis import Margin, WorstCaseGain, robust_performance, worst_case_gain
-from robustlab.mu_analysis.axis.margin import delta_rows
 from robustlab.norms import PeakGain
 from robustlab.result import Bracket, Status, least_trusted
 from robustlab.statespace import StateSpaceModel
@@ -60,10 +59,6 @@ class RobustGain(Bracket):
             ("critical member", member(self.delta, self.physical)),
             ("critical frequency", number(self.frequency, "rad/s")),
         ]
-
-    def details(self) -> list[Part]:
-        rows = delta_rows(self.delta, self.physical)
-        return [Part("member that reaches it:", ("block", "delta", "parameter"), rows)]
 
 
 @error_context("robust_gain")
@@ -168,8 +163,7 @@ class Performance(NamedTuple):
             "order": self.order, "nominal_gain": self.nominal_gain, "mu_lower": inverse(self.margin.upper),
             "mu_upper": inverse(self.margin.lower), "frequency": self.margin.frequency,
         }  # fmt: skip
-        worst = {} if self.gain is None else {"gain_lower": self.gain.lower, "gain_upper": self.gain.upper}
-        return found | worst
+        return found if self.gain is None else found | {"gain_lower": self.gain.lower, "gain_upper": self.gain.upper}
 
 
 @dataclass(frozen=True, eq=False)

@@ -143,6 +143,9 @@ def peak_gain(
        \sup_{\Delta} \sup_{u \ne 0} \frac{\|y\|_2}{\|u\|_2} \quad
        \text{where the system is uncertain, varies with time or is not linear}
 
+    Boyd, Balakrishnan 1990; Fan, Tits 1992; Packard, Balas, Liu, Shin 2000; Megretski, Rantzer 1997; Wu, Yang, Packard,
+    Becker 1996.
+
     Parameters
     ----------
     system
@@ -181,11 +184,6 @@ def peak_gain(
     InputError, NoTrustworthyNumber
         An option that this kind of system does not have, a value out of range, no such signal or block. The nominal
         model of a set is unstable, or a pole is at a frequency.
-
-    References
-    ----------
-    Boyd, Balakrishnan 1990; Fan, Tits 1992; Packard, Balas, Liu, Shin 2000; Megretski, Rantzer 1997; Wu, Yang, Packard,
-    Becker 1996.
 
     Examples
     --------
@@ -248,7 +246,8 @@ def robust_stability(
 
     Of an uncertain model ``lower`` is proved on the whole axis, in floating point with a slack of 5e-6 in mu; ``upper``
     is attained by the member ``delta``, which has a pole on the stability boundary. A range that is wider on one side
-    grows in proportion on both. With exact delays: whether the system is stable, by a set that holds it.
+    grows in proportion on both. With exact delays: whether the system is stable, by a set that holds it. Doyle 1982;
+    Sideris 1992; Newlin, Young 1997; Megretski, Rantzer 1997; Zhou, Doyle, Glover 1996, chapter 11.
 
     Parameters
     ----------
@@ -277,11 +276,6 @@ def robust_stability(
     InputError, NoTrustworthyNumber
         No uncertainty at frequencies, no such block, an option that this kind of system does not have. The nominal
         model is unstable; a pole is at a given frequency.
-
-    References
-    ----------
-    Doyle 1982; Sideris 1992; Newlin, Young 1997; Megretski, Rantzer 1997; Michiels, Niculescu 2014; Zhou, Doyle, Glover
-    1996, chapter 11.
 
     Examples
     --------
@@ -316,7 +310,8 @@ def disk_margin(
 
     .. math:: \alpha = 1 / \sup_\omega \mu\left( S(j\omega) + \tfrac{\sigma - 1}{2} I \right), \qquad S = (I + L)^{-1}
 
-    Each loop is multiplied by a complex factor of the disk
+    Each loop is multiplied by a complex factor of the disk (Seiler, Packard, Gahinet, "An introduction to disk
+    margins", IEEE Control Systems Magazine 40, 2020, equations 9-17)
 
     .. math:: f = \frac{1 + \frac{1 - \sigma}{2} \delta}{1 - \frac{1 + \sigma}{2} \delta}, \qquad |\delta| < \alpha .
 
@@ -347,11 +342,6 @@ def disk_margin(
         Sizes, names or sample times that do not fit; a sign that contradicts the controller; an option that this kind
         of loop does not have. The nominal loop is unstable, or not proved stable; a pole is at a given frequency.
 
-    References
-    ----------
-    Seiler, Packard, Gahinet, "An introduction to disk margins", IEEE Control Systems Magazine 40 (2020), equations
-    9-17.
-
     Examples
     --------
     >>> import robustlab as rl
@@ -379,7 +369,8 @@ def classical_margins(
     .. math:: |L(j\omega)| = 1, \qquad L(j\omega) < 0
 
     Each loop is opened alone, with the others closed. Crossings are computed in whole numbers from the matrices as
-    given, without a grid; with delays they are found on a grid that is dense for the poles and the delays.
+    given, without a grid; with delays they are found on a grid that is dense for the poles and the delays. Skogestad,
+    Postlethwaite, *Multivariable Feedback Control*, section 2.4.
 
     Parameters
     ----------
@@ -399,10 +390,6 @@ def classical_margins(
     InputError, NoTrustworthyNumber
         As `disk_margin`; an uncertain plant, a loop whose gain is 1 at every frequency, more than 200 states; with
         delays a loop whose falling gain could not be shown.
-
-    References
-    ----------
-    Skogestad, Postlethwaite, *Multivariable Feedback Control*, section 2.4.
 
     Examples
     --------

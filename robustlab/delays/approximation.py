@@ -112,9 +112,6 @@ def checked_order(order: int, where: str, least: int = 0) -> int:
     return order
 
 
-# --- weight of the error ----------------------------------------------------------------------------------------------
-
-
 class ErrorWeight(NamedTuple):
     r"""A high-pass above the error for a delay of 1 s: :math:`|W|^2 = \frac{g^2 x^{2k} + r^2 a^{2k} x^2}{x^{2k} +
     a^{2k}}`, of slope r for the spread of the delay, and k above.

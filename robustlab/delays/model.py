@@ -150,8 +150,6 @@ class DelayedModel(TransferMatrix, Displayable, Traced):
     dt: ClassVar[float] = 0.0  # continuous time
     is_discrete: ClassVar[bool] = False
 
-    # --- behaviour ---------------------------------------------------------------------------------------------------
-
     def response_at(self, omega: ArrayLike) -> ComplexArray:
         """Exact frequency response, shape (n_omega, n_y, n_u). States and delays are solved for together, so that poles
         of open-loop parts, such as integrators, are no poles here.
@@ -233,8 +231,6 @@ class DelayedModel(TransferMatrix, Displayable, Traced):
         u, y = 2 * n + n_u, 2 * n + n_y  # z of H enters the parts, their outputs w of H
         wiring = Wiring(ones(u, y, (0, n, n), (n, 0, n)), ones(u, n_u, (2 * n, 0, n_u)), ones(n_y, y, (0, 2 * n, n_y)))
         return interconnected([*parts, as_uncertain(self.H)], wiring, self.inputs, self.outputs, where)
-
-    # --- parts and algebra, computed on sets with a repeated block for each length of delay --------------------------
 
     operator_rank = 2  # a delayed model and a model make a delayed model
     for_control = "G.pade(3).to_control() is G as a control.StateSpace, its delays approximated to order 3"
@@ -538,13 +534,15 @@ def _shifts(delays: list[tuple[float, float]], dt: float) -> StateSpaceModel:
 
 def delayed_response(model: DelayedModel, t: Array, u: Array, x0: Array, hold: Hold, rtol: float) -> Array:
     """Return the outputs (n, n_y) at the times t for samples u (n, n_u), from the state x0 of H, with empty delays."""
-    inside = _inside(model)
-    mesh = _mesh(model, t, inside)
-    if not inside.any():
-        return _run(model, t, u, x0, hold, mesh, 1)[0]
-    mesh, resolved, y = _cut(mesh, float(model.delays[_moving(model)].min())), False, np.zeros((len(t), 0))
+    H, n = model.H, len(model.delays)
+    moving = np.vstack([H.B, H.D[:n]])[:, :n].any(axis=0)  # the delays whose output enters a state or another delay
+    inner = (moving & np.hstack([H.C[:n], H.D[:n, :n]]).any(axis=1)).any()  # some signal in them is no polynomial
+    mesh = _mesh(model, t, moving, PASSES if inner else 1)
+    if not inner:
+        return _run(model, t, u, x0, hold, mesh, 1, moving)[0]
+    mesh, resolved, y = _cut(mesh, float(model.delays[moving].min())), False, np.zeros((len(t), 0))
     for _ in range(REFINEMENTS):
-        last, (y, tail) = y, _run(model, t, u, x0, hold, mesh, DEGREE)
+        last, (y, tail) = y, _run(model, t, u, x0, hold, mesh, DEGREE, moving)
         if not np.isfinite(y).all():
             return y
         # Where all cells were resolved, halving each must not have changed the response.
@@ -565,34 +563,19 @@ def _limited(cells: int) -> None:
         raise NoTrustworthyNumber("simulate", f"{cells} cells for the delays", f"at most {MOST_CELLS}", hint)
 
 
-def _moving(model: DelayedModel) -> Indices:
-    """Return the delays whose output enters a state or another delay."""
-    n = len(model.delays)
-    return np.flatnonzero(np.vstack([model.H.B, model.H.D[:n]])[:, :n].any(axis=0))
-
-
-def _inside(model: DelayedModel) -> Mask:
-    """Return which delays pass a signal that is no polynomial on to states or other delays, shape (n,)."""
-    n = len(model.delays)
-    found = np.zeros(n, dtype=bool)
-    found[_moving(model)] = True
-    return found & np.hstack([model.H.C[:n], model.H.D[:n, :n]]).any(axis=1)
-
-
-def _mesh(model: DelayedModel, t: Array, inside: Mask) -> Array:
+def _mesh(model: DelayedModel, t: Array, moving: Mask, most: int) -> Array:
     """Return all samples, their delayed times, and for each sample the earlier times of delayed outputs."""
-    moving, end = _moving(model), t[-1]
+    end, n, later = t[-1], len(moving), np.unique(model.delays[moving])
     points = new = t
-    echoes = bool(model.H.D[moving][:, moving].any())  # jumps that no state smooths recur without end
+    echoes = bool(model.H.D[:n, :n][np.ix_(moving, moving)].any())  # jumps that no state smooths recur without end
     passes = 0
-    while len(new) and (passes < (PASSES if inside.any() else 1) or echoes):
+    while len(new) and (passes < most or echoes):
         passes += 1
-        new = _merged(np.concatenate([[], *(new + tau for tau in np.unique(model.delays[moving]))]), t)
+        new = _merged(np.concatenate([[], *(new + tau for tau in later)]), t)
         new = new[new < end]
         points = _merged(np.concatenate([points, new]), t)
         _limited(len(points))
-    outer = np.setdiff1d(np.arange(len(model.delays)), moving)
-    earlier = np.concatenate([points, *(t - tau for tau in np.unique(model.delays[outer]))])
+    earlier = np.concatenate([points, *(t - tau for tau in np.unique(model.delays[~moving]))])
     return _merged(earlier[earlier >= t[0]], t)
 
 
@@ -613,7 +596,7 @@ def _cut(points: Array, longest: float) -> Array:
 
 
 def _run(
-    model: DelayedModel, t: Array, u: Array, x0: Array, hold: Hold, mesh: Array, degree: int
+    model: DelayedModel, t: Array, u: Array, x0: Array, hold: Hold, mesh: Array, degree: int, moving: Mask
 ) -> tuple[Array, Array]:
     """Return the outputs just after each sample, and of each cell the last coefficients of the signals in its delays.
 
@@ -622,7 +605,7 @@ def _run(
     H, n, cells = model.H, len(model.delays), len(mesh) - 1
     C1, D11, D12 = H.C[:n], H.D[:n, :n], H.D[:n, n:]
     nodes = 0.5 - 0.5 * np.cos(np.pi * np.arange(degree + 1) / degree)
-    series = np.linalg.inv(_chebyshev(nodes, degree))  # coefficients from values at the nodes
+    coefficients = np.linalg.inv(_chebyshev(nodes, degree))  # from values at the nodes
     steps, middle = np.diff(mesh), 0.5 * (mesh[:-1] + mesh[1:])
     times = mesh[:-1, None] + steps[:, None] * nodes
 
@@ -637,7 +620,7 @@ def _run(
         source = np.searchsorted(mesh, inner, side="right") - 1
         known = np.clip(source, 0, cells - 1)
         place = np.clip((back - mesh[known]) / steps[known], 0.0, 1.0)
-        return np.where(source < 0, -1, known), _chebyshev(place, degree) @ series
+        return np.where(source < 0, -1, known), _chebyshev(place, degree) @ coefficients
 
     source, weights = delayed(times, middle)
     maps, kind = _maps(H.A, H.B, steps, nodes, float(np.abs(mesh).max()))
@@ -656,9 +639,9 @@ def _run(
     came[-1, 0] = np.einsum("jil,jil->ji", held[last[0], :, each], weights[0])
     at = np.searchsorted(mesh, t)
     y = states[at] @ H.C[n:].T + came[at, 0] @ H.D[n:, :n].T + u @ H.D[n:, n:].T
-    signals = np.concatenate([held[:-1], came[:-1, :, _moving(model)]], axis=2)
+    signals = np.concatenate([held[:-1], came[:-1, :, moving]], axis=2)
     size = np.abs(signals).max(axis=(0, 1), initial=0.0)
-    tail = np.abs(np.einsum("kj,cji->cki", series[-2:], signals)).max(axis=1, initial=0.0)
+    tail = np.abs(np.einsum("kj,cji->cki", coefficients[-2:], signals)).max(axis=1, initial=0.0)
     return y, (tail / np.where(size > 0, size, 1.0)).max(axis=1, initial=0.0)
 
 

@@ -50,7 +50,6 @@ BACK_OFFS = (1e-5, 1e-4, 1e-3, 1e-2, 5e-2, 0.2)  # relative increases of the lea
 MEMBERS = 64  # linear members at the ends of all ranges that bound the gain from below
 STATES = 60  # largest number of states of the model with its filters
 MOST_ORDER = 8
-
 CLOSE = 1e-3  # relative distance of a margin from a size not proved, of a gain from one attained
 NEAR = 0.05  # the same distance, below which only the best basis so far is tried
 LEAST, LARGEST = 1e-3, 64.0  # sizes of the set between which a margin is searched
@@ -219,9 +218,8 @@ def iqc_stability(
             else:
                 low, proof = size, found
             size = 2 * low if math.isinf(high) else 0.5 * (low + high)
-    given = problem.posed
-    words, status = given.words, _status(low > 0, budget)
-    return IqcStability(low, math.inf, None, status, {}, (), words, given.conditions, proof, posed=given)
+    given, status = problem.posed, _status(low > 0, budget)
+    return IqcStability(low, math.inf, None, status, {}, (), given.words, given.conditions, proof, posed=given)
 
 
 # --- effects of a plant -----------------------------------------------------------------------------------------------
@@ -303,9 +301,7 @@ def _natures(
 def claim_of(posed: Posed, proof: IqcProof, *, gamma: float | None = None, size: float = 1.0) -> Claim:
     """Return the claim that the gain is at most ``gamma``, or without one that the set times ``size`` is stable."""
     M, blocks, natures = posed.model, posed.blocks, posed.natures
-    q, p = (
-        (M.n_inputs, M.n_outputs) if gamma is not None else (sum(b.rows for b in blocks), sum(b.cols for b in blocks))
-    )
+    q, p = UncertainModel(M, blocks).delta_shape if gamma is None else (M.n_inputs, M.n_outputs)
     level = {"size": np.array(size)} if gamma is None else {"gamma": np.array(gamma)}
     rows = [(0 if b.interval else 1 if b.is_scalar else 2, b.rows, b.cols) for b in blocks]
     slopes = [(n.slope or (0.0, 0.0)) if isinstance(n, Nonlinearity) else (0.0, 0.0) for n in natures]
@@ -454,8 +450,7 @@ class Problem:
                 where, f"unstable with all blocks at their middles (pole {worst.real:.6g}{worst.imag:+.6g}j)",
                 "a stable model there", "no proof holds for a class with an unstable member: take narrower ranges",
             )  # fmt: skip
-        self.n_w, self.n_z = M.n_inputs - self.q, M.n_outputs - self.p
-        self.natures: list[Nature | None] = []
+        self.n_w, self.n_z, self.natures = M.n_inputs - self.q, M.n_outputs - self.p, list[Nature | None]()
         for block, nature, m, h, (_, z) in zip(posed.blocks, posed.natures, middle, half, slices, strict=True):
             if isinstance(nature, Nonlinearity):
                 if nature.slope is None and M.D[z, : self.q].any():

@@ -33,19 +33,20 @@ ASSUMED = "the nominal system is stable: taken for granted, responses at points 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class _Curves(Tabular):
-    """Base of margins with both bounds at each frequency."""
+    """Base of results with both bounds at each frequency."""
 
     omega: Array  # rad/s, (N,)
-    lower_at: Array  # proved, (N,)
-    upper_at: Array  # attained, (N,)
-    delta_at: tuple[Mapping[str, Any], ...]  # the Delta of ``upper_at``
+    lower_at: Array  # (N,)
+    upper_at: Array  # (N,)
+    delta_at: tuple[Mapping[str, Any], ...]  # the Delta of the bound that is attained
     assumed: str = ASSUMED
 
     def scope(self) -> Facts:
         return [("holds", _scope(self.omega)), ("assumed", self.assumed)]
 
     def details(self) -> list[Part]:
-        return [_rows(self.omega, self.lower_at, self.upper_at)]
+        columns = zip(self.omega, self.lower_at, self.upper_at, strict=True)
+        return [Part("", ("rad/s", "at least", "at most"), [tuple(f"{x:.6g}" for x in row) for row in columns])]
 
     def table(self) -> Table:
         """Both bounds over frequency."""
@@ -79,40 +80,21 @@ class MarginAt(_Curves, StabilityMargin):
 
 
 @dataclass(frozen=True, eq=False)
-class GainAt(Tabular, PeakGain):
-    """Largest gain at given frequencies; nothing is claimed between them.
+class GainAt(_Curves, PeakGain):
+    """Largest gain at given frequencies, where ``upper_at`` is proved and ``lower_at`` attained by ``delta_at``.
 
-    CERTIFIED: ``gain_upper`` is finite at each frequency, else INCONCLUSIVE.
+    Its bounds are those where ``upper_at`` is largest; that is inf where a Delta of the set may make the loop singular.
+    CERTIFIED: it is finite at each frequency, else INCONCLUSIVE.
     """
 
-    frequency: float  # of the largest ``gain_upper``
+    frequency: float
     delta: Mapping[str, Any]  # of ``lower``, by block name
     nominal: float  # gain of the nominal member there
-    omega: Array  # rad/s, (N,), and at each of them:
-    nominal_gain: Array
-    gain_lower: Array  # the largest gain found
-    gain_upper: Array  # the proved bound, inf where a Delta of the set may make the loop singular
-    deltas: tuple[Mapping[str, Any], ...]  # the Delta of the largest gain found
 
     quantities: ClassVar[Mapping[str, Any]] = {**PeakGain.quantities, "frequency": "rad/s"}
 
     def evidence(self) -> Facts:
-        return [
-            ("nominal there", number(self.nominal)),
-            ("Delta", member(self.delta, {})),
-            ("scope", _scope(self.omega)),
-        ]
-
-    def details(self) -> list[Part]:
-        return [_rows(self.omega, self.gain_lower, self.gain_upper)]
-
-    def table(self) -> Table:
-        """Nominal gain and both bounds over frequency."""
-        columns = {"nominal": self.nominal_gain, "lower": self.gain_lower, "upper": self.gain_upper}
-        return Table(("omega", self.omega), columns, {"omega": "rad/s"})
-
-    def to_json(self) -> dict[str, Any]:
-        return {**super().to_json(), "assumed": ASSUMED}
+        return [("nominal there", number(self.nominal)), ("Delta", member(self.delta)), ("scope", _scope(self.omega))]
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,13 +128,13 @@ def worst_case_gain_at(system: Any, frequency: ArrayLike | None = None, *, seed:
         text = f"a gain of {lower[k]:.9g} above the proved {upper[k]:.9g} at {data.omega[k]:g} rad/s: digits were lost"
         raise NoTrustworthyNumber("worst_case_gain_at", text)
     deltas = tuple({} if g is None else delta_values(data.blocks, g.delta) for g in found)
-    nominal = np.linalg.norm(data.nominal, 2, axis=(1, 2))
-    status = Status.CERTIFIED if np.isfinite(upper).all() else Status.INCONCLUSIVE
     lower, k = np.minimum(lower, upper), int(np.argmax(upper))
-    peak = float(lower[k]), float(upper[k]), float(data.omega[k])
     return GainAt(
-        *peak, status, deltas[k], float(nominal[k]), data.omega, nominal, lower, upper, deltas, conditions=(ASSUMED,)
-    )
+        float(lower[k]), float(upper[k]), float(data.omega[k]),
+        Status.CERTIFIED if np.isfinite(upper).all() else Status.INCONCLUSIVE, deltas[k],
+        float(np.linalg.norm(data.nominal[k], 2)), conditions=(ASSUMED,), omega=data.omega, lower_at=lower,
+        upper_at=upper, delta_at=deltas,
+    )  # fmt: skip
 
 
 @error_context("disk_margin_at")
@@ -223,11 +205,6 @@ def _bounds_at(omega: Array, M: ComplexArray, blocks: Sequence[Any], seed: int) 
         "lower": float(lower[k]), "upper": float(upper[k]), "frequency": float(omega[k]), "status": found.status,
         "delta": delta[k], "notes": (), "omega": omega, "lower_at": lower, "upper_at": upper, "delta_at": delta,
     }  # fmt: skip
-
-
-def _rows(*columns: Array) -> Part:
-    rows = [tuple(f"{value:.6g}" for value in row) for row in zip(*columns, strict=True)]
-    return Part("", ("rad/s", "at least", "at most"), rows)
 
 
 def _scope(omega: Array) -> str:

@@ -212,8 +212,6 @@ def _margin(L: LoopFraction, unstable: str, name: str) -> ClassicalMargin:
     return ClassicalMargin.of(not unstable, gain, phase, unstable, late=late)
 
 
-# --- loops as fractions of polynomials --------------------------------------------------------------------------------
-#
 # L = N / D, D = det(loop opened), N + D = det(loop closed), of one matrix that holds A, B, C, D of plant and
 # controller as given. With N(j omega) = N_e(x) + j omega N_o(x), x = omega^2: |L| = 1 where N_e^2 + x N_o^2 - D_e^2 -
 # x D_o^2 = 0, L real where N_o D_e - N_e D_o = 0. Their positive roots are all crossings, free of rounding.

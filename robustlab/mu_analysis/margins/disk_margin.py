@@ -153,8 +153,7 @@ class DiskMargins(DiskBounds):
 
 def in_decibels(low: float, high: float) -> str:
     """Return two factors of gain in dB, in brackets."""
-    with np.errstate(divide="ignore"):
-        ends = [f"{20 * np.log10(factor):.3g}" if factor > 0 else "-inf" for factor in (low, high)]
+    ends = [f"{20 * math.log10(factor):.3g}" if factor > 0 else "-inf" for factor in (low, high)]
     return f" ({ends[0]} .. {ends[1]} dB)"
 
 
@@ -264,31 +263,21 @@ def with_factors(
     """Return a margin with its critical factors, and models of them where real systems have these values."""
     half = 0.5 * (1.0 + skew)
     factor = {n: 1.0 + d / (1.0 - half * d) if abs(1 - half * d) > 1e-12 else complex(np.inf) for n, d in delta.items()}
-    models: dict[str, StateSpaceModel | None] = {}
-    note = ""
+    perturbation, note = dict[str, StateSpaceModel](), ""
     if delta and frequency is not None:
         try:
             made = realise_delta([ComplexScalar(name) for name in delta], delta, frequency, system.dt)
-            models = {name: _factor_model(as_model(made[name]), skew) for name in delta}
         except InputError:
             note = f"the critical deltas are complex at {frequency:.3g} rad/s, where systems with real coefficients "
             note += "are real: no such system takes them there"
-    if None in models.values():
-        note = "a critical factor is infinite: no model of it is given"
-    perturbation = {name: model for name, model in models.items() if model is not None and not note}
+        else:
+            models = {name: as_model(made[name]) for name in delta}
+            if all(abs(1 - half * d.D[0, 0]) > 1e-12 for d in models.values()):
+                perturbation = {name: 1.0 + d.feedback(half, sign=1) for name, d in models.items()}
+            else:
+                note = "a critical factor is infinite: no model of it is given"
     notes = (note,) if note else ()
     return DiskMargin(*bounds, frequency, status, skew, dict(delta), notes, factor, perturbation, system, proof)
-
-
-def _factor_model(delta: StateSpaceModel, skew: float) -> StateSpaceModel | None:
-    """Return ``f = 1 + delta / (1 - (1 + sigma)/2 delta)`` as a model; None where it is not proper."""
-    half = (1 + skew) / 2
-    below = 1 - half * float(delta.D[0, 0])
-    if abs(below) < 1e-12:
-        return None
-    # z = u + half w with w = delta z, and f u = u + w.
-    z_x, z_u = half * delta.C / below, 1 / below
-    return StateSpaceModel(delta.A + delta.B @ z_x, delta.B * z_u, delta.C + delta.D @ z_x, 1 + delta.D * z_u, delta.dt)
 
 
 def gain_and_phase(alpha: float, skew: float = 0.0) -> tuple[float, float, float]:
