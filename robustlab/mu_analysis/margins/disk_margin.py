@@ -147,8 +147,8 @@ class DiskMargins(DiskBounds):
         if len(every) != 1:
             every["all at once"] = self.simultaneous
         rows = [_row(name, margin) for name, margin in every.items()]
-        parts = [Part("", ("loop", "disk margin", "gain", "phase", "critical at", "status"), rows)]
-        return [*parts, *self.simultaneous.details()]
+        header = ("loop", "disk margin", "gain", "phase", "critical at", "status")
+        return [Part("", header, rows), *self.simultaneous.details()]
 
 
 def in_decibels(low: float, high: float) -> str:
@@ -193,8 +193,9 @@ def disk_margin(
     effort: float = 1.0,
 ) -> DiskMargins:
     """`robustlab.disk_margin` of a rational plant and controller."""
-    # The feedback connection is rounded in the states of `modes_apart`.
-    opened = opened_at(plant, K, at, sign, "disk_margin", lambda m, where: modes_apart(as_model(m, where)), skew)
+    opened = opened_at(plant, K, at, sign, "disk_margin", as_model, skew)
+    # The feedback connection is rounded in these states.
+    opened = opened._replace(P=modes_apart(opened.P), K=modes_apart(opened.K))
     compile_kernels()
     budget = search_budget("disk_margin", WORK, effort, time_limit)
 
@@ -234,7 +235,7 @@ def opened_at(
     if not m * p:
         raise InputError(where, f"an open loop of {p} x {m}", "a square one, or a K")
     places = [*range(m if at == "output" else 0, m if at == "input" else m + p)]
-    names = [([*P.inputs, *P.outputs][i]).name for i in places]
+    names = [s.name for s in (*P.inputs, *P.outputs)][places[0] : places[-1] + 1]
     if len(set(names)) < len(names):  # an input and an output of one name
         names = [f"{'input' if i < m else 'output'} {name}" for i, name in zip(places, names, strict=True)]
     k = StateSpaceModel([], [], [], np.eye(m)) if found.K is None else found.K
