@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,15 +17,13 @@ from robustlab.delays.model import DelayedModel
 from robustlab.display import listed
 from robustlab.errors import InputError, error_context
 from robustlab.linear_analysis.structural import with_hidden
+from robustlab.mu_analysis.axis.margin import StabilityMargin
+from robustlab.mu_analysis.margins.classical import ClassicalMargins
+from robustlab.mu_analysis.margins.disk_margin import DiskMargins, Place
 from robustlab.norms import PeakGain, hinf_norm, linf_norm
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
 from robustlab.uncertainty.lft import UncertainModel
-
-if TYPE_CHECKING:
-    from robustlab.mu_analysis.axis.margin import StabilityMargin
-    from robustlab.mu_analysis.margins.classical import ClassicalMargins
-    from robustlab.mu_analysis.margins.disk_margin import DiskMargins, Place
 
 MODEL, SET, DELAYED = "a model", "an uncertain model", "a model with exact delays"
 NATURES, FREQUENCIES, LPV, EFFECTS = "blocks with natures", "given frequencies", "an LPV model", "a plant with effects"
