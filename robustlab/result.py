@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import Enum, StrEnum
-from typing import Any
+from typing import Any, ClassVar
 
 from robustlab.display import Displayable, Facts, in_words
 from robustlab.provenance import Traced
@@ -140,3 +140,9 @@ class Bracket(Displayable):
     upper: float
     frequency: float | None
     status: Status
+
+    unsaved: ClassVar[tuple[str, ...]] = ()  # fields that `to_json` leaves out
+
+    def to_json(self) -> dict[str, Any]:
+        kept = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in self.unsaved}
+        return {"type": type(self).__name__, **kept}

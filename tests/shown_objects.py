@@ -155,11 +155,6 @@ def made_effects() -> Any:
     return effect_blocks(rl.plant("servo-axis", M=(95.0, 0.05), Fv=(200.0, 0.1)))
 
 
-def effect_gain() -> Any:
-    rough = rl.with_effects(rl.plant("servo-axis"), {"input-saturation": {"u_max": 10.0}})
-    return rl.peak_gain(rough, 30.0, outputs=["q"], amplitude={"u": 12.0}, order=1)
-
-
 def scheduled_plant() -> rl.LPVModel:
     def vertex(a: float) -> rl.StateSpaceModel:
         return rl.StateSpaceModel([[a]], [[1, 0, 1]], [[1], [0], [1]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
@@ -239,8 +234,7 @@ OBJECTS: dict[str, Any] = {
     "WorstCaseGain": lambda: rl.peak_gain(loop(), omega=np.geomspace(0.05, 20.0, 40)),
     "MarginAt": lambda: rl.robust_stability(measured_loop()),
     "GainAt": lambda: rl.peak_gain(measured_loop()),
-    "DiskMarginsAt": lambda: rl.disk_margin(2.0 * rl.delay(0.5) @ lag(), frequency=[0.5, 1.0]),
-    "DiskMarginAt": lambda: made("DiskMarginsAt").simultaneous,
+    "DiskMarginAt": lambda: rl.disk_margin(2.0 * rl.delay(0.5) @ lag(), frequency=[0.5, 1.0]).simultaneous,
     "CriticalResponse": critical_response,
     "PerformanceMargin": lambda: rl.robust_performance(loop(), tolerance=0.2),
     "DiskMargins": lambda: rl.disk_margin(spring().nominal, INTEGRAL),
@@ -257,7 +251,6 @@ OBJECTS: dict[str, Any] = {
     "Verified": lambda: rl.verify(rl.peak_gain(lag())),
     "IqcGain": lambda: rl.peak_gain(loop(), natures={"k": rl.Varying(0.1)}),
     "IqcStability": lambda: rl.robust_stability(first_order(), natures={"pole": rl.Varying()}, order=0),
-    "EffectGain": effect_gain,
     "H2Norm": lambda: rl.h2(problem(), 1, 1).norm,
     "StructuralTest": lambda: rl.controllability(problem()),
     "HinfSynthesis": mixsyn,

@@ -3,10 +3,5 @@
 from robustlab.lazily import lazily
 
 __all__, __getattr__ = lazily(
-    __name__,
-    {
-        "model": "DelayedModel",
-        "signal_delays": "delay with_delays",
-        "approximation": "error_weight pade phase_bound",
-    },
+    __name__, {"model": "DelayedModel delay with_delays", "approximation": "error_weight pade phase_bound"}
 )

@@ -12,12 +12,7 @@ All coefficients of :math:`|Q_n(jx)|^2` in :math:`x^2` are positive, hence :math
    \frac{1}{2n+1} \qquad \text{for all } x \ge 0 .
 
 Both facts about :math:`Q_n` are statements about polynomials with whole coefficients; `phase_bound` checks them for its
-order, without rounding.
-
-References
-----------
-Padé 1892; Lam, "Model reduction of delay systems using Padé approximants", Int. J. Control 57 (1993); Schwarz, "Ein
-Verfahren zur Stabilitätsfrage bei Matrizen-Eigenwertproblemen", ZAMP 7 (1956) for the form of the realisation.
+order, without rounding. Lam, "Model reduction of delay systems using Padé approximants", Int. J. Control 57 (1993).
 """
 
 from __future__ import annotations
@@ -92,48 +87,22 @@ def phase_error(x: ArrayLike, order: int) -> Array:
     return np.angle(np.exp(1j * point) * (last.conj() / last))
 
 
-# --- realisations -----------------------------------------------------------------------------------------------------
-
-
-@cache
-def _ladder(order: int) -> tuple[float, tuple[float, ...]]:
-    """Damping and couplings of Schwarz's form of Q_n, from Routh's array in rational numbers."""
-    p = [Fraction(int(c)) for c in reversed(_polynomial(order).coeffs())]  # monic
-    above, row = p[0::2], p[1::2]
-    damping, couplings = row[0] / above[0], []
-    row = [c / row[0] for c in row]
-    while True:  # monic polynomials of falling degree: above = s row + coupling * next
-        rest = [a - b for a, b in zip(above[1:], [*row[1:], Fraction(0)], strict=False)]
-        if not rest or len(couplings) == order - 1:
-            break
-        couplings.append(sqrt(rest[0]))
-        above, row = row, [c / rest[0] for c in rest]
-    return float(damping), tuple(couplings)
-
-
 def pade(delay: float, order: int) -> StateSpaceModel:
     r"""The Padé approximation of :math:`e^{-s d}` with equal degrees; an all-pass with the gain 1.
 
-    A lossless ladder: :math:`A + A^T = -B B^T` and :math:`C = \mp B^T`. Both Gramians are the identity, so it is
-    balanced, and its modulus is one at every frequency for any order.
+    A signal on its way, as a sum of Legendre polynomials (Lanczos's tau method): lossless, :math:`A + A^T = -B B^T` and
+    :math:`C = \mp B^T`. Both Gramians are the identity, so it is balanced, and its modulus is one at every frequency.
 
-    ``delay``: in s, positive.
-    ``order``: 1 to 40; 0 is the gain 1.
-    Raises InputError: another delay or order.
+    ``delay``: in s, positive. ``order``: 1 to 40; 0 is the gain 1.
     """
     if not 0 < delay < np.inf:
         raise InputError("pade", f"a delay of {delay!r} s", "a positive number of seconds")
     checked_order(order, "pade")
-    if order == 0:
-        return StateSpaceModel([], [], [], [[1.0]])
-    damping, couplings = _ladder(order)
-    a = np.diag(couplings, 1) - np.diag(couplings, -1)
-    a[0, 0] = -damping
-    b = np.zeros((order, 1))
-    b[0, 0] = sqrt(2.0 * damping / delay)
-    sign = (-1.0) ** order
-    states = [f"delay.{k + 1}" for k in range(order)]
-    return StateSpaceModel(a / delay, b, -sign * b.T, [[sign]], states=states)
+    i, sign = np.arange(order), (-1.0) ** order
+    size, odd = np.sqrt(2.0 * i + 1.0), (order - i) % 2.0
+    a = 2.0 * np.outer(size, size) * (np.tril((i[:, None] - i) % 2) - odd)
+    c = 2.0 * (odd * size)[None] / sqrt(delay)
+    return StateSpaceModel(a / delay, -sign * c.T, c, [[sign]], states=[f"delay.{k + 1}" for k in i])
 
 
 def checked_order(order: int, where: str, least: int = 0) -> int:
@@ -141,9 +110,6 @@ def checked_order(order: int, where: str, least: int = 0) -> int:
     if isinstance(order, bool) or not isinstance(order, (int, np.integer)) or not least <= order <= HIGHEST_ORDER:
         raise InputError(f"{where}: order", f"{order!r}", f"a whole number from {least} to {HIGHEST_ORDER}")
     return order
-
-
-# --- weight of the error ----------------------------------------------------------------------------------------------
 
 
 class ErrorWeight(NamedTuple):

@@ -3,35 +3,33 @@ r"""Models with exact delays: a linear model whose first channels are closed by 
 .. math:: G(s) = H_{22} + H_{21} E(s) (I - H_{11} E(s))^{-1} H_{12}, \qquad E(s) = \mathrm{diag}(e^{-s \tau_i})
 
 Every interconnection of such models is one. Delays of equal length are the same operator and behave as a repeated block
-of an uncertain model: `robustlab.uncertainty` computes the interconnections and removes redundant repetitions.
-
-References
-----------
-Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), section 10.1; Gumussoy, Eryilmaz, Gahinet, "Working with
-time-delay systems in MATLAB", IFAC Workshop on Time Delay Systems (2012).
+of an uncertain model: `robustlab.uncertainty` computes the interconnections and removes redundant repetitions. Zhou,
+Doyle, Glover, *Robust and Optimal Control* (1996), section 10.1.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from math import factorial
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robustlab.arrays import Array, ComplexArray
+from robustlab.arrays import Array, ComplexArray, Indices, Mask
+from robustlab.checks import whole
 from robustlab.delays.approximation import SHORTEST, checked_order, error_weight, pade, phase_bound
 from robustlab.display import Displayable, Facts, listed, number, short, with_units
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.feedback import wired
 from robustlab.linear_analysis.frequency import CHUNK, at_pole, frequency_response
 from robustlab.operators import TransferMatrix
 from robustlab.provenance import Traced
 from robustlab.signals import Signal, is_constant, picked, real_array
-from robustlab.statespace import StateSpaceModel, append, as_model
+from robustlab.statespace import StateSpaceModel, append, as_model, series
 from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock
-from robustlab.uncertainty.interconnection import Wiring, ones, upper_lft
+from robustlab.uncertainty.interconnection import Wiring, ones, unique_names, upper_lft
 from robustlab.uncertainty.lft import (
     UncertainModel,
     as_uncertain,
@@ -42,6 +40,22 @@ from robustlab.uncertainty.lft import (
     product,
     star,
 )
+
+# Samples of delay of a discrete model; each is a state.
+MOST_SAMPLES = 2000
+# How far from a whole number of samples a discrete delay may be, relative to one sample.
+WHOLE = 1e-9
+
+Hold = Literal["zoh", "foh"]
+DEGREE = 7  # of the polynomials in a cell
+PASSES = 7  # through delays after which a jump is smoother than a polynomial of that degree resolves
+MOST_CELLS = 60_000
+# Runs on finer and finer meshes. A cell is halved where its last coefficients exceed this share of rtol.
+REFINEMENTS, SHARE, SMALLEST = 60, 0.1, 1e-12
+# Points of the mesh nearer than this share of the whole time are one.
+SAME_TIME = 1e-11
+# At a node on a jump the limit from inside its cell is taken.
+INWARDS = 1e-7
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -90,13 +104,10 @@ class DelayedModel(TransferMatrix, Displayable, Traced):
         if min(model.n_inputs, model.n_outputs) < len(lengths):
             found = f"H has {model.n_inputs} inputs and {model.n_outputs} outputs"
             raise InputError("DelayedModel", found, f"at least {len(lengths)}: the delays' channels come first")
-        if (lengths < 0).any():
-            raise InputError("DelayedModel", f"a delay of {lengths.min():g} s", "0 s or more")
-        extreme = lengths[(lengths > 0) & ((lengths < SHORTEST) | (lengths > 1 / SHORTEST))]
-        if len(extreme):
-            raise InputError(
-                "DelayedModel", f"a delay of {extreme[0]:g} s", f"0, or {SHORTEST:g} to {1 / SHORTEST:g} s"
-            )
+        wrong = lengths[(lengths != 0) & ((lengths < SHORTEST) | (lengths > 1 / SHORTEST))]
+        if len(wrong):
+            expected = f"0 s or more: 0, or {SHORTEST:g} to {1 / SHORTEST:g} s"
+            raise InputError("DelayedModel", f"a delay of {wrong[0]:g} s", expected)
         order, n = np.argsort(lengths, kind="stable"), len(lengths)
         ins, outs = ([*(names[k] for k in order), *names[n:]] for names in (model.input_names, model.output_names))
         none = int((lengths == 0).sum())
@@ -139,18 +150,9 @@ class DelayedModel(TransferMatrix, Displayable, Traced):
     dt: ClassVar[float] = 0.0  # continuous time
     is_discrete: ClassVar[bool] = False
 
-    # --- behaviour ---------------------------------------------------------------------------------------------------
-
     def response_at(self, omega: ArrayLike) -> ComplexArray:
         """Exact frequency response, shape (n_omega, n_y, n_u). States and delays are solved for together, so that poles
         of open-loop parts, such as integrators, are no poles here.
-
-        Raises
-        ------
-        InputError
-            A frequency that is not finite: a delay has no limit there.
-        NoTrustworthyNumber
-            A pole is at a frequency.
         """
         w = real_array("omega", np.atleast_1d(omega), 1, "frequency_response")
         if not len(self.delays):
@@ -195,27 +197,10 @@ class DelayedModel(TransferMatrix, Displayable, Traced):
         return found
 
     def pade(self, order: int) -> StateSpaceModel:
-        r"""The model with each delay replaced by its Padé approximation of equal degrees.
+        r"""The model with each delay replaced by its Padé approximation of equal degrees, whose states come first.
 
         The error of one delay is proved: :math:`|e^{-j\omega\tau} - R_n| \le \min(2, c_n (\omega \tau)^{2n+1})`.
-        `uncertain` bounds its effect on a loop.
-
-        Parameters
-        ----------
-        order
-            Order n of each approximation, 0 to 40; it adds as many states for each delay. 0 leaves the delays out.
-
-        Returns
-        -------
-        StateSpaceModel
-            Its states are those of the approximations, then those of H.
-
-        Raises
-        ------
-        InputError
-            Another order.
-        NoTrustworthyNumber
-            A loop through the approximations is not well posed.
+        `uncertain` bounds its effect on a loop. ``order``: n, 0 to 40; 0 leaves the delays out.
         """
         return self._closed_by([as_uncertain(pade(t, order)) for t in self.delays], "pade").M
 
@@ -237,18 +222,6 @@ class DelayedModel(TransferMatrix, Displayable, Traced):
             passes 1 near :math:`\omega \tau = 2, 5, 6, 8, 10` for n = 1, 2, 3, 4, 6.
         weight_order
             Slope of the weight, 1 to 2n + 1, and its number of states; of more than 2n + 1 that many are used.
-
-        Returns
-        -------
-        UncertainModel
-            Blocks ``delay of 0.4 s (order 3, slope 3)``.
-
-        Raises
-        ------
-        InputError
-            An order out of range.
-        NoTrustworthyNumber
-            The nominal loop is not well posed.
         """
         return self._closed_by([covering(float(t), 0.0, order, weight_order) for t in self.delays], "uncertain")
 
@@ -258,8 +231,6 @@ class DelayedModel(TransferMatrix, Displayable, Traced):
         u, y = 2 * n + n_u, 2 * n + n_y  # z of H enters the parts, their outputs w of H
         wiring = Wiring(ones(u, y, (0, n, n), (n, 0, n)), ones(u, n_u, (2 * n, 0, n_u)), ones(n_y, y, (0, 2 * n, n_y)))
         return interconnected([*parts, as_uncertain(self.H)], wiring, self.inputs, self.outputs, where)
-
-    # --- parts and algebra, computed on sets with a repeated block for each length of delay --------------------------
 
     operator_rank = 2  # a delayed model and a model make a delayed model
     for_control = "G.pade(3).to_control() is G as a control.StateSpace, its delays approximated to order 3"
@@ -298,15 +269,7 @@ class DelayedModel(TransferMatrix, Displayable, Traced):
         return DelayedModel(gain, [])
 
     def inverse(self) -> DelayedModel:
-        """The model from outputs to inputs.
-
-        Raises
-        ------
-        InputError
-            Not square.
-        NoTrustworthyNumber
-            The part without delay has no inverse: the inverse would not be causal.
-        """
+        """The model from outputs to inputs; refused where the part without delay has no inverse: it is not causal."""
         return self.carried(inverse, self)
 
     def select(self, inputs: Sequence[str] | None = None, outputs: Sequence[str] | None = None) -> DelayedModel:
@@ -324,8 +287,7 @@ class DelayedModel(TransferMatrix, Displayable, Traced):
     def close(self, K: Any) -> DelayedModel:
         """The closed loop ``u = K y``, its delays exact: y are the last ``K.n_inputs`` outputs, u the last inputs.
 
-        ``rl.robust_stability`` and ``rl.peak_gain`` prove its stability and its gain. Signals of K and plant meet
-        by name where they can, else by the names that K states (`robustlab.feedback`); K may have delays.
+        Signals of K and plant meet by name where they can (`robustlab.feedback`); K may have delays.
         """
         given = getattr(K, "K", K)
         k = given if isinstance(given, DelayedModel) else as_model(given, "close: K")
@@ -397,15 +359,313 @@ def covering(tau: float, spread: float, order: int, weight_order: int, name: str
         words = f"a delay of {tau:g} s +- {spread:g} s, covered at all frequencies: proved"
         block: Block = FullBlock(f"{name}spread 1 of {tau!r} s +- {spread!r} s", 1, 1, origin=words, covers=covers)
     else:
-        bound = phase_bound(order)
+        bound, name = phase_bound(order), f"delay of {tau!r} s (order {order}, slope {weight.n_states})"
         words = f"what Padé's approximation of order {order} of a delay of {tau:g} s misses, at most min(2,"
         words += f" {bound.coefficient:.3g} (w {tau:g} s)^{bound.power}) for all w: proved"
-        block = ComplexScalar(
-            f"delay of {tau!r} s (order {order}, slope {weight.n_states})", origin=words, covers=covers
-        )
+        block = ComplexScalar(name, origin=words, covers=covers)
     side = append(*(m.renamed([f"i{k}"], [f"o{k}"]) for k, m in enumerate((weight, rational))))
     into = np.array([[0.0, 1.0], [0.0, 1.0]])  # (w, z) into both
     D = side.D @ into
     D[1, 0] = 1.0
     model = StateSpaceModel(side.A, side.B @ into, side.C, D, 0.0, ["w", "in"], ["z", "out"], side.states)
     return UncertainModel(model, [block])
+
+
+# --- delays of signals ------------------------------------------------------------------------------------------------
+
+
+@error_context("delay")
+def delay(tau: ArrayLike, n: int = 1, dt: float = 0.0) -> DelayedModel | StateSpaceModel:
+    r"""A pure delay :math:`e^{-s \tau}` in each of n channels.
+
+    Parameters
+    ----------
+    tau
+        In s, 0 or more; one number, or one for each channel.
+    n
+        Number of channels, where tau is one number.
+    dt
+        Sample time in s of a discrete delay; 0 means continuous time.
+
+    Returns
+    -------
+    DelayedModel or StateSpaceModel
+        Exact; a discrete one is a model with a state for each sample of delay.
+
+    Raises
+    ------
+    InputError
+        A delay that is negative or not finite, or in discrete time no whole number of samples.
+
+    Examples
+    --------
+    >>> delay(0.03, dt=0.01)
+    StateSpaceModel(3 states, [u1] -> [y1], dt=0.01 s)
+    """
+    whole("delay: n", n, 1)
+    given: Any = [tau] * n if np.ndim(tau) == 0 else tau
+    lengths = real_array("tau", given, 1, "delay")
+    gain = StateSpaceModel([], [], [], np.eye(len(lengths)), dt)
+    found: Any = with_delays(gain, inputs=dict(enumerate(lengths.tolist())))  # numbers, not ranges: no set
+    return found
+
+
+@error_context("with_delays")
+def with_delays(
+    G: Any,
+    inputs: Mapping[Any, float | Sequence[float]] | None = None,
+    outputs: Mapping[Any, float | Sequence[float]] | None = None,
+    order: int = 3,
+) -> DelayedModel | StateSpaceModel | UncertainModel:
+    r"""The model with exact delays of some of its inputs and outputs; with delays within ranges, a set that holds it.
+
+    A proof for the set holds for the model with every such delay; see `DelayedModel.uncertain`. Delays in a range vary
+    independently.
+
+    Parameters
+    ----------
+    G
+        A StateSpaceModel, a plant, a python-control object, a DelayedModel or an UncertainModel.
+    inputs, outputs
+        Name or number of a signal -> its delay in s, 0 or more, or its shortest and its longest delay.
+    order
+        Of a set: order of the approximations; see `DelayedModel.uncertain`.
+
+    Returns
+    -------
+    DelayedModel, StateSpaceModel or UncertainModel
+        For a discrete G a model with a state :math:`z^{-1}` for each sample of delay, else a DelayedModel. Where G is
+        uncertain or a delay is a range, a set with the blocks of G and those of the delays.
+
+    Raises
+    ------
+    InputError
+        No such signal; a delay that is negative or not finite, a range that ends before it begins; for a discrete G no
+        whole number of samples, or a range.
+
+    Examples
+    --------
+    >>> motor = StateSpaceModel([[-2.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["omega"])
+    >>> with_delays(motor, inputs={"u": 0.01}, outputs={"omega": 0.02})
+    DelayedModel(1 state, delays of 0.01, 0.02 s, [u] -> [omega])
+    >>> [b.name for b in with_delays(motor, inputs={"u": (0.1, 0.3)}).blocks]
+    ['u: spread 1 of 0.2 s +- 0.1 s']
+    """
+    model = G if isinstance(G, DelayedModel | UncertainModel) else as_model(G, "with_delays")
+    before, after = _ranges("input", inputs, model.inputs), _ranges("output", outputs, model.outputs)
+    ranges = any(np.ndim(length) for side in (inputs, outputs) for length in (side or {}).values())
+    exact = not ranges and not isinstance(model, UncertainModel)
+    if exact and isinstance(model, StateSpaceModel) and model.is_discrete:
+        whole = series(series(_shifts(before, model.dt), model), _shifts(after, model.dt))
+        return whole.renamed(model.inputs, model.outputs)
+    if exact:
+        return _bank(after, model.outputs) @ as_delayed(model) @ _bank(before, model.inputs)
+    if model.dt:
+        raise InputError("with_delays", f"a discrete model, dt = {model.dt:g} s", "a continuous one")
+    held = model.uncertain(order) if isinstance(model, DelayedModel) else as_uncertain(model, "with_delays")
+    first, last = _held_bank(before, model.inputs, order), _held_bank(after, model.outputs, order)
+    held = product(last, product(held, first))
+    return UncertainModel(held.M, held.blocks)
+
+
+def _ranges(side: str, given: Mapping[Any, Any] | None, signals: Sequence[Signal]) -> list[tuple[float, float]]:
+    """Return the shortest and longest delay of each signal; zero where none is given."""
+    names, found = [s.name for s in signals], [(0.0, 0.0)] * len(signals)
+    for key, value in (given or {}).items():
+        number = isinstance(key, (int, np.integer)) and not isinstance(key, bool)
+        if not (key in names or (number and 0 <= int(key) < len(names))):
+            raise InputError(f"with_delays: {side} {key!r}", "no such signal", f"one of {', '.join(names)}")
+        ends = tuple(value) if isinstance(value, (tuple, list)) else (value, value)
+        real = all(isinstance(v, (int, float, np.number)) and not isinstance(v, bool) for v in ends)
+        if not real or len(ends) != 2 or not 0 <= ends[0] <= ends[1] <= 1 / SHORTEST:
+            raise InputError(f"with_delays: {side} {key!r}", f"{value!r}", "a delay of 0 s or more, or a range of such")
+        found[int(key) if number else names.index(str(key))] = float(ends[0]), float(ends[1])
+    return found
+
+
+def _bank(delays: list[tuple[float, float]], signals: Sequence[Signal]) -> DelayedModel:
+    """Return a diagonal model of exact delays, one for each signal."""
+    n, eye = len(delays), np.eye(len(delays))
+    ins, outs = (unique_names([*signals, *(Signal(f"{side}{k + 1}") for k in range(n))]) for side in "wz")
+    D = np.block([[np.zeros((n, n)), eye], [eye, np.zeros((n, n))]])
+    H = StateSpaceModel([], [], [], D, 0.0, ins[n:] + ins[:n], outs[n:] + outs[:n])
+    return DelayedModel(H, [length for length, _ in delays])
+
+
+def _held_bank(delays: list[tuple[float, float]], signals: Sequence[Signal], order: int) -> UncertainModel:
+    """Return a diagonal set that holds the delays of each signal; to 12 digits, which the weights cover."""
+    parts = [
+        covering(float(f"{(a + b) / 2:.12g}"), float(f"{(b - a) / 2:.12g}"), order, 3, f"{s.name}: ")
+        if b
+        else as_uncertain(1.0)
+        for (a, b), s in zip(delays, signals, strict=True)
+    ]
+    n = len(parts)
+    return interconnected(parts, Wiring(np.zeros((n, n)), np.eye(n), np.eye(n)), signals, signals, "with_delays")
+
+
+def _shifts(delays: list[tuple[float, float]], dt: float) -> StateSpaceModel:
+    """Return a diagonal model of chains of z^-1, one for each channel."""
+    parts: list[StateSpaceModel] = []
+    for i, (length, _) in enumerate(delays):
+        samples = length / dt
+        text = f"{length:g} s is {samples:.6g} samples of {dt:g} s"
+        if not samples < MOST_SAMPLES + 0.5:
+            raise InputError("with_delays", text, f"at most {MOST_SAMPLES}")
+        count = round(samples)
+        if abs(samples - count) > WHOLE * max(count, 1):
+            raise InputError("with_delays", text, "a whole number of samples", "delay the continuous model")
+        b, c = np.eye(count, 1), np.eye(1, count, count - 1) if count else np.zeros((1, 0))
+        names = [f"delay{i + 1}.{k + 1}" for k in range(count)]
+        parts.append(StateSpaceModel(np.eye(count, k=-1), b, c, [[float(not count)]], dt, [f"i{i}"], [f"o{i}"], names))
+    return append(*parts)
+
+
+# --- responses over time ----------------------------------------------------------------------------------------------
+#
+# The method of steps. On a mesh of all samples and all their delayed times signals are smooth between the points: the
+# input is a polynomial, and the signals in the delays are interpolated by polynomials. Between two points
+# x(a + h) = e^(A h) x(a) + int_0^h e^(A (h - s)) (B1 w(a + s) + B2 u(a + s)) ds, w_i(t) = z_i(t - tau_i), is evaluated
+# by matrix exponentials for these polynomials, without error (Van Loan 1978). With delays of inputs and outputs only,
+# the whole response is exact. The signal in a delay inside a loop, or between two dynamic parts, is no polynomial: it
+# is stored at Chebyshev points of each cell. Cells that do not resolve it are halved, and at the end all of them, until
+# the response at the samples no longer changes. Bellen, Zennaro, Numerical Methods for Delay Differential Equations.
+
+
+def delayed_response(model: DelayedModel, t: Array, u: Array, x0: Array, hold: Hold, rtol: float) -> Array:
+    """Return the outputs (n, n_y) at the times t for samples u (n, n_u), from the state x0 of H, with empty delays."""
+    H, n = model.H, len(model.delays)
+    moving = np.vstack([H.B, H.D[:n]])[:, :n].any(axis=0)  # the delays whose output enters a state or another delay
+    inner = (moving & np.hstack([H.C[:n], H.D[:n, :n]]).any(axis=1)).any()  # some signal in them is no polynomial
+    mesh = _mesh(model, t, moving, PASSES if inner else 1)
+    if not inner:
+        return _run(model, t, u, x0, hold, mesh, 1, moving)[0]
+    mesh, resolved, y = _cut(mesh, float(model.delays[moving].min())), False, np.zeros((len(t), 0))
+    for _ in range(REFINEMENTS):
+        last, (y, tail) = y, _run(model, t, u, x0, hold, mesh, DEGREE, moving)
+        if not np.isfinite(y).all():
+            return y
+        # Where all cells were resolved, halving each must not have changed the response.
+        if resolved and np.abs(y - last).max(initial=0.0) <= rtol * np.abs(y).max(initial=0.0):
+            return y
+        rough = tail > max(SHARE * rtol, SMALLEST)
+        resolved = not rough.any()
+        cells = rough | resolved
+        _limited(len(mesh) + int(cells.sum()))
+        mesh = np.sort(np.concatenate([mesh, (0.5 * (mesh[:-1] + mesh[1:]))[cells]]))
+    found = f"the response still changes when its {len(mesh)} cells are halved"
+    raise NoTrustworthyNumber("simulate", found, f"a change of at most {rtol:g}", "a larger rtol")
+
+
+def _limited(cells: int) -> None:
+    if cells > MOST_CELLS:
+        hint = "a clock whose step divides the delays, a shorter time, or .pade(order)"
+        raise NoTrustworthyNumber("simulate", f"{cells} cells for the delays", f"at most {MOST_CELLS}", hint)
+
+
+def _mesh(model: DelayedModel, t: Array, moving: Mask, most: int) -> Array:
+    """Return all samples, their delayed times, and for each sample the earlier times of delayed outputs."""
+    end, n, later = t[-1], len(moving), np.unique(model.delays[moving])
+    points = new = t
+    echoes = bool(model.H.D[:n, :n][np.ix_(moving, moving)].any())  # jumps that no state smooths recur without end
+    passes = 0
+    while len(new) and (passes < most or echoes):
+        passes += 1
+        new = _merged(np.concatenate([[], *(new + tau for tau in later)]), t)
+        new = new[new < end]
+        points = _merged(np.concatenate([points, new]), t)
+        _limited(len(points))
+    earlier = np.concatenate([points, *(t - tau for tau in np.unique(model.delays[~moving]))])
+    return _merged(earlier[earlier >= t[0]], t)
+
+
+def _merged(points: Array, t: Array) -> Array:
+    """Sort the points and merge those that differ by rounding; samples are unchanged."""
+    same = SAME_TIME * (t[-1] - t[0])
+    nearest = t[np.clip(np.searchsorted(t, points - same), 0, len(t) - 1)]
+    points = np.sort(np.where(np.abs(nearest - points) <= same, nearest, points))
+    return points[np.concatenate([[True], np.diff(points) > same])] if len(points) else points
+
+
+def _cut(points: Array, longest: float) -> Array:
+    """Return the mesh with steps of at most ``longest``, so that every delay refers to a finished cell."""
+    pieces = np.maximum(1, np.ceil(np.diff(points) / longest * (1.0 - 1e-9))).astype(int)
+    _limited(int(pieces.sum()))
+    parts = [np.linspace(a, b, k, endpoint=False) for a, b, k in zip(points[:-1], points[1:], pieces, strict=True)]
+    return np.append(np.concatenate(parts), points[-1])
+
+
+def _run(
+    model: DelayedModel, t: Array, u: Array, x0: Array, hold: Hold, mesh: Array, degree: int, moving: Mask
+) -> tuple[Array, Array]:
+    """Return the outputs just after each sample, and of each cell the last coefficients of the signals in its delays.
+
+    The latter are relative to the largest value of each signal.
+    """
+    H, n, cells = model.H, len(model.delays), len(mesh) - 1
+    C1, D11, D12 = H.C[:n], H.D[:n, :n], H.D[:n, n:]
+    nodes = 0.5 - 0.5 * np.cos(np.pi * np.arange(degree + 1) / degree)
+    coefficients = np.linalg.inv(_chebyshev(nodes, degree))  # from values at the nodes
+    steps, middle = np.diff(mesh), 0.5 * (mesh[:-1] + mesh[1:])
+    times = mesh[:-1, None] + steps[:, None] * nodes
+
+    k = np.clip(np.searchsorted(t, middle, side="right") - 1, 0, len(t) - 2)
+    share = (times - t[k][:, None]) / (t[k + 1] - t[k])[:, None] if hold == "foh" else np.zeros_like(times)
+    force = u[k][:, None] + share[:, :, None] * (u[k + 1] - u[k])[:, None]  # inputs at the nodes of all cells
+
+    def delayed(times: Array, middle: Array) -> tuple[Indices, Array]:
+        """For each time and delay: the cell of the delayed time (-1: none), and the weights of its nodes there."""
+        back = times[:, :, None] - model.delays
+        inner = back + INWARDS * (middle[:, None] - times)[:, :, None]
+        source = np.searchsorted(mesh, inner, side="right") - 1
+        known = np.clip(source, 0, cells - 1)
+        place = np.clip((back - mesh[known]) / steps[known], 0.0, 1.0)
+        return np.where(source < 0, -1, known), _chebyshev(place, degree) @ coefficients
+
+    source, weights = delayed(times, middle)
+    maps, kind = _maps(H.A, H.B, steps, nodes, float(np.abs(mesh).max()))
+    held = np.zeros((cells + 1, degree + 1, n))  # z at the nodes; the last row: before the first sample
+    held[:-1] = force @ D12.T  # a delay of inputs alone may refer to the current cell
+    states, came, each = np.zeros((cells + 1, H.n_states)), np.zeros((cells + 1, degree + 1, n)), np.arange(n)
+    states[0] = x0
+    for c in range(cells):
+        # (nodes, n, nodes of the delayed cell)
+        came[c] = w = np.einsum("jil,jil->ji", held[source[c], :, each], weights[c])
+        free, forced = maps[kind[c]]
+        x = free @ states[c] + np.tensordot(forced, np.hstack([w, force[c]]), ([2, 3], [0, 1]))
+        held[c] = x @ C1.T + w @ D11.T + force[c] @ D12.T
+        states[c + 1] = x[-1]
+    last, weights = delayed(np.full((1, 1), mesh[-1]), np.full(1, mesh[-1] + steps[-1]))
+    came[-1, 0] = np.einsum("jil,jil->ji", held[last[0], :, each], weights[0])
+    at = np.searchsorted(mesh, t)
+    y = states[at] @ H.C[n:].T + came[at, 0] @ H.D[n:, :n].T + u @ H.D[n:, n:].T
+    signals = np.concatenate([held[:-1], came[:-1, :, moving]], axis=2)
+    size = np.abs(signals).max(axis=(0, 1), initial=0.0)
+    tail = np.abs(np.einsum("kj,cji->cki", coefficients[-2:], signals)).max(axis=1, initial=0.0)
+    return y, (tail / np.where(size > 0, size, 1.0)).max(axis=1, initial=0.0)
+
+
+def _chebyshev(place: Array, degree: int) -> Array:
+    """Chebyshev's polynomials at each place in [0, 1], shape (*place.shape, degree + 1)."""
+    return np.asarray(np.polynomial.chebyshev.chebvander(2.0 * place - 1.0, degree))
+
+
+def _maps(A: Array, B: Array, steps: Array, nodes: Array, end: float) -> tuple[list[tuple[Array, Array]], Indices]:
+    """Return for each length of step the maps from the first state and the inputs to the states at the nodes."""
+    from scipy.linalg import expm
+
+    same = 8.0 * np.finfo(float).eps * end  # steps of one period differ by rounding
+    _, first, kind = np.unique(np.round(steps / same), return_index=True, return_inverse=True)
+    n, m, count = len(A), B.shape[1], len(nodes)
+    # The input's derivatives are additional states.
+    factorials = np.array([factorial(k) for k in range(count)], dtype=float)
+    derivatives = factorials[:, None] * np.linalg.inv(np.vander(nodes, increasing=True))
+    made = []
+    for h in steps[first]:
+        block = np.zeros((n + m * count, n + m * count))
+        block[:n, :n], block[:n, n : n + m] = A * h, B * h
+        block[n : n + m * (count - 1), n + m :] = np.eye(m * (count - 1))
+        e = np.asarray([expm(block * s)[:n] for s in nodes])
+        forced = e[:, :, n:].reshape(count, n, count, m)
+        made.append((e[:, :, :n], np.einsum("jnkm,kl->jnlm", forced, derivatives)))
+    return made, kind

@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
 from robustlab.checks import number
-from robustlab.delays.model import DelayedModel
-from robustlab.delays.response import delayed_response
+from robustlab.delays.model import DelayedModel, delayed_response
 from robustlab.dynamics.plant_contract import NonlinearHold, NonlinearPlant, Plant, SteppedPlant, input_signal
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context, unknown_name
 from robustlab.record import Record
@@ -50,7 +49,7 @@ def simulate(
     is evaluated by matrix exponentials, without discretisation error. A discrete model (dt > 0) is stepped. A nonlinear
     plant is integrated by DOP853 with local error ``rtol``. A plant with effects (`with_effects`) is stepped with its
     forces held, on equal steps, with exact sticking. A model with exact delays is solved by the method of steps
-    (`robustlab.delays.response`): without error where the delays are at inputs and outputs, else with an estimated
+    (`robustlab.delays.model`): without error where the delays are at inputs and outputs, else with an estimated
     error below ``rtol``. Its delays are empty before ``t[0]``.
 
     Parameters

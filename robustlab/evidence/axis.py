@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robustlab.analysis.robust_gain import RobustGain
+from robustlab.analysis.performance import RobustGain
 from robustlab.budget import search_budget
 from robustlab.delays.approximation import error_weight, pade
 from robustlab.delays.model import DelayedModel

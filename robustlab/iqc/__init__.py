@@ -5,9 +5,8 @@ from robustlab.lazily import lazily
 __all__, __getattr__ = lazily(
     __name__,
     {
-        "analysis": "IqcGain IqcStability iqc_gain iqc_stability",
+        "analysis": "IqcGain IqcProof IqcStability posed",
         "block_types": "Nature Nonlinearity Varying",
-        "problem": "IqcProof posed",
-        "multipliers": "Filtered",
+        "inequality": "Filtered",
     },
 )

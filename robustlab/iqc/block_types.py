@@ -10,8 +10,6 @@ from typing import Any
 from robustlab.checks import number
 from robustlab.errors import InputError
 
-__all__ = ["Nature", "Nonlinearity", "Varying"]
-
 
 @dataclass(frozen=True)
 class Varying:
@@ -100,22 +98,11 @@ class Nonlinearity:
             object.__setattr__(self, "sector", both)
 
     @classmethod
-    def saturation(cls, limit: float = 1.0, reach: float = math.inf) -> Nonlinearity:
-        r"""Saturation :math:`\max(-L, \min(L, z))`: odd, slope in [0, 1], sector [0, 1].
+    def saturation(cls) -> Nonlinearity:
+        r"""Saturation :math:`\max(-L, \min(L, z))` of any limit L: odd, slope and sector [0, 1]."""
+        return cls((0.0, 1.0), (0.0, 1.0), odd=True)
 
-        ``limit``: L. ``reach``: bound of :math:`|z|`, assumed in the proof; the sector is then [L / reach, 1].
-        """
-        share = cls._share("limit", limit, reach)
-        return cls((share, 1.0), (0.0, 1.0), odd=True, holds=_within(reach))
-
-    @classmethod
-    def dead_zone(cls, half_width: float = 1.0, reach: float = math.inf) -> Nonlinearity:
-        r"""Dead zone :math:`z - \max(-d, \min(d, z))`: odd, slope in [0, 1], sector [0, 1].
-
-        ``half_width``: d. ``reach``: bound of :math:`|z|`, assumed in the proof; the sector is then [0, 1 - d / reach].
-        """
-        share = cls._share("half_width", half_width, reach)
-        return cls((0.0, 1.0 - share), (0.0, 1.0), odd=True, holds=_within(reach))
+    dead_zone = saturation  # z - max(-d, min(d, z)) of any d is of the same class
 
     @classmethod
     def friction(cls, level: float, stick_speed: float | None = None) -> Nonlinearity:
@@ -136,20 +123,8 @@ class Nonlinearity:
         gain = force / number("Nonlinearity: stick_speed", stick_speed, "a positive finite number", above=0)
         return cls((0.0, gain), (0.0, gain), odd=True, holds=f"sticking as creep below {stick_speed:g}")
 
-    @staticmethod
-    def _share(name: str, size: float, reach: float) -> float:
-        """Return ``size / reach`` of a law that is linear up to, or from, this size on."""
-        number(f"Nonlinearity: {name}", size, "a positive finite number", above=0)
-        if not reach > size:
-            raise InputError("Nonlinearity", f"a reach of {reach:g}", f"more than {size:g}: below it the law is linear")
-        return size / reach
-
 
 Nature = Varying | Nonlinearity
-
-
-def _within(reach: float) -> str:
-    return f"while the signal stays within {reach:g}" if math.isfinite(reach) else ""
 
 
 def _is_range(ends: Any) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 from robustlab.display import Facts, bracket, listed, number
@@ -34,7 +34,6 @@ class PeakGain(Bracket):
     notes: tuple[str, ...] = field(default=(), kw_only=True)
 
     quantities: ClassVar[Mapping[str, Any]] = {"lower": float, "upper": float}
-    unsaved: ClassVar[tuple[str, ...]] = ()  # fields that `to_json` leaves out
     unstable: ClassVar[str] = "infinite: a member is unstable"  # text of infinite bounds
 
     def bounds(self) -> str:
@@ -67,7 +66,3 @@ class PeakGain(Bracket):
     def evidence(self) -> Facts:
         """Return the facts of this kind of system."""
         return []
-
-    def to_json(self) -> dict[str, Any]:
-        kept = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in self.unsaved}
-        return {"type": type(self).__name__, **kept}

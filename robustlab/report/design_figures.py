@@ -20,7 +20,7 @@ from robustlab.synthesis.specifications.loop_functions import FUNCTIONS, frequen
 from robustlab.uncertainty.lft import UncertainModel
 
 if TYPE_CHECKING:
-    from robustlab.analysis.performance_comparison import PerformanceComparison
+    from robustlab.analysis.performance import PerformanceComparison
     from robustlab.dynamics.control.controlled_runs import ControlledRuns
     from robustlab.synthesis.problem.design import Synthesis
     from robustlab.synthesis.specifications.loop_functions import LoopFunctions

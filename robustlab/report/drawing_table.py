@@ -38,7 +38,6 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     "MarginAt": {"margin": "robustness_figures.bounds_at"},
     "GainAt": {"gain": "robustness_figures.bounds_at"},
     "DiskMarginAt": {"margin": "robustness_figures.bounds_at"},
-    "DiskMarginsAt": {"margin": "robustness_figures.bounds_at", **_DISK},
     **dict.fromkeys(("DiskBounds", "DiskMargins"), _DISK),
     "Cover": {"set": "set_figures.cover_figure"},
     "Overbound": {"weight": "set_figures.overbound_figure"},

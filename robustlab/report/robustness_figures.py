@@ -7,7 +7,7 @@ distribution of a metric and its relevant parameters. The responses are those of
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -25,7 +25,7 @@ from robustlab.worst_case_analysis.statistics import Influence, ViolationProbabi
 if TYPE_CHECKING:
     from robustlab.mu_analysis import Margin, WorstCaseGain
     from robustlab.mu_analysis.axis.critical_delta import CriticalResponse
-    from robustlab.mu_analysis.margins.at_frequencies import DiskMarginsAt, GainAt, MarginAt
+    from robustlab.mu_analysis.margins.at_frequencies import DiskMarginAt, GainAt, MarginAt
     from robustlab.worst_case_analysis.worst_case_search import WorstCase
 
 Interval = tuple[float, float, float]
@@ -94,12 +94,11 @@ def _with_points_of_the_peak(margin: Margin) -> tuple[Array, Array, Array]:
 
 
 @style.house_style()
-def bounds_at(found: MarginAt | GainAt | DiskMarginsAt) -> Figure:
-    """Both bounds at given frequencies, of all loops at once; between the points nothing is known."""
-    whole: Any = getattr(found, "simultaneous", found)
+def bounds_at(found: MarginAt | GainAt | DiskMarginAt) -> Figure:
+    """Both bounds at given frequencies; between the points nothing is known."""
     gain = isinstance(found, PeakGain)
     figure, (axes,) = style.new_figure(1, 1, width=8.0, height=3.6)
-    omega, columns = np.asarray(whole.table().index[1]), whole.table().columns
+    omega, columns = np.asarray(found.table().index[1]), found.table().columns
     words = ("attained by an explicit Δ", "proved") if gain else ("proved", "attained by an explicit Δ")
     shown = omega > 0
     for name, word, mark, colour in zip(("lower", "upper"), words, "^v", (style.NOMINAL, style.WORST), strict=True):
@@ -107,7 +106,7 @@ def bounds_at(found: MarginAt | GainAt | DiskMarginsAt) -> Figure:
         finite = shown & np.isfinite(bound)
         axes.plot(omega[finite], bound[finite], mark, color=colour, ms=4, ls="none", label=word)
     style.frequency_axis(axes, (omega[shown][0], omega[-1]) if shown.sum() > 1 else None)
-    margin = "stability margin" if whole is found else "disk margin, all loops at once"
+    margin = "disk margin" if isinstance(found, DiskBounds) else "stability margin"
     axes.set_ylabel("worst-case gain" if gain else margin)
     axes.set_ylim(bottom=0)
     style.legend_below(figure, (axes,), 2)

@@ -35,7 +35,7 @@ H2_DESIGN: Rules = {"gamma": "h2", "K": "K_{}"}
 ANY = "peak h2 1/peak"
 SHOWN: Mapping[str, Rules] = {
     "HinfNorm": {**GAIN, "lower": "gain", "value": "gain"},
-    **dict.fromkeys(("WorstCaseGain", "DelayGain", "IqcGain", "EffectGain", "LPVGain"), GAIN),
+    **dict.fromkeys(("WorstCaseGain", "DelayGain", "IqcGain", "LPVGain"), GAIN),
     **dict.fromkeys(("DiskMargin", "DiskMargins", "DelayStability"), MARGIN),
     "CoprimeMargin": {**MARGIN, "value": "1/peak"},
     "IqcStability": {**MARGIN, "margin": "1/peak"},

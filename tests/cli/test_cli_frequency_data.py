@@ -32,7 +32,7 @@ def test_mu_of_data_reports_its_frequencies():
     assert found["lower_at"] == pytest.approx(expected.tolist(), rel=1e-6)
     assert found["lower"] == pytest.approx(expected.min(), rel=1e-6)
     gain = robustlab("worst-gain", "loop.h5", "--json", code=0).json
-    assert gain["gain_upper"][0] > abs(G[0] / (1 + 3 * G[0]))
+    assert gain["upper_at"][0] > abs(G[0] / (1 + 3 * G[0]))
     robustlab("mu", "loop.h5", "--figure", "margin", "--out", "margin.h5", code=0)
     assert rl.load("margin.h5").status is rl.Status.CERTIFIED
 

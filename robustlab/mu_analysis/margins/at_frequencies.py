@@ -1,7 +1,7 @@
 """Robustness at given frequencies, not between them: stability margin, worst-case gain and disk margins.
 
-A stable nominal system is assumed: responses at points do not show it. Zhou, Doyle, Glover, *Robust and
-Optimal Control* (1996), chapter 11; Seiler, Packard, Gahinet, "An introduction to disk margins" (2020).
+A stable nominal system is assumed: responses at points do not show it. Zhou, Doyle, Glover, *Robust and Optimal
+Control* (1996), chapter 11.
 """
 
 from __future__ import annotations
@@ -17,17 +17,8 @@ from robustlab.arrays import Array, ComplexArray
 from robustlab.budget import one_thread
 from robustlab.display import Facts, Part, bracket, member, number
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
-from robustlab.feedback import closing
 from robustlab.mu_analysis.axis.margin import PERFORMANCE, StabilityMargin
-from robustlab.mu_analysis.margins.disk_margin import (
-    DiskBounds,
-    DiskMargins,
-    Place,
-    channel_names,
-    channel_places,
-    check_disk,
-    gain_and_phase,
-)
+from robustlab.mu_analysis.margins.disk_margin import DiskBounds, DiskMargins, Place, opened_at
 from robustlab.mu_analysis.matrix.bounds import mu
 from robustlab.mu_analysis.matrix.box import lowest
 from robustlab.mu_analysis.matrix.skew import gain_curves
@@ -35,50 +26,41 @@ from robustlab.norms import PeakGain
 from robustlab.result import Status
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, delta_values
-from robustlab.uncertainty.frequency_responses import UncertainFrequencyData, closed_at, frequency_data
+from robustlab.uncertainty.frequency_responses import UncertainFrequencyData, frequency_data
 
 ASSUMED = "the nominal system is stable: taken for granted, responses at points do not show it"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class _Curves(Tabular):
-    """Base of margins with both bounds at each frequency."""
+    """Base of results with both bounds at each frequency."""
 
-    omega: Array
-    lower_at: Array
-    upper_at: Array
-    delta_at: tuple[Mapping[str, Any], ...]
+    omega: Array  # rad/s, (N,)
+    lower_at: Array  # (N,)
+    upper_at: Array  # (N,)
+    delta_at: tuple[Mapping[str, Any], ...]  # the Delta of the bound that is attained
+    assumed: str = ASSUMED
+
+    def scope(self) -> Facts:
+        return [("holds", _scope(self.omega)), ("assumed", self.assumed)]
 
     def details(self) -> list[Part]:
-        return [_rows(self.omega, self.lower_at, self.upper_at)]
+        columns = zip(self.omega, self.lower_at, self.upper_at, strict=True)
+        return [Part("", ("rad/s", "at least", "at most"), [tuple(f"{x:.6g}" for x in row) for row in columns])]
 
     def table(self) -> Table:
         """Both bounds over frequency."""
         return Table(("omega", self.omega), {"lower": self.lower_at, "upper": self.upper_at}, {"omega": "rad/s"})
-
-    def to_json(self) -> dict[str, Any]:
-        return {"type": type(self).__name__, **vars(self)}
 
 
 @dataclass(frozen=True, eq=False)
 class MarginAt(_Curves, StabilityMargin):
     """Robust stability margin at given frequencies; its bounds are those where it is smallest.
 
-    Attributes
-    ----------
-    lower, upper, frequency
-        The smallest margin, and where: at ``frequency`` no Delta smaller than ``lower`` makes the loop singular,
-        ``delta``, of size ``upper``, does. Both inf where none can.
-    omega, lower_at, upper_at, delta_at
-        Frequencies in rad/s, (N,), and at each of them the bounds of the margin, (N,), and the Delta found.
-    status
-        CERTIFIED: ``lower_at`` proved at each frequency, ``upper_at`` attained. CONVERGED: proved, not attained
-        everywhere.
-    assumed
-        Assumption of the answer.
+    At ``frequency`` no Delta smaller than ``lower`` makes the loop singular, ``delta``, of size ``upper``, does; both
+    inf where none can. CERTIFIED: ``lower_at`` proved at each frequency, ``upper_at`` attained. CONVERGED: not attained
+    everywhere.
     """
-
-    assumed: str = ASSUMED
 
     @property
     def stable(self) -> bool | None:
@@ -93,78 +75,31 @@ class MarginAt(_Curves, StabilityMargin):
             ("smallest margin", bracket(self.lower, self.upper, ("proved", "attained"))),
             ("critical frequency", number(self.frequency, "rad/s")),
             ("critical member", member(self.delta, {})),
-            ("holds", _scope(self.omega)),
-            ("assumed", self.assumed),
+            *self.scope(),
         ]
 
 
 @dataclass(frozen=True, eq=False)
-class GainAt(Tabular, PeakGain):
-    """Largest gain at given frequencies; nothing is claimed between them.
+class GainAt(_Curves, PeakGain):
+    """Largest gain at given frequencies, where ``upper_at`` is proved and ``lower_at`` attained by ``delta_at``.
 
-    Attributes
-    ----------
-    lower, upper, delta, nominal
-        At ``frequency``, the one of the largest ``gain_upper``: the largest gain found, the proved bound, the Delta of
-        the former by block name, and the gain of the nominal member.
-    omega
-        Frequencies in rad/s, (N,).
-    nominal_gain, gain_lower, gain_upper
-        At each of them the gain of the nominal member, the largest one found, and the proved bound, (N,); the last is
-        inf where a Delta of the set may make the loop singular.
-    deltas
-        At each frequency the Delta of the largest gain found, by block name.
-    status
-        CERTIFIED: ``gain_upper`` is finite at each frequency, else INCONCLUSIVE.
+    Its bounds are those where ``upper_at`` is largest; that is inf where a Delta of the set may make the loop singular.
+    CERTIFIED: it is finite at each frequency, else INCONCLUSIVE.
     """
 
     frequency: float
-    delta: Mapping[str, Any]
-    nominal: float
-    omega: Array
-    nominal_gain: Array
-    gain_lower: Array
-    gain_upper: Array
-    deltas: tuple[Mapping[str, Any], ...]
+    delta: Mapping[str, Any]  # of ``lower``, by block name
+    nominal: float  # gain of the nominal member there
 
     quantities: ClassVar[Mapping[str, Any]] = {**PeakGain.quantities, "frequency": "rad/s"}
 
     def evidence(self) -> Facts:
-        return [
-            ("nominal there", number(self.nominal)),
-            ("Delta", member(self.delta, {})),
-            ("scope", _scope(self.omega)),
-        ]
-
-    def details(self) -> list[Part]:
-        return [_rows(self.omega, self.gain_lower, self.gain_upper)]
-
-    def table(self) -> Table:
-        """Nominal gain and both bounds over frequency."""
-        columns = {"nominal": self.nominal_gain, "lower": self.gain_lower, "upper": self.gain_upper}
-        return Table(("omega", self.omega), columns, {"omega": "rad/s"})
-
-    def to_json(self) -> dict[str, Any]:
-        return {**super().to_json(), "assumed": ASSUMED}
+        return [("nominal there", number(self.nominal)), ("Delta", member(self.delta)), ("scope", _scope(self.omega))]
 
 
 @dataclass(frozen=True, eq=False)
 class DiskMarginAt(_Curves, DiskBounds):
     """Disk margin of some channels at given frequencies, as `MarginAt`; ``delta_at`` by the name of the loop."""
-
-
-@dataclass(frozen=True, eq=False)
-class DiskMarginsAt(DiskMargins):
-    """Disk margins at given frequencies ``omega``, with the attributes of `DiskMargins`; all are `DiskMarginAt`."""
-
-    omega: Array
-    assumed: str = ASSUMED
-
-    def facts(self) -> Facts:
-        return [*super().facts(), ("holds", _scope(self.omega)), ("assumed", self.assumed)]
-
-    def details(self) -> list[Part]:
-        return [*super().details(), *self.simultaneous.details()]
 
 
 @error_context("robust_stability_at")
@@ -193,13 +128,13 @@ def worst_case_gain_at(system: Any, frequency: ArrayLike | None = None, *, seed:
         text = f"a gain of {lower[k]:.9g} above the proved {upper[k]:.9g} at {data.omega[k]:g} rad/s: digits were lost"
         raise NoTrustworthyNumber("worst_case_gain_at", text)
     deltas = tuple({} if g is None else delta_values(data.blocks, g.delta) for g in found)
-    nominal = np.linalg.norm(data.nominal, 2, axis=(1, 2))
-    status = Status.CERTIFIED if np.isfinite(upper).all() else Status.INCONCLUSIVE
     lower, k = np.minimum(lower, upper), int(np.argmax(upper))
-    peak = float(lower[k]), float(upper[k]), float(data.omega[k])
     return GainAt(
-        *peak, status, deltas[k], float(nominal[k]), data.omega, nominal, lower, upper, deltas, conditions=(ASSUMED,)
-    )
+        float(lower[k]), float(upper[k]), float(data.omega[k]),
+        Status.CERTIFIED if np.isfinite(upper).all() else Status.INCONCLUSIVE, deltas[k],
+        float(np.linalg.norm(data.nominal[k], 2)), conditions=(ASSUMED,), omega=data.omega, lower_at=lower,
+        upper_at=upper, delta_at=deltas,
+    )  # fmt: skip
 
 
 @error_context("disk_margin_at")
@@ -213,41 +148,32 @@ def disk_margin_at(
     skew: float = 0.0,
     sign: Literal[-1, 1] | None = None,
     seed: int = 0,
-) -> DiskMarginsAt:
+) -> DiskMargins:
     """`robustlab.disk_margin` of a loop of models or of data at frequencies."""
     where = "disk_margin_at"
-    check_disk(at, skew, where)
-    closed = closing(_data(plant, frequency, where), K, sign, where)
-    p, sign = closed.plant, closed.sign
-    k = frequency_data(np.eye(len(p.inputs)) if closed.K is None else closed.K, p.omega)
-    for label, data in (("plant", p), ("K", k)):
+    P = _data(plant, frequency, where)
+
+    def read(given: Any, where: str) -> UncertainFrequencyData:
+        data = P if given is P else frequency_data(given, P.omega)
         if data.blocks:
-            raise InputError(
-                f"{where}: {label}", "an uncertain one", "one without blocks", "rl.robust_stability of the closed loop"
-            )
-    P, C = p.nominal, k.nominal
-    if C.shape[1:] != P.shape[:0:-1]:
-        raise InputError(f"{where}: K", f"{C.shape[1]} x {C.shape[2]}", f"{P.shape[2]} x {P.shape[1]}")
-    m, n = P.shape[2], P.shape[1]
-    one = np.eye(m + n)
-    around = np.zeros((len(P), 2 * (m + n), 2 * (m + n)), dtype=complex)
-    around[:, :m, m : m + n], around[:, m : m + n, :m] = sign * C, P
-    around[:, m + n :, : m + n] = around[:, : m + n, m + n :] = one
-    seen = closed_at(p.omega, around, one, where) + 0.5 * (skew - 1.0) * one
-    places = channel_places(m, n, at)
-    names = channel_names([s.name for s in p.inputs], [s.name for s in p.outputs], at)
-    M = seen[:, list(places)][:, :, list(places)]
-    channels = {
-        name: _disk_margin_at(p.omega, M[:, [i]][:, :, [i]], [name], skew, seed) for i, name in enumerate(names)
-    }
-    together = channels[names[0]] if len(names) == 1 else _disk_margin_at(p.omega, M, names, skew, seed)
-    return DiskMarginsAt.of(together, channels, at, closed.said, omega=p.omega)
+            expected, hint = "one without blocks", "rl.robust_stability of the closed loop"
+            raise InputError(where, "an uncertain one", expected, hint)
+        return data
 
+    opened = opened_at(P, K, at, sign, where, read, skew)
+    G, C = opened.P.M, opened.K.M
+    (_, n, m), one = G.shape, np.eye(G.shape[1] + G.shape[2])
+    if C.shape[1:] != (m, n):
+        raise InputError(f"{where}: K", f"{C.shape[1]} x {C.shape[2]}", f"{m} x {n}")
+    around = np.zeros((len(G), *one.shape), dtype=complex)  # (u, y) from (u, y)
+    around[:, :m, m:], around[:, m:, :m] = opened.sign * C, G
+    T = UncertainFrequencyData(P.omega, around).feedback(one, sign=1)  # S - I
+    loop = UncertainFrequencyData(P.omega, T.M + 0.5 * (skew + 1.0) * one)[opened.places, opened.places]
 
-def _disk_margin_at(omega: Array, M: ComplexArray, names: Sequence[str], skew: float, seed: int) -> DiskMarginAt:
-    found = _bounds_at(omega, M, [ComplexScalar(name) for name in names], seed)
-    low, high, phase = gain_and_phase(found["lower"], skew)
-    return DiskMarginAt(**found, gain_margin=(low, high), phase_margin=phase, skew=skew)
+    def bounds(loop: UncertainFrequencyData, names: Sequence[str]) -> DiskMarginAt:
+        return DiskMarginAt(**_bounds_at(loop.omega, loop.M, [ComplexScalar(name) for name in names], seed), skew=skew)
+
+    return DiskMargins.of(opened, loop, bounds)
 
 
 def _data(system: Any, frequency: ArrayLike | None, where: str) -> UncertainFrequencyData:
@@ -257,15 +183,13 @@ def _data(system: Any, frequency: ArrayLike | None, where: str) -> UncertainFreq
             raise InputError(f"{where}: frequency", "given beside data", "none: data have their own")
         data = system
     elif frequency is None:
-        raise InputError(
-            f"{where}: frequency", "none", "frequencies in rad/s", "the whole axis has functions of its own"
-        )
+        hint = "the whole axis has functions of its own"
+        raise InputError(f"{where}: frequency", "none", "frequencies in rad/s", hint)
     else:
         data = frequency_data(system, np.unique(np.asarray(frequency, dtype=float)))
     if data.blocks and not (lowest(data.blocks) == -1).all():
         name = next(b.name for b in data.blocks if not b.is_symmetric)
-        found = f"the range of {name!r} is wider on one side"
-        hint = "model.centred() is the same set about its middle"
+        found, hint = f"the range of {name!r} is wider on one side", "model.centred() is the same set about its middle"
         raise InputError(where, found, "symmetric ranges", hint)
     return data
 
@@ -281,11 +205,6 @@ def _bounds_at(omega: Array, M: ComplexArray, blocks: Sequence[Any], seed: int) 
         "lower": float(lower[k]), "upper": float(upper[k]), "frequency": float(omega[k]), "status": found.status,
         "delta": delta[k], "notes": (), "omega": omega, "lower_at": lower, "upper_at": upper, "delta_at": delta,
     }  # fmt: skip
-
-
-def _rows(*columns: Array) -> Part:
-    rows = [tuple(f"{value:.6g}" for value in row) for row in zip(*columns, strict=True)]
-    return Part("", ("rad/s", "at least", "at most"), rows)
 
 
 def _scope(omega: Array) -> str:

@@ -1,10 +1,8 @@
 """Classical margins of single loops: every crossing of the unit circle and of the negative real axis.
 
-Skogestad, Postlethwaite, *Multivariable Feedback Control*, section 2.4.
+A loop is a fraction of polynomials, so its crossings are the roots of two others, computed in whole numbers from the
+matrices as given, without a grid and independent of scaling: Skogestad, Postlethwaite, section 2.4.
 """
-
-# A loop is a fraction of polynomials, so its crossings are the roots of two others, computed in whole numbers from
-# the matrices as given, without a grid and independent of scaling.
 
 from __future__ import annotations
 
@@ -28,23 +26,12 @@ from robustlab.linear_analysis.exact import (
     wired,
 )
 from robustlab.linear_analysis.structural import with_hidden
-from robustlab.mu_analysis.margins.disk_margin import (
-    AT,
-    Place,
-    channel_names,
-    channel_places,
-    check_disk,
-    closed_around,
-    in_decibels,
-    in_degrees,
-)
+from robustlab.mu_analysis.margins.disk_margin import AT, Place, in_decibels, in_degrees, opened_at
 from robustlab.result import Status
-from robustlab.statespace import StateSpaceModel
+from robustlab.statespace import StateSpaceModel, as_model
 
 if TYPE_CHECKING:
     from flint import fmpz_poly
-
-__all__ = ["ClassicalMargin", "ClassicalMargins", "GainCrossing", "PhaseCrossing", "classical_margins"]
 
 POLE = 1e9  # larger real responses are due to a pole and give no factor of gain
 LEAST = 1e-300  # factors beyond one over this are infinite
@@ -58,6 +45,12 @@ class GainCrossing(AllFields, Displayable):
     lag: float
     delay: float
 
+    @classmethod
+    def at(cls, omega: float, angle: float) -> GainCrossing:
+        """Return the crossing at a frequency where -L has this angle in rad."""
+        lag = angle % (2 * math.pi)
+        return cls(omega, lag, lag / omega)
+
 
 @dataclass(frozen=True)
 class PhaseCrossing(AllFields, Displayable):
@@ -69,35 +62,19 @@ class PhaseCrossing(AllFields, Displayable):
 
 @dataclass(frozen=True, eq=False)
 class ClassicalMargin(Displayable):
-    """Margins of one loop, the others closed.
+    """Margins of one loop, the others closed; None of an unstable one.
 
-    Attributes
-    ----------
-    stable
-        Whether the closed loop is stable as it is; margins of an unstable one are None.
-    gain_margin
-        Ends of the positive factors of gain about 1 that leave it stable: 0 and inf where nothing is crossed.
-    phase_margin
-        Least change of phase in rad, either way, that destabilises; inf where ``|L|`` never is 1.
-    delay_margin
-        Least delay in s that destabilises; inf where ``|L|`` never is 1, 0 where the direct term is 1 or larger (any
-        delay, however small, then destabilises a continuous loop).
-    gain_crossings, phase_crossings
-        All of them, by rising frequency.
-    status
-        CONVERGED: all crossings, to the last digits; of loops with delays those found on a grid.
-    reason
-        That the closed loop is unstable, with the modes no feedback changes; else empty.
+    CONVERGED: all crossings, to the last digits; of loops with delays those found on a grid.
     """
 
-    stable: bool
-    gain_margin: tuple[float, float] | None
-    phase_margin: float | None
-    delay_margin: float | None
-    gain_crossings: tuple[GainCrossing, ...]
+    stable: bool  # the closed loop as it is
+    gain_margin: tuple[float, float] | None  # factors about 1 that leave it stable: 0 and inf where nothing is crossed
+    phase_margin: float | None  # least change in rad, either way, that destabilises; inf where |L| never is 1
+    delay_margin: float | None  # least delay in s that does; 0 of a continuous loop with a direct term of 1 or larger
+    gain_crossings: tuple[GainCrossing, ...]  # by rising frequency
     phase_crossings: tuple[PhaseCrossing, ...]
     status: Status
-    reason: str = ""
+    reason: str = ""  # that the closed loop is unstable, with the modes no feedback changes
 
     def facts(self) -> Facts:
         met, negative = ([number(c.frequency) for c in those] for those in (self.gain_crossings, self.phase_crossings))
@@ -114,30 +91,32 @@ class ClassicalMargin(Displayable):
             ("reason", self.reason),
         ]
 
+    @classmethod
+    def of(
+        cls, stable: bool, gain: Sequence[GainCrossing], phase: Sequence[PhaseCrossing], reason: str = "",
+        *, most: float = math.inf, late: float = math.inf,
+    ) -> ClassicalMargin:  # fmt: skip
+        """Return the margins at these crossings; ``most``, ``late``: ends of the gain and of the delay without any."""
+        if not stable:
+            return cls(False, None, None, None, tuple(gain), tuple(phase), Status.CONVERGED, reason)
+        low = max((c.factor for c in phase if c.factor <= 1), default=0.0)
+        high = min((c.factor for c in phase if c.factor >= 1), default=most)
+        lag = min((min(c.lag, 2 * math.pi - c.lag) for c in gain), default=math.inf)
+        delay = min((*(c.delay for c in gain), late))
+        return cls(True, (low, high), lag, delay, tuple(gain), tuple(phase), Status.CONVERGED)
+
     def to_json(self) -> dict[str, Any]:
         return {"type": "ClassicalMargin", **vars(self)}
 
 
 @dataclass(frozen=True, eq=False)
 class ClassicalMargins(Displayable):
-    """Margins of each loop by the name of its signal, one at a time, and where the loops were opened.
+    """Margins of each loop, one at a time, and where the loops were opened."""
 
-    Attributes
-    ----------
-    channels
-        `ClassicalMargin` by the name of the plant's signal.
-    at
-        Where the loops were opened: at the plant's "output", "input" or "both".
-    status
-        The least of the channels'.
-    loop
-        The law that closes the loop, and its source.
-    """
-
-    channels: Mapping[str, ClassicalMargin]
+    channels: Mapping[str, ClassicalMargin]  # by the name of the plant's signal
     at: Place
     status: Status
-    loop: str = ""
+    loop: str = ""  # the law that closes the loop, and its source
 
     # None, all but `stable`, where the closed loop is unstable.
     quantities: ClassVar[Mapping[str, Any]] = {
@@ -178,8 +157,7 @@ class ClassicalMargins(Displayable):
         )
 
     def facts(self) -> Facts:
-        facts = [("closed loop", "stable" if self.stable else "unstable")]
-        low, high = self.gain_low, self.gain_high
+        facts, low, high = [("closed loop", "stable" if self.stable else "unstable")], self.gain_low, self.gain_high
         if self.stable and self.phase is not None and low is not None and high is not None:
             facts += [
                 ("gain margin", f"factors {number(low)} .. {number(high)}{in_decibels(low, high)}"),
@@ -209,17 +187,11 @@ def classical_margins(
     plant: Any, K: Any = None, *, at: Place = "output", sign: Literal[-1, 1] | None = None
 ) -> ClassicalMargins:
     """`robustlab.classical_margins` of a rational plant and controller."""
-    closed = closed_around(plant, K, sign, "classical_margins")
-    p = closed.plant
-    check_disk(at, 0.0, "classical_margins")
-    names = channel_names(p.input_names, p.output_names, at)
-    stable, loops = loop_fractions(p, closed.K, closed.sign, channel_places(p.n_inputs, p.n_outputs, at))
-    unstable = "" if stable else with_hidden("the closed loop is unstable", p, closed.K)
-    channels = {name: _margin(L, unstable, name) for name, L in zip(names, loops, strict=True)}
-    return ClassicalMargins(channels, at, Status.CONVERGED, closed.said)
-
-
-# --- crossings --------------------------------------------------------------------------------------------------------
+    opened = opened_at(plant, K, at, sign, "classical_margins", as_model)
+    stable, loops = loop_fractions(opened.P, opened.K, opened.sign, opened.places)
+    unstable = "" if stable else with_hidden("the closed loop is unstable", opened.P, opened.K)
+    channels = {name: _margin(L, unstable, name) for name, L in zip(opened.names, loops, strict=True)}
+    return ClassicalMargins(channels, at, Status.CONVERGED, opened.said)
 
 
 def _margin(L: LoopFraction, unstable: str, name: str) -> ClassicalMargin:
@@ -231,32 +203,15 @@ def _margin(L: LoopFraction, unstable: str, name: str) -> ClassicalMargin:
     for x in with_gain_one:
         at = L.at(x)
         assert at is not None, "a gain of 1 at a pole"
-        omega, away = L.frequency(x), _square_root(x * at[1] ** 2)
-        lag = math.atan2(math.copysign(away, -at[1]), -at[0]) % (2 * math.pi)
-        gain.append(GainCrossing(omega, lag, lag / omega))
+        away = math.copysign(_square_root(x * at[1] ** 2), -at[1])
+        gain.append(GainCrossing.at(L.frequency(x), math.atan2(away, -at[0])))
     points = [(L.frequency(x), at[0]) for x in (Fraction(0), *L.with_real_response()) if (at := L.at(x)) is not None]
     points.append((math.pi / L.dt if L.dt else math.inf, L.at_infinity()))
-    phase = tuple(PhaseCrossing(omega, float(-1 / real)) for omega, real in points if -POLE < real < -LEAST)
-    if unstable:
-        return ClassicalMargin(False, None, None, None, tuple(gain), phase, Status.CONVERGED, unstable)
-    ends, lag, delay = least_changes(gain, phase)
-    if not L.dt and abs(L.at_infinity()) >= 1:
-        delay = 0.0
-    return ClassicalMargin(True, ends, lag, delay, tuple(gain), phase, Status.CONVERGED)
+    phase = [PhaseCrossing(omega, float(-1 / real)) for omega, real in points if -POLE < real < -LEAST]
+    late = 0.0 if not L.dt and abs(L.at_infinity()) >= 1 else math.inf
+    return ClassicalMargin.of(not unstable, gain, phase, unstable, late=late)
 
 
-def least_changes(
-    gain: Sequence[GainCrossing], phase: Sequence[PhaseCrossing], most: float = math.inf
-) -> tuple[tuple[float, float], float, float]:
-    """Return the factors of gain on both sides of 1, the change of phase and the delay to the next crossing."""
-    low = max((c.factor for c in phase if c.factor <= 1), default=0.0)
-    high = min((c.factor for c in phase if c.factor >= 1), default=most)
-    lag = min((min(c.lag, 2 * math.pi - c.lag) for c in gain), default=math.inf)
-    return (low, high), lag, min((c.delay for c in gain), default=math.inf)
-
-
-# --- loops as fractions of polynomials --------------------------------------------------------------------------------
-#
 # L = N / D, D = det(loop opened), N + D = det(loop closed), of one matrix that holds A, B, C, D of plant and
 # controller as given. With N(j omega) = N_e(x) + j omega N_o(x), x = omega^2: |L| = 1 where N_e^2 + x N_o^2 - D_e^2 -
 # x D_o^2 = 0, L real where N_o D_e - N_e D_o = 0. Their positive roots are all crossings, free of rounding.

@@ -1,13 +1,13 @@
-"""Smallest uncertainty of a chosen form that covers a set of models, and its conservatism."""
+"""Smallest uncertainty of a chosen form that covers a set of models, and its conservatism.
 
-# Conservatism: the ratio of the worst gains of the cover and of the models, both in the same loop; 1 at least.
+That is the ratio of the worst gains of the cover and of the models, both in the same loop; 1 at least.
+"""
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -27,40 +27,22 @@ from robustlab.uncertainty.unstructured import FORMS
 
 EXACT = 1e-12  # relative rounding error of a member of an exact cover
 
-__all__ = ["COVER_FORMS", "Conservatism", "Cover", "cover"]
-
 COVER_FORMS = (*PARAMETRIC_FORMS, *FORMS)
 Loop = Callable[[UncertainModel], UncertainModel]
 
 
 @dataclass(frozen=True)
 class Conservatism(Displayable):
-    """Ratio of the worst gain of a cover to that of its models.
+    """Ratio of the worst gain of a cover to that of its models."""
 
-    Attributes
-    ----------
-    ratio
-        ``cover_upper / set_gain``: proved not to be more.
-    least
-        ``cover_lower / set_gain``: attained by a member.
-    set_gain, set_model
-        Largest H-infinity norm of the models, and the number of the model that has it, counted from 1.
-    cover_lower, cover_upper
-        Bounds of the worst gain of the cover.
-    status
-        Status of the worst gain; FAILED where there is none.
-    reason
-        Why there is none, or the reason for an early end of its proof; else empty.
-    """
-
-    ratio: float
-    least: float
-    set_gain: float
-    set_model: int
-    cover_lower: float
+    ratio: float  # cover_upper / set_gain: proved not to be more
+    least: float  # cover_lower / set_gain: attained by a member
+    set_gain: float  # largest H-infinity norm of the models
+    set_model: int  # the model that has it, counted from 1
+    cover_lower: float  # bounds of the worst gain of the cover
     cover_upper: float
-    status: Status
-    reason: str = ""
+    status: Status  # of the worst gain; FAILED where there is none
+    reason: str = ""  # why there is none, or for an early end of its proof
 
     def to_json(self) -> dict[str, Any]:
         return {"type": "Conservatism", **vars(self)}
@@ -70,54 +52,26 @@ class Conservatism(Displayable):
 class Cover(Displayable):
     """An uncertain model that holds every model of a set.
 
-    Attributes
-    ----------
-    model
-        The uncertain model.
-    form
-        The requested form.
-    status
-        CERTIFIED: each model's delta was evaluated, or is proved to be a stable one of gain at most one over all
-        frequencies. CONVERGED: the deltas are stable, and were found to be at most one on a grid of frequencies.
-        INACCURATE: a model is missed by more than the tolerance, or the weight is further above the bound than
-        requested.
-    deltas
-        For each model the value of every block by name: numbers, or a system for an unstructured block where it could
-        be written as one; empty where it was judged by frequency response.
-    sizes
-        For each model its largest delta: at most 1.
-    misses
-        For each model the largest relative difference between the member at its delta and the model (an entry against
-        its matrix's largest); zeros for unstructured forms.
-    nominal
-        Number of the nominal model, counted from 1; 0: the middle; None: the given one.
-    radius
-        Unstructured forms: largest error relative to the models' size. Parametric ones: 0.
-    spread
-        Extent of the cloud along its directions (form ``pca``), including the omitted ones.
-    fit
-        Weight and bound of an unstructured form; None for a parametric one.
-    conservatism
-        Worst gain of the cover over that of the set; None where not requested.
-    reason
-        Why the status is no better; else empty.
-    models
-        The models, for `robustlab.verify`.
+    CERTIFIED: each model's delta was evaluated, or is proved to be a stable one of gain at most one over all
+    frequencies. CONVERGED: the deltas are stable, and were found to be at most one on a grid of frequencies.
+    INACCURATE: a model is missed by more than the tolerance, or the weight is further above the bound than requested.
     """
 
     model: UncertainModel
     form: str
     status: Status
+    # For each model the value of every block by name: numbers, or a system for an unstructured block where it could be
+    # written as one; empty where it was judged by frequency response.
     deltas: tuple[dict[str, Any], ...]
-    sizes: tuple[float, ...]
-    misses: tuple[float, ...]
-    nominal: int | None
-    radius: float
-    spread: tuple[float, ...]
-    fit: Overbound | None
+    sizes: tuple[float, ...]  # of each model its largest delta: at most 1
+    misses: tuple[float, ...]  # largest difference of the member at its delta, against its matrix's largest entry
+    nominal: int | None  # number of the nominal model, counted from 1; 0: the middle; None: the given one
+    radius: float  # unstructured forms: largest error relative to the models' size
+    spread: tuple[float, ...]  # form pca: extent of the cloud along its directions, including the omitted ones
+    fit: Overbound | None  # weight and bound of an unstructured form
     conservatism: Conservatism | None
-    reason: str = ""
-    models: tuple[StateSpaceModel, ...] = ()
+    reason: str = ""  # why the status is no better
+    models: tuple[StateSpaceModel, ...] = ()  # for `robustlab.verify`
 
     quantities: ClassVar[Mapping[str, Any]] = {
         **UncertainModel.quantities, **dict.fromkeys(("count", "members", "size", "missed", "radius"), "1"),
@@ -152,9 +106,8 @@ class Cover(Displayable):
         return found
 
     def _words(self) -> str:
-        start = {0: "the middle of the models", None: "the model that was given"}.get(
-            self.nominal, f"model {self.nominal}"
-        )
+        starts: dict[int | None, str] = {0: "the middle of the models", None: "the model that was given"}
+        start = starts.get(self.nominal, f"model {self.nominal}")
         return f"{self.form} cover of {len(self.sizes)} models around {start}"
 
     def headline(self) -> str:
@@ -169,10 +122,7 @@ class Cover(Displayable):
         return [
             ("form", self._words()),
             ("set", repr(self.model)),
-            (
-                "weight",
-                "" if fit is None else f"order {fit.order}, at most {100 * fit.excess:.3g} % above the bound",
-            ),
+            ("weight", "" if fit is None else f"order {fit.order}, at most {100 * fit.excess:.3g} % above the bound"),
             ("largest error, of the models' size", "" if fit is None else f"{100 * self.radius:.3g} %"),
             ("largest delta that a model needs", number(max(self.sizes, default=math.nan), "", 6)),
             ("largest miss", number(max(self.misses, default=math.nan), "", 2) if fit is None else ""),
@@ -279,15 +229,11 @@ def cover(
     if not gain:
         return made
     report("cover: worst gain of the cover")
-    return dataclasses.replace(made, conservatism=_conservatism(made.model, found, loop, time_limit, effort))
+    return replace(made, conservatism=_conservatism(made.model, found, loop, time_limit=time_limit, effort=effort))
 
 
 def _parametric(
-    models: tuple[StateSpaceModel, ...],
-    form: Any,
-    nominal: StateSpaceModel | None,
-    tolerance: float,
-    directions: int | None,
+    models: tuple[StateSpaceModel, ...], form: Any, nominal: StateSpaceModel | None, tolerance: float, directions: Any
 ) -> Cover:
     model, deltas, spread = parametric_cover(models, form, nominal, tolerance, directions)
     misses = tuple(matrices_miss(model.evaluate(d), m) for d, m in zip(deltas, models, strict=True))
@@ -309,19 +255,15 @@ def _unstructured(
     if max(made.sizes) > 1.0 + 1e-9 or not made.fit.status.trustworthy:
         status = Status.INACCURATE
         reason = f"the weight is {100 * made.fit.excess:.3g} % above the bound: a higher order comes nearer"
-    deltas = tuple({made.model.blocks[0].name: d} for d in made.deltas)
+    deltas, misses = tuple({made.model.blocks[0].name: d} for d in made.deltas), (0.0,) * len(models)
     return Cover(
-        made.model, form, status, deltas, made.sizes, (0.0,) * len(models), made.nominal, made.radius, (), made.fit,
-        None, reason, models,
+        made.model, form, status, deltas, made.sizes, misses, made.nominal, made.radius, (), made.fit, None, reason,
+        models,
     )  # fmt: skip
 
 
 def _conservatism(
-    uncertain: UncertainModel,
-    models: Sequence[StateSpaceModel],
-    loop: Loop | None,
-    time_limit: float | None,
-    effort: float,
+    uncertain: UncertainModel, models: Sequence[StateSpaceModel], loop: Loop | None, **options: Any
 ) -> Conservatism:
     """Compare the worst gain of a cover with the largest one of its models."""
     if loop is not None and not is_function(loop):
@@ -344,7 +286,7 @@ def _conservatism(
         reason = "all models have no gain"
     else:
         try:
-            worst = worst_case_gain(around(uncertain), tolerance=0.01, time_limit=time_limit, effort=effort)
+            worst = worst_case_gain(around(uncertain), tolerance=0.01, **options)
         except NoTrustworthyNumber as error:
             reason = str(error.found)
         else:

@@ -1,10 +1,11 @@
-"""Stability, gain and margins of models with exact delays, proved for a set that contains them."""
+"""Stability, gain and margins of models with exact delays, proved for a set that contains them.
 
-# In each set a delay is e^(-s tau) = R(s) + W(s) Delta(s), |Delta| <= 1 in the right half plane: Padé's approximation
-# with a proved weight of its error, or, of order 0, R = 0, W = 1. Where mu < 1 on the axis, its
-# end included, no root crosses while the block grows from 0 to Delta, and none comes from infinity: the model has as
-# many roots right of the axis as the set's nominal one. With one more block, one over a level in size, its gain is
-# below that level. Zhou, Doyle, Glover (1996), theorems 11.8, 11.9.
+In each set a delay is e^(-s tau) = R(s) + W(s) Delta(s), |Delta| <= 1 in the right half plane: Padé's approximation
+with a proved weight of its error, or, of order 0, R = 0, W = 1. Where mu < 1 on the axis, its end included, no root
+crosses while the block grows from 0 to Delta, and none comes from infinity: the model has as many roots right of the
+axis as the set's nominal one. With one more block, one over a level in size, its gain is below that level: Zhou, Doyle,
+Glover (1996), theorems 11.8, 11.9.
+"""
 
 from __future__ import annotations
 
@@ -21,27 +22,20 @@ from robustlab.arrays import Array, ComplexArray
 from robustlab.budget import one_thread, search_budget
 from robustlab.delays.model import DelayedModel, as_delayed
 from robustlab.display import Facts, number
-from robustlab.errors import InputError, NoTrustworthyNumber, error_context
+from robustlab.errors import NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.axis.axis_model import continuous, seed_frequencies
 from robustlab.mu_analysis.axis.intervals import Piece, cover_parts
 from robustlab.mu_analysis.axis.margin import StabilityMargin
 from robustlab.mu_analysis.constants import WORK
-from robustlab.mu_analysis.margins.classical import (
-    ClassicalMargin,
-    ClassicalMargins,
-    GainCrossing,
-    PhaseCrossing,
-    least_changes,
-)
+from robustlab.mu_analysis.margins.classical import ClassicalMargin, ClassicalMargins, GainCrossing, PhaseCrossing
 from robustlab.mu_analysis.margins.disk_margin import (
     DiskMargin,
     DiskMargins,
+    Opened,
     Place,
-    channel_names,
-    check_disk,
-    closed_around,
     disk_channels,
+    opened_at,
     with_factors,
 )
 from robustlab.mu_analysis.matrix.bounds import mu
@@ -79,18 +73,15 @@ def covering_set(model: DelayedModel, order: int, blocks: Sequence[Block] = (), 
     """Return the set of this order; with blocks of sizes up to one over ``level`` at the model's own channels."""
     held = model.uncertain(order, weight_order=min(order + STEEPER, 2 * order + 1)) if order else model.as_set()
     M, q = held.M, sum(b.rows for b in held.blocks)
-    scale = np.ones(M.n_inputs)
-    scale[q:] = 1.0 / level
-    return UncertainModel(
-        StateSpaceModel(M.A, M.B * scale, M.C, M.D * scale, 0.0, M.inputs, M.outputs, M.states),
-        [*held.blocks, *blocks],
-    )
+    by = np.where(np.arange(M.n_inputs) < q, 1.0, 1.0 / level)
+    scaled = StateSpaceModel(M.A, M.B * by, M.C, M.D * by, 0.0, M.inputs, M.outputs, M.states)
+    return UncertainModel(scaled, [*held.blocks, *blocks])
 
 
 def proof_below(
     model: DelayedModel, order: int, blocks: Sequence[Block] = (), level: float = 1.0, effort: float = 1.0
 ) -> DelayProof | None:
-    """Prove mu < 1 of the set of this order, with blocks of sizes up to one over ``level`` at the model's channels."""
+    """Prove mu < 1 of `covering_set`."""
     compile_kernels()
     closed = covering_set(model, order, blocks, level)
     budget = search_budget("delayed model", SHARE_OF_WORK * WORK, effort, None)
@@ -107,25 +98,14 @@ def proof_below(
 class DelayStability(StabilityMargin):
     """Whether a model with exact delays is stable, and the evidence.
 
-    Attributes
-    ----------
-    lower, upper
-        Nothing is uncertain: both inf where the model is stable, both 0 where it is not, 0 and inf where neither could
-        be shown.
-    status
-        CERTIFIED: proved on the whole frequency axis, in floating point. INCONCLUSIVE: not decided up to the highest
-        order.
-    order
-        Order of Padé's approximations in the set of the proof, or the last one that was tried; 0 where the result holds
-        for all delays.
-    root
-        The rightmost pole of that set's nominal model, in 1/s: near a root of the model where the order is not 0; or
-        the unstable pole of a part without delays in its loops.
-    system, proof
-        The model and the scalings, for `robustlab.verify`.
+    Nothing is uncertain: both bounds are inf where the model is stable, 0 where it is not, 0 and inf where neither was
+    shown. CERTIFIED: proved on the whole frequency axis, in floating point. INCONCLUSIVE: not decided up to the highest
+    order.
     """
 
-    order: int
+    order: int  # of Padé's approximations in the set of the proof, or the last one tried; 0: it holds for all delays
+    # The rightmost pole of that set's nominal model, in 1/s: near a root of the model where the order is not 0; or the
+    # unstable pole of a part without delays in its loops.
     root: complex | None
     proof: DelayProof | None = None
     system: DelayedModel | None = None
@@ -139,11 +119,6 @@ class DelayStability(StabilityMargin):
         status = Status.INCONCLUSIVE if stable is None else Status.CERTIFIED
         return cls(lower, upper, None, status, {}, (), *evidence)
 
-    @property
-    def stable(self) -> bool | None:
-        """True, False, or None where neither could be shown."""
-        return True if self.lower > 0 else False if self.upper == 0 else None
-
     def headline(self) -> str:
         return {True: "proved stable", False: "proved unstable", None: "not proved stable"}[self.stable]
 
@@ -151,9 +126,8 @@ class DelayStability(StabilityMargin):
         verdict = {True: "yes: proved on the whole axis", False: "no: proved", None: "undecided"}[self.stable]
         return [("stable", verdict), ("order of the set", str(self.order)), ("pole", number(self.root, "1/s"))]
 
-    def to_json(self) -> dict[str, object]:
-        kept = {name: x for name, x in vars(self).items() if name not in self.unsaved}
-        return {"type": "DelayStability", "stable": self.stable, **kept}
+    def to_json(self) -> dict[str, Any]:
+        return {**super().to_json(), "stable": self.stable}
 
 
 @error_context("delay_stability")
@@ -168,8 +142,7 @@ def delay_stability(model: DelayedModel, effort: float = 1.0) -> DelayStability:
         nominal = covering_set(g, order).M
         poles = nominal.poles()
         root = complex(poles[poles.real.argmax()]) if len(poles) else None
-        norm = unstable_norm(nominal) if root is not None and root.real > 0 else None
-        known = nominal.is_stable() or (norm is not None and norm.status is Status.CERTIFIED)
+        known = nominal.is_stable() or (root is not None and root.real > 0 and _surely_unstable(nominal))
         if known and (proof := proof_below(g, order, effort=effort)) is not None:
             return DelayStability.of(nominal.is_stable(), order, root, proof, g)
     return DelayStability.of(None, order, root, None, g)
@@ -178,6 +151,11 @@ def delay_stability(model: DelayedModel, effort: float = 1.0) -> DelayStability:
 def _orders(g: DelayedModel, least: int = 0) -> list[int]:
     """Return the orders that are tried; only 0 without delays."""
     return [n for n in ORDERS if n >= least] if len(g.delays) else [0]
+
+
+def _surely_unstable(model: StateSpaceModel) -> bool:
+    norm = unstable_norm(model)
+    return norm is not None and norm.status is Status.CERTIFIED
 
 
 def _undelayed_pole(g: DelayedModel) -> complex | None:
@@ -191,8 +169,7 @@ def _undelayed_pole(g: DelayedModel) -> complex | None:
     for label in set(labels[:n]) - set(labels[n:]):
         part = np.flatnonzero(labels[:n] == label)
         A = h.A[part][:, part]
-        norm = unstable_norm(StateSpaceModel(A, np.zeros((len(A), 1)), np.zeros((1, len(A))), [[0.0]]))
-        if norm is not None and norm.status is Status.CERTIFIED:
+        if _surely_unstable(StateSpaceModel(A, np.zeros((len(A), 1)), np.zeros((1, len(A))), [[0.0]])):
             poles = np.linalg.eigvals(A)
             return complex(poles[poles.real.argmax()])
     return None
@@ -205,33 +182,20 @@ def _undelayed_pole(g: DelayedModel) -> complex | None:
 class DelayGain(PeakGain):
     """Bounds of the largest gain over frequency of a model with exact delays.
 
-    Attributes
-    ----------
-    lower, upper
-        ``lower <= gain <= upper``: the exact gain at ``frequency``, and a bound that is proved on the whole axis; inf
-        where none was. Both inf where the model is proved not to be stable.
-    frequency
-        In rad/s.
-    stability
-        Stability of the model, without which no gain is proved.
-    status
-        CERTIFIED where the bounds are within the tolerance, INACCURATE where they are not, INCONCLUSIVE without an
-        upper one.
-    system, proof
-        The model and the scalings, for `robustlab.verify`.
+    ``lower`` is the exact gain at ``frequency``; ``upper`` is proved on the whole axis. CERTIFIED where the bounds are
+    within the tolerance, INACCURATE where they are not, INCONCLUSIVE without an upper one.
     """
 
     frequency: float
     unstable: ClassVar[str] = "infinite: the model is not stable"
 
-    stability: DelayStability
+    stability: DelayStability  # without it no gain is proved
     system: DelayedModel | None = None
     proof: DelayProof | None = None
 
     unsaved: ClassVar[tuple[str, ...]] = ("system", "proof")
 
     def evidence(self) -> Facts:
-        """Stability of the model, and an unstable pole."""
         facts = self.stability.facts()
         return [facts[0], *(facts[2:] if self.stability.stable is False else [])]
 
@@ -244,12 +208,13 @@ def delay_gain(model: DelayedModel, effort: float = 1.0) -> DelayGain:
     if known.stable is False:
         return DelayGain(np.inf, np.inf, np.nan, Status.CERTIFIED, known)
     lower, frequency = highest(g, lambda response: np.linalg.svd(response, compute_uv=False).max(axis=1, initial=0.0))
-    if not known.stable:
-        return DelayGain(lower, np.inf, frequency, Status.INCONCLUSIVE, known)
-    size = lower or TINY  # without a path from an input to an output, any level can be proved
-    upper, proof = proved_level(g, [FullBlock("performance", g.n_inputs, g.n_outputs)], size, effort, known.order)
-    status = Status.CERTIFIED if upper <= (1.0 + TOLERANCE) * size else Status.INACCURATE
-    return DelayGain(lower, upper, frequency, status if proof else Status.INCONCLUSIVE, known, g, proof)
+    upper, proof = np.inf, None
+    if known.stable:
+        block = FullBlock("performance", g.n_inputs, g.n_outputs)
+        upper, proof = proved_level(g, [block], lower or TINY, effort, known.order)
+    close = upper <= (1.0 + TOLERANCE) * (lower or TINY)
+    status = Status.CERTIFIED if close else Status.INACCURATE if proof else Status.INCONCLUSIVE
+    return DelayGain(lower, upper, frequency, status, known, g, proof)
 
 
 def proved_level(
@@ -270,8 +235,7 @@ def highest(g: DelayedModel, size: Any, points: int = POINTS) -> tuple[float, fl
 
     grid = np.concatenate([[0.0], default_grid(g.pade(4), points)])
     if len(g.delays):  # echoes repeat with the period of the delay factors
-        turns = np.linspace(0.0, 40.0, points) / g.delays.max()
-        grid = np.unique(np.concatenate([grid, turns]))
+        grid = np.union1d(grid, np.linspace(0.0, 40.0, points) / g.delays.max())
     sizes: Array = size(frequency_response(g, grid))
     inner = np.flatnonzero((sizes[1:-1] >= sizes[:-2]) & (sizes[1:-1] >= sizes[2:])) + 1
     found = [(float(sizes.max()), float(grid[np.argmax(sizes)]))]
@@ -283,17 +247,6 @@ def highest(g: DelayedModel, size: Any, points: int = POINTS) -> tuple[float, fl
 
 
 # --- margins of loops -------------------------------------------------------------------------------------------------
-
-
-@error_context("delay_classical_margins")
-@one_thread()
-def delay_classical_margins(
-    plant: Any, K: Any = None, *, at: Place = "output", sign: Literal[-1, 1] | None = None
-) -> ClassicalMargins:
-    """`robustlab.classical_margins` of a loop with exact delays."""
-    S, names, law, known = _closed(plant, K, at, 1.0, sign, 1.0, "delay_classical_margins")
-    channels = {name: _classical(S[i, i], known.stable is True, name) for i, name in enumerate(names)}
-    return ClassicalMargins(channels, at, Status.CONVERGED, law)
 
 
 @error_context("delay_disk_margins")
@@ -309,30 +262,52 @@ def delay_disk_margins(
     effort: float = 1.0,
 ) -> DiskMargins:
     """`robustlab.disk_margin` of a loop with exact delays."""
-    system, names, law, known = _closed(plant, K, at, skew, sign, effort, "delay_disk_margins")
+    where = "delay_disk_margins"
+    opened = opened_at(plant, K, at, sign, where, as_delayed, skew)
+    loop, known = _closed(opened, skew, effort, where)
     if not known.stable:
-        raise NoTrustworthyNumber("delay_disk_margins", "the closed loop is unstable", "a stable one")
-    options = skew, known.order, seed, effort
-    channels = {name: _margin(system[i, i], [name], *options) for i, name in enumerate(names)}
-    whole = channels[names[0]] if len(names) == 1 else _margin(system, names, *options)
-    return DiskMargins.of(whole, channels, at, law)
+        raise NoTrustworthyNumber(where, "the closed loop is unstable", "a stable one")
+
+    def bounds(system: DelayedModel, names: Sequence[str]) -> DiskMargin:
+        """Return the peak of mu with its Delta, and a proof."""
+        blocks = [ComplexScalar(name) for name in names]
+        if len(names) == 1:
+            _, frequency = highest(system, lambda M: np.abs(M[:, 0, 0]))
+        else:
+            sizes = lambda M: np.array([b.beta for b in upper_bounds(M, blocks, 1e-3)])  # noqa: E731
+            _, frequency = highest(system, sizes, MU_POINTS)
+        found = mu(frequency_response(system, [frequency]), blocks, seed)
+        value = float(found.lower[0])
+        upper, proof = proved_level(system, blocks, value or TINY, effort, known.order)
+        delta = delta_values(blocks, found.delta[0]) if value else {}
+        status = Status.CERTIFIED if upper <= value * (1.0 + TOLERANCE) else Status.INACCURATE
+        ends = 1.0 / upper, 1.0 / value if value else np.inf
+        return with_factors(ends, frequency, status, system, delta, skew, proof)
+
+    return DiskMargins.of(opened, loop, bounds)
 
 
-def _closed(
-    plant: Any, K: Any, at: Place, skew: float, sign: Literal[-1, 1] | None, effort: float, where: str
-) -> tuple[DelayedModel, list[str], str, DelayStability]:
-    """Return the closed loop at the channels of its disks, their names, the law in words, and the loop's stability."""
-    check_disk(at, skew, where)
-    found = closed_around(plant, K, sign, where, as_delayed)
-    p = found.plant
-    if not p.n_inputs * p.n_outputs:
-        raise InputError(where, f"an open loop of {p.n_outputs} x {p.n_inputs}", "a square one, or a K")
-    loop = disk_channels(found, at, skew)
+def _closed(opened: Opened, skew: float, effort: float, where: str) -> tuple[DelayedModel, DelayStability]:
+    """Return the closed loop at the channels of its disks, and its stability."""
+    loop = disk_channels(opened, skew)
     known = delay_stability(loop, effort)
     if known.stable is None:
         text = f"no set up to order {ORDERS[-1]} shows whether the closed loop is stable"
         raise NoTrustworthyNumber(where, text, None, "rl.robust_stability(loop, effort=...) may")
-    return loop, channel_names(p.input_names, p.output_names, at), found.said, known
+    return loop, known
+
+
+@error_context("delay_classical_margins")
+@one_thread()
+def delay_classical_margins(
+    plant: Any, K: Any = None, *, at: Place = "output", sign: Literal[-1, 1] | None = None
+) -> ClassicalMargins:
+    """`robustlab.classical_margins` of a loop with exact delays."""
+    where = "delay_classical_margins"
+    opened = opened_at(plant, K, at, sign, where, as_delayed)
+    S, known = _closed(opened, 1.0, 1.0, where)
+    channels = {name: _classical(S[i, i], known.stable is True, name) for i, name in enumerate(opened.names)}
+    return ClassicalMargins(channels, at, Status.CONVERGED, opened.said)
 
 
 # With S = 1 / (1 + L) of the loop that is opened, the others closed: |L| = 1 where Re S = 1/2, L < 0 where Im S = 0
@@ -360,21 +335,24 @@ def _classical(S: DelayedModel, stable: bool, name: str) -> ClassicalMargin:
         end = min(float(coarse[size > 0.5 / most].max(initial=coarse[0])), MOST * step)
         omega = np.union1d(coarse[coarse <= end], np.arange(step, end, step))
         values = response(omega)
-        real = [0.0, *_zeros(lambda w: response(w).imag, omega, values.imag)]
-        points = [(w, float(response([w])[0].real)) for w in real]
+        points = [
+            (w, float(response([w])[0].real)) for w in (0.0, *_zeros(lambda w: response(w).imag, omega, values.imag))
+        ]
         crossings = [PhaseCrossing(w, s / (s - 1.0)) for w, s in points if s < -LEAST or s > 1.0 + 0.5 / LARGEST]
         high = min((c.factor for c in crossings if c.factor >= 1), default=LARGEST)
         if most >= high:
             break
         most = min(4.0 * most, high)
-    met = [_gain_crossing(w, response) for w in _zeros(lambda w: response(w).real - 0.5, omega, values.real - 0.5)]
     if size[coarse > end].max(initial=size[-1]) * high > 1.0:
         found = f"loop {name}: its gain at high frequencies does not fall below {1 / high:.3g}"
         hint = "a loop with a direct path through a delay: take rl.disk_margin of it"
         raise NoTrustworthyNumber("delay_classical_margins", found, "a loop whose gain falls", hint)
-    kept = tuple(c for c in crossings if c.factor <= high * (1 + 1e-9))
-    changes = least_changes(met, kept, LARGEST) if stable else (None, None, None)
-    return ClassicalMargin(stable, *changes, tuple(met), kept, Status.CONVERGED)
+    gain = [
+        GainCrossing.at(w, float(np.angle(1.0 / response([w])[0] - 1.0)) + math.pi)
+        for w in _zeros(lambda w: response(w).real - 0.5, omega, values.real - 0.5)
+    ]
+    kept = [c for c in crossings if c.factor <= high * (1 + 1e-9)]
+    return ClassicalMargin.of(stable, gain, kept, most=LARGEST)
 
 
 def _zeros(f: Callable[[ArrayLike], Array], omega: Array, values: Array) -> list[float]:
@@ -397,27 +375,3 @@ def _zeros(f: Callable[[ArrayLike], Array], omega: Array, values: Array) -> list
         low, high = omega[k], omega[k + 1]
         found.append(float(solve(lambda w: f([w])[0], low, high, xtol=1e-14 * high, rtol=1e-14)))
     return sorted(found)
-
-
-def _gain_crossing(omega: float, response: Callable[[ArrayLike], ComplexArray]) -> GainCrossing:
-    s = complex(response([omega])[0])
-    lag = (float(np.angle((1.0 - s) / s)) + math.pi) % (2 * math.pi)
-    return GainCrossing(omega, lag, lag / omega)
-
-
-def _margin(
-    system: DelayedModel, names: Sequence[str], skew: float, order: int, seed: int, effort: float
-) -> DiskMargin:
-    """Return the margin of these channels at once: the peak of mu with its Delta, and a proof from this order on."""
-    blocks = [ComplexScalar(name) for name in names]
-    if len(names) == 1:
-        _, frequency = highest(system, lambda M: np.abs(M[:, 0, 0]))
-    else:
-        _, frequency = highest(system, lambda M: np.array([b.beta for b in upper_bounds(M, blocks, 1e-3)]), MU_POINTS)
-    found = mu(frequency_response(system, [frequency]), blocks, seed)
-    value = float(found.lower[0])
-    upper, proof = proved_level(system, blocks, value or TINY, effort, order)
-    delta = delta_values(blocks, found.delta[0]) if value else {}
-    status = Status.CERTIFIED if upper <= value * (1.0 + TOLERANCE) else Status.INACCURATE
-    bounds = 1.0 / upper, 1.0 / value if value else np.inf
-    return with_factors(bounds, frequency, status, system, delta, skew, proof)

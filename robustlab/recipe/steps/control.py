@@ -153,7 +153,7 @@ class RobustPerformanceStep(Step):
         return Inferred(leaves={"controllers": dict.fromkeys(self.controllers, row)})
 
     def run(self, work: Workspace) -> Outcome:
-        from robustlab.analysis.performance_comparison import compare_performance
+        from robustlab.analysis.performance import compare_performance
 
         loops = {name: _closed(self, work, name) for name in self.controllers}
         options: dict[str, Any] = {"effort": self.effort, "time_limit": self.time_limit, "seed": work.seed}

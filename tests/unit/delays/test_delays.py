@@ -27,12 +27,6 @@ def test_a_delay_changes_only_the_phase():
     assert np.abs(response(rl.delay(0.7)) - np.exp(-0.7j * OMEGA)).max() < 1e-14
 
 
-def test_a_loop_with_a_delay_equals_its_closed_form():
-    loop = (3.0 * LAG @ rl.delay(0.4)).feedback()
-    open_loop = 3.0 * np.exp(-0.4j * OMEGA) / (1j * OMEGA + 1)
-    assert np.abs(response(loop) - open_loop / (1 + open_loop)).max() < 1e-13
-
-
 def test_a_smith_predictor_has_the_delay_outside_its_loop():
     plant, pi = LAG @ rl.delay(2.0), rl.StateSpaceModel([[0.0]], [[1.0]], [[0.5]], [[1.0]])
     predictor = LAG - LAG @ rl.delay(2.0)
@@ -146,19 +140,6 @@ def test_the_bound_and_the_weight_exceed_the_true_error(order):
         near = error > 1e-6
         size = np.abs(response(error_weight(order, 3).scaled(1.0), x))
         assert (size[near] / error[near]).min() < 1.01
-
-
-@pytest.mark.parametrize("order", [1, 3])
-def test_the_set_contains_the_model_with_its_delay(order):
-    cover = (3.0 * LAG @ rl.delay(0.4)).uncertain(order)
-    (block,) = cover.blocks
-    assert block.name == f"delay of 0.4 s (order {order}, slope 3)"
-    weight = error_weight(order, 3).scaled(0.4)
-    for w in (0.05, 1.0, 7.0, 40.0):
-        delta = (np.exp(-0.4j * w) - response(pade(0.4, order), [w])[0]) / response(weight, [w])[0]
-        assert abs(delta) <= 1.0
-        found = cover.response([w], {block.name: complex(delta)})[0, 0, 0]
-        assert found == pytest.approx(3 * np.exp(-0.4j * w) / (1j * w + 1), abs=1e-9)
 
 
 @pytest.mark.parametrize("order", [4, 5, 6, 9])

@@ -52,11 +52,11 @@ def test_margin_and_gain_have_their_closed_forms():
     angles = np.exp(2j * np.pi * np.arange(20000) / 20000)
     p = g[:, None] + r[:, None] * angles
     truth = abs(p / (1 + k * p)).max(axis=1)
-    assert np.allclose(gain.gain_lower, truth, rtol=1e-4)
-    assert (gain.gain_upper >= truth).all()
-    assert (gain.gain_upper <= truth * 1.001).all()
-    k = int(gain.gain_upper.argmax())
-    assert (gain.lower, gain.upper, gain.frequency) == (gain.gain_lower[k], gain.gain_upper[k], OMEGA[k])
+    assert np.allclose(gain.lower_at, truth, rtol=1e-4)
+    assert (gain.upper_at >= truth).all()
+    assert (gain.upper_at <= truth * 1.001).all()
+    k = int(gain.upper_at.argmax())
+    assert (gain.lower, gain.upper, gain.frequency) == (gain.lower_at[k], gain.upper_at[k], OMEGA[k])
 
 
 def test_the_result_holds_at_the_given_frequencies_only():
