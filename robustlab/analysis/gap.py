@@ -12,8 +12,7 @@ from robustlab.errors import NoTrustworthyNumber, error_context
 from robustlab.result import Bracket, Status
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.hinf.hinf_synthesis import hinf
-from robustlab.uncertainty.distances.coprime import CoprimeFactors, continuous_models, coprime_factors
-from robustlab.uncertainty.distances.gap_metric import NOTHING, NuGap, nu_gap
+from robustlab.uncertainty.distances import NOTHING, CoprimeFactors, NuGap, continuous_models, coprime_factors, nu_gap
 
 CLOSE = 1e-3  # relative distance of the bounds that counts as converged
 

@@ -7,8 +7,7 @@ __all__, __getattr__ = lazily(
     {
         "exact": "all_left determinant exactly_stable from_the_circle normal_rank on_axis roots",
         "frequency": "default_grid",
-        "magnitude": "equilibrating_exponents",
-        "matrix_equations": "care dare hamiltonian_riccati lyapunov",
+        "matrices": "care dare equilibrating_exponents hamiltonian_riccati lyapunov",
         "structural": "drop_unconnected strong_components",
     },
 )

@@ -26,7 +26,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray, Array, Indices
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.linear_analysis.magnitude import equilibrating_exponents
+from robustlab.linear_analysis.matrices import equilibrating_exponents
 from robustlab.statespace import StateSpaceModel
 
 if TYPE_CHECKING:

@@ -31,7 +31,7 @@ from robustlab.display import Displayable, Facts, Part, listed, number
 from robustlab.errors import NoTrustworthyNumber, error_context
 from robustlab.linear_analysis import slicot
 from robustlab.linear_analysis.exact import MOST_STATES, determinant, normal_rank, roots
-from robustlab.linear_analysis.magnitude import equilibrating_exponents
+from robustlab.linear_analysis.matrices import equilibrating_exponents
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 

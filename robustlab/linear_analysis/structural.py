@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from robustlab.arrays import Array, ComplexArray, Indices, Mask
 from robustlab.display import AllFields, Displayable, Facts, Part, number
 from robustlab.errors import error_context
-from robustlab.linear_analysis.matrix_equations import lapack
+from robustlab.linear_analysis.matrices import lapack
 from robustlab.result import Status, least_trusted
 from robustlab.statespace import StateSpaceModel, as_model
 

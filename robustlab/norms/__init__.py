@@ -1,10 +1,12 @@
 """System norms with their evidence, and the bilinear map, which keeps the H-infinity norm."""
 
 from robustlab.norms.bilinear_map import bilinear_to_continuous, bilinear_to_discrete
+from robustlab.norms.claims import loop_numbers, model_numbers
 from robustlab.norms.h2 import H2Norm, h2_by_channels, h2_by_gramians, h2_norm
 from robustlab.norms.hinfinity import (
     QUIET,
     HinfNorm,
+    PeakGain,
     balancing_units,
     checked_band,
     gain_rounding,
@@ -13,8 +15,6 @@ from robustlab.norms.hinfinity import (
     unstable_norm,
     well_scaled,
 )
-from robustlab.norms.numbers import loop_numbers, model_numbers
-from robustlab.norms.peak_gain import PeakGain
 
 __all__ = [
     "QUIET",

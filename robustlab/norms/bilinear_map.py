@@ -6,7 +6,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.linear_analysis.magnitude import balancing_factors, refuse_overflow
+from robustlab.linear_analysis.matrices import balancing_factors, refuse_overflow
 from robustlab.statespace import StateSpaceModel
 
 __all__ = ["bilinear_to_continuous", "bilinear_to_discrete"]

@@ -13,12 +13,10 @@ from robustlab.display import Displayable, Facts, number
 from robustlab.errors import NoTrustworthyNumber, error_context
 from robustlab.linear_analysis import slicot
 from robustlab.linear_analysis.exact import exactly_stable
-from robustlab.linear_analysis.magnitude import balancing_factors, refuse_extremes
-from robustlab.linear_analysis.matrix_equations import small_residual
+from robustlab.linear_analysis.matrices import balancing_factors, refuse_extremes, small_residual
 from robustlab.linear_analysis.structural import with_hidden
-from robustlab.norms.bounded_real import gramian_matrix, gramian_square
+from robustlab.norms.claims import above, gramian_claims, gramian_matrix, gramian_square, model_numbers
 from robustlab.norms.hinfinity import unstable_norm, well_scaled
-from robustlab.norms.numbers import above, model_numbers
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.verification.checker import check
@@ -189,3 +187,11 @@ def _solved(s: StateSpaceModel, rate: float, doubt: str) -> tuple[H2Norm, float,
     reason = doubt if gap <= AGREE else f"the two Gramians give {one:.9g} and {two:.9g}"
     norm = H2Norm(max(one, two), Status.INACCURATE if reason else Status.CONVERGED, reason)
     return norm, gap, out + direct.sum(1), into + direct.sum(0)
+
+
+def h2_claims(found: H2Norm) -> list[Claim]:
+    """Claim that the H2 norm is at most ``value``, by a slightly enlarged Gramian."""
+    model = found.system
+    if model is None or not np.isfinite(found.value) or not found.status.trustworthy:
+        return []
+    return gramian_claims(model, found.value)

@@ -13,27 +13,89 @@ Boyd, Balakrishnan 1990; Bruinsma, Steinbuch 1990.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
 
 from robustlab.arrays import AnyArray, Array
-from robustlab.display import Facts
+from robustlab.display import Facts, bracket, listed, number
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis import slicot
 from robustlab.linear_analysis.exact import exactly_on_boundary, exactly_stable
-from robustlab.linear_analysis.frequency import solved_response
-from robustlab.linear_analysis.magnitude import balancing_factors, refuse_extremes
-from robustlab.linear_analysis.matrix_equations import balanced_eigenvalues, lapack
-from robustlab.linear_analysis.narrow_peaks import modes_apart
+from robustlab.linear_analysis.frequency import modes_apart, solved_response
+from robustlab.linear_analysis.matrices import balanced_eigenvalues, balancing_factors, lapack, refuse_extremes
 from robustlab.norms.bilinear_map import bilinear_to_continuous
-from robustlab.norms.bounded_real import gain_in_balls, norm_matrix
-from robustlab.norms.peak_gain import PeakGain
-from robustlab.result import Status
+from robustlab.norms.claims import above, band_scalings, gain_in_balls, model_numbers, norm_matrix
+from robustlab.result import Bracket, Status
 from robustlab.statespace import StateSpaceModel, as_model
+from robustlab.verification.claim import Claim
+
+
+@dataclass(frozen=True, eq=False)
+class PeakGain(Bracket):
+    """Bounds of the largest gain of a system; each kind of system has a class of its own with more evidence.
+
+    Attributes
+    ----------
+    lower, upper
+        ``lower <= gain <= upper``: ``lower`` is attained, at ``frequency`` or by a member; ``upper`` is proved, inf
+        without proof. Both inf where the system, or a member of it, is unstable.
+    frequency
+        Where ``lower`` is attained, rad/s; None where that has no meaning, NaN or None where the gain is infinite.
+    status
+        How far both can be trusted.
+    conditions
+        Assumptions of the bounds.
+    notes
+        Remarks for the reader of a report.
+    """
+
+    conditions: tuple[str, ...] = field(default=(), kw_only=True)
+    notes: tuple[str, ...] = field(default=(), kw_only=True)
+
+    quantities: ClassVar[Mapping[str, Any]] = {"lower": float, "upper": float}
+    unsaved: ClassVar[tuple[str, ...]] = ()  # fields that `to_json` leaves out
+    unstable: ClassVar[str] = "infinite: a member is unstable"  # text of infinite bounds
+
+    def bounds(self) -> str:
+        """Return both bounds in words."""
+        if math.isinf(self.lower):
+            return self.unstable
+        if math.isinf(self.upper):
+            return f"{number(self.lower)} (attained), no bound proved"
+        return bracket(self.lower, self.upper, ("attained", "proved"))
+
+    def place(self) -> str:
+        """Return where ``lower`` is attained, in words; empty if unknown."""
+        return number(self.frequency, "rad/s")
+
+    def headline(self) -> str:
+        if math.isinf(self.lower):
+            return f"the gain is {self.unstable}" if self.unstable.startswith("infinite") else self.unstable
+        proved = f"is at most {number(self.upper)}" if math.isfinite(self.upper) else "has no proved bound"
+        return f"the gain {proved}; {number(self.lower)} is attained"
+
+    def facts(self) -> Facts:
+        return [
+            ("largest gain", self.bounds()),
+            ("attained at", self.place()),
+            *self.evidence(),
+            ("holds", listed(self.conditions)),
+            *(("note", note) for note in self.notes),
+        ]
+
+    def evidence(self) -> Facts:
+        """Return the facts of this kind of system."""
+        return []
+
+    def to_json(self) -> dict[str, Any]:
+        kept = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in self.unsaved}
+        return {"type": type(self).__name__, **kept}
+
 
 EPS = float(np.finfo(float).eps)
 # Error of the eigenvalues of a Jordan block of four over that of a matrix with a basis of eigenvectors.
@@ -398,3 +460,17 @@ def crossings(m: StateSpaceModel, level: float, band: Band | None = None) -> Any
 def _within(omega: AnyArray, band: Band) -> AnyArray:
     """Return the frequencies inside a band, and its ends, in order."""
     return np.unique(np.append(omega[(omega > band[0]) & (omega < band[1])], band))
+
+
+def norm_claims(found: HinfNorm) -> list[Claim]:
+    """Claim that the gain stays below ``upper``: of a stable model, or over a band of one that may be unstable."""
+    model = found.system
+    if model is None or not np.isfinite(found.upper) or found.status is not Status.CERTIFIED:
+        return []
+    level = above(found.upper)
+    if found.band is None:
+        return [
+            Claim("norm", {**model_numbers(model), "gamma": np.array(level), **norm_matrix(model, level, found.upper)})
+        ]
+    scalings = band_scalings(model.n_inputs, model.n_outputs, found.band)
+    return [Claim("mu-axis", {**model_numbers(model), "level": np.array(level), **scalings})]

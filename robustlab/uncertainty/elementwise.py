@@ -17,7 +17,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.display import Displayable, Facts, Part
 from robustlab.errors import InputError, UnitMismatch, did_you_mean, error_context
-from robustlab.linear_analysis.magnitude import equilibrating_exponents
+from robustlab.linear_analysis.matrices import equilibrating_exponents
 from robustlab.result import Status
 from robustlab.signals import MAX_NAME
 from robustlab.statespace import MAX_STATES, Signal, StateSpaceModel, as_model

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import AnyArray, Array
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.linear_analysis.magnitude import balancing_factors
+from robustlab.linear_analysis.matrices import balancing_factors
 from robustlab.linear_analysis.structural import strong_components
 from robustlab.signals import MAX_NAME
 from robustlab.statespace import Signal, StateSpaceModel, append

@@ -22,7 +22,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.display import Displayable, Facts, listed, number
 from robustlab.errors import InputError
-from robustlab.linear_analysis.magnitude import balancing_factors
+from robustlab.linear_analysis.matrices import balancing_factors
 from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices, structure_size

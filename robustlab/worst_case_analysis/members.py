@@ -18,7 +18,7 @@ from robustlab.arrays import Array, Mask
 from robustlab.clocks import UNIFORM_TOLERANCE
 from robustlab.dynamics.simulation import sampled_inputs
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.linear_analysis.magnitude import is_moderate, refuse_overflow
+from robustlab.linear_analysis.matrices import is_moderate, refuse_overflow
 from robustlab.statespace import Signal, real_array
 from robustlab.uncertainty.blocks import Block, block_slices, structure_size
 from robustlab.uncertainty.interconnection import ILL_POSED

@@ -19,10 +19,15 @@ from robustlab.mu_analysis.axis.robustness import worst_case_gain
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
-from robustlab.uncertainty.covering.overbound import Overbound
-from robustlab.uncertainty.covering.parametric_cover import PARAMETRIC_FORMS, parametric_cover
-from robustlab.uncertainty.covering.unstructured_cover import matrices_miss, model_set, unstructured_cover
+from robustlab.uncertainty.covers import (
+    PARAMETRIC_FORMS,
+    matrices_miss,
+    model_set,
+    parametric_cover,
+    unstructured_cover,
+)
 from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.overbound import Overbound
 from robustlab.uncertainty.unstructured import FORMS
 
 EXACT = 1e-12  # relative rounding error of a member of an exact cover

@@ -13,7 +13,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.mu_analysis.axis.intervals import AxisCover, Piece
 from robustlab.mu_analysis.axis.joined_scalings import loop_axis_claims
 from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete, hinf_norm
-from robustlab.norms.numbers import ABOVE
+from robustlab.norms.claims import ABOVE
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.dk.dynamic_scalings import DynamicScalings, plant_at_level, proved_level
 from robustlab.synthesis.dk.riccati_level import LevelSearch

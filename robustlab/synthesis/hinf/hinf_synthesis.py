@@ -13,7 +13,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, dense, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
-from robustlab.linear_analysis.magnitude import refuse_extremes
+from robustlab.linear_analysis.matrices import refuse_extremes
 from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel

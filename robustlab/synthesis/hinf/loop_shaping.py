@@ -23,7 +23,7 @@ from robustlab.synthesis.problem.certify import certified
 from robustlab.synthesis.problem.design import Synthesis, limiting_channels
 from robustlab.synthesis.problem.partition import GeneralizedPlant, require_performance
 from robustlab.synthesis.problem.rebuilt_loop import named_controller, surely_stable
-from robustlab.uncertainty.distances.coprime import (
+from robustlab.uncertainty.distances import (
     CoprimeMargin,
     CoprimeRiccati,
     continuous_models,

@@ -10,12 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.linear_analysis.magnitude import balancing_exponents
-from robustlab.linear_analysis.matrix_equations import lyapunov
+from robustlab.linear_analysis.matrices import balancing_exponents, lyapunov
 from robustlab.norms import H2Norm, HinfNorm, h2_by_gramians, hinf_norm
-from robustlab.norms.bounded_real import norm_matrix
-from robustlab.norms.claims import gramian_claims, h2_loop_claims
-from robustlab.norms.numbers import Numbers, above, loop_numbers
+from robustlab.norms.claims import Numbers, above, gramian_claims, h2_loop_claims, loop_numbers, norm_matrix
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.verification.balls import midpoints, precision

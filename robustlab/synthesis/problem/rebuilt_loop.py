@@ -8,8 +8,8 @@ import numpy as np
 
 from robustlab.arrays import AnyArray, Array
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.linear_analysis.magnitude import balancing_factors, refuse_overflow
-from robustlab.linear_analysis.narrow_peaks import in_states
+from robustlab.linear_analysis.frequency import in_states
+from robustlab.linear_analysis.matrices import balancing_factors, refuse_overflow
 from robustlab.norms.hinfinity import eigenvalue_blur
 from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel

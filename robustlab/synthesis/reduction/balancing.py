@@ -16,8 +16,7 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.linear_analysis import slicot
-from robustlab.linear_analysis.magnitude import balancing_factors
-from robustlab.linear_analysis.matrix_equations import small_residual
+from robustlab.linear_analysis.matrices import balancing_factors, small_residual
 from robustlab.linear_analysis.structural import HiddenMode, LeastOrder, least_order
 from robustlab.statespace import StateSpaceModel, parallel
 from robustlab.verification.balls import exact, midpoints, precision

@@ -11,7 +11,7 @@ from robustlab.arrays import AnyArray
 from robustlab.checks import choice, number, whole
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.frequency import frequency_response
-from robustlab.linear_analysis.magnitude import refuse_extremes
+from robustlab.linear_analysis.matrices import refuse_extremes
 from robustlab.linear_analysis.structural import least_order
 from robustlab.norms import HinfNorm, hinf_norm, linf_norm
 from robustlab.result import Status

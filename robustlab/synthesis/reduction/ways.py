@@ -39,8 +39,7 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis import slicot
-from robustlab.linear_analysis.magnitude import balancing_exponents
-from robustlab.linear_analysis.matrix_equations import care
+from robustlab.linear_analysis.matrices import balancing_exponents, care
 from robustlab.linear_analysis.structural import least_order
 from robustlab.norms import HinfNorm, bilinear_to_continuous, bilinear_to_discrete, hinf_norm, linf_norm
 from robustlab.result import Status
@@ -53,7 +52,7 @@ from robustlab.synthesis.reduction.balancing import (
     lost_at_least_order,
     split_stable,
 )
-from robustlab.uncertainty.distances.coprime import continuous_models, coprime_factors
+from robustlab.uncertainty.distances import continuous_models, coprime_factors
 
 Weights = tuple[StateSpaceModel | None, StateSpaceModel | None]  # W_i and W_o
 
