@@ -6,9 +6,7 @@ normalised real delta to the user's parameter.
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Literal, Self, get_args
@@ -149,17 +147,13 @@ class ParameterRange:
 
 Pattern = list[tuple[int, int, complex]]  # entries (row, column, coefficient) of a sparse matrix
 SAMPLED = "sampled"  # first word of the origin of a block that holds for samples only
-OUTSIDE = 1e-9  # allowed relative deviation of a value from its kind: rounding
 
 
-class Block(ABC):
-    """One block ``Delta_i``, ``w = Delta_i z``, of a structured perturbation: a set of matrices of norm at most one.
+class Block:
+    """One block ``Delta_i``, ``w = Delta_i z``, of a structured perturbation; the defaults are those of a full block.
 
-    With a member its multiples by 0 .. 1 are in the set. A new kind is one subclass: it defines its set by `is_real`,
-    `is_scalar` and `project`; the defaults of the rest hold for any such set (D a multiple of the identity, no G), and
-    a kind with more structure overrides them by sharper ones.
-
-    A *value* is the user's form of a member: a number for a scalar kind, else a matrix of `value_shape`.
+    With a member its multiples by 0 .. 1 are in the set. A *value* is the user's form of a member: a number for a
+    scalar kind, else a matrix of `value_shape`.
     """
 
     name: str  # unique within a structure
@@ -172,9 +166,16 @@ class Block(ABC):
     parameter: ParameterRange | None = None  # the physical range of a real delta
 
     # Whether all members are real matrices, constant in time; else a member is a stable system of gain at most one.
-    is_real: ClassVar[bool]
-    is_scalar: ClassVar[bool]  # whether members are one number times the identity
-    stored_as: ClassVar[str] = ""  # the kind's word in files; empty: it cannot be stored
+    is_real: ClassVar[bool] = False
+    is_scalar: ClassVar[bool] = False  # whether members are one number times the identity
+    stored_as: ClassVar[str]  # the kind's word in files
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or not self.name or len(self.name) > 200:
+            raise InputError("block", f"name {self.name!r}", "a text of 1 to 200 characters")
+        for size in (self.rows, self.cols):
+            if isinstance(size, bool) or not isinstance(size, (int, np.integer)) or size < 1:
+                raise InputError(f"block {self.name!r}", f"size {size!r}", "a positive whole number")
 
     @property
     def is_sampled(self) -> bool:
@@ -217,11 +218,11 @@ class Block(ABC):
     @property
     def is_ball(self) -> bool:
         """Return whether every complex matrix of this size with ``sigma_max <= 1`` is a member."""
-        return False
+        return True
 
-    @abstractmethod
     def project(self, part: NDArray[Any]) -> NDArray[Any]:
         """Return the nearest matrix (rows, cols) that is a multiple of a member."""
+        return part
 
     def norm(self, part: NDArray[Any]) -> float:
         """Return the largest singular value of a multiple of a member."""
@@ -234,15 +235,11 @@ class Block(ABC):
         value = value.reshape(1, 1) if value.ndim == 0 and self.value_shape == (1, 1) else value
         if value.shape != self.value_shape:
             raise InputError(f"delta {self.name!r}", f"shape {value.shape}", f"{self.value_shape}")
-        if self.is_real and np.imag(value).any():
-            raise InputError(f"delta {self.name!r}", "a complex matrix", "a real matrix")
-        if np.abs(self.project(value) - value).max() > OUTSIDE * np.abs(value).max():
-            raise InputError(f"delta {self.name!r}", "another matrix", f"one that a {type(self).__name__} may be")
         return value
 
     def value_of(self, part: NDArray[Any]) -> Any:
         """Return the value of a block (inverse of `matrix_of`)."""
-        return np.real(part).copy() if self.is_real else part.copy()
+        return part.copy()
 
     @property
     def zero(self) -> Any:
@@ -251,10 +248,7 @@ class Block(ABC):
 
     def draw(self, rng: np.random.Generator, boundary: bool = False) -> Any:
         """Draw a random value of the set, with ``boundary`` on its boundary."""
-        matrix = rng.standard_normal(self.value_shape)
-        if not self.is_real:
-            matrix = matrix + 1j * rng.standard_normal(self.value_shape)
-        matrix = self._of_the_kind(matrix)
+        matrix = rng.standard_normal(self.value_shape) + 1j * rng.standard_normal(self.value_shape)
         radius = 1.0 if boundary else rng.random() ** (1.0 / self.n_coordinates)
         # Slightly inside: the norm of the rounded matrix must not exceed one.
         matrix *= radius * (1 - 1e-15) / np.linalg.norm(matrix, 2)
@@ -283,15 +277,9 @@ class Block(ABC):
 
     def members(self, coordinates: Array) -> NDArray[Any]:
         """Return members (k, rows, cols) at coordinates (k, n_coordinates), scaled onto the set where outside."""
-        matrix = self._of_the_kind(self._entries(coordinates).reshape(-1, *self.value_shape))
+        matrix = self._entries(coordinates).reshape(-1, *self.value_shape)
         sizes = np.abs(matrix[:, 0, 0]) if self.value_shape == (1, 1) else np.linalg.norm(matrix, 2, axis=(1, 2))
         return matrix / np.maximum(sizes, 1.0)[:, None, None]
-
-    def _of_the_kind(self, matrix: NDArray[Any]) -> NDArray[Any]:
-        """Project values (..., rows, cols) onto the kind."""
-        if self.is_ball or self.is_scalar:
-            return matrix
-        return np.array([self.project(m) for m in matrix]) if matrix.ndim == 3 else self.project(matrix)
 
     def _entries(self, coordinates: Array) -> NDArray[Any]:
         half = coordinates.shape[-1] // 2
@@ -301,14 +289,12 @@ class Block(ABC):
 
     def aligned(self, left: ComplexArray, right: ComplexArray, size: float = 1.0) -> NDArray[Any] | None:
         """Return ``size`` times a member with a large real part of ``left^T Delta_i right``; None if all give zero."""
-        part = self.project(np.outer(np.conj(left), np.conj(right)))
-        norm = self.norm(part)
-        return size * part / norm if norm > 0 else None
+        norm = np.linalg.norm(left) * np.linalg.norm(right)
+        return size * np.outer(np.conj(left), np.conj(right)) / norm if norm > 0 else None
 
     def extreme(self, rng: np.random.Generator, vector: Callable[[int], NDArray[Any]]) -> NDArray[Any]:
         """Draw a member of norm one, of rank one if possible; ``vector(n)`` draws complex n-vectors."""
-        part = self.project(rank_one(vector(self.rows), vector(self.cols)))
-        return part / self.norm(part)
+        return rank_one(vector(self.rows), vector(self.cols))
 
     # --- scalings that commute: D_w Delta = Delta D_z, and G Delta Hermitian -----------------------------------------
 
@@ -331,14 +317,15 @@ class Block(ABC):
 
     # --- other blocks of the kind ------------------------------------------------------------------------------------
 
-    def resized(self, rows: int, cols: int) -> Self:
-        """Return the same block with another size. Raises InputError: the kind has no block of that size."""
-        if (rows, cols) == (self.rows, self.cols):
-            return self
-        raise InputError(f"block {self.name!r}", f"a size of {rows} x {cols}", f"{self.rows} x {self.cols}")
+    def resized(self, size: int) -> Self:
+        """Return the same scalar block with another number of repetitions."""
+        return replace(self, repeats=size)  # type: ignore[type-var]
 
     def merged(self, others: Sequence[Any], where: str) -> Block:
         """Merge blocks of the same uncertainty in several operands; ``others`` are of the same kind and name."""
+        if self.is_scalar or all(b.value_shape == (1, 1) for b in (self, *others)):
+            kind = self if self.is_scalar else ComplexScalar(self.name)
+            return kind.resized(sum(b.rows for b in (self, *others)))
         expected = "a full block in one operand only: a repeated one has no structure here"
         hint = "build the interconnection so that the block occurs once, or rename one if they are different"
         raise InputError(where, "is a full block in several operands", expected, hint)
@@ -346,8 +333,6 @@ class Block(ABC):
     def centred(self, level: float) -> tuple[float, float, Block]:
         """Return ``(middle, half, block)``: the set times ``level`` is ``middle I + half`` times a symmetric block."""
         return 0.0, level, self
-
-    # --- words and files ---------------------------------------------------------------------------------------------
 
     def to_json(self) -> dict[str, object]:
         data: dict[str, object] = {"name": self.name, "kind": type(self).__name__}
@@ -360,13 +345,6 @@ class Block(ABC):
 def rank_one(u: NDArray[Any], v: NDArray[Any]) -> NDArray[Any]:
     """Return the matrix ``u v^T``, divided by its norm."""
     return np.outer(u / np.linalg.norm(u), v / np.linalg.norm(v))
-
-
-def check_name_and_size(name: str, size: int) -> None:
-    if not isinstance(name, str) or not name or len(name) > 200:
-        raise InputError("block", f"name {name!r}", "a text of 1 to 200 characters")
-    if isinstance(size, bool) or not isinstance(size, (int, np.integer)) or size < 1:
-        raise InputError(f"block {name!r}", f"size {size!r}", "a positive whole number")
 
 
 class ScalarBlock(Block):
@@ -401,19 +379,21 @@ class ScalarBlock(Block):
     def members(self, coordinates: Array) -> NDArray[Any]:
         return super().members(coordinates) * np.eye(self.repeats)
 
+    def aligned(self, left: ComplexArray, right: ComplexArray, size: float = 1.0) -> NDArray[Any] | None:
+        part = self.project(np.outer(np.conj(left), np.conj(right)))
+        norm = self.norm(part)
+        return size * part / norm if norm > 0 else None
+
+    def extreme(self, rng: np.random.Generator, vector: Callable[[int], NDArray[Any]]) -> NDArray[Any]:
+        part = self.project(rank_one(vector(self.rows), vector(self.cols)))
+        return part / self.norm(part)
+
     @property
     def d_order(self) -> int:
         return self.repeats
 
     def d_basis(self) -> list[tuple[Pattern, Pattern]]:
         return [(pattern, pattern) for pattern in hermitian_basis(self.repeats)]
-
-    def resized(self, rows: int, cols: int) -> Self:
-        return dataclasses.replace(self, repeats=rows) if rows == cols else super().resized(rows, cols)  # type: ignore[type-var]
-
-    def merged(self, others: Sequence[Any], where: str) -> Block:
-        size = self.repeats + sum(b.repeats for b in others)
-        return self.resized(size, size)
 
 
 def hermitian_basis(order: int) -> list[Pattern]:
@@ -444,16 +424,12 @@ class ComplexScalar(ScalarBlock):
         A name that is no text of 1 to 200 characters, a size that is no positive whole number.
     """
 
-    is_real: ClassVar[bool] = False
     stored_as: ClassVar[str] = "complex"
 
     name: str
     repeats: int = 1
     origin: str = field(default="", repr=False, compare=False, kw_only=True)
     covers: tuple[float, float, int, int] | None = field(default=None, repr=False, compare=False, kw_only=True)
-
-    def __post_init__(self) -> None:
-        check_name_and_size(self.name, self.repeats)
 
     @property
     def is_ball(self) -> bool:
@@ -506,9 +482,6 @@ class RealScalar(ScalarBlock):
     parameter: ParameterRange | None = None
     origin: str = field(default="", repr=False, compare=False, kw_only=True)
 
-    def __post_init__(self) -> None:
-        check_name_and_size(self.name, self.repeats)
-
     @property
     def ratio(self) -> float:
         """Return the width of the range below nominal divided by the width above; 1 without a range."""
@@ -521,6 +494,10 @@ class RealScalar(ScalarBlock):
     @property
     def is_symmetric(self) -> bool:
         return self.ratio == 1
+
+    @property
+    def is_ball(self) -> bool:
+        return False
 
     def entry(self, delta: float) -> float:
         """Return the entry of Delta for a normalised delta."""
@@ -596,8 +573,6 @@ class FullBlock(Block):
         A name that is no text of 1 to 200 characters, a size that is no positive whole number.
     """
 
-    is_real: ClassVar[bool] = False
-    is_scalar: ClassVar[bool] = False
     stored_as: ClassVar[str] = "full"
 
     name: str
@@ -605,32 +580,6 @@ class FullBlock(Block):
     cols: int
     origin: str = field(default="", repr=False, compare=False, kw_only=True)
     covers: tuple[float, float, int, int] | None = field(default=None, repr=False, compare=False, kw_only=True)
-
-    def __post_init__(self) -> None:
-        check_name_and_size(self.name, self.rows)
-        check_name_and_size(self.name, self.cols)
-
-    @property
-    def is_ball(self) -> bool:
-        return True
-
-    def project(self, part: NDArray[Any]) -> NDArray[Any]:
-        return part
-
-    def aligned(self, left: ComplexArray, right: ComplexArray, size: float = 1.0) -> NDArray[Any] | None:
-        norm = np.linalg.norm(left) * np.linalg.norm(right)
-        return size * np.outer(np.conj(left), np.conj(right)) / norm if norm > 0 else None
-
-    def extreme(self, rng: np.random.Generator, vector: Callable[[int], NDArray[Any]]) -> NDArray[Any]:
-        return rank_one(vector(self.rows), vector(self.cols))
-
-    def resized(self, rows: int, cols: int) -> Self:
-        return replace(self, rows=rows, cols=cols)
-
-    def merged(self, others: Sequence[FullBlock], where: str) -> Block:
-        if all(b.value_shape == (1, 1) for b in (self, *others)):
-            return ComplexScalar(self.name, 1 + len(others))
-        return super().merged(others, where)
 
 
 def as_blocks(given: Any) -> tuple[Block, ...]:

@@ -178,7 +178,7 @@ def coprime_margin(P: Any, C: Any, *, sign: Literal[-1, 1] | None = None) -> Cop
     law = StateSpaceModel(k.A, k.B, sign * k.C, sign * k.D, k.dt)
     loop = lower_lft(four_block(plant), law)
     norm = hinf_norm(loop, rtol=1e-9)
-    best = coprime_riccati(continuous_models(plant).models[0]).best_margin
+    best = coprime_riccati(*continuous_models(plant)).best_margin
     if not np.isfinite(norm.upper):
         return CoprimeMargin(0.0, 0.0, None, best, norm.status, with_hidden(norm.reason, plant, k), found.said)
     bounds = 1 / norm.upper, 1 / norm.lower
@@ -197,47 +197,14 @@ def four_block(plant: StateSpaceModel) -> StateSpaceModel:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class MappedModels:
-    """Continuous models with the same values on the stability boundary, and the map of frequencies."""
-
-    models: tuple[StateSpaceModel, ...]
-    dt: float
-    mirrored: bool
-
-    def frequency(self, omega: float) -> float:
-        """Return the frequency of the given models for ``omega`` of the mapped ones, in rad/s."""
-        if not self.dt:
-            return omega
-        warped = 2 / self.dt * float(np.arctan(omega * self.dt / 2)) if np.isfinite(omega) else np.pi / self.dt
-        return np.pi / self.dt - warped if self.mirrored else warped
-
-
-def continuous_models(*models: StateSpaceModel) -> MappedModels:
-    """Return continuous models as they are, discrete ones mapped by ``s = (2/dt) (z - 1)/(z + 1)``, all alike."""
+def continuous_models(*models: StateSpaceModel) -> tuple[StateSpaceModel, ...]:
+    """Return continuous models as they are, discrete ones mapped by ``s = (2/dt) (z - 1)/(z + 1)``."""
     times = {m.dt for m in models if m.n_states or m.dt}
     if len(times) > 1:
         raise InputError("gap", f"sample times {sorted(times)} s (0: continuous)", "one common sample time")
-    dt = times.pop() if times else 0.0
-    if dt == 0:
-        return MappedModels(models, 0.0, False)
-    straight = tuple(StateSpaceModel(m.A, m.B, m.C, m.D, dt) for m in models)
-    turned = tuple(StateSpaceModel(-m.A, -m.B, m.C, m.D, dt) for m in models)
-    # A pole close to z = -1 becomes a fast, inaccurate one: -z then is the better variable.
-    mirrored = _nearness(straight) > 100 * _nearness(turned)
-    try:
-        return MappedModels(tuple(bilinear_to_continuous(m) for m in (turned if mirrored else straight)), dt, mirrored)
-    except NoTrustworthyNumber:
-        return MappedModels(
-            tuple(bilinear_to_continuous(m) for m in (straight if mirrored else turned)), dt, not mirrored
-        )
-
-
-def _nearness(models: tuple[StateSpaceModel, ...]) -> float:
-    """Return the largest condition number of I + A in balanced states, the error of the bilinear map."""
-    scales = [balancing_factors(m.A) for m in models]
-    balanced = [m.A / t[:, None] * t for m, t in zip(models, scales, strict=True) if m.n_states]
-    return max((float(np.linalg.cond(np.eye(len(a)) + a)) for a in balanced), default=1.0)
+    if not (dt := times.pop() if times else 0.0):
+        return models
+    return tuple(bilinear_to_continuous(StateSpaceModel(m.A, m.B, m.C, m.D, dt)) for m in models)
 
 
 def _scaled(model: StateSpaceModel) -> tuple[StateSpaceModel, float]:
@@ -266,12 +233,10 @@ def _inverse_root(matrix: Array) -> Array:
 
 
 def _check_inner(m: StateSpaceModel, right: StateSpaceModel, left: StateSpaceModel) -> None:
-    speeds = np.abs(np.concatenate([m.poles(), right.poles(), left.poles()]))
-    omega = np.unique(np.concatenate([[0.0], speeds]))
-    g, h = frequency_response(right, omega), frequency_response(left, omega)
+    omega = np.unique(np.concatenate([[0.0], *(np.abs(x.poles()) for x in (m, right, left))]))
+    g, h = frequency_response(right, omega), np.swapaxes(frequency_response(left, omega), 1, 2)
     with np.errstate(over="ignore", invalid="ignore"):  # overflow and NaN fail the test
-        off = np.abs(np.swapaxes(g.conj(), 1, 2) @ g - np.eye(g.shape[2])).max(initial=0.0)
-        off = np.maximum(off, np.abs(h @ np.swapaxes(h.conj(), 1, 2) - np.eye(h.shape[1])).max(initial=0.0))
+        off = max(np.abs(np.swapaxes(x.conj(), 1, 2) @ x - np.eye(x.shape[2])).max(initial=0.0) for x in (g, h))
     if not off <= INNER:
         raise NoTrustworthyNumber("coprime factors", f"they miss being normalised by {off:.1e}", f"at most {INNER:.0e}")
 
@@ -371,13 +336,14 @@ def nu_gap(P1: Any, P2: Any) -> NuGap:
         raise InputError("nu_gap", f"models of {sizes[0]} and {sizes[1]}", "equal sizes")
     if not m1.D.size:
         raise InputError("nu_gap", f"a model of {m1.n_outputs} x {m1.n_inputs}", "inputs and outputs")
-    mapped = continuous_models(m1, m2)
-    one, two = (coprime_factors(m) for m in mapped.models)
+    one, two = (coprime_factors(m) for m in continuous_models(m1, m2))
     # G2~ G1 = M2~ N1 - N2~ M1, stable; the left factors are ordered [N2~, M2~].
     (p, m), right = m1.D.shape, one.right
     swap = np.block([[np.zeros((m, p)), -np.eye(m)], [np.eye(p), np.zeros((p, m))]])
     norm = hinf_norm(series(StateSpaceModel(right.A, right.B, swap @ right.C, swap @ right.D), two.left), rtol=1e-9)
-    frequency = mapped.frequency(norm.frequency)
+    frequency, dt = norm.frequency, m1.dt or m2.dt
+    if dt:
+        frequency = 2 / dt * float(np.arctan(frequency * dt / 2))
     if norm.lower <= NOTHING:
         return NuGap(0.0, NOTHING, frequency, norm.lower, 0, Status.CERTIFIED)
     chordal = min(norm.lower, 1.0)

@@ -152,7 +152,7 @@ def _step(
             size = turn.shape[1]
             into.append(own[:, None] * turn)
             out.append((turn / own[:, None]).T)
-            kept += [block.resized(size, size)] if size else []
+            kept += [block.resized(size)] if size else []
             inputs, outputs = [*inputs, *M.inputs[w][:size]], [*outputs, *M.outputs[z][:size]]
         else:
             into.append(np.eye(block.rows))

@@ -77,7 +77,6 @@ class Way:
     balancing: Balancing
     weights: Weights = (None, None)
     spectrum: Spectrum | None = None
-    mirrored: bool = False  # whether the coprime factors are those of G(-z)
 
     def reduced(self, order: int) -> StateSpaceModel:
         """Return the part with this order."""
@@ -101,10 +100,7 @@ class Way:
         model = StateSpaceModel(
             small.A - into @ small.C[p:], into, small.C[:p] - small.D[:p] @ gain, small.D[:p] @ back
         )
-        if not full.dt:
-            return model
-        model = bilinear_to_discrete(model, full.dt)
-        return StateSpaceModel(-model.A, -model.B, model.C, model.D, full.dt) if self.mirrored else model
+        return bilinear_to_discrete(model, full.dt) if full.dt else model
 
     def bound(self, order: int) -> float:
         """Return the a-priori bound of the error; NaN with weights."""
@@ -163,12 +159,11 @@ def _coprime_way(full: StateSpaceModel) -> Way:
     least = least_order(full)
     hidden = least.hidden if any(not mode.stable for mode in least.hidden) else ()
     full = least.model if hidden else full
-    mapped = continuous_models(full)
-    factors = coprime_factors(mapped.models[0]).right
+    factors = coprime_factors(*continuous_models(full)).right
     nothing = StateSpaceModel([], [], [], 0 * full.D, full.dt)
     split = SplitModel(full, nothing, lost_at_least_order(least) if hidden else None, hidden)
     balancing = Balancing.of(*gramian_factors(factors))
-    return Way("coprime", split, factors, factors, balancing, mirrored=mapped.mirrored)
+    return Way("coprime", split, factors, factors, balancing)
 
 
 def error_bound(values: AnyArray, order: int) -> float:
