@@ -169,7 +169,10 @@ def _weighted(
     # A peak between two frequencies of the grid, or an error beyond them, lifts the weight.
     lift = max(float(gains.max()) * (1.0 + 1e-9), 1.0)
     deltas = tuple(StateSpaceModel(d.A, d.B, d.C / lift, d.D / lift, d.dt) for d in deltas)
-    return _lifted(fit, lift, tolerance), deltas, tuple((gains / lift).tolist())
+    fit = fit.lifted(lift)
+    if lift > LIFT and fit.excess > tolerance:
+        fit = replace(fit, status=Status.INACCURATE)
+    return fit, deltas, tuple((gains / lift).tolist())
 
 
 def _beyond(omega: Array, dt: float) -> Array:
@@ -177,20 +180,6 @@ def _beyond(omega: Array, dt: float) -> Array:
     rest = np.pi / dt - omega[-1] if dt else 0.0
     high = np.pi / dt - rest * np.linspace(0.9, 0.0, GRID_POINTS) if dt else omega[-1] * BEYOND
     return np.concatenate([omega[0] / BEYOND, high])
-
-
-def _lifted(fit: Overbound, factor: float, tolerance: float) -> Overbound:
-    """Return the weight times a factor; INACCURATE if the factor makes it exceed the tolerance."""
-    w, size = fit.weight, factor * fit.magnitude
-    ratio = size / fit.bound
-    return replace(
-        fit,
-        weight=StateSpaceModel(w.A, w.B, factor * w.C, factor * w.D, w.dt),
-        excess=float(ratio.max()) - 1.0,
-        lowest=float(ratio.min()) - 1.0,
-        magnitude=size,
-        status=Status.INACCURATE if factor > LIFT and ratio.max() - 1.0 > tolerance else fit.status,
-    )
 
 
 # --- errors by frequency ---------------------------------------------------------------------------------------------
@@ -289,19 +278,16 @@ def _require_stable(models: tuple[StateSpaceModel, ...], centre: StateSpaceModel
 
 
 def _pole_that_stays(model: StateSpaceModel, centre: StateSpaceModel, form: Form, singular: AnyArray) -> complex | None:
+    """Return a pole on the right of the error among these numbers, by its Laurent series there; None without one."""
     scale = float(np.abs(singular).max(initial=0.0)) or 1.0
     size = np.maximum(np.abs(singular), 1e-6 * scale)
-    margin = np.abs(singular) - 1.0 if model.is_discrete else np.real(singular) / size
-    outside = margin >= -BOUNDARY
-    kept = singular[~outside]
+    outside = (np.abs(singular) - 1.0 if model.is_discrete else np.real(singular) / size) >= -BOUNDARY
+    turns = np.exp(2j * np.pi * (np.arange(CIRCLE_POINTS) + 0.5) / CIRCLE_POINTS)
     for p in singular[outside].tolist():
-        far = np.concatenate([np.abs(kept - p), [max(abs(p), 1e-3 * scale)]])
-        radius = 0.5 * float(far.min())
-        points = p + radius * np.exp(2j * np.pi * (np.arange(CIRCLE_POINTS) + 0.5) / CIRCLE_POINTS)
-        turns = (points - p) / radius
+        far = np.abs(singular[~outside] - p).min(initial=max(abs(p), 1e-3 * scale))
+        points, own = p + 0.5 * float(far) * turns, 1.0  # own: size of the terms of the difference
         with np.errstate(all="ignore"):
             error = _error(model, centre, form, points)
-            own = 1.0  # size of the terms of the difference
             if form.endswith("additive"):
                 here = centre(points)
                 own = float(np.abs(here if form == "additive" else np.linalg.inv(here)).max())
@@ -319,8 +305,8 @@ def _deltas(
     models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form, weight: StateSpaceModel
 ) -> tuple[StateSpaceModel, ...]:
     """Return ``E_i / w`` as systems; none where a required inverse is not proper."""
-    back = weight.inverse()
-    back = anonymous(append(*(back.renamed([f"u{k}"], [f"y{k}"]) for k in range(centre.n_inputs))))
+    one = weight.inverse()
+    back = anonymous(append(*(one.renamed([f"u{k}"], [f"y{k}"]) for k in range(centre.n_inputs))))
     try:
         return tuple(anonymous(_error_model(anonymous(m), anonymous(centre), form) @ back) for m in models)
     except NoTrustworthyNumber:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -39,12 +39,6 @@ class Overbound(Displayable):
     ----------
     weight
         Stable, minimum phase, with as many zeros as poles: its inverse is stable, too.
-    order
-        Its number of states.
-    excess
-        Largest ``|w| / bound - 1`` on the grid.
-    lowest
-        Smallest ``|w| / bound - 1`` there: not negative.
     omega, bound, magnitude
         The grid in rad/s, ten times finer than that of the fit; the bound and ``|w|`` on it.
     status
@@ -52,13 +46,31 @@ class Overbound(Displayable):
     """
 
     weight: StateSpaceModel
-    order: int
-    excess: float
-    lowest: float
     omega: Array
     bound: Array
     magnitude: Array
     status: Status
+
+    @property
+    def order(self) -> int:
+        """Return the weight's number of states."""
+        return self.weight.n_states
+
+    @property
+    def excess(self) -> float:
+        """Return the largest ``|w| / bound - 1`` on the grid."""
+        return float((self.magnitude / self.bound).max()) - 1.0
+
+    @property
+    def lowest(self) -> float:
+        """Return the smallest ``|w| / bound - 1`` on the grid: not negative."""
+        return float((self.magnitude / self.bound).min()) - 1.0
+
+    def lifted(self, factor: float, status: Status | None = None) -> Overbound:
+        """Return the weight times a factor."""
+        w = self.weight
+        weight = StateSpaceModel(w.A, w.B, factor * w.C, factor * w.D, w.dt)
+        return Overbound(weight, self.omega, self.bound, factor * self.magnitude, status or self.status)
 
     def facts(self) -> Facts:
         return [
@@ -68,7 +80,8 @@ class Overbound(Displayable):
         ]
 
     def to_json(self) -> dict[str, Any]:
-        return {"type": "Overbound", **vars(self)}
+        derived = {"order": self.order, "excess": self.excess, "lowest": self.lowest}
+        return {"type": "Overbound", "weight": self.weight, **derived, **vars(self)}
 
 
 @error_context("overbound")
@@ -132,10 +145,12 @@ def overbound(
     for n in range(order + 1):
         found = _fitted(n, axis, target)
         weight = bilinear_to_discrete(found, dt) if dt else found
-        made = _judged(weight, n, fine, target, tolerance)
+        size = np.abs(frequency_response(weight, fine)[:, 0, 0])
+        made = Overbound(weight, fine, target, size, Status.INACCURATE).lifted((1.0 + ABOVE) / (size / target).min())
         if best is None or made.excess < best.excess:
             best = made
         if best.excess <= tolerance:
+            best = replace(best, status=Status.CONVERGED)
             break
     if best is None or best.lowest < 0:
         found_text = f"no weight of order {order} above a bound of {np.ptp(np.log10(b)):.3g} decades"
@@ -149,28 +164,16 @@ def _checked(omega: ArrayLike, bound: ArrayLike, order: int, tolerance: float, d
         raise InputError("overbound: bound", f"dtype {b.dtype}", "real numbers")
     if w.ndim != 1 or w.shape != b.shape or len(w) < 2:
         raise InputError("overbound", f"shapes {w.shape} and {b.shape}", "two vectors of the same length, at least 2")
-    if not (np.isfinite(w).all() and (w > 0).all() and (np.diff(w) > 0).all()):
+    if not (np.isfinite(w).all() and w[0] > 0 and (np.diff(w) > 0).all()):
         raise InputError("overbound: omega", "frequencies that do not increase", "finite, positive, increasing")
-    if not (np.isfinite(b).all() and (b > 0).all()):
-        k = int(np.flatnonzero(~(np.isfinite(b) & (b > 0)))[0])
-        raise InputError("overbound: bound", f"{b[k]} at {w[k]:g} rad/s", "finite positive values")
+    bad = np.flatnonzero(~(np.isfinite(b) & (b > 0)))
+    if len(bad):
+        raise InputError("overbound: bound", f"{b[bad[0]]} at {w[bad[0]]:g} rad/s", "finite positive values")
     checks.whole("overbound: order", order, 0, 12)
     checks.number("overbound: tolerance", tolerance, "a positive number", above=0)
     if dt < 0 or (dt and w[-1] * dt >= np.pi):
         raise InputError("overbound: omega", f"{w[-1]:g} rad/s", f"below the Nyquist frequency {np.pi / dt:g} rad/s")
     return w, b
-
-
-def _judged(weight: StateSpaceModel, n: int, fine: Array, target: Array, tolerance: float) -> Overbound:
-    """Return the weight scaled to the bound from above on the grid, up to rounding."""
-    size = np.abs(frequency_response(weight, fine)[:, 0, 0])
-    lift = (1.0 + ABOVE) / float((size / target).min())
-    raised = StateSpaceModel(weight.A, weight.B, lift * weight.C, lift * weight.D, weight.dt)
-    size = np.abs(frequency_response(raised, fine)[:, 0, 0])
-    ratio = size / target
-    excess, lowest = float(ratio.max()) - 1.0, float(ratio.min()) - 1.0
-    status = Status.CONVERGED if excess <= tolerance else Status.INACCURATE
-    return Overbound(raised, n, excess, lowest, fine, target, size, status)
 
 
 # --- a curve of given order above a bound -----------------------------------------------------------------------------
