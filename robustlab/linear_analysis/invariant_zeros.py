@@ -50,41 +50,25 @@ HIDDEN = 1e-13
 
 @dataclass(frozen=True, eq=False)
 class Zeros(Displayable):
-    """Finite invariant zeros of a model.
+    """Finite invariant zeros of a model."""
 
-    Attributes
-    ----------
-    values
-        Shape (n_zeros,), with their multiplicities, by rising modulus; in rad/s, or in the z plane of a discrete model.
-    kinds
-        For each "transmission", "input-decoupling" (an uncontrollable mode), "output-decoupling" (an unobservable one)
-        or "input-output-decoupling".
-    input_directions, output_directions
-        Unit columns, shapes (n_inputs, n_zeros) and (n_outputs, n_zeros): ``G(z) u = 0``, ``y^H G(z) = 0`` in the sense
-        of P(z). NaN where it is not one direction: with more inputs (outputs) than the normal rank, or at an
-        uncontrollable (unobservable) mode.
-    normal_rank
-        Rank of the transfer matrix at almost every s, to within rounding.
-    residuals
-        Singular value of P(z) that should vanish over the largest one, rows and columns of the given model's P(z)
-        brought to size one, shape (n_zeros,).
-    status
-        CONVERGED: every value is accurate to rounding of the entries; else INACCURATE.
-    reason
-        Why it is inaccurate; else empty.
-    dt
-        Sample time of the model in s; 0 of a continuous one.
-    """
-
+    #: Shape (n_zeros,), with their multiplicities, by rising modulus; in rad/s, or in the z plane of a discrete model
     values: ComplexArray
+    #: For each "transmission", "input-decoupling" (an uncontrollable mode), "output-decoupling" (an unobservable one)
+    #: or "input-output-decoupling"
     kinds: tuple[str, ...]
+    #: Unit columns, shapes (n_inputs, n_zeros) and (n_outputs, n_zeros): ``G(z) u = 0``, ``y^H G(z) = 0`` in the sense
+    #: of P(z). NaN where it is not one direction: with more inputs (outputs) than the normal rank, or at an
+    #: uncontrollable (unobservable) mode.
     input_directions: ComplexArray
     output_directions: ComplexArray
-    normal_rank: int
+    normal_rank: int  #: Rank of the transfer matrix at almost every s, to within rounding
+    #: Singular value of P(z) that should vanish over the largest one, rows and columns of the given model's P(z)
+    #: brought to size one, shape (n_zeros,)
     residuals: Array
-    status: Status
-    reason: str = ""
-    dt: float = 0.0
+    status: Status  #: CONVERGED: every value is accurate to rounding of the entries; else INACCURATE
+    reason: str = ""  #: Why it is inaccurate; else empty
+    dt: float = 0.0  #: Sample time of the model in s; 0 of a continuous one
 
     quantities: ClassVar[Mapping[str, Any]] = {
         "count": "1", "values": [{"re": float, "im": float}], "kinds": [str], "normal_rank": "1",

@@ -55,39 +55,21 @@ class HiddenMode(AllFields):
 
 @dataclass(frozen=True, eq=False)
 class StructuralTest(Displayable):
-    """Result of a controllability or observability test.
+    """Result of a controllability or observability test."""
 
-    Attributes
-    ----------
-    kind
-        ``"controllability"`` or ``"observability"``.
-    rank
-        Dimension of the controllable (observable) subspace.
-    n_states
-        Number of states.
-    modes
-        The hidden modes, ``n_states - rank`` of them.
-    margin
-        Smallest singular value of ``[A - lambda I, B]`` over all modes, relative to the norm of ``[A, B]``, of the
-        scaled model: an upper bound of the relative distance to the nearest uncontrollable (unobservable) model in that
-        scaling; inf without states.
-    weakest
-        The eigenvalue where the margin is attained; None without states.
-    eigenvalues, margins
-        The same for every mode, shape (n_states,).
-    status
-        CONVERGED where the decision does not depend on rounding, else INACCURATE.
-    """
-
-    kind: Kind
-    rank: int
-    n_states: int
-    modes: tuple[HiddenMode, ...]
+    kind: Kind  #: ``"controllability"`` or ``"observability"``
+    rank: int  #: Dimension of the controllable (observable) subspace
+    n_states: int  #: Number of states
+    modes: tuple[HiddenMode, ...]  #: The hidden modes, ``n_states - rank`` of them
+    #: Smallest singular value of ``[A - lambda I, B]`` over all modes, relative to the norm of ``[A, B]``, of the
+    #: scaled model: an upper bound of the relative distance to the nearest uncontrollable (unobservable) model in that
+    #: scaling; inf without states
     margin: float
-    weakest: complex | None
+    weakest: complex | None  #: The eigenvalue where the margin is attained; None without states
+    #: The same for every mode, shape (n_states,)
     eigenvalues: ComplexArray
     margins: Array
-    status: Status
+    status: Status  #: CONVERGED where the decision does not depend on rounding, else INACCURATE
 
     @property
     def complete(self) -> bool:

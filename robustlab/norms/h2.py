@@ -33,25 +33,14 @@ DAMPED = 1e-8
 
 @dataclass(frozen=True)
 class H2Norm(Displayable):
-    """H2 norm of a model with its evidence.
+    """H2 norm of a model with its evidence."""
 
-    Attributes
-    ----------
-    value
-        The larger of the values from the two Gramians, or the norm by one in extended precision.
-    status
-        CONVERGED where the Gramians agree to 1e-10, or the one in extended precision was proved; CERTIFIED for a norm
-        that is infinite or needs no equation; INACCURATE where it is not confirmed, FAILED without a solution.
-    reason
-        Why it is infinite or inaccurate; else empty.
-    system
-        The model, for `robustlab.verify`.
-    """
-
-    value: float
+    value: float  #: The larger of the values from the two Gramians, or the norm by one in extended precision
+    #: CONVERGED where the Gramians agree to 1e-10, or the one in extended precision was proved; CERTIFIED for a norm
+    #: that is infinite or needs no equation; INACCURATE where it is not confirmed, FAILED without a solution
     status: Status
-    reason: str = ""
-    system: StateSpaceModel | None = field(default=None, compare=False)
+    reason: str = ""  #: Why it is infinite or inaccurate; else empty
+    system: StateSpaceModel | None = field(default=None, compare=False)  #: The model, for `robustlab.verify`
 
     quantities: ClassVar[Mapping[str, Any]] = {"value": float}
 

@@ -39,23 +39,12 @@ from robustlab.verification.claim import Claim
 class PeakGain(Bracket):
     """Bounds of the largest gain of a system; each kind of system has a class of its own with more evidence.
 
-    Attributes
-    ----------
-    lower, upper
-        ``lower <= gain <= upper``: ``lower`` is attained, at ``frequency`` or by a member; ``upper`` is proved, inf
-        without proof. Both inf where the system, or a member of it, is unstable.
-    frequency
-        Where ``lower`` is attained, rad/s; None where that has no meaning, NaN or None where the gain is infinite.
-    status
-        How far both can be trusted.
-    conditions
-        Assumptions of the bounds.
-    notes
-        Remarks for the reader of a report.
+    ``lower`` is attained, at ``frequency`` or by a member; ``upper`` is proved, inf without proof. Both are inf where the
+    system, or a member of it, is unstable.
     """
 
-    conditions: tuple[str, ...] = field(default=(), kw_only=True)
-    notes: tuple[str, ...] = field(default=(), kw_only=True)
+    conditions: tuple[str, ...] = field(default=(), kw_only=True)  #: Assumptions of the bounds
+    notes: tuple[str, ...] = field(default=(), kw_only=True)  #: Remarks for the reader of a report
 
     quantities: ClassVar[Mapping[str, Any]] = {"lower": float, "upper": float}
     unsaved: ClassVar[tuple[str, ...]] = ()  # fields that `to_json` leaves out
@@ -120,30 +109,18 @@ Infinite = Callable[[StateSpaceModel], "HinfNorm | None"]  # the bracket of an i
 class HinfNorm(PeakGain):
     """H-infinity norm of a model, or its peak gain over the axis or a band, with its evidence.
 
-    Attributes
-    ----------
-    lower
-        ``sigma_max`` of the given model at ``frequency``, evaluated.
-    upper
-        Level that no singular value crosses, by the Hamiltonian test or in ball arithmetic; ``lower <= norm <= upper``.
-        Where rounding may move the gain at the peak by more than 1e-9 of it, both ends are that much further out. If
-        the norm is zero up to rounding, ``lower`` is 0 and ``upper`` the rounding bound.
-    frequency
-        Frequency in rad/s at which ``sigma_max`` attains ``lower``; ``inf`` where only the direct term does, NaN for an
-        infinite norm without such a frequency.
-    status
-        CERTIFIED, or INACCURATE where rounding decides the sign of a pole or a level test.
-    reason
-        Why the norm is infinite or inaccurate; else empty.
-    system
-        The model, for `robustlab.verify`.
-    band
-        The band in rad/s of a peak over the axis, of a model that may be unstable; None of a norm.
+    ``lower`` is ``sigma_max`` of the given model at ``frequency``; ``upper`` a level that no singular value crosses, by
+    the Hamiltonian test or in ball arithmetic. Where rounding may move the gain at the peak by more than 1e-9 of it, both
+    are that much further out; if the norm is zero up to rounding, ``lower`` is 0 and ``upper`` the rounding bound. The
+    status is INACCURATE where rounding decides the sign of a pole or a level test.
     """
 
+    #: Frequency in rad/s at which ``sigma_max`` attains ``lower``; ``inf`` where only the direct term does, NaN for an
+    #: infinite norm without such a frequency
     frequency: float
-    reason: str = ""
-    system: StateSpaceModel | None = field(default=None, compare=False)
+    reason: str = ""  #: Why the norm is infinite or inaccurate; else empty
+    system: StateSpaceModel | None = field(default=None, compare=False)  #: The model, for `robustlab.verify`
+    #: The band in rad/s of a peak over the axis, of a model that may be unstable; None of a norm
     band: tuple[float, float] | None = field(default=None, compare=False)
 
     quantities: ClassVar[Mapping[str, Any]] = {"value": float, "frequency": "rad/s", "lower": float, "upper": float}

@@ -88,33 +88,17 @@ def coprime_factors(model: StateSpaceModel) -> CoprimeFactors:
 
 @dataclass(frozen=True)
 class CoprimeMargin(Displayable):
-    """Stability margin b(P, C) of a loop.
+    """Stability margin b(P, C) of a loop."""
 
-    Attributes
-    ----------
-    lower, upper
-        ``lower <= b <= upper``; both 0 where C does not stabilise P.
-    frequency
-        Frequency of the minimum in rad/s; None where C does not stabilise P.
-    best
-        The largest margin of any controller for this plant.
-    status
-        Status of the H-infinity norm of the computation.
-    reason
-        Why the margin is 0 or inaccurate; else empty.
-    loop
-        The feedback law and its source.
-    plant, K
-        The loop u = K y, for `robustlab.verify`.
-    """
-
+    #: ``lower <= b <= upper``; both 0 where C does not stabilise P
     lower: float
     upper: float
-    frequency: float | None
-    best: float
-    status: Status
-    reason: str = ""
-    loop: str = ""
+    frequency: float | None  #: Frequency of the minimum in rad/s; None where C does not stabilise P
+    best: float  #: The largest margin of any controller for this plant
+    status: Status  #: Status of the H-infinity norm of the computation
+    reason: str = ""  #: Why the margin is 0 or inaccurate; else empty
+    loop: str = ""  #: The feedback law and its source
+    #: The loop u = K y, for `robustlab.verify`
     plant: StateSpaceModel | None = field(default=None, compare=False, repr=False)
     K: StateSpaceModel | None = field(default=None, compare=False, repr=False)
 
@@ -251,31 +235,17 @@ SIDE = 1e-11  # relative real part below which the sign of an eigenvalue is unce
 
 @dataclass(frozen=True)
 class NuGap(Displayable):
-    """The nu-gap between two models, with its evidence.
+    """The nu-gap between two models, with its evidence."""
 
-    Attributes
-    ----------
-    lower, upper
-        ``lower <= nu-gap <= upper``.
-    frequency
-        Frequency of the largest pointwise (chordal) distance, in rad/s; ``inf`` for the direct terms.
-    chordal
-        That distance; the nu-gap where ``winding`` is 0.
-    winding
-        Winding number of det(G2* G1) around the origin: its zeros minus its poles in the right half plane.
-    status
-        CERTIFIED, or INACCURATE where a norm or the sign of a zero is uncertain.
-    reason
-        Why the value is 1 or inaccurate; else empty.
-    """
-
+    #: ``lower <= nu-gap <= upper``
     lower: float
     upper: float
-    frequency: float
-    chordal: float
+    frequency: float  #: Frequency of the largest pointwise (chordal) distance, in rad/s; ``inf`` for the direct terms
+    chordal: float  #: That distance; the nu-gap where ``winding`` is 0
+    #: Winding number of det(G2* G1) around the origin: its zeros minus its poles in the right half plane
     winding: int
-    status: Status
-    reason: str = ""
+    status: Status  #: CERTIFIED, or INACCURATE where a norm or the sign of a zero is uncertain
+    reason: str = ""  #: Why the value is 1 or inaccurate; else empty
 
     @property
     def value(self) -> float:

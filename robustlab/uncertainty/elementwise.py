@@ -176,30 +176,17 @@ def endpoint_residual(uncertain: UncertainModel, perturbed: Any) -> EndpointResi
 
 @dataclass(frozen=True, eq=False)
 class BuiltModel(Displayable):
-    """An uncertain model with its evidence.
+    """An uncertain model with its evidence."""
 
-    Attributes
-    ----------
-    model
-        The set.
-    structure
-        Which entries vary together.
-    status
-        CERTIFIED: the set is proved to contain its source models. CONVERGED: to a chosen accuracy. None: it is defined
-        by its parameters, and there is nothing to prove.
-    residual
-        Distance of its end from the perturbed model; None where it was not made of two models.
-    notes
-        Remarks for the reader.
-    ends
-        The nominal and the perturbed model of its construction, for `robustlab.verify`.
-    """
-
-    model: UncertainModel
-    structure: str
+    model: UncertainModel  #: The set
+    structure: str  #: Which entries vary together
+    #: CERTIFIED: the set is proved to contain its source models. CONVERGED: to a chosen accuracy. None: it is defined
+    #: by its parameters, and there is nothing to prove.
     status: Status | None
+    #: Distance of its end from the perturbed model; None where it was not made of two models
     residual: EndpointResidual | None = None
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  #: Remarks for the reader
+    #: The nominal and the perturbed model of its construction, for `robustlab.verify`
     ends: tuple[StateSpaceModel, StateSpaceModel] | None = None
 
     quantities: ClassVar[Mapping[str, Any]] = {**UncertainModel.quantities, "endpoint_residual": "1"}

@@ -33,23 +33,14 @@ ABOVE = 1e-12  # rounding in a frequency response
 
 @dataclass(frozen=True, eq=False)
 class Overbound(Displayable):
-    """A weight above a bound, with its evaluation grid.
+    """A weight above a bound, with its evaluation grid."""
 
-    Attributes
-    ----------
-    weight
-        Stable, minimum phase, with as many zeros as poles: its inverse is stable, too.
-    omega, bound, magnitude
-        The grid in rad/s, ten times finer than that of the fit; the bound and ``|w|`` on it.
-    status
-        CONVERGED where the excess is within the tolerance, else INACCURATE.
-    """
-
-    weight: StateSpaceModel
+    weight: StateSpaceModel  #: Stable, minimum phase, with as many zeros as poles: its inverse is stable, too
+    #: The grid in rad/s, ten times finer than that of the fit; the bound and ``|w|`` on it
     omega: Array
     bound: Array
     magnitude: Array
-    status: Status
+    status: Status  #: CONVERGED where the excess is within the tolerance, else INACCURATE
 
     @property
     def order(self) -> int:

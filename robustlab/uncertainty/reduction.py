@@ -38,31 +38,21 @@ Step = tuple[StateSpaceModel, tuple[Block, ...], Array]  # a smaller set; invari
 
 @dataclass(frozen=True, eq=False)
 class Reduction(Displayable):
-    """A reduced set, with the evidence of unchanged input-output behaviour.
+    """A reduced set, with the evidence of unchanged input-output behaviour."""
 
-    Attributes
-    ----------
-    model
-        The reduced set, without scalar blocks that have no effect.
-    before, after
-        Block name -> size (repetitions, or the larger side of a full block).
-    invariance
-        Largest coupling of the kept channels through the dropped ones, relative to the largest singular value of the
-        (scaled) channel matrices: zero for an exact reduction. It is an algebraic certificate for every Delta.
-    difference
-        Largest difference of the maps through the blocks, from all other inputs and states to all other outputs and
-        rates, at random complex Delta inside the set, relative to each map's largest entry (or to a thousandth of the
-        largest summand, where the summands cancel). A step that misses 1e-10 is not taken.
-    status
-        CONVERGED where both are below 1e-9, INACCURATE otherwise (then ``model`` is the given one).
-    """
-
+    #: The reduced set, without scalar blocks that have no effect
     model: Any  # UncertainModel, which is built on this module
+    #: Block name -> size (repetitions, or the larger side of a full block)
     before: dict[str, int]
     after: dict[str, int]
+    #: Largest coupling of the kept channels through the dropped ones, relative to the largest singular value of the
+    #: (scaled) channel matrices: zero for an exact reduction. It is an algebraic certificate for every Delta.
     invariance: float
+    #: Largest difference of the maps through the blocks, from all other inputs and states to all other outputs and
+    #: rates, at random complex Delta inside the set, relative to each map's largest entry (or to a thousandth of the
+    #: largest summand, where the summands cancel). A step that misses 1e-10 is not taken.
     difference: float
-    status: Status
+    status: Status  #: CONVERGED where both are below 1e-9, INACCURATE otherwise (then ``model`` is the given one)
 
     def facts(self) -> Facts:
         sizes = [f"{name} {size} -> {self.after.get(name, 0)}" for name, size in self.before.items()]
