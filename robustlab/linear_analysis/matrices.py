@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from robustlab.arrays import AnyArray, Array
 from robustlab.errors import NoTrustworthyNumber, error_context
 from robustlab.linear_analysis import slicot
-from robustlab.statespace import StateSpaceModel
+from robustlab.statespace import Signal, StateSpaceModel
 
 # Relative residual above which a Riccati solution is refined by Newton's method, and the largest number of steps.
 REFINED, NEWTON_STEPS = 1e-10, 4
@@ -285,6 +285,25 @@ SMALLEST, LARGEST, LEAST = 2.0**-166, 2.0**166, 2.0**-500
 SWEEPS = 20
 # Products of entries between these neither overflow nor vanish.
 FAINTEST, STRONGEST = 1e-100, 1e100
+
+
+def system_matrix(m: StateSpaceModel) -> Array:
+    """Return ``[A B; C D]``."""
+    return np.block([[m.A, m.B], [m.C, m.D]])
+
+
+def of_system_matrix(
+    whole: Array,
+    n: int,
+    dt: float,
+    inputs: Sequence[Signal],
+    outputs: Sequence[Signal],
+    states: Sequence[Signal],
+    where: str,
+) -> StateSpaceModel:
+    """Return the model of ``[A B; C D]`` with n states."""
+    parts = whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:]
+    return StateSpaceModel(*parts, dt, inputs, outputs, states, where=where)
 
 
 def is_moderate(*matrices: AnyArray) -> bool:

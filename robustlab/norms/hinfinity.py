@@ -39,8 +39,8 @@ from robustlab.verification.claim import Claim
 class PeakGain(Bracket):
     """Bounds of the largest gain of a system; each kind of system has a class of its own with more evidence.
 
-    ``lower`` is attained, at ``frequency`` or by a member; ``upper`` is proved, inf without proof. Both are inf where the
-    system, or a member of it, is unstable.
+    ``lower`` is attained, at ``frequency`` or by a member; ``upper`` is proved, inf without proof. Both are inf where
+    the system, or a member of it, is unstable.
     """
 
     conditions: tuple[str, ...] = field(default=(), kw_only=True)  #: Assumptions of the bounds
@@ -110,9 +110,9 @@ class HinfNorm(PeakGain):
     """H-infinity norm of a model, or its peak gain over the axis or a band, with its evidence.
 
     ``lower`` is ``sigma_max`` of the given model at ``frequency``; ``upper`` a level that no singular value crosses, by
-    the Hamiltonian test or in ball arithmetic. Where rounding may move the gain at the peak by more than 1e-9 of it, both
-    are that much further out; if the norm is zero up to rounding, ``lower`` is 0 and ``upper`` the rounding bound. The
-    status is INACCURATE where rounding decides the sign of a pole or a level test.
+    the Hamiltonian test or in ball arithmetic. Where rounding may move the gain at the peak by more than 1e-9 of it,
+    both are that much further out; if the norm is zero up to rounding, ``lower`` is 0 and ``upper`` the rounding bound.
+    The status is INACCURATE where rounding decides the sign of a pole or a level test.
     """
 
     #: Frequency in rad/s at which ``sigma_max`` attains ``lower``; ``inf`` where only the direct term does, NaN for an

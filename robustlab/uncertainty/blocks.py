@@ -40,11 +40,6 @@ class ParameterRange:
         constant ``"either"`` (of constant sign, not zero). It does not limit the range; results with a value outside
         remark on it (`impossible`). Ignored in comparisons.
 
-    Raises
-    ------
-    InputError
-        ``below`` is given, and it or ``radius`` is not a positive finite number; an unknown ``sign``.
-
     Examples
     --------
     >>> lag = ParameterRange(1.0, 0.5, "s", below=0.25)
@@ -417,11 +412,6 @@ class ComplexScalar(ScalarBlock):
         Source of the block, in words; ignored in comparisons.
     covers
         For a delay: its length and its spread in s, and the orders of the approximation and of the weight; else None.
-
-    Raises
-    ------
-    InputError
-        A name that is no text of 1 to 200 characters, a size that is no positive whole number.
     """
 
     stored_as: ClassVar[str] = "complex"
@@ -461,11 +451,6 @@ class RealScalar(ScalarBlock):
         parameter.
     origin
         Source of the block, in words; ignored in comparisons.
-
-    Raises
-    ------
-    InputError
-        A name that is no text of 1 to 200 characters, a size that is no positive whole number.
 
     Examples
     --------
@@ -566,11 +551,6 @@ class FullBlock(Block):
         Source of the block, in words; ignored in comparisons.
     covers
         For a delay: its length and its spread in s, and the orders of the approximation and of the weight; else None.
-
-    Raises
-    ------
-    InputError
-        A name that is no text of 1 to 200 characters, a size that is no positive whole number.
     """
 
     stored_as: ClassVar[str] = "full"

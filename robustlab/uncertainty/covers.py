@@ -16,6 +16,7 @@ from robustlab.checks import number, whole
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.invariant_zeros import transmission_zeros
+from robustlab.linear_analysis.matrices import of_system_matrix, system_matrix
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, append, as_model
@@ -56,14 +57,12 @@ def model_set(models: Iterable[Any], same_states: bool, where: str) -> tuple[Sta
 
 def system_matrices(models: Iterable[StateSpaceModel]) -> Array:
     """Return ``[A B; C D]`` of each model, shape (n_models, n_x + n_y, n_x + n_u)."""
-    return np.array([np.block([[m.A, m.B], [m.C, m.D]]) for m in models])
+    return np.array([system_matrix(m) for m in models])
 
 
 def model_of(s: Array, like: StateSpaceModel) -> StateSpaceModel:
     """Return the model of ``[A B; C D]`` with the signals and states of another one."""
-    n = like.n_states
-    signals = like.inputs, like.outputs, like.states
-    return StateSpaceModel(s[:n, :n], s[:n, n:], s[n:, :n], s[n:, n:], like.dt, *signals, where="cover")
+    return of_system_matrix(s, like.n_states, like.dt, like.inputs, like.outputs, like.states, "cover")
 
 
 def matrices_miss(reached: StateSpaceModel, wanted: StateSpaceModel) -> float:

@@ -17,7 +17,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.display import Displayable, Facts, Part
 from robustlab.errors import InputError, UnitMismatch, did_you_mean, error_context
-from robustlab.linear_analysis.matrices import equilibrating_exponents
+from robustlab.linear_analysis.matrices import equilibrating_exponents, system_matrix
 from robustlab.result import Status
 from robustlab.signals import MAX_NAME
 from robustlab.statespace import MAX_STATES, Signal, StateSpaceModel, as_model
@@ -133,7 +133,7 @@ def pair_remarks(nominal: StateSpaceModel, perturbed: StateSpaceModel) -> list[s
     unstable = unstable_norm(perturbed)
     if unstable is not None and unstable_norm(nominal) is None:
         remarks.append(f"the perturbed model is not stable, the nominal one is: {unstable.reason}")
-    whole = [np.block([[m.A, m.B], [m.C, m.D]]) for m in (nominal, perturbed)]
+    whole = [system_matrix(m) for m in (nominal, perturbed)]
     if np.array_equal(whole[0], whole[1]):
         remarks.append("no uncertainty: the two models are equal")
     largest = max(float(np.abs(entries).max(initial=0.0)) for entries in whole)
@@ -265,7 +265,7 @@ class _Part(NamedTuple):
 
 
 def _difference(nominal: StateSpaceModel, perturbed: StateSpaceModel, tolerance: float) -> _Difference:
-    first, second = (np.block([[m.A, m.B], [m.C, m.D]]) for m in (nominal, perturbed))
+    first, second = system_matrix(nominal), system_matrix(perturbed)
     size, n = np.maximum(np.abs(first), np.abs(second)), nominal.n_states
     limit, e = entry_scale(size, n), second - first
     e[np.abs(e) <= tolerance * limit] = 0.0

@@ -41,11 +41,6 @@ class UncertainFrequencyData(Behaviour, Displayable, Traced):
     inputs, outputs
         Signals without the channels of Delta; ``u1``, ``y1``, ... by default.
 
-    Raises
-    ------
-    InputError
-        Shapes that do not fit, numbers that are not finite, frequencies that do not increase.
-
     Examples
     --------
     >>> from robustlab.statespace import StateSpaceModel

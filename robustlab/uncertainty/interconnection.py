@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import AnyArray, Array
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.linear_analysis.matrices import balancing_factors
+from robustlab.linear_analysis.matrices import balancing_factors, of_system_matrix, system_matrix
 from robustlab.linear_analysis.structural import strong_components
 from robustlab.signals import MAX_NAME
 from robustlab.statespace import Signal, StateSpaceModel, append
@@ -65,7 +65,7 @@ def joined(
     blocks = tuple(_merged(same, where) for same, _, _ in channels.values())
     w, z = ([k for places in channels.values() for k in places[side]] for side in (1, 2))
     m = append(*(unnamed(m, f"{i}", where) for i, (m, _) in enumerate(parts)))
-    whole, n = np.block([[m.A, m.B], [m.C, m.D]]), m.n_states
+    whole, n = system_matrix(m), m.n_states
     inner = whole[np.ix_([*range(n), *(n + k for k in z)], [*range(n), *(n + k for k in w)])]
     into, out = whole[[*range(n), *(n + k for k in z)]][:, [n + k for k in u]], whole[[n + k for k in y]]
     out, d22 = out[:, [*range(n), *(n + k for k in w)]], m.D[np.ix_(y, u)]
@@ -84,11 +84,8 @@ def joined(
         gain = np.linalg.solve(np.eye(len(around)) - around, gain)
     shown = wiring.F @ np.hstack([out, np.zeros((len(out), n_v))]) + wiring.F @ d22 @ gain
     whole = np.vstack([np.hstack([inner, np.zeros((len(inner), n_v))]) + into @ gain, shown])
-    signals = channels_first(blocks, inputs, outputs)
     states = unique_names([s for m, _ in parts for s in m.states])
-    model = StateSpaceModel(
-        whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:], m.dt, *signals, states, where=where
-    )
+    model = of_system_matrix(whole, n, m.dt, *channels_first(blocks, inputs, outputs), states, where)
     merged = [name for name, (same, _, _) in channels.items() if len(same) > 1]
     if not merged:
         return model, blocks
@@ -173,33 +170,21 @@ def upper_lft(M: StateSpaceModel, delta: ArrayLike) -> StateSpaceModel:
     """Return ``F_u(M, Delta)`` for a constant real Delta (q, p) on the first q inputs and p outputs of M."""
     d = np.asarray(delta)
     if np.iscomplexobj(d):
-        raise InputError(
-            "upper_lft", "a complex Delta", "a real one", "a complex Delta acts on frequency responses only"
-        )
-    q, p = d.shape
-    n_w, n_z = M.n_inputs, M.n_outputs
-    b1, b2 = M.B[:, :q], M.B[:, q:]
-    c1, c2 = M.C[:p], M.C[p:]
-    d11, d12, d21, d22 = M.D[:p, :q], M.D[:p, q:], M.D[p:, :q], M.D[p:, q:]
-    if q > n_w or p > n_z:
-        raise InputError("upper_lft", f"Delta is {d.shape}, M has {n_w} inputs and {n_z} outputs", "a smaller Delta")
-    loop = np.eye(p) - d11 @ d
-    if is_singular(d11 @ d):
+        hint = "a complex Delta acts on frequency responses only"
+        raise InputError("upper_lft", "a complex Delta", "a real one", hint)
+    (q, p), n = d.shape, M.n_states
+    if q > M.n_inputs or p > M.n_outputs:
+        found = f"Delta is {d.shape}, M has {M.n_inputs} inputs and {M.n_outputs} outputs"
+        raise InputError("upper_lft", found, "a smaller Delta")
+    around = M.D[:p, :q] @ d
+    if is_singular(around):
         raise NoTrustworthyNumber("upper_lft", "I - D11 Delta is singular: this Delta makes the model ill-posed")
     # z = (I - D11 Delta)^-1 (C1 x + D12 u), w = Delta z
-    gain = d @ np.linalg.solve(loop, np.hstack([c1, d12])) if p else np.zeros((q, M.n_states + n_w - q))
-    w_x, w_u = gain[:, : M.n_states], gain[:, M.n_states :]
-    return StateSpaceModel(
-        M.A + b1 @ w_x,
-        b2 + b1 @ w_u,
-        c2 + d21 @ w_x,
-        d22 + d21 @ w_u,
-        M.dt,
-        M.inputs[q:],
-        M.outputs[p:],
-        M.states,
-        where="upper_lft",
-    )
+    seen = np.hstack([M.C[:p], M.D[:p, q:]])
+    w = d @ np.linalg.solve(np.eye(p) - around, seen) if p else np.zeros((q, seen.shape[1]))
+    rest = np.delete(np.delete(system_matrix(M), slice(n, n + p), axis=0), slice(n, n + q), axis=1)
+    whole = rest + np.vstack([M.B[:, :q], M.D[p:, :q]]) @ w
+    return of_system_matrix(whole, n, M.dt, M.inputs[q:], M.outputs[p:], M.states, "upper_lft")
 
 
 def closed_response(m: AnyArray, d: AnyArray) -> AnyArray:

@@ -20,16 +20,10 @@ from robustlab.display import Part as TablePart
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.feedback import feedback_loop, wired
 from robustlab.linear_analysis.frequency import frequency_response
+from robustlab.linear_analysis.matrices import of_system_matrix
 from robustlab.operators import TransferMatrix, carried_by_rank
 from robustlab.provenance import Traced
-from robustlab.signals import (
-    Signal,
-    is_constant,
-    is_number,
-    picked,
-    real_array,
-    same_units,
-)
+from robustlab.signals import Signal, is_constant, is_number, picked, real_array, same_units
 from robustlab.statespace import OperatingPoint, StateSpaceModel, append, as_model, lower_lft
 from robustlab.uncertainty.blocks import Block, as_blocks, block_slices, delta_matrix, structure_size
 from robustlab.uncertainty.interconnection import (
@@ -59,11 +53,6 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
     operating_point
         Operating point of the nominal model.
 
-    Raises
-    ------
-    InputError
-        Fewer channels than the blocks need, block names used twice.
-
     Examples
     --------
     >>> from robustlab.uncertainty.blocks import RealScalar
@@ -88,11 +77,8 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
         checked = as_blocks(blocks)
         q, p = structure_size(checked)
         if model.n_inputs < q or model.n_outputs < p:
-            raise InputError(
-                "UncertainModel",
-                f"M has {model.n_inputs} inputs and {model.n_outputs} outputs",
-                f"at least {q} and {p}: the blocks' channels come first",
-            )
+            found = f"M has {model.n_inputs} inputs and {model.n_outputs} outputs"
+            raise InputError("UncertainModel", found, f"at least {q} and {p}: the blocks' channels come first")
         put = object.__setattr__
         put(self, "M", model)
         put(self, "blocks", checked)
@@ -385,10 +371,8 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
         ]
 
     def _ranges(self) -> str:
-        return listed(
-            f"{b.name} {number(r.low)} .. {number(r.high, r.unit)}" if (r := b.parameter) else b.name
-            for b in self.blocks
-        )
+        rows = [(b.name, b.parameter) for b in self.blocks]
+        return listed(f"{name} {number(r.low)} .. {number(r.high, r.unit)}" if r else name for name, r in rows)
 
     def _numbers(self) -> list[str]:
         return [f"blocks: {self._ranges() or 'none'}", "at Delta = 0:", *self.nominal._numbers()]
@@ -415,10 +399,10 @@ def with_channels(
 ) -> UncertainModel:
     """Return the set ``[A B; C D] + left Delta (I - inner Delta)^-1 right`` around a model."""
     (q, p), n = structure_size(blocks), plain.n_states
+    signals = channels_first(blocks, plain.inputs, plain.outputs)
     model = StateSpaceModel(
         plain.A, np.hstack([left[:n], plain.B]), np.vstack([right[:, :n], plain.C]),
-        np.block([[np.zeros((p, q)) + inner, right[:, n:]], [left[n:], plain.D]]),
-        plain.dt, *channels_first(blocks, plain.inputs, plain.outputs), plain.states,
+        np.block([[np.zeros((p, q)) + inner, right[:, n:]], [left[n:], plain.D]]), plain.dt, *signals, plain.states,
     )  # fmt: skip
     return UncertainModel(model, blocks, plain.operating_point)
 
@@ -491,8 +475,7 @@ def inverse(g: UncertainModel) -> UncertainModel:
     rest = np.block([[m.A, m.B[:, :q], np.zeros((n, n_u))], [m.C[:p], m.D[:p, :q], np.zeros((p, n_u))]])
     rows = np.vstack([rest + np.vstack([m.B[:, q:], m.D[:p, q:]]) @ u, u])
     sides = unique_names([*m.inputs[:q], *g.outputs]), unique_names([*m.outputs[:p], *g.inputs])
-    parts = rows[:n, :n], rows[:n, n:], rows[n:, :n], rows[n:, n:]
-    return UncertainModel(StateSpaceModel(*parts, m.dt, *sides, m.states, where="inverse"), g.blocks)
+    return UncertainModel(of_system_matrix(rows, n, m.dt, *sides, m.states, "inverse"), g.blocks)
 
 
 @error_context("star")

@@ -22,7 +22,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.display import Displayable, Facts, listed, number
 from robustlab.errors import InputError
-from robustlab.linear_analysis.matrices import balancing_factors
+from robustlab.linear_analysis.matrices import balancing_factors, of_system_matrix, system_matrix
 from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices, structure_size
@@ -104,7 +104,7 @@ def _step(
 ) -> Step | None:
     """Reduce the scalar blocks of these names jointly; None where nothing is removed."""
     n, (q, p) = M.n_states, structure_size(blocks)
-    whole = np.block([[M.A, M.B], [M.C, M.D]])
+    whole = system_matrix(M)
     slices = [s for b, s in zip(blocks, block_slices(blocks), strict=True) if b.name in names]
     if not slices:
         return None
@@ -137,24 +137,20 @@ def _step(
     outputs: list[Signal] = []
     found = iter(zip(turns, np.split(scale, np.cumsum(sizes)[:-1]), strict=True))
     for block, (w, z) in zip(blocks, block_slices(blocks), strict=True):
+        left_turn, right_turn = np.eye(block.rows), np.eye(block.cols)
         if block.name in names:
             turn, own = next(found)
-            size = turn.shape[1]
-            into.append(own[:, None] * turn)
-            out.append((turn / own[:, None]).T)
-            kept += [block.resized(size)] if size else []
-            inputs, outputs = [*inputs, *M.inputs[w][:size]], [*outputs, *M.outputs[z][:size]]
-        else:
-            into.append(np.eye(block.rows))
-            out.append(np.eye(block.cols))
-            kept.append(block)
-            inputs, outputs = [*inputs, *M.inputs[w]], [*outputs, *M.outputs[z]]
+            left_turn, right_turn = own[:, None] * turn, (turn / own[:, None]).T
+        into.append(left_turn)
+        out.append(right_turn)
+        size = left_turn.shape[1]
+        kept += [block.resized(size) if block.name in names else block] if size else []
+        inputs, outputs = [*inputs, *M.inputs[w][:size]], [*outputs, *M.outputs[z][: len(right_turn)]]
     into.append(np.eye(M.n_inputs - q))
     out.append(np.eye(M.n_outputs - p))
     whole = _block_diag(out) @ whole @ _block_diag(into)
     signals = [*inputs, *M.inputs[q:]], [*outputs, *M.outputs[p:]], M.states
-    parts = whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:]
-    model = StateSpaceModel(*parts, M.dt, *signals, where="reduction")
+    model = of_system_matrix(whole, n, M.dt, *signals, "reduction")
     return model, tuple(kept), np.array([max(miss_1, miss_2), difference])
 
 
