@@ -96,20 +96,6 @@ def determinant(M: Array, n: int) -> tuple[fmpz_poly, int]:
     return fmpz_poly([x - modulus if 2 * x > modulus else x for x in c.coeffs()]), -shift
 
 
-def normal_rank(M: Array, n: int) -> int:
-    """Find the rank of ``M - s E`` at almost every s; M of any shape, exact except for three unlucky primes."""
-    from flint import fmpz_mat, nmod_mat
-
-    if not M.size:
-        return 0
-    rows, weights, _ = _whole(M, n)
-    p, q = M.shape
-    whole = fmpz_mat(p, q, [x for row in rows for x in row])
-    for i in range(n):
-        whole[i, i] -= weights[i] * POINT
-    return max(nmod_mat(whole, _prime(i)).rank() for i in range(FEW))
-
-
 def wired(blocks: Iterable[Block], J: Array) -> tuple[Array, int]:
     """Return M and n, for `determinant`, of `Block` models wired by signals, with the part J in their own rows."""
     blocks = list(blocks)

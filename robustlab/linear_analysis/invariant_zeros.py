@@ -1,4 +1,4 @@
-r"""Zeros of models: all finite invariant zeros, with their directions and kinds.
+r"""Zeros of models: all finite invariant zeros, with their kinds.
 
 .. math:: P(s) = \begin{bmatrix} A - s I & B \\ C & D \end{bmatrix}, \qquad
    \text{zeros: } s \text{ where rank } P(s) \text{ falls below its rank at almost every } s
@@ -30,8 +30,8 @@ from robustlab.arrays import AnyArray, Array, ComplexArray
 from robustlab.display import Displayable, Facts, Part, listed, number
 from robustlab.errors import NoTrustworthyNumber, error_context
 from robustlab.linear_analysis import slicot
-from robustlab.linear_analysis.exact import MOST_STATES, determinant, normal_rank, roots
-from robustlab.linear_analysis.matrices import equilibrating_exponents
+from robustlab.linear_analysis.exact import MOST_STATES, determinant, roots
+from robustlab.linear_analysis.matrices import equilibrating_exponents, refuse_extremes, system_matrix
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 
@@ -41,9 +41,7 @@ ROUNDING = 1e-14
 DECIDED = 0.1
 # ... unless it moves by less than this share of the fastest pole: then it lies at zero.
 STILL = 1e-9
-# Smallest singular value of P(s) at a zero, relative to P, for working precision, and share of the largest singular
-# value below which one counts as zero for the rank.
-RESIDUAL, NEARLY = 1e-8, 1e-13
+RESIDUAL = 1e-8  # smallest singular value of P(s) at a zero, relative to P, for working precision
 # A mode is hidden if [A - s I, B] or [A - s I; C], rows and columns of size one, is this near to losing rank.
 HIDDEN = 1e-13
 
@@ -57,11 +55,6 @@ class Zeros(Displayable):
     #: For each "transmission", "input-decoupling" (an uncontrollable mode), "output-decoupling" (an unobservable one)
     #: or "input-output-decoupling"
     kinds: tuple[str, ...]
-    #: Unit columns, shapes (n_inputs, n_zeros) and (n_outputs, n_zeros): ``G(z) u = 0``, ``y^H G(z) = 0`` in the sense
-    #: of P(z). NaN where it is not one direction: with more inputs (outputs) than the normal rank, or at an
-    #: uncontrollable (unobservable) mode.
-    input_directions: ComplexArray
-    output_directions: ComplexArray
     normal_rank: int  #: Rank of the transfer matrix at almost every s, to within rounding
     #: Singular value of P(z) that should vanish over the largest one, rows and columns of the given model's P(z)
     #: brought to size one, shape (n_zeros,)
@@ -113,7 +106,7 @@ class Zeros(Displayable):
 
 @error_context("zeros")
 def zeros(model: Any) -> Zeros:
-    r"""Compute all finite invariant zeros of a model: transmission zeros and hidden modes, with their directions.
+    r"""Compute all finite invariant zeros of a model: transmission zeros and hidden modes.
 
     Parameters
     ----------
@@ -123,7 +116,7 @@ def zeros(model: Any) -> Zeros:
     Returns
     -------
     Zeros
-        Values, kinds, directions, and the residuals in the given model's own pencil. INACCURATE if rounding of the
+        Values, kinds, and the residuals in the given model's own pencil. INACCURATE if rounding of the
         entries decides the place of a zero.
 
     Raises
@@ -144,23 +137,12 @@ def zeros(model: Any) -> Zeros:
     """
     m = as_model(model, "zeros")
     values, rank, reason = _found(m)
-    S, n = _system(m), m.n_states
+    S, n = system_matrix(m), m.n_states
     tested = [_tested(S, z, n, rank) for z in values.tolist()]
-    columns: Any = zip(*tested, strict=True) if tested else ((),) * 4
-    kinds, into, out, left = columns
-    residuals = np.array(left, dtype=float)
+    residuals = np.array([left for _, left in tested], dtype=float)
     reason = reason or _doubt(m, values, rank, residuals)
-    return Zeros(
-        values,
-        kinds,
-        np.array(into, dtype=complex).reshape(len(tested), m.n_inputs).T,
-        np.array(out, dtype=complex).reshape(len(tested), m.n_outputs).T,
-        rank,
-        residuals,
-        Status.INACCURATE if reason else Status.CONVERGED,
-        reason,
-        m.dt,
-    )
+    status = Status.INACCURATE if reason else Status.CONVERGED
+    return Zeros(values, tuple(kind for kind, _ in tested), rank, residuals, status, reason, m.dt)
 
 
 def transmission_zeros(model: Any, *, complete: bool = False) -> ComplexArray:
@@ -171,27 +153,25 @@ def transmission_zeros(model: Any, *, complete: bool = False) -> ComplexArray:
     return values
 
 
-def _system(m: StateSpaceModel) -> Array:
-    return np.block([[m.A, m.B], [m.C, m.D]])
-
-
 def _found(m: StateSpaceModel) -> tuple[ComplexArray, int, str]:
     """Find the zeros by rising modulus, the normal rank, and a reason why there may be others."""
-    S, n, rank = _system(m), m.n_states, _rank_within_rounding(m)
-    exactly = normal_rank(S, n) - n if n <= MOST_STATES else rank
-    rank = min(rank, exactly)
-    reason = f"the normal rank is {exactly}, and {rank} to within rounding of the entries" if rank < exactly else ""
-    if n and rank == m.n_inputs == m.n_outputs and n <= MOST_STATES:
+    refuse_extremes(m, "zeros")
+    S, n, reason = system_matrix(m), m.n_states, ""
+    values, rank = slicot.invariant_zeros(m.A, m.B, m.C, m.D)
+    if n and m.n_inputs == m.n_outputs and n <= MOST_STATES:
         try:
-            found = [root.value for root in roots(determinant(S, n)[0]) for _ in range(root.multiplicity)]
+            polynomial = determinant(S, n)[0]
         except NoTrustworthyNumber as error:
-            return slicot.invariant_zeros(m.A, m.B, m.C, m.D)[0], rank, error.found
-        values = np.array(sorted(found, key=lambda z: (abs(z), z.imag)), dtype=complex)
-        fastest = float(np.abs(m.poles()).max(initial=0.0))
-        while len(values) and abs(values[-1]) > fastest and _decided_by_rounding(S, n, complex(values[-1]), 0.0):
-            values = values[:-1]
-        return values, rank, reason
-    return slicot.invariant_zeros(m.A, m.B, m.C, m.D)[0], rank, reason
+            return values, rank, error.found
+        if polynomial and rank < m.n_inputs:
+            reason = f"the normal rank is {m.n_inputs}, and {rank} to within rounding of the entries"
+        elif polynomial:
+            found = [root.value for root in roots(polynomial) for _ in range(root.multiplicity)]
+            values = np.array(sorted(found, key=lambda z: (abs(z), z.imag)), dtype=complex)
+            fastest = float(np.abs(m.poles()).max(initial=0.0))
+            while len(values) and abs(values[-1]) > fastest and _decided_by_rounding(S, n, complex(values[-1]), 0.0):
+                values = values[:-1]
+    return values, rank, reason
 
 
 def _pencil(S: Array, s: complex, n: int) -> ComplexArray:
@@ -204,49 +184,24 @@ def _times_power(values: ComplexArray, exponents: AnyArray) -> ComplexArray:
     return np.ldexp(values.real, exponents) + 1j * np.ldexp(values.imag, exponents)
 
 
-def _singular(P: ComplexArray, size: Array) -> tuple[ComplexArray, Array, ComplexArray, AnyArray, AnyArray]:
-    """Return the SVD of P with rows and columns scaled by powers of two, from ``size``, and exponents."""
+def _singular_values(P: ComplexArray, size: Array) -> Array:
+    """Return the singular values of P with rows and columns scaled by powers of two, from ``size``."""
     r, c = equilibrating_exponents(size)
-    left, sigma, right = np.linalg.svd(_times_power(P, r[:, None] + c))
-    return left, sigma, right.conj().T, r, c
+    return np.linalg.svd(_times_power(P, r[:, None] + c), compute_uv=False)
 
 
-def _rank_within_rounding(m: StateSpaceModel) -> int:
-    """Return the largest rank of the transfer matrix, up to NEARLY, at points in the range of its dynamics."""
-    S, n, best = _system(m), m.n_states, 0
-    size = np.append(np.abs(m.poles()), np.abs(m.A).max(initial=0.0))
-    size = size[size > 0]
-    low, high = (size.min(), size.max()) if len(size) else (1.0, 1.0)
-    for s in np.geomspace(low, high, 5) * 1.37 * np.exp(1.1j):
-        sigma = _singular(_pencil(S, s, n), _pencil(np.abs(S), -abs(s), n).real)[1]
-        best = max(best, int((sigma > NEARLY * sigma.max(initial=0.0)).sum()) - n)
-        if best == min(m.n_inputs, m.n_outputs):
-            break
-    return best
-
-
-def _tested(S: Array, z: complex, n: int, rank: int) -> tuple[str, ComplexArray, ComplexArray, float]:
-    """Test a zero in P(z): return its kind, directions at input and output, and residual."""
-    P, size, k = _pencil(S, z, n), _pencil(np.abs(S), -abs(z), n).real, n + rank - 1
-    left, sigma, right, r, c = _singular(P, size)
+def _tested(S: Array, z: complex, n: int, rank: int) -> tuple[str, float]:
+    """Test a zero in P(z): return its kind and its residual."""
+    P, size = _pencil(S, z, n), _pencil(np.abs(S), -abs(z), n).real
+    sigma = _singular_values(P, size)
     unreached, unseen = _loses_rank(P[:n], size[:n]), _loses_rank(P[:, :n], size[:, :n])
     kind = {(True, True): "input-output-decoupling", (True, False): "input-decoupling",
             (False, True): "output-decoupling", (False, False): "transmission"}[unreached, unseen]  # fmt: skip
-    u = _direction(right[n:, k], c[n:], S.shape[1] - n == rank)
-    v = _direction(left[n:, k], r[n:], S.shape[0] - n == rank)
-    return kind, u, v, abs(float(sigma[k] / sigma[0])) if sigma[0] else 0.0
-
-
-def _direction(vector: ComplexArray, exponents: AnyArray, single: bool) -> ComplexArray:
-    """Return a part of a singular vector as a unit vector of the model as given; NaN if it has no direction."""
-    if not single or np.linalg.norm(vector) <= HIDDEN:
-        return np.full(len(vector), np.nan, dtype=complex)
-    given = _times_power(vector, exponents - exponents.max())
-    return given / np.linalg.norm(given)
+    return kind, float(sigma[n + rank - 1] / sigma[0]) if sigma[0] else 0.0
 
 
 def _loses_rank(block: ComplexArray, size: Array) -> bool:
-    sigma = _singular(block, size)[1]
+    sigma = _singular_values(block, size)
     return bool(sigma[-1] <= HIDDEN * sigma[0])
 
 
@@ -276,7 +231,7 @@ def _doubt(m: StateSpaceModel, values: ComplexArray, rank: int, residuals: Array
         return f"P(s) at a zero misses a lower rank by {residuals.max():.1e}"
     if rank < max(m.n_inputs, m.n_outputs):
         return ""
-    S, n = _system(m), m.n_states
+    S, n = system_matrix(m), m.n_states
     least = STILL * float(np.abs(np.concatenate([m.poles(), values])).max(initial=0.0))
     for z in values.tolist():
         if z.imag >= 0 and (least or z) and _decided_by_rounding(S, n, z, least):
