@@ -37,7 +37,7 @@ Kind = Literal["controllability", "observability"]
 CLEAR = 1e-10
 ZERO = 1e-12
 ROUNDING = 1e-14
-# Entries of a basis within ROUNDED of a binary fraction of SHORT digits may be that fraction.
+# Entries of a basis within ROUNDED of a binary fraction of SHORT digits are that fraction.
 ROUNDED, SHORT = 1e-13, 20
 # States with at least this share of the largest weight belong to a mode's combination.
 SHARE = 0.1
@@ -66,9 +66,6 @@ class StructuralTest(Displayable):
     #: scaling; inf without states
     margin: float
     weakest: complex | None  #: The eigenvalue where the margin is attained; None without states
-    #: The same for every mode, shape (n_states,)
-    eigenvalues: ComplexArray
-    margins: Array
     status: Status  #: CONVERGED where the decision does not depend on rounding, else INACCURATE
 
     @property
@@ -170,7 +167,7 @@ def controllability(model: Any) -> StructuralTest:
     Returns
     -------
     StructuralTest
-        Rank, hidden modes in rad/s (z plane where discrete), and the margin of every mode, shape (n_x,).
+        Rank, hidden modes in rad/s (z plane where discrete), and the smallest margin of a mode.
 
     Raises
     ------
@@ -242,13 +239,10 @@ def _test(model: StateSpaceModel, a: Array, b: Array, kind: Kind) -> StructuralT
     off_graph = np.linalg.eigvals(a[found.outer[:, None], found.outer]).astype(np.complex128)
     eigenvalues = np.concatenate([inside * found.rate, off_graph])
     margins = np.concatenate([_margins(found.scaled, found.into, inside), np.zeros(len(found.outer))])
-    worst = int(np.argmin(margins)) if n else None
-    margin = float(margins.min()) if n else np.inf
+    margin, weakest = (float(margins.min()), complex(eigenvalues[np.argmin(margins)])) if n else (np.inf, None)
     consistent = margin > ROUNDING * n if found.rank == n else margin < CLEAR
     status = Status.CONVERGED if found.clear and consistent else Status.INACCURATE
-    weakest = None if worst is None else complex(eigenvalues[worst])
-    modes = found.modes(model, kind)
-    return StructuralTest(kind, found.rank, n, modes, margin, weakest, eigenvalues, margins, status)
+    return StructuralTest(kind, found.rank, n, found.modes(model, kind), margin, weakest, status)
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,20 +301,16 @@ class _Reached:
         kept, rest = np.sort(order[:rank]), np.sort(order[rank:])
         share = np.linalg.solve(v[kept].T, v[rest].T).T
         share[np.abs(share) <= ROUNDING * len(v)] = 0.0
-        short = np.ldexp(np.rint(np.ldexp(share, SHORT)), -SHORT)
-        mixed = np.where(np.abs(share - short) <= ROUNDED, short, share)
+        short = np.ldexp(np.rint(np.ldexp(share, SHORT)), -SHORT)  # exact cancellations have no rounding
+        share = np.where(np.abs(share - short) <= ROUNDED, short, share)
+        t = np.zeros((len(self.a), rank))
+        t[inner[kept], range(rank)] = 1.0
+        t[inner[rest]] = np.ldexp(share, exponent[rest, None] - exponent[None, kept])
         size = np.abs(self.b).max(axis=0, initial=0.0)
-        found: list[tuple[float, Array]] = []
-        for part in (mixed, share):  # short fractions where they fit no worse: exact cancellations have no rounding
-            t = np.zeros((len(self.a), rank))
-            t[inner[kept], range(rank)] = 1.0
-            t[inner[rest]] = np.ldexp(part, exponent[rest, None] - exponent[None, kept])
-            moved = (self.a @ t)[inner], self.b[inner] / np.where(size > 0, size, 1.0)
-            off = [np.ldexp(m - t[inner] @ m[kept], -exponent[:, None]) for m in moved]
-            off[0] = np.ldexp(off[0], exponent[None, kept]) / self.rate
-            found.append((max(float(np.abs(m).max(initial=0.0)) for m in off), t))
-        missed, t = min(found, key=lambda pair: pair[0])
-        return t, inner[kept], missed
+        moved = (self.a @ t)[inner], self.b[inner] / np.where(size > 0, size, 1.0)
+        off = [np.ldexp(m - t[inner] @ m[kept], -exponent[:, None]) for m in moved]
+        off[0] = np.ldexp(off[0], exponent[None, kept]) / self.rate
+        return t, inner[kept], max(float(np.abs(m).max(initial=0.0)) for m in off)
 
 
 @dataclass(frozen=True, eq=False)
@@ -427,19 +417,15 @@ def _scaled(a: Array, b: Array) -> tuple[Array, Array, float, NDArray[np.int64]]
 
 def _margins(a: Array, b: Array, eigenvalues: ComplexArray) -> Array:
     """Return the smallest singular value of ``[A - lambda I, B]`` at each eigenvalue, relative to ``|[A, B]|``."""
-    n = len(a)
-    if n == 0:
+    if not len(a):
         return np.zeros(0)
-    norm = np.linalg.norm(np.hstack([a, b]), 2)
-    result = np.empty(n)
-    for k, value in enumerate(eigenvalues):
-        mirror = np.flatnonzero(eigenvalues[:k] == value.conjugate())
-        if len(mirror):  # the same singular values
-            result[k] = result[mirror[0]]
-            continue
-        pencil = np.hstack([a - value * np.eye(n), b])
-        result[k] = np.linalg.svd(pencil, compute_uv=False)[-1] / norm
-    return result
+    norm, found = np.linalg.norm(np.hstack([a, b]), 2), {}
+    for value in eigenvalues.tolist():  # a conjugate pair has the same singular values
+        key = complex(value.real, abs(value.imag))
+        if key not in found:
+            pencil = np.hstack([a - value * np.eye(len(a)), b])
+            found[key] = np.linalg.svd(pencil, compute_uv=False)[-1] / norm
+    return np.array([found[complex(value.real, abs(value.imag))] for value in eigenvalues.tolist()])
 
 
 def _hidden_modes(
