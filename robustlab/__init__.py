@@ -46,7 +46,7 @@ _PUBLIC = {
     "connect": "uncertainty.named_wiring",
     "unstructured": "uncertainty.unstructured",
     "cover": "mu_analysis.margins.cover",
-    "overbound": "uncertainty.overbound",
+    "overbound": "uncertainty.covers",
     # analysis
     "peak_gain": "analysis.gain",
     "sample": "worst_case_analysis",
@@ -62,7 +62,7 @@ _PUBLIC = {
     "nu_gap": "uncertainty.distances",
     "coprime_margin": "uncertainty.distances",
     "h2_norm": "norms",
-    "zeros": "linear_analysis.invariant_zeros",
+    "zeros": "linear_analysis.zeros",
     "controllability": "linear_analysis.structural",
     "observability": "linear_analysis.structural",
     "frequency_response": "linear_analysis.frequency",

@@ -31,16 +31,18 @@ from robustlab.provenance import Traced
 from robustlab.signals import Signal, is_constant, picked, real_array
 from robustlab.statespace import StateSpaceModel, append, as_model
 from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock
-from robustlab.uncertainty.interconnection import Wiring, ones, upper_lft
 from robustlab.uncertainty.lft import (
     UncertainModel,
+    Wiring,
     as_uncertain,
     feedback,
     interconnected,
     inverse,
+    ones,
     parallel,
     product,
     star,
+    upper_lft,
 )
 
 

@@ -14,8 +14,7 @@ from robustlab.delays.model import DelayedModel, as_delayed, covering
 from robustlab.errors import InputError, error_context
 from robustlab.signals import Signal, real_array
 from robustlab.statespace import StateSpaceModel, append, as_model, series
-from robustlab.uncertainty.interconnection import Wiring, unique_names
-from robustlab.uncertainty.lft import UncertainModel, as_uncertain, interconnected, product
+from robustlab.uncertainty.lft import UncertainModel, Wiring, as_uncertain, interconnected, product, unique_names
 
 # Samples of delay of a discrete model; each is a state.
 MOST_SAMPLES = 2000

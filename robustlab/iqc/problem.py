@@ -26,8 +26,7 @@ from robustlab.norms import balancing_units, hinf_norm
 from robustlab.result import Evidence
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.uncertainty.blocks import Block, RealScalar, block_slices
-from robustlab.uncertainty.interconnection import recentred
-from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.lft import UncertainModel, recentred
 from robustlab.verification.checker import check
 from robustlab.verification.claim import Claim, Outcome
 

@@ -5,7 +5,7 @@ from robustlab.lazily import lazily
 __all__, __getattr__ = lazily(
     __name__,
     {
-        "exact": "all_left determinant exactly_stable from_the_circle on_axis roots",
+        "zeros": "all_left determinant exactly_stable from_the_circle on_axis roots",
         "frequency": "default_grid",
         "matrices": "care dare equilibrating_exponents hamiltonian_riccati lyapunov",
         "structural": "drop_unconnected strong_components",

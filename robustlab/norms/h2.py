@@ -12,9 +12,9 @@ from robustlab.arrays import AnyArray
 from robustlab.display import Displayable, Facts, number
 from robustlab.errors import NoTrustworthyNumber, error_context
 from robustlab.linear_analysis import slicot
-from robustlab.linear_analysis.exact import exactly_stable
 from robustlab.linear_analysis.matrices import balancing_factors, refuse_extremes, small_residual
 from robustlab.linear_analysis.structural import with_hidden
+from robustlab.linear_analysis.zeros import exactly_stable
 from robustlab.norms.claims import above, gramian_claims, gramian_matrix, gramian_square, model_numbers
 from robustlab.norms.hinfinity import unstable_norm, well_scaled
 from robustlab.result import Status

@@ -25,9 +25,9 @@ from robustlab.arrays import AnyArray, Array
 from robustlab.display import Facts, bracket, listed, number
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis import slicot
-from robustlab.linear_analysis.exact import exactly_on_boundary, exactly_stable
 from robustlab.linear_analysis.frequency import modes_apart, solved_response
 from robustlab.linear_analysis.matrices import balanced_eigenvalues, balancing_factors, lapack, refuse_extremes
+from robustlab.linear_analysis.zeros import exactly_on_boundary, exactly_stable
 from robustlab.norms.bilinear_map import bilinear_to_continuous
 from robustlab.norms.claims import above, band_scalings, gain_in_balls, model_numbers, norm_matrix
 from robustlab.result import Bracket, Status

@@ -19,8 +19,7 @@ from robustlab.provenance import Traced
 from robustlab.signals import Signal, SignalLike, picked, real_array, signals
 from robustlab.statespace import as_model
 from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock, as_blocks, delta_matrix, structure_size
-from robustlab.uncertainty.interconnection import ILL_POSED, closed_response
-from robustlab.uncertainty.lft import UncertainModel, return_path
+from robustlab.uncertainty.lft import ILL_POSED, UncertainModel, closed_response, return_path
 
 
 @dataclass(frozen=True, init=False, eq=False)

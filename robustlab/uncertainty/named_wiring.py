@@ -14,8 +14,7 @@ import numpy as np
 from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch, did_you_mean, error_context
 from robustlab.signals import Signal, is_constant
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.interconnection import Wiring
-from robustlab.uncertainty.lft import UncertainModel, as_uncertain, interconnected
+from robustlab.uncertainty.lft import UncertainModel, Wiring, as_uncertain, interconnected
 
 FORM = '"e = r - y": a new name, then names with + or - between them'
 _SUM = re.compile(r"([^\s=+-]+)\s*=(.*)", re.DOTALL)

@@ -19,15 +19,14 @@ from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, error_context
 from robustlab.statespace import SignalLike, StateSpaceModel
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
-from robustlab.uncertainty.decomposition_tree import ConstantLft, MatrixPolynomial, decomposition
 from robustlab.uncertainty.lft import UncertainModel, with_channels
-from robustlab.uncertainty.reduction import reduction
+from robustlab.uncertainty.reduction import ConstantLft, MatrixPolynomial, decomposition, reduction
 
 # Boxes and vertices in the search for a zero of a denominator: with fewer, more valid ranges are rejected.
 DENOMINATOR_BOXES = 4000
 DENOMINATOR_VERTICES = 4096
 EXACT = 1e-9  # allowed error of an entry at random parameter values, relative to its largest value there
-MAX_SIZE = 200_000  # factors times variables
+SEARCH = 10  # pairs of terms that cost as much as one factor and variable in the search of a decomposition
 
 
 @error_context("parametric")
@@ -198,14 +197,10 @@ def _rows(name: str, given: Any) -> list[list[Any]]:
 
 
 def _check_size(expressions: Sequence[Sequence[Laurent]], algebra: Algebra) -> None:
-    """Reject expressions too large for the search of a decomposition, which visits every factor for every variable."""
+    """Count the search of a decomposition, which visits every factor for every variable, as work."""
     every = [*(entry for row in expressions for entry in row), *algebra.denominators.values()]
-    factors = sum(len(entry.terms) + entry.factors for entry in every)
     variables = len(set().union(*(entry.variables for entry in every)))
-    if factors * variables > MAX_SIZE:
-        found = f"{factors} factors of {variables} variables and denominators when multiplied out"
-        hint = "give a sum that occurs often a parameter of its own"
-        raise InputError("parametric", found, f"a product of at most {MAX_SIZE}", hint)
+    algebra.count(SEARCH * variables * sum(len(entry.terms) + entry.factors for entry in every))
 
 
 def _check_denominators(
@@ -386,7 +381,8 @@ class Algebra:
     def count(self, pairs: int) -> None:
         self.work += pairs
         if self.work > MAX_WORK:
-            raise InputError("expression", f"more than {MAX_WORK} products of terms in all", "shorter expressions")
+            hint = "give a sum that occurs often a parameter of its own"
+            raise InputError("parametric", f"more than {MAX_WORK} products of terms", "shorter expressions", hint)
 
     def read(self, entry: Any, where: str) -> Laurent:
         """Return the normal form of a matrix entry, a number or a text."""

@@ -21,8 +21,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.matrices import is_moderate, refuse_overflow
 from robustlab.statespace import Signal, real_array
 from robustlab.uncertainty.blocks import Block, block_slices, structure_size
-from robustlab.uncertainty.interconnection import ILL_POSED
-from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.lft import ILL_POSED, UncertainModel
 
 CHUNK = 2_000_000  # numbers of an intermediate array: memory, not the answer
 ZOOM_POINTS = 7  # of each round of the zoom on the highest grid point ...

@@ -21,13 +21,13 @@ from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.uncertainty.covers import (
     PARAMETRIC_FORMS,
+    Overbound,
     matrices_miss,
     model_set,
     parametric_cover,
     unstructured_cover,
 )
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.uncertainty.overbound import Overbound
 from robustlab.uncertainty.unstructured import FORMS
 
 EXACT = 1e-12  # relative rounding error of a member of an exact cover

@@ -23,7 +23,7 @@ from robustlab.arrays import AnyArray
 from robustlab.checks import choice, number
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.frequency import frequency_response
-from robustlab.linear_analysis.invariant_zeros import transmission_zeros
+from robustlab.linear_analysis.zeros import transmission_zeros
 from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete
 from robustlab.realisations import cascade
 from robustlab.statespace import StateSpaceModel, as_model
