@@ -8,12 +8,10 @@ from robustlab.norms.hinfinity import (
     HinfNorm,
     PeakGain,
     balancing_units,
-    checked_band,
     gain_rounding,
     hinf_norm,
     linf_norm,
     unstable_norm,
-    well_scaled,
 )
 
 __all__ = [
@@ -23,7 +21,6 @@ __all__ = [
     "PeakGain",
     "bilinear_to_continuous",
     "bilinear_to_discrete",
-    "checked_band",
     "gain_rounding",
     "h2_by_channels",
     "h2_by_gramians",
@@ -34,5 +31,4 @@ __all__ = [
     "loop_numbers",
     "model_numbers",
     "unstable_norm",
-    "well_scaled",
 ]

@@ -668,35 +668,22 @@ def _directions(models: tuple[StateSpaceModel, ...], tolerance: float, direction
     middle = stack.mean(axis=0)
     cloud = ((stack - middle) / scale).reshape(len(models), -1)
     cloud[:, np.ptp(cloud, axis=0) <= ROUNDING] = 0.0
-    _, _, axes = np.linalg.svd(cloud, full_matrices=False)
-    coordinates = cloud @ axes.T
-    count = _needed(cloud, axes, max(tolerance, ROUNDING)) if directions is None else min(directions, len(axes))
-    reach = 0.5 * np.ptp(coordinates, axis=0)
-    kept = axes[:count]
-    along = cloud @ kept.T
+    axes = np.linalg.svd(cloud, full_matrices=False)[2]
+    along, count = cloud @ axes.T, len(axes) if directions is None else min(directions, len(axes))
+    if directions is None:  # the fewest that represent every entry of every model within the tolerance
+        off = (np.abs(cloud - along[:, :k] @ axes[:k]).max(initial=0.0) for k in range(len(axes)))
+        count = next((k for k, missed in enumerate(off) if missed <= max(tolerance, ROUNDING)), len(axes))
     centre, half = 0.5 * (along.max(axis=0) + along.min(axis=0)), 0.5 * np.ptp(along, axis=0)
-    order = np.argsort(-half, kind="stable")
+    order = np.argsort(-half[:count], kind="stable")
     order = order[half[order] > ROUNDING]
-    kept, along, centre, half = kept[order], along[:, order], centre[order], half[order]
-    nominal = model_of(middle + scale * (centre @ kept).reshape(scale.shape), models[0])
+    left = tuple(r for r in half[count:].tolist() if r > ROUNDING)
+    axes, along, centre, half = axes[order], along[:, order], centre[order], half[order]
+    nominal = model_of(middle + scale * (centre @ axes).reshape(scale.shape), models[0])
     (start,) = system_matrices([nominal])
-    names = [f"direction{j + 1}" for j in range(len(half))]
     ends = {
-        name: model_of(start + scale * (half[j] * kept[j]).reshape(scale.shape), models[0])
-        for j, name in enumerate(names)
+        f"direction{j + 1}": model_of(start + scale * (size * axis).reshape(scale.shape), models[0])
+        for j, (size, axis) in enumerate(zip(half, axes, strict=True))
     }
     made = elementwise(nominal, ends) if ends else UncertainModel(nominal, [])
     share = np.clip((along - centre) / half, -1.0, 1.0)
-    deltas = tuple({name: float(share[i, j]) for j, name in enumerate(names)} for i in range(len(models)))
-    spread = (*half.tolist(), *(r for r in reach[count:].tolist() if r > ROUNDING))
-    return made, deltas, spread
-
-
-def _needed(cloud: Array, axes: Array, tolerance: float) -> int:
-    """Return the fewest principal components that represent every entry of every model within the tolerance."""
-    rest = cloud.copy()
-    for count in range(len(axes)):
-        if np.abs(rest).max(initial=0.0) <= tolerance:
-            return count
-        rest = rest - np.outer(rest @ axes[count], axes[count])
-    return len(axes)
+    return made, tuple(dict(zip(ends, row, strict=True)) for row in share.tolist()), (*half.tolist(), *left)

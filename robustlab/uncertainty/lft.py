@@ -293,14 +293,8 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
 
         Values outside [-1, 1] are allowed: a critical Delta may be larger than the set. A full or complex block also
         takes a StateSpaceModel (rows x cols for a full block, 1 x 1 for a scalar one), a dynamic Delta. The member's
-        states are then those of M followed by those of the Deltas.
-
-        Raises
-        ------
-        InputError
-            Unknown names, wrong shapes, complex values (for these use `response`), a dynamic value for a real block.
-        NoTrustworthyNumber
-            This Delta makes the model ill-posed; the message names its values.
+        states are then those of M followed by those of the Deltas. A Delta that makes the model ill-posed is refused
+        with its values; complex values need `response`.
         """
         constant, dynamic = self._split(delta)
         (q, p), m = constant.shape, self.M
@@ -433,8 +427,7 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
         Members are the same, their deltas are not: a range [0.75, 1.5] around 1 becomes 1.125 +- 0.375. Block names,
         full and complex blocks are kept (the latter scaled by ``level``). The nominal model is the one at the middles.
 
-        ``level``: positive; 2 takes each end twice as far from the nominal value. Raises NoTrustworthyNumber: the
-        member at the middles is not well posed.
+        ``level``: positive; 2 takes each end twice as far from the nominal value.
 
         Examples
         --------
@@ -461,15 +454,8 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
 
         With a critical Delta of `robust_stability` the member ``set.evaluate(set.realised(delta, frequency))`` has a
         pole at :math:`j \omega_0`, so the loss of stability can be simulated. Real parameters remain numbers, a complex
-        scalar becomes a model of at most two states, a full block one of ``cols`` inputs and ``rows`` outputs.
-
-        Raises
-        ------
-        InputError
-            A frequency outside the axis, values that do not fit the blocks, or a complex value at ``frequency = 0`` or
-            at the end of the axis, where systems with real coefficients are real.
-        NoTrustworthyNumber
-            A realisation is inaccurate.
+        scalar becomes a model of at most two states, a full block one of ``cols`` inputs and ``rows`` outputs. Complex
+        values are refused at the ends of the axis, where systems with real coefficients are real.
         """
         from robustlab.uncertainty.realised_delta import realise_delta  # loads the norms
 
@@ -488,14 +474,8 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
         """Return the same set with minimal repetitions of each scalar block; evidence: `reduce_model`.
 
         Like the states of a transfer function in 1/s, uncontrollable and unobservable repetitions are removed (Kalman
-        decomposition of all blocks jointly). A scalar block without effect is removed, and its name is then
-        unknown to `evaluate`.
-
-        Singular values below ``tolerance`` times the largest count as zero.
-
-        References
-        ----------
-        D'Andrea, Khatri, "Kalman decomposition of linear fractional transformation representations" (1997).
+        decomposition of all blocks jointly; D'Andrea, Khatri 1997). A scalar block without effect is removed, and its
+        name is then unknown to `evaluate`. Singular values below ``tolerance`` times the largest count as zero.
         """
         from robustlab.uncertainty.reduction import reduction  # files of sets are read without it
 
