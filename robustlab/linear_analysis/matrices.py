@@ -279,9 +279,6 @@ def lapack() -> Any:
     return routines
 
 
-# Bounds of the largest entry of an ordinary matrix: products of several neither overflow nor vanish. Single entries may
-# be smaller, as long as their squares do not vanish.
-SMALLEST, LARGEST, LEAST = 2.0**-166, 2.0**166, 2.0**-500
 SWEEPS = 20
 # Products of entries between these neither overflow nor vanish.
 FAINTEST, STRONGEST = 1e-100, 1e100
@@ -304,15 +301,6 @@ def of_system_matrix(
     """Return the model of ``[A B; C D]`` with n states."""
     parts = whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:]
     return StateSpaceModel(*parts, dt, inputs, outputs, states, where=where)
-
-
-def is_moderate(*matrices: AnyArray) -> bool:
-    """Return whether every matrix is of an ordinary size, or zero."""
-    for matrix in matrices:
-        size = np.abs(matrix[matrix != 0])
-        if size.size and not (SMALLEST <= size.max() <= LARGEST and size.min() >= LEAST):
-            return False
-    return True
 
 
 def balancing_factors(matrix: AnyArray) -> AnyArray:

@@ -12,6 +12,7 @@ from robustlab.norms.hinfinity import (
     hinf_norm,
     linf_norm,
     unstable_norm,
+    well_scaled,
 )
 
 __all__ = [
@@ -31,4 +32,5 @@ __all__ = [
     "loop_numbers",
     "model_numbers",
     "unstable_norm",
+    "well_scaled",
 ]

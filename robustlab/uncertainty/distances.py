@@ -16,9 +16,9 @@ from robustlab.display import Displayable, Facts, bracket, number
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.feedback import closing
 from robustlab.linear_analysis.frequency import frequency_response
-from robustlab.linear_analysis.matrices import RiccatiSolution, balancing_factors, care, is_moderate, refuse_overflow
+from robustlab.linear_analysis.matrices import RiccatiSolution, care, refuse_extremes, refuse_overflow
 from robustlab.linear_analysis.structural import hidden_unstable, with_hidden
-from robustlab.norms import bilinear_to_continuous, hinf_norm
+from robustlab.norms import bilinear_to_continuous, hinf_norm, well_scaled
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft, series
 
@@ -46,7 +46,8 @@ class CoprimeRiccati:
 
 def coprime_riccati(model: StateSpaceModel) -> CoprimeRiccati:
     """Solve both Riccati equations of a continuous, stabilisable and detectable model."""
-    m, rate = _scaled(model)
+    refuse_extremes(model, "coprime factors")
+    m, rate = well_scaled(model) if model.n_states else (model, 1.0)
     p, q = m.D.shape
     r, s = np.eye(q) + m.D.T @ m.D, np.eye(p) + m.D @ m.D.T
     try:
@@ -191,25 +192,6 @@ def continuous_models(*models: StateSpaceModel) -> tuple[StateSpaceModel, ...]:
     return tuple(bilinear_to_continuous(StateSpaceModel(m.A, m.B, m.C, m.D, dt)) for m in models)
 
 
-def _scaled(model: StateSpaceModel) -> tuple[StateSpaceModel, float]:
-    """Return the transfer function of ``s / rate`` with balanced states, and the rate in rad/s."""
-    if not model.n_states:
-        return model, 1.0
-    if not is_moderate(model.A, model.B, model.C, model.D):
-        hint = "choose other units of u and y, or of time"
-        raise NoTrustworthyNumber("coprime factors", "entries whose squares overflow or vanish", None, hint)
-    scale = balancing_factors(model.A)
-    a = model.A / scale[:, None] * scale
-    b, c = model.B / scale[:, None], model.C * scale
-    size = np.abs(np.linalg.eigvals(a))
-    size = size[size > 1e-12 * max(float(size.max()), 1e-300)]
-    rate = float(2.0 ** np.round(np.log2(np.median(size)))) if len(size) else 1.0
-    in_size, out_size = float(np.linalg.norm(b)), float(np.linalg.norm(c))
-    level = float(2.0 ** np.round(np.log2(in_size / out_size) / 2)) if in_size and out_size else 1.0
-    root = np.sqrt(rate)
-    return StateSpaceModel(a / rate, b / level / root, c * level / root, model.D), rate
-
-
 def _inverse_root(matrix: Array) -> Array:
     """Return ``matrix^(-1/2)`` of a symmetric positive definite matrix."""
     values, vectors = np.linalg.eigh(matrix)
@@ -225,10 +207,8 @@ def _check_inner(m: StateSpaceModel, right: StateSpaceModel, left: StateSpaceMod
         raise NoTrustworthyNumber("coprime factors", f"they miss being normalised by {off:.1e}", f"at most {INNER:.0e}")
 
 
-# With G = [N; M], G~ = [M~, -N~]: |G~2 G1|_inf where det(G2* G1) is not 0 on the axis and winds zero times around the
-# origin, else 1.
-
-
+# nu-gap: with G = [N; M], G~ = [M~, -N~] it is |G~2 G1|_inf where det(G2* G1) is not 0 on the axis and winds zero times
+# around the origin, else 1.
 NOTHING, AGREE = 1e-12, 1e-6  # a distance indistinguishable from 0, and a difference to 1
 SIDE = 1e-11  # relative real part below which the sign of an eigenvalue is uncertain
 
