@@ -147,12 +147,10 @@ class Structure(Displayable):
 
 def structure(model: Any) -> Structure:
     """Compute poles, stability, controllability and observability of a model."""
-    given = as_model(model, "structure")
-    poles = np.array(sorted(given.poles().tolist(), key=lambda p: (-p.real, p.imag)), dtype=complex)
-    return Structure(
-        poles, given.is_stable(), given.spectral_abscissa(), given.is_discrete, controllability(given),
-        observability(given),
-    )  # fmt: skip
+    m = as_model(model, "structure")
+    poles = np.array(sorted(m.poles().tolist(), key=lambda p: (-p.real, p.imag)), dtype=complex)
+    tests = controllability(m), observability(m)
+    return Structure(poles, m.is_stable(), m.spectral_abscissa(), m.is_discrete, *tests)
 
 
 @error_context("controllability")

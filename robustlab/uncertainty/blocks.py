@@ -77,13 +77,6 @@ class ParameterRange:
     def between(cls, low: float, high: float, nominal: float | None = None, unit: str = "") -> ParameterRange:
         """Return the range from ``low`` to ``high`` around ``nominal``, by default the middle.
 
-        Raises
-        ------
-        InputError
-            Not ``low < nominal < high``, or numbers that are not finite.
-
-        Examples
-        --------
         >>> ParameterRange.between(0.75, 1.5, 1.0)
         ParameterRange(nominal=1.0, radius=0.5, unit='', below=0.25)
         """
@@ -120,13 +113,7 @@ class ParameterRange:
         return (value - self.nominal) / width
 
     def impossible(self, value: float) -> str:
-        """Return the physical limit that this value violates; empty where it is possible.
-
-        Examples
-        --------
-        >>> ParameterRange(4.8e-05, 1.68e-05, "N m s", sign="nonnegative").impossible(-1e-4)
-        'it is never negative'
-        """
+        """Return the physical limit that this value violates; empty where it is possible."""
         if self.sign == "positive" and value <= 0:
             return "it is always positive"
         if self.sign == "either" and value * self.nominal <= 0:

@@ -301,16 +301,6 @@ def model_of(s: Array, like: StateSpaceModel) -> StateSpaceModel:
     return of_system_matrix(s, like.n_states, like.dt, like.inputs, like.outputs, like.states, "cover")
 
 
-def matrices_miss(reached: StateSpaceModel, wanted: StateSpaceModel) -> float:
-    """Return the largest difference of an entry, relative to the largest one in its matrix of ``wanted``."""
-    worst = 0.0
-    for name in "ABCD":
-        a, b = getattr(reached, name), getattr(wanted, name)
-        miss, size = float(np.abs(a - b).max(initial=0.0)), float(np.abs(b).max(initial=0.0))
-        worst = max(worst, 0.0 if miss == 0 else miss / size if size else np.inf)
-    return worst
-
-
 ANALYTIC = 1e-6  # Laurent coefficients below this share of the models' size around a point are rounding
 BOUNDARY = 1e-9  # a pole this near to the stability boundary, relative to its size, may be on either side
 STILL = 1e-7  # poles and zeros this slow, relative to the fastest, are integrators with rounding

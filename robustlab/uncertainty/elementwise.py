@@ -162,13 +162,15 @@ class EndpointResidual:
 def endpoint_residual(uncertain: UncertainModel, perturbed: Any) -> EndpointResidual:
     """Evaluate the set at ``Delta = I`` and compare with the perturbed model, matrix by matrix."""
     target = as_model(perturbed, "endpoint_residual: perturbed")
-    reached = uncertain.evaluate({b.name: 1.0 for b in uncertain.blocks})
-    absolute: dict[str, float] = {}
-    relative: dict[str, float] = {}
+    return misses(uncertain.evaluate({b.name: 1.0 for b in uncertain.blocks}), target, uncertain.nominal)
+
+
+def misses(reached: StateSpaceModel, wanted: StateSpaceModel, *others: StateSpaceModel) -> EndpointResidual:
+    """Return the largest differences of entries, absolute and relative to the largest one in ``wanted`` and others."""
+    absolute, relative = dict[str, float](), dict[str, float]()
     for name in "ABCD":
-        wanted, nominal = getattr(target, name), getattr(uncertain.nominal, name)
-        miss = float(np.abs(getattr(reached, name) - wanted).max(initial=0.0))
-        size = float(max(np.abs(wanted).max(initial=0.0), np.abs(nominal).max(initial=0.0)))
+        miss = float(np.abs(getattr(reached, name) - getattr(wanted, name)).max(initial=0.0))
+        size = max(float(np.abs(getattr(m, name)).max(initial=0.0)) for m in (wanted, *others))
         absolute[name] = miss
         relative[name] = 0.0 if miss == 0 else (miss / size if size else np.inf)
     return EndpointResidual(absolute, relative)

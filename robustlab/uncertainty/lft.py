@@ -428,13 +428,6 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
         full and complex blocks are kept (the latter scaled by ``level``). The nominal model is the one at the middles.
 
         ``level``: positive; 2 takes each end twice as far from the nominal value.
-
-        Examples
-        --------
-        >>> from robustlab.uncertainty.parametric import parametric
-        >>> lag = parametric([["-1/tau"]], [["1/tau"]], [[1]], [[0]], {"tau": (1.0, 0.75, 1.5)})
-        >>> lag.centred().blocks[0].parameter
-        ParameterRange(nominal=1.125, radius=0.375, unit='', below=None)
         """
         # [-rho m, m] becomes c + r [-1, 1] by Delta = C + R Delta', c = m (1 - rho) / 2, r = m (1 + rho) / 2.
         if isinstance(level, bool) or not isinstance(level, (int, float)) or not 0 < level < np.inf:

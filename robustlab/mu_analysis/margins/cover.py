@@ -22,11 +22,11 @@ from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.uncertainty.covers import (
     PARAMETRIC_FORMS,
     Overbound,
-    matrices_miss,
     model_set,
     parametric_cover,
     unstructured_cover,
 )
+from robustlab.uncertainty.elementwise import misses
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.unstructured import FORMS
 
@@ -295,12 +295,12 @@ def _parametric(
     directions: int | None,
 ) -> Cover:
     model, deltas, spread = parametric_cover(models, form, nominal, tolerance, directions)
-    misses = tuple(matrices_miss(model.evaluate(d), m) for d, m in zip(deltas, models, strict=True))
+    off = tuple(misses(model.evaluate(d), m).largest for d, m in zip(deltas, models, strict=True))
     sizes = tuple(max((abs(v) for v in d.values()), default=0.0) for d in deltas)
-    met = max(sizes) <= 1.0 and max(misses) <= max(2.0 * tolerance, EXACT)
-    reason = "" if met else f"model {int(np.argmax(misses)) + 1} is missed by {max(misses):.2g}"
+    met = max(sizes) <= 1.0 and max(off) <= max(2.0 * tolerance, EXACT)
+    reason = "" if met else f"model {int(np.argmax(off)) + 1} is missed by {max(off):.2g}"
     status, number = Status.CERTIFIED if met else Status.INACCURATE, 0 if nominal is None else None
-    return Cover(model, form, status, deltas, sizes, misses, number, 0.0, spread, None, None, reason, models)
+    return Cover(model, form, status, deltas, sizes, off, number, 0.0, spread, None, None, reason, models)
 
 
 def _unstructured(
