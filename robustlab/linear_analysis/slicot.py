@@ -14,8 +14,6 @@ import numpy as np
 from robustlab.arrays import AnyArray, Array, ComplexArray
 from robustlab.errors import NoTrustworthyNumber
 
-__all__ = ["gramian_factors", "invariant_zeros", "lyapunov_solution", "peak_gain"]
-
 
 def peak_gain(A: Array, B: Array, C: Array, D: Array, tolerance: float = 1e-6) -> tuple[float, float]:
     """Find the largest gain of a continuous model over the axis, and its frequency in rad/s (AB13DD)."""

@@ -22,8 +22,6 @@ from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.verification.checker import check
 from robustlab.verification.claim import Claim, Outcome
 
-__all__ = ["H2Norm", "h2_by_channels", "h2_by_gramians", "h2_norm"]
-
 EPS = float(np.finfo(float).eps)
 # Gramians disagree if they differ by more than the first share of the norm; below the second no digits were lost.
 AGREE, SAME = 1e-6, 1e-10

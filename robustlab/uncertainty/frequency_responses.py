@@ -140,13 +140,12 @@ class UncertainFrequencyData(Behaviour, Displayable, Traced):
 
     def __getitem__(self, key: Any) -> UncertainFrequencyData:
         """Return ``G[outputs, inputs]`` by numbers, slices, names or lists of these; blocks are kept."""
-        ins, outs = [s.name for s in self.inputs], [s.name for s in self.outputs]
-        some_outs, some_ins = picked(key, tuple(outs), tuple(ins))
-        (q, p), i, o = self.delta_shape, [ins.index(n) for n in some_ins], [outs.index(n) for n in some_outs]
+        ins, outs = tuple(s.name for s in self.inputs), tuple(s.name for s in self.outputs)
+        o, i = ([every.index(n) for n in some] for every, some in zip((outs, ins), picked(key, outs, ins), strict=True))
+        q, p = self.delta_shape
         M = self.M[:, [*range(p), *(p + k for k in o)]][:, :, [*range(q), *(q + k for k in i)]]
-        return UncertainFrequencyData(
-            self.omega, M, self.blocks, [self.inputs[k] for k in i], [self.outputs[k] for k in o]
-        )
+        signals = [self.inputs[k] for k in i], [self.outputs[k] for k in o]
+        return UncertainFrequencyData(self.omega, M, self.blocks, *signals)
 
     def facts(self) -> Facts:
         ends = f"{number(float(self.omega[0]))} .. {number(float(self.omega[-1]), 'rad/s')}"
