@@ -225,9 +225,6 @@ def drop_unconnected(model: Any) -> StateSpaceModel:
     return replace(model, **matrices, states=states, operating_point=point)
 
 
-# --- the test --------------------------------------------------------------------------------------------------------
-
-
 def _test(model: StateSpaceModel, a: Array, b: Array, kind: Kind) -> StructuralTest:
     """Test controllability of (a, b), worded for ``kind``."""
     n, found = model.n_states, _Reached.of(a, b)

@@ -310,17 +310,10 @@ NEAREST = 1e-6  # smallest distance of grid points from the Nyquist frequency, r
 LIFT = 1.001  # a smaller lift is rounding, or a peak next to a frequency of the grid
 
 
-@dataclass(frozen=True, eq=False)
-class UnstructuredCover:
-    """An unstructured set around a set of models."""
-
-    model: UncertainModel
-    nominal: int | None  # number of the nominal model, from 1; 0: the middle of the matrices; None: the given one
-    fit: Overbound  # the weight and its bound
-    sizes: tuple[float, ...]  # for each model the largest gain of its Delta: at most 1
-    proved: bool  # sizes are H-infinity norms; False: evaluated on the grid of `fit` only
-    deltas: tuple[StateSpaceModel, ...]  # each model's Delta as a system; empty where one has no realisation
-    radius: float  # largest ratio of the bound to the models' own size (relative forms: the largest bound)
+# The set; the number of the nominal model, from 1, or 0: the middle of the matrices, None: the given one; the weight
+# with its bound; each model's largest gain of its Delta; the Deltas as systems, none where one has no realisation: then
+# the gains are evaluated on the grid only; the largest ratio of the bound to the models' own size.
+UnstructuredCover = tuple[UncertainModel, int | None, Overbound, tuple[float, ...], tuple[StateSpaceModel, ...], float]
 
 
 def unstructured_cover(
@@ -357,8 +350,7 @@ def unstructured_cover(
         raise rejected[0]
     radius, label, centre = min(judged, key=lambda one: one[0])
     fit, deltas, sizes = _weighted(models, centre, form, order, tolerance, omega)
-    model = unstructured(centre, fit.weight, form)
-    return UnstructuredCover(model, label, fit, sizes, bool(deltas), deltas, radius)
+    return unstructured(centre, fit.weight, form), label, fit, sizes, deltas, radius
 
 
 def _weighted(

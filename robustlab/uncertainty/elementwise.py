@@ -362,9 +362,6 @@ def _rank_factors(e: Array, allowance: Array, scale: Array, stages: Sequence[Sta
     return np.eye(e.shape[0])[:, used_rows], e[used_rows]
 
 
-# --- the uncertain model ---------------------------------------------------------------------------------------------
-
-
 def _assemble(nominal: StateSpaceModel, parts: list[_Part], full: bool = False) -> UncertainModel:
     """Return the nominal model with the channels of Delta in front (eqs 10.8, 10.9)."""
     size = sum(p.right.shape[0] for p in parts)

@@ -92,9 +92,7 @@ def parametric(
     try:
         expressions = [[algebra.read(entry, where) for where, entry in row] for row in table]
         _check_size(expressions, algebra)
-        checked: dict[str, set[str]] = {}
-        for expression in (entry for row in expressions for entry in row):
-            _check_denominators(expression, algebra, ranges, checked)
+        _check_denominators(expressions, algebra, ranges)
         lft = _lft(expressions, algebra, ranges)
         d22, order = lft.d22, [k for name in ranges for k, owner in enumerate(lft.names) if owner == name]
         blocks = [RealScalar(name, lft.names.count(name), r) for name, r in ranges.items() if name in lft.names]
@@ -146,18 +144,13 @@ def as_range(name: str, given: Any) -> ParameterRange | float:
 def _ranges(parameters: Mapping[str, Any]) -> tuple[dict[str, ParameterRange], dict[str, float]]:
     if not isinstance(parameters, Mapping):
         raise InputError("parametric", f"parameters are a {type(parameters).__name__}", "a dictionary of ranges")
-    ranges: dict[str, ParameterRange] = {}
-    exact: dict[str, float] = {}
-    for name, given in parameters.items():
+    for name in parameters:
         if not isinstance(name, str) or not name.isidentifier():
             expected = "letters, digits and _, not beginning with a digit"
             raise InputError("parametric", f"parameter name {name!r}", expected)
-        value = as_range(name, given)
-        if isinstance(value, ParameterRange):
-            ranges[name] = value
-        else:
-            exact[name] = value
-    return ranges, exact
+    read = {name: as_range(name, given) for name, given in parameters.items()}
+    ranges = {name: value for name, value in read.items() if isinstance(value, ParameterRange)}
+    return ranges, {name: value for name, value in read.items() if not isinstance(value, ParameterRange)}
 
 
 Table = list[list[tuple[str, Any]]]
@@ -204,26 +197,19 @@ def _check_size(expressions: Sequence[Sequence[Laurent]], algebra: Algebra) -> N
 
 
 def _check_denominators(
-    expression: Laurent, algebra: Algebra, ranges: Mapping[str, ParameterRange], checked: dict[str, set[str]]
-) -> set[str]:
-    """Check that no denominator vanishes in the ranges, inner denominators first; return the parameters.
-
-    ``checked``: the parameters of each denominator so far.
-    """
-    inside: set[str] = set()
-    for name, e in sorted({pair for monomial in expression.terms for pair in monomial}):
-        if name in algebra.denominators:
-            if name not in checked:
-                checked[name] = _check_denominators(algebra.denominators[name], algebra, ranges, checked)
-                _exclude_zero(name, algebra, {v: ranges[v] for v in sorted(checked[name])})
-            inside |= checked[name]
-        elif e < 0 and ranges[name].low <= 0 <= ranges[name].high:
-            r = ranges[name]
-            found = f"a denominator vanishes at {name} = 0, inside its range {r.low:g} .. {r.high:g} {r.unit}"
-            raise NoTrustworthyNumber("parametric", found.rstrip())
-        else:
-            inside.add(name)
-    return inside
+    expressions: Sequence[Sequence[Laurent]], algebra: Algebra, ranges: Mapping[str, ParameterRange]
+) -> None:
+    """Check that no denominator vanishes in the ranges; inner ones come first in the algebra."""
+    inside = {name: {name} for name in ranges}  # the parameters of each variable
+    every = [*algebra.denominators.items(), *(("", entry) for row in expressions for entry in row)]
+    for name, expression in every:
+        for v, e in sorted({pair for monomial in expression.terms for pair in monomial}):
+            if e < 0 and v in ranges and ranges[v].low <= 0 <= ranges[v].high:
+                found = f"{v} = 0, inside its range {ranges[v].low:g} .. {ranges[v].high:g} {ranges[v].unit}".rstrip()
+                raise NoTrustworthyNumber("parametric", f"a denominator vanishes at {found}")
+        inside[name] = set[str]().union(*(inside[v] for v in expression.variables))
+        if name:
+            _exclude_zero(name, algebra, {v: ranges[v] for v in sorted(inside[name])})
 
 
 def _exclude_zero(name: str, algebra: Algebra, ranges: Mapping[str, ParameterRange]) -> None:
@@ -251,15 +237,13 @@ def _exclude_zero(name: str, algebra: Algebra, ranges: Mapping[str, ParameterRan
         if not boxes:
             return
         lower, upper = boxes.pop()
-        least, largest = bounds(lower, upper)
-        if least * largest > 0:
+        if np.prod(bounds(lower, upper)) > 0:
             continue
         k = int(np.argmax((upper - lower) / (high - low)))
         left, right = upper.copy(), lower.copy()
         left[k] = right[k] = 0.5 * (lower[k] + upper[k])
         boxes += [(lower, left), (right, upper)]
-    middles = [0.5 * (lower + upper) for lower, upper in boxes]
-    near = text(min(middles, key=lambda at: abs(bounds(at, at)[0])))
+    near = text(min((0.5 * (lower + upper) for lower, upper in boxes), key=lambda at: abs(bounds(at, at)[0])))
     raise NoTrustworthyNumber("parametric", f"a zero of the denominator {name} cannot be excluded near {near}")
 
 

@@ -306,19 +306,17 @@ def _parametric(
 def _unstructured(
     models: tuple[StateSpaceModel, ...], form: Any, nominal: StateSpaceModel | None, order: int, excess: float
 ) -> Cover:
-    made = unstructured_cover(models, form, nominal, order, excess)
+    model, number, fit, sizes, deltas, radius = unstructured_cover(models, form, nominal, order, excess)
     status, reason = Status.CERTIFIED, ""
-    if not made.proved:
+    if not deltas:
         status = Status.CONVERGED
-        reason = f"deltas evaluated at {len(made.fit.omega)} frequencies, not proved between them"
-    if max(made.sizes) > 1.0 + 1e-9 or not made.fit.status.trustworthy:
+        reason = f"deltas evaluated at {len(fit.omega)} frequencies, not proved between them"
+    if max(sizes) > 1.0 + 1e-9 or not fit.status.trustworthy:
         status = Status.INACCURATE
-        reason = f"the weight is {100 * made.fit.excess:.3g} % above the bound: a higher order comes nearer"
-    deltas = tuple({made.model.blocks[0].name: d} for d in made.deltas)
-    return Cover(
-        made.model, form, status, deltas, made.sizes, (0.0,) * len(models), made.nominal, made.radius, (), made.fit,
-        None, reason, models,
-    )  # fmt: skip
+        reason = f"the weight is {100 * fit.excess:.3g} % above the bound: a higher order comes nearer"
+    named = tuple({model.blocks[0].name: d} for d in deltas)
+    none = (0.0,) * len(models)
+    return Cover(model, form, status, named, sizes, none, number, radius, (), fit, None, reason, models)
 
 
 def _conservatism(
