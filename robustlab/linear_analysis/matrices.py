@@ -31,7 +31,6 @@ UNBLOCKED = 32
 ROOM = 64
 SOLVABLE = "a stabilisable model, and no eigenvalue of the pencil on {}"
 
-
 Weighed = tuple[AnyArray, AnyArray, float]  # closed-loop matrix of an X, left-hand side of its equation, residual
 
 

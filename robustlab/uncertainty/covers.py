@@ -32,7 +32,6 @@ from robustlab.uncertainty.unstructured import Form, unstructured
 # min gamma with b <= |w| <= gamma b. The log of |w|^2 = N(x) / D(x), x = omega^2, in corner frequencies and dampings of
 # N and D is fitted to that of the bound by least squares, then in p-norms of growing p, which end near minimax.
 
-
 NORMS = (8, 64)  # exponents p of the norms of the error, one after the other
 FINER_GRID = 10  # points of the evaluation grid for each one of the fit
 
@@ -265,7 +264,6 @@ def anonymous(model: StateSpaceModel) -> StateSpaceModel:
 # With a nominal model G and the error E_i of model i in the chosen form, |w| >= max sigma(E_i), Delta_i = E_i / w.
 # Model i is a member if Delta_i is stable with a norm of at most one. The errors have poles only where the models or
 # their inverses have; the Laurent series of E_i there shows whether such a pole cancels.
-
 
 BOUND_FLOOR = 1e-4  # the bound is hypot(bound, this share of its largest value), as a weight needs a positive one
 GRID_POINTS = 150  # points of a frequency grid between its ends and around resonances
@@ -572,12 +570,10 @@ def _transposed(m: StateSpaceModel) -> StateSpaceModel:
 # is a parameter. "pca": the E_j are the principal components of the models, scaled to their extent, and S_0 is the
 # middle of that box.
 
-
 ParametricForm = Literal["elements", "pca"]
 PARAMETRIC_FORMS: tuple[ParametricForm, ...] = get_args(ParametricForm)
 
 ROUNDING = 1e-13  # relative difference of equal entries, from the rounding of a linearisation
-
 
 Made = tuple[UncertainModel, tuple[dict[str, float], ...], tuple[float, ...]]  # the set, deltas of the models, spread
 

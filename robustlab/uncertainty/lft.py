@@ -32,7 +32,6 @@ from robustlab.uncertainty.blocks import Block, as_blocks, block_slices, delta_m
 # in several operands is the same uncertainty: its channels become one repeated block, which is then reduced. Signals
 # keep their names; of equal ones the later get _2, _3, ...
 
-
 ILL_POSED = 1e12  # condition number of I - M11 Delta above which results are rounding
 
 Part = tuple[StateSpaceModel, tuple[Block, ...]]  # a model whose first channels are those of the blocks

@@ -331,7 +331,6 @@ def _missed(model: UncertainModel, table: Table, ranges: Mapping[str, ParameterR
 # Coefficients are exact rational numbers (a float is read as its shortest decimal form, so 0.1 is 1/10). A variable is
 # a parameter, or a denominator of several terms, which has negative exponents only.
 
-
 Monomial = tuple[tuple[str, int], ...]
 
 MAX_TEXT = 10_000

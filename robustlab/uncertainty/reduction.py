@@ -29,7 +29,6 @@ from robustlab.uncertainty.blocks import Block, block_slices, structure_size
 # of each block alone (`reduce_each`) does not change the other blocks, but misses a channel fed only by another
 # unreachable channel.
 
-
 TOLERANCE = 1e-12  # relative singular values below this are zero
 UNCHANGED = 1e-10  # allowed change of F(delta) by a reduction, relative to the largest entry
 CANCELLED = 1e-3  # or, where the summands of F cancel, relative to this share of them
@@ -58,21 +57,12 @@ class Reduction(Displayable):
     status: Status  #: CONVERGED where both are below 1e-9, INACCURATE otherwise (then ``model`` is the given one)
 
     def facts(self) -> Facts:
-        sizes = [f"{name} {size} -> {self.after.get(name, 0)}" for name, size in self.before.items()]
-        return [
-            ("sizes", listed(sizes)),
-            ("set", repr(self.model)),
-            ("invariance", number(self.invariance)),
-            ("difference", number(self.difference)),
-        ]
+        sizes = listed(f"{name} {size} -> {self.after.get(name, 0)}" for name, size in self.before.items())
+        evidence = [(name, number(getattr(self, name))) for name in ("invariance", "difference")]
+        return [("sizes", sizes), ("set", repr(self.model)), *evidence]
 
     def to_json(self) -> dict[str, object]:
         return {**vars(self), "model": self.model.to_json()}
-
-    def __str__(self) -> str:
-        changed = [f"{k} {v} -> {self.after.get(k, 0)}" for k, v in self.before.items() if self.after.get(k, 0) != v]
-        text = ", ".join(changed) or "nothing to remove"
-        return f"{text}; invariance {self.invariance:.1e}, difference {self.difference:.1e} ({self.status})"
 
 
 def reduction(uncertain: Any, tolerance: float = TOLERANCE) -> Reduction:
