@@ -143,15 +143,10 @@ def _by_gramians(m: StateSpaceModel) -> tuple[H2Norm, float, AnyArray, AnyArray]
     if not m.n_states:
         return H2Norm(float(np.linalg.norm(m.D)), Status.CERTIFIED), *none
     doubt = outside.reason if outside is not None and exactly_stable(m.A, m.is_discrete) is None else ""
-    # In the time unit 1/rate the impulse response keeps its square integral divided by rate.
-    s, rate = (m, 1.0) if m.is_discrete else well_scaled(m)
-    found = _solved(s, rate, doubt)
-    if found[0].status is not Status.CONVERGED:
-        # States that balance inputs and outputs may unbalance A, whose Schur form then loses small entries.
-        t = balancing_factors(s.A)
-        other = _solved(s._in_states(s.A / t[:, None] * t, s.B / t[:, None], s.C * t), rate, doubt)
-        found = other if other[0].status is Status.CONVERGED or np.isnan(found[1]) else found
-    return found
+    if m.is_discrete:
+        t = balancing_factors(m.A)
+        return _solved(m._in_states(m.A / t[:, None] * t, m.B / t[:, None], m.C * t), 1.0, doubt)
+    return _solved(*well_scaled(m), doubt)  # in the time unit 1/rate the impulse's square integral is divided by rate
 
 
 def _solved(s: StateSpaceModel, rate: float, doubt: str) -> tuple[H2Norm, float, AnyArray, AnyArray]:
