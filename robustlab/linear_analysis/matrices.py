@@ -1,8 +1,8 @@
 r"""Riccati and Lyapunov equations, continuous and discrete: every solution is checked by its residual.
 
-Continuous Riccati equations are solved by the ordered real Schur form of a balanced Hamiltonian (Laub 1979), or by the
-QZ algorithm on the extended pencil (Van Dooren 1981; scipy), the only method in discrete time; Newton's method
-(Kleinman 1968) refines. `lapack` gives LAPACK's own routines.
+Continuous Riccati equations are solved by the ordered real Schur form of a balanced Hamiltonian (Laub 1979), refined by
+Newton's method (Kleinman 1968); discrete ones by the QZ algorithm on the extended pencil (Van Dooren 1981; scipy).
+`lapack` gives LAPACK's own routines. Balancing is by powers of two, which is exact.
 """
 
 from __future__ import annotations
@@ -69,18 +69,13 @@ def care(
             left = a.T @ X + X @ a + q + quadratic
             return a + b @ gain, left, float(np.linalg.norm(left) / size) if size else 0.0
 
-    least = np.inf
-    for pencil in (False, True):
-        X = _extended_pencil(a, b, q, r, s, False) if pencil else _stable_graph(*whole)
-        if X is None or not _is_stable(weighed(0.5 * (X + X.T))[0]):
-            continue
-        X, residual = _refined(0.5 * (X + X.T), weighed)
-        if residual <= tolerance:
-            return RiccatiSolution(X, -np.linalg.solve(r, b.T @ X + s.T), residual)
-        least = min(least, residual)
-    if least == np.inf:
+    X = _stable_graph(*whole)
+    if X is None or not _is_stable(weighed(X)[0]):
         raise NoTrustworthyNumber("care", "no stabilising solution was found", SOLVABLE.format("the imaginary axis"))
-    raise NoTrustworthyNumber("care", f"relative residual {least:.1e}", f"at most {tolerance:.1e}")
+    X, residual = _refined(X, weighed)
+    if not residual <= tolerance:
+        raise NoTrustworthyNumber("care", f"relative residual {residual:.1e}", f"at most {tolerance:.1e}")
+    return RiccatiSolution(X, -np.linalg.solve(r, b.T @ X + s.T), residual)
 
 
 @error_context("dare")
@@ -97,7 +92,7 @@ def dare(
     a, b, q, r, s = _matrices(A, B, Q, R, S)
     if not len(a):
         return RiccatiSolution(np.zeros((0, 0)), np.zeros((len(r), 0)), 0.0)
-    X, gain, coupling = _extended_pencil(a, b, q, r, s, True), None, np.zeros(b.T.shape)
+    X, gain, coupling = _discrete_pencil(a, b, q, r, s), None, np.zeros(b.T.shape)
     if X is not None:
         with np.errstate(over="ignore", invalid="ignore"):
             X = 0.5 * (X + X.T)
@@ -184,13 +179,13 @@ def _schur_graph(A: AnyArray, G: AnyArray, Q: AnyArray) -> AnyArray | None:
     return 0.5 * (X + X.T) if np.isfinite(X).all() else None
 
 
-def _extended_pencil(a: Array, b: Array, q: Array, r: Array, s: Array, discrete: bool) -> AnyArray | None:
+def _discrete_pencil(a: Array, b: Array, q: Array, r: Array, s: Array) -> AnyArray | None:
     """Return X from the QZ algorithm on the balanced extended pencil (Van Dooren 1981), or None."""
-    from scipy.linalg import LinAlgError, solve_continuous_are, solve_discrete_are
+    from scipy.linalg import LinAlgError, solve_discrete_are
 
     with judged_afterwards():
         try:
-            X = (solve_discrete_are if discrete else solve_continuous_are)(a, b, q, r, s=s)
+            X = solve_discrete_are(a, b, q, r, s=s)
         except (LinAlgError, ValueError):  # ValueError: R is singular to working precision
             return None
     return X if np.isfinite(X).all() else None
