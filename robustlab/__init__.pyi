@@ -30,9 +30,9 @@ from robustlab.identification.validation.data_cover import data_cover as data_co
 from robustlab.iqc.block_types import Nonlinearity as Nonlinearity
 from robustlab.iqc.block_types import Varying as Varying
 from robustlab.linear_analysis.frequency import frequency_response as frequency_response
-from robustlab.linear_analysis.invariant_zeros import zeros as zeros
 from robustlab.linear_analysis.structural import controllability as controllability
 from robustlab.linear_analysis.structural import observability as observability
+from robustlab.linear_analysis.zeros import zeros as zeros
 from robustlab.mu_analysis import mu as mu
 from robustlab.mu_analysis import robust_performance as robust_performance
 from robustlab.mu_analysis.margins.cover import cover as cover
@@ -71,9 +71,9 @@ from robustlab.uncertainty.blocks import ComplexScalar as ComplexScalar
 from robustlab.uncertainty.blocks import FullBlock as FullBlock
 from robustlab.uncertainty.blocks import ParameterRange as ParameterRange
 from robustlab.uncertainty.blocks import RealScalar as RealScalar
-from robustlab.uncertainty.covering.overbound import overbound as overbound
-from robustlab.uncertainty.distances.coprime import coprime_margin as coprime_margin
-from robustlab.uncertainty.distances.gap_metric import nu_gap as nu_gap
+from robustlab.uncertainty.covers import overbound as overbound
+from robustlab.uncertainty.distances import coprime_margin as coprime_margin
+from robustlab.uncertainty.distances import nu_gap as nu_gap
 from robustlab.uncertainty.elementwise import elementwise as elementwise
 from robustlab.uncertainty.frequency_responses import UncertainFrequencyData as UncertainFrequencyData
 from robustlab.uncertainty.frequency_responses import frequency_data as frequency_data

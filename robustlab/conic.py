@@ -33,13 +33,11 @@ def solve(
     *,
     steps: float,
     seconds: float | None,
-    threads: int = 1,
 ) -> Any:
     r"""Minimise ``cost x`` with ``right - rows x`` in the cones; None where the solver panics.
 
     ``rows``: dense or sparse; symmetric matrices as `triangle`.
     ``steps``, ``seconds``: limits of the solver; None: no limit.
-    ``threads``: of the solver; 0: all cores, with results that depend on their number.
     """
     import clarabel
     from scipy import sparse
@@ -52,7 +50,7 @@ def solve(
         "semidefinite": solver.PSDTriangleConeT,
     }
     settings = solver.DefaultSettings()
-    settings.verbose, settings.max_threads = False, threads
+    settings.verbose, settings.max_threads = False, 1
     settings.max_iter = int(steps)
     if seconds is not None:
         settings.time_limit = seconds

@@ -135,7 +135,7 @@ class Behaviour:
         InputError
             As `poles`.
         """
-        return import_module("robustlab.linear_analysis.invariant_zeros").zeros(self).values
+        return import_module("robustlab.linear_analysis.zeros").zeros(self).values
 
     def step(self, t_end: float | None = None, input: str | None = None) -> Record:
         """Simulate the response to a unit step on one input, from rest.

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import InputError, error_context
-from robustlab.linear_analysis.magnitude import balancing_exponents, balancing_factors
+from robustlab.linear_analysis.matrices import balancing_exponents, balancing_factors
 from robustlab.linear_analysis.structural import hidden_unstable, least_order
 from robustlab.signals import SignalLike, is_constant, real_array
 from robustlab.statespace import StateSpaceModel, as_model, parallel

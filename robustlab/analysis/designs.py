@@ -16,8 +16,7 @@ from robustlab.synthesis.hinf.hinf_synthesis import hinf as rational
 from robustlab.synthesis.problem.design import HinfSynthesis
 from robustlab.synthesis.scheduling.parameter_varying import LPVModel
 from robustlab.synthesis.scheduling.scheduled_synthesis import LPVSynthesis, scheduled_hinf
-from robustlab.uncertainty.distances.coprime import CoprimeFactors, continuous_models, coprime_factors
-from robustlab.uncertainty.distances.gap_metric import NOTHING, NuGap, nu_gap
+from robustlab.uncertainty.distances import NOTHING, CoprimeFactors, NuGap, continuous_models, coprime_factors, nu_gap
 
 CLOSE = 1e-3  # relative distance of the bounds of a gap that counts as converged
 
@@ -166,7 +165,7 @@ def gap(P1: Any, P2: Any) -> GapMetric:
     nu = nu_gap(P1, P2)
     if nu.lower >= 1.0 or nu.upper <= NOTHING:  # no gap is larger than 1; models that are the same have none
         return GapMetric(nu.lower, nu.upper, nu.frequency, nu.status, (nu.upper, nu.upper), nu)
-    models = continuous_models(as_model(P1, "gap: first model"), as_model(P2, "gap: second model")).models
+    models = continuous_models(as_model(P1, "gap: first model"), as_model(P2, "gap: second model"))
     one, two = (coprime_factors(model) for model in models)
     there, back = _directed(one, two), _directed(two, one)
     lower, upper = max(nu.lower, there[0], back[0]), max(there[1], back[1])

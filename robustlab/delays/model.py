@@ -29,16 +29,19 @@ from robustlab.provenance import Traced
 from robustlab.signals import Signal, is_constant, picked, real_array
 from robustlab.statespace import StateSpaceModel, append, as_model, series
 from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock
-from robustlab.uncertainty.interconnection import Wiring, ones, unique_names, upper_lft
 from robustlab.uncertainty.lft import (
     UncertainModel,
+    Wiring,
     as_uncertain,
     feedback,
     interconnected,
     inverse,
+    ones,
     parallel,
     product,
     star,
+    unique_names,
+    upper_lft,
 )
 
 # Samples of delay of a discrete model; each is a state.

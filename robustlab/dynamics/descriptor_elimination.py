@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import AnyArray, Array, Mask
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
-from robustlab.linear_analysis.magnitude import equilibrating_exponents
+from robustlab.linear_analysis.matrices import equilibrating_exponents
 from robustlab.linear_analysis.structural import drop_unconnected
 from robustlab.signals import SignalLike, real_array, signals
 from robustlab.statespace import StateSpaceModel, is_rank_deficient

@@ -17,9 +17,9 @@ from robustlab.dynamics.descriptor_elimination import Channels, closed_descripto
 from robustlab.errors import InputError, NoTrustworthyNumber, RobustlabError
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import SAMPLED, FullBlock, ParameterRange, RealScalar
-from robustlab.uncertainty.decomposition_tree import Exponents, MatrixPolynomial, polynomial_lft
 from robustlab.uncertainty.elementwise import natural_magnitude
 from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.reduction import Exponents, MatrixPolynomial, polynomial_lft
 
 # A parameter is exact if the descriptor form is a polynomial of it over this share of its value to both sides
 # (for a value of 0, over so many half widths). Larger: non-polynomials are detected more reliably, but more plants

@@ -25,11 +25,11 @@ from robustlab.mu_analysis.margins.disk_margin import DiskMargin, DiskMargins
 from robustlab.mu_analysis.matrix.bounds import BoxProof, MuBounds
 from robustlab.mu_analysis.matrix.box import Box, lowest, root_box
 from robustlab.norms import HinfNorm
-from robustlab.norms.claims import loop_claims, norm_claims
-from robustlab.norms.numbers import ABOVE, Numbers, block_rows, matrices, model_numbers
+from robustlab.norms.claims import ABOVE, Numbers, block_rows, loop_claims, matrices, model_numbers
+from robustlab.norms.hinfinity import norm_claims
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock, block_slices, delta_matrix
-from robustlab.uncertainty.distances.coprime import CoprimeMargin, four_block
+from robustlab.uncertainty.distances import CoprimeMargin, four_block
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.verification.claim import Claim
 

@@ -12,15 +12,14 @@ from robustlab.mu_analysis.axis.joined_scalings import loop_axis_claims
 from robustlab.mu_analysis.axis.margin import Margin
 from robustlab.mu_analysis.constants import WORK
 from robustlab.norms import H2Norm, hinf_norm
-from robustlab.norms.claims import h2_loop_claims, loop_claims
-from robustlab.norms.numbers import ABOVE, Numbers, loop_numbers
+from robustlab.norms.claims import ABOVE, Numbers, h2_loop_claims, loop_claims, loop_numbers
 from robustlab.synthesis.dk.dk_design import DKSynthesis
 from robustlab.synthesis.fixed_structure import FixedSynthesis
 from robustlab.synthesis.goal_tuning import TunedSynthesis
 from robustlab.synthesis.hinf.loop_shaping import NcfSynthesis
 from robustlab.synthesis.problem.design import Synthesis
 from robustlab.synthesis.reduction.controller_reduction import ReducedController
-from robustlab.uncertainty.distances.coprime import four_block
+from robustlab.uncertainty.distances import four_block
 from robustlab.verification.claim import Claim
 
 

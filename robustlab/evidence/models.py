@@ -12,8 +12,17 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.mu_analysis.margins.cover import Cover
 from robustlab.norms import HinfNorm
-from robustlab.norms.claims import band_scalings, loop_claims, norm_matrix
-from robustlab.norms.numbers import Numbers, above, block_rows, loop_numbers, matrices, model_numbers
+from robustlab.norms.claims import (
+    Numbers,
+    above,
+    band_scalings,
+    block_rows,
+    loop_claims,
+    loop_numbers,
+    matrices,
+    model_numbers,
+    norm_matrix,
+)
 from robustlab.statespace import StateSpaceModel, append
 from robustlab.synthesis.reduction.model_reduction import ReducedModel
 from robustlab.uncertainty.elementwise import BuiltModel

@@ -15,8 +15,8 @@ from robustlab.verification.claim import Claim, Outcome, Verification
 
 # Class of a result -> the function for its claims. The first class in the order of resolution counts.
 CLAIMS: Mapping[str, str] = {
-    "HinfNorm": "norms.claims.norm_claims",
-    "H2Norm": "norms.claims.h2_claims",
+    "HinfNorm": "norms.hinfinity.norm_claims",
+    "H2Norm": "norms.h2.h2_claims",
     "MuBounds": "evidence.axis.mu_claims",
     "Margin": "evidence.axis.margin_claims",
     "WorstCaseGain": "evidence.axis.gain_claims",

@@ -33,8 +33,7 @@ from robustlab.norms import PeakGain, balancing_units, hinf_norm
 from robustlab.result import Evidence, Status
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.uncertainty.blocks import Block, RealScalar, block_slices
-from robustlab.uncertainty.interconnection import recentred
-from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.lft import UncertainModel, recentred
 from robustlab.verification.checker import check
 from robustlab.verification.claim import Claim, Outcome
 

@@ -5,10 +5,9 @@ from robustlab.lazily import lazily
 __all__, __getattr__ = lazily(
     __name__,
     {
-        "exact": "all_left determinant exactly_stable from_the_circle normal_rank on_axis roots",
+        "zeros": "all_left determinant exactly_stable from_the_circle on_axis roots",
         "frequency": "default_grid",
-        "magnitude": "equilibrating_exponents",
-        "matrix_equations": "care dare hamiltonian_riccati lyapunov",
+        "matrices": "care dare equilibrating_exponents hamiltonian_riccati lyapunov",
         "structural": "drop_unconnected strong_components",
     },
 )

@@ -14,8 +14,6 @@ import numpy as np
 from robustlab.arrays import AnyArray, Array, ComplexArray
 from robustlab.errors import NoTrustworthyNumber
 
-__all__ = ["gramian_factors", "invariant_zeros", "lyapunov_solution", "peak_gain"]
-
 
 def peak_gain(A: Array, B: Array, C: Array, D: Array, tolerance: float = 1e-6) -> tuple[float, float]:
     """Find the largest gain of a continuous model over the axis, and its frequency in rad/s (AB13DD)."""
@@ -58,7 +56,8 @@ def invariant_zeros(A: Array, B: Array, C: Array, D: Array) -> tuple[ComplexArra
     # AB08ND needs a row and a column: zeros are added where there is none, with the same result.
     into, out = int(not D.shape[1]), int(not len(D))
     B, C, D = np.pad(B, ((0, 0), (0, into))), np.pad(C, ((0, out), (0, 0))), np.pad(D, ((0, out), (0, into)))
-    count, rank, *_, a, b = _called("ab08nd", len(A), *D.shape[::-1], A, B, C, D, equil="S")
+    room = 8 * (len(A) + sum(D.shape))  # slycot's own size is too small for one state and three channels
+    count, rank, *_, a, b = _called("ab08nd", len(A), *D.shape[::-1], A, B, C, D, equil="S", ldwork=room)
     found = np.asarray(eigvals(a[:count, :count], b[:count, :count])) if count else np.zeros(0)
     return found[np.argsort(np.abs(found), kind="stable")].astype(complex), int(rank)
 

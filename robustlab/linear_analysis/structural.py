@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from robustlab.arrays import Array, ComplexArray, Indices, Mask
 from robustlab.display import AllFields, Displayable, Facts, Part, number
 from robustlab.errors import error_context
-from robustlab.linear_analysis.matrix_equations import lapack
+from robustlab.linear_analysis.matrices import lapack
 from robustlab.result import Status, least_trusted
 from robustlab.statespace import StateSpaceModel, as_model
 
@@ -37,7 +37,7 @@ Kind = Literal["controllability", "observability"]
 CLEAR = 1e-10
 ZERO = 1e-12
 ROUNDING = 1e-14
-# Entries of a basis within ROUNDED of a binary fraction of SHORT digits may be that fraction.
+# Entries of a basis within ROUNDED of a binary fraction of SHORT digits are that fraction.
 ROUNDED, SHORT = 1e-13, 20
 # States with at least this share of the largest weight belong to a mode's combination.
 SHARE = 0.1
@@ -55,39 +55,18 @@ class HiddenMode(AllFields):
 
 @dataclass(frozen=True, eq=False)
 class StructuralTest(Displayable):
-    """Result of a controllability or observability test.
+    """Result of a controllability or observability test."""
 
-    Attributes
-    ----------
-    kind
-        ``"controllability"`` or ``"observability"``.
-    rank
-        Dimension of the controllable (observable) subspace.
-    n_states
-        Number of states.
-    modes
-        The hidden modes, ``n_states - rank`` of them.
-    margin
-        Smallest singular value of ``[A - lambda I, B]`` over all modes, relative to the norm of ``[A, B]``, of the
-        scaled model: an upper bound of the relative distance to the nearest uncontrollable (unobservable) model in that
-        scaling; inf without states.
-    weakest
-        The eigenvalue where the margin is attained; None without states.
-    eigenvalues, margins
-        The same for every mode, shape (n_states,).
-    status
-        CONVERGED where the decision does not depend on rounding, else INACCURATE.
-    """
-
-    kind: Kind
-    rank: int
-    n_states: int
-    modes: tuple[HiddenMode, ...]
+    kind: Kind  #: ``"controllability"`` or ``"observability"``
+    rank: int  #: Dimension of the controllable (observable) subspace
+    n_states: int  #: Number of states
+    modes: tuple[HiddenMode, ...]  #: The hidden modes, ``n_states - rank`` of them
+    #: Smallest singular value of ``[A - lambda I, B]`` over all modes, relative to the norm of ``[A, B]``, of the
+    #: scaled model: an upper bound of the relative distance to the nearest uncontrollable (unobservable) model in that
+    #: scaling; inf without states
     margin: float
-    weakest: complex | None
-    eigenvalues: ComplexArray
-    margins: Array
-    status: Status
+    weakest: complex | None  #: The eigenvalue where the margin is attained; None without states
+    status: Status  #: CONVERGED where the decision does not depend on rounding, else INACCURATE
 
     @property
     def complete(self) -> bool:
@@ -168,12 +147,10 @@ class Structure(Displayable):
 
 def structure(model: Any) -> Structure:
     """Compute poles, stability, controllability and observability of a model."""
-    given = as_model(model, "structure")
-    poles = np.array(sorted(given.poles().tolist(), key=lambda p: (-p.real, p.imag)), dtype=complex)
-    return Structure(
-        poles, given.is_stable(), given.spectral_abscissa(), given.is_discrete, controllability(given),
-        observability(given),
-    )  # fmt: skip
+    m = as_model(model, "structure")
+    poles = np.array(sorted(m.poles().tolist(), key=lambda p: (-p.real, p.imag)), dtype=complex)
+    tests = controllability(m), observability(m)
+    return Structure(poles, m.is_stable(), m.spectral_abscissa(), m.is_discrete, *tests)
 
 
 @error_context("controllability")
@@ -188,7 +165,7 @@ def controllability(model: Any) -> StructuralTest:
     Returns
     -------
     StructuralTest
-        Rank, hidden modes in rad/s (z plane where discrete), and the margin of every mode, shape (n_x,).
+        Rank, hidden modes in rad/s (z plane where discrete), and the smallest margin of a mode.
 
     Raises
     ------
@@ -248,9 +225,6 @@ def drop_unconnected(model: Any) -> StateSpaceModel:
     return replace(model, **matrices, states=states, operating_point=point)
 
 
-# --- the test --------------------------------------------------------------------------------------------------------
-
-
 def _test(model: StateSpaceModel, a: Array, b: Array, kind: Kind) -> StructuralTest:
     """Test controllability of (a, b), worded for ``kind``."""
     n, found = model.n_states, _Reached.of(a, b)
@@ -260,13 +234,10 @@ def _test(model: StateSpaceModel, a: Array, b: Array, kind: Kind) -> StructuralT
     off_graph = np.linalg.eigvals(a[found.outer[:, None], found.outer]).astype(np.complex128)
     eigenvalues = np.concatenate([inside * found.rate, off_graph])
     margins = np.concatenate([_margins(found.scaled, found.into, inside), np.zeros(len(found.outer))])
-    worst = int(np.argmin(margins)) if n else None
-    margin = float(margins.min()) if n else np.inf
+    margin, weakest = (float(margins.min()), complex(eigenvalues[np.argmin(margins)])) if n else (np.inf, None)
     consistent = margin > ROUNDING * n if found.rank == n else margin < CLEAR
     status = Status.CONVERGED if found.clear and consistent else Status.INACCURATE
-    weakest = None if worst is None else complex(eigenvalues[worst])
-    modes = found.modes(model, kind)
-    return StructuralTest(kind, found.rank, n, modes, margin, weakest, eigenvalues, margins, status)
+    return StructuralTest(kind, found.rank, n, found.modes(model, kind), margin, weakest, status)
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,20 +296,16 @@ class _Reached:
         kept, rest = np.sort(order[:rank]), np.sort(order[rank:])
         share = np.linalg.solve(v[kept].T, v[rest].T).T
         share[np.abs(share) <= ROUNDING * len(v)] = 0.0
-        short = np.ldexp(np.rint(np.ldexp(share, SHORT)), -SHORT)
-        mixed = np.where(np.abs(share - short) <= ROUNDED, short, share)
+        short = np.ldexp(np.rint(np.ldexp(share, SHORT)), -SHORT)  # exact cancellations have no rounding
+        share = np.where(np.abs(share - short) <= ROUNDED, short, share)
+        t = np.zeros((len(self.a), rank))
+        t[inner[kept], range(rank)] = 1.0
+        t[inner[rest]] = np.ldexp(share, exponent[rest, None] - exponent[None, kept])
         size = np.abs(self.b).max(axis=0, initial=0.0)
-        found: list[tuple[float, Array]] = []
-        for part in (mixed, share):  # short fractions where they fit no worse: exact cancellations have no rounding
-            t = np.zeros((len(self.a), rank))
-            t[inner[kept], range(rank)] = 1.0
-            t[inner[rest]] = np.ldexp(part, exponent[rest, None] - exponent[None, kept])
-            moved = (self.a @ t)[inner], self.b[inner] / np.where(size > 0, size, 1.0)
-            off = [np.ldexp(m - t[inner] @ m[kept], -exponent[:, None]) for m in moved]
-            off[0] = np.ldexp(off[0], exponent[None, kept]) / self.rate
-            found.append((max(float(np.abs(m).max(initial=0.0)) for m in off), t))
-        missed, t = min(found, key=lambda pair: pair[0])
-        return t, inner[kept], missed
+        moved = (self.a @ t)[inner], self.b[inner] / np.where(size > 0, size, 1.0)
+        off = [np.ldexp(m - t[inner] @ m[kept], -exponent[:, None]) for m in moved]
+        off[0] = np.ldexp(off[0], exponent[None, kept]) / self.rate
+        return t, inner[kept], max(float(np.abs(m).max(initial=0.0)) for m in off)
 
 
 @dataclass(frozen=True, eq=False)
@@ -445,19 +412,15 @@ def _scaled(a: Array, b: Array) -> tuple[Array, Array, float, NDArray[np.int64]]
 
 def _margins(a: Array, b: Array, eigenvalues: ComplexArray) -> Array:
     """Return the smallest singular value of ``[A - lambda I, B]`` at each eigenvalue, relative to ``|[A, B]|``."""
-    n = len(a)
-    if n == 0:
+    if not len(a):
         return np.zeros(0)
-    norm = np.linalg.norm(np.hstack([a, b]), 2)
-    result = np.empty(n)
-    for k, value in enumerate(eigenvalues):
-        mirror = np.flatnonzero(eigenvalues[:k] == value.conjugate())
-        if len(mirror):  # the same singular values
-            result[k] = result[mirror[0]]
-            continue
-        pencil = np.hstack([a - value * np.eye(n), b])
-        result[k] = np.linalg.svd(pencil, compute_uv=False)[-1] / norm
-    return result
+    norm, found = np.linalg.norm(np.hstack([a, b]), 2), {}
+    for value in eigenvalues.tolist():  # a conjugate pair has the same singular values
+        key = complex(value.real, abs(value.imag))
+        if key not in found:
+            pencil = np.hstack([a - value * np.eye(len(a)), b])
+            found[key] = np.linalg.svd(pencil, compute_uv=False)[-1] / norm
+    return np.array([found[complex(value.real, abs(value.imag))] for value in eigenvalues.tolist()])
 
 
 def _hidden_modes(

@@ -1,20 +1,19 @@
 """System norms with their evidence, and the bilinear map, which keeps the H-infinity norm."""
 
 from robustlab.norms.bilinear_map import bilinear_to_continuous, bilinear_to_discrete
+from robustlab.norms.claims import loop_numbers, model_numbers
 from robustlab.norms.h2 import H2Norm, h2_by_channels, h2_by_gramians, h2_norm
 from robustlab.norms.hinfinity import (
     QUIET,
     HinfNorm,
+    PeakGain,
     balancing_units,
-    checked_band,
     gain_rounding,
     hinf_norm,
     linf_norm,
     unstable_norm,
     well_scaled,
 )
-from robustlab.norms.numbers import loop_numbers, model_numbers
-from robustlab.norms.peak_gain import PeakGain
 
 __all__ = [
     "QUIET",
@@ -23,7 +22,6 @@ __all__ = [
     "PeakGain",
     "bilinear_to_continuous",
     "bilinear_to_discrete",
-    "checked_band",
     "gain_rounding",
     "h2_by_channels",
     "h2_by_gramians",

@@ -6,10 +6,8 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.linear_analysis.magnitude import balancing_factors, refuse_overflow
+from robustlab.linear_analysis.matrices import balancing_factors, refuse_overflow
 from robustlab.statespace import StateSpaceModel
-
-__all__ = ["bilinear_to_continuous", "bilinear_to_discrete"]
 
 EPS = float(np.finfo(float).eps)
 # Poles in z above this modulus become s = 2/dt to the last digit.

@@ -12,19 +12,15 @@ from robustlab.arrays import AnyArray
 from robustlab.display import Displayable, Facts, number
 from robustlab.errors import NoTrustworthyNumber, error_context
 from robustlab.linear_analysis import slicot
-from robustlab.linear_analysis.exact import exactly_stable
-from robustlab.linear_analysis.magnitude import balancing_factors, refuse_extremes
-from robustlab.linear_analysis.matrix_equations import small_residual
+from robustlab.linear_analysis.matrices import balancing_factors, refuse_extremes, small_residual
 from robustlab.linear_analysis.structural import with_hidden
-from robustlab.norms.bounded_real import gramian_matrix, gramian_square
+from robustlab.linear_analysis.zeros import exactly_stable
+from robustlab.norms.claims import above, gramian_claims, gramian_matrix, gramian_square, model_numbers
 from robustlab.norms.hinfinity import unstable_norm, well_scaled
-from robustlab.norms.numbers import above, model_numbers
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.verification.checker import check
 from robustlab.verification.claim import Claim, Outcome
-
-__all__ = ["H2Norm", "h2_by_channels", "h2_by_gramians", "h2_norm"]
 
 EPS = float(np.finfo(float).eps)
 # Gramians disagree if they differ by more than the first share of the norm; below the second no digits were lost.
@@ -35,25 +31,14 @@ DAMPED = 1e-8
 
 @dataclass(frozen=True)
 class H2Norm(Displayable):
-    """H2 norm of a model with its evidence.
+    """H2 norm of a model with its evidence."""
 
-    Attributes
-    ----------
-    value
-        The larger of the values from the two Gramians, or the norm by one in extended precision.
-    status
-        CONVERGED where the Gramians agree to 1e-10, or the one in extended precision was proved; CERTIFIED for a norm
-        that is infinite or needs no equation; INACCURATE where it is not confirmed, FAILED without a solution.
-    reason
-        Why it is infinite or inaccurate; else empty.
-    system
-        The model, for `robustlab.verify`.
-    """
-
-    value: float
+    value: float  #: The larger of the values from the two Gramians, or the norm by one in extended precision
+    #: CONVERGED where the Gramians agree to 1e-10, or the one in extended precision was proved; CERTIFIED for a norm
+    #: that is infinite or needs no equation; INACCURATE where it is not confirmed, FAILED without a solution
     status: Status
-    reason: str = ""
-    system: StateSpaceModel | None = field(default=None, compare=False)
+    reason: str = ""  #: Why it is infinite or inaccurate; else empty
+    system: StateSpaceModel | None = field(default=None, compare=False)  #: The model, for `robustlab.verify`
 
     quantities: ClassVar[Mapping[str, Any]] = {"value": float}
 
@@ -158,15 +143,10 @@ def _by_gramians(m: StateSpaceModel) -> tuple[H2Norm, float, AnyArray, AnyArray]
     if not m.n_states:
         return H2Norm(float(np.linalg.norm(m.D)), Status.CERTIFIED), *none
     doubt = outside.reason if outside is not None and exactly_stable(m.A, m.is_discrete) is None else ""
-    # In the time unit 1/rate the impulse response keeps its square integral divided by rate.
-    s, rate = (m, 1.0) if m.is_discrete else well_scaled(m)
-    found = _solved(s, rate, doubt)
-    if found[0].status is not Status.CONVERGED:
-        # States that balance inputs and outputs may unbalance A, whose Schur form then loses small entries.
-        t = balancing_factors(s.A)
-        other = _solved(s._in_states(s.A / t[:, None] * t, s.B / t[:, None], s.C * t), rate, doubt)
-        found = other if other[0].status is Status.CONVERGED or np.isnan(found[1]) else found
-    return found
+    if m.is_discrete:
+        t = balancing_factors(m.A)
+        return _solved(m._in_states(m.A / t[:, None] * t, m.B / t[:, None], m.C * t), 1.0, doubt)
+    return _solved(*well_scaled(m), doubt)  # in the time unit 1/rate the impulse's square integral is divided by rate
 
 
 def _solved(s: StateSpaceModel, rate: float, doubt: str) -> tuple[H2Norm, float, AnyArray, AnyArray]:
@@ -189,3 +169,11 @@ def _solved(s: StateSpaceModel, rate: float, doubt: str) -> tuple[H2Norm, float,
     reason = doubt if gap <= AGREE else f"the two Gramians give {one:.9g} and {two:.9g}"
     norm = H2Norm(max(one, two), Status.INACCURATE if reason else Status.CONVERGED, reason)
     return norm, gap, out + direct.sum(1), into + direct.sum(0)
+
+
+def h2_claims(found: H2Norm) -> list[Claim]:
+    """Claim that the H2 norm is at most ``value``, by a slightly enlarged Gramian."""
+    model = found.system
+    if model is None or not np.isfinite(found.value) or not found.status.trustworthy:
+        return []
+    return gramian_claims(model, found.value)

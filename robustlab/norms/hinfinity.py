@@ -3,8 +3,7 @@ r"""H-infinity and L-infinity norm as a proved bracket: AB13DD finds the peak, o
 ``sigma_max(G(jw)) = g`` for some w if and only if the Hamiltonian H(g) has the eigenvalue jw. The imaginary part of
 every eigenvalue counts as a candidate crossing, without a tolerance on its real part, and ``sigma_max`` is evaluated at
 all of them and between each two: if none exceeds the level, it is an upper bound; else the largest is the next lower
-bound, which also finds the peaks that AB13DD misses. The level is as far above the peak as rounding requires; if that
-is too far, ball arithmetic decides.
+bound, which also finds the peaks that AB13DD misses. The level is as far above the peak as rounding requires.
 
 References
 ----------
@@ -13,6 +12,7 @@ Boyd, Balakrishnan 1990; Bruinsma, Steinbuch 1990.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -21,19 +21,64 @@ from typing import Any, ClassVar
 import numpy as np
 
 from robustlab.arrays import AnyArray, Array
-from robustlab.display import Facts
+from robustlab.display import Facts, bracket, listed, number
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis import slicot
-from robustlab.linear_analysis.exact import exactly_on_boundary, exactly_stable
-from robustlab.linear_analysis.frequency import solved_response
-from robustlab.linear_analysis.magnitude import balancing_factors, refuse_extremes
-from robustlab.linear_analysis.matrix_equations import balanced_eigenvalues, lapack
-from robustlab.linear_analysis.narrow_peaks import modes_apart
+from robustlab.linear_analysis.frequency import modes_apart, solved_response
+from robustlab.linear_analysis.matrices import balanced_eigenvalues, balancing_factors, lapack, refuse_extremes
+from robustlab.linear_analysis.zeros import exactly_on_boundary, exactly_stable
 from robustlab.norms.bilinear_map import bilinear_to_continuous
-from robustlab.norms.bounded_real import gain_in_balls, norm_matrix
-from robustlab.norms.peak_gain import PeakGain
-from robustlab.result import Status
+from robustlab.norms.claims import above, band_scalings, model_numbers, norm_matrix
+from robustlab.result import Bracket, Status
 from robustlab.statespace import StateSpaceModel, as_model
+from robustlab.verification.claim import Claim
+
+
+@dataclass(frozen=True, eq=False)
+class PeakGain(Bracket):
+    """Bounds of the largest gain of a system; each kind of system has a class of its own with more evidence.
+
+    ``lower`` is attained, at ``frequency`` or by a member; ``upper`` is proved, inf without proof. Both are inf where
+    the system, or a member of it, is unstable.
+    """
+
+    conditions: tuple[str, ...] = field(default=(), kw_only=True)  #: Assumptions of the bounds
+    notes: tuple[str, ...] = field(default=(), kw_only=True)  #: Remarks for the reader of a report
+
+    quantities: ClassVar[Mapping[str, Any]] = {"lower": float, "upper": float}
+    unstable: ClassVar[str] = "infinite: a member is unstable"  # text of infinite bounds
+
+    def bounds(self) -> str:
+        """Return both bounds in words."""
+        if math.isinf(self.lower):
+            return self.unstable
+        if math.isinf(self.upper):
+            return f"{number(self.lower)} (attained), no bound proved"
+        return bracket(self.lower, self.upper, ("attained", "proved"))
+
+    def place(self) -> str:
+        """Return where ``lower`` is attained, in words; empty if unknown."""
+        return number(self.frequency, "rad/s")
+
+    def headline(self) -> str:
+        if math.isinf(self.lower):
+            return f"the gain is {self.unstable}" if self.unstable.startswith("infinite") else self.unstable
+        proved = f"is at most {number(self.upper)}" if math.isfinite(self.upper) else "has no proved bound"
+        return f"the gain {proved}; {number(self.lower)} is attained"
+
+    def facts(self) -> Facts:
+        return [
+            ("largest gain", self.bounds()),
+            ("attained at", self.place()),
+            *self.evidence(),
+            ("holds", listed(self.conditions)),
+            *(("note", note) for note in self.notes),
+        ]
+
+    def evidence(self) -> Facts:
+        """Return the facts of this kind of system."""
+        return []
+
 
 EPS = float(np.finfo(float).eps)
 # Error of the eigenvalues of a Jordan block of four over that of a matrix with a basis of eigenvectors.
@@ -46,10 +91,6 @@ QUIET, LOSSY = 1e-9, 1e-3
 MARGIN = 10.0
 # Most levels, and frequencies next to poles at which rounding is computed besides the peak.
 LEVELS, NEAR_POLES = 60, 3
-# A doubtful bracket, or one wider than the first share, is proved in ball arithmetic up to so many states: 0.1 s.
-WIDE, BALL_STATES = 1e-4, 40
-SHARES = (1e-5, 1e-4, 5e-4, 1e-3)  # of the norm, by which levels in ball arithmetic exceed it
-
 Band = tuple[float, float]
 Infinite = Callable[[StateSpaceModel], "HinfNorm | None"]  # the bracket of an infinite norm, or None
 
@@ -58,30 +99,18 @@ Infinite = Callable[[StateSpaceModel], "HinfNorm | None"]  # the bracket of an i
 class HinfNorm(PeakGain):
     """H-infinity norm of a model, or its peak gain over the axis or a band, with its evidence.
 
-    Attributes
-    ----------
-    lower
-        ``sigma_max`` of the given model at ``frequency``, evaluated.
-    upper
-        Level that no singular value crosses, by the Hamiltonian test or in ball arithmetic; ``lower <= norm <= upper``.
-        Where rounding may move the gain at the peak by more than 1e-9 of it, both ends are that much further out. If
-        the norm is zero up to rounding, ``lower`` is 0 and ``upper`` the rounding bound.
-    frequency
-        Frequency in rad/s at which ``sigma_max`` attains ``lower``; ``inf`` where only the direct term does, NaN for an
-        infinite norm without such a frequency.
-    status
-        CERTIFIED, or INACCURATE where rounding decides the sign of a pole or a level test.
-    reason
-        Why the norm is infinite or inaccurate; else empty.
-    system
-        The model, for `robustlab.verify`.
-    band
-        The band in rad/s of a peak over the axis, of a model that may be unstable; None of a norm.
+    ``lower`` is ``sigma_max`` of the given model at ``frequency``; ``upper`` a level that no singular value crosses, by
+    the Hamiltonian test. Where rounding may move the gain at the peak by more than 1e-9 of it,
+    both are that much further out; if the norm is zero up to rounding, ``lower`` is 0 and ``upper`` the rounding bound.
+    The status is INACCURATE where rounding decides the sign of a pole or a level test.
     """
 
+    #: Frequency in rad/s at which ``sigma_max`` attains ``lower``; ``inf`` where only the direct term does, NaN for an
+    #: infinite norm without such a frequency
     frequency: float
-    reason: str = ""
-    system: StateSpaceModel | None = field(default=None, compare=False)
+    reason: str = ""  #: Why the norm is infinite or inaccurate; else empty
+    system: StateSpaceModel | None = field(default=None, compare=False)  #: The model, for `robustlab.verify`
+    #: The band in rad/s of a peak over the axis, of a model that may be unstable; None of a norm
     band: tuple[float, float] | None = field(default=None, compare=False)
 
     quantities: ClassVar[Mapping[str, Any]] = {"value": float, "frequency": "rad/s", "lower": float, "upper": float}
@@ -111,8 +140,7 @@ def linf_norm(model: Any, rtol: float = 1e-6, *, band: tuple[float, float] | Non
     """Compute the peak gain over the frequency axis or a band of it, of a model that may be unstable."""
     given = as_model(model, "linf_norm")
     part = None if band is None else checked_band(band, given.dt, "linf_norm")
-    infinite = partial(_on_the_boundary, None) if part is None else partial(_on_the_boundary, part)
-    found = _norm_of(given, rtol, infinite, part, "linf_norm")
+    found = _norm_of(given, rtol, partial(_on_the_boundary, part), part, "linf_norm")
     return replace(found, band=part or (0.0, np.inf))
 
 
@@ -146,9 +174,6 @@ def _norm_of(m: StateSpaceModel, rtol: float, infinite: Infinite, band: Band | N
             again = _bracket(apart, rtol, band)
             if again.status is Status.CERTIFIED or again.upper - again.lower < found.upper - found.lower:
                 found = again
-        wide = found.status is not Status.CERTIFIED or 0 < found.lower < found.upper * (1 - max(2 * rtol, WIDE))
-        if wide and infinite is unstable_norm:
-            found = _in_balls(m, found, rtol)
     return replace(found, system=m)
 
 
@@ -219,18 +244,6 @@ def _level_test(s: StateSpaceModel, rtol: float, band: Band | None) -> tuple[flo
         omega = crossings(s, level, band)
         gains = largest_gains(s, omega)
     return lower, at, level, error, size, False
-
-
-def _in_balls(m: StateSpaceModel, found: HinfNorm, rtol: float) -> HinfNorm:
-    """Return the norm if ball arithmetic proves a level just above the gain at the peak; else ``found``."""
-    if m.n_states > BALL_STATES or not np.isfinite(found.upper) or not np.isfinite(found.frequency):
-        return found
-    gain = gain_in_balls(m, found.frequency)
-    shares = [rtol, *(s for s in SHARES if s > rtol and (1 + s) * gain < found.upper)] if gain else []
-    for share in shares if found.status is Status.CERTIFIED else shares[:1]:
-        if norm_matrix(m, (1 + share) * gain, gain):
-            return HinfNorm(gain, (1 + share) * gain, found.frequency, Status.CERTIFIED)
-    return found
 
 
 def _mapped_band(band: Band, dt: float, rate: float) -> Band:
@@ -398,3 +411,17 @@ def crossings(m: StateSpaceModel, level: float, band: Band | None = None) -> Any
 def _within(omega: AnyArray, band: Band) -> AnyArray:
     """Return the frequencies inside a band, and its ends, in order."""
     return np.unique(np.append(omega[(omega > band[0]) & (omega < band[1])], band))
+
+
+def norm_claims(found: HinfNorm) -> list[Claim]:
+    """Claim that the gain stays below ``upper``: of a stable model, or over a band of one that may be unstable."""
+    model = found.system
+    if model is None or not np.isfinite(found.upper) or found.status is not Status.CERTIFIED:
+        return []
+    level = above(found.upper)
+    if found.band is None:
+        return [
+            Claim("norm", {**model_numbers(model), "gamma": np.array(level), **norm_matrix(model, level, found.upper)})
+        ]
+    scalings = band_scalings(model.n_inputs, model.n_outputs, found.band)
+    return [Claim("mu-axis", {**model_numbers(model), "level": np.array(level), **scalings})]

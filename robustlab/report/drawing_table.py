@@ -60,8 +60,7 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     "LoopFunctions": {"functions": "design_figures.gangs_picture"},
     # measurements
     "Comparison": {
-        name: f"comparison_figures.{name}_figure"
-        for name in ("where", "time", "speed", "spectrum", "residual")
+        name: f"comparison_figures.{name}_figure" for name in ("where", "time", "speed", "spectrum", "residual")
     },
     "Discovery": {
         "gap": "discovery.gap_figure",

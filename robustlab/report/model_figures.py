@@ -23,7 +23,7 @@ from robustlab.dynamics.simulation import LOOK, default_clock, simulate
 from robustlab.errors import InputError
 from robustlab.identification.validation import FrequencyData
 from robustlab.linear_analysis.frequency import default_grid, frequency_response
-from robustlab.linear_analysis.invariant_zeros import transmission_zeros
+from robustlab.linear_analysis.zeros import transmission_zeros
 from robustlab.record import Record
 from robustlab.report import style
 from robustlab.statespace import Signal, StateSpaceModel, as_model

@@ -25,8 +25,7 @@ from robustlab.mu_analysis.margins.cover import Cover
 from robustlab.report import style
 from robustlab.report.robustness_figures import response_figure
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.covering.overbound import Overbound
-from robustlab.uncertainty.covering.unstructured_cover import error_sizes
+from robustlab.uncertainty.covers import Overbound, error_sizes
 from robustlab.uncertainty.unstructured import Form
 from robustlab.worst_case_analysis import WorstCase
 from robustlab.worst_case_analysis.sampling import Responses

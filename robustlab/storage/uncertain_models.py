@@ -46,10 +46,6 @@ def encode_uncertain(tree: Tree, model: UncertainModel) -> None:
 
 def encode_blocks(tree: Tree, blocks: Sequence[Block]) -> None:
     """Write group ``blocks``; see `encode_uncertain`."""
-    for b in blocks:
-        if KINDS.get(b.stored_as) is not type(b):
-            found = f"a {type(b).__name__}, a kind of block without a place in the file format"
-            raise InputError(f"save: block {b.name!r}", found, f"blocks of the kinds {', '.join(KINDS)}")
     group, ranges = tree.group("blocks"), [b.parameter for b in blocks]
     put_columns(group, OF_BLOCK, blocks)
     group.datasets["kind"] = group.datasets.pop("stored_as")

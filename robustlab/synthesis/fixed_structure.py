@@ -24,7 +24,6 @@ from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.h2 import synthesize_h2
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
-from robustlab.synthesis.problem.limits import require_stabilisable
 from robustlab.synthesis.problem.certify import Certificate, certified
 from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status, limiting_channels
 from robustlab.synthesis.problem.limits import require_stabilisable

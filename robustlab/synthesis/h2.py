@@ -13,8 +13,7 @@ from robustlab.arrays import AnyArray
 from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, dense, one_thread
 from robustlab.display import Facts
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
-from robustlab.linear_analysis.magnitude import refuse_extremes, refuse_overflow
-from robustlab.linear_analysis.matrix_equations import care, dare
+from robustlab.linear_analysis.matrices import care, dare, refuse_extremes, refuse_overflow
 from robustlab.norms import H2Norm, h2_by_channels
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel

@@ -8,8 +8,8 @@ __all__, __getattr__ = lazily(
         "blocks": "as_blocks Block block_slices delta_matrix delta_values structure_size",
         "elementwise": "STRUCTURES elementwise_cover endpoint_residual",
         "unstructured": "FORMS",
-        "distances.coprime": "coprime_factors four_block",
-        "covering.unstructured_cover": "error_sizes",
+        "distances": "coprime_factors four_block",
+        "covers": "error_sizes",
         "realised_delta": "realise_delta",
     },
 )

@@ -17,7 +17,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.display import Displayable, Facts, Part
 from robustlab.errors import InputError, UnitMismatch, did_you_mean, error_context
-from robustlab.linear_analysis.magnitude import equilibrating_exponents
+from robustlab.linear_analysis.matrices import equilibrating_exponents, system_matrix
 from robustlab.result import Status
 from robustlab.signals import MAX_NAME
 from robustlab.statespace import MAX_STATES, Signal, StateSpaceModel, as_model
@@ -133,7 +133,7 @@ def pair_remarks(nominal: StateSpaceModel, perturbed: StateSpaceModel) -> list[s
     unstable = unstable_norm(perturbed)
     if unstable is not None and unstable_norm(nominal) is None:
         remarks.append(f"the perturbed model is not stable, the nominal one is: {unstable.reason}")
-    whole = [np.block([[m.A, m.B], [m.C, m.D]]) for m in (nominal, perturbed)]
+    whole = [system_matrix(m) for m in (nominal, perturbed)]
     if np.array_equal(whole[0], whole[1]):
         remarks.append("no uncertainty: the two models are equal")
     largest = max(float(np.abs(entries).max(initial=0.0)) for entries in whole)
@@ -162,13 +162,15 @@ class EndpointResidual:
 def endpoint_residual(uncertain: UncertainModel, perturbed: Any) -> EndpointResidual:
     """Evaluate the set at ``Delta = I`` and compare with the perturbed model, matrix by matrix."""
     target = as_model(perturbed, "endpoint_residual: perturbed")
-    reached = uncertain.evaluate({b.name: 1.0 for b in uncertain.blocks})
-    absolute: dict[str, float] = {}
-    relative: dict[str, float] = {}
+    return misses(uncertain.evaluate({b.name: 1.0 for b in uncertain.blocks}), target, uncertain.nominal)
+
+
+def misses(reached: StateSpaceModel, wanted: StateSpaceModel, *others: StateSpaceModel) -> EndpointResidual:
+    """Return the largest differences of entries, absolute and relative to the largest one in ``wanted`` and others."""
+    absolute, relative = dict[str, float](), dict[str, float]()
     for name in "ABCD":
-        wanted, nominal = getattr(target, name), getattr(uncertain.nominal, name)
-        miss = float(np.abs(getattr(reached, name) - wanted).max(initial=0.0))
-        size = float(max(np.abs(wanted).max(initial=0.0), np.abs(nominal).max(initial=0.0)))
+        miss = float(np.abs(getattr(reached, name) - getattr(wanted, name)).max(initial=0.0))
+        size = max(float(np.abs(getattr(m, name)).max(initial=0.0)) for m in (wanted, *others))
         absolute[name] = miss
         relative[name] = 0.0 if miss == 0 else (miss / size if size else np.inf)
     return EndpointResidual(absolute, relative)
@@ -176,30 +178,17 @@ def endpoint_residual(uncertain: UncertainModel, perturbed: Any) -> EndpointResi
 
 @dataclass(frozen=True, eq=False)
 class BuiltModel(Displayable):
-    """An uncertain model with its evidence.
+    """An uncertain model with its evidence."""
 
-    Attributes
-    ----------
-    model
-        The set.
-    structure
-        Which entries vary together.
-    status
-        CERTIFIED: the set is proved to contain its source models. CONVERGED: to a chosen accuracy. None: it is defined
-        by its parameters, and there is nothing to prove.
-    residual
-        Distance of its end from the perturbed model; None where it was not made of two models.
-    notes
-        Remarks for the reader.
-    ends
-        The nominal and the perturbed model of its construction, for `robustlab.verify`.
-    """
-
-    model: UncertainModel
-    structure: str
+    model: UncertainModel  #: The set
+    structure: str  #: Which entries vary together
+    #: CERTIFIED: the set is proved to contain its source models. CONVERGED: to a chosen accuracy. None: it is defined
+    #: by its parameters, and there is nothing to prove.
     status: Status | None
+    #: Distance of its end from the perturbed model; None where it was not made of two models
     residual: EndpointResidual | None = None
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  #: Remarks for the reader
+    #: The nominal and the perturbed model of its construction, for `robustlab.verify`
     ends: tuple[StateSpaceModel, StateSpaceModel] | None = None
 
     quantities: ClassVar[Mapping[str, Any]] = {**UncertainModel.quantities, "endpoint_residual": "1"}
@@ -278,7 +267,7 @@ class _Part(NamedTuple):
 
 
 def _difference(nominal: StateSpaceModel, perturbed: StateSpaceModel, tolerance: float) -> _Difference:
-    first, second = (np.block([[m.A, m.B], [m.C, m.D]]) for m in (nominal, perturbed))
+    first, second = system_matrix(nominal), system_matrix(perturbed)
     size, n = np.maximum(np.abs(first), np.abs(second)), nominal.n_states
     limit, e = entry_scale(size, n), second - first
     e[np.abs(e) <= tolerance * limit] = 0.0
@@ -371,9 +360,6 @@ def _rank_factors(e: Array, allowance: Array, scale: Array, stages: Sequence[Sta
     if used_cols.sum() <= used_rows.sum():
         return e[:, used_cols], np.eye(e.shape[1])[used_cols]
     return np.eye(e.shape[0])[:, used_rows], e[used_rows]
-
-
-# --- the uncertain model ---------------------------------------------------------------------------------------------
 
 
 def _assemble(nominal: StateSpaceModel, parts: list[_Part], full: bool = False) -> UncertainModel:

@@ -19,8 +19,7 @@ from robustlab.provenance import Traced
 from robustlab.signals import Signal, SignalLike, picked, real_array, signals
 from robustlab.statespace import as_model
 from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock, as_blocks, delta_matrix, structure_size
-from robustlab.uncertainty.interconnection import ILL_POSED, closed_response
-from robustlab.uncertainty.lft import UncertainModel, return_path
+from robustlab.uncertainty.lft import ILL_POSED, UncertainModel, closed_response, return_path
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -40,11 +39,6 @@ class UncertainFrequencyData(Behaviour, Displayable, Traced):
         The blocks of Delta; none for plain frequency-response data.
     inputs, outputs
         Signals without the channels of Delta; ``u1``, ``y1``, ... by default.
-
-    Raises
-    ------
-    InputError
-        Shapes that do not fit, numbers that are not finite, frequencies that do not increase.
 
     Examples
     --------
@@ -146,13 +140,12 @@ class UncertainFrequencyData(Behaviour, Displayable, Traced):
 
     def __getitem__(self, key: Any) -> UncertainFrequencyData:
         """Return ``G[outputs, inputs]`` by numbers, slices, names or lists of these; blocks are kept."""
-        ins, outs = [s.name for s in self.inputs], [s.name for s in self.outputs]
-        some_outs, some_ins = picked(key, tuple(outs), tuple(ins))
-        (q, p), i, o = self.delta_shape, [ins.index(n) for n in some_ins], [outs.index(n) for n in some_outs]
+        ins, outs = tuple(s.name for s in self.inputs), tuple(s.name for s in self.outputs)
+        o, i = ([every.index(n) for n in some] for every, some in zip((outs, ins), picked(key, outs, ins), strict=True))
+        q, p = self.delta_shape
         M = self.M[:, [*range(p), *(p + k for k in o)]][:, :, [*range(q), *(q + k for k in i)]]
-        return UncertainFrequencyData(
-            self.omega, M, self.blocks, [self.inputs[k] for k in i], [self.outputs[k] for k in o]
-        )
+        signals = [self.inputs[k] for k in i], [self.outputs[k] for k in o]
+        return UncertainFrequencyData(self.omega, M, self.blocks, *signals)
 
     def facts(self) -> Facts:
         ends = f"{number(float(self.omega[0]))} .. {number(float(self.omega[-1]), 'rad/s')}"

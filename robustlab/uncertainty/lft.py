@@ -7,43 +7,200 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab import statespace
-from robustlab.arrays import Array, is_rank_deficient
+from robustlab.arrays import AnyArray, Array, is_rank_deficient
 from robustlab.checks import whole
 from robustlab.display import SHOWN_BLOCKS, Displayable, Facts, listed, number, with_units
 from robustlab.display import Part as TablePart
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.feedback import feedback_loop, wired
 from robustlab.linear_analysis.frequency import frequency_response
+from robustlab.linear_analysis.matrices import balancing_factors, of_system_matrix, system_matrix
+from robustlab.linear_analysis.structural import strong_components
 from robustlab.operators import TransferMatrix, carried_by_rank
 from robustlab.provenance import Traced
-from robustlab.signals import (
-    Signal,
-    is_constant,
-    is_number,
-    picked,
-    real_array,
-    same_units,
-)
+from robustlab.signals import MAX_NAME, Signal, is_constant, is_number, picked, real_array, same_units
 from robustlab.statespace import OperatingPoint, StateSpaceModel, append, as_model, lower_lft
 from robustlab.uncertainty.blocks import Block, as_blocks, block_slices, delta_matrix, structure_size
-from robustlab.uncertainty.interconnection import (
-    Wiring,
-    channels_first,
-    closed_response,
-    is_singular,
-    joined,
-    ones,
-    recentred,
-    unique_names,
-    unnamed,
-    upper_lft,
-)
+
+# Every interconnection of LFTs is an LFT in the same named blocks; a plain model is one without blocks. A block name
+# in several operands is the same uncertainty: its channels become one repeated block, which is then reduced. Signals
+# keep their names; of equal ones the later get _2, _3, ...
+
+ILL_POSED = 1e12  # condition number of I - M11 Delta above which results are rounding
+
+Part = tuple[StateSpaceModel, tuple[Block, ...]]  # a model whose first channels are those of the blocks
+
+
+class Wiring(NamedTuple):
+    """``u = K y + E v``, ``o = F y``: v are the inputs and o the outputs of the interconnection."""
+
+    K: Array
+    E: Array
+    F: Array
+
+
+def ones(rows: int, cols: int, *wires: tuple[int, int, int]) -> Array:
+    """Return a matrix of zeros with an identity of ``size`` at each ``(row, column, size)``."""
+    matrix = np.zeros((rows, cols))
+    for row, col, size in wires:
+        matrix[row : row + size, col : col + size] = np.eye(size)
+    return matrix
+
+
+def joined(
+    parts: Sequence[Part], wiring: Wiring, inputs: Sequence[Signal], outputs: Sequence[Signal], where: str
+) -> Part:
+    """Return the wired model of all operands; y and u of the wiring are their signals in this order."""
+    channels: dict[str, tuple[list[Block], list[int], list[int]]] = {}
+    u: list[int] = []
+    y: list[int] = []
+    first_in, first_out = 0, 0
+    for m, own in parts:
+        q, p = structure_size(own)
+        for block, (w, z) in zip(own, block_slices(own), strict=True):
+            same, ins, outs = channels.setdefault(block.name, ([], [], []))
+            same.append(block)
+            ins += range(first_in + w.start, first_in + w.stop)
+            outs += range(first_out + z.start, first_out + z.stop)
+        u += range(first_in + q, first_in + m.n_inputs)
+        y += range(first_out + p, first_out + m.n_outputs)
+        first_in, first_out = first_in + m.n_inputs, first_out + m.n_outputs
+    blocks = tuple(_merged(same, where) for same, _, _ in channels.values())
+    w, z = ([k for places in channels.values() for k in places[side]] for side in (1, 2))
+    m = append(*(unnamed(m, f"{i}", where) for i, (m, _) in enumerate(parts)))
+    whole, n = system_matrix(m), m.n_states
+    inner = whole[np.ix_([*range(n), *(n + k for k in z)], [*range(n), *(n + k for k in w)])]
+    into, out = whole[[*range(n), *(n + k for k in z)]][:, [n + k for k in u]], whole[[n + k for k in y]]
+    out, d22 = out[:, [*range(n), *(n + k for k in w)]], m.D[np.ix_(y, u)]
+    # y = out (x, w) + D22 u, u = K y + E v = gain (x, w, v)
+    around, n_v = wiring.K @ d22, wiring.E.shape[1]
+    single = not around.any() or len(set(strong_components(around != 0))) == len(around)
+    acyclic = single and not around.diagonal().any()
+    if not acyclic and is_singular(around):
+        found = "the loop is not well posed at Delta = 0 (every block at its nominal value): I - K D22 is singular"
+        raise NoTrustworthyNumber(where, found)
+    gain = rest = np.hstack([wiring.K @ out, wiring.E])
+    if acyclic:  # (I - K D22)^-1 is a finite sum of powers: exact entries stay exact
+        while (rest := around @ rest).any():
+            gain = gain + rest
+    else:
+        gain = np.linalg.solve(np.eye(len(around)) - around, gain)
+    shown = wiring.F @ np.hstack([out, np.zeros((len(out), n_v))]) + wiring.F @ d22 @ gain
+    whole = np.vstack([np.hstack([inner, np.zeros((len(inner), n_v))]) + into @ gain, shown])
+    states = unique_names([s for m, _ in parts for s in m.states])
+    model = of_system_matrix(whole, n, m.dt, *channels_first(blocks, inputs, outputs), states, where)
+    merged = [name for name, (same, _, _) in channels.items() if len(same) > 1]
+    if not merged:
+        return model, blocks
+    from robustlab.uncertainty.reduction import reduce_each  # files of sets are read without it
+
+    return reduce_each(model, blocks, merged)
+
+
+def unnamed(m: StateSpaceModel, mark: str, where: str = "StateSpaceModel") -> StateSpaceModel:
+    """Return the model with unique names of signals."""
+    inputs, outputs = [f"i{mark}.{k}" for k in range(m.n_inputs)], [f"o{mark}.{k}" for k in range(m.n_outputs)]
+    return StateSpaceModel(m.A, m.B, m.C, m.D, m.dt, inputs, outputs, where=where)
+
+
+def _merged(same: list[Block], where: str) -> Block:
+    """Merge the blocks of the same uncertainty in several operands."""
+    first = same[0]
+    if len(same) == 1:
+        return first
+    name = f"{where}: block {first.name!r}"
+    for other in same[1:]:
+        if type(other) is not type(first):
+            found = f"is a {type(first).__name__} in one operand and a {type(other).__name__} in another"
+            raise InputError(name, found, "one uncertainty for one name", "rename one of the two blocks")
+    return first.merged(same[1:], name)
+
+
+def channels_first(
+    blocks: Sequence[Block], inputs: Sequence[Signal], outputs: Sequence[Signal]
+) -> tuple[list[Signal], list[Signal]]:
+    """Return inputs and outputs of M: the channels, named ``w:k`` or ``w:k#2``, then the signals with their names."""
+    sides = []
+    for prefix, size, signals in (("w", "rows", inputs), ("z", "cols", outputs)):
+        names = [(b.name[: MAX_NAME - 20], k, getattr(b, size)) for b in blocks for k in range(getattr(b, size))]
+        made = [Signal(f"{prefix}:{name}" if n == 1 else f"{prefix}:{name}#{k + 1}") for name, k, n in names]
+        unique = unique_names([*signals, *made])
+        sides.append([*unique[len(signals) :], *unique[: len(signals)]])
+    return sides[0], sides[1]
+
+
+def unique_names(given: Sequence[Signal]) -> list[Signal]:
+    """Make names unique by ``_2``, ``_3``, ..., keeping the first one."""
+    taken: set[str] = set()
+    result: list[Signal] = []
+    for signal in given:
+        name, count = signal.name, 1
+        while name in taken:
+            count += 1
+            name = f"{signal.name[: MAX_NAME - 8]}_{count}"
+        taken.add(name)
+        result.append(signal if count == 1 else Signal(name, signal.unit))
+    return result
+
+
+def recentred(M: StateSpaceModel, blocks: Sequence[Block], centre: Array, scale: Array, where: str) -> StateSpaceModel:
+    """Return M for Delta' with Delta = ``centre + scale Delta'``: ``w = centre z + scale w'``."""
+    q, p = structure_size(blocks)
+    K, E = np.zeros((M.n_inputs, M.n_outputs)), np.eye(M.n_inputs)
+    K[:q, :p], E[:q, :q] = centre, scale
+    return joined([(M, ())], Wiring(K, E, np.eye(M.n_outputs)), M.inputs, M.outputs, where)[0]
+
+
+# --- closed by a constant Delta ---------------------------------------------------------------------------------------
+
+
+def is_singular(product: ArrayLike) -> bool:
+    """Return whether ``I - product`` (n, n) is singular or too ill-conditioned."""
+    matrix = np.asarray(product)
+    if not matrix.any():
+        return False
+    label = strong_components(matrix != 0)
+    for k in range(int(label.max()) + 1):
+        part = np.flatnonzero(label == k)
+        inner = matrix[part[:, None], part]
+        scale = balancing_factors(inner)  # the answer is independent of the units of channels
+        if inner.any() and not np.linalg.cond(np.eye(len(part)) - inner / scale[:, None] * scale) <= ILL_POSED:
+            return True
+    return False
+
+
+def upper_lft(M: StateSpaceModel, delta: ArrayLike) -> StateSpaceModel:
+    """Return ``F_u(M, Delta)`` for a constant real Delta (q, p) on the first q inputs and p outputs of M."""
+    d = np.asarray(delta)
+    if np.iscomplexobj(d):
+        hint = "a complex Delta acts on frequency responses only"
+        raise InputError("upper_lft", "a complex Delta", "a real one", hint)
+    (q, p), n = d.shape, M.n_states
+    if q > M.n_inputs or p > M.n_outputs:
+        found = f"Delta is {d.shape}, M has {M.n_inputs} inputs and {M.n_outputs} outputs"
+        raise InputError("upper_lft", found, "a smaller Delta")
+    around = M.D[:p, :q] @ d
+    if is_singular(around):
+        raise NoTrustworthyNumber("upper_lft", "I - D11 Delta is singular: this Delta makes the model ill-posed")
+    # z = (I - D11 Delta)^-1 (C1 x + D12 u), w = Delta z
+    seen = np.hstack([M.C[:p], M.D[:p, q:]])
+    w = d @ np.linalg.solve(np.eye(p) - around, seen) if p else np.zeros((q, seen.shape[1]))
+    rest = np.delete(np.delete(system_matrix(M), slice(n, n + p), axis=0), slice(n, n + q), axis=1)
+    whole = rest + np.vstack([M.B[:, :q], M.D[p:, :q]]) @ w
+    return of_system_matrix(whole, n, M.dt, M.inputs[q:], M.outputs[p:], M.states, "upper_lft")
+
+
+def closed_response(m: AnyArray, d: AnyArray) -> AnyArray:
+    """Return ``F_u`` of responses m (n_omega, ..., ...) for Delta d, one (q, p) or one for each frequency."""
+    q, p = d.shape[-2:]
+    loop = np.eye(p) - m[:, :p, :q] @ d
+    return m[:, p:, q:] + m[:, p:, :q] @ d @ np.linalg.solve(loop, m[:, :p, q:])
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -58,11 +215,6 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
         The blocks of Delta in the order of those channels; see `robustlab.uncertainty.blocks.as_blocks`.
     operating_point
         Operating point of the nominal model.
-
-    Raises
-    ------
-    InputError
-        Fewer channels than the blocks need, block names used twice.
 
     Examples
     --------
@@ -88,11 +240,8 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
         checked = as_blocks(blocks)
         q, p = structure_size(checked)
         if model.n_inputs < q or model.n_outputs < p:
-            raise InputError(
-                "UncertainModel",
-                f"M has {model.n_inputs} inputs and {model.n_outputs} outputs",
-                f"at least {q} and {p}: the blocks' channels come first",
-            )
+            found = f"M has {model.n_inputs} inputs and {model.n_outputs} outputs"
+            raise InputError("UncertainModel", found, f"at least {q} and {p}: the blocks' channels come first")
         put = object.__setattr__
         put(self, "M", model)
         put(self, "blocks", checked)
@@ -143,14 +292,8 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
 
         Values outside [-1, 1] are allowed: a critical Delta may be larger than the set. A full or complex block also
         takes a StateSpaceModel (rows x cols for a full block, 1 x 1 for a scalar one), a dynamic Delta. The member's
-        states are then those of M followed by those of the Deltas.
-
-        Raises
-        ------
-        InputError
-            Unknown names, wrong shapes, complex values (for these use `response`), a dynamic value for a real block.
-        NoTrustworthyNumber
-            This Delta makes the model ill-posed; the message names its values.
+        states are then those of M followed by those of the Deltas. A Delta that makes the model ill-posed is refused
+        with its values; complex values need `response`.
         """
         constant, dynamic = self._split(delta)
         (q, p), m = constant.shape, self.M
@@ -283,15 +426,7 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
         Members are the same, their deltas are not: a range [0.75, 1.5] around 1 becomes 1.125 +- 0.375. Block names,
         full and complex blocks are kept (the latter scaled by ``level``). The nominal model is the one at the middles.
 
-        ``level``: positive; 2 takes each end twice as far from the nominal value. Raises NoTrustworthyNumber: the
-        member at the middles is not well posed.
-
-        Examples
-        --------
-        >>> from robustlab.uncertainty.parametric import parametric
-        >>> lag = parametric([["-1/tau"]], [["1/tau"]], [[1]], [[0]], {"tau": (1.0, 0.75, 1.5)})
-        >>> lag.centred().blocks[0].parameter
-        ParameterRange(nominal=1.125, radius=0.375, unit='', below=None)
+        ``level``: positive; 2 takes each end twice as far from the nominal value.
         """
         # [-rho m, m] becomes c + r [-1, 1] by Delta = C + R Delta', c = m (1 - rho) / 2, r = m (1 + rho) / 2.
         if isinstance(level, bool) or not isinstance(level, (int, float)) or not 0 < level < np.inf:
@@ -311,15 +446,8 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
 
         With a critical Delta of `robust_stability` the member ``set.evaluate(set.realised(delta, frequency))`` has a
         pole at :math:`j \omega_0`, so the loss of stability can be simulated. Real parameters remain numbers, a complex
-        scalar becomes a model of at most two states, a full block one of ``cols`` inputs and ``rows`` outputs.
-
-        Raises
-        ------
-        InputError
-            A frequency outside the axis, values that do not fit the blocks, or a complex value at ``frequency = 0`` or
-            at the end of the axis, where systems with real coefficients are real.
-        NoTrustworthyNumber
-            A realisation is inaccurate.
+        scalar becomes a model of at most two states, a full block one of ``cols`` inputs and ``rows`` outputs. Complex
+        values are refused at the ends of the axis, where systems with real coefficients are real.
         """
         from robustlab.uncertainty.realised_delta import realise_delta  # loads the norms
 
@@ -338,14 +466,8 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
         """Return the same set with minimal repetitions of each scalar block; evidence: `reduce_model`.
 
         Like the states of a transfer function in 1/s, uncontrollable and unobservable repetitions are removed (Kalman
-        decomposition of all blocks jointly). A scalar block without effect is removed, and its name is then
-        unknown to `evaluate`.
-
-        Singular values below ``tolerance`` times the largest count as zero.
-
-        References
-        ----------
-        D'Andrea, Khatri, "Kalman decomposition of linear fractional transformation representations" (1997).
+        decomposition of all blocks jointly; D'Andrea, Khatri 1997). A scalar block without effect is removed, and its
+        name is then unknown to `evaluate`. Singular values below ``tolerance`` times the largest count as zero.
         """
         from robustlab.uncertainty.reduction import reduction  # files of sets are read without it
 
@@ -385,10 +507,8 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
         ]
 
     def _ranges(self) -> str:
-        return listed(
-            f"{b.name} {number(r.low)} .. {number(r.high, r.unit)}" if (r := b.parameter) else b.name
-            for b in self.blocks
-        )
+        rows = [(b.name, b.parameter) for b in self.blocks]
+        return listed(f"{name} {number(r.low)} .. {number(r.high, r.unit)}" if r else name for name, r in rows)
 
     def _numbers(self) -> list[str]:
         return [f"blocks: {self._ranges() or 'none'}", "at Delta = 0:", *self.nominal._numbers()]
@@ -415,10 +535,10 @@ def with_channels(
 ) -> UncertainModel:
     """Return the set ``[A B; C D] + left Delta (I - inner Delta)^-1 right`` around a model."""
     (q, p), n = structure_size(blocks), plain.n_states
+    signals = channels_first(blocks, plain.inputs, plain.outputs)
     model = StateSpaceModel(
         plain.A, np.hstack([left[:n], plain.B]), np.vstack([right[:, :n], plain.C]),
-        np.block([[np.zeros((p, q)) + inner, right[:, n:]], [left[n:], plain.D]]),
-        plain.dt, *channels_first(blocks, plain.inputs, plain.outputs), plain.states,
+        np.block([[np.zeros((p, q)) + inner, right[:, n:]], [left[n:], plain.D]]), plain.dt, *signals, plain.states,
     )  # fmt: skip
     return UncertainModel(model, blocks, plain.operating_point)
 
@@ -491,8 +611,7 @@ def inverse(g: UncertainModel) -> UncertainModel:
     rest = np.block([[m.A, m.B[:, :q], np.zeros((n, n_u))], [m.C[:p], m.D[:p, :q], np.zeros((p, n_u))]])
     rows = np.vstack([rest + np.vstack([m.B[:, q:], m.D[:p, q:]]) @ u, u])
     sides = unique_names([*m.inputs[:q], *g.outputs]), unique_names([*m.outputs[:p], *g.inputs])
-    parts = rows[:n, :n], rows[:n, n:], rows[n:, :n], rows[n:, n:]
-    return UncertainModel(StateSpaceModel(*parts, m.dt, *sides, m.states, where="inverse"), g.blocks)
+    return UncertainModel(of_system_matrix(rows, n, m.dt, *sides, m.states, "inverse"), g.blocks)
 
 
 @error_context("star")
@@ -548,5 +667,5 @@ def star(first: Any, second: Any, n_to_second: int | None = None, n_to_first: in
 def interconnected(
     parts: Sequence[UncertainModel], wiring: Wiring, inputs: Sequence[Signal], outputs: Sequence[Signal], where: str
 ) -> UncertainModel:
-    """Return the sets in one interconnection; see `robustlab.uncertainty.interconnection`."""
+    """Return the sets in one interconnection; see `robustlab.uncertainty.lft`."""
     return UncertainModel(*joined([(g.M, g.blocks) for g in parts], wiring, inputs, outputs, where))

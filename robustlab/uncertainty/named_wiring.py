@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch, did_you_mean, error_context
+from robustlab.linear_analysis.structural import strong_components
 from robustlab.signals import Signal, is_constant
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.interconnection import Wiring
-from robustlab.uncertainty.lft import UncertainModel, as_uncertain, interconnected
+from robustlab.uncertainty.lft import UncertainModel, Wiring, as_uncertain, interconnected
 
 FORM = '"e = r - y": a new name, then names with + or - between them'
 _SUM = re.compile(r"([^\s=+-]+)\s*=(.*)", re.DOTALL)
@@ -203,11 +203,9 @@ def _units(parts: Sequence[_Part]) -> dict[str, str]:
 def _with_loop(error: NoTrustworthyNumber, parts: Sequence[_Part], wiring: Wiring, makers: Any) -> NoTrustworthyNumber:
     """Return the error of an algebraic loop, with the signals of the loop."""
     from scipy.linalg import block_diag
-    from scipy.sparse.csgraph import connected_components
 
-    direct = [part.model.nominal.D for part in parts]
-    around = np.asarray(block_diag(*direct)) @ wiring.K != 0
-    _, label = connected_components(around, directed=True, connection="strong")
+    around = np.asarray(block_diag(*(part.model.nominal.D for part in parts))) @ wiring.K != 0
+    label = strong_components(around)
     size = np.bincount(label)
     names = [name for k, name in enumerate(makers) if size[label[k]] > 1 or around[k, k]]
     at = " at Delta = 0" if any(part.model.blocks for part in parts) else ""

@@ -52,9 +52,6 @@ def realise_delta(
     return result
 
 
-# --- realisation -----------------------------------------------------------------------------------------------------
-
-
 def _realised(value: ComplexArray, omega: float, dt: float, where: str) -> StateSpaceModel:
     """Return a stable model (rows, cols) of the norm of ``value`` that equals it at ``omega``, checked."""
     turn = omega * dt / 2
@@ -63,12 +60,8 @@ def _realised(value: ComplexArray, omega: float, dt: float, where: str) -> State
     size = float(np.abs(value).max(initial=0.0))
     if at_end or not np.any(value.imag):
         if np.abs(value.imag).max(initial=0.0) > REAL * size:
-            raise InputError(
-                where,
-                f"a complex value at omega = {omega:g} rad/s, where models with real coefficients are real",
-                "a real value",
-                "take a frequency close by",
-            )
+            found = f"a complex value at omega = {omega:g} rad/s, where models with real coefficients are real"
+            raise InputError(where, found, "a real value", "take a frequency close by")
         return StateSpaceModel([], [], [], value.real, dt)
     # In discrete time s = (2/dt) (z - 1)/(z + 1) bends the axis.
     at = 2 / dt * float(np.tan(turn)) if dt else omega

@@ -31,6 +31,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from robustlab.errors import InputError, did_you_mean, error_context
+from robustlab.linear_analysis.matrices import of_system_matrix
 from robustlab.statespace import Signal, StateSpaceModel, append, as_model
 from robustlab.uncertainty.blocks import FullBlock
 from robustlab.uncertainty.lft import UncertainModel, as_uncertain
@@ -148,8 +149,7 @@ def _interconnection(
     inputs = [*_channels(f"{name}.w", left.n_inputs, g.input_names), *g.inputs]
     shown = [*_channels(f"{name}.z", right.n_outputs, g.output_names), *g.outputs]
     states = [*g.states, *(Signal(f"{name}.x{i + 1}") for i in range(n - g.n_states))]
-    parts = rates[:, :n], rates[:, n:], outputs[:, :n], outputs[:, n:]
-    return StateSpaceModel(*parts, dt, inputs, shown, states, where="unstructured")
+    return of_system_matrix(np.vstack([rates, outputs]), int(n), dt, inputs, shown, states, "unstructured")
 
 
 def _channels(prefix: str, count: int, taken: Sequence[str]) -> list[Signal]:

@@ -18,11 +18,10 @@ from robustlab.arrays import Array, Mask
 from robustlab.clocks import UNIFORM_TOLERANCE
 from robustlab.dynamics.simulation import sampled_inputs
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.linear_analysis.magnitude import is_moderate, refuse_overflow
+from robustlab.linear_analysis.matrices import refuse_overflow
 from robustlab.statespace import Signal, real_array
 from robustlab.uncertainty.blocks import Block, block_slices, structure_size
-from robustlab.uncertainty.interconnection import ILL_POSED
-from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.lft import ILL_POSED, UncertainModel
 
 CHUNK = 2_000_000  # numbers of an intermediate array: memory, not the answer
 ZOOM_POINTS = 7  # of each round of the zoom on the highest grid point ...
@@ -429,8 +428,6 @@ def _largest_singular_value(g: NDArray[Any]) -> Array:
         return np.zeros(g.shape[:-2])
     if 1 in g.shape[-2:]:
         size = np.abs(g)
-        if is_moderate(size):
-            return np.sqrt((size**2).sum(axis=(-2, -1)))
-        top = np.maximum(size.max(axis=(-2, -1), keepdims=True), np.finfo(float).tiny)
-        return np.sqrt(((size / top) ** 2).sum(axis=(-2, -1))) * top[..., 0, 0]
+        top = np.exp2(min(float(np.frexp(size.max(initial=0.0))[1]), 1023.0))  # a power of two: exact
+        return top * np.sqrt(((size / top) ** 2).sum(axis=(-2, -1)))
     return np.linalg.norm(g, 2, axis=(-2, -1))

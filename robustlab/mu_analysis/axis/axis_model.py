@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import AnyArray, Array, Mask
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.linear_analysis.magnitude import balancing_factors
-from robustlab.linear_analysis.narrow_peaks import modes_apart, narrow_frequencies
+from robustlab.linear_analysis.frequency import modes_apart, narrow_frequencies
+from robustlab.linear_analysis.matrices import balancing_factors
 from robustlab.linear_analysis.structural import strong_components, with_hidden
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices

@@ -17,7 +17,7 @@ from robustlab.arrays import Array, Mask
 from robustlab.budget import Budget
 from robustlab.display import Displayable, Facts, in_words, number
 from robustlab.linear_analysis.frequency import frequency_response
-from robustlab.linear_analysis.magnitude import balancing_factors
+from robustlab.linear_analysis.matrices import balancing_factors
 from robustlab.mu_analysis.axis.axis_model import coupled_blocks, model_frequency, typical_speed
 from robustlab.mu_analysis.matrix.decomposition import entries
 from robustlab.mu_analysis.matrix.scalings import hermitian, relative, supply

@@ -13,7 +13,7 @@ from robustlab.mu_analysis.axis.axis_model import acting, continuous
 from robustlab.mu_analysis.axis.intervals import Piece
 from robustlab.mu_analysis.matrix.decomposition import depths, entries
 from robustlab.mu_analysis.matrix.upper import UpperBound
-from robustlab.norms.numbers import Numbers, block_rows, loop_numbers
+from robustlab.norms.claims import Numbers, block_rows, loop_numbers
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.uncertainty.blocks import Block, block_slices
 from robustlab.verification.claim import Claim

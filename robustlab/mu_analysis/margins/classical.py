@@ -16,7 +16,8 @@ import numpy as np
 
 from robustlab.display import AllFields, Displayable, Facts, Part, number
 from robustlab.errors import NoTrustworthyNumber, error_context
-from robustlab.linear_analysis.exact import (
+from robustlab.linear_analysis.structural import with_hidden
+from robustlab.linear_analysis.zeros import (
     MOST_STATES,
     all_left,
     determinant,
@@ -25,7 +26,6 @@ from robustlab.linear_analysis.exact import (
     roots,
     wired,
 )
-from robustlab.linear_analysis.structural import with_hidden
 from robustlab.mu_analysis.margins.disk_margin import AT, Place, in_decibels, in_degrees, opened_at
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model

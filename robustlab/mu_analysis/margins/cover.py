@@ -19,9 +19,14 @@ from robustlab.mu_analysis.axis.robustness import worst_case_gain
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
-from robustlab.uncertainty.covering.overbound import Overbound
-from robustlab.uncertainty.covering.parametric_cover import PARAMETRIC_FORMS, parametric_cover
-from robustlab.uncertainty.covering.unstructured_cover import matrices_miss, model_set, unstructured_cover
+from robustlab.uncertainty.covers import (
+    PARAMETRIC_FORMS,
+    Overbound,
+    model_set,
+    parametric_cover,
+    unstructured_cover,
+)
+from robustlab.uncertainty.elementwise import misses
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.unstructured import FORMS
 
@@ -236,30 +241,28 @@ def _parametric(
     models: tuple[StateSpaceModel, ...], form: Any, nominal: StateSpaceModel | None, tolerance: float, directions: Any
 ) -> Cover:
     model, deltas, spread = parametric_cover(models, form, nominal, tolerance, directions)
-    misses = tuple(matrices_miss(model.evaluate(d), m) for d, m in zip(deltas, models, strict=True))
+    off = tuple(misses(model.evaluate(d), m).largest for d, m in zip(deltas, models, strict=True))
     sizes = tuple(max((abs(v) for v in d.values()), default=0.0) for d in deltas)
-    met = max(sizes) <= 1.0 and max(misses) <= max(2.0 * tolerance, EXACT)
-    reason = "" if met else f"model {int(np.argmax(misses)) + 1} is missed by {max(misses):.2g}"
+    met = max(sizes) <= 1.0 and max(off) <= max(2.0 * tolerance, EXACT)
+    reason = "" if met else f"model {int(np.argmax(off)) + 1} is missed by {max(off):.2g}"
     status, number = Status.CERTIFIED if met else Status.INACCURATE, 0 if nominal is None else None
-    return Cover(model, form, status, deltas, sizes, misses, number, 0.0, spread, None, None, reason, models)
+    return Cover(model, form, status, deltas, sizes, off, number, 0.0, spread, None, None, reason, models)
 
 
 def _unstructured(
     models: tuple[StateSpaceModel, ...], form: Any, nominal: StateSpaceModel | None, order: int, excess: float
 ) -> Cover:
-    made = unstructured_cover(models, form, nominal, order, excess)
+    model, number, fit, sizes, deltas, radius = unstructured_cover(models, form, nominal, order, excess)
     status, reason = Status.CERTIFIED, ""
-    if not made.proved:
+    if not deltas:
         status = Status.CONVERGED
-        reason = f"deltas evaluated at {len(made.fit.omega)} frequencies, not proved between them"
-    if max(made.sizes) > 1.0 + 1e-9 or not made.fit.status.trustworthy:
+        reason = f"deltas evaluated at {len(fit.omega)} frequencies, not proved between them"
+    if max(sizes) > 1.0 + 1e-9 or not fit.status.trustworthy:
         status = Status.INACCURATE
-        reason = f"the weight is {100 * made.fit.excess:.3g} % above the bound: a higher order comes nearer"
-    deltas, misses = tuple({made.model.blocks[0].name: d} for d in made.deltas), (0.0,) * len(models)
-    return Cover(
-        made.model, form, status, deltas, made.sizes, misses, made.nominal, made.radius, (), made.fit, None, reason,
-        models,
-    )  # fmt: skip
+        reason = f"the weight is {100 * fit.excess:.3g} % above the bound: a higher order comes nearer"
+    named = tuple({model.blocks[0].name: d} for d in deltas)
+    none = (0.0,) * len(models)
+    return Cover(model, form, status, named, sizes, none, number, radius, (), fit, None, reason, models)
 
 
 def _conservatism(

@@ -19,7 +19,7 @@ from robustlab.budget import one_thread, search_budget
 from robustlab.display import Facts, Part, bracket, number
 from robustlab.errors import InputError, error_context
 from robustlab.feedback import closing
-from robustlab.linear_analysis.narrow_peaks import modes_apart
+from robustlab.linear_analysis.frequency import modes_apart
 from robustlab.mu_analysis.axis.robustness import margin_within
 from robustlab.mu_analysis.constants import WORK
 from robustlab.mu_analysis.matrix.upper import compile_kernels

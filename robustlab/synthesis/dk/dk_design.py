@@ -20,7 +20,7 @@ from robustlab.mu_analysis.axis.intervals import AxisCover, Piece
 from robustlab.mu_analysis.axis.joined_scalings import loop_axis_claims
 from robustlab.mu_analysis.matrix.box import centre_matrix
 from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete, hinf_norm
-from robustlab.norms.numbers import ABOVE
+from robustlab.norms.claims import ABOVE
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.dk.riccati_level import LevelSearch
 from robustlab.synthesis.dk.scalings import DynamicScalings, plant_at_level, proved_level

@@ -16,7 +16,7 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, dense
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.linear_analysis.matrix_equations import balanced_eigenvalues, care, judged_afterwards
+from robustlab.linear_analysis.matrices import balanced_eigenvalues, care, judged_afterwards
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.dk.scalings import FIRST_STEP, DynamicScalings
 from robustlab.synthesis.hinf.two_riccati import RiccatiPair, TwoRiccatiProblem, quadratic, smallest_level

@@ -14,12 +14,11 @@ import numpy as np
 from robustlab.arrays import AnyArray, Array
 from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, dense, one_thread
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
-from robustlab.linear_analysis.magnitude import refuse_extremes
+from robustlab.linear_analysis.matrices import refuse_extremes
 from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.hinf.two_riccati import TwoRiccatiProblem
-from robustlab.synthesis.structures.loops import ModalLoop, largest_gain
 from robustlab.synthesis.problem.certify import (
     EFFORT,
     certified,
@@ -38,6 +37,7 @@ from robustlab.synthesis.problem.partition import (
     require_performance,
 )
 from robustlab.synthesis.problem.scaling import Scaling, equilibrated, paths_first
+from robustlab.synthesis.structures.loops import ModalLoop, largest_gain
 
 # Work of a design at effort 1; most plants need less than a tenth. More: longer searches on hard plants.
 WORK = 60 * MILLION

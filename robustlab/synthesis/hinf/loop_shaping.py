@@ -22,7 +22,7 @@ from robustlab.synthesis.hinf.hinf_synthesis import WORK, synthesize
 from robustlab.synthesis.problem.certify import certified, named_controller, surely_stable
 from robustlab.synthesis.problem.design import HinfSynthesis, Synthesis, design_budget, limiting_channels
 from robustlab.synthesis.problem.partition import GeneralizedPlant, require_performance
-from robustlab.uncertainty.distances.coprime import (
+from robustlab.uncertainty.distances import (
     CoprimeMargin,
     CoprimeRiccati,
     continuous_models,
@@ -283,18 +283,15 @@ def ncf(G: Any, W1: Any = None, W2: Any = None, *, factor: float = 1.1) -> NcfSy
     if not before.n_inputs or not behind.n_outputs:
         raise InputError(where, "a weight without channels", "at least one input of W1 and one output of W2")
     shaped = series(series(before, _bare(g)), behind)
-    mapped = continuous_models(shaped)
     try:
-        equations = coprime_riccati(mapped.models[0])
+        equations = coprime_riccati(*continuous_models(shaped))
     except NoTrustworthyNumber as error:
         hint = "a zero of the plant or of a weight may cancel an unstable or integrating pole of the other"
         raise NoTrustworthyNumber(where, f"W2 G W1: {error.found}", error.expected, hint) from None
     gamma_min = 1 / equations.best_margin
     inner = _central(equations, factor * gamma_min)
-    if mapped.dt:
-        inner = bilinear_to_discrete(inner, mapped.dt)
-        if mapped.mirrored:  # the map was taken of -z
-            inner = StateSpaceModel(-inner.A, -inner.B, inner.C, inner.D, inner.dt)
+    if shaped.dt:
+        inner = bilinear_to_discrete(inner, shaped.dt)
     inner = named_controller(inner, shaped.outputs, shaped.inputs, shaped.dt)
     margin = coprime_margin(shaped, inner, sign=1)
     if margin.frequency is None:

@@ -15,19 +15,15 @@ import numpy as np
 from robustlab.arrays import AnyArray, Array
 from robustlab.budget import MILLION, Budget, dense
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.linear_analysis.frequency import default_grid, frequency_response
-from robustlab.linear_analysis.magnitude import balancing_exponents, balancing_factors, refuse_overflow
-from robustlab.linear_analysis.matrix_equations import lyapunov
-from robustlab.linear_analysis.narrow_peaks import in_states
+from robustlab.linear_analysis.frequency import default_grid, frequency_response, in_states
+from robustlab.linear_analysis.matrices import balancing_exponents, balancing_factors, lyapunov, refuse_overflow
 from robustlab.mu_analysis.axis.margin import PERFORMANCE, Margin
 from robustlab.mu_analysis.axis.robustness import margin_within, with_performance
 from robustlab.mu_analysis.matrix.bounds import mu
 from robustlab.mu_analysis.matrix.upper import points_work
 from robustlab.norms import H2Norm, HinfNorm, bilinear_to_discrete, h2_by_gramians, hinf_norm
-from robustlab.norms.bounded_real import norm_matrix
-from robustlab.norms.claims import gramian_claims, h2_loop_claims
+from robustlab.norms.claims import Numbers, above, gramian_claims, h2_loop_claims, loop_numbers, norm_matrix
 from robustlab.norms.hinfinity import eigenvalue_blur
-from robustlab.norms.numbers import Numbers, above, loop_numbers
 from robustlab.result import Status
 from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel, append, as_model, lower_lft, series

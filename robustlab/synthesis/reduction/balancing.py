@@ -42,12 +42,11 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis import slicot
-from robustlab.linear_analysis.magnitude import balancing_factors
-from robustlab.linear_analysis.matrix_equations import care, small_residual
+from robustlab.linear_analysis.matrices import balancing_factors, care, small_residual
 from robustlab.linear_analysis.structural import HiddenMode, LeastOrder, least_order
 from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete
 from robustlab.statespace import StateSpaceModel, parallel, series
-from robustlab.uncertainty.distances.coprime import continuous_models, coprime_factors
+from robustlab.uncertainty.distances import continuous_models, coprime_factors
 from robustlab.verification.balls import exact, midpoints, precision
 
 Projection = Literal["truncation", "residualisation"]
@@ -225,7 +224,6 @@ class Way:
     model: StateSpaceModel  # the same, or its continuous image for the methods that exist in continuous time only
     balancing: Balancing
     weights: Weights = (None, None)
-    mirrored: bool = False  # whether the coprime factors are those of G(-z)
 
     def reduced(self, order: int) -> StateSpaceModel:
         """Return the part with this order."""
@@ -247,8 +245,7 @@ class Way:
         gain, into = back @ small.C[p:], small.B @ back
         C, D = small.C[:p] - small.D[:p] @ gain, small.D[:p] @ back
         model = StateSpaceModel(small.A - into @ small.C[p:], into, C, D)
-        model = bilinear_to_discrete(model, dt) if dt else model
-        return StateSpaceModel(-model.A, -model.B, model.C, model.D, dt) if self.mirrored else model
+        return bilinear_to_discrete(model, dt) if dt else model
 
     def bound(self, order: int) -> float:
         """Return the a-priori bound of the error; NaN with weights and for a relative one."""
@@ -263,13 +260,12 @@ def way_of(full: StateSpaceModel, method: str, weights: Weights = (None, None), 
         least = least_order(full)
         unstable = any(not mode.stable for mode in least.hidden)
         full = least.model if unstable else full
-        mapped = continuous_models(full)
-        factors = coprime_factors(mapped.models[0]).right
+        factors = coprime_factors(*continuous_models(full)).right
         nothing = StateSpaceModel([], [], [], 0 * full.D, full.dt)
         removed = (lost_at_least_order(least), least.hidden) if unstable else ()
         balancing = Balancing.of(*gramian_factors(factors))
         split = SplitModel(full, nothing, *removed)
-        return Way(method, split, factors, factors, balancing, mirrored=mapped.mirrored)
+        return Way(method, split, factors, factors, balancing)
     split = split_stable(full)
     stable = split.stable
     continuous = bilinear_to_continuous(stable) if stable.dt and method in ("stochastic", "hankel") else stable

@@ -22,8 +22,6 @@ from robustlab.feedback import wired
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft, parallel
 from robustlab.synthesis.hinf.loop_shaping import with_default_performance
-from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status, limiting_channels
-from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.problem.certify import Evidence, MeasureName, Performance, PerformanceMeasure, make_measure
 from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status, limiting_channels
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant

@@ -19,7 +19,7 @@ from robustlab.display import Displayable, Facts
 from robustlab.display import number as in_words
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.frequency import frequency_response
-from robustlab.linear_analysis.magnitude import refuse_extremes
+from robustlab.linear_analysis.matrices import refuse_extremes
 from robustlab.linear_analysis.structural import least_order
 from robustlab.norms import HinfNorm, hinf_norm, linf_norm
 from robustlab.result import Status

@@ -19,7 +19,7 @@ from robustlab.checks import whole
 from robustlab.conic import bounded_real, equal_rows, least
 from robustlab.display import Facts, number
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.linear_analysis.magnitude import balancing_factors
+from robustlab.linear_analysis.matrices import balancing_factors
 from robustlab.signals import Taken
 from robustlab.statespace import Signal
 from robustlab.synthesis.hinf.two_riccati import TwoRiccatiProblem

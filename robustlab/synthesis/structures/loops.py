@@ -13,7 +13,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.linear_analysis.matrix_equations import lapack
+from robustlab.linear_analysis.matrices import lapack
 from robustlab.linear_analysis.slicot import lyapunov_solution, peak_gain
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
 

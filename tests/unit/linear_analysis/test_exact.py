@@ -17,7 +17,6 @@ from robustlab.linear_analysis import (
     determinant,
     equilibrating_exponents,
     from_the_circle,
-    normal_rank,
     on_axis,
     roots,
 )
@@ -46,15 +45,6 @@ def test_determinants_are_exact(data, n, m):
     for s in (Fraction(0), Fraction(1), Fraction(-7, 3), Fraction(10**20)):
         value = found(fmpq(s.numerator, s.denominator))
         assert Fraction(2) ** exponent * Fraction(int(value.p), int(value.q)) == leibniz(M, n, s)
-    assert normal_rank(M, n) == k or not found
-
-
-def test_ranks_of_pencils():
-    rng = np.random.default_rng(0)
-    tall = rng.integers(-3, 4, (5, 2)) @ rng.integers(-3, 4, (2, 4))
-    assert normal_rank(tall.astype(float), 0) == 2
-    assert normal_rank(tall.astype(float), 3) == 5 - 1  # -s in three rows, and one row of the rest
-    assert normal_rank(np.zeros((2, 3)), 0) == 0
 
 
 def from_roots(zeros):

@@ -36,14 +36,9 @@ def test_zeros_of_square_models_make_the_pencil_singular(seed, n, m, direct):
     found = rl.zeros(G)
     assert found.status == "converged"
     assert found.normal_rank == m or n < m
-    for k, z in enumerate(found.values):
+    for z in found.values:
         P = pencil(G, z)
         assert np.linalg.svd(P, compute_uv=False)[-1] <= 1e-8 * np.linalg.norm(P, 2)
-        if found.kinds[k] == "transmission":
-            response = G.C @ np.linalg.solve(z * np.eye(n) - G.A, G.B.astype(complex)) + G.D
-            size = np.linalg.norm(response, 2) + 1e-3
-            assert np.linalg.norm(response @ found.input_directions[:, k]) <= 1e-5 * size
-            assert np.linalg.norm(found.output_directions[:, k].conj() @ response) <= 1e-5 * size
 
 
 def test_zeros_of_a_factor_in_series_are_found_in_any_shape():
@@ -54,10 +49,6 @@ def test_zeros_of_a_factor_in_series_are_found_in_any_shape():
         found = rl.zeros(model)
         assert matched(found.values, [2.0]) < 1e-8
         assert found.kinds == ("transmission",)
-    # no single direction: of the inputs of a wide model, of the outputs of a tall one
-    assert np.isnan(rl.zeros(wide).input_directions).all()
-    assert np.isfinite(rl.zeros(wide).output_directions).all()
-    assert np.isnan(rl.zeros(tall).output_directions).all()
 
 
 def test_a_double_zero_and_zeros_far_apart():
@@ -97,8 +88,8 @@ def test_edges():
     assert "none" in repr(rl.zeros(StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])))
     with pytest.raises(rl.InputError, match="zeros"):
         rl.zeros("a model")
-    huge = StateSpaceModel([[-1e200]], [[1.0]], [[-2e200]], [[1.0]])
-    assert rl.zeros(huge).values[0].real == pytest.approx(1e200, rel=1e-12)
+    with pytest.raises(rl.NoTrustworthyNumber, match="other units"):
+        rl.zeros(StateSpaceModel([[-1e200]], [[1.0]], [[-2e200]], [[1.0]]))
 
 
 # --- any scaling of the model ----------------------------------------------------------------------------------------

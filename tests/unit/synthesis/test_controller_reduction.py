@@ -14,7 +14,7 @@ from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis import GeneralizedPlant, ReducedController, plant_with_scalings, sampled_norm
 from robustlab.synthesis.problem import partition
-from robustlab.uncertainty.distances import coprime
+from robustlab.uncertainty import distances
 from robustlab.verification import Claim, check
 
 PLANT = rl.StateSpaceModel(
@@ -196,7 +196,7 @@ def wrong_lft(P: StateSpaceModel, K: StateSpaceModel) -> StateSpaceModel:
 
 @pytest.fixture
 def wrong_loops(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (partition, coprime, sampled_norm):
+    for module in (partition, distances, sampled_norm):
         monkeypatch.setattr(module, "lower_lft", wrong_lft)
 
 
@@ -225,7 +225,7 @@ def test_designs_detect_a_wrong_rebuilt_loop(name: str, wrong_loops: None) -> No
     # gamma is the larger norm, of the loop of P and K
     truth = lower_lft(design.plant.model, design.K)
     if name == "ncf":
-        truth = lower_lft(coprime.four_block(design.shaped_plant), design.K_shaped)
+        truth = lower_lft(distances.four_block(design.shaped_plant), design.K_shaped)
     norm = rl.h2_norm(truth).value if "h2" in name else rl.peak_gain(truth).lower
     assert design.gamma == pytest.approx(norm, rel=1e-3)
 

@@ -1,15 +1,15 @@
 r"""Riccati and Lyapunov equations, continuous and discrete: every solution is checked by its residual.
 
-Continuous Riccati equations are solved by the ordered real Schur form of a balanced Hamiltonian (Laub 1979), or by the
-QZ algorithm on the extended pencil (Van Dooren 1981; scipy), the only method in discrete time; Newton's method
-(Kleinman 1968) refines. `lapack` gives LAPACK's own routines.
+Continuous Riccati equations are solved by the ordered real Schur form of a balanced Hamiltonian (Laub 1979), refined by
+Newton's method (Kleinman 1968); discrete ones by the QZ algorithm on the extended pencil (Van Dooren 1981; scipy).
+`lapack` gives LAPACK's own routines. Balancing is by powers of two, which is exact.
 """
 
 from __future__ import annotations
 
 import functools
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 from robustlab.arrays import AnyArray, Array
 from robustlab.errors import NoTrustworthyNumber, error_context
 from robustlab.linear_analysis import slicot
+from robustlab.statespace import Signal, StateSpaceModel
 
 # Relative residual above which a Riccati solution is refined by Newton's method, and the largest number of steps.
 REFINED, NEWTON_STEPS = 1e-10, 4
@@ -29,7 +30,6 @@ UNBLOCKED = 32
 # LAPACK's workspace for a matrix with blocks, in columns of it.
 ROOM = 64
 SOLVABLE = "a stabilisable model, and no eigenvalue of the pencil on {}"
-
 
 Weighed = tuple[AnyArray, AnyArray, float]  # closed-loop matrix of an X, left-hand side of its equation, residual
 
@@ -69,18 +69,13 @@ def care(
             left = a.T @ X + X @ a + q + quadratic
             return a + b @ gain, left, float(np.linalg.norm(left) / size) if size else 0.0
 
-    least = np.inf
-    for pencil in (False, True):
-        X = _extended_pencil(a, b, q, r, s, False) if pencil else _stable_graph(*whole)
-        if X is None or not _is_stable(weighed(0.5 * (X + X.T))[0]):
-            continue
-        X, residual = _refined(0.5 * (X + X.T), weighed)
-        if residual <= tolerance:
-            return RiccatiSolution(X, -np.linalg.solve(r, b.T @ X + s.T), residual)
-        least = min(least, residual)
-    if least == np.inf:
+    X = _stable_graph(*whole)
+    if X is None or not _is_stable(weighed(X)[0]):
         raise NoTrustworthyNumber("care", "no stabilising solution was found", SOLVABLE.format("the imaginary axis"))
-    raise NoTrustworthyNumber("care", f"relative residual {least:.1e}", f"at most {tolerance:.1e}")
+    X, residual = _refined(X, weighed)
+    if not residual <= tolerance:
+        raise NoTrustworthyNumber("care", f"relative residual {residual:.1e}", f"at most {tolerance:.1e}")
+    return RiccatiSolution(X, -np.linalg.solve(r, b.T @ X + s.T), residual)
 
 
 @error_context("dare")
@@ -97,7 +92,7 @@ def dare(
     a, b, q, r, s = _matrices(A, B, Q, R, S)
     if not len(a):
         return RiccatiSolution(np.zeros((0, 0)), np.zeros((len(r), 0)), 0.0)
-    X, gain, coupling = _extended_pencil(a, b, q, r, s, True), None, np.zeros(b.T.shape)
+    X, gain, coupling = _discrete_pencil(a, b, q, r, s), None, np.zeros(b.T.shape)
     if X is not None:
         with np.errstate(over="ignore", invalid="ignore"):
             X = 0.5 * (X + X.T)
@@ -184,13 +179,13 @@ def _schur_graph(A: AnyArray, G: AnyArray, Q: AnyArray) -> AnyArray | None:
     return 0.5 * (X + X.T) if np.isfinite(X).all() else None
 
 
-def _extended_pencil(a: Array, b: Array, q: Array, r: Array, s: Array, discrete: bool) -> AnyArray | None:
+def _discrete_pencil(a: Array, b: Array, q: Array, r: Array, s: Array) -> AnyArray | None:
     """Return X from the QZ algorithm on the balanced extended pencil (Van Dooren 1981), or None."""
-    from scipy.linalg import LinAlgError, solve_continuous_are, solve_discrete_are
+    from scipy.linalg import LinAlgError, solve_discrete_are
 
     with judged_afterwards():
         try:
-            X = (solve_discrete_are if discrete else solve_continuous_are)(a, b, q, r, s=s)
+            X = solve_discrete_are(a, b, q, r, s=s)
         except (LinAlgError, ValueError):  # ValueError: R is singular to working precision
             return None
     return X if np.isfinite(X).all() else None
@@ -276,3 +271,94 @@ def lapack() -> Any:
     from scipy.linalg import lapack as routines
 
     return routines
+
+
+SWEEPS = 20
+# Products of entries between these neither overflow nor vanish.
+FAINTEST, STRONGEST = 1e-100, 1e100
+
+
+def system_matrix(m: StateSpaceModel) -> Array:
+    """Return ``[A B; C D]``."""
+    return np.block([[m.A, m.B], [m.C, m.D]])
+
+
+def of_system_matrix(
+    whole: Array,
+    n: int,
+    dt: float,
+    inputs: Sequence[Signal],
+    outputs: Sequence[Signal],
+    states: Sequence[Signal],
+    where: str,
+) -> StateSpaceModel:
+    """Return the model of ``[A B; C D]`` with n states."""
+    parts = whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:]
+    return StateSpaceModel(*parts, dt, inputs, outputs, states, where=where)
+
+
+def balancing_factors(matrix: AnyArray) -> AnyArray:
+    """Return powers of two t (n,): rows and columns of ``matrix / t[:, None] * t`` have one size (LAPACK gebal)."""
+    if not matrix.size:
+        return np.ones(len(matrix))
+    if not np.isfinite(matrix).all():
+        raise ValueError("a matrix to be balanced has entries that are NaN or infinite")
+    return np.asarray(lapack().dgebal(np.abs(matrix), scale=1, permute=0)[3])
+
+
+def balancing_exponents(A: AnyArray, into: AnyArray, out: AnyArray) -> AnyArray:
+    """Return exponents t (n,) of states ``x = 2^t x'`` that balance rows of [A, into] against columns of [A; out]."""
+    n = len(A)
+    a, b, c = _exponents(A), _exponents(into).max(1, initial=-np.inf), _exponents(out).max(0, initial=-np.inf)
+    off, t = np.where(np.eye(n, dtype=bool), -np.inf, a), np.zeros(n)
+    for _ in range(SWEEPS):
+        k, w, z = _top(a - t[:, None] + t), _top(b - t), _top(c + t)
+        settled = True
+        for i in range(n):
+            row = max((off[i] + t).max() - t[i] - k, b[i] - t[i] - w)
+            column = max((off[:, i] - t).max() + t[i] - k, c[i] + t[i] - z)
+            if row == -np.inf and column == -np.inf:
+                continue
+            step = row if column == -np.inf else -column if row == -np.inf else 0.5 * (row - column)
+            step = float(np.round(step))
+            t[i] += step
+            settled &= abs(step) <= 1
+        if settled:
+            break
+    return t.astype(int)
+
+
+def equilibrating_exponents(matrix: AnyArray) -> tuple[AnyArray, AnyArray]:
+    """Return exponents r, c: the largest entries of rows and columns of ``2^r matrix 2^c`` are near 1 (Ruiz 2001)."""
+    e, r, c = _exponents(np.abs(matrix)), np.zeros((len(matrix), 1)), np.zeros(matrix.shape[1])
+    for _ in range(SWEEPS):
+        now = e + r + c
+        row, column = now.max(axis=1, initial=-np.inf, keepdims=True), now.max(axis=0, initial=-np.inf)
+        r, c = r - 0.5 * np.where(np.isfinite(row), row, 0), c - 0.5 * np.where(np.isfinite(column), column, 0)
+    return np.round(r[:, 0]).astype(int), np.round(c).astype(int)
+
+
+def refuse_extremes(model: StateSpaceModel, where: str) -> None:
+    """Refuse models whose entries are too large or too small to be multiplied with one another."""
+    for matrix in (model.A, model.B, model.C, model.D):
+        top = float(np.abs(matrix).max(initial=0.0))
+        if top and not FAINTEST < top < STRONGEST:
+            found, expected = f"the largest entry of a matrix of the model is {top:.0e}", "between 1e-100 and 1e100"
+            raise NoTrustworthyNumber(where, found, expected, "choose other units of signals or time")
+
+
+def refuse_overflow(where: str, *arrays: AnyArray) -> None:
+    """Refuse products of finite input that are NaN or infinite."""
+    if not all(np.isfinite(array).all() for array in arrays):
+        hint = "choose units in which the model's entries are closer to one another"
+        raise NoTrustworthyNumber(where, "a product of the model's entries overflows", "numbers below 1e308", hint)
+
+
+def _exponents(matrix: AnyArray) -> AnyArray:
+    """Return the exponent of every entry, -inf for zeros."""
+    return np.where(matrix == 0, -np.inf, np.frexp(matrix)[1])
+
+
+def _top(exponents: AnyArray) -> int:
+    top = exponents.max(initial=-np.inf)
+    return int(top) if np.isfinite(top) else 0

@@ -1,6 +1,7 @@
-"""Normalised coprime factors of a model, and their stability margin.
+"""Distances between models for feedback: normalised coprime factors, the stability margin of a loop, the nu-gap.
 
-Zhou, Doyle, Glover (1996), theorem 13.37 and section 16.1; Vinnicombe, *Uncertainty and Feedback* (2001).
+Zhou, Doyle, Glover (1996), theorem 13.37 and section 16.1; Vinnicombe, *Uncertainty and Feedback* (2001); Vinnicombe,
+IEEE TAC 38 (1993).
 """
 
 from __future__ import annotations
@@ -15,12 +16,11 @@ from robustlab.display import Displayable, Facts, bracket, number
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.feedback import closing
 from robustlab.linear_analysis.frequency import frequency_response
-from robustlab.linear_analysis.magnitude import balancing_factors, is_moderate, refuse_overflow
-from robustlab.linear_analysis.matrix_equations import RiccatiSolution, care
+from robustlab.linear_analysis.matrices import RiccatiSolution, care, refuse_extremes, refuse_overflow
 from robustlab.linear_analysis.structural import hidden_unstable, with_hidden
-from robustlab.norms import bilinear_to_continuous, hinf_norm
+from robustlab.norms import bilinear_to_continuous, hinf_norm, well_scaled
 from robustlab.result import Status
-from robustlab.statespace import StateSpaceModel, as_model, lower_lft
+from robustlab.statespace import StateSpaceModel, as_model, lower_lft, series
 
 INNER = 1e-7  # allowed deviation of the factors from inner, at frequencies around the model's poles
 
@@ -46,7 +46,8 @@ class CoprimeRiccati:
 
 def coprime_riccati(model: StateSpaceModel) -> CoprimeRiccati:
     """Solve both Riccati equations of a continuous, stabilisable and detectable model."""
-    m, rate = _scaled(model)
+    refuse_extremes(model, "coprime factors")
+    m, rate = well_scaled(model) if model.n_states else (model, 1.0)
     p, q = m.D.shape
     r, s = np.eye(q) + m.D.T @ m.D, np.eye(p) + m.D @ m.D.T
     try:
@@ -88,33 +89,17 @@ def coprime_factors(model: StateSpaceModel) -> CoprimeFactors:
 
 @dataclass(frozen=True)
 class CoprimeMargin(Displayable):
-    """Stability margin b(P, C) of a loop.
+    """Stability margin b(P, C) of a loop."""
 
-    Attributes
-    ----------
-    lower, upper
-        ``lower <= b <= upper``; both 0 where C does not stabilise P.
-    frequency
-        Frequency of the minimum in rad/s; None where C does not stabilise P.
-    best
-        The largest margin of any controller for this plant.
-    status
-        Status of the H-infinity norm of the computation.
-    reason
-        Why the margin is 0 or inaccurate; else empty.
-    loop
-        The feedback law and its source.
-    plant, K
-        The loop u = K y, for `robustlab.verify`.
-    """
-
+    #: ``lower <= b <= upper``; both 0 where C does not stabilise P
     lower: float
     upper: float
-    frequency: float | None
-    best: float
-    status: Status
-    reason: str = ""
-    loop: str = ""
+    frequency: float | None  #: Frequency of the minimum in rad/s; None where C does not stabilise P
+    best: float  #: The largest margin of any controller for this plant
+    status: Status  #: Status of the H-infinity norm of the computation
+    reason: str = ""  #: Why the margin is 0 or inaccurate; else empty
+    loop: str = ""  #: The feedback law and its source
+    #: The loop u = K y, for `robustlab.verify`
     plant: StateSpaceModel | None = field(default=None, compare=False, repr=False)
     K: StateSpaceModel | None = field(default=None, compare=False, repr=False)
 
@@ -178,7 +163,7 @@ def coprime_margin(P: Any, C: Any, *, sign: Literal[-1, 1] | None = None) -> Cop
     law = StateSpaceModel(k.A, k.B, sign * k.C, sign * k.D, k.dt)
     loop = lower_lft(four_block(plant), law)
     norm = hinf_norm(loop, rtol=1e-9)
-    best = coprime_riccati(continuous_models(plant).models[0]).best_margin
+    best = coprime_riccati(*continuous_models(plant)).best_margin
     if not np.isfinite(norm.upper):
         return CoprimeMargin(0.0, 0.0, None, best, norm.status, with_hidden(norm.reason, plant, k), found.said)
     bounds = 1 / norm.upper, 1 / norm.lower
@@ -197,66 +182,14 @@ def four_block(plant: StateSpaceModel) -> StateSpaceModel:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class MappedModels:
-    """Continuous models with the same values on the stability boundary, and the map of frequencies."""
-
-    models: tuple[StateSpaceModel, ...]
-    dt: float
-    mirrored: bool
-
-    def frequency(self, omega: float) -> float:
-        """Return the frequency of the given models for ``omega`` of the mapped ones, in rad/s."""
-        if not self.dt:
-            return omega
-        warped = 2 / self.dt * float(np.arctan(omega * self.dt / 2)) if np.isfinite(omega) else np.pi / self.dt
-        return np.pi / self.dt - warped if self.mirrored else warped
-
-
-def continuous_models(*models: StateSpaceModel) -> MappedModels:
-    """Return continuous models as they are, discrete ones mapped by ``s = (2/dt) (z - 1)/(z + 1)``, all alike."""
+def continuous_models(*models: StateSpaceModel) -> tuple[StateSpaceModel, ...]:
+    """Return continuous models as they are, discrete ones mapped by ``s = (2/dt) (z - 1)/(z + 1)``."""
     times = {m.dt for m in models if m.n_states or m.dt}
     if len(times) > 1:
         raise InputError("gap", f"sample times {sorted(times)} s (0: continuous)", "one common sample time")
-    dt = times.pop() if times else 0.0
-    if dt == 0:
-        return MappedModels(models, 0.0, False)
-    straight = tuple(StateSpaceModel(m.A, m.B, m.C, m.D, dt) for m in models)
-    turned = tuple(StateSpaceModel(-m.A, -m.B, m.C, m.D, dt) for m in models)
-    # A pole close to z = -1 becomes a fast, inaccurate one: -z then is the better variable.
-    mirrored = _nearness(straight) > 100 * _nearness(turned)
-    try:
-        return MappedModels(tuple(bilinear_to_continuous(m) for m in (turned if mirrored else straight)), dt, mirrored)
-    except NoTrustworthyNumber:
-        return MappedModels(
-            tuple(bilinear_to_continuous(m) for m in (straight if mirrored else turned)), dt, not mirrored
-        )
-
-
-def _nearness(models: tuple[StateSpaceModel, ...]) -> float:
-    """Return the largest condition number of I + A in balanced states, the error of the bilinear map."""
-    scales = [balancing_factors(m.A) for m in models]
-    balanced = [m.A / t[:, None] * t for m, t in zip(models, scales, strict=True) if m.n_states]
-    return max((float(np.linalg.cond(np.eye(len(a)) + a)) for a in balanced), default=1.0)
-
-
-def _scaled(model: StateSpaceModel) -> tuple[StateSpaceModel, float]:
-    """Return the transfer function of ``s / rate`` with balanced states, and the rate in rad/s."""
-    if not model.n_states:
-        return model, 1.0
-    if not is_moderate(model.A, model.B, model.C, model.D):
-        hint = "choose other units of u and y, or of time"
-        raise NoTrustworthyNumber("coprime factors", "entries whose squares overflow or vanish", None, hint)
-    scale = balancing_factors(model.A)
-    a = model.A / scale[:, None] * scale
-    b, c = model.B / scale[:, None], model.C * scale
-    size = np.abs(np.linalg.eigvals(a))
-    size = size[size > 1e-12 * max(float(size.max()), 1e-300)]
-    rate = float(2.0 ** np.round(np.log2(np.median(size)))) if len(size) else 1.0
-    in_size, out_size = float(np.linalg.norm(b)), float(np.linalg.norm(c))
-    level = float(2.0 ** np.round(np.log2(in_size / out_size) / 2)) if in_size and out_size else 1.0
-    root = np.sqrt(rate)
-    return StateSpaceModel(a / rate, b / level / root, c * level / root, model.D), rate
+    if not (dt := times.pop() if times else 0.0):
+        return models
+    return tuple(bilinear_to_continuous(StateSpaceModel(m.A, m.B, m.C, m.D, dt)) for m in models)
 
 
 def _inverse_root(matrix: Array) -> Array:
@@ -266,11 +199,130 @@ def _inverse_root(matrix: Array) -> Array:
 
 
 def _check_inner(m: StateSpaceModel, right: StateSpaceModel, left: StateSpaceModel) -> None:
-    speeds = np.abs(np.concatenate([m.poles(), right.poles(), left.poles()]))
-    omega = np.unique(np.concatenate([[0.0], speeds]))
-    g, h = frequency_response(right, omega), frequency_response(left, omega)
+    omega = np.unique(np.concatenate([[0.0], *(np.abs(x.poles()) for x in (m, right, left))]))
+    g, h = frequency_response(right, omega), np.swapaxes(frequency_response(left, omega), 1, 2)
     with np.errstate(over="ignore", invalid="ignore"):  # overflow and NaN fail the test
-        off = np.abs(np.swapaxes(g.conj(), 1, 2) @ g - np.eye(g.shape[2])).max(initial=0.0)
-        off = np.maximum(off, np.abs(h @ np.swapaxes(h.conj(), 1, 2) - np.eye(h.shape[1])).max(initial=0.0))
+        off = max(np.abs(np.swapaxes(x.conj(), 1, 2) @ x - np.eye(x.shape[2])).max(initial=0.0) for x in (g, h))
     if not off <= INNER:
         raise NoTrustworthyNumber("coprime factors", f"they miss being normalised by {off:.1e}", f"at most {INNER:.0e}")
+
+
+# nu-gap: with G = [N; M], G~ = [M~, -N~] it is |G~2 G1|_inf where det(G2* G1) is not 0 on the axis and winds zero times
+# around the origin, else 1.
+NOTHING, AGREE = 1e-12, 1e-6  # a distance indistinguishable from 0, and a difference to 1
+SIDE = 1e-11  # relative real part below which the sign of an eigenvalue is uncertain
+
+
+@dataclass(frozen=True)
+class NuGap(Displayable):
+    """The nu-gap between two models, with its evidence."""
+
+    #: ``lower <= nu-gap <= upper``
+    lower: float
+    upper: float
+    frequency: float  #: Frequency of the largest pointwise (chordal) distance, in rad/s; ``inf`` for the direct terms
+    chordal: float  #: That distance; the nu-gap where ``winding`` is 0
+    #: Winding number of det(G2* G1) around the origin: its zeros minus its poles in the right half plane
+    winding: int
+    status: Status  #: CERTIFIED, or INACCURATE where a norm or the sign of a zero is uncertain
+    reason: str = ""  #: Why the value is 1 or inaccurate; else empty
+
+    @property
+    def value(self) -> float:
+        """Return the nu-gap, ``lower``."""
+        return self.lower
+
+    def facts(self) -> Facts:
+        return [
+            ("nu-gap", bracket(self.lower, self.upper, ("attained", "proved"))),
+            ("largest at", number(self.frequency, "rad/s")),
+            ("winding number", str(self.winding)),
+            ("reason", self.reason),
+        ]
+
+    def to_json(self) -> dict[str, Any]:
+        return {"type": "NuGap", "value": self.value, **vars(self)}
+
+
+@error_context("nu_gap")
+def nu_gap(P1: Any, P2: Any) -> NuGap:
+    r"""Return the nu-gap metric between two models of equal size.
+
+    The largest chordal distance over the axis is an H-infinity norm, by the level-set method; the winding number
+    follows from the poles and zeros of det(G2* G1).
+
+    Parameters
+    ----------
+    P1, P2
+        Models with the same numbers of inputs and outputs, stable or not; both continuous or both discrete with one
+        sample time. Hidden modes must be stable.
+
+    Returns
+    -------
+    NuGap
+        ``value`` is 1 where the winding condition fails: no controller suits both.
+
+    Raises
+    ------
+    InputError
+        Sizes or sample times that do not fit.
+    NoTrustworthyNumber
+        A model with a hidden unstable mode.
+
+    References
+    ----------
+    Vinnicombe (1993); Vinnicombe, *Uncertainty and Feedback* (2001), chapter 3.
+
+    Examples
+    --------
+    >>> one = StateSpaceModel([[0.001]], [[1.0]], [[1.0]], [[0.0]])
+    >>> two = StateSpaceModel([[-0.001]], [[1.0]], [[1.0]], [[0.0]])
+    >>> round(nu_gap(one, two).value, 6)
+    0.002
+    """
+    m1, m2 = as_model(P1, "nu_gap: first model"), as_model(P2, "nu_gap: second model")
+    if m1.D.shape != m2.D.shape:
+        sizes = [f"{m.n_outputs} x {m.n_inputs}" for m in (m1, m2)]
+        raise InputError("nu_gap", f"models of {sizes[0]} and {sizes[1]}", "equal sizes")
+    if not m1.D.size:
+        raise InputError("nu_gap", f"a model of {m1.n_outputs} x {m1.n_inputs}", "inputs and outputs")
+    one, two = (coprime_factors(m) for m in continuous_models(m1, m2))
+    # G2~ G1 = M2~ N1 - N2~ M1, stable; the left factors are ordered [N2~, M2~].
+    (p, m), right = m1.D.shape, one.right
+    swap = np.block([[np.zeros((m, p)), -np.eye(m)], [np.eye(p), np.zeros((p, m))]])
+    norm = hinf_norm(series(StateSpaceModel(right.A, right.B, swap @ right.C, swap @ right.D), two.left), rtol=1e-9)
+    frequency, dt = norm.frequency, m1.dt or m2.dt
+    if dt:
+        frequency = 2 / dt * float(np.arctan(frequency * dt / 2))
+    if norm.lower <= NOTHING:
+        return NuGap(0.0, NOTHING, frequency, norm.lower, 0, Status.CERTIFIED)
+    chordal = min(norm.lower, 1.0)
+    winding, sure = _winding(one, two)
+    if winding is None:
+        text = "det(G2* G1) vanishes on the stability boundary"
+        return NuGap(1.0, 1.0, frequency, chordal, 0, norm.status, text)
+    status, reason = norm.status, norm.reason
+    # Where the models are 1 apart at some frequency, the winding number no longer matters.
+    counted = sure or norm.lower < 1 - AGREE
+    if counted and not sure:
+        status, reason = Status.INACCURATE, "a zero of det(G2* G1) lies too close to the stability boundary to count"
+    if counted and winding != 0 and norm.lower < 1:
+        text = f"det(G2* G1) winds {winding} times around the origin: no controller is good for both"
+        return NuGap(1.0, 1.0, frequency, chordal, winding, status, text if sure else reason)
+    upper = min(norm.upper, 1.0) if counted else 1.0
+    return NuGap(chordal, upper, frequency, chordal, winding, status, reason)
+
+
+def _winding(one: CoprimeFactors, two: CoprimeFactors) -> tuple[int | None, bool]:
+    """Return zeros minus poles of det(G2* G1) in the right half plane, and whether all signs are certain."""
+    g1, g2 = one.right, two.right
+    # G2*(s) = G2(-s)^T has the matrices (-A^T, C^T, -B^T, D^T).
+    A = np.block([[g1.A, np.zeros((g1.n_states, g2.n_states))], [g2.C.T @ g1.C, -g2.A.T]])
+    B = np.vstack([g1.B, g2.C.T @ g1.D])
+    C = np.hstack([g2.D.T @ g1.C, -g2.B.T])
+    D = g2.D.T @ g1.D
+    if np.linalg.svd(D, compute_uv=False)[-1] < SIDE:
+        return None, True
+    zeros = np.linalg.eigvals(A - B @ np.linalg.solve(D, C)) if len(A) else np.zeros(0)
+    sure = bool((np.abs(zeros.real) > SIDE * np.abs(zeros).max(initial=0.0)).all())
+    return int((zeros.real > 0).sum()) - g2.n_states, sure

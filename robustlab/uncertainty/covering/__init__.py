@@ -1,1 +1,0 @@
-"""Covers: the smallest uncertain set, of a chosen form, that holds every model of a set."""

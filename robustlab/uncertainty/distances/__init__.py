@@ -1,1 +1,0 @@
-"""Distances between models for feedback, and coprime factors."""
