@@ -405,8 +405,8 @@ def _by_inverse_iteration(
     aims = aims + 1e-9 * (1 + 1j) * (np.abs(aims) + 1e-6 * np.abs(a).max(axis=(1, 2)))
     inverse = np.linalg.inv(a - aims[:, None, None] * eye)
     for _ in range(2):
-        v = unit_rows((inverse @ v[..., None])[..., 0], v)
-        u = unit_rows((u[:, None, :] @ inverse)[:, 0], u)
+        v, _ = unit_rows((inverse @ v[..., None])[..., 0], v)
+        u, _ = unit_rows((u[:, None, :] @ inverse)[:, 0], u)
     inner = (u * v).sum(axis=1)
     u = u / np.where(np.abs(inner) < 1e-10, 1e-10, inner)[:, None]
     pole = ((u[:, None, :] @ a)[:, 0] * v).sum(axis=1)
