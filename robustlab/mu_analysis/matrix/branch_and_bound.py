@@ -10,7 +10,7 @@ Newlin, Young, "Mixed mu problems and branch and bound techniques" (1997).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
@@ -29,6 +29,7 @@ from robustlab.uncertainty.blocks import Block, block_slices
 
 REGIONS = 16  # solved together; more: faster per region, more useless ones when a Delta is found
 KEPT = 0.0625  # share of the work reserved for a smaller set, and spent before a set is judged infeasible
+SEARCHED = 0.02  # share of the work after which a longer search for a lower bound is made
 NARROW = 1e-7  # relative width below which a box is not cut because of rounding
 
 
@@ -59,6 +60,8 @@ class Proof:
     upper: float
     values: Any = None
     leaves: list[Region] = field(default_factory=list)
+    search: Search | None = None
+    search_at: float = -np.inf  # the work left at which it is made
 
 
 class Problem(Protocol):
@@ -76,11 +79,20 @@ class Problem(Protocol):
     def attack(self, region: Region, level: float, budget: Budget) -> Improved | None: ...
 
 
-def tighten(problem: Problem, lower: float, upper: float, tolerance: float, budget: Budget) -> Proof:
-    """Bring ``upper`` down to ``lower (1 + tolerance)``, or as far as the budget allows."""
+Search = Callable[[Budget], Improved | None]
+
+
+def tighten(
+    problem: Problem, lower: float, upper: float, tolerance: float, budget: Budget, search: Search | None = None
+) -> Proof:
+    """Bring ``upper`` down to ``lower (1 + tolerance)``, or as far as the budget allows.
+
+    ``search`` is a longer one for a larger lower bound, for which most gaps close too early.
+    """
     # That level is tried first. If a larger lower bound is found, or the work does not suffice, the open regions are
     # reduced to the smaller set of a larger level, for which all proofs so far hold.
-    proof, last = Proof(lower, upper), 0.0
+    proof, last = Proof(lower, upper, search=search), 0.0
+    proof.search_at = (1 - SEARCHED) * budget.left
     while proof.upper > proof.lower * (1 + tolerance) * (1 + 1e-12) and not budget.over:
         if budget.left <= last:  # the next level costs more than the one before
             budget.use_up()
@@ -108,6 +120,10 @@ class _Descent:
         while self.regions and not self.budget.over:
             if not self._examine_some():
                 return False
+            if self.regions and self.proof.search is not None and self.budget.left <= self.proof.search_at:
+                self._take(self.proof.search(self.budget))
+                self.proof.search = None
+                self._cut_back(max(self.level, self.proof.lower * (1 + self.tolerance)))
             if self.regions and self._infeasible() and not self._retreat():
                 self.budget.use_up()
                 return False
@@ -134,8 +150,7 @@ class _Descent:
             self.attacks += 1  # the given lower bound is nearly always good: search in regions 1, 2, 4, 8, ...
             seldom = self.attacks & (self.attacks - 1)
             found = None if seldom else self.problem.attack(region, self.proof.lower, self.budget)
-            if found is not None and found.level > self.proof.lower:
-                self.proof.lower, self.proof.values = found.level, found.values
+            self._take(found)
             index = _block_to_cut(region.box, weight, self.real, self.root.box)
             if index is None:
                 self.regions.append(region)
@@ -145,6 +160,10 @@ class _Descent:
         if self.proof.lower * (1 + self.tolerance) > self.level * (1 + 1e-12):
             self._cut_back(self.proof.lower * (1 + self.tolerance))
         return sound
+
+    def _take(self, found: Improved | None) -> None:
+        if found is not None and found.level > self.proof.lower:
+            self.proof.lower, self.proof.values = found.level, found.values
 
     def _start_measuring(self) -> None:
         self.work, self.seconds, self.open = self.budget.left, self.budget.seconds_left, self._volume()
