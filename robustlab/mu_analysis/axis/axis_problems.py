@@ -49,7 +49,9 @@ class _AxisProblem:
 
     def examine(self, regions: list[Region]) -> list[Array | None]:
         """Try to prove an interval around one frequency of each region."""
-        models = [box_model(self.model, self.blocks, r.box) for r in regions]
+        for region in regions:
+            region.model = region.model or box_model(self.model, self.blocks, region.box)
+        models = [r.model for r in regions]
         places = [self._frequency(r) for r in regions]
         sound = {k: m for k, m in enumerate(models) if m is not None}
         result: list[Array | None] = [np.ones(len(self.blocks)) for _ in regions]

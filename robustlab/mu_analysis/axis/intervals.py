@@ -13,14 +13,14 @@ from functools import partial
 
 import numpy as np
 
-from robustlab.arrays import Array, Mask
+from robustlab.arrays import AnyArray, Array, ComplexArray, Mask
 from robustlab.budget import Budget
 from robustlab.display import Displayable, Facts, in_words, number
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.magnitude import balancing_factors
 from robustlab.mu_analysis.axis.axis_model import coupled_blocks, model_frequency, typical_speed
 from robustlab.mu_analysis.matrix.decomposition import entries
-from robustlab.mu_analysis.matrix.scalings import hermitian, relative, supply
+from robustlab.mu_analysis.matrix.scalings import hermitian
 from robustlab.mu_analysis.matrix.skew import divided, skew_upper
 from robustlab.mu_analysis.matrix.upper import UpperBound, points_below, points_work
 from robustlab.statespace import StateSpaceModel
@@ -34,6 +34,7 @@ COARSEST = 64.0  # accuracy at which the cover ends: no scaling could prove anyt
 IDLE = 8  # rounds in which points stay above a level that is not raised
 SKEWED = 4  # bounds of mu that one skewed bound costs: counts work only
 PROBES = 12  # frequencies at which a sign is tested to find an end, or a change missed by the eigenvalues
+NEIGHBOURS = 4  # ends and middles on each side that are tested at once
 
 __all__ = ["AxisCover", "Piece", "cover_axis", "cover_parts", "extend", "extend_work"]
 
@@ -196,7 +197,20 @@ def extend(model: StateSpaceModel, bound: UpperBound, beta: float, omega: float)
     if not bound.beta < beta:
         return None
     stricter = max(beta * (1 - SLACK), (bound.beta + beta) / 2)
-    candidates = _candidates(model, bound, stricter)
+    # Inputs and outputs scaled by D, in which D is the identity.
+    into = hermitian(np.linalg.inv(np.linalg.cholesky(bound.Dw)))
+    out = hermitian(np.linalg.cholesky(bound.Dz))
+    G = hermitian(into) @ np.linalg.solve(out.T, bound.G.T).T
+
+    def holds(omega: Array) -> Mask:
+        M = out @ frequency_response(model, omega) @ into
+        product = G @ M
+        level = hermitian(M) @ M + 1j * (product - hermitian(product))
+        finite = np.isfinite(level).all(axis=(1, 2))
+        level[~finite] = 0
+        return finite & (np.linalg.eigvalsh(level)[:, -1] < ((stricter + beta) / 2) ** 2)
+
+    candidates = _candidates(model.A, model.B @ into, out @ model.C, out @ model.D @ into, G, stricter)
     if candidates is None:
         return None
     # The sign is constant on each segment between neighbouring ends, if the candidates are right: ends and middles of
@@ -206,10 +220,12 @@ def extend(model: StateSpaceModel, bound: UpperBound, beta: float, omega: float)
     points = np.append(np.repeat(ends, 2), np.inf)
     points[1::2] = np.append((ends[1:] + ends[:-1]) / 2, 2 * ends[-1] + _speed(model))
     own = 2 * int(np.searchsorted(ends, omega, side="right")) - 1
-    holds = partial(_negative, model, bound, (stricter + beta) / 2)
-    if not holds(np.array([omega, points[own]])).all():
+    first = max(own - NEIGHBOURS, 0)
+    right = holds(np.append(points[first : own + NEIGHBOURS + 1], omega))
+    if not (right[-1] and right[own - first]):
         return None
-    low, high = _far(points[own::-1], holds), _far(points[own:], holds)
+    low = _far(points[own::-1], right[own - first :: -1], holds)
+    high = _far(points[own:], right[own - first : -1], holds)
     # Shrink by a small share of the frequency, or of the piece where that is narrower.
     low += 1e-9 * min(low, omega - low)
     high -= 1e-9 * min(high, high - omega) if np.isfinite(high) else 0.0
@@ -228,15 +244,11 @@ def extend(model: StateSpaceModel, bound: UpperBound, beta: float, omega: float)
     return Piece(low, high, beta, bound) if low < high else None
 
 
-def _far(points: Array, holds: Callable[[Array], Mask]) -> float:
+def _far(points: Array, right: Mask, holds: Callable[[Array], Mask]) -> float:
     """Return the end of the segments, from a middle on in this order, that hold: an end, or a point next to one."""
-    good, count = 0, 4
-    while good + 1 < len(points):
-        right = holds(points[good + 1 : good + 1 + count])
-        good += len(right) if right.all() else int(right.argmin())
-        if not right.all():
-            break
-        count *= 2
+    while right.all() and len(right) < len(points):
+        right = np.append(right, holds(points[len(right) : 2 * len(right)]))
+    good = len(right) - 1 if right.all() else int(right.argmin()) - 1
     near = float(points[good])
     if good % 2:  # an end; without the sign there, search between it and the last middle
         return near
@@ -252,33 +264,18 @@ def _speed(model: StateSpaceModel) -> float:
     return float(np.abs(model.A).sum(axis=0).max(initial=1.0))
 
 
-def _candidates(model: StateSpaceModel, bound: UpperBound, beta: float) -> Array | None:
+def _candidates(A: Array, B: AnyArray, C: AnyArray, D: AnyArray, G: ComplexArray, beta: float) -> Array | None:
     """Return the moduli of the imaginary parts of all eigenvalues of H; None where H is too ill-conditioned."""
-    A, B, C, D = model.A, model.B, model.C, model.D
-    Dz, X = bound.Dz, -1j * hermitian(bound.G)
-    R = hermitian(D) @ Dz @ D + hermitian(D) @ X + hermitian(X) @ D - beta**2 * bound.Dw
-    S = hermitian(C) @ (Dz @ D + X)
-    scale = 1 / np.sqrt(np.maximum(np.abs(np.diagonal(R)), 1e-300))
-    scaled = (R + hermitian(R)) / 2 * scale[:, None] * scale[None, :]
-    if not np.isfinite(scaled).all() or (len(R) and np.linalg.cond(scaled) > 1e13):
+    cross = 1j * G
+    R = hermitian(D) @ D + cross @ D + hermitian(cross @ D) - beta**2 * np.eye(len(G))
+    S = hermitian(C) @ D + hermitian(cross @ C)
+    if not np.isfinite(R).all() or (len(R) and np.linalg.cond(R) > 1e13):
         return None
-    inverse = np.linalg.inv(scaled) * scale[:, None] * scale[None, :]
-    F = A - B @ inverse @ hermitian(S)
-    H = np.block(
-        [
-            [F, -B @ inverse @ B.T],
-            [S @ inverse @ hermitian(S) - hermitian(C) @ Dz @ C, -hermitian(F)],
-        ]
-    )
+    to_b = np.linalg.solve(R, hermitian(B))
+    to_s = np.linalg.solve(R, hermitian(S))
+    F = A - B @ to_s
+    H = np.block([[F, -B @ to_b], [S @ to_s - hermitian(C) @ C, -hermitian(F)]])
     if not np.isfinite(H).all():
         return None
     t = balancing_factors(H)
     return np.abs(np.linalg.eigvals(H / t[:, None] * t).imag)
-
-
-def _negative(model: StateSpaceModel, bound: UpperBound, beta: float, omega: Array) -> Mask:
-    """Return whether ``Phi(omega) < 0`` at each frequency."""
-    scaled = relative(bound.Dw, supply(frequency_response(model, omega), bound.Dz, bound.G))
-    finite = np.isfinite(scaled).all(axis=(1, 2))
-    scaled[~finite] = 0
-    return finite & (np.linalg.eigvalsh(scaled)[:, -1] < beta**2)

@@ -25,6 +25,7 @@ from robustlab.mu_analysis.matrix.certificate import delta_norm, singularity
 from robustlab.mu_analysis.matrix.lower import lower_bound
 from robustlab.mu_analysis.matrix.scalings import relative, supply
 from robustlab.mu_analysis.matrix.upper import UpperBound, points_below, points_work
+from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices
 
 REGIONS = 16  # solved together; more: faster per region, more useless ones when a Delta is found
@@ -50,6 +51,7 @@ class Region(Displayable):
     missed: list[tuple[float, float, Array]] = field(default_factory=list)
     in_a_row: int = 0
     proof: tuple[Box, UpperBound] | None = None
+    model: StateSpaceModel | None = None  # of the box, for a proof over frequency
 
 
 @dataclass
