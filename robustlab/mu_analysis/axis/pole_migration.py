@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.linear_analysis.frequency import frequency_response
-from robustlab.mu_analysis.constants import SINGULAR
-from robustlab.mu_analysis.matrix.certificate import EPS, delta_norm, project, singularity
-from robustlab.mu_analysis.matrix.delta_layout import DeltaLayout, delta_layout
+from robustlab.mu_analysis.matrix.certificate import EPS, SINGULAR, delta_norm, project, singularity
 from robustlab.mu_analysis.matrix.lower import FRACTIONS, lower_bounds, smallest, unit_rows
+from robustlab.mu_analysis.matrix.structure import DeltaLayout, delta_layout
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block
 
@@ -32,15 +31,6 @@ CROSSINGS = 8  # candidates that are moved to the axis exactly
 PEAKS = 6  # of mu on the grid that paths start from
 AXIS_ROUNDS = 15  # of descent along the axis at most ...
 LEAST_AXIS_DESCENT = 1e-5  # ... each of which has to lower the norm by this share
-
-__all__ = [
-    "Destabilising",
-    "descended",
-    "directions",
-    "first_crossing",
-    "perturbed_state_matrix",
-    "smallest_destabilising",
-]
 
 
 @dataclass(frozen=True)

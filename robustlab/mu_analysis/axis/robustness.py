@@ -25,40 +25,36 @@ from robustlab.mu_analysis.axis.axis_model import (
     model_frequency,
     seed_frequencies,
 )
-from robustlab.mu_analysis.axis.axis_problems import GainProblem, MarginProblem
+from robustlab.mu_analysis.axis.axis_problems import GainProblem, MarginProblem, member_size, smaller_destabilising
 from robustlab.mu_analysis.axis.intervals import AxisCover, Piece, cover_axis, cover_parts
 from robustlab.mu_analysis.axis.margin import PERFORMANCE, Margin, PerformanceMargin, WorstCaseGain
-from robustlab.mu_analysis.axis.mode_ascent import member_size, smaller_destabilising
 from robustlab.mu_analysis.axis.pole_migration import (
     Destabilising,
     directions,
     first_crossing,
     smallest_destabilising,
 )
-from robustlab.mu_analysis.constants import SINGULAR, WORK
-from robustlab.mu_analysis.matrix.box import (
+from robustlab.mu_analysis.matrix.branch_and_bound import (
     Box,
+    Improved,
+    Region,
     block_entries,
     box_model,
     centre_matrix,
     lowest,
     root_box,
+    tighten,
 )
-from robustlab.mu_analysis.matrix.branch_and_bound import Improved, Region, tighten
-from robustlab.mu_analysis.matrix.certificate import delta_norm, singularity
-from robustlab.mu_analysis.matrix.delta_layout import delta_layout
+from robustlab.mu_analysis.matrix.certificate import SINGULAR, delta_norm, singularity
 from robustlab.mu_analysis.matrix.lower import lower_bounds
 from robustlab.mu_analysis.matrix.skew import Gain, ascend, gain_at, gain_curves, largest_gain
-from robustlab.mu_analysis.matrix.upper import UpperBound, compile_kernels, upper_bounds
+from robustlab.mu_analysis.matrix.structure import delta_layout
+from robustlab.mu_analysis.matrix.upper import WORK, UpperBound, compile_kernels, upper_bounds
 from robustlab.norms import QUIET, gain_rounding, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, FullBlock, delta_matrix, delta_values
 from robustlab.uncertainty.lft import UncertainModel
-
-__all__ = [
-    "gain_within", "margin_within", "robust_performance", "robust_stability", "with_performance", "worst_case_gain",
-]  # fmt: skip
 
 COARSE = 4e-3  # accuracy of the first cover, which decides whether branch and bound is needed
 MEMBERS = 6  # members whose gain is maximised over frequency

@@ -29,7 +29,7 @@ from robustlab.mu_analysis.margins.disk_margin import (
     gain_and_phase,
 )
 from robustlab.mu_analysis.matrix.bounds import mu
-from robustlab.mu_analysis.matrix.box import lowest
+from robustlab.mu_analysis.matrix.branch_and_bound import lowest
 from robustlab.mu_analysis.matrix.skew import gain_curves
 from robustlab.norms import PeakGain
 from robustlab.result import Status

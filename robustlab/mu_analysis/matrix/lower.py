@@ -12,10 +12,8 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import Array, ComplexArray, Indices, Mask
-from robustlab.mu_analysis.constants import SINGULAR
-from robustlab.mu_analysis.matrix.certificate import EPS, delta_norm, project, singularity
-from robustlab.mu_analysis.matrix.decomposition import Component, components, entries, expand
-from robustlab.mu_analysis.matrix.delta_layout import DeltaLayout, delta_layout
+from robustlab.mu_analysis.matrix.certificate import EPS, SINGULAR, delta_norm, project, singularity
+from robustlab.mu_analysis.matrix.structure import Component, DeltaLayout, components, delta_layout, entries, expand
 from robustlab.uncertainty.blocks import Block, structure_size
 
 # Relative distance of a Delta from an exactly singular one, to first order; half of it near a double root.

@@ -15,7 +15,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.display import Facts
 from robustlab.mu_analysis.axis.intervals import Piece
-from robustlab.mu_analysis.matrix.box import centre_matrix
+from robustlab.mu_analysis.matrix.branch_and_bound import centre_matrix
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.dk.dynamic_scalings import DynamicScalings, proved_level
 from robustlab.synthesis.problem.design import Synthesis

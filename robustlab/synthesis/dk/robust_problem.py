@@ -10,8 +10,7 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, dense
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.mu_analysis.axis.intervals import AxisCover, Piece
-from robustlab.mu_analysis.axis.joined_scalings import loop_axis_claims
+from robustlab.mu_analysis.axis.intervals import AxisCover, Piece, loop_axis_claims
 from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete, hinf_norm
 from robustlab.norms.numbers import ABOVE
 from robustlab.statespace import StateSpaceModel
