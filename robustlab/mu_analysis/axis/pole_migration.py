@@ -25,7 +25,7 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block
 
 LEADING = 15  # steps that move a pole to the axis; more: smaller ones
-FOLLOWING = 30  # steps along the axis
+FOLLOWING = 15  # steps along the axis
 SCALING = 6  # steps at the end that change the size of Delta alone
 CROSSINGS = 8  # candidates that are moved to the axis exactly
 PEAKS = 6  # of mu on the grid that paths start from

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from robustlab.arrays import Array, ComplexArray, Indices, Mask
 from robustlab.linear_analysis.structural import strong_components
 from robustlab.uncertainty.blocks import Block, block_slices, structure_size
+
+SWEEPS, BALANCED = 400, 0.005  # of balancing at most, and its accuracy in binary digits
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,11 +201,11 @@ class Component:
 
 
 def block_norms(M: ComplexArray, blocks: Sequence[Block]) -> Array:
-    """Return the largest entry of each block ``M_ij`` (outputs of block i, inputs of block j)."""
+    """Return the largest entry of each block ``M_ij`` (outputs of block i, inputs of block j), of one M or a stack."""
     if not M.size:
-        return np.zeros((len(blocks), len(blocks)))
+        return np.zeros((*M.shape[:-2], len(blocks), len(blocks)))
     w, z = (np.array([part[side].start for part in block_slices(blocks)]) for side in (0, 1))
-    return np.maximum.reduceat(np.maximum.reduceat(np.abs(M), z, axis=0), w, axis=1)
+    return np.maximum.reduceat(np.maximum.reduceat(np.abs(M), z, axis=-2), w, axis=-1)
 
 
 def expand(blocks: Sequence[Block], values: Array) -> tuple[Array, Array]:
@@ -229,7 +231,7 @@ def components(M: ComplexArray, blocks: Sequence[Block]) -> list[Component]:
     result = []
     for label in np.unique(labels):
         members = np.flatnonzero(labels == label)
-        exponents = _osborne(norms[members[:, None], members])
+        exponents = _osborne(norms[None, members[:, None], members])[0]
         w, z = expand([blocks[int(i)] for i in members], np.exp2(exponents))
         of_w, of_z = entries(blocks, members)
         matrix = M[of_z[:, None], of_w] * z[:, None] / w
@@ -248,48 +250,28 @@ def depths(acts: Mask, labels: Indices, counted: Mask) -> Indices:
 
 
 def balancing_exponents(M: ComplexArray, blocks: Sequence[Block]) -> Array:
-    """Return integer exponents per block that balance M as a whole; smaller couplings count as 1e-6."""
+    """Return exponents per block (k, n) that balance M (k, p, q) as wholes; smaller couplings count as 1e-6."""
     norms = block_norms(M, blocks)
-    return _osborne(np.maximum(norms, 1e-6 * max(float(norms.max(initial=0.0)), 1e-300)))
+    least = 1e-6 * norms.max(axis=(1, 2), keepdims=True, initial=0.0)
+    return _osborne(np.maximum(norms, np.maximum(least, 1e-300)))
 
 
 def _osborne(norms: Array) -> Array:
-    """Return integer exponents e that balance the norms of row i and column i of ``norms_ij 2^(e_i - e_j)``."""
-    n = len(norms)
+    """Return integer exponents e (k, n) that balance the norms of row i and column i of ``norms_ij 2^(e_i - e_j)``."""
+    k, n = norms.shape[:2]
+    e = np.zeros((k, n))
     if n < 2:
-        return np.zeros(n)
+        return e
     with np.errstate(divide="ignore"):
-        log = np.log2(norms)
-    np.fill_diagonal(log, -np.inf)
-    e = np.zeros(n)
-    _compiled_osborne()(log, e, 100, 0.01)
-    return np.round(e - np.round(e.mean()))
-
-
-@cache
-def _compiled_osborne() -> Callable[[Array, Array, int, float], None]:
-    """Return the compiled Osborne iteration; numba is imported on first use."""
-    import numba as nb
-
-    @nb.njit(cache=True, error_model="numpy")
-    def osborne(log: Array, e: Array, sweeps: int, tol: float) -> None:
-        """Exponents e such that row i and column i of ``2^(log_ij + e_i - e_j)`` have about one norm."""
-        n = len(log)
-        for _ in range(sweeps):
-            largest = 0.0
-            for i in range(n):
-                top_row, top_column = -np.inf, -np.inf
-                for j in range(n):
-                    top_row = max(top_row, log[i, j] - e[j])
-                    top_column = max(top_column, log[j, i] + e[j])
-                row, column = 0.0, 0.0
-                for j in range(n):
-                    row += 4.0 ** (log[i, j] - e[j] - top_row)
-                    column += 4.0 ** (log[j, i] + e[j] - top_column)
-                step = 0.5 * (top_column + 0.5 * np.log2(column) - top_row - 0.5 * np.log2(row)) - e[i]
-                e[i] += step
-                largest = max(largest, abs(step))
-            if largest < tol:
-                break
-
-    return osborne
+        log = np.log2(np.where(np.eye(n, dtype=bool), 0.0, norms))
+    for _ in range(SWEEPS):
+        scaled = log + e[:, :, None] - e[:, None, :]
+        ends = np.stack([scaled, np.swapaxes(scaled, 1, 2)])
+        top = ends.max(axis=3, keepdims=True)
+        row, column = 0.5 * np.log2((4.0 ** (ends - top)).sum(axis=3)) + top[..., 0]
+        # Half of the step that balances one row and column alone: all are moved at once.
+        step = 0.25 * (column - row)
+        e += step
+        if np.abs(step).max() < BALANCED:
+            break
+    return np.round(e - np.round(e.mean(axis=1, keepdims=True)))

@@ -138,7 +138,7 @@ def points_below(M: ComplexArray, blocks: Sequence[Block], target: float, *, tho
     """Return for each matrix D, G well inside those that prove ``target``, or the best ones where none does."""
     # Unlike upper_bounds it stops early, and does not split: the scalings must be good at neighbouring frequencies.
     # Not thorough: estimates decide whether the target is infeasible.
-    exponents = np.stack([balancing_exponents(m, blocks) for m in M])
+    exponents = balancing_exponents(M, blocks)
     w, z = (np.exp2(np.stack(e)) for e in zip(*(expand(blocks, e) for e in exponents), strict=True))
     balanced = M * z[:, :, None] / w[:, None, :]
     space = scaling_space(tuple(blocks))
