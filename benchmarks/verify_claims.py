@@ -15,7 +15,7 @@ import numpy as np
 import robustlab as rl
 from robustlab.evidence import claims_of
 from robustlab.mu_analysis import worst_case_gain
-from robustlab.mu_analysis.matrix.box import Box, box_matrices, box_model
+from robustlab.mu_analysis.matrix.branch_and_bound import Box, box_matrices, box_model
 from robustlab.norms.claims import band_scalings, gramian_claims, loop_numbers, matrices, norm_matrix
 from robustlab.uncertainty.blocks import delta_matrix
 

@@ -15,15 +15,14 @@ from robustlab.delays.approximation import error_weight, pade
 from robustlab.delays.model import DelayedModel
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.mu_analysis.axis.axis_model import model_frequency
-from robustlab.mu_analysis.axis.intervals import Piece
-from robustlab.mu_analysis.axis.joined_scalings import interval_scalings, joined_scalings
+from robustlab.mu_analysis.axis.intervals import Piece, interval_scalings, joined_scalings
 from robustlab.mu_analysis.axis.margin import PERFORMANCE, Margin, WorstCaseGain
 from robustlab.mu_analysis.axis.robustness import margin_within
-from robustlab.mu_analysis.constants import WORK
 from robustlab.mu_analysis.margins.delay_margins import DelayGain, DelayProof, DelayStability, covering_set
 from robustlab.mu_analysis.margins.disk_margin import DiskMargin, DiskMargins
 from robustlab.mu_analysis.matrix.bounds import BoxProof, MuBounds
-from robustlab.mu_analysis.matrix.box import Box, lowest, root_box
+from robustlab.mu_analysis.matrix.branch_and_bound import Box, lowest, root_box
+from robustlab.mu_analysis.matrix.upper import WORK
 from robustlab.norms import HinfNorm
 from robustlab.norms.claims import ABOVE, Numbers, block_rows, loop_claims, matrices, model_numbers
 from robustlab.norms.hinfinity import norm_claims

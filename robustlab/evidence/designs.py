@@ -7,10 +7,9 @@ import numpy as np
 from robustlab.budget import search_budget
 from robustlab.evidence.axis import gain_claims, margin_claims
 from robustlab.mu_analysis.axis.axis_model import continuous, seed_frequencies
-from robustlab.mu_analysis.axis.intervals import cover_axis
-from robustlab.mu_analysis.axis.joined_scalings import loop_axis_claims
+from robustlab.mu_analysis.axis.intervals import cover_axis, loop_axis_claims
 from robustlab.mu_analysis.axis.margin import Margin
-from robustlab.mu_analysis.constants import WORK
+from robustlab.mu_analysis.matrix.upper import WORK
 from robustlab.norms import H2Norm, hinf_norm
 from robustlab.norms.claims import ABOVE, Numbers, h2_loop_claims, loop_claims, loop_numbers
 from robustlab.synthesis.dk.dk_design import DKSynthesis

@@ -18,7 +18,7 @@ __all__ = [
 ]
 
 _MORE = {  # loaded on first use
-    "replay": "axis.critical_delta", "COVER_FORMS": "margins.cover",
+    "replay": "axis.margin", "COVER_FORMS": "margins.cover",
     "gain_and_phase": "margins.disk_margin", "delta_norm": "matrix.certificate",
     "proves": "matrix.certificate", "smallest_step": "matrix.lower",
 }  # fmt: skip

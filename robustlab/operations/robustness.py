@@ -111,8 +111,7 @@ def robust_stability(
 
     Example: robustlab mu motor-uncertain.h5 --intervals --out margin.h5
     """
-    from robustlab.mu_analysis.axis.critical_delta import replay
-    from robustlab.mu_analysis.axis.margin import Margin
+    from robustlab.mu_analysis.axis.margin import Margin, replay
 
     loop, words = around.around(system, "robust stability")
     options: dict[str, Any] = {"omega": _grid(loop, drawn), "tolerance": tolerance, "accuracy": accuracy}

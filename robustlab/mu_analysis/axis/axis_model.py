@@ -16,19 +16,6 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = [
-    "acting",
-    "around",
-    "check_nominal",
-    "continuous",
-    "coupled_blocks",
-    "frequencies",
-    "model_frequency",
-    "seed_frequencies",
-    "typical_speed",
-]
-
-
 MOST = 1e100  # largest entry of M that is accepted
 HIDDEN = 1e-8  # share of the largest eigenvalue of a Gramian below which a direction counts as hidden
 TINY = 1e-100  # norm of A below which Gramians overflow or vanish

@@ -7,25 +7,29 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
-from robustlab.arrays import Array, Mask
+from robustlab.arrays import AnyArray, Array, ComplexArray, Mask
 from robustlab.budget import Budget
 from robustlab.display import Displayable, Facts, in_words, number
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.matrices import balancing_factors
-from robustlab.mu_analysis.axis.axis_model import coupled_blocks, model_frequency, typical_speed
-from robustlab.mu_analysis.matrix.decomposition import entries
-from robustlab.mu_analysis.matrix.scalings import hermitian, relative, supply
+from robustlab.linear_analysis.structural import strong_components
+from robustlab.mu_analysis.axis.axis_model import acting, continuous, coupled_blocks, model_frequency, typical_speed
 from robustlab.mu_analysis.matrix.skew import divided, skew_upper
+from robustlab.mu_analysis.matrix.structure import depths, entries, hermitian
 from robustlab.mu_analysis.matrix.upper import UpperBound, points_below, points_work
-from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import Block
+from robustlab.norms.claims import Numbers, block_rows, loop_numbers
+from robustlab.statespace import StateSpaceModel, lower_lft
+from robustlab.uncertainty.blocks import Block, block_slices
 from robustlab.uncertainty.lft import UncertainModel
+from robustlab.verification.claim import Claim
 
 FREQUENCIES = 8  # at which D, G are computed together
 SLACK = 1e-5  # relative reduction of beta in the Hamiltonian: separates double roots
@@ -34,8 +38,7 @@ COARSEST = 64.0  # accuracy at which the cover ends: no scaling could prove anyt
 IDLE = 8  # rounds in which points stay above a level that is not raised
 SKEWED = 4  # bounds of mu that one skewed bound costs: counts work only
 PROBES = 12  # frequencies at which a sign is tested to find an end, or a change missed by the eigenvalues
-
-__all__ = ["AxisCover", "Piece", "cover_axis", "cover_parts", "extend", "extend_work"]
+NEIGHBOURS = 4  # ends and middles on each side that are tested at once
 
 
 @dataclass(frozen=True)
@@ -196,7 +199,20 @@ def extend(model: StateSpaceModel, bound: UpperBound, beta: float, omega: float)
     if not bound.beta < beta:
         return None
     stricter = max(beta * (1 - SLACK), (bound.beta + beta) / 2)
-    candidates = _candidates(model, bound, stricter)
+    # Inputs and outputs scaled by D, in which D is the identity.
+    into = hermitian(np.linalg.inv(np.linalg.cholesky(bound.Dw)))
+    out = hermitian(np.linalg.cholesky(bound.Dz))
+    G = hermitian(into) @ np.linalg.solve(out.T, bound.G.T).T
+
+    def holds(omega: Array) -> Mask:
+        M = out @ frequency_response(model, omega) @ into
+        product = G @ M
+        level = hermitian(M) @ M + 1j * (product - hermitian(product))
+        finite = np.isfinite(level).all(axis=(1, 2))
+        level[~finite] = 0
+        return finite & (np.linalg.eigvalsh(level)[:, -1] < ((stricter + beta) / 2) ** 2)
+
+    candidates = _candidates(model.A, model.B @ into, out @ model.C, out @ model.D @ into, G, stricter)
     if candidates is None:
         return None
     # The sign is constant on each segment between neighbouring ends, if the candidates are right: ends and middles of
@@ -206,10 +222,12 @@ def extend(model: StateSpaceModel, bound: UpperBound, beta: float, omega: float)
     points = np.append(np.repeat(ends, 2), np.inf)
     points[1::2] = np.append((ends[1:] + ends[:-1]) / 2, 2 * ends[-1] + _speed(model))
     own = 2 * int(np.searchsorted(ends, omega, side="right")) - 1
-    holds = partial(_negative, model, bound, (stricter + beta) / 2)
-    if not holds(np.array([omega, points[own]])).all():
+    first = max(own - NEIGHBOURS, 0)
+    right = holds(np.append(points[first : own + NEIGHBOURS + 1], omega))
+    if not (right[-1] and right[own - first]):
         return None
-    low, high = _far(points[own::-1], holds), _far(points[own:], holds)
+    low = _far(points[own::-1], right[own - first :: -1], holds)
+    high = _far(points[own:], right[own - first : -1], holds)
     # Shrink by a small share of the frequency, or of the piece where that is narrower.
     low += 1e-9 * min(low, omega - low)
     high -= 1e-9 * min(high, high - omega) if np.isfinite(high) else 0.0
@@ -228,15 +246,11 @@ def extend(model: StateSpaceModel, bound: UpperBound, beta: float, omega: float)
     return Piece(low, high, beta, bound) if low < high else None
 
 
-def _far(points: Array, holds: Callable[[Array], Mask]) -> float:
+def _far(points: Array, right: Mask, holds: Callable[[Array], Mask]) -> float:
     """Return the end of the segments, from a middle on in this order, that hold: an end, or a point next to one."""
-    good, count = 0, 4
-    while good + 1 < len(points):
-        right = holds(points[good + 1 : good + 1 + count])
-        good += len(right) if right.all() else int(right.argmin())
-        if not right.all():
-            break
-        count *= 2
+    while right.all() and len(right) < len(points):
+        right = np.append(right, holds(points[len(right) : 2 * len(right)]))
+    good = len(right) - 1 if right.all() else int(right.argmin()) - 1
     near = float(points[good])
     if good % 2:  # an end; without the sign there, search between it and the last middle
         return near
@@ -252,33 +266,92 @@ def _speed(model: StateSpaceModel) -> float:
     return float(np.abs(model.A).sum(axis=0).max(initial=1.0))
 
 
-def _candidates(model: StateSpaceModel, bound: UpperBound, beta: float) -> Array | None:
+def _candidates(A: Array, B: AnyArray, C: AnyArray, D: AnyArray, G: ComplexArray, beta: float) -> Array | None:
     """Return the moduli of the imaginary parts of all eigenvalues of H; None where H is too ill-conditioned."""
-    A, B, C, D = model.A, model.B, model.C, model.D
-    Dz, X = bound.Dz, -1j * hermitian(bound.G)
-    R = hermitian(D) @ Dz @ D + hermitian(D) @ X + hermitian(X) @ D - beta**2 * bound.Dw
-    S = hermitian(C) @ (Dz @ D + X)
-    scale = 1 / np.sqrt(np.maximum(np.abs(np.diagonal(R)), 1e-300))
-    scaled = (R + hermitian(R)) / 2 * scale[:, None] * scale[None, :]
-    if not np.isfinite(scaled).all() or (len(R) and np.linalg.cond(scaled) > 1e13):
+    cross = 1j * G
+    R = hermitian(D) @ D + cross @ D + hermitian(cross @ D) - beta**2 * np.eye(len(G))
+    S = hermitian(C) @ D + hermitian(cross @ C)
+    if not np.isfinite(R).all() or (len(R) and np.linalg.cond(R) > 1e13):
         return None
-    inverse = np.linalg.inv(scaled) * scale[:, None] * scale[None, :]
-    F = A - B @ inverse @ hermitian(S)
-    H = np.block(
-        [
-            [F, -B @ inverse @ B.T],
-            [S @ inverse @ hermitian(S) - hermitian(C) @ Dz @ C, -hermitian(F)],
-        ]
-    )
+    to_b = np.linalg.solve(R, hermitian(B))
+    to_s = np.linalg.solve(R, hermitian(S))
+    F = A - B @ to_s
+    H = np.block([[F, -B @ to_b], [S @ to_s - hermitian(C) @ C, -hermitian(F)]])
     if not np.isfinite(H).all():
         return None
     t = balancing_factors(H)
     return np.abs(np.linalg.eigvals(H / t[:, None] * t).imag)
 
 
-def _negative(model: StateSpaceModel, bound: UpperBound, beta: float, omega: Array) -> Mask:
-    """Return whether ``Phi(omega) < 0`` at each frequency."""
-    scaled = relative(bound.Dw, supply(frequency_response(model, omega), bound.Dz, bound.G))
-    finite = np.isfinite(scaled).all(axis=(1, 2))
-    scaled[~finite] = 0
-    return finite & (np.linalg.eigvalsh(scaled)[:, -1] < beta**2)
+# --- claims --------------------------------------------------------------------------------------------------------
+
+APART = 64  # binary digits between the scalings of parts of which one acts on the other, and not back
+DEEPEST = 900  # total binary digits: the range of doubles
+
+
+def loop_axis_claims(
+    plant: StateSpaceModel, K: StateSpaceModel, blocks: Sequence[Block], level: float, pieces: Sequence[Any]
+) -> list[Claim]:
+    """Return the claim that mu of the loop of P and K is at most ``level``; none where pieces cannot be joined."""
+    dt = plant.dt
+
+    def at(omega: float) -> float:
+        return float(2 * np.arctan(omega) / dt) if dt else float(omega)
+
+    scalings = joined_scalings(continuous(lower_lft(plant, K)), blocks, pieces, at)
+    if scalings is None:
+        return []
+    numbers = {**loop_numbers(plant, K), "blocks": block_rows(blocks), "level": np.array(level)}
+    return [Claim("mu-axis", {**numbers, **scalings})]
+
+
+def joined_scalings(
+    model: StateSpaceModel, blocks: Sequence[Block], pieces: Sequence[Any], at: Callable[[float], float]
+) -> Numbers | None:
+    """Return the pieces as intervals in rad/s with scalings of all blocks; None where they cannot be joined."""
+    whole = _pieces_of_all_blocks(model, blocks, pieces)
+    return None if whole is None else interval_scalings(whole, at)
+
+
+def interval_scalings(pieces: Sequence[Any], at: Callable[[float], float]) -> Numbers:
+    """Return the intervals in rad/s of the model, sorted, with their scalings."""
+    ordered = sorted(pieces, key=lambda p: p.low)
+    stacks = {name: np.stack([getattr(p.bound, key) for p in ordered]).astype(complex)
+              for name, key in (("D_w", "Dw"), ("D_z", "Dz"), ("G", "G"))}  # fmt: skip
+    ends = {"low": np.array([at(p.low) for p in ordered]), "high": np.array([at(p.high) for p in ordered])}
+    return {**ends, **stacks}
+
+
+def _pieces_of_all_blocks(model: StateSpaceModel, blocks: Sequence[Block], pieces: Sequence[Piece]) -> list[Any] | None:
+    """Join pieces of strongly connected parts to pieces of all blocks."""
+    # M is block triangular in these parts. With D of each part times 2^(-64 k), k its depth, the coupling between parts
+    # is negligible; a block in no cycle has the identity.
+    whole = tuple(range(len(blocks)))
+    if all(p.members is None or p.members == whole for p in pieces):
+        return list(pieces)
+    acts = acting(model, blocks)
+    counted = np.arange(len(acts)) >= model.n_states
+    depth = depths(acts, strong_components(acts), counted)[model.n_states :]
+    if depth.max(initial=0) * APART > DEEPEST:
+        return None
+    parts: dict[tuple[int, ...], list[Piece]] = {}
+    for p in pieces:
+        parts.setdefault(p.members or whole, []).append(p)
+    cuts = np.unique([end for p in pieces for end in (p.low, p.high)] + [0.0, np.inf])
+    q, p_ = model.n_inputs, model.n_outputs
+    result: list[Any] = []
+    for low, high in itertools.pairwise(cuts):
+        Dw, Dz, G = np.eye(q, dtype=complex), np.eye(p_, dtype=complex), np.zeros((q, p_), dtype=complex)
+        for i, (w, z) in enumerate(block_slices(blocks)):
+            Dw[w, w] *= 2.0 ** (-APART * depth[i])
+            Dz[z, z] *= 2.0 ** (-APART * depth[i])
+        for members, own in parts.items():
+            piece = next((x for x in own if x.low <= low and x.high >= high), None)
+            if piece is None:
+                return None
+            w, z = entries(blocks, np.array(members))
+            scale = 2.0 ** (-APART * depth[members[0]]) / 2.0 ** np.round(np.log2(np.abs(piece.bound.Dw).max()))
+            Dw[w[:, None], w], Dz[z[:, None], z] = scale * piece.bound.Dw, scale * piece.bound.Dz
+            G[w[:, None], z] = scale * piece.bound.G
+        result.append(Piece(float(low), float(high), np.inf, UpperBound(np.inf, Dw, Dz, G)))
+    return result

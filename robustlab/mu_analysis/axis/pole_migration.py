@@ -18,29 +18,19 @@ from numpy.typing import NDArray
 from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.linear_analysis.frequency import frequency_response
-from robustlab.mu_analysis.constants import SINGULAR
-from robustlab.mu_analysis.matrix.certificate import EPS, delta_norm, project, singularity
-from robustlab.mu_analysis.matrix.delta_layout import DeltaLayout, delta_layout
+from robustlab.mu_analysis.matrix.certificate import EPS, SINGULAR, delta_norm, project, singularity
 from robustlab.mu_analysis.matrix.lower import FRACTIONS, lower_bounds, smallest, unit_rows
+from robustlab.mu_analysis.matrix.structure import DeltaLayout, delta_layout
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block
 
 LEADING = 15  # steps that move a pole to the axis; more: smaller ones
-FOLLOWING = 30  # steps along the axis
+FOLLOWING = 15  # steps along the axis
 SCALING = 6  # steps at the end that change the size of Delta alone
 CROSSINGS = 8  # candidates that are moved to the axis exactly
 PEAKS = 6  # of mu on the grid that paths start from
 AXIS_ROUNDS = 15  # of descent along the axis at most ...
 LEAST_AXIS_DESCENT = 1e-5  # ... each of which has to lower the norm by this share
-
-__all__ = [
-    "Destabilising",
-    "descended",
-    "directions",
-    "first_crossing",
-    "perturbed_state_matrix",
-    "smallest_destabilising",
-]
 
 
 @dataclass(frozen=True)
@@ -405,8 +395,8 @@ def _by_inverse_iteration(
     aims = aims + 1e-9 * (1 + 1j) * (np.abs(aims) + 1e-6 * np.abs(a).max(axis=(1, 2)))
     inverse = np.linalg.inv(a - aims[:, None, None] * eye)
     for _ in range(2):
-        v = unit_rows((inverse @ v[..., None])[..., 0], v)
-        u = unit_rows((u[:, None, :] @ inverse)[:, 0], u)
+        v, _ = unit_rows((inverse @ v[..., None])[..., 0], v)
+        u, _ = unit_rows((u[:, None, :] @ inverse)[:, 0], u)
     inner = (u * v).sum(axis=1)
     u = u / np.where(np.abs(inner) < 1e-10, 1e-10, inner)[:, None]
     pole = ((u[:, None, :] @ a)[:, 0] * v).sum(axis=1)

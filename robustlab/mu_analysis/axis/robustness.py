@@ -25,47 +25,43 @@ from robustlab.mu_analysis.axis.axis_model import (
     model_frequency,
     seed_frequencies,
 )
-from robustlab.mu_analysis.axis.axis_problems import GainProblem, MarginProblem
+from robustlab.mu_analysis.axis.axis_problems import GainProblem, MarginProblem, member_size, smaller_destabilising
 from robustlab.mu_analysis.axis.intervals import AxisCover, Piece, cover_axis, cover_parts
 from robustlab.mu_analysis.axis.margin import PERFORMANCE, Margin, PerformanceMargin, WorstCaseGain
-from robustlab.mu_analysis.axis.mode_ascent import member_size, smaller_destabilising
 from robustlab.mu_analysis.axis.pole_migration import (
     Destabilising,
     directions,
     first_crossing,
     smallest_destabilising,
 )
-from robustlab.mu_analysis.constants import SINGULAR, WORK
-from robustlab.mu_analysis.matrix.box import (
+from robustlab.mu_analysis.matrix.branch_and_bound import (
     Box,
+    Improved,
+    Region,
+    block_entries,
     box_model,
     centre_matrix,
     lowest,
     root_box,
+    tighten,
 )
-from robustlab.mu_analysis.matrix.branch_and_bound import Region, tighten
-from robustlab.mu_analysis.matrix.certificate import delta_norm, singularity
-from robustlab.mu_analysis.matrix.delta_layout import delta_layout
+from robustlab.mu_analysis.matrix.certificate import SINGULAR, delta_norm, singularity
 from robustlab.mu_analysis.matrix.lower import lower_bounds
 from robustlab.mu_analysis.matrix.skew import Gain, ascend, gain_at, gain_curves, largest_gain
-from robustlab.mu_analysis.matrix.upper import UpperBound, compile_kernels, upper_bounds
+from robustlab.mu_analysis.matrix.structure import delta_layout
+from robustlab.mu_analysis.matrix.upper import WORK, UpperBound, compile_kernels, upper_bounds
 from robustlab.norms import QUIET, gain_rounding, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, FullBlock, delta_matrix, delta_values
 from robustlab.uncertainty.lft import UncertainModel
 
-__all__ = [
-    "gain_within", "margin_within", "robust_performance", "robust_stability", "with_performance", "worst_case_gain",
-]  # fmt: skip
-
 COARSE = 4e-3  # accuracy of the first cover, which decides whether branch and bound is needed
 MEMBERS = 6  # members whose gain is maximised over frequency
 FINEST = 1e-9  # smallest accuracy: closer bounds differ by rounding only
 CONTRADICTS = 1e-5  # largest relative excess of an attained level over a proved one that is due to rounding
 GAIN_ACCURACY = 1e-4  # of the cover of a gain
-FIRST_BRANCHES = 0.02  # share of the work for branch and bound before the search by modes
-ASCENT_SHARE = 0.25  # of the work left, for that search
+ASCENT_SHARE = 0.25  # of the work left, for the search by modes
 NORM_WIDTH = 1e-9  # relative width of the bracket of the norm for one full block
 # Search for a smaller complex Delta around a frequency: half width of the first neighbourhood in log frequency, factor
 # of reduction, last width relative to the distance of the nearest pole, and the largest number.
@@ -103,8 +99,9 @@ class _Search:
         """Take a member that branch and bound has found."""
         raise NotImplementedError
 
-    def better_member(self) -> None:
+    def better_member(self, budget: Budget) -> Improved | None:
         """Search for a worse member by another method, if there is one."""
+        return None
 
     def prove(self, first: Array, accuracy: float, tolerance: float) -> None:
         """Cover the axis, more closely where that may suffice, then branch if the bounds are farther apart."""
@@ -116,28 +113,16 @@ class _Search:
             again.over_the_axis(np.append(first, np.unique(middles)), accuracy)
             if again.level < self.level:
                 self.level, self.cover, self.proof = again.level, again.cover, again.proof
-        if any(b.interval for b in self.blocks):
-            if self.apart(tolerance):  # most gaps close early
-                first_budget = self.budget.apart(FIRST_BRANCHES * max(self.budget.left, 0.0))
-                self.cut(tolerance, first_budget)
-                if first_budget.struck:
-                    self.budget.strike()
-            if self.apart(tolerance) and not self.budget.over:
-                self.better_member()
-            if self.apart(tolerance):
-                self.cut(tolerance, self.budget)
+        if any(b.interval for b in self.blocks) and 0 < self.attained * (1 + tolerance) < self.level:
+            self.cut(tolerance)
         if self.level < self.attained * (1 - CONTRADICTS):
             text = f"a member attains the level {self.attained:.9g} above the proved {self.level:.9g}: digits were lost"
             raise NoTrustworthyNumber("robustness", text)
 
-    def apart(self, tolerance: float) -> bool:
-        """Return whether a member is known and the bounds are farther apart than the tolerance."""
-        return 0 < self.attained * (1 + tolerance) < self.level
-
-    def cut(self, tolerance: float, budget: Budget) -> None:
+    def cut(self, tolerance: float) -> None:
         """Reduce the gap of the D, G bounds by branch and bound over the real parameters."""
         problem = self.problem()
-        found = tighten(problem, self.attained, self.level, tolerance, budget)
+        found = tighten(problem, self.attained, self.level, tolerance, self.budget, self.better_member)
         if found.upper < self.level:
             self.level, self.proof, self.boxes = found.upper, tuple(found.leaves), tuple(problem.proved)
             self.cover.open.clear()
@@ -350,11 +335,12 @@ class _Stability(_Search):
             if self.proof:
                 size = float(np.sqrt(failed / self.level))
 
-    def better_member(self) -> None:
+    def better_member(self, budget: Budget) -> Improved | None:
         # The gap may be due to the search: modes that meet inside the box may give a smaller Delta.
-        if self.worst is not None and all(b.interval for b in self.blocks):
-            share = self.budget.share(ASCENT_SHARE)
-            self.take(smaller_destabilising(self.model, self.blocks, self.worst, share, self.seed))
+        if self.worst is None or not all(b.interval for b in self.blocks):
+            return None
+        found = smaller_destabilising(self.model, self.blocks, self.worst, budget.share(ASCENT_SHARE), self.seed)
+        return Improved(1 / member_size(self.blocks, found), block_entries(self.blocks, found.delta))
 
     def take_member(self, values: Array) -> None:
         self.take(first_crossing(self.model, self.blocks, centre_matrix(self.blocks, values).astype(complex)))

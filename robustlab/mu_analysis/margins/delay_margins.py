@@ -27,7 +27,6 @@ from robustlab.linear_analysis.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.axis.axis_model import continuous, seed_frequencies
 from robustlab.mu_analysis.axis.intervals import Piece, cover_parts
 from robustlab.mu_analysis.axis.margin import StabilityMargin
-from robustlab.mu_analysis.constants import WORK
 from robustlab.mu_analysis.margins.classical import ClassicalMargin, ClassicalMargins, GainCrossing, PhaseCrossing
 from robustlab.mu_analysis.margins.disk_margin import (
     DiskMargin,
@@ -39,7 +38,7 @@ from robustlab.mu_analysis.margins.disk_margin import (
     with_factors,
 )
 from robustlab.mu_analysis.matrix.bounds import mu
-from robustlab.mu_analysis.matrix.upper import compile_kernels, upper_bounds
+from robustlab.mu_analysis.matrix.upper import WORK, compile_kernels, upper_bounds
 from robustlab.norms import PeakGain, unstable_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel

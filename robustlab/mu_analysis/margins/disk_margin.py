@@ -21,8 +21,7 @@ from robustlab.errors import InputError, error_context
 from robustlab.feedback import closing
 from robustlab.linear_analysis.frequency import modes_apart
 from robustlab.mu_analysis.axis.robustness import margin_within
-from robustlab.mu_analysis.constants import WORK
-from robustlab.mu_analysis.matrix.upper import compile_kernels
+from robustlab.mu_analysis.matrix.upper import WORK, compile_kernels
 from robustlab.result import Bracket, Status
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.uncertainty.blocks import ComplexScalar

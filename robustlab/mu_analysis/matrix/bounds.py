@@ -13,12 +13,10 @@ from robustlab.arrays import ComplexArray
 from robustlab.budget import Budget, one_thread, search_budget
 from robustlab.display import Displayable, Facts, bracket, listed
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
-from robustlab.mu_analysis.constants import WORK
-from robustlab.mu_analysis.matrix.box import Box
-from robustlab.mu_analysis.matrix.branch_and_bound import MatrixProblem, tighten
+from robustlab.mu_analysis.matrix.branch_and_bound import Box, MatrixProblem, tighten
 from robustlab.mu_analysis.matrix.lower import lower_bounds
 from robustlab.mu_analysis.matrix.skew import skew_lower, skew_upper, varying_inputs
-from robustlab.mu_analysis.matrix.upper import UpperBound, compile_kernels, upper_bounds
+from robustlab.mu_analysis.matrix.upper import WORK, UpperBound, compile_kernels, upper_bounds
 from robustlab.result import Status
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import Block, as_blocks, structure_size

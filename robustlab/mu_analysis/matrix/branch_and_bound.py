@@ -1,16 +1,15 @@
-"""Branch and bound over the real parameters: of one matrix here, over the frequency axis in `axis.axis_problems`.
+"""Boxes of perturbations, and branch and bound over the real parameters.
 
-Newlin, Young, "Mixed mu problems and branch and bound techniques" (1997).
+Of one matrix here, over the frequency axis in `axis.axis_problems`. Newlin, Young, "Mixed mu problems and branch and
+bound techniques" (1997).
 """
 
-# About a fifth of the gap between the bounds of purely real mu is conservatism of the D-G scalings, which cutting the
-# set into boxes removes. A region is a box with its open frequencies; a proof for a box holds for its halves, so they
-# inherit the open frequencies only. Where nothing is singular in any region, by continuity from the nominal model no
-# Delta of the set destabilises.
+# With centre c and half width h of each block Delta = C + H Delta', |Delta'| <= 1, and M' = (I - M C)^-1 M H is the
+# model for Delta'. Asymmetric ranges and branch and bound are boxes whose centre is not the nominal point.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
@@ -19,16 +18,116 @@ import numpy as np
 from robustlab.arrays import Array, ComplexArray, Mask
 from robustlab.budget import Budget
 from robustlab.display import Displayable
-from robustlab.mu_analysis.constants import SINGULAR
-from robustlab.mu_analysis.matrix.box import Box, box_matrices, centre_matrix, root_box
-from robustlab.mu_analysis.matrix.certificate import delta_norm, singularity
+from robustlab.mu_analysis.matrix.certificate import SINGULAR, delta_norm, singularity
 from robustlab.mu_analysis.matrix.lower import lower_bound
-from robustlab.mu_analysis.matrix.scalings import relative, supply
+from robustlab.mu_analysis.matrix.structure import relative, supply
 from robustlab.mu_analysis.matrix.upper import UpperBound, points_below, points_work
+from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices
 
+
+@dataclass(frozen=True)
+class Box:
+    """Centre and half width of each block, shape (n_blocks,); the centre of a complex block is zero."""
+
+    centre: Array
+    half: Array
+
+    def halves(self, index: int) -> tuple[Box, Box]:
+        """Cut the interval of one real block in its middle; return both boxes."""
+        half = self.half.copy()
+        half[index] /= 2
+        low, high = self.centre.copy(), self.centre.copy()
+        low[index] -= half[index]
+        high[index] += half[index]
+        return Box(low, half), Box(high, half)
+
+    def within(self, other: Box) -> Box | None:
+        """Return the intersection of both boxes; None where it has no volume."""
+        low = np.maximum(self.centre - self.half, other.centre - other.half)
+        high = np.minimum(self.centre + self.half, other.centre + other.half)
+        return Box((low + high) / 2, (high - low) / 2) if (high > low).all() else None
+
+
+def lowest(blocks: Sequence[Block]) -> Array:
+    """Return the normalised lower end of each block's range: -1, or ``-below / radius`` where asymmetric."""
+    return np.array([b.interval[0] if b.interval else -1.0 for b in blocks])
+
+
+def root_box(blocks: Sequence[Block], size: float = 1.0) -> Box:
+    """Return the whole set, scaled by ``size`` about the nominal point."""
+    low, real = lowest(blocks), np.array([b.interval is not None for b in blocks], dtype=bool)
+    return Box(np.where(real, size * (1 + low) / 2, 0.0), np.where(real, size * (1 - low) / 2, size))
+
+
+def gauge(blocks: Sequence[Block], values: Array) -> float:
+    """Return the smallest size of the set that holds these entries of Delta (moduli for complex blocks)."""
+    low = lowest(blocks)
+    return float(np.max(np.where(values >= 0, values, values / low), initial=0.0))
+
+
+def block_entries(blocks: Sequence[Block], delta: ComplexArray) -> Array:
+    """Return the value of each real block in Delta (q, p), and the size of a complex one, shape (n_blocks,)."""
+    entries = []
+    for block, (w, z) in zip(blocks, block_slices(blocks), strict=True):
+        part = delta[w, z]
+        entries.append(float(part[0, 0].real) if block.interval else float(np.linalg.norm(part, 2)))
+    return np.array(entries)
+
+
+def centre_matrix(blocks: Sequence[Block], centre: Array) -> Array:
+    """Return the Delta (q, p) of a box's centre."""
+    q, p = sum(b.rows for b in blocks), sum(b.cols for b in blocks)
+    matrix = np.zeros((q, p))
+    for value, block, (w, z) in zip(centre, blocks, block_slices(blocks), strict=True):
+        if block.interval:
+            matrix[w, z] = value * np.eye(block.rows)
+    return matrix
+
+
+def box_model(model: StateSpaceModel, blocks: Sequence[Block], box: Box) -> StateSpaceModel | None:
+    """Return the Delta channels for a box's normalised Delta; None where the loop is ill-posed at the centre."""
+    middle = centre_matrix(blocks, box.centre)
+    half = np.repeat(box.half, [b.rows for b in blocks])
+    if not box.centre.any():
+        return StateSpaceModel(model.A, model.B * half, model.C, model.D * half)
+    p = model.n_outputs
+    try:
+        solved = np.linalg.solve(np.eye(p) - model.D @ middle, np.hstack([model.C, model.D]))
+    except np.linalg.LinAlgError:
+        return None
+    if not np.isfinite(solved).all():
+        return None
+    to_z, direct = solved[:, : model.n_states], solved[:, model.n_states :]
+    # w = C z + H w' with z = to_z x + direct H w'
+    into = model.B + model.B @ middle @ direct
+    return StateSpaceModel(model.A + model.B @ middle @ to_z, into * half, to_z, direct * half)
+
+
+def box_matrices(M: ComplexArray, blocks: Sequence[Block], boxes: Sequence[Box]) -> ComplexArray:
+    """Return ``(I - M C)^-1 M H`` of M (p, q) for each box, shape (k, p, q); NaN where ill-posed at the centre."""
+    p = M.shape[0]
+    middle = np.stack([centre_matrix(blocks, box.centre) for box in boxes])
+    half = np.stack([np.repeat(box.half, [b.rows for b in blocks]) for box in boxes])
+    loop = np.eye(p) - M @ middle
+    result = np.full((len(boxes), *M.shape), np.nan, dtype=complex)
+    for k, matrix in enumerate(loop):
+        try:
+            result[k] = np.linalg.solve(matrix, M) * half[k]
+        except np.linalg.LinAlgError:
+            continue
+    return result
+
+
+# --- branch and bound ----------------------------------------------------------------------------------------------
+
+# About a fifth of the gap between the bounds of purely real mu is conservatism of the D-G scalings, which cutting the
+# set into boxes removes. A region is a box with its open frequencies; a proof for a box holds for its halves, so they
+# inherit the open frequencies only. Where nothing is singular in any region, by continuity from the nominal model no
+# Delta of the set destabilises.
 REGIONS = 16  # solved together; more: faster per region, more useless ones when a Delta is found
 KEPT = 0.0625  # share of the work reserved for a smaller set, and spent before a set is judged infeasible
+SEARCHED = 0.02  # share of the work after which a longer search for a lower bound is made
 NARROW = 1e-7  # relative width below which a box is not cut because of rounding
 
 
@@ -49,6 +148,7 @@ class Region(Displayable):
     missed: list[tuple[float, float, Array]] = field(default_factory=list)
     in_a_row: int = 0
     proof: tuple[Box, UpperBound] | None = None
+    model: StateSpaceModel | None = None  # of the box, for a proof over frequency
 
 
 @dataclass
@@ -59,6 +159,8 @@ class Proof:
     upper: float
     values: Any = None
     leaves: list[Region] = field(default_factory=list)
+    search: Search | None = None
+    search_at: float = -np.inf  # the work left at which it is made
 
 
 class Problem(Protocol):
@@ -76,11 +178,20 @@ class Problem(Protocol):
     def attack(self, region: Region, level: float, budget: Budget) -> Improved | None: ...
 
 
-def tighten(problem: Problem, lower: float, upper: float, tolerance: float, budget: Budget) -> Proof:
-    """Bring ``upper`` down to ``lower (1 + tolerance)``, or as far as the budget allows."""
+Search = Callable[[Budget], Improved | None]
+
+
+def tighten(
+    problem: Problem, lower: float, upper: float, tolerance: float, budget: Budget, search: Search | None = None
+) -> Proof:
+    """Bring ``upper`` down to ``lower (1 + tolerance)``, or as far as the budget allows.
+
+    ``search`` is a longer one for a larger lower bound, for which most gaps close too early.
+    """
     # That level is tried first. If a larger lower bound is found, or the work does not suffice, the open regions are
     # reduced to the smaller set of a larger level, for which all proofs so far hold.
-    proof, last = Proof(lower, upper), 0.0
+    proof, last = Proof(lower, upper, search=search), 0.0
+    proof.search_at = (1 - SEARCHED) * budget.left
     while proof.upper > proof.lower * (1 + tolerance) * (1 + 1e-12) and not budget.over:
         if budget.left <= last:  # the next level costs more than the one before
             budget.use_up()
@@ -108,6 +219,10 @@ class _Descent:
         while self.regions and not self.budget.over:
             if not self._examine_some():
                 return False
+            if self.regions and self.proof.search is not None and self.budget.left <= self.proof.search_at:
+                self._take(self.proof.search(self.budget))
+                self.proof.search = None
+                self._cut_back(max(self.level, self.proof.lower * (1 + self.tolerance)))
             if self.regions and self._infeasible() and not self._retreat():
                 self.budget.use_up()
                 return False
@@ -134,8 +249,7 @@ class _Descent:
             self.attacks += 1  # the given lower bound is nearly always good: search in regions 1, 2, 4, 8, ...
             seldom = self.attacks & (self.attacks - 1)
             found = None if seldom else self.problem.attack(region, self.proof.lower, self.budget)
-            if found is not None and found.level > self.proof.lower:
-                self.proof.lower, self.proof.values = found.level, found.values
+            self._take(found)
             index = _block_to_cut(region.box, weight, self.real, self.root.box)
             if index is None:
                 self.regions.append(region)
@@ -145,6 +259,10 @@ class _Descent:
         if self.proof.lower * (1 + self.tolerance) > self.level * (1 + 1e-12):
             self._cut_back(self.proof.lower * (1 + self.tolerance))
         return sound
+
+    def _take(self, found: Improved | None) -> None:
+        if found is not None and found.level > self.proof.lower:
+            self.proof.lower, self.proof.values = found.level, found.values
 
     def _start_measuring(self) -> None:
         self.work, self.seconds, self.open = self.budget.left, self.budget.seconds_left, self._volume()

@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import Array, ComplexArray, Indices, Mask
-from robustlab.mu_analysis.matrix.scalings import hermitian, relative, supply
+from robustlab.mu_analysis.matrix.structure import hermitian, relative, supply
 from robustlab.uncertainty.blocks import Block, block_slices
 
 EPS = float(np.finfo(float).eps)
+SINGULAR = 1e-11  # relative smallest singular value below which I - M Delta counts as singular
 
 
 def proves(M: ComplexArray, Dw: ComplexArray, Dz: ComplexArray, G: ComplexArray, beta: float) -> bool:

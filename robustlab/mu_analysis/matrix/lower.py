@@ -12,17 +12,16 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import Array, ComplexArray, Indices, Mask
-from robustlab.mu_analysis.constants import SINGULAR
-from robustlab.mu_analysis.matrix.certificate import EPS, delta_norm, project, singularity
-from robustlab.mu_analysis.matrix.decomposition import Component, components, entries, expand
-from robustlab.mu_analysis.matrix.delta_layout import DeltaLayout, delta_layout
+from robustlab.mu_analysis.matrix.certificate import EPS, SINGULAR, delta_norm, project, singularity
+from robustlab.mu_analysis.matrix.structure import Component, DeltaLayout, components, delta_layout, entries, expand
 from robustlab.uncertainty.blocks import Block, structure_size
 
 # Relative distance of a Delta from an exactly singular one, to first order; half of it near a double root.
 NEARBY = 5e-9
 CHOSEN = 6  # candidates per matrix that are refined to rounding and verified
 WIDER = 3  # ratio of first starts to paths; the best starts are kept
-DESCENDING = 4  # candidates per matrix that descend along the singular set
+SMOOTH = 12  # largest number of paths where no block is real
+DESCENDING = 2  # candidates per matrix that descend along the singular set
 ROUNDS = 24  # of this descent
 FEW, FEWEST = 5, 24  # largest number of real blocks alone with at least so many starts, and scattered ones
 SCATTERED = 96  # number of these: without them 2 of 16 random matrices lose more than a quarter
@@ -163,9 +162,9 @@ def _candidates(
     M: ComplexArray, layout: DeltaLayout, seed: int, restarts: int, steps: int
 ) -> tuple[Indices, ComplexArray]:
     """Return Deltas near the structure, most of them singular to rounding, and the matrix (k, p, q) of each."""
-    few = bool(layout.real.all()) and layout.n <= FEW
-    restarts = max(restarts, FEWEST) if few else restarts
-    k, first = len(M), WIDER * restarts
+    few, smooth = bool(layout.real.all()) and layout.n <= FEW, not layout.real.any()
+    restarts = max(restarts, FEWEST) if few else min(restarts, SMOOTH) if smooth else restarts
+    k, first = len(M), restarts if smooth else WIDER * restarts
     u, _, vh = np.linalg.svd(M)
     random = np.random.default_rng(seed).standard_normal((2, 1, first, layout.p, 2)) @ np.array([1, 1j])
     x, y = random * np.ones((1, k, 1, 1))
@@ -188,7 +187,7 @@ def _candidates(
         norm = np.concatenate([norm, _singular_sizes(M[owner], layout, more, 1e-8)])
     chosen = smallest(of, norm, CHOSEN)
     of, sharp = of[chosen], sharpened(M[of[chosen]], layout, delta[chosen])
-    best = smallest(of, _singular_sizes(M[of], layout, sharp, 1e-10), DESCENDING)
+    best = smallest(of, _singular_sizes(M[of], layout, sharp, 1e-10), 1 if smooth else DESCENDING)
     lower = sharpened(M[of[best]], layout, _descended(M[of[best]], layout, sharp[best]))
     return np.concatenate([of, of[best]]), np.concatenate([sharp, lower])
 
@@ -227,7 +226,7 @@ LEAST_DESCENT = 1e-5  # relative fall of the norm below which descent ends
 HUGE = 1e9  # limit of the entries of Delta; M is of order one
 
 # Shares of the way to the smallest step that descent tries.
-FRACTIONS = 0.5 ** np.arange(7)
+FRACTIONS = 0.25 ** np.arange(4)
 
 
 def _minimum_norm_paths(
@@ -324,17 +323,15 @@ def _rows(M: ComplexArray, x: ComplexArray, y: ComplexArray) -> ComplexArray:
 def _null_directions(
     M: ComplexArray, delta: ComplexArray, x: ComplexArray, y: ComplexArray
 ) -> tuple[ComplexArray, ComplexArray, Array]:
-    """Make a step of inverse iteration on ``I - M Delta`` from x, y (k, p); also return ``|(I - M Delta) x|`` (k,)."""
+    """Make a step of inverse iteration on ``I - M Delta`` from unit x, y (k, p); also return ``|(I - M Delta) x|``."""
     loop = np.eye(M.shape[1]) - M @ delta
-    # The shift keeps an exactly singular loop solvable.
-    shifted = loop + (1e-14 * (1 + np.abs(loop).max(axis=(1, 2))))[:, None, None] * np.eye(M.shape[1])
     try:
-        inverse = np.linalg.inv(shifted)
-    except np.linalg.LinAlgError:
-        inverse = np.linalg.pinv(shifted)
-    x = unit_rows((inverse @ x[..., None])[..., 0], x)
-    y = unit_rows((np.conj(y)[:, None, :] @ inverse)[:, 0].conj(), y)
-    return x, y, np.linalg.norm((loop @ x[..., None])[..., 0], axis=1)
+        inverse = np.linalg.inv(loop)
+    except np.linalg.LinAlgError:  # one is exactly singular
+        inverse = np.linalg.inv(loop + 1e-14 * (1 + np.abs(loop).max()) * np.eye(M.shape[1]))
+    x, grown = unit_rows((inverse @ x[..., None])[..., 0], x)
+    y, _ = unit_rows((np.conj(y)[:, None, :] @ inverse)[:, 0].conj(), y)
+    return x, y, 1 / grown
 
 
 def _restored(layout: DeltaLayout, delta: ComplexArray, row: ComplexArray, x: ComplexArray) -> ComplexArray:
@@ -359,11 +356,14 @@ def _restored(layout: DeltaLayout, delta: ComplexArray, row: ComplexArray, x: Co
     return result
 
 
-def unit_rows(v: ComplexArray, instead: ComplexArray) -> ComplexArray:
-    """Normalise rows; zero or not finite ones are replaced by those of ``instead``."""
+def unit_rows(v: ComplexArray, instead: ComplexArray) -> tuple[ComplexArray, Array]:
+    """Normalise rows and return their norms; zero or not finite ones are replaced by those of ``instead``, norm one."""
     norm = np.sqrt((v.real**2 + v.imag**2).sum(axis=1, keepdims=True))
     good = (norm > 0) & (norm < np.inf)
-    return v / norm if good.all() else np.where(good, v / np.where(good, norm, 1.0), instead)
+    if not good.all():
+        norm = np.where(good, norm, 1.0)
+        v = np.where(good, v, instead)
+    return v / norm, norm[:, 0]
 
 
 def _limited(delta: ComplexArray) -> ComplexArray:
@@ -378,6 +378,9 @@ def smallest_step(a: ComplexArray, real: Mask) -> ComplexArray:
     # The dual is a convex function of one number alpha, f = sum_R |Re a_i + alpha Im a_i| + sqrt(1 + alpha^2) sum_C
     # |a_i|, whose minimum is 1 / max |d_i|: at a kink, where that one real d_i is inside its range, or between two.
     rows, tiny = np.arange(len(a)), 1e-300
+    if not real.any():
+        size = np.maximum(np.abs(a), tiny)
+        return np.conj(a) / (size * size.sum(axis=1, keepdims=True))
     total = np.abs(a[:, ~real]).sum(axis=1)
     # A real direction without a kink never changes sign; alpha = 0 replaces it without effect.
     straight = ~real | (np.abs(a.imag) <= 1e-13 * np.maximum(np.abs(a).max(axis=1, keepdims=True), tiny))

@@ -16,11 +16,10 @@ import numpy as np
 
 from robustlab.arrays import AnyArray, Array, ComplexArray, Mask
 from robustlab.errors import InputError, did_you_mean
-from robustlab.mu_analysis.matrix.box import Box, centre_matrix, root_box
+from robustlab.mu_analysis.matrix.branch_and_bound import Box, centre_matrix, root_box
 from robustlab.mu_analysis.matrix.certificate import proves
-from robustlab.mu_analysis.matrix.decomposition import entries
 from robustlab.mu_analysis.matrix.lower import lower_bound
-from robustlab.mu_analysis.matrix.scalings import hermitian, relative, supply
+from robustlab.mu_analysis.matrix.structure import entries, hermitian, relative, supply
 from robustlab.mu_analysis.matrix.upper import UpperBound, upper_bounds
 from robustlab.uncertainty.blocks import Block, block_slices, structure_size
 

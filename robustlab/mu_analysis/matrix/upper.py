@@ -9,12 +9,21 @@ from functools import cache
 import numpy as np
 
 from robustlab.arrays import Array, ComplexArray, Indices
+from robustlab.budget import MILLION
 from robustlab.display import Displayable
 from robustlab.mu_analysis.matrix.certificate import certified_level, certified_levels
-from robustlab.mu_analysis.matrix.decomposition import Component, balancing_exponents, components, entries, expand
-from robustlab.mu_analysis.matrix.scalings import ScalingSpace, scaling_space
+from robustlab.mu_analysis.matrix.structure import (
+    Component,
+    ScalingSpace,
+    balancing_exponents,
+    components,
+    entries,
+    expand,
+    scaling_space,
+)
 from robustlab.uncertainty.blocks import Block, FullBlock, RealScalar, structure_size
 
+WORK = 60 * MILLION  # the usual work of a proof at effort 1
 # Ratios of D between successive components; smaller: less effect of their coupling, fewer digits.
 RATIOS = (2.0**-10, 2.0**-20, 2.0**-40, 2.0**-80)
 NEAR = 1 + 1e-9  # a bound within this factor of that of the components is kept
@@ -129,7 +138,7 @@ def points_below(M: ComplexArray, blocks: Sequence[Block], target: float, *, tho
     """Return for each matrix D, G well inside those that prove ``target``, or the best ones where none does."""
     # Unlike upper_bounds it stops early, and does not split: the scalings must be good at neighbouring frequencies.
     # Not thorough: estimates decide whether the target is infeasible.
-    exponents = np.stack([balancing_exponents(m, blocks) for m in M])
+    exponents = balancing_exponents(M, blocks)
     w, z = (np.exp2(np.stack(e)) for e in zip(*(expand(blocks, e) for e in exponents), strict=True))
     balanced = M * z[:, :, None] / w[:, None, :]
     space = scaling_space(tuple(blocks))

@@ -16,9 +16,8 @@ from robustlab.arrays import AnyArray, Array
 from robustlab.budget import Budget, dense
 from robustlab.display import AllFields, Facts
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.mu_analysis.axis.intervals import AxisCover, Piece
-from robustlab.mu_analysis.axis.joined_scalings import loop_axis_claims
-from robustlab.mu_analysis.matrix.box import centre_matrix
+from robustlab.mu_analysis.axis.intervals import AxisCover, Piece, loop_axis_claims
+from robustlab.mu_analysis.matrix.branch_and_bound import centre_matrix
 from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete, hinf_norm
 from robustlab.norms.claims import ABOVE
 from robustlab.statespace import StateSpaceModel
