@@ -4,7 +4,7 @@ r"""Multipliers: integral quadratic constraints of blocks, with unknowns.
 
 for all z in L2 and w the block's output, with the filters :math:`\psi = (1, \frac{a}{s + a}, \dots, (\frac{a}{s +
 a})^\nu)`. The constraints, the order of their unknowns and the references are those of
-`robustlab.verification.multipliers`, which proves what is found here:
+`robustlab.verification.iqc`, which proves what is found here:
 
 ===============================  ======================================================================================
 block                            constraint
