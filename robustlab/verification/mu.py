@@ -53,28 +53,69 @@ def prove_mu_upper(claim: Claim, work: Work) -> Verdict:
     return climb(attempt)
 
 
-def prove_mu_axis(claim: Claim, work: Work) -> Verdict:
-    """Prove that A is stable, and at every frequency no Delta within 1/``level`` makes I - M(jw) Delta singular.
+Sides = Sequence[tuple[Any, Any]]  # the ends of each block's interval: doubles, or exact fractions
+Region = tuple[Sides, float, float]  # a box, and an interval of frequencies
 
-    Evidence: intervals ``low``, ``high`` (k,) in rad/s with their scalings ``D_w``, ``D_z``, ``G`` (k, ...). A dataset
-    ``band`` (2,) limits the claim to the band, without stability.
+
+def prove_mu_axis(
+    claim: Claim, work: Work, build: Callable[[Claim], Model] = model_of, *, boxed: bool = False, banded: bool = False
+) -> Verdict:
+    """Prove that A is stable, and at every frequency no Delta of the set makes I - M(jw) Delta singular.
+
+    The set: norms within 1/``level``. Evidence: intervals ``low``, ``high`` (N,) in rad/s, in each of which the form of
+    its scalings ``D_w``, ``D_z``, ``G`` (N, ...) is positive definite.
+
+    ``boxed``: real parameters are within ``size`` times their ``ranges`` (k, 2), the ends for size one, about zero; of
+    blocks that are not real -1, 1. Each interval has a ``box`` (N, k, 2).
+    ``banded``: the claim is limited to the frequencies ``band`` (2,), without stability.
     """
-    G = model_of(claim)
-    blocks = read_blocks(claim, G.m, G.p)
-    pieces = covering(claim, G.dt)
-    stacks = read_scalings(claim, G.m, G.p, len(claim.numbers["low"]))
+    G, band = build(claim), (0.0, math.inf)
+    blocks, low = read_blocks(claim, G.m, G.p), real(claim, "low", (None,))
+    count = len(low)
+    high = real(claim, "high", (count,), infinite=True)
+    root: list[tuple[Fraction, Fraction]] = []
+    boxes = np.zeros((count, 0, 2))
+    if boxed:
+        size = Fraction(scalar(claim, "size"))
+        root = [(size * Fraction(a), size * Fraction(b)) for a, b in _ranges(claim, blocks)]
+        boxes = real(claim, "box", (count, len(blocks), 2))
+    if banded:
+        start, stop = band = tuple[float, float](real(claim, "band", (2,), infinite=True).tolist())
+        if not 0 <= start <= stop or math.isinf(start):
+            raise InputError("band", f"{start}, {stop}", "two frequencies, the lower one first")
+    regions: dict[int, Region] = {}
+    for i, (sides, a, b) in enumerate(zip(boxes.tolist(), low.tolist(), high.tolist(), strict=True)):
+        if not 0 <= a <= b or any(x > y for x, y in sides):
+            raise InputError("box, low, high", f"{sides}, {a}, {b}", "ends in order")
+        if a <= band[1] and b >= band[0] and not _beyond_nyquist(a, G.dt):
+            end = math.inf if _beyond_nyquist(b, G.dt) else b
+            regions[i] = ([(x, y) for x, y in sides], max(a, band[0]), min(end, band[1]))
+    left = uncovered(root, list(regions.values()), band, work)
+    if left is not None:
+        sides = "".join(f" {float(x):.6g} .. {float(y):.6g}," for x, y in left[0])
+        raise InputError("box, low, high", f"nothing covers{sides} {left[1]} to {left[2]} rad/s", "what covers all")
+    D_w, D_z, scales = read_scalings(claim, G.m, G.p, count)
+    own = [replace(b, level=1.0) if boxed and b.kind == REAL else b for b in blocks]
 
-    def by_frequency() -> Verdict:
+    def attempt(chosen: Sequence[int]) -> Verdict:
+        first = chosen[0]
+        inside = within_box(build(claim), blocks, boxes[first].tolist()) if boxed else build(claim)
+        if inside is None:
+            return not_proved(f"box {first}: its middle was not proved to be well posed")
         intervals: list[tuple[float, float, Form]] = []
-        for i, a, b in pieces:
-            form = scaled_form(blocks, stacks[0][i], stacks[1][i], stacks[2][i], work)
+        for i in chosen:
+            form = scaled_form(own, D_w[i], D_z[i], scales[i], work)
             if form is None:
                 return not_proved(f"interval {i}: D_w > 0 was not proved")
-            intervals.append((a, b, form))
-        return axis(model_of(claim), intervals, work)
+            intervals.append((*regions[i][1:], form))
+        answer = axis(inside, intervals, work)
+        return answer if answer.proved or not boxed else replace(answer, where=f"box {first}: {answer.where}")
 
-    verdict = PROVED if "band" in claim.numbers else climb(lambda: stable(model_of(claim), work))
-    return climb(by_frequency) if verdict.proved else verdict
+    verdict = PROVED if banded else climb(lambda: stable(build(claim), work))
+    for chosen in [[i] for i in regions] if boxed else [list(regions)]:
+        if verdict.proved:
+            verdict = climb(lambda chosen=chosen: attempt(chosen))
+    return verdict
 
 
 def as_performance(claim: Claim) -> Claim:
@@ -86,93 +127,14 @@ def as_performance(claim: Claim) -> Claim:
     rows = read_shapes(claim)
     if not rows or rows[-1][0] != FULL:
         raise InputError("blocks", f"{rows[-1:]}", "a full block, the performance, as the last one")
-    if "band" in claim.numbers:
-        raise InputError("band", "a band", "none: the gain is that at all frequencies")
     if "size" in claim.numbers and scalar(claim, "size") != 1:
         raise InputError("size", f"{scalar(claim, 'size')}", "1: the gain is that over the whole set")
     return Claim(claim.kind, {**claim.numbers, "level": np.array([1.0] * (len(rows) - 1) + [scalar(claim, "gamma")])})
 
 
-def covering(claim: Claim, dt: float) -> list[tuple[int, float, float]]:
-    """Return index, start and stop in rad/s of the part that each interval has to prove, after those before it.
-
-    Together they cover all frequencies, zero to infinity (discrete: pi/dt), or ``band``, both ends included. InputError
-    where ``low`` and ``high`` do not.
-    """
-    low = real(claim, "low", (None,))
-    high = real(claim, "high", (len(low),), infinite=True)
-    start, stop = 0.0, math.inf
-    if "band" in claim.numbers:
-        start, stop = real(claim, "band", (2,), infinite=True).tolist()
-        if not 0 <= start <= stop or math.isinf(start):
-            raise InputError("band", f"{start}, {stop}", "two frequencies, the lower one first")
-    result: list[tuple[int, float, float]] = []
-    reached = start
-    for i, (a, b) in enumerate(zip(low.tolist(), high.tolist(), strict=True)):
-        if not 0 <= a <= b or (i and a < low[i - 1]):
-            raise InputError("low, high", f"interval {i}: {a}, {b}", "intervals sorted by low")
-        if a > reached:
-            raise InputError("low, high", f"a gap between {reached} and {a} rad/s", "intervals that cover all")
-        if b > reached or (b == reached and not result):
-            result.append((i, reached, min(b, stop)))
-            reached = b
-            if reached >= stop or beyond_nyquist(reached, dt):
-                return result
-    raise InputError("low, high", f"they end at {reached} rad/s", "intervals that cover all")
-
-
-def beyond_nyquist(w: float, dt: float) -> bool:
+def _beyond_nyquist(w: float, dt: float) -> bool:
     with precision(PRECISIONS[-1]):
         return bool(dt > 0 and arb(w) * arb(dt) >= arb.pi())
-
-
-Sides = Sequence[tuple[Any, Any]]  # the ends of each block's interval: doubles, or exact fractions
-Region = tuple[Sides, float, float]  # a box, and an interval of frequencies
-
-
-def prove_mu_boxes(claim: Claim, work: Work, build: Callable[[Claim], Model] = model_of) -> Verdict:
-    """Prove that no Delta with real parameters within ``size`` times their ``ranges`` destabilises ``build``'s model.
-
-    ``ranges`` (k, 2): the ends for size one, about zero; of blocks that are not real -1, 1, their norms are within
-    1/``level``. Evidence: ``box`` (N, k, 2), ``low``, ``high`` (N,) in rad/s, ``D_w``, ``D_z``, ``G`` (N, ...): in each
-    box, at the frequencies of its interval, the form is positive definite.
-    """
-    G = build(claim)
-    blocks, size = read_blocks(claim, G.m, G.p), Fraction(scalar(claim, "size"))
-    root = [(size * Fraction(a), size * Fraction(b)) for a, b in _ranges(claim, blocks)]
-    low = real(claim, "low", (None,))
-    count = len(low)
-    high, boxes = real(claim, "high", (count,), infinite=True), real(claim, "box", (count, len(blocks), 2))
-    regions: list[Region] = []
-    for sides, a, b in zip(boxes.tolist(), low.tolist(), high.tolist(), strict=True):
-        if not 0 <= a <= b or any(x > y for x, y in sides):
-            raise InputError("box, low, high", f"{sides}, {a}, {b}", "ends in order")
-        regions.append(([(x, y) for x, y in sides], a, math.inf if beyond_nyquist(b, G.dt) else b))
-    left = uncovered(root, regions, work)
-    if left is not None:
-        sides = ", ".join(f"{float(x):.6g} .. {float(y):.6g}" for x, y in left[0])
-        raise InputError("box", f"nothing covers {sides} between {left[1]} and {left[2]} rad/s", "boxes that cover all")
-    stacks = read_scalings(claim, G.m, G.p, count)
-    verdict = climb(lambda: stable(build(claim), work))
-    if not verdict.proved:
-        return verdict
-
-    def one(i: int) -> Verdict:
-        inside = within_box(build(claim), blocks, boxes[i].tolist())
-        if inside is None:
-            return not_proved(f"box {i}: its middle was not proved to be well posed")
-        own = [replace(b, level=1.0) if b.kind == REAL else b for b in blocks]
-        form = scaled_form(own, stacks[0][i], stacks[1][i], stacks[2][i], work)
-        if form is None:
-            return not_proved(f"box {i}: D_w > 0 was not proved")
-        answer = axis(inside, [(float(low[i]), float(high[i]), form)], work)
-        return answer if answer.proved else replace(answer, where=f"box {i}: {answer.where}")
-
-    for i in range(count):
-        verdict = climb(lambda i=i: one(i))
-        if not verdict.proved:
-            return verdict
-    return PROVED
 
 
 def _ranges(claim: Claim, blocks: Sequence[Block]) -> list[tuple[float, float]]:
@@ -201,8 +163,8 @@ def within_box(G: Model, blocks: Sequence[Block], sides: Sides) -> Model | None:
     return Model(G.A + back * G.C, (G.B + back * G.D) * H, N * G.C, N * G.D * H, G.dt)
 
 
-def uncovered(root: Sides, regions: Sequence[Region], work: Work) -> Region | None:
-    """Return a part of the root box and frequencies that no region covers; None where all is covered at 0 .. inf.
+def uncovered(root: Sides, regions: Sequence[Region], band: tuple[float, float], work: Work) -> Region | None:
+    """Return a part of the root box and frequencies that no region covers; None where all is covered in the band.
 
     A partly covered part is cut at a face of a region, which is a number of the file, so comparisons are exact.
     """
@@ -212,7 +174,7 @@ def uncovered(root: Sides, regions: Sequence[Region], work: Work) -> Region | No
         work.spend(1)
         near = [i for i in candidates if _touches(regions[i][0], box)]
         whole = {i for i in near if all(x <= a and y >= b for (x, y), (a, b) in zip(regions[i][0], box, strict=True))}
-        gaps = _gaps(sorted(regions[i][1:] for i in whole))
+        gaps = _gaps(sorted(regions[i][1:] for i in whole), band)
         if not gaps:
             continue
         faces = Counter(
@@ -233,13 +195,13 @@ def _touches(sides: Sides, box: Sides) -> bool:
     return all((x < b and y > a) or (a == b and x <= a <= y) for (x, y), (a, b) in zip(sides, box, strict=True))
 
 
-def _gaps(intervals: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Return the parts of 0 .. inf outside of the sorted closed intervals."""
-    gaps, reached = [], 0.0
+def _gaps(intervals: Sequence[tuple[float, float]], band: tuple[float, float]) -> list[tuple[float, float]]:
+    """Return the parts of the band outside of the sorted closed intervals, which lie in it."""
+    gaps, reached = [], band[0]
     for a, b in intervals:
         if a > reached:
             gaps.append((reached, a))
         reached = max(reached, b)
-    if not intervals or reached < math.inf:
-        gaps.append((reached, math.inf))
+    if not intervals or reached < band[1]:
+        gaps.append((reached, band[1]))
     return gaps
