@@ -98,7 +98,7 @@ def convert(
     emit("model convert", {"from": source, "to": target, "kind": loaded.kind}, f"{target}: {loaded.object!r}", as_json)
 
 
-add_commands(app, "model", "digital", "models", "robustness")
+add_commands(app, "model", "designs", "models", "robustness")
 
 
 # --- printing --------------------------------------------------------------------------------------------------------

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import robustlab as rl
 from robustlab.errors import InputError, UnitMismatch, UsageError
 from robustlab.operations.declaration import InLoop, Named, operation
-from robustlab.operations.kinds import Choice, Flag, Kind, Names, Number, Quantity, Table, TextFile, Whole, in_units
+from robustlab.operations.kinds import Choice, Names, Number, Quantity, Table, TextFile, Whole, in_units
 from robustlab.operations.words import Search, Seed, Uncertain
 
 METRICS = (
@@ -42,9 +42,6 @@ Sine = Annotated[dict[str, Any] | None, Table(Quantity(), "inputs"), "Amplitude 
 Frequency = Annotated[float | None, Number("Hz", above=0), "Of the sine, in Hz.", Named(option="--sine-frequency")]
 End = Annotated[float | None, Number("s", above=0), "End time in s; from the nominal poles if left out."]
 Points = Annotated[int, Whole(2, 100_000), "Number of times, where an end is given."]
-SettlingBand = Annotated[
-    float, Number(above=0, below=1), "Share of the final value that counts as settled.", Named(option="--settling-band")
-]
 Workers = Annotated[int, Whole(1, 1024), "Threads; the answer does not depend on them.", Named(only="command")]
 
 
@@ -55,11 +52,10 @@ class Judged:
     metric: Metric = "peak-deviation"
     output: Output = None
     from_input: FromInput = None
-    band: SettlingBand = 0.02
 
     @property
     def options(self) -> dict[str, Any]:
-        return {"output": self.output, "input": self.from_input, "band": self.band}
+        return {"output": self.output, "input": self.from_input}
 
 
 @dataclass(frozen=True)
@@ -148,13 +144,10 @@ def violation_probability(
     *,
     limit: Annotated[Any, Quantity(), "Limit whose violations are counted, such as '0.5 rad'."],
     judged: Judged,
-    unit: Annotated[
-        str | None, Kind(), "Unit of the limit, which must be that of the metric.", Named(only="step")
-    ] = None,
+    unit: Annotated[str | None, "Unit of the limit, which must be that of the metric.", Named(only="step")] = None,
     probability: Annotated[
         float | None, Number(above=0, below=1), "Show P(violation) at most so large; else exit code 1."
     ] = None,
-    confidence: Annotated[float, Number(above=0, below=1), "Confidence of all bounds."] = 0.95,
     drive: Excitation,
     n: Annotated[
         int | None,
@@ -174,7 +167,7 @@ def violation_probability(
     options: dict[str, Any] = {**judged.options, **drive.of(uncertain)}
     return rl.violation_probability(
         uncertain, judged.metric, limit if unit is None else f"{limit!r} {unit}", n=n, seed=seed, workers=workers,
-        probability=probability, confidence=confidence, **options,
+        probability=probability, **options,
     )  # fmt: skip
 
 
@@ -202,7 +195,7 @@ def sample(
     *,
     n: Annotated[int, Whole(0, 1_000_000), "Number of random samples.", Named(option="-n,--samples")] = 20,
     seed: Seed = 0,
-    vertices: Annotated[str, Kind(), "Vertices to add: a number, or all."] = "0",
+    vertices: Annotated[str, "Vertices to add: a number, or all."] = "0",
     drive: Excitation,
 ) -> Any:
     """Time responses of random members and vertices: nominal, envelope, and the sample farthest from nominal.
@@ -233,7 +226,7 @@ class WorkerOptions:
         int | None, Whole(1, 1024), "Processes on this machine; one per processor where left out.",
         Named(option="--workers,-w"),
     ] = None  # fmt: skip
-    cluster: Annotated[str | None, Kind(), "Dask scheduler whose workers are used, such as tcp://host:8786."] = None
+    cluster: Annotated[str | None, "Dask scheduler whose workers are used, such as tcp://host:8786."] = None
 
     def crew(self) -> Any:
         from robustlab.campaign import Crew
@@ -273,11 +266,11 @@ def campaign(
     judged: Judged,
     drive: Excitation,
     n: Annotated[int, Whole(1, 10**9), "Number of samples, vertices or searches.", Named(option="-n,--samples")] = 1000,
-    kind: Annotated[Any, Choice(("samples", "vertices", "search")), "What is drawn."] = "samples",
+    kind: Annotated[Literal["samples", "vertices", "search"], "What is drawn."] = "samples",
     starts: Annotated[int, Whole(1), "For searches: points each one starts from."] = 64,
     seed: Seed = 0,
     workers: WorkerOptions,
-    restart: Annotated[bool, Flag(), "Delete the content of the store and start again."] = False,
+    restart: Annotated[bool, "Delete the content of the store and start again."] = False,
     limit: Bound = None,
     progress: Any = None,
 ) -> Any:  # fmt: skip
@@ -295,7 +288,7 @@ def campaign(
         u, hold = {name: values.tolist() for name, values in u.items()}, "foh"
     settings = CampaignSettings(
         judged.metric, n, kind, seed, judged.output, judged.from_input, u, drive.t_end, drive.points, hold,
-        starts=starts, band=judged.band,
+        starts=starts,
     )  # fmt: skip
     with _counted(progress, store, n) as advance:
         return run_campaign(
@@ -321,7 +314,7 @@ def resume(store: Store, *, workers: WorkerOptions, limit: Bound = None, progres
         return resume_campaign(store, crew=workers.crew(), limit=limit, progress=advance)
 
 
-@operation("campaign show", result=RESULT)
+@operation("campaign show", result=RESULT, calls="campaign.runs.read_campaign")
 def stored(store: Store, limit: Bound = None) -> Any:
     """The content of a store: counts, worst sample, quantiles, lost samples; also while a run writes it.
 
@@ -329,17 +322,11 @@ def stored(store: Store, limit: Bound = None) -> Any:
 
     Example: robustlab campaign show motor.sqlite --limit 34
     """
-    from robustlab.campaign import read_campaign
-
-    return read_campaign(store, limit)
 
 
-@operation("campaign replay", result="campaign.runs.Replay")
+@operation("campaign replay", result="campaign.runs.Replay", calls="campaign.runs.replay_sample")
 def replay(store: Store, index: Annotated[int, Whole(0, 10**9), "Number of the sample.", Named(option="*")]) -> Any:
     """Compute one sample again in this process.
 
     Example: robustlab campaign replay motor.sqlite 4711
     """
-    from robustlab.campaign import replay_sample
-
-    return replay_sample(store, index)

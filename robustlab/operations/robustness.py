@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import robustlab as rl
 from robustlab.errors import UsageError
 from robustlab.operations.declaration import InLoop, Named, operation
-from robustlab.operations.kinds import Choice, Flag, Number
+from robustlab.operations.kinds import Number
 from robustlab.operations.words import Frequency, Loop, Model, Search, Seed, Signals, System, Uncertain
 
 # As in `robustlab.feedback`, which would import numpy.
@@ -17,16 +17,14 @@ WORDS = {-1: "negative", 1: "positive"}
 AT = "mu_analysis.margins.at_frequencies."
 Of = Annotated[Model, Named(key="of")]
 OfSet = Annotated[Uncertain, Named(key="of")]
-Tolerance = Annotated[float, Number(above=0), "Target of the relative gap of the bounds; inf: no branch and bound."]
 Accuracy = Annotated[float, Number(above=0, below=1), "Relative distance to the best margin that D, G can prove."]
-Intervals = Annotated[bool, Flag(), "Print the proved frequency intervals.", Named(only="command")]
+Intervals = Annotated[bool, "Print the proved frequency intervals.", Named(only="command")]
 
 
 # --- margins of a loop ------------------------------------------------------------------------------------------------
 
 
-Skew = Annotated[float, Number(), "0: equal factors of gain up and down; positive: more up."]
-At = Annotated[Any, Choice(("input", "output", "both")), "Where gain and phase change."]
+At = Annotated[Literal["input", "output", "both"], "Where gain and phase change."]
 
 
 @operation("model margins", "disk-margin", result="mu_analysis.margins.disk_margin.DiskMargins")
@@ -36,7 +34,6 @@ def disk_margin(
     around: Loop,
     at: At = "output",
     frequency: Frequency = None,
-    skew: Skew = 0.0,
     search: Search,
     seed: Seed = 0,
 ) -> Any:
@@ -47,7 +44,7 @@ def disk_margin(
     Example: robustlab model margins plant.h5 --controller K.h5 --at both
     """
     loop, K, sign, words = _loop(plant, around)
-    found = rl.disk_margin(loop, K, at=at, sign=sign, frequency=frequency, skew=skew, seed=seed, **vars(search))
+    found = rl.disk_margin(loop, K, at=at, sign=sign, frequency=frequency, seed=seed, **vars(search))
     return InLoop(replace(found, loop=words), beside={"feedback": WORDS[sign]})
 
 
@@ -98,7 +95,6 @@ def robust_stability(
     *,
     around: Loop,
     frequency: Frequency = None,
-    tolerance: Tolerance | None = None,
     accuracy: Accuracy | None = None,
     search: Search,
     seed: Seed = 0,
@@ -115,7 +111,7 @@ def robust_stability(
     from robustlab.mu_analysis.axis.margin import Margin
 
     loop, words = around.around(system, "robust stability")
-    options: dict[str, Any] = {"omega": _grid(loop, drawn), "tolerance": tolerance, "accuracy": accuracy}
+    options: dict[str, Any] = {"omega": _grid(loop, drawn), "accuracy": accuracy}
     if frequency is not None or issubclass(type(loop), rl.UncertainFrequencyData):
         del options["omega"]
         if intervals:
@@ -137,7 +133,6 @@ def worst_case_gain(
     around: Loop,
     frequency: Frequency = None,
     signals: Signals,
-    tolerance: Tolerance | None = None,
     search: Search,
     seed: Seed = 0,
     intervals: Intervals = False,
@@ -150,9 +145,7 @@ def worst_case_gain(
     loop, words = around.around(system, "worst-case gain")
     kept = signals.of(loop)
     at = frequency is not None or isinstance(kept, rl.UncertainFrequencyData)
-    options: dict[str, Any] = {} if at else {
-        "omega": _grid(kept, drawn), "tolerance": tolerance, **vars(search)
-    }  # fmt: skip
+    options: dict[str, Any] = {} if at else {"omega": _grid(kept, drawn), **vars(search)}
     found: Any = rl.peak_gain(kept, frequency=frequency, seed=seed, **options)
     return InLoop(found, words, (), {}, (found.proved_intervals(),) if intervals else ())
 
@@ -163,8 +156,6 @@ def robust_performance(
     *,
     around: Loop,
     signals: Signals,
-    tolerance: Tolerance = 0.01,
-    accuracy: Accuracy = 3e-5,
     search: Search,
     seed: Seed = 0,
     intervals: Intervals = False,
@@ -176,8 +167,5 @@ def robust_performance(
     """
     loop, words = around.around(system, "robust performance")
     kept = signals.of(loop)
-    found = rl.robust_performance(
-        kept, omega=_grid(kept, drawn), tolerance=tolerance, accuracy=accuracy, seed=seed,
-        **vars(search),
-    )  # fmt: skip
+    found = rl.robust_performance(kept, omega=_grid(kept, drawn), seed=seed, **vars(search))
     return InLoop(found, words, (), {}, (found.proved_intervals(),) if intervals else ())
