@@ -26,7 +26,7 @@ SUITED, VALIDATED = "identification.data_checks.suitability.", "identification.v
 
 @operation("data check", "check-record", result=f"{SUITED}RecordCheck", calls=f"{SUITED}check_record")
 def check_record(
-    record: Annotated[Any, RecordFile(remarks=False), Named(key="of"), "HDF5, MATLAB, CSV or TXT file."],
+    record: Annotated[Any, RecordFile(remarks=False), "HDF5, MATLAB, CSV or TXT file."],
     plant: Annotated[
         Any,
         Machine(),
@@ -44,9 +44,7 @@ def check_record(
 
 @operation("data compare", "compare", result="identification.comparison.comparison_result.Comparison")
 def compare(
-    model: Annotated[
-        Any, Machine(("plant", "model", "uncertain", "any")), Named(key="of"), "Model file, plant, or file.py:name."
-    ],
+    model: Annotated[Any, Machine(("plant", "model", "uncertain", "any")), "Model file, plant, or file.py:name."],
     record: Measured,
     window: Window = None,
     period: Period = None,
@@ -65,7 +63,7 @@ def compare(
     made="model", own=True, progress="parts",
 )  # fmt: skip
 def discover(
-    model: Annotated[Plant, Named(key="of")],
+    model: Plant,
     records: Annotated[list[Any], RecordFile(many=True), "Records of one machine; FILE#GROUP takes that group."],
     held_out: Annotated[list[Any] | None, RecordFile(many=True), "Record that no fit uses, for the model error."]
     = None,
@@ -90,7 +88,7 @@ def discover(
 @operation("data watch", "watch", result="identification.monitoring.watch.Watch", progress="lines",
            calls="identification.monitoring.watch.watch")  # fmt: skip
 def watch(
-    model: Annotated[Plant, Named(key="of")],
+    model: Plant,
     records: Annotated[list[Any], RecordFile(many=True), "The log: one record, or its pieces in their order."],
     noise: Annotated[
         dict[str, float],
@@ -116,7 +114,7 @@ def watch(
 @operation("data validate", "validate", result=f"{VALIDATED}validation_result.Validation", progress="lines",
            calls=f"{VALIDATED}model_validation.validate")  # fmt: skip
 def validate(
-    uncertain: Annotated[UncertainPlant, Named(key="of")],
+    uncertain: UncertainPlant,
     record: Measured,
     *,
     noise: Annotated[
@@ -143,7 +141,7 @@ def validate(
 @operation("", "cover", result="identification.comparison.envelope.EnvelopeCoverage",
            calls="identification.comparison.envelope.cover")  # fmt: skip
 def cover(
-    uncertain: Annotated[UncertainPlant, Named(key="of")],
+    uncertain: UncertainPlant,
     record: Measured,
     n: Annotated[int, Whole(), Named(option="--samples,-n"), "Random members."] = 20,
     vertices: Annotated[int, Whole(), "Further members at vertices of the set."] = 0,

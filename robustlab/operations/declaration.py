@@ -10,13 +10,13 @@ import ast
 import inspect
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from functools import cache
 from importlib import import_module
 from typing import Any, Literal, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
 
 from robustlab.errors import rewritten
-from robustlab.operations.kinds import Choice, Feedback, Flag, Kind, Number, Whole
+from robustlab.operations.kinds import Choice, Feedback, Flag, Kind, Number, Thing, Whole
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -28,7 +28,10 @@ COMMANDS: dict[str, Operation] = {}
 
 @dataclass(frozen=True)
 class Named:
-    """In an annotation: names of the parameter in Python, as option and as key, where they differ from its own."""
+    """In an annotation: names of the parameter in Python, as option and as key, where they differ from its own.
+
+    The key of the first object is "of", where nothing else is given.
+    """
 
     argument: str = ""
     option: str = ""  # ``--filter-order``, or ``-k,--controller``
@@ -213,6 +216,9 @@ def _parameters(function: Callable[..., Any]) -> list[Parameter]:
             ]
         elif name not in ("progress", "drawn"):
             found.append(_parameter(name, hints[name], given.default))
+    first = next((i for i, p in enumerate(found) if isinstance(p.kind, Thing)), None)
+    if first is not None and not found[first].called.key:
+        found[first] = replace(found[first], called=replace(found[first].called, key="of"))
     return found
 
 

@@ -12,8 +12,7 @@ from robustlab.operations.kinds import ByNumber, Number, Thing, Weight, Whole
 from robustlab.operations.words import Controller, Design, Model, SampleTime, Search, Seed, Sign, Signals, System
 
 DESIGN, HINF = "synthesis.problem.design.", "synthesis.hinf."
-Plant = Annotated[Design, "Generalised plant, tracking problem, plant or uncertain model.", Named(key="of")]
-Of = Annotated[Model, Named(key="of")]
+Plant = Annotated[Design, "Generalised plant, tracking problem, plant or uncertain model."]
 K = Annotated[Any, Thing(("controller", "any"), model=True), "File with the controller."]
 Channel = Annotated[Any, ByNumber()]
 Measured = Annotated[Channel, "Measured outputs by name, or how many of the last; a tracking problem knows its own."]
@@ -202,7 +201,7 @@ def fixed_structure(
 
 @operation("synth mixsyn", "mixsyn", result=DESIGN + "HinfSynthesis", gives="controller", made="controller")
 def mixsyn(
-    system: Of,
+    system: Model,
     *,
     w1: Annotated[
         Any,
@@ -243,7 +242,7 @@ def mixsyn(
 
 @operation("synth ncf", "ncf", result=f"{HINF}loop_shaping.NcfSynthesis", gives="controller", made="controller")
 def ncf(
-    system: Of,
+    system: Model,
     *,
     w1: Annotated[
         Any,
@@ -350,13 +349,10 @@ REDUCED: Any = {
 
 @operation("model reduce", "reduce-model", calls="synthesis.reduction.model_reduction.reduce_model", **REDUCED)
 def reduce_model(
-    model: Of,
+    model: Model,
     order: Annotated[Order, "States of the result."] = None,
     tolerance: Annotated[
-        float | None,
-        Number(above=0),
-        "Instead of the order: largest error, as reported.",
-        Named(option="--max-error"),
+        float | None, Number(above=0), "Instead of the order: largest error, as reported.", Named(option="--max-error")
     ] = None,
     method: Annotated[
         Literal["truncation", "residualisation", "hankel", "stochastic", "coprime"],
@@ -376,7 +372,7 @@ def reduce_model(
 
 
 @operation("model minimal", "minimal", calls="synthesis.reduction.model_reduction.minimal", **REDUCED)
-def minimal(model: Of) -> Any:
+def minimal(model: Model) -> Any:
     """The model without uncontrollable or unobservable modes, unstable ones too; with the certified error.
 
     Exit code 4: the order depends on rounding.
@@ -395,7 +391,7 @@ def _inferred_loop(step: Any, ahead: Any) -> Any:
 
 @operation("model discretise", result="statespace.StateSpaceModel", gives="model")
 def discretise_by_formula(
-    system: Annotated[Any, Thing(("plant", "model", "any")), "HDF5 or .mat file.", Named(key="of")],
+    system: Annotated[Any, Thing(("plant", "model", "any")), "HDF5 or .mat file."],
     dt: SampleTime,
     method: Annotated[Literal["tustin", "zoh", "foh", "impulse", "matched"], "The formula."] = "tustin",
 ) -> Any:
@@ -417,11 +413,7 @@ def discretise_by_formula(
 
 @operation("", "close-loop", result="synthesis.specifications.tracking_loop.ClosedLoop", gives="uncertain",
       made="model", infer=_inferred_loop)  # fmt: skip
-def close_loop(
-    system: Annotated[System, Named(key="of")],
-    controller: Controller,
-    sign: Annotated[Sign, Named(option="--feedback")] = None,
-) -> Any:
+def close_loop(system: System, controller: Controller, sign: Annotated[Sign, Named(option="--feedback")] = None) -> Any:
     """The tracking loop of a controller around a model: reference in, the controlled outputs and controls out."""
     from robustlab.synthesis.specifications.tracking_loop import ClosedLoop, tracking_loop, with_law
 

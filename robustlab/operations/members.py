@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import robustlab as rl
 from robustlab.errors import InputError, UnitMismatch, UsageError
 from robustlab.operations.declaration import InLoop, Named, operation
-from robustlab.operations.kinds import Choice, Names, Number, Quantity, Table, TextFile, Whole, in_units
+from robustlab.operations.kinds import Choice, Names, Number, NumberInUnit, Table, TextFile, Whole
 from robustlab.operations.words import Search, Seed, Uncertain
 
 METRICS = (
@@ -18,7 +18,6 @@ METRICS = (
 )  # fmt: skip
 OF_A_RESPONSE = METRICS[:5]
 
-Of = Annotated[Uncertain, Named(key="of")]
 Metric = Annotated[str, Choice(METRICS), "What is judged."]
 Output = Annotated[
     str | None,
@@ -34,11 +33,11 @@ FromInput = Annotated[
 ]
 Drive = Annotated[
     dict[str, Any] | None,
-    Table(Quantity(), "inputs"),
+    Table(Number(), "inputs"),
     "Constant input, u=42 or u=42V; repeatable. A unit step on the only input where left out.",
     Named(argument="u", option="--input-value"),
 ]
-Sine = Annotated[dict[str, Any] | None, Table(Quantity(), "inputs"), "Amplitude of a sine on an input, likewise."]
+Sine = Annotated[dict[str, Any] | None, Table(Number(), "inputs"), "Amplitude of a sine on an input, likewise."]
 Frequency = Annotated[float | None, Number("Hz", above=0), "Of the sine, in Hz.", Named(option="--sine-frequency")]
 End = Annotated[float | None, Number("s", above=0), "End time in s; from the nominal poles if left out."]
 Points = Annotated[int, Whole(2, 100_000), "Number of times, where an end is given."]
@@ -75,9 +74,7 @@ class Excitation:
         if not isinstance(uncertain, rl.UncertainModel):
             raise InputError("members", f"a {type(uncertain).__name__}", "an uncertain model")
         _check_sine(self.sine, self.frequency)
-        units = {s.name: s.unit for s in uncertain.inputs}
-        steps, sines = in_units("input", self.input, units), in_units("sine", self.sine, units)
-        dt, t_end = uncertain.dt, self.t_end
+        steps, sines, dt, t_end = self.input or {}, self.sine or {}, uncertain.dt, self.t_end
         if t_end is None:
             if sines:
                 raise UsageError("sine", "no end time", "t_end")
@@ -117,7 +114,7 @@ def _inferred_violation(step: Any, ahead: Any) -> Any:
 
 @operation("worst-case", "worst-case", result="worst_case_analysis.worst_case_search.WorstCase", infer=_inferred_worst)
 def worst_case(
-    uncertain: Of,
+    uncertain: Uncertain,
     *,
     judged: Judged,
     drive: Excitation,
@@ -140,9 +137,9 @@ def worst_case(
     infer=_inferred_violation,
 )
 def violation_probability(
-    uncertain: Of,
+    uncertain: Uncertain,
     *,
-    limit: Annotated[Any, Quantity(), "Limit whose violations are counted, such as '0.5 rad'."],
+    limit: Annotated[Any, NumberInUnit(), "Limit whose violations are counted, such as '0.5 rad'."],
     judged: Judged,
     unit: Annotated[str | None, "Unit of the limit, which must be that of the metric.", Named(only="step")] = None,
     probability: Annotated[
@@ -180,7 +177,7 @@ def _check_sine(sines: Any, frequency: float | None) -> None:
 
 
 @operation("uncertain show", result="uncertainty.lft.UncertainModel")
-def show(uncertain: Of) -> Any:
+def show(uncertain: Uncertain) -> Any:
     """The blocks, signals and nominal stability of an uncertain model.
 
     Example: robustlab uncertain show uncertain.h5
@@ -191,7 +188,7 @@ def show(uncertain: Of) -> Any:
 
 @operation("uncertain sample", result="worst_case_analysis.sampling.Responses")
 def sample(
-    uncertain: Of,
+    uncertain: Uncertain,
     *,
     n: Annotated[int, Whole(0, 1_000_000), "Number of random samples.", Named(option="-n,--samples")] = 20,
     seed: Seed = 0,
@@ -259,7 +256,7 @@ def _counted(progress: Any, store: str, n: int) -> Iterator[Any]:
 
 @operation("campaign run", result=RESULT, progress="steps")
 def campaign(
-    uncertain: Of,
+    uncertain: Uncertain,
     *,
     store: Annotated[str, TextFile(), "SQLite file to write; an unfinished one is continued.",
                      Named(option="--store")],

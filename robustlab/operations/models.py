@@ -11,18 +11,17 @@ from robustlab.errors import InputError, UsageError
 from robustlab.operations.declaration import InLoop, Named, operation
 from robustlab.operations.kinds import (
     Choice,
+    Ends,
     Names,
     Number,
     Numbers,
     Pair,
-    Quantity,
     Share,
     Table,
     TextFile,
     Thing,
     Whole,
     bounded,
-    in_units,
 )
 from robustlab.operations.words import Controller, Model, Outputs, Search, Sign, System
 
@@ -77,7 +76,7 @@ def at_rest(plant: Any, at: Any, pose: Any) -> Any:
 
 @operation("model build", "linearise", result="statespace.StateSpaceModel", gives="model", infer="of")
 def linearise(
-    plant: Annotated[Plant, Named(key="of")],
+    plant: Plant,
     at: At = None,
     pose: Pose = None,
     outputs: Outputs = None,
@@ -118,7 +117,7 @@ def left_out(missing: Any) -> tuple[str, ...]:
 
 
 @operation("model check", "structural", result="linear_analysis.structural.Structure")
-def check(system: Annotated[System, Named(key="of")]) -> Any:
+def check(system: System) -> Any:
     """Poles, stability, controllability and observability of a model.
 
     Of a model with exact delays: whether it is stable, proved for all frequencies either way.
@@ -143,10 +142,10 @@ def _inferred_steady_state(step: Any, ahead: Any) -> Any:
 
 @operation("", "steady-state", result="linear_analysis.frequency.SteadyState", infer=_inferred_steady_state)
 def steady_state(
-    model: Annotated[Model, Named(key="of")],
+    model: Model,
     inputs: Annotated[
         dict[str, Any],
-        Table(Quantity(), "inputs"),
+        Table(Number(), "inputs"),
         "Constant input, u=42 or u=42V; repeatable.",
         Named(option="--input-value"),
     ],
@@ -155,12 +154,12 @@ def steady_state(
     """Outputs in steady state under constant inputs; inputs left out are zero."""
     from robustlab.linear_analysis.frequency import steady_state as computed
 
-    return computed(model, in_units("input", inputs, {s.name: s.unit for s in model.inputs}), outputs)
+    return computed(model, inputs, outputs)
 
 
 @operation("model diff", "difference", result="storage.pairs.Difference")
 def diff(
-    first: Annotated[Any, Thing(ANY, model=True, pair=True), "HDF5 or MATLAB file.", Named(key="of")],
+    first: Annotated[Any, Thing(ANY, model=True, pair=True), "HDF5 or MATLAB file."],
     second: Annotated[
         Any,
         Thing(ANY, model=True, positional=True),
@@ -200,7 +199,12 @@ def two_models(first: Any, second: Any) -> tuple[Any, Any]:
     infer="nominal",
 )
 def elementwise(
-    nominal: Annotated[Any, Thing(ANY, pair=True), "Nominal model; or one file with groups nominal and perturbed."],
+    nominal: Annotated[
+        Any,
+        Thing(ANY, pair=True),
+        "Nominal model; or one file with groups nominal and perturbed.",
+        Named(key="nominal"),
+    ],
     perturbed: Annotated[
         Any, Thing(ANY, model=True, positional=True), "Maximally perturbed model of the same signals."
     ] = None,
@@ -232,7 +236,7 @@ def elementwise(
 @operation("uncertain plant", "uncertain", result="uncertainty.elementwise.BuiltModel", gives="uncertain", made="model",
       infer="of")  # fmt: skip
 def uncertain(
-    plant: Annotated[Plant, "A plant: its name, file.py:name, or HDF5 file.", Named(key="of")],
+    plant: Annotated[Plant, "A plant: its name, file.py:name, or HDF5 file."],
     tolerances: Annotated[
         dict[str, Any] | None,
         Table(Share(above=0, below=1), "parameters"),
@@ -241,7 +245,7 @@ def uncertain(
     ] = None,
     ranges: Annotated[
         dict[str, Any] | None,
-        Table(Quantity("must"), "parameters", words="NAME=LOW:HIGH"),
+        Table(Ends(), "parameters", words="NAME=LOW:HIGH"),
         "Ends of a parameter of the plant around its value, NAME=LOW:HIGH; repeatable.",
         Named(option="--range"),
     ] = None,
@@ -261,7 +265,7 @@ def uncertain(
     from robustlab.uncertainty.elementwise import BuiltModel
 
     nominal, shares = plant.values, tolerances or {}
-    ends = in_units("range", ranges, {p.name: p.unit for p in plant.parameters.values()})
+    ends = ranges or {}
     for name in shares:
         if name not in nominal and name not in plant.parameters:
             raise UsageError(f"tolerance {name}", f"no such parameter of {plant.name}", f"one of {', '.join(nominal)}")
@@ -341,15 +345,12 @@ def _inferred_blocks(step: Any, ahead: Any) -> Any:
 )
 def uncertain_from(
     discovery: Annotated[
-        Any,
-        Thing(("plant", "any"), discovery=True),
-        "Folder of data discover --out, or its updated plant.",
-        Named(key="of"),
+        Any, Thing(("plant", "any"), discovery=True), "Folder of data discover --out, or its updated plant."
     ],
     outputs: Outputs = None,
     amplitude: Annotated[
         dict[str, Any] | None,
-        Table(Quantity("may", least=0)),
+        Table(Ends(least=0, single=True)),
         "Amplitude of a speed or signal at which effects are described, or LOW:HIGH, NAME=VALUE; repeatable.",
     ] = None,
     dry: Annotated[
@@ -362,9 +363,8 @@ def uncertain_from(
 
     Example: robustlab uncertain discovery found/ --amplitude v=0.05 --out set.h5
     """
-    named = in_units("amplitude", amplitude, {})
     try:
-        return rl.uncertain_from(discovery, outputs, amplitude=named or None, dry=dry)
+        return rl.uncertain_from(discovery, outputs, amplitude=amplitude, dry=dry)
     except InputError as error:
         if "amplitude" in (error.expected or "") and error.hint:
             raise UsageError("uncertain_from", error.found, "--amplitude NAME=VALUE for it", error.hint) from None

@@ -9,14 +9,12 @@ import robustlab as rl
 from robustlab.errors import UsageError
 from robustlab.operations.declaration import InLoop, Named, operation
 from robustlab.operations.kinds import Number
-from robustlab.operations.words import Frequency, Loop, Model, Search, Seed, Signals, System, Uncertain
+from robustlab.operations.words import Frequency, Loop, Search, Seed, Signals, System, Uncertain
 
 # As in `robustlab.feedback`, which would import numpy.
 WORDS = {-1: "negative", 1: "positive"}
 
 AT = "mu_analysis.margins.at_frequencies."
-Of = Annotated[Model, Named(key="of")]
-OfSet = Annotated[Uncertain, Named(key="of")]
 Accuracy = Annotated[float, Number(above=0, below=1), "Relative distance to the best margin that D, G can prove."]
 Intervals = Annotated[bool, "Print the proved frequency intervals.", Named(only="command")]
 
@@ -29,7 +27,7 @@ At = Annotated[Literal["input", "output", "both"], "Where gain and phase change.
 
 @operation("model margins", "disk-margin", result="mu_analysis.margins.disk_margin.DiskMargins")
 def disk_margin(
-    plant: Annotated[System, "HDF5 or MATLAB file with the plant, or the open loop.", Named(key="of")],
+    plant: Annotated[System, "HDF5 or MATLAB file with the plant, or the open loop."],
     *,
     around: Loop,
     at: At = "output",
@@ -50,7 +48,7 @@ def disk_margin(
 
 @operation("model classical-margins", "classical-margins", result="mu_analysis.margins.classical.ClassicalMargins")
 def classical_margins(
-    plant: Annotated[System, "HDF5 or MATLAB file with the plant, or the open loop.", Named(key="of")],
+    plant: Annotated[System, "HDF5 or MATLAB file with the plant, or the open loop."],
     *,
     around: Loop,
     at: At = "output",
@@ -91,7 +89,7 @@ def _grid(system: Any, drawn: bool) -> Any:
 
 @operation("mu", "robust-stability", result=f"mu_analysis.axis.margin.Margin, {AT}MarginAt")
 def robust_stability(
-    system: OfSet,
+    system: Uncertain,
     *,
     around: Loop,
     frequency: Frequency = None,
@@ -128,7 +126,7 @@ def robust_stability(
 
 @operation("worst-gain", "worst-gain", result=f"mu_analysis.axis.margin.WorstCaseGain, {AT}GainAt")
 def worst_case_gain(
-    system: OfSet,
+    system: Uncertain,
     *,
     around: Loop,
     frequency: Frequency = None,
@@ -152,7 +150,7 @@ def worst_case_gain(
 
 @operation("performance-margin", "performance-margin", result="mu_analysis.axis.margin.PerformanceMargin")
 def robust_performance(
-    system: OfSet,
+    system: Uncertain,
     *,
     around: Loop,
     signals: Signals,
