@@ -329,15 +329,12 @@ class Weight(Kind):
         import robustlab as rl
 
         known = list(signature(getattr(rl, self.maker)).parameters)
-        found: dict[str, Any] = {}
-        for part in given.split(","):
-            key, _, value = part.partition("=")
-            key = key.strip().replace("-", "_")
+        parts = Table().read(option, given.split(","), {"bandwidth": "rad/s"})
+        found: dict[str, Any] = {key.strip().replace("-", "_"): value for key, value in parts.items()}
+        for key in found:
             if key not in known:
                 expected = f"one of {', '.join(known)}"
                 raise UsageError(option, f"unknown word {key!r}", expected, did_you_mean(key, known))
-            with _as_usage():
-                found[key] = amount(f"{option}: {key}", value, "rad/s" if key == "bandwidth" else "")
         if "order" in found and found["order"].is_integer():
             found["order"] = int(found["order"])
         if known[0] not in found:
