@@ -11,8 +11,8 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
-from robustlab.arrays import Array
 from robustlab.budget import search_budget
 from robustlab.evidence.axis import gain_claims, margin_claims
 from robustlab.mu_analysis.axis.axis_model import continuous, seed_frequencies
@@ -35,6 +35,8 @@ from robustlab.synthesis.reduction.reduced_model import ReducedModel
 from robustlab.uncertainty.distances.coprime import four_block
 from robustlab.uncertainty.elementwise import BuiltModel
 from robustlab.verification.claim import Claim
+
+ROUNDING = 1e-14  # of the largest entry: allowance in addition to a member's stated error
 
 
 def hinf_claims(found: Synthesis) -> list[Claim]:
@@ -112,9 +114,6 @@ def dk_claims(found: DKSynthesis) -> list[Claim]:
     return loop_axis_claims(found.plant.model, found.K, found.blocks, level, pieces)
 
 
-ROUNDING = 1e-14  # of the largest entry: allowance in addition to a member's stated error
-
-
 def reduction_claims(found: ReducedModel) -> list[Claim]:
     """Return the claim of the error norm, weighted or not; none for a relative error, or that of coprime factors."""
     if found.left_out:
@@ -133,7 +132,7 @@ def _difference(found: ReducedModel, norm: HinfNorm) -> list[Claim]:
     full, small, level = found.full, found.model, above(norm.upper)
     numbers: Numbers = {**matrices(full, "{}1"), **matrices(small, "{}2"), "dt": np.array(float(full.dt))}
     B, C = np.vstack([full.B, small.B]), np.hstack([full.C, -small.C])
-    error = StateSpaceModel(_diagonal(full.A, small.A), B, C, full.D - small.D, full.dt)
+    error = StateSpaceModel(block_diag(full.A, small.A), B, C, full.D - small.D, full.dt)
     if error.is_stable():
         proof = norm_matrix(error, level, norm.upper)
         return [Claim("difference-norm", {**numbers, "gamma": np.array(level), **proof})]
@@ -239,8 +238,8 @@ def _inside(model: StateSpaceModel, centre: StateSpaceModel, weight: StateSpaceM
     s = math.copysign(2.0 ** round(math.log2(abs(d))), d)
     one = np.eye(m)
     A_w, B_w, C_w = (np.kron(one, X) for X in (weight.A, weight.B, weight.C))
-    A, k = _diagonal(_diagonal(model.A, centre.A), A_w), len(A_w)
-    B = np.vstack([_diagonal(model.B, centre.B), np.hstack([B_w, np.zeros((k, m))])])
+    A, k = block_diag(model.A, centre.A, A_w), len(A_w)
+    B = np.vstack([block_diag(model.B, centre.B), np.hstack([B_w, np.zeros((k, m))])])
     C = np.block([[model.C, -centre.C, np.zeros((p, k))], [np.zeros((m, n)), -C_w]])
     D = np.block([[np.zeros((p, m)), model.D, -centre.D], [one, (s - d) * one, np.zeros((m, m))]])
     P = StateSpaceModel(A, np.hstack([np.zeros((n + k, m)), B]), C, D, model.dt)
@@ -251,7 +250,3 @@ def _inside(model: StateSpaceModel, centre: StateSpaceModel, weight: StateSpaceM
     level = 1.0 if size < 1.0 else above(size)
     numbers = loop_numbers(P, K)
     return Claim("loop-norm", {**numbers, "gamma": np.array(level), **norm_matrix(loop, level, size, numbers)})
-
-
-def _diagonal(X: Array, Y: Array) -> Array:
-    return np.block([[X, np.zeros((len(X), Y.shape[1]))], [np.zeros((len(Y), X.shape[1])), Y]])

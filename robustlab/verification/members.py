@@ -1,4 +1,4 @@
-r"""Proves that a Delta near given numbers makes the loop singular, or gives an unstable member of the set.
+r"""Proves that a Delta near given numbers makes the loop singular, or an unstable member; and what a set contains.
 
 Stored numbers never make a determinant exactly zero. Proved is a zero close to them: a family of matrices
 :math:`K(s) = K_0 + \sum_i s_i K_i`, affine in one or two real numbers, is singular for some :math:`|s_i| \le r_i` with
