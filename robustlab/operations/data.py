@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import robustlab as rl
 from robustlab.operations.declaration import Named, operation
 from robustlab.operations.kinds import Machine, Names, Number, RecordFile, Share, Table, Whole
-from robustlab.operations.words import Measured, Plant, Repeats, Search, UncertainPlant
+from robustlab.operations.words import Measured, Plant, Search, UncertainPlant
 
 Window = Annotated[float | None, Number(above=0), "Length of the windows in s; chosen from the model if left out."]
-Period = Annotated[float | None, Number(above=0), "Period of the record in s; found if a signal repeats."]
 Tolerances = Annotated[
     dict[str, float] | None,
     Table(Share(above=0), "parameters"),
@@ -47,15 +46,13 @@ def compare(
     model: Annotated[Any, Machine(("plant", "model", "uncertain", "any")), "Model file, plant, or file.py:name."],
     record: Measured,
     window: Window = None,
-    period: Period = None,
-    repeats: Annotated[Repeats, Named(option="--repeat")] = None,
 ) -> Any:
     """Simulate a model with a recorded input and report where it disagrees with the recorded outputs.
 
     Example: robustlab data compare servo-axis emps.h5 --group train --outputs q --window 0.48
     Example: robustlab data compare mymachine.py:axis run3.csv --outputs q
     """
-    return rl.compare(model, record, window=window, period=period, repeats=repeats or ())
+    return rl.compare(model, record, window=window)
 
 
 @operation(
@@ -123,8 +120,6 @@ def validate(
         "Noise bound of an output, in its unit; from the record's own repeats where all are left out.",
     ] = None,
     at_rest: Annotated[bool, "The record starts at rest; otherwise its initial state is free."] = False,
-    window: Annotated[float | None, Number(above=0), "Length of windows with a free start in s."] = None,
-    noise_norm: Annotated[Literal["peak", "rms"] | None, "What the bound is of."] = None,
     precision: Annotated[float, Number(least=1e-4, most=0.2), "Relative width of the bounds."] = 0.01,
     search: Search,
     progress: Callable[[str], None] | None = None,

@@ -41,7 +41,6 @@ Sine = Annotated[dict[str, Any] | None, Table(Number(), "inputs"), "Amplitude of
 Frequency = Annotated[float | None, Number("Hz", above=0), "Of the sine, in Hz.", Named(option="--sine-frequency")]
 End = Annotated[float | None, Number("s", above=0), "End time in s; from the nominal poles if left out."]
 Points = Annotated[int, Whole(2, 100_000), "Number of times, where an end is given."]
-Workers = Annotated[int, Whole(1, 1024), "Threads; the answer does not depend on them.", Named(only="command")]
 
 
 @dataclass(frozen=True)
@@ -153,7 +152,6 @@ def violation_probability(
         Named(option="-n,--samples"),
     ] = None,
     seed: Seed = 0,
-    workers: Workers = 1,
 ) -> Any:
     """Probability that random members violate a limit of a metric, with Clopper-Pearson bounds and relevant parameters.
 
@@ -163,7 +161,7 @@ def violation_probability(
     """
     options: dict[str, Any] = {**judged.options, **drive.of(uncertain)}
     return rl.violation_probability(
-        uncertain, judged.metric, limit if unit is None else f"{limit!r} {unit}", n=n, seed=seed, workers=workers,
+        uncertain, judged.metric, limit if unit is None else f"{limit!r} {unit}", n=n, seed=seed,
         probability=probability, **options,
     )  # fmt: skip
 
