@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import robustlab as rl
 from robustlab.operations.declaration import Named, operation
@@ -118,6 +118,13 @@ def validate(
         dict[str, float] | None,
         Table(Number(least=0), "outputs"),
         "Noise bound of an output, in its unit; from the record's own repeats where all are left out.",
+    ] = None,
+    domain: Annotated[
+        Literal["time", "frequency"], "time, or frequency: whole periods in steady state, line by line."
+    ] = "time",
+    period: Annotated[float | None, Number(above=0), "Frequency domain: period in s where no signal shows it."] = None,
+    noise_norm: Annotated[
+        Literal["peak", "rms"] | None, "What the bound is of: peak or rms (frequency domain: rms)."
     ] = None,
     at_rest: Annotated[bool, "The record starts at rest; otherwise its initial state is free."] = False,
     precision: Annotated[float, Number(least=1e-4, most=0.2), "Relative width of the bounds."] = 0.01,
