@@ -17,6 +17,7 @@ Tolerances = Annotated[
     Named(option="--tolerance"),
     "Relative tolerance of a parameter, over the one that the plant states: Km=0.05 or Km=5%.",
 ]
+Column = Annotated[str | None, Names("outputs", "record", one=True)]
 Exclude = Annotated[list[str] | None, Names(repeated=True), "Id of an effect not to be tried."]
 
 
@@ -46,13 +47,15 @@ def compare(
     model: Annotated[Any, Machine(("plant", "model", "uncertain", "any")), "Model file, plant, or file.py:name."],
     record: Measured,
     window: Window = None,
+    speed: Annotated[Column, "Output over which the error is sorted by speed."] = None,
+    position: Annotated[Column, "Output over which the error is sorted by position."] = None,
 ) -> Any:
     """Simulate a model with a recorded input and report where it disagrees with the recorded outputs.
 
     Example: robustlab data compare servo-axis emps.h5 --group train --outputs q --window 0.48
     Example: robustlab data compare mymachine.py:axis run3.csv --outputs q
     """
-    return rl.compare(model, record, window=window)
+    return rl.compare(model, record, window=window, speed=speed, position=position)
 
 
 @operation(

@@ -372,7 +372,15 @@ def reduce_model(
 
 
 @operation("model minimal", "minimal", calls="synthesis.reduction.model_reduction.minimal", **REDUCED)
-def minimal(model: Model) -> Any:
+def minimal(
+    model: Model,
+    tolerance: Annotated[
+        float | None,
+        Number(above=0, below=1),
+        "Singular values of the scaled staircase up to this count as zero.",
+        Named(option="--rank-tolerance"),
+    ] = None,
+) -> Any:
     """The model without uncontrollable or unobservable modes, unstable ones too; with the certified error.
 
     Exit code 4: the order depends on rounding.
