@@ -24,8 +24,8 @@ from harness import heading, options
 import robustlab as rl
 from robustlab.files.hdf5 import read_tree, write_tree
 from robustlab.files.tree import Dataset, Tree, content_sha256, digest_beside_claims
-from robustlab.verification import checker, reading
-from robustlab.verification.displayed import CONTROLLER, ROUNDING, SHOWN, places_at
+from robustlab.verification import checker, files
+from robustlab.verification.files import CONTROLLER, ROUNDING, SHOWN, places_at
 
 Rng = np.random.Generator
 RESULTS = Path(__file__).parent / "results" / "verify_files.txt"
@@ -157,7 +157,7 @@ def main() -> int:
             try:
                 if i % 10 == 0:  # one of ten goes through a file, which takes most of the time
                     tree = read_tree(write_tree(path, tree), isolate=False)
-                reading.read_tree = lambda _, tree=tree: tree
+                files.read_tree = lambda _, tree=tree: tree
                 answer = "accepted" if rl.verify(path).proved else "not proved"
             except rl.InputError:
                 answer = "refused"

@@ -14,7 +14,7 @@ import typer
 import robustlab as rl
 from robustlab.cli.console import FIGURE, emit, note, result_alone, save_figures
 from robustlab.cli.offers import one_of, plant_or_file
-from robustlab.cli.options import JsonOption, ProgressOption, RecordOptions, read_named, signals_of
+from robustlab.cli.options import JsonOption, ProgressOption, RecordOptions, read_named, units_of
 from robustlab.cli.progress import shown
 from robustlab.display import text_table
 from robustlab.errors import EXIT_REQUIREMENT_NOT_MET, EnvironmentFault, NoTrustworthyNumber, RobustlabError, UsageError
@@ -212,7 +212,7 @@ def _values(chosen: Operation, given: Mapping[str, Any], shared: Mapping[str, An
         if isinstance(p.kind, (Thing, TextFile)):
             value = _read(p, given[p.name], shared, files, found)
         elif isinstance(p.kind, Table) and p.kind.of in things:
-            units = {s.name: s.unit for s in signals_of(found.get(things[p.kind.of].name))}
+            units = units_of(found.get(things[p.kind.of].name), p.kind.side)
             value = p.kind.read(p.options[0], given[p.name], units)
         else:
             value = p.kind.read(p.options[0], given[p.name])

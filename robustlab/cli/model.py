@@ -12,7 +12,7 @@ from robustlab.cli.console import emit, note
 from robustlab.cli.generated import AS_JSON, READ, add_commands, taking
 from robustlab.cli.plant import parameter_lines, signal_lines
 from robustlab.errors import UsageError
-from robustlab.operations.kinds import Quantity, Table, in_units
+from robustlab.operations.kinds import Ends, Table
 
 app = typer.Typer(help="Build, show, check, compare and convert models.", no_args_is_help=True, add_completion=False)
 
@@ -87,8 +87,7 @@ def convert(
     if loaded.kind == "pair":
         raise UsageError(source, "two models, /nominal and /perturbed", "one", "--group nominal, or --group perturbed")
     origin = Provenance.now("model convert", inputs={source: file_sha256(source)})
-    ends = Table(Quantity("must"), words="NAME=LOW:HIGH").read("--saturation", saturation)
-    limits = in_units("--saturation", ends, {}) or None
+    limits = Table(Ends(), words="NAME=LOW:HIGH").read("--saturation", saturation)
     if limits is not None or anti_windup is not None or target.lower().endswith(".c"):
         rl.export_controller(
             target, loaded.object, prefix=prefix, saturation=limits, anti_windup=anti_windup, provenance=origin
@@ -98,7 +97,7 @@ def convert(
     emit("model convert", {"from": source, "to": target, "kind": loaded.kind}, f"{target}: {loaded.object!r}", as_json)
 
 
-add_commands(app, "model", "digital", "models", "robustness")
+add_commands(app, "model", "designs", "models", "robustness")
 
 
 # --- printing --------------------------------------------------------------------------------------------------------

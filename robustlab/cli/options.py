@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -109,6 +108,9 @@ def read_named(options: RecordOptions, system: Any, named: str, files: list[str]
     return record
 
 
-def signals_of(system: Any) -> Sequence[rl.Signal]:
-    """Return all signals of a plant or model; none of anything else."""
-    return [s for side in ("inputs", "outputs", "states") for s in getattr(system, side, ()) if hasattr(s, "unit")]
+def units_of(system: Any, side: str) -> dict[str, str]:
+    """Return the units of the parameters of a plant, or of all signals of a plant or model; none of anything else."""
+    if side == "parameters":
+        return {p.name: p.unit for p in getattr(system, "parameters", {}).values()}
+    every = (s for side in ("inputs", "outputs", "states") for s in getattr(system, side, ()))
+    return {s.name: s.unit for s in every if hasattr(s, "unit")}

@@ -30,7 +30,7 @@ def verify(
     """
     import robustlab as rl
     from robustlab.errors import EXIT_REQUIREMENT_NOT_MET, InputError, NoTrustworthyNumber
-    from robustlab.verification.reading import claims_in_file
+    from robustlab.verification.files import claims_in_file
 
     chosen = {path: claims_in_file(path) for given in files for path in _files_in(given)}
     holding = {path: claims for path, claims in chosen.items() if claims}

@@ -9,6 +9,6 @@ __all__, __getattr__ = lazily(
     __name__,
     {
         "verification": "Verified claims_of verify",
-        "designs": "h2_claims hinf_claims",
+        "models": "h2_claims hinf_claims",
     },
 )

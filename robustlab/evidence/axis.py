@@ -274,19 +274,14 @@ def weight_claims(blocks: Sequence[Block]) -> list[Claim]:
         R, W = pade(tau, order), error_weight(order, slope, spread / tau).scaled(tau)
         low, high = max(tau - spread, 0.0), tau + spread
         numbers = {**matrices(R, "R_{}"), **matrices(W, "W_{}"), "dt": np.array(0.0), "range": np.array([low, high])}
-        more = {"far": np.array(_far(R, W, low, high)), "tolerance": np.array(TOLERANCE)}
+        more = {"far": np.array(_far(R, W, 0.5 * (low + high))), "tolerance": np.array(TOLERANCE)}
         claims.append(Claim("delay-weight", {**numbers, **more}))
     return claims
 
 
-def _far(R: StateSpaceModel, W: StateSpaceModel, low: float, high: float) -> float:
-    """Return a frequency above which the weight exceeds 1 + |R|, before the arc of delays reaches the opposite of R."""
-    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+def _far(R: StateSpaceModel, W: StateSpaceModel, middle: float) -> float:
+    """Return a frequency above which the weight exceeds 1 + |R|."""
     omega = GRID / middle
     r, w = (frequency_response(G, omega)[:, 0, 0] for G in (R, W))
     short = np.abs(w) ** 2 <= 2.0 + 2.0 * np.abs(r) ** 2
-    passed = float(omega[np.flatnonzero(short)[-1] + 1]) if short.any() else float(omega[0])
-    opposite = np.abs(np.angle(r.conj() * np.exp(-1j * omega * middle))) + omega * half >= np.pi
-    if not half or not opposite.any():
-        return 1.001 * passed
-    return float(min(1.001 * passed, np.sqrt(passed * max(omega[np.argmax(opposite)], passed))))
+    return 1.001 * float(omega[np.flatnonzero(short)[-1] + 1] if short.any() else omega[0])

@@ -1,4 +1,7 @@
-"""Claims about reduced models, sets with two given end points, and covers."""
+"""Claims about loops with the stored controller, reduced models, sets with two given end points, and covers.
+
+Of a loop the plant and K are stored: the checker forms the loop in balls.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +11,23 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
-from robustlab.arrays import Array
+from robustlab.budget import search_budget
+from robustlab.evidence.axis import gain_claims, margin_claims
+from robustlab.mu_analysis.axis.axis_model import continuous, seed_frequencies
+from robustlab.mu_analysis.axis.intervals import cover_axis, loop_axis_claims
+from robustlab.mu_analysis.axis.margin import Margin
 from robustlab.mu_analysis.margins.cover import Cover
-from robustlab.norms import HinfNorm
+from robustlab.mu_analysis.matrix.upper import WORK
+from robustlab.norms import H2Norm, HinfNorm, hinf_norm
 from robustlab.norms.claims import (
+    ABOVE,
     Numbers,
     above,
     band_scalings,
     block_rows,
+    h2_loop_claims,
     loop_claims,
     loop_numbers,
     matrices,
@@ -24,11 +35,93 @@ from robustlab.norms.claims import (
     norm_matrix,
 )
 from robustlab.statespace import StateSpaceModel, append
+from robustlab.synthesis.dk.dk_design import DKSynthesis
+from robustlab.synthesis.fixed_structure import FixedSynthesis
+from robustlab.synthesis.goal_tuning import TunedSynthesis
+from robustlab.synthesis.hinf.loop_shaping import NcfSynthesis
+from robustlab.synthesis.problem.design import Synthesis
+from robustlab.synthesis.reduction.controller_reduction import ReducedController
 from robustlab.synthesis.reduction.model_reduction import ReducedModel
+from robustlab.uncertainty.distances import four_block
 from robustlab.uncertainty.elementwise import BuiltModel
 from robustlab.verification.claim import Claim
 
 ROUNDING = 1e-14  # of the largest entry: allowance in addition to a member's stated error
+
+
+def hinf_claims(found: Synthesis) -> list[Claim]:
+    """Return the claim of a stable loop with an H-infinity norm of at most ``gamma``."""
+    return loop_claims(found.plant.model, found.K, found.gamma)
+
+
+def h2_claims(found: Synthesis) -> list[Claim]:
+    """Return the claim of a stable loop with an H2 norm of at most ``gamma``."""
+    return h2_loop_claims(found.plant.model, found.K, found.gamma)
+
+
+def ncf_claims(found: NcfSynthesis) -> list[Claim]:
+    """Return the claims of a four-block norm of at most ``gamma`` of the shaped loop, and of a stable original loop."""
+    shaped = loop_claims(four_block(found.shaped_plant), found.K_shaped, found.gamma)
+    return shaped + loop_claims(found.plant.model, found.K, hinf_norm(found.closed_loop).upper)
+
+
+def fixed_claims(found: FixedSynthesis) -> list[Claim]:
+    """Return the claims of the norm of every plant's loop; of a set of the worst-case gain."""
+    if found.worst is not None:
+        if found.gamma != found.worst.upper or found.uncertain is None:
+            return []
+        numbers = loop_numbers(found.uncertain.M, found.K)
+        return [
+            _of_loop(claim, numbers) if claim.kind != "delay-weight" else claim for claim in gain_claims(found.worst)
+        ]
+    make = loop_claims if found.objective == "hinf" else h2_loop_claims
+    return [
+        c for plant, gamma in zip(found.plants, found.gammas, strict=True) for c in make(plant.model, found.K, gamma)
+    ]
+
+
+def tuned_claims(found: TunedSynthesis) -> list[Claim]:
+    """Return the claims of the value of every goal for every plant: a norm of its weighted loop."""
+    return [
+        claim
+        for goal in found.goals
+        for plant, value in zip(goal.plants, goal.values, strict=True)
+        for claim in (loop_claims if goal.norm == "hinf" else h2_loop_claims)(plant.model, found.K, value)
+    ]
+
+
+def reduced_controller_claims(found: ReducedController) -> list[Claim]:
+    """Return the claim of the loop with the reduced controller: a norm, or stability for the set."""
+    if isinstance(found.evidence, Margin):
+        numbers = loop_numbers(found.plant.model, found.K)
+        stable = [claim for claim in margin_claims(found.evidence) if claim.kind in ("mu-axis", "mu-boxes")]
+        return [_of_loop(claim, numbers) for claim in stable]
+    plant = found.plant if found.scaled is None else found.scaled
+    make = h2_loop_claims if isinstance(found.evidence, H2Norm) else loop_claims
+    return make(plant.model, found.K, found.gamma)
+
+
+def _of_loop(claim: Claim, numbers: Numbers) -> Claim:
+    """Return the claim about a loop as one about its plant and controller."""
+    return Claim(claim.kind, {**{name: x for name, x in claim.numbers.items() if name not in "ABCD"}, **numbers})
+
+
+def dk_claims(found: DKSynthesis) -> list[Claim]:
+    """Return the claim that mu of the loop is at most ``gamma`` at all frequencies, by constant D, G on intervals.
+
+    For scalings that depend on the frequency, or a discrete loop, new intervals are computed at this level.
+    """
+    level, pieces = found.gamma * ABOVE, found.pieces
+    if not pieces:
+        loop = found.plant.close(found.K)
+        mapped = continuous(loop)
+        first = np.append(seed_frequencies(mapped), found.frequency if not loop.is_discrete else [])
+        budget = search_budget("verify", WORK, 1.0, None)
+        cover = cover_axis(mapped, found.blocks, found.gamma, first=first, budget=budget, accuracy=0.5e-6)
+        if cover.open or cover.beta > level:
+            return []
+        pieces = tuple(cover.pieces)
+    return loop_axis_claims(found.plant.model, found.K, found.blocks, level, pieces)
 
 
 def reduction_claims(found: ReducedModel) -> list[Claim]:
@@ -47,7 +140,7 @@ def _difference(found: ReducedModel, norm: HinfNorm) -> list[Claim]:
     full, small, level = found.full, found.model, above(norm.upper)
     numbers: Numbers = {**matrices(full, "{}1"), **matrices(small, "{}2"), "dt": np.array(float(full.dt))}
     B, C = np.vstack([full.B, small.B]), np.hstack([full.C, -small.C])
-    error = StateSpaceModel(_diagonal(full.A, small.A), B, C, full.D - small.D, full.dt)
+    error = StateSpaceModel(block_diag(full.A, small.A), B, C, full.D - small.D, full.dt)
     if error.is_stable():
         proof = norm_matrix(error, level, norm.upper)
         return [Claim("difference-norm", {**numbers, "gamma": np.array(level), **proof})]
@@ -153,8 +246,8 @@ def _inside(model: StateSpaceModel, centre: StateSpaceModel, weight: StateSpaceM
     s = math.copysign(2.0 ** round(math.log2(abs(d))), d)
     one = np.eye(m)
     A_w, B_w, C_w = (np.kron(one, X) for X in (weight.A, weight.B, weight.C))
-    A, k = _diagonal(_diagonal(model.A, centre.A), A_w), len(A_w)
-    B = np.vstack([_diagonal(model.B, centre.B), np.hstack([B_w, np.zeros((k, m))])])
+    A, k = block_diag(model.A, centre.A, A_w), len(A_w)
+    B = np.vstack([block_diag(model.B, centre.B), np.hstack([B_w, np.zeros((k, m))])])
     C = np.block([[model.C, -centre.C, np.zeros((p, k))], [np.zeros((m, n)), -C_w]])
     D = np.block([[np.zeros((p, m)), model.D, -centre.D], [one, (s - d) * one, np.zeros((m, m))]])
     P = StateSpaceModel(A, np.hstack([np.zeros((n + k, m)), B]), C, D, model.dt)
@@ -165,7 +258,3 @@ def _inside(model: StateSpaceModel, centre: StateSpaceModel, weight: StateSpaceM
     level = 1.0 if size < 1.0 else above(size)
     numbers = loop_numbers(P, K)
     return Claim("loop-norm", {**numbers, "gamma": np.array(level), **norm_matrix(loop, level, size, numbers)})
-
-
-def _diagonal(X: Array, Y: Array) -> Array:
-    return np.block([[X, np.zeros((len(X), Y.shape[1]))], [np.zeros((len(Y), X.shape[1])), Y]])

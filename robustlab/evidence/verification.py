@@ -21,13 +21,13 @@ CLAIMS: Mapping[str, str] = {
     "Margin": "evidence.axis.margin_claims",
     "WorstCaseGain": "evidence.axis.gain_claims",
     "RobustGain": "evidence.axis.robust_gain_claims",
-    "HinfSynthesis": "evidence.designs.hinf_claims",
-    "NcfSynthesis": "evidence.designs.ncf_claims",
-    "H2Synthesis": "evidence.designs.h2_claims",
-    "FixedSynthesis": "evidence.designs.fixed_claims",
-    "TunedSynthesis": "evidence.designs.tuned_claims",
-    "DKSynthesis": "evidence.designs.dk_claims",
-    "ReducedController": "evidence.designs.reduced_controller_claims",
+    "HinfSynthesis": "evidence.models.hinf_claims",
+    "NcfSynthesis": "evidence.models.ncf_claims",
+    "H2Synthesis": "evidence.models.h2_claims",
+    "FixedSynthesis": "evidence.models.fixed_claims",
+    "TunedSynthesis": "evidence.models.tuned_claims",
+    "DKSynthesis": "evidence.models.dk_claims",
+    "ReducedController": "evidence.models.reduced_controller_claims",
     "ReducedModel": "evidence.models.reduction_claims",
     "BuiltModel": "evidence.models.set_claims",
     "CoprimeMargin": "evidence.axis.coprime_claims",
@@ -138,8 +138,7 @@ def verify(result: Any, *, effort: float = 1.0) -> Verified:
         Nothing to verify: a file without claims, a result of another kind.
     """
     from robustlab.verification.checker import EFFORT, check
-    from robustlab.verification.displayed import displayed
-    from robustlab.verification.reading import claims_in, read_checked
+    from robustlab.verification.files import claims_in, displayed, read_checked
 
     if not 0 < effort < float("inf"):
         raise InputError("verify: effort", f"{effort}", "a positive number")

@@ -4,7 +4,7 @@ r"""Multipliers, the integral quadratic constraints of blocks with unknowns, and
 
 for all z in L2 and w the block's output, with the filters :math:`\psi = (1, \frac{a}{s + a}, \dots, (\frac{a}{s +
 a})^\nu)`; the constraints of each block and the order of their unknowns are those of
-`robustlab.verification.multipliers`. In the inequality of Kalman, Yakubovich and Popov (Rantzer 1996)
+`robustlab.verification.iqc`. In the inequality of Kalman, Yakubovich and Popov (Rantzer 1996)
 
 .. math:: \begin{bmatrix} A^T P + P A & P B \\ B^T P & 0 \end{bmatrix}
     + \sum_i \begin{bmatrix} C_i & D_i \end{bmatrix}^T M_i(\lambda) \begin{bmatrix} C_i & D_i \end{bmatrix}

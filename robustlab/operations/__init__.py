@@ -8,7 +8,7 @@ __all__, __getattr__ = lazily(
         "declaration": "COMMANDS Operation STEPS every_operation reading_option",
         "kinds": "Choice Numbers Table Thing",
         "members": "METRICS",
-        "sets": "COVERS elementwise",
+        "models": "COVERS elementwise",
         "vocabulary": "Positive ToModel",
     },
 )

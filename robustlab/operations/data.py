@@ -7,26 +7,31 @@ from typing import Annotated, Any, Literal
 
 import robustlab as rl
 from robustlab.operations.declaration import Named, operation
-from robustlab.operations.kinds import Choice, Flag, Machine, Names, Number, RecordFile, Share, Table, Whole
-from robustlab.operations.words import Measured, Plant, Repeats, Search, UncertainPlant
+from robustlab.operations.kinds import Machine, Names, Number, RecordFile, Share, Table, Whole
+from robustlab.operations.words import Measured, Plant, Search, UncertainPlant
 
 Window = Annotated[float | None, Number(above=0), "Length of the windows in s; chosen from the model if left out."]
-Period = Annotated[float | None, Number(above=0), "Period of the record in s; found if a signal repeats."]
 Tolerances = Annotated[
     dict[str, float] | None,
     Table(Share(above=0), "parameters"),
     Named(option="--tolerance"),
     "Relative tolerance of a parameter, over the one that the plant states: Km=0.05 or Km=5%.",
 ]
-Exclude = Annotated[list[str] | None, Names(repeated=True), "Id of an effect not to be tried."]
 Column = Annotated[str | None, Names("outputs", "record", one=True)]
+Exclude = Annotated[list[str] | None, Names(repeated=True), "Id of an effect not to be tried."]
 
 
-@operation("data check", "check-record", result="identification.data_checks.suitability.RecordCheck")
+SUITED, VALIDATED = "identification.data_checks.suitability.", "identification.validation."
+
+
+@operation("data check", "check-record", result=f"{SUITED}RecordCheck", calls=f"{SUITED}check_record")
 def check_record(
-    record: Annotated[Any, RecordFile(remarks=False), Named(key="of"), "HDF5, MATLAB, CSV or TXT file."],
-    model: Annotated[
-        Any, Machine(), "A model: check also whether the record suits the identification of its missing effects."
+    record: Annotated[Any, RecordFile(remarks=False), "HDF5, MATLAB, CSV or TXT file."],
+    plant: Annotated[
+        Any,
+        Machine(),
+        "A model: check also whether the record suits the identification of its missing effects.",
+        Named(option="--model", key="model"),
     ] = None,
 ) -> Any:
     """Read a record and report its content and its irregularities.
@@ -35,34 +40,22 @@ def check_record(
     Example: robustlab data check run3.csv --model servo-axis
     Example: robustlab data check run.csv --inputs u=command --outputs q=position
     """
-    from robustlab.identification.data_checks.suitability import check_record as check
-
-    return check(record, model)
 
 
 @operation("data compare", "compare", result="identification.comparison.comparison_result.Comparison")
 def compare(
-    model: Annotated[
-        Any, Machine(("plant", "model", "uncertain", "any")), Named(key="of"), "Model file, plant, or file.py:name."
-    ],
+    model: Annotated[Any, Machine(("plant", "model", "uncertain", "any")), "Model file, plant, or file.py:name."],
     record: Measured,
     window: Window = None,
-    start: Annotated[float | None, Number(above=0), "Longest opening stretch in s for the initial state."] = None,
-    lags: Annotated[int, Whole(1, 1000), "Lags of the residual tests."] = 25,
     speed: Annotated[Column, "Output over which the error is sorted by speed."] = None,
     position: Annotated[Column, "Output over which the error is sorted by position."] = None,
-    period: Period = None,
-    repeats: Annotated[Repeats, Named(option="--repeat")] = None,
 ) -> Any:
     """Simulate a model with a recorded input and report where it disagrees with the recorded outputs.
 
     Example: robustlab data compare servo-axis emps.h5 --group train --outputs q --window 0.48
     Example: robustlab data compare mymachine.py:axis run3.csv --outputs q
     """
-    return rl.compare(
-        model, record, window=window, start=start, lags=lags, speed=speed, position=position, period=period,
-        repeats=repeats or (),
-    )  # fmt: skip
+    return rl.compare(model, record, window=window, speed=speed, position=position)
 
 
 @operation(
@@ -70,7 +63,7 @@ def compare(
     made="model", own=True, progress="parts",
 )  # fmt: skip
 def discover(
-    model: Annotated[Plant, Named(key="of")],
+    model: Plant,
     records: Annotated[list[Any], RecordFile(many=True), "Records of one machine; FILE#GROUP takes that group."],
     held_out: Annotated[list[Any] | None, RecordFile(many=True), "Record that no fit uses, for the model error."]
     = None,
@@ -87,17 +80,15 @@ def discover(
 
     Example: robustlab data discover servo-axis emps.h5#train --held-out emps.h5#test --outputs q --out out/emps
     """
-    from robustlab.dynamics.effects.catalogue import effect
-
     return rl.discover(
-        model, records, held_out or None, tolerances=tolerances, window=window,
-        exclude=tuple(effect(name).id for name in exclude or ()), progress=progress,
-    )  # fmt: skip
+        model, records, held_out or None, tolerances=tolerances, window=window, exclude=exclude or (), progress=progress
+    )
 
 
-@operation("data watch", "watch", result="identification.monitoring.watch.Watch", progress="lines")
+@operation("data watch", "watch", result="identification.monitoring.watch.Watch", progress="lines",
+           calls="identification.monitoring.watch.watch")  # fmt: skip
 def watch(
-    model: Annotated[Plant, Named(key="of")],
+    model: Plant,
     records: Annotated[list[Any], RecordFile(many=True), "The log: one record, or its pieces in their order."],
     noise: Annotated[
         dict[str, float],
@@ -108,9 +99,7 @@ def watch(
     false_alarm: Annotated[
         float, Number(above=0, most=0.5), "Probability of an alarm in the whole log while the model explains it."
     ] = 0.01,
-    tolerances: Tolerances = None,
     exclude: Exclude = None,
-    window: Annotated[float | None, Number(above=0), "Length of the windows in s."] = None,
     progress: Callable[[str], None] | None = None,
 ) -> Any:
     """Detect when a model stops explaining a log, and identify the change.
@@ -120,19 +109,12 @@ def watch(
 
     Example: robustlab data watch axis.h5 monday.csv tuesday.csv --every 60 --inputs u --outputs q --noise q=1e-4
     """
-    from robustlab.dynamics.effects.catalogue import effect
-
-    return rl.watch(
-        model, records, every=every, noise=noise, false_alarm=false_alarm, tolerances=tolerances, window=window,
-        exclude=tuple(effect(name).id for name in exclude or ()), progress=progress,
-    )  # fmt: skip
 
 
-@operation(
-    "data validate", "validate", result="identification.validation.validation_result.Validation", progress="lines"
-)
+@operation("data validate", "validate", result=f"{VALIDATED}validation_result.Validation", progress="lines",
+           calls=f"{VALIDATED}model_validation.validate")  # fmt: skip
 def validate(
-    uncertain: Annotated[UncertainPlant, Named(key="of")],
+    uncertain: UncertainPlant,
     record: Measured,
     *,
     noise: Annotated[
@@ -141,18 +123,13 @@ def validate(
         "Noise bound of an output, in its unit; from the record's own repeats where all are left out.",
     ] = None,
     domain: Annotated[
-        Literal["time", "frequency"],
-        Choice(("time", "frequency")),
-        "time, or frequency: whole periods in steady state, line by line.",
+        Literal["time", "frequency"], "time, or frequency: whole periods in steady state, line by line."
     ] = "time",
     period: Annotated[float | None, Number(above=0), "Frequency domain: period in s where no signal shows it."] = None,
-    at_rest: Annotated[bool, Flag(), "The record starts at rest; otherwise its initial state is free."] = False,
-    window: Annotated[float | None, Number(above=0), "Length of windows with a free start in s."] = None,
     noise_norm: Annotated[
-        Literal["peak", "rms"] | None,
-        Choice(("peak", "rms")),
-        "What the bound is of: peak or rms (frequency domain: rms).",
+        Literal["peak", "rms"] | None, "What the bound is of: peak or rms (frequency domain: rms)."
     ] = None,
+    at_rest: Annotated[bool, "The record starts at rest; otherwise its initial state is free."] = False,
     precision: Annotated[float, Number(least=1e-4, most=0.2), "Relative width of the bounds."] = 0.01,
     search: Search,
     progress: Callable[[str], None] | None = None,
@@ -164,15 +141,12 @@ def validate(
 
     Example: robustlab data validate axis.h5 run3.csv --noise q=2e-5
     """
-    return rl.validate(
-        uncertain, record, noise or None, domain=domain, period=period, at_rest=at_rest, window=window,
-        noise_norm=noise_norm, precision=precision, progress=progress, **vars(search),
-    )  # fmt: skip
 
 
-@operation("", "cover", result="identification.comparison.envelope.EnvelopeCoverage")
+@operation("", "cover", result="identification.comparison.envelope.EnvelopeCoverage",
+           calls="identification.comparison.envelope.cover")  # fmt: skip
 def cover(
-    uncertain: Annotated[UncertainPlant, Named(key="of")],
+    uncertain: UncertainPlant,
     record: Measured,
     n: Annotated[int, Whole(), Named(option="--samples,-n"), "Random members."] = 20,
     vertices: Annotated[int, Whole(), "Further members at vertices of the set."] = 0,
@@ -187,6 +161,3 @@ def cover(
     seed: Annotated[int | None, Whole(0, 2**63 - 1), "Seed of the members; in a recipe its own if left out."] = None,
 ) -> Any:
     """Check whether the envelope of an uncertain model's members contains a record. Sampled, not proved."""
-    from robustlab.identification.comparison.envelope import cover as within
-
-    return within(uncertain, record, n=n, vertices=vertices, seed=seed or 0, rate=rate, allowance=allowance)

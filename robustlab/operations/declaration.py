@@ -1,7 +1,7 @@
 """The registry of operations: `operation` declares a function; its command, its step and their help are generated.
 
-Each parameter is annotated ``Annotated[type, kind, "help"]``. The fields of a dataclass parameter are options of their
-own. Numerical modules are imported inside the functions.
+Each parameter is annotated ``Annotated[type, kind, "help"]``; without a kind, the type gives it. The fields of a
+dataclass parameter are options of their own. Numerical modules are imported inside the functions.
 """
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ import ast
 import inspect
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from functools import cache
 from importlib import import_module
 from typing import Any, Literal, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
 
 from robustlab.errors import rewritten
-from robustlab.operations.kinds import Feedback, Kind
+from robustlab.operations.kinds import Choice, Feedback, Flag, Kind, Number, Thing, Whole
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -28,7 +28,10 @@ COMMANDS: dict[str, Operation] = {}
 
 @dataclass(frozen=True)
 class Named:
-    """In an annotation: names of the parameter in Python, as option and as key, where they differ from its own."""
+    """In an annotation: names of the parameter in Python, as option and as key, where they differ from its own.
+
+    The key of the first object is "of", where nothing else is given.
+    """
 
     argument: str = ""
     option: str = ""  # ``--filter-order``, or ``-k,--controller``
@@ -87,6 +90,9 @@ class Operation:
     # is a key), or a function of the step and the inference of earlier steps; None: nothing.
     infer: str | Callable[[Any, Any], Any] | None = None
     own: bool = False  # the command is defined by hand in its group
+    calls: str = (
+        ""  # ``module.function`` below ``robustlab`` that takes the values as they are; "": the function's body
+    )
     progress: str = ""  # "lines": each text is a line where stderr is no terminal; "parts", "steps": work is counted
 
     @property
@@ -130,6 +136,9 @@ class Operation:
 
     def __call__(self, **values: Any) -> InLoop:
         """Call the function; values of a dataclass' fields are passed as that dataclass."""
+        if self.calls:
+            module, _, name = self.calls.rpartition(".")
+            return InLoop(getattr(import_module(f"robustlab.{module}"), name)(**values))
         for name, group in _groups(self.function).items():
             own = [f.name for f in fields(group) if f.name in values]
             values[name] = group(**{field: values.pop(field) for field in own})
@@ -207,6 +216,9 @@ def _parameters(function: Callable[..., Any]) -> list[Parameter]:
             ]
         elif name not in ("progress", "drawn"):
             found.append(_parameter(name, hints[name], given.default))
+    first = next((i for i, p in enumerate(found) if isinstance(p.kind, Thing)), None)
+    if first is not None and not found[first].called.key:
+        found[first] = replace(found[first], called=replace(found[first].called, key="of"))
     return found
 
 
@@ -215,7 +227,16 @@ def _parameter(name: str, hint: Any, default: Any) -> Parameter:
     marks: dict[Any, Any] = {}
     for mark in _marks(hint):
         marks[Kind if isinstance(mark, Kind) else type(mark)] = mark
-    return Parameter(name, marks[Kind], default, marks.get(str, ""), marks.get(Named, Named()))
+    kind = marks[Kind] if Kind in marks else _kind_of(hint)
+    return Parameter(name, kind, default, marks.get(str, ""), marks.get(Named, Named()))
+
+
+def _kind_of(hint: Any) -> Kind:
+    """Return the kind of a parameter from its type: words, yes or no, a whole number, a number, or a text."""
+    inner = [part for part in get_args(hint) if part is not type(None)] if get_origin(hint) is not Literal else []
+    if inner:
+        return _kind_of(inner[0])
+    return Choice(get_args(hint)) if get_args(hint) else {bool: Flag(), int: Whole(), float: Number()}.get(hint, Kind())
 
 
 @cache
@@ -242,4 +263,4 @@ def every_operation() -> list[Operation]:
 
 
 # The modules of operations.
-ALL = ("data", "designs", "digital", "members", "models", "robustness", "sets")
+ALL = ("data", "designs", "members", "models", "robustness")

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, Any
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, Literal
 
 import robustlab as rl
 from robustlab.errors import InputError, UsageError
 from robustlab.operations.declaration import InLoop, Named, operation
-from robustlab.operations.kinds import ByNumber, Choice, Flag, Kind, Names, Number, Thing, Weight, Whole
-from robustlab.operations.words import Design, Model, Search, Seed, Signals
+from robustlab.operations.kinds import ByNumber, Number, Thing, Weight, Whole
+from robustlab.operations.words import Controller, Design, Model, SampleTime, Search, Seed, Sign, Signals, System
 
 DESIGN, HINF = "synthesis.problem.design.", "synthesis.hinf."
-Plant = Annotated[Design, "Generalised plant, tracking problem, plant or uncertain model.", Named(key="of")]
-Of = Annotated[Model, Named(key="of")]
+Plant = Annotated[Design, "Generalised plant, tracking problem, plant or uncertain model."]
 K = Annotated[Any, Thing(("controller", "any"), model=True), "File with the controller."]
 Channel = Annotated[Any, ByNumber()]
 Measured = Annotated[Channel, "Measured outputs by name, or how many of the last; a tracking problem knows its own."]
@@ -26,18 +25,6 @@ class Channels:
 
     measurements: Measured = None
     controls: Controls = None
-    disturbances: Annotated[
-        list[str] | None,
-        Names(),
-        "With names: the inputs w; all that are no controls where left out.",
-        Named(option="--disturbance-inputs"),
-    ] = None
-    performance: Annotated[
-        list[str] | None,
-        Names(),
-        "With names: the outputs z; all outputs where left out.",
-        Named(option="--performance-outputs"),
-    ] = None
 
     def posed(self, system: Any, where: str, nominal: bool | None = False) -> Any:
         """Return the generalised plant: of a tracking problem its own, else with channels by number or by name."""
@@ -58,20 +45,26 @@ class Channels:
             expected = "measurements and controls: names, or how many of the last outputs and inputs"
             raise UsageError(where, "channels are not given", expected)
         if all(named):
-            return rl.generalized_plant(system, measurements, controls, self.disturbances, self.performance)
-        if self.disturbances or self.performance:
-            raise UsageError(
-                where, "disturbance inputs or performance outputs", "measurements and controls by name, too"
-            )
+            return rl.generalized_plant(system, measurements, controls)
         return as_generalized_plant(system, measurements, controls, where)
+
+    def around(self, system: Any, K: Any, where: str, nominal: bool | None = False) -> Any:
+        """Return the generalised plant of a controller; without names, its channels are the plant's last ones."""
+        from robustlab.synthesis.specifications.tracking import TrackingProblem
+
+        if (self.measurements is None) != (self.controls is None):
+            raise UsageError(f"{where}: measurements, controls", "one of them", "both, or none")
+        if self.measurements is not None or isinstance(system, TrackingProblem):
+            return self.posed(system, where, nominal)
+        return Channels(K.n_inputs, K.n_outputs).posed(system, where, nominal)
 
 
 Nominal = Annotated[
-    bool, Flag(), "Of a tracking problem or an uncertain model: at Delta = 0, without its perturbation channels."
+    bool, "Of a tracking problem or an uncertain model: at Delta = 0, without its perturbation channels."
 ]
 # By default a tracking problem is taken at Delta = 0; all of an uncertain model's Delta counts as one full block.
 NominalProblem = Annotated[
-    bool | None, Flag(), "At Delta = 0; left out so of a tracking problem; else all of Delta counts as one full block."
+    bool | None, "At Delta = 0; left out so of a tracking problem; else all of Delta counts as one full block."
 ]
 GammaRel = Annotated[
     float,
@@ -80,7 +73,6 @@ GammaRel = Annotated[
 ]
 Structure = Annotated[
     str,
-    Kind(),
     "static, p, i, pi, pd, pid (one per channel), order:N, poles:-1,-20, ipd or two-layer (with :full, :diagonal, "
     ":scalar), decentralised:WORD.",
 ]
@@ -146,15 +138,7 @@ def dk(
     system: Plant,
     *,
     channels: Channels,
-    blocks: Annotated[
-        str | None,
-        Kind(),
-        'Blocks of Delta as rows "r,c" separated by ";" (-r,0 real repeated, r,0 complex repeated, r,c full); those of '
-        "the uncertain model where left out.",
-    ] = None,
     start: Annotated[Any, Thing(("controller", "any")), "Stabilising controller to start from."] = None,
-    direct: Annotated[bool, Flag(), "Let D and G depend on the frequency; else D is constant."] = True,
-    mixed: Annotated[bool, Flag(), "Use that real blocks are real."] = True,
     max_order: Annotated[Order, "Largest order of the controller."] = None,
     order_rel: Annotated[
         float,
@@ -172,26 +156,9 @@ def dk(
 
     Example: robustlab synth dk uncertain.h5 --measurements y --controls u --figure design.svg --out controller.h5
     """
-    rows = None if blocks is None else _rows(blocks)
-    found = rl.dk(
-        channels.posed(system, "dk"), rows, K0=start, direct=direct, mixed=mixed, max_order=max_order,
-        order_rel=order_rel, progress=progress, **vars(search),
-    )  # fmt: skip
+    P = channels.posed(system, "dk")
+    found = rl.dk(P, K0=start, max_order=max_order, order_rel=order_rel, progress=progress, **vars(search))
     return _design(found, system, proved=False, drawn=drawn)
-
-
-def _rows(text: str) -> list[list[int]]:
-    rows: list[list[int]] = []
-    for part in text.split(";"):
-        try:
-            row = [int(number) for number in part.split(",")]
-        except ValueError:
-            row = []
-        if len(row) != 2:
-            expected = 'rows "r,c" separated by ";": -r,0 real repeated r times, r,0 complex repeated, r,c a full block'
-            raise UsageError("--blocks", repr(part.strip()), expected)
-        rows.append(row)
-    return rows
 
 
 @operation(
@@ -207,7 +174,6 @@ def fixed_structure(
     structure: Structure = "static",
     channels: Channels,
     nominal: Nominal = False,
-    objective: Annotated[str, Choice(("hinf", "h2")), "The norm that is made small."] = "hinf",
     starts: Annotated[int, Whole(0, 1000), "Number of random starts."] = 3,
     seed: Seed = 0,
     search: Search,
@@ -225,10 +191,9 @@ def fixed_structure(
 
     P = channels.posed(system, "fixed", nominal)
     found = rl.fixed_structure(
-        P, structure_in_words(structure, P), objective=objective, starts=starts, seed=seed, progress=progress,
-        **vars(search),
-    )  # fmt: skip
-    return _design(found, system, nominal and objective == "hinf", drawn)
+        P, structure_in_words(structure, P), starts=starts, seed=seed, progress=progress, **vars(search)
+    )
+    return _design(found, system, nominal, drawn)
 
 
 # --- plain models -----------------------------------------------------------------------------------------------------
@@ -236,7 +201,7 @@ def fixed_structure(
 
 @operation("synth mixsyn", "mixsyn", result=DESIGN + "HinfSynthesis", gives="controller", made="controller")
 def mixsyn(
-    system: Of,
+    system: Model,
     *,
     w1: Annotated[
         Any,
@@ -277,7 +242,7 @@ def mixsyn(
 
 @operation("synth ncf", "ncf", result=f"{HINF}loop_shaping.NcfSynthesis", gives="controller", made="controller")
 def ncf(
-    system: Of,
+    system: Model,
     *,
     w1: Annotated[
         Any,
@@ -302,3 +267,163 @@ def ncf(
     Example: robustlab synth ncf motor.h5 --outputs omega --w1 10 --out controller.h5
     """
     return rl.ncf(signals.of(system), w1, w2, factor=factor)
+
+
+# --- reduction, discretisation, the closed loop -----------------------------------------------------------------------
+
+
+@operation("synth reduce", "reduce-controller", result="synthesis.reduction.controller_reduction.ReducedController",
+      gives="controller", made="controller")  # fmt: skip
+def reduce_controller(
+    plant: Plant,
+    controller: K,
+    *,
+    loss: Annotated[float, Number(least=0, most=10), "Largest loss allowed, as a share."] = 0.01,
+    order: Annotated[Order, "States of the result, whatever it loses."] = None,
+    measure: Annotated[Literal["hinf", "h2", "mu"], "mu: robust performance, with the plant's Delta."] = "hinf",
+    channels: Channels,
+    search: Search,
+    progress: Any = None,
+) -> Any:
+    """Controller of the lowest order whose closed loop, rebuilt and proved anew, loses no more than a stated share.
+
+    Exit code 4: no controller of that order could be verified.
+
+    Example: robustlab synth reduce plant.h5 controller.h5 --loss 0.02 --out small.h5
+    """
+    P = channels.around(plant, controller, "reduce-controller", False if measure == "mu" else None)
+    return rl.reduce_controller(
+        P, controller, loss=loss, order=order, measure=measure, progress=progress, **vars(search)
+    )
+
+
+Method = Annotated[
+    Literal["auto", "direct", "tustin", "tustin-prewarp", "zoh", "foh"],
+    "Formula, or a design for the sampled plant.",
+]
+
+
+@operation("synth discretise", "discretise", result="synthesis.discretisation.SampledController",
+      gives="controller", made="controller")  # fmt: skip
+def discretise(
+    plant: Annotated[
+        Plant, "The problem or generalised plant that the controller was designed for.", Named(key="plant")
+    ],
+    controller: Annotated[K, Named(key="of")],
+    *,
+    dt: SampleTime,
+    delay: Annotated[float, Number(least=0), "Computation delay in s."] = 0.0,
+    method: Method = "auto",
+    loss: Annotated[
+        float, Number(least=0, most=100), "Share of the norm from which on auto designs for the sampled plant."
+    ] = 0.1,
+    channels: Channels,
+    search: Search,
+    progress: Any = None,
+) -> Any:
+    """Digital form of a controller, with the proved norm of the sampled loop, between samples too, and its loss.
+
+    Of an uncertain plant the norm is that of the nominal loop.
+
+    Exit code 1: the loss is above --loss. Exit code 4: no method kept the sampled loop stable.
+
+    Example: robustlab synth discretise plant.h5 controller.h5 --dt 0.01 --out digital.h5
+    """
+    P = channels.around(plant, controller, "discretise")
+    return rl.discretise(
+        controller, dt=dt, method=method, plant=_nominal(P), delay=delay, loss=loss, progress=progress, **vars(search)
+    )
+
+
+def _nominal(plant: Any) -> Any:
+    from robustlab.synthesis.problem.partition import GeneralizedPlant
+
+    nominal = rl.UncertainModel(plant.model, plant.blocks).nominal
+    return GeneralizedPlant(nominal, plant.n_meas, plant.n_con) if plant.blocks else plant
+
+
+REDUCED: Any = {
+    "result": "synthesis.reduction.reduced_model.ReducedModel", "gives": "model", "made": "model", "infer": "of"
+}  # fmt: skip
+
+
+@operation("model reduce", "reduce-model", calls="synthesis.reduction.model_reduction.reduce_model", **REDUCED)
+def reduce_model(
+    model: Model,
+    order: Annotated[Order, "States of the result."] = None,
+    tolerance: Annotated[
+        float | None, Number(above=0), "Instead of the order: largest error, as reported.", Named(option="--max-error")
+    ] = None,
+    method: Annotated[
+        Literal["truncation", "residualisation", "hankel", "stochastic", "coprime"],
+        "stochastic: relative error; coprime: unstable modes too.",
+    ] = "truncation",
+    input_weight: Annotated[Any, Thing(("model", "any")), "A stable model W_i: the error is W_o (G - Gr) W_i."] = None,
+    output_weight: Annotated[Any, Thing(("model", "any")), "The same for W_o."] = None,
+    floor: Annotated[float, Number(least=0), "Of stochastic: gain below which errors count absolutely."] = 0.0,
+) -> Any:
+    """A model of lower order, with its certified error and the bound of theory.
+
+    Modes that are not stable are kept, or reduced too with the method coprime.
+    Exit code 4: the error could not be certified, or the model of that order is not stable.
+
+    Example: robustlab model reduce plant.h5 --max-error 0.01 --out small.h5
+    """
+
+
+@operation("model minimal", "minimal", calls="synthesis.reduction.model_reduction.minimal", **REDUCED)
+def minimal(
+    model: Model,
+    tolerance: Annotated[
+        float | None,
+        Number(above=0, below=1),
+        "Singular values of the scaled staircase up to this count as zero.",
+        Named(option="--rank-tolerance"),
+    ] = None,
+) -> Any:
+    """The model without uncontrollable or unobservable modes, unstable ones too; with the certified error.
+
+    Exit code 4: the order depends on rounding.
+
+    Example: robustlab model minimal plant.h5 --out minimal.h5
+    """
+
+
+def _inferred_loop(step: Any, ahead: Any) -> Any:
+    inputs, outputs = ahead[step.of].inputs, ahead[step.of].outputs
+    if inputs is None or outputs is None:
+        return ahead[None]
+    references = {f"{name}_ref": unit for name, unit in outputs.items()}
+    return replace(ahead[None], inputs=references, outputs={**outputs, **inputs})
+
+
+@operation("model discretise", result="statespace.StateSpaceModel", gives="model")
+def discretise_by_formula(
+    system: Annotated[Any, Thing(("plant", "model", "any")), "HDF5 or .mat file."],
+    dt: SampleTime,
+    method: Annotated[Literal["tustin", "zoh", "foh"], "The formula."] = "tustin",
+) -> Any:
+    """A discrete model of a continuous one, by formula.
+
+    A model with exact delays at inputs and outputs takes zoh, which is exact.
+    For the loss in a closed loop see "synth discretise".
+
+    Example: robustlab model discretise motor.h5 --dt 0.001 --method zoh --out motor-1ms.h5
+    """
+    from robustlab.statespace import as_model
+    from robustlab.synthesis.discretisation import merged_modes
+
+    delayed = isinstance(system, rl.DelayedModel)
+    model: Any = system if delayed else as_model(system, "model discretise")
+    found = rl.discretise(model, dt, method)
+    return InLoop(found, notes=tuple(f"warning: {pair}" for pair in merged_modes(model.H if delayed else model, dt)))
+
+
+@operation("", "close-loop", result="synthesis.specifications.tracking.ClosedLoop", gives="uncertain",
+      made="model", infer=_inferred_loop)  # fmt: skip
+def close_loop(system: System, controller: Controller, sign: Annotated[Sign, Named(option="--feedback")] = None) -> Any:
+    """The tracking loop of a controller around a model: reference in, the controlled outputs and controls out."""
+    from robustlab.synthesis.specifications.tracking import ClosedLoop, tracking_loop, with_law
+
+    K, words = with_law(system, controller, sign)
+    return ClosedLoop(tracking_loop(system, K), words)

@@ -107,45 +107,32 @@ class Share(Number):
 
 
 @dataclass(frozen=True)
-class Quantity(Kind):
-    """A number; a command passes it as a text with its unit, which the function reads (`in_units`)."""
+class Ends(Number):
+    """The ends of a range, ``LOW:HIGH``; where ``single``, also one number."""
 
-    ends: Literal["", "may", "must"] = ""
-    least: float | None = None
+    single: bool = False
 
     def of_text(self, where: str, text: str, unit: str) -> Any:
-        """Return the text, or the texts of both ends."""
-        parts = text.split(":") if self.ends else [text]
-        if len(parts) > 2 or (self.ends == "must" and len(parts) == 1):
+        parts = text.split(":")
+        if len(parts) > 2 or (len(parts) == 1 and not self.single):
             raise UsageError(where, "no name and two numbers", "NAME=LOW:HIGH")
-        return text if len(parts) == 1 else tuple(parts)
+        found = tuple(Number.of_text(self, where, part, unit) for part in parts)
+        return found if len(found) == 2 else found[0]
 
     def field(self) -> Any:
-        number: Any = bounded(float, ge=self.least)
+        number: Any = super().field()
         two: Any = bounded(list[number], min_length=2, max_length=2)
-        return {"": number, "may": number | two, "must": two}[self.ends]
+        return number | two if self.single else two
 
     def of_field(self, given: Any) -> Any:
         return tuple(given) if isinstance(given, list) else given
 
 
-def in_units(where: str, given: Mapping[str, Any] | None, units: Mapping[str, str]) -> dict[str, Any]:
-    """Return values by name, with texts read as numbers in the unit of their name.
+class NumberInUnit(Kind):
+    """A number; a command passes it as a text with its unit, which the function reads."""
 
-    Examples
-    --------
-    >>> in_units("input", {"u": "2 mV", "w": ("1", "2"), "v": 3.0}, {"u": "V"})
-    {'u': 0.002, 'w': (1.0, 2.0), 'v': 3.0}
-    """
-
-    def read(name: str, value: Any) -> Any:
-        unit = units.get(name, "")
-        if isinstance(value, tuple):
-            return tuple(amount(f"{where} {name}", one, unit) for one in value)
-        return amount(f"{where} {name}", value, unit)
-
-    with _as_usage():
-        return {name: read(name, value) for name, value in (given or {}).items()}
+    def field(self) -> Any:
+        return float
 
 
 @dataclass(frozen=True)
@@ -288,7 +275,7 @@ class Numbers(Kind):
 class Table(Kind):
     """Names with a value each: ``NAME=VALUE``, repeatable; a table in a recipe."""
 
-    value: Number | Quantity = Number()
+    value: Number = Number()
     side: Side = ""
     of: str = "of"
     words: str = "NAME=VALUE"
@@ -342,15 +329,12 @@ class Weight(Kind):
         import robustlab as rl
 
         known = list(signature(getattr(rl, self.maker)).parameters)
-        found: dict[str, Any] = {}
-        for part in given.split(","):
-            key, _, value = part.partition("=")
-            key = key.strip().replace("-", "_")
+        parts = Table().read(option, given.split(","), {"bandwidth": "rad/s"})
+        found: dict[str, Any] = {key.strip().replace("-", "_"): value for key, value in parts.items()}
+        for key in found:
             if key not in known:
                 expected = f"one of {', '.join(known)}"
                 raise UsageError(option, f"unknown word {key!r}", expected, did_you_mean(key, known))
-            with _as_usage():
-                found[key] = amount(f"{option}: {key}", value, "rad/s" if key == "bandwidth" else "")
         if "order" in found and found["order"].is_integer():
             found["order"] = int(found["order"])
         if known[0] not in found:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import robustlab as rl
 from robustlab.errors import InputError, UnitMismatch, UsageError
 from robustlab.operations.declaration import InLoop, Named, operation
-from robustlab.operations.kinds import Choice, Flag, Kind, Names, Number, Quantity, Table, TextFile, Whole, in_units
+from robustlab.operations.kinds import Choice, Names, Number, NumberInUnit, Table, TextFile, Whole
 from robustlab.operations.words import Search, Seed, Uncertain
 
 METRICS = (
@@ -18,7 +18,6 @@ METRICS = (
 )  # fmt: skip
 OF_A_RESPONSE = METRICS[:5]
 
-Of = Annotated[Uncertain, Named(key="of")]
 Metric = Annotated[str, Choice(METRICS), "What is judged."]
 Output = Annotated[
     str | None,
@@ -34,18 +33,14 @@ FromInput = Annotated[
 ]
 Drive = Annotated[
     dict[str, Any] | None,
-    Table(Quantity(), "inputs"),
+    Table(Number(), "inputs"),
     "Constant input, u=42 or u=42V; repeatable. A unit step on the only input where left out.",
     Named(argument="u", option="--input-value"),
 ]
-Sine = Annotated[dict[str, Any] | None, Table(Quantity(), "inputs"), "Amplitude of a sine on an input, likewise."]
+Sine = Annotated[dict[str, Any] | None, Table(Number(), "inputs"), "Amplitude of a sine on an input, likewise."]
 Frequency = Annotated[float | None, Number("Hz", above=0), "Of the sine, in Hz.", Named(option="--sine-frequency")]
 End = Annotated[float | None, Number("s", above=0), "End time in s; from the nominal poles if left out."]
 Points = Annotated[int, Whole(2, 100_000), "Number of times, where an end is given."]
-SettlingBand = Annotated[
-    float, Number(above=0, below=1), "Share of the final value that counts as settled.", Named(option="--settling-band")
-]
-Workers = Annotated[int, Whole(1, 1024), "Threads; the answer does not depend on them.", Named(only="command")]
 
 
 @dataclass(frozen=True)
@@ -55,11 +50,10 @@ class Judged:
     metric: Metric = "peak-deviation"
     output: Output = None
     from_input: FromInput = None
-    band: SettlingBand = 0.02
 
     @property
     def options(self) -> dict[str, Any]:
-        return {"output": self.output, "input": self.from_input, "band": self.band}
+        return {"output": self.output, "input": self.from_input}
 
 
 @dataclass(frozen=True)
@@ -79,9 +73,7 @@ class Excitation:
         if not isinstance(uncertain, rl.UncertainModel):
             raise InputError("members", f"a {type(uncertain).__name__}", "an uncertain model")
         _check_sine(self.sine, self.frequency)
-        units = {s.name: s.unit for s in uncertain.inputs}
-        steps, sines = in_units("input", self.input, units), in_units("sine", self.sine, units)
-        dt, t_end = uncertain.dt, self.t_end
+        steps, sines, dt, t_end = self.input or {}, self.sine or {}, uncertain.dt, self.t_end
         if t_end is None:
             if sines:
                 raise UsageError("sine", "no end time", "t_end")
@@ -121,7 +113,7 @@ def _inferred_violation(step: Any, ahead: Any) -> Any:
 
 @operation("worst-case", "worst-case", result="worst_case_analysis.worst_case_search.WorstCase", infer=_inferred_worst)
 def worst_case(
-    uncertain: Of,
+    uncertain: Uncertain,
     *,
     judged: Judged,
     drive: Excitation,
@@ -144,17 +136,14 @@ def worst_case(
     infer=_inferred_violation,
 )
 def violation_probability(
-    uncertain: Of,
+    uncertain: Uncertain,
     *,
-    limit: Annotated[Any, Quantity(), "Limit whose violations are counted, such as '0.5 rad'."],
+    limit: Annotated[Any, NumberInUnit(), "Limit whose violations are counted, such as '0.5 rad'."],
     judged: Judged,
-    unit: Annotated[
-        str | None, Kind(), "Unit of the limit, which must be that of the metric.", Named(only="step")
-    ] = None,
+    unit: Annotated[str | None, "Unit of the limit, which must be that of the metric.", Named(only="step")] = None,
     probability: Annotated[
         float | None, Number(above=0, below=1), "Show P(violation) at most so large; else exit code 1."
     ] = None,
-    confidence: Annotated[float, Number(above=0, below=1), "Confidence of all bounds."] = 0.95,
     drive: Excitation,
     n: Annotated[
         int | None,
@@ -163,7 +152,6 @@ def violation_probability(
         Named(option="-n,--samples"),
     ] = None,
     seed: Seed = 0,
-    workers: Workers = 1,
 ) -> Any:
     """Probability that random members violate a limit of a metric, with Clopper-Pearson bounds and relevant parameters.
 
@@ -173,8 +161,8 @@ def violation_probability(
     """
     options: dict[str, Any] = {**judged.options, **drive.of(uncertain)}
     return rl.violation_probability(
-        uncertain, judged.metric, limit if unit is None else f"{limit!r} {unit}", n=n, seed=seed, workers=workers,
-        probability=probability, confidence=confidence, **options,
+        uncertain, judged.metric, limit if unit is None else f"{limit!r} {unit}", n=n, seed=seed,
+        probability=probability, **options,
     )  # fmt: skip
 
 
@@ -187,7 +175,7 @@ def _check_sine(sines: Any, frequency: float | None) -> None:
 
 
 @operation("uncertain show", result="uncertainty.lft.UncertainModel")
-def show(uncertain: Of) -> Any:
+def show(uncertain: Uncertain) -> Any:
     """The blocks, signals and nominal stability of an uncertain model.
 
     Example: robustlab uncertain show uncertain.h5
@@ -198,11 +186,11 @@ def show(uncertain: Of) -> Any:
 
 @operation("uncertain sample", result="worst_case_analysis.sampling.Responses")
 def sample(
-    uncertain: Of,
+    uncertain: Uncertain,
     *,
     n: Annotated[int, Whole(0, 1_000_000), "Number of random samples.", Named(option="-n,--samples")] = 20,
     seed: Seed = 0,
-    vertices: Annotated[str, Kind(), "Vertices to add: a number, or all."] = "0",
+    vertices: Annotated[str, "Vertices to add: a number, or all."] = "0",
     drive: Excitation,
 ) -> Any:
     """Time responses of random members and vertices: nominal, envelope, and the sample farthest from nominal.
@@ -233,7 +221,7 @@ class WorkerOptions:
         int | None, Whole(1, 1024), "Processes on this machine; one per processor where left out.",
         Named(option="--workers,-w"),
     ] = None  # fmt: skip
-    cluster: Annotated[str | None, Kind(), "Dask scheduler whose workers are used, such as tcp://host:8786."] = None
+    cluster: Annotated[str | None, "Dask scheduler whose workers are used, such as tcp://host:8786."] = None
 
     def crew(self) -> Any:
         from robustlab.campaign import Crew
@@ -266,18 +254,18 @@ def _counted(progress: Any, store: str, n: int) -> Iterator[Any]:
 
 @operation("campaign run", result=RESULT, progress="steps")
 def campaign(
-    uncertain: Of,
+    uncertain: Uncertain,
     *,
     store: Annotated[str, TextFile(), "SQLite file to write; an unfinished one is continued.",
                      Named(option="--store")],
     judged: Judged,
     drive: Excitation,
     n: Annotated[int, Whole(1, 10**9), "Number of samples, vertices or searches.", Named(option="-n,--samples")] = 1000,
-    kind: Annotated[Any, Choice(("samples", "vertices", "search")), "What is drawn."] = "samples",
+    kind: Annotated[Literal["samples", "vertices", "search"], "What is drawn."] = "samples",
     starts: Annotated[int, Whole(1), "For searches: points each one starts from."] = 64,
     seed: Seed = 0,
     workers: WorkerOptions,
-    restart: Annotated[bool, Flag(), "Delete the content of the store and start again."] = False,
+    restart: Annotated[bool, "Delete the content of the store and start again."] = False,
     limit: Bound = None,
     progress: Any = None,
 ) -> Any:  # fmt: skip
@@ -295,7 +283,7 @@ def campaign(
         u, hold = {name: values.tolist() for name, values in u.items()}, "foh"
     settings = CampaignSettings(
         judged.metric, n, kind, seed, judged.output, judged.from_input, u, drive.t_end, drive.points, hold,
-        starts=starts, band=judged.band,
+        starts=starts,
     )  # fmt: skip
     with _counted(progress, store, n) as advance:
         return run_campaign(
@@ -321,7 +309,7 @@ def resume(store: Store, *, workers: WorkerOptions, limit: Bound = None, progres
         return resume_campaign(store, crew=workers.crew(), limit=limit, progress=advance)
 
 
-@operation("campaign show", result=RESULT)
+@operation("campaign show", result=RESULT, calls="campaign.runs.read_campaign")
 def stored(store: Store, limit: Bound = None) -> Any:
     """The content of a store: counts, worst sample, quantiles, lost samples; also while a run writes it.
 
@@ -329,6 +317,3 @@ def stored(store: Store, limit: Bound = None) -> Any:
 
     Example: robustlab campaign show motor.sqlite --limit 34
     """
-    from robustlab.campaign import read_campaign
-
-    return read_campaign(store, limit)

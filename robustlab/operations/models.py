@@ -1,16 +1,37 @@
-"""Operations that make, check and compare models."""
+"""Operations that make, check and compare models and sets."""
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import robustlab as rl
-from robustlab.errors import UsageError
+from robustlab.errors import InputError, UsageError
 from robustlab.operations.declaration import InLoop, Named, operation
-from robustlab.operations.kinds import Number, Numbers, Pair, Quantity, Table, Thing, Whole, bounded, in_units
-from robustlab.operations.words import Model, Outputs, System
+from robustlab.operations.kinds import (
+    Choice,
+    Ends,
+    Names,
+    Number,
+    Numbers,
+    Pair,
+    Share,
+    Table,
+    TextFile,
+    Thing,
+    Whole,
+    bounded,
+)
+from robustlab.operations.words import Controller, Model, Outputs, Search, Sign, System
 
+COVERS = (
+    "elements", "pca", "additive", "input-multiplicative", "output-multiplicative", "inverse-additive",
+    "inverse-input-multiplicative", "inverse-output-multiplicative",
+)  # fmt: skip
+EXACT = 1e-12  # largest error of the ends of an element-wise set, relative to the largest entry
+NOTHING = "no uncertainty: mu = 0"
+ANY = ("plant", "model", "uncertain", "any")
 PLANT = "Name of the plant (dc-motor), file.py:name, or an HDF5 file with one."
 Plant = Annotated[Any, Thing(("plant",), settings=True), PLANT]
 Part = Annotated[
@@ -55,7 +76,7 @@ def at_rest(plant: Any, at: Any, pose: Any) -> Any:
 
 @operation("model build", "linearise", result="statespace.StateSpaceModel", gives="model", infer="of")
 def linearise(
-    plant: Annotated[Plant, Named(key="of")],
+    plant: Plant,
     at: At = None,
     pose: Pose = None,
     outputs: Outputs = None,
@@ -96,9 +117,7 @@ def left_out(missing: Any) -> tuple[str, ...]:
 
 
 @operation("model check", "structural", result="linear_analysis.structural.Structure")
-def check(
-    system: Annotated[System, Named(key="of")],
-) -> Any:
+def check(system: System) -> Any:
     """Poles, stability, controllability and observability of a model.
 
     Of a model with exact delays: whether it is stable, proved for all frequencies either way.
@@ -123,10 +142,10 @@ def _inferred_steady_state(step: Any, ahead: Any) -> Any:
 
 @operation("", "steady-state", result="linear_analysis.frequency.SteadyState", infer=_inferred_steady_state)
 def steady_state(
-    model: Annotated[Model, Named(key="of")],
+    model: Model,
     inputs: Annotated[
         dict[str, Any],
-        Table(Quantity(), "inputs"),
+        Table(Number(), "inputs"),
         "Constant input, u=42 or u=42V; repeatable.",
         Named(option="--input-value"),
     ],
@@ -135,24 +154,18 @@ def steady_state(
     """Outputs in steady state under constant inputs; inputs left out are zero."""
     from robustlab.linear_analysis.frequency import steady_state as computed
 
-    return computed(model, in_units("input", inputs, {s.name: s.unit for s in model.inputs}), outputs)
+    return computed(model, inputs, outputs)
 
 
 @operation("model diff", "difference", result="storage.pairs.Difference")
 def diff(
-    first: Annotated[
-        Any,
-        Thing(("plant", "model", "uncertain", "any"), model=True, pair=True),
-        "HDF5 or MATLAB file.",
-        Named(key="of"),
-    ],
+    first: Annotated[Any, Thing(ANY, model=True, pair=True), "HDF5 or MATLAB file."],
     second: Annotated[
         Any,
-        Thing(("plant", "model", "uncertain", "any"), model=True, positional=True),
+        Thing(ANY, model=True, positional=True),
         "The other file; left out where the first one holds a nominal and a perturbed model.",
         Named(key="beside"),
     ] = None,
-    rtol: Annotated[float, Number(least=0), "Relative changes up to this are not shown."] = 0.0,
 ) -> Any:
     """The entries in which two models differ.
 
@@ -160,7 +173,7 @@ def diff(
     """
     from robustlab.storage.pairs import difference
 
-    return difference(*two_models(first, second), rtol)
+    return difference(*two_models(first, second))
 
 
 def two_models(first: Any, second: Any) -> tuple[Any, Any]:
@@ -172,3 +185,187 @@ def two_models(first: Any, second: Any) -> tuple[Any, Any]:
     if second is None:
         raise UsageError("two models", "one model", "another file, or one that holds /nominal and /perturbed")
     return Thing(model=True).as_wanted(first, "nominal"), second
+
+
+# --- sets -------------------------------------------------------------------------------------------------------------
+
+
+@operation(
+    "uncertain build",
+    "elementwise",
+    result="uncertainty.elementwise.BuiltModel",
+    gives="uncertain",
+    made="model",
+    infer="nominal",
+)
+def elementwise(
+    nominal: Annotated[
+        Any,
+        Thing(ANY, pair=True),
+        "Nominal model; or one file with groups nominal and perturbed.",
+        Named(key="nominal"),
+    ],
+    perturbed: Annotated[
+        Any, Thing(ANY, model=True, positional=True), "Maximally perturbed model of the same signals."
+    ] = None,
+    structure: Annotated[
+        Literal["elements", "columns", "rows", "matrices", "single", "cover"],
+        "Entries that vary together; cover: a full block for each matrix, which contains every element-wise member.",
+    ] = "elements",
+) -> Any:
+    """Uncertain model from a nominal model and a maximally perturbed one.
+
+    Example: robustlab uncertain build nominal.h5 perturbed.h5 --structure elements --out uncertain.h5
+    """
+    from robustlab.uncertainty.elementwise import BuiltModel, elementwise_cover, endpoint_residual, pair_remarks
+
+    first, second = two_models(nominal, perturbed)
+    notes = tuple(f"warning: {remark}" for remark in pair_remarks(first, second))
+    if structure == "cover":
+        note = "Contains every member of the element-wise set: what is proved for it is proved for them."
+        return BuiltModel(elementwise_cover(first, second), structure, rl.Status.CERTIFIED, notes=(note, *notes))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # repeated in the notes
+        model = rl.elementwise(first, second, structure)
+    residual = endpoint_residual(model, second)
+    status = rl.Status.CERTIFIED if residual.largest <= EXACT else rl.Status.INACCURATE
+    found = BuiltModel(model, structure, status, residual, ends=(first, second))
+    return InLoop(found, notes=notes if model.blocks or notes else (NOTHING,))
+
+
+@operation("uncertain plant", "uncertain", result="uncertainty.elementwise.BuiltModel", gives="uncertain", made="model",
+      infer="of")  # fmt: skip
+def uncertain(
+    plant: Annotated[Plant, "A plant: its name, file.py:name, or HDF5 file."],
+    tolerances: Annotated[
+        dict[str, Any] | None,
+        Table(Share(above=0, below=1), "parameters"),
+        "Relative tolerance of a plant's parameter, Km=0.05 or Km=5%; repeatable.",
+        Named(option="--tolerance"),
+    ] = None,
+    ranges: Annotated[
+        dict[str, Any] | None,
+        Table(Ends(), "parameters", words="NAME=LOW:HIGH"),
+        "Ends of a parameter of the plant around its value, NAME=LOW:HIGH; repeatable.",
+        Named(option="--range"),
+    ] = None,
+    own: Annotated[bool, "Keep the plant's own tolerances of the other parameters.", Named(in_step=False)] = True,
+    outputs: Outputs = None,
+    at: At = None,
+    pose: Pose = None,
+    hold: Annotated[
+        list[str] | None, Names(), "States and inputs of a nonlinear plant that are constant while parameters change."
+    ] = None,
+) -> Any:
+    """Uncertain model of a plant: each parameter varies in a range, or by a share of its value, 0.05 or 5%.
+
+    Example: robustlab uncertain plant dc-motor --tolerance Kf=5% --out motor.h5
+    """
+    from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
+    from robustlab.uncertainty.elementwise import BuiltModel
+
+    nominal, shares = plant.values, tolerances or {}
+    ends = ranges or {}
+    for name in shares:
+        if name not in nominal and name not in plant.parameters:
+            raise UsageError(f"tolerance {name}", f"no such parameter of {plant.name}", f"one of {', '.join(nominal)}")
+    if ends and hasattr(plant, "effects"):
+        raise UsageError("range", f"{plant.name} carries effects", "tolerances")
+    exact = {} if own else {name: (p.value, 0.0) for name, p in plant.parameters.items()}
+    made: Any = plant.with_parameters(**{**exact, **{n: (nominal.get(n, 1.0), share) for n, share in shares.items()}})
+    options: dict[str, Any] = {"at": at_rest(made, at, pose), "hold": hold, "ranges": ends}
+    if hold and (not isinstance(made, NonlinearPlant) or isinstance(made, SteppedPlant)):
+        raise UsageError("hold", f"{plant.name} has one linear model", "it for a nonlinear plant only")
+    model = made.uncertain(outputs, **{name: value for name, value in options.items() if value})
+    missing = getattr(made, "left_out", tuple)()
+    notes = [*left_out(missing), *model.remarks]
+    without = {*shares, *ends} - {b.name for b in model.blocks}
+    if without and not hasattr(made, "effects"):
+        notes.append(f"without effect on the linear model: {', '.join(sorted(without))}")
+    notes += [] if model.blocks else [NOTHING]
+    return InLoop(BuiltModel(model, "parameters", None), notes=tuple(notes))
+
+
+@operation("uncertain expressions", result="uncertainty.elementwise.BuiltModel", gives="uncertain", made="model")
+def expressions(file: Annotated[str, TextFile(), "TOML file with A, B, C, D in named parameters."]) -> Any:
+    """Uncertain model from matrices of expressions in parameters with ranges.
+
+    Example: robustlab uncertain expressions springs.toml --out springs.h5
+    """
+    from robustlab.storage.expression_files import load_parametric
+    from robustlab.uncertainty.elementwise import BuiltModel
+
+    model = load_parametric(file)
+    return InLoop(BuiltModel(model, "parameters", None), notes=() if model.blocks else (NOTHING,))
+
+
+@operation("uncertain cover", result="mu_analysis.margins.cover.Cover", gives="uncertain", made="model")
+def cover(
+    models: Annotated[list[Any], Thing(ANY, model=True, many=True), "Files of the models to cover; at least two."],
+    *,
+    form: Annotated[str, Choice(COVERS), "Of the cover."] = "elements",
+    controller: Annotated[
+        Controller,
+        "File of a controller, with its sign: the cover's worst gain is that of its loop.",
+        Named(option="--controller,-k"),
+    ] = None,
+    feedback: Sign = None,
+    search: Search,
+    progress: Any = None,
+) -> Any:
+    """The smallest uncertain model of a form that contains a set of models, with its conservatism.
+
+    Example: robustlab uncertain cover unit1.h5 unit2.h5 unit3.h5 --form pca --out set.h5
+    """
+    loop: Any = None
+    words = ""
+    if feedback is not None and controller is None:
+        raise UsageError("--feedback", "without --controller", "a controller to close the loop with")
+    if controller is not None:
+        from robustlab.feedback import feedback_loop
+
+        around, sign, words = feedback_loop(models[0], controller, feedback, "cover", None)
+        loop = lambda g: g.feedback(around, sign)  # noqa: E731
+    found = rl.cover(models, form, loop=loop, progress=progress, **vars(search))
+    return InLoop(found, words)
+
+
+def _inferred_blocks(step: Any, ahead: Any) -> Any:
+    # Bounded errors come before its inputs.
+    return replace(ahead[step.of].select(step.outputs), inputs=None, leaves=type(step).leaves)
+
+
+@operation(
+    "uncertain discovery",
+    "uncertain-from",
+    result="dynamics.extended.effect_blocks.EffectBlocks",
+    gives="uncertain",
+    made="model",
+    infer=_inferred_blocks,
+)
+def uncertain_from(
+    discovery: Annotated[
+        Any, Thing(("plant", "any"), discovery=True), "Folder of data discover --out, or its updated plant."
+    ],
+    outputs: Outputs = None,
+    amplitude: Annotated[
+        dict[str, Any] | None,
+        Table(Ends(least=0, single=True)),
+        "Amplitude of a speed or signal at which effects are described, or LOW:HIGH, NAME=VALUE; repeatable.",
+    ] = None,
+    dry: Annotated[
+        Literal["gain", "load", "both"] | None,
+        "Dry friction and other bounded forces: load, an input, exact at any speed; gain, that of the describing "
+        "function; where left out, a gain where an amplitude is given, else a load.",
+    ] = None,
+) -> Any:
+    """Uncertain model of the effects and the residual of a discovery; each block has its origin.
+
+    Example: robustlab uncertain discovery found/ --amplitude v=0.05 --out set.h5
+    """
+    try:
+        return rl.uncertain_from(discovery, outputs, amplitude=amplitude, dry=dry)
+    except InputError as error:
+        if "amplitude" in (error.expected or "") and error.hint:
+            raise UsageError("uncertain_from", error.found, "--amplitude NAME=VALUE for it", error.hint) from None
+        raise

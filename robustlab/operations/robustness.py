@@ -2,41 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import robustlab as rl
 from robustlab.errors import UsageError
 from robustlab.operations.declaration import InLoop, Named, operation
-from robustlab.operations.kinds import Choice, Flag, Number
-from robustlab.operations.words import Frequency, Loop, Model, Search, Seed, Signals, System, Uncertain
-
-# As in `robustlab.feedback`, which would import numpy.
-WORDS = {-1: "negative", 1: "positive"}
+from robustlab.operations.kinds import Number
+from robustlab.operations.words import Frequency, Loop, Search, Seed, Signals, System, Uncertain
 
 AT = "mu_analysis.margins.at_frequencies."
-Of = Annotated[Model, Named(key="of")]
-OfSet = Annotated[Uncertain, Named(key="of")]
-Tolerance = Annotated[float, Number(above=0), "Target of the relative gap of the bounds; inf: no branch and bound."]
 Accuracy = Annotated[float, Number(above=0, below=1), "Relative distance to the best margin that D, G can prove."]
-Intervals = Annotated[bool, Flag(), "Print the proved frequency intervals.", Named(only="command")]
+Intervals = Annotated[bool, "Print the proved frequency intervals.", Named(only="command")]
 
 
 # --- margins of a loop ------------------------------------------------------------------------------------------------
 
 
-Skew = Annotated[float, Number(), "0: equal factors of gain up and down; positive: more up."]
-At = Annotated[Any, Choice(("input", "output", "both")), "Where gain and phase change."]
+At = Annotated[Literal["input", "output", "both"], "Where gain and phase change."]
 
 
 @operation("model margins", "disk-margin", result="mu_analysis.margins.disk_margin.DiskMargins")
 def disk_margin(
-    plant: Annotated[System, "HDF5 or MATLAB file with the plant, or the open loop.", Named(key="of")],
+    plant: Annotated[System, "HDF5 or MATLAB file with the plant, or the open loop."],
     *,
     around: Loop,
     at: At = "output",
     frequency: Frequency = None,
-    skew: Skew = 0.0,
     search: Search,
     seed: Seed = 0,
 ) -> Any:
@@ -46,14 +39,12 @@ def disk_margin(
 
     Example: robustlab model margins plant.h5 --controller K.h5 --at both
     """
-    loop, K, sign, words = _loop(plant, around)
-    found = rl.disk_margin(loop, K, at=at, sign=sign, frequency=frequency, skew=skew, seed=seed, **vars(search))
-    return InLoop(replace(found, loop=words), beside={"feedback": WORDS[sign]})
+    return _of_loop(rl.disk_margin, plant, around, at=at, frequency=frequency, seed=seed, **vars(search))
 
 
 @operation("model classical-margins", "classical-margins", result="mu_analysis.margins.classical.ClassicalMargins")
 def classical_margins(
-    plant: Annotated[System, "HDF5 or MATLAB file with the plant, or the open loop.", Named(key="of")],
+    plant: Annotated[System, "HDF5 or MATLAB file with the plant, or the open loop."],
     *,
     around: Loop,
     at: At = "output",
@@ -64,21 +55,21 @@ def classical_margins(
     """
     if isinstance(plant, rl.UncertainModel):
         raise UsageError("classical-margins", "an uncertain plant", "one model")
-    loop, K, sign, words = _loop(plant, around)
-    found = rl.classical_margins(loop, K, at=at, sign=sign)
-    return InLoop(replace(found, loop=words), beside={"feedback": WORDS[sign]})
+    return _of_loop(rl.classical_margins, plant, around, at=at)
 
 
-def _loop(plant: Any, around: Loop) -> tuple[Any, Any, Any, str]:
-    """Return plant, controller, sign and the loop's description; an undeclared sign is that of the stable loop."""
+def _of_loop(margins: Callable[..., Any], plant: Any, around: Loop, **options: Any) -> InLoop:
+    """Return the margins of a loop with its description; an undeclared sign is that of the stable loop."""
     from robustlab.delays.model import as_delayed
     from robustlab.feedback import closing, without_sign
 
     K = around.controller
     if isinstance(plant, rl.DelayedModel) or isinstance(K, rl.DelayedModel):
         plant, K = (None if o is None else as_delayed(getattr(o, "K", o), "margins") for o in (plant, K))
-    found = closing(plant, K, around.sign, "margins", None if K is not None else -1)
-    return found.plant, None if found.K is None else without_sign(found.K, "margins"), found.sign, found.said
+    loop = closing(plant, K, around.sign, "margins", None if K is not None else -1)
+    K = None if loop.K is None else without_sign(loop.K, "margins")
+    found = replace(margins(loop.plant, K, sign=loop.sign, **options), loop=loop.said)
+    return InLoop(found, beside={"feedback": "negative" if loop.sign < 0 else "positive"})
 
 
 # --- a set ------------------------------------------------------------------------------------------------------------
@@ -94,11 +85,10 @@ def _grid(system: Any, drawn: bool) -> Any:
 
 @operation("mu", "robust-stability", result=f"mu_analysis.axis.margin.Margin, {AT}MarginAt")
 def robust_stability(
-    system: OfSet,
+    system: Uncertain,
     *,
     around: Loop,
     frequency: Frequency = None,
-    tolerance: Tolerance | None = None,
     accuracy: Accuracy | None = None,
     search: Search,
     seed: Seed = 0,
@@ -114,11 +104,11 @@ def robust_stability(
     from robustlab.mu_analysis.axis.margin import Margin, replay
 
     loop, words = around.around(system, "robust stability")
-    options: dict[str, Any] = {"omega": _grid(loop, drawn), "tolerance": tolerance, "accuracy": accuracy}
+    options: dict[str, Any] = {"omega": _grid(loop, drawn), "accuracy": accuracy}
     if frequency is not None or issubclass(type(loop), rl.UncertainFrequencyData):
         del options["omega"]
         if intervals:
-            raise UsageError("mu", "--intervals at given frequencies", "the margin, or worst-gain")
+            raise UsageError("mu", "--intervals at given frequencies", "the margin")
     found: Any = rl.robust_stability(loop, frequency=frequency, **vars(search), seed=seed, **options)
     beside: dict[str, Any] = {}
     if drawn and isinstance(found, Margin) and found.delta and loop.outputs:
@@ -131,15 +121,13 @@ def robust_stability(
 
 @operation("worst-gain", "worst-gain", result=f"mu_analysis.axis.margin.WorstCaseGain, {AT}GainAt")
 def worst_case_gain(
-    system: OfSet,
+    system: Uncertain,
     *,
     around: Loop,
     frequency: Frequency = None,
     signals: Signals,
-    tolerance: Tolerance | None = None,
     search: Search,
     seed: Seed = 0,
-    intervals: Intervals = False,
     drawn: bool = False,
 ) -> Any:
     """Worst-case gain from inputs to outputs over all members, proved and attained, with its Delta.
@@ -149,24 +137,19 @@ def worst_case_gain(
     loop, words = around.around(system, "worst-case gain")
     kept = signals.of(loop)
     at = frequency is not None or isinstance(kept, rl.UncertainFrequencyData)
-    options: dict[str, Any] = {} if at else {
-        "omega": _grid(kept, drawn), "tolerance": tolerance, **vars(search)
-    }  # fmt: skip
+    options: dict[str, Any] = {} if at else {"omega": _grid(kept, drawn), **vars(search)}
     found: Any = rl.peak_gain(kept, frequency=frequency, seed=seed, **options)
-    return InLoop(found, words, (), {}, (found.proved_intervals(),) if intervals else ())
+    return InLoop(found, words)
 
 
 @operation("performance-margin", "performance-margin", result="mu_analysis.axis.margin.PerformanceMargin")
 def robust_performance(
-    system: OfSet,
+    system: Uncertain,
     *,
     around: Loop,
     signals: Signals,
-    tolerance: Tolerance = 0.01,
-    accuracy: Accuracy = 3e-5,
     search: Search,
     seed: Seed = 0,
-    intervals: Intervals = False,
     drawn: bool = False,
 ) -> Any:
     """Robust performance margin of weighted inputs and outputs.
@@ -175,8 +158,5 @@ def robust_performance(
     """
     loop, words = around.around(system, "robust performance")
     kept = signals.of(loop)
-    found = rl.robust_performance(
-        kept, omega=_grid(kept, drawn), tolerance=tolerance, accuracy=accuracy, seed=seed,
-        **vars(search),
-    )  # fmt: skip
-    return InLoop(found, words, (), {}, (found.proved_intervals(),) if intervals else ())
+    found = rl.robust_performance(kept, omega=_grid(kept, drawn), seed=seed, **vars(search))
+    return InLoop(found, words)

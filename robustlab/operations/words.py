@@ -15,7 +15,6 @@ Design = Annotated[Any, Thing(("problem", "plant", "model", "uncertain", "any"))
 Plant = Annotated[Any, Machine(), "Model file, name of a plant, or file.py:name."]
 UncertainPlant = Annotated[Any, Machine(("uncertain", "any")), "Uncertain model: a file, or a plant with tolerances."]
 Measured = Annotated[Any, RecordFile(), "Record: HDF5, MATLAB, CSV or TXT file."]
-Repeats = Annotated[list[Any] | None, RecordFile(many=True), "Further record with the same input, for the noise floor."]
 Controller = Annotated[Any, Thing(("controller", "any")), "File with the controller."]
 Sign = Annotated[
     Any,

@@ -38,7 +38,7 @@ from robustlab.recipe.schema import Judgement, Recipe, judge
 from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace
 from robustlab.report.html import ending_of, junit_xml, render
 from robustlab.result import Status, least_trusted, plain
-from robustlab.verification.reading import claims_in_file
+from robustlab.verification.files import claims_in_file
 
 DONE, NOT_RUN = "done", "not run"
 FINISHED, RUNNING = "finished", "running"

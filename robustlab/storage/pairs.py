@@ -121,8 +121,8 @@ class Difference(AllFields, Displayable):
         return [Part("", ("entry", "first", "second", "change"), rows)]
 
 
-def difference(first: StateSpaceModel, second: StateSpaceModel, rtol: float = 0.0) -> Difference:
-    """Return the entries with ``|second - first| > rtol * max(|first|, |second|)``."""
+def difference(first: StateSpaceModel, second: StateSpaceModel) -> Difference:
+    """Return the entries that differ."""
     check_pair(first, second, "difference of two models")
     changes = []
     for name, rows, columns in (
@@ -132,6 +132,6 @@ def difference(first: StateSpaceModel, second: StateSpaceModel, rtol: float = 0.
         ("D", first.output_names, first.input_names),
     ):
         a, b = getattr(first, name), getattr(second, name)
-        for i, j in np.argwhere(np.abs(b - a) > rtol * np.maximum(np.abs(a), np.abs(b))):
+        for i, j in np.argwhere(a != b):
             changes.append(Change(name, rows[i], columns[j], float(a[i, j]), float(b[i, j])))
     return Difference(tuple(changes), sum(getattr(first, name).size for name in "ABCD"))

@@ -7,6 +7,6 @@ __all__, __getattr__ = lazily(
     {
         "claim": "Blurred Claim Outcome Verification Work",
         "checker": "check",
-        "reading": "claims_in_file",
+        "files": "claims_in_file",
     },
 )

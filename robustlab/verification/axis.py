@@ -133,11 +133,11 @@ def _boxes(G: Model, frequency: Callable[[float], float], a: float, b: float, fo
         answer = _box(G, w0, r, quadratic)
         if answer.proved:
             continue
-        at = f"at {frequency(w0):.9g} rad/s"
+        at = frequency(w0)
         if answer.least < INDEFINITE:
-            return not_proved(f"{at} the form's smallest eigenvalue is {answer.least:.3g} of its size")
+            return not_proved(f"at {at:.9g} rad/s the form's smallest eigenvalue is {answer.least:.3g} of its size", at)
         if not a < w0 < b:
-            return not_proved(f"{at} the form is singular, or a pole lies on the axis, or nearly")
+            return not_proved(f"at {at:.9g} rad/s the form is singular, or a pole lies on the axis, or nearly", at)
         todo += [(w0, b), (a, w0)]
     return PROVED
 

@@ -11,16 +11,14 @@ from flint import arb
 
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.verification.balls import PRECISIONS, precision, rounded_down
-from robustlab.verification.boxes import prove_mu_boxes
 from robustlab.verification.claim import Claim, Verdict, Verification, Work, not_proved
 from robustlab.verification.delay_weights import prove_delay_weight
 from robustlab.verification.iqc import prove_multipliers
-from robustlab.verification.members import ALLOWANCE, prove_mu_lower, prove_unstable_member
+from robustlab.verification.members import ALLOWANCE, prove_mu_lower, prove_set, prove_unstable_member
 from robustlab.verification.models import difference, loop, model_of, static, stored
 from robustlab.verification.mu import as_performance, prove_mu_axis, prove_mu_upper
 from robustlab.verification.norms import prove_bounded_real, prove_gramian, prove_norm, prove_stable
 from robustlab.verification.parameters import prove_parameters
-from robustlab.verification.sets import prove_set
 
 EFFORT = 20_000  # units of `Work`: about two minutes
 
@@ -52,13 +50,14 @@ KINDS: Mapping[str, _Kind] = {
     "mu-axis": _Kind(
         prove_mu_axis, "stable for every Delta of the structure within 1/level", "level", "mu over all frequencies <="),
     "mu-boxes": _Kind(
-        prove_mu_boxes, "stable for all real parameters within size times their ranges and all other blocks within "
-        "1/level", "size", "size >="),
+        lambda c, w: prove_mu_axis(c, w, boxed=True), "stable for all real parameters within size times their ranges "
+        "and all other blocks within 1/level", "size", "size >="),
     "mu-upper-boxes": _Kind(
-        lambda c, w: prove_mu_boxes(c, w, static), "no real parameters within size times their ranges, with all other "
-        "blocks within 1/level, make I - M Delta singular", "size", "size >="),
+        lambda c, w: prove_mu_axis(c, w, static, boxed=True), "no real parameters within size times their ranges, "
+        "with all other blocks within 1/level, make I - M Delta singular", "size", "size >="),
     "worst-gain": _Kind(lambda c, w: prove_mu_axis(as_performance(c), w), GAIN, "gamma", "worst-case gain <="),
-    "worst-gain-boxes": _Kind(lambda c, w: prove_mu_boxes(as_performance(c), w), GAIN, "gamma", "worst-case gain <="),
+    "worst-gain-boxes": _Kind(
+        lambda c, w: prove_mu_axis(as_performance(c), w, boxed=True), GAIN, "gamma", "worst-case gain <="),
     "iqc-size": _Kind(
         lambda c, w: prove_multipliers(c, w, gain=False), "stable for all blocks of their natures within size times "
         "their ranges", "size", "size >="),
@@ -81,7 +80,8 @@ KINDS: Mapping[str, _Kind] = {
     "set": _Kind(prove_set, "the set is the nominal model at parameters 0 and the perturbed one at 1, by every entry"),
 }
 BAND = _Kind(  # "mu-axis" where a band is given
-    prove_mu_axis, f"{NONE} makes I - M(jw) Delta singular at a frequency of the band up to pi/dt", "level", "mu <=")
+    lambda c, w: prove_mu_axis(c, w, banded=True),
+    f"{NONE} makes I - M(jw) Delta singular at a frequency of the band up to pi/dt", "level", "mu <=")
 NEARLY = _Kind(prove_set, "the set is the nominal model at parameters 0 and the perturbed one at 1", "tolerance",
                "every entry to within the tolerance")  # "set" where one is given
 MEMBER = _Kind(prove_set, "the model is the member of the set at the given parameters, within their ranges",

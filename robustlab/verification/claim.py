@@ -50,6 +50,7 @@ class Verdict:
 
     outcome: Outcome
     where: str = ""
+    at: float | None = None  # not proved: the frequency in rad/s at which a form failed
 
     @property
     def proved(self) -> bool:
@@ -59,9 +60,9 @@ class Verdict:
 PROVED = Verdict(Outcome.PROVED)
 
 
-def not_proved(where: str) -> Verdict:
+def not_proved(where: str, at: float | None = None) -> Verdict:
     """Return the verdict of an undecided attempt."""
-    return Verdict(Outcome.NOT_PROVED, where)
+    return Verdict(Outcome.NOT_PROVED, where, at)
 
 
 def refuted(where: str) -> Verdict:

@@ -22,8 +22,7 @@ from robustlab.errors import InputError
 from robustlab.verification.balls import rounded_up
 from robustlab.verification.claim import PROVED, Claim, Verdict, Work, not_proved, real, scalar
 from robustlab.verification.models import Model, stored
-from robustlab.verification.norms import climb
-from robustlab.verification.stability import stable
+from robustlab.verification.norms import climb, stable
 
 TERMS = 20  # of the series: at low frequencies the error is small, the difference of numbers that are not
 

@@ -7,6 +7,7 @@ Stored models are exact; computed ones (a loop's inverse) are ball matrices arou
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -157,11 +158,13 @@ def shifted(G: Model, w: float) -> Matrix:
 def gain_exceeds(G: Model, w: float, gamma: float) -> bool:
     r"""Prove :math:`|G(jw) u| > gamma |u|` for the direction u that floating point finds; w = inf: u through D.
 
-    ``G`` continuous (`on_the_axis` first). Exact: u is exact, the response at it a ball.
+    Discrete: at the frequency whose image on the axis (`on_the_axis`) is a double next to that of w. Exact: u is exact,
+    the response at it a ball.
     """
-    if not G.m or not G.p:
+    mapped = on_the_axis(G) if G.dt else G
+    if mapped is None or not G.m or not G.p:
         return False
-    M = G.D
+    G, w, M = mapped, math.tan(w * G.dt / 2) if G.dt else w, mapped.D
     if np.isfinite(w) and G.n:
         try:
             M = G.D + G.C * shifted(G, w).solve(exact(np.eye(G.n, dtype=complex)) * G.B)

@@ -104,20 +104,6 @@ def test_figures_and_result_file(folder):
     assert (stored.status, len(stored.data["simulated"]["q"])) == (rl.Status.CONVERGED, 800)
 
 
-def test_noise_floor_from_a_stated_period_and_from_a_repeated_file():
-    t = np.arange(1200) * 1e-2
-    u = np.tile(np.repeat(np.random.default_rng(0).standard_normal(8), 50), 3)
-    clean = rl.simulate(rl.plant("servo-axis"), t, u)["q"]
-    for k in range(2):
-        q = clean + 1e-4 * np.random.default_rng(k).standard_normal(1200)
-        rl.save(f"run{k}.h5", rl.Record(t, {"u": u}, {"q": q}, {"u": "V", "q": "m"}, f"run{k}"))
-    words = ("data", "compare", "servo-axis", "run0.h5", "--json")
-    for extra, source in ((("--period", "4"), "periods"), (("--repeat", "run1.h5"), "repeated records")):
-        floor = robustlab(*words, *extra, code=0).json["noise"]["floor"]
-        assert (floor["source"], floor["std"]["q"]) == (source, pytest.approx(1e-4, rel=0.1))
-    assert "does not repeat with a period of 3 s" in robustlab(*words, "--period", "3", code=3).err
-
-
 def test_columns_of_other_names_have_to_be_named():
     words = ("data", "compare", "servo-axis", "run.csv")
     assert "expected one of time, drive, Q\nhint: name the columns" in robustlab(*words, code=3).err

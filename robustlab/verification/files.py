@@ -9,16 +9,66 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from robustlab.files.tree import Dataset, Tree, Unread, digest_beside_claims, signal_name, text_attr
+from robustlab.errors import InputError
+from robustlab.files.hdf5 import read_tree
+from robustlab.files.tree import (
+    Dataset,
+    Tree,
+    Unread,
+    check_header,
+    digest_beside_claims,
+    is_stamped,
+    signal_name,
+    text_attr,
+)
 from robustlab.verification.balls import PRECISIONS, precision
 from robustlab.verification.checker import KINDS
 from robustlab.verification.claim import Claim, Outcome, Verification
 from robustlab.verification.members import ALLOWANCE
-from robustlab.verification.models import gain_exceeds, model_of, on_the_axis
+from robustlab.verification.models import gain_exceeds, model_of
+
+GROUP = "claims"
+
+
+def claims_in_file(path: str | Path) -> list[Claim]:
+    """Read the claims in the groups ``claims/0``, ``claims/1``, ... of an HDF5 file, by a kind and datasets each."""
+    return claims_in(read_checked(path))
+
+
+def read_checked(path: str | Path) -> Tree:
+    """Read a file. Raises InputError: no HDF5 file, or a format 1 file with a wrong header or content hash."""
+    root = read_tree(path)
+    if is_stamped(root):
+        check_header(root)
+    return root
+
+
+def claims_in(root: Tree) -> list[Claim]:
+    """Return the claims of a file, in their order. Raises InputError: an invalid claim."""
+    node = root.find(GROUP)
+    if node is None:
+        return []
+    names = sorted(node.groups, key=lambda name: (int(name) if name.isdigit() else len(name), name))
+    return [_claim(node.groups[name]) for name in names]
+
+
+def _claim(node: Tree) -> Claim:
+    kind = np.asarray(node.attrs.get("claim", ""))
+    if kind.ndim != 0 or not str(kind):
+        raise InputError(node.file, f"{node.path}: no attribute claim", "the kind of the claim")
+    return Claim(str(kind), {name: _values(node, name, d) for name, d in node.datasets.items()})
+
+
+def _values(node: Tree, name: str, dataset: Dataset) -> np.ndarray:
+    if isinstance(dataset.values, Unread):
+        raise InputError(node.file, f"{node.child_path(name)} has dtype {dataset.values.dtype}", "numbers")
+    return dataset.values
+
 
 ROUNDING = 2e-6  # relative: claims are made 1e-6 above the computed number
 
@@ -188,9 +238,7 @@ def _reached(claim: Claim, frequency: Any, level: float) -> bool:
     if np.shape(frequency) != () or np.asarray(frequency).dtype.kind != "f" or not frequency >= 0 or not level > 0:
         return False
     with precision(PRECISIONS[1]):
-        G = model_of(claim)
-        mapped, w = (on_the_axis(G), math.tan(frequency * G.dt / 2)) if G.dt else (G, float(frequency))
-        return mapped is not None and gain_exceeds(mapped, w, level)
+        return gain_exceeds(model_of(claim), float(frequency), level)
 
 
 def _sizes(claim: Claim) -> list[float]:
