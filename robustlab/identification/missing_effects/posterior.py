@@ -152,6 +152,10 @@ def weigh(found: Found) -> Posterior:
     # simulated windows determine the evidence, and the force only shows whether something remains.
     near = noise_ratio(problem, ordered[0].fit) < tuning.BEYOND_NOISE
     best = [v for v in ordered if ordered[0].evidence - v.evidence < tuning.FAR_BEHIND][:MOST_WEIGHED] if near else []
+    # The noise of the search has no random force, whose path an effect with a free period can follow: then the smaller
+    # set is far behind in the search.
+    for larger in best:
+        best += [v for v in _one_apart(larger, ordered)[0] if v not in best]
     best += [v for v in ordered if near and not v.key and v not in best]
     weights = _with_plausible_force(
         {v.key: weight for v in best if (weight := weight_of(found, v.fit)) is not None}, tuning.MOST_RANDOM

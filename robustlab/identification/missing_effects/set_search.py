@@ -12,6 +12,7 @@ import numpy as np
 
 from robustlab.dynamics.effects.kinds import KIND_OF
 from robustlab.identification import tuning
+from robustlab.identification.greybox.candidates import FINEST_LINES
 from robustlab.identification.greybox.effect_fit import (
     Candidate,
     Fit,
@@ -47,7 +48,6 @@ MOST_EXPANSIONS = 12  # limit of expanded sets
 MOST_WORK = 240_000_000  # limit of simulation steps
 PRIOR_EFFECT = 0.02  # of an effect at a place
 PRIOR_REFINEMENT = 0.1  # of a refinement, over that of the refined effect
-CANDIDATE_PERIODS = 200.0  # number of candidate periods of a ripple
 
 
 def clock_nuisances(inputs: tuple[str, ...], dt: float) -> tuple[Nuisance, ...]:
@@ -135,8 +135,12 @@ def log_prior(hypothesis: Hypothesis) -> float:
         total += math.log(PRIOR_EFFECT)
         if candidate.effect.refines:
             total += math.log(PRIOR_REFINEMENT)
-        if candidate.effect.spatial and candidate.scales.orders:
-            total -= math.log(CANDIDATE_PERIODS)
+        # A line was chosen among all that could have been seen: over the position or, up to 0.4 / dt, over time.
+        scales = candidate.scales
+        if candidate.effect.spatial and scales.orders:
+            total -= math.log(FINEST_LINES)
+        if candidate.effect.timed and scales.lines:
+            total -= math.log(max(1.0, 0.4 * scales.duration / scales.dt))
     return total
 
 
