@@ -181,6 +181,7 @@ class _Search:
     noise: NoiseModel = field(init=False)
     noise_known: bool = False
     near: bool = False  # whether the best set leaves little beyond the sensor noise
+    level: float = -math.inf  # evidence of the fit that determined the noise
 
     def run(self) -> Found:
         self.noise = first_noise(self.problem)
@@ -299,8 +300,9 @@ class _Search:
         pool = [c for c in self.pool if KIND_OF.get(c.effect.id) == kind and c.site == there.site and c != there]
         pool = [c for c in pool if may_be_added(c, less.hypothesis)]
         pool = [c for c in pool if key_of(less.hypothesis) | {c.key} not in self.visited]
+        plan = FitPlan(tuning.FULL, 0.05, ceiling=self.best.fit.cost + 2.0 * tuning.FAR_BEHIND)
         for start in promising(self.problem, less, pool, 0.0, lambda done, expected: None):
-            self._keep(self.problem.fit(start.hypothesis, self.noise, start.z, fit.starts, FitPlan(tuning.FULL, 0.05)))
+            self._keep(self.problem.fit(start.hypothesis, self.noise, start.z, fit.starts, plan))
 
     def _expand(self, key: Key) -> None:
         """Fit the most promising effects on top of a set."""
@@ -339,7 +341,9 @@ class _Search:
 
     def _scored(self, fit: Fit) -> Scored:
         held, price = in_phase(self.held, fit, self.problem.records)
-        seen = predictive(held, fit, self.noise) if self.near else as_fitted(held, fit, self.noise)
+        # Far behind on the fitted windows, a set needs no second fit to the held-out ones.
+        known = self.near and fit.evidence > self.level - tuning.FAR_BEHIND
+        seen = predictive(held, fit, self.noise) if known else as_fitted(held, fit, self.noise)
         return Scored(fit, log_prior(fit.hypothesis), seen - price, self.allowed(self.problem, fit))
 
     def _white(self, fit: Fit) -> bool:
@@ -362,8 +366,10 @@ class _Search:
         self.noise = self._noise_of(leader)
         ordered = sorted(self.visited.values(), key=lambda v: (v.allowed, v.evidence), reverse=True)[:BEAM]
         kept = {v.key: v.fit for v in ordered} | {Key(): self.visited[Key()].fit, key_of(leader.hypothesis): leader}
+        fits = {key: self._refitted_set(fit) for key, fit in kept.items()}
+        self.level = fits[key_of(leader.hypothesis)].evidence
         # In one assignment, since the user may interrupt the search at any time.
-        self.visited = {key: self._scored(self._refitted_set(fit)) for key, fit in kept.items()}
+        self.visited = {key: self._scored(fit) for key, fit in fits.items()}
         self.expanded = set()
 
     def _out_of_minimum(self, fit: Fit) -> Fit:
