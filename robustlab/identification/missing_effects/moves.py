@@ -31,6 +31,7 @@ class Start:
     candidate: Candidate
     hypothesis: Hypothesis
     z: Array
+    score: float = 0.0
 
 
 def promising(
@@ -52,7 +53,7 @@ def promising(
     for key in (*first, *further):
         own = [k for k in order if jobs[k].candidate.key == key]
         second = [k for k in own if AS_GOOD * scores[own[0]] < scores[k] < ALIKE * scores[own[0]]]
-        found += [jobs[k] for k in (own[0], *second[:1])]
+        found += [replace(jobs[k], score=scores[k]) for k in (own[0], *second[:1])]
     return found
 
 

@@ -316,10 +316,16 @@ class _Search:
         ceiling = min(base.cost - 2.0 * PROMISING, best.cost + 2.0 * tuning.FAR_BEHIND)
         pool = [c for c in self.pool if may_be_added(c, base.hypothesis)]
         starts = promising(self.problem, base, pool, base.cost - ceiling, report)
+        fallen: dict[str, float] = {}
         for done, start in enumerate(starts, 1):
+            name = start.candidate.key
+            if self.noise_known and start.score <= fallen.get(name, 0.0):
+                continue  # a second start promises no more than the first one has reached
             most = np.inf if start.candidate.effect.gain_like else ceiling
             plan = FitPlan(tuning.FULL if self.noise_known else ROUGH, 0.05, ceiling=most)
-            self._keep(self.problem.fit(start.hypothesis, self.noise, start.z, base.starts, plan))
+            fit = self.problem.fit(start.hypothesis, self.noise, start.z, base.starts, plan)
+            fallen[name] = max(fallen.get(name, 0.0), base.cost - fit.cost)
+            self._keep(fit)
             self.progress(done, len(starts), f"full fits of what could be added to {text}")
         self.expanded.add(key)
         self.expansions += 1
