@@ -340,9 +340,6 @@ class Problem:
         shift = self.shift(z) or (0.0,) * len(self.plant.inputs)
         return Setting(factors, left, tuple(s + shared for s in shift))
 
-    def size(self, hypothesis: Hypothesis) -> int:
-        return len(self.nuisances) + sum(len(c.parameters) for c in hypothesis.candidates)
-
     # --- residuals ---------------------------------------------------------------------------------------------------
 
     def simulators(self, hypothesis: Hypothesis) -> list[Simulator]:

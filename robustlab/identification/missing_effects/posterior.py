@@ -33,8 +33,7 @@ from robustlab.identification.greybox.unnamed_force import (
     fitted_windows,
     unnamed_force,
 )
-from robustlab.identification.missing_effects.moves import related
-from robustlab.identification.missing_effects.set_search import Found, Key, Scored
+from robustlab.identification.missing_effects.set_search import Found, Key, Scored, related
 
 TEMPERATURE = 1.0  # smallest divisor of log evidence: above 1, less sure
 MOST_WEIGHED = 5  # sets evaluated under a random force
