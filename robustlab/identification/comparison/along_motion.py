@@ -21,9 +21,8 @@ from robustlab.identification.comparison.error_analysis import FreeRun, Linearis
 from robustlab.identification.data_checks.resampling import clock_step, refuse_gaps, uniform
 from robustlab.identification.greybox.disturbance_smoother import SmoothedRecord
 from robustlab.identification.greybox.motion_smoother import smooth_motion
-from robustlab.identification.response.motion_response import MotionResponse
 from robustlab.identification.response.response import Stretch, matched, stretch_of, with_units
-from robustlab.identification.response.windowed_simulation import LinearResponse, WindowedSimulation
+from robustlab.identification.response.windowed_simulation import LinearResponse, MotionResponse, WindowedSimulation
 from robustlab.record import Record
 from robustlab.statespace import Signal
 

@@ -45,11 +45,11 @@ from robustlab.identification.comparison.input_disturbance import (
 from robustlab.identification.comparison.repeats import NoiseFloor, noise_floor
 from robustlab.identification.data_checks.suitability import channel_warnings
 from robustlab.identification.greybox.prepared_record import window_length
-from robustlab.identification.response.motion_response import MotionResponse
 from robustlab.identification.response.response import response_of
 from robustlab.identification.response.windowed_simulation import (
     InitialState,
     LinearResponse,
+    MotionResponse,
     starting_state,
     window_edges,
     windowed_simulation,

@@ -18,8 +18,7 @@ from robustlab.dynamics.ports.port_model import Port, linear_plant_of, port_mode
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.comparison.error_analysis import REST, Bin, Motion, bins, speed_edges
 from robustlab.identification.greybox.disturbance_smoother import SmoothedRecord, smooth_disturbance
-from robustlab.identification.response.motion_response import MotionResponse
-from robustlab.identification.response.windowed_simulation import LinearResponse, Windowed, fit_windows
+from robustlab.identification.response.windowed_simulation import LinearResponse, MotionResponse, Windowed, fit_windows
 from robustlab.result import Evidence
 from robustlab.statespace import StateSpaceModel
 

@@ -20,9 +20,8 @@ from robustlab.dynamics.ports.motion_model import Course
 from robustlab.dynamics.simulation import transition
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.greybox.motion_smoother import smooth_motion
-from robustlab.identification.response.motion_response import MotionResponse
 from robustlab.identification.response.response import Stretch, rates, stretch_of
-from robustlab.identification.response.windowed_simulation import fit_windows
+from robustlab.identification.response.windowed_simulation import MotionResponse, fit_windows
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel
 from robustlab.units import unit_family

@@ -21,7 +21,7 @@ from robustlab.identification.greybox.effect_fit import Fit, FitPlan, Problem, s
 from robustlab.identification.greybox.noise import clearly_larger, in_phase, restarted, spans, window_errors
 from robustlab.identification.greybox.prepared_record import PreparedRecord
 from robustlab.identification.missing_effects.discovery_parts import LINEAR, Gap, overall
-from robustlab.identification.missing_effects.moves import without
+from robustlab.identification.missing_effects.set_search import without
 
 MOST_CLOCK = 3.0  # standard deviations of an input's clock
 LIKELY = 0.999  # joint probability of the parameters beyond which they are improbable

@@ -33,8 +33,7 @@ from robustlab.identification.greybox.unnamed_force import (
     fitted_windows,
     unnamed_force,
 )
-from robustlab.identification.missing_effects.moves import related
-from robustlab.identification.missing_effects.set_search import Found, Key, Scored
+from robustlab.identification.missing_effects.set_search import Found, Key, Scored, related
 
 TEMPERATURE = 1.0  # smallest divisor of log evidence: above 1, less sure
 MOST_WEIGHED = 5  # sets evaluated under a random force
@@ -151,11 +150,9 @@ def weigh(found: Found) -> Posterior:
     # If the error is far beyond the sensor noise, a random force predicts the next sample better than any law: then the
     # simulated windows determine the evidence, and the force only shows whether something remains.
     near = noise_ratio(problem, ordered[0].fit) < tuning.BEYOND_NOISE
-    best = [v for v in ordered if ordered[0].evidence - v.evidence < tuning.FAR_BEHIND][:MOST_WEIGHED] if near else []
-    best += [v for v in ordered if near and not v.key and v not in best]
-    weights = _with_plausible_force(
-        {v.key: weight for v in best if (weight := weight_of(found, v.fit)) is not None}, tuning.MOST_RANDOM
-    )
+    close = [v for v in ordered if ordered[0].evidence - v.evidence < tuning.FAR_BEHIND][:MOST_WEIGHED]
+    close += [v for v in ordered if not v.key and v not in close]
+    weights = _weights(found, ordered, close) if near else {}
     evidence = {v.key: v.evidence for v in ordered}
     if ordered[0].key in weights:
         level = max(v.evidence for v in ordered if v.key in weights)
@@ -202,6 +199,22 @@ def _temperature(best: Scored, weights: Mapping[Key, Weight]) -> float:
     smooth = [f for u in left for f in u.forces if f.wins and not np.isfinite(f.period)]
     gain = max((_gain(f) for f in smooth), default=0.0)
     return max(TEMPERATURE, gain / float(np.log(tuning.SURE / (1.0 - tuning.SURE))))
+
+
+def _weights(found: Found, ordered: Sequence[Scored], close: Sequence[Scored]) -> dict[Key, Weight]:
+    """Evaluate the sets ``close`` to the best, and the smaller sets of the one that is best under a random force."""
+    # The noise of the search has no random force, whose path an effect with a free period can follow: then the smaller
+    # set is far behind in the search.
+    weights: dict[Key, Weight] = {}
+    plausible, tried = weights, set[Key]()
+    while close:
+        tried |= {v.key for v in close}
+        weights |= {v.key: weight for v in close if (weight := weight_of(found, v.fit)) is not None}
+        plausible = _with_plausible_force(weights, tuning.MOST_RANDOM)
+        rated = [(plausible[v.key].log_likelihood + v.prior, v) for v in ordered if v.key in plausible]
+        best = max(rated, key=lambda r: r[0])[1] if rated else None
+        close = [v for v in _one_apart(best, ordered)[0] if v.key not in tried] if best else []
+    return plausible
 
 
 def _with_plausible_force(weights: dict[Key, Weight], most: float) -> dict[Key, Weight]:

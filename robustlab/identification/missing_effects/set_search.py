@@ -1,22 +1,29 @@
 """Search over sets of effects: log p(S | y) = Laplace evidence of the fitted windows + likelihood of the held-out
 windows given them + a prior for each effect. All sets are evaluated under the noise and clock of the best one.
+
+The score of an addition is the fall g^T h^-1 g of V in the linearised problem, h = G^T P G and g = G^T P r with the
+change G of the residuals r at the start of its fit and the projection P off all refitted parameters; or the fall at
+that start.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from robustlab.arrays import Array
 from robustlab.dynamics.effects.kinds import KIND_OF
 from robustlab.identification import tuning
+from robustlab.identification.greybox.candidates import FINEST_LINES
 from robustlab.identification.greybox.effect_fit import (
     Candidate,
     Fit,
     FitPlan,
     Hypothesis,
+    Linearised,
     NoiseModel,
     Nuisance,
     Problem,
@@ -33,7 +40,6 @@ from robustlab.identification.greybox.noise import (
     widened,
 )
 from robustlab.identification.greybox.unnamed_force import SINGULAR, UnnamedEvidence, fitted_windows, unnamed_force
-from robustlab.identification.missing_effects.moves import KEPT, extended, may_be_added, promising, without
 
 BEAM = 4  # sets kept for a new noise model, and expanded
 ROUGH = 6  # iterations before the noise is known, to find the best set only
@@ -47,7 +53,14 @@ MOST_EXPANSIONS = 12  # limit of expanded sets
 MOST_WORK = 240_000_000  # limit of simulation steps
 PRIOR_EFFECT = 0.02  # of an effect at a place
 PRIOR_REFINEMENT = 0.1  # of a refinement, over that of the refined effect
-CANDIDATE_PERIODS = 200.0  # number of candidate periods of a ripple
+
+KEPT = 5  # effects fitted in full on top of a set
+KEPT_GAINS = 2  # further gain effects: at the same cost the prior may prefer one
+MOST_FALL = 2.5  # times its score: the largest expected fall of V
+ALIKE, AS_GOOD = 0.99, 0.5  # share of the best start's score: above, a start is the same; below, it is dropped
+MOST_STRETCHED = 0.5  # log factor; friction coefficients change more, without information on a gain
+LATE = 2.0  # standard deviations of a clock, beyond which it may imitate a delay
+NEGLIGIBLE = 1e-9  # of a column's own square: the column is a combination of refitted parameters
 
 
 def clock_nuisances(inputs: tuple[str, ...], dt: float) -> tuple[Nuisance, ...]:
@@ -135,8 +148,12 @@ def log_prior(hypothesis: Hypothesis) -> float:
         total += math.log(PRIOR_EFFECT)
         if candidate.effect.refines:
             total += math.log(PRIOR_REFINEMENT)
-        if candidate.effect.spatial and candidate.scales.orders:
-            total -= math.log(CANDIDATE_PERIODS)
+        # A line was chosen among all that could have been seen: over the position or, up to 0.4 / dt, over time.
+        scales = candidate.scales
+        if candidate.effect.spatial and scales.orders:
+            total -= math.log(FINEST_LINES)
+        if candidate.effect.timed and scales.lines:
+            total -= math.log(max(1.0, 0.4 * scales.duration / scales.dt))
     return total
 
 
@@ -177,6 +194,7 @@ class _Search:
     noise: NoiseModel = field(init=False)
     noise_known: bool = False
     near: bool = False  # whether the best set leaves little beyond the sensor noise
+    level: float = -math.inf  # evidence of the fit that determined the noise
 
     def run(self) -> Found:
         self.noise = first_noise(self.problem)
@@ -295,8 +313,9 @@ class _Search:
         pool = [c for c in self.pool if KIND_OF.get(c.effect.id) == kind and c.site == there.site and c != there]
         pool = [c for c in pool if may_be_added(c, less.hypothesis)]
         pool = [c for c in pool if key_of(less.hypothesis) | {c.key} not in self.visited]
+        plan = FitPlan(tuning.FULL, 0.05, ceiling=self.best.fit.cost + 2.0 * tuning.FAR_BEHIND)
         for start in promising(self.problem, less, pool, 0.0, lambda done, expected: None):
-            self._keep(self.problem.fit(start.hypothesis, self.noise, start.z, fit.starts, FitPlan(tuning.FULL, 0.05)))
+            self._keep(self.problem.fit(start.hypothesis, self.noise, start.z, fit.starts, plan))
 
     def _expand(self, key: Key) -> None:
         """Fit the most promising effects on top of a set."""
@@ -310,10 +329,16 @@ class _Search:
         ceiling = min(base.cost - 2.0 * PROMISING, best.cost + 2.0 * tuning.FAR_BEHIND)
         pool = [c for c in self.pool if may_be_added(c, base.hypothesis)]
         starts = promising(self.problem, base, pool, base.cost - ceiling, report)
+        fallen: dict[str, float] = {}
         for done, start in enumerate(starts, 1):
+            name = start.candidate.key
+            if self.noise_known and start.score <= fallen.get(name, 0.0):
+                continue  # a second start promises no more than the first one has reached
             most = np.inf if start.candidate.effect.gain_like else ceiling
             plan = FitPlan(tuning.FULL if self.noise_known else ROUGH, 0.05, ceiling=most)
-            self._keep(self.problem.fit(start.hypothesis, self.noise, start.z, base.starts, plan))
+            fit = self.problem.fit(start.hypothesis, self.noise, start.z, base.starts, plan)
+            fallen[name] = max(fallen.get(name, 0.0), base.cost - fit.cost)
+            self._keep(fit)
             self.progress(done, len(starts), f"full fits of what could be added to {text}")
         self.expanded.add(key)
         self.expansions += 1
@@ -335,7 +360,9 @@ class _Search:
 
     def _scored(self, fit: Fit) -> Scored:
         held, price = in_phase(self.held, fit, self.problem.records)
-        seen = predictive(held, fit, self.noise) if self.near else as_fitted(held, fit, self.noise)
+        # Far behind on the fitted windows, a set needs no second fit to the held-out ones.
+        known = self.near and fit.evidence > self.level - tuning.FAR_BEHIND
+        seen = predictive(held, fit, self.noise) if known else as_fitted(held, fit, self.noise)
         return Scored(fit, log_prior(fit.hypothesis), seen - price, self.allowed(self.problem, fit))
 
     def _white(self, fit: Fit) -> bool:
@@ -358,8 +385,10 @@ class _Search:
         self.noise = self._noise_of(leader)
         ordered = sorted(self.visited.values(), key=lambda v: (v.allowed, v.evidence), reverse=True)[:BEAM]
         kept = {v.key: v.fit for v in ordered} | {Key(): self.visited[Key()].fit, key_of(leader.hypothesis): leader}
+        fits = {key: self._refitted_set(fit) for key, fit in kept.items()}
+        self.level = fits[key_of(leader.hypothesis)].evidence
         # In one assignment, since the user may interrupt the search at any time.
-        self.visited = {key: self._scored(self._refitted_set(fit)) for key, fit in kept.items()}
+        self.visited = {key: self._scored(fit) for key, fit in fits.items()}
         self.expanded = set()
 
     def _out_of_minimum(self, fit: Fit) -> Fit:
@@ -377,3 +406,141 @@ class _Search:
 
     def _refitted_set(self, fit: Fit) -> Fit:
         return self.problem.fit(fit.hypothesis, self.noise, fit.z, fit.starts, FitPlan(tuning.FULL, 0.05))
+
+
+# --- additions and removals ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """An effect on top of a set, and the initial parameters of their fit."""
+
+    candidate: Candidate
+    hypothesis: Hypothesis
+    z: Array
+    score: float = 0.0
+
+
+def promising(
+    problem: Problem, base: Fit, pool: Sequence[Candidate], wanted: float, report: Callable[[int, int], None]
+) -> list[Start]:
+    """Return the starts of the effects with the highest scores on top of a set, if V may fall by ``wanted``."""
+    quick = problem.under(replace(problem.clock, rough=True))
+    residual = quick.whitened(quick.errors(base.hypothesis, base.z, base.starts), base.noise)
+    own = quick.derivatives(base)
+    jobs, scores = [start for candidate in pool for start in _starts(problem, base, candidate)], list[float]()
+    for done, start in enumerate(jobs, start=1):
+        scores.append(_score(quick, base, residual, own, start))
+        report(done, len(jobs))
+    order = sorted(range(len(jobs)), key=lambda k: -scores[k])
+    first = list(dict.fromkeys(jobs[k].candidate.key for k in order if MOST_FALL * scores[k] > wanted))[:KEPT]
+    gains = [jobs[k].candidate for k in order if jobs[k].candidate.effect.gain_like]
+    further = list(dict.fromkeys(c.key for c in gains if c.key not in first))[:KEPT_GAINS]
+    found = []
+    for key in (*first, *further):
+        own = [k for k in order if jobs[k].candidate.key == key]
+        second = [k for k in own if AS_GOOD * scores[own[0]] < scores[k] < ALIKE * scores[own[0]]]
+        found += [replace(jobs[k], score=scores[k]) for k in (own[0], *second[:1])]
+    return found
+
+
+def _score(
+    problem: Problem, base: Fit, residual: Sequence[Array], own: Sequence[tuple[Array, Array]], start: Start
+) -> float:
+    """Return the expected fall of V by an addition; a single negative strength does not count."""
+    simulators, step, n = problem.simulators(start.hypothesis), tuning.STEP, len(base.z)
+
+    def there(z: Array) -> list[Array]:
+        return problem.whitened(problem.errors(start.hypothesis, z, base.starts, simulators), base.noise)
+
+    with np.errstate(all="ignore"):
+        at = there(start.z)
+        fall = sum(float(r.ravel() @ r.ravel() - a.ravel() @ a.ravel()) for r, a in zip(residual, at, strict=True))
+        fall += float(base.z @ base.z - start.z @ start.z)
+        columns = [[a - r for a, r in zip(at, residual, strict=True)]]
+        first = len(start.z) - len(start.candidate.parameters)
+        for i, p in enumerate(start.candidate.parameters):
+            if p.prior.kind == "linear":
+                moved = there(start.z + step * np.eye(len(start.z))[first + i])
+                columns.append([(m - a) / step for m, a in zip(moved, at, strict=True)])
+        hessian, gradient = np.zeros((n + len(columns),) * 2), np.zeros(n + len(columns))
+        for k, (over_z, over_x) in enumerate(own):
+            changes = np.concatenate([over_z, np.stack([c[k] for c in columns], axis=2)], axis=2)
+            part = Linearised.of(residual[k], changes, over_x, base.starts[k]).reduced(0.0)
+            hessian, gradient = hessian + part.hessian, gradient + part.gradient
+    if not (np.isfinite(hessian).all() and np.isfinite(gradient).all()):
+        return fall
+    hessian[:n, :n] += np.eye(n)
+    gradient[:n] += base.z
+    size = np.diag(hessian)[n:].copy()
+    solved = np.linalg.solve(hessian[:n, :n], hessian[:n, n:])
+    h = hessian[n:, n:] - hessian[n:, :n] @ solved + np.diag(NEGLIGIBLE * size + np.finfo(float).tiny)
+    g = gradient[n:] - solved.T @ gradient[:n]
+    strength = np.linalg.solve(h, g)
+    return max(fall, 0.0 if len(columns) == 1 and strength[0] > 0.0 else float(g @ strength))
+
+
+def related(a: Candidate, b: Candidate) -> bool:
+    """Return whether both are at one site and are, or refine, the same effect."""
+    ids = [{c.effect.id, c.effect.refines} - {"", None} for c in (a, b)]
+    return a.site == b.site and bool(ids[0] & ids[1])
+
+
+def may_be_added(candidate: Candidate, base: Hypothesis) -> bool:
+    """Exclude effects of the base, parents of its refinements, and a second coupling."""
+    for there in base.candidates:
+        refined = candidate.effect.refines == there.effect.id
+        if related(candidate, there) and not refined:
+            return False
+        if candidate.effect.structural and there.effect.structural:
+            return False
+    return True
+
+
+def without(problem: Problem, fit: Fit, k: int) -> tuple[Hypothesis, Array]:
+    """Return the hypothesis without its k-th effect, and its standardised parameters."""
+    candidates = fit.hypothesis.candidates
+    removed = problem.slices(fit.hypothesis)[k][1]
+    return Hypothesis(candidates[:k] + candidates[k + 1 :]), np.delete(fit.z, removed)
+
+
+def extended(
+    problem: Problem, base: Hypothesis, base_z: Array, candidate: Candidate, start: Mapping[str, float]
+) -> tuple[Hypothesis, Array]:
+    """Return the base with the candidate, and the initial point of its fit; a refinement replaces its parent."""
+    kept, z = [], list(base_z[: len(problem.nuisances)])
+    for there, own in problem.slices(base):
+        if candidate.effect.refines == there.effect.id and candidate.site == there.site:
+            start = {**start, **{k: v for k, v in there.values(base_z[own]).items() if k in start}}
+            continue
+        kept.append(there)
+        z.extend(base_z[own])
+    hypothesis = Hypothesis((*kept, candidate))
+    z[: len(problem.nuisances)] = z[: len(problem.nuisances)] * np.array(problem.moving(hypothesis))
+    return hypothesis, np.array([*z, *candidate.standardised(start)])
+
+
+def _starts(problem: Problem, base: Fit, candidate: Candidate) -> list[Start]:
+    """Return the starts of the effect: its own, or those that the set's parameters and clocks imitate."""
+    effect, site, count = candidate.effect, candidate.site, len(problem.nuisances)
+
+    def at(start: Mapping[str, float]) -> Start:
+        return Start(candidate, *extended(problem, base.hypothesis, base.z, candidate, start))
+
+    found = [at(start) for start in candidate.starts]
+    pairs = list(zip(problem.nuisances, base.z[:count].tolist(), strict=True))
+    if site.kind == "parameter" and effect.scale:  # the refitted factor
+        name = candidate.parameters[0].name
+        found += [at({name: n.factor(z)}) for n, z in pairs if n.label == site.name]
+    elif effect.gain_like and site.kind != "joint":  # the factor of the most changed parameter; all at their values
+        stretch = [n.spread * z for n, z in pairs if n.names and not n.additive]
+        likely = max(stretch, key=lambda s: abs(s) if abs(s) < MOST_STRETCHED else 0.0, default=0.0)
+        for sign in (1.0, -1.0) if pairs else ():
+            found.append(at({candidate.parameters[0].name: float(np.exp(sign * likely))}))
+            found[-1].z[:count] = 0.0
+    if effect.delay:  # the shift of an input's clock, which is reset
+        for k, (clock, z) in enumerate(pairs):
+            if clock.input and z > LATE and (site.kind != "input" or clock.input == site.name):
+                found.append(at({effect.delay: clock.spread * z}))
+                found[-1].z[k] = 0.0
+    return found
