@@ -52,7 +52,8 @@ from robustlab.synthesis.discretisation import discretise as discretise
 from robustlab.synthesis.dk.dk_iteration import dk as dk
 from robustlab.synthesis.fixed_structure import fixed_structure as fixed_structure
 from robustlab.synthesis.goal_tuning import tune as tune
-from robustlab.synthesis.h2.h2_synthesis import h2 as h2
+from robustlab.synthesis.h2 import h2 as h2
+from robustlab.synthesis.hinf.loop_shaping import mixsyn as mixsyn
 from robustlab.synthesis.hinf.loop_shaping import ncf as ncf
 from robustlab.synthesis.problem.controller import Controller as Controller
 from robustlab.synthesis.problem.partition import generalized_plant as generalized_plant
