@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,9 +22,7 @@ from robustlab.provenance import Traced
 from robustlab.result import Status
 from robustlab.signals import Signal, law, real_array
 from robustlab.statespace import StateSpaceModel, as_model
-
-if TYPE_CHECKING:
-    from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.lft import UncertainModel
 
 # Origin of the bound of the deviation between the points of the grid.
 KNOWN = EXACT, PROVED, SAMPLED = "exact", "proved", "sampled"
@@ -362,8 +360,6 @@ def lpv_model(
     >>> lpv_model(spring, rates={"k": 0.5}).known
     'exact'
     """
-    from robustlab.uncertainty.lft import UncertainModel
-
     points, units = points or {}, units or {}
     if isinstance(source, UncertainModel):
         return _of_uncertain(source, points, rates, units)
