@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,9 +22,6 @@ from robustlab.provenance import Traced
 from robustlab.result import Status
 from robustlab.signals import Signal, law, real_array
 from robustlab.statespace import StateSpaceModel, as_model
-
-if TYPE_CHECKING:
-    from robustlab.uncertainty.lft import UncertainModel
 
 # Origin of the bound of the deviation between the points of the grid.
 KNOWN = EXACT, PROVED, SAMPLED = "exact", "proved", "sampled"
@@ -317,7 +314,7 @@ class LPVController(Displayable, Traced):
 
 @error_context("lpv_model")
 def lpv_model(
-    source: UncertainModel | Callable[..., Any],
+    source: Any,
     points: Mapping[str, int | Sequence[float]] | None = None,
     rates: Mapping[str, float] | None = None,
     units: Mapping[str, str] | None = None,
@@ -374,7 +371,7 @@ def lpv_model(
 
 
 def _of_uncertain(
-    source: UncertainModel, points: Mapping[str, Any], rates: Mapping[str, float] | None, units: Mapping[str, str]
+    source: Any, points: Mapping[str, Any], rates: Mapping[str, float] | None, units: Mapping[str, str]
 ) -> LPVModel:
     blocks: list[Any] = list(source.blocks)
     for b in blocks:
@@ -405,7 +402,7 @@ def _values(block: Any, given: int | Sequence[float]) -> Array:
     return values
 
 
-def _proved_deviation(source: UncertainModel, entries: Sequence[Array]) -> Array:
+def _proved_deviation(source: Any, entries: Sequence[Array]) -> Array:
     """Return a bound of the interpolation error in each cell, entry by entry."""
     from robustlab.uncertainty.blocks import block_slices
 
