@@ -65,8 +65,8 @@ def by_formula(model: Any, dt: float, method: str, prewarp: float | None = None)
         expected = f"between 0 and the Nyquist frequency {np.pi / dt:g}"
         raise InputError(WHERE, f"prewarp is {prewarp:g} rad/s", expected)
     if method in ("tustin", "tustin-prewarp"):
-        found = bilinear_to_discrete(m, 2 * float(np.tan(prewarp * dt / 2)) / prewarp if prewarp else dt)
-        made = found.A, found.B, found.C, found.D
+        bent = bilinear_to_discrete(m, 2 * float(np.tan(prewarp * dt / 2)) / prewarp if prewarp else dt)
+        made: Any = bent.A, bent.B, bent.C, bent.D
     else:  # by one matrix exponential; the state of `foh` is x_k less its part from u_k
         from scipy.signal import cont2discrete
 
@@ -349,7 +349,7 @@ def discretise(
         merged = merged_modes(judged.model, dt)
         corner = continuous.frequency if prewarp is None else prewarp
         warped = ["tustin-prewarp"] * bool(0 < continuous.frequency < 0.9 * np.pi / dt)
-        names = ["tustin", *warped, "zoh", "foh", "direct"] if method in (None, "auto") else [method]
+        names = ["tustin", *warped, "zoh", "foh", "direct"] if method in (None, "auto") else [str(method)]
         trials, best = list[SampledTrial](), None
         for name in names:
             enough = best is not None and _loss(best[2].upper, continuous) <= loss

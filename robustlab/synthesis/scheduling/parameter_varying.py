@@ -315,7 +315,7 @@ class LPVController(Displayable, Traced):
 
 @error_context("lpv_model")
 def lpv_model(
-    source: UncertainModel | Callable[..., Any],
+    source: Any,
     points: Mapping[str, int | Sequence[float]] | None = None,
     rates: Mapping[str, float] | None = None,
     units: Mapping[str, str] | None = None,
@@ -370,7 +370,7 @@ def lpv_model(
 
 
 def _of_uncertain(
-    source: UncertainModel, points: Mapping[str, Any], rates: Mapping[str, float] | None, units: Mapping[str, str]
+    source: Any, points: Mapping[str, Any], rates: Mapping[str, float] | None, units: Mapping[str, str]
 ) -> LPVModel:
     blocks: list[Any] = list(source.blocks)
     for b in blocks:
@@ -401,7 +401,7 @@ def _values(block: Any, given: int | Sequence[float]) -> Array:
     return values
 
 
-def _proved_deviation(source: UncertainModel, entries: Sequence[Array]) -> Array:
+def _proved_deviation(source: Any, entries: Sequence[Array]) -> Array:
     """Return a bound of the interpolation error in each cell, entry by entry."""
     from robustlab.uncertainty.blocks import block_slices
 

@@ -98,7 +98,7 @@ REQUESTS = [
     (lambda: points(*[lpv.lag(1.0)] * 2, deviation=np.ones((1, 2, 2))), "exact"),
     (lambda: rl.LPVModel([0, 1], [lpv.lag(1.0)] * 2), "parameter -> value"),
     (lambda: rl.lpv_model(lpv.lag, {"a": "x"}), "points of 'a'"),
-    (lambda: rl.lpv_model(lpv.springs(), {"m": 1}), "2 or more"),
+    (lambda: rl.lpv_model(lpv.springs(), {"m": 1}), "of at least 2"),
     (lambda: rl.lpv_model(lpv.springs(), {"m": [0.1, 3.0]}), "points of 'm'"),
     (lambda: rl.lpv_model(rl.unstructured(lpv.lag(1.0), 0.2)), "real parameters only"),
     (lambda: rl.lpv_model(lpv.lag(1.0)), "a function of the parameters"),
