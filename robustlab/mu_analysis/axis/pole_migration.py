@@ -197,13 +197,8 @@ def _loop_eigenvalue(model: StateSpaceModel, delta: ComplexArray, omega: float) 
         return None
     values, right = _eigen(loop)
     k = int(np.abs(values - 1).argmin())
-    x = right[:, k]
-    _, left = _eigen(loop.T)
-    y = left[:, int(np.abs(np.linalg.eigvals(loop.T) - values[k]).argmin())]
-    inner = y @ x
-    if inner == 0:
-        return None
-    return complex(values[k]), complex(-1j * (y @ out @ (states @ x)) / inner)
+    left = np.linalg.inv(right + 1e-13 * np.eye(len(loop)))[k]
+    return complex(values[k]), complex(-1j * (left @ out @ (states @ right[:, k])))
 
 
 # --- migration -------------------------------------------------------------------------------------------------------
