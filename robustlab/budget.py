@@ -89,12 +89,6 @@ class Budget:
         child._parent = self
         return child
 
-    def apart(self, work: float) -> Budget:
-        """Return a budget of so much work, subtracted from this one now, for one of several independent searches."""
-        self.spend(work)
-        with listening(None):  # counted already
-            return Budget(work, None if self.seconds_left == inf else self.seconds_left)
-
     @property
     def left(self) -> float:
         """Units of work left; negative if a step took more than there was."""

@@ -231,35 +231,19 @@ def extend(model: StateSpaceModel, bound: UpperBound, beta: float, omega: float)
     # Shrink by a small share of the frequency, or of the piece where that is narrower.
     low += 1e-9 * min(low, omega - low)
     high -= 1e-9 * min(high, high - omega) if np.isfinite(high) else 0.0
-    # Eigenvalues of H can be wrong in the first digits where D, G are extreme: probes detect this, and limit the
-    # interval to the part around omega in which all have the right sign.
+    # Eigenvalues of H can be wrong in the first digits where D, G are extreme: probes detect this.
     top = high if np.isfinite(high) else 1e3 * max(low, _speed(model))
     bottom = low if low > 0 else 1e-6 * top
-    probes = np.unique(np.concatenate([np.linspace(low, top, PROBES), np.geomspace(bottom, top, PROBES)]))
-    right = holds(probes)
-    if not right.all():
-        below, above = probes[~right & (probes <= omega)], probes[~right & (probes > omega)]
-        inside = probes[(probes > below.max(initial=-1.0)) & (probes < above.min(initial=np.inf))]
-        if not len(inside):
-            return None
-        low, high = float(inside[0]) if len(below) else low, float(inside[-1]) if len(above) else high
+    if not holds(np.concatenate([np.linspace(low, top, PROBES), np.geomspace(bottom, top, PROBES)])).all():
+        return None
     return Piece(low, high, beta, bound) if low < high else None
 
 
 def _far(points: Array, right: Mask, holds: Callable[[Array], Mask]) -> float:
-    """Return the end of the segments, from a middle on in this order, that hold: an end, or a point next to one."""
+    """Return the last point up to which all hold, in this order from a middle on; ``right``: of the first ones."""
     while right.all() and len(right) < len(points):
         right = np.append(right, holds(points[len(right) : 2 * len(right)]))
-    good = len(right) - 1 if right.all() else int(right.argmin()) - 1
-    near = float(points[good])
-    if good % 2:  # an end; without the sign there, search between it and the last middle
-        return near
-    far = float(points[good + 1]) if np.isfinite(points[good + 1]) else 1e6 * near
-    for _ in range(4):
-        between = np.linspace(near, far, PROBES + 2)
-        stop = int(np.append(holds(between[1:-1]), False).argmin())
-        near, far = float(between[stop]), float(between[stop + 1])
-    return near
+    return float(points[len(right) - 1 if right.all() else int(right.argmin()) - 1])
 
 
 def _speed(model: StateSpaceModel) -> float:

@@ -135,13 +135,10 @@ def first_crossing(
     if not len(unstable_at) or stable * delta_norm(blocks, delta) >= best:
         return min(exact, key=lambda c: c.norm, default=None)
     unstable = _bisected(model, delta, stable, float(factors[first]))
-    pole, error = _pole_and_error(model, unstable * delta)
-    at_crossing = Destabilising(unstable * delta_norm(blocks, delta), unstable * delta, pole)
-    if not np.isfinite(pole):
-        return at_crossing
+    pole = complex(_rightmost(model, unstable * delta[None])[0])
+    if not np.isfinite(pole):  # the loop becomes ill-posed
+        return Destabilising(unstable * delta_norm(blocks, delta), unstable * delta, pole)
     exact += _on_the_axis(model, blocks, unstable * delta, pole)
-    if not exact and pole.real > error:
-        return at_crossing
     return min(exact, key=lambda c: c.norm, default=None)
 
 
@@ -187,22 +184,6 @@ def _on_the_axis(
     return found
 
 
-def _pole_and_error(model: StateSpaceModel, delta: ComplexArray) -> tuple[complex, float]:
-    """Return the rightmost pole and a first-order bound of its rounding error."""
-    a = perturbed_state_matrix(model, delta)
-    if not np.isfinite(a).all():
-        return complex(np.inf), 0.0
-    values, right = _eigen(a)
-    k = int(values.real.argmax())
-    v = right[:, k]
-    try:
-        u = np.linalg.solve(a.T - (values[k] + 1e-9 * (1 + abs(values[k]))) * np.eye(len(a)), np.conj(v))
-    except np.linalg.LinAlgError:
-        return complex(values[k]), 0.0
-    condition = float(np.linalg.norm(u) / max(abs(u @ v), 1e-300))
-    return complex(values[k]), 10 * len(a) * EPS * float(np.linalg.norm(a)) * condition
-
-
 def _loop_eigenvalue(model: StateSpaceModel, delta: ComplexArray, omega: float) -> tuple[complex, complex] | None:
     """The eigenvalue of ``M(j omega) Delta`` next to one, and its derivative by omega."""
     try:
@@ -216,13 +197,8 @@ def _loop_eigenvalue(model: StateSpaceModel, delta: ComplexArray, omega: float) 
         return None
     values, right = _eigen(loop)
     k = int(np.abs(values - 1).argmin())
-    x = right[:, k]
-    _, left = _eigen(loop.T)
-    y = left[:, int(np.abs(np.linalg.eigvals(loop.T) - values[k]).argmin())]
-    inner = y @ x
-    if inner == 0:
-        return None
-    return complex(values[k]), complex(-1j * (y @ out @ (states @ x)) / inner)
+    left = np.linalg.inv(right + 1e-13 * np.eye(len(loop)))[k]
+    return complex(values[k]), complex(-1j * (left @ out @ (states @ right[:, k])))
 
 
 # --- migration -------------------------------------------------------------------------------------------------------

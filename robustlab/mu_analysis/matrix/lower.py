@@ -20,7 +20,7 @@ from robustlab.uncertainty.blocks import Block, structure_size
 NEARBY = 5e-9
 CHOSEN = 6  # candidates per matrix that are refined to rounding and verified
 WIDER = 3  # ratio of first starts to paths; the best starts are kept
-SMOOTH = 12  # largest number of paths where no block is real
+SMOOTH = 16  # largest number of paths where no block is real
 DESCENDING = 2  # candidates per matrix that descend along the singular set
 ROUNDS = 24  # of this descent
 FEW, FEWEST = 5, 24  # largest number of real blocks alone with at least so many starts, and scattered ones
@@ -187,7 +187,9 @@ def _candidates(
         norm = np.concatenate([norm, _singular_sizes(M[owner], layout, more, 1e-8)])
     chosen = smallest(of, norm, CHOSEN)
     of, sharp = of[chosen], sharpened(M[of[chosen]], layout, delta[chosen])
-    best = smallest(of, _singular_sizes(M[of], layout, sharp, 1e-10), 1 if smooth else DESCENDING)
+    if smooth:  # descent gains less than 1e-4 there
+        return of, sharp
+    best = smallest(of, _singular_sizes(M[of], layout, sharp, 1e-10), DESCENDING)
     lower = sharpened(M[of[best]], layout, _descended(M[of[best]], layout, sharp[best]))
     return np.concatenate([of, of[best]]), np.concatenate([sharp, lower])
 
