@@ -186,8 +186,6 @@ INSIDE = np.tan(np.pi / 8 * np.arange(-3, 4))
 BLURRED = 1e-6
 # Product of the left and right eigenvector below which a mode cannot be decoupled from another one.
 ALIKE = 1e-4
-# Eigenvectors as parallel as this are one, found twice.
-SAME = 1e-12
 # Bits of the change of states: differences of much larger terms keep all digits of a double.
 BITS = 192
 
@@ -221,8 +219,7 @@ def modes_apart(model: StateSpaceModel) -> StateSpaceModel:
         poles = np.exp(poles)
     right, left = (_eigenvectors(matrix, poles) for matrix in (A, A.T))
     inner = np.abs((left * right).sum(axis=0))  # of vectors of length one
-    alone = np.abs(right.conj().T @ right - np.eye(len(poles))).max(axis=0, initial=0.0) < 1 - SAME
-    kept = (inner > ALIKE) & alone
+    kept = inner > ALIKE
     left, right, inner = left[:, kept], right[:, kept], inner[kept]
     if not len(inner):
         return model
