@@ -18,8 +18,8 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.lft import UncertainModel, Wiring, as_uncertain, interconnected
 
 FORM = '"e = r - y": a new name, then names with + or - between them'
-_SUM = re.compile(r"([^\s=+-]+)\s*=(.*)", re.DOTALL)
-_TERM = re.compile(r"\s*([+-]?)\s*([^\s=+-]+)")
+_NAME = r"[^\s=+-]+"
+_SUM = re.compile(rf"\s*({_NAME})\s*=\s*([+-]?\s*{_NAME}(?:\s*[+-]\s*{_NAME})*)\s*")
 
 
 class _Part(NamedTuple):
@@ -113,21 +113,14 @@ def _gain(d: Any, inputs: Sequence[str], output: str) -> UncertainModel:
 def _summing(text: str) -> _Part:
     """Return the part for a text like ``"e = r - y"``."""
     where = f"connect: sum {text!r}"
-    found = _SUM.fullmatch(text.strip()) if isinstance(text, str) and len(text) <= 10_000 else None
+    found = _SUM.fullmatch(text) if len(text) <= 10_000 else None
     if found is None:
         raise InputError(where, "no sum", FORM)
     signs: dict[str, float] = {}
-    rest = found[2].strip()
-    while rest:
-        term = _TERM.match(rest)
-        if term is None or not (term[1] or not signs):
-            raise InputError(where, f"{rest!r} is no term", FORM)
-        if term[2] in signs:
-            raise InputError(where, f"{term[2]!r} occurs twice", "each signal once")
-        signs[term[2]] = -1.0 if term[1] == "-" else 1.0
-        rest = rest[term.end() :].strip()
-    if not signs:
-        raise InputError(where, "nothing to add", FORM)
+    for sign, name in re.findall(rf"([+-]?)\s*({_NAME})", found[2]):
+        if name in signs:
+            raise InputError(where, f"{name!r} occurs twice", "each signal once")
+        signs[name] = -1.0 if sign == "-" else 1.0
     return _Part(f"sum {text!r}", _gain([list(signs.values())], list(signs), found[1]))
 
 
