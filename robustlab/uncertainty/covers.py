@@ -617,20 +617,11 @@ def _hull(models: tuple[StateSpaceModel, ...], nominal: StateSpaceModel | None, 
     centre = model_of(middle, first)
     made = elementwise(centre, model_of(middle + above, first), "elements")
     at = _entries(middle + above - middle, first.n_states)
-    blocks = [
-        RealScalar(b.name, b.rows, ParameterRange(float(middle[i, j]), float(above[i, j]), "", float(below[i, j])))
-        for b, (i, j) in zip(made.blocks, at, strict=True)
-    ]
-    whole = UncertainModel(made.M, blocks, made.operating_point)
-    deltas = tuple(
-        {
-            b.name: float(np.clip(b.parameter.delta(float(s[i, j])), -1.0, 1.0))
-            for b, (i, j) in zip(blocks, at, strict=True)
-            if b.parameter is not None
-        }
-        for s in stack
-    )
-    return whole, deltas, ()
+    ranges = [ParameterRange(*(float(x[place]) for x in (middle, above)), "", float(below[place])) for place in at]
+    blocks = [RealScalar(b.name, b.rows, r) for b, r in zip(made.blocks, ranges, strict=True)]
+    values = [[float(np.clip(r.delta(float(s[i])), -1.0, 1.0)) for r, i in zip(ranges, at, strict=True)] for s in stack]
+    deltas = tuple(dict(zip((b.name for b in blocks), row, strict=True)) for row in values)
+    return UncertainModel(made.M, blocks, made.operating_point), deltas, ()
 
 
 def _entries(e: Array, n: int) -> list[tuple[int, int]]:
