@@ -176,9 +176,6 @@ def _checked(omega: ArrayLike, bound: ArrayLike, order: int, tolerance: float, d
     return w, b
 
 
-# --- a curve of given order above a bound -----------------------------------------------------------------------------
-
-
 def _fitted(n: int, w: Array, b: Array) -> StateSpaceModel:
     """Return a weight of order n with a small largest error of its log-magnitude, from several starts."""
     from scipy.optimize import least_squares
@@ -472,9 +469,6 @@ def _grid(models: tuple[StateSpaceModel, ...], others: list[StateSpaceModel]) ->
     return np.unique(np.concatenate(omega))
 
 
-# --- stability of the errors -----------------------------------------------------------------------------------------
-
-
 def _require_stable(models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form) -> None:
     """Check that every error is analytic in the closed unstable region."""
     for i, model in enumerate(models, 1):
@@ -511,9 +505,6 @@ def _pole_that_stays(model: StateSpaceModel, centre: StateSpaceModel, form: Form
         if not np.isfinite(reference) or max(laurent) > ANALYTIC * reference:
             return p
     return None
-
-
-# --- the Deltas as systems -------------------------------------------------------------------------------------------
 
 
 def _deltas(

@@ -239,9 +239,6 @@ def elementwise_cover(nominal: Any, perturbed: Any) -> UncertainModel:
     return _assemble(first, parts, full=True)
 
 
-# --- the difference of two models ------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class _Difference:
     """E = perturbed - nominal, shape (n_x + n_y, n_x + n_u), and the data to factor it."""
@@ -374,9 +371,6 @@ def _assemble(nominal: StateSpaceModel, parts: list[_Part], full: bool = False) 
     sizes = [(p.name, p.left.shape[1], p.right.shape[0]) for p in parts]
     blocks = [FullBlock(name, r, c) if full else RealScalar(name, r) for name, r, c in sizes]
     return with_channels(nominal, blocks, left, right)
-
-
-# --- checks ----------------------------------------------------------------------------------------------------------
 
 
 def check_pair(

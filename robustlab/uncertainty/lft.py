@@ -157,9 +157,6 @@ def recentred(M: StateSpaceModel, blocks: Sequence[Block], centre: Array, scale:
     return joined([(M, ())], Wiring(K, E, np.eye(M.n_outputs)), M.inputs, M.outputs, where)[0]
 
 
-# --- closed by a constant Delta ---------------------------------------------------------------------------------------
-
-
 def is_singular(product: ArrayLike) -> bool:
     """Return whether ``I - product`` (n, n) is singular or too ill-conditioned."""
     matrix = np.asarray(product)

@@ -103,9 +103,6 @@ def connect(
     return found if any(isinstance(part, UncertainModel) for part in parts) else found.nominal
 
 
-# --- parts ------------------------------------------------------------------------------------------------------------
-
-
 def _gain(d: Any, inputs: Sequence[str], output: str) -> UncertainModel:
     return as_uncertain(StateSpaceModel([], [], [], d, 0.0, inputs, [output]))
 
@@ -122,9 +119,6 @@ def _summing(text: str) -> _Part:
             raise InputError(where, f"{name!r} occurs twice", "each signal once")
         signs[name] = -1.0 if sign == "-" else 1.0
     return _Part(f"sum {text!r}", _gain([list(signs.values())], list(signs), found[1]))
-
-
-# --- names and units --------------------------------------------------------------------------------------------------
 
 
 def _check(given: Sequence[_Part], parts: Sequence[_Part], ins: list[str], outs: list[str]) -> None:

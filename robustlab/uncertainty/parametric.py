@@ -267,9 +267,6 @@ def _interval(expression: Laurent, box: Mapping[str, tuple[float, float]], algeb
     return (low, high) if np.isfinite([low, high]).all() else (-np.inf, np.inf)
 
 
-# --- the LFT ---------------------------------------------------------------------------------------------------------
-
-
 def _lft(
     expressions: Sequence[Sequence[Laurent]], algebra: Algebra, ranges: Mapping[str, ParameterRange]
 ) -> ConstantLft:
