@@ -21,6 +21,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from robustlab.arrays import AnyArray, Array
+from robustlab.checks import number as checked_number
 from robustlab.display import Facts, bracket, listed, number
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis import slicot
@@ -163,8 +164,7 @@ def checked_band(band: tuple[float, float], dt: float, where: str) -> tuple[floa
 
 
 def _norm_of(m: StateSpaceModel, rtol: float, infinite: Infinite, band: Band | None, where: str) -> HinfNorm:
-    if not 1e-12 <= rtol < 1:
-        raise InputError(where, f"rtol is {rtol}", "between 1e-12 and 1")
+    checked_number(f"{where}: rtol", rtol, at_least=1e-12, below=1)
     refuse_extremes(m, where)
     found = infinite(m) if m.n_states else None
     if found is None and not m.D.size:

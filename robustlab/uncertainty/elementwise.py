@@ -15,8 +15,9 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.checks import choice
 from robustlab.display import Displayable, Facts, Part
-from robustlab.errors import InputError, UnitMismatch, did_you_mean, error_context
+from robustlab.errors import InputError, UnitMismatch, error_context
 from robustlab.linear_analysis.matrices import equilibrating_exponents, system_matrix
 from robustlab.result import Status
 from robustlab.signals import MAX_NAME
@@ -106,9 +107,7 @@ def elementwise(
         raise InputError("elementwise: structure", f"{structure!r} with causes", "none: a cause is one parameter")
     if not causes:
         raise InputError("elementwise", "no cause", "at least one: {name: perturbed model}")
-    if structure not in STRUCTURES:
-        expected, hint = f"one of {', '.join(STRUCTURES)}", did_you_mean(structure, STRUCTURES)
-        raise InputError("elementwise", f"structure {structure!r}", expected, hint)
+    choice("elementwise: structure", structure, STRUCTURES)
     if tolerance is not None and not 0 <= tolerance < 1:
         raise InputError("elementwise", f"tolerance {tolerance}", "a number in [0, 1)")
     parts: list[_Part] = []

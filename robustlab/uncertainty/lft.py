@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab import statespace
 from robustlab.arrays import AnyArray, Array, is_rank_deficient
+from robustlab.checks import number as checked_number
 from robustlab.checks import whole
 from robustlab.display import SHOWN_BLOCKS, Displayable, Facts, listed, number, with_units
 from robustlab.display import Part as TablePart
@@ -426,8 +427,7 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
         ``level``: positive; 2 takes each end twice as far from the nominal value.
         """
         # [-rho m, m] becomes c + r [-1, 1] by Delta = C + R Delta', c = m (1 - rho) / 2, r = m (1 + rho) / 2.
-        if isinstance(level, bool) or not isinstance(level, (int, float)) or not 0 < level < np.inf:
-            raise InputError("centred", f"level {level!r}", "a positive finite number")
+        level = checked_number("centred: level", level, "a positive finite number", above=0)
         q, p = self.delta_shape
         centre, scale, blocks = np.zeros((q, p)), np.eye(q), []
         for block, (w, z) in zip(self.blocks, block_slices(self.blocks), strict=True):

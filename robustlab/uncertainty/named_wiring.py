@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch, did_you_mean, error_context
+from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch, did_you_mean, error_context, unknown_name
 from robustlab.linear_analysis.structural import strong_components
 from robustlab.signals import Signal, is_constant
 from robustlab.statespace import StateSpaceModel
@@ -152,8 +152,7 @@ def _check(given: Sequence[_Part], parts: Sequence[_Part], ins: list[str], outs:
             raise InputError(where, "no part and no sum takes it", expected, did_you_mean(name, free))
     for name in outs:
         if name not in known:
-            expected = f"one of {', '.join(known)}"
-            raise InputError(f"connect: output {name!r}", "no such signal", expected, did_you_mean(name, known))
+            raise unknown_name(f"connect: output {name!r}", "no such signal", name, known)
     unfed = [(label, name) for label, name in fed if name not in known]
     if unfed:
         lines = [f"connect: {label}: input {name!r}: nobody feeds it" for label, name in unfed]

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, error_context
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context, unknown_name
 from robustlab.statespace import SignalLike, StateSpaceModel
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel, with_channels
@@ -536,9 +536,7 @@ def walk(
             return constant(_exact(node.value, where))
         if isinstance(node, ast.Name):
             if node.id not in known:
-                given = tuple(known.values())
-                expected = f"one of {', '.join(given) or 'none'}"
-                raise InputError(where, f"{quoted}: no parameter {node.id!r}", expected, did_you_mean(node.id, given))
+                raise unknown_name(where, f"{quoted}: no parameter {node.id!r}", node.id, known.values())
             return variable(known[node.id])
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, (ast.USub, ast.UAdd)):
             inner = value(node.operand, depth + 1)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import Array, ComplexArray
+from robustlab.checks import number
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import bilinear_to_discrete
@@ -33,8 +34,7 @@ def realise_delta(
 ) -> dict[str, float | StateSpaceModel]:
     """Return stable systems for the blocks of a complex Delta, of its H-infinity norm, equal to it at ``omega``."""
     where = "realise_delta"
-    if not np.isfinite(dt) or dt < 0:
-        raise InputError(where, f"dt is {dt}", "0 (continuous) or a positive sample time in s")
+    number(f"{where}: dt", dt, "0 (continuous) or a positive sample time in s", at_least=0)
     end = np.pi / dt if dt else np.inf
     if omega is None or np.ndim(omega) or not 0 <= omega <= end * (1 + 1e-12):
         raise InputError(where, f"omega = {omega} rad/s", f"between 0 and {end:g} rad/s")

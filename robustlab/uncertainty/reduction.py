@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array
+from robustlab.checks import number as checked_number
 from robustlab.display import Displayable, Facts, listed, number
-from robustlab.errors import InputError
 from robustlab.linear_analysis.matrices import balancing_factors, of_system_matrix, system_matrix
 from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel
@@ -67,8 +67,7 @@ class Reduction(Displayable):
 
 def reduction(uncertain: Any, tolerance: float = TOLERANCE) -> Reduction:
     """Reduce all scalar blocks of a set jointly until nothing is removed."""
-    if not 0 < tolerance < 1:
-        raise InputError("reduce_model", f"tolerance {tolerance}", "a number between 0 and 1")
+    checked_number("reduce_model: tolerance", tolerance, above=0, below=1)
     M, blocks, worst = uncertain.M, uncertain.blocks, np.zeros(2)
     while step := _step(M, blocks, {b.name for b in blocks if b.is_scalar}, tolerance):
         M, blocks, missed = step
