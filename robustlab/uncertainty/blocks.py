@@ -614,11 +614,8 @@ def delta_matrix(blocks: Sequence[Block], values: Mapping[str, ArrayLike]) -> ND
 
 def delta_values(blocks: Sequence[Block], delta: ArrayLike) -> dict[str, Any]:
     """Return one value per block name (float, complex, or a complex matrix): the inverse of `delta_matrix`."""
-    full = np.asarray(delta)
-    return {
-        block.name: block.value_of(full[rows, cols])
-        for block, (rows, cols) in zip(blocks, block_slices(blocks), strict=True)
-    }
+    full, places = np.asarray(delta), zip(blocks, block_slices(blocks), strict=True)
+    return {block.name: block.value_of(full[w, z]) for block, (w, z) in places}
 
 
 # The kinds that files know, by their word there.

@@ -268,8 +268,7 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
     @property
     def nominal(self) -> StateSpaceModel:
         """Return the model at Delta = 0."""
-        q, p = self.delta_shape
-        m = self.M
+        (q, p), m = self.delta_shape, self.M
         return StateSpaceModel(
             m.A, m.B[:, q:], m.C[p:], m.D[p:, q:], m.dt, m.inputs[q:], m.outputs[p:], m.states, self.operating_point
         )
@@ -281,8 +280,7 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
     @property
     def delta_channels(self) -> StateSpaceModel:
         """Return M11, the system from w to z in feedback with Delta."""
-        q, p = self.delta_shape
-        m = self.M
+        (q, p), m = self.delta_shape, self.M
         return StateSpaceModel(m.A, m.B[:, :q], m.C[:p], m.D[:p, :q], m.dt, m.inputs[:q], m.outputs[:p], m.states)
 
     def evaluate(self, delta: Mapping[str, Any]) -> StateSpaceModel:
@@ -388,11 +386,8 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
 
     def physical(self, delta: Mapping[str, Any]) -> dict[str, tuple[float, str]]:
         """Return the parameter values and units of a Delta, for real blocks with a physical parameter."""
-        return {
-            b.name: (b.parameter.value(float(np.real(delta.get(b.name, 0.0)))), b.parameter.unit)
-            for b in self.blocks
-            if b.parameter is not None
-        }
+        ranges = [(b.name, b.parameter) for b in self.blocks if b.parameter is not None]
+        return {name: (r.value(float(np.real(delta.get(name, 0.0)))), r.unit) for name, r in ranges}
 
     def impossible(self, delta: Mapping[str, Any]) -> tuple[str, ...]:
         """Return remarks on the physically impossible parameter values of a Delta (see `ParameterRange.impossible`)."""

@@ -124,8 +124,7 @@ def _summing(text: str) -> _Part:
 def _check(given: Sequence[_Part], parts: Sequence[_Part], ins: list[str], outs: list[str]) -> None:
     """Check sample times, that every input has one source, and that every requested name exists."""
     timed = [part for part in given if part.model.M.n_states or part.model.dt]
-    for part in timed[1:]:
-        first = timed[0]
+    for first, part in ((timed[0], part) for part in timed[1:]):
         if part.model.dt != first.model.dt:
             found, expected = f"sample time {part.model.dt:g} s", f"{first.model.dt:g} s as in {first.label}"
             raise InputError(f"connect: {part.label}", found, expected, "rl.discretise and rl.d2c change sample times")

@@ -506,11 +506,7 @@ def _exact_quotient(a: Laurent, b: Laurent) -> Laurent | None:
 
 
 def walk(
-    entry: Any,
-    constant: Callable[[Fraction], Any],
-    variable: Callable[[str], Any],
-    names: Iterable[str],
-    where: str,
+    entry: Any, constant: Callable[[Fraction], Any], variable: Callable[[str], Any], names: Iterable[str], where: str
 ) -> Any:
     """Evaluate an entry in the arithmetic of these constants and variables, without executing code."""
     if isinstance(entry, (int, float, np.integer, np.floating)) and not isinstance(entry, bool):

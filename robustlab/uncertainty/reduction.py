@@ -42,13 +42,11 @@ Step = tuple[StateSpaceModel, tuple[Block, ...], Array]  # a smaller set; invari
 class Reduction(Displayable):
     """A reduced set, with the evidence of unchanged input-output behaviour."""
 
-    #: The reduced set, without scalar blocks that have no effect
-    model: Any  # UncertainModel, which is built on this module
-    #: Block name -> size (repetitions, or the larger side of a full block)
-    before: dict[str, int]
+    model: Any  #: The reduced UncertainModel, without scalar blocks that have no effect
+    before: dict[str, int]  #: Block name -> size (repetitions, or the larger side of a full block)
     after: dict[str, int]
     #: Largest coupling of the kept channels through the dropped ones, relative to the largest singular value of the
-    #: (scaled) channel matrices: zero for an exact reduction. It is an algebraic certificate for every Delta.
+    #: (scaled) channel matrices, for every Delta: zero for an exact reduction
     invariance: float
     #: Largest difference of the maps through the blocks, from all other inputs and states to all other outputs and
     #: rates, at random complex Delta inside the set, relative to each map's largest entry (or to a thousandth of the
