@@ -599,7 +599,7 @@ def _hull(models: Models, nominal: StateSpaceModel | None, tolerance: float) -> 
     centre = model_of(middle, first)
     made = elementwise(centre, model_of(middle + above, first), "elements")
     at = _entries(middle + above - middle, first.n_states)
-    ranges = [ParameterRange(*(float(x[place]) for x in (middle, above)), "", float(below[place])) for place in at]
+    ranges = [ParameterRange(float(middle[i]), float(above[i]), "", float(below[i])) for i in at]
     blocks = [RealScalar(b.name, b.rows, r) for b, r in zip(made.blocks, ranges, strict=True)]
     values = [[float(np.clip(r.delta(float(s[i])), -1.0, 1.0)) for r, i in zip(ranges, at, strict=True)] for s in stack]
     deltas = tuple(dict(zip((b.name for b in blocks), row, strict=True)) for row in values)
