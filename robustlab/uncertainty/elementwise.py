@@ -15,7 +15,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.checks import choice
+from robustlab.checks import choice, number
 from robustlab.display import Displayable, Facts, Part
 from robustlab.errors import InputError, UnitMismatch, error_context
 from robustlab.linear_analysis.matrices import equilibrating_exponents, system_matrix
@@ -108,8 +108,7 @@ def elementwise(
     if not causes:
         raise InputError("elementwise", "no cause", "at least one: {name: perturbed model}")
     choice("elementwise: structure", structure, STRUCTURES)
-    if tolerance is not None and not 0 <= tolerance < 1:
-        raise InputError("elementwise", f"tolerance {tolerance}", "a number in [0, 1)")
+    number("elementwise: tolerance", tolerance or 0.0, "a number in [0, 1)", at_least=0, below=1)
     parts: list[_Part] = []
     for name, model in causes.items():
         second = as_model(model, f"elementwise: {name}")
