@@ -165,7 +165,7 @@ def test_disturbances_that_reach_the_sampler_are_held_or_filtered():
         (rl.StateSpaceModel([], [], [], [[1.0]]), {}, "sample time: 0"),
         (gain(1.0, 0.1), {"delay": -0.1}, "delay is -0.1"),
         (gain(1.0, 0.1), {"delay": float("inf")}, "delay is inf"),
-        (gain(1.0, 0.1), {"rtol": 0.0}, "rtol: 0"),
+        (gain(1.0, 0.1), {"rtol": 0.0}, "rtol is 0"),
         (gain(1.0, 0.1), {"antialiasing": -1.0}, "antialiasing is -1"),
         (gain(1.0, 0.1), {"n_meas": 2}, "K is 1 x 1, expected 1 x 2"),
     ],
