@@ -25,15 +25,7 @@ def triangle(matrix: AnyArray) -> AnyArray:
     return scale * 0.5 * (matrix[..., rows, columns] + matrix[..., columns, rows])
 
 
-def solve(
-    cost: Array,
-    rows: Any,
-    right: Array,
-    cones: Sequence[Cone],
-    *,
-    steps: float,
-    seconds: float | None,
-) -> Any:
+def solve(cost: Array, rows: Any, right: Array, cones: Sequence[Cone], *, steps: float, seconds: float | None) -> Any:
     r"""Minimise ``cost x`` with ``right - rows x`` in the cones; None where the solver panics.
 
     ``rows``: dense or sparse; symmetric matrices as `triangle`.

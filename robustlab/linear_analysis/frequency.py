@@ -186,8 +186,6 @@ INSIDE = np.tan(np.pi / 8 * np.arange(-3, 4))
 BLURRED = 1e-6
 # Product of the left and right eigenvector below which a mode cannot be decoupled from another one.
 ALIKE = 1e-4
-# Eigenvectors as parallel as this are one, found twice.
-SAME = 1e-12
 # Bits of the change of states: differences of much larger terms keep all digits of a double.
 BITS = 192
 
@@ -215,17 +213,19 @@ def modes_apart(model: StateSpaceModel) -> StateSpaceModel:
     t = balancing_factors(model.A)
     A, B, C = model.A / t[:, None] * t, model.B / t[:, None], model.C * t
     poles = poles[light & (distance < BLURRED * np.linalg.norm(A, 1))]
-    if not len(poles):
-        return model
     if model.is_discrete:
         poles = np.exp(poles)
     right, left = (_eigenvectors(matrix, poles) for matrix in (A, A.T))
     inner = np.abs((left * right).sum(axis=0))  # of vectors of length one
-    alone = np.abs(right.conj().T @ right - np.eye(len(poles))).max(axis=0, initial=0.0) < 1 - SAME
-    kept = (inner > ALIKE) & alone
+    kept = inner > ALIKE
     left, right, inner = left[:, kept], right[:, kept], inner[kept]
     if not len(inner):
         return model
+    driven = np.linalg.norm(left.T @ B, axis=1) / inner
+    seen = np.linalg.norm(C @ right, axis=0)
+    with np.errstate(all="ignore"):
+        size = 2.0 ** np.round(0.5 * np.log2(driven / seen))
+    right = right * np.where(np.isfinite(size) & (size > 0), size, 1.0)
     others = np.linalg.qr(np.hstack([np.real(left), np.imag(left)]), mode="complete")[0][:, 2 * len(inner) :]
     T = np.hstack([others, np.stack([np.real(right), np.imag(right)], axis=2).reshape(len(A), -1)])
     apart = in_states(StateSpaceModel(A, B, C, model.D, model.dt, model.inputs, model.outputs), T)

@@ -37,11 +37,8 @@ def gramian_factors(A: Array, B: Array, C: Array, discrete: bool) -> tuple[Array
     out[: len(C)] = C if len(C) <= n else np.linalg.qr(C, mode="r")
     if not n:
         return into, out
-    schur, turn = (
-        A.copy("F"),
-        np.zeros((n, n), order="F"),
-    )  # SB03OD leaves the Schur form of A in them, but not at B = 0
-    factored = "F" if into.any() else "N"
+    schur, turn = A.copy("F"), np.zeros((n, n), order="F")
+    factored = "F" if into.any() else "N"  # SB03OD leaves the Schur form of A in them, but not at B = 0
     upper, scale, _ = _called("sb03od", n, n, schur, turn, into, dico, trans="T")
     lower, other, _ = _called("sb03od", n, n, schur, turn, out, dico, factored, "N")
     return upper[:n, :n] / scale, lower[:n, :n].T / other

@@ -128,15 +128,11 @@ class Structure(Displayable):
         return f"{'stable' if self.stable else 'NOT stable'}, {', '.join(ranks)}"
 
     def facts(self) -> Facts:
-        what = ("largest pole modulus", 1 + self.spectral_abscissa, "") if self.discrete else (
-            "spectral abscissa", self.spectral_abscissa, "1/s"
-        )  # fmt: skip
-        stable = f"{'stable' if self.stable else 'NOT stable'}: {what[0]} {number(what[1], what[2], 6)}"
-        return [
-            ("poles", stable if len(self.poles) else "static gain: no poles"),
-            *self.controllability.facts(),
-            *self.observability.facts(),
-        ]
+        top = self.spectral_abscissa
+        what = ("largest pole modulus", 1 + top, "") if self.discrete else ("spectral abscissa", top, "1/s")
+        size = f"{what[0]} {number(what[1], what[2], 6)}"
+        stable = f"{'stable' if self.stable else 'NOT stable'}: {size}" if len(self.poles) else "static gain: no poles"
+        return [("poles", stable), *self.controllability.facts(), *self.observability.facts()]
 
     def details(self) -> list[Part]:
         return [Part("", ("pole" if self.discrete else "pole [1/s]",), [(number(p, "", 6),) for p in self.poles])]

@@ -21,6 +21,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from robustlab.arrays import AnyArray, Array
+from robustlab.checks import number as checked_number
 from robustlab.display import Facts, bracket, listed, number
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis import slicot
@@ -158,8 +159,7 @@ def checked_band(band: tuple[float, float], dt: float, where: str) -> tuple[floa
 
 
 def _norm_of(m: StateSpaceModel, rtol: float, infinite: Infinite, band: Band | None, where: str) -> HinfNorm:
-    if not 1e-12 <= rtol < 1:
-        raise InputError(where, f"rtol is {rtol}", "between 1e-12 and 1")
+    checked_number(f"{where}: rtol", rtol, at_least=1e-12, below=1)
     refuse_extremes(m, where)
     found = infinite(m) if m.n_states else None
     if found is None and not m.D.size:
@@ -327,11 +327,9 @@ def _on_the_boundary(band: Band | None, m: StateSpaceModel) -> HinfNorm | None:
 
 def _infinite(pole: complex, certain: bool) -> HinfNorm:
     """Return the norm of a model with a pole on the boundary, or one indistinguishable from it."""
-    if certain:
-        text = f"pole {pole_text(pole)} is on the stability boundary"
-        return HinfNorm(np.inf, np.inf, np.nan, Status.CERTIFIED, text)
-    text = f"pole {pole_text(pole)} cannot be told from the stability boundary"
-    return HinfNorm(0.0, np.inf, np.nan, Status.INACCURATE, text)
+    word, lower = ("is on", np.inf) if certain else ("cannot be told from", 0.0)
+    status = Status.CERTIFIED if certain else Status.INACCURATE
+    return HinfNorm(lower, np.inf, np.nan, status, f"pole {pole_text(pole)} {word} the stability boundary")
 
 
 def eigenvalue_blur(m: StateSpaceModel) -> float:
@@ -401,10 +399,8 @@ def crossings(m: StateSpaceModel, level: float, band: Band | None = None) -> Any
     crossing = np.unique(np.append(np.abs(np.imag(eigenvalues)), 0.0))
     if band is not None:
         crossing = _within(crossing, band)
-        if np.isfinite(band[1]):
-            return np.concatenate([crossing, 0.5 * (crossing[:-1] + crossing[1:])])
-        crossing = crossing[:-1]
-    beyond = [2 * crossing[-1], 10 * crossing[-1]]
+    crossing = crossing[np.isfinite(crossing)]
+    beyond = crossing[-1] * np.array([2.0, 10.0] if band is None or np.isinf(band[1]) else [])
     return np.concatenate([crossing, 0.5 * (crossing[:-1] + crossing[1:]), beyond])
 
 
@@ -418,10 +414,8 @@ def norm_claims(found: HinfNorm) -> list[Claim]:
     model = found.system
     if model is None or not np.isfinite(found.upper) or found.status is not Status.CERTIFIED:
         return []
-    level = above(found.upper)
+    level, numbers = above(found.upper), model_numbers(model)
     if found.band is None:
-        return [
-            Claim("norm", {**model_numbers(model), "gamma": np.array(level), **norm_matrix(model, level, found.upper)})
-        ]
+        return [Claim("norm", {**numbers, "gamma": np.array(level), **norm_matrix(model, level, found.upper)})]
     scalings = band_scalings(model.n_inputs, model.n_outputs, found.band)
-    return [Claim("mu-axis", {**model_numbers(model), "level": np.array(level), **scalings})]
+    return [Claim("mu-axis", {**numbers, "level": np.array(level), **scalings})]

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array, ComplexArray
-from robustlab.errors import InputError, did_you_mean
+from robustlab.checks import choice, number, whole
+from robustlab.errors import InputError, unknown_name
 
 Sign = Literal["any", "either", "nonnegative", "positive"]
 
@@ -54,14 +55,12 @@ class ParameterRange:
     sign: Sign = field(default="any", repr=False, compare=False, kw_only=True)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.sign, str) or self.sign not in get_args(Sign):
-            raise InputError("ParameterRange: sign", f"{self.sign!r}", f"one of {', '.join(get_args(Sign))}")
+        choice("ParameterRange: sign", self.sign, get_args(Sign))
         if self.below is None:
             return
         for word, width in (("above (radius)", self.radius), ("below", self.below)):
-            if isinstance(width, bool) or not isinstance(width, (int, float, np.number)) or not 0 < width < np.inf:
-                hint = "a range that ends at its nominal value needs another nominal value, inside of it"
-                raise InputError("ParameterRange", f"width {width!r} {word}", "a positive finite number", hint)
+            hint = "a range that ends at its nominal value needs another nominal value, inside of it"
+            number(f"ParameterRange: width {word}", width, "a positive finite number", hint, above=0)
         if not 0 < self.below / self.radius < np.inf:
             raise InputError("ParameterRange", f"widths {self.radius} above and {self.below} below", "a finite ratio")
         if self.below == self.radius:
@@ -156,8 +155,7 @@ class Block:
         if not isinstance(self.name, str) or not self.name or len(self.name) > 200:
             raise InputError("block", f"name {self.name!r}", "a text of 1 to 200 characters")
         for size in (self.rows, self.cols):
-            if isinstance(size, bool) or not isinstance(size, (int, np.integer)) or size < 1:
-                raise InputError(f"block {self.name!r}", f"size {size!r}", "a positive whole number")
+            whole(f"block {self.name!r}: size", size, 1)
 
     @property
     def is_sampled(self) -> bool:
@@ -601,9 +599,7 @@ def delta_matrix(blocks: Sequence[Block], values: Mapping[str, ArrayLike]) -> ND
     known = tuple(b.name for b in blocks)
     for name in values:
         if name not in known:
-            raise InputError(
-                f"delta {name!r}", "no such block", f"one of {', '.join(known) or 'none'}", did_you_mean(name, known)
-            )
+            raise unknown_name(f"delta {name!r}", "no such block", name, known)
     q, p = structure_size(blocks)
     delta: NDArray[Any] = np.zeros((q, p), dtype=complex)
     for block, (rows, cols) in zip(blocks, block_slices(blocks), strict=True):
@@ -618,11 +614,8 @@ def delta_matrix(blocks: Sequence[Block], values: Mapping[str, ArrayLike]) -> ND
 
 def delta_values(blocks: Sequence[Block], delta: ArrayLike) -> dict[str, Any]:
     """Return one value per block name (float, complex, or a complex matrix): the inverse of `delta_matrix`."""
-    full = np.asarray(delta)
-    return {
-        block.name: block.value_of(full[rows, cols])
-        for block, (rows, cols) in zip(blocks, block_slices(blocks), strict=True)
-    }
+    full, places = np.asarray(delta), zip(blocks, block_slices(blocks), strict=True)
+    return {block.name: block.value_of(full[w, z]) for block, (w, z) in places}
 
 
 # The kinds that files know, by their word there.

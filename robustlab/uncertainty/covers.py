@@ -36,6 +36,7 @@ NORMS = (8, 64)  # exponents p of the norms of the error, one after the other
 FINER_GRID = 10  # points of the evaluation grid for each one of the fit
 
 Bound = Callable[[Array], Array]
+Models = tuple[StateSpaceModel, ...]
 
 ABOVE = 1e-12  # rounding in a frequency response
 
@@ -176,9 +177,6 @@ def _checked(omega: ArrayLike, bound: ArrayLike, order: int, tolerance: float, d
     return w, b
 
 
-# --- a curve of given order above a bound -----------------------------------------------------------------------------
-
-
 def _fitted(n: int, w: Array, b: Array) -> StateSpaceModel:
     """Return a weight of order n with a small largest error of its log-magnitude, from several starts."""
     from scipy.optimize import least_squares
@@ -271,7 +269,7 @@ EPS = float(np.finfo(float).eps)
 CIRCLE_POINTS = 64  # points of a circle around a pole, for Laurent coefficients
 
 
-def model_set(models: Iterable[Any], same_states: bool, where: str) -> tuple[StateSpaceModel, ...]:
+def model_set(models: Iterable[Any], same_states: bool, where: str) -> Models:
     """Check for at least two models with the same signals, units, sample time, and with ``same_states`` states."""
     if isinstance(models, (StateSpaceModel, str, bytes)) or not isinstance(models, Iterable):
         raise InputError(where, f"{type(models).__name__}", "a list of at least two models")
@@ -311,15 +309,11 @@ LIFT = 1.001  # a smaller lift is rounding, or a peak next to a frequency of the
 # The set; the number of the nominal model, from 1, or 0: the middle of the matrices, None: the given one; the weight
 # with its bound; each model's largest gain of its Delta; the Deltas as systems, none where one has no realisation: then
 # the gains are evaluated on the grid only; the largest ratio of the bound to the models' own size.
-UnstructuredCover = tuple[UncertainModel, int | None, Overbound, tuple[float, ...], tuple[StateSpaceModel, ...], float]
+UnstructuredCover = tuple[UncertainModel, int | None, Overbound, tuple[float, ...], Models, float]
 
 
 def unstructured_cover(
-    models: tuple[StateSpaceModel, ...],
-    form: Form,
-    nominal: StateSpaceModel | None = None,
-    order: int = 4,
-    tolerance: float = 0.1,
+    models: Models, form: Form, nominal: StateSpaceModel | None, order: int, tolerance: float
 ) -> UnstructuredCover:
     """Return the cover of models with the same signals; their states may differ."""
     if form != "additive" and models[0].n_inputs != models[0].n_outputs:
@@ -352,8 +346,8 @@ def unstructured_cover(
 
 
 def _weighted(
-    models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form, order: int, tolerance: float, omega: Array
-) -> tuple[Overbound, tuple[StateSpaceModel, ...], tuple[float, ...]]:
+    models: Models, centre: StateSpaceModel, form: Form, order: int, tolerance: float, omega: Array
+) -> tuple[Overbound, Models, tuple[float, ...]]:
     """Return the weight above all errors, the Deltas as systems (none where one has no proved norm), their gains."""
 
     def bound(w: Array) -> Array:
@@ -426,7 +420,7 @@ def _sigma(matrices: AnyArray) -> Array:
     return np.linalg.norm(matrices, 2, axis=(1, 2))
 
 
-def error_sizes(models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form, omega: Array) -> Array:
+def error_sizes(models: Models, centre: StateSpaceModel, form: Form, omega: Array) -> Array:
     """Return ``sigma_max(E_i)`` of every model relative to the nominal one, (n_models, n_omega); omega in rad/s."""
     s = np.exp(1j * omega * centre.dt) if centre.dt else 1j * omega
     with np.errstate(all="ignore"):
@@ -437,7 +431,7 @@ def error_sizes(models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, fo
     return sizes
 
 
-def _reference(models: tuple[StateSpaceModel, ...], form: Form, omega: Array) -> Array:
+def _reference(models: Models, form: Form, omega: Array) -> Array:
     """Return the scale of the bound: the models' own size for the additive forms, 1 for the relative ones."""
     if not form.endswith("additive"):
         return np.ones(len(omega))
@@ -447,7 +441,7 @@ def _reference(models: tuple[StateSpaceModel, ...], form: Form, omega: Array) ->
     return np.max([_sigma(np.linalg.inv(g)) for g in responses], axis=0)
 
 
-def _grid(models: tuple[StateSpaceModel, ...], others: list[StateSpaceModel]) -> Array:
+def _grid(models: Models, others: list[StateSpaceModel]) -> Array:
     """Return frequencies over all models' dynamics, dense about their resonances and anti-resonances."""
     dt = models[0].dt
     poles = np.concatenate([m.poles() for m in (*models, *others)])
@@ -472,10 +466,7 @@ def _grid(models: tuple[StateSpaceModel, ...], others: list[StateSpaceModel]) ->
     return np.unique(np.concatenate(omega))
 
 
-# --- stability of the errors -----------------------------------------------------------------------------------------
-
-
-def _require_stable(models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form) -> None:
+def _require_stable(models: Models, centre: StateSpaceModel, form: Form) -> None:
     """Check that every error is analytic in the closed unstable region."""
     for i, model in enumerate(models, 1):
         if model is centre:
@@ -513,12 +504,7 @@ def _pole_that_stays(model: StateSpaceModel, centre: StateSpaceModel, form: Form
     return None
 
 
-# --- the Deltas as systems -------------------------------------------------------------------------------------------
-
-
-def _deltas(
-    models: tuple[StateSpaceModel, ...], centre: StateSpaceModel, form: Form, weight: StateSpaceModel
-) -> tuple[StateSpaceModel, ...]:
+def _deltas(models: Models, centre: StateSpaceModel, form: Form, weight: StateSpaceModel) -> Models:
     """Return ``E_i / w`` as systems; none where a required inverse is not proper."""
     one = weight.inverse()
     back = anonymous(append(*(one.renamed([f"u{k}"], [f"y{k}"]) for k in range(centre.n_inputs))))
@@ -579,11 +565,7 @@ Made = tuple[UncertainModel, tuple[dict[str, float], ...], tuple[float, ...]]  #
 
 
 def parametric_cover(
-    models: tuple[StateSpaceModel, ...],
-    form: ParametricForm,
-    nominal: StateSpaceModel | None = None,
-    tolerance: float = 1e-9,
-    directions: int | None = None,
+    models: Models, form: ParametricForm, nominal: StateSpaceModel | None, tolerance: float, directions: int | None
 ) -> Made:
     """Return the cover of models with the same states, the parameter values of each, and their principal extents."""
     checks.number("cover: tolerance", tolerance, "a number in [0, 1)", at_least=0, below=1)
@@ -598,7 +580,7 @@ def parametric_cover(
     return _directions(models, tolerance, directions)
 
 
-def _hull(models: tuple[StateSpaceModel, ...], nominal: StateSpaceModel | None, tolerance: float) -> Made:
+def _hull(models: Models, nominal: StateSpaceModel | None, tolerance: float) -> Made:
     stack = system_matrices(models)
     low, high = stack.min(axis=0), stack.max(axis=0)
     allowance = max(tolerance, ROUNDING) * entry_scale(np.abs(stack).max(axis=0), models[0].n_states)
@@ -617,20 +599,11 @@ def _hull(models: tuple[StateSpaceModel, ...], nominal: StateSpaceModel | None, 
     centre = model_of(middle, first)
     made = elementwise(centre, model_of(middle + above, first), "elements")
     at = _entries(middle + above - middle, first.n_states)
-    blocks = [
-        RealScalar(b.name, b.rows, ParameterRange(float(middle[i, j]), float(above[i, j]), "", float(below[i, j])))
-        for b, (i, j) in zip(made.blocks, at, strict=True)
-    ]
-    whole = UncertainModel(made.M, blocks, made.operating_point)
-    deltas = tuple(
-        {
-            b.name: float(np.clip(b.parameter.delta(float(s[i, j])), -1.0, 1.0))
-            for b, (i, j) in zip(blocks, at, strict=True)
-            if b.parameter is not None
-        }
-        for s in stack
-    )
-    return whole, deltas, ()
+    ranges = [ParameterRange(float(middle[i]), float(above[i]), "", float(below[i])) for i in at]
+    blocks = [RealScalar(b.name, b.rows, r) for b, r in zip(made.blocks, ranges, strict=True)]
+    values = [[float(np.clip(r.delta(float(s[i])), -1.0, 1.0)) for r, i in zip(ranges, at, strict=True)] for s in stack]
+    deltas = tuple(dict(zip((b.name for b in blocks), row, strict=True)) for row in values)
+    return UncertainModel(made.M, blocks, made.operating_point), deltas, ()
 
 
 def _entries(e: Array, n: int) -> list[tuple[int, int]]:
@@ -639,7 +612,7 @@ def _entries(e: Array, n: int) -> list[tuple[int, int]]:
     return [(int(i) + row, int(j) + col) for row, col, part in parts for i, j in np.argwhere(part)]
 
 
-def _directions(models: tuple[StateSpaceModel, ...], tolerance: float, directions: int | None) -> Made:
+def _directions(models: Models, tolerance: float, directions: int | None) -> Made:
     stack = system_matrices(models)
     scale = entry_scale(np.abs(stack).max(axis=0), models[0].n_states)
     scale[scale == 0] = 1.0

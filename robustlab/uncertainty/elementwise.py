@@ -15,8 +15,9 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.checks import choice, number
 from robustlab.display import Displayable, Facts, Part
-from robustlab.errors import InputError, UnitMismatch, did_you_mean, error_context
+from robustlab.errors import InputError, UnitMismatch, error_context
 from robustlab.linear_analysis.matrices import equilibrating_exponents, system_matrix
 from robustlab.result import Status
 from robustlab.signals import MAX_NAME
@@ -106,11 +107,8 @@ def elementwise(
         raise InputError("elementwise: structure", f"{structure!r} with causes", "none: a cause is one parameter")
     if not causes:
         raise InputError("elementwise", "no cause", "at least one: {name: perturbed model}")
-    if structure not in STRUCTURES:
-        expected, hint = f"one of {', '.join(STRUCTURES)}", did_you_mean(structure, STRUCTURES)
-        raise InputError("elementwise", f"structure {structure!r}", expected, hint)
-    if tolerance is not None and not 0 <= tolerance < 1:
-        raise InputError("elementwise", f"tolerance {tolerance}", "a number in [0, 1)")
+    choice("elementwise: structure", structure, STRUCTURES)
+    number("elementwise: tolerance", tolerance or 0.0, "a number in [0, 1)", at_least=0, below=1)
     parts: list[_Part] = []
     for name, model in causes.items():
         second = as_model(model, f"elementwise: {name}")
@@ -237,9 +235,6 @@ def elementwise_cover(nominal: Any, perturbed: Any) -> UncertainModel:
             root = float(np.sqrt(np.linalg.norm(size, 2)))
             parts.append(_Part(m, root * np.eye(len(d.E))[:, rows], root * np.eye(len(d.E.T))[columns]))
     return _assemble(first, parts, full=True)
-
-
-# --- the difference of two models ------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -374,9 +369,6 @@ def _assemble(nominal: StateSpaceModel, parts: list[_Part], full: bool = False) 
     sizes = [(p.name, p.left.shape[1], p.right.shape[0]) for p in parts]
     blocks = [FullBlock(name, r, c) if full else RealScalar(name, r) for name, r, c in sizes]
     return with_channels(nominal, blocks, left, right)
-
-
-# --- checks ----------------------------------------------------------------------------------------------------------
 
 
 def check_pair(

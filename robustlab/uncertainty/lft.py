@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab import statespace
 from robustlab.arrays import AnyArray, Array, is_rank_deficient
+from robustlab.checks import number as checked_number
 from robustlab.checks import whole
 from robustlab.display import SHOWN_BLOCKS, Displayable, Facts, listed, number, with_units
 from robustlab.display import Part as TablePart
@@ -157,9 +158,6 @@ def recentred(M: StateSpaceModel, blocks: Sequence[Block], centre: Array, scale:
     return joined([(M, ())], Wiring(K, E, np.eye(M.n_outputs)), M.inputs, M.outputs, where)[0]
 
 
-# --- closed by a constant Delta ---------------------------------------------------------------------------------------
-
-
 def is_singular(product: ArrayLike) -> bool:
     """Return whether ``I - product`` (n, n) is singular or too ill-conditioned."""
     matrix = np.asarray(product)
@@ -270,8 +268,7 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
     @property
     def nominal(self) -> StateSpaceModel:
         """Return the model at Delta = 0."""
-        q, p = self.delta_shape
-        m = self.M
+        (q, p), m = self.delta_shape, self.M
         return StateSpaceModel(
             m.A, m.B[:, q:], m.C[p:], m.D[p:, q:], m.dt, m.inputs[q:], m.outputs[p:], m.states, self.operating_point
         )
@@ -283,8 +280,7 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
     @property
     def delta_channels(self) -> StateSpaceModel:
         """Return M11, the system from w to z in feedback with Delta."""
-        q, p = self.delta_shape
-        m = self.M
+        (q, p), m = self.delta_shape, self.M
         return StateSpaceModel(m.A, m.B[:, :q], m.C[:p], m.D[:p, :q], m.dt, m.inputs[:q], m.outputs[:p], m.states)
 
     def evaluate(self, delta: Mapping[str, Any]) -> StateSpaceModel:
@@ -390,11 +386,8 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
 
     def physical(self, delta: Mapping[str, Any]) -> dict[str, tuple[float, str]]:
         """Return the parameter values and units of a Delta, for real blocks with a physical parameter."""
-        return {
-            b.name: (b.parameter.value(float(np.real(delta.get(b.name, 0.0)))), b.parameter.unit)
-            for b in self.blocks
-            if b.parameter is not None
-        }
+        ranges = [(b.name, b.parameter) for b in self.blocks if b.parameter is not None]
+        return {name: (r.value(float(np.real(delta.get(name, 0.0)))), r.unit) for name, r in ranges}
 
     def impossible(self, delta: Mapping[str, Any]) -> tuple[str, ...]:
         """Return remarks on the physically impossible parameter values of a Delta (see `ParameterRange.impossible`)."""
@@ -429,8 +422,7 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
         ``level``: positive; 2 takes each end twice as far from the nominal value.
         """
         # [-rho m, m] becomes c + r [-1, 1] by Delta = C + R Delta', c = m (1 - rho) / 2, r = m (1 + rho) / 2.
-        if isinstance(level, bool) or not isinstance(level, (int, float)) or not 0 < level < np.inf:
-            raise InputError("centred", f"level {level!r}", "a positive finite number")
+        level = checked_number("centred: level", level, "a positive finite number", above=0)
         q, p = self.delta_shape
         centre, scale, blocks = np.zeros((q, p)), np.eye(q), []
         for block, (w, z) in zip(self.blocks, block_slices(self.blocks), strict=True):

@@ -11,15 +11,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch, did_you_mean, error_context
+from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch, did_you_mean, error_context, unknown_name
 from robustlab.linear_analysis.structural import strong_components
 from robustlab.signals import Signal, is_constant
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.lft import UncertainModel, Wiring, as_uncertain, interconnected
 
 FORM = '"e = r - y": a new name, then names with + or - between them'
-_SUM = re.compile(r"([^\s=+-]+)\s*=(.*)", re.DOTALL)
-_TERM = re.compile(r"\s*([+-]?)\s*([^\s=+-]+)")
+_NAME = r"[^\s=+-]+"
+_SUM = re.compile(rf"\s*({_NAME})\s*=\s*([+-]?\s*{_NAME}(?:\s*[+-]\s*{_NAME})*)\s*")
 
 
 class _Part(NamedTuple):
@@ -103,9 +103,6 @@ def connect(
     return found if any(isinstance(part, UncertainModel) for part in parts) else found.nominal
 
 
-# --- parts ------------------------------------------------------------------------------------------------------------
-
-
 def _gain(d: Any, inputs: Sequence[str], output: str) -> UncertainModel:
     return as_uncertain(StateSpaceModel([], [], [], d, 0.0, inputs, [output]))
 
@@ -113,32 +110,21 @@ def _gain(d: Any, inputs: Sequence[str], output: str) -> UncertainModel:
 def _summing(text: str) -> _Part:
     """Return the part for a text like ``"e = r - y"``."""
     where = f"connect: sum {text!r}"
-    found = _SUM.fullmatch(text.strip()) if isinstance(text, str) and len(text) <= 10_000 else None
+    found = _SUM.fullmatch(text) if len(text) <= 10_000 else None
     if found is None:
         raise InputError(where, "no sum", FORM)
     signs: dict[str, float] = {}
-    rest = found[2].strip()
-    while rest:
-        term = _TERM.match(rest)
-        if term is None or not (term[1] or not signs):
-            raise InputError(where, f"{rest!r} is no term", FORM)
-        if term[2] in signs:
-            raise InputError(where, f"{term[2]!r} occurs twice", "each signal once")
-        signs[term[2]] = -1.0 if term[1] == "-" else 1.0
-        rest = rest[term.end() :].strip()
-    if not signs:
-        raise InputError(where, "nothing to add", FORM)
+    for sign, name in re.findall(rf"([+-]?)\s*({_NAME})", found[2]):
+        if name in signs:
+            raise InputError(where, f"{name!r} occurs twice", "each signal once")
+        signs[name] = -1.0 if sign == "-" else 1.0
     return _Part(f"sum {text!r}", _gain([list(signs.values())], list(signs), found[1]))
-
-
-# --- names and units --------------------------------------------------------------------------------------------------
 
 
 def _check(given: Sequence[_Part], parts: Sequence[_Part], ins: list[str], outs: list[str]) -> None:
     """Check sample times, that every input has one source, and that every requested name exists."""
     timed = [part for part in given if part.model.M.n_states or part.model.dt]
-    for part in timed[1:]:
-        first = timed[0]
+    for first, part in ((timed[0], part) for part in timed[1:]):
         if part.model.dt != first.model.dt:
             found, expected = f"sample time {part.model.dt:g} s", f"{first.model.dt:g} s as in {first.label}"
             raise InputError(f"connect: {part.label}", found, expected, "rl.discretise and rl.d2c change sample times")
@@ -165,8 +151,7 @@ def _check(given: Sequence[_Part], parts: Sequence[_Part], ins: list[str], outs:
             raise InputError(where, "no part and no sum takes it", expected, did_you_mean(name, free))
     for name in outs:
         if name not in known:
-            expected = f"one of {', '.join(known)}"
-            raise InputError(f"connect: output {name!r}", "no such signal", expected, did_you_mean(name, known))
+            raise unknown_name(f"connect: output {name!r}", "no such signal", name, known)
     unfed = [(label, name) for label, name in fed if name not in known]
     if unfed:
         lines = [f"connect: {label}: input {name!r}: nobody feeds it" for label, name in unfed]

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, error_context
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context, unknown_name
 from robustlab.statespace import SignalLike, StateSpaceModel
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel, with_channels
@@ -267,9 +267,6 @@ def _interval(expression: Laurent, box: Mapping[str, tuple[float, float]], algeb
     return (low, high) if np.isfinite([low, high]).all() else (-np.inf, np.inf)
 
 
-# --- the LFT ---------------------------------------------------------------------------------------------------------
-
-
 def _lft(
     expressions: Sequence[Sequence[Laurent]], algebra: Algebra, ranges: Mapping[str, ParameterRange]
 ) -> ConstantLft:
@@ -509,11 +506,7 @@ def _exact_quotient(a: Laurent, b: Laurent) -> Laurent | None:
 
 
 def walk(
-    entry: Any,
-    constant: Callable[[Fraction], Any],
-    variable: Callable[[str], Any],
-    names: Iterable[str],
-    where: str,
+    entry: Any, constant: Callable[[Fraction], Any], variable: Callable[[str], Any], names: Iterable[str], where: str
 ) -> Any:
     """Evaluate an entry in the arithmetic of these constants and variables, without executing code."""
     if isinstance(entry, (int, float, np.integer, np.floating)) and not isinstance(entry, bool):
@@ -539,9 +532,7 @@ def walk(
             return constant(_exact(node.value, where))
         if isinstance(node, ast.Name):
             if node.id not in known:
-                given = tuple(known.values())
-                expected = f"one of {', '.join(given) or 'none'}"
-                raise InputError(where, f"{quoted}: no parameter {node.id!r}", expected, did_you_mean(node.id, given))
+                raise unknown_name(where, f"{quoted}: no parameter {node.id!r}", node.id, known.values())
             return variable(known[node.id])
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, (ast.USub, ast.UAdd)):
             inner = value(node.operand, depth + 1)

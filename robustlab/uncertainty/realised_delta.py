@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import Array, ComplexArray
+from robustlab.checks import number
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import bilinear_to_discrete
@@ -23,7 +24,7 @@ REAL = 1e-7  # relative imaginary part that is rounding where only real values e
 END = 1e-9  # a discrete frequency is an end of the axis if omega dt / 2 is this close to 0 or pi / 2
 MISSED = 1e-10  # allowed relative error of a realised value
 NEAR = 1e-2  # phases closer to 0 than this need two factors: one would have its pole 1/NEAR away from omega
-MIXES = (0.0, 0.5772156649, -1.6180339887, 2.6651441426)
+MIX = 0.5772156649  # of real and imaginary part
 NOTHING = 1e-14  # relative singular values below this are not realised
 
 
@@ -33,8 +34,7 @@ def realise_delta(
 ) -> dict[str, float | StateSpaceModel]:
     """Return stable systems for the blocks of a complex Delta, of its H-infinity norm, equal to it at ``omega``."""
     where = "realise_delta"
-    if not np.isfinite(dt) or dt < 0:
-        raise InputError(where, f"dt is {dt}", "0 (continuous) or a positive sample time in s")
+    number(f"{where}: dt", dt, "0 (continuous) or a positive sample time in s", at_least=0)
     end = np.pi / dt if dt else np.inf
     if omega is None or np.ndim(omega) or not 0 <= omega <= end * (1 + 1e-12):
         raise InputError(where, f"omega = {omega} rad/s", f"between 0 and {end:g} rad/s")
@@ -100,14 +100,11 @@ def _orthogonal_and_phases(columns: ComplexArray) -> tuple[Array, Array, Array]:
     unitary = np.hstack([small, np.linalg.svd(small, full_matrices=True)[0][:, small.shape[1] :]])
     symmetric = unitary @ unitary.T
 
-    def factors(mix: float) -> tuple[Array, Array, ComplexArray]:
-        # Real and imaginary part commute; a generic combination of them has their common eigenvectors.
-        _, vectors = np.linalg.eigh(symmetric.real + mix * symmetric.imag)
-        theta = np.angle(np.einsum("ik,ij,jk->k", vectors, symmetric, vectors)) / 2
-        return vectors, theta, np.exp(-1j * theta)[:, None] * (vectors.T @ unitary)
-
-    vectors, theta, right = min(map(factors, MIXES), key=lambda made: float(np.abs(made[2].imag).max(initial=0.0)))
-    return basis @ vectors, theta, right.real[:, : small.shape[1]]
+    # Real and imaginary part commute; a generic combination of them has their common eigenvectors.
+    _, vectors = np.linalg.eigh(symmetric.real + MIX * symmetric.imag)
+    theta = np.angle(np.einsum("ik,ij,jk->k", vectors, symmetric, vectors)) / 2
+    right = np.exp(-1j * theta)[:, None] * (vectors.T @ small)
+    return basis @ vectors, theta, right.real
 
 
 def _scaled(theta: Array, omega: float, left: Array, right: Array) -> StateSpaceModel:

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array
+from robustlab.checks import number as checked_number
 from robustlab.display import Displayable, Facts, listed, number
-from robustlab.errors import InputError
 from robustlab.linear_analysis.matrices import balancing_factors, of_system_matrix, system_matrix
 from robustlab.result import Status
 from robustlab.statespace import Signal, StateSpaceModel
@@ -42,13 +42,11 @@ Step = tuple[StateSpaceModel, tuple[Block, ...], Array]  # a smaller set; invari
 class Reduction(Displayable):
     """A reduced set, with the evidence of unchanged input-output behaviour."""
 
-    #: The reduced set, without scalar blocks that have no effect
-    model: Any  # UncertainModel, which is built on this module
-    #: Block name -> size (repetitions, or the larger side of a full block)
-    before: dict[str, int]
+    model: Any  #: The reduced UncertainModel, without scalar blocks that have no effect
+    before: dict[str, int]  #: Block name -> size (repetitions, or the larger side of a full block)
     after: dict[str, int]
     #: Largest coupling of the kept channels through the dropped ones, relative to the largest singular value of the
-    #: (scaled) channel matrices: zero for an exact reduction. It is an algebraic certificate for every Delta.
+    #: (scaled) channel matrices, for every Delta: zero for an exact reduction
     invariance: float
     #: Largest difference of the maps through the blocks, from all other inputs and states to all other outputs and
     #: rates, at random complex Delta inside the set, relative to each map's largest entry (or to a thousandth of the
@@ -67,8 +65,7 @@ class Reduction(Displayable):
 
 def reduction(uncertain: Any, tolerance: float = TOLERANCE) -> Reduction:
     """Reduce all scalar blocks of a set jointly until nothing is removed."""
-    if not 0 < tolerance < 1:
-        raise InputError("reduce_model", f"tolerance {tolerance}", "a number between 0 and 1")
+    checked_number("reduce_model: tolerance", tolerance, above=0, below=1)
     M, blocks, worst = uncertain.M, uncertain.blocks, np.zeros(2)
     while step := _step(M, blocks, {b.name for b in blocks if b.is_scalar}, tolerance):
         M, blocks, missed = step

@@ -30,7 +30,8 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from robustlab.errors import InputError, did_you_mean, error_context
+from robustlab.checks import choice
+from robustlab.errors import InputError, error_context
 from robustlab.linear_analysis.matrices import of_system_matrix
 from robustlab.statespace import Signal, StateSpaceModel, append, as_model
 from robustlab.uncertainty.blocks import FullBlock
@@ -89,9 +90,7 @@ def unstructured(
     1.2
     """
     g = as_model(G, "unstructured: G")
-    if form not in FORMS:
-        hint = did_you_mean(str(form), list(FORMS))
-        raise InputError("unstructured", f"form {form!r}", f"one of {', '.join(FORMS)}", hint)
+    choice("unstructured: form", form, FORMS)
     from_input = form in ("additive", "input-multiplicative", "inverse-input-multiplicative")
     size_out, size_in = (g.n_inputs if side else g.n_outputs for side in (form in AT_INPUT, from_input))
     left = _weight(1.0 if W1 is None else W1, size_out, "outputs", "unstructured: W1")

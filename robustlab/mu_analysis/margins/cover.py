@@ -19,20 +19,14 @@ from robustlab.mu_analysis.axis.robustness import worst_case_gain
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
-from robustlab.uncertainty.covers import (
-    PARAMETRIC_FORMS,
-    Overbound,
-    model_set,
-    parametric_cover,
-    unstructured_cover,
-)
+from robustlab.uncertainty import covers
 from robustlab.uncertainty.elementwise import misses
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.unstructured import FORMS
 
 EXACT = 1e-12  # relative rounding error of a member of an exact cover
 
-COVER_FORMS = (*PARAMETRIC_FORMS, *FORMS)
+COVER_FORMS = (*covers.PARAMETRIC_FORMS, *FORMS)
 Loop = Callable[[UncertainModel], UncertainModel]
 
 
@@ -73,7 +67,7 @@ class Cover(Displayable):
     nominal: int | None  # number of the nominal model, counted from 1; 0: the middle; None: the given one
     radius: float  # unstructured forms: largest error relative to the models' size
     spread: tuple[float, ...]  # form pca: extent of the cloud along its directions, including the omitted ones
-    fit: Overbound | None  # weight and bound of an unstructured form
+    fit: covers.Overbound | None  # weight and bound of an unstructured form
     conservatism: Conservatism | None
     reason: str = ""  # why the status is no better
     models: tuple[StateSpaceModel, ...] = ()  # for `robustlab.verify`
@@ -217,12 +211,12 @@ def cover(
     """
     if form not in COVER_FORMS:
         raise InputError("cover", f"form {form!r}", f"one of {', '.join(COVER_FORMS)}", did_you_mean(form, COVER_FORMS))
-    parametric = form in PARAMETRIC_FORMS
-    found = model_set(models, parametric, "cover")
+    parametric = form in covers.PARAMETRIC_FORMS
+    found = covers.model_set(models, parametric, "cover")
     start = None
     if nominal is not None:
         start = as_model(nominal, "cover: nominal")
-        model_set([found[0], start], parametric, "cover: nominal")
+        covers.model_set([found[0], start], parametric, "cover: nominal")
     report = progress or (lambda _: None)
     report(f"cover: {form} around {len(found)} models")
     if parametric:
@@ -240,7 +234,7 @@ def cover(
 def _parametric(
     models: tuple[StateSpaceModel, ...], form: Any, nominal: StateSpaceModel | None, tolerance: float, directions: Any
 ) -> Cover:
-    model, deltas, spread = parametric_cover(models, form, nominal, tolerance, directions)
+    model, deltas, spread = covers.parametric_cover(models, form, nominal, tolerance, directions)
     off = tuple(misses(model.evaluate(d), m).largest for d, m in zip(deltas, models, strict=True))
     sizes = tuple(max((abs(v) for v in d.values()), default=0.0) for d in deltas)
     met = max(sizes) <= 1.0 and max(off) <= max(2.0 * tolerance, EXACT)
@@ -252,7 +246,7 @@ def _parametric(
 def _unstructured(
     models: tuple[StateSpaceModel, ...], form: Any, nominal: StateSpaceModel | None, order: int, excess: float
 ) -> Cover:
-    model, number, fit, sizes, deltas, radius = unstructured_cover(models, form, nominal, order, excess)
+    model, number, fit, sizes, deltas, radius = covers.unstructured_cover(models, form, nominal, order, excess)
     status, reason = Status.CERTIFIED, ""
     if not deltas:
         status = Status.CONVERGED

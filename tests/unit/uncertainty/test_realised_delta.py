@@ -65,7 +65,7 @@ def test_any_complex_number_at_any_frequency(phase, size, omega):
         ({"d": 0.4j}, -1.0, 0.0, "omega = -1"),
         ({"d": 0.4j}, np.nan, 0.0, "omega = nan"),
         ({"d": 0.4j}, 40.0, 0.1, "between 0 and 31.4"),
-        ({"d": 0.4j}, 1.0, -0.1, "dt is -0.1"),
+        ({"d": 0.4j}, 1.0, -0.1, "dt: -0.1"),
         ({"d": np.nan}, 1.0, 0.0, "NaN"),
         ({"e": 0.4j}, 1.0, 0.0, "no such block"),
         ({"r": 0.4j}, 1.0, 0.0, "a real number"),
