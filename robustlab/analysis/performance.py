@@ -211,7 +211,7 @@ class PerformanceComparison(Displayable):
             mu = f"{inverse(one.margin.upper):.4g} .. {inverse(one.margin.lower):.4g}"
             gain = [] if one.gain is None else [f"{one.gain.lower:.4g} .. {one.gain.upper:.4g}"]
             rows.append((name, str(one.order), f"{one.nominal_gain:.4g}", mu, *gain))
-        return [Part("", (*header, "worst-case gain")[: len(rows[0])], rows)]
+        return [Part("", (*header, "worst-case gain")[: max(map(len, rows), default=4)], rows)]
 
     def numbers(self) -> dict[str, Any]:
         return {"controllers": {name: one.numbers() for name, one in self.controllers.items()}}

@@ -273,8 +273,9 @@ def delay_disk_margins(
         if len(names) == 1:
             _, frequency = highest(system, lambda M: np.abs(M[:, 0, 0]))
         else:
-            sizes = lambda M: np.array([b.beta for b in upper_bounds(M, blocks, 1e-3)])  # noqa: E731
-            _, frequency = highest(system, sizes, MU_POINTS)
+            _, frequency = highest(
+                system, lambda M: np.array([b.beta for b in upper_bounds(M, blocks, 1e-3)]), MU_POINTS
+            )
         found = mu(frequency_response(system, [frequency]), blocks, seed)
         value = float(found.lower[0])
         upper, proof = proved_level(system, blocks, value or TINY, effort, known.order)
