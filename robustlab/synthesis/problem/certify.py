@@ -168,7 +168,8 @@ def certified(
         return Certificate(value, "")
     with precision(BITS):  # the loop of P and K, each entry rounded once
         exact = closed_in_balls(Claim("", numbers))
-        true = StateSpaceModel(*(midpoints(X) for X in (exact.A, exact.B, exact.C, exact.D)), plant.model.dt)
+        A, B, C, D = (midpoints(X) for X in (exact.A, exact.B, exact.C, exact.D))
+        true = StateSpaceModel(A, B, C, D, plant.model.dt)
     if isinstance(norm, H2Norm):
         if not norm.status.trustworthy or not true.n_states:
             return _in_floats(true, norm, value, norm.reason)
