@@ -158,10 +158,9 @@ class LevelSearch:
 
     def _floors(self, p: PlantMatrices) -> AnyArray:
         """Return squares over gamma^2 of the parts of D11 out of reach of D12 and of D21: 1 where no level is below."""
-        free = [(np.linalg.svd(side.D12)[0][:, side.D12.shape[1] :], side.D11) for side in (p, dual(p))]
-        return np.array([np.linalg.norm(U.T @ D, 2) ** 2 if U.size and D.size else 0.0 for U, D in free]) / (
-            self.scaling.gain**2
-        )
+        free = [np.linalg.svd(side.D12)[0][:, side.D12.shape[1] :].T @ side.D11 for side in (p, dual(p))]
+        sizes = [np.linalg.norm(part, 2) if part.size else 0.0 for part in free]
+        return (np.array(sizes) / self.scaling.gain) ** 2
 
     def _solution(self, p: PlantMatrices) -> tuple[AnyArray, AnyArray] | None:
         """Return the stabilising positive semidefinite solution and its gain; None where R or X has wrong signs."""
