@@ -112,6 +112,8 @@ class LevelSearch:
         size = np.append(level.pair.eigenvalues[: len(slope) - 2], here[-2:])
         with np.errstate(divide="ignore", invalid="ignore"):
             below = np.log(size) * size / np.where(slope < 0, -slope, np.nan)
+        if not below[0] < below[-2:].max():  # the floors are not the limit
+            below[-2:] = np.nan
         # Of an eigenvalue at the level of rounding both the logarithm and the slope are noise.
         kept = np.argsort(-np.where(np.isfinite(below), below, -np.inf))
         kept = kept[below[kept] > below[kept[0]] - WITHIN]
@@ -315,6 +317,8 @@ def _updated(H: AnyArray, s: AnyArray, y: AnyArray, first: bool) -> AnyArray:
         H = np.eye(len(s)) * float(s @ y) / float(y @ y)
     B_s = np.linalg.solve(H, s)
     curvature = float(s @ B_s)
+    if not curvature > 0:  # no step
+        return H
     if s @ y < 0.1 * curvature:
         share = 0.9 * curvature / (curvature - float(s @ y))
         y = share * y + (1 - share) * B_s
