@@ -332,5 +332,5 @@ def _largest_channels(loop: StateSpaceModel, out: AnyArray, into: AnyArray) -> s
     if not total > 0:
         return ""
     i, j = int(out.argmax()), int(into.argmax())
-    names = loop.output_names[i], loop.input_names[j]
-    return f"{names[0]} ({out[i] / total:.0%} of the variance); {names[1]} makes {into[j] / into.sum():.0%} of it"
+    share = f"{loop.output_names[i]} ({out[i] / total:.0%} of the variance)"
+    return f"{share}; {loop.input_names[j]} makes {into[j] / into.sum():.0%} of it"

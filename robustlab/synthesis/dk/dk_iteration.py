@@ -42,13 +42,12 @@ SEARCH_END = 0.8  # share at which the whole search ends; the rest is for the pr
 RELAXATION = 0.25  # share of that rest for the search for slower controllers
 PROGRESS = 2e-3  # relative progress of an enlargement of the scalings below which it gained nothing
 FALLS = 2  # consecutive enlargements of that kind that end the search
-LOWER_POINTS = 4  # frequencies at which the lower bound of mu is computed
 NEAR_PEAK = 0.9  # sections of all factors are spread over the band in which mu of the first loop is above this share
 MAX_SECTIONS = 8  # of a factor
 BAND_LEVEL = 0.3  # new sections are placed where mu is above this share of its peak ...
 BEYOND = 30.0  # ... and up to this factor beyond; larger: slower and faster sections
 PROOF_ACCURACY = 1e-3  # of the proof by intervals; smaller: more intervals
-START_POINTS = 16  # frequencies of the first loop at which mu of real blocks is computed
+START_POINTS, LOWER_POINTS = 16, 4  # frequencies of mu of real blocks of the first loop, and of the last lower bound
 FINE = 0.03  # share of the loop's gain that regularisation may cost; smaller: stiffer
 
 
@@ -215,9 +214,9 @@ class _Search:
         else:
             K = _controller(K0, self.plant)
         found = self.problem.proved(K, unit_scalings(self.blocks), 1.0)
-        if found is None and K0 is not None:
-            raise InputError("synth dk: K0", "a loop that is not stable", "a controller that stabilises P")
         if found is None:
+            if K0 is not None:
+                raise InputError("synth dk: K0", "a loop that is not stable", "a controller that stabilises P")
             raise NoTrustworthyNumber("synth dk", "the H-infinity design could not be verified in the loop")
         self._keep(found, "start")
         self.curve = curve = mu_curve(found.loop, self.blocks, self.problem.budget)

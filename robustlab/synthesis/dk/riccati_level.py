@@ -88,11 +88,11 @@ class LevelSearch:
         pairs = dict[float, Pair]()
 
         def coupling(beta: float) -> float | None:
-            pair = self.test(theta, beta)
+            floor, pair = self.test(theta, beta)
             if pair is None:
-                return None
+                return floor
             pairs[beta] = pair
-            return pair.coupling
+            return max(pair.coupling, floor or 0.0)
 
         found = smallest_level(coupling, start, rtol, self.budget, FIRST_STEP)
         return None if found is None or not found[2] else Level(found[0], found[1], pairs[found[0]])
@@ -109,24 +109,25 @@ class LevelSearch:
         forms, log_beta = self._frozen(theta, level), float(np.log(level.beta))
         here = forms(theta, log_beta)
         slope = (forms(theta, log_beta + STEP) - here) / STEP
-        size = level.pair.eigenvalues[: len(slope)]
-        below = np.log(size) * size / np.where(slope < 0, -slope, np.nan)
-        if not below[0] > -np.inf:
-            return None
+        size = np.append(level.pair.eigenvalues[: len(slope) - 2], here[-2:])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            below = np.log(size) * size / np.where(slope < 0, -slope, np.nan)
+        if not below[0] < below[-2:].max():  # the floors are not the limit
+            below[-2:] = np.nan
         # Of an eigenvalue at the level of rounding both the logarithm and the slope are noise.
-        near = (below - below[0] > -WITHIN) & np.isfinite(below)
-        kept = np.flatnonzero(near)
+        kept = np.argsort(-np.where(np.isfinite(below), below, -np.inf))
+        kept = kept[below[kept] > below[kept[0]] - WITHIN]
         moved = [(forms(theta + move, log_beta) - here) / STEP for move in moves]
         slopes = np.array(moved).reshape(len(moves), len(slope)).T
         relative = slopes[kept] / -slope[kept, None]
         sound = np.abs(relative).max(axis=1, initial=0.0) < STEEPEST
-        found = Branches(log_beta + below[kept][sound] - below[0], relative[sound])
+        found = Branches(log_beta + below[kept][sound] - below[kept[:1]], relative[sound])
         return found if len(sound) and sound[0] else None
 
     def controller(self, theta: AnyArray, beta: float) -> StateSpaceModel | None:
         """Return the central controller at this level for the plant without D22; None where there is none."""
         try:
-            pair = self.test(theta, beta)
+            _, pair = self.test(theta, beta)
             if pair is None or pair.coupling >= 1:
                 return None
             # X and Y do not depend on the coordinates of w, z, u, y.
@@ -139,22 +140,29 @@ class LevelSearch:
     def _scaled(self, theta: AnyArray, beta: float) -> PlantMatrices:
         return self.scaling.apply(self._plant(theta, beta))
 
-    def test(self, theta: AnyArray, beta: float) -> Pair | None:
-        """Return the solutions of both equations; None where one has none."""
+    def test(self, theta: AnyArray, beta: float) -> tuple[float | None, Pair | None]:
+        """Return the larger of `_floors` and the solutions of both equations; None where one has none."""
         self.budget.spend(TEST_WORK + dense(len(self.scaling.states), 4))
         try:
             p = self._scaled(theta, beta)
-            first = self._solution(p)
+            floor = float(self._floors(p).max())
+            first = None if floor >= 1 else self._solution(p)
             second = None if first is None else self._solution(dual(p))
         except (InputError, np.linalg.LinAlgError):  # entries overflow
-            return None
+            return None, None
         if first is None or second is None:
-            return None
+            return floor if floor >= 1 else None, None
         (X, F), (Y, L) = first, second
         root = _root(Y)
         values, vectors = np.linalg.eigh(root.T @ X @ root)
         values, vectors = values[::-1] / self.scaling.gain**2, vectors[:, ::-1]
-        return Pair(X, F, Y, L, np.maximum(values, 1e-300), root @ vectors)
+        return floor, Pair(X, F, Y, L, np.maximum(values, 1e-300), root @ vectors)
+
+    def _floors(self, p: PlantMatrices) -> AnyArray:
+        """Return squares over gamma^2 of the parts of D11 out of reach of D12 and of D21: 1 where no level is below."""
+        free = [np.linalg.svd(side.D12)[0][:, side.D12.shape[1] :].T @ side.D11 for side in (p, dual(p))]
+        sizes = [np.linalg.norm(part, 2) if part.size else 0.0 for part in free]
+        return (np.array(sizes) / self.scaling.gain) ** 2
 
     def _solution(self, p: PlantMatrices) -> tuple[AnyArray, AnyArray] | None:
         """Return the stabilising positive semidefinite solution and its gain; None where R or X has wrong signs."""
@@ -197,7 +205,7 @@ class LevelSearch:
                 A = side.A + side.B1 @ F[:n_w] + side.B2 @ F[n_w:]
                 C = side.C1 + side.D11 @ F[:n_w] + side.D12 @ F[n_w:]
                 total = total + np.tensordot(weights, 2 * X @ A + C.T @ C, 2)
-            return np.asarray(total) / gain**2
+            return np.append(np.asarray(total) / gain**2, self._floors(q))
 
         return value
 
@@ -309,6 +317,8 @@ def _updated(H: AnyArray, s: AnyArray, y: AnyArray, first: bool) -> AnyArray:
         H = np.eye(len(s)) * float(s @ y) / float(y @ y)
     B_s = np.linalg.solve(H, s)
     curvature = float(s @ B_s)
+    if not curvature > 0:  # no step
+        return H
     if s @ y < 0.1 * curvature:
         share = 0.9 * curvature / (curvature - float(s @ y))
         y = share * y + (1 - share) * B_s
@@ -324,7 +334,7 @@ def grown(
 
     def local(trial: DynamicScalings, moves: AnyArray | None = None) -> Branches | None:
         search, x = searches(trial), trial.parameters()
-        pair = None if search.budget.over else search.test(x, level)
+        pair = None if search.budget.over else search.test(x, level)[1]
         return None if pair is None else search.branches(x, Level(level, True, pair), moves)
 
     base = local(scalings)

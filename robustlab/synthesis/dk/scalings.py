@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, reduce
-from itertools import chain
+from itertools import chain, product
 from typing import Any
 
 import numpy as np
@@ -144,6 +144,12 @@ class BlockScaling:
         """Number of states of all G."""
         return sum(len(section) for sections in self.g for section in sections)
 
+    def with_section(self, k: int, one: float, two: float) -> BlockScaling:
+        """Return the scalings with one section more of the k-th factor or, behind the factors, G."""
+        if (i := k - len(self.factors)) < 0:
+            return replace(self, factors=_put(self.factors, k, self.factors[k].with_section(one, two)))
+        return replace(self, g=_put(self.g, i, _extended(self.g[i], one, two)))
+
 
 @dataclass(frozen=True, eq=False)
 class DynamicScalings:
@@ -207,16 +213,8 @@ class DynamicScalings:
         The second of each pair has the two frequencies of that section, which cancel at first, this far apart.
         """
         for i, part in enumerate(self.parts):
-            larger = [
-                [replace(part, factors=_put(part.factors, k, f.with_section(at + move, at))) for move in (0.0, apart)]
-                for k, f in enumerate(part.factors)
-                for at in places
-            ] + [
-                [replace(part, g=_put(part.g, k, _extended(g, at + move, at))) for move in (0.0, apart)]
-                for k, g in enumerate(part.g)
-                for at in places
-            ]
-            for flat, tilted in larger:
+            for k, at in product(range(len(part.factors) + len(part.g)), places):
+                flat, tilted = (part.with_section(k, at + move, at) for move in (0.0, apart))
                 yield replace(self, parts=_put(self.parts, i, flat)), replace(self, parts=_put(self.parts, i, tilted))
 
     def to_json(self) -> list[dict[str, object]]:

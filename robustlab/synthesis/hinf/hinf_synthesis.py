@@ -54,13 +54,11 @@ CERTIFICATE_WORTH = 2.0
 # Sizes of added penalties and noises, scaled. Longer: singular plants get closer to their infimum.
 LADDER = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
 # A central controller at gamma itself is ill-conditioned: gamma is increased until the gain of the loop agrees.
-# Smaller: less is lost, more controllers are numerically void.
 COARSE_BACKOFFS = (1e-2, 0.1)
 FINE_BACKOFFS = (1e-4, 1e-3, 1e-2, 3e-2, 0.1)
 # Shares of the loop's gain that the self-scaled regularisation may cost; the optimum rises by their squares.
 SHARES = (0.2, 0.1, 0.05, 0.02, 0.01)
-# Most trials of that kind. More: slower, and a little lower on plants that keep falling.
-SELF_SCALED_STEPS = 14
+SELF_SCALED_STEPS = 14  # most trials of that kind; more: a little lower on plants that keep falling
 IMPROVEMENT = 5e-4  # relative gain of a trial that counts as one. Smaller: more trials for less
 PROVED = 3e-4  # a gamma this near (relative) to a proved bound ends the search. Larger: sooner
 # Singular values of D12 or D21, scaled, above which that side is not regularised. Smaller: digits are lost.

@@ -21,10 +21,8 @@ from robustlab.synthesis.problem.partition import PlantMatrices, Realisation, du
 SEMIDEFINITE = 1e-6
 RESIDUAL = 1e-3  # largest residual of a Riccati solution; the loop is verified afterwards
 SMALLEST_GAMMA = 1e-9  # a gamma below it, scaled, is not made smaller
-MAX_TESTS = 40  # pairs of Riccati equations to find a level ...
-SECANTS = 15  # ... of which the later ones only bisect
+MAX_TESTS, SECANTS = 40, 15  # tests for one level, and those of them after which the bracket is only bisected
 SLOPE = -4.0  # first guess of the derivative of log rho(X Y) by log beta
-FARTHEST = 60.0  # step of the logarithm at which the search for a bracket ends
 # Share of the smallest gamma found that is tested again: the test in floating point is not monotone in gamma.
 PROBE = 0.93
 RANK = 1e-13  # singular values of D12 or D21 below this share of the largest count as zero
@@ -45,11 +43,9 @@ class TwoRiccatiProblem:
 
     def __init__(self, plant: PlantMatrices, budget: Budget) -> None:
         _, n_w, n_u, n_z, n_y = plant.sizes
-        if n_z < n_u or n_w < n_y:
-            raise NoTrustworthyNumber("H-infinity Riccati test", "D12 or D21 cannot have full rank")
         U, s12, Vt = np.linalg.svd(plant.D12)
         W, s21, Rt = np.linalg.svd(plant.D21)
-        if min(s12.min(), s21.min()) <= RANK * max(1.0, s12.max(), s21.max()):
+        if n_z < n_u or n_w < n_y or min(s12.min(), s21.min()) <= RANK * max(1.0, s12.max(), s21.max()):
             raise NoTrustworthyNumber("H-infinity Riccati test", "D12 or D21 is rank deficient")
         self.budget = budget
         self.u_back = Vt.T / s12  # u = u_back @ u_normalised
@@ -151,7 +147,7 @@ def smallest_level(
                 low, smooth = t, True
         else:
             low, smooth = t, rho is not None
-        if high - low <= rtol or step > FARTHEST or budget.over:
+        if high - low <= rtol or step > 60 or budget.over:
             break
         bracketed, aim = high - low < np.inf, t - f / slope + 0.3 * rtol if k < SECANTS else np.nan
         if low < aim < high and (bracketed or abs(aim - t) < 1):

@@ -40,8 +40,7 @@ ILL_POSED = 1e10
 DISTANCES = (1e-4, 1e-3, 1e-2, 1e-1)  # smallest singular values of I + D22 D_K that replace smaller ones
 NO_BASIS = 1e12  # largest condition number of a basis of modes
 HIDDEN = 1e6  # Skeel's condition number above which other states are tried
-# Shares above the gain at the peak at which a proof is tried. The last is the largest loss for a certificate; norms of
-# the rebuilt loop and of P and K that differ by more disagree.
+# Shares above the gain at the peak at which a proof is tried; norms that differ by more than the last disagree.
 SHARES = (1e-4, 1e-3)
 AGREEMENT = SHARES[-1]
 # Effort of the checker at 20 states where no matrix proves the norm: enough for a counterexample, and for some boxes.
@@ -164,7 +163,8 @@ def certified(
         return Certificate(value, "")
     with precision(BITS):  # the loop of P and K, each entry rounded once
         exact = closed_in_balls(Claim("", numbers))
-        true = StateSpaceModel(*(midpoints(X) for X in (exact.A, exact.B, exact.C, exact.D)), plant.model.dt)
+        A, B, C, D = (midpoints(X) for X in (exact.A, exact.B, exact.C, exact.D))
+        true = StateSpaceModel(A, B, C, D, plant.model.dt)
     if isinstance(norm, H2Norm):
         if not norm.status.trustworthy or not true.n_states:
             return _in_floats(true, norm, value, norm.reason)

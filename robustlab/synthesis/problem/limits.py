@@ -20,8 +20,7 @@ from robustlab.linear_analysis import slicot
 from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices, dual
 from robustlab.synthesis.problem.scaling import Scaling, equilibrated, paths_first
 
-# sigma_min of the Popov-Belevitch-Hautus matrix below this share of its norm counts as rank loss (plant scaled to
-# order one).
+# sigma_min of the Popov-Belevitch-Hautus matrix below this share of its norm counts as rank loss.
 PBH_TOLERANCE = 1e-11
 WEAK = 1e-6  # channels weaker than this share of the fastest pole are scaled up to it before the test
 AXIS = 1e-10  # real parts within this share of the largest modulus count as "on the axis"
