@@ -134,9 +134,7 @@ class FixedSynthesis(ParametricDesign):
     worst
         For an uncertain plant: the worst-case gain over the whole set.
     plants
-        The plant of every loop, for `robustlab.verify`.
-    uncertain
-        The uncertain plant of ``worst`` without K, for `robustlab.verify`.
+        The plant of every loop, or the uncertain plant of ``worst``, for `robustlab.verify`.
     """
 
     quantities: ClassVar[Mapping[str, Any]] = {**Synthesis.quantities, "peak_frequency": float}
@@ -152,7 +150,6 @@ class FixedSynthesis(ParametricDesign):
     scenarios: tuple[Mapping[str, Any], ...] = ()
     worst: WorstCaseGain | None = None
     plants: tuple[GeneralizedPlant, ...] = ()
-    uncertain: UncertainModel | None = None
 
     @property
     def worst_case_gain(self) -> WorstCaseGain | None:
@@ -220,8 +217,8 @@ def fixed_structure(
         model the worst-case gain from w to z is minimised by adding scenarios, and the bound proved for the whole set
         is reported.
     structure
-        A structure of `robustlab.synthesis.structures.laws`, or ``"static"``, ``"p"``, ``"pi"``, ``"pid"``,
-        an order, a mask of a static gain, a list of structures (one per channel).
+        A structure of `robustlab.synthesis.structures.laws`, an order, a mask of a static gain, a list of structures
+        (one per channel), or words: ``"static"``, ``"pid"``, ``"order:2"``, ``"poles:-1,-20"``.
     n_meas, n_con
         Numbers of measurements and controls; not needed for a `GeneralizedPlant`.
     objective
@@ -294,14 +291,14 @@ def fixed_structure(
         problem = DesignProblem(plants, law, objective, limits, budget)
         if objective == "h2":
             require_finite_h2(problem)
-        ordered = isinstance(as_structure(structure, 1.0), FixedOrder)
+        ordered = isinstance(as_structure(structure, first), FixedOrder)
         return design(problem, [*given, *(_reduced_start(problem) if ordered else [])])
 
 
 def law_of(plant: GeneralizedPlant, structure: Any, bounds: Mapping[str, tuple[float, float]] | None) -> Law:
     """Return the law of a structure, in any accepted form, on the plant's signals with these bounds by name."""
-    law = as_structure(structure, common_scaling([plant])[0].rate)
-    return _bounded(law.law(plant.measurements, plant.controls, plant.model.dt), bounds or {})
+    law = as_structure(structure, plant).law(plant.measurements, plant.controls, plant.model.dt)
+    return _bounded(law, bounds or {})
 
 
 def _plants(P: Any, n_meas: int | None, n_con: int | None) -> list[GeneralizedPlant]:
@@ -437,7 +434,7 @@ def _for_worst_member(
             raise
         loop = UncertainModel(lower_lft(uncertain.M, found.K), uncertain.blocks)
         worst = gain_within(loop, budget.share(SEARCH_SHARE), tolerance=0.02)
-        done.append((replace(found, worst=worst, scenarios=tuple(deltas), uncertain=uncertain), worst))
+        done.append((replace(found, worst=worst, scenarios=tuple(deltas), plants=(plant,)), worst))
         say(f"{len(members)} scenarios: gain {found.gamma:.5g}, worst member {worst.lower:.5g}")
         member = _member(uncertain, worst) if worst.lower > ENOUGH * found.gamma else None
         if member is None:

@@ -1,7 +1,7 @@
 r"""Controllers as functions of named parameters, and the structures that give them.
 
 A law is the packed matrix :math:`\Theta(p) = [A_K, B_K; C_K, D_K]`. Structures can be combined; they have short forms
-in Python (an order, a mask, a name) and words in commands and recipes (``pid``, ``order:3``).
+in Python (an order, a mask) and words, in commands and recipes, too (``pid``, ``order:3``).
 """
 
 from __future__ import annotations
@@ -427,18 +427,15 @@ def _together(parts: Sequence[Part], measurements: Signals, controls: Signals, d
     return builder.law(max(law.dt for law, _, _ in made))
 
 
-def as_structure(structure: Any, rate: float) -> Structure:
-    """Return a structure from ``"static"``, ``"pid"``, an order, a mask, or a list (decentralised)."""
+WORDS = ("static", "p", "i", "pi", "pd", "pid", "ipd", "two-layer", "order", "poles", "decentralised")
+
+
+def as_structure(structure: Any, plant: GeneralizedPlant) -> Structure:
+    """Return a structure from words (``"pid"``, ``"order:3"``), an order, a mask, or a list (decentralised)."""
     if isinstance(structure, Structure):
         return structure
     if isinstance(structure, str):
-        if structure.lower() == "static":
-            return StaticGain()
-        if structure.lower() in ("p", "i", "pi", "pd", "pid"):
-            return PID(structure.upper(), (0.01 / rate, 10 / rate))
-        raise InputError(
-            f"{WHERE}: structure", f"{structure!r}", '"static", "p", "i", "pi", "pd", "pid", an order, a mask'
-        )
+        return _of_words(structure, plant)
     if isinstance(structure, (int, np.integer)) and not isinstance(structure, bool):
         return StaticGain() if structure == 0 else FixedOrder(int(structure))
     if isinstance(structure, (list, tuple)) and structure and all(isinstance(s, (Structure, Part)) for s in structure):
@@ -448,18 +445,14 @@ def as_structure(structure: Any, rate: float) -> Structure:
     raise InputError(f"{WHERE}: structure", f"{type(structure).__name__}", "a Structure, a name, an order or a mask")
 
 
-WORDS = ("static", "p", "i", "pi", "pd", "pid", "ipd", "two-layer", "order", "poles", "decentralised")
-
-
-def structure_in_words(text: str, plant: GeneralizedPlant) -> Any:
-    """Return the structure of a word of a command or recipe for the channels of a plant."""
+def _of_words(text: str, plant: GeneralizedPlant) -> Structure:
     where = f"structure {text!r}"
     word, _, rest = text.strip().lower().partition(":")
     choice(where, word, WORDS)
     if word == "order":
         if not rest.isdigit() or int(rest) > 1000:
             raise InputError(where, f"{rest!r}", "a whole number from 0 to 1000: order:3")
-        return int(rest)
+        return as_structure(int(rest), plant)
     if word == "poles":
         try:
             return FixedPoles([complex(part.strip()) for part in rest.split(",")])
@@ -468,9 +461,8 @@ def structure_in_words(text: str, plant: GeneralizedPlant) -> Any:
     if word in ("ipd", "two-layer"):
         return MultichannelPID(word, choice(f"{where}: gains", rest or "full", GAINS))
     if word == "decentralised":
-        rate = common_scaling([plant])[0].rate
-        part = as_structure(structure_in_words(rest, plant), rate)
-        return Decentralised([part] * len(plant.controls))
+        return Decentralised([_of_words(rest, plant)] * plant.n_con)
     if rest:
         raise InputError(where, f"{rest!r} after {word}", "nothing")
-    return word
+    rate = common_scaling([plant])[0].rate
+    return StaticGain() if word == "static" else PID(word.upper(), (0.01 / rate, 10 / rate))
