@@ -205,10 +205,9 @@ def fixed_structure(
 
     .. math:: \min_p \max_i \|F_l(P_i, K(p))\|, \qquad K(p) \text{ stabilises every } P_i
 
-    From every start, BFGS minimises the spectral abscissa of all loops until they are stable, then the largest limit
-    until all are kept, then takes some steps on the norm; limits are kept by a barrier of falling weight. The best
-    starts are refined by linear programs over all active peaks and descents in turn, and the best once more from near
-    it. Gradients are analytic. The problem is not convex: a local optimum, verified on the loops rebuilt from K.
+    BFGS brings every start to where all loops are stable and limits are kept, then down the norm; linear programs over
+    all active peaks refine the best. The problem is not convex: the result is a local optimum, verified on the loops
+    rebuilt from K.
 
     Parameters
     ----------

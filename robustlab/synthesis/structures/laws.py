@@ -132,7 +132,7 @@ class Structure(ABC):
         """Return the controller as a function of parameters for these signals and sample time (s; 0: continuous)."""
 
     def __add__(self, other: Structure) -> Structure:
-        return Sum(self, other)
+        return Decentralised([Part(self), Part(other)])
 
 
 def _unit(out: Signal, into: Signal, suffix: str = "") -> str:
@@ -260,16 +260,12 @@ class MultichannelPID(Structure):
         for i in range(n_i, k):  # tau x' = -x + y, sampled by backward differences; acts as (y - x) / tau
             builder.entries += [(-1, i, i, -rate, tau), (-1, i, k + i - n_i, rate, tau)]
         if n_d:
-            builder.parameter(self._filter())
+            low, high = np.broadcast_to(np.nan if self.tau is None else self.tau, 2).astype(float).tolist()
+            if not 0 < low <= high < np.inf:
+                found = "missing" if self.tau is None else f"{self.tau}"
+                raise InputError(f"{WHERE}: tau", found, "the derivative filter's time constant in s, or (low, high)")
+            builder.parameter(Parameter("tau", "s", low, high, float(np.sqrt(low * high))))
         return builder.law(dt)
-
-    def _filter(self) -> Parameter:
-        """Return the time constant of the derivative filters."""
-        low, high = np.broadcast_to(np.nan if self.tau is None else self.tau, 2).astype(float).tolist()
-        if not 0 < low <= high < np.inf:
-            found = "missing" if self.tau is None else f"{self.tau}"
-            raise InputError(f"{WHERE}: tau", found, "the derivative filter's time constant in s, or (low, high)")
-        return Parameter("tau", "s", low, high, float(np.sqrt(low * high)))
 
     def _groups(self, n_u: int, n_y: int) -> list[tuple[str, list[tuple[int, int]]]]:
         """Return the index text of every free gain and the entries of the gain matrix that it fills."""
@@ -367,64 +363,48 @@ class FixedPoles(Structure):
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A structure on named channels, for `Decentralised`."""
+    """A structure on named channels, for `Decentralised`; on all where none are named."""
 
     structure: Structure
-    measurements: Sequence[str]
-    controls: Sequence[str]
+    measurements: Sequence[str] | None = None
+    controls: Sequence[str] | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Decentralised(Structure):
-    """Controllers side by side, each on its own channels."""
+    """Controllers side by side, each on its own channels; shared controls add up.
+
+    Parameters get the number of their part as a prefix.
+    """
 
     # `Part` objects, or structures alone, one per channel in order.
     parts: Sequence[Part | Structure]
 
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
+        y_names, u_names = [s.name for s in measurements], [s.name for s in controls]
         plain = all(isinstance(part, Structure) for part in self.parts)
         if not self.parts or (plain and not len(self.parts) == len(measurements) == len(controls)):
             found = f"{len(self.parts)} parts for {len(measurements)} measurements and {len(controls)} controls"
             raise InputError(f"{WHERE}: decentralised", found, "one for each channel, or Part(structure, names, names)")
-        made = [
-            Part(part, [measurements[i].name], [controls[i].name]) if isinstance(part, Structure) else part
-            for i, part in enumerate(self.parts)
-        ]
-        return _together(made, measurements, controls, dt)
-
-
-@dataclass(frozen=True, eq=False)
-class Sum(Structure):
-    """Two structures in parallel: ``a + b``."""
-
-    first: Structure
-    second: Structure
-
-    def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
-        y, u = [s.name for s in measurements], [s.name for s in controls]
-        return _together([Part(self.first, y, u), Part(self.second, y, u)], measurements, controls, dt)
-
-
-def _together(parts: Sequence[Part], measurements: Signals, controls: Signals, dt: float) -> Law:
-    """Return the law of parts, whose shared controls add up; parameters get the number of their part as a prefix."""
-    made = list[tuple[Law, list[int], list[int]]]()
-    for part in parts:
-        y = signal_positions(part.measurements, [s.name for s in measurements], f"{WHERE}: measurement")
-        u = signal_positions(part.controls, [s.name for s in controls], f"{WHERE}: control")
-        law = part.structure.law(tuple(measurements[j] for j in y), tuple(controls[j] for j in u), dt)
-        made.append((law, u, y))
-    builder = LawBuilder(sum(law.sizes[0] for law, _, _ in made), len(controls), len(measurements))
-    k, state = builder.n_states, 0
-    for number, (law, u, y) in enumerate(made, start=1):
-        own, first = range(state, state + law.sizes[0]), len(builder.parameters)
-        rows, columns = (np.array([*own, *(k + i for i in channels)], dtype=int) for channels in (u, y))
-        builder.base[rows[:, None], columns] += law.base
-        top, below = (np.where(at < 0, -1, at + first) for at in (law.top, law.below))
-        parts_of = (top, rows[law.row], columns[law.column], law.weight, below)
-        builder.entries += zip(*(each.tolist() for each in parts_of), strict=True)
-        builder.parameters += [replace(p, name=f"{number}.{p.name}") for p in law.parameters]
-        state = own.stop
-    return builder.law(max(law.dt for law, _, _ in made))
+        made = list[tuple[Law, list[int], list[int]]]()
+        for i, given in enumerate(self.parts):
+            part = Part(given, y_names[i : i + 1], u_names[i : i + 1]) if isinstance(given, Structure) else given
+            y = signal_positions(part.measurements or y_names, y_names, f"{WHERE}: measurement")
+            u = signal_positions(part.controls or u_names, u_names, f"{WHERE}: control")
+            law = part.structure.law(tuple(measurements[j] for j in y), tuple(controls[j] for j in u), dt)
+            made.append((law, u, y))
+        builder = LawBuilder(sum(law.sizes[0] for law, _, _ in made), len(controls), len(measurements))
+        k, state = builder.n_states, 0
+        for number, (law, u, y) in enumerate(made, start=1):
+            own, first = range(state, state + law.sizes[0]), len(builder.parameters)
+            rows, columns = (np.array([*own, *(k + i for i in channels)], dtype=int) for channels in (u, y))
+            builder.base[rows[:, None], columns] += law.base
+            top, below = (np.where(at < 0, -1, at + first) for at in (law.top, law.below))
+            entries = (top, rows[law.row], columns[law.column], law.weight, below)
+            builder.entries += zip(*(each.tolist() for each in entries), strict=True)
+            builder.parameters += [replace(p, name=f"{number}.{p.name}") for p in law.parameters]
+            state = own.stop
+        return builder.law(max(law.dt for law, _, _ in made))
 
 
 WORDS = ("static", "p", "i", "pi", "pd", "pid", "ipd", "two-layer", "order", "poles", "decentralised")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 
@@ -183,12 +183,7 @@ class RollOff(Limit):
 # --- the problem ------------------------------------------------------------------------------------------------------
 
 
-class Piece(NamedTuple):
-    """An active function: its value and its gradient with respect to the free parameters."""
-
-    value: float
-    gradient: AnyArray
-    limit: bool
+Piece = tuple[float, AnyArray, bool]  # an active function: value, gradient by the free parameters, whether a limit
 
 
 class DesignProblem:
@@ -297,23 +292,24 @@ class DesignProblem:
 
     # --- objectives --------------------------------------------------------------------------------------------------
 
-    def instability(self, v: AnyArray) -> Valued:
+    def instability(self, v: AnyArray, _: float = np.inf) -> Valued:
         """Return the largest spectral abscissa of all loops (discrete: modulus minus one) with its gradient."""
-        self.budget.spend(self._work)
-        p, slopes = self.parameters(v)
-        theta = self.theta(p)
+        p, slopes, theta = self._at(v)
         value, G = max((family.abscissa(theta) for family in self.families), key=lambda found: found[0])
         return value, None if G is None else self.by_parameters(p, G) * slopes
 
-    def violation(self, v: AnyArray) -> Valued:
+    def violation(self, v: AnyArray, _: float = np.inf) -> Valued:
         """Return the largest limit value with its gradient; infinite for an unstable loop."""
-        self.budget.spend(self._work)
-        p, slopes = self.parameters(v)
-        theta = self.theta(p)
+        p, slopes, theta = self._at(v)
         if not all(family.abscissa(theta)[0] < 0 for family in self.families):
             return np.inf, None
         worst, G = max(self.limit_values(theta), key=lambda pair: pair[0])
         return worst, self.by_parameters(p, G) * slopes if np.isfinite(worst) else None
+
+    def _at(self, v: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
+        self.budget.spend(self._work)
+        p, slopes = self.parameters(v)
+        return p, slopes, self.theta(p)
 
     def limit_values(self, theta: AnyArray) -> list[LimitAt]:
         """Return the c and the gradient of every limit and plant; an infinite c where there is no value."""
@@ -384,4 +380,4 @@ class DesignProblem:
                 found += [(norm, G)] if G is not None and norm > 0.8 * value else []
         near = [(c, G) for c, G in self.limit_values(theta) if np.isfinite(c) and c > -0.5]
         both = [(f, G, False) for f, G in found] + [(c, G, True) for c, G in near]
-        return [Piece(f, self.by_parameters(p, G), limit) for f, G, limit in both]
+        return [(f, self.by_parameters(p, G), limit) for f, G, limit in both]
