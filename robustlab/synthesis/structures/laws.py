@@ -116,9 +116,9 @@ class LawBuilder:
     def law(self, dt: float = 0.0) -> Law:
         """Return the finished law."""
         sizes = self.n_states, self.n_controls, self.n_measurements
-        top, row, column, weight, below = np.array(self.entries, dtype=float).reshape(-1, 5).T
-        places = [at.astype(int) for at in (top, row, column)]
-        return Law(tuple(self.parameters), sizes, self.base, *places, weight, below.astype(int), dt)
+        rows = np.array(self.entries, dtype=float).reshape(-1, 5)
+        top, row, column, below = rows[:, [0, 1, 2, 4]].T.astype(int)
+        return Law(tuple(self.parameters), sizes, self.base, top, row, column, rows[:, 3], below, dt)
 
 
 # --- structures -------------------------------------------------------------------------------------------------------
