@@ -297,7 +297,17 @@ def fixed_structure(
 def law_of(plant: GeneralizedPlant, structure: Any, bounds: Mapping[str, tuple[float, float]] | None) -> Law:
     """Return the law of a structure, in any accepted form, on the plant's signals with these bounds by name."""
     law = as_structure(structure, plant).law(plant.measurements, plant.controls, plant.model.dt)
-    return _bounded(law, bounds or {})
+    parameters = list(law.parameters)
+    for name, pair in (bounds or {}).items():
+        q = parameters[j := _place(name, law)]
+        try:
+            low, high = (float(x) for x in pair)
+        except (TypeError, ValueError):
+            low = high = np.nan
+        if not low <= high:
+            raise InputError(f"{WHERE}: bounds of {name}", f"{pair!r}", "(low, high)")
+        parameters[j] = replace(q, low=low, high=high, start=float(np.clip(q.start, low, high)))
+    return replace(law, parameters=tuple(parameters))
 
 
 def _plants(P: Any, n_meas: int | None, n_con: int | None) -> list[GeneralizedPlant]:
@@ -321,21 +331,6 @@ def _plants(P: Any, n_meas: int | None, n_con: int | None) -> list[GeneralizedPl
 
 
 # --- parameters -------------------------------------------------------------------------------------------------------
-
-
-def _bounded(law: Law, bounds: Mapping[str, tuple[float, float]]) -> Law:
-    """Return the law with these bounds of its parameters, by name."""
-    parameters = list(law.parameters)
-    for name, pair in bounds.items():
-        q = parameters[j := _place(name, law)]
-        try:
-            low, high = (float(x) for x in pair)
-        except (TypeError, ValueError):
-            low = high = np.nan
-        if not low <= high:
-            raise InputError(f"{WHERE}: bounds of {name}", f"{pair!r}", "(low, high)")
-        parameters[j] = replace(q, low=low, high=high, start=float(np.clip(q.start, low, high)))
-    return replace(law, parameters=tuple(parameters))
 
 
 def parameter_values(law: Law, p: AnyArray) -> tuple[ParameterValue, ...]:
@@ -534,8 +529,9 @@ def not_found(problem: DesignProblem, found: Sequence[Start]) -> NoTrustworthyNu
     edges = [family.abscissa(theta)[0] for family in problem.families]
     which = int(np.argmax(edges))
     if edges[which] < 0 and problem.limits:
-        broken = ", ".join(dict.fromkeys(problem.broken_limits(theta))) or "the norm"
-        text = f"no start kept every limit; in the nearest, {broken} fails"
+        values = zip(problem.limited, problem.limit_values(theta), strict=True)
+        broken = dict.fromkeys(limit.text for (limit, _), (c, _) in values if c >= 0)
+        text = f"no start kept every limit; in the nearest, {', '.join(broken) or 'the norm'} fails"
     else:
         worst = problem.families[which].pole(theta, np.abs if discrete else np.real)
         pole = complex(np.nan) if worst is None else worst[0] * (1.0 if discrete else problem.scaling.rate)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -193,7 +194,7 @@ class FixedOrder(Structure):
 
 @dataclass(frozen=True, eq=False)
 class MultichannelPID(Structure):
-    r"""PID with matrices of gains, or the I-PD and two-layer laws of a machine with several axes.
+    r"""PID with matrices of gains, or the I-PD and two-layer laws of several axes (Brezina 2010, eqs 9.1-9.4).
 
     ``layout="pid"``: :math:`u = K_p y + K_i \int y\,dt + K_d \dot y_f` where
     :math:`\tau \dot y_f + y_f = y` filters the derivative; from any measurements to any controls.
@@ -216,10 +217,6 @@ class MultichannelPID(Structure):
         Of ``layout="pid"``: the terms among P, I, D.
     tau
         Time constant of the derivative filters in s: a number, or ``(low, high)`` to optimise it; required with D.
-
-    References
-    ----------
-    Brezina 2010, eqs 9.1-9.4.
     """
 
     layout: str = "pid"
@@ -346,16 +343,14 @@ class FixedPoles(Structure):
         k = n_y * sum(len(b) for b in blocks)
         builder = LawBuilder(k, n_u, n_y)
         at = 0
-        for number, block in enumerate(blocks):
-            for j in range(n_y):
-                size = len(block)
-                builder.base[at : at + size, at : at + size] = block
-                builder.base[at, k + j] = 1.0
-                for part, i in ((part, i) for part in range(size) for i in range(n_u)):
-                    text = f"R{number + 1}{'ab'[part] if size > 1 else ''}[{controls[i].name},{measurements[j].name}]"
-                    unit = _unit(controls[i], measurements[j], "" if dt else "/s")
-                    builder.parameter(Parameter(text, unit), (k + i, at + part, 1.0))
-                at += size
+        for (number, block), (j, y) in product(enumerate(blocks, start=1), enumerate(measurements)):
+            size = len(block)
+            builder.base[at : at + size, at : at + size] = block
+            builder.base[at, k + j] = 1.0
+            for part, i in np.ndindex(size, n_u):
+                text = f"R{number}{'ab'[part] if size > 1 else ''}[{controls[i].name},{y.name}]"
+                builder.parameter(Parameter(text, _unit(controls[i], y, "" if dt else "/s")), (k + i, at + part, 1.0))
+            at += size
         if not self.strictly_proper:
             builder.direct_term(measurements, controls)
         return builder.law()

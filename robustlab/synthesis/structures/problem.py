@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import ClassVar
 
@@ -220,6 +220,7 @@ class DesignProblem:
             for s, plant in zip(scalings, [*plants, *limited], strict=True)
         ]
         self.families = families[: len(self.plants)]
+        self._each = list(zip(self.families, self.kinds, strict=True))
         self.limited = [
             (limit, family)
             for limit in limits
@@ -315,15 +316,10 @@ class DesignProblem:
         """Return the c and the gradient of every limit and plant; an infinite c where there is no value."""
         return [limit.evaluate(family, theta, self.scaling, self.dt) for limit, family in self.limited]
 
-    def broken_limits(self, theta: AnyArray) -> list[str]:
-        """Return the violated limits in words."""
-        values = zip(self.limited, self.limit_values(theta), strict=True)
-        return [limit.text for (limit, _), (c, _) in values if c >= 0]
-
     def norms(self, p: AnyArray) -> list[float]:
         """Return the norm of every plant's loop in the plants' units; inf where unstable."""
         theta = self.theta(p)
-        return [self._one(family, kind, theta, np.inf)[0] / self.gain for family, kind in self._each()]
+        return [self._one(family, kind, theta, np.inf)[0] / self.gain for family, kind in self._each]
 
     def norm(self, v: AnyArray, give_up_above: float = np.inf, mu: float = 0.0) -> Valued:
         """Return the largest norm of the scaled loops times a barrier of the limits, with its gradient.
@@ -346,7 +342,7 @@ class DesignProblem:
             return np.inf, None
         barrier = float(np.prod([(-c) ** -mu for c, _ in limits]))
         worst: Valued = -np.inf, None
-        for family, kind in self._each():
+        for family, kind in self._each:
             found = self._one(family, kind, theta, give_up_above / barrier)
             if not np.isfinite(found[0]) or found[0] * barrier >= give_up_above:
                 return found[0] * barrier, None
@@ -355,9 +351,6 @@ class DesignProblem:
         if G is not None and mu:
             G = barrier * (G - mu * value * sum(by / c for c, by in limits))
         return value * barrier, G
-
-    def _each(self) -> Iterable[tuple[LoopFamily, str]]:
-        return zip(self.families, self.kinds, strict=True)
 
     def _one(self, family: LoopFamily, kind: str, theta: AnyArray, give_up_above: float) -> Valued:
         """Return a norm with its gradient."""
@@ -372,7 +365,7 @@ class DesignProblem:
         self.budget.spend(2 * self._work)
         theta = self.theta(p)
         found: list[tuple[float, AnyArray]] = []
-        for family, kind in self._each():
+        for family, kind in self._each:
             if kind == "hinf":
                 found += family.active(theta, value, 0.1, 0.02 + 0.5 * radius)
             else:
