@@ -10,7 +10,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, dense
-from robustlab.errors import InputError
+from robustlab.checks import number
 from robustlab.norms import linf_norm
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import GeneralizedPlant, Realisation
@@ -38,10 +38,11 @@ class Limit:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            value, most = getattr(self, field.name), 1.0 if field.name == "ratio" else np.inf
-            if not 0 < value <= most or not np.isfinite(value):
-                expected = f"a positive number{f' up to {most:g}' if most < np.inf else ''}"
-                raise InputError(f"fixed structure: {type(self).__name__}: {field.name}", f"{value}", expected)
+            where, most = (
+                f"fixed structure: {type(self).__name__}: {field.name}",
+                1 if field.name == "ratio" else np.inf,
+            )
+            number(where, getattr(self, field.name), above=0, at_most=most)
 
     @property
     def text(self) -> str:
