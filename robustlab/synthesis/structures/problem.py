@@ -323,12 +323,14 @@ class DesignProblem:
         return [self._one(family, kind, theta, np.inf)[0] / self.gain for family, kind in self._each]
 
     def norm(self, v: AnyArray, give_up_above: float = np.inf, mu: float = 0.0) -> Valued:
-        """Return the largest norm of the scaled loops times a barrier of the limits, with its gradient.
+        """Return the largest norm of the scaled loops, or, with mu, its logarithm and a barrier of the limits.
 
-        The barrier is the product of all ``(-c)^-mu``; the value is infinite where a limit is violated.
+        The barrier is the sum of all ``-mu ln(-c)``; the value is infinite where a limit is violated.
         """
         p, slopes = self.parameters(v)
-        value, G = self._norm_at(p, give_up_above, mu)
+        value, G = self._norm_at(p, np.exp(give_up_above) if mu and give_up_above < 300 else give_up_above, mu)
+        if mu:
+            value, G = float(np.log(max(value, 1e-300))), None if G is None else G / max(value, 1e-300)
         return value, None if G is None else self.by_parameters(p, G) * slopes
 
     def value_at(self, q: AnyArray) -> float:
