@@ -23,7 +23,7 @@ from robustlab.errors import InputError, UnitMismatch, UsageError, error_context
 from robustlab.files.atomic import atomic_write
 from robustlab.provenance import Provenance
 from robustlab.signals import Taken, law
-from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
+from robustlab.statespace import Signal, StateSpaceModel, as_model
 from robustlab.storage.interchange import save
 from robustlab.synthesis.problem.controller import Controller
 from robustlab.uncertainty.lft import UncertainModel
@@ -55,31 +55,14 @@ def saturation_limits(model: StateSpaceModel, saturation: Any, where: str) -> tu
     if odd:
         raise InputError(f"{where}: saturation", odd[0], f"limits of {', '.join(names)}")
     for name in names:
-        place = f"{where}: saturation of {name}"
         try:
             low, high = (float(v) for v in given[name])
         except (TypeError, ValueError):
-            raise InputError(place, f"{given[name]!r}", "two numbers (low, high)") from None
+            low = high = np.nan
         if not (np.isfinite([low, high]).all() and low < high):
-            raise InputError(place, f"{low:g} .. {high:g}", "finite low < high")
+            raise InputError(f"{where}: saturation of {name}", f"{given[name]!r}", "two numbers, finite low < high")
         limits.append((low, high))
     return tuple(limits)
-
-
-def _back_calculation(
-    model: StateSpaceModel, limits: Sequence[tuple[float, float]] | None, anti_windup: Any
-) -> tuple[float | None, Array]:
-    """Return the time of the back-calculation (None where its gain is given) and the gain."""
-    shape = (model.n_states, model.n_outputs)
-    if not limits:
-        return ANTI_WINDUP_SAMPLES * model.dt, np.zeros(shape)
-    if anti_windup is None or np.ndim(anti_windup) == 0:
-        time = ANTI_WINDUP_SAMPLES * model.dt if anti_windup is None else float(anti_windup)
-        return time, back_calculation(model, limits, time)
-    gain = real_array("anti_windup", anti_windup, 2, "C export")
-    if gain.shape != shape:
-        raise InputError("C export: anti_windup", f"a gain of {gain.shape}", f"{shape}: states and outputs")
-    return None, gain
 
 
 def back_calculation(model: StateSpaceModel, limits: Sequence[tuple[float, float]], time: float) -> Array:
@@ -87,41 +70,28 @@ def back_calculation(model: StateSpaceModel, limits: Sequence[tuple[float, float
 
     :math:`x_{k+1} = (A - L C) x_k + (B - L D) u_k + L v_k`; nothing is proved where only some of several saturate.
     """
-    if not time >= model.dt:
-        raise InputError("anti-windup", f"a time of {time:g} s", f"at least one sample time, {model.dt:g} s")
-    scale = np.array([0.5 * (high - low) for low, high in limits])
-    slowest = math.exp(-model.dt / time)
-    gain = _mirroring_gain(model.A, model.C / scale[:, None], slowest, math.exp(-MIRROR * model.dt / time))
-    found = np.zeros((model.n_states, model.n_outputs)) if gain is None else gain / scale
-    radius = float(np.abs(np.linalg.eigvals(model.A - found @ model.C)).max(initial=0.0))
-    if radius > slowest * (1 + 1e-6):
-        raise InputError(
-            "anti-windup",
-            f"a mode of modulus {radius:.6g} that does not show in the control signals",
-            f"modes slower than {time:g} s that do",
-            "take it out first (robustlab synth reduce), or allow a longer time",
-        )
-    return found
-
-
-def _mirroring_gain(A: Array, C: Array, slowest: float, mirror: float) -> Array | None:
-    """Return L for outputs scaled to one; None if no mode is slow."""
     from scipy.linalg import schur, solve_discrete_lyapunov
 
-    if not A.size:
-        return None
-    ordered: Any = schur(A.T, output="complex", sort=lambda pole: abs(pole) <= slowest * (1 + 1e-12))
-    T, Z, n_fast = ordered
-    if n_fast == len(A):
-        return None
-    F, modes = T[n_fast:, n_fast:] / mirror, Z[:, n_fast:]
-    G = modes.conj().T @ C.T / mirror
-    inverse = np.linalg.inv(F)
-    driven = inverse @ G
-    Y = solve_discrete_lyapunov(inverse, driven @ driven.conj().T)
-    X = np.linalg.pinv(Y, rcond=1e-13, hermitian=True)
-    feedback = np.linalg.solve(np.eye(G.shape[1]) + G.conj().T @ X @ G, G.conj().T @ X @ F)
-    return (feedback @ modes.conj().T).real.T
+    if not time >= model.dt:
+        raise InputError("anti-windup", f"a time of {time:g} s", f"at least one sample time, {model.dt:g} s")
+    slowest, mirror = math.exp(-model.dt / time), math.exp(-MIRROR * model.dt / time)
+    scale, gain = np.array([0.5 * (high - low) for low, high in limits]), np.zeros((model.n_states, model.n_outputs))
+    if (np.abs(model.poles()) > slowest * (1 + 1e-12)).any():
+        ordered: Any = schur(model.A.T, output="complex", sort=lambda pole: abs(pole) <= slowest * (1 + 1e-12))
+        T, Z, n_fast = ordered
+        modes = Z[:, n_fast:]
+        G, inverse = modes.conj().T @ (model.C / scale[:, None]).T / mirror, mirror * np.linalg.inv(T[n_fast:, n_fast:])
+        driven = inverse @ G
+        X = np.linalg.pinv(solve_discrete_lyapunov(inverse, driven @ driven.conj().T), rcond=1e-13, hermitian=True)
+        to = G.conj().T @ X
+        feedback = np.linalg.solve(np.eye(len(scale)) + to @ G, to @ T[n_fast:, n_fast:] / mirror)
+        gain = (feedback @ modes.conj().T).real.T / scale
+    radius = float(np.abs(np.linalg.eigvals(model.A - gain @ model.C)).max(initial=0.0))
+    if radius > slowest * (1 + 1e-6):
+        found = f"a mode of modulus {radius:.6g} that does not show in the control signals"
+        hint = "take it out first (robustlab synth reduce), or allow a longer time"
+        raise InputError("anti-windup", found, f"modes slower than {time:g} s that do", hint)
+    return gain
 
 
 def c_source(
@@ -129,17 +99,10 @@ def c_source(
     prefix: str = "controller",
     limits: Sequence[tuple[float, float]] | None = None,
     notes: Sequence[str] = (),
-    anti_windup: Any = None,
+    anti_windup: float | None = None,
     feed_forward: FeedForward | None = None,
 ) -> str:
-    """Return the C99 source of a discrete model.
-
-    Examples
-    --------
-    >>> lag = StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.01)
-    >>> "x0 = 0x1.0000000000000p-1 * s->x[0]" in c_source(lag)
-    True
-    """
+    """Return the C99 source of a discrete model."""
     if not model.is_discrete:
         hint = "discretise it with its sample time first"
         raise InputError("C export", "a continuous controller (dt = 0)", "a discrete one", hint)
@@ -151,7 +114,8 @@ def c_source(
     if not PREFIX.fullmatch(prefix) or prefix in RESERVED.split():
         expected = "a lower-case letter, then lower-case letters, digits or underscores"
         raise InputError("C export: prefix", f"{prefix!r}", expected)
-    time, back = _back_calculation(model, limits, anti_windup)
+    time = ANTI_WINDUP_SAMPLES * model.dt if anti_windup is None else float(anti_windup)
+    back = back_calculation(model, limits, time) if limits else np.zeros((model.n_states, model.n_outputs))
     ahead = None if feed_forward is None else _place_feed_forward(model, feed_forward)
     unused = ["s"] * (not model.n_states) + ["u"] * (not (ahead or model.B.any() or model.D.any()))
     return _template().render(
@@ -177,8 +141,7 @@ def _place_feed_forward(model: StateSpaceModel, law: FeedForward) -> dict[str, A
     names, wanted = model.output_names, law.position
     if law.input.name not in names:
         raise InputError("C export: feed-forward", f"of {law.input.name!r}", f"one of {', '.join(names)}")
-    of = ("r", wanted.name)
-    found = [i for i, s in enumerate(model.inputs) if isinstance(s, Taken) and (s.takes, s.of) == of]
+    found = [i for i, s in enumerate(model.inputs) if isinstance(s, Taken) and (s.takes, s.of) == ("r", wanted.name)]
     if not found:
         hint = "a controller of a tracking problem is: it sees references and measurements apart"
         expected = f"a controller that is given the reference of {wanted.name}"
@@ -205,9 +168,9 @@ def _template() -> Any:
     return environment.get_template("controller.c.j2")
 
 
-def _terms(from_x: Array, from_u: Array, from_limits: Array | None = None) -> list[tuple[float, str]]:
-    rows = (("s->x[{}]", from_x), ("u[{}]", from_u), ("cut{}", np.zeros(0) if from_limits is None else from_limits))
-    return [(v, place.format(j)) for place, row in rows for j, v in enumerate(row.tolist()) if v != 0]
+def _terms(*rows: Array) -> list[tuple[float, str]]:
+    places = zip(("s->x[{}]", "u[{}]", "cut{}"), rows, strict=False)
+    return [(v, place.format(j)) for place, row in places for j, v in enumerate(row.tolist()) if v != 0]
 
 
 def _sign(signal: Signal, inputs: Sequence[Signal]) -> list[str]:
@@ -240,9 +203,7 @@ def _first_samples(model: StateSpaceModel) -> list[list[str]]:
 
 def _exact(value: float) -> str:
     """Return the hexadecimal constant of a number, in parentheses if negative."""
-    text = float(value).hex()
-    if text in ("0x0.0p+0", "-0x0.0p+0"):
-        return "0.0"
+    text = float(value).hex() if value else "0.0"
     return f"({text})" if text.startswith("-") else text
 
 
@@ -266,7 +227,7 @@ def export_controller(
     *,
     prefix: str = "controller",
     saturation: Any = None,
-    anti_windup: Any = None,
+    anti_windup: float | None = None,
     feed_forward: FeedForward | None = None,
     provenance: Provenance | None = None,
 ) -> Path:
@@ -292,8 +253,7 @@ def export_controller(
         with back-calculation against windup (`robustlab.storage.back_calculation`).
     anti_windup
         For ``.c`` with a saturation: time in s within which, during saturation, all modes of the controller decay. Ten
-        samples by default; inf does not change a stable controller's states. Or the gain itself, (n, p), such as that
-        of `anti_windup`.
+        samples by default; inf does not change a stable controller's states.
     feed_forward
         For ``.c``: what is added to a control signal before its limits, a function of the reference and its rate
         (`robustlab.dynamics.extended.feed_forward.feed_forward` of a plant with effects). The rate is then the last
@@ -323,11 +283,8 @@ def export_controller(
     if isinstance(given, (UncertainModel, Plant)):
         raise InputError(str(path), f"a {type(given).__name__}", "a controller or a model")
     held = given if isinstance(given, Controller) else Controller(as_model(given, "export_controller"))
-    for given, what in (
-        (saturation, "a saturation"),
-        (anti_windup, "an anti-windup time"),
-        (feed_forward, "a feed-forward"),
-    ):
+    options = {"a saturation": saturation, "an anti-windup time": anti_windup, "a feed-forward": feed_forward}
+    for what, given in options.items():
         if given is not None and suffix != ".c":
             raise UsageError(str(path), f"{what} in a {suffix} file", "a .c file: the others hold a linear model")
     if anti_windup is not None and saturation is None:

@@ -9,7 +9,7 @@ from robustlab.lazily import lazily
 __all__, __getattr__ = lazily(
     __name__,
     {
-        "structures.laws": ("PID Decentralised FixedOrder FixedPoles MultichannelPID Part StaticGain Sum"),
+        "structures.laws": "PID Decentralised FixedOrder FixedPoles MultichannelPID Part StaticGain",
         "structures.problem": "Bandwidth Damping Decay RollOff StableController",
         "goal_tuning": "GainGoal MarginGoal SensitivityGoal TrackingGoal VarianceGoal",
         "problem.partition": "GeneralizedPlant PlantMatrices",

@@ -134,9 +134,7 @@ class FixedSynthesis(ParametricDesign):
     worst
         For an uncertain plant: the worst-case gain over the whole set.
     plants
-        The plant of every loop, for `robustlab.verify`.
-    uncertain
-        The uncertain plant of ``worst`` without K, for `robustlab.verify`.
+        The plant of every loop, or the uncertain plant of ``worst``, for `robustlab.verify`.
     """
 
     quantities: ClassVar[Mapping[str, Any]] = {**Synthesis.quantities, "peak_frequency": float}
@@ -152,7 +150,6 @@ class FixedSynthesis(ParametricDesign):
     scenarios: tuple[Mapping[str, Any], ...] = ()
     worst: WorstCaseGain | None = None
     plants: tuple[GeneralizedPlant, ...] = ()
-    uncertain: UncertainModel | None = None
 
     @property
     def worst_case_gain(self) -> WorstCaseGain | None:
@@ -208,10 +205,9 @@ def fixed_structure(
 
     .. math:: \min_p \max_i \|F_l(P_i, K(p))\|, \qquad K(p) \text{ stabilises every } P_i
 
-    From every start, BFGS minimises the spectral abscissa of all loops until they are stable, then the largest limit
-    until all are kept, then takes some steps on the norm; limits are kept by a barrier of falling weight. The best
-    starts are refined by linear programs over all active peaks and descents in turn, and the best once more from near
-    it. Gradients are analytic. The problem is not convex: a local optimum, verified on the loops rebuilt from K.
+    BFGS brings every start to where all loops are stable and limits are kept, then down the norm; linear programs over
+    all active peaks refine the best. The problem is not convex: the result is a local optimum, verified on the loops
+    rebuilt from K.
 
     Parameters
     ----------
@@ -220,8 +216,8 @@ def fixed_structure(
         model the worst-case gain from w to z is minimised by adding scenarios, and the bound proved for the whole set
         is reported.
     structure
-        A structure of `robustlab.synthesis.structures.laws`, or ``"static"``, ``"p"``, ``"pi"``, ``"pid"``,
-        an order, a mask of a static gain, a list of structures (one per channel).
+        A structure of `robustlab.synthesis.structures.laws`, an order, a mask of a static gain, a list of structures
+        (one per channel), or words: ``"static"``, ``"pid"``, ``"order:2"``, ``"poles:-1,-20"``.
     n_meas, n_con
         Numbers of measurements and controls; not needed for a `GeneralizedPlant`.
     objective
@@ -294,14 +290,24 @@ def fixed_structure(
         problem = DesignProblem(plants, law, objective, limits, budget)
         if objective == "h2":
             require_finite_h2(problem)
-        ordered = isinstance(as_structure(structure, 1.0), FixedOrder)
+        ordered = isinstance(as_structure(structure, first), FixedOrder)
         return design(problem, [*given, *(_reduced_start(problem) if ordered else [])])
 
 
 def law_of(plant: GeneralizedPlant, structure: Any, bounds: Mapping[str, tuple[float, float]] | None) -> Law:
     """Return the law of a structure, in any accepted form, on the plant's signals with these bounds by name."""
-    law = as_structure(structure, common_scaling([plant])[0].rate)
-    return _bounded(law.law(plant.measurements, plant.controls, plant.model.dt), bounds or {})
+    law = as_structure(structure, plant).law(plant.measurements, plant.controls, plant.model.dt)
+    parameters = list(law.parameters)
+    for name, pair in (bounds or {}).items():
+        q = parameters[j := _place(name, law)]
+        try:
+            low, high = (float(x) for x in pair)
+        except (TypeError, ValueError):
+            low = high = np.nan
+        if not low <= high:
+            raise InputError(f"{WHERE}: bounds of {name}", f"{pair!r}", "(low, high)")
+        parameters[j] = replace(q, low=low, high=high, start=float(np.clip(q.start, low, high)))
+    return replace(law, parameters=tuple(parameters))
 
 
 def _plants(P: Any, n_meas: int | None, n_con: int | None) -> list[GeneralizedPlant]:
@@ -325,21 +331,6 @@ def _plants(P: Any, n_meas: int | None, n_con: int | None) -> list[GeneralizedPl
 
 
 # --- parameters -------------------------------------------------------------------------------------------------------
-
-
-def _bounded(law: Law, bounds: Mapping[str, tuple[float, float]]) -> Law:
-    """Return the law with these bounds of its parameters, by name."""
-    parameters = list(law.parameters)
-    for name, pair in bounds.items():
-        q = parameters[j := _place(name, law)]
-        try:
-            low, high = (float(x) for x in pair)
-        except (TypeError, ValueError):
-            low = high = np.nan
-        if not low <= high:
-            raise InputError(f"{WHERE}: bounds of {name}", f"{pair!r}", "(low, high)")
-        parameters[j] = replace(q, low=low, high=high, start=float(np.clip(q.start, low, high)))
-    return replace(law, parameters=tuple(parameters))
 
 
 def parameter_values(law: Law, p: AnyArray) -> tuple[ParameterValue, ...]:
@@ -437,7 +428,7 @@ def _for_worst_member(
             raise
         loop = UncertainModel(lower_lft(uncertain.M, found.K), uncertain.blocks)
         worst = gain_within(loop, budget.share(SEARCH_SHARE), tolerance=0.02)
-        done.append((replace(found, worst=worst, scenarios=tuple(deltas), uncertain=uncertain), worst))
+        done.append((replace(found, worst=worst, scenarios=tuple(deltas), plants=(plant,)), worst))
         say(f"{len(members)} scenarios: gain {found.gamma:.5g}, worst member {worst.lower:.5g}")
         member = _member(uncertain, worst) if worst.lower > ENOUGH * found.gamma else None
         if member is None:
@@ -538,8 +529,9 @@ def not_found(problem: DesignProblem, found: Sequence[Start]) -> NoTrustworthyNu
     edges = [family.abscissa(theta)[0] for family in problem.families]
     which = int(np.argmax(edges))
     if edges[which] < 0 and problem.limits:
-        broken = ", ".join(dict.fromkeys(problem.broken_limits(theta))) or "the norm"
-        text = f"no start kept every limit; in the nearest, {broken} fails"
+        values = zip(problem.limited, problem.limit_values(theta), strict=True)
+        broken = dict.fromkeys(limit.text for (limit, _), (c, _) in values if c >= 0)
+        text = f"no start kept every limit; in the nearest, {', '.join(broken) or 'the norm'} fails"
     else:
         worst = problem.families[which].pole(theta, np.abs if discrete else np.real)
         pole = complex(np.nan) if worst is None else worst[0] * (1.0 if discrete else problem.scaling.rate)

@@ -1,7 +1,7 @@
 r"""Controllers as functions of named parameters, and the structures that give them.
 
 A law is the packed matrix :math:`\Theta(p) = [A_K, B_K; C_K, D_K]`. Structures can be combined; they have short forms
-in Python (an order, a mask, a name) and words in commands and recipes (``pid``, ``order:3``).
+in Python (an order, a mask) and words, in commands and recipes, too (``pid``, ``order:3``).
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -116,9 +117,9 @@ class LawBuilder:
     def law(self, dt: float = 0.0) -> Law:
         """Return the finished law."""
         sizes = self.n_states, self.n_controls, self.n_measurements
-        top, row, column, weight, below = np.array(self.entries, dtype=float).reshape(-1, 5).T
-        places = [at.astype(int) for at in (top, row, column)]
-        return Law(tuple(self.parameters), sizes, self.base, *places, weight, below.astype(int), dt)
+        rows = np.array(self.entries, dtype=float).reshape(-1, 5)
+        top, row, column, below = rows[:, [0, 1, 2, 4]].T.astype(int)
+        return Law(tuple(self.parameters), sizes, self.base, top, row, column, rows[:, 3], below, dt)
 
 
 # --- structures -------------------------------------------------------------------------------------------------------
@@ -132,7 +133,7 @@ class Structure(ABC):
         """Return the controller as a function of parameters for these signals and sample time (s; 0: continuous)."""
 
     def __add__(self, other: Structure) -> Structure:
-        return Sum(self, other)
+        return Decentralised([Part(self), Part(other)])
 
 
 def _unit(out: Signal, into: Signal, suffix: str = "") -> str:
@@ -193,7 +194,7 @@ class FixedOrder(Structure):
 
 @dataclass(frozen=True, eq=False)
 class MultichannelPID(Structure):
-    r"""PID with matrices of gains, or the I-PD and two-layer laws of a machine with several axes.
+    r"""PID with matrices of gains, or the I-PD and two-layer laws of several axes (Brezina 2010, eqs 9.1-9.4).
 
     ``layout="pid"``: :math:`u = K_p y + K_i \int y\,dt + K_d \dot y_f` where
     :math:`\tau \dot y_f + y_f = y` filters the derivative; from any measurements to any controls.
@@ -216,10 +217,6 @@ class MultichannelPID(Structure):
         Of ``layout="pid"``: the terms among P, I, D.
     tau
         Time constant of the derivative filters in s: a number, or ``(low, high)`` to optimise it; required with D.
-
-    References
-    ----------
-    Brezina 2010, eqs 9.1-9.4.
     """
 
     layout: str = "pid"
@@ -260,16 +257,12 @@ class MultichannelPID(Structure):
         for i in range(n_i, k):  # tau x' = -x + y, sampled by backward differences; acts as (y - x) / tau
             builder.entries += [(-1, i, i, -rate, tau), (-1, i, k + i - n_i, rate, tau)]
         if n_d:
-            builder.parameter(self._filter())
+            low, high = np.broadcast_to(np.nan if self.tau is None else self.tau, 2).astype(float).tolist()
+            if not 0 < low <= high < np.inf:
+                found = "missing" if self.tau is None else f"{self.tau}"
+                raise InputError(f"{WHERE}: tau", found, "the derivative filter's time constant in s, or (low, high)")
+            builder.parameter(Parameter("tau", "s", low, high, float(np.sqrt(low * high))))
         return builder.law(dt)
-
-    def _filter(self) -> Parameter:
-        """Return the time constant of the derivative filters."""
-        low, high = np.broadcast_to(np.nan if self.tau is None else self.tau, 2).astype(float).tolist()
-        if not 0 < low <= high < np.inf:
-            found = "missing" if self.tau is None else f"{self.tau}"
-            raise InputError(f"{WHERE}: tau", found, "the derivative filter's time constant in s, or (low, high)")
-        return Parameter("tau", "s", low, high, float(np.sqrt(low * high)))
 
     def _groups(self, n_u: int, n_y: int) -> list[tuple[str, list[tuple[int, int]]]]:
         """Return the index text of every free gain and the entries of the gain matrix that it fills."""
@@ -350,16 +343,14 @@ class FixedPoles(Structure):
         k = n_y * sum(len(b) for b in blocks)
         builder = LawBuilder(k, n_u, n_y)
         at = 0
-        for number, block in enumerate(blocks):
-            for j in range(n_y):
-                size = len(block)
-                builder.base[at : at + size, at : at + size] = block
-                builder.base[at, k + j] = 1.0
-                for part, i in ((part, i) for part in range(size) for i in range(n_u)):
-                    text = f"R{number + 1}{'ab'[part] if size > 1 else ''}[{controls[i].name},{measurements[j].name}]"
-                    unit = _unit(controls[i], measurements[j], "" if dt else "/s")
-                    builder.parameter(Parameter(text, unit), (k + i, at + part, 1.0))
-                at += size
+        for (number, block), (j, y) in product(enumerate(blocks, start=1), enumerate(measurements)):
+            size = len(block)
+            builder.base[at : at + size, at : at + size] = block
+            builder.base[at, k + j] = 1.0
+            for part, i in np.ndindex(size, n_u):
+                text = f"R{number}{'ab'[part] if size > 1 else ''}[{controls[i].name},{y.name}]"
+                builder.parameter(Parameter(text, _unit(controls[i], y, "" if dt else "/s")), (k + i, at + part, 1.0))
+            at += size
         if not self.strictly_proper:
             builder.direct_term(measurements, controls)
         return builder.law()
@@ -367,78 +358,59 @@ class FixedPoles(Structure):
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A structure on named channels, for `Decentralised`."""
+    """A structure on named channels, for `Decentralised`; on all where none are named."""
 
     structure: Structure
-    measurements: Sequence[str]
-    controls: Sequence[str]
+    measurements: Sequence[str] | None = None
+    controls: Sequence[str] | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Decentralised(Structure):
-    """Controllers side by side, each on its own channels."""
+    """Controllers side by side, each on its own channels; shared controls add up.
+
+    Parameters get the number of their part as a prefix.
+    """
 
     # `Part` objects, or structures alone, one per channel in order.
     parts: Sequence[Part | Structure]
 
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
+        y_names, u_names = [s.name for s in measurements], [s.name for s in controls]
         plain = all(isinstance(part, Structure) for part in self.parts)
         if not self.parts or (plain and not len(self.parts) == len(measurements) == len(controls)):
             found = f"{len(self.parts)} parts for {len(measurements)} measurements and {len(controls)} controls"
             raise InputError(f"{WHERE}: decentralised", found, "one for each channel, or Part(structure, names, names)")
-        made = [
-            Part(part, [measurements[i].name], [controls[i].name]) if isinstance(part, Structure) else part
-            for i, part in enumerate(self.parts)
-        ]
-        return _together(made, measurements, controls, dt)
+        made = list[tuple[Law, list[int], list[int]]]()
+        for i, given in enumerate(self.parts):
+            part = Part(given, y_names[i : i + 1], u_names[i : i + 1]) if isinstance(given, Structure) else given
+            y = signal_positions(part.measurements or y_names, y_names, f"{WHERE}: measurement")
+            u = signal_positions(part.controls or u_names, u_names, f"{WHERE}: control")
+            law = part.structure.law(tuple(measurements[j] for j in y), tuple(controls[j] for j in u), dt)
+            made.append((law, u, y))
+        builder = LawBuilder(sum(law.sizes[0] for law, _, _ in made), len(controls), len(measurements))
+        k, state = builder.n_states, 0
+        for number, (law, u, y) in enumerate(made, start=1):
+            own, first = range(state, state + law.sizes[0]), len(builder.parameters)
+            rows, columns = (np.array([*own, *(k + i for i in channels)], dtype=int) for channels in (u, y))
+            builder.base[rows[:, None], columns] += law.base
+            top, below = (np.where(at < 0, -1, at + first) for at in (law.top, law.below))
+            entries = (top, rows[law.row], columns[law.column], law.weight, below)
+            builder.entries += zip(*(each.tolist() for each in entries), strict=True)
+            builder.parameters += [replace(p, name=f"{number}.{p.name}") for p in law.parameters]
+            state = own.stop
+        return builder.law(max(law.dt for law, _, _ in made))
 
 
-@dataclass(frozen=True, eq=False)
-class Sum(Structure):
-    """Two structures in parallel: ``a + b``."""
-
-    first: Structure
-    second: Structure
-
-    def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
-        y, u = [s.name for s in measurements], [s.name for s in controls]
-        return _together([Part(self.first, y, u), Part(self.second, y, u)], measurements, controls, dt)
+WORDS = ("static", "p", "i", "pi", "pd", "pid", "ipd", "two-layer", "order", "poles", "decentralised")
 
 
-def _together(parts: Sequence[Part], measurements: Signals, controls: Signals, dt: float) -> Law:
-    """Return the law of parts, whose shared controls add up; parameters get the number of their part as a prefix."""
-    made = list[tuple[Law, list[int], list[int]]]()
-    for part in parts:
-        y = signal_positions(part.measurements, [s.name for s in measurements], f"{WHERE}: measurement")
-        u = signal_positions(part.controls, [s.name for s in controls], f"{WHERE}: control")
-        law = part.structure.law(tuple(measurements[j] for j in y), tuple(controls[j] for j in u), dt)
-        made.append((law, u, y))
-    builder = LawBuilder(sum(law.sizes[0] for law, _, _ in made), len(controls), len(measurements))
-    k, state = builder.n_states, 0
-    for number, (law, u, y) in enumerate(made, start=1):
-        own, first = range(state, state + law.sizes[0]), len(builder.parameters)
-        rows, columns = (np.array([*own, *(k + i for i in channels)], dtype=int) for channels in (u, y))
-        builder.base[rows[:, None], columns] += law.base
-        top, below = (np.where(at < 0, -1, at + first) for at in (law.top, law.below))
-        parts_of = (top, rows[law.row], columns[law.column], law.weight, below)
-        builder.entries += zip(*(each.tolist() for each in parts_of), strict=True)
-        builder.parameters += [replace(p, name=f"{number}.{p.name}") for p in law.parameters]
-        state = own.stop
-    return builder.law(max(law.dt for law, _, _ in made))
-
-
-def as_structure(structure: Any, rate: float) -> Structure:
-    """Return a structure from ``"static"``, ``"pid"``, an order, a mask, or a list (decentralised)."""
+def as_structure(structure: Any, plant: GeneralizedPlant) -> Structure:
+    """Return a structure from words (``"pid"``, ``"order:3"``), an order, a mask, or a list (decentralised)."""
     if isinstance(structure, Structure):
         return structure
     if isinstance(structure, str):
-        if structure.lower() == "static":
-            return StaticGain()
-        if structure.lower() in ("p", "i", "pi", "pd", "pid"):
-            return PID(structure.upper(), (0.01 / rate, 10 / rate))
-        raise InputError(
-            f"{WHERE}: structure", f"{structure!r}", '"static", "p", "i", "pi", "pd", "pid", an order, a mask'
-        )
+        return _of_words(structure, plant)
     if isinstance(structure, (int, np.integer)) and not isinstance(structure, bool):
         return StaticGain() if structure == 0 else FixedOrder(int(structure))
     if isinstance(structure, (list, tuple)) and structure and all(isinstance(s, (Structure, Part)) for s in structure):
@@ -448,18 +420,14 @@ def as_structure(structure: Any, rate: float) -> Structure:
     raise InputError(f"{WHERE}: structure", f"{type(structure).__name__}", "a Structure, a name, an order or a mask")
 
 
-WORDS = ("static", "p", "i", "pi", "pd", "pid", "ipd", "two-layer", "order", "poles", "decentralised")
-
-
-def structure_in_words(text: str, plant: GeneralizedPlant) -> Any:
-    """Return the structure of a word of a command or recipe for the channels of a plant."""
+def _of_words(text: str, plant: GeneralizedPlant) -> Structure:
     where = f"structure {text!r}"
     word, _, rest = text.strip().lower().partition(":")
     choice(where, word, WORDS)
     if word == "order":
         if not rest.isdigit() or int(rest) > 1000:
             raise InputError(where, f"{rest!r}", "a whole number from 0 to 1000: order:3")
-        return int(rest)
+        return as_structure(int(rest), plant)
     if word == "poles":
         try:
             return FixedPoles([complex(part.strip()) for part in rest.split(",")])
@@ -468,9 +436,8 @@ def structure_in_words(text: str, plant: GeneralizedPlant) -> Any:
     if word in ("ipd", "two-layer"):
         return MultichannelPID(word, choice(f"{where}: gains", rest or "full", GAINS))
     if word == "decentralised":
-        rate = common_scaling([plant])[0].rate
-        part = as_structure(structure_in_words(rest, plant), rate)
-        return Decentralised([part] * len(plant.controls))
+        return Decentralised([_of_words(rest, plant)] * plant.n_con)
     if rest:
         raise InputError(where, f"{rest!r} after {word}", "nothing")
-    return word
+    rate = common_scaling([plant])[0].rate
+    return StaticGain() if word == "static" else PID(word.upper(), (0.01 / rate, 10 / rate))

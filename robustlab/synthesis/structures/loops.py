@@ -39,13 +39,6 @@ def bilinear(loop: Realisation) -> Realisation | None:
     return Realisation(e @ (a - np.eye(n)), root * e @ b, root * c @ e, d - c @ e @ b)
 
 
-def resolvent_point(omega: float, discrete: bool) -> complex:
-    """Return the s (or z, of a loop mapped by `bilinear`) of a continuous frequency; inf allowed."""
-    if not discrete:
-        return 1j * omega
-    return -1.0 + 0j if np.isinf(omega) else (1 + 1j * omega) / (1 - 1j * omega)
-
-
 def extreme_pole(A: AnyArray, measure: Callable[[AnyArray], AnyArray]) -> tuple[complex, AnyArray, AnyArray]:
     """Return the pole with the largest ``measure(poles)``, and u, v with ``d pole = u^T dA v``."""
     from scipy.linalg import eig
@@ -240,7 +233,9 @@ class LoopFamily:
         dynamic = (np.isfinite(omegas) | self.discrete) & bool(len(a))
         parts = list[tuple[Any, Any, Any]]()
         if dynamic.any():
-            points = np.array([resolvent_point(omega, self.discrete) for omega in omegas[dynamic]])
+            points = 1j * np.minimum(omegas[dynamic], 1e15)
+            if self.discrete:
+                points = (1 + points) / (1 - points)
             try:
                 x = np.linalg.solve(points[:, None, None] * np.eye(len(a)) - a, np.hstack([b, self.B])[None] + 0j)
             except np.linalg.LinAlgError:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, dense
-from robustlab.errors import InputError
+from robustlab.checks import number
 from robustlab.norms import linf_norm
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import GeneralizedPlant, Realisation
@@ -38,10 +38,11 @@ class Limit:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            value, most = getattr(self, field.name), 1.0 if field.name == "ratio" else np.inf
-            if not 0 < value <= most or not np.isfinite(value):
-                expected = f"a positive number{f' up to {most:g}' if most < np.inf else ''}"
-                raise InputError(f"fixed structure: {type(self).__name__}: {field.name}", f"{value}", expected)
+            where, most = (
+                f"fixed structure: {type(self).__name__}: {field.name}",
+                1 if field.name == "ratio" else np.inf,
+            )
+            number(where, getattr(self, field.name), above=0, at_most=most)
 
     @property
     def text(self) -> str:
@@ -183,12 +184,7 @@ class RollOff(Limit):
 # --- the problem ------------------------------------------------------------------------------------------------------
 
 
-class Piece(NamedTuple):
-    """An active function: its value and its gradient with respect to the free parameters."""
-
-    value: float
-    gradient: AnyArray
-    limit: bool
+Piece = tuple[float, AnyArray, bool]  # an active function: value, gradient by the free parameters, whether a limit
 
 
 class DesignProblem:
@@ -225,6 +221,7 @@ class DesignProblem:
             for s, plant in zip(scalings, [*plants, *limited], strict=True)
         ]
         self.families = families[: len(self.plants)]
+        self._each = list(zip(self.families, self.kinds, strict=True))
         self.limited = [
             (limit, family)
             for limit in limits
@@ -297,45 +294,43 @@ class DesignProblem:
 
     # --- objectives --------------------------------------------------------------------------------------------------
 
-    def instability(self, v: AnyArray) -> Valued:
+    def instability(self, v: AnyArray, _: float = np.inf) -> Valued:
         """Return the largest spectral abscissa of all loops (discrete: modulus minus one) with its gradient."""
-        self.budget.spend(self._work)
-        p, slopes = self.parameters(v)
-        theta = self.theta(p)
+        p, slopes, theta = self._at(v)
         value, G = max((family.abscissa(theta) for family in self.families), key=lambda found: found[0])
         return value, None if G is None else self.by_parameters(p, G) * slopes
 
-    def violation(self, v: AnyArray) -> Valued:
+    def violation(self, v: AnyArray, _: float = np.inf) -> Valued:
         """Return the largest limit value with its gradient; infinite for an unstable loop."""
-        self.budget.spend(self._work)
-        p, slopes = self.parameters(v)
-        theta = self.theta(p)
+        p, slopes, theta = self._at(v)
         if not all(family.abscissa(theta)[0] < 0 for family in self.families):
             return np.inf, None
         worst, G = max(self.limit_values(theta), key=lambda pair: pair[0])
         return worst, self.by_parameters(p, G) * slopes if np.isfinite(worst) else None
 
+    def _at(self, v: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
+        self.budget.spend(self._work)
+        p, slopes = self.parameters(v)
+        return p, slopes, self.theta(p)
+
     def limit_values(self, theta: AnyArray) -> list[LimitAt]:
         """Return the c and the gradient of every limit and plant; an infinite c where there is no value."""
         return [limit.evaluate(family, theta, self.scaling, self.dt) for limit, family in self.limited]
 
-    def broken_limits(self, theta: AnyArray) -> list[str]:
-        """Return the violated limits in words."""
-        values = zip(self.limited, self.limit_values(theta), strict=True)
-        return [limit.text for (limit, _), (c, _) in values if c >= 0]
-
     def norms(self, p: AnyArray) -> list[float]:
         """Return the norm of every plant's loop in the plants' units; inf where unstable."""
         theta = self.theta(p)
-        return [self._one(family, kind, theta, np.inf)[0] / self.gain for family, kind in self._each()]
+        return [self._one(family, kind, theta, np.inf)[0] / self.gain for family, kind in self._each]
 
     def norm(self, v: AnyArray, give_up_above: float = np.inf, mu: float = 0.0) -> Valued:
-        """Return the largest norm of the scaled loops times a barrier of the limits, with its gradient.
+        """Return the largest norm of the scaled loops, or, with mu, its logarithm and a barrier of the limits.
 
-        The barrier is the product of all ``(-c)^-mu``; the value is infinite where a limit is violated.
+        The barrier is the sum of all ``-mu ln(-c)``; the value is infinite where a limit is violated.
         """
         p, slopes = self.parameters(v)
-        value, G = self._norm_at(p, give_up_above, mu)
+        value, G = self._norm_at(p, np.exp(give_up_above) if mu and give_up_above < 300 else give_up_above, mu)
+        if mu:
+            value, G = float(np.log(max(value, 1e-300))), None if G is None else G / max(value, 1e-300)
         return value, None if G is None else self.by_parameters(p, G) * slopes
 
     def value_at(self, q: AnyArray) -> float:
@@ -350,7 +345,7 @@ class DesignProblem:
             return np.inf, None
         barrier = float(np.prod([(-c) ** -mu for c, _ in limits]))
         worst: Valued = -np.inf, None
-        for family, kind in self._each():
+        for family, kind in self._each:
             found = self._one(family, kind, theta, give_up_above / barrier)
             if not np.isfinite(found[0]) or found[0] * barrier >= give_up_above:
                 return found[0] * barrier, None
@@ -359,9 +354,6 @@ class DesignProblem:
         if G is not None and mu:
             G = barrier * (G - mu * value * sum(by / c for c, by in limits))
         return value * barrier, G
-
-    def _each(self) -> Iterable[tuple[LoopFamily, str]]:
-        return zip(self.families, self.kinds, strict=True)
 
     def _one(self, family: LoopFamily, kind: str, theta: AnyArray, give_up_above: float) -> Valued:
         """Return a norm with its gradient."""
@@ -376,7 +368,7 @@ class DesignProblem:
         self.budget.spend(2 * self._work)
         theta = self.theta(p)
         found: list[tuple[float, AnyArray]] = []
-        for family, kind in self._each():
+        for family, kind in self._each:
             if kind == "hinf":
                 found += family.active(theta, value, 0.1, 0.02 + 0.5 * radius)
             else:
@@ -384,4 +376,4 @@ class DesignProblem:
                 found += [(norm, G)] if G is not None and norm > 0.8 * value else []
         near = [(c, G) for c, G in self.limit_values(theta) if np.isfinite(c) and c > -0.5]
         both = [(f, G, False) for f, G in found] + [(c, G, True) for c, G in near]
-        return [Piece(f, self.by_parameters(p, G), limit) for f, G, limit in both]
+        return [(f, self.by_parameters(p, G), limit) for f, G, limit in both]

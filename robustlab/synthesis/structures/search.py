@@ -25,7 +25,9 @@ STABILISE_STEPS = 300  # most steps to it
 DEEPER_STEPS, DEEP = 15, -0.5  # further steps inside, and the abscissa at which they end
 ENTRY_STEPS = 24  # steps on the norm of every start
 REFINED = 2  # number of distinct starts that are refined. More: slower, seldom better
-SHAKES, SHAKE = 2, 0.1  # further refinements of the best from near it, and their distance relative to the variables
+# Further refinements of the best from near it, and their distance relative to the variables. Without them the static
+# gains of TF3 and HE3 in COMPleib from two random starts are 15 % and 5 % worse.
+SHAKES, SHAKE = 2, 0.1
 REFINE_ROUNDS = 8
 DESCENT_STEPS = 100  # before the first round
 ROUND_LINEAR, ROUND_DESCENT = 40, 40  # steps of a round
@@ -119,10 +121,9 @@ def stabilised(problem: DesignProblem, v: AnyArray) -> tuple[AnyArray, float]:
     """Return variables that stabilise all loops and keep the limits, or the best found, and the violation."""
     value = np.inf
     for measure in (problem.instability, problem.violation)[: 2 if problem.limits else 1]:
-        function: Function = lambda x, _, measure=measure: measure(x)  # noqa: E731
         value = measure(v)[0]
         for most, below in ((STABILISE_STEPS, 10 * STABLE), (DEEPER_STEPS, DEEP)) if value >= STABLE else ():
-            v, value = bfgs(function, v, problem, most, stop_below=below) or (v, value)
+            v, value = bfgs(measure, v, problem, most, stop_below=below) or (v, value)
             if value >= STABLE:
                 break
         if value >= STABLE:
@@ -266,19 +267,19 @@ def _step(
     """Return the step within the trust region that makes the linearised pieces smallest, and their value there."""
     from scipy.optimize import linprog
 
-    top = max((p.value for p in pieces if not p.limit), default=0.0)
+    objective = np.array([not limit for _, _, limit in pieces], dtype=bool)
+    values = np.array([value for value, _, _ in pieces])
+    top = float(values[objective].max(initial=0.0))
     if not top > 0:
         return None
-    n = len(size)
-    scales = np.array([1.0 if p.limit else top for p in pieces])
-    slopes = np.array([p.gradient * size for p in pieces]) / scales[:, None]
-    rows = np.hstack([slopes, np.array([[0.0 if p.limit else -1.0] for p in pieces])])
-    heights = np.array([p.value for p in pieces]) / scales
+    n, scales = len(size), np.where(objective, top, 1.0)
+    slopes = np.array([gradient for _, gradient, _ in pieces]) * size / scales[:, None]
+    rows = np.hstack([slopes, -1.0 * objective[:, None]])
     if not np.isfinite(rows).all():
         return None
     lower, upper = np.clip(low / size, -radius, 0.0), np.clip(high / size, 0.0, radius)
     bounds = [*zip(lower, upper, strict=True), (None, None)]
-    found = linprog(np.append(np.zeros(n), 1.0), A_ub=rows, b_ub=-heights, bounds=bounds, method="highs")
+    found = linprog(np.append(np.zeros(n), 1.0), A_ub=rows, b_ub=-values / scales, bounds=bounds, method="highs")
     return (found.x[:n] * size, float(found.x[n] * top)) if found.status == 0 else None
 
 
