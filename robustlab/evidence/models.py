@@ -68,9 +68,9 @@ def ncf_claims(found: NcfSynthesis) -> list[Claim]:
 def fixed_claims(found: FixedSynthesis) -> list[Claim]:
     """Return the claims of the norm of every plant's loop; of a set of the worst-case gain."""
     if found.worst is not None:
-        if found.gamma != found.worst.upper or found.uncertain is None:
+        if found.gamma != found.worst.upper:
             return []
-        numbers = loop_numbers(found.uncertain.M, found.K)
+        numbers = loop_numbers(found.plants[0].model, found.K)
         return [
             _of_loop(claim, numbers) if claim.kind != "delay-weight" else claim for claim in gain_claims(found.worst)
         ]

@@ -188,16 +188,8 @@ def fixed_structure(
     Example: robustlab synth fixed plant.h5 --structure order:2 --measurements 1 --controls 1 --out controller.h5
     """
     P = channels.posed(system, "fixed", nominal)
-    found = rl.fixed_structure(
-<<<<<<< HEAD
-        P, structure_in_words(structure, P), starts=starts, seed=seed, progress=progress, **vars(search)
-    )
+    found = rl.fixed_structure(P, structure, starts=starts, seed=seed, progress=progress, **vars(search))
     return _design(found, system, nominal, drawn)
-=======
-        P, structure, objective=objective, starts=starts, seed=seed, progress=progress, **vars(search)
-    )
-    return _design(found, system, nominal and objective == "hinf", drawn)
->>>>>>> cd5ab5398858ccf418d592eba3a4f9a76ed2fe28
 
 
 # --- plain models -----------------------------------------------------------------------------------------------------
