@@ -128,6 +128,7 @@ RESULTS = {
     "unstable, reduced": lambda: rl.reduce_model(with_mode(rows(2, 6), 0.5), 4),
     "relative error": lambda: rl.reduce_model(rl.tf([1.0, 3.0, 2.0], [1.0, 2.0, 5.0]), 1, method="stochastic"),
     "delayed stability": lambda: rl.robust_stability((2.0 * LATE).feedback()),
+    "delayed stability of an open loop": lambda: rl.robust_stability(LATE),
     "delayed gain": lambda: rl.peak_gain((2.0 * LATE).feedback()),
     "delayed disk margin": lambda: rl.disk_margin(2.0 * LATE),
     "delayed disk margins": lambda: rl.disk_margin(*pair()),
