@@ -140,12 +140,11 @@ def _levels(blocks: Sequence[Block], level: float) -> NDArray[np.float64]:
 
 def _proved(
     blocks: Sequence[Block], found: Margin | WorstCaseGain, levels: NDArray[np.float64], size: float
-) -> list[tuple[Box, Piece]]:
+) -> list[tuple[Box, Any]]:
     """Return the boxes in which complex blocks were as large as these levels allow, or the whole set."""
     ball = np.array([b.interval is None for b in blocks], dtype=bool)
     large = [(box, piece) for box, piece in found.boxes if (box.half[ball] * levels[ball] >= 1 - SAME).all()]
-    pieces: Sequence[Any] = found.proof
-    return large or [(root_box(blocks, size), piece) for piece in pieces]
+    return large or [(root_box(blocks, size), piece) for piece in found.proof]
 
 
 def _boxes(
