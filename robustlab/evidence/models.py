@@ -252,5 +252,5 @@ def _inside(model: StateSpaceModel, centre: StateSpaceModel, weight: StateSpaceM
     return Claim("loop-norm", {**numbers, "gamma": np.array(level), **norm_matrix(loop, level, size, numbers)})
 
 
-def _diagonal(*parts: Array) -> Any:
+def _diagonal(*parts: Any) -> Any:
     return block_diag(*parts)
