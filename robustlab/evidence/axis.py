@@ -92,7 +92,7 @@ def margin_claims(found: Margin) -> list[Claim]:
         level = ABOVE / found.lower
         if found.boxes or not _symmetric(blocks):
             levels = _levels(blocks, level)
-            proved = _large_enough(blocks, found.boxes, levels) or _whole_box(blocks, found.lower, found.proof)
+            proved = _proved(blocks, found, levels, found.lower)
             claims.append(Claim("mu-boxes", {**common, **_boxes(blocks, proved, 1 / level, at), "level": levels}))
         else:
             scalings = joined_scalings(model, blocks, found.proof, at)
@@ -116,7 +116,7 @@ def gain_claims(found: WorstCaseGain) -> list[Claim]:
     numbers: Numbers = {**model_numbers(uncertain.M), "blocks": block_rows(blocks), "gamma": gamma}
     if found.boxes or not _symmetric(blocks):
         levels = np.append(np.ones(len(blocks) - 1), gamma)
-        proved = _large_enough(blocks, found.boxes, levels) or _whole_box(blocks, 1.0, found.proof)
+        proved = _proved(blocks, found, levels, 1.0)
         claim = Claim("worst-gain-boxes", {**numbers, **_boxes(blocks, proved, 1.0, at)})
     else:
         claim = Claim("worst-gain", {**numbers, **interval_scalings(found.proof, at)})
@@ -137,17 +137,13 @@ def _levels(blocks: Sequence[Block], level: float) -> NDArray[np.float64]:
     return np.array([1.0 if b.interval else level for b in blocks])
 
 
-def _large_enough(
-    blocks: Sequence[Block], proved: Sequence[tuple[Box, Piece]], levels: NDArray[np.float64]
-) -> list[tuple[Box, Piece]]:
-    """Select the boxes in which complex blocks were as large as these levels allow."""
+def _proved(
+    blocks: Sequence[Block], found: Margin | WorstCaseGain, levels: NDArray[np.float64], size: float
+) -> list[tuple[Box, Any]]:
+    """Return the boxes in which complex blocks were as large as these levels allow, or the whole set."""
     ball = np.array([b.interval is None for b in blocks], dtype=bool)
-    return [(box, piece) for box, piece in proved if (box.half[ball] * levels[ball] >= 1 - SAME).all()]
-
-
-def _whole_box(blocks: Sequence[Block], size: float, proof: Sequence[Any]) -> list[tuple[Box, Piece]]:
-    box = root_box(blocks, size)
-    return [(box, piece) for piece in proof]
+    large = [(box, piece) for box, piece in found.boxes if (box.half[ball] * levels[ball] >= 1 - SAME).all()]
+    return large or [(root_box(blocks, size), piece) for piece in found.proof]
 
 
 def _boxes(

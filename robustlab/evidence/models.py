@@ -140,7 +140,7 @@ def _difference(found: ReducedModel, norm: HinfNorm) -> list[Claim]:
     full, small, level = found.full, found.model, above(norm.upper)
     numbers: Numbers = {**matrices(full, "{}1"), **matrices(small, "{}2"), "dt": np.array(float(full.dt))}
     B, C = np.vstack([full.B, small.B]), np.hstack([full.C, -small.C])
-    error = StateSpaceModel(block_diag(full.A, small.A), B, C, full.D - small.D, full.dt)
+    error = StateSpaceModel(_diagonal(full.A, small.A), B, C, full.D - small.D, full.dt)
     if error.is_stable():
         proof = norm_matrix(error, level, norm.upper)
         return [Claim("difference-norm", {**numbers, "gamma": np.array(level), **proof})]
@@ -246,8 +246,8 @@ def _inside(model: StateSpaceModel, centre: StateSpaceModel, weight: StateSpaceM
     s = math.copysign(2.0 ** round(math.log2(abs(d))), d)
     one = np.eye(m)
     A_w, B_w, C_w = (np.kron(one, X) for X in (weight.A, weight.B, weight.C))
-    A, k = block_diag(model.A, centre.A, A_w), len(A_w)
-    B = np.vstack([block_diag(model.B, centre.B), np.hstack([B_w, np.zeros((k, m))])])
+    A, k = _diagonal(model.A, centre.A, A_w), len(A_w)
+    B = np.vstack([_diagonal(model.B, centre.B), np.hstack([B_w, np.zeros((k, m))])])
     C = np.block([[model.C, -centre.C, np.zeros((p, k))], [np.zeros((m, n)), -C_w]])
     D = np.block([[np.zeros((p, m)), model.D, -centre.D], [one, (s - d) * one, np.zeros((m, m))]])
     P = StateSpaceModel(A, np.hstack([np.zeros((n + k, m)), B]), C, D, model.dt)
@@ -258,3 +258,7 @@ def _inside(model: StateSpaceModel, centre: StateSpaceModel, weight: StateSpaceM
     level = 1.0 if size < 1.0 else above(size)
     numbers = loop_numbers(P, K)
     return Claim("loop-norm", {**numbers, "gamma": np.array(level), **norm_matrix(loop, level, size, numbers)})
+
+
+def _diagonal(*parts: Any) -> Any:
+    return block_diag(*parts)

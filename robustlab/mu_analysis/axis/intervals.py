@@ -311,7 +311,7 @@ def _pieces_of_all_blocks(model: StateSpaceModel, blocks: Sequence[Block], piece
     # M is block triangular in these parts. With D of each part times 2^(-64 k), k its depth, the coupling between parts
     # is negligible; a block in no cycle has the identity.
     whole = tuple(range(len(blocks)))
-    if all(p.members is None or p.members == whole for p in pieces):
+    if pieces and all(p.members is None or p.members == whole for p in pieces):
         return list(pieces)
     acts = acting(model, blocks)
     counted = np.arange(len(acts)) >= model.n_states

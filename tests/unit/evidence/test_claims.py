@@ -127,6 +127,7 @@ RESULTS = {
     "reduced before a weight": lambda: rl.reduce_model(rows(2, 6), 3, output_weight=OUT),
     "unstable, reduced": lambda: rl.reduce_model(with_mode(rows(2, 6), 0.5), 4),
     "delayed stability": lambda: rl.robust_stability((2.0 * LATE).feedback()),
+    "delayed stability of an open loop": lambda: rl.robust_stability(LATE),
     "delayed gain": lambda: rl.peak_gain((2.0 * LATE).feedback()),
     "delayed disk margin": lambda: rl.disk_margin(2.0 * LATE),
     "delayed disk margins": lambda: rl.disk_margin(*pair()),
