@@ -26,10 +26,10 @@ from robustlab.linear_analysis import slicot
 from robustlab.linear_analysis.matrices import balancing_exponents, care, dare, judged_afterwards, lyapunov
 from robustlab.norms.bilinear_map import bilinear_to_continuous
 from robustlab.statespace import StateSpaceModel, lower_lft
-from robustlab.verification.balls import Matrix, exact, identity, inverse, midpoints, precision
+from robustlab.verification.balls import Matrix, exact, identity, inverse, midpoints, precision, radii
 from robustlab.verification.checker import check
 from robustlab.verification.claim import Claim, Outcome
-from robustlab.verification.models import Model, model_of
+from robustlab.verification.models import Model, model_of, on_the_axis, shifted
 
 Numbers = dict[str, NDArray[Any]]
 
@@ -141,6 +141,23 @@ def _refined(claim: Claim, X: Array, t: Array, gamma: float, room: float) -> tup
             if np.abs(step).max() <= SMALL * np.abs(X).max():
                 break
         return _in_doubles(P)
+
+
+def gain_in_balls(model: StateSpaceModel, omega: float) -> float:
+    """Compute ``sigma_max`` at a finite frequency in rad/s in extended precision; 0 if even that has no digits."""
+    with precision(BITS):
+        G = model_of(Claim("", model_numbers(model)))
+        mapped = on_the_axis(G) if G.dt else G
+        if mapped is None:
+            return 0.0
+        at = np.tan(omega * G.dt / 2) if G.dt else omega
+        try:
+            response = mapped.D + mapped.C * shifted(mapped, at).solve(exact(np.eye(G.n, dtype=complex)) * mapped.B)
+        except ZeroDivisionError:
+            return 0.0
+        if midpoints(radii(response)).max(initial=0.0) > 1e-12 * np.abs(midpoints(response)).max(initial=0.0):
+            return 0.0
+        return float(np.linalg.norm(midpoints(response), 2)) * (1 - 1e-11)
 
 
 def gramian_matrix(model: StateSpaceModel, value: float, level: float, numbers: Numbers) -> Numbers:

@@ -3,7 +3,8 @@ r"""H-infinity and L-infinity norm as a proved bracket: AB13DD finds the peak, o
 ``sigma_max(G(jw)) = g`` for some w if and only if the Hamiltonian H(g) has the eigenvalue jw. The imaginary part of
 every eigenvalue counts as a candidate crossing, without a tolerance on its real part, and ``sigma_max`` is evaluated at
 all of them and between each two: if none exceeds the level, it is an upper bound; else the largest is the next lower
-bound, which also finds the peaks that AB13DD misses. The level is as far above the peak as rounding requires.
+bound, which also finds the peaks that AB13DD misses. The level is as far above the peak as rounding requires; if that
+is too far, ball arithmetic decides.
 
 References
 ----------
@@ -29,7 +30,7 @@ from robustlab.linear_analysis.frequency import modes_apart, solved_response
 from robustlab.linear_analysis.matrices import balanced_eigenvalues, balancing_factors, lapack, refuse_extremes
 from robustlab.linear_analysis.zeros import exactly_on_boundary, exactly_stable
 from robustlab.norms.bilinear_map import bilinear_to_continuous
-from robustlab.norms.claims import above, band_scalings, model_numbers, norm_matrix
+from robustlab.norms.claims import above, band_scalings, gain_in_balls, model_numbers, norm_matrix
 from robustlab.result import Bracket, Status
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.verification.claim import Claim
@@ -92,6 +93,9 @@ QUIET, LOSSY = 1e-9, 1e-3
 MARGIN = 10.0
 # Most levels, and frequencies next to poles at which rounding is computed besides the peak.
 LEVELS, NEAR_POLES = 60, 3
+# A doubtful bracket, or one wider than the first share, is proved in ball arithmetic up to so many states: 0.1 s.
+WIDE, BALL_STATES = 1e-4, 40
+SHARES = (1e-5, 1e-4, 5e-4, 1e-3)  # of the norm, by which levels in ball arithmetic exceed it
 Band = tuple[float, float]
 Infinite = Callable[[StateSpaceModel], "HinfNorm | None"]  # the bracket of an infinite norm, or None
 
@@ -101,7 +105,7 @@ class HinfNorm(PeakGain):
     """H-infinity norm of a model, or its peak gain over the axis or a band, with its evidence.
 
     ``lower`` is ``sigma_max`` of the given model at ``frequency``; ``upper`` a level that no singular value crosses, by
-    the Hamiltonian test. Where rounding may move the gain at the peak by more than 1e-9 of it,
+    the Hamiltonian test or in ball arithmetic. Where rounding may move the gain at the peak by more than 1e-9 of it,
     both are that much further out; if the norm is zero up to rounding, ``lower`` is 0 and ``upper`` the rounding bound.
     The status is INACCURATE where rounding decides the sign of a pole or a level test.
     """
@@ -174,6 +178,9 @@ def _norm_of(m: StateSpaceModel, rtol: float, infinite: Infinite, band: Band | N
             again = _bracket(apart, rtol, band)
             if again.status is Status.CERTIFIED or again.upper - again.lower < found.upper - found.lower:
                 found = again
+        wide = found.status is not Status.CERTIFIED or 0 < found.lower < found.upper * (1 - max(2 * rtol, WIDE))
+        if wide and infinite is unstable_norm:
+            found = _in_balls(m, found, rtol)
     return replace(found, system=m)
 
 
@@ -244,6 +251,18 @@ def _level_test(s: StateSpaceModel, rtol: float, band: Band | None) -> tuple[flo
         omega = crossings(s, level, band)
         gains = largest_gains(s, omega)
     return lower, at, level, error, size, False
+
+
+def _in_balls(m: StateSpaceModel, found: HinfNorm, rtol: float) -> HinfNorm:
+    """Return the norm if ball arithmetic proves a level just above the gain at the peak; else ``found``."""
+    if m.n_states > BALL_STATES or not np.isfinite(found.upper) or not np.isfinite(found.frequency):
+        return found
+    gain = gain_in_balls(m, found.frequency)
+    shares = [rtol, *(s for s in SHARES if s > rtol and (1 + s) * gain < found.upper)] if gain else []
+    for share in shares if found.status is Status.CERTIFIED else shares[:1]:
+        if norm_matrix(m, (1 + share) * gain, gain):
+            return HinfNorm(gain, (1 + share) * gain, found.frequency, Status.CERTIFIED)
+    return found
 
 
 def _mapped_band(band: Band, dt: float, rate: float) -> Band:
