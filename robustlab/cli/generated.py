@@ -212,8 +212,7 @@ def _values(chosen: Operation, given: Mapping[str, Any], shared: Mapping[str, An
         if isinstance(p.kind, (Thing, TextFile)):
             value = _read(p, given[p.name], shared, files, found)
         elif isinstance(p.kind, Table) and p.kind.of in things:
-            units = units_of(found.get(things[p.kind.of].name), p.kind.side)
-            value = p.kind.read(p.options[0], given[p.name], units)
+            value = p.kind.read(p.options[0], given[p.name], units_of(found.get(things[p.kind.of].name), p.kind.side))
         else:
             value = p.kind.read(p.options[0], given[p.name])
         if value is not None or p.needed:  # else the function's own default

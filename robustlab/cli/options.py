@@ -112,5 +112,5 @@ def units_of(system: Any, side: str) -> dict[str, str]:
     """Return the units of the parameters of a plant, or of all signals of a plant or model; none of anything else."""
     if side == "parameters":
         return {p.name: p.unit for p in getattr(system, "parameters", {}).values()}
-    every = (s for side in ("inputs", "outputs", "states") for s in getattr(system, side, ()))
-    return {s.name: s.unit for s in every if hasattr(s, "unit")}
+    sides = (getattr(system, name, ()) for name in ("inputs", "outputs", "states"))
+    return {s.name: s.unit for signals in sides for s in signals if hasattr(s, "unit")}
