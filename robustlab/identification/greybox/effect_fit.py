@@ -31,7 +31,6 @@ LEAST_DAMPING = 1e-10
 TRIES = 8  # damped steps before a fit stops
 MOST_FALL = 2.0  # times the expected fall of V: the largest fall that a fit may still reach
 LONGEST_STEP = 2.0  # of a standardised parameter
-LINEAR = 0.1  # largest share by which a fall may differ from the expected one for the derivatives to be used again
 # Change of a parameter, in standard deviations, up to which a fit reuses the matrices of a nonlinear plant: they
 # multiply only deviations from the motion, and are recomputed at the end of the fit.
 NEAR = 0.5
@@ -471,13 +470,10 @@ class Problem:
         def exact(there: _Place) -> _Place:
             return there if self._distance(there) == 0.0 else at(there.z, there.xi, there.z)
 
-        damping, rounds, linear = DAMPING, plan.iterations, False
-        here, parts = at(z, xi, z), list[Linearised]()
+        damping, rounds = DAMPING, plan.iterations
+        here = at(z, xi, z)
         while True:
-            if linear:
-                parts = [p.with_residual(r, x) for p, r, x in zip(parts, here.residual, here.xi, strict=True)]
-            else:
-                parts = [self._linearised(k, hypothesis, here, quick[k], noise, fixed) for k in range(len(xi))]
+            parts = [self._linearised(k, hypothesis, here, quick[k], noise, fixed) for k in range(len(xi))]
             hessian = own.precision + sum(p.reduced(0.0).hessian for p in parts)
             fall = self._expected(own.gradient(here.z), hessian, parts, fixed)
             if (rounds <= 0 or fall < tolerance) and self._distance(here) > 0.0:
@@ -498,7 +494,7 @@ class Problem:
                     damping = max(0.1 * damping, LEAST_DAMPING)
                     break
                 damping = max(damping, DAMPING) * 10.0
-            rounds, linear = rounds - 1, abs(improved - fall) < LINEAR * fall
+            rounds -= 1
             if improved < max(tolerance, RELATIVE * here.cost):
                 break
         here = exact(here)

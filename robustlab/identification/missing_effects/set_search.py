@@ -194,7 +194,6 @@ class _Search:
     noise: NoiseModel = field(init=False)
     noise_known: bool = False
     near: bool = False  # whether the best set leaves little beyond the sensor noise
-    level: float = -math.inf  # evidence of the fit that determined the noise
 
     def run(self) -> Found:
         self.noise = first_noise(self.problem)
@@ -313,7 +312,7 @@ class _Search:
         pool = [c for c in self.pool if KIND_OF.get(c.effect.id) == kind and c.site == there.site and c != there]
         pool = [c for c in pool if may_be_added(c, less.hypothesis)]
         pool = [c for c in pool if key_of(less.hypothesis) | {c.key} not in self.visited]
-        plan = FitPlan(tuning.FULL, 0.05, ceiling=self.best.fit.cost + 2.0 * tuning.FAR_BEHIND)
+        plan = FitPlan(tuning.FULL, 0.05)
         for start in promising(self.problem, less, pool, 0.0, lambda done, expected: None):
             self._keep(self.problem.fit(start.hypothesis, self.noise, start.z, fit.starts, plan))
 
@@ -329,15 +328,10 @@ class _Search:
         ceiling = min(base.cost - 2.0 * PROMISING, best.cost + 2.0 * tuning.FAR_BEHIND)
         pool = [c for c in self.pool if may_be_added(c, base.hypothesis)]
         starts = promising(self.problem, base, pool, base.cost - ceiling, report)
-        fallen: dict[str, float] = {}
         for done, start in enumerate(starts, 1):
-            name = start.candidate.key
-            if self.noise_known and start.score <= fallen.get(name, 0.0):
-                continue  # a second start promises no more than the first one has reached
             most = np.inf if start.candidate.effect.gain_like else ceiling
             plan = FitPlan(tuning.FULL if self.noise_known else ROUGH, 0.05, ceiling=most)
             fit = self.problem.fit(start.hypothesis, self.noise, start.z, base.starts, plan)
-            fallen[name] = max(fallen.get(name, 0.0), base.cost - fit.cost)
             self._keep(fit)
             self.progress(done, len(starts), f"full fits of what could be added to {text}")
         self.expanded.add(key)
@@ -360,9 +354,7 @@ class _Search:
 
     def _scored(self, fit: Fit) -> Scored:
         held, price = in_phase(self.held, fit, self.problem.records)
-        # Far behind on the fitted windows, a set needs no second fit to the held-out ones.
-        known = self.near and fit.evidence > self.level - tuning.FAR_BEHIND
-        seen = predictive(held, fit, self.noise) if known else as_fitted(held, fit, self.noise)
+        seen = predictive(held, fit, self.noise) if self.near else as_fitted(held, fit, self.noise)
         return Scored(fit, log_prior(fit.hypothesis), seen - price, self.allowed(self.problem, fit))
 
     def _white(self, fit: Fit) -> bool:
@@ -385,10 +377,8 @@ class _Search:
         self.noise = self._noise_of(leader)
         ordered = sorted(self.visited.values(), key=lambda v: (v.allowed, v.evidence), reverse=True)[:BEAM]
         kept = {v.key: v.fit for v in ordered} | {Key(): self.visited[Key()].fit, key_of(leader.hypothesis): leader}
-        fits = {key: self._refitted_set(fit) for key, fit in kept.items()}
-        self.level = fits[key_of(leader.hypothesis)].evidence
         # In one assignment, since the user may interrupt the search at any time.
-        self.visited = {key: self._scored(fit) for key, fit in fits.items()}
+        self.visited = {key: self._scored(self._refitted_set(fit)) for key, fit in kept.items()}
         self.expanded = set()
 
     def _out_of_minimum(self, fit: Fit) -> Fit:
@@ -418,7 +408,6 @@ class Start:
     candidate: Candidate
     hypothesis: Hypothesis
     z: Array
-    score: float = 0.0
 
 
 def promising(
@@ -440,7 +429,7 @@ def promising(
     for key in (*first, *further):
         own = [k for k in order if jobs[k].candidate.key == key]
         second = [k for k in own if AS_GOOD * scores[own[0]] < scores[k] < ALIKE * scores[own[0]]]
-        found += [replace(jobs[k], score=scores[k]) for k in (own[0], *second[:1])]
+        found += [jobs[k] for k in (own[0], *second[:1])]
     return found
 
 
