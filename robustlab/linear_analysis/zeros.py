@@ -108,6 +108,20 @@ def determinant(M: Array, n: int) -> tuple[fmpz_poly, int]:
     return fmpz_poly([x - modulus if 2 * x > modulus else x for x in c.coeffs()]), -shift
 
 
+def normal_rank(M: Array, n: int) -> int:
+    """Find the rank of ``M - s E`` at almost every s; M of any shape, exact except for three unlucky primes."""
+    from flint import fmpz_mat, nmod_mat
+
+    if not M.size:
+        return 0
+    rows, weights, _ = _whole(M, n)
+    p, q = M.shape
+    whole = fmpz_mat(p, q, [x for row in rows for x in row])
+    for i in range(n):
+        whole[i, i] -= weights[i] * POINT
+    return max(nmod_mat(whole, _prime(i)).rank() for i in range(FEW))
+
+
 def wired(blocks: Iterable[Block], J: Array) -> tuple[Array, int]:
     """Return M and n, for `determinant`, of `Block` models wired by signals, with the part J in their own rows."""
     blocks = list(blocks)
@@ -247,6 +261,7 @@ DECIDED = 0.1
 # ... unless it moves by less than this share of the fastest pole: then it lies at zero.
 STILL = 1e-9
 RESIDUAL = 1e-8  # smallest singular value of P(s) at a zero, relative to P, for working precision
+NEARLY = 1e-13  # share of the largest singular value of P(s) below which one counts as zero for the rank
 # A mode is hidden if [A - s I, B] or [A - s I; C], rows and columns of size one, is this near to losing rank.
 HIDDEN = 1e-13
 
@@ -361,22 +376,21 @@ def transmission_zeros(model: Any, *, complete: bool = False) -> ComplexArray:
 def _found(m: StateSpaceModel) -> tuple[ComplexArray, int, str]:
     """Find the zeros by rising modulus, the normal rank, and a reason why there may be others."""
     refuse_extremes(m, "zeros")
-    S, n, reason = system_matrix(m), m.n_states, ""
-    values, rank = slicot.invariant_zeros(m.A, m.B, m.C, m.D)
-    if n and m.n_inputs == m.n_outputs and n <= MOST_STATES:
+    S, n, rank = system_matrix(m), m.n_states, _rank_within_rounding(m)
+    exactly = normal_rank(S, n) - n if n <= MOST_STATES else rank
+    rank = min(rank, exactly)
+    reason = f"the normal rank is {exactly}, and {rank} to within rounding of the entries" if rank < exactly else ""
+    if n and rank == m.n_inputs == m.n_outputs and n <= MOST_STATES:
         try:
-            polynomial = determinant(S, n)[0]
+            found = [root.value for root in roots(determinant(S, n)[0]) for _ in range(root.multiplicity)]
         except NoTrustworthyNumber as error:
-            return values, rank, error.found
-        if polynomial and rank < m.n_inputs:
-            reason = f"the normal rank is {m.n_inputs}, and {rank} to within rounding of the entries"
-        elif polynomial:
-            found = [root.value for root in roots(polynomial) for _ in range(root.multiplicity)]
-            values = np.array(sorted(found, key=lambda z: (abs(z), z.imag)), dtype=complex)
-            fastest = float(np.abs(m.poles()).max(initial=0.0))
-            while len(values) and abs(values[-1]) > fastest and _decided_by_rounding(S, n, complex(values[-1]), 0.0):
-                values = values[:-1]
-    return values, rank, reason
+            return slicot.invariant_zeros(m.A, m.B, m.C, m.D)[0], rank, error.found
+        values = np.array(sorted(found, key=lambda z: (abs(z), z.imag)), dtype=complex)
+        fastest = float(np.abs(m.poles()).max(initial=0.0))
+        while len(values) and abs(values[-1]) > fastest and _decided_by_rounding(S, n, complex(values[-1]), 0.0):
+            values = values[:-1]
+        return values, rank, reason
+    return slicot.invariant_zeros(m.A, m.B, m.C, m.D)[0], rank, reason
 
 
 def _pencil(S: Array, s: complex, n: int) -> ComplexArray:
@@ -393,6 +407,20 @@ def _singular_values(P: ComplexArray, size: Array) -> Array:
     """Return the singular values of P with rows and columns scaled by powers of two, from ``size``."""
     r, c = equilibrating_exponents(size)
     return np.linalg.svd(_times_power(P, r[:, None] + c), compute_uv=False)
+
+
+def _rank_within_rounding(m: StateSpaceModel) -> int:
+    """Return the largest rank of the transfer matrix, up to NEARLY, at points in the range of its dynamics."""
+    S, n, best = system_matrix(m), m.n_states, 0
+    size = np.append(np.abs(m.poles()), np.abs(m.A).max(initial=0.0))
+    size = size[size > 0]
+    low, high = (size.min(), size.max()) if len(size) else (1.0, 1.0)
+    for s in np.geomspace(low, high, 5) * 1.37 * np.exp(1.1j):
+        sigma = _singular_values(_pencil(S, s, n), _pencil(np.abs(S), -abs(s), n).real)
+        best = max(best, int((sigma > NEARLY * sigma.max(initial=0.0)).sum()) - n)
+        if best == min(m.n_inputs, m.n_outputs):
+            break
+    return best
 
 
 def _tested(S: Array, z: complex, n: int, rank: int) -> tuple[str, float]:

@@ -187,8 +187,6 @@ def _candidates(
         norm = np.concatenate([norm, _singular_sizes(M[owner], layout, more, 1e-8)])
     chosen = smallest(of, norm, CHOSEN)
     of, sharp = of[chosen], sharpened(M[of[chosen]], layout, delta[chosen])
-    if smooth:  # descent gains less than 1e-4 there
-        return of, sharp
     best = smallest(of, _singular_sizes(M[of], layout, sharp, 1e-10), DESCENDING)
     lower = sharpened(M[of[best]], layout, _descended(M[of[best]], layout, sharp[best]))
     return np.concatenate([of, of[best]]), np.concatenate([sharp, lower])
@@ -329,8 +327,9 @@ def _null_directions(
     loop = np.eye(M.shape[1]) - M @ delta
     try:
         inverse = np.linalg.inv(loop)
-    except np.linalg.LinAlgError:  # one is exactly singular
-        inverse = np.linalg.inv(loop + 1e-14 * (1 + np.abs(loop).max()) * np.eye(M.shape[1]))
+    except np.linalg.LinAlgError:  # one is exactly singular; unequal shifts leave no structure in which it stays so
+        size = 1 + np.abs(loop).max(axis=(1, 2), keepdims=True)
+        inverse = np.linalg.inv(loop + 1e-14 * size * np.diag(1 + 0.1 * np.arange(M.shape[1])))
     x, grown = unit_rows((inverse @ x[..., None])[..., 0], x)
     y, _ = unit_rows((np.conj(y)[:, None, :] @ inverse)[:, 0].conj(), y)
     return x, y, 1 / grown
