@@ -339,7 +339,7 @@ def _nominal(plant: Any) -> Any:
 
 
 REDUCED: Any = {
-    "result": "synthesis.reduction.reduced_model.ReducedModel", "gives": "model", "made": "model", "infer": "of"
+    "result": "synthesis.reduction.model_reduction.ReducedModel", "gives": "model", "made": "model", "infer": "of"
 }  # fmt: skip
 
 

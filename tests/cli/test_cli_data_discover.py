@@ -98,7 +98,7 @@ def test_options_reach_the_search(files, answer, real):
     assert asked["held_out"] is None
     assert asked["plant"].values["M"] == 100.0
     assert asked["tolerances"] == {"M": 0.2, "Fv": 0.5}
-    assert asked["exclude"] == ("backlash",)
+    assert list(asked["exclude"]) == ["backlash"]
     assert asked["window"] == 0.3
 
 

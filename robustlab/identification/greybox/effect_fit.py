@@ -201,10 +201,12 @@ class Linearised:
     @classmethod
     def of(cls, residual: Array, j: Array, x: Array, xi: Array) -> Linearised:
         """Form the products from residuals (n_windows, n_points) and their derivatives; xi (n_windows, n_x)."""
-        xt, flat = np.swapaxes(x, 1, 2), j.reshape(residual.size, j.shape[2])  # -1 fails without parameters
-        none = np.zeros(0)
-        made = cls(flat.T @ flat, none, xt @ x + np.eye(x.shape[2]), xt @ j, none, none, j, x)
-        return made.with_residual(residual, xi)
+        xt = np.swapaxes(x, 1, 2)
+        flat = j.reshape(residual.size, j.shape[2])  # -1 fails without parameters
+        return cls(
+            flat.T @ flat, flat.T @ residual.ravel(), xt @ x + np.eye(x.shape[2]), xt @ j,
+            (xt @ residual[:, :, None])[:, :, 0] + xi, np.einsum("wmz,wm->wz", j, residual), j, x,
+        )  # fmt: skip
 
     def with_residual(self, residual: Array, xi: Array) -> Linearised:
         """Replace the residuals, at the initial states xi."""
@@ -515,8 +517,10 @@ class Problem:
         if fixed:
             return fall
         gradient = slope + sum(r.gradient for r in reduced)
-        # Least squares: the prior may be below rounding.
-        return fall + float(gradient @ np.linalg.lstsq(hessian, gradient)[0])
+        try:
+            return fall + float(gradient @ np.linalg.solve(hessian, gradient))
+        except np.linalg.LinAlgError:  # the prior is below rounding
+            return fall + float(gradient @ np.linalg.pinv(hessian, hermitian=True) @ gradient)
 
     def _within(self, z: Array) -> Array:
         return np.clip(z, -FARTHEST, FARTHEST)
