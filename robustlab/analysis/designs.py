@@ -22,9 +22,7 @@ CLOSE = 1e-3  # relative distance of the bounds of a gap that counts as converge
 
 
 @overload
-def hinf(  # pyright: ignore[reportOverlappingOverload]
-    P: LPVModel, n_meas: int | None = None, n_con: int | None = None, **options: Any
-) -> LPVSynthesis: ...
+def hinf(P: LPVModel, n_meas: int | None = None, n_con: int | None = None, **options: Any) -> LPVSynthesis: ...
 @overload
 def hinf(
     P: Any,

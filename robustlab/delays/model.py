@@ -538,7 +538,8 @@ def _shifts(delays: list[tuple[float, float]], dt: float) -> StateSpaceModel:
 def delayed_response(model: DelayedModel, t: Array, u: Array, x0: Array, hold: Hold, rtol: float) -> Array:
     """Return the outputs (n, n_y) at the times t for samples u (n, n_u), from the state x0 of H, with empty delays."""
     H, n = model.H, len(model.delays)
-    moving = np.vstack([H.B, H.D[:n]])[:, :n].any(axis=0)  # the delays whose output enters a state or another delay
+    # the delays whose output enters a state or another delay
+    moving: Mask = np.asarray(np.vstack([H.B, H.D[:n]])[:, :n].any(axis=0))
     inner = (moving & np.hstack([H.C[:n], H.D[:n, :n]]).any(axis=1)).any()  # some signal in them is no polynomial
     mesh = _mesh(model, t, moving, PASSES if inner else 1)
     if not inner:
@@ -570,7 +571,7 @@ def _mesh(model: DelayedModel, t: Array, moving: Mask, most: int) -> Array:
     """Return all samples, their delayed times, and for each sample the earlier times of delayed outputs."""
     end, n, later = t[-1], len(moving), np.unique(model.delays[moving])
     points = new = t
-    echoes = bool(model.H.D[:n, :n][np.ix_(moving, moving)].any())  # jumps that no state smooths recur without end
+    echoes = bool(model.H.D[:n, :n][moving][:, moving].any())  # jumps that no state smooths recur without end
     passes = 0
     while len(new) and (passes < most or echoes):
         passes += 1

@@ -16,7 +16,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any, ClassVar, Literal, get_args, overload
+from typing import Any, ClassVar, Literal, cast, get_args, overload
 
 import numpy as np
 
@@ -66,13 +66,13 @@ def by_formula(model: Any, dt: float, method: str, prewarp: float | None = None)
         raise InputError(WHERE, f"prewarp is {prewarp:g} rad/s", expected)
     if method in ("tustin", "tustin-prewarp"):
         bent = bilinear_to_discrete(m, 2 * float(np.tan(prewarp * dt / 2)) / prewarp if prewarp else dt)
-        made: Any = bent.A, bent.B, bent.C, bent.D
+        A, B, C, D = bent.A, bent.B, bent.C, bent.D
     else:  # by one matrix exponential; the state of `foh` is x_k less its part from u_k
         from scipy.signal import cont2discrete
 
         with np.errstate(over="ignore", invalid="ignore"):
-            made = cont2discrete((m.A, m.B, m.C, m.D), dt, method=method)[:4]
-        if not (np.isfinite(made[0]).all() and np.isfinite(made[1]).all()):
+            A, B, C, D, _ = cast("Any", cont2discrete((m.A, m.B, m.C, m.D), dt, method=method))
+        if not (np.isfinite(A).all() and np.isfinite(B).all()):
             fastest = m.spectral_abscissa()
             found = f"e^(A dt) overflows: a pole at {fastest:.6g} 1/s grows too much in dt = {dt:g} s"
             if fastest < 0:
@@ -80,7 +80,7 @@ def by_formula(model: Any, dt: float, method: str, prewarp: float | None = None)
                 found = f"e^(A dt) overflows on its way: rates up to {rate:.3g} 1/s in dt = {dt:g} s"
             raise NoTrustworthyNumber(f"discretise ({method})", found)
     at = m.operating_point if method == "zoh" else None
-    return StateSpaceModel(*made, dt, m.inputs, m.outputs, m.states, at, where=f"discretise ({method})")
+    return StateSpaceModel(A, B, C, D, dt, m.inputs, m.outputs, m.states, at, where=f"discretise ({method})")
 
 
 # --- back to continuous time, and to another sample time --------------------------------------------------------------

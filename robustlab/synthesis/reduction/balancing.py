@@ -262,9 +262,10 @@ def way_of(full: StateSpaceModel, method: str, weights: Weights = (None, None), 
         full = least.model if unstable else full
         factors = coprime_factors(*continuous_models(full)).right
         nothing = StateSpaceModel([], [], [], 0 * full.D, full.dt)
-        removed = (lost_at_least_order(least), least.hidden) if unstable else ()
         balancing = Balancing.of(*gramian_factors(factors))
-        split = SplitModel(full, nothing, *removed)
+        split = SplitModel(full, nothing)
+        if unstable:
+            split = SplitModel(full, nothing, lost_at_least_order(least), least.hidden)
         return Way(method, split, factors, factors, balancing)
     split = split_stable(full)
     stable = split.stable

@@ -179,7 +179,7 @@ def reduce_controller(
     if scalings is None and measure in (None, "mu"):
         scalings = getattr(design_or_plant, "scalings", None)
         if getattr(scalings, "mixed", False):  # they include G, and bound no norm
-            scalings, blocks = None, design_or_plant.blocks if blocks is None else blocks
+            scalings, blocks = None, vars(design_or_plant)["blocks"] if blocks is None else blocks
     norm = "h2" if getattr(design_or_plant, "method", "") == "h2" else "hinf"
     name = measure or ("mu" if scalings is not None or blocks is not None else norm)
     judge = make_measure(plant, name, blocks, scalings, WHERE, budget)

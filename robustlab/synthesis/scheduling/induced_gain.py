@@ -152,7 +152,9 @@ def gain_from(
         start = max(optimum, lower, SMALLEST / unit)
         for backoff in GAIN_BACKOFFS:
             _, P, text = solve(start * (1 + backoff))
-            levels = () if P is None or not np.isfinite(P).all() else (start * (1 + share) for share in LEVELS)
+            if P is None or not np.isfinite(P).all():
+                continue
+            levels = (start * (1 + share) for share in LEVELS)
             upper = next((level for level in levels if holds(gain_claim(model, P, level))), None)
             if upper is not None:
                 status = Status.CONVERGED if model.known == SAMPLED else Status.CERTIFIED
@@ -262,7 +264,7 @@ def _coefficients(model: LPVModel, varies: list[bool]) -> list[tuple[Any, Any, A
     """Return every L_c, those shared by neighbouring cells once: pairs of vertices of the model and of P whose mean it
     is, differences of P with factors that give its derivative, and the deviation: with signs, and as a bound.
     """
-    found: dict[Any, tuple[Any, Any, Array, Array]] = {}
+    found: dict[Any, tuple[Any, Any, Any, Any]] = {}
     for cell in model.cells():
         rest = model.deviation[cell]
         places = np.flatnonzero(rest) if np.count_nonzero(rest) <= SIGNED else np.zeros(0, int)
