@@ -295,22 +295,3 @@ def reduction_figure(found: ReducedModel) -> Figure:
     axes.set_ylabel("largest singular value")
     style.legend_below(figure, (axes,), 2)
     return figure
-
-
-@style.house_style()
-def hankel_figure(found: ReducedModel) -> Figure:
-    """Hankel singular values: those kept and those left out."""
-    kept, values = found.order - found.n_apart, found.hankel
-    place = np.arange(1, len(values) + 1)
-    figure, (axes,) = style.new_figure(width=6.4, height=3.2)
-    for some, colour, label in ((place <= kept, style.NOMINAL, "kept"), (place > kept, style.SAMPLE, "left out")):
-        if some.any():
-            axes.bar(place[some], values[some], color=colour, width=0.7, label=f"{label}: {some.sum()}")
-    if (values > 0).any():
-        style.logarithmic(axes.yaxis)
-        axes.set_ylim(max(float(values[values > 0].min()) / 3, 1e-16 * values.max()), 3 * values.max())
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    title = f"error at most {found.error.upper:.4g}"
-    axes.set(xlabel="state of the balanced model", ylabel="Hankel singular value", title=title)
-    style.legend_below(figure, (axes,), 2)
-    return figure

@@ -21,7 +21,7 @@ def comparison():
 @pytest.mark.slow
 def test_all_figures_are_drawn_and_small(comparison, tmp_path):
     figures = {name: picture.figure for name, picture in pictures_of(comparison)}
-    assert list(figures) == ["where-q", "time-q", "speed-q", "spectrum-q", "response-q", "residual-q"]
+    assert list(figures) == ["where-q", "time-q", "speed-q", "spectrum-q", "residual-q"]
     for name, figure in figures.items():
         svg, png = save_figure(figure, tmp_path, name)
         assert svg.stat().st_size < 400_000
