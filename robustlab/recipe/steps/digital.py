@@ -8,7 +8,6 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 import robustlab as rl
-from robustlab.errors import InputError
 from robustlab.operations.vocabulary import RefersTo, ToController, ToPlantOrFile
 from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace, facts_of, step
 
@@ -40,11 +39,6 @@ class ExportStep(Step):
 
         given = work.values[self.of]
         K = as_model(given, self.of)
-        if not K.is_discrete:
-            found = "gave a continuous controller"
-            raise InputError(
-                f"step {self.of!r}", found, "a digital one", "a step discretise with its sample time before"
-            )
         origin = work.provenance()
         limits = {name: tuple(pair) for name, pair in self.saturation.items()} or None
         digests: dict[str, str] = {}
