@@ -102,10 +102,13 @@ class Recipe(Strict):
     require: Annotated[list[Requirement], Field(max_length=1000)] = Field([])
 
 
-@cache
 def recipe_model() -> type[Recipe]:
     """Return `Recipe` with every registered kind of step, distinguished by ``do``."""
-    kinds: tuple[type[Step], ...] = tuple(KINDS.values())
+    return _with_kinds(tuple(KINDS.values()))
+
+
+@cache
+def _with_kinds(kinds: tuple[type[Step], ...]) -> type[Recipe]:
     any_step: Any = Annotated[Union[kinds], Field(discriminator="do")]  # noqa: UP007  made of a tuple
     steps = dict[StepName, any_step]
     return create_model("Recipe", __base__=Recipe, __doc__=Recipe.__doc__, step=(steps, STEPS))

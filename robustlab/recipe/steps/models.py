@@ -11,7 +11,7 @@ from pydantic_core import PydanticCustomError
 
 import robustlab as rl
 from robustlab.operations.vocabulary import FileName, NumberOrPair, Text, ToAnything, ToSaved
-from robustlab.recipe.steps.contract import Ahead, Fact, Inferred, Outcome, Step, Workspace, quantity, step
+from robustlab.recipe.steps.contract import Ahead, Fact, Inferred, Outcome, Step, Workspace, facts_of, quantity, step
 
 MODEL: dict[str, Any] = {
     "states": "1", "inputs": [str], "outputs": [str], "spectral_abscissa": float, "poles": list,
@@ -112,20 +112,14 @@ class LoadStep(Step):
         kind = type(found).__name__
         model = found.to_model() if hasattr(found, "to_model") else found
         numbers: dict[str, Any] = {"kind": kind, "verified": loaded.verified}
-        facts: tuple[Fact, ...] = ()
         if isinstance(model, rl.StateSpaceModel):
             numbers |= {
                 "states": model.n_states, "inputs": list(model.input_names), "outputs": list(model.output_names),
                 "spectral_abscissa": model.spectral_abscissa(), "poles": model.poles(),
             }  # fmt: skip
-            shown = sorted(model.poles(), key=abs)[:12]
-            poles = ", ".join(f"{p.real:.5g}{p.imag:+.5g}j" if p.imag else f"{p.real:.5g}" for p in shown)
-            facts = (
-                Fact("States", ", ".join(model.state_names) or "none"),
-                Fact("Poles", f"{poles or 'none'} {'rad/s' if not model.dt else ''}"),
-            )
         proof = "its checksums and content hash are right" if loaded.verified else "it carries no content hash to check"
-        return Outcome(found, f"{kind} read from {path.name}; {proof}.", numbers, facts, notes=loaded.warnings)
+        summary = f"{kind} read from {path.name}; {proof}."
+        return Outcome(found, summary, numbers, facts_of(found), notes=loaded.warnings)
 
 
 @step
