@@ -44,13 +44,14 @@ class PlantStep(Step):
 
     @property
     def _given(self) -> dict[str, Any]:
-        return {name: tuple(value) if isinstance(value, list) else value for name, value in self.parameters.items()}
+        pairs = {name: tuple(value) if isinstance(value, list) else value for name, value in self.parameters.items()}
+        return pairs | self.choices
 
     def infer(self, ahead: Ahead) -> Inferred:
         parameter: dict[str, Any] = {"value": float, "unit": str, "tolerance": "1"}
         if ahead.step in ahead.sources:  # a user's code runs only with the recipe
             return Inferred(leaves={"code": {"*": str}, "parameters": {"*": parameter}})
-        made: Any = rl.plant(self.plant, **self._given, **self.choices)
+        made: Any = rl.plant(self.plant, **self._given)
         parameters = {name: {**parameter, "value": p.unit} for name, p in made.parameters.items()}
         return Inferred.of(made, {"parameters": parameters})
 
@@ -62,14 +63,13 @@ class PlantStep(Step):
         facts: list[Fact] = []
         numbers: dict[str, Any] = {}
         if work.step in work.ahead.sources:
-            source, given = work.ahead.sources[work.step], {**given, **self.choices}
-            unit = unit_reference(self.plant)
+            source, unit = work.ahead.sources[work.step], unit_reference(self.plant)
             made: Any = rl.plant(str(source), **given) if unit else plant_from_file(self.plant, given, source)
             numbers["code"] = code_of(made)
             facts = [Fact(f"Code of {self.plant}", f"SHA-256 {sha}", file) for file, sha in numbers["code"].items()]
             work.inputs.update({f"{work.step}: {Path(file).name}": sha for file, sha in numbers["code"].items()})
         else:
-            made = rl.plant(self.plant, **given, **self.choices)
+            made = rl.plant(self.plant, **given)
         for p in made.parameters.values():
             spread = f" ± {p.tolerance_text}" if p.tolerance else ""
             facts.append(Fact(f"{p.name}, {p.meaning}", f"{quantity(p.value, p.unit)}{spread}", p.source))
