@@ -83,14 +83,6 @@ def watch() -> Any:
     return rl.watch(rough, pieces, noise={"q": 1e-4}, exclude=all_but("coulomb-friction", "constant-load"))
 
 
-def validation_over_frequency() -> Any:
-    omega = np.geomspace(0.1, 10.0, 30)
-    model = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["y"])
-    off = rl.frequency_response(model, omega)[:, 0, 0] * (1.0 + 0.2 * np.exp(-1j * omega))
-    measured = rl.FrequencyData(omega, off, "u", ["y"])
-    return rl.validate(rl.unstructured(model, 0.3), measured, {"y": 0.02}, domain="frequency")
-
-
 @cache
 def validation() -> Any:
     t = np.arange(40) * 0.1
@@ -200,9 +192,6 @@ def critical_response() -> Any:
 
     return replay(loop(), made("Margin"))
 
-
-# Drawing -> an object that has data for it, where that in `OBJECTS` has none.
-OTHERS = {("Validation", "delta"): validation_over_frequency}
 
 # Class name -> how one is made; a campaign needs a folder and is made by `campaign`.
 OBJECTS: dict[str, Any] = {

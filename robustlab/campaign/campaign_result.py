@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from robustlab.arrays import Array
 from robustlab.campaign.evaluation import Evaluator
 from robustlab.campaign.store import Store
 from robustlab.display import Displayable, Facts, Part, member, member_rows, number
@@ -80,21 +79,6 @@ def _at_ranks(values: Iterable[float], ranks: Iterable[int], sense: int) -> dict
         if i in found:
             found[i] = value
     return found
-
-
-def exceedance_curve(store: Store, sense: int, done: int, lost: int, points: int = 200) -> tuple[Array, Array, Array]:
-    """Return for a figure values (m,), the share of worse samples (m,), and its upper confidence bounds (m,)."""
-    from scipy.special import betaincinv
-
-    n = done + lost
-    tail = np.unique(np.rint(np.geomspace(1.0, max(1, n), points)).astype(int))
-    ranks = np.unique(np.concatenate([n + 1 - tail, np.linspace(1, n, points).astype(int)]))
-    found = _at_ranks(store.sorted_values(sense), [int(rank) for rank in ranks], sense)
-    pairs = [(value, rank) for rank, value in found.items() if math.isfinite(value)]
-    values = np.array([value for value, _ in pairs], dtype=np.float64)
-    above = n - np.array([rank for _, rank in pairs], dtype=np.float64)
-    upper = np.ones(len(above)) if not n else betaincinv(above + 1, np.maximum(n - above, 1e-9), CONFIDENCE)
-    return values, above / max(n, 1), np.asarray(upper, dtype=np.float64)
 
 
 @dataclass(frozen=True)

@@ -92,7 +92,7 @@ def new(
 
     Example: robustlab recipe new my-motor && robustlab run my-motor.toml
     """
-    from robustlab.recipe.starters import write_starter
+    from robustlab.recipe.shipped import write_starter
 
     path = write_starter(name, force=force)
     emit("recipe new", {"file": str(path)}, f"{path}\nrun it with: robustlab run {path}", as_json)

@@ -57,13 +57,9 @@ def load_recipe(path: str | Path, overrides: Sequence[str] = ()) -> LoadedRecipe
     if file.stat().st_size > MAX_BYTES:
         raise InputError(str(path), f"{file.stat().st_size} bytes", f"at most {MAX_BYTES} bytes (1 MiB)")
     raw = file.read_bytes()
-    try:
-        text = raw.decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise InputError(str(path), f"byte {error.start} is not UTF-8", "a text file in UTF-8") from None
     given = split_overrides(overrides)
     data = parse_document("toml", raw, str(path))
-    return LoadedRecipe(_checked(data, str(path), given), file.resolve(), text, given)
+    return LoadedRecipe(_checked(data, str(path), given), file.resolve(), raw.decode(), given)
 
 
 def parse_recipe(text: str, where: str = "recipe", overrides: dict[str, str] | None = None) -> Recipe:

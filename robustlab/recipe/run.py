@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import robustlab as rl
-from robustlab.display import Displayable, Facts, listed
 from robustlab.errors import (
     EXIT_BUG,
     EXIT_INTERRUPTED,
@@ -68,30 +67,11 @@ RESULT_PARTS = {
 
 
 @dataclass(frozen=True)
-class RunResult(Displayable):
-    """A finished run.
+class RunResult:
+    """A finished run."""
 
-    Attributes
-    ----------
-    data
-        Content of ``result.json``.
-    folder
-        Where everything was written.
-    """
-
-    data: Mapping[str, Any]
-    folder: Path
-
-    def facts(self) -> Facts:
-        """Recipe, requirements, steps with their status."""
-        required, steps = self.data["requirements"], self.data["steps"]
-        return [
-            ("recipe", str(self.data["recipe"]["name"])),
-            ("requirements", f"{sum(bool(q['met']) for q in required)} of {len(required)} met"),
-            ("steps", listed(f"{s['name']} ({s['status'] or 'no status'})" for s in steps)),
-            ("exit code", str(self.exit_code)),
-            ("folder", str(self.folder)),
-        ]
+    data: Mapping[str, Any]  # content of ``result.json``
+    folder: Path  # where everything was written
 
     @property
     def exit_code(self) -> int:

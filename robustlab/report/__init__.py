@@ -10,7 +10,7 @@ __all__, __getattr__ = lazily(
         "drawings": "drawings_of pictures_of",
         "drawing_table": "DRAWINGS",
         "robustness_figures": "distribution_figure influence_figure mu_figure response_figure",
-        "set_figures": "blocks_figure cloud_figure cover_figures weight_figure",
+        "set_figures": "cloud_figure weight_figure",
         "discovery": "write_page",
     },
 )

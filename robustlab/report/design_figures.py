@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import cycle
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,7 +16,7 @@ from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.mu_analysis import robust_performance
 from robustlab.report import style
 from robustlab.report.robustness_figures import mu_figure
-from robustlab.synthesis.specifications.loop_functions import FUNCTIONS, frequencies, loop_functions
+from robustlab.synthesis.specifications.loop_functions import frequencies, loop_functions
 from robustlab.uncertainty.lft import UncertainModel
 
 if TYPE_CHECKING:
@@ -40,32 +40,24 @@ HEADINGS = {"S": "S: relative error", "KS": "K S: control", "T": "T: relative ou
 PICTURE_HEADINGS = {"S": "S: r → error", "T": "T: r → y", "KS": "K S: r → u", "SG": "S G: d → y"}
 
 
-class FunctionPanel(NamedTuple):
-    """One closed-loop function of a design over frequency."""
-
-    name: str  # heading, for example `"S: control error"`
-    label: str  # of the curve
-    gain: Array  # largest singular value, shape (n_omega,)
-    allowed: Array | None = None  # `1 / |W|`, shape (n_omega,); None without a weight
-    proved: Array | None = None  # `gamma / |W|`, the bound proved by the verified gamma; None without
-    unit: str = ""  # of the gain; empty for a ratio
-
-
 @style.house_style()
-def functions_figure(omega: Array, panels: Sequence[FunctionPanel], gamma: float | None = None) -> Figure:
-    """Gains over frequency against the inverses of the weights, one panel per function."""
+def functions_figure(
+    omega: Array, panels: Mapping[str, tuple[Array, Array | None]], gamma: float | None, label: str
+) -> Figure:
+    """Gains over frequency, one panel per heading, with `1 / |W|` where there is a weight, and gamma times that."""
     figure, axes_list = style.new_figure(1, len(panels), width=3.5 * max(2, len(panels)), height=3.5)
-    for axes, panel in zip(axes_list, panels, strict=True):
-        axes.plot(omega, panel.gain, color=style.NOMINAL, label=style.plain_label(panel.label), zorder=3)
-        bounds = [bound for bound in (panel.allowed, panel.proved) if bound is not None]
-        if panel.allowed is not None:
-            text = "1 / |W|, required"
-            axes.plot(omega, panel.allowed, color=style.SAMPLE, lw=2.6, label=text, zorder=1)
-        if panel.proved is not None:
-            text = "γ / |W|, proved" if gamma is None else f"γ / |W|, proved, γ = {gamma:.4g}"
-            axes.plot(omega, panel.proved, color=style.LIMIT, ls=style.DASHED, label=text)
-        _over_frequency(axes, omega, [panel.gain], 4.0, bounds)
-        axes.set_title(style.axis_label(panel.name, panel.unit))
+    for axes, (heading, (gain, allowed)) in zip(axes_list, panels.items(), strict=True):
+        axes.plot(omega, gain, color=style.NOMINAL, label=style.plain_label(label), zorder=3)
+        bounds: list[Array] = []
+        if allowed is not None:
+            bounds.append(allowed)
+            axes.plot(omega, allowed, color=style.SAMPLE, lw=2.6, label="1 / |W|, required", zorder=1)
+            if gamma is not None:
+                bounds.append(gamma * allowed)
+                text = f"γ / |W|, proved, γ = {gamma:.4g}"
+                axes.plot(omega, bounds[-1], color=style.LIMIT, ls=style.DASHED, label=text)
+        _over_frequency(axes, omega, [gain], 4.0, bounds)
+        axes.set_title(heading)
     axes_list[0].set_ylabel("largest singular value")
     style.legend_below(figure, axes_list)
     return figure
@@ -208,25 +200,23 @@ def tracking_picture(loop: TrackingLoop) -> Figure:
     omega = frequencies(loop.design.closed_loop)
     gains, allowed = loop.problem.gains(loop.design.K, omega), loop.problem.bounds(omega)
     units = {s.unit for s in loop.problem.plant.controls}
-    panels = []
-    for function, heading in HEADINGS.items():
-        bound = allowed.get(function)
-        proved = None if bound is None or loop.gamma is None else loop.gamma * bound
-        unit = next(iter(units)) if function == "KS" and len(units) == 1 else ""
-        panels.append(FunctionPanel(heading, loop.design.method, gains[function], bound, proved, unit))
-    return functions_figure(omega, panels, loop.gamma)
+    unit = units.pop() if len(units) == 1 else ""
+    panels = {
+        style.axis_label(heading, unit if name == "KS" else ""): (gains[name], allowed.get(name))
+        for name, heading in HEADINGS.items()
+    }
+    return functions_figure(omega, panels, loop.gamma, loop.design.method)
 
 
 def gangs_picture(loop: LoopFunctions, around: float | None = None) -> Figure:
     """The gang of four of a loop; ``around``: a frequency in rad/s to include."""
     omega = frequencies(loop.S, around=around)
-    panels = []
-    for name in FUNCTIONS:
+    panels: dict[str, tuple[Array, Array | None]] = {}
+    for name, heading in PICTURE_HEADINGS.items():
         proved = loop.bound(name, omega)
-        proved = proved if proved is not None and np.isfinite(proved).all() else None
-        allowed = None if proved is None else proved / loop.gamma
-        panels.append(FunctionPanel(PICTURE_HEADINGS[name], "closed loop", loop.gain(name, omega), allowed, proved))
-    return functions_figure(omega, panels, loop.gamma if loop.weights else None)
+        allowed = proved / loop.gamma if proved is not None and np.isfinite(proved).all() else None
+        panels[heading] = loop.gain(name, omega), allowed
+    return functions_figure(omega, panels, loop.gamma, "closed loop")
 
 
 def mu_picture(design: Any) -> Figure:

@@ -27,7 +27,6 @@ MODELS = {"nominal": style.WORST, "refitted": style.SAMPLE, "updated": style.NOM
 DASHES: dict[str, Any] = {"nominal": (0, (4, 1.5)), "refitted": (0, (1, 1)), "updated": "-"}
 STRETCH = 4  # windows shown of a held-out stretch
 SHOWN = 9  # sets of effects
-DRAWN = 4000  # samples of a curve
 BEYOND = 0.6  # of the measured range, drawn above and below it
 ALONG = "one run, linear about the recorded motion"
 ORDER = ("speed", "position", "time", "input")  # of the panels
@@ -77,11 +76,10 @@ def free_run_figure(discovery: Discovery, output: str | None = None) -> Figure:
     """One held-out record simulated from its start to its end: signals above, errors below."""
     d, run = discovery, discovery.series.get("free_run", {})
     output = style.chosen([name for name in run.get("outputs", {}) if name in d.free_run], output, "output")
-    every = max(1, len(run["t"]) // DRAWN)
-    signals = {key: np.asarray(values)[::every] for key, values in run["outputs"][output].items()}
+    signals = {key: np.asarray(values) for key, values in run["outputs"][output].items()}
     how = ALONG if LINEAR in d.free_run_on else "one run from the record's start"
     title = f"{output} of {run['record']}: {how}"
-    return _signals_and_errors(np.asarray(run["t"])[::every], signals, d.free_run[output], title)
+    return _signals_and_errors(np.asarray(run["t"]), signals, d.free_run[output], title)
 
 
 def stretch_figure(discovery: Discovery, output: str | None = None) -> Figure:

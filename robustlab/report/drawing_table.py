@@ -27,10 +27,9 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     "Controller": _MODEL,
     "GeneralizedPlant": _MODEL,
     "Samples": _MODEL,
-    "EffectBlocks": {"blocks": "set_figures.blocks_figure"},
     "Record": {"signals": "model_figures.record_figure"},
     "FrequencyData": {"bode": "model_figures.measured_response_figure"},
-    "ReducedModel": {"sigma": "model_figures.reduction_figure", "hankel": "model_figures.hankel_figure"},
+    "ReducedModel": {"sigma": "model_figures.reduction_figure"},
     # robustness
     **dict.fromkeys(("Margin", "PerformanceMargin"), _MARGIN),
     "WorstCaseGain": {"gain": "robustness_figures.gain_figure"},
@@ -48,7 +47,7 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
         "distribution": "robustness_figures.distribution_figure",
         "influence": "robustness_figures.violation_influence",
     },
-    "CampaignResult": {"exceedance": "set_figures.campaign_figure", "delta": "set_figures.member_figure"},
+    "CampaignResult": {"delta": "set_figures.member_figure"},
     # designs
     **dict.fromkeys(("Synthesis", "HinfSynthesis", "H2Synthesis", "NcfSynthesis"), _LOOP),
     **dict.fromkeys(("FixedSynthesis", "TunedSynthesis", "ReducedController"), _LOOP),
@@ -69,7 +68,7 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
         "stretch": "discovery.stretch_figure",
         "posterior": "discovery.posterior_figure",
     },
-    "Validation": {"record": "set_figures.validation_figure", "delta": "set_figures.delta_figure"},
+    "Validation": {"record": "set_figures.validation_figure"},
     "DataCover": {"record": "set_figures.cover_record"},
     "EnvelopeCoverage": {"envelope": "set_figures.envelope_figure"},
 }

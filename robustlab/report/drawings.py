@@ -16,7 +16,7 @@ from matplotlib.figure import Figure, SubFigure
 
 from robustlab.errors import InputError, did_you_mean
 from robustlab.report.drawing_table import DRAWINGS, OUTPUTS
-from robustlab.report.style import drawn_on, stem
+from robustlab.report.style import drawn_on
 
 
 def drawings_of(kind: type) -> Mapping[str, str]:
@@ -52,7 +52,8 @@ def pictures_of(shown: Any, remark: Callable[[str], None] | None = None) -> Iter
             if output is None:
                 yield kind, Picture(figure, caption)
             else:
-                yield f"{kind}-{stem(output, number)}", Picture(figure, f"{output}: {caption}")
+                plain = output.isidentifier() and output.isascii()
+                yield f"{kind}-{output if plain else f'output{number}'}", Picture(figure, f"{output}: {caption}")
 
 
 def draw(shown: Any, kind: str | None, ax: Any, options: Mapping[str, Any]) -> Any:
@@ -88,11 +89,7 @@ def draw(shown: Any, kind: str | None, ax: Any, options: Mapping[str, Any]) -> A
     if ax is not None and figure is ax.figure and ax in figure.axes:
         return ax
     panels = [axes for axes in figure.axes if axes.get_visible()]
-    if len(panels) == 1:
-        return panels[0]
-    array = np.empty(len(panels), dtype=object)
-    array[:] = panels
-    return array
+    return panels[0] if len(panels) == 1 else np.array(panels, dtype=object)
 
 
 def _function(name: str) -> Callable[..., Figure | SubFigure]:

@@ -8,7 +8,6 @@ complex and full blocks the real part of the sample.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -39,53 +38,33 @@ POINTS = 500
 SIGNALS = 8  # panels of a record
 
 
-@dataclass(frozen=True)
-class _Drawn:
-    """The nominal model, its members, and a remark on outputs and inputs that are not drawn."""
-
-    nominal: StateSpaceModel | DelayedModel
-    members: Sequence[StateSpaceModel] = ()
-    left_out: str = ""
-
-    @property
-    def every(self) -> tuple[StateSpaceModel | DelayedModel, ...]:
-        return (self.nominal, *self.members)
-
-    def close(self, figure: Figure, panels: Sequence[Axes]) -> Figure:
-        """Add legend and remark to the figure."""
-        if self.members:
-            style.legend_below(figure, panels)
-        if self.left_out:
-            figure.suptitle(style.plain_label(self.left_out), fontsize=9)
-        return figure
-
-
 @style.house_style()
 def step_figure(shown: Any, t: ArrayLike | None = None, n: int = MEMBERS, seed: int = 0) -> Figure:
     """Responses of every output to a unit step on every input."""
-    drawn = _drawn(shown, n, seed)
-    model, rows, columns = drawn.nominal, drawn.nominal.n_outputs, drawn.nominal.n_inputs
+    every, remark = _drawn(shown, n, seed)
+    model = every[0]
+    rows, columns = model.n_outputs, model.n_inputs
     clock = default_clock(_rational(model), "plot('step')") if t is None else np.asarray(t, dtype=float)
     height = 3.2 if rows == 1 else 2.1
     figure, panels = style.new_figure(rows, columns, max(7.2, 3.6 * columns), height, sharex=True)
     for j, u in enumerate(model.inputs):
-        responses = np.array([_step(m, clock, u.name) for m in drawn.every])
+        responses = np.array([_step(m, clock, u.name) for m in every])
         for i, y in enumerate(model.outputs):
             panel = panels[i * columns + j]
             _curves(panel, clock, responses[:, :, i], "steps-post" if model.is_discrete else "default")
             panel.set_ylabel(style.axis_label(y.name, _per(y, u)))
         panels[j].set_title(style.plain_label(f"unit step on {u.name}"))
         panels[-columns + j].set_xlabel("time [s]")
-    return drawn.close(figure, panels)
+    return _closed(figure, panels, len(every) > 1, remark)
 
 
 @style.house_style()
 def bode_figure(shown: Any, omega: ArrayLike | None = None, n: int = MEMBERS, seed: int = 0) -> Figure:
     """Magnitude and phase from every input to every output."""
-    drawn = _drawn(shown, n, seed)
-    model = drawn.nominal
+    every, remark = _drawn(shown, n, seed)
+    model = every[0]
     w = _frequencies(model, omega)
-    responses = np.array([frequency_response(m, w) for m in drawn.every])
+    responses = np.array([frequency_response(m, w) for m in every])
     columns = model.n_inputs
     ratios = {"height_ratios": [3, 2] * model.n_outputs}
     width = max(7.2, 3.6 * columns)
@@ -109,16 +88,16 @@ def bode_figure(shown: Any, omega: ArrayLike | None = None, n: int = MEMBERS, se
         for panel in (above, below):
             style.frequency_axis(panel, (w[0], w[-1]))
             panel.set_xlabel("frequency [rad/s]" if panel is panels[-columns + j] else "")
-    return drawn.close(figure, panels)
+    return _closed(figure, panels, len(every) > 1, remark)
 
 
 @style.house_style()
 def sigma_figure(shown: Any, omega: ArrayLike | None = None, n: int = MEMBERS, seed: int = 0) -> Figure:
     """Largest and smallest singular value over frequency."""
-    drawn = _drawn(shown, n, seed, MOST * 1000)
-    model = drawn.nominal
+    every, _ = _drawn(shown, n, seed, MOST * 1000)
+    model = every[0]
     w = _frequencies(model, omega)
-    values = np.array([np.linalg.svd(frequency_response(m, w), compute_uv=False) for m in drawn.every])
+    values = np.array([np.linalg.svd(frequency_response(m, w), compute_uv=False) for m in every])
     values = np.where(values > 0, values, np.nan)
     units = {_per(y, u) for y in model.outputs for u in model.inputs}
     figure, (axes,) = style.new_figure(height=3.6)
@@ -136,8 +115,8 @@ def sigma_figure(shown: Any, omega: ArrayLike | None = None, n: int = MEMBERS, s
 @style.house_style()
 def pole_figure(shown: Any, n: int = MEMBERS, seed: int = 0) -> Figure:
     """Poles (crosses), transmission zeros (circles), the stability boundary, and the poles of members."""
-    drawn = _drawn(shown, n, seed, MOST * 1000)
-    model = as_model(drawn.nominal, "plot")
+    every, _ = _drawn(shown, n, seed, MOST * 1000)
+    model, *members = (as_model(m, "plot") for m in every)
     figure, (axes,) = style.new_figure(width=6.4, height=4.2)
     edge: dict[str, Any] = {"color": style.LIMIT, "ls": style.DASHED, "lw": 1.1}
     if model.dt:
@@ -147,7 +126,7 @@ def pole_figure(shown: Any, n: int = MEMBERS, seed: int = 0) -> Figure:
     else:
         axes.axvline(0.0, label="stability boundary", **edge)
     axes.axhline(0.0, color="#888888", lw=0.8)
-    cloud = np.concatenate([np.zeros(0), *(m.poles() for m in drawn.members)])
+    cloud = np.concatenate([np.zeros(0), *(m.poles() for m in members)])
     kinds: list[tuple[AnyArray, str, str, dict[str, Any]]] = [
         (cloud, "poles of members", ".", {"color": style.SAMPLE, "ms": 4, "alpha": 0.7}),
         (transmission_zeros(model), "zeros", "o", {"color": style.GOOD, "mfc": "none", "mew": 1.6, "ms": 8}),
@@ -166,7 +145,8 @@ def pole_figure(shown: Any, n: int = MEMBERS, seed: int = 0) -> Figure:
 # --- curves -----------------------------------------------------------------------------------------------------------
 
 
-def _drawn(shown: Any, n: int, seed: int, most: int = MOST) -> _Drawn:
+def _drawn(shown: Any, n: int, seed: int, most: int = MOST) -> tuple[list[StateSpaceModel | DelayedModel], str]:
+    """Return the nominal model, its members, and a remark on outputs and inputs that are not drawn."""
     whole: Any = shown
     deltas: Any = ()
     if isinstance(shown, Samples):
@@ -175,15 +155,23 @@ def _drawn(shown: Any, n: int, seed: int, most: int = MOST) -> _Drawn:
         corners: Any = "all" if len(shown.blocks) <= ALL_VERTICES else VERTICES
         deltas = sample(shown, n, seed, corners).deltas
     real = [{key: np.real(v) if np.iscomplexobj(v) else v for key, v in delta.items()} for delta in deltas]
-    members = [whole.evaluate(delta) for delta in real]
     model = whole if isinstance(whole, DelayedModel) else as_model(whole, "plot")
+    every = [model, *(whole.evaluate(delta) for delta in real)]
     if not model.n_outputs or not model.n_inputs:
         raise InputError("plot", f"a model of {model.n_outputs} x {model.n_inputs}", "inputs and outputs")
     if model.n_outputs <= most and model.n_inputs <= most:
-        return _Drawn(model, members)
+        return every, ""
     text = f"the first of {model.n_outputs} outputs and {model.n_inputs} inputs: G[outputs, inputs].plot() has others"
-    first = (slice(0, most), slice(0, most))
-    return _Drawn(model[first], [m[first] for m in members], text)
+    return [m[:most, :most] for m in every], text
+
+
+def _closed(figure: Figure, panels: Sequence[Axes], several: bool, remark: str) -> Figure:
+    """Add the legend of several models and a remark to a figure."""
+    if several:
+        style.legend_below(figure, panels)
+    if remark:
+        figure.suptitle(style.plain_label(remark), fontsize=9)
+    return figure
 
 
 def _frequencies(model: StateSpaceModel | DelayedModel, omega: ArrayLike | None) -> Array:
@@ -293,24 +281,5 @@ def reduction_figure(found: ReducedModel) -> Figure:
     style.logarithmic(axes.yaxis)
     style.frequency_axis(axes, (omega[0], omega[-1]))
     axes.set_ylabel("largest singular value")
-    style.legend_below(figure, (axes,), 2)
-    return figure
-
-
-@style.house_style()
-def hankel_figure(found: ReducedModel) -> Figure:
-    """Hankel singular values: those kept and those left out."""
-    kept, values = found.order - found.n_apart, found.hankel
-    place = np.arange(1, len(values) + 1)
-    figure, (axes,) = style.new_figure(width=6.4, height=3.2)
-    for some, colour, label in ((place <= kept, style.NOMINAL, "kept"), (place > kept, style.SAMPLE, "left out")):
-        if some.any():
-            axes.bar(place[some], values[some], color=colour, width=0.7, label=f"{label}: {some.sum()}")
-    if (values > 0).any():
-        style.logarithmic(axes.yaxis)
-        axes.set_ylim(max(float(values[values > 0].min()) / 3, 1e-16 * values.max()), 3 * values.max())
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    title = f"error at most {found.error.upper:.4g}"
-    axes.set(xlabel="state of the balanced model", ylabel="Hankel singular value", title=title)
     style.legend_below(figure, (axes,), 2)
     return figure

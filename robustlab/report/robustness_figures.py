@@ -15,9 +15,7 @@ from matplotlib.figure import Figure
 
 from robustlab.arrays import Array, Mask
 from robustlab.errors import InputError
-from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.mu_analysis.margins.disk_margin import DiskBounds, DiskMargins
-from robustlab.mu_analysis.matrix.bounds import mu
 from robustlab.norms import PeakGain
 from robustlab.report import style
 from robustlab.worst_case_analysis.statistics import Influence, ViolationProbability
@@ -44,7 +42,7 @@ LARGEST_GAIN = 60  # dB; of a disk margin's curve
 def mu_figure(margin: Margin) -> Figure:
     """Bounds of μ over frequency. The proved margin is the inverse of the highest shaded level."""
     figure, (axes,) = style.new_figure(1, 1, width=8.0, height=3.6)
-    omega, lower, upper = _with_points_of_the_peak(margin)
+    omega, lower, upper = margin.omega, margin.mu_lower, margin.mu_upper
     shown = _frame(axes, omega, margin.intervals)
     if shown.any():
         axes.plot(omega[shown], upper[shown], color=style.NOMINAL, label="upper bound (proved by D, G)")
@@ -72,25 +70,6 @@ def _mark(axes: Axes, frequency: float | None, value: float, label: str) -> None
     low, high = axes.get_xlim()
     if frequency is not None and low <= frequency <= high and np.isfinite(value):
         axes.plot(frequency, value, "o", color=style.WORST, ms=6, label=label)
-
-
-def _with_points_of_the_peak(margin: Margin) -> tuple[Array, Array, Array]:
-    """Return frequencies and bounds of mu of the margin, with further ones around its peak."""
-    omega, lower, upper = margin.omega, margin.mu_lower, margin.mu_upper
-    peak, system = margin.frequency, margin.system
-    if not len(omega) or system is None or peak is None or not 0 < peak < np.inf:
-        return omega, lower, upper
-    added = peak * np.exp(np.append(0.0, np.outer([1, -1], np.geomspace(1e-3, 0.3, 9))))
-    if system.dt:
-        added = added[added < np.pi / system.dt]
-    try:
-        found = mu(frequency_response(system.delta_channels, added), system.blocks)
-    except InputError:  # ranges wider on one side
-        return omega, lower, upper
-    order = np.argsort(np.append(omega, added))
-    bounds = ((omega, added), (lower, found.lower), (upper, found.upper))
-    first, second, third = (np.concatenate([np.atleast_1d(part) for part in both])[order] for both in bounds)
-    return first, second, third
 
 
 @style.house_style()

@@ -1,26 +1,23 @@
 """Figures of sets of models and of their members: covers, records, responses, worst members, campaigns.
 
-The weight over the models' errors, the parameters in their box, the influence of each block; a record as explained by
-the smallest Delta, and in the envelope of all members (figures 11.5-11.20 of the thesis).
+The weight over the models' errors, the parameters in their box; a record as explained by the smallest Delta, and in
+the envelope of all members (figures 11.5-11.20 of the thesis).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from robustlab.arrays import Array
-from robustlab.campaign.campaign_result import CampaignResult, exceedance_curve
-from robustlab.campaign.store import Store
+from robustlab.campaign.campaign_result import CampaignResult
 from robustlab.errors import InputError
 from robustlab.identification.comparison.envelope import EnvelopeCoverage
 from robustlab.identification.validation import Validation
 from robustlab.identification.validation.data_cover import DataCover
-from robustlab.linear_analysis.frequency import default_grid, frequency_response
 from robustlab.mu_analysis.margins.cover import Cover
 from robustlab.report import style
 from robustlab.report.robustness_figures import response_figure
@@ -29,9 +26,6 @@ from robustlab.uncertainty.covers import Overbound, error_sizes
 from robustlab.uncertainty.unstructured import Form
 from robustlab.worst_case_analysis import WorstCase
 from robustlab.worst_case_analysis.sampling import Responses
-
-if TYPE_CHECKING:
-    from robustlab.dynamics.extended.effect_blocks import EffectBlocks
 
 SHOWN = 24  # parameters side by side
 MODELS = 60  # errors drawn one by one
@@ -44,21 +38,13 @@ EXPLAINED: dict[str, Any] = {"color": style.WORST, "lw": 1.1, "label": "with the
 # --- covers -----------------------------------------------------------------------------------------------------------
 
 
-def cover_figures(cover: Cover, models: Sequence[StateSpaceModel]) -> dict[str, tuple[Figure, str]]:
-    """Return ``weight`` of an unstructured form or ``cloud`` of a parametric one with its caption."""
-    if cover.fit is not None:
-        text = "The weight, and below it the error of every model against the nominal one."
-        return {"weight": (weight_figure(cover, models), text)}
-    if not cover.model.blocks:
-        return {}
-    return {"cloud": (cloud_figure(cover), "Every model as a point in the box of the parameters.")}
-
-
 def cover_figure(cover: Cover, models: Sequence[StateSpaceModel] = ()) -> Figure:
     """The weight of an unstructured form (over the errors of ``models``), the cloud of a parametric one."""
-    for figure, _ in cover_figures(cover, models).values():
-        return figure
-    raise InputError("Cover.plot", "a cover without blocks", "one with something uncertain in it")
+    if cover.fit is not None:
+        return weight_figure(cover, models)
+    if not cover.model.blocks:
+        raise InputError("Cover.plot", "a cover without blocks", "one with something uncertain in it")
+    return cloud_figure(cover)
 
 
 def weight_figure(cover: Cover, models: Sequence[StateSpaceModel] = ()) -> Figure:
@@ -115,49 +101,6 @@ def _places(axes: Any, names: Sequence[str]) -> None:
     axes.grid(visible=False, axis="y")
 
 
-@style.house_style()
-def blocks_figure(made: EffectBlocks) -> Figure:
-    """Change of the nominal model's response by each block alone, relative to its size, over frequency.
-
-    A real parameter at both of its ends, a dynamic block at the largest gain that it can add.
-    """
-    model = made.model
-    if not model.blocks:
-        raise InputError("EffectBlocks.plot", "a model without blocks", "one with something uncertain in it")
-    q, p = model.delta_shape
-    omega = default_grid(model.nominal, 240)
-    m = frequency_response(model.M, omega)
-    plant = slice(q + len(made.noise), None)
-    size = np.linalg.norm(m[:, p:, plant], 2, axis=(1, 2))
-    figure, (axes,) = style.new_figure(1, 1, width=7.6, height=3.4)
-    row = col = 0
-    for k, block in enumerate(model.blocks):
-        w, z = slice(row, row + block.rows), slice(col, col + block.cols)
-        row, col = row + block.rows, col + block.cols
-        moved = _moved(m[:, z, w], m[:, z, plant], m[:, p:, w], not block.is_scalar)
-        dashes = ("-", (0, (5, 1.5)), (0, (1, 1)))[k // 10 % 3]
-        percent, label = np.maximum(100.0 * moved / size, 1e-12), style.plain_label(block.name)
-        axes.plot(omega, percent, label=label, lw=1.4, color=f"C{k % 10}", ls=dashes)
-    style.frequency_axis(axes)
-    style.logarithmic(axes.yaxis)
-    top = max(float(np.max(line.get_ydata())) for line in axes.lines)
-    height = max(1e-3, 1e-6 * top), 2.0 * top
-    axes.set(ylim=height, ylabel="change of the response [%]", title="What each block alone does")
-    style.legend_below(figure, (axes,), 4)
-    return figure
-
-
-def _moved(m11: Any, m12: Any, m21: Any, full: bool) -> Array:
-    """Return the largest ``||m21 (I - Delta m11)^-1 Delta m12||`` over Delta = +-1 (of a full block a bound)."""
-    if full:
-        loop = np.linalg.norm(m11, 2, axis=(1, 2))
-        gain = np.linalg.norm(m21, 2, axis=(1, 2)) * np.linalg.norm(m12, 2, axis=(1, 2))
-        return np.where(loop < 1.0, gain / np.maximum(1.0 - loop, 1e-12), np.inf)
-    eye = np.eye(m11.shape[1])
-    changes = [m21 @ np.linalg.solve(eye - sign * m11, sign * m12) for sign in (-1.0, 1.0)]
-    return np.max([np.linalg.norm(c, 2, axis=(1, 2)) for c in changes], axis=0)
-
-
 # --- records and sets -------------------------------------------------------------------------------------------------
 
 
@@ -196,25 +139,6 @@ def validation_figure(found: Validation, output: str | None = None) -> Figure:
 def cover_record(found: DataCover, record: str | None = None, output: str | None = None) -> Figure:
     """One record of a set, of the nominal model and as explained."""
     return validation_figure(found.validations[style.chosen(list(found.validations), record, "record")], output)
-
-
-@style.house_style()
-def delta_figure(found: Validation) -> Figure:
-    """Size of each block over frequency, and gamma."""
-    if found.domain != "frequency" or not np.isfinite(found.upper):
-        given = f"domain {found.domain}, gamma {found.upper:.4g}"
-        raise InputError("plot('delta')", given, "a finite one over frequency")
-    figure, (axes,) = style.new_figure(1, 1, width=7.6, height=3.0)
-    kept = found.omega > 0
-    for i, name in enumerate(found.blocks):
-        label = style.plain_label(name)
-        axes.plot(found.omega[kept], found.line_sizes[kept, i], lw=1.2, marker=".", ms=4, label=label)
-    axes.axhline(found.upper, color=style.LIMIT, lw=1.0, ls=(0, (5, 1.5)), label=f"gamma: {found.upper:.4g}")
-    style.frequency_axis(axes)
-    title = style.plain_label(f"{found.record}: the Delta that explains it")
-    axes.set(ylim=(0.0, 1.15 * max(found.upper, 1e-9)), ylabel="size of the block", title=title)
-    style.legend_below(figure, (axes,), 5)
-    return figure
 
 
 @style.house_style()
@@ -269,30 +193,4 @@ def member_figure(worst: WorstCase | CampaignResult) -> Figure:
     value = worst.value if isinstance(worst, WorstCase) else worst.worst
     title = style.plain_label(f"{worst.metric}: {value:.4g} {worst.unit}".rstrip())
     axes.set(xlim=(-1.05, 1.45), xlabel="place in the range: 0 nominal, -1 and 1 its ends", title=title)
-    return figure
-
-
-@style.house_style()
-def campaign_figure(result: CampaignResult) -> Figure:
-    """Share of the samples worse than each value."""
-    if result.kind != "samples":
-        raise InputError("plot('exceedance')", f"a campaign of {result.kind}", "one of samples", "plot('delta')")
-    store = Store.open(Path(result.store))
-    try:
-        values, share, upper = exceedance_curve(store, result.sense, result.done, result.lost)
-    finally:
-        store.close()
-    figure, (axes,) = style.new_figure(height=3.4)
-    seen = share > 0
-    if seen.any():
-        axes.step(values[seen], share[seen], where="post", color=style.NOMINAL, label="share of the samples")
-    axes.plot(values, upper, color=style.WORST, ls=(0, (6, 2)), label="probability, at most (95 %)")
-    if len(values):
-        axes.plot(values[-1], upper[-1], "o", color=style.WORST, ms=5, label="worst sample")
-    if result.violation is not None:
-        label = style.plain_label(f"limit {result.violation.limit:g}")
-        axes.axvline(result.violation.limit, color=style.LIMIT, lw=1.3, label=label)
-    axes.set(xlabel=style.axis_label(result.metric, result.unit), ylabel="probability to be worse")
-    axes.legend(loc="best")
-    style.logarithmic(axes.yaxis)
     return figure

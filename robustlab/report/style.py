@@ -22,9 +22,9 @@ from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-from numpy.typing import NDArray
 
-from robustlab.errors import EnvironmentFault, InputError, did_you_mean, plain_text
+from robustlab.errors import EnvironmentFault, InputError, did_you_mean
+from robustlab.errors import plain_text as plain_label  # of every name in a figure: it is untrusted
 from robustlab.files.atomic import atomic_write
 
 # Okabe and Ito (2008): distinguishable for colour-blind readers, and in grey print by their lightness.
@@ -117,11 +117,6 @@ def _replaced(axes: Axes) -> SubFigure:
     return figure.add_subfigure(place)
 
 
-def plain_label(text: str) -> str:
-    """Return an untrusted name with printable characters only."""
-    return plain_text(text)
-
-
 def axis_label(name: str, unit: str) -> str:
     """Return ``name [unit]``, or the name alone."""
     return plain_label(f"{name} [{unit}]" if unit and unit != "1" else name)
@@ -171,11 +166,6 @@ def legend_below(figure: Figure, panels: Sequence[Axes], ncols: int | None = Non
     figure.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=columns)
 
 
-def stem(name: str, number: int) -> str:
-    """Return a signal's name as part of a file's name, or ``outputN`` if it is no plain word."""
-    return name if name.isidentifier() and name.isascii() else f"output{number}"
-
-
 def chosen(names: Sequence[str], name: str | None, kind: str) -> str:
     """Return the given name, by default the first one. Raises InputError: no such name, or no names."""
     if not names:
@@ -197,21 +187,15 @@ def _power_of_ten(value: float) -> str:
     return f"10{digits}" if abs(factor - 1) < 1e-6 else f"{factor:.3g}·10{digits}"
 
 
-def outline(t: NDArray[Any], y: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return a curve of `MOST_POINTS` points that looks like ``y``: the extremes of each stretch, in order."""
-    edges = np.linspace(0, len(y), MOST_POINTS // 2 + 1).astype(int)
-    index = [
-        i for a, b in pairwise(edges.tolist()) for i in sorted((a + int(y[a:b].argmin()), a + int(y[a:b].argmax())))
-    ]
-    return t[index], y[index]
-
-
 def _thinned(figure: Figure) -> None:
-    """Replace every long curve over an increasing abscissa by its outline."""
+    """Replace every long curve over an increasing abscissa by the extremes of each stretch, in order."""
     for line in (line for axes in figure.axes for line in axes.lines):
         x, y = (np.asarray(part, dtype=float) for part in line.get_data(orig=False))
         if len(x) > MOST_POINTS and (np.diff(x) >= 0).all() and line.get_linestyle() != "None":
-            line.set_data(*outline(x, y))
+            edges = np.linspace(0, len(y), MOST_POINTS // 2 + 1).astype(int)
+            ends = [(a + int(y[a:b].argmin()), a + int(y[a:b].argmax())) for a, b in pairwise(edges.tolist())]
+            index = np.sort(ends, axis=1).ravel()
+            line.set_data(x[index], y[index])
 
 
 def save_figure(figure: Figure, folder: str | Path, name: str, png: bool = True) -> tuple[Path, ...]:

@@ -202,7 +202,6 @@ def test_a_discovery_becomes_a_set_with_the_origin_of_every_block(run):
     assert "coulomb-friction@v  RealScalar  1 x 1  50.4203 .. 514.389 N/(m/s)" in printed
     assert "amplitudes 0.05 to 0.5 m/s" in printed
     assert "harmonic balance" in entry(result, "damped")["notes"][0]
-    assert [f["stem"] for f in entry(result, "damped")["figures"]] == ["damped-blocks"]
     assert rl.load(result.folder / "evidence" / "set.h5").status is rl.Status.CONVERGED
 
 

@@ -51,9 +51,9 @@ class Inferred:
 
     def select(self, outputs: Sequence[str] | None) -> Inferred:
         """Return the same signals, with the outputs that are kept, for a value not yet computed."""
-        if outputs is None or self.outputs is None:
-            return Inferred(None, self.inputs, self.outputs)
-        return Inferred(None, self.inputs, {name: self.outputs.get(name, "") for name in outputs})
+        known = self.outputs
+        kept = known if outputs is None or known is None else {name: known.get(name, "") for name in outputs}
+        return Inferred(None, self.inputs, kept)
 
 
 def _units(signals: Any) -> dict[str, str] | None:

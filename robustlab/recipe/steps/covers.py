@@ -162,7 +162,7 @@ class CoverModelsStep(Step):
         return replace(source.select(self.outputs), inputs=None, leaves={**Cover.quantities, "loads": {"*": float}})
 
     def run(self, work: Workspace) -> Outcome:
-        from robustlab.report.set_figures import cover_figures
+        from robustlab.report.set_figures import cloud_figure, weight_figure
         from robustlab.synthesis.specifications.tracking import tracking_loop, with_law
 
         models = [_selected(work.values[name], self.outputs) for name in self.models]
@@ -179,8 +179,11 @@ class CoverModelsStep(Step):
             effort=self.effort, time_limit=self.time_limit,
         )  # fmt: skip
         work.keep(found)
-        for name, (figure, caption) in cover_figures(found, models).items():
-            work.draw(figure, name, caption)
+        if found.fit is not None:
+            caption = "The weight, and below it the error of every model against the nominal one."
+            work.draw(weight_figure(found, models), "weight", caption)
+        elif found.model.blocks:
+            work.draw(cloud_figure(found), "cloud", "Every model as a point in the box of the parameters.")
         numbers, facts = found.numbers(), (*facts_of(found), *([Fact("Loop", words)] if words else []))
         loads = at_poses[0][1] if at_poses else ()
         numbers["loads"] = {load.name: load.bound for load in loads}

@@ -11,7 +11,7 @@ from pydantic_core import PydanticCustomError
 
 import robustlab as rl
 from robustlab.operations.vocabulary import FileName, NumberOrPair, Text, ToAnything, ToSaved
-from robustlab.recipe.steps.contract import Ahead, Fact, Inferred, Outcome, Step, Workspace, quantity, step
+from robustlab.recipe.steps.contract import Ahead, Fact, Inferred, Outcome, Step, Workspace, facts_of, quantity, step
 
 MODEL: dict[str, Any] = {
     "states": "1", "inputs": [str], "outputs": [str], "spectral_abscissa": float, "poles": list,
@@ -44,13 +44,14 @@ class PlantStep(Step):
 
     @property
     def _given(self) -> dict[str, Any]:
-        return {name: tuple(value) if isinstance(value, list) else value for name, value in self.parameters.items()}
+        pairs = {name: tuple(value) if isinstance(value, list) else value for name, value in self.parameters.items()}
+        return pairs | self.choices
 
     def infer(self, ahead: Ahead) -> Inferred:
         parameter: dict[str, Any] = {"value": float, "unit": str, "tolerance": "1"}
         if ahead.step in ahead.sources:  # a user's code runs only with the recipe
             return Inferred(leaves={"code": {"*": str}, "parameters": {"*": parameter}})
-        made: Any = rl.plant(self.plant, **self._given, **self.choices)
+        made: Any = rl.plant(self.plant, **self._given)
         parameters = {name: {**parameter, "value": p.unit} for name, p in made.parameters.items()}
         return Inferred.of(made, {"parameters": parameters})
 
@@ -62,14 +63,13 @@ class PlantStep(Step):
         facts: list[Fact] = []
         numbers: dict[str, Any] = {}
         if work.step in work.ahead.sources:
-            source, given = work.ahead.sources[work.step], {**given, **self.choices}
-            unit = unit_reference(self.plant)
+            source, unit = work.ahead.sources[work.step], unit_reference(self.plant)
             made: Any = rl.plant(str(source), **given) if unit else plant_from_file(self.plant, given, source)
             numbers["code"] = code_of(made)
             facts = [Fact(f"Code of {self.plant}", f"SHA-256 {sha}", file) for file, sha in numbers["code"].items()]
             work.inputs.update({f"{work.step}: {Path(file).name}": sha for file, sha in numbers["code"].items()})
         else:
-            made = rl.plant(self.plant, **given, **self.choices)
+            made = rl.plant(self.plant, **given)
         for p in made.parameters.values():
             spread = f" ± {p.tolerance_text}" if p.tolerance else ""
             facts.append(Fact(f"{p.name}, {p.meaning}", f"{quantity(p.value, p.unit)}{spread}", p.source))
@@ -112,20 +112,14 @@ class LoadStep(Step):
         kind = type(found).__name__
         model = found.to_model() if hasattr(found, "to_model") else found
         numbers: dict[str, Any] = {"kind": kind, "verified": loaded.verified}
-        facts: tuple[Fact, ...] = ()
         if isinstance(model, rl.StateSpaceModel):
             numbers |= {
                 "states": model.n_states, "inputs": list(model.input_names), "outputs": list(model.output_names),
                 "spectral_abscissa": model.spectral_abscissa(), "poles": model.poles(),
             }  # fmt: skip
-            shown = sorted(model.poles(), key=abs)[:12]
-            poles = ", ".join(f"{p.real:.5g}{p.imag:+.5g}j" if p.imag else f"{p.real:.5g}" for p in shown)
-            facts = (
-                Fact("States", ", ".join(model.state_names) or "none"),
-                Fact("Poles", f"{poles or 'none'} {'rad/s' if not model.dt else ''}"),
-            )
         proof = "its checksums and content hash are right" if loaded.verified else "it carries no content hash to check"
-        return Outcome(found, f"{kind} read from {path.name}; {proof}.", numbers, facts, notes=loaded.warnings)
+        summary = f"{kind} read from {path.name}; {proof}."
+        return Outcome(found, summary, numbers, facts_of(found), notes=loaded.warnings)
 
 
 @step

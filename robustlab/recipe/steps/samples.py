@@ -132,12 +132,9 @@ class SampleStep(Step):
 
     def _amplitudes(self, inputs: Any) -> str:
         units = dict(inputs)
-        parts: list[str] = []
         sine = f"a sine of {self.frequency:g} Hz" if self.frequency else ""
-        for amplitudes, what in ((self.input, "a step"), (self.sine, sine)):
-            given = {name: quantity(value, units[name]) for name, value in amplitudes.items()}
-            if len(given) > 2 and len(set(given.values())) == 1:
-                parts.append(f"{what} of {next(iter(given.values()))} on {len(given)} inputs")
-            elif given:
-                parts.append(f"{what} of {', '.join(f'{value} on {name}' for name, value in given.items())}")
-        return " and ".join(parts)
+        return " and ".join(
+            f"{what} of {', '.join(f'{quantity(value, units[name])} on {name}' for name, value in given.items())}"
+            for given, what in ((self.input, "a step"), (self.sine, sine))
+            if given
+        )

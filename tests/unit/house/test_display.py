@@ -134,8 +134,7 @@ def panels_of(drawn):
 
 @pytest.mark.parametrize(("name", "kind"), CASES)
 def test_a_drawing_returns_its_axes_with_labels_and_units(name, kind, make):
-    other = shown_objects.OTHERS.get((name, kind))
-    drawn = (other() if other else make(name)).plot(kind)
+    drawn = make(name).plot(kind)
     panels = panels_of(drawn)
     assert panels
     assert isinstance(drawn, Axes) or drawn.shape == (len(panels),)
