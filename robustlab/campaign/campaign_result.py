@@ -7,14 +7,14 @@ from collections.abc import Iterable, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.campaign.evaluation import Evaluator
 from robustlab.campaign.store import Store
-from robustlab.display import Displayable, Facts, Part, member, member_rows, number
+from robustlab.display import AllFields, Displayable, Facts, Part, member, member_rows, number
 from robustlab.errors import InputError
 from robustlab.result import Status
 from robustlab.tables import Table, Tabular
@@ -29,7 +29,8 @@ SHOWN_LOST = 100
 LISTED_LOST = 10  # of these in a text
 
 
-class Quantile(NamedTuple):
+@dataclass(frozen=True)
+class Quantile(AllFields):
     """A share, the sample quantile, and a bound of the set's quantile at CONFIDENCE."""
 
     share: float
@@ -38,7 +39,7 @@ class Quantile(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Violation:
+class Violation(AllFields):
     """Number of samples worse than a limit; a lost sample counts as worse.
 
     ``lower`` and ``upper`` are Clopper-Pearson bounds of the probability, each one-sided at CONFIDENCE; lost samples
@@ -53,7 +54,7 @@ class Violation:
 
 
 @dataclass(frozen=True)
-class LostSample:
+class LostSample(AllFields):
     """A sample without a value: its index, the reason, and its Delta."""
 
     index: int
@@ -98,7 +99,7 @@ def exceedance_curve(store: Store, sense: int, done: int, lost: int, points: int
 
 
 @dataclass(frozen=True)
-class CampaignResult(Tabular, Displayable):
+class CampaignResult(Tabular, Displayable, AllFields):
     """The results of a campaign's store."""
 
     # CONVERGED: all samples are stored, and the worst one is confirmed by a second method. INACCURATE: it is not.
@@ -161,7 +162,10 @@ class CampaignResult(Tabular, Displayable):
 
     def facts(self) -> Facts:
         one = {"samples": "sample", "vertices": "vertex"}.get(self.kind, self.kind)
-        worst = f"{number(self.worst, self.unit, 9)} in {one} {self.worst_index}{place_of(self, ', at ')}"
+        worst = f"{number(self.worst, self.unit, 9)} in {one} {self.worst_index}"
+        what, _, unit = self.location.partition(" ")
+        if what and not math.isnan(self.at):
+            worst += f", at {what} = {number(self.at, unit.strip('[]'), 6)}"
         missing = self.n - self.done - self.lost
         words = ((self.lost, "lost"), (missing, "missing yet"), (self.unbounded, "without a bounded value"))
         counts = [f"{self.done} of {self.n} {_counted(self.kind)}", *(f"{c} {word}" for c, word in words if c)]
@@ -203,21 +207,6 @@ class CampaignResult(Tabular, Displayable):
             columns |= {name: deltas[:, k] for k, name in enumerate(self.delta)}
         return Table(("sample", [row.index for row in rows]), columns, {self.metric: self.unit})
 
-    def to_json(self) -> dict[str, Any]:
-        return {
-            **vars(self),
-            "quantiles": [q._asdict() for q in self.quantiles],
-            "violation": vars(self.violation) if self.violation else None,
-            "lost_samples": [vars(sample) for sample in self.lost_samples],
-        }
-
-
-def place_of(found: Any, before: str) -> str:
-    """Return where a value is attained as text, beginning with ``before``; empty where it is not known."""
-    what, _, unit = found.location.partition(" ")
-    known = what and not math.isnan(found.at)
-    return f"{before}{what} = {number(found.at, unit.strip('[]'), 6)}" if known else ""
-
 
 def result_of(store: Store, evaluator: Evaluator, limit: float | None = None) -> CampaignResult:
     """Read a store. Raises InputError: the rows of a finished campaign were changed."""
@@ -243,7 +232,7 @@ def result_of(store: Store, evaluator: Evaluator, limit: float | None = None) ->
         store=store.where,
         kind=settings.kind,
         metric=settings.metric,
-        unit=evaluator.unit,
+        unit=evaluator.metric.unit,
         n=settings.n,
         done=done,
         lost=lost,
@@ -254,7 +243,7 @@ def result_of(store: Store, evaluator: Evaluator, limit: float | None = None) ->
         delta=delta,
         physical=evaluator.uncertain.physical(delta) if worst else {},
         at=float(facts.get("at", math.nan)),
-        location=evaluator.location,
+        location=evaluator.metric.location,
         again=float(facts.get("again", math.nan)),
         nominal=float(facts.get("nominal", math.nan)),
         quantiles=_quantiles(store, sense, n) if sampled and complete else (),

@@ -17,8 +17,8 @@ from robustlab.budget import one_thread
 from robustlab.campaign.settings import CampaignSettings, Identity, code_identity, differences, model_from_bytes
 from robustlab.errors import EnvironmentFault, NoTrustworthyNumber, plain_text
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis.members import Deltas, decoded, delta_of_sample, encoded
-from robustlab.worst_case_analysis.metrics import Evaluation, MetricRequest, make_metric
+from robustlab.worst_case_analysis.members import Deltas, delta_of_sample, encoded
+from robustlab.worst_case_analysis.metrics import make_metric
 from robustlab.worst_case_analysis.worst_case_search import worst_case
 
 DONE, LOST = 0, 1
@@ -64,27 +64,22 @@ class Evaluator:
         if s.t_end is not None:
             dt = uncertain.dt
             t = dt * np.arange(max(2, round(s.t_end / dt) + 1)) if dt else np.linspace(0.0, s.t_end, s.points)
-        self._request = MetricRequest(s.metric, s.output, s.input, t, s.u, s.hold, s.band)
-        self._metric = make_metric(uncertain, self._request, "campaign")
-        n = self._metric.uncertain.M.n_states
+        self._asked: dict[str, Any] = {
+            "metric": s.metric, "output": s.output, "input": s.input, "t": t, "u": s.u, "hold": s.hold, "band": s.band,
+        }  # fmt: skip
+        self.metric = make_metric(uncertain, **self._asked, where="campaign")
+        n = self.metric.uncertain.M.n_states
         work = (n + 1) ** 2 * (s.points + 100 + 30 * n)
         # The samples per tile depend on the campaign alone, not on the machine.
         self.tile = 1 if s.kind == "search" else max(1, min(TILE, int(TILE_WORK / work)))
         self._reals = [block.name for block in uncertain.blocks if block.interval]
-        self.unit = self._metric.unit
-        self.sense = 1 if self._metric.sense > 0 else -1  # -1 where the smallest value of the metric is the worst
-        # Quantity and unit of the place where a value is attained, for example "t [s]".
-        self.location = self._metric.location
-
-    def delta(self, index: int) -> dict[str, Any]:
-        """Return the normalised Delta of a sample or vertex by block name; zero for a search."""
-        return decoded(self.uncertain.blocks, self._theta(index, index + 1)[0])
+        self.sense = 1 if self.metric.sense > 0 else -1  # -1 where the smallest value of the metric is the worst
 
     def _theta(self, first: int, last: int) -> Array:
         """Return the coordinates of samples (k, width)."""
         blocks, seed = self.uncertain.blocks, self.settings.seed
         if self.settings.kind == "search":
-            return np.zeros((last - first, self._metric.set.size))
+            return np.zeros((last - first, self.metric.set.size))
         if self.settings.kind == "samples":
             return Deltas(blocks, last, seed, np.zeros((0, 0))).numbers(slice(first, last))
         corners = [
@@ -104,14 +99,6 @@ class Evaluator:
     def rows(self, first: int, last: int) -> Rows:
         """Compute samples ``first .. last - 1``, multiples of the tile; a failed tile is computed sample by sample."""
         return _joined([self._tile(start) for start in range(first, last, self.tile)])
-
-    def agrees(self, value: float, again: Evaluation) -> bool:
-        """Return whether a re-evaluation confirms a value."""
-        return again.accurate and self._metric.agrees(value, again.value)
-
-    def evaluate(self, delta: Mapping[str, Any]) -> Evaluation:
-        """Evaluate the metric at one Delta by the second method."""
-        return self._metric.evaluate(delta)
 
     def _tile(self, first: int) -> Rows:
         if self.tile == 1:
@@ -142,12 +129,12 @@ class Evaluator:
         return Rows(index, np.array([value]), theta, seconds, {index: reason} if reason else {})
 
     def _values(self, theta: Array) -> Array:
-        return self._metric.of(self._metric.set.members(theta))
+        return self.metric.of(self.metric.set.members(theta))
 
     def _search(self, index: int) -> tuple[float, dict[str, Any]]:
         s = self.settings
         seed = int(np.random.SeedSequence(s.seed, spawn_key=(index, 3)).generate_state(2)[0])
-        found = worst_case(self.uncertain, **vars(self._request), n=s.starts, seed=seed, effort=UNLIMITED_EFFORT)
+        found = worst_case(self.uncertain, **self._asked, n=s.starts, seed=seed, effort=UNLIMITED_EFFORT)
         if not found.status.trustworthy:
             raise NoTrustworthyNumber(
                 "search", f"{found.status}: {found.search_value:.9g} found, {found.value:.9g} when evaluated again"

@@ -122,9 +122,10 @@ def _note_end(store: Store, evaluator: Evaluator) -> None:
     worst = store.worst(evaluator.sense)
     facts: dict[str, Any] = {"digest": store.digest(), "agrees": False}
     if worst is not None:
-        again = evaluator.evaluate(decoded(evaluator.uncertain.blocks, worst.numbers))
-        agrees, nominal = evaluator.agrees(worst.value, again), evaluator.evaluate({}).value
-        facts.update(agrees=agrees, again=again.value, at=again.at, nominal=nominal)
+        metric = evaluator.metric
+        again = metric.evaluate(decoded(evaluator.uncertain.blocks, worst.numbers))
+        agrees = again.accurate and metric.agrees(worst.value, again.value)
+        facts.update(agrees=agrees, again=again.value, at=again.at, nominal=metric.evaluate({}).value)
     store.put("finished", json.dumps(facts))
 
 

@@ -21,7 +21,7 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import delta_values
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.members import MemberSet, chunks, is_count, vertex_signs
-from robustlab.worst_case_analysis.metrics import Metric, MetricRequest, TimeMetric, make_metric
+from robustlab.worst_case_analysis.metrics import Metric, TimeMetric, make_metric, name_of
 
 LABEL = "sampled: a lower bound of the true worst case"
 LABEL_SMALLEST = "sampled: an upper bound of the true worst case, which is the smallest value"
@@ -95,8 +95,6 @@ class WorstCase(Displayable, AllFields):
         Of the member at ``delta``, all states.
     seed
         Seed of the search.
-    gradients
-        Number of gradients.
     response
         Response of the metric's output, nominal and at ``delta``; None for other metrics, and where it overflows.
     """
@@ -121,7 +119,6 @@ class WorstCase(Displayable, AllFields):
     output: str | None
     spectral_abscissa: float
     seed: int
-    gradients: int = 0
     response: WorstResponse | None = None
 
     @property
@@ -220,12 +217,11 @@ def worst_case(
     ({'pole': -1.0}, 4.89)
     """
     budget = search_budget("worst_case", WORK, effort, time_limit)
-    request = MetricRequest(metric, output, input, t, u, hold, band)
     for name, count, least in (("n", n, 1), ("seed", seed, 0)):
         if not is_count(count, least):
             raise InputError("worst_case", f"{name} is {count!r}", f"a whole number, at least {least}")
     with one_thread():
-        judge = make_metric(uncertain, request)
+        judge = make_metric(uncertain, metric, output, input, t, u, hold, band)
         search = _Search(judge, budget)
         theta, score = search.run(int(n), int(seed))
         delta = delta_values(uncertain.blocks, judge.set.deltas(theta[None])[0])
@@ -243,7 +239,7 @@ def worst_case(
     return WorstCase(
         again.value,
         delta,
-        request.name,
+        name_of(metric),
         nominal.value,
         status,
         "; ".join([label, *remark, *uncertain.remarks]),
@@ -253,11 +249,10 @@ def worst_case(
         judge.location,
         found,
         judge.unit,
-        request.input,
-        request.output,
+        input,
+        output,
         abscissa,
         int(seed),
-        search.gradients,
         response,
     )
 
@@ -284,7 +279,7 @@ class _Search:
 
     def __init__(self, metric: Metric, budget: Budget) -> None:
         self.metric, self.budget = metric, budget
-        self.evaluations = self.gradients = 0
+        self.evaluations = 0
         self.ended = False  # early, by the budget
         self.best, self.top = np.zeros(metric.set.size), -np.inf
 
@@ -393,7 +388,6 @@ class _Search:
         step = np.where(np.abs(theta + step) > 1.0, -step, step)
         points = np.vstack([theta, theta + np.diag(step)])
         scores = self._measure(points)
-        self.gradients += 1
         if np.isposinf(scores).any():
             self._keep(points[int(scores.argmax())], np.inf)
             raise _Ended

@@ -40,8 +40,8 @@ def ran(tmp_path, model, asked, workers=1, **more):
 
 
 def test_samples_equal_those_of_rl_sample(motor):
-    evaluator = Evaluator(motor, settings_of(100, seed=5))
-    assert [evaluator.delta(i) for i in range(3)] == list(rl.sample(motor, 3, seed=5).deltas)
+    drawn = Evaluator(motor, settings_of(100, seed=5)).rows(0, TILE).deltas
+    assert drawn[:3].tolist() == [list(delta.values()) for delta in rl.sample(motor, 3, seed=5).deltas]
 
 
 def test_values_are_peak_deviations_of_single_simulations(motor):
@@ -86,7 +86,7 @@ def test_samples_do_not_depend_on_the_workers(tmp_path, motor):
 def test_an_exception_in_a_tile_loses_only_its_own_sample(motor, monkeypatch):
     evaluator = Evaluator(motor, settings_of(TILE))
     whole = evaluator.rows(0, TILE)
-    bad = list(evaluator.delta(9).values())
+    bad = whole.deltas[9].tolist()
 
     def values(theta, original=evaluator._values):
         if bad in theta.tolist():
@@ -206,4 +206,5 @@ def test_every_metric_of_the_search_is_one_of_campaigns(metric):
     evaluator = Evaluator(chain, CampaignSettings(metric, 8, kind="vertices", output="q", **drive))
     rows = evaluator.rows(0, TILE)
     worst = int(np.argmax(evaluator.sense * rows.values[:8]))
-    assert evaluator.agrees(rows.values[worst], evaluator.evaluate(evaluator.delta(worst)))
+    again = evaluator.metric.evaluate(dict(zip(("m", "c", "k"), rows.deltas[worst], strict=True)))
+    assert evaluator.metric.agrees(rows.values[worst], again.value)
