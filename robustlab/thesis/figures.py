@@ -122,17 +122,16 @@ def case_figure(
         for k, (name, unit) in enumerate(outputs):
             whole, end, change = panels[3 * k : 3 * k + 3]
             scale = 100 / np.abs(nominal[:, k]).max()
-            for i, member in enumerate(members[:, :, k]):
-                for axes, x in ((whole, t), (end, before)):
-                    axes.plot(x, member, color=COLOURS["sample"], lw=0.6, label=None if i else label)
-                change.plot(t, scale * (member - nominal[:, k]), color=COLOURS["sample"], lw=0.6)
-            for curve, key, dashes, word in (
-                (nominal[:, k], "nominal", "-", "nominal"),
-                (worst[:, k], "worst", (0, (4, 2)), "worst Δ"),
-            ):
-                for axes, x in ((whole, t), (end, before)):
-                    axes.plot(x, curve, color=COLOURS[key], ls=dashes, lw=1.3, label=word)
-                change.plot(t, scale * (curve - nominal[:, k]), color=COLOURS[key], ls=dashes, lw=1.3)
+            drawn = [(member, "sample", "-", 0.6, None if i else label) for i, member in enumerate(members[:, :, k])]
+            drawn.append((nominal[:, k], "nominal", "-", 1.3, "nominal"))
+            drawn.append((worst[:, k], "worst", (0, (4, 2)), 1.3, "worst Δ"))
+            for curve, key, dashes, width, word in drawn:
+                for axes, x, y in (
+                    (whole, t, curve),
+                    (end, before, curve),
+                    (change, t, scale * (curve - nominal[:, k])),
+                ):
+                    axes.plot(x, y, color=COLOURS[key], ls=dashes, lw=width, label=word)
             for i, edge in enumerate((-published, published)):
                 text = f"thesis: ±{published:g} %" if i == 0 else None
                 change.axhline(edge, color=COLOURS["reference"], ls=":", lw=1.2, label=text)
@@ -152,8 +151,7 @@ def case_figure(
         for axes, text in zip(panels[-3:], ("time [s]", "time before the end [ms]", "time [s]"), strict=True):
             axes.set_xlabel(text)
         figure.suptitle(plain_label(title), x=0.01, ha="left", fontsize=10.5, fontweight="bold")
-        (lines, words), (edges, bands) = (axes.get_legend_handles_labels() for axes in (panels[0], panels[2]))
-        figure.legend([*lines, *edges], [*words, *bands], loc="outside lower center", ncols=4)
+        figure.legend(*panels[2].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return figure
 
 

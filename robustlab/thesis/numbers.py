@@ -53,10 +53,6 @@ class PublishedNumber:
     why: str = ""  # interpretation, or reason why it is not reproducible
     bound: Bound = "equal"  # "at most" and "at least": the thesis prints a limit
 
-    def __post_init__(self) -> None:
-        if self.ours is not None:
-            object.__setattr__(self, "ours", float(self.ours))
-
     @property
     def difference(self) -> float | None:
         """Ours minus published."""
@@ -97,12 +93,8 @@ class PublishedNumbers:
         return [row.key for row in (*self.with_status("R"), *self.with_status("F")) if row.agrees is not True]
 
     def to_json(self) -> dict[str, Any]:
-        """Return rows, cases, sine runs, and the parts of the tracking runs that the rows need."""
-        tracking = {name: {"t": run.t, "error": run.error, "torque": run.torque, "voltage": run.voltage}
-                    for name, run in self.tracking.items()}  # fmt: skip
-        rows = {key: row.to_json() for key, row in self.rows.items()}
-        sines = {name: run.to_json() for name, run in self.sines.items()}
-        return {"rows": rows, "sines": sines, "cases": {c.name: c.to_json() for c in self.cases}, "tracking": tracking}
+        """Return the rows."""
+        return {"rows": {key: row.to_json() for key, row in self.rows.items()}}
 
 
 def published_numbers() -> PublishedNumbers:
@@ -124,8 +116,8 @@ def published_numbers() -> PublishedNumbers:
     rows = {}
     for key, row in table.items():
         row["why"] = row.get("why", "").format(**found)
-        row.setdefault("published", None)
-        rows[key] = PublishedNumber(key=key, ours=found.get(key), **row)
+        ours = float(found[key]) if key in found else None
+        rows[key] = PublishedNumber(**{"key": key, "published": None, "ours": ours, **row})
     return PublishedNumbers(rows, sines, varied, tracking)
 
 
