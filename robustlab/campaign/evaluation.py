@@ -6,7 +6,7 @@ Samples are computed in fixed tiles: members of a tile share their scaling.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -36,23 +36,6 @@ class Rows:
     deltas: Array  # normalised Deltas as numbers, shape (k, width); see `robustlab.worst_case_analysis.members.encoded`
     seconds: Array  # time each one took, shape (k,); samples computed together share their time evenly
     lost: Mapping[int, str] = field(default_factory=dict)  # index -> reason, for samples without a value
-
-    def __len__(self) -> int:
-        return len(self.values)
-
-    def up_to(self, n: int) -> Rows:
-        """Return the samples with an index below ``n``."""
-        count = max(0, min(len(self), n - self.first))
-        lost = {index: reason for index, reason in self.lost.items() if index < n}
-        return Rows(self.first, self.values[:count], self.deltas[:count], self.seconds[:count], lost)
-
-
-def _joined(parts: Sequence[Rows]) -> Rows:
-    """Concatenate consecutive samples."""
-    values, deltas, seconds = (
-        np.concatenate([getattr(part, name) for part in parts]) for name in ("values", "deltas", "seconds")
-    )
-    return Rows(parts[0].first, values, deltas, seconds, {i: why for part in parts for i, why in part.lost.items()})
 
 
 class Evaluator:
@@ -97,22 +80,28 @@ class Evaluator:
         return (2.0 * rng.integers(0, 2, k) - 1.0).tolist()
 
     def rows(self, first: int, last: int) -> Rows:
-        """Compute samples ``first .. last - 1``, multiples of the tile; a failed tile is computed sample by sample."""
-        return _joined([self._tile(start) for start in range(first, last, self.tile)])
+        """Compute samples ``first .. last - 1`` below n, multiples of the tile; a failed tile sample by sample."""
+        parts = [part for start in range(first, last, self.tile) for part in self._tile(start)]
+        n = self.settings.n
+        values, deltas, seconds = (
+            np.concatenate([getattr(part, name) for part in parts])[: n - first]
+            for name in ("values", "deltas", "seconds")
+        )
+        return Rows(first, values, deltas, seconds, {i: why for part in parts for i, why in part.lost.items() if i < n})
 
-    def _tile(self, first: int) -> Rows:
-        if self.tile == 1:
-            return self.alone(first)
-        started, theta = time.perf_counter(), self._theta(first, first + self.tile)
-        try:
-            values = self._values(theta)
-        except Exception:  # noqa: BLE001  one sample fails the tile; it is found below
-            values = np.full(len(theta), np.nan)
-        if np.isnan(values).any():
-            return _joined([self.alone(index) for index in range(first, first + self.tile)])
-        return Rows(first, values, theta, np.full(len(theta), (time.perf_counter() - started) / len(theta)))
+    def _tile(self, first: int) -> list[Rows]:
+        indices = range(first, first + self.tile)
+        if self.tile > 1:
+            started, theta = time.perf_counter(), self._theta(first, indices.stop)
+            try:
+                values = self._values(theta)
+            except Exception:  # noqa: BLE001  one sample fails the tile; it is found below
+                values = np.full(len(theta), np.nan)
+            if not np.isnan(values).any():
+                return [Rows(first, values, theta, np.full(len(theta), (time.perf_counter() - started) / len(theta)))]
+        return [self._alone(index) for index in indices]
 
-    def alone(self, index: int) -> Rows:
+    def _alone(self, index: int) -> Rows:
         """Compute one sample; its exception becomes the reason of a lost sample."""
         started, theta, value, reason = time.perf_counter(), self._theta(index, index + 1), np.nan, ""
         try:

@@ -199,9 +199,8 @@ def compute_missing(store: Store, evaluator: Evaluator, workers: Workers, progre
                 found = f"a worker failed ({type(error).__name__}: {error})"[:500]
                 raise EnvironmentFault("campaign", found, None, "give it more memory, or fewer --workers") from error
             todo.resize(rows)
-            rows = rows.up_to(n)
             store.save(rows)
-            progress(len(rows))
+            progress(len(rows.values))
             lost += len(rows.lost)
             _stop_if_too_many(store, lost, n)
 

@@ -72,11 +72,9 @@ def test_samples_do_not_depend_on_the_workers(tmp_path, motor):
     n = 5 * TILE + 7
     one, two = ran(tmp_path, motor, settings_of(n)), ran(tmp_path, motor, settings_of(n), 2)
     assert (one.digest, one.done, one.lost) == (two.digest, n, 0)
-    evaluator = Evaluator(motor, settings_of(TILE))
+    evaluator = Evaluator(motor, settings_of(n))
     values = one.table().columns["peak-deviation"]
-    assert (
-        np.concatenate([evaluator.rows(k, k + TILE).values for k in range(0, n, TILE)])[:n].tolist() == values.tolist()
-    )
+    assert np.concatenate([evaluator.rows(k, k + TILE).values for k in range(0, n, TILE)]).tolist() == values.tolist()
     assert Evaluator(motor, settings_of(n, seed=1)).rows(0, TILE).values[0] != values[0]
 
 
@@ -205,6 +203,6 @@ def test_every_metric_of_the_search_is_one_of_campaigns(metric):
     drive = {"t_end": 60.0, "u": {"f": 1.0}} if needs_a_response else {}
     evaluator = Evaluator(chain, CampaignSettings(metric, 8, kind="vertices", output="q", **drive))
     rows = evaluator.rows(0, TILE)
-    worst = int(np.argmax(evaluator.sense * rows.values[:8]))
+    worst = int(np.argmax(evaluator.sense * rows.values))
     again = evaluator.metric.evaluate(dict(zip(("m", "c", "k"), rows.deltas[worst], strict=True)))
     assert evaluator.metric.agrees(rows.values[worst], again.value)
