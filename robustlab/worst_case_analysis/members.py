@@ -142,15 +142,7 @@ def encoded(blocks: Sequence[Block], values: Mapping[str, Any]) -> Array:
 
 
 def decoded(blocks: Sequence[Block], numbers: Array) -> dict[str, Any]:
-    """Inverse of `encoded`.
-
-    Examples
-    --------
-    >>> from robustlab.uncertainty.blocks import ComplexScalar, RealScalar
-    >>> blocks = [RealScalar("k"), ComplexScalar("c")]
-    >>> decoded(blocks, encoded(blocks, {"k": 0.5, "c": 0.1 - 0.2j}))
-    {'k': 0.5, 'c': (0.1-0.2j)}
-    """
+    """Inverse of `encoded`."""
     ends = np.cumsum([0, *(b.n_coordinates for b in blocks)])
     return {b.name: b.value_at(numbers[i:j]) for b, (i, j) in zip(blocks, pairwise(ends), strict=True)}
 

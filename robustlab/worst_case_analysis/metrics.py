@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -507,12 +506,7 @@ def make_metric(
     return TimeMetric(uncertain, metric, output or names[0], drive, hold, band)
 
 
-def values_at(metric: Metric, deltas: Deltas, workers: int = 1) -> Array:
-    """Return the metric at all samples (k,); a sample's value does not depend on their number or the threads."""
-    members = metric.set  # built before the threads start
-
-    def of(part: slice) -> Array:
-        return metric.of(members.members(deltas.numbers(part)))
-
-    with ThreadPoolExecutor(workers) as pool:
-        return np.concatenate(list(pool.map(of, blocks_of(len(deltas), members.block))))
+def values_at(metric: Metric, deltas: Deltas) -> Array:
+    """Return the metric at all samples (k,); a sample's value does not depend on their number."""
+    parts = blocks_of(len(deltas), metric.set.block)
+    return np.concatenate([metric.of(metric.set.members(deltas.numbers(part))) for part in parts])

@@ -225,7 +225,6 @@ class Responses(Displayable):
     def to_json(self) -> dict[str, object]:
         """All fields except the single responses ``y``, which follow from the Deltas."""
         data = {key: value for key, value in vars(self).items() if key != "y"}
-        data["inputs"], data["outputs"] = [list(s) for s in self.inputs], [list(s) for s in self.outputs]
         return {**data, "peak_deviation": self.peak_deviation}
 
 

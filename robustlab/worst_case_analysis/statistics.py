@@ -158,14 +158,7 @@ DEFAULT_SAMPLES = 1000
 
 
 def clopper_pearson(violations: int, n: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Return both bounds of a probability from ``violations`` in n samples; see the module.
-
-    Examples
-    --------
-    >>> low, high = clopper_pearson(0, 29, 0.90)
-    >>> low, round(high, 6) == round(1 - 0.05 ** (1 / 29), 6)
-    (0.0, True)
-    """
+    """Return both bounds of a probability from ``violations`` in n samples; see the module."""
     from scipy.stats import binomtest
 
     interval = binomtest(violations, n).proportion_ci(confidence, "exact")
@@ -185,13 +178,7 @@ class Quantile(NamedTuple):
 
 
 def quantile_bounds(values: ArrayLike, share: float, confidence: float = 0.95) -> Quantile:
-    """Return distribution-free bounds of a quantile from independent samples (n,), infinite values included.
-
-    Examples
-    --------
-    >>> quantile_bounds(range(1, 101), 0.5, 0.95)
-    Quantile(share=0.5, value=50.0, lower=40.0, upper=61.0)
-    """
+    """Return distribution-free bounds of a quantile from independent samples (n,), infinite values included."""
     from scipy.stats import binom
 
     ordered = np.sort(np.asarray(values, dtype=float))
@@ -351,7 +338,6 @@ def violation_probability(
     hold: Literal["zoh", "foh"] = "zoh",
     band: float = 0.02,
     seed: int = 0,
-    workers: int = 1,
 ) -> ViolationProbability:
     """Probability that a metric violates a limit, from seeded samples, with Clopper-Pearson bounds.
 
@@ -373,8 +359,6 @@ def violation_probability(
         Shares of the metric's quantiles, between 0 and 1.
     seed
         Seed of the random numbers.
-    workers
-        Threads; the result does not depend on their number.
 
     Returns
     -------
@@ -417,10 +401,8 @@ def violation_probability(
     count = n if n is not None else needed or DEFAULT_SAMPLES
     if not is_count(count, 1) or count > MOST_SAMPLES:
         raise InputError("n", f"{count!r}", f"a whole number of samples from 1 to {MOST_SAMPLES}")
-    if not is_count(workers, 1):
-        raise InputError("workers", f"{workers!r}", "a whole number, at least 1")
     deltas = Deltas(uncertain.blocks, int(count), seed, np.zeros((0, 0)))
-    values = values_at(judge, deltas, workers)
+    values = values_at(judge, deltas)
     scores = judge.sense * values
     violations = int((scores > judge.sense * number).sum())
     worst = int(scores.argmax())

@@ -110,7 +110,6 @@ def test_unstable_members_violate():
         (11.0, {"probability": 0.0}, InputError, "probability: 0.0"),
         (11.0, {"confidence": 1.0}, InputError, "confidence: 1.0"),
         (11.0, {"quantiles": (1.5,)}, InputError, "quantile: 1.5"),
-        (11.0, {"workers": 0}, InputError, "workers"),
         (11.0, {"seed": -1}, InputError, "seed"),
     ],
 )
