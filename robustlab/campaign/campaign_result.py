@@ -137,29 +137,6 @@ class CampaignResult(Tabular, Displayable, AllFields):
     seed: int  # of the random numbers
     label: str  # meaning of the worst value
 
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Lost and unbounded samples, and the limits of sampling."""
-        notes = ["Sampled, not proved: members that were not drawn may be worse."]
-        if self.unbounded:
-            notes.insert(0, f"{self.unbounded} of the members have no bounded value.")
-        if self.lost:
-            first = f"the first one number {self.lost_samples[0].index}: {self.lost_samples[0].reason}"
-            notes.insert(0, f"{self.lost} were lost, {first}. Bounds count them as worst.")
-        return tuple(notes)
-
-    def numbers(self) -> dict[str, Any]:
-        """The worst value and its member, counts, quantiles by ``q50`` ..., violations of a limit."""
-        names = ("worst", "worst_index", "nominal", "done", "lost", "unbounded", "unseen", "delta", "digest")
-        found = {name: getattr(self, name) for name in names}
-        found["quantiles"] = {f"q{q.share * 100:g}".replace(".", "_"): q.value for q in self.quantiles}
-        if self.violation is not None:
-            found["violation"] = {name: getattr(self.violation, name) for name in ("count", "of", "lower", "upper")}
-        return found
-
-    def headline(self) -> str:
-        return f"worst {self.metric} {number(self.worst, self.unit, 9)} of {self.done} {_counted(self.kind)}"
-
     def facts(self) -> Facts:
         one = {"samples": "sample", "vertices": "vertex"}.get(self.kind, self.kind)
         worst = f"{number(self.worst, self.unit, 9)} in {one} {self.worst_index}"

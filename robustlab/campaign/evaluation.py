@@ -64,7 +64,7 @@ class Evaluator:
         if self.settings.kind == "search":
             return np.zeros((last - first, self.metric.set.size))
         if self.settings.kind == "samples":
-            return Deltas(blocks, last, seed, np.zeros((0, 0))).numbers(slice(first, last))
+            return Deltas(blocks, last, seed).numbers(slice(first, last))
         corners = [
             delta_of_sample(blocks, seed, k, boundary=True) | dict(zip(self._reals, self._signs(k), strict=True))
             for k in range(first, last)

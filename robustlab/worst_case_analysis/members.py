@@ -94,10 +94,10 @@ class Deltas(Sequence[Mapping[str, Any]]):
     ``signs``: vertices (n_v, k) of the k real scalars; complex and full blocks are at random on their boundary there.
     """
 
-    def __init__(self, blocks: Sequence[Block], n: int, seed: int, signs: Array) -> None:
-        self.blocks, self.n, self.seed, self.signs = tuple(blocks), n, seed, signs
+    def __init__(self, blocks: Sequence[Block], n: int, seed: int, signs: Array | None = None) -> None:
+        self.blocks, self.n, self.seed = tuple(blocks), n, seed
         self._reals = tuple(b.name for b in blocks if b.interval)
-        self._asymmetric = [(k, b) for k, b in enumerate(self.blocks) if not b.is_symmetric]
+        self.signs: Array = np.zeros((0, len(self._reals))) if signs is None else signs
 
     def __len__(self) -> int:
         return self.n + len(self.signs)
@@ -126,10 +126,10 @@ class Deltas(Sequence[Mapping[str, Any]]):
         inside = np.arange(part.start, max(part.start, min(part.stop, self.n)))
         drawn = np.array([_generator(self.seed, int(i)).uniform(-1.0, 1.0, len(self.blocks)) for i in inside])
         drawn = drawn.reshape(len(inside), len(self.blocks))
-        for k, block in self._asymmetric:
-            drawn[:, k] = [block.in_range(place) for place in drawn[:, k].tolist()]
-        corners = self.signs[max(part.start - self.n, 0) : max(part.stop - self.n, 0)]
-        return np.concatenate([drawn, corners]) if len(corners) else drawn
+        for k, block in enumerate(self.blocks):
+            if not block.is_symmetric:
+                drawn[:, k] = [block.in_range(place) for place in drawn[:, k].tolist()]
+        return np.concatenate([drawn, self.signs[max(part.start - self.n, 0) : max(part.stop - self.n, 0)]])
 
     def to_json(self) -> list[Mapping[str, Any]]:
         return list(self)
@@ -202,8 +202,8 @@ class Ensemble:
         return len(self.A)
 
     def part(self, which: slice | NDArray[np.intp]) -> Ensemble:
-        a, b, c, d = (matrix[which] for matrix in (self.A, self.B, self.C, self.D))
-        return Ensemble(a, b, c, d, self.dt, self.ill_posed[which], self.scale)
+        matrices = (matrix[which] for matrix in (self.A, self.B, self.C, self.D))
+        return Ensemble(*matrices, self.dt, self.ill_posed[which], self.scale)
 
     def spectral_abscissa(self) -> Array:
         """Return `StateSpaceModel.spectral_abscissa` of every member, shape (k,); ``inf`` where ill-posed."""
@@ -243,7 +243,7 @@ class MemberSet:
         self._left, self._right = np.vstack([m.B[:, :q], m.D[p:, :q]]), np.hstack([m.C[:p], m.D[:p, q:]])
         self._d11, self._nominal = m.D[:p, :q], np.block([[m.A, m.B[:, q:]], [m.C[p:], m.D[p:, q:]]])
         ends = np.cumsum([0, *(b.n_coordinates for b in self.blocks)])
-        self._parts = [slice(a, b) for a, b in pairwise(ends)]
+        self.parts = [slice(a, b) for a, b in pairwise(ends)]
         self.size, self.all_real = int(ends[-1]), all(b.interval for b in self.blocks)
         self._scale = np.ones(0)
         if self.n_states:
@@ -261,7 +261,7 @@ class MemberSet:
         """Return Deltas (k, q, p) at coordinates (k, d); blocks outside their ball are projected onto it."""
         dtype = float if all(b.is_real for b in self.blocks) else complex
         delta = np.zeros((len(theta), *structure_size(self.blocks)), dtype=dtype)
-        for block, part, (rows, cols) in zip(self.blocks, self._parts, block_slices(self.blocks), strict=True):
+        for block, part, (rows, cols) in zip(self.blocks, self.parts, block_slices(self.blocks), strict=True):
             delta[:, rows, cols] = block.members(theta[:, part])
         return delta
 

@@ -401,7 +401,7 @@ def violation_probability(
     count = n if n is not None else needed or DEFAULT_SAMPLES
     if not is_count(count, 1) or count > MOST_SAMPLES:
         raise InputError("n", f"{count!r}", f"a whole number of samples from 1 to {MOST_SAMPLES}")
-    deltas = Deltas(uncertain.blocks, int(count), seed, np.zeros((0, 0)))
+    deltas = Deltas(uncertain.blocks, int(count), seed)
     values = values_at(judge, deltas)
     scores = judge.sense * values
     violations = int((scores > judge.sense * number).sum())

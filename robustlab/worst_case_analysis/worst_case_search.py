@@ -311,8 +311,7 @@ class _Search:
         d, blocks = self.metric.set.size, self.metric.set.blocks
         if d == 0:
             return np.zeros((1, 0))
-        ends = np.cumsum([0, *(b.n_coordinates for b in blocks)])
-        real = [int(i) for i, b in zip(ends, blocks, strict=False) if b.interval]
+        real = [part.start for part, b in zip(self.metric.set.parts, blocks, strict=True) if b.interval]
         signs = vertex_signs(len(real), VERTICES, seed) if real else np.zeros((0, 0))
         vertices = np.zeros((len(signs), d))
         vertices[:, real] = signs
