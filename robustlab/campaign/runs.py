@@ -1,31 +1,55 @@
-"""Running, resuming and reading campaigns."""
+"""Running, resuming and reading campaigns.
+
+The executors are processes on this machine, or the workers of a Dask cluster (``robustlab[cluster]``).
+"""
 
 from __future__ import annotations
 
 import json
+import multiprocessing
+import os
+import signal
+import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, wait
-from contextlib import closing
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from robustlab.campaign.campaign_result import CampaignResult, result_of
 from robustlab.campaign.evaluation import Evaluator, Rows, compute
 from robustlab.campaign.settings import CampaignSettings, Identity, code_identity, differences, model_from_bytes
 from robustlab.campaign.store import Store, locked
-from robustlab.campaign.workers import Crew, Workers, started_workers
-from robustlab.errors import EnvironmentFault, InputError, NoTrustworthyNumber
+from robustlab.errors import DependencyMissing, EnvironmentFault, InputError, NoTrustworthyNumber
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.members import decoded
 
 Existing = Literal["resume", "restart"]
-ALL_PROCESSORS = Crew()
 MAX_LOST_SHARE = 0.01  # largest share of samples without a value
 # Sizes of pieces of work; the samples do not depend on them.
 PIECE_SECONDS = 0.7  # long compared with sending and storing a piece, short compared with the loss by a kill
 GROWTH = 4  # largest factor by which a piece grows
 LONGEST_PIECE = 100_000  # samples: the rows are held in memory and written in one transaction
 POLL_SECONDS = 1.0
+CONNECT_SECONDS = 10.0
+EMPTY_SECONDS = 60.0  # to wait for the first worker of a cluster
+
+
+@dataclass(frozen=True)
+class Crew:
+    """Workers of a campaign; the samples do not depend on them."""
+
+    workers: int | None = None  # processes on this machine; one per processor where omitted
+    cluster: str | None = None  # instead: address of a Dask scheduler, whose workers are used
+
+    def __post_init__(self) -> None:
+        count = self.workers
+        if count is not None and (isinstance(count, bool) or not isinstance(count, int) or count < 1):
+            raise InputError("campaign", f"{count!r} workers", "a whole number, at least 1")
+
+
+ALL_PROCESSORS = Crew()
 
 
 def run_campaign(
@@ -104,7 +128,9 @@ def _work(
         if before < n or not store.facts():
             try:
                 if before < n:
-                    with started_workers(crew, n - before) as workers:
+                    cluster = crew.cluster
+                    started = _on_this_machine(crew.workers, n - before) if cluster is None else _on_cluster(cluster)
+                    with started as workers:
                         compute_missing(store, evaluator, workers, progress)
                 _note_end(store, evaluator)
             except EnvironmentFault as fault:
@@ -151,6 +177,87 @@ def _same_campaign(store: Store, identity: Identity) -> None:
         "--restart computes all samples anew, another --store keeps this one",
         tuple(f"{store.where}: {line}" for line in changes[1:]),
     )
+
+
+# --- workers ---------------------------------------------------------------------------------------------------------
+
+
+class Workers(NamedTuple):
+    """An executor, its number of parallel pieces of work, and a function that raises if it has ended."""
+
+    executor: Executor
+    n: int
+    check: Callable[[], None]
+
+
+@contextmanager
+def _on_this_machine(wanted: int | None, samples: int) -> Iterator[Workers]:
+    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    count, others = min(wanted or processors, max(1, samples)), set(multiprocessing.active_children())
+    executor = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _end_with_parent)
+    try:
+        with _ctrl_c_ignored():
+            executor.submit(int)  # starts all processes, which inherit that Ctrl-C is ignored
+        yield Workers(executor, count, lambda: None)
+    finally:
+        for child in set(multiprocessing.active_children()) - others:
+            child.terminate()
+        executor.shutdown(cancel_futures=True)  # quick without them; unawaited, it races the interpreter's own end
+
+
+@contextmanager
+def _ctrl_c_ignored() -> Iterator[None]:
+    if threading.current_thread() is not threading.main_thread():  # signals cannot be set here
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _end_with_parent() -> None:
+    """Make a worker process end with its parent."""
+    parent: Any = multiprocessing.parent_process()
+
+    def wait() -> None:
+        parent.join()
+        os._exit(0)
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+@contextmanager
+def _on_cluster(address: str) -> Iterator[Workers]:
+    try:
+        from distributed import Client
+    except ImportError:
+        raise DependencyMissing(
+            "campaign --cluster", "needs dask.distributed", None, "pip install 'robustlab[cluster]'"
+        ) from None
+    where = f"--cluster {address}"
+    try:
+        client: Any = Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
+    except (OSError, ValueError) as error:
+        found = f"no Dask scheduler answers ({error})"
+        raise EnvironmentFault(where, found, None, "dask scheduler --port 8786") from None
+
+    def check() -> None:
+        if client.status not in ("running", "connecting"):
+            raise EnvironmentFault(where, "the scheduler is gone")
+
+    try:
+        try:
+            client.wait_for_workers(1, timeout=EMPTY_SECONDS)
+        except TimeoutError:
+            hint = f"dask worker {address} --nthreads 1"
+            raise EnvironmentFault(where, "has no workers", None, hint) from None
+        count = len(client.scheduler_info(n_workers=-1)["workers"])
+        yield Workers(client.get_executor(pure=False), count, check)
+    finally:
+        with suppress(OSError, TimeoutError):
+            client.close(timeout=2)
 
 
 # --- work of the missing samples -------------------------------------------------------------------------------------

@@ -281,9 +281,9 @@ class UserMetric(Metric):
 
     smooth = False
 
-    def __init__(self, uncertain: UncertainModel, function: UserFunction, name: str) -> None:
-        need_real(uncertain, f"the function {name}")
-        self.uncertain, self._function, self._name = uncertain, function, name
+    def __init__(self, uncertain: UncertainModel, function: UserFunction) -> None:
+        need_real(uncertain, f"the function {name_of(function)}")
+        self.uncertain, self._function = uncertain, function
 
     def of(self, ensemble: Ensemble) -> Array:
         value = np.full(len(ensemble), np.inf)
@@ -291,24 +291,21 @@ class UserMetric(Metric):
         for k in np.flatnonzero(~ensemble.ill_posed):
             a, b, c, d = (matrix[k] for matrix in (ensemble.A, ensemble.B, ensemble.C, ensemble.D))
             model = StateSpaceModel(a, b, c, d, ensemble.dt, nominal.inputs, nominal.outputs, nominal.states)
-            value[k] = self._number(model)
+            value[k] = self.of_model(model).value
         return value
 
     def work(self, count: int) -> float:
         return 3000.0 * count  # a few milliseconds per call
 
     def of_model(self, model: StateSpaceModel) -> Evaluation:
-        return Evaluation(self._number(model))
-
-    def _number(self, model: StateSpaceModel) -> float:
-        found = self._function(model)
+        found, where = self._function(model), f"metric {name_of(self._function)}"
         try:
             value = float(found)
         except (TypeError, ValueError):
-            raise InputError(f"metric {self._name}", f"gave a {type(found).__name__}", "a number") from None
+            raise InputError(where, f"gave a {type(found).__name__}", "a number") from None
         if math.isnan(value):
-            raise NoTrustworthyNumber(f"metric {self._name}", "gave NaN", "a number, or inf where there is none")
-        return value
+            raise NoTrustworthyNumber(where, "gave NaN", "a number, or inf where there is none")
+        return Evaluation(value)
 
 
 # --- metrics of a response -------------------------------------------------------------------------------------------
@@ -489,7 +486,7 @@ def make_metric(
     if not isinstance(metric, str):
         if not is_function(metric):
             raise UsageError(where, f"metric {metric!r}", "the name of a metric, or a function of a model")
-        return UserMetric(uncertain, metric, name_of(metric))
+        return UserMetric(uncertain, metric)
     if metric not in METRICS:
         raise UsageError(where, f"metric {metric!r}", f"one of {', '.join(METRICS)}", did_you_mean(metric, METRICS))
     if metric in ("spectral-abscissa", "damping"):
