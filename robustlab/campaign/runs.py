@@ -291,8 +291,15 @@ def compute_missing(store: Store, evaluator: Evaluator, workers: Workers, progre
     n, identity, model, lost = evaluator.settings.n, store.identity, store.model, store.counts()[1]
     todo = _Pieces(store.missing(n), evaluator.tile)
     pieces, under_way = iter(todo), set[Future[Rows]]()
-    _stop_if_too_many(store, lost, n)
     while True:
+        if lost > MAX_LOST_SHARE * n:
+            raise NoTrustworthyNumber(
+                store.where,
+                f"{lost} of {n} samples are lost, more than {100 * MAX_LOST_SHARE:g} %",
+                None,
+                "rl.sample(set, n, seed).deltas[INDEX] is the member of a lost sample",
+                tuple(f"sample {row.index}: {row.reason}" for row in store.lost(3)),
+            )
         while len(under_way) <= workers.n and (piece := next(pieces, None)) is not None:
             under_way.add(workers.executor.submit(compute, identity, model, *piece))
         if not under_way:
@@ -309,17 +316,3 @@ def compute_missing(store: Store, evaluator: Evaluator, workers: Workers, progre
             store.save(rows)
             progress(len(rows.values))
             lost += len(rows.lost)
-            _stop_if_too_many(store, lost, n)
-
-
-def _stop_if_too_many(store: Store, lost: int, n: int) -> None:
-    if lost <= MAX_LOST_SHARE * n:
-        return
-    first = store.lost(3)
-    raise NoTrustworthyNumber(
-        store.where,
-        f"{lost} of {n} samples are lost, more than {100 * MAX_LOST_SHARE:g} %",
-        None,
-        "rl.sample(set, n, seed).deltas[INDEX] is the member of a lost sample",
-        tuple(f"sample {row.index}: {row.reason}" for row in first),
-    )

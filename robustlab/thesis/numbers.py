@@ -134,23 +134,19 @@ def _geometry(plant: StewartPlatform) -> dict[str, Any]:
     heights[:, 2] = z
     highest, lowest = 1e3 * np.interp([0.188, 0.159], inverse_kinematics(g, heights)[:, 0], z)
 
+    # The printed m2 and m3, and the pair rotated by +-120 degrees.
+    turn, pair = np.exp(2j * np.pi / 3), np.array([complex(*BEARING), complex(-BEARING[0], BEARING[1])])
+    points = np.roll(np.outer([1, turn, 1 / turn], pair), 1).ravel()
+    bearing = np.column_stack([points.real, points.imag])
+
     def gap(found: Array, table: Any) -> float:
         return float(np.abs(1e3 * found - np.array(table)).max())
 
     return {
         "1": gap(g.base[:, :2], BASE), "2": gap(g.platform[:4, 1], PLATFORM_Y),
-        "3": gap(g.bearing[:, :2], _bearing_table()), "4-max": longest, "4-min": shortest, "5-max": highest,
+        "3": gap(g.bearing[:, :2], bearing), "4-max": longest, "4-min": shortest, "5-max": highest,
         "5-min": lowest, "lowest": lowest, "6": plant.values["ratio"],
     }  # fmt: skip
-
-
-def _bearing_table() -> Array:
-    """Return points m1-m6 in mm, (6, 2): the printed m2 and m3, and the pair rotated by +-120 degrees."""
-    x, y = BEARING
-    pair = np.array([[x, y], [-x, y]])
-    c, s = -0.5, math.sqrt(0.75)
-    left, right = pair @ np.array([[c, s], [-s, c]]), pair @ np.array([[c, -s], [s, c]])
-    return np.array([right[1], *pair, left[0], left[1], right[0]])
 
 
 def _states(plant: StewartPlatform) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -278,19 +278,16 @@ def sample(uncertain: UncertainModel | Plant, n: int, seed: int = 0, vertices: i
             raise InputError("sample", f"{name} is {count!r}", "a whole number, not negative")
     if n == 0 and vertices == 0:
         raise InputError("sample", "no samples and no vertices", "at least one of n and vertices")
-    blocks = uncertain.blocks if isinstance(uncertain, UncertainModel) else tuple(_uncertain_parameters(uncertain))
+    if isinstance(uncertain, UncertainModel):
+        blocks = uncertain.blocks
+    else:
+        blocks = tuple(RealScalar(name, 1, p.range) for name, p in uncertain.parameters.items() if p.radius)
+        if not blocks:
+            known = ", ".join(uncertain.parameters) or "none"
+            found = f"no parameter of {uncertain.name} has a tolerance"
+            raise InputError("sample", found, f"one of {known} with (value, 0.1)")
     signs = vertex_signs(sum(b.interval is not None for b in blocks), vertices, seed)
     return Samples(uncertain, Deltas(blocks, int(n), int(seed), signs), int(seed), len(signs))
-
-
-def _uncertain_parameters(plant: NonlinearPlant) -> Iterator[RealScalar]:
-    """Yield a scalar for every parameter with a tolerance."""
-    for name, p in plant.parameters.items():
-        if p.radius:
-            yield RealScalar(name, 1, p.range)
-    if not any(p.radius for p in plant.parameters.values()):
-        known = ", ".join(plant.parameters) or "none"
-        raise InputError("sample", f"no parameter of {plant.name} has a tolerance", f"one of {known} with (value, 0.1)")
 
 
 def _envelope(y: Array, nominal: Array) -> tuple[Array, Array, Array, bool]:

@@ -340,9 +340,20 @@ class _Search:
         """Jump towards the vertex of the gradient's signs, then use L-BFGS-B; the best point is kept."""
         from scipy.optimize import minimize
 
-        last = self.budget.left - work
+        last, theta, best = self.budget.left - work, start, -np.inf
         try:
-            theta, best = self._jump(start, last)
+            for _ in range(JUMPS):
+                best, slope = self._score_and_slope(theta, last)
+                vertex = np.where(slope != 0, np.sign(slope), theta)
+                trials = theta + np.array([1.0, 0.5, 0.25, 0.1, 0.03])[:, None] * (vertex - theta)
+                scores = self._measure(trials)
+                top = int(np.argmax(scores))
+                self._keep(trials[top], float(scores[top]))
+                if np.isposinf(scores[top]):
+                    return
+                if not scores[top] > best + 1e-9 * abs(best):
+                    break
+                theta, best = trials[top], float(scores[top])
             size = max(abs(best), 1e-300)
 
             def falling(theta: Array) -> tuple[float, Array]:
@@ -354,22 +365,6 @@ class _Search:
             minimize(falling, theta, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
         except _Ended:
             pass
-
-    def _jump(self, theta: Array, last: float) -> tuple[Array, float]:
-        score = -np.inf
-        for _ in range(JUMPS):
-            score, slope = self._score_and_slope(theta, last)
-            vertex = np.where(slope != 0, np.sign(slope), theta)
-            trials = theta + np.array([1.0, 0.5, 0.25, 0.1, 0.03])[:, None] * (vertex - theta)
-            scores = self._measure(trials)
-            best = int(np.argmax(scores))
-            self._keep(trials[best], float(scores[best]))
-            if np.isposinf(scores[best]):
-                raise _Ended
-            if not scores[best] > score + 1e-9 * abs(score):
-                break
-            theta, score = trials[best], float(scores[best])
-        return theta, score
 
     def _score_and_slope(self, theta: Array, last: float) -> tuple[float, Array]:
         """Return the score and its difference quotients on the same side of 0 (at 0 upwards), within the box.
