@@ -12,6 +12,8 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from robustlab.errors import InputError, UsageError, did_you_mean
 from robustlab.files.isolation import receive, send_tree
 from robustlab.files.tree import Tree, canonical, content_sha256
@@ -73,10 +75,7 @@ class CampaignSettings:
     def to_json(self) -> dict[str, Any]:
         data = asdict(self)
         if self.u is not None:
-            data["u"] = {
-                name: float(value) if isinstance(value, (int, float)) else [float(item) for item in value]
-                for name, value in self.u.items()
-            }
+            data["u"] = {name: np.asarray(value, dtype=float).tolist() for name, value in self.u.items()}
         return data
 
 

@@ -137,8 +137,7 @@ class Deltas(Sequence[Mapping[str, Any]]):
 
 def encoded(blocks: Sequence[Block], values: Mapping[str, Any]) -> Array:
     """Return the coordinates (d,) of a Delta: one for a real scalar, else real and imaginary parts of all entries."""
-    parts = [block.coordinates(values[block.name]) for block in blocks]
-    return np.concatenate([np.zeros(0), *parts], dtype=np.float64)
+    return np.concatenate([np.zeros(0), *(block.coordinates(values[block.name]) for block in blocks)], dtype=np.float64)
 
 
 def decoded(blocks: Sequence[Block], numbers: Array) -> dict[str, Any]:
@@ -174,9 +173,9 @@ def vertex_signs(k: int, count: int | Literal["all"], seed: int) -> Array:
         # Equal draws are rare among so many vertices; duplicates are dropped.
         drawn = rng.integers(0, 2, (number, k))
         bits = drawn[np.sort(np.unique(drawn, axis=0, return_index=True)[1])]
-        return real_array("vertices", 2 * bits - 1, 2)
-    order = np.arange(2**k) if number >= 2**k else rng.permutation(2**k)[:number]
-    bits = (order[:, None] >> np.arange(k)[::-1]) & 1
+    else:
+        order = np.arange(2**k) if number >= 2**k else rng.permutation(2**k)[:number]
+        bits = (order[:, None] >> np.arange(k)[::-1]) & 1
     return real_array("vertices", 2 * bits - 1, 2)
 
 

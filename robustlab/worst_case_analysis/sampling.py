@@ -173,13 +173,9 @@ class Samples(Tabular, Displayable):
         rows = list(self.deltas)
         columns: dict[str, AnyArray] = {}
         for block in self.deltas.blocks:
-            drawn = np.array([row[block.name] for row in rows])
-            if block.is_scalar:
-                columns[block.name] = drawn.reshape(len(rows))
-            else:
-                r, c = block.value_shape
-                entries = [(i, j) for i in range(r) for j in range(c)]
-                columns |= {f"{block.name}[{i + 1},{j + 1}]": drawn.reshape(-1, r, c)[:, i, j] for i, j in entries}
+            entries = [f"{block.name}[{i + 1},{j + 1}]" for i, j in np.ndindex(block.value_shape)]
+            drawn = np.array([row[block.name] for row in rows]).reshape(len(rows), -1)
+            columns |= zip([block.name] if block.is_scalar else entries, drawn.T, strict=True)
         values = {name: [p.value(float(np.real(v))) for v in columns[name]] for name, p in known.items()}
         units = {name: p.unit for name, p in known.items()}
         return Table(("sample", np.arange(len(rows))), {**columns, **values}, units)

@@ -16,6 +16,7 @@ from robustlab import (
     elementwise,
 )
 from robustlab.errors import UsageError
+from robustlab.result import plain
 from robustlab.worst_case_analysis import METRICS, make_metric, sample, violation_probability, worst_case
 
 T = np.linspace(0.0, 12.0, 601)
@@ -92,10 +93,6 @@ def test_overshoot_of_an_oscillator():
     assert worst_case(lag(), "overshoot", t=T).value == 0.0
 
 
-def test_h2_norm_of_a_lag():
-    assert worst_case(lag(), "h2").value == pytest.approx(np.sqrt(1 / 1.6), rel=1e-9)
-
-
 def test_damping_is_smallest_where_it_is_worst():
     found = worst_case(oscillator(), "damping")
     assert found.value == pytest.approx(0.2, rel=1e-9)
@@ -117,7 +114,7 @@ def test_a_function_of_the_model():
 @pytest.mark.parametrize("metric", ["settling-time", "overshoot", "h2", "hinf"])
 def test_unstable_members_are_reported(metric):
     found = worst_case(lag(1.5), metric, t=T)
-    assert np.isinf(found.value)
+    assert plain(found)["value"] == "inf"
     assert found.spectral_abscissa > 0
     assert "no bounded value" in found.label
     if metric == "settling-time":
@@ -132,7 +129,6 @@ def test_unstable_members_are_reported(metric):
         (lambda: worst_case(lag(), "settling-time", t=T, band=2.0), InputError, "band is 2.0"),
         (lambda: worst_case(lag(), "overshoot", t=T, u=np.sin(T)), InputError, "an input that changes"),
         (lambda: worst_case(lag(), "overshoot", t=T, u=0 * T), NoTrustworthyNumber, "settles at 0"),
-        (lambda: worst_case(lag(), "peak", t=T, n=0), InputError, "n is 0"),
     ],
 )
 def test_invalid_requests_are_rejected(call, error, text):
@@ -177,19 +173,6 @@ def test_search_against_brute_force_in_two_parameters():
         brute = judge.of(judge.set.members(points)).max()
         found = worst_case(family, metric, t=t, u=u, n=32)
         assert found.value >= brute * (1 - 1e-9)
-
-
-def test_search_of_many_parameters_finds_the_vertex():
-    """Sum of 12 lags with uncertain gains: the peak is linear in them."""
-    rng = np.random.default_rng(0)
-    change = rng.standard_normal((1, 12))
-    a = -np.diag(np.linspace(1, 3, 12))
-    b = np.ones((12, 1))
-    pair = [StateSpaceModel(a, b, 1.0 + x, [[0.0]]) for x in (0 * change, change)]
-    t = np.linspace(0, 8, 81)
-    found = worst_case(elementwise(*pair), "peak", t=t, n=16)
-    truth = ((1 + np.abs(change)) * (1 - np.exp(-8 * np.linspace(1, 3, 12))) / np.linspace(1, 3, 12)).sum()
-    assert found.value == pytest.approx(truth, rel=1e-9)
 
 
 # --- independence of the number of samples ---------------------------------------------------------------------------
