@@ -189,7 +189,7 @@ def result_of(store: Store, evaluator: Evaluator, limit: float | None = None) ->
     """Read a store. Raises InputError: the rows of a finished campaign were changed."""
     settings, blocks, sense = evaluator.settings, evaluator.uncertain.blocks, evaluator.sense
     (done, lost), facts, worst = store.counts(), store.facts(), store.worst(sense)
-    n = done + lost
+    n, (unbounded, above, seconds) = done + lost, store.totals(sense, limit)
     complete, digest = n >= settings.n, store.digest()
     if facts and complete and facts["digest"] != digest:
         raise InputError(store.where, "its rows were changed after the campaign ended (the digest differs)")
@@ -199,7 +199,6 @@ def result_of(store: Store, evaluator: Evaluator, limit: float | None = None) ->
     delta = decoded(blocks, worst.numbers) if worst else {}
     sampled, violation = settings.kind == "samples" and done > 0, None
     if limit is not None and done:
-        above = store.beyond(sense, limit)
         lower, _ = clopper_pearson(above, n, TWO_SIDED)
         _, upper = clopper_pearson(above + lost, n, TWO_SIDED)
         violation = Violation(limit, above + lost, n, lower, upper)
@@ -213,7 +212,7 @@ def result_of(store: Store, evaluator: Evaluator, limit: float | None = None) ->
         n=settings.n,
         done=done,
         lost=lost,
-        unbounded=store.unbounded(),
+        unbounded=unbounded,
         sense=sense,
         worst=worst.value if worst else math.nan,
         worst_index=worst.index if worst else -1,
@@ -230,7 +229,7 @@ def result_of(store: Store, evaluator: Evaluator, limit: float | None = None) ->
             LostSample(row.index, row.reason, decoded(blocks, row.numbers)) for row in store.lost(SHOWN_LOST)
         ),
         digest=digest,
-        seconds=store.seconds(),
+        seconds=seconds,
         seed=settings.seed,
         label=UNBOUNDED if worst and not math.isfinite(worst.value) else label,
     )

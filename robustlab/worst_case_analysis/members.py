@@ -121,8 +121,7 @@ class Deltas(Sequence[Mapping[str, Any]]):
     def numbers(self, part: slice) -> Array:
         """Return the coordinates of some samples, shape (k, d)."""
         if len(self._reals) < len(self.blocks):
-            rows = [encoded(self.blocks, values) for values in self[part]]
-            return np.array(rows).reshape(len(rows), sum(b.n_coordinates for b in self.blocks))
+            return np.array([encoded(self.blocks, values) for values in self[part]])
         inside = np.arange(part.start, max(part.start, min(part.stop, self.n)))
         drawn = np.array([_generator(self.seed, int(i)).uniform(-1.0, 1.0, len(self.blocks)) for i in inside])
         drawn = drawn.reshape(len(inside), len(self.blocks))
