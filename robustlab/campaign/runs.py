@@ -25,7 +25,6 @@ from robustlab.errors import DependencyMissing, EnvironmentFault, InputError, No
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.members import decoded
 
-Existing = Literal["resume", "restart"]
 MAX_LOST_SHARE = 0.01  # largest share of samples without a value
 # Sizes of pieces of work; the samples do not depend on them.
 PIECE_SECONDS = 0.7  # long compared with sending and storing a piece, short compared with the loss by a kill
@@ -58,7 +57,7 @@ def run_campaign(
     store: str | Path,
     *,
     crew: Crew = ALL_PROCESSORS,
-    existing: Existing = "resume",
+    existing: Literal["resume", "restart"] = "resume",
     limit: float | None = None,
     progress: Callable[[int], None] = lambda _: None,
 ) -> CampaignResult:
@@ -263,34 +262,22 @@ def _on_cluster(address: str) -> Iterator[Workers]:
 # --- work of the missing samples -------------------------------------------------------------------------------------
 
 
-class _Pieces:
-    """The missing samples, cut at the borders of tiles into pieces of about PIECE_SECONDS."""
-
-    def __init__(self, gaps: list[tuple[int, int]], tile: int) -> None:
-        self._gaps, self._tile, self._tiles, self._seconds = gaps[::-1], tile, 1, 0.0
-
-    def __iter__(self) -> Iterator[tuple[int, int]]:
-        while self._gaps:
-            first, last = self._gaps.pop()
-            first -= first % self._tile  # a tile is always computed as a whole
-            end = first + self._tiles * self._tile
-            if end < last:
-                self._gaps.append((end, last))
-            yield first, min(end, -(-last // self._tile) * self._tile)
-
-    def resize(self, rows: Rows) -> None:
-        """Update the size of pieces from the time of a finished one."""
-        each = float(rows.seconds.mean())
-        self._seconds = each if not self._seconds else 0.7 * self._seconds + 0.3 * each
-        wanted = int(PIECE_SECONDS / max(self._seconds, 1e-9) / self._tile)
-        self._tiles = max(1, min(wanted, GROWTH * self._tiles, LONGEST_PIECE // self._tile))
-
-
 def compute_missing(store: Store, evaluator: Evaluator, workers: Workers, progress: Callable[[int], None]) -> None:
     """Compute the missing samples; ``progress`` is called with the number of newly stored samples."""
     n, identity, model, lost = evaluator.settings.n, store.identity, store.model, store.counts()[1]
-    todo = _Pieces(store.missing(n), evaluator.tile)
-    pieces, under_way = iter(todo), set[Future[Rows]]()
+    gaps, tile, tiles, under_way = store.missing(n)[::-1], evaluator.tile, 1, set[Future[Rows]]()
+
+    def cut() -> Iterator[tuple[int, int]]:
+        """Cut the missing samples at the borders of tiles, which are always computed as a whole."""
+        while gaps:
+            first, last = gaps.pop()
+            first -= first % tile
+            end = first + tiles * tile
+            if end < last:
+                gaps.append((end, last))
+            yield first, min(end, -(-last // tile) * tile)
+
+    pieces = cut()
     while True:
         if lost > MAX_LOST_SHARE * n:
             raise NoTrustworthyNumber(
@@ -312,7 +299,8 @@ def compute_missing(store: Store, evaluator: Evaluator, workers: Workers, progre
             except Exception as error:
                 found = f"a worker failed ({type(error).__name__}: {error})"[:500]
                 raise EnvironmentFault("campaign", found, None, "give it more memory, or fewer --workers") from error
-            todo.resize(rows)
+            wanted = int(PIECE_SECONDS / max(float(rows.seconds.mean()), 1e-9) / tile)
+            tiles = max(1, min(wanted, GROWTH * tiles, LONGEST_PIECE // tile))
             store.save(rows)
             progress(len(rows.values))
             lost += len(rows.lost)

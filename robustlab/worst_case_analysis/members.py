@@ -71,8 +71,8 @@ def excitation(
         if len(names) != 1:
             hint = f"say which input steps: u={{{names[0]!r}: 1.0}}" if names else None
             raise InputError(where, f"{len(names)} inputs and no u", "one input, or u", hint)
-        return Excitation(clock, h, np.ones((n, 1)))
-    if isinstance(u, Mapping):
+        u = np.ones(n)
+    elif isinstance(u, Mapping):
         held = {name: np.repeat(value, n) if np.ndim(value) == 0 else value for name, value in u.items()}
         u = {**dict.fromkeys(names, np.zeros(n)), **held}
     elif np.ndim(u) == 0:

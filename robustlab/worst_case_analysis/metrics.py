@@ -215,8 +215,7 @@ class H2Gain(Metric):
 
     def of(self, ensemble: Ensemble) -> Array:
         value = np.full(len(ensemble), np.inf)
-        direct = ensemble.D.any(axis=(1, 2)) if not ensemble.dt else np.zeros(len(ensemble), dtype=bool)
-        good = np.flatnonzero(ensemble.is_stable() & ~direct)
+        good = np.flatnonzero(ensemble.is_stable() & (bool(ensemble.dt) | ~ensemble.D.any(axis=(1, 2))))
         some = ensemble.part(good)
         reach = _gramians(some)
         square = np.einsum("kij,kjl,kil->k", some.C, reach, some.C)
@@ -367,8 +366,6 @@ MEASURES = {
 
 class TimeMetric(Metric):
     """A measure of the response of one output from zero initial state; infinite where that grows without bound."""
-
-    location = "t [s]"
 
     def __init__(
         self, uncertain: UncertainModel, name: str, output: str, drive: Excitation, hold: Hold, band: float

@@ -181,16 +181,12 @@ def quantile_bounds(values: ArrayLike, share: float, confidence: float = 0.95) -
     """Return distribution-free bounds of a quantile from independent samples (n,), infinite values included."""
     from scipy.stats import binom
 
-    ordered = np.sort(np.asarray(values, dtype=float))
-    n = len(ordered)
-    rest = (1.0 - confidence) / 2.0
+    ordered = np.concatenate([[-np.inf], np.sort(np.asarray(values, dtype=float)), [np.inf]])
+    n, rest = len(ordered) - 2, (1.0 - confidence) / 2.0
     # P(X_(l) > quantile) = P(fewer than l below it) = cdf(l - 1): the largest l with at most ``rest`` of that.
     counts = binom.cdf(np.arange(n), n, share)
-    low = int(np.searchsorted(counts, rest, side="right"))
-    high = int(np.searchsorted(counts, 1.0 - rest, side="left")) + 1
-    value = float(ordered[max(0, math.ceil(share * n) - 1)])
-    lower = float(ordered[low - 1]) if low > 0 else -math.inf
-    return Quantile(share, value, lower, float(ordered[high - 1]) if high <= n else math.inf)
+    lower, upper = np.searchsorted(counts, rest, side="right"), np.searchsorted(counts, 1.0 - rest, side="left") + 1
+    return Quantile(share, *(float(ordered[rank]) for rank in (max(1, math.ceil(share * n)), lower, upper)))
 
 
 @dataclass(frozen=True)
