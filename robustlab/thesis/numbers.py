@@ -33,8 +33,6 @@ BASE = ((165.3, -57.4), (32.9, 171.9), (-32.9, 171.9), (-165.3, -57.4), (-132.4,
 PLATFORM_Y = (75.8, 113.0, 113.0, 75.8)
 BEARING = (16.33, 175.4)  # m2; m3 is its mirror image
 MAKER_SPEED = 7530 * 2 * math.pi / 60
-Bound = Literal["equal", "at most", "at least"]
-RowStatus = Literal["R", "F", "P", "N"]
 
 
 @dataclass(frozen=True)
@@ -48,10 +46,10 @@ class PublishedNumber:
     published: float | None
     ours: float | None
     unit: str  # of both and of the tolerance
-    status: RowStatus  # R, F, P or N, as in the module's description
+    status: Literal["R", "F", "P", "N"]  # R, F, P or N, as in the module's description
     tolerance: float | None = None  # by the printed digits and the text; None if no agreement is expected
     why: str = ""  # interpretation, or reason why it is not reproducible
-    bound: Bound = "equal"  # "at most" and "at least": the thesis prints a limit
+    bound: Literal["equal", "at most", "at least"] = "equal"  # "at most" and "at least": the thesis prints a limit
 
     @property
     def difference(self) -> float | None:

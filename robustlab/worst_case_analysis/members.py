@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Literal, overload
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -102,11 +102,7 @@ class Deltas(Sequence[Mapping[str, Any]]):
     def __len__(self) -> int:
         return self.n + len(self.signs)
 
-    @overload
-    def __getitem__(self, index: int) -> Mapping[str, Any]: ...
-    @overload
-    def __getitem__(self, index: slice) -> tuple[Mapping[str, Any], ...]: ...
-    def __getitem__(self, index: int | slice) -> Mapping[str, Any] | tuple[Mapping[str, Any], ...]:
+    def __getitem__(self, index: Any) -> Any:
         if isinstance(index, slice):
             return tuple(self[i] for i in range(*index.indices(len(self))))
         if not -len(self) <= index < len(self):
@@ -200,8 +196,8 @@ class Ensemble:
         return len(self.A)
 
     def part(self, which: slice | NDArray[np.intp]) -> Ensemble:
-        matrices = (matrix[which] for matrix in (self.A, self.B, self.C, self.D))
-        return Ensemble(*matrices, self.dt, self.ill_posed[which], self.scale)
+        a, b, c, d = (matrix[which] for matrix in (self.A, self.B, self.C, self.D))
+        return Ensemble(a, b, c, d, self.dt, self.ill_posed[which], self.scale)
 
     def spectral_abscissa(self) -> Array:
         """Return `StateSpaceModel.spectral_abscissa` of every member, shape (k,); ``inf`` where ill-posed."""
@@ -326,9 +322,7 @@ def recursion(phi: Array, forced: Array, x0: Array) -> Array:
     return x
 
 
-def transitions(
-    ensemble: Ensemble, h: float, hold: Hold, used: NDArray[np.intp] | slice = slice(None)
-) -> tuple[Array, Array, Array]:
+def transitions(ensemble: Ensemble, h: float, hold: Hold, used: NDArray[np.intp]) -> tuple[Array, Array, Array]:
     """Return Phi, Gamma, Gamma_1 of every member: x_{j+1} = Phi x_j + Gamma u_j + Gamma_1 (u_{j+1} - u_j).
 
     Gamma_1 is zero for ``hold = "zoh"``; ``used``: the inputs of Gamma and Gamma_1.

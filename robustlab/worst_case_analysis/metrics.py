@@ -379,10 +379,8 @@ class TimeMetric(Metric):
         self.smooth = self._measure.smooth
         centre = self.set.members(np.zeros((1, self.set.size)))
         self._nominal = self._responses(centre)[0]
-        if self._measure.settled:
-            self._check_settles(name, centre)
-
-    def _check_settles(self, name: str, centre: Ensemble) -> None:
+        if not self._measure.settled:
+            return
         if not 0 < self._band < 1:
             raise InputError("worst_case", f"band is {self._band!r}", "a share of the final value between 0 and 1")
         if np.ptp(self.drive.u, axis=0).max(initial=0.0) > 0:

@@ -113,15 +113,18 @@ class Samples(Tabular, Displayable):
             raise InputError("respond", found, expected, "fewer samples or times")
         of = self._of_members if isinstance(self.uncertain, UncertainModel) else self._of_plants
         y, nominal, unstable = of(drive, x0, hold)
-        lower, upper, deviation, finite = _envelope(y, nominal)
+        with np.errstate(invalid="ignore"):  # inf - inf, where member and nominal model overflow
+            lower, upper = np.minimum(y.min(axis=0), nominal), np.maximum(y.max(axis=0), nominal)
+            deviation = np.array([np.abs(member - nominal).max(axis=0) for member in y])
+        finite = bool(np.isfinite(lower).all() and np.isfinite(upper).all())
         return Responses(
             drive.t,
             drive.u,
             y,
             nominal,
-            lower,
-            upper,
-            tuple(int(i) for i in deviation.argmax(axis=0)),
+            np.where(np.isnan(lower), -np.inf, lower),
+            np.where(np.isnan(upper), np.inf, upper),
+            tuple(int(i) for i in np.where(np.isnan(deviation), np.inf, deviation).argmax(axis=0)),
             self.deltas,
             self.uncertain.inputs,
             self.uncertain.outputs,
@@ -284,13 +287,3 @@ def sample(uncertain: UncertainModel | Plant, n: int, seed: int = 0, vertices: i
             raise InputError("sample", found, f"one of {known} with (value, 0.1)")
     signs = vertex_signs(sum(b.interval is not None for b in blocks), vertices, seed)
     return Samples(uncertain, Deltas(blocks, int(n), int(seed), signs), int(seed), len(signs))
-
-
-def _envelope(y: Array, nominal: Array) -> tuple[Array, Array, Array, bool]:
-    """Return lower, upper (n_t, n_y), each sample's peak deviation (k, n_y), and whether all numbers are finite."""
-    with np.errstate(invalid="ignore"):  # inf - inf, where member and nominal model overflow
-        lower, upper = np.minimum(y.min(axis=0), nominal), np.maximum(y.max(axis=0), nominal)
-        deviation = np.array([np.abs(member - nominal).max(axis=0) for member in y])
-    finite = bool(np.isfinite(lower).all() and np.isfinite(upper).all())
-    lower, upper = (np.where(np.isnan(edge), far, edge) for edge, far in ((lower, -np.inf), (upper, np.inf)))
-    return lower, upper, np.where(np.isnan(deviation), np.inf, deviation), finite

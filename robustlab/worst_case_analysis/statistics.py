@@ -104,10 +104,13 @@ def influence_of(judge: Metric, theta: Array, values: Array, worst: int) -> Infl
 
     ``theta`` (n, d), ``values`` (n,): samples and the metric there; ``worst``: index of the worst.
     """
+    from scipy.stats import f
+
     n, d = theta.shape
     ranks = _ranks(values)
     numbers = values if np.isfinite(values).all() else ranks
     bins = int(np.clip(np.sqrt(n), 4, MOST_BINS))
+    ratio = float(f.ppf(0.95, bins - 1, n - bins))
     found = judge.of(judge.set.members(np.vstack([np.where(np.eye(d), 0.0, theta[worst]), np.zeros((1, d))])))
     x, y = _ranks(theta) - (n + 1) / 2, ranks - (n + 1) / 2
     spread = np.sqrt((x**2).sum(axis=0) * (y**2).sum())
@@ -115,7 +118,7 @@ def influence_of(judge: Metric, theta: Array, values: Array, worst: int) -> Infl
     return Influence(
         tuple(b.name for b in judge.set.blocks),
         np.array([_between_bins(theta[:, k], numbers, bins) for k in range(d)]),
-        _noise(n, bins),
+        max(0.0, (bins - 1) * (ratio - 1) / ((bins - 1) * ratio + n - bins + 1)),
         np.where(np.abs(correlation) > 3.0 / np.sqrt(n), np.sign(correlation), 0).astype(int),
         float(values[worst]),
         found[:d],
@@ -136,14 +139,6 @@ def _between_bins(x: Array, y: Array, bins: int) -> float:
     if total <= len(y) * (1e-12 * float(np.abs(y).max())) ** 2:
         return 0.0
     return float(np.clip((between - (bins - 1) * within) / (total + within), 0.0, 1.0))
-
-
-def _noise(n: int, bins: int) -> float:
-    """Return the 95 % quantile of omega squared without influence, from that of Fisher's F."""
-    from scipy.stats import f
-
-    ratio = float(f.ppf(0.95, bins - 1, n - bins))
-    return max(0.0, (bins - 1) * (ratio - 1) / ((bins - 1) * ratio + n - bins + 1))
 
 
 def _ranks(y: Array) -> Array:
