@@ -73,14 +73,12 @@ def run_campaign(
     evaluator = Evaluator(uncertain, settings)
     identity, path = Identity.of(uncertain, settings), Path(store)
     with locked(path):
-        if existing == "restart":
-            Store.delete(path)
-        if Store.exists(path):
-            opened = Store.open(path, write=True)
-            _same_campaign(opened, identity)
-        else:
+        if existing == "restart" or not Store.exists(path):
             Store.delete(path)
             opened = Store.create(path, uncertain, settings)
+        else:
+            opened = Store.open(path, write=True)
+            _same_campaign(opened, identity)
         return _work(opened, evaluator, crew, limit, progress)
 
 
@@ -156,7 +154,7 @@ def _note_end(store: Store, evaluator: Evaluator) -> None:
 
 def _evaluator(store: Store) -> Evaluator:
     identity = store.identity
-    uncertain = model_from_bytes(store.model, store.where)
+    uncertain = model_from_bytes(store.get("model"), store.where)
     if Identity.of(uncertain, identity.settings).model != identity.model:
         raise InputError(store.where, "damaged campaign store: its model does not match its hash")
     return Evaluator(uncertain, identity.settings)
@@ -264,7 +262,7 @@ def _on_cluster(address: str) -> Iterator[Workers]:
 
 def compute_missing(store: Store, evaluator: Evaluator, workers: Workers, progress: Callable[[int], None]) -> None:
     """Compute the missing samples; ``progress`` is called with the number of newly stored samples."""
-    n, identity, model, lost = evaluator.settings.n, store.identity, store.model, store.counts()[1]
+    n, identity, model, lost = evaluator.settings.n, store.identity, store.get("model"), store.counts()[1]
     gaps, tile, tiles, under_way = store.missing(n)[::-1], evaluator.tile, 1, set[Future[Rows]]()
 
     def cut() -> Iterator[tuple[int, int]]:

@@ -164,14 +164,6 @@ class Store:
         """Identity of the campaign."""
         return Identity.from_json(json.loads(self.get("identity")))
 
-    @property
-    def model(self) -> bytes:
-        """The uncertain model, see `robustlab.campaign.settings.model_to_bytes`."""
-        content = self.get("model")
-        if not isinstance(content, bytes):
-            raise _damaged(self.where, "it holds no model")
-        return content
-
     def facts(self) -> dict[str, Any]:
         """Return the facts stored at the end of the campaign: digest, check of the worst sample; empty before."""
         return json.loads(self.get("finished") or "{}")

@@ -124,14 +124,11 @@ def published_numbers() -> PublishedNumbers:
 
 def _geometry(plant: StewartPlatform) -> dict[str, Any]:
     g = plant.geometry
-    poses = np.zeros((2, 6))
-    poses[:, 2] = 0.1462, 0.1062
-    longest, shortest = 1e3 * inverse_kinematics(g, poses)[:, 0]
     z = np.linspace(0.10, 0.15, 5001)
-    heights = np.zeros((len(z), 6))
-    heights[:, 2] = z
-    highest, lowest = 1e3 * np.interp([0.188, 0.159], inverse_kinematics(g, heights)[:, 0], z)
-
+    heights = np.append(z, [0.1462, 0.1062])[:, None] * np.eye(6)[2]
+    lengths = inverse_kinematics(g, heights)[:, 0]
+    longest, shortest = 1e3 * lengths[-2:]
+    highest, lowest = 1e3 * np.interp([0.188, 0.159], lengths[:-2], z)
     # The printed m2 and m3, and the pair rotated by +-120 degrees.
     turn, pair = np.exp(2j * np.pi / 3), np.array([complex(*BEARING), complex(-BEARING[0], BEARING[1])])
     points = np.roll(np.outer([1, turn, 1 / turn], pair), 1).ravel()

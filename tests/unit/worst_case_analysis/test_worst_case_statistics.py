@@ -71,12 +71,10 @@ def test_probability_of_a_known_distribution():
     assert median.lower < 10 < median.upper
 
 
-def test_a_required_probability_is_confirmed():
-    shown = violation_probability(gains(1.0), "peak", "11 V", probability=0.05, **PEAK)
-    assert (shown.n, shown.violations, shown.shown, shown.samples_needed) == (59, 0, True, 59)
-    not_shown = violation_probability(gains(1.0), "peak", "10.8 V", probability=0.05, **PEAK)
-    assert not_shown.violations > 0
-    assert not_shown.shown is False
+def test_a_required_probability_is_not_confirmed():
+    found = violation_probability(gains(1.0), "peak", "10.8 V", probability=0.05, **PEAK)
+    assert found.violations > 0
+    assert found.shown is False
 
 
 def test_a_measure_whose_smallest_value_is_the_worst():
