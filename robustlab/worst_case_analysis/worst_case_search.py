@@ -51,12 +51,6 @@ class WorstResponse(Evidence):
     output: str
     unit: str
 
-    @property
-    def percent(self) -> float | None:
-        """Largest change of the response in percent of the largest nominal value; None where that is zero."""
-        size = float(np.abs(self.nominal).max())
-        return 100 * float(np.abs(self.worst - self.nominal).max() / size) if size > 0 else None
-
 
 @dataclass(frozen=True)
 class WorstCase(Displayable, AllFields):
@@ -123,8 +117,10 @@ class WorstCase(Displayable, AllFields):
 
     @property
     def percent(self) -> float | None:
-        """Largest change of the response in percent of the largest nominal value; None where there is no response."""
-        return None if self.response is None else self.response.percent
+        """Largest change of the response in percent of the largest nominal value; None without one, or if it is 0."""
+        found = self.response
+        size = 0.0 if found is None else float(np.abs(found.nominal).max())
+        return None if found is None or not size > 0 else 100 * float(np.abs(found.worst - found.nominal).max() / size)
 
     def headline(self) -> str:
         return f"worst {self.metric} found: {number(self.value, self.unit)}"

@@ -20,7 +20,6 @@ from robustlab.campaign import (
     saved_samples,
 )
 from robustlab.errors import InputError, UsageError
-from robustlab.worst_case_analysis import METRICS
 
 
 @pytest.fixture(scope="module")
@@ -194,15 +193,3 @@ def test_a_finished_campaign_is_not_computed_again(finished, motor):
     assert read_campaign(path).digest == result.digest
     assert resume_campaign(path).digest == result.digest
     assert saved_samples(path) == (2000, 2000)
-
-
-@pytest.mark.parametrize("metric", sorted(METRICS))
-def test_every_metric_of_the_search_is_one_of_campaigns(metric):
-    chain = rl.plant("mass-spring-damper", m=(1.0, 0.2), c=(0.5, 0.3), k=(4.0, 0.2)).uncertain(outputs=["q"])
-    needs_a_response = metric in ("peak-deviation", "peak", "rms", "overshoot", "settling-time")
-    drive = {"t_end": 60.0, "u": {"f": 1.0}} if needs_a_response else {}
-    evaluator = Evaluator(chain, CampaignSettings(metric, 8, kind="vertices", output="q", **drive))
-    rows = evaluator.rows(0, TILE)
-    worst = int(np.argmax(evaluator.sense * rows.values))
-    again = evaluator.metric.evaluate(dict(zip(("m", "c", "k"), rows.deltas[worst], strict=True)))
-    assert evaluator.metric.agrees(rows.values[worst], again.value)
