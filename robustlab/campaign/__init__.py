@@ -6,6 +6,7 @@ Each sample is stored when computed; an interrupted or killed run can be resumed
 from robustlab.campaign.campaign_result import CampaignResult
 from robustlab.campaign.evaluation import TILE, Evaluator, Rows
 from robustlab.campaign.runs import (
+    Crew,
     read_campaign,
     resume_campaign,
     run_campaign,
@@ -13,7 +14,6 @@ from robustlab.campaign.runs import (
 )
 from robustlab.campaign.settings import CampaignSettings, Identity
 from robustlab.campaign.store import Store
-from robustlab.campaign.workers import Crew
 
 __all__ = [
     "TILE",

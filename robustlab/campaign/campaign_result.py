@@ -7,13 +7,13 @@ from collections.abc import Iterable, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from robustlab.campaign.evaluation import Evaluator
 from robustlab.campaign.store import Store
-from robustlab.display import Displayable, Facts, Part, member, member_rows, number
+from robustlab.display import AllFields, Displayable, Facts, Part, member, member_rows, number
 from robustlab.errors import InputError
 from robustlab.result import Status
 from robustlab.tables import Table, Tabular
@@ -28,7 +28,8 @@ SHOWN_LOST = 100
 LISTED_LOST = 10  # of these in a text
 
 
-class Quantile(NamedTuple):
+@dataclass(frozen=True)
+class Quantile(AllFields):
     """A share, the sample quantile, and a bound of the set's quantile at CONFIDENCE."""
 
     share: float
@@ -37,7 +38,7 @@ class Quantile(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Violation:
+class Violation(AllFields):
     """Number of samples worse than a limit; a lost sample counts as worse.
 
     ``lower`` and ``upper`` are Clopper-Pearson bounds of the probability, each one-sided at CONFIDENCE; lost samples
@@ -52,7 +53,7 @@ class Violation:
 
 
 @dataclass(frozen=True)
-class LostSample:
+class LostSample(AllFields):
     """A sample without a value: its index, the reason, and its Delta."""
 
     index: int
@@ -82,7 +83,7 @@ def _at_ranks(values: Iterable[float], ranks: Iterable[int], sense: int) -> dict
 
 
 @dataclass(frozen=True)
-class CampaignResult(Tabular, Displayable):
+class CampaignResult(Tabular, Displayable, AllFields):
     """The results of a campaign's store."""
 
     # CONVERGED: all samples are stored, and the worst one is confirmed by a second method. INACCURATE: it is not.
@@ -120,32 +121,12 @@ class CampaignResult(Tabular, Displayable):
     seed: int  # of the random numbers
     label: str  # meaning of the worst value
 
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Lost and unbounded samples, and the limits of sampling."""
-        notes = ["Sampled, not proved: members that were not drawn may be worse."]
-        if self.unbounded:
-            notes.insert(0, f"{self.unbounded} of the members have no bounded value.")
-        if self.lost:
-            first = f"the first one number {self.lost_samples[0].index}: {self.lost_samples[0].reason}"
-            notes.insert(0, f"{self.lost} were lost, {first}. Bounds count them as worst.")
-        return tuple(notes)
-
-    def numbers(self) -> dict[str, Any]:
-        """The worst value and its member, counts, quantiles by ``q50`` ..., violations of a limit."""
-        names = ("worst", "worst_index", "nominal", "done", "lost", "unbounded", "unseen", "delta", "digest")
-        found = {name: getattr(self, name) for name in names}
-        found["quantiles"] = {f"q{q.share * 100:g}".replace(".", "_"): q.value for q in self.quantiles}
-        if self.violation is not None:
-            found["violation"] = {name: getattr(self.violation, name) for name in ("count", "of", "lower", "upper")}
-        return found
-
-    def headline(self) -> str:
-        return f"worst {self.metric} {number(self.worst, self.unit, 9)} of {self.done} {_counted(self.kind)}"
-
     def facts(self) -> Facts:
         one = {"samples": "sample", "vertices": "vertex"}.get(self.kind, self.kind)
-        worst = f"{number(self.worst, self.unit, 9)} in {one} {self.worst_index}{place_of(self, ', at ')}"
+        worst = f"{number(self.worst, self.unit, 9)} in {one} {self.worst_index}"
+        what, _, unit = self.location.partition(" ")
+        if what and not math.isnan(self.at):
+            worst += f", at {what} = {number(self.at, unit.strip('[]'), 6)}"
         missing = self.n - self.done - self.lost
         words = ((self.lost, "lost"), (missing, "missing yet"), (self.unbounded, "without a bounded value"))
         counts = [f"{self.done} of {self.n} {_counted(self.kind)}", *(f"{c} {word}" for c, word in words if c)]
@@ -187,27 +168,12 @@ class CampaignResult(Tabular, Displayable):
             columns |= {name: deltas[:, k] for k, name in enumerate(self.delta)}
         return Table(("sample", [row.index for row in rows]), columns, {self.metric: self.unit})
 
-    def to_json(self) -> dict[str, Any]:
-        return {
-            **vars(self),
-            "quantiles": [q._asdict() for q in self.quantiles],
-            "violation": vars(self.violation) if self.violation else None,
-            "lost_samples": [vars(sample) for sample in self.lost_samples],
-        }
-
-
-def place_of(found: Any, before: str) -> str:
-    """Return where a value is attained as text, beginning with ``before``; empty where it is not known."""
-    what, _, unit = found.location.partition(" ")
-    known = what and not math.isnan(found.at)
-    return f"{before}{what} = {number(found.at, unit.strip('[]'), 6)}" if known else ""
-
 
 def result_of(store: Store, evaluator: Evaluator, limit: float | None = None) -> CampaignResult:
     """Read a store. Raises InputError: the rows of a finished campaign were changed."""
     settings, blocks, sense = evaluator.settings, evaluator.uncertain.blocks, evaluator.sense
     (done, lost), facts, worst = store.counts(), store.facts(), store.worst(sense)
-    n = done + lost
+    n, (unbounded, above, seconds) = done + lost, store.totals(sense, limit)
     complete, digest = n >= settings.n, store.digest()
     if facts and complete and facts["digest"] != digest:
         raise InputError(store.where, "its rows were changed after the campaign ended (the digest differs)")
@@ -217,7 +183,6 @@ def result_of(store: Store, evaluator: Evaluator, limit: float | None = None) ->
     delta = decoded(blocks, worst.numbers) if worst else {}
     sampled, violation = settings.kind == "samples" and done > 0, None
     if limit is not None and done:
-        above = store.beyond(sense, limit)
         lower, _ = clopper_pearson(above, n, TWO_SIDED)
         _, upper = clopper_pearson(above + lost, n, TWO_SIDED)
         violation = Violation(limit, above + lost, n, lower, upper)
@@ -227,18 +192,18 @@ def result_of(store: Store, evaluator: Evaluator, limit: float | None = None) ->
         store=store.where,
         kind=settings.kind,
         metric=settings.metric,
-        unit=evaluator.unit,
+        unit=evaluator.metric.unit,
         n=settings.n,
         done=done,
         lost=lost,
-        unbounded=store.unbounded(),
+        unbounded=unbounded,
         sense=sense,
         worst=worst.value if worst else math.nan,
         worst_index=worst.index if worst else -1,
         delta=delta,
         physical=evaluator.uncertain.physical(delta) if worst else {},
         at=float(facts.get("at", math.nan)),
-        location=evaluator.location,
+        location=evaluator.metric.location,
         again=float(facts.get("again", math.nan)),
         nominal=float(facts.get("nominal", math.nan)),
         quantiles=_quantiles(store, sense, n) if sampled and complete else (),
@@ -248,7 +213,7 @@ def result_of(store: Store, evaluator: Evaluator, limit: float | None = None) ->
             LostSample(row.index, row.reason, decoded(blocks, row.numbers)) for row in store.lost(SHOWN_LOST)
         ),
         digest=digest,
-        seconds=store.seconds(),
+        seconds=seconds,
         seed=settings.seed,
         label=UNBOUNDED if worst and not math.isfinite(worst.value) else label,
     )

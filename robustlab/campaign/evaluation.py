@@ -6,7 +6,7 @@ Samples are computed in fixed tiles: members of a tile share their scaling.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,8 +17,8 @@ from robustlab.budget import one_thread
 from robustlab.campaign.settings import CampaignSettings, Identity, code_identity, differences, model_from_bytes
 from robustlab.errors import EnvironmentFault, NoTrustworthyNumber, plain_text
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis.members import Deltas, decoded, delta_of_sample, encoded
-from robustlab.worst_case_analysis.metrics import Evaluation, MetricRequest, make_metric
+from robustlab.worst_case_analysis.members import Deltas, delta_of_sample, encoded
+from robustlab.worst_case_analysis.metrics import make_metric
 from robustlab.worst_case_analysis.worst_case_search import worst_case
 
 DONE, LOST = 0, 1
@@ -37,23 +37,6 @@ class Rows:
     seconds: Array  # time each one took, shape (k,); samples computed together share their time evenly
     lost: Mapping[int, str] = field(default_factory=dict)  # index -> reason, for samples without a value
 
-    def __len__(self) -> int:
-        return len(self.values)
-
-    def up_to(self, n: int) -> Rows:
-        """Return the samples with an index below ``n``."""
-        count = max(0, min(len(self), n - self.first))
-        lost = {index: reason for index, reason in self.lost.items() if index < n}
-        return Rows(self.first, self.values[:count], self.deltas[:count], self.seconds[:count], lost)
-
-
-def _joined(parts: Sequence[Rows]) -> Rows:
-    """Concatenate consecutive samples."""
-    values, deltas, seconds = (
-        np.concatenate([getattr(part, name) for part in parts]) for name in ("values", "deltas", "seconds")
-    )
-    return Rows(parts[0].first, values, deltas, seconds, {i: why for part in parts for i, why in part.lost.items()})
-
 
 class Evaluator:
     """Computes the samples of one campaign."""
@@ -64,29 +47,24 @@ class Evaluator:
         if s.t_end is not None:
             dt = uncertain.dt
             t = dt * np.arange(max(2, round(s.t_end / dt) + 1)) if dt else np.linspace(0.0, s.t_end, s.points)
-        self._request = MetricRequest(s.metric, s.output, s.input, t, s.u, s.hold, s.band)
-        self._metric = make_metric(uncertain, self._request, "campaign")
-        n = self._metric.uncertain.M.n_states
+        self._asked: dict[str, Any] = {
+            "metric": s.metric, "output": s.output, "input": s.input, "t": t, "u": s.u, "hold": s.hold, "band": s.band,
+        }  # fmt: skip
+        self.metric = make_metric(uncertain, **self._asked, where="campaign")
+        n = self.metric.uncertain.M.n_states
         work = (n + 1) ** 2 * (s.points + 100 + 30 * n)
         # The samples per tile depend on the campaign alone, not on the machine.
         self.tile = 1 if s.kind == "search" else max(1, min(TILE, int(TILE_WORK / work)))
         self._reals = [block.name for block in uncertain.blocks if block.interval]
-        self.unit = self._metric.unit
-        self.sense = 1 if self._metric.sense > 0 else -1  # -1 where the smallest value of the metric is the worst
-        # Quantity and unit of the place where a value is attained, for example "t [s]".
-        self.location = self._metric.location
-
-    def delta(self, index: int) -> dict[str, Any]:
-        """Return the normalised Delta of a sample or vertex by block name; zero for a search."""
-        return decoded(self.uncertain.blocks, self._theta(index, index + 1)[0])
+        self.sense = 1 if self.metric.sense > 0 else -1  # -1 where the smallest value of the metric is the worst
 
     def _theta(self, first: int, last: int) -> Array:
         """Return the coordinates of samples (k, width)."""
         blocks, seed = self.uncertain.blocks, self.settings.seed
         if self.settings.kind == "search":
-            return np.zeros((last - first, self._metric.set.size))
+            return np.zeros((last - first, self.metric.set.size))
         if self.settings.kind == "samples":
-            return Deltas(blocks, last, seed, np.zeros((0, 0))).numbers(slice(first, last))
+            return Deltas(blocks, last, seed).numbers(slice(first, last))
         corners = [
             delta_of_sample(blocks, seed, k, boundary=True) | dict(zip(self._reals, self._signs(k), strict=True))
             for k in range(first, last)
@@ -102,30 +80,28 @@ class Evaluator:
         return (2.0 * rng.integers(0, 2, k) - 1.0).tolist()
 
     def rows(self, first: int, last: int) -> Rows:
-        """Compute samples ``first .. last - 1``, multiples of the tile; a failed tile is computed sample by sample."""
-        return _joined([self._tile(start) for start in range(first, last, self.tile)])
+        """Compute samples ``first .. last - 1`` below n, multiples of the tile; a failed tile sample by sample."""
+        parts = [part for start in range(first, last, self.tile) for part in self._tile(start)]
+        n = self.settings.n
+        values, deltas, seconds = (
+            np.concatenate([getattr(part, name) for part in parts])[: n - first]
+            for name in ("values", "deltas", "seconds")
+        )
+        return Rows(first, values, deltas, seconds, {i: why for part in parts for i, why in part.lost.items() if i < n})
 
-    def agrees(self, value: float, again: Evaluation) -> bool:
-        """Return whether a re-evaluation confirms a value."""
-        return again.accurate and self._metric.agrees(value, again.value)
+    def _tile(self, first: int) -> list[Rows]:
+        indices = range(first, first + self.tile)
+        if self.tile > 1:
+            started, theta = time.perf_counter(), self._theta(first, indices.stop)
+            try:
+                values = self._values(theta)
+            except Exception:  # noqa: BLE001  one sample fails the tile; it is found below
+                values = np.full(len(theta), np.nan)
+            if not np.isnan(values).any():
+                return [Rows(first, values, theta, np.full(len(theta), (time.perf_counter() - started) / len(theta)))]
+        return [self._alone(index) for index in indices]
 
-    def evaluate(self, delta: Mapping[str, Any]) -> Evaluation:
-        """Evaluate the metric at one Delta by the second method."""
-        return self._metric.evaluate(delta)
-
-    def _tile(self, first: int) -> Rows:
-        if self.tile == 1:
-            return self.alone(first)
-        started, theta = time.perf_counter(), self._theta(first, first + self.tile)
-        try:
-            values = self._values(theta)
-        except Exception:  # noqa: BLE001  one sample fails the tile; it is found below
-            values = np.full(len(theta), np.nan)
-        if np.isnan(values).any():
-            return _joined([self.alone(index) for index in range(first, first + self.tile)])
-        return Rows(first, values, theta, np.full(len(theta), (time.perf_counter() - started) / len(theta)))
-
-    def alone(self, index: int) -> Rows:
+    def _alone(self, index: int) -> Rows:
         """Compute one sample; its exception becomes the reason of a lost sample."""
         started, theta, value, reason = time.perf_counter(), self._theta(index, index + 1), np.nan, ""
         try:
@@ -142,12 +118,12 @@ class Evaluator:
         return Rows(index, np.array([value]), theta, seconds, {index: reason} if reason else {})
 
     def _values(self, theta: Array) -> Array:
-        return self._metric.of(self._metric.set.members(theta))
+        return self.metric.of(self.metric.set.members(theta))
 
     def _search(self, index: int) -> tuple[float, dict[str, Any]]:
         s = self.settings
         seed = int(np.random.SeedSequence(s.seed, spawn_key=(index, 3)).generate_state(2)[0])
-        found = worst_case(self.uncertain, **vars(self._request), n=s.starts, seed=seed, effort=UNLIMITED_EFFORT)
+        found = worst_case(self.uncertain, **self._asked, n=s.starts, seed=seed, effort=UNLIMITED_EFFORT)
         if not found.status.trustworthy:
             raise NoTrustworthyNumber(
                 "search", f"{found.status}: {found.search_value:.9g} found, {found.value:.9g} when evaluated again"

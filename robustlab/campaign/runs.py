@@ -1,31 +1,54 @@
-"""Running, resuming and reading campaigns."""
+"""Running, resuming and reading campaigns.
+
+The executors are processes on this machine, or the workers of a Dask cluster (``robustlab[cluster]``).
+"""
 
 from __future__ import annotations
 
 import json
+import multiprocessing
+import os
+import signal
+import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, wait
-from contextlib import closing
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from robustlab.campaign.campaign_result import CampaignResult, result_of
 from robustlab.campaign.evaluation import Evaluator, Rows, compute
 from robustlab.campaign.settings import CampaignSettings, Identity, code_identity, differences, model_from_bytes
 from robustlab.campaign.store import Store, locked
-from robustlab.campaign.workers import Crew, Workers, started_workers
-from robustlab.errors import EnvironmentFault, InputError, NoTrustworthyNumber
+from robustlab.errors import DependencyMissing, EnvironmentFault, InputError, NoTrustworthyNumber
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.members import decoded
 
-Existing = Literal["resume", "restart"]
-ALL_PROCESSORS = Crew()
 MAX_LOST_SHARE = 0.01  # largest share of samples without a value
 # Sizes of pieces of work; the samples do not depend on them.
 PIECE_SECONDS = 0.7  # long compared with sending and storing a piece, short compared with the loss by a kill
 GROWTH = 4  # largest factor by which a piece grows
 LONGEST_PIECE = 100_000  # samples: the rows are held in memory and written in one transaction
 POLL_SECONDS = 1.0
+CONNECT_SECONDS = 10.0
+EMPTY_SECONDS = 60.0  # to wait for the first worker of a cluster
+
+
+@dataclass(frozen=True)
+class Crew:
+    """Workers of a campaign; the samples do not depend on them."""
+
+    workers: int | None = None  # processes on this machine; one per processor where omitted
+    cluster: str | None = None  # instead: address of a Dask scheduler, whose workers are used
+
+    def __post_init__(self) -> None:
+        count = self.workers
+        if count is not None and (isinstance(count, bool) or not isinstance(count, int) or count < 1):
+            raise InputError("campaign", f"{count!r} workers", "a whole number, at least 1")
+
+
+ALL_PROCESSORS = Crew()
 
 
 def run_campaign(
@@ -34,7 +57,7 @@ def run_campaign(
     store: str | Path,
     *,
     crew: Crew = ALL_PROCESSORS,
-    existing: Existing = "resume",
+    existing: Literal["resume", "restart"] = "resume",
     limit: float | None = None,
     progress: Callable[[int], None] = lambda _: None,
 ) -> CampaignResult:
@@ -50,14 +73,12 @@ def run_campaign(
     evaluator = Evaluator(uncertain, settings)
     identity, path = Identity.of(uncertain, settings), Path(store)
     with locked(path):
-        if existing == "restart":
-            Store.delete(path)
-        if Store.exists(path):
-            opened = Store.open(path, write=True)
-            _same_campaign(opened, identity)
-        else:
+        if existing == "restart" or not Store.exists(path):
             Store.delete(path)
             opened = Store.create(path, uncertain, settings)
+        else:
+            opened = Store.open(path, write=True)
+            _same_campaign(opened, identity)
         return _work(opened, evaluator, crew, limit, progress)
 
 
@@ -104,7 +125,9 @@ def _work(
         if before < n or not store.facts():
             try:
                 if before < n:
-                    with started_workers(crew, n - before) as workers:
+                    cluster = crew.cluster
+                    started = _on_this_machine(crew.workers, n - before) if cluster is None else _on_cluster(cluster)
+                    with started as workers:
                         compute_missing(store, evaluator, workers, progress)
                 _note_end(store, evaluator)
             except EnvironmentFault as fault:
@@ -122,15 +145,16 @@ def _note_end(store: Store, evaluator: Evaluator) -> None:
     worst = store.worst(evaluator.sense)
     facts: dict[str, Any] = {"digest": store.digest(), "agrees": False}
     if worst is not None:
-        again = evaluator.evaluate(decoded(evaluator.uncertain.blocks, worst.numbers))
-        agrees, nominal = evaluator.agrees(worst.value, again), evaluator.evaluate({}).value
-        facts.update(agrees=agrees, again=again.value, at=again.at, nominal=nominal)
+        metric = evaluator.metric
+        again = metric.evaluate(decoded(evaluator.uncertain.blocks, worst.numbers))
+        agrees = again.accurate and metric.agrees(worst.value, again.value)
+        facts.update(agrees=agrees, again=again.value, at=again.at, nominal=metric.evaluate({}).value)
     store.put("finished", json.dumps(facts))
 
 
 def _evaluator(store: Store) -> Evaluator:
     identity = store.identity
-    uncertain = model_from_bytes(store.model, store.where)
+    uncertain = model_from_bytes(store.get("model"), store.where)
     if Identity.of(uncertain, identity.settings).model != identity.model:
         raise InputError(store.where, "damaged campaign store: its model does not match its hash")
     return Evaluator(uncertain, identity.settings)
@@ -152,39 +176,115 @@ def _same_campaign(store: Store, identity: Identity) -> None:
     )
 
 
+# --- workers ---------------------------------------------------------------------------------------------------------
+
+
+class Workers(NamedTuple):
+    """An executor, its number of parallel pieces of work, and a function that raises if it has ended."""
+
+    executor: Executor
+    n: int
+    check: Callable[[], None]
+
+
+@contextmanager
+def _on_this_machine(wanted: int | None, samples: int) -> Iterator[Workers]:
+    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    count, others = min(wanted or processors, max(1, samples)), set(multiprocessing.active_children())
+    executor = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _end_with_parent)
+    try:
+        with _ctrl_c_ignored():
+            executor.submit(int)  # starts all processes, which inherit that Ctrl-C is ignored
+        yield Workers(executor, count, lambda: None)
+    finally:
+        for child in set(multiprocessing.active_children()) - others:
+            child.terminate()
+        executor.shutdown(cancel_futures=True)  # quick without them; unawaited, it races the interpreter's own end
+
+
+@contextmanager
+def _ctrl_c_ignored() -> Iterator[None]:
+    if threading.current_thread() is not threading.main_thread():  # signals cannot be set here
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _end_with_parent() -> None:
+    """Make a worker process end with its parent."""
+    parent: Any = multiprocessing.parent_process()
+
+    def wait() -> None:
+        parent.join()
+        os._exit(0)
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+@contextmanager
+def _on_cluster(address: str) -> Iterator[Workers]:
+    try:
+        from distributed import Client
+    except ImportError:
+        raise DependencyMissing(
+            "campaign --cluster", "needs dask.distributed", None, "pip install 'robustlab[cluster]'"
+        ) from None
+    where = f"--cluster {address}"
+    try:
+        client: Any = Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
+    except (OSError, ValueError) as error:
+        found = f"no Dask scheduler answers ({error})"
+        raise EnvironmentFault(where, found, None, "dask scheduler --port 8786") from None
+
+    def check() -> None:
+        if client.status not in ("running", "connecting"):
+            raise EnvironmentFault(where, "the scheduler is gone")
+
+    try:
+        try:
+            client.wait_for_workers(1, timeout=EMPTY_SECONDS)
+        except TimeoutError:
+            hint = f"dask worker {address} --nthreads 1"
+            raise EnvironmentFault(where, "has no workers", None, hint) from None
+        count = len(client.scheduler_info(n_workers=-1)["workers"])
+        yield Workers(client.get_executor(pure=False), count, check)
+    finally:
+        with suppress(OSError, TimeoutError):
+            client.close(timeout=2)
+
+
 # --- work of the missing samples -------------------------------------------------------------------------------------
-
-
-class _Pieces:
-    """The missing samples, cut at the borders of tiles into pieces of about PIECE_SECONDS."""
-
-    def __init__(self, gaps: list[tuple[int, int]], tile: int) -> None:
-        self._gaps, self._tile, self._tiles, self._seconds = gaps[::-1], tile, 1, 0.0
-
-    def __iter__(self) -> Iterator[tuple[int, int]]:
-        while self._gaps:
-            first, last = self._gaps.pop()
-            first -= first % self._tile  # a tile is always computed as a whole
-            end = first + self._tiles * self._tile
-            if end < last:
-                self._gaps.append((end, last))
-            yield first, min(end, -(-last // self._tile) * self._tile)
-
-    def resize(self, rows: Rows) -> None:
-        """Update the size of pieces from the time of a finished one."""
-        each = float(rows.seconds.mean())
-        self._seconds = each if not self._seconds else 0.7 * self._seconds + 0.3 * each
-        wanted = int(PIECE_SECONDS / max(self._seconds, 1e-9) / self._tile)
-        self._tiles = max(1, min(wanted, GROWTH * self._tiles, LONGEST_PIECE // self._tile))
 
 
 def compute_missing(store: Store, evaluator: Evaluator, workers: Workers, progress: Callable[[int], None]) -> None:
     """Compute the missing samples; ``progress`` is called with the number of newly stored samples."""
-    n, identity, model, lost = evaluator.settings.n, store.identity, store.model, store.counts()[1]
-    todo = _Pieces(store.missing(n), evaluator.tile)
-    pieces, under_way = iter(todo), set[Future[Rows]]()
-    _stop_if_too_many(store, lost, n)
+    n, identity, model, lost = evaluator.settings.n, store.identity, store.get("model"), store.counts()[1]
+    gaps, tile, tiles, under_way = store.missing(n)[::-1], evaluator.tile, 1, set[Future[Rows]]()
+
+    def cut() -> Iterator[tuple[int, int]]:
+        """Cut the missing samples at the borders of tiles, which are always computed as a whole."""
+        while gaps:
+            first, last = gaps.pop()
+            first -= first % tile
+            end = first + tiles * tile
+            if end < last:
+                gaps.append((end, last))
+            yield first, min(end, -(-last // tile) * tile)
+
+    pieces = cut()
     while True:
+        if lost > MAX_LOST_SHARE * n:
+            raise NoTrustworthyNumber(
+                store.where,
+                f"{lost} of {n} samples are lost, more than {100 * MAX_LOST_SHARE:g} %",
+                None,
+                "rl.sample(set, n, seed).deltas[INDEX] is the member of a lost sample",
+                tuple(f"sample {row.index}: {row.reason}" for row in store.lost(3)),
+            )
         while len(under_way) <= workers.n and (piece := next(pieces, None)) is not None:
             under_way.add(workers.executor.submit(compute, identity, model, *piece))
         if not under_way:
@@ -197,22 +297,8 @@ def compute_missing(store: Store, evaluator: Evaluator, workers: Workers, progre
             except Exception as error:
                 found = f"a worker failed ({type(error).__name__}: {error})"[:500]
                 raise EnvironmentFault("campaign", found, None, "give it more memory, or fewer --workers") from error
-            todo.resize(rows)
-            rows = rows.up_to(n)
+            wanted = int(PIECE_SECONDS / max(float(rows.seconds.mean()), 1e-9) / tile)
+            tiles = max(1, min(wanted, GROWTH * tiles, LONGEST_PIECE // tile))
             store.save(rows)
-            progress(len(rows))
+            progress(len(rows.values))
             lost += len(rows.lost)
-            _stop_if_too_many(store, lost, n)
-
-
-def _stop_if_too_many(store: Store, lost: int, n: int) -> None:
-    if lost <= MAX_LOST_SHARE * n:
-        return
-    first = store.lost(3)
-    raise NoTrustworthyNumber(
-        store.where,
-        f"{lost} of {n} samples are lost, more than {100 * MAX_LOST_SHARE:g} %",
-        None,
-        "rl.sample(set, n, seed).deltas[INDEX] is the member of a lost sample",
-        tuple(f"sample {row.index}: {row.reason}" for row in first),
-    )

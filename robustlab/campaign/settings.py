@@ -5,12 +5,14 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from functools import cache
 from importlib import metadata
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Literal
+
+import numpy as np
 
 from robustlab.errors import InputError, UsageError, did_you_mean
 from robustlab.files.isolation import receive, send_tree
@@ -73,10 +75,7 @@ class CampaignSettings:
     def to_json(self) -> dict[str, Any]:
         data = asdict(self)
         if self.u is not None:
-            data["u"] = {
-                name: float(value) if isinstance(value, (int, float)) else [float(item) for item in value]
-                for name, value in self.u.items()
-            }
+            data["u"] = {name: np.asarray(value, dtype=float).tolist() for name, value in self.u.items()}
         return data
 
 
@@ -104,34 +103,20 @@ class Identity:
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Identity:
         """Inverse of `to_json`."""
-        code = {str(name): str(value) for name, value in data["code"].items()}
-        known = {field.name for field in fields(CampaignSettings)}
-        settings = {name: value for name, value in data["settings"].items() if name in known}
-        return cls(str(data["model"]), CampaignSettings(**settings), code)
+        return cls(data["model"], CampaignSettings(**data["settings"]), data["code"])
 
 
 def differences(old: Identity, new: Identity) -> list[str]:
-    """Return the changes from ``old`` to ``new``, one line each.
-
-    Examples
-    --------
-    >>> a = Identity("m", CampaignSettings("hinf", 10), {"numpy": "2.4.0"})
-    >>> differences(a, Identity("m", CampaignSettings("hinf", 20), {"numpy": "2.4.1"}))
-    ['settings.n: 10 -> 20', 'code.numpy: 2.4.0 -> 2.4.1']
-    """
+    """Return the changes from ``old`` to ``new``, one line each."""
     lines = [] if old.model == new.model else [f"the uncertain model: {old.model[:12]} -> {new.model[:12]}"]
-    befores, afters = old.to_json(), new.to_json()
     for part in ("settings", "code"):
-        before, after = befores[part], afters[part]
+        before, after = old.to_json()[part], new.to_json()[part]
         for name in dict.fromkeys([*before, *after]):
-            if before.get(name) != after.get(name):
-                lines.append(f"{part}.{name}: {_short(before.get(name))} -> {_short(after.get(name))}")
+            values = before.get(name), after.get(name)
+            if values[0] != values[1]:
+                texts = ("none" if value is None else str(value) for value in values)
+                lines.append(f"{part}.{name}: {' -> '.join(t if len(t) <= 60 else f'{t[:57]}...' for t in texts)}")
     return lines
-
-
-def _short(value: Any) -> str:
-    text = "none" if value is None else str(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 @cache

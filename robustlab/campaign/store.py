@@ -164,14 +164,6 @@ class Store:
         """Identity of the campaign."""
         return Identity.from_json(json.loads(self.get("identity")))
 
-    @property
-    def model(self) -> bytes:
-        """The uncertain model, see `robustlab.campaign.settings.model_to_bytes`."""
-        content = self.get("model")
-        if not isinstance(content, bytes):
-            raise _damaged(self.where, "it holds no model")
-        return content
-
     def facts(self) -> dict[str, Any]:
         """Return the facts stored at the end of the campaign: digest, check of the worst sample; empty before."""
         return json.loads(self.get("finished") or "{}")
@@ -218,24 +210,17 @@ class Store:
         """Return the first sample with the largest ``sense * value``."""
         return next(self.samples("WHERE status = ? ORDER BY value * ? DESC, idx LIMIT 1", DONE, sense), None)
 
-    def unbounded(self) -> int:
-        """Count samples with an infinite value."""
-        question = "SELECT COUNT(*) FROM sample WHERE status = ? AND abs(value) = ?"
-        return next(self._asked(question, DONE, np.inf))[0]
-
-    def beyond(self, sense: int, limit: float) -> int:
-        """Count samples with a value worse than ``limit``."""
-        question = "SELECT COUNT(*) FROM sample WHERE status = ? AND value * ? > ?"
-        return next(self._asked(question, DONE, sense, sense * limit))[0]
+    def totals(self, sense: int, limit: float | None) -> tuple[int, int, float]:
+        """Return the numbers of infinite values and of those worse than ``limit``, and the time of all samples in s."""
+        question = "SELECT TOTAL(abs(value) = ?), TOTAL(value * ? > ?), TOTAL(seconds) FROM sample"
+        worse = None if limit is None else sense * limit
+        unbounded, beyond, seconds = next(self._asked(question, np.inf, sense, worse))
+        return int(unbounded), int(beyond), seconds
 
     def sorted_values(self, sense: int) -> Iterator[float]:
         """Stream the values from the best to the worst; SQLite sorts many of them on disk."""
         for (value,) in self._asked("SELECT value FROM sample WHERE status = ? ORDER BY value * ?", DONE, sense):
             yield value
-
-    def seconds(self) -> float:
-        """Return the total time of all samples in s."""
-        return next(self._asked("SELECT TOTAL(seconds) FROM sample"))[0]
 
     def digest(self) -> str:
         """Return SHA-256 over index, status, value, Delta and reason of all rows by index."""

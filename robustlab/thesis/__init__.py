@@ -6,6 +6,6 @@ __all__, __getattr__ = lazily(
     __name__,
     {
         "numbers": "PublishedNumber published_numbers",
-        "figures": "case_figure over_time",
+        "figures": "case_figure",
     },
 )

@@ -29,23 +29,16 @@ THREE = [("#56B4E9", "-"), ("#D55E00", (0, (4, 3))), ("#222222", ":")]
 
 
 def over_time(
-    t: Array, panels: Sequence[tuple[str, Curves, float | None]], title: str = "", columns: int = 1, height: float = 2.4
+    t: Array, panels: Sequence[tuple[str, Curves]], title: str = "", columns: int = 1, height: float = 2.4
 ) -> Figure:
-    """Draw panels over time: label with unit, curves (n,) with their style, and a limit to draw or None."""
+    """Draw panels over time: label with unit, and curves (n,) with their style."""
     width = 9.4 if columns == 1 else 3.6 * columns
     figure, axes_list = new_figure(len(panels) // columns, columns, width=width, height=height, sharex=True)
     legend = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)} if columns == 1 else {}
     with house_style():
-        for axes, (label, curves, limit) in zip(axes_list, panels, strict=True):
+        for axes, (label, curves) in zip(axes_list, panels, strict=True):
             for values, look in curves:
                 axes.plot(t, values, **look)
-            if limit is not None and np.abs(curves[0][0]).max() > 0.4 * limit:  # a far limit would flatten the curves
-                for edge, word in ((-limit, "motor's limit"), (limit, None)):
-                    axes.axhline(edge, color=COLOURS["reference"], ls=":", lw=1.3, label=word)
-            elif limit is not None:
-                axes.set_title(
-                    f"the motor's limit of {limit:g} is beyond this panel", fontsize=8.5, fontweight="normal"
-                )
             axes.set_ylabel(label)
             if axes.get_legend_handles_labels()[1]:
                 axes.legend(**legend)
@@ -73,13 +66,13 @@ def sine_figure(run: SineRun, until: float) -> Figure:
     height = [(1e3 * run.height[:n], wide), (np.full(n, 140.7), {**thin, "label": "thesis: 140.7 mm"})]
     nut = [[(run.nonlinear[:n, c], both[0]), (run.linear[:n, c], both[1])] for c in (0, 6)]
     gaps = [(angle_gap, {**wide, "label": "angle"}), (rate_gap, {**thin, "label": "rate"})]
-    panels: list[tuple[str, Curves, float | None]] = [
-        ("torque of each motor [mN m]", [(torque, wide)], None),
-        ("height of the platform [mm]", height, None),
-        ("linear minus nonlinear [%]", gaps, None),
-        ("nut angle [rad]", nut[0], None),
-        ("nut rate [rad/s]", nut[1], None),
-        ("largest actuator length [mm]", [(1e3 * run.lengths[:n].max(axis=1), wide)], None),
+    panels: list[tuple[str, Curves]] = [
+        ("torque of each motor [mN m]", [(torque, wide)]),
+        ("height of the platform [mm]", height),
+        ("linear minus nonlinear [%]", gaps),
+        ("nut angle [rad]", nut[0]),
+        ("nut rate [rad/s]", nut[1]),
+        ("largest actuator length [mm]", [(1e3 * run.lengths[:n].max(axis=1), wide)]),
     ]
     return over_time(t, panels, columns=3, height=3.0)
 
@@ -122,17 +115,15 @@ def case_figure(
         for k, (name, unit) in enumerate(outputs):
             whole, end, change = panels[3 * k : 3 * k + 3]
             scale = 100 / np.abs(nominal[:, k]).max()
-            for i, member in enumerate(members[:, :, k]):
-                for axes, x in ((whole, t), (end, before)):
-                    axes.plot(x, member, color=COLOURS["sample"], lw=0.6, label=None if i else label)
-                change.plot(t, scale * (member - nominal[:, k]), color=COLOURS["sample"], lw=0.6)
-            for curve, key, dashes, word in (
-                (nominal[:, k], "nominal", "-", "nominal"),
-                (worst[:, k], "worst", (0, (4, 2)), "worst Δ"),
-            ):
-                for axes, x in ((whole, t), (end, before)):
-                    axes.plot(x, curve, color=COLOURS[key], ls=dashes, lw=1.3, label=word)
-                change.plot(t, scale * (curve - nominal[:, k]), color=COLOURS[key], ls=dashes, lw=1.3)
+            thin = [(member, "sample", "-", 0.6, None if i else label) for i, member in enumerate(members[:, :, k])]
+            wide: list[Any] = [
+                (nominal[:, k], "nominal", "-", 1.3, "nominal"),
+                (worst[:, k], "worst", (0, (4, 2)), 1.3, "worst Δ"),
+            ]
+            for curve, key, dashes, width, word in [*thin, *wide]:
+                gap = scale * (curve - nominal[:, k])
+                for axes, x, y in ((whole, t, curve), (end, before, curve), (change, t, gap)):
+                    axes.plot(x, y, color=COLOURS[key], ls=dashes, lw=width, label=word)
             for i, edge in enumerate((-published, published)):
                 text = f"thesis: ±{published:g} %" if i == 0 else None
                 change.axhline(edge, color=COLOURS["reference"], ls=":", lw=1.2, label=text)
@@ -152,8 +143,7 @@ def case_figure(
         for axes, text in zip(panels[-3:], ("time [s]", "time before the end [ms]", "time [s]"), strict=True):
             axes.set_xlabel(text)
         figure.suptitle(plain_label(title), x=0.01, ha="left", fontsize=10.5, fontweight="bold")
-        (lines, words), (edges, bands) = (axes.get_legend_handles_labels() for axes in (panels[0], panels[2]))
-        figure.legend([*lines, *edges], [*words, *bands], loc="outside lower center", ncols=4)
+        figure.legend(*panels[2].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return figure
 
 
@@ -168,21 +158,26 @@ def tracking_path_figure(run: TrajectoryFollowing, lengths: Array) -> Figure:
         (run.reference[:, 3:], run.pose[:, 3:], "orientation [mrad]", ["about x", "about y", "about z"]),
         (lengths, run.lengths, "actuator length [mm]", LINKS),
     )
-    panels: list[tuple[str, Curves, float | None]] = []
+    panels: list[tuple[str, Curves]] = []
     for desired, reached, label, names in rows:
         pale = [(v, {"color": look["color"], "lw": 4.0, "alpha": 0.3}) for v, look in lines(desired, names)]
-        panels.append((label, [*pale, *lines(reached, names)], None))
+        panels.append((label, [*pale, *lines(reached, names)]))
     return over_time(run.t, panels, "wide and pale: desired; thin: reached, simulated")
 
 
 def tracking_error_figure(run: TrajectoryFollowing) -> Figure:
     """Draw errors of position and orientation over time, and torques and voltages of the six motors."""
-    turned = lines(run.error[:, 3:], ["about x", "about y", "about z"])
-    panels: list[tuple[str, Curves, float | None]] = [
-        ("position error [mm]", lines(run.error[:, :3], ["x", "y", "z"]), None),
-        ("orientation error [mrad]", turned, None),
-        ("torque [mN m]", lines(run.torque, LINKS), 1e3 * MOST_TORQUE),
-        ("voltage [V]", lines(run.voltage, LINKS, 1.0), MOST_VOLTAGE),
+    torque, voltage = lines(run.torque, LINKS), lines(run.voltage, LINKS, 1.0)
+    for curves, limit in ((torque, 1e3 * MOST_TORQUE), (voltage, MOST_VOLTAGE)):
+        if np.abs(curves[0][0]).max() > 0.4 * limit:  # a far limit would flatten the curves
+            look = {"color": COLOURS["reference"], "ls": ":", "lw": 1.3}
+            curves.append((np.full(len(run.t), limit), {**look, "label": "motor's limit"}))
+            curves.append((np.full(len(run.t), -limit), look))
+    panels: list[tuple[str, Curves]] = [
+        ("position error [mm]", lines(run.error[:, :3], ["x", "y", "z"])),
+        ("orientation error [mrad]", lines(run.error[:, 3:], ["about x", "about y", "about z"])),
+        ("torque [mN m]", torque),
+        ("voltage [V]", voltage),
     ]
     return over_time(run.t, panels)
 

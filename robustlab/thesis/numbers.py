@@ -33,8 +33,6 @@ BASE = ((165.3, -57.4), (32.9, 171.9), (-32.9, 171.9), (-165.3, -57.4), (-132.4,
 PLATFORM_Y = (75.8, 113.0, 113.0, 75.8)
 BEARING = (16.33, 175.4)  # m2; m3 is its mirror image
 MAKER_SPEED = 7530 * 2 * math.pi / 60
-Bound = Literal["equal", "at most", "at least"]
-RowStatus = Literal["R", "F", "P", "N"]
 
 
 @dataclass(frozen=True)
@@ -48,14 +46,10 @@ class PublishedNumber:
     published: float | None
     ours: float | None
     unit: str  # of both and of the tolerance
-    status: RowStatus  # R, F, P or N, as in the module's description
+    status: Literal["R", "F", "P", "N"]  # R, F, P or N, as in the module's description
     tolerance: float | None = None  # by the printed digits and the text; None if no agreement is expected
     why: str = ""  # interpretation, or reason why it is not reproducible
-    bound: Bound = "equal"  # "at most" and "at least": the thesis prints a limit
-
-    def __post_init__(self) -> None:
-        if self.ours is not None:
-            object.__setattr__(self, "ours", float(self.ours))
+    bound: Literal["equal", "at most", "at least"] = "equal"  # "at most" and "at least": the thesis prints a limit
 
     @property
     def difference(self) -> float | None:
@@ -97,12 +91,8 @@ class PublishedNumbers:
         return [row.key for row in (*self.with_status("R"), *self.with_status("F")) if row.agrees is not True]
 
     def to_json(self) -> dict[str, Any]:
-        """Return rows, cases, sine runs, and the parts of the tracking runs that the rows need."""
-        tracking = {name: {"t": run.t, "error": run.error, "torque": run.torque, "voltage": run.voltage}
-                    for name, run in self.tracking.items()}  # fmt: skip
-        rows = {key: row.to_json() for key, row in self.rows.items()}
-        sines = {name: run.to_json() for name, run in self.sines.items()}
-        return {"rows": rows, "sines": sines, "cases": {c.name: c.to_json() for c in self.cases}, "tracking": tracking}
+        """Return the rows."""
+        return {"rows": {key: row.to_json() for key, row in self.rows.items()}}
 
 
 def published_numbers() -> PublishedNumbers:
@@ -124,8 +114,8 @@ def published_numbers() -> PublishedNumbers:
     rows = {}
     for key, row in table.items():
         row["why"] = row.get("why", "").format(**found)
-        row.setdefault("published", None)
-        rows[key] = PublishedNumber(key=key, ours=found.get(key), **row)
+        ours = float(found[key]) if key in found else None
+        rows[key] = PublishedNumber(**{"key": key, "published": None, "ours": ours, **row})
     return PublishedNumbers(rows, sines, varied, tracking)
 
 
@@ -134,31 +124,24 @@ def published_numbers() -> PublishedNumbers:
 
 def _geometry(plant: StewartPlatform) -> dict[str, Any]:
     g = plant.geometry
-    poses = np.zeros((2, 6))
-    poses[:, 2] = 0.1462, 0.1062
-    longest, shortest = 1e3 * inverse_kinematics(g, poses)[:, 0]
     z = np.linspace(0.10, 0.15, 5001)
-    heights = np.zeros((len(z), 6))
-    heights[:, 2] = z
-    highest, lowest = 1e3 * np.interp([0.188, 0.159], inverse_kinematics(g, heights)[:, 0], z)
+    heights = np.append(z, [0.1462, 0.1062])[:, None] * np.eye(6)[2]
+    lengths = inverse_kinematics(g, heights)[:, 0]
+    longest, shortest = 1e3 * lengths[-2:]
+    highest, lowest = 1e3 * np.interp([0.188, 0.159], lengths[:-2], z)
+    # The printed m2 and m3, and the pair rotated by +-120 degrees.
+    turn, pair = np.exp(2j * np.pi / 3), np.array([complex(*BEARING), complex(-BEARING[0], BEARING[1])])
+    points = np.roll(np.outer([1, turn, 1 / turn], pair), 1).ravel()
+    bearing = np.column_stack([points.real, points.imag])
 
     def gap(found: Array, table: Any) -> float:
         return float(np.abs(1e3 * found - np.array(table)).max())
 
     return {
         "1": gap(g.base[:, :2], BASE), "2": gap(g.platform[:4, 1], PLATFORM_Y),
-        "3": gap(g.bearing[:, :2], _bearing_table()), "4-max": longest, "4-min": shortest, "5-max": highest,
+        "3": gap(g.bearing[:, :2], bearing), "4-max": longest, "4-min": shortest, "5-max": highest,
         "5-min": lowest, "lowest": lowest, "6": plant.values["ratio"],
     }  # fmt: skip
-
-
-def _bearing_table() -> Array:
-    """Return points m1-m6 in mm, (6, 2): the printed m2 and m3, and the pair rotated by +-120 degrees."""
-    x, y = BEARING
-    pair = np.array([[x, y], [-x, y]])
-    c, s = -0.5, math.sqrt(0.75)
-    left, right = pair @ np.array([[c, s], [-s, c]]), pair @ np.array([[c, -s], [s, c]])
-    return np.array([right[1], *pair, left[0], left[1], right[0]])
 
 
 def _states(plant: StewartPlatform) -> dict[str, Any]:

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.display import AllFields
 from robustlab.dynamics.control.platform import SineTrajectory, TrajectoryFollowing, closed_loop, follow, two_layer
 from robustlab.dynamics.linearisation import linearise, trim
 from robustlab.dynamics.simulation import simulate
@@ -32,7 +30,7 @@ ALL = (*BODIES, "platform_mass", "platform_x", "platform_y", "platform_z")
 
 
 @dataclass(frozen=True, eq=False)
-class SineRun(AllFields):
+class SineRun:
     """The platform from rest at home under the holding torque plus one sine of torque on all six motors."""
 
     # of the sine in N m and Hz
@@ -80,11 +78,8 @@ def _first_time(t: Array, values: Array, level: float) -> float:
     beyond = np.flatnonzero(values >= level)
     if not len(beyond):
         return math.inf
-    k = int(beyond[0])
-    if k == 0:
-        return float(t[0])
-    share = (level - values[k - 1]) / (values[k] - values[k - 1])
-    return float(t[k - 1] + share * (t[k] - t[k - 1]))
+    pair = slice(max(int(beyond[0]) - 1, 0), int(beyond[0]) + 1)
+    return float(np.interp(level, values[pair], t[pair]))
 
 
 # --- perturbed machines ----------------------------------------------------------------------------------------------
@@ -118,11 +113,11 @@ class Case:
         """Return both models with one more input, ``gravity`` (figure 10.5): 1 if the torque is held."""
         return _with_gravity(self.nominal, 0.0), _with_gravity(self.perturbed, self.released)
 
-    def excitation(self, held: bool | None = None, points: int = 201) -> tuple[Array, Array]:
+    def excitation(self, held: bool | None = None) -> tuple[Array, Array]:
         """Return times (n,) up to 57.7 ms, and inputs (n, 7): 0.1 N m at 2 Hz on all motors, and gravity."""
-        t = np.linspace(0.0, UP_TO, points)
+        t = np.linspace(0.0, UP_TO, 201)
         sine = np.tile(TORQUE * np.sin(2 * math.pi * HERTZ * t)[:, None], 6)
-        return t, np.column_stack([sine, np.full(points, float(self.held if held is None else held))])
+        return t, np.column_stack([sine, np.full(len(t), float(self.held if held is None else held))])
 
     def changes(self, held: bool | None = None) -> tuple[float, float]:
         """Return the signed largest change of the angle of nut 1 at Delta = +I and -I, in percent of the nominal one.
@@ -144,28 +139,24 @@ class Case:
         return abs(plus if self.worst > 0 else minus)
 
     @property
+    def tie(self) -> bool:
+        """Whether both ends are equally bad."""
+        plus, minus = map(abs, self.changes())
+        return abs(plus - minus) <= TIE * max(plus, minus)
+
+    @property
     def worst(self) -> int:
         """Worst Delta: 1 for +I, -1 for -I; of equally bad ends that with the larger nut angle."""
         plus, minus = self.changes()
-        if abs(abs(plus) - abs(minus)) <= TIE * max(abs(plus), abs(minus)):
-            return 1 if plus > minus else -1
-        return 1 if abs(plus) > abs(minus) else -1
+        return 1 if (plus > minus if self.tie else abs(plus) > abs(minus)) else -1
 
     @property
     def worst_in_words(self) -> str:
         """The worst Delta, the changes at both ends, and the thesis' worst Delta."""
         plus, minus = self.changes()
-        tie = abs(abs(plus) - abs(minus)) <= TIE * max(abs(plus), abs(minus))
-        why = "; equally bad to four digits, there the nut moves further" if tie else ""
+        why = "; equally bad to four digits, there the nut moves further" if self.tie else ""
         text = f"worst Δ = {SIGNED[self.worst]} (+I {plus:+.4g} %, -I {minus:+.4g} %{why})"
         return f"{text}; the thesis has {SIGNED[self.published_worst]}"
-
-    def to_json(self) -> dict[str, Any]:
-        """Return names, numbers, and the matrices that differ."""
-        matrices = {f"{name}_{m}": getattr(getattr(self, name), m) for name in ("nominal", "perturbed") for m in "AB"}
-        data = {key: vars(self)[key] for key in ("name", "words", "published", "published_worst", "held", "released")}
-        found = {"gain_percent": self.gain_percent, "largest_percent": self.largest_percent, "worst": self.worst}
-        return {**data, **found, **matrices}
 
 
 def cases(plant: StewartPlatform) -> tuple[Case, ...]:
@@ -205,8 +196,9 @@ def track(plant: StewartPlatform, signs: tuple[int, ...] = (1, 1, 1, 1, 1, 1)) -
     return follow(plant, two_layer(plant), path, np.linspace(0.0, 5.0, 2501))
 
 
-def lowest_stable_pole(plant: StewartPlatform, low: float = 1000.0, high: float = 3000.0) -> float:
-    """Return the lower layer's pole in 1/s, from ``low`` to ``high``, at which the linear loop becomes stable."""
+def lowest_stable_pole(plant: StewartPlatform) -> float:
+    """Return the lower layer's pole in 1/s, from 1000 to 3000, at which the linear loop becomes stable."""
+    low, high = 1000.0, 3000.0
     while high - low > 1.0:
         middle = (low + high) / 2
         stable = closed_loop(plant, two_layer(plant, p_low=middle)).poles().real.max() < 0

@@ -3,7 +3,7 @@
 Every result is attained by the returned Delta; none is a proved bound.
 """
 
-from robustlab.worst_case_analysis.metrics import METRICS, MetricBatch, MetricRequest
+from robustlab.worst_case_analysis.metrics import METRICS, make_metric
 from robustlab.worst_case_analysis.sampling import Responses, Samples, sample
 from robustlab.worst_case_analysis.statistics import (
     Influence,
@@ -18,14 +18,13 @@ from robustlab.worst_case_analysis.worst_case_search import WorstCase, worst_cas
 __all__ = [
     "METRICS",
     "Influence",
-    "MetricBatch",
-    "MetricRequest",
     "Quantile",
     "Responses",
     "Samples",
     "ViolationProbability",
     "WorstCase",
     "clopper_pearson",
+    "make_metric",
     "quantile_bounds",
     "sample",
     "violation_probability",

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Literal, overload
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -71,8 +71,8 @@ def excitation(
         if len(names) != 1:
             hint = f"say which input steps: u={{{names[0]!r}: 1.0}}" if names else None
             raise InputError(where, f"{len(names)} inputs and no u", "one input, or u", hint)
-        return Excitation(clock, h, np.ones((n, 1)))
-    if isinstance(u, Mapping):
+        u = np.ones(n)
+    elif isinstance(u, Mapping):
         held = {name: np.repeat(value, n) if np.ndim(value) == 0 else value for name, value in u.items()}
         u = {**dict.fromkeys(names, np.zeros(n)), **held}
     elif np.ndim(u) == 0:
@@ -94,19 +94,15 @@ class Deltas(Sequence[Mapping[str, Any]]):
     ``signs``: vertices (n_v, k) of the k real scalars; complex and full blocks are at random on their boundary there.
     """
 
-    def __init__(self, blocks: Sequence[Block], n: int, seed: int, signs: Array) -> None:
-        self.blocks, self.n, self.seed, self.signs = tuple(blocks), n, seed, signs
+    def __init__(self, blocks: Sequence[Block], n: int, seed: int, signs: Array | None = None) -> None:
+        self.blocks, self.n, self.seed = tuple(blocks), n, seed
         self._reals = tuple(b.name for b in blocks if b.interval)
-        self._asymmetric = [(k, b) for k, b in enumerate(self.blocks) if not b.is_symmetric]
+        self.signs: Array = np.zeros((0, len(self._reals))) if signs is None else signs
 
     def __len__(self) -> int:
         return self.n + len(self.signs)
 
-    @overload
-    def __getitem__(self, index: int) -> Mapping[str, Any]: ...
-    @overload
-    def __getitem__(self, index: slice) -> tuple[Mapping[str, Any], ...]: ...
-    def __getitem__(self, index: int | slice) -> Mapping[str, Any] | tuple[Mapping[str, Any], ...]:
+    def __getitem__(self, index: Any) -> Any:
         if isinstance(index, slice):
             return tuple(self[i] for i in range(*index.indices(len(self))))
         if not -len(self) <= index < len(self):
@@ -121,15 +117,14 @@ class Deltas(Sequence[Mapping[str, Any]]):
     def numbers(self, part: slice) -> Array:
         """Return the coordinates of some samples, shape (k, d)."""
         if len(self._reals) < len(self.blocks):
-            rows = [encoded(self.blocks, values) for values in self[part]]
-            return np.array(rows).reshape(len(rows), sum(b.n_coordinates for b in self.blocks))
+            return np.array([encoded(self.blocks, values) for values in self[part]])
         inside = np.arange(part.start, max(part.start, min(part.stop, self.n)))
         drawn = np.array([_generator(self.seed, int(i)).uniform(-1.0, 1.0, len(self.blocks)) for i in inside])
         drawn = drawn.reshape(len(inside), len(self.blocks))
-        for k, block in self._asymmetric:
-            drawn[:, k] = [block.in_range(place) for place in drawn[:, k].tolist()]
-        corners = self.signs[max(part.start - self.n, 0) : max(part.stop - self.n, 0)]
-        return np.concatenate([drawn, corners]) if len(corners) else drawn
+        for k, block in enumerate(self.blocks):
+            if not block.is_symmetric:
+                drawn[:, k] = [block.in_range(place) for place in drawn[:, k].tolist()]
+        return np.concatenate([drawn, self.signs[max(part.start - self.n, 0) : max(part.stop - self.n, 0)]])
 
     def to_json(self) -> list[Mapping[str, Any]]:
         return list(self)
@@ -137,20 +132,11 @@ class Deltas(Sequence[Mapping[str, Any]]):
 
 def encoded(blocks: Sequence[Block], values: Mapping[str, Any]) -> Array:
     """Return the coordinates (d,) of a Delta: one for a real scalar, else real and imaginary parts of all entries."""
-    parts = [block.coordinates(values[block.name]) for block in blocks]
-    return np.concatenate([np.zeros(0), *parts], dtype=np.float64)
+    return np.concatenate([np.zeros(0), *(block.coordinates(values[block.name]) for block in blocks)], dtype=np.float64)
 
 
 def decoded(blocks: Sequence[Block], numbers: Array) -> dict[str, Any]:
-    """Inverse of `encoded`.
-
-    Examples
-    --------
-    >>> from robustlab.uncertainty.blocks import ComplexScalar, RealScalar
-    >>> blocks = [RealScalar("k"), ComplexScalar("c")]
-    >>> decoded(blocks, encoded(blocks, {"k": 0.5, "c": 0.1 - 0.2j}))
-    {'k': 0.5, 'c': (0.1-0.2j)}
-    """
+    """Inverse of `encoded`."""
     ends = np.cumsum([0, *(b.n_coordinates for b in blocks)])
     return {b.name: b.value_at(numbers[i:j]) for b, (i, j) in zip(blocks, pairwise(ends), strict=True)}
 
@@ -182,9 +168,9 @@ def vertex_signs(k: int, count: int | Literal["all"], seed: int) -> Array:
         # Equal draws are rare among so many vertices; duplicates are dropped.
         drawn = rng.integers(0, 2, (number, k))
         bits = drawn[np.sort(np.unique(drawn, axis=0, return_index=True)[1])]
-        return real_array("vertices", 2 * bits - 1, 2)
-    order = np.arange(2**k) if number >= 2**k else rng.permutation(2**k)[:number]
-    bits = (order[:, None] >> np.arange(k)[::-1]) & 1
+    else:
+        order = np.arange(2**k) if number >= 2**k else rng.permutation(2**k)[:number]
+        bits = (order[:, None] >> np.arange(k)[::-1]) & 1
     return real_array("vertices", 2 * bits - 1, 2)
 
 
@@ -251,7 +237,7 @@ class MemberSet:
         self._left, self._right = np.vstack([m.B[:, :q], m.D[p:, :q]]), np.hstack([m.C[:p], m.D[:p, q:]])
         self._d11, self._nominal = m.D[:p, :q], np.block([[m.A, m.B[:, q:]], [m.C[p:], m.D[p:, q:]]])
         ends = np.cumsum([0, *(b.n_coordinates for b in self.blocks)])
-        self._parts = [slice(a, b) for a, b in pairwise(ends)]
+        self.parts = [slice(a, b) for a, b in pairwise(ends)]
         self.size, self.all_real = int(ends[-1]), all(b.interval for b in self.blocks)
         self._scale = np.ones(0)
         if self.n_states:
@@ -269,7 +255,7 @@ class MemberSet:
         """Return Deltas (k, q, p) at coordinates (k, d); blocks outside their ball are projected onto it."""
         dtype = float if all(b.is_real for b in self.blocks) else complex
         delta = np.zeros((len(theta), *structure_size(self.blocks)), dtype=dtype)
-        for block, part, (rows, cols) in zip(self.blocks, self._parts, block_slices(self.blocks), strict=True):
+        for block, part, (rows, cols) in zip(self.blocks, self.parts, block_slices(self.blocks), strict=True):
             delta[:, rows, cols] = block.members(theta[:, part])
         return delta
 
@@ -336,9 +322,7 @@ def recursion(phi: Array, forced: Array, x0: Array) -> Array:
     return x
 
 
-def transitions(
-    ensemble: Ensemble, h: float, hold: Hold, used: NDArray[np.intp] | slice = slice(None)
-) -> tuple[Array, Array, Array]:
+def transitions(ensemble: Ensemble, h: float, hold: Hold, used: NDArray[np.intp]) -> tuple[Array, Array, Array]:
     """Return Phi, Gamma, Gamma_1 of every member: x_{j+1} = Phi x_j + Gamma u_j + Gamma_1 (u_{j+1} - u_j).
 
     Gamma_1 is zero for ``hold = "zoh"``; ``used``: the inputs of Gamma and Gamma_1.

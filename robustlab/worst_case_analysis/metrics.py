@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -26,7 +24,6 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import delta_matrix
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.members import (
-    BLOCK,
     Deltas,
     Ensemble,
     Excitation,
@@ -35,29 +32,14 @@ from robustlab.worst_case_analysis.members import (
     blocks_of,
     encoded,
     excitation,
-    is_count,
     peak_gains,
     time_responses,
 )
 
-MOST_SAMPLES = 10_000_000
 UserFunction = Callable[[StateSpaceModel], float]
 DOUBLINGS = 46  # of the Smith iteration; converges for poles down to 1e-12 of their size from the boundary
 GRID_POINTS = 48  # frequencies for the gain of every member, in addition to those of its own poles
 NO_FINAL_VALUE = 1e-9  # share of a response's size below which a final value is zero
-
-# Name -> description. The largest value is the worst unless stated otherwise.
-METRICS: dict[str, str] = {
-    "peak-deviation": "largest |y - nominal y| of an output over the given times",
-    "peak": "largest |y| of an output over the given times; of a control signal its effort",
-    "rms": "root mean square of an output over the given times; of a control signal its effort",
-    "overshoot": "how far a step response goes beyond its final value, in % of it",
-    "settling-time": "when a step response stays within 2 % (band) of its final value",
-    "hinf": "H-infinity norm; infinite for unstable members",
-    "h2": "H2 norm; infinite for unstable members",
-    "spectral-abscissa": "largest real part of the poles",
-    "damping": "smallest damping ratio of the poles; the smallest is the worst",
-}
 
 
 class Evaluation(NamedTuple):
@@ -233,8 +215,7 @@ class H2Gain(Metric):
 
     def of(self, ensemble: Ensemble) -> Array:
         value = np.full(len(ensemble), np.inf)
-        direct = ensemble.D.any(axis=(1, 2)) if not ensemble.dt else np.zeros(len(ensemble), dtype=bool)
-        good = np.flatnonzero(ensemble.is_stable() & ~direct)
+        good = np.flatnonzero(ensemble.is_stable() & (bool(ensemble.dt) | ~ensemble.D.any(axis=(1, 2))))
         some = ensemble.part(good)
         reach = _gramians(some)
         square = np.einsum("kij,kjl,kil->k", some.C, reach, some.C)
@@ -299,9 +280,9 @@ class UserMetric(Metric):
 
     smooth = False
 
-    def __init__(self, uncertain: UncertainModel, function: UserFunction, name: str) -> None:
-        need_real(uncertain, f"the function {name}")
-        self.uncertain, self._function, self._name = uncertain, function, name
+    def __init__(self, uncertain: UncertainModel, function: UserFunction) -> None:
+        need_real(uncertain, f"the function {name_of(function)}")
+        self.uncertain, self._function = uncertain, function
 
     def of(self, ensemble: Ensemble) -> Array:
         value = np.full(len(ensemble), np.inf)
@@ -309,24 +290,21 @@ class UserMetric(Metric):
         for k in np.flatnonzero(~ensemble.ill_posed):
             a, b, c, d = (matrix[k] for matrix in (ensemble.A, ensemble.B, ensemble.C, ensemble.D))
             model = StateSpaceModel(a, b, c, d, ensemble.dt, nominal.inputs, nominal.outputs, nominal.states)
-            value[k] = self._number(model)
+            value[k] = self.of_model(model).value
         return value
 
     def work(self, count: int) -> float:
         return 3000.0 * count  # a few milliseconds per call
 
     def of_model(self, model: StateSpaceModel) -> Evaluation:
-        return Evaluation(self._number(model))
-
-    def _number(self, model: StateSpaceModel) -> float:
-        found = self._function(model)
+        found, where = self._function(model), f"metric {name_of(self._function)}"
         try:
             value = float(found)
         except (TypeError, ValueError):
-            raise InputError(f"metric {self._name}", f"gave a {type(found).__name__}", "a number") from None
+            raise InputError(where, f"gave a {type(found).__name__}", "a number") from None
         if math.isnan(value):
-            raise NoTrustworthyNumber(f"metric {self._name}", "gave NaN", "a number, or inf where there is none")
-        return value
+            raise NoTrustworthyNumber(where, "gave NaN", "a number, or inf where there is none")
+        return Evaluation(value)
 
 
 # --- metrics of a response -------------------------------------------------------------------------------------------
@@ -389,8 +367,6 @@ MEASURES = {
 class TimeMetric(Metric):
     """A measure of the response of one output from zero initial state; infinite where that grows without bound."""
 
-    location = "t [s]"
-
     def __init__(
         self, uncertain: UncertainModel, name: str, output: str, drive: Excitation, hold: Hold, band: float
     ) -> None:
@@ -403,10 +379,8 @@ class TimeMetric(Metric):
         self.smooth = self._measure.smooth
         centre = self.set.members(np.zeros((1, self.set.size)))
         self._nominal = self._responses(centre)[0]
-        if self._measure.settled:
-            self._check_settles(name, centre)
-
-    def _check_settles(self, name: str, centre: Ensemble) -> None:
+        if not self._measure.settled:
+            return
         if not 0 < self._band < 1:
             raise InputError("worst_case", f"band is {self._band!r}", "a share of the final value between 0 and 1")
         if np.ptp(self.drive.u, axis=0).max(initial=0.0) > 0:
@@ -478,106 +452,53 @@ class TimeMetric(Metric):
 # --- metrics by name, and at samples ---------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class MetricRequest:
-    """A requested metric; see `robustlab.worst_case_analysis.worst_case` for the fields."""
-
-    metric: str | UserFunction = "peak-deviation"
-    output: str | None = None
-    input: str | None = None
-    t: ArrayLike | None = None
-    u: Mapping[str, ArrayLike] | ArrayLike | None = None
-    hold: Hold = "zoh"
-    band: float = 0.02
-
-    @property
-    def name(self) -> str:
-        """Name of the metric; that of the function for a user's own."""
-        return self.metric if isinstance(self.metric, str) else getattr(self.metric, "__name__", "function")
+METRICS = (*MEASURES, "hinf", "h2", "spectral-abscissa", "damping")
 
 
-def make_metric(uncertain: UncertainModel, request: MetricRequest, where: str = "worst_case") -> Metric:
-    """Build the requested metric for a set.
+def name_of(metric: str | UserFunction) -> str:
+    """Return the name of a metric; that of the function for a user's own."""
+    return metric if isinstance(metric, str) else getattr(metric, "__name__", "function")
+
+
+def make_metric(
+    uncertain: UncertainModel,
+    metric: str | UserFunction = "peak-deviation",
+    output: str | None = None,
+    input: str | None = None,
+    t: ArrayLike | None = None,
+    u: Mapping[str, ArrayLike] | ArrayLike | None = None,
+    hold: Hold = "zoh",
+    band: float = 0.02,
+    where: str = "worst_case",
+) -> Metric:
+    """Build a metric of a set; see `robustlab.worst_case_analysis.worst_case` for the arguments.
 
     Raises UsageError: unknown metric, or several outputs and none named; InputError, NoTrustworthyNumber: signals,
     times or models that the metric cannot work with.
     """
     if not isinstance(uncertain, UncertainModel):
         raise InputError(where, type(uncertain).__name__, "an UncertainModel")
-    metric = request.metric
     if not isinstance(metric, str):
         if not is_function(metric):
             raise UsageError(where, f"metric {metric!r}", "the name of a metric, or a function of a model")
-        return UserMetric(uncertain, metric, request.name)
+        return UserMetric(uncertain, metric)
     if metric not in METRICS:
-        raise UsageError(where, f"metric {metric!r}", f"one of {', '.join(METRICS)}", did_you_mean(metric, [*METRICS]))
+        raise UsageError(where, f"metric {metric!r}", f"one of {', '.join(METRICS)}", did_you_mean(metric, METRICS))
     if metric in ("spectral-abscissa", "damping"):
         return PoleMetric(uncertain, metric == "damping")
     if metric not in MEASURES:
-        return (HinfGain if metric == "hinf" else H2Gain)(uncertain, request.input, request.output)
-    names, output = [s.name for s in uncertain.outputs], request.output
+        return (HinfGain if metric == "hinf" else H2Gain)(uncertain, input, output)
+    names = [s.name for s in uncertain.outputs]
     if output is None and len(names) != 1:
         expected, hint = f"output: one of {', '.join(names)}", f"name one: output={names[0]!r}"
         raise UsageError(where, f"{len(names)} outputs and none named", expected, hint)
-    u: Any = {request.input: 1.0} if request.u is None and request.input is not None else request.u
-    clock = default_clock(uncertain.nominal, where) if request.t is None else request.t
-    drive = excitation(uncertain.inputs, uncertain.dt, clock, u, where)
-    return TimeMetric(uncertain, metric, output or names[0], drive, request.hold, request.band)
+    driven: Any = {input: 1.0} if u is None and input is not None else u
+    clock = default_clock(uncertain.nominal, where) if t is None else t
+    drive = excitation(uncertain.inputs, uncertain.dt, clock, driven, where)
+    return TimeMetric(uncertain, metric, output or names[0], drive, hold, band)
 
 
-@dataclass(frozen=True)
-class MetricBatch:
-    """Values of a metric at samples ``first .. first + count - 1``; can be pickled and sent to another process.
-
-    Sample i is that of ``sample(uncertain, n, seed)``, and its value is the same to the last bit in every
-    batch.
-    """
-
-    uncertain: UncertainModel
-    request: MetricRequest
-    seed: int
-
-    def __post_init__(self) -> None:
-        if not is_count(self.seed, 0):
-            raise InputError("seed", f"{self.seed!r}", "a whole number, not negative")
-
-    def __getstate__(self) -> dict[str, Any]:
-        # Cached properties are rebuilt in the other process.
-        return {"uncertain": self.uncertain, "request": self.request, "seed": self.seed}
-
-    @cached_property
-    def judge(self) -> Metric:
-        return make_metric(self.uncertain, self.request)
-
-    def _deltas(self, n: int) -> Deltas:
-        return Deltas(self.uncertain.blocks, n, self.seed, np.zeros((0, 0)))
-
-    def __call__(self, first: int, count: int) -> Array:
-        """Return the values of ``count`` samples, shape (count,)."""
-        deltas = self._deltas(first + count)
-        # Rounding of products depends on the position in a block: begin at the start of a block.
-        start = first - first % BLOCK
-        values = [
-            self.judge.of(self.judge.set.members(deltas.numbers(slice(start + part.start, start + part.stop))))
-            for part in blocks_of(first + count - start, self.judge.set.block)
-        ]
-        return np.concatenate([np.zeros(0), *values])[first - start :]
-
-    def theta(self, n: int) -> Array:
-        """Return the coordinates of the first n samples (n, d)."""
-        return self._deltas(n).numbers(slice(0, n))
-
-    def delta(self, index: int) -> dict[str, Any]:
-        """Return the Delta of one sample."""
-        return dict(self._deltas(index + 1)[index])
-
-    def all_values(self, n: int, workers: int = 1) -> Array:
-        """Return the values of the first n samples (n,), computed by ``workers`` threads."""
-        if not is_count(n, 1) or n > MOST_SAMPLES:
-            raise InputError("n", f"{n!r}", f"a whole number of samples from 1 to {MOST_SAMPLES}")
-        if not is_count(workers, 1):
-            raise InputError("workers", f"{workers!r}", "a whole number, at least 1")
-        self.judge.set  # noqa: B018  built before the threads start
-        parts = blocks_of(int(n), BLOCK)
-        with ThreadPoolExecutor(workers) as pool:
-            return np.concatenate(list(pool.map(lambda part: self(part.start, part.stop - part.start), parts)))
+def values_at(metric: Metric, deltas: Deltas) -> Array:
+    """Return the metric at all samples (k,); a sample's value does not depend on their number."""
+    parts = blocks_of(len(deltas), metric.set.block)
+    return np.concatenate([metric.of(metric.set.members(deltas.numbers(part))) for part in parts])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -113,15 +113,18 @@ class Samples(Tabular, Displayable):
             raise InputError("respond", found, expected, "fewer samples or times")
         of = self._of_members if isinstance(self.uncertain, UncertainModel) else self._of_plants
         y, nominal, unstable = of(drive, x0, hold)
-        lower, upper, deviation, finite = _envelope(y, nominal)
+        with np.errstate(invalid="ignore"):  # inf - inf, where member and nominal model overflow
+            lower, upper = np.minimum(y.min(axis=0), nominal), np.maximum(y.max(axis=0), nominal)
+            deviation = np.array([np.abs(member - nominal).max(axis=0) for member in y])
+        finite = bool(np.isfinite(lower).all() and np.isfinite(upper).all())
         return Responses(
             drive.t,
             drive.u,
             y,
             nominal,
-            lower,
-            upper,
-            tuple(int(i) for i in deviation.argmax(axis=0)),
+            np.where(np.isnan(lower), -np.inf, lower),
+            np.where(np.isnan(upper), np.inf, upper),
+            tuple(int(i) for i in np.where(np.isnan(deviation), np.inf, deviation).argmax(axis=0)),
             self.deltas,
             self.uncertain.inputs,
             self.uncertain.outputs,
@@ -173,13 +176,9 @@ class Samples(Tabular, Displayable):
         rows = list(self.deltas)
         columns: dict[str, AnyArray] = {}
         for block in self.deltas.blocks:
-            drawn = np.array([row[block.name] for row in rows])
-            if block.is_scalar:
-                columns[block.name] = drawn.reshape(len(rows))
-            else:
-                r, c = block.value_shape
-                entries = [(i, j) for i in range(r) for j in range(c)]
-                columns |= {f"{block.name}[{i + 1},{j + 1}]": drawn.reshape(-1, r, c)[:, i, j] for i, j in entries}
+            entries = [f"{block.name}[{i + 1},{j + 1}]" for i, j in np.ndindex(block.value_shape)]
+            drawn = np.array([row[block.name] for row in rows]).reshape(len(rows), -1)
+            columns |= zip([block.name] if block.is_scalar else entries, drawn.T, strict=True)
         values = {name: [p.value(float(np.real(v))) for v in columns[name]] for name, p in known.items()}
         units = {name: p.unit for name, p in known.items()}
         return Table(("sample", np.arange(len(rows))), {**columns, **values}, units)
@@ -225,7 +224,6 @@ class Responses(Displayable):
     def to_json(self) -> dict[str, object]:
         """All fields except the single responses ``y``, which follow from the Deltas."""
         data = {key: value for key, value in vars(self).items() if key != "y"}
-        data["inputs"], data["outputs"] = [list(s) for s in self.inputs], [list(s) for s in self.outputs]
         return {**data, "peak_deviation": self.peak_deviation}
 
 
@@ -279,26 +277,13 @@ def sample(uncertain: UncertainModel | Plant, n: int, seed: int = 0, vertices: i
             raise InputError("sample", f"{name} is {count!r}", "a whole number, not negative")
     if n == 0 and vertices == 0:
         raise InputError("sample", "no samples and no vertices", "at least one of n and vertices")
-    blocks = uncertain.blocks if isinstance(uncertain, UncertainModel) else tuple(_uncertain_parameters(uncertain))
+    if isinstance(uncertain, UncertainModel):
+        blocks = uncertain.blocks
+    else:
+        blocks = tuple(RealScalar(name, 1, p.range) for name, p in uncertain.parameters.items() if p.radius)
+        if not blocks:
+            known = ", ".join(uncertain.parameters) or "none"
+            found = f"no parameter of {uncertain.name} has a tolerance"
+            raise InputError("sample", found, f"one of {known} with (value, 0.1)")
     signs = vertex_signs(sum(b.interval is not None for b in blocks), vertices, seed)
     return Samples(uncertain, Deltas(blocks, int(n), int(seed), signs), int(seed), len(signs))
-
-
-def _uncertain_parameters(plant: NonlinearPlant) -> Iterator[RealScalar]:
-    """Yield a scalar for every parameter with a tolerance."""
-    for name, p in plant.parameters.items():
-        if p.radius:
-            yield RealScalar(name, 1, p.range)
-    if not any(p.radius for p in plant.parameters.values()):
-        known = ", ".join(plant.parameters) or "none"
-        raise InputError("sample", f"no parameter of {plant.name} has a tolerance", f"one of {known} with (value, 0.1)")
-
-
-def _envelope(y: Array, nominal: Array) -> tuple[Array, Array, Array, bool]:
-    """Return lower, upper (n_t, n_y), each sample's peak deviation (k, n_y), and whether all numbers are finite."""
-    with np.errstate(invalid="ignore"):  # inf - inf, where member and nominal model overflow
-        lower, upper = np.minimum(y.min(axis=0), nominal), np.maximum(y.max(axis=0), nominal)
-        deviation = np.array([np.abs(member - nominal).max(axis=0) for member in y])
-    finite = bool(np.isfinite(lower).all() and np.isfinite(upper).all())
-    lower, upper = (np.where(np.isnan(edge), far, edge) for edge, far in ((lower, -np.inf), (upper, np.inf)))
-    return lower, upper, np.where(np.isnan(deviation), np.inf, deviation), finite

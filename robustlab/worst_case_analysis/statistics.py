@@ -24,9 +24,12 @@ from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis.metrics import MetricBatch, MetricRequest
+from robustlab.worst_case_analysis.members import Deltas, is_count
+from robustlab.worst_case_analysis.metrics import Metric, make_metric, name_of, values_at
 
 SMALLEST_SHARE = 1e-14  # needs some 10^15 samples
+MOST_SAMPLES = 10_000_000
+SHOWN = 12  # parameters in a report's table
 MOST_BINS = 32  # along each parameter, for the share of the variance that it explains
 
 
@@ -37,15 +40,11 @@ class Influence(Tabular, Displayable):
     names: tuple[str, ...]  # the parameters (blocks)
     first_order: Array  # share of the variance that each explains by itself, (d,); at least 0
     noise: float  # 95 % quantile of ``first_order`` for a parameter without influence
-    # standardised rank regression coefficients, (d,): positive where a larger delta means a larger value. NaN for fewer
-    # samples than parameters.
-    rank_coefficients: Array
-    rank_fit: float  # R^2 of that regression. Coefficients of a poor fit are of little use.
-    of_ranks: bool  # true where ranks replace values because members have no bounded value
+    # 1 where the metric grows with a parameter, -1 where it falls, 0 where its rank correlation is not significant
+    directions: NDArray[np.int_]
     worst_value: float  # the metric at the worst sample
     # the metric with that sample's delta k at nominal and all others kept, (d,): the effect of knowing parameter k
     restored: Array
-    alone: Array  # the metric with delta k of that sample and all others nominal, (d,)
     nominal_value: float  # the metric at Delta = 0
     unit: str
     n: int  # number of samples
@@ -67,13 +66,7 @@ class Influence(Tabular, Displayable):
         """Which parameters are relevant by either measure, (d,)."""
         return (self.first_order > self.noise) | (self.savings > 1e-3 * self.savings.max(initial=0.0))
 
-    @property
-    def directions(self) -> NDArray[np.int_]:
-        """1 where the metric grows with a parameter, -1 where it falls, 0 where neither is significant."""
-        clear = np.abs(self.rank_coefficients) > 3.0 / np.sqrt(self.n)
-        return np.where(clear, np.sign(self.rank_coefficients), 0).astype(int)
-
-    def rows(self, most: int = 12) -> list[tuple[str, ...]]:
+    def rows(self) -> list[tuple[str, ...]]:
         """Return the relevant parameters: name, share of the spread, direction, the worst sample with it nominal."""
         ways = {1: "grows with it", -1: "falls with it", 0: "-"}
         return [
@@ -83,7 +76,7 @@ class Influence(Tabular, Displayable):
                 ways[int(self.directions[k])],
                 f"{self.restored[k]:.6g}",
             )
-            for k in self.order[:most]
+            for k in self.order[:SHOWN]
             if self.matters[k]
         ]
 
@@ -98,40 +91,40 @@ class Influence(Tabular, Displayable):
         ]
 
     def table(self) -> Table:
-        """A row for each parameter: share of the spread, the metric without its change, and with it alone."""
-        columns = {"first_order": self.first_order, "restored": self.restored, "alone": self.alone}
-        return Table(("parameter", self.names), columns, {"restored": self.unit, "alone": self.unit})
+        """A row for each parameter: share of the spread, and the metric without its change."""
+        columns = {"first_order": self.first_order, "restored": self.restored}
+        return Table(("parameter", self.names), columns, {"restored": self.unit})
 
     def to_json(self) -> dict[str, object]:
         return {**vars(self), "order": [self.names[k] for k in self.order]}
 
 
-def influence_of(batch: MetricBatch, values: Array, worst: int) -> Influence:
-    """Compute the influence of the parameters of a set of real scalars on a metric at its first samples.
+def influence_of(judge: Metric, theta: Array, values: Array, worst: int) -> Influence:
+    """Return the influence of the parameters of a set of real scalars on a metric.
 
-    ``values``: those of ``batch`` for its first n samples, (n,); ``worst``: index of the worst.
+    ``theta`` (n, d), ``values`` (n,): samples and the metric there; ``worst``: index of the worst.
     """
-    theta = batch.theta(len(values))
-    d = theta.shape[1]
-    finite = bool(np.isfinite(values).all())
-    numbers = values if finite else _ranks(values)
-    bins = int(np.clip(np.sqrt(len(values)), 4, MOST_BINS))
-    own = np.eye(d, dtype=bool)
-    judge = batch.judge
-    trials = np.vstack([np.where(own, 0.0, theta[worst]), np.where(own, theta[worst], 0.0), np.zeros((1, d))])
-    found = judge.of(judge.set.members(trials))
+    from scipy.stats import f
+
+    n, d = theta.shape
+    ranks = _ranks(values)
+    numbers = values if np.isfinite(values).all() else ranks
+    bins = int(np.clip(np.sqrt(n), 4, MOST_BINS))
+    ratio = float(f.ppf(0.95, bins - 1, n - bins))
+    found = judge.of(judge.set.members(np.vstack([np.where(np.eye(d), 0.0, theta[worst]), np.zeros((1, d))])))
+    x, y = _ranks(theta) - (n + 1) / 2, ranks - (n + 1) / 2
+    spread = np.sqrt((x**2).sum(axis=0) * (y**2).sum())
+    correlation = np.divide(y @ x, spread, where=spread > 0, out=np.zeros(d))
     return Influence(
-        tuple(b.name for b in batch.uncertain.blocks),
+        tuple(b.name for b in judge.set.blocks),
         np.array([_between_bins(theta[:, k], numbers, bins) for k in range(d)]),
-        _noise(len(values), bins),
-        *_rank_regression(theta, values),
-        not finite,
+        max(0.0, (bins - 1) * (ratio - 1) / ((bins - 1) * ratio + n - bins + 1)),
+        np.where(np.abs(correlation) > 3.0 / np.sqrt(n), np.sign(correlation), 0).astype(int),
         float(values[worst]),
         found[:d],
-        found[d : 2 * d],
         float(found[-1]),
         judge.unit,
-        len(values),
+        n,
     )
 
 
@@ -148,31 +141,10 @@ def _between_bins(x: Array, y: Array, bins: int) -> float:
     return float(np.clip((between - (bins - 1) * within) / (total + within), 0.0, 1.0))
 
 
-def _noise(n: int, bins: int) -> float:
-    """Return the 95 % quantile of omega squared without influence, from that of Fisher's F."""
-    from scipy.stats import f
-
-    ratio = float(f.ppf(0.95, bins - 1, n - bins))
-    return max(0.0, (bins - 1) * (ratio - 1) / ((bins - 1) * ratio + n - bins + 1))
-
-
 def _ranks(y: Array) -> Array:
     from scipy.stats import rankdata
 
     return np.asarray(rankdata(y, axis=0), dtype=float)
-
-
-def _rank_regression(theta: Array, values: Array) -> tuple[Array, float]:
-    """Return the coefficients (d,) and R^2."""
-    n, d = theta.shape
-    if n <= d + 1:
-        return np.full(d, np.nan), np.nan
-    x, y = (ranks - ranks.mean(axis=0) for ranks in (_ranks(theta), _ranks(values)))
-    if y.std() == 0:
-        return np.zeros(d), 1.0
-    x, y = x / x.std(axis=0), y / y.std()
-    found = np.linalg.lstsq(x, y, rcond=None)[0]
-    return found, float(1.0 - ((y - x @ found) ** 2).mean())
 
 
 FEWEST_SAMPLES = 32
@@ -181,14 +153,7 @@ DEFAULT_SAMPLES = 1000
 
 
 def clopper_pearson(violations: int, n: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Return both bounds of a probability from ``violations`` in n samples; see the module.
-
-    Examples
-    --------
-    >>> low, high = clopper_pearson(0, 29, 0.90)
-    >>> low, round(high, 6) == round(1 - 0.05 ** (1 / 29), 6)
-    (0.0, True)
-    """
+    """Return both bounds of a probability from ``violations`` in n samples; see the module."""
     from scipy.stats import binomtest
 
     interval = binomtest(violations, n).proportion_ci(confidence, "exact")
@@ -208,25 +173,15 @@ class Quantile(NamedTuple):
 
 
 def quantile_bounds(values: ArrayLike, share: float, confidence: float = 0.95) -> Quantile:
-    """Return distribution-free bounds of a quantile from independent samples (n,), infinite values included.
-
-    Examples
-    --------
-    >>> quantile_bounds(range(1, 101), 0.5, 0.95)
-    Quantile(share=0.5, value=50.0, lower=40.0, upper=61.0)
-    """
+    """Return distribution-free bounds of a quantile from independent samples (n,), infinite values included."""
     from scipy.stats import binom
 
-    ordered = np.sort(np.asarray(values, dtype=float))
-    n = len(ordered)
-    rest = (1.0 - confidence) / 2.0
+    ordered = np.concatenate([[-np.inf], np.sort(np.asarray(values, dtype=float)), [np.inf]])
+    n, rest = len(ordered) - 2, (1.0 - confidence) / 2.0
     # P(X_(l) > quantile) = P(fewer than l below it) = cdf(l - 1): the largest l with at most ``rest`` of that.
     counts = binom.cdf(np.arange(n), n, share)
-    low = int(np.searchsorted(counts, rest, side="right"))
-    high = int(np.searchsorted(counts, 1.0 - rest, side="left")) + 1
-    value = float(ordered[max(0, math.ceil(share * n) - 1)])
-    lower = float(ordered[low - 1]) if low > 0 else -math.inf
-    return Quantile(share, value, lower, float(ordered[high - 1]) if high <= n else math.inf)
+    lower, upper = np.searchsorted(counts, rest, side="right"), np.searchsorted(counts, 1.0 - rest, side="left") + 1
+    return Quantile(share, *(float(ordered[rank]) for rank in (max(1, math.ceil(share * n)), lower, upper)))
 
 
 @dataclass(frozen=True)
@@ -374,7 +329,6 @@ def violation_probability(
     hold: Literal["zoh", "foh"] = "zoh",
     band: float = 0.02,
     seed: int = 0,
-    workers: int = 1,
 ) -> ViolationProbability:
     """Probability that a metric violates a limit, from seeded samples, with Clopper-Pearson bounds.
 
@@ -396,8 +350,6 @@ def violation_probability(
         Shares of the metric's quantiles, between 0 and 1.
     seed
         Seed of the random numbers.
-    workers
-        Threads; the result does not depend on their number.
 
     Returns
     -------
@@ -424,8 +376,9 @@ def violation_probability(
     from scipy.stats import binomtest
 
     where = "violation_probability"
-    batch = MetricBatch(uncertain, MetricRequest(metric, output, input, t, u, hold, band), seed)
-    judge = batch.judge
+    if not is_count(seed, 0):
+        raise InputError("seed", f"{seed!r}", "a whole number, not negative")
+    judge = make_metric(uncertain, metric, output, input, t, u, hold, band)
     if not uncertain.blocks:
         raise InputError(where, "a model without uncertainty", "blocks to sample", "every sample would be the nominal")
     for name, share in [("confidence", confidence), *(("quantile", q) for q in quantiles)]:
@@ -436,17 +389,21 @@ def violation_probability(
         # Without a violation n samples show p at confidence c where (1 - p)^n <= 1 - c.
         needed = max(1, math.ceil(math.log1p(-confidence) / math.log1p(-probability) * (1 - 1e-12)))
     number, notes = _limit(limit, judge.unit, where)
-    values = batch.all_values(n if n is not None else needed or DEFAULT_SAMPLES, workers)
+    count = n if n is not None else needed or DEFAULT_SAMPLES
+    if not is_count(count, 1) or count > MOST_SAMPLES:
+        raise InputError("n", f"{count!r}", f"a whole number of samples from 1 to {MOST_SAMPLES}")
+    deltas = Deltas(uncertain.blocks, int(count), seed)
+    values = values_at(judge, deltas)
     scores = judge.sense * values
     violations = int((scores > judge.sense * number).sum())
     worst = int(scores.argmax())
-    delta = batch.delta(worst)
+    delta = dict(deltas[worst])
     again = judge.evaluate(delta)
     low, high = clopper_pearson(violations, len(values), confidence)
     at_most = float(binomtest(violations, len(values), alternative="less").proportion_ci(confidence, "exact").high)
     real = judge.set.all_real and len(values) >= FEWEST_SAMPLES
     return ViolationProbability(
-        batch.request.name,
+        name_of(metric),
         judge.unit,
         number,
         judge.sense,
@@ -466,7 +423,7 @@ def violation_probability(
         worst,
         delta,
         values,
-        influence_of(batch, values, worst) if real else None,
+        influence_of(judge, deltas.numbers(slice(0, len(values))), values, worst) if real else None,
         int(seed),
         Status.CONVERGED if judge.agrees(float(values[worst]), again.value) and again.accurate else Status.INACCURATE,
         notes,
@@ -476,9 +433,9 @@ def violation_probability(
 def _limit(limit: float | str, unit: str, where: str) -> tuple[float, tuple[str, ...]]:
     """Return the limit's number, and a note if it has no unit but the metric has."""
     match = re.fullmatch(r"\s*(\S+)\s*(.*?)\s*", limit) if isinstance(limit, str) else None
-    text, given = match.groups() if match else (str(limit), "")
+    text, given = match.groups() if match else (limit, "")
     try:
-        number = float(text) if isinstance(limit, str) else float(limit)
+        number = float(text)
     except (TypeError, ValueError):
         expected = "a number, or one with its unit such as '0.5 rad'"
         raise InputError(f"{where}: limit", f"{limit!r}", expected) from None

@@ -21,7 +21,7 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import delta_values
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.members import MemberSet, chunks, is_count, vertex_signs
-from robustlab.worst_case_analysis.metrics import Metric, MetricRequest, TimeMetric, make_metric
+from robustlab.worst_case_analysis.metrics import Metric, TimeMetric, make_metric, name_of
 
 LABEL = "sampled: a lower bound of the true worst case"
 LABEL_SMALLEST = "sampled: an upper bound of the true worst case, which is the smallest value"
@@ -50,12 +50,6 @@ class WorstResponse(Evidence):
     # output, unit: its name and unit
     output: str
     unit: str
-
-    @property
-    def percent(self) -> float | None:
-        """Largest change of the response in percent of the largest nominal value; None where that is zero."""
-        size = float(np.abs(self.nominal).max())
-        return 100 * float(np.abs(self.worst - self.nominal).max() / size) if size > 0 else None
 
 
 @dataclass(frozen=True)
@@ -95,8 +89,6 @@ class WorstCase(Displayable, AllFields):
         Of the member at ``delta``, all states.
     seed
         Seed of the search.
-    gradients
-        Number of gradients.
     response
         Response of the metric's output, nominal and at ``delta``; None for other metrics, and where it overflows.
     """
@@ -121,13 +113,14 @@ class WorstCase(Displayable, AllFields):
     output: str | None
     spectral_abscissa: float
     seed: int
-    gradients: int = 0
     response: WorstResponse | None = None
 
     @property
     def percent(self) -> float | None:
-        """Largest change of the response in percent of the largest nominal value; None where there is no response."""
-        return None if self.response is None else self.response.percent
+        """Largest change of the response in percent of the largest nominal value; None without one, or if it is 0."""
+        found = self.response
+        size = 0.0 if found is None else float(np.abs(found.nominal).max())
+        return None if found is None or not size > 0 else 100 * float(np.abs(found.worst - found.nominal).max() / size)
 
     def headline(self) -> str:
         return f"worst {self.metric} found: {number(self.value, self.unit)}"
@@ -220,12 +213,11 @@ def worst_case(
     ({'pole': -1.0}, 4.89)
     """
     budget = search_budget("worst_case", WORK, effort, time_limit)
-    request = MetricRequest(metric, output, input, t, u, hold, band)
     for name, count, least in (("n", n, 1), ("seed", seed, 0)):
         if not is_count(count, least):
             raise InputError("worst_case", f"{name} is {count!r}", f"a whole number, at least {least}")
     with one_thread():
-        judge = make_metric(uncertain, request)
+        judge = make_metric(uncertain, metric, output, input, t, u, hold, band)
         search = _Search(judge, budget)
         theta, score = search.run(int(n), int(seed))
         delta = delta_values(uncertain.blocks, judge.set.deltas(theta[None])[0])
@@ -243,7 +235,7 @@ def worst_case(
     return WorstCase(
         again.value,
         delta,
-        request.name,
+        name_of(metric),
         nominal.value,
         status,
         "; ".join([label, *remark, *uncertain.remarks]),
@@ -253,11 +245,10 @@ def worst_case(
         judge.location,
         found,
         judge.unit,
-        request.input,
-        request.output,
+        input,
+        output,
         abscissa,
         int(seed),
-        search.gradients,
         response,
     )
 
@@ -284,7 +275,7 @@ class _Search:
 
     def __init__(self, metric: Metric, budget: Budget) -> None:
         self.metric, self.budget = metric, budget
-        self.evaluations = self.gradients = 0
+        self.evaluations = 0
         self.ended = False  # early, by the budget
         self.best, self.top = np.zeros(metric.set.size), -np.inf
 
@@ -316,8 +307,7 @@ class _Search:
         d, blocks = self.metric.set.size, self.metric.set.blocks
         if d == 0:
             return np.zeros((1, 0))
-        ends = np.cumsum([0, *(b.n_coordinates for b in blocks)])
-        real = [int(i) for i, b in zip(ends, blocks, strict=False) if b.interval]
+        real = [part.start for part, b in zip(self.metric.set.parts, blocks, strict=True) if b.interval]
         signs = vertex_signs(len(real), VERTICES, seed) if real else np.zeros((0, 0))
         vertices = np.zeros((len(signs), d))
         vertices[:, real] = signs
@@ -346,9 +336,20 @@ class _Search:
         """Jump towards the vertex of the gradient's signs, then use L-BFGS-B; the best point is kept."""
         from scipy.optimize import minimize
 
-        last = self.budget.left - work
+        last, theta, best = self.budget.left - work, start, -np.inf
         try:
-            theta, best = self._jump(start, last)
+            for _ in range(JUMPS):
+                best, slope = self._score_and_slope(theta, last)
+                vertex = np.where(slope != 0, np.sign(slope), theta)
+                trials = theta + np.array([1.0, 0.5, 0.25, 0.1, 0.03])[:, None] * (vertex - theta)
+                scores = self._measure(trials)
+                top = int(np.argmax(scores))
+                self._keep(trials[top], float(scores[top]))
+                if np.isposinf(scores[top]):
+                    return
+                if not scores[top] > best + 1e-9 * abs(best):
+                    break
+                theta, best = trials[top], float(scores[top])
             size = max(abs(best), 1e-300)
 
             def falling(theta: Array) -> tuple[float, Array]:
@@ -360,22 +361,6 @@ class _Search:
             minimize(falling, theta, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
         except _Ended:
             pass
-
-    def _jump(self, theta: Array, last: float) -> tuple[Array, float]:
-        score = -np.inf
-        for _ in range(JUMPS):
-            score, slope = self._score_and_slope(theta, last)
-            vertex = np.where(slope != 0, np.sign(slope), theta)
-            trials = theta + np.array([1.0, 0.5, 0.25, 0.1, 0.03])[:, None] * (vertex - theta)
-            scores = self._measure(trials)
-            best = int(np.argmax(scores))
-            self._keep(trials[best], float(scores[best]))
-            if np.isposinf(scores[best]):
-                raise _Ended
-            if not scores[best] > score + 1e-9 * abs(score):
-                break
-            theta, score = trials[best], float(scores[best])
-        return theta, score
 
     def _score_and_slope(self, theta: Array, last: float) -> tuple[float, Array]:
         """Return the score and its difference quotients on the same side of 0 (at 0 upwards), within the box.
@@ -393,7 +378,6 @@ class _Search:
         step = np.where(np.abs(theta + step) > 1.0, -step, step)
         points = np.vstack([theta, theta + np.diag(step)])
         scores = self._measure(points)
-        self.gradients += 1
         if np.isposinf(scores).any():
             self._keep(points[int(scores.argmax())], np.inf)
             raise _Ended

@@ -233,7 +233,7 @@ def test_a_read_only_folder(tmp_path, motor):
 
 
 def test_a_worker_that_ends_ends_the_run_and_the_store_is_continued(tmp_path, motor, monkeypatch):
-    monkeypatch.setattr("robustlab.campaign.workers._end_with_parent", os.abort)
+    monkeypatch.setattr("robustlab.campaign.runs._end_with_parent", os.abort)
     path = tmp_path / "s.sqlite"
     with pytest.raises(EnvironmentFault, match="a worker failed") as caught:
         run_campaign(motor, settings_of(), path, crew=Crew(1))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
-
 import numpy as np
 import pytest
 
@@ -18,7 +16,8 @@ from robustlab import (
     elementwise,
 )
 from robustlab.errors import UsageError
-from robustlab.worst_case_analysis import METRICS, MetricBatch, MetricRequest, worst_case
+from robustlab.result import plain
+from robustlab.worst_case_analysis import METRICS, make_metric, sample, violation_probability, worst_case
 
 T = np.linspace(0.0, 12.0, 601)
 
@@ -42,18 +41,19 @@ def request(metric, model, hold="zoh"):
     u = np.random.default_rng(5).standard_normal((120, 2))
     if metric in ("overshoot", "settling-time"):
         t, u = 0.1 * np.arange(1500), {model.inputs[0].name: 1.0}
-    return MetricRequest(metric, model.outputs[0].name, None, t, u, hold)
+    return {"metric": metric, "output": model.outputs[0].name, "t": t, "u": u, "hold": hold}
 
 
 @pytest.mark.parametrize(("dt", "hold"), [(0.0, "zoh"), (0.0, "foh"), (0.1, "zoh")])
 @pytest.mark.parametrize("metric", METRICS)
 def test_both_methods_agree(metric, dt, hold):
     model = random_set(2, dt)
-    batch = MetricBatch(model, request(metric, model, hold), 1)
-    values = batch(0, 8)
+    asked = request(metric, model, hold)
+    values = violation_probability(model, limit=1.0, n=8, seed=1, **asked).values
     assert np.isfinite(values).sum() > 2
-    for k, value in enumerate(values):
-        assert batch.judge.agrees(value, batch.judge.evaluate(batch.delta(k)).value)
+    judge = make_metric(model, **asked)
+    for value, delta in zip(values, sample(model, 8, seed=1).deltas, strict=True):
+        assert judge.agrees(value, judge.evaluate(delta).value)
 
 
 # --- closed forms ----------------------------------------------------------------------------------------------------
@@ -93,10 +93,6 @@ def test_overshoot_of_an_oscillator():
     assert worst_case(lag(), "overshoot", t=T).value == 0.0
 
 
-def test_h2_norm_of_a_lag():
-    assert worst_case(lag(), "h2").value == pytest.approx(np.sqrt(1 / 1.6), rel=1e-9)
-
-
 def test_damping_is_smallest_where_it_is_worst():
     found = worst_case(oscillator(), "damping")
     assert found.value == pytest.approx(0.2, rel=1e-9)
@@ -118,7 +114,7 @@ def test_a_function_of_the_model():
 @pytest.mark.parametrize("metric", ["settling-time", "overshoot", "h2", "hinf"])
 def test_unstable_members_are_reported(metric):
     found = worst_case(lag(1.5), metric, t=T)
-    assert np.isinf(found.value)
+    assert plain(found)["value"] == "inf"
     assert found.spectral_abscissa > 0
     assert "no bounded value" in found.label
     if metric == "settling-time":
@@ -133,7 +129,6 @@ def test_unstable_members_are_reported(metric):
         (lambda: worst_case(lag(), "settling-time", t=T, band=2.0), InputError, "band is 2.0"),
         (lambda: worst_case(lag(), "overshoot", t=T, u=np.sin(T)), InputError, "an input that changes"),
         (lambda: worst_case(lag(), "overshoot", t=T, u=0 * T), NoTrustworthyNumber, "settles at 0"),
-        (lambda: worst_case(lag(), "peak", t=T, n=0), InputError, "n is 0"),
     ],
 )
 def test_invalid_requests_are_rejected(call, error, text):
@@ -174,36 +169,24 @@ def test_search_against_brute_force_in_two_parameters():
     grid = np.linspace(-1, 1, 61)
     points = np.stack(np.meshgrid(grid, grid), -1).reshape(-1, 2)
     for metric in ("peak-deviation", "rms"):
-        judge = MetricBatch(family, MetricRequest(metric, t=t, u=u), 0).judge
+        judge = make_metric(family, metric, t=t, u=u)
         brute = judge.of(judge.set.members(points)).max()
         found = worst_case(family, metric, t=t, u=u, n=32)
         assert found.value >= brute * (1 - 1e-9)
-        assert found.gradients > 0
 
 
-def test_search_of_many_parameters_finds_the_vertex():
-    """Sum of 12 lags with uncertain gains: the peak is linear in them."""
-    rng = np.random.default_rng(0)
-    change = rng.standard_normal((1, 12))
-    a = -np.diag(np.linspace(1, 3, 12))
-    b = np.ones((12, 1))
-    pair = [StateSpaceModel(a, b, 1.0 + x, [[0.0]]) for x in (0 * change, change)]
-    t = np.linspace(0, 8, 81)
-    found = worst_case(elementwise(*pair), "peak", t=t, n=16)
-    truth = ((1 + np.abs(change)) * (1 - np.exp(-8 * np.linspace(1, 3, 12))) / np.linspace(1, 3, 12)).sum()
-    assert found.value == pytest.approx(truth, rel=1e-9)
-
-
-# --- independence of batches -----------------------------------------------------------------------------------------
+# --- independence of the number of samples ---------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("metric", METRICS)
-def test_a_sample_has_one_value_whatever_its_batch(metric):
+def test_a_sample_has_one_value_whatever_their_number(metric):
     model = random_set(2)
-    batch = MetricBatch(model, request(metric, model), 3)
-    whole = batch(0, 530)
-    again = pickle.loads(pickle.dumps(batch))
-    for first, count in ((0, 1), (1, 3), (509, 7), (17, 500)):
-        np.testing.assert_array_equal(again(first, count), whole[first : first + count])
+
+    def values(n, seed=3):
+        return violation_probability(model, limit=1.0, n=n, seed=seed, **request(metric, model)).values
+
+    whole = values(530)
+    for n in (1, 7, 516):
+        np.testing.assert_array_equal(values(n), whole[:n])
     if metric != "overshoot":  # which is zero in this set
-        assert not np.array_equal(MetricBatch(model, request(metric, model), 4)(0, 5), whole[:5])
+        assert not np.array_equal(values(5, seed=4), whole[:5])

@@ -71,12 +71,10 @@ def test_probability_of_a_known_distribution():
     assert median.lower < 10 < median.upper
 
 
-def test_a_required_probability_is_confirmed():
-    shown = violation_probability(gains(1.0), "peak", "11 V", probability=0.05, **PEAK)
-    assert (shown.n, shown.violations, shown.shown, shown.samples_needed) == (59, 0, True, 59)
-    not_shown = violation_probability(gains(1.0), "peak", "10.8 V", probability=0.05, **PEAK)
-    assert not_shown.violations > 0
-    assert not_shown.shown is False
+def test_a_required_probability_is_not_confirmed():
+    found = violation_probability(gains(1.0), "peak", "10.8 V", probability=0.05, **PEAK)
+    assert found.violations > 0
+    assert found.shown is False
 
 
 def test_a_measure_whose_smallest_value_is_the_worst():
@@ -93,7 +91,6 @@ def test_unstable_members_violate():
     assert found.unbounded == found.violations
     assert found.lower < 0.25 < found.upper
     assert found.influence is not None
-    assert found.influence.of_ranks
     assert np.isinf(found.worst_value)
 
 
@@ -111,7 +108,6 @@ def test_unstable_members_violate():
         (11.0, {"probability": 0.0}, InputError, "probability: 0.0"),
         (11.0, {"confidence": 1.0}, InputError, "confidence: 1.0"),
         (11.0, {"quantiles": (1.5,)}, InputError, "quantile: 1.5"),
-        (11.0, {"workers": 0}, InputError, "workers"),
         (11.0, {"seed": -1}, InputError, "seed"),
     ],
 )
@@ -125,16 +121,13 @@ def test_invalid_input_is_rejected(limit, options, error, text):
 
 
 def test_influence_of_a_sum():
-    """Shares of the variance are w_k^2 / sum w^2; rank coefficients have the signs of the weights."""
+    """Shares of the variance are w_k^2 / sum w^2; directions are the signs of the weights."""
     weights = np.array([3.0, -2.0, 1.0, 0.0])
     sampled = violation_probability(gains(*weights), "peak", "20 V", n=4000, **PEAK)
     found, delta = sampled.influence, sampled.worst_delta
     assert found is not None
     np.testing.assert_allclose(found.first_order, weights**2 / 14, atol=0.02)
-    np.testing.assert_allclose(found.rank_coefficients, weights / np.sqrt(14), atol=0.03)
-    assert found.rank_fit > 0.95
     assert found.order[:3] == (0, 1, 2)
     assert list(found.directions) == [1, -1, 1, 0]
     assert list(found.matters) == [True, True, True, False]
     np.testing.assert_allclose(found.worst_value - found.restored, weights * list(delta.values()), atol=1e-12)
-    np.testing.assert_allclose(found.alone - 10, weights * list(delta.values()), atol=1e-12)
