@@ -71,7 +71,9 @@ class Budget:
         self._end = inf if time_limit is None else time.monotonic() + time_limit
         self._parent: Budget | None = None
         self._whole, self._listener = self._work, _LISTENER.get() if self._work < inf else None
-        self._struck = self._used_up = False
+        # whether a time limit ended a search here or in a part of this budget: the result is not repeatable
+        self.struck = False
+        self._used_up = False
 
     def spend(self, work: float) -> None:
         """Count work done, here and in the budgets that this one is a part of."""
@@ -102,18 +104,13 @@ class Budget:
             return True
         if time.monotonic() < self._end:
             return self._parent is not None and self._parent.over
-        self._mark("_struck")
+        self._mark("struck")
         return True
-
-    @property
-    def struck(self) -> bool:
-        """Whether a time limit ended a search here or in a part of this budget: the result is not repeatable."""
-        return self._struck
 
     @property
     def remark(self) -> str | None:
         """How the search ended, for texts: by time, by work; None if it was completed."""
-        return NOT_REPEATABLE if self._struck else USED_UP if self._used_up else None
+        return NOT_REPEATABLE if self.struck else USED_UP if self._used_up else None
 
     @property
     def seconds_left(self) -> float:
@@ -123,7 +120,7 @@ class Budget:
 
     def strike(self) -> None:
         """Record that a time limit ended a solver with a limit of its own."""
-        self._mark("_struck")
+        self._mark("struck")
 
     def use_up(self) -> None:
         """Record that a search ended because the work left was too little."""

@@ -24,27 +24,6 @@ from collections.abc import Callable, Iterable
 from functools import wraps
 from typing import ParamSpec, TypeVar
 
-__all__ = [
-    "EXIT_BUG",
-    "EXIT_INTERRUPTED",
-    "EXIT_OK",
-    "EXIT_REQUIREMENT_NOT_MET",
-    "DependencyMissing",
-    "EnvironmentFault",
-    "InputError",
-    "NativeTimeout",
-    "NoTrustworthyNumber",
-    "RobustlabError",
-    "UnitMismatch",
-    "UsageError",
-    "did_you_mean",
-    "is_function",
-    "plain_text",
-    "rewritten",
-    "error_context",
-    "unknown_name",
-]
-
 P = ParamSpec("P")
 R = TypeVar("R")
 # A call, which is left alone, or an argument of a hint with its value.

@@ -55,6 +55,26 @@ class Behaviour:
     no_model: ClassVar[str] = ""  # hint of a kind without a state-space model
     for_control: ClassVar[str] = "G.to_control() is G as a control.StateSpace"  # hint for python-control
 
+    @property
+    def n_inputs(self: Any) -> int:
+        """Number of inputs n_u."""
+        return len(self.inputs)
+
+    @property
+    def n_outputs(self: Any) -> int:
+        """Number of outputs n_y."""
+        return len(self.outputs)
+
+    @property
+    def input_names(self: Any) -> tuple[str, ...]:
+        """Names of the inputs."""
+        return tuple(s.name for s in self.inputs)
+
+    @property
+    def output_names(self: Any) -> tuple[str, ...]:
+        """Names of the outputs."""
+        return tuple(s.name for s in self.outputs)
+
     def _yields(self, other: Any) -> bool:
         return getattr(other, "operator_rank", 0) > self.operator_rank
 

@@ -40,18 +40,10 @@ TAKES = {"y": 1, "-y": -1, "r - y": -1, "y - r": 1, "r": 0}
 
 
 class Taken(Signal):
-    """An input of a controller with a record of what it takes, and thus of the sign of the feedback.
+    """An input of a controller with a record of what it takes, and thus of the sign of the feedback."""
 
-    Attributes
-    ----------
-    takes
-        ``"y"`` the signal itself, ``"-y"``, ``"r - y"`` the error, ``"y - r"``, or ``"r"``, the reference alone.
-    of
-        Name of the plant's signal; that of the input where left out.
-    """
-
-    takes: str
-    of: str
+    takes: str  # ``"y"`` the signal itself, ``"-y"``, ``"r - y"`` the error, ``"y - r"``, or ``"r"``, a reference alone
+    of: str  # name of the plant's signal; that of the input where left out
 
     def __new__(cls, name: str, unit: str = "", takes: str = "y", of: str = "") -> Taken:
         """Make an input of this name."""

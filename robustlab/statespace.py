@@ -1,7 +1,4 @@
-r"""Linear time-invariant models in state space, with named signals and units, and their interconnection.
-
-.. math:: \dot x = A x + B u, \qquad y = C x + D u  \qquad (dt = 0), \qquad  x_{k+1} = A x_k + B u_k \quad (dt > 0)
-"""
+"""Linear time-invariant models in state space, with named signals and units, and their interconnection."""
 
 from __future__ import annotations
 
@@ -142,26 +139,6 @@ class StateSpaceModel(TransferMatrix, Displayable, Traced):
     def n_states(self) -> int:
         """Number of states n_x."""
         return self.A.shape[0]
-
-    @property
-    def n_inputs(self) -> int:
-        """Number of inputs n_u."""
-        return self.D.shape[1]
-
-    @property
-    def n_outputs(self) -> int:
-        """Number of outputs n_y."""
-        return self.D.shape[0]
-
-    @property
-    def input_names(self) -> tuple[str, ...]:
-        """Names of the inputs."""
-        return tuple(s.name for s in self.inputs)
-
-    @property
-    def output_names(self) -> tuple[str, ...]:
-        """Names of the outputs."""
-        return tuple(s.name for s in self.outputs)
 
     @property
     def state_names(self) -> tuple[str, ...]:
