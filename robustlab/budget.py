@@ -2,9 +2,6 @@
 
 Searches count their work (gamma tests, evaluations, frequencies, boxes, each with the size of its matrices) and end
 when their budget is used up. The user may add a time limit; a result that it ended reports that it is not repeatable.
-
-Displays of progress listen to the budgets that are made during a computation (`listening`), which report the work done
-and in all. A search may end before its budget.
 """
 
 from __future__ import annotations
@@ -56,14 +53,6 @@ class Budget:
 
     ``work``: units of work (see `MILLION`); inf for a search that ends by itself.
     ``time_limit``: in s from now; None for no limit.
-
-    Examples
-    --------
-    >>> budget = Budget(1000)
-    >>> part = budget.share(0.5)
-    >>> part.spend(600)
-    >>> part.over, budget.over, budget.left
-    (True, False, 400.0)
     """
 
     def __init__(self, work: float = inf, time_limit: float | None = None) -> None:
@@ -133,10 +122,7 @@ class Budget:
 
 
 def search_budget(where: str, work: float, effort: float, time_limit: float | None) -> Budget:
-    """Return the budget of a public function: ``effort`` times its usual work, under the user's time limit.
-
-    Raises InputError: an effort that is not a positive number, or a negative time limit.
-    """
+    """Return the budget of a public function: ``effort`` times its usual work, under the user's time limit."""
     if not 0 < effort < inf:
         raise InputError(where, f"effort is {effort}", "a positive number (1 is the usual work)")
     if time_limit is not None and not time_limit >= 0:
@@ -146,10 +132,7 @@ def search_budget(where: str, work: float, effort: float, time_limit: float | No
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Run with one BLAS thread: the quickest for small matrices, and the same bits on every number of cores.
-
-    A context manager and a decorator: ``@one_thread()``.
-    """
+    """Run with one BLAS thread: the quickest for small matrices, and the same bits on every number of cores."""
     with _thread_pools(len(sys.modules)).limit(limits=1):
         yield
 

@@ -66,9 +66,6 @@ def common_clock(where: str, clocks: Mapping[str, Array], dt: float | None = Non
 
     Without ``dt`` it has the stamps of the coarsest time base (the first of equal ones) if they are uniform, else
     stamps in steps of its sample time.
-
-    Raises InputError: times that do not overlap by two samples; a sample time that is not positive, longer than the
-    record, or a hundred times finer than the coarsest clock's own.
     """
     steps = {name: clock_step(t) for name, t in clocks.items()}
     coarse = next(name for name, step in steps.items() if step >= (1 - SAME_TIME) * max(steps.values()))

@@ -1,7 +1,4 @@
-"""Records: time series of inputs and outputs, measured or simulated.
-
-Simulations return records, and measured files are read into records (`Record.read`), so that both can be compared.
-"""
+"""Records: time series of inputs and outputs, measured or simulated."""
 
 from __future__ import annotations
 

@@ -190,10 +190,7 @@ class StateSpaceModel(TransferMatrix, Displayable, Traced):
     # --- parts and other names ---------------------------------------------------------------------------------------
 
     def select(self, inputs: Sequence[str] | None = None, outputs: Sequence[str] | None = None) -> StateSpaceModel:
-        """Return the model with the named inputs and outputs only, in that order; all states are kept.
-
-        See `robustlab.linear_analysis.structural.drop_unconnected` to remove unconnected states.
-        """
+        """Return the model with the named inputs and outputs only, in that order; all states are kept."""
         i = signal_positions(inputs, self.input_names, "select: input")
         o = signal_positions(outputs, self.output_names, "select: output")
         point = self.operating_point

@@ -54,21 +54,7 @@ class AffineEquations:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LinearPlant(Plant):
-    """A linear plant, defined by a function from its parameters to a `Descriptor`.
-
-    >>> from robustlab.dynamics.parameters import Parameter
-    >>> from robustlab.statespace import Signal
-    >>> tank = LinearPlant(
-    ...     "tank",
-    ...     {"area": Parameter("area", 2.0, "m2", tolerance=0.1)},
-    ...     inputs=(Signal("inflow", "m3/s"),),
-    ...     outputs=(Signal("h", "m"),),
-    ...     states=(Signal("h", "m"),),
-    ...     equations=lambda p: Descriptor(E=[[p["area"]]], F=[[0.0]], G=[[1.0]], C=[[1.0]]),
-    ... )
-    >>> tank.state_space().B
-    array([[0.5]])
-    """
+    """A linear plant, defined by a function from its parameters to a `Descriptor`."""
 
     # From {parameter name: value}. Every entry must be affine in the parameters: a quotient belongs into E.
     equations: Callable[[Mapping[str, float]], Descriptor]
@@ -79,12 +65,9 @@ class LinearPlant(Plant):
         super().__post_init__()
         for name in self.exact:
             if self.parameters[name].tolerance:
-                raise InputError(
-                    f"{self.name}: {name}",
-                    f"relative tolerance {self.parameters[name].tolerance:g}",
-                    "no tolerance: it is taken as exact",
-                    "give the tolerance to the inertias or constants that it acts through",
-                )
+                found = f"relative tolerance {self.parameters[name].tolerance:g}"
+                hint = "give the tolerance to the inertias or constants that it acts through"
+                raise InputError(f"{self.name}: {name}", found, "no tolerance: it is taken as exact", hint)
         self._check_affine()
         self.state_space()
 
@@ -99,17 +82,14 @@ class LinearPlant(Plant):
 
     def matrices(self, values: Mapping[str, float]) -> list[Array]:
         """Return E, F, G, C, D at the values of all parameters, checked."""
+        where, wanted = f"{self.name}: equations", "matrices that are affine in the parameters"
         try:
             form = self.equations(values)
         except ZeroDivisionError:
-            raise InputError(
-                f"{self.name}: equations",
-                "a division by a parameter",
-                "matrices that are affine in the parameters",
-                "bring the quotient to the left-hand side (into E)",
-            ) from None
+            hint = "bring the quotient to the left-hand side (into E)"
+            raise InputError(where, "a division by a parameter", wanted, hint) from None
         if not isinstance(form, Descriptor):
-            raise InputError(f"{self.name}: equations", f"returned a {type(form).__name__}", "a Descriptor")
+            raise InputError(where, f"returned a {type(form).__name__}", "a Descriptor")
         n, n_u, n_y = len(self.states), len(self.inputs), len(self.outputs)
         shapes = {"E": (n, n), "F": (n, n), "G": (n, n_u), "C": (n_y, n), "D": (n_y, n_u)}
         matrices = []
@@ -118,11 +98,11 @@ class LinearPlant(Plant):
             try:
                 matrix = np.zeros(shape) if given is None else np.array(given, dtype=float)
             except (TypeError, ValueError):  # rows of several lengths, a text, a complex number
-                raise InputError(f"{self.name}: equations", f"{name} is no matrix of numbers", f"{shape}") from None
+                raise InputError(where, f"{name} is no matrix of numbers", f"{shape}") from None
             if matrix.shape != shape:
-                raise InputError(f"{self.name}: equations", f"{name} is {matrix.shape}", f"{shape}")
+                raise InputError(where, f"{name} is {matrix.shape}", f"{shape}")
             if not np.isfinite(matrix).all():
-                raise InputError(f"{self.name}: equations", f"{name} has NaN or infinite entries", "finite numbers")
+                raise InputError(where, f"{name} has NaN or infinite entries", "finite numbers")
             matrices.append(matrix)
         return matrices
 
@@ -198,12 +178,9 @@ class LinearPlant(Plant):
             there = self.matrices(self.values | {name: scale * value for name, value in varied.items()})
             for name, found, fixed, varying, bound in zip("EFGCD", there, constant, linear, size, strict=True):
                 if (np.abs(found - fixed - scale * varying) > ROUNDING * scale * bound).any():
-                    raise InputError(
-                        f"{self.name}: equations",
-                        f"{name} is not affine in the parameters",
-                        "sums of constant multiples of parameters",
-                        "bring a quotient to the left-hand side (into E); give a product a parameter of its own",
-                    )
+                    where, wrong = f"{self.name}: equations", f"{name} is not affine in the parameters"
+                    hint = "bring a quotient to the left-hand side (into E); give a product a parameter of its own"
+                    raise InputError(where, wrong, "sums of constant multiples of parameters", hint)
 
 
 def _rank_factors(matrix: Array) -> tuple[Array, Array]:

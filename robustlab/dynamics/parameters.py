@@ -23,11 +23,7 @@ GIVEN = "given by the user"
 
 @dataclass(frozen=True)
 class Parameter:
-    """One physical parameter; immutable.
-
-    >>> Parameter("Kf", 4.8e-5, "N m s", tolerance=0.35).range
-    ParameterRange(nominal=4.8e-05, radius=1.68e-05, unit='N m s', below=None)
-    """
+    """One physical parameter; immutable."""
 
     name: str  # symbol, for example "Kf"
     value: float  # nominal, in ``unit`` (SI)

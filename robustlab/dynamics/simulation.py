@@ -249,16 +249,13 @@ def _states(model: StateSpaceModel, t: Array, u: Array, x0: Array, hold: Hold) -
 
 def _discrete_states(model: StateSpaceModel, t: Array, u: Array, x0: Array, hold: Hold) -> Array:
     if hold == "foh":
-        raise InputError(
-            "simulate: hold", "'foh' for a discrete model", "'zoh': a discrete model sees the samples only"
-        )
+        expected = "'zoh': a discrete model sees the samples only"
+        raise InputError("simulate: hold", "'foh' for a discrete model", expected)
     step = np.diff(t)
     wrong = np.abs(step - model.dt) > CLOCK_JITTER * model.dt
     if wrong.any():
-        k = int(np.argmax(wrong))
-        raise InputError(
-            "simulate", f"t[{k + 1}] - t[{k}] = {step[k]:.9g} s", f"the discrete model's sample time {model.dt:.9g} s"
-        )
+        k, expected = int(np.argmax(wrong)), f"the discrete model's sample time {model.dt:.9g} s"
+        raise InputError("simulate", f"t[{k + 1}] - t[{k}] = {step[k]:.9g} s", expected)
     return _recursion(model.A[None], np.zeros(len(step), dtype=np.intp), u[:-1] @ model.B.T, x0)
 
 
@@ -314,9 +311,6 @@ def _check_finite(values: Array, t: Array, where: str) -> None:
     bad = ~np.isfinite(values).all(axis=1)
     if bad.any():
         k = int(np.argmax(bad))
-        raise NoTrustworthyNumber(
-            where,
-            f"the response outgrows double precision at t = {t[k]:.9g} s (sample {k})",
-            None,
-            "the model is unstable: simulate a shorter time, or close a loop around it",
-        )
+        found = f"the response outgrows double precision at t = {t[k]:.9g} s (sample {k})"
+        hint = "the model is unstable: simulate a shorter time, or close a loop around it"
+        raise NoTrustworthyNumber(where, found, None, hint)

@@ -154,13 +154,10 @@ def check_bodies(p: Mapping[str, float]) -> None:
     for body, axes in {"platform": "xyz", **dict.fromkeys(("link", "nut", "screw", "motor"), "IJK")}.items():
         inertia = np.array([p[f"{body}_{a}"] for a in axes])
         if 2 * inertia.max() > inertia.sum() * (1 + 1e-12):
-            found = ", ".join(f"{value:g}" for value in inertia)
-            raise InputError(
-                f"stewart-platform: {body}",
-                f"principal inertias {found} kg m2",
-                "no one larger than the sum of the other two (triangle inequality)",
-                f"override {', '.join(f'{body}_{a}' for a in axes)} together",
-            )
+            found = f"principal inertias {', '.join(f'{value:g}' for value in inertia)} kg m2"
+            hint = f"override {', '.join(f'{body}_{a}' for a in axes)} together"
+            expected = "no one larger than the sum of the other two (triangle inequality)"
+            raise InputError(f"stewart-platform: {body}", found, expected, hint)
 
 
 def _circle(radius: float, angle: Array, z: float) -> Array:
