@@ -114,8 +114,7 @@ class LinearPlant(Plant):
         stacked = {key: np.stack([term[i] for term in terms]) for i, key in enumerate("EFGCD")}
         return AffineEquations(names, stacked, {name: self.values[name] for name in self.exact})
 
-    def to_model(self) -> StateSpaceModel:
-        return self.state_space()
+    to_model = state_space
 
     def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
         state, force = self.point(x, u)
@@ -166,18 +165,16 @@ class LinearPlant(Plant):
 
     def _check_affine(self) -> None:
         """Check that the equations equal their affine form at two points; two detect powers of a parameter."""
-        constant = self.matrices(self._cleared)
-        linear = [np.zeros_like(m) for m in constant]
-        size = [np.abs(m) for m in constant]
-        varied = {name: value for name, value in self.values.items() if name not in self.exact}
-        for name, value in varied.items():
-            for total, bound, term in zip(linear, size, self._coefficients(name, constant), strict=True):
-                total += value * term
-                bound += np.abs(value * term)
+        form = self.affine_equations()
+        varied = {name: self.values[name] for name in form.names}
+        weights = np.array([1.0, *varied.values()])
         for scale in (1.0, 1.75):
             there = self.matrices(self.values | {name: scale * value for name, value in varied.items()})
-            for name, found, fixed, varying, bound in zip("EFGCD", there, constant, linear, size, strict=True):
-                if (np.abs(found - fixed - scale * varying) > ROUNDING * scale * bound).any():
+            for name, found in zip("EFGCD", there, strict=True):
+                terms = form.coefficients[name]
+                affine = terms[0] + scale * np.tensordot(weights[1:], terms[1:], 1)
+                bound = scale * np.tensordot(np.abs(weights), np.abs(terms), 1)
+                if (np.abs(found - affine) > ROUNDING * bound).any():
                     where, wrong = f"{self.name}: equations", f"{name} is not affine in the parameters"
                     hint = "bring a quotient to the left-hand side (into E); give a product a parameter of its own"
                     raise InputError(where, wrong, "sums of constant multiples of parameters", hint)
@@ -203,19 +200,11 @@ def tied_plant(plant: LinearPlant, groups: Iterable[tuple[str, tuple[str, ...]]]
     """Return the plant with one further parameter s = 1 for each group, which scales all of the group."""
     parameters, scaled = dict(plant.parameters), plant.values
     tied: dict[str, tuple[str, ...]] = {}
-    seen: set[str] = set()
     for label, names in groups:
-        for name in names:
-            if name not in plant.parameters or name in seen:
-                word = "is in two groups" if name in seen else "no such parameter"
-                raise InputError(f"tied_plant: {name!r}", word, f"each of {', '.join(plant.parameters)} once at most")
-        seen.update(names)
         members = [plant.parameters[name] for name in names]
         widest = max((p.tolerance for p in members), default=0.0)
         if len(names) < 2 or not widest:
             continue
-        if label in parameters:
-            raise InputError(f"tied_plant: {label!r}", "a parameter of that name", "another label")
         parameters |= {p.name: replace(p, tolerance=0.0) for p in members}
         sources = "; ".join(dict.fromkeys(p.source for p in members))
         parameters[label] = Parameter(label, 1.0, "", widest, sources, "common factor", "positive")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from numpy.typing import ArrayLike
@@ -126,7 +127,4 @@ def linearise(
     if not (isinstance(given, (tuple, list)) and len(given) == 2):
         raise InputError("linearise: at", type(at).__name__, "(x, u), or None")
     x, u = plant.point(*given)
-    point = OperatingPoint(x, u, plant.output(x, u))
-    return StateSpaceModel(
-        model.A, model.B, model.C, model.D, model.dt, model.inputs, model.outputs, model.states, point, plant.name
-    )
+    return replace(model, operating_point=OperatingPoint(x, u, plant.output(x, u)))

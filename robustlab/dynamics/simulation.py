@@ -173,7 +173,8 @@ def _simulate_nonlinear(
     plant: NonlinearPlant, t: Any, u: Any, x0: Any, hold: Any, rtol: float | None, step: float | None, name: str | None
 ) -> Record:
     clock = Record(t, name="simulate").t
-    signal = input_signal(clock, sampled_inputs(plant.inputs, u, len(clock)), hold)
+    samples = sampled_inputs(plant.inputs, u, len(clock))
+    signal = input_signal(clock, samples, hold)
     start = plant.start if x0 is None else real_array("x0", getattr(x0, "x", x0), 1, "simulate")
     if isinstance(plant, SteppedPlant):
         start = plant.whole_state(start)
@@ -181,7 +182,6 @@ def _simulate_nonlinear(
     for key, value in (("rtol", rtol), ("step", step)):
         if value is not None:
             number(f"simulate: {key}", value, "a number between 0 and 1", above=0, below=1)
-    force = signal.samples
     if isinstance(plant, SteppedPlant):
         if hold != "zoh":
             expected = "'zoh': its steps hold the input"
@@ -189,11 +189,12 @@ def _simulate_nonlinear(
         if rtol is not None:
             expected = "step: its steps have no error control"
             raise InputError("simulate", "rtol for a plant that steps itself", expected)
-        force = sampled_inputs(plant.inputs, u, len(clock))
+        force = samples
         x, y = plant.stepped(clock, force, start, step)
     else:
         if step is not None:
             raise InputError("simulate", f"step for {plant.name}", "rtol: it is integrated with error control")
+        force = signal.samples
         x = plant.trajectory(signal, start, rtol=RTOL if rtol is None else rtol)
         y = plant.outputs_along(x, force)
     _check_finite(np.hstack([x, y]), clock, plant.name)
