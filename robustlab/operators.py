@@ -45,11 +45,7 @@ def _not_for_control(function: F) -> F:
 
 
 class Behaviour:
-    """Base of all kinds of models, with the methods common to them.
-
-    The functions are in higher packages: of a set of models they use the nominal one, and refuse kinds that they do not
-    support with a hint.
-    """
+    """Base of all kinds of models, with the methods common to them; their functions are in higher packages."""
 
     operator_rank: ClassVar[int] = 0  # the operand of higher rank performs the operation
     no_model: ClassVar[str] = ""  # hint of a kind without a state-space model

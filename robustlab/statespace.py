@@ -212,10 +212,19 @@ class StateSpaceModel(TransferMatrix, Displayable, Traced):
         outputs, inputs = picked(key, self.output_names, self.input_names)
         return self.select(inputs, outputs)
 
-    # --- algebra: the functions below; the operators are those of `TransferMatrix` -----------------------------------
+    # --- algebra; the operators are those of `TransferMatrix` --------------------------------------------------------
 
     def _product(self, second: Any, first: Any) -> StateSpaceModel:
-        return product(second, first)
+        if is_number(second):
+            second = float(second) * np.eye(_operand(first, "product").n_outputs)
+        elif is_number(first):
+            first = float(first) * np.eye(_operand(second, "product").n_inputs)
+        g2, g1 = _operand(second, "product"), _operand(first, "product")
+        if g1.n_outputs != g2.n_inputs:
+            raise InputError("product", f"{g1.n_outputs} outputs into {g2.n_inputs} inputs", "equal numbers")
+        inputs = inputs_of_product(second, first, g2.inputs, g1.inputs)
+        outputs = names_of(first, second, g2.outputs, g1.outputs)
+        return series(g1, g2).renamed(inputs, outputs)
 
     def _sum(self, first: Any, second: Any, sign: int) -> StateSpaceModel:
         return parallel(first, second, sign)
@@ -230,8 +239,14 @@ class StateSpaceModel(TransferMatrix, Displayable, Traced):
         return StateSpaceModel([], [], [], np.eye(self.n_inputs), self.dt, self.inputs, self.outputs)
 
     def inverse(self) -> StateSpaceModel:
-        """Return the model from outputs to inputs; see `robustlab.statespace.inverse`."""
-        return inverse(self)
+        """Return the inverse of a square model with regular D, from the outputs to the inputs."""
+        if self.n_inputs != self.n_outputs:
+            raise InputError("inverse", f"{self.n_outputs} x {self.n_inputs}", "a square model")
+        if self.n_inputs and is_rank_deficient(self.D):
+            raise NoTrustworthyNumber("inverse", "D is singular: the inverse is not proper")
+        d = np.linalg.inv(self.D)
+        matrices = self.A - self.B @ d @ self.C, self.B @ d, -d @ self.C, d
+        return StateSpaceModel(*matrices, self.dt, self.outputs, self.inputs, self.states, where="inverse")
 
     # --- python-control ----------------------------------------------------------------------------------------------
 
@@ -360,20 +375,6 @@ def series(first: StateSpaceModel, second: StateSpaceModel) -> StateSpaceModel:
     return StateSpaceModel(a, b, c, second.D @ first.D, dt, first.inputs, second.outputs, states, where="series")
 
 
-def product(second: Any, first: Any) -> StateSpaceModel:
-    """Return ``second @ first``: outputs of ``first`` enter ``second``; a number multiplies every channel."""
-    if is_number(second):
-        second = float(second) * np.eye(_operand(first, "product").n_outputs)
-    elif is_number(first):
-        first = float(first) * np.eye(_operand(second, "product").n_inputs)
-    g2, g1 = _operand(second, "product"), _operand(first, "product")
-    if g1.n_outputs != g2.n_inputs:
-        raise InputError("product", f"{g1.n_outputs} outputs into {g2.n_inputs} inputs", "equal numbers")
-    inputs = inputs_of_product(second, first, g2.inputs, g1.inputs)
-    outputs = names_of(first, second, g2.outputs, g1.outputs)
-    return series(g1, g2).renamed(inputs, outputs)
-
-
 def parallel(first: Any, second: Any, sign: int = 1) -> StateSpaceModel:
     """Return ``first + sign * second`` of one size, with the signals of the first; a number is a 1 x 1 gain."""
     a, b = _operand(first, "sum"), _operand(second, "sum")
@@ -386,18 +387,6 @@ def parallel(first: Any, second: Any, sign: int = 1) -> StateSpaceModel:
     matrices = A, np.vstack([a.B, b.B]), np.hstack([a.C, sign * b.C]), a.D + sign * b.D
     inputs, outputs = names_of(second, first, a.inputs, b.inputs), names_of(second, first, a.outputs, b.outputs)
     return StateSpaceModel(*matrices, _common_dt((a, b), "sum"), inputs, outputs, _states(a, b), where="sum")
-
-
-def inverse(model: Any) -> StateSpaceModel:
-    """Return the inverse of a square model with regular D, whose inputs and outputs change places."""
-    g = _operand(model, "inverse")
-    if g.n_inputs != g.n_outputs:
-        raise InputError("inverse", f"{g.n_outputs} x {g.n_inputs}", "a square model")
-    if g.n_inputs and is_rank_deficient(g.D):
-        raise NoTrustworthyNumber("inverse", "D is singular: the inverse is not proper")
-    d = np.linalg.inv(g.D)
-    matrices = g.A - g.B @ d @ g.C, g.B @ d, -d @ g.C, d
-    return StateSpaceModel(*matrices, g.dt, g.outputs, g.inputs, g.states, where="inverse")
 
 
 def feedback(plant: Any, controller: Any = 1.0, sign: int = -1) -> StateSpaceModel:

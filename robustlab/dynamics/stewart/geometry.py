@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from robustlab.display import Displayable
 from robustlab.dynamics.parameters import Parameter, published
 from robustlab.errors import InputError, did_you_mean
 
-Preset = Literal["thesis", "physical"]
 PRESETS = ("thesis", "physical")
 
 _SHEET = "Březina 2010, App. A and section 7.2 (Maxon RE 35, order number 273754)"
@@ -127,6 +126,7 @@ def constants(p: Mapping[str, Any]) -> Array:
     link, nut, motor = p["link_mass"], p["nut_mass"], p["motor_mass"]
     at_link, at_nut, at_motor = p["link_cg"], p["nut_at"] + p["nut_cg"], p["motor_at"] + p["motor_cg"]
     turns, x = 2 * np.pi / p["lead"], p["motor_x"]
+    about_x, about_y = p["tilt_x"], p["tilt_y"]
     made = {
         "turns": turns,
         "m0": link + nut + motor,
@@ -137,16 +137,12 @@ def constants(p: Mapping[str, Any]) -> Array:
         "xz": motor * x * at_motor,
         **{f"leg_{a}": p[f"link_{a}"] + p[f"screw_{a}"] + p[f"motor_{a}"] for a in "IJK"},
         "rotor": p["rotor_J"] * (p["ratio"] * turns) ** 2,
-        **dict(zip(("up_x", "up_y", "up_z"), up(p), strict=True)),
+        "up_x": -np.sin(about_y),
+        "up_y": np.sin(about_x) * np.cos(about_y),
+        "up_z": np.cos(about_x) * np.cos(about_y),
     }
     columns = [made[name] if name in made else p.get(name, 0.0) for name in CONSTANTS]
     return np.stack(np.broadcast_arrays(*columns), axis=-1).astype(np.float64)
-
-
-def up(p: Mapping[str, Any]) -> tuple[Any, Any, Any]:
-    """Return the unit vector against gravity in the base frame; each component has the shape of the tilts."""
-    x, y = p["tilt_x"], p["tilt_y"]
-    return -np.sin(y), np.sin(x) * np.cos(y), np.cos(x) * np.cos(y)
 
 
 def check_bodies(p: Mapping[str, float]) -> None:

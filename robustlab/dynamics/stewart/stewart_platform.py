@@ -50,12 +50,6 @@ NAME = "stewart-platform"
 IMAGINARY = 1e-40  # complex step of derivatives, without cancellation
 
 
-def places(motors: bool) -> tuple[PortPlace, ...]:
-    """Return a torque at each nut, and with motors a voltage at each current."""
-    nuts = tuple(PortPlace(f"phidot_{i}", "joint", "N m", f"phi_{i}") for i in range(1, 7))
-    return nuts + tuple(PortPlace(f"i_{i}", "current", "V") for i in range(1, 7) if motors)
-
-
 def motion(geometry: Geometry, x: Array) -> tuple[Array, Array]:
     """Return poses and twists (n, 6) of the states (n, 12 or 18)."""
     return _cached_motion(geometry, np.ascontiguousarray(x[:, :12]).tobytes())
@@ -158,7 +152,8 @@ class StewartPlatform(PlantAlong):
 
     @property
     def port_places(self) -> tuple[PortPlace, ...]:
-        return places(self.motors)
+        nuts = tuple(PortPlace(f"phidot_{i}", "joint", "N m", f"phi_{i}") for i in _NUMBERS)
+        return nuts + tuple(PortPlace(f"i_{i}", "current", "V") for i in _NUMBERS if self.motors)
 
     def local_models(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> LocalModels:
         shape, numbers, p = self._at(values)
