@@ -246,9 +246,8 @@ class TransferMatrix(Behaviour):
         Raises InputError: no whole number, or a model that is not square.
         """
         if isinstance(exponent, bool) or not isinstance(exponent, int) or abs(exponent) > LARGEST_POWER:
-            raise InputError(
-                "power", f"exponent {exponent!r}", f"a whole number from -{LARGEST_POWER} to {LARGEST_POWER}"
-            )
+            expected = f"a whole number from -{LARGEST_POWER} to {LARGEST_POWER}"
+            raise InputError("power", f"exponent {exponent!r}", expected)
         if exponent < 0:
             return self.inverse() ** -exponent
         result = self._identity() if exponent == 0 else self

@@ -51,9 +51,8 @@ def trim(plant: Plant, **where: Any) -> Trim:
     """
     if not isinstance(plant, NonlinearPlant):
         name = getattr(plant, "name", type(plant).__name__)
-        raise InputError(
-            "trim", f"{name} is no nonlinear plant", "a nonlinear plant", "a linear plant rests at x = 0, u = 0"
-        )
+        hint = "a linear plant rests at x = 0, u = 0"
+        raise InputError("trim", f"{name} is no nonlinear plant", "a nonlinear plant", hint)
     return plant.equilibrium(**where)
 
 
@@ -117,9 +116,8 @@ def linearise(
             model.traced(plant.provenance)
         return model
     if not isinstance(plant, LinearPlant):
-        raise InputError(
-            "linearise", f"{type(plant).__name__}", "a linear plant or a nonlinear one, as from plant(name)"
-        )
+        expected = "a linear plant or a nonlinear one, as from plant(name)"
+        raise InputError("linearise", f"{type(plant).__name__}", expected)
     model = plant.state_space()
     if at is None:
         return model

@@ -132,9 +132,8 @@ def parameter_ranges(
                 replace(p, value=end, tolerance=0.0)
             if p.sign == "either" and low <= 0 <= high:
                 found = f"a range from {low:g} to {high:g} {p.unit}".rstrip()
-                raise InputError(
-                    f"parameter {name!r}", found, f"one that does not hold 0 ({p.meaning or 'by physics'})"
-                )
+                expected = f"one that does not hold 0 ({p.meaning or 'by physics'})"
+                raise InputError(f"parameter {name!r}", found, expected)
             ranges[name] = replace(ParameterRange.between(low, high, p.value, p.unit), sign=p.sign)
         elif p.radius:
             ranges[name] = p.range

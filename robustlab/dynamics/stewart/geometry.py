@@ -108,9 +108,8 @@ def _assembly(base: Array, axis: Array, top: Array, c: float) -> tuple[Array, Ar
     y = w - np.sum(w * axis, axis=1)[:, None] * axis
     reach = np.linalg.norm(y, axis=1, keepdims=True)
     if (reach <= c).any():
-        raise InputError(
-            "stewart-platform: c", f"{c:g} m", f"less than {reach.min():.6g} m, the joint's distance at home"
-        )
+        expected = f"less than {reach.min():.6g} m, the joint's distance at home"
+        raise InputError("stewart-platform: c", f"{c:g} m", expected)
     y = y / reach
     k = w - c * y
     lengths = np.linalg.norm(k, axis=1)

@@ -66,9 +66,8 @@ def _cached_motion(geometry: Geometry, states: bytes) -> tuple[Array, Array]:
         raise NoTrustworthyNumber(NAME, f"the nut angles of point {row} make an actuator shorter than nothing")
     found = direct_kinematics(geometry, lengths)
     if not found.proved.all():
-        raise NoTrustworthyNumber(
-            NAME, f"no pose with the nut angles of point {int(np.argmin(found.proved))} was found"
-        )
+        row = int(np.argmin(found.proved))
+        raise NoTrustworthyNumber(NAME, f"no pose with the nut angles of point {row} was found")
     poses = np.ascontiguousarray(found.poses)
     matrix = np.empty((len(x), 6, 6))
     kernels().jacobians(poses, geometry.legs, geometry.c, lengths, matrix)
@@ -132,9 +131,8 @@ class StewartPlatform(PlantAlong):
         found = direct_kinematics(self.geometry, lengths, start)
         if not found.proved.all():
             row = int(np.argmin(found.proved))
-            raise NoTrustworthyNumber(
-                self.name, f"no pose with the nut angles of row {row} was found", None, "give a start near to it"
-            )
+            words = f"no pose with the nut angles of row {row} was found"
+            raise NoTrustworthyNumber(self.name, words, None, "give a start near to it")
         return found.poses[0] if one else found.poses
 
     def outputs_along(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> Array:
@@ -236,9 +234,8 @@ class StewartPlatform(PlantAlong):
         try:
             torque = np.linalg.solve(of.jacobian[0].T, of.force[0]) / p["ratio"]
         except np.linalg.LinAlgError:
-            raise NoTrustworthyNumber(
-                self.name, "singular pose: the actuators cannot hold the platform there"
-            ) from None
+            found = "singular pose: the actuators cannot hold the platform there"
+            raise NoTrustworthyNumber(self.name, found) from None
         x = np.concatenate([of.phi[0], np.zeros(6)])
         return (np.concatenate([x, torque / p["Km"]]), p["R"] * torque / p["Km"]) if self.motors else (x, torque)
 
