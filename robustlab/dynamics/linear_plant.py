@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
-from robustlab.dynamics.descriptor_elimination import ROUNDING, Channels, closed_descriptor, solved, with_outputs
+from robustlab.dynamics.descriptor_elimination import ROUNDING, closed_descriptor, solved, with_outputs
 from robustlab.dynamics.parameters import Parameter, parameter_ranges
 from robustlab.dynamics.plant_contract import Plant
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import ParameterRange, RealScalar
+from robustlab.uncertainty.blocks import RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 
 
@@ -107,10 +107,11 @@ class LinearPlant(Plant):
         return matrices
 
     def affine_equations(self) -> AffineEquations:
-        """Return the equations as numbers for storage."""
-        constant = self.matrices(self._cleared)
+        """Return the equations as numbers."""
+        cleared = {name: value if name in self.exact else 0.0 for name, value in self.values.items()}
         names = tuple(name for name in self.parameters if name not in self.exact)
-        terms = [constant, *(self._coefficients(name, constant) for name in names)]
+        constant, *at_units = (self.matrices(p) for p in (cleared, *({**cleared, name: 1.0} for name in names)))
+        terms = [constant, *([there - here for there, here in zip(m, constant, strict=True)] for m in at_units)]
         stacked = {key: np.stack([term[i] for term in terms]) for i, key in enumerate("EFGCD")}
         return AffineEquations(names, stacked, {name: self.values[name] for name in self.exact})
 
@@ -131,37 +132,26 @@ class LinearPlant(Plant):
     ) -> UncertainModel:
         """Return the set of all models whose parameters lie within their tolerances, as an exact and minimal LFT."""
         # Březina 2010, eqs 10.1-10.4; with absolute deltas the coefficients there must be -1/L in the rows of R, L, Kb
-        # and 1/J in those of Km, Kf, J, as here.
-        e = self.matrices(self.values)[0]
-        channels = self._channels(parameter_ranges(self.parameters, ranges or {}, self.name, self.exact))
-        return with_outputs(closed_descriptor(self.state_space(), e, channels, self.name), outputs)
-
-    def _channels(self, ranges: Mapping[str, ParameterRange]) -> Channels:
-        """Return the channels of every parameter with an effect; R is scaled by the half widths above nominal."""
+        # and 1/J in those of Km, Kf, J, as here. R is scaled by the half widths above nominal.
         n, n_u, n_y = len(self.states), len(self.inputs), len(self.outputs)
-        constant = self.matrices(self._cleared)
+        spans = parameter_ranges(self.parameters, ranges or {}, self.name, self.exact)
+        form = self.affine_equations()
         left: list[Array] = [np.zeros((n + n_y, 0))]
         right: list[Array] = [np.zeros((0, 2 * n + n_u))]
         blocks: list[RealScalar] = []
-        for name, span in ranges.items():
-            e, f, g, c, d = self._coefficients(name, constant)
+        for k, name in enumerate(form.names, 1):
+            if name not in spans:
+                continue
+            e, f, g, c, d = (terms[k] for terms in form.coefficients.values())
             columns, rows = _rank_factors(np.block([[f, g, -e], [c, d, np.zeros((n_y, n))]]))
             if columns.shape[1]:
                 left.append(columns)
-                right.append(span.radius * rows)
-                blocks.append(RealScalar(name, columns.shape[1], span))
+                right.append(spans[name].radius * rows)
+                blocks.append(RealScalar(name, columns.shape[1], spans[name]))
         count = sum(b.rows for b in blocks)
-        return Channels(np.hstack(left), np.vstack(right), np.zeros((count, count)), tuple(blocks))
-
-    @property
-    def _cleared(self) -> dict[str, float]:
-        """Values with all parameters zero except the exact ones."""
-        return {name: value if name in self.exact else 0.0 for name, value in self.values.items()}
-
-    def _coefficients(self, name: str, constant: list[Array]) -> list[Array]:
-        """Return the factors of the named parameter in E, F, G, C, D; ``constant``: their parts without parameters."""
-        at_unit = self.matrices({**self._cleared, name: 1.0})
-        return [there - here for there, here in zip(at_unit, constant, strict=True)]
+        e = self.matrices(self.values)[0]
+        parts = np.hstack(left), np.vstack(right), np.zeros((count, count))
+        return with_outputs(closed_descriptor(self.state_space(), e, *parts, blocks, self.name), outputs)
 
     def _check_affine(self) -> None:
         """Check that the equations equal their affine form at two points; two detect powers of a parameter."""
