@@ -59,20 +59,24 @@ def motion(geometry: Geometry, x: Array) -> tuple[Array, Array]:
 def _cached_motion(geometry: Geometry, states: bytes) -> tuple[Array, Array]:
     """Return the cached `motion`, which is independent of masses and motors."""
     x = np.frombuffer(states).reshape(-1, 12)
-    lengths = np.ascontiguousarray(geometry.home_lengths + x[:, :6] / geometry.turns)
-    shortest = lengths.min(initial=np.inf)
-    if not shortest > 0.0:
-        row = int(np.argmin(lengths.min(axis=1)))
-        raise NoTrustworthyNumber(NAME, f"the nut angles of point {row} make an actuator shorter than nothing")
-    found = direct_kinematics(geometry, lengths)
-    if not found.proved.all():
-        row = int(np.argmin(found.proved))
-        raise NoTrustworthyNumber(NAME, f"no pose with the nut angles of point {row} was found")
-    poses = np.ascontiguousarray(found.poses)
+    poses = _proved_poses(geometry, x[:, :6])
     matrix = np.empty((len(x), 6, 6))
-    kernels().jacobians(poses, geometry.legs, geometry.c, lengths, matrix)
+    kernels().jacobians(poses, geometry.legs, geometry.c, np.empty_like(poses), matrix)
     twists = np.linalg.solve(geometry.turns * matrix, x[:, 6:, None])[..., 0]
     return poses, np.ascontiguousarray(twists)
+
+
+def _proved_poses(geometry: Geometry, phi: Array, start: ArrayLike | None = None, hint: str | None = None) -> Array:
+    """Return poses (n, 6) at the nut angles (n, 6), proved by `direct_kinematics`."""
+    lengths = geometry.home_lengths + phi / geometry.turns
+    if not (lengths > 0).all():
+        row = int(np.argmin((lengths > 0).all(axis=1)))
+        raise NoTrustworthyNumber(NAME, f"the nut angles of point {row} make an actuator shorter than nothing")
+    found = direct_kinematics(geometry, lengths, start)
+    if not found.proved.all():
+        row = int(np.argmin(found.proved))
+        raise NoTrustworthyNumber(NAME, f"no pose with the nut angles of point {row} was found", None, hint)
+    return found.poses
 
 
 def torques(values: Mapping[str, float], x: Array, u: Array) -> Array:
@@ -124,16 +128,8 @@ class StewartPlatform(PlantAlong):
     def poses(self, phi: ArrayLike, start: ArrayLike | None = None) -> Array:
         """Return poses (n, 6) at the nut angles (n, 6), or (6,) at (6,); proved by `direct_kinematics`."""
         angles, one = poses_array(phi, "phi")
-        lengths = self.geometry.home_lengths + angles / self.geometry.turns
-        if (lengths <= 0).any():
-            row = int(np.argmax((lengths <= 0).any(axis=1)))
-            raise NoTrustworthyNumber(self.name, f"phi[{row}] makes an actuator shorter than nothing")
-        found = direct_kinematics(self.geometry, lengths, start)
-        if not found.proved.all():
-            row = int(np.argmin(found.proved))
-            words = f"no pose with the nut angles of row {row} was found"
-            raise NoTrustworthyNumber(self.name, words, None, "give a start near to it")
-        return found.poses[0] if one else found.poses
+        poses = _proved_poses(self.geometry, angles, start, "give a start near to it")
+        return poses[0] if one else poses
 
     def outputs_along(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> Array:
         return x[:, :12]
