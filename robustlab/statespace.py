@@ -215,16 +215,7 @@ class StateSpaceModel(TransferMatrix, Displayable, Traced):
     # --- algebra; the operators are those of `TransferMatrix` --------------------------------------------------------
 
     def _product(self, second: Any, first: Any) -> StateSpaceModel:
-        if is_number(second):
-            second = float(second) * np.eye(_operand(first, "product").n_outputs)
-        elif is_number(first):
-            first = float(first) * np.eye(_operand(second, "product").n_inputs)
-        g2, g1 = _operand(second, "product"), _operand(first, "product")
-        if g1.n_outputs != g2.n_inputs:
-            raise InputError("product", f"{g1.n_outputs} outputs into {g2.n_inputs} inputs", "equal numbers")
-        inputs = inputs_of_product(second, first, g2.inputs, g1.inputs)
-        outputs = names_of(first, second, g2.outputs, g1.outputs)
-        return series(g1, g2).renamed(inputs, outputs)
+        return product(second, first)
 
     def _sum(self, first: Any, second: Any, sign: int) -> StateSpaceModel:
         return parallel(first, second, sign)
@@ -373,6 +364,20 @@ def series(first: StateSpaceModel, second: StateSpaceModel) -> StateSpaceModel:
     c = np.hstack([second.D @ first.C, second.C])
     states = _states(first, second)
     return StateSpaceModel(a, b, c, second.D @ first.D, dt, first.inputs, second.outputs, states, where="series")
+
+
+def product(second: Any, first: Any) -> StateSpaceModel:
+    """Return ``second @ first``: outputs of ``first`` enter ``second``; a number multiplies every channel."""
+    if is_number(second):
+        second = float(second) * np.eye(_operand(first, "product").n_outputs)
+    elif is_number(first):
+        first = float(first) * np.eye(_operand(second, "product").n_inputs)
+    g2, g1 = _operand(second, "product"), _operand(first, "product")
+    if g1.n_outputs != g2.n_inputs:
+        raise InputError("product", f"{g1.n_outputs} outputs into {g2.n_inputs} inputs", "equal numbers")
+    inputs = inputs_of_product(second, first, g2.inputs, g1.inputs)
+    outputs = names_of(first, second, g2.outputs, g1.outputs)
+    return series(g1, g2).renamed(inputs, outputs)
 
 
 def parallel(first: Any, second: Any, sign: int = 1) -> StateSpaceModel:
