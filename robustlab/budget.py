@@ -2,9 +2,6 @@
 
 Searches count their work (gamma tests, evaluations, frequencies, boxes, each with the size of its matrices) and end
 when their budget is used up. The user may add a time limit; a result that it ended reports that it is not repeatable.
-
-Displays of progress listen to the budgets that are made during a computation (`listening`), which report the work done
-and in all. A search may end before its budget.
 """
 
 from __future__ import annotations
@@ -56,14 +53,6 @@ class Budget:
 
     ``work``: units of work (see `MILLION`); inf for a search that ends by itself.
     ``time_limit``: in s from now; None for no limit.
-
-    Examples
-    --------
-    >>> budget = Budget(1000)
-    >>> part = budget.share(0.5)
-    >>> part.spend(600)
-    >>> part.over, budget.over, budget.left
-    (True, False, 400.0)
     """
 
     def __init__(self, work: float = inf, time_limit: float | None = None) -> None:
@@ -71,7 +60,9 @@ class Budget:
         self._end = inf if time_limit is None else time.monotonic() + time_limit
         self._parent: Budget | None = None
         self._whole, self._listener = self._work, _LISTENER.get() if self._work < inf else None
-        self._struck = self._used_up = False
+        # whether a time limit ended a search here or in a part of this budget: the result is not repeatable
+        self.struck = False
+        self._used_up = False
 
     def spend(self, work: float) -> None:
         """Count work done, here and in the budgets that this one is a part of."""
@@ -102,18 +93,13 @@ class Budget:
             return True
         if time.monotonic() < self._end:
             return self._parent is not None and self._parent.over
-        self._mark("_struck")
+        self._mark("struck")
         return True
-
-    @property
-    def struck(self) -> bool:
-        """Whether a time limit ended a search here or in a part of this budget: the result is not repeatable."""
-        return self._struck
 
     @property
     def remark(self) -> str | None:
         """How the search ended, for texts: by time, by work; None if it was completed."""
-        return NOT_REPEATABLE if self._struck else USED_UP if self._used_up else None
+        return NOT_REPEATABLE if self.struck else USED_UP if self._used_up else None
 
     @property
     def seconds_left(self) -> float:
@@ -123,7 +109,7 @@ class Budget:
 
     def strike(self) -> None:
         """Record that a time limit ended a solver with a limit of its own."""
-        self._mark("_struck")
+        self._mark("struck")
 
     def use_up(self) -> None:
         """Record that a search ended because the work left was too little."""
@@ -136,10 +122,7 @@ class Budget:
 
 
 def search_budget(where: str, work: float, effort: float, time_limit: float | None) -> Budget:
-    """Return the budget of a public function: ``effort`` times its usual work, under the user's time limit.
-
-    Raises InputError: an effort that is not a positive number, or a negative time limit.
-    """
+    """Return the budget of a public function: ``effort`` times its usual work, under the user's time limit."""
     if not 0 < effort < inf:
         raise InputError(where, f"effort is {effort}", "a positive number (1 is the usual work)")
     if time_limit is not None and not time_limit >= 0:
@@ -149,10 +132,7 @@ def search_budget(where: str, work: float, effort: float, time_limit: float | No
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Run with one BLAS thread: the quickest for small matrices, and the same bits on every number of cores.
-
-    A context manager and a decorator: ``@one_thread()``.
-    """
+    """Run with one BLAS thread: the quickest for small matrices, and the same bits on every number of cores."""
     with _thread_pools(len(sys.modules)).limit(limits=1):
         yield
 

@@ -1,7 +1,4 @@
-"""Checks of arguments: a number of a range, a whole number, one of a few words.
-
-Each check returns the value in its type, or raises an InputError with the argument, the value and the expectation.
-"""
+"""Checks of arguments: a number of a range, a whole number, one of a few words; each returns the value in its type."""
 
 from __future__ import annotations
 

@@ -1,12 +1,6 @@
-r"""Time bases of records: sample time, jitter, and signals of several time bases resampled to one.
+"""Time bases of records: sample time, jitter, and signals of several time bases resampled to one.
 
-At times :math:`\tau_k` inputs are held, as by a D/A converter, and outputs are interpolated linearly:
-
-.. math::
-    u(\tau) = u_j, \qquad y(\tau) = y_j + \frac{\tau - t_j}{t_{j+1} - t_j} (y_{j+1} - y_j), \qquad
-    t_j \le \tau < t_{j+1}.
-
-At a time :math:`\tau` equal to a stamp its sample is unchanged.
+Inputs are held, as by a D/A converter, outputs interpolated linearly; at a stamp the sample is unchanged.
 """
 
 from __future__ import annotations
@@ -72,9 +66,6 @@ def common_clock(where: str, clocks: Mapping[str, Array], dt: float | None = Non
 
     Without ``dt`` it has the stamps of the coarsest time base (the first of equal ones) if they are uniform, else
     stamps in steps of its sample time.
-
-    Raises InputError: times that do not overlap by two samples; a sample time that is not positive, longer than the
-    record, or a hundred times finer than the coarsest clock's own.
     """
     steps = {name: clock_step(t) for name, t in clocks.items()}
     coarse = next(name for name, step in steps.items() if step >= (1 - SAME_TIME) * max(steps.values()))

@@ -1,15 +1,7 @@
 """Display of objects: a short text in a console, a table in a notebook, a full text, and a picture.
 
 `Displayable` is the base of models, results and their parts; console, notebook, recipes and reports display what a
-class declares:
-
-============================  ========================================================================================
-`Displayable.facts`           labels with texts, numbers with their units; the most important first
-`Displayable.headline`        the finding in one sentence
-`Displayable.details`         tables that are too long for facts: crossings, blocks, intervals
-`Displayable.quantities`      numbers that a recipe's requirements refer to, with their units
-drawings                      the class's row in `robustlab.report.drawings`
-============================  ========================================================================================
+class declares. Its drawings are its row in `robustlab.report.drawings`.
 """
 
 from __future__ import annotations
@@ -233,8 +225,8 @@ def in_words(value: Any) -> str:
     if isinstance(value, Displayable):
         return heading(value)
     if hasattr(value, "shape") and hasattr(value, "tolist"):  # an array, without importing numpy
-        size = math.prod(value.shape)
-        return in_words(value.tolist()) if size <= SHOWN and len(value.shape) < 2 else _shape(value.shape)
+        listed_whole = math.prod(value.shape) <= SHOWN and len(value.shape) < 2
+        return in_words(value.tolist()) if listed_whole else f"array of {' x '.join(map(str, value.shape))}"
     if isinstance(value, Mapping):
         short = len(value) <= SHOWN and all(isinstance(v, (str, int, float)) for v in value.values())
         return ", ".join(f"{k} = {in_words(v)}" for k, v in value.items()) if short else listed(value)
@@ -264,7 +256,3 @@ def matrix_lines(name: str, rows: Sequence[Sequence[complex]], width: int, most:
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in cells]
     return [f"{f'{name}: ' if k == 0 else ' ' * (len(name) + 2)}{line}".rstrip() for k, line in enumerate(lines)]
-
-
-def _shape(shape: tuple[int, ...]) -> str:
-    return f"array of {' x '.join(map(str, shape))}"

@@ -24,27 +24,6 @@ from collections.abc import Callable, Iterable
 from functools import wraps
 from typing import ParamSpec, TypeVar
 
-__all__ = [
-    "EXIT_BUG",
-    "EXIT_INTERRUPTED",
-    "EXIT_OK",
-    "EXIT_REQUIREMENT_NOT_MET",
-    "DependencyMissing",
-    "EnvironmentFault",
-    "InputError",
-    "NativeTimeout",
-    "NoTrustworthyNumber",
-    "RobustlabError",
-    "UnitMismatch",
-    "UsageError",
-    "did_you_mean",
-    "is_function",
-    "plain_text",
-    "rewritten",
-    "error_context",
-    "unknown_name",
-]
-
 P = ParamSpec("P")
 R = TypeVar("R")
 # A call, which is left alone, or an argument of a hint with its value.
@@ -152,15 +131,7 @@ class DependencyMissing(EnvironmentFault):
 
 
 def rewritten(hint: str, written: Callable[[str, str], str | None]) -> str:
-    """Return a hint with its arguments ``name=value`` rewritten; None leaves one, and calls are unchanged.
-
-    Hints are stored in Python syntax; the command line and recipes display them in their own.
-
-    Examples
-    --------
-    >>> rewritten("u={'force': 1.0}, or f(sign=1)", lambda name, value: f"<{name} {value}>")
-    "<u {'force': 1.0}>, or f(sign=1)"
-    """
+    """Return a hint with its arguments ``name=value`` rewritten; None leaves one, and calls are unchanged."""
 
     def one(match: re.Match[str]) -> str:
         return match[0] if match[1] is None else written(match[1], match[2]) or match[0]
@@ -169,13 +140,7 @@ def rewritten(hint: str, written: Callable[[str, str], str | None]) -> str:
 
 
 def did_you_mean(name: str, known: list[str] | tuple[str, ...]) -> str | None:
-    """Return ``"did you mean X?"`` for the closest of the known names, or None.
-
-    Examples
-    --------
-    >>> did_you_mean("nomnal", ["nominal", "perturbed"])
-    'did you mean nominal?'
-    """
+    """Return ``"did you mean X?"`` for the closest of the known names, or None."""
     import difflib
 
     if not isinstance(name, str):
@@ -199,15 +164,8 @@ def _shown(text: str) -> str:
 
 
 def plain_text(text: str) -> str:
-    r"""Return ``text`` with control and bidirectional-override characters as escapes.
-
-    Names in files are external data: their escape sequences must not reach the terminal.
-
-    Examples
-    --------
-    >>> plain_text("omega\x1b[31m")
-    'omega\\x1b[31m'
-    """
+    """Return ``text`` with control and bidirectional-override characters as escapes."""
+    # Names in files are external data: their escape sequences must not reach the terminal.
     bidi = "\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069\u200e\u200f"
     return "".join(
         ch if (ch.isprintable() and ch not in bidi) or ch == " " else ch.encode("unicode_escape").decode()
@@ -229,19 +187,6 @@ def error_context(name: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     WHERE of an inner step, such as the `robust_stability` of a ``disk_margin``, is replaced by the name. Shared
     functions write ``": K"`` for an argument K, before which the name is put. Other texts, such as a file or a signal,
     are unchanged.
-
-    Examples
-    --------
-    >>> @error_context("outer")
-    ... def outer(level):
-    ...     raise InputError("care: R" if level else ": level", "singular", "an invertible R")
-    >>> for level in (1.0, 0.0):
-    ...     try:
-    ...         outer(level)
-    ...     except InputError as error:
-    ...         print(error)
-    outer: R: singular, expected an invertible R
-    outer: level: singular, expected an invertible R
     """
     _STEPS.add(name)
 

@@ -51,8 +51,6 @@ def closing(
     ``plant``, ``K``: models of any kind, also uncertain, delayed, or frequency data.
     ``sign``: of the feedback; None: that recorded in K.
     ``assumed``: of a K without a sign; None: the sign that makes the loop stable, if only one does.
-    Raises InputError: a sign that contradicts K; a K without a sign, or with other signals than the plant, if both
-    signs make the loop stable; sizes that do not fit. UnitMismatch: connected signals have different units.
     """
     if sign not in (None, -1, 1) or isinstance(sign, bool):
         raise InputError(f"{where}: sign", f"{sign!r}", "-1 (negative feedback) or 1 (positive feedback)")
@@ -95,7 +93,7 @@ def feedback_loop(
     drives, takes = ([s.name for s in side] for side in (found.plant.inputs, found.plant.outputs))
     k = found.K
     if drives != ins or takes != outs:
-        into, of = _selection(ins, drives), _selection(outs, takes)
+        into, of = np.eye(len(ins))[[ins.index(s) for s in drives]], np.eye(len(outs))[[outs.index(s) for s in takes]]
         k = into.T @ k @ of
         if isinstance(k, StateSpaceModel):
             k = k.renamed(plant.outputs, plant.inputs)
@@ -224,12 +222,6 @@ def _ordered_loop(loop: Any, where: str) -> Any:
     if wanted == names or set(wanted) != set(names):
         return loop
     return loop[wanted, [s.name for s in loop.inputs]]
-
-
-def _selection(every: Sequence[str], some: Sequence[str]) -> np.ndarray[Any, np.dtype[np.float64]]:
-    found = np.zeros((len(some), len(every)))
-    found[range(len(some)), [list(every).index(name) for name in some]] = 1.0
-    return found
 
 
 def _by_stability(plant: Any, k: Any, takes: Sequence[Signal], where: str) -> FeedbackLoop:

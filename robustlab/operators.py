@@ -45,15 +45,31 @@ def _not_for_control(function: F) -> F:
 
 
 class Behaviour:
-    """Base of all kinds of models, with the methods common to them.
-
-    The functions are in higher packages: of a set of models they use the nominal one, and refuse kinds that they do not
-    support with a hint.
-    """
+    """Base of all kinds of models, with the methods common to them; their functions are in higher packages."""
 
     operator_rank: ClassVar[int] = 0  # the operand of higher rank performs the operation
     no_model: ClassVar[str] = ""  # hint of a kind without a state-space model
     for_control: ClassVar[str] = "G.to_control() is G as a control.StateSpace"  # hint for python-control
+
+    @property
+    def n_inputs(self: Any) -> int:
+        """Number of inputs n_u."""
+        return len(self.inputs)
+
+    @property
+    def n_outputs(self: Any) -> int:
+        """Number of outputs n_y."""
+        return len(self.outputs)
+
+    @property
+    def input_names(self: Any) -> tuple[str, ...]:
+        """Names of the inputs."""
+        return tuple(s.name for s in self.inputs)
+
+    @property
+    def output_names(self: Any) -> tuple[str, ...]:
+        """Names of the outputs."""
+        return tuple(s.name for s in self.outputs)
 
     def _yields(self, other: Any) -> bool:
         return getattr(other, "operator_rank", 0) > self.operator_rank
@@ -230,9 +246,8 @@ class TransferMatrix(Behaviour):
         Raises InputError: no whole number, or a model that is not square.
         """
         if isinstance(exponent, bool) or not isinstance(exponent, int) or abs(exponent) > LARGEST_POWER:
-            raise InputError(
-                "power", f"exponent {exponent!r}", f"a whole number from -{LARGEST_POWER} to {LARGEST_POWER}"
-            )
+            expected = f"a whole number from -{LARGEST_POWER} to {LARGEST_POWER}"
+            raise InputError("power", f"exponent {exponent!r}", expected)
         if exponent < 0:
             return self.inverse() ** -exponent
         result = self._identity() if exponent == 0 else self

@@ -1,7 +1,4 @@
-"""The origin of results: versions, hashes, seeds, time.
-
-Every file that robustlab writes has a provenance, which traces a result to its code, inputs and seed.
-"""
+"""The origin of results in all written files: versions, hashes, seeds, time."""
 
 from __future__ import annotations
 

@@ -234,9 +234,8 @@ def ss(
         return StateSpaceModel([], [], [], real_array("D", A, 2, "ss"), dt, inputs, outputs, where="ss")
     model = _converted(A)
     if dt:
-        raise InputError(
-            "ss", f"dt = {dt!r} beside a model", "its own", "rl.discretise(rl.d2c(G), dt): another sample time"
-        )
+        hint = "rl.discretise(rl.d2c(G), dt): another sample time"
+        raise InputError("ss", f"dt = {dt!r} beside a model", "its own", hint)
     given = {"inputs": inputs, "outputs": outputs}
     return model.renamed(**given) if any(given.values()) else model
 

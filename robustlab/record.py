@@ -1,7 +1,4 @@
-"""Records: time series of inputs and outputs, measured or simulated.
-
-Simulations return records, and measured files are read into records (`Record.read`), so that both can be compared.
-"""
+"""Records: time series of inputs and outputs, measured or simulated."""
 
 from __future__ import annotations
 
@@ -77,9 +74,8 @@ class Record(Displayable, Traced):
             k = int(np.argmax(step <= 0)) + 1
             word = "repeats the stamp before it" if step[k - 1] == 0 else "runs backwards"
             count = int((step <= 0).sum())
-            raise InputError(
-                name, f"t[{k}] = {clock[k]:.9g} s {word} ({count} such samples)", "strictly increasing times"
-            )
+            found = f"t[{k}] = {clock[k]:.9g} s {word} ({count} such samples)"
+            raise InputError(name, found, "strictly increasing times")
         ins = _channels({} if inputs is None else inputs, len(clock), name)
         outs = _channels({} if outputs is None else outputs, len(clock), name)
         twice = sorted(set(ins) & set(outs))
@@ -91,9 +87,8 @@ class Record(Displayable, Traced):
                 raise InputError(f"{name}: {argument}", repr(given), "texts by names of signals, {...}, or None")
             for key in given or {}:
                 if key not in known and key != "t":
-                    raise InputError(
-                        name, f"a unit or meaning for {key!r}, which is no signal", None, did_you_mean(key, known)
-                    )
+                    found = f"a unit or meaning for {key!r}, which is no signal"
+                    raise InputError(name, found, None, did_you_mean(key, known))
         put = object.__setattr__
         put(self, "t", clock)
         put(self, "inputs", ins)

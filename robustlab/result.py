@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 from enum import Enum, StrEnum
 from typing import Any, ClassVar
 
-from robustlab.display import Displayable, Facts, in_words
+from robustlab.display import AllFields, Displayable, Facts, in_words
 from robustlab.provenance import Traced
 
 
@@ -79,21 +79,11 @@ def plain(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class Result(Displayable, Traced):
-    """A result read from a file: its type, its status, and its data.
+    """A result read from a file: its type, its status, and its data."""
 
-    Attributes
-    ----------
-    type
-        Class of the result that was saved, for example ``"Margin"``.
-    status
-        Its status.
-    data
-        The result of its ``to_json``; arrays are numpy arrays.
-    """
-
-    type: str
+    type: str  # class of the result that was saved, for example ``"Margin"``
     status: Status
-    data: Mapping[str, Any]
+    data: Mapping[str, Any]  # the result of its ``to_json``; arrays are numpy arrays
 
     def facts(self) -> Facts:
         """Return the type that was saved, and its data in a few words each."""
@@ -106,7 +96,7 @@ class Result(Displayable, Traced):
 
 
 @dataclass(frozen=True)
-class Evidence(Displayable):
+class Evidence(Displayable, AllFields):
     """Base of the parts of a result: its arrays, also those in tables, are read-only."""
 
     def __post_init__(self) -> None:
@@ -117,29 +107,16 @@ class Evidence(Displayable):
                 if isinstance(item, np.ndarray):
                     item.setflags(write=False)
 
-    def to_json(self) -> dict[str, object]:
-        """Return all fields."""
-        return dict(vars(self))
-
 
 @dataclass(frozen=True, eq=False)
 class Bracket(Displayable):
-    """Two bounds of one number, where it is attained, and how far both can be trusted.
+    """Two bounds of one number, where it is attained, and how far both can be trusted."""
 
-    Attributes
-    ----------
-    lower, upper
-        ``lower <= number <= upper``; a class defines which of them is proved, and which attained.
-    frequency
-        Where it is attained, rad/s; None where unknown or without meaning.
-    status
-        CERTIFIED where both were re-derived from their evidence.
-    """
-
+    # ``lower <= number <= upper``; a class defines which of them is proved, and which attained
     lower: float
     upper: float
-    frequency: float | None
-    status: Status
+    frequency: float | None  # where it is attained, rad/s; None where unknown or without meaning
+    status: Status  # CERTIFIED where both were re-derived from their evidence
 
     unsaved: ClassVar[tuple[str, ...]] = ()  # fields that `to_json` leaves out
 

@@ -40,18 +40,10 @@ TAKES = {"y": 1, "-y": -1, "r - y": -1, "y - r": 1, "r": 0}
 
 
 class Taken(Signal):
-    """An input of a controller with a record of what it takes, and thus of the sign of the feedback.
+    """An input of a controller with a record of what it takes, and thus of the sign of the feedback."""
 
-    Attributes
-    ----------
-    takes
-        ``"y"`` the signal itself, ``"-y"``, ``"r - y"`` the error, ``"y - r"``, or ``"r"``, the reference alone.
-    of
-        Name of the plant's signal; that of the input where left out.
-    """
-
-    takes: str
-    of: str
+    takes: str  # ``"y"`` the signal itself, ``"-y"``, ``"r - y"`` the error, ``"y - r"``, or ``"r"``, a reference alone
+    of: str  # name of the plant's signal; that of the input where left out
 
     def __new__(cls, name: str, unit: str = "", takes: str = "y", of: str = "") -> Taken:
         """Make an input of this name."""
@@ -183,9 +175,8 @@ def signal_positions(names: str | Sequence[str] | None, known: Sequence[str], wh
 def picked(key: Any, outputs: tuple[str, ...], inputs: tuple[str, ...]) -> tuple[list[str], list[str]]:
     """Return the names of outputs and inputs of ``G[outputs, inputs]``: numbers, slices, names, lists of these."""
     if not isinstance(key, tuple) or len(key) != 2:
-        raise InputError(
-            "indexing", f"[{key!r}]", "two indices: G[outputs, inputs]", "write G[0, :] for the first output"
-        )
+        hint = "write G[0, :] for the first output"
+        raise InputError("indexing", f"[{key!r}]", "two indices: G[outputs, inputs]", hint)
     return _chosen(key[0], outputs, "output"), _chosen(key[1], inputs, "input")
 
 
@@ -198,9 +189,8 @@ def _chosen(key: Any, known: tuple[str, ...], kind: str) -> list[str]:
             chosen.append(known[signal_positions(item, known, f"select: {kind}")[0]])
             continue
         if isinstance(item, bool) or not isinstance(item, (int, np.integer)) or not -len(known) <= item < len(known):
-            raise InputError(
-                f"indexing: {kind} {item!r}", "no such signal", f"a name, or a number from 0 to {len(known) - 1}"
-            )
+            expected = f"a name, or a number from 0 to {len(known) - 1}"
+            raise InputError(f"indexing: {kind} {item!r}", "no such signal", expected)
         chosen.append(known[item])
     return chosen
 

@@ -1,7 +1,4 @@
-r"""Linear time-invariant models in state space, with named signals and units, and their interconnection.
-
-.. math:: \dot x = A x + B u, \qquad y = C x + D u  \qquad (dt = 0), \qquad  x_{k+1} = A x_k + B u_k \quad (dt > 0)
-"""
+"""Linear time-invariant models in state space, with named signals and units, and their interconnection."""
 
 from __future__ import annotations
 
@@ -144,26 +141,6 @@ class StateSpaceModel(TransferMatrix, Displayable, Traced):
         return self.A.shape[0]
 
     @property
-    def n_inputs(self) -> int:
-        """Number of inputs n_u."""
-        return self.D.shape[1]
-
-    @property
-    def n_outputs(self) -> int:
-        """Number of outputs n_y."""
-        return self.D.shape[0]
-
-    @property
-    def input_names(self) -> tuple[str, ...]:
-        """Names of the inputs."""
-        return tuple(s.name for s in self.inputs)
-
-    @property
-    def output_names(self) -> tuple[str, ...]:
-        """Names of the outputs."""
-        return tuple(s.name for s in self.outputs)
-
-    @property
     def state_names(self) -> tuple[str, ...]:
         """Names of the states."""
         return tuple(s.name for s in self.states)
@@ -213,10 +190,7 @@ class StateSpaceModel(TransferMatrix, Displayable, Traced):
     # --- parts and other names ---------------------------------------------------------------------------------------
 
     def select(self, inputs: Sequence[str] | None = None, outputs: Sequence[str] | None = None) -> StateSpaceModel:
-        """Return the model with the named inputs and outputs only, in that order; all states are kept.
-
-        See `robustlab.linear_analysis.structural.drop_unconnected` to remove unconnected states.
-        """
+        """Return the model with the named inputs and outputs only, in that order; all states are kept."""
         i = signal_positions(inputs, self.input_names, "select: input")
         o = signal_positions(outputs, self.output_names, "select: output")
         point = self.operating_point
@@ -238,7 +212,7 @@ class StateSpaceModel(TransferMatrix, Displayable, Traced):
         outputs, inputs = picked(key, self.output_names, self.input_names)
         return self.select(inputs, outputs)
 
-    # --- algebra: the functions below; the operators are those of `TransferMatrix` -----------------------------------
+    # --- algebra; the operators are those of `TransferMatrix` --------------------------------------------------------
 
     def _product(self, second: Any, first: Any) -> StateSpaceModel:
         return product(second, first)
@@ -256,8 +230,14 @@ class StateSpaceModel(TransferMatrix, Displayable, Traced):
         return StateSpaceModel([], [], [], np.eye(self.n_inputs), self.dt, self.inputs, self.outputs)
 
     def inverse(self) -> StateSpaceModel:
-        """Return the model from outputs to inputs; see `robustlab.statespace.inverse`."""
-        return inverse(self)
+        """Return the inverse of a square model with regular D, from the outputs to the inputs."""
+        if self.n_inputs != self.n_outputs:
+            raise InputError("inverse", f"{self.n_outputs} x {self.n_inputs}", "a square model")
+        if self.n_inputs and is_rank_deficient(self.D):
+            raise NoTrustworthyNumber("inverse", "D is singular: the inverse is not proper")
+        d = np.linalg.inv(self.D)
+        matrices = self.A - self.B @ d @ self.C, self.B @ d, -d @ self.C, d
+        return StateSpaceModel(*matrices, self.dt, self.outputs, self.inputs, self.states, where="inverse")
 
     # --- python-control ----------------------------------------------------------------------------------------------
 
@@ -412,18 +392,6 @@ def parallel(first: Any, second: Any, sign: int = 1) -> StateSpaceModel:
     matrices = A, np.vstack([a.B, b.B]), np.hstack([a.C, sign * b.C]), a.D + sign * b.D
     inputs, outputs = names_of(second, first, a.inputs, b.inputs), names_of(second, first, a.outputs, b.outputs)
     return StateSpaceModel(*matrices, _common_dt((a, b), "sum"), inputs, outputs, _states(a, b), where="sum")
-
-
-def inverse(model: Any) -> StateSpaceModel:
-    """Return the inverse of a square model with regular D, whose inputs and outputs change places."""
-    g = _operand(model, "inverse")
-    if g.n_inputs != g.n_outputs:
-        raise InputError("inverse", f"{g.n_outputs} x {g.n_inputs}", "a square model")
-    if g.n_inputs and is_rank_deficient(g.D):
-        raise NoTrustworthyNumber("inverse", "D is singular: the inverse is not proper")
-    d = np.linalg.inv(g.D)
-    matrices = g.A - g.B @ d @ g.C, g.B @ d, -d @ g.C, d
-    return StateSpaceModel(*matrices, g.dt, g.outputs, g.inputs, g.states, where="inverse")
 
 
 def feedback(plant: Any, controller: Any = 1.0, sign: int = -1) -> StateSpaceModel:

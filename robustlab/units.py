@@ -75,10 +75,7 @@ def factor_to_si(unit: str) -> tuple[float, str]:
 
 
 def amount(where: str, given: Any, unit: str) -> Any:
-    """Convert a text to a number in ``unit``; other values are returned unchanged.
-
-    Raises InputError: no number, or a unit of another quantity.
-    """
+    """Convert a text to a number in ``unit``; other values are returned unchanged."""
     if not isinstance(given, str):
         return given
     number, stated = _parted(where, given, f"a number in {unit}" if unit else "a number")
@@ -90,10 +87,7 @@ def amount(where: str, given: Any, unit: str) -> Any:
 
 
 def share(where: str, given: Any) -> Any:
-    """Convert a text, per cent or not, to a share; other values are returned unchanged.
-
-    Raises InputError: no number, or a unit other than %.
-    """
+    """Convert a text, per cent or not, to a share; other values are returned unchanged."""
     if not isinstance(given, str):
         return given
     expected = 'a share of the value: 0.05, or "5%"'

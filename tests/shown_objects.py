@@ -172,11 +172,11 @@ def performance_comparison() -> Any:
 
 
 def controlled_runs() -> Any:
-    from robustlab.dynamics import Judged, Sine, follow_sine
+    from robustlab.dynamics import follow_sine
 
     K = rl.StateSpaceModel([], [], [], [[0.5, -0.5]], inputs=["omega_ref", ("omega", "rad/s")], outputs=[("u", "V")])
-    sine = Sine(10.0, 30.0, 0.1, 0.4, points=41)
-    return follow_sine(motor(), {"gain": K}, ["omega"], ["omega"], sine, Judged(limits={"u": 42.0}))
+    sine: dict[str, Any] = {"amplitude": 10.0, "omega": 30.0, "rise_time": 0.1, "t_end": 0.4, "points": 41}
+    return follow_sine(motor(), {"gain": K}, ["omega"], ["omega"], **sine, limits={"u": 42.0})
 
 
 def tracking_loop() -> Any:

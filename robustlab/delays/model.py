@@ -134,22 +134,6 @@ class DelayedModel(TransferMatrix, Displayable, Traced):
         """Outputs, without the delays' channels."""
         return self.H.outputs[len(self.delays) :]
 
-    @property
-    def n_inputs(self) -> int:
-        return len(self.inputs)
-
-    @property
-    def n_outputs(self) -> int:
-        return len(self.outputs)
-
-    @property
-    def input_names(self) -> tuple[str, ...]:
-        return self.H.input_names[len(self.delays) :]
-
-    @property
-    def output_names(self) -> tuple[str, ...]:
-        return self.H.output_names[len(self.delays) :]
-
     dt: ClassVar[float] = 0.0  # continuous time
     is_discrete: ClassVar[bool] = False
 

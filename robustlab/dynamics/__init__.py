@@ -12,6 +12,7 @@ from robustlab.dynamics.plant_contract import NonlinearPlant, Plant, Trim
 from robustlab.dynamics.plant_file import plant_from_file, plant_reference, unit_reference
 from robustlab.dynamics.simulation import simulate
 from robustlab.errors import InputError, did_you_mean
+from robustlab.lazily import lazily
 
 if TYPE_CHECKING:
     from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 _INNER = {
     "control.controlled_plant": "TorqueGains actuator_cascade controlled_nonlinear controlled_plant driver_in_loop"
     " torque_gains",
-    "control.controlled_runs": "Judged Sine follow_sine",
+    "control.controlled_runs": "follow_sine",
     "control.platform": "LayeredController SineTrajectory closed_loop follow follow_with_torques measured torque_loop"
     " two_layer upper_layer",
     "descriptor_elimination": "eliminated",
@@ -42,7 +43,7 @@ _INNER = {
     "ports.port_model": "linear_plant_of parameter_groups port_model",
     "symbolic.tape": "OPERATIONS Tape tape_of",
 }
-_MODULE_OF = {name: module for module, names in _INNER.items() for name in names.split()}
+_, __getattr__ = lazily(__name__, _INNER)
 
 __all__ = [
     "Descriptor",
@@ -70,12 +71,6 @@ _PLANTS = {
     "linear-actuator": "plants.linear.linear_actuator",
     "stewart-platform": "stewart.stewart_platform.stewart_platform",
 }
-
-
-def __getattr__(name: str) -> Any:
-    if name in _MODULE_OF:
-        return getattr(import_module(f"robustlab.dynamics.{_MODULE_OF[name]}"), name)
-    raise AttributeError(f"module 'robustlab.dynamics' has no attribute {name!r}")
 
 
 # Completion of ``rl.plant(...)`` in editors; a test compares the names with the table.

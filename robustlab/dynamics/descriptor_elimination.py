@@ -7,7 +7,7 @@ r"""State-space models of linear descriptor forms, algebraic equations eliminate
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,15 +25,6 @@ from robustlab.uncertainty.lft import UncertainModel, with_channels
 ROUNDING = 1e-12
 
 
-class Channels(NamedTuple):
-    """L (n_x + n_y, q), R (p, 2 n_x + n_u) and S (p, q) of the blocks, in their order."""
-
-    left: Array
-    right: Array
-    inner: Array
-    blocks: tuple[Block, ...]
-
-
 def solved(e: Array, right: Array, where: str) -> Array:
     """Return ``E^-1 right``; the rank of E is decided with rows scaled to equal size."""
     size = np.abs(e).max(axis=1, initial=0.0)
@@ -42,10 +33,11 @@ def solved(e: Array, right: Array, where: str) -> Array:
     return np.asarray(np.linalg.solve(e, right), dtype=float)
 
 
-def closed_descriptor(nominal: StateSpaceModel, e: Array, channels: Channels, where: str) -> UncertainModel:
-    """Return the uncertain model around a nominal one whose descriptor form has E and these channels."""
+def closed_descriptor(
+    nominal: StateSpaceModel, e: Array, left: Array, right: Array, inner: Array, blocks: Sequence[Block], where: str
+) -> UncertainModel:
+    """Return the set around a model in descriptor form with E and the blocks' L, R (p, 2 n_x + n_u) and S (p, q)."""
     n, m = nominal.n_states, nominal.n_states + nominal.n_inputs
-    left, right, inner, blocks = channels
     into_x, rate = solved(e, left[:n], where) + 0.0, right[:, m:]  # no negative zeros
     seen = right[:, :m] + rate @ np.hstack([nominal.A, nominal.B])
     return with_channels(nominal, blocks, np.vstack([into_x, left[n:]]), seen, inner + rate @ into_x)

@@ -13,7 +13,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.budget import one_thread
-from robustlab.dynamics.descriptor_elimination import Channels, closed_descriptor, solved, with_outputs
+from robustlab.dynamics.descriptor_elimination import closed_descriptor, solved, with_outputs
 from robustlab.errors import InputError, NoTrustworthyNumber, RobustlabError
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import SAMPLED, FullBlock, ParameterRange, RealScalar
@@ -441,7 +441,7 @@ def _closed(
         blocks.append(FullBlock(REMAINDER, q, p))
     n = nominal.n_states
     e = -family.at({})[:n, n + nominal.n_inputs :]
-    return closed_descriptor(nominal, e, Channels(left, right, inner, tuple(blocks)), family.where)
+    return closed_descriptor(nominal, e, left, right, inner, blocks, family.where)
 
 
 def _off(family: _Family, model: UncertainModel, polynomial: MatrixPolynomial, remainder: _Remainder | None) -> float:

@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
-from robustlab.dynamics.descriptor_elimination import ROUNDING, Channels, closed_descriptor, solved, with_outputs
+from robustlab.dynamics.descriptor_elimination import ROUNDING, closed_descriptor, solved, with_outputs
 from robustlab.dynamics.parameters import Parameter, parameter_ranges
 from robustlab.dynamics.plant_contract import Plant
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import ParameterRange, RealScalar
+from robustlab.uncertainty.blocks import RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 
 
@@ -54,21 +54,7 @@ class AffineEquations:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LinearPlant(Plant):
-    """A linear plant, defined by a function from its parameters to a `Descriptor`.
-
-    >>> from robustlab.dynamics.parameters import Parameter
-    >>> from robustlab.statespace import Signal
-    >>> tank = LinearPlant(
-    ...     "tank",
-    ...     {"area": Parameter("area", 2.0, "m2", tolerance=0.1)},
-    ...     inputs=(Signal("inflow", "m3/s"),),
-    ...     outputs=(Signal("h", "m"),),
-    ...     states=(Signal("h", "m"),),
-    ...     equations=lambda p: Descriptor(E=[[p["area"]]], F=[[0.0]], G=[[1.0]], C=[[1.0]]),
-    ... )
-    >>> tank.state_space().B
-    array([[0.5]])
-    """
+    """A linear plant, defined by a function from its parameters to a `Descriptor`."""
 
     # From {parameter name: value}. Every entry must be affine in the parameters: a quotient belongs into E.
     equations: Callable[[Mapping[str, float]], Descriptor]
@@ -79,12 +65,9 @@ class LinearPlant(Plant):
         super().__post_init__()
         for name in self.exact:
             if self.parameters[name].tolerance:
-                raise InputError(
-                    f"{self.name}: {name}",
-                    f"relative tolerance {self.parameters[name].tolerance:g}",
-                    "no tolerance: it is taken as exact",
-                    "give the tolerance to the inertias or constants that it acts through",
-                )
+                found = f"relative tolerance {self.parameters[name].tolerance:g}"
+                hint = "give the tolerance to the inertias or constants that it acts through"
+                raise InputError(f"{self.name}: {name}", found, "no tolerance: it is taken as exact", hint)
         self._check_affine()
         self.state_space()
 
@@ -99,17 +82,14 @@ class LinearPlant(Plant):
 
     def matrices(self, values: Mapping[str, float]) -> list[Array]:
         """Return E, F, G, C, D at the values of all parameters, checked."""
+        where, wanted = f"{self.name}: equations", "matrices that are affine in the parameters"
         try:
             form = self.equations(values)
         except ZeroDivisionError:
-            raise InputError(
-                f"{self.name}: equations",
-                "a division by a parameter",
-                "matrices that are affine in the parameters",
-                "bring the quotient to the left-hand side (into E)",
-            ) from None
+            hint = "bring the quotient to the left-hand side (into E)"
+            raise InputError(where, "a division by a parameter", wanted, hint) from None
         if not isinstance(form, Descriptor):
-            raise InputError(f"{self.name}: equations", f"returned a {type(form).__name__}", "a Descriptor")
+            raise InputError(where, f"returned a {type(form).__name__}", "a Descriptor")
         n, n_u, n_y = len(self.states), len(self.inputs), len(self.outputs)
         shapes = {"E": (n, n), "F": (n, n), "G": (n, n_u), "C": (n_y, n), "D": (n_y, n_u)}
         matrices = []
@@ -118,24 +98,24 @@ class LinearPlant(Plant):
             try:
                 matrix = np.zeros(shape) if given is None else np.array(given, dtype=float)
             except (TypeError, ValueError):  # rows of several lengths, a text, a complex number
-                raise InputError(f"{self.name}: equations", f"{name} is no matrix of numbers", f"{shape}") from None
+                raise InputError(where, f"{name} is no matrix of numbers", f"{shape}") from None
             if matrix.shape != shape:
-                raise InputError(f"{self.name}: equations", f"{name} is {matrix.shape}", f"{shape}")
+                raise InputError(where, f"{name} is {matrix.shape}", f"{shape}")
             if not np.isfinite(matrix).all():
-                raise InputError(f"{self.name}: equations", f"{name} has NaN or infinite entries", "finite numbers")
+                raise InputError(where, f"{name} has NaN or infinite entries", "finite numbers")
             matrices.append(matrix)
         return matrices
 
     def affine_equations(self) -> AffineEquations:
-        """Return the equations as numbers for storage."""
-        constant = self.matrices(self._cleared)
+        """Return the equations as numbers."""
+        cleared = {name: value if name in self.exact else 0.0 for name, value in self.values.items()}
         names = tuple(name for name in self.parameters if name not in self.exact)
-        terms = [constant, *(self._coefficients(name, constant) for name in names)]
+        constant, *at_units = (self.matrices(p) for p in (cleared, *({**cleared, name: 1.0} for name in names)))
+        terms = [constant, *([there - here for there, here in zip(m, constant, strict=True)] for m in at_units)]
         stacked = {key: np.stack([term[i] for term in terms]) for i, key in enumerate("EFGCD")}
         return AffineEquations(names, stacked, {name: self.values[name] for name in self.exact})
 
-    def to_model(self) -> StateSpaceModel:
-        return self.state_space()
+    to_model = state_space
 
     def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
         state, force = self.point(x, u)
@@ -152,58 +132,42 @@ class LinearPlant(Plant):
     ) -> UncertainModel:
         """Return the set of all models whose parameters lie within their tolerances, as an exact and minimal LFT."""
         # Březina 2010, eqs 10.1-10.4; with absolute deltas the coefficients there must be -1/L in the rows of R, L, Kb
-        # and 1/J in those of Km, Kf, J, as here.
-        e = self.matrices(self.values)[0]
-        channels = self._channels(parameter_ranges(self.parameters, ranges or {}, self.name, self.exact))
-        return with_outputs(closed_descriptor(self.state_space(), e, channels, self.name), outputs)
-
-    def _channels(self, ranges: Mapping[str, ParameterRange]) -> Channels:
-        """Return the channels of every parameter with an effect; R is scaled by the half widths above nominal."""
+        # and 1/J in those of Km, Kf, J, as here. R is scaled by the half widths above nominal.
         n, n_u, n_y = len(self.states), len(self.inputs), len(self.outputs)
-        constant = self.matrices(self._cleared)
+        spans = parameter_ranges(self.parameters, ranges or {}, self.name, self.exact)
+        form = self.affine_equations()
         left: list[Array] = [np.zeros((n + n_y, 0))]
         right: list[Array] = [np.zeros((0, 2 * n + n_u))]
         blocks: list[RealScalar] = []
-        for name, span in ranges.items():
-            e, f, g, c, d = self._coefficients(name, constant)
+        for k, name in enumerate(form.names, 1):
+            if name not in spans:
+                continue
+            e, f, g, c, d = (terms[k] for terms in form.coefficients.values())
             columns, rows = _rank_factors(np.block([[f, g, -e], [c, d, np.zeros((n_y, n))]]))
             if columns.shape[1]:
                 left.append(columns)
-                right.append(span.radius * rows)
-                blocks.append(RealScalar(name, columns.shape[1], span))
+                right.append(spans[name].radius * rows)
+                blocks.append(RealScalar(name, columns.shape[1], spans[name]))
         count = sum(b.rows for b in blocks)
-        return Channels(np.hstack(left), np.vstack(right), np.zeros((count, count)), tuple(blocks))
-
-    @property
-    def _cleared(self) -> dict[str, float]:
-        """Values with all parameters zero except the exact ones."""
-        return {name: value if name in self.exact else 0.0 for name, value in self.values.items()}
-
-    def _coefficients(self, name: str, constant: list[Array]) -> list[Array]:
-        """Return the factors of the named parameter in E, F, G, C, D; ``constant``: their parts without parameters."""
-        at_unit = self.matrices({**self._cleared, name: 1.0})
-        return [there - here for there, here in zip(at_unit, constant, strict=True)]
+        e = self.matrices(self.values)[0]
+        parts = np.hstack(left), np.vstack(right), np.zeros((count, count))
+        return with_outputs(closed_descriptor(self.state_space(), e, *parts, blocks, self.name), outputs)
 
     def _check_affine(self) -> None:
         """Check that the equations equal their affine form at two points; two detect powers of a parameter."""
-        constant = self.matrices(self._cleared)
-        linear = [np.zeros_like(m) for m in constant]
-        size = [np.abs(m) for m in constant]
-        varied = {name: value for name, value in self.values.items() if name not in self.exact}
-        for name, value in varied.items():
-            for total, bound, term in zip(linear, size, self._coefficients(name, constant), strict=True):
-                total += value * term
-                bound += np.abs(value * term)
+        form = self.affine_equations()
+        varied = {name: self.values[name] for name in form.names}
+        weights = np.array([1.0, *varied.values()])
         for scale in (1.0, 1.75):
             there = self.matrices(self.values | {name: scale * value for name, value in varied.items()})
-            for name, found, fixed, varying, bound in zip("EFGCD", there, constant, linear, size, strict=True):
-                if (np.abs(found - fixed - scale * varying) > ROUNDING * scale * bound).any():
-                    raise InputError(
-                        f"{self.name}: equations",
-                        f"{name} is not affine in the parameters",
-                        "sums of constant multiples of parameters",
-                        "bring a quotient to the left-hand side (into E); give a product a parameter of its own",
-                    )
+            for name, found in zip("EFGCD", there, strict=True):
+                terms = form.coefficients[name]
+                affine = terms[0] + scale * np.tensordot(weights[1:], terms[1:], 1)
+                bound = scale * np.tensordot(np.abs(weights), np.abs(terms), 1)
+                if (np.abs(found - affine) > ROUNDING * bound).any():
+                    where, wrong = f"{self.name}: equations", f"{name} is not affine in the parameters"
+                    hint = "bring a quotient to the left-hand side (into E); give a product a parameter of its own"
+                    raise InputError(where, wrong, "sums of constant multiples of parameters", hint)
 
 
 def _rank_factors(matrix: Array) -> tuple[Array, Array]:
@@ -226,19 +190,11 @@ def tied_plant(plant: LinearPlant, groups: Iterable[tuple[str, tuple[str, ...]]]
     """Return the plant with one further parameter s = 1 for each group, which scales all of the group."""
     parameters, scaled = dict(plant.parameters), plant.values
     tied: dict[str, tuple[str, ...]] = {}
-    seen: set[str] = set()
     for label, names in groups:
-        for name in names:
-            if name not in plant.parameters or name in seen:
-                word = "is in two groups" if name in seen else "no such parameter"
-                raise InputError(f"tied_plant: {name!r}", word, f"each of {', '.join(plant.parameters)} once at most")
-        seen.update(names)
         members = [plant.parameters[name] for name in names]
         widest = max((p.tolerance for p in members), default=0.0)
         if len(names) < 2 or not widest:
             continue
-        if label in parameters:
-            raise InputError(f"tied_plant: {label!r}", "a parameter of that name", "another label")
         parameters |= {p.name: replace(p, tolerance=0.0) for p in members}
         sources = "; ".join(dict.fromkeys(p.source for p in members))
         parameters[label] = Parameter(label, 1.0, "", widest, sources, "common factor", "positive")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from numpy.typing import ArrayLike
@@ -50,9 +51,8 @@ def trim(plant: Plant, **where: Any) -> Trim:
     """
     if not isinstance(plant, NonlinearPlant):
         name = getattr(plant, "name", type(plant).__name__)
-        raise InputError(
-            "trim", f"{name} is no nonlinear plant", "a nonlinear plant", "a linear plant rests at x = 0, u = 0"
-        )
+        hint = "a linear plant rests at x = 0, u = 0"
+        raise InputError("trim", f"{name} is no nonlinear plant", "a nonlinear plant", hint)
     return plant.equilibrium(**where)
 
 
@@ -116,9 +116,8 @@ def linearise(
             model.traced(plant.provenance)
         return model
     if not isinstance(plant, LinearPlant):
-        raise InputError(
-            "linearise", f"{type(plant).__name__}", "a linear plant or a nonlinear one, as from plant(name)"
-        )
+        expected = "a linear plant or a nonlinear one, as from plant(name)"
+        raise InputError("linearise", f"{type(plant).__name__}", expected)
     model = plant.state_space()
     if at is None:
         return model
@@ -126,7 +125,4 @@ def linearise(
     if not (isinstance(given, (tuple, list)) and len(given) == 2):
         raise InputError("linearise: at", type(at).__name__, "(x, u), or None")
     x, u = plant.point(*given)
-    point = OperatingPoint(x, u, plant.output(x, u))
-    return StateSpaceModel(
-        model.A, model.B, model.C, model.D, model.dt, model.inputs, model.outputs, model.states, point, plant.name
-    )
+    return replace(model, operating_point=OperatingPoint(x, u, plant.output(x, u)))

@@ -23,11 +23,7 @@ GIVEN = "given by the user"
 
 @dataclass(frozen=True)
 class Parameter:
-    """One physical parameter; immutable.
-
-    >>> Parameter("Kf", 4.8e-5, "N m s", tolerance=0.35).range
-    ParameterRange(nominal=4.8e-05, radius=1.68e-05, unit='N m s', below=None)
-    """
+    """One physical parameter; immutable."""
 
     name: str  # symbol, for example "Kf"
     value: float  # nominal, in ``unit`` (SI)
@@ -136,9 +132,8 @@ def parameter_ranges(
                 replace(p, value=end, tolerance=0.0)
             if p.sign == "either" and low <= 0 <= high:
                 found = f"a range from {low:g} to {high:g} {p.unit}".rstrip()
-                raise InputError(
-                    f"parameter {name!r}", found, f"one that does not hold 0 ({p.meaning or 'by physics'})"
-                )
+                expected = f"one that does not hold 0 ({p.meaning or 'by physics'})"
+                raise InputError(f"parameter {name!r}", found, expected)
             ranges[name] = replace(ParameterRange.between(low, high, p.value, p.unit), sign=p.sign)
         elif p.radius:
             ranges[name] = p.range

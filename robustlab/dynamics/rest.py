@@ -9,7 +9,7 @@ import numpy as np
 
 from robustlab.arrays import Array, Indices
 from robustlab.dynamics.descriptor_family import TrimmedDescriptor, Values
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, unknown_name
 from robustlab.statespace import real_array
 
 PASSES, HALVINGS = 60, 30
@@ -35,12 +35,7 @@ def trim_conditions(plant: Any, given: Mapping[str, Any]) -> tuple[dict[int, flo
             wanted[outputs.index(name)] = number
         else:
             known = tuple(dict.fromkeys([*names, *outputs]))
-            raise InputError(
-                f"{plant.name}: trim: {name!r}",
-                "no state, input or output",
-                f"one of {', '.join(known)}",
-                did_you_mean(name, known),
-            )
+            raise unknown_name(f"{plant.name}: trim: {name!r}", "no state, input or output", name, known)
     return held, wanted
 
 

@@ -173,7 +173,8 @@ def _simulate_nonlinear(
     plant: NonlinearPlant, t: Any, u: Any, x0: Any, hold: Any, rtol: float | None, step: float | None, name: str | None
 ) -> Record:
     clock = Record(t, name="simulate").t
-    signal = input_signal(clock, sampled_inputs(plant.inputs, u, len(clock)), hold)
+    samples = sampled_inputs(plant.inputs, u, len(clock))
+    signal = input_signal(clock, samples, hold)
     start = plant.start if x0 is None else real_array("x0", getattr(x0, "x", x0), 1, "simulate")
     if isinstance(plant, SteppedPlant):
         start = plant.whole_state(start)
@@ -181,7 +182,6 @@ def _simulate_nonlinear(
     for key, value in (("rtol", rtol), ("step", step)):
         if value is not None:
             number(f"simulate: {key}", value, "a number between 0 and 1", above=0, below=1)
-    force = signal.samples
     if isinstance(plant, SteppedPlant):
         if hold != "zoh":
             expected = "'zoh': its steps hold the input"
@@ -189,11 +189,12 @@ def _simulate_nonlinear(
         if rtol is not None:
             expected = "step: its steps have no error control"
             raise InputError("simulate", "rtol for a plant that steps itself", expected)
-        force = sampled_inputs(plant.inputs, u, len(clock))
+        force = samples
         x, y = plant.stepped(clock, force, start, step)
     else:
         if step is not None:
             raise InputError("simulate", f"step for {plant.name}", "rtol: it is integrated with error control")
+        force = signal.samples
         x = plant.trajectory(signal, start, rtol=RTOL if rtol is None else rtol)
         y = plant.outputs_along(x, force)
     _check_finite(np.hstack([x, y]), clock, plant.name)
@@ -249,16 +250,13 @@ def _states(model: StateSpaceModel, t: Array, u: Array, x0: Array, hold: Hold) -
 
 def _discrete_states(model: StateSpaceModel, t: Array, u: Array, x0: Array, hold: Hold) -> Array:
     if hold == "foh":
-        raise InputError(
-            "simulate: hold", "'foh' for a discrete model", "'zoh': a discrete model sees the samples only"
-        )
+        expected = "'zoh': a discrete model sees the samples only"
+        raise InputError("simulate: hold", "'foh' for a discrete model", expected)
     step = np.diff(t)
     wrong = np.abs(step - model.dt) > CLOCK_JITTER * model.dt
     if wrong.any():
-        k = int(np.argmax(wrong))
-        raise InputError(
-            "simulate", f"t[{k + 1}] - t[{k}] = {step[k]:.9g} s", f"the discrete model's sample time {model.dt:.9g} s"
-        )
+        k, expected = int(np.argmax(wrong)), f"the discrete model's sample time {model.dt:.9g} s"
+        raise InputError("simulate", f"t[{k + 1}] - t[{k}] = {step[k]:.9g} s", expected)
     return _recursion(model.A[None], np.zeros(len(step), dtype=np.intp), u[:-1] @ model.B.T, x0)
 
 
@@ -314,9 +312,6 @@ def _check_finite(values: Array, t: Array, where: str) -> None:
     bad = ~np.isfinite(values).all(axis=1)
     if bad.any():
         k = int(np.argmax(bad))
-        raise NoTrustworthyNumber(
-            where,
-            f"the response outgrows double precision at t = {t[k]:.9g} s (sample {k})",
-            None,
-            "the model is unstable: simulate a shorter time, or close a loop around it",
-        )
+        found = f"the response outgrows double precision at t = {t[k]:.9g} s (sample {k})"
+        hint = "the model is unstable: simulate a shorter time, or close a loop around it"
+        raise NoTrustworthyNumber(where, found, None, hint)

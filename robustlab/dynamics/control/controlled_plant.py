@@ -17,9 +17,9 @@ from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant, Plant, PlantAlong, PortPlace, Trim
 from robustlab.dynamics.ports.law_kernel import V, law
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel
-from robustlab.errors import InputError, unknown_name
+from robustlab.errors import InputError
 from robustlab.result import Status
-from robustlab.signals import Taken
+from robustlab.signals import Taken, signal_positions
 from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
 
 
@@ -57,7 +57,8 @@ def loop_parts(
 ) -> tuple[StateSpaceModel, list[int], list[int]]:
     """Return a controller as a model, and the indices of its controlled and measured outputs."""
     model, where = as_model(K, "controller"), f"{plant.name} under control"
-    c, m = _positions(where, controlled, plant), _positions(where, measured, plant)
+    known = [s.name for s in plant.outputs]
+    c, m = (signal_positions(names, known, f"{where}: output") for names in (controlled, measured))
     sizes = (len(c) + len(m), len(plant.inputs))
     if (model.n_inputs, model.n_outputs) != sizes:
         found = f"{model.n_inputs} inputs and {model.n_outputs} outputs"
@@ -104,14 +105,6 @@ def actuator_cascade(plant: LinearPlant, p_up: float = 236.0, p_low: float = 300
     return StateSpaceModel(
         a, b, [[0.0, 0.0, 1.0]], -gains.kd * torque[None], 0.0, names, plant.inputs, states, where="actuator cascade"
     )
-
-
-def _positions(where: str, names: Sequence[str], plant: Plant) -> list[int]:
-    known = [s.name for s in plant.outputs]
-    for name in names:
-        if name not in known:
-            raise unknown_name(f"{where}: output {name!r}", "no such output", name, known)
-    return [known.index(name) for name in names]
 
 
 def controlled_nonlinear(

@@ -28,14 +28,13 @@ from robustlab.dynamics.control.platform import (
 from robustlab.dynamics.extended.extended_plant import ExtendedNonlinearPlant, with_effects
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.linearisation import linearise, trim
+from robustlab.dynamics.plant_contract import Trim
 from robustlab.dynamics.simulation import simulate
 from robustlab.dynamics.stewart.kinematics import nut_angles
 from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
 from robustlab.errors import InputError, unknown_name
 from robustlab.result import Status
 from robustlab.statespace import as_model
-
-HELD = 1e-4  # s between samples of a reference, which is held between them
 
 
 class TimePanel(NamedTuple):
@@ -44,9 +43,6 @@ class TimePanel(NamedTuple):
     label: str
     curves: Mapping[str, Array]
     limit: float | None = None
-
-    def __repr__(self) -> str:
-        return f"TimePanel({self.label}: {', '.join(self.curves)})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,22 +53,15 @@ class ControlledRuns(Displayable):
     columns: tuple[tuple[str, tuple[str, ...], float], ...]
     t: Array
     panels: tuple[TimePanel, ...]
-    unit: str
-    after: float
-    told: Facts
+    words: Facts
     notes: tuple[str, ...]
     status: Status = Status.CONVERGED
-
-    @property
-    def errors(self) -> Mapping[str, Array]:
-        """Controller -> error over time."""
-        return self.panels[0].curves
 
     def headline(self) -> str:
         return f"simulated under {len(self.controllers)} controllers"
 
     def facts(self) -> Facts:
-        return [*self.told, ("errors count from", number(self.after, "s", 5))]
+        return self.words
 
     def details(self) -> list[Part]:
         header = ("controller", "order", *(title for title, _, _ in self.columns))
@@ -97,84 +86,69 @@ def _cell(row: Mapping[str, Any], where: tuple[str, ...], factor: float) -> str:
     return ("yes" if value else "no") if isinstance(value, bool) else f"{factor * value:.4g}"
 
 
-class Sine(NamedTuple):
-    """A sine that grows to its amplitude; omega in rad/s, rise time and duration in s, number of stored points."""
-
-    amplitude: float
-    omega: float
-    rise_time: float
-    t_end: float
-    points: int = 2001
-    held: float = HELD
-
-    def wave(self) -> tuple[Array, Array, int]:
-        """Return times (n,), the reference, and the number of steps between two stored points."""
-        fine = max(1, math.ceil(self.t_end / (self.points - 1) / self.held))
-        t = np.linspace(0.0, self.t_end, fine * (self.points - 1) + 1)
-        return t, self.amplitude * ease(t / self.rise_time) * np.sin(self.omega * t), fine
-
-
-class Judged(NamedTuple):
-    """Evaluation of runs: start time of errors in s, factor and unit of the error, limits of signals."""
-
-    after: float = 0.0
-    scale: float = 1.0
-    unit: str = ""
-    limits: Mapping[str, float] = {}
-
-
 def follow_sine(
     plant: Any,
     controllers: Mapping[str, Any],
     controlled: Sequence[str],
     measured: Sequence[str],
-    sine: Sine,
-    judged: Judged = Judged(),  # noqa: B008 - a tuple
+    *,
+    amplitude: float,
+    omega: float,
+    rise_time: float,
+    t_end: float,
+    limits: Mapping[str, float],
+    points: int = 2001,
+    step: float = 1e-4,
+    after: float = 0.0,
+    scale: float = 1.0,
+    unit: str = "",
     effects: Mapping[str, Mapping[str, float]] | None = None,
     members: Sequence[Mapping[str, float]] = (),
 ) -> ControlledRuns:
-    """Simulate a linear plant under several controllers, nominal and sampled models, with unmodelled effects."""
+    """Simulate a linear plant that follows a growing sine, nominal and sampled models, with unmodelled effects."""
     if not isinstance(plant, LinearPlant):
         raise InputError("follow_sine: plant", type(plant).__name__, "a linear plant")
     units = {s.name: s.unit for s in (*plant.outputs, *plant.inputs)}
-    for name in judged.limits:
+    for name in limits:
         if name not in units:
             raise unknown_name(f"limits.{name}", "no such signal", name, list(units))
-    t, wave, fine = sine.wave()
-    late, known = t >= judged.after, dict(effects or {})
+    fine = max(1, math.ceil(t_end / (points - 1) / step))  # steps between two stored points
+    t = np.linspace(0.0, t_end, fine * (points - 1) + 1)
+    wave = amplitude * ease(t / rise_time) * np.sin(omega * t)
+    late, known = t >= after, dict(effects or {})
     rows: dict[str, dict[str, Any]] = {}
     errors: dict[str, Array] = {}
-    sizes: dict[str, dict[str, Array]] = {name: {} for name in judged.limits}
+    sizes: dict[str, dict[str, Array]] = {name: {} for name in limits}
     for name, K in controllers.items():
         loop = controlled_plant(plant, K, controlled, measured)
         made = [_with_effects(loop, plant, known, member) for member in ({}, *members)]
         runs = [simulate(one, t, np.tile(wave[:, None], len(controlled))) for one in made]
-        error = [np.column_stack([wave - run[c] for c in controlled]) * judged.scale for run in runs]
-        largest = {n: float(max(np.abs(run[n]).max() for run in runs)) for n in judged.limits}
+        error = [np.column_stack([wave - run[c] for c in controlled]) * scale for run in runs]
+        largest = {n: float(max(np.abs(run[n]).max() for run in runs)) for n in limits}
         rows[name] = {
             "order": len(loop.states) - len(plant.states),
             "largest_error": float(np.abs(error[0][late]).max()),
             "worst_error": float(max(np.abs(e[late]).max() for e in error)),
             "largest": largest,
-            "within_limits": all(largest[n] <= limit for n, limit in judged.limits.items()),
+            "within_limits": all(largest[n] <= limit for n, limit in limits.items()),
         }
         errors[name] = error[0][::fine, 0]
-        for signal in judged.limits:
+        for signal in limits:
             sizes[signal][name] = runs[0][signal][::fine]
-    unit = judged.unit or units[controlled[0]]
+    unit = unit or units[controlled[0]]
     columns = [(f"error [{unit}]", ("largest_error",), 1.0), (f"of the worst member [{unit}]", ("worst_error",), 1.0)]
-    columns += [(f"largest {n} [{units[n]}]", ("largest", n), 1.0) for n in judged.limits]
+    columns += [(f"largest {n} [{units[n]}]", ("largest", n), 1.0) for n in limits]
     panels = [TimePanel(f"error of {controlled[0]} [{unit}]", errors)]
-    panels += [TimePanel(f"{n} [{units[n]}]", sizes[n], limit) for n, limit in judged.limits.items()]
-    amplitude = number(float(sine.amplitude), units[controlled[0]], 5)
+    panels += [TimePanel(f"{n} [{units[n]}]", sizes[n], limit) for n, limit in limits.items()]
     words = " and ".join(e.replace("-", " ").replace("@", " at ") for e in known) or "no further effect"
     facts = [
-        ("reference", f"{amplitude} at {number(float(sine.omega), 'rad/s', 5)}"),
+        ("reference", f"{number(float(amplitude), units[controlled[0]], 5)} at {number(float(omega), 'rad/s', 5)}"),
         ("effects that no design knew", words),
         ("further members simulated", str(len(members))),
+        ("errors count from", number(after, "s", 5)),
     ]
     note = "Limits are compared with, not applied: nothing is clipped."
-    return ControlledRuns(rows, tuple(columns), t[::fine], tuple(panels), unit, judged.after, facts, (note,))
+    return ControlledRuns(rows, tuple(columns), t[::fine], tuple(panels), facts, (note,))
 
 
 def _with_effects(
@@ -191,23 +165,29 @@ def _with_effects(
     return moved
 
 
-class Path(NamedTuple):
-    """The path of section 9.1.3: start pose (None: home), scale, rise time and duration in s, number of points."""
-
-    at: Sequence[float] | None = None
-    scale: float = 1.0
-    rise_time: float = 0.0
-    t_end: float = 5.0
-    points: int = 2501
-
-
 def follow_path(
-    plant: Any, controllers: Mapping[str, Any], path: Path, after: float = 3.0, p_low: float = 3000.0
+    plant: Any,
+    controllers: Mapping[str, Any],
+    *,
+    at: Sequence[float] | None,
+    scale: float,
+    rise_time: float,
+    t_end: float,
+    points: int,
+    after: float,
+    p_low: float,
 ) -> ControlledRuns:
-    """Simulate the nonlinear Stewart platform under several controllers along the path of section 9.1.3."""
-    runs, abscissas, angles, below = _followed(plant, controllers, path, p_low)
-    t = np.linspace(0.0, path.t_end, path.points)
-    late = t >= after
+    """Simulate the nonlinear Stewart platform along the path of section 9.1.3; ``at``: its start, None: home."""
+    machine = plant.plant if isinstance(plant, ExtendedNonlinearPlant) else plant
+    if not isinstance(machine, StewartPlatform) or (machine.motors and machine is not plant):
+        expected = "one, with motors, or without them and perhaps with effects"
+        raise InputError("follow_path: plant", "no Stewart platform that can be followed here", expected)
+    point = trim(plant) if at is None else trim(plant, pose=at)
+    sines = SineTrajectory(machine.geometry.home if at is None else at, rise_time=rise_time)
+    sines = replace(sines, lift=scale * np.asarray(sines.lift), amplitude=scale * np.asarray(sines.amplitude))
+    t = np.linspace(0.0, t_end, points)
+    late, angles = t >= after, nut_angles(machine.geometry, sines.pose(t))
+    runs, abscissas, below = _followed(plant, machine, controllers, sines, t, point, p_low)
     rows: dict[str, dict[str, Any]] = {}
     curves: dict[str, dict[str, Array]] = {key: {} for key in ("position", "torque", "voltage")}
     for name, run in runs.items():
@@ -240,37 +220,29 @@ def follow_path(
         *([("voltage [V]", ("largest_voltage",), 1.0)] if curves["voltage"] else []),
         ("in limits", ("within_limits",), 1.0),
     )
-    pose = "home" if path.at is None else ", ".join(f"{v:g}" for v in path.at)
-    size = f"{5 * path.scale:g} mm"
-    words = f"a lift of {size}, then sines of {size} and {20 * path.scale:g} mrad"
-    facts = [("path begins at", pose), ("path", words), below]
+    pose = "home" if at is None else ", ".join(f"{v:g}" for v in at)
+    size = f"{5 * scale:g} mm"
+    words = f"a lift of {size}, then sines of {size} and {20 * scale:g} mrad"
+    facts = [("path begins at", pose), ("path", words), below, ("errors count from", number(after, "s", 5))]
     limits = "torque and voltage" if curves["voltage"] else "torque"
     note = f"Nothing is clipped: 'in limits' says whether the motors' {limits} would have been enough."
     kept = tuple(panel for panel in panels if panel.curves)
-    return ControlledRuns(rows, columns, t, kept, "mm", after, facts, (note,))
+    return ControlledRuns(rows, columns, t, kept, facts, (note,))
 
 
 def _followed(
-    plant: Any, controllers: Mapping[str, Any], path: Path, p_low: float
-) -> tuple[dict[str, TrajectoryFollowing], dict[str, float], Array, tuple[str, str]]:
-    """Return the run and the spectral abscissa of each loop, the reference nut angles (n, 6), and the inner loops."""
-    machine = plant.plant if isinstance(plant, ExtendedNonlinearPlant) else plant
-    if not isinstance(machine, StewartPlatform) or (machine.motors and machine is not plant):
-        expected = "one, with motors, or without them and perhaps with effects"
-        raise InputError("follow_path: plant", "no Stewart platform that can be followed here", expected)
-    point = trim(plant) if path.at is None else trim(plant, pose=path.at)
-    sines = SineTrajectory(machine.geometry.home if path.at is None else path.at, rise_time=path.rise_time)
-    sines = replace(sines, lift=path.scale * np.asarray(sines.lift), amplitude=path.scale * np.asarray(sines.amplitude))
-    t = np.linspace(0.0, path.t_end, path.points)
-    angles = nut_angles(machine.geometry, sines.pose(t))
+    plant: Any, machine: StewartPlatform, controllers: Mapping[str, Any], path: SineTrajectory, t: Array, at: Trim,
+    p_low: float,
+) -> tuple[dict[str, TrajectoryFollowing], dict[str, float], tuple[str, str]]:  # fmt: skip
+    """Return the run and the spectral abscissa of each loop, and the inner loops in words."""
     models = {name: as_model(K, name) for name, K in controllers.items()}
     if not machine.motors:
         named = f", with {', '.join(e.in_words for e in plant.effects)}" if machine is not plant else ""
-        runs = {name: follow_with_torques(plant, K, sines, t, at=point) for name, K in models.items()}
-        poles = {name: linearise(torque_loop(machine, K, point)).spectral_abscissa() for name, K in models.items()}
-        return runs, poles, angles, ("the machine", f"takes torques{named}")
+        runs = {name: follow_with_torques(plant, K, path, t, at=at) for name, K in models.items()}
+        poles = {name: linearise(torque_loop(machine, K, at)).spectral_abscissa() for name, K in models.items()}
+        return runs, poles, ("the machine", f"takes torques{named}")
     lower = two_layer(machine, p_low=p_low).lower
-    layered = {name: LayeredController(K, lower, point) for name, K in models.items()}
-    runs = {name: follow(machine, controller, sines, t) for name, controller in layered.items()}
+    layered = {name: LayeredController(K, lower, at) for name, K in models.items()}
+    runs = {name: follow(machine, controller, path, t) for name, controller in layered.items()}
     poles = {name: closed_loop(machine, controller).spectral_abscissa() for name, controller in layered.items()}
-    return runs, poles, angles, ("torque loops below", f"triple pole at {p_low:g} 1/s")
+    return runs, poles, ("torque loops below", f"triple pole at {p_low:g} 1/s")

@@ -27,7 +27,6 @@ from robustlab.dynamics.stewart.kinematics import check_pose, inside, nut_angles
 from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.record import Record
-from robustlab.result import Status
 from robustlab.signals import Taken
 from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
 
@@ -179,14 +178,12 @@ class TrajectoryFollowing:
     # reference and simulated poses, (n, 6)
     reference: Array
     pose: Array
-    # of the six nuts and motors, (n, 6); torque is the motor's output, Km i - Kf omega. Voltage and current are (n, 0)
-    # for a machine without motors.
+    # of the six nuts and motors, (n, 6); torque is the motor's output, Km i - Kf omega. Voltage is (n, 0) for a machine
+    # without motors.
     phi: Array
     torque: Array
     voltage: Array
-    current: Array
     lengths: Array  # of the actuators in m, (n, 6)
-    status: Status = Status.CONVERGED  # CONVERGED: integrated to the end with local error control
 
     @property
     def error(self) -> Array:
@@ -213,10 +210,10 @@ class TrajectoryFollowing:
 
 
 def _followed(
-    machine: StewartPlatform, t: Array, reference: Array, phi: Array, torque: Array, voltage: Array, current: Array
+    machine: StewartPlatform, t: Array, reference: Array, phi: Array, torque: Array, voltage: Array
 ) -> TrajectoryFollowing:
     poses, lengths = machine.poses(phi, reference[0]), machine.geometry.home_lengths + phi / machine.geometry.turns
-    return TrajectoryFollowing(t, reference, poses, phi, torque, voltage, current, lengths)
+    return TrajectoryFollowing(t, reference, poses, phi, torque, voltage, lengths)
 
 
 def follow(
@@ -236,7 +233,7 @@ def follow(
         raise NoTrustworthyNumber(plant.name, found, None, UNSTABLE)
     voltage = loop.outputs_along(states, nut_angles(plant.geometry, reference))[:, 12:]
     torque = states[:, :18] @ read[12:].T
-    return _followed(plant, clock, reference, states[:, :6].copy(), torque, voltage, states[:, 12:18].copy())
+    return _followed(plant, clock, reference, states[:, :6].copy(), torque, voltage)
 
 
 def follow_with_torques(
@@ -257,7 +254,7 @@ def follow_with_torques(
     except NoTrustworthyNumber as wrong:
         raise NoTrustworthyNumber(wrong.where, wrong.found, wrong.expected, UNSTABLE) from None
     none = np.zeros((len(clock), 0))
-    return _followed(machine, clock, reference, made[:, :6].copy(), made[:, 12:18].copy(), none, none)
+    return _followed(machine, clock, reference, made[:, :6].copy(), made[:, 12:18].copy(), none)
 
 
 def torque_loop(

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 from numba.extending import overload
-
-from robustlab.errors import EnvironmentFault
+from scipy.integrate._ivp import dop853_coefficients as table  # private: pyproject.toml limits the version of scipy
+from scipy.integrate._ivp.dop853_coefficients import E3, E5, A, B, C, D
 
 _options: Any = {"error_model": "numpy", "nogil": True}
 leaf = njit(**_options)
@@ -40,21 +40,9 @@ def answers(kind, rates_of):
     overload(rates, jit_options=_options)(typed)
 
 
-try:
-    from scipy.integrate._ivp import dop853_coefficients as table
-    from scipy.integrate._ivp.dop853_coefficients import E3, E5, A, B, C, D
-except ImportError as error:
-    raise EnvironmentFault(
-        "DOP853", f"scipy no longer has its coefficients where they were ({error})", "scipy < 1.18"
-    ) from error
-
 # Stages 0..11: step, 12: its end, 13..15: dense output.
 STAGES_EXTENDED = 16
 TABLE = table.__file__
-
-for name, shape in {"A": (16, 16), "B": (12,), "C": (16,), "D": (4, 16), "E3": (13,), "E5": (13,)}.items():
-    if getattr(table, name).shape != shape:
-        raise EnvironmentFault("DOP853", f"scipy's {name} has the shape {getattr(table, name).shape}", f"{shape}")
 
 SAFETY, SMALLEST, LARGEST = 0.9, 0.2, 10.0
 EXPONENT = -1.0 / 8.0

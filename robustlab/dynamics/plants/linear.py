@@ -20,30 +20,15 @@ _PUBLISHED = published(Path(__file__).with_name("parameters.toml"))
 
 
 def _made(
-    name: str, given: Any, driving: Signal, outputs: tuple[Signal, ...], states: tuple[Signal, ...], equations: Any,
-    exact: tuple[str, ...] = (),
+    name: str, driving: Signal, outputs: tuple[Signal, ...], states: tuple[Signal, ...], equations: Any,
+    exact: tuple[str, ...] = (), /, **given: Any,
 ) -> LinearPlant:  # fmt: skip
     """Return the plant with one input, its published parameters overridden by the given ones."""
     return LinearPlant(name, overridden(_PUBLISHED[name], given, name), (driving,), outputs, states, equations, exact)
 
 
-def servo_axis(**given: Any) -> LinearPlant:
-    """Return a linear servo axis: a driven carriage with viscous friction."""
-    # Janot, Gautier, Brunot, "Data set and reference models of EMPS", Workshop on Nonlinear System Identification
-    # Benchmarks (2019).
-    states = (Signal("q", "m"), Signal("v", "m/s"))
-    return _made("servo-axis", given, Signal("u", "V"), states, states, _servo_axis)
-
-
 def _servo_axis(p: Any) -> Descriptor:
     return Descriptor(E=[[1, 0], [0, p["M"]]], F=[[0, 1], [0, -p["Fv"]]], G=[[0], [p["gain"]]], C=[[1, 0], [0, 1]])
-
-
-def two_mass(**given: Any) -> LinearPlant:
-    """Return two inertias coupled by a spring and a damper; the torque acts on the first."""
-    angles = (Signal("phi1", "rad"), Signal("phi2", "rad"))
-    states = (*angles, Signal("omega1", "rad/s"), Signal("omega2", "rad/s"))
-    return _made("two-mass", given, Signal("torque", "N m"), angles, states, _two_mass)
 
 
 def _two_mass(p: Any) -> Descriptor:
@@ -54,6 +39,45 @@ def _two_mass(p: Any) -> Descriptor:
         G=[[0], [0], [1], [0]],
         C=[[1, 0, 0, 0], [0, 1, 0, 0]],
     )
+
+
+def _dc_motor(p: Any, inertia: float | None = None) -> Descriptor:
+    """Return the motor's equations with an inertia on its shaft, its own where left out (eqs 7.3-7.5)."""
+    return Descriptor(
+        E=[[1, 0, 0], [0, p["J"] if inertia is None else inertia, 0], [0, 0, p["L"]]],
+        F=[[0, 1, 0], [0, -p["Kf"], p["Km"]], [0, -p["Kb"], -p["R"]]],
+        G=[[0], [0], [1]],
+        C=[[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    )
+
+
+def _brushless_motor(p: Any) -> Descriptor:
+    return Descriptor(E=[[1, 0], [0, p["J"]]], F=[[0, 1], [0, -p["Kf"]]], G=[[0], [p["Kt"]]], C=[[1, 0], [0, 1]])
+
+
+def _linear_actuator(p: Any) -> Descriptor:
+    h = p["lead"] / (2 * math.pi * p["ratio"])  # travel of the cart per angle of the motor (eq. 11.1)
+    return _dc_motor(p, p["J"] + p["J_nut"] / p["ratio"] ** 2 + (p["m_screw"] + p["m_cart"]) * h**2)
+
+
+VOLTAGE, AXIS = Signal("u", "V"), (Signal("q", "m"), Signal("v", "m/s"))
+ROTOR = (Signal("phi", "rad"), Signal("omega", "rad/s"))
+MOTOR = (*ROTOR, Signal("i", "A"))
+ANGLES = (Signal("phi1", "rad"), Signal("phi2", "rad"))
+ROTORS = (*ANGLES, Signal("omega1", "rad/s"), Signal("omega2", "rad/s"))
+
+# A driven carriage with viscous friction. Janot, Gautier, Brunot, "Data set and reference models of EMPS", Workshop on
+# Nonlinear System Identification Benchmarks (2019).
+servo_axis = partial(_made, "servo-axis", VOLTAGE, AXIS, AXIS, _servo_axis)
+# Two inertias coupled by a spring and a damper; the torque acts on the first.
+two_mass = partial(_made, "two-mass", Signal("torque", "N m"), ANGLES, ROTORS, _two_mass)
+# The thesis' Maxon RE 35, Březina 2010, eqs 7.3-7.5 (states omega and i; the angle is added here).
+dc_motor = partial(_made, "dc-motor", VOLTAGE, MOTOR, MOTOR, _dc_motor)
+# Under current control: the q current is the input. Gerry Chen, measurements of cogging and friction of a brushless
+# motor, github.com/gchenfc.
+brushless_motor = partial(_made, "brushless-motor", Signal("i", "A"), ROTOR, ROTOR, _brushless_motor)
+# The thesis' leg on its test jig: DC motor, gears, ball screw, cart; Březina 2010, section 7.2 and chapter 11.
+linear_actuator = partial(_made, "linear-actuator", VOLTAGE, MOTOR, MOTOR, _linear_actuator, ("ratio", "lead"))
 
 
 def mass_spring_damper(**given: Any) -> LinearPlant:
@@ -105,49 +129,3 @@ def _mass_spring_damper(p: Any, n: int) -> Descriptor:
         G=np.vstack([zero, eye]),
         C=np.eye(2 * n),
     )
-
-
-STATES = (Signal("phi", "rad"), Signal("omega", "rad/s"), Signal("i", "A"))
-
-
-def dc_motor(**given: Any) -> LinearPlant:
-    """Return a permanent-magnet DC motor; defaults: the thesis' Maxon RE 35."""
-    # Březina 2010, eqs 7.3-7.5 (states omega and i; the angle is added here).
-    return _made("dc-motor", given, Signal("u", "V"), STATES, STATES, _dc_motor)
-
-
-def _dc_motor(p: Any) -> Descriptor:
-    return motor_equations(p, p["J"])
-
-
-def motor_equations(p: Any, inertia: float) -> Descriptor:
-    """Return the motor's equations with an inertia on its shaft (eqs 7.3-7.5)."""
-    return Descriptor(
-        E=[[1, 0, 0], [0, inertia, 0], [0, 0, p["L"]]],
-        F=[[0, 1, 0], [0, -p["Kf"], p["Km"]], [0, -p["Kb"], -p["R"]]],
-        G=[[0], [0], [1]],
-        C=[[1, 0, 0], [0, 1, 0], [0, 0, 1]],
-    )
-
-
-def brushless_motor(**given: Any) -> LinearPlant:
-    """Return a brushless motor under current control; input: the q current."""
-    # Gerry Chen, measurements of cogging and friction of a brushless motor, github.com/gchenfc.
-    states = (Signal("phi", "rad"), Signal("omega", "rad/s"))
-    return _made("brushless-motor", given, Signal("i", "A"), states, states, _brushless_motor)
-
-
-def _brushless_motor(p: Any) -> Descriptor:
-    return Descriptor(E=[[1, 0], [0, p["J"]]], F=[[0, 1], [0, -p["Kf"]]], G=[[0], [p["Kt"]]], C=[[1, 0], [0, 1]])
-
-
-def linear_actuator(**given: Any) -> LinearPlant:
-    """Return a linear actuator on its test jig: DC motor, gears, ball screw, cart; defaults: the thesis' leg."""
-    # Březina 2010, section 7.2 (gears, motor) and chapter 11 (jig).
-    return _made("linear-actuator", given, Signal("u", "V"), STATES, STATES, _linear_actuator, ("ratio", "lead"))
-
-
-def _linear_actuator(p: Any) -> Descriptor:
-    h = p["lead"] / (2 * math.pi * p["ratio"])  # travel of the cart per angle of the motor (eq. 11.1)
-    inertia = p["J"] + p["J_nut"] / p["ratio"] ** 2 + (p["m_screw"] + p["m_cart"]) * h**2
-    return motor_equations(p, inertia)

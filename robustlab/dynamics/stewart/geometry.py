@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from robustlab.display import Displayable
 from robustlab.dynamics.parameters import Parameter, published
 from robustlab.errors import InputError, did_you_mean
 
-Preset = Literal["thesis", "physical"]
 PRESETS = ("thesis", "physical")
 
 _SHEET = "Březina 2010, App. A and section 7.2 (Maxon RE 35, order number 273754)"
@@ -109,9 +108,8 @@ def _assembly(base: Array, axis: Array, top: Array, c: float) -> tuple[Array, Ar
     y = w - np.sum(w * axis, axis=1)[:, None] * axis
     reach = np.linalg.norm(y, axis=1, keepdims=True)
     if (reach <= c).any():
-        raise InputError(
-            "stewart-platform: c", f"{c:g} m", f"less than {reach.min():.6g} m, the joint's distance at home"
-        )
+        expected = f"less than {reach.min():.6g} m, the joint's distance at home"
+        raise InputError("stewart-platform: c", f"{c:g} m", expected)
     y = y / reach
     k = w - c * y
     lengths = np.linalg.norm(k, axis=1)
@@ -127,6 +125,7 @@ def constants(p: Mapping[str, Any]) -> Array:
     link, nut, motor = p["link_mass"], p["nut_mass"], p["motor_mass"]
     at_link, at_nut, at_motor = p["link_cg"], p["nut_at"] + p["nut_cg"], p["motor_at"] + p["motor_cg"]
     turns, x = 2 * np.pi / p["lead"], p["motor_x"]
+    about_x, about_y = p["tilt_x"], p["tilt_y"]
     made = {
         "turns": turns,
         "m0": link + nut + motor,
@@ -137,16 +136,12 @@ def constants(p: Mapping[str, Any]) -> Array:
         "xz": motor * x * at_motor,
         **{f"leg_{a}": p[f"link_{a}"] + p[f"screw_{a}"] + p[f"motor_{a}"] for a in "IJK"},
         "rotor": p["rotor_J"] * (p["ratio"] * turns) ** 2,
-        **dict(zip(("up_x", "up_y", "up_z"), up(p), strict=True)),
+        "up_x": -np.sin(about_y),
+        "up_y": np.sin(about_x) * np.cos(about_y),
+        "up_z": np.cos(about_x) * np.cos(about_y),
     }
     columns = [made[name] if name in made else p.get(name, 0.0) for name in CONSTANTS]
     return np.stack(np.broadcast_arrays(*columns), axis=-1).astype(np.float64)
-
-
-def up(p: Mapping[str, Any]) -> tuple[Any, Any, Any]:
-    """Return the unit vector against gravity in the base frame; each component has the shape of the tilts."""
-    x, y = p["tilt_x"], p["tilt_y"]
-    return -np.sin(y), np.sin(x) * np.cos(y), np.cos(x) * np.cos(y)
 
 
 def check_bodies(p: Mapping[str, float]) -> None:
@@ -154,13 +149,10 @@ def check_bodies(p: Mapping[str, float]) -> None:
     for body, axes in {"platform": "xyz", **dict.fromkeys(("link", "nut", "screw", "motor"), "IJK")}.items():
         inertia = np.array([p[f"{body}_{a}"] for a in axes])
         if 2 * inertia.max() > inertia.sum() * (1 + 1e-12):
-            found = ", ".join(f"{value:g}" for value in inertia)
-            raise InputError(
-                f"stewart-platform: {body}",
-                f"principal inertias {found} kg m2",
-                "no one larger than the sum of the other two (triangle inequality)",
-                f"override {', '.join(f'{body}_{a}' for a in axes)} together",
-            )
+            found = f"principal inertias {', '.join(f'{value:g}' for value in inertia)} kg m2"
+            hint = f"override {', '.join(f'{body}_{a}' for a in axes)} together"
+            expected = "no one larger than the sum of the other two (triangle inequality)"
+            raise InputError(f"stewart-platform: {body}", found, expected, hint)
 
 
 def _circle(radius: float, angle: Array, z: float) -> Array:

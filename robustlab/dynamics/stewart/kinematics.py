@@ -149,18 +149,13 @@ def check_pose(geometry: Geometry, pose: ArrayLike, where: str) -> Array:
     if count:
         i = int(np.argmax(np.maximum(low - lengths, lengths - high)))
         more = f" ({count} of 6 actuators are out of range)" if count > 1 else ""
-        raise InputError(
-            where,
-            f"pose out of the workspace: actuator {i + 1} would be {1e3 * lengths[i]:.6g} mm{more}",
-            f"{1e3 * low:.6g} .. {1e3 * high:.6g} mm",
-            "the limits are the parameters L_min and L_max",
-        )
+        found = f"pose out of the workspace: actuator {i + 1} would be {1e3 * lengths[i]:.6g} mm{more}"
+        hint = "the limits are the parameters L_min and L_max"
+        raise InputError(where, found, f"{1e3 * low:.6g} .. {1e3 * high:.6g} mm", hint)
     smallest, largest = singularity(geometry, array)
     if not smallest > SINGULAR * largest:
-        raise NoTrustworthyNumber(
-            where, f"singular pose: the Jacobian's smallest singular value is {smallest:.3g}", None,
-            "the actuators cannot hold the platform there",
-        )  # fmt: skip
+        found = f"singular pose: the Jacobian's smallest singular value is {smallest:.3g}"
+        raise NoTrustworthyNumber(where, found, None, "the actuators cannot hold the platform there")
     return array
 
 

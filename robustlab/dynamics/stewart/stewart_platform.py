@@ -50,12 +50,6 @@ NAME = "stewart-platform"
 IMAGINARY = 1e-40  # complex step of derivatives, without cancellation
 
 
-def places(motors: bool) -> tuple[PortPlace, ...]:
-    """Return a torque at each nut, and with motors a voltage at each current."""
-    nuts = tuple(PortPlace(f"phidot_{i}", "joint", "N m", f"phi_{i}") for i in range(1, 7))
-    return nuts + tuple(PortPlace(f"i_{i}", "current", "V") for i in range(1, 7) if motors)
-
-
 def motion(geometry: Geometry, x: Array) -> tuple[Array, Array]:
     """Return poses and twists (n, 6) of the states (n, 12 or 18)."""
     return _cached_motion(geometry, np.ascontiguousarray(x[:, :12]).tobytes())
@@ -65,21 +59,24 @@ def motion(geometry: Geometry, x: Array) -> tuple[Array, Array]:
 def _cached_motion(geometry: Geometry, states: bytes) -> tuple[Array, Array]:
     """Return the cached `motion`, which is independent of masses and motors."""
     x = np.frombuffer(states).reshape(-1, 12)
-    lengths = np.ascontiguousarray(geometry.home_lengths + x[:, :6] / geometry.turns)
-    shortest = lengths.min(initial=np.inf)
-    if not shortest > 0.0:
-        row = int(np.argmin(lengths.min(axis=1)))
-        raise NoTrustworthyNumber(NAME, f"the nut angles of point {row} make an actuator shorter than nothing")
-    found = direct_kinematics(geometry, lengths)
-    if not found.proved.all():
-        raise NoTrustworthyNumber(
-            NAME, f"no pose with the nut angles of point {int(np.argmin(found.proved))} was found"
-        )
-    poses = np.ascontiguousarray(found.poses)
+    poses = _proved_poses(geometry, x[:, :6])
     matrix = np.empty((len(x), 6, 6))
-    kernels().jacobians(poses, geometry.legs, geometry.c, lengths, matrix)
+    kernels().jacobians(poses, geometry.legs, geometry.c, np.empty_like(poses), matrix)
     twists = np.linalg.solve(geometry.turns * matrix, x[:, 6:, None])[..., 0]
     return poses, np.ascontiguousarray(twists)
+
+
+def _proved_poses(geometry: Geometry, phi: Array, start: ArrayLike | None = None, hint: str | None = None) -> Array:
+    """Return poses (n, 6) at the nut angles (n, 6), proved by `direct_kinematics`."""
+    lengths = geometry.home_lengths + phi / geometry.turns
+    if not (lengths > 0).all():
+        row = int(np.argmin((lengths > 0).all(axis=1)))
+        raise NoTrustworthyNumber(NAME, f"the nut angles of point {row} make an actuator shorter than nothing")
+    found = direct_kinematics(geometry, lengths, start)
+    if not found.proved.all():
+        row = int(np.argmin(found.proved))
+        raise NoTrustworthyNumber(NAME, f"no pose with the nut angles of point {row} was found", None, hint)
+    return found.poses
 
 
 def torques(values: Mapping[str, float], x: Array, u: Array) -> Array:
@@ -131,17 +128,8 @@ class StewartPlatform(PlantAlong):
     def poses(self, phi: ArrayLike, start: ArrayLike | None = None) -> Array:
         """Return poses (n, 6) at the nut angles (n, 6), or (6,) at (6,); proved by `direct_kinematics`."""
         angles, one = poses_array(phi, "phi")
-        lengths = self.geometry.home_lengths + angles / self.geometry.turns
-        if (lengths <= 0).any():
-            row = int(np.argmax((lengths <= 0).any(axis=1)))
-            raise NoTrustworthyNumber(self.name, f"phi[{row}] makes an actuator shorter than nothing")
-        found = direct_kinematics(self.geometry, lengths, start)
-        if not found.proved.all():
-            row = int(np.argmin(found.proved))
-            raise NoTrustworthyNumber(
-                self.name, f"no pose with the nut angles of row {row} was found", None, "give a start near to it"
-            )
-        return found.poses[0] if one else found.poses
+        poses = _proved_poses(self.geometry, angles, start, "give a start near to it")
+        return poses[0] if one else poses
 
     def outputs_along(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> Array:
         return x[:, :12]
@@ -158,7 +146,8 @@ class StewartPlatform(PlantAlong):
 
     @property
     def port_places(self) -> tuple[PortPlace, ...]:
-        return places(self.motors)
+        nuts = tuple(PortPlace(f"phidot_{i}", "joint", "N m", f"phi_{i}") for i in _NUMBERS)
+        return nuts + tuple(PortPlace(f"i_{i}", "current", "V") for i in _NUMBERS if self.motors)
 
     def local_models(self, x: Array, u: Array, values: Mapping[str, float] | None = None) -> LocalModels:
         shape, numbers, p = self._at(values)
@@ -241,9 +230,8 @@ class StewartPlatform(PlantAlong):
         try:
             torque = np.linalg.solve(of.jacobian[0].T, of.force[0]) / p["ratio"]
         except np.linalg.LinAlgError:
-            raise NoTrustworthyNumber(
-                self.name, "singular pose: the actuators cannot hold the platform there"
-            ) from None
+            found = "singular pose: the actuators cannot hold the platform there"
+            raise NoTrustworthyNumber(self.name, found) from None
         x = np.concatenate([of.phi[0], np.zeros(6)])
         return (np.concatenate([x, torque / p["Km"]]), p["R"] * torque / p["Km"]) if self.motors else (x, torque)
 

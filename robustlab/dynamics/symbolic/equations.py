@@ -230,19 +230,13 @@ class PlantEquations:
         """Return the places where forces and voltages act; check that they enter the rates."""
         for _, velocity, _ in self._joints if self._motion is None else ():
             if velocity in self._rates and velocity not in self._pushes:
-                raise InputError(
-                    f"{self._where}: joint velocity {velocity!r}",
-                    "no force can act there: its rate is without p.force",
-                    f'(... + p.force("{velocity}")) / mass',
-                    "or make the coordinate two plain states with p.state",
-                )
+                where, expected = f"{self._where}: joint velocity {velocity!r}", f'(... + p.force("{velocity}")) / mass'
+                found = "no force can act there: its rate is without p.force"
+                raise InputError(where, found, expected, "or make the coordinate two plain states with p.state")
         for current in self._currents:
             if current not in self._pushes:
-                raise InputError(
-                    f"{self._where}: current {current!r}",
-                    "no voltage can act there: its rate is without p.voltage",
-                    f'(... + p.voltage("{current}")) / L',
-                )
+                found = "no voltage can act there: its rate is without p.voltage"
+                raise InputError(f"{self._where}: current {current!r}", found, f'(... + p.voltage("{current}")) / L')
         joints = tuple(PortPlace(v, "joint", JOINT_UNITS[unit][1], q) for q, v, unit in self._joints)
         return joints + tuple(PortPlace(i, "current", "V") for i in self._currents)
 
@@ -259,12 +253,11 @@ class PlantEquations:
         moved = joints if self._motion is not None else []
         missing = [s.name for s in self._states if s.name not in rates and s.name not in moved]
         if missing:
-            kind = "the velocity of a joint" if missing[0] in joints else "a state"
-            raise InputError(
-                f"{self._where}: {missing[0]!r}",
-                f"{kind} without a rate",
-                f"p.rate({missing[0]!r}, expression)" + (" or p.motion(M, f)" if missing[0] in joints else ""),
+            kind, motion = (
+                ("the velocity of a joint", " or p.motion(M, f)") if missing[0] in joints else ("a state", "")
             )
+            expected = f"p.rate({missing[0]!r}, expression){motion}"
+            raise InputError(f"{self._where}: {missing[0]!r}", f"{kind} without a rate", expected)
         z = ca.vertcat(x, u, force)
         rows = {name: (expression, ca.jacobian(expression, z)) for name, expression in rates.items()}
         if self._motion is not None:
@@ -306,13 +299,10 @@ class PlantEquations:
                 where = f"{self._where}: {title}"
                 if key in forces:
                     raise InputError(where, f"it depends on {symbol.name()!r}", "forces in rates of states only")
-                raise InputError(
-                    where,
-                    f"the symbol {symbol.name()!r} is no part of the plant",
-                    f"symbols of {_listed(self._symbols)}",
-                    did_you_mean(symbol.name(), tuple(self._symbols))
-                    or "an unknown that depends on itself is an algebraic loop: solve for it, or make it a state",
-                )
+                found = f"the symbol {symbol.name()!r} is no part of the plant"
+                loop = "an unknown that depends on itself is an algebraic loop: solve for it, or make it a state"
+                hint = did_you_mean(symbol.name(), tuple(self._symbols)) or loop
+                raise InputError(where, found, f"symbols of {_listed(self._symbols)}", hint)
 
     def _check_affine(self, push: Any, places: tuple[PortPlace, ...]) -> None:
         """Check that forces enter the rates linearly."""
@@ -323,9 +313,8 @@ class PlantEquations:
                 raise InputError(where, "its force does not enter the rates linearly", "rates = ... + b * force")
         for k, place in enumerate(places):
             if push[:, k].nnz() == 0:
-                raise InputError(
-                    f"{self._where}: {place.name!r}", "a force that moves nothing", "it in the state's rate"
-                )
+                found = "a force that moves nothing"
+                raise InputError(f"{self._where}: {place.name!r}", found, "it in the state's rate")
 
     def _check_mass_matrix(self, matrix: Any, parameters: dict[str, Parameter]) -> None:
         """Check that the mass matrix is symmetric at all probes and positive definite at one.

@@ -282,18 +282,12 @@ class SimulateControlStep(Step):
         return Inferred(leaves={"controllers": dict.fromkeys(self.controllers, row)})
 
     def run(self, work: Workspace) -> Outcome:
-        from robustlab.dynamics.control.controlled_runs import Judged, Sine, follow_sine
+        from robustlab.dynamics.control.controlled_runs import follow_sine
 
-        found = follow_sine(
-            work.values[self.of],
-            {name: work.values[name] for name in self.controllers},
-            self.controlled,
-            self.measured,
-            Sine(self.amplitude, self.omega, self.rise_time, self.t_end, self.points, self.step),
-            Judged(self.after, self.scale, self.unit, self.limits),
-            self.effects,
-            self.members,
-        )
+        controllers = {name: work.values[name] for name in self.controllers}
+        own = {*Step.model_fields, "do", "of", "controllers", "controlled", "measured"}
+        options = {key: value for key, value in vars(self).items() if key not in own}
+        found = follow_sine(work.values[self.of], controllers, self.controlled, self.measured, **options)
         return outcome_of(found, found, f"{self.of} {found.headline()}.", work)
 
 
@@ -328,11 +322,12 @@ class FollowTrajectoryStep(Step):
         return Inferred(leaves={"controllers": dict.fromkeys(self.controllers, row)})
 
     def run(self, work: Workspace) -> Outcome:
-        from robustlab.dynamics.control.controlled_runs import Path, follow_path
+        from robustlab.dynamics.control.controlled_runs import follow_path
 
         controllers = {name: work.values[name] for name in self.controllers}
-        path = Path(self.at, self.scale, self.rise_time, self.t_end, self.points)
-        found = follow_path(work.values[self.of], controllers, path, self.after, self.p_low)
+        own = {*Step.model_fields, "do", "of", "controllers"}
+        options = {key: value for key, value in vars(self).items() if key not in own}
+        found = follow_path(work.values[self.of], controllers, **options)
         return outcome_of(
             found, found, f"Nonlinear simulation of {self.of} under {len(controllers)} controllers.", work
         )
