@@ -6,13 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
-import numpy as np
-
-from robustlab.arrays import Array
-from robustlab.display import Each, Facts, Part, listed, number
+from robustlab.display import Each, Facts, listed, number
 from robustlab.identification.comparison.error_analysis import (
     Bin,
     FreeRun,
+    InputDisturbance,
     Linearisation,
     Motion,
     NoiseGap,
@@ -20,8 +18,8 @@ from robustlab.identification.comparison.error_analysis import (
     ResidualTests,
     Spectrum,
     WindowErrors,
+    located,
 )
-from robustlab.identification.comparison.input_disturbance import InputDisturbance, located
 from robustlab.identification.comparison.repeats import NoiseFloor
 from robustlab.identification.response.windowed_simulation import InitialState
 from robustlab.record import Record
@@ -29,17 +27,9 @@ from robustlab.result import Evidence, Status
 from robustlab.tables import Table, Tabular
 
 # Fields that become JSON in another form, or not at all.
-NOT_AS_IT_IS = frozenset((
-    "motions", "measured", "simulated", "windowed", "recursive",
-    "noise_reason", "against_noise", "pose",
-))  # fmt: skip
+NOT_AS_IT_IS = ("motions", "measured", "simulated", "windowed", "noise_reason", "against_noise", "pose")
 POSE = ("tx", "ty", "tz", "ax", "ay", "az")
 ROUNDING = 1e-9  # a residual below this share of the range is rounding and is not tested
-
-REFERENCE = (
-    "output-error model y = G(u) + e with white e independent of u; tested on the recursive residual of the windows "
-    "(each sample predicted from the samples of the same output before it in its window)"
-)
 
 
 @dataclass(frozen=True)
@@ -68,9 +58,8 @@ class Comparison(Tabular, Evidence):
         Initial state of the free run.
     window
         Length of the windows in s.
-    measured, simulated, windowed, recursive
-        The compared signals: measured, free run (None if it ends at once), windowed simulation, and the recursive
-        residual (n,) by output, NaN where a sample only fixes the state of its window.
+    measured, simulated, windowed
+        The compared signals: measured, free run (None if it ends at once), windowed simulation.
     disturbance
         Input name, or a joint as ``torque at omega`` -> the single `InputDisturbance` there with which the model
         reproduces the record best. Joints only for a nonlinear plant; empty for a discrete model and a nonuniform time
@@ -114,7 +103,6 @@ class Comparison(Tabular, Evidence):
     measured: Record
     simulated: Record | None
     windowed: Record
-    recursive: Mapping[str, Array]
     disturbance: Mapping[str, InputDisturbance]
     warnings: tuple[str, ...]
     direction: Mapping[str, Mapping[str, Bin]]
@@ -128,10 +116,8 @@ class Comparison(Tabular, Evidence):
     left_out: tuple[str, ...] = ()
     pose: Mapping[str, float] = field(default_factory=dict)
 
-    percent_of: ClassVar[str] = "measured range (max - min) of the output"
-    residual_reference: ClassVar[str] = REFERENCE
     quantities: ClassVar[Mapping[str, Any]] = {
-        **dict.fromkeys(("model", "record", "percent_of", "residual_reference"), str),
+        **dict.fromkeys(("model", "record"), str),
         "outputs": Each("outputs", OutputGap),
         "windows": Each("outputs", WindowErrors),
         "worst_window": Each("outputs", ("s", "s")),
@@ -251,11 +237,9 @@ class Comparison(Tabular, Evidence):
         n = self.noise
         if n is None:
             return f"none ({self.noise_reason})"
-        what = f"{n.count} records with the same input"
-        if n.period is not None:
-            what = f"{n.count} periods of {n.period:.6g} s ({n.signal or 'stated'})"
         spread = ", ".join(number(v, self.measured.units.get(u, ""), 3) + f" at {u}" for u, v in n.input_std.items())
-        return "; ".join([f"from {what}", *([f"fed back by a controller: {spread}"] if spread else []), *n.notes])
+        fed_back = [f"fed back by a controller: {spread}"] if spread else []
+        return "; ".join([f"from {n.count} periods of {n.period:.6g} s ({n.signal})", *fed_back, *n.notes])
 
     def _missing(self) -> Facts:
         if not self.disturbance:
@@ -271,17 +255,6 @@ class Comparison(Tabular, Evidence):
             share = f"{100 * d.explained_share:.0f} % of the squared error goes"
             found.append((f"missing: {d.place}", f"rms {number(d.rms, d.unit, 3)}; {mean_text}; {share}"))
         return found
-
-    def details(self) -> list[Part]:
-        tests = [
-            (name, u, _p(t.p_value), f"{100 * t.explained_share:.1f} %",
-             f"{np.abs(t.correlation).max():.3f}", f"{t.band:.3f}")
-            for name, r in self.residual.items() for u, t in r.inputs.items()
-        ]  # fmt: skip
-        return [
-            Part("residual against the inputs",
-                 ("output", "input", "p", "explained", "largest correlation", "99 % band"), tests),
-        ]  # fmt: skip
 
     def _worst_in_words(self) -> str:
         worst = self.worst
@@ -301,15 +274,14 @@ class Comparison(Tabular, Evidence):
 
     def to_json(self, series: bool = True) -> dict[str, object]:
         """Return all fields; without ``series`` no time series and no densities over frequency."""
+        bands = {name: {"bands": f.bands, "error_share": f.error_share} for name, f in self.frequency.items()}
         data: dict[str, object] = {
             **{key: value for key, value in vars(self).items() if key not in NOT_AS_IT_IS},
-            "percent_of": self.percent_of,
             "worst_window": self.worst_window,
             "speed": {**self._of_motions(signal="speed_source", unit="speed_unit"), "bins": self.speed},
             "position": {**self._of_motions(signal="position_name", unit="position_unit"), "bins": self.position},
-            "frequency": {name: s.to_json() if series else s.band_table() for name, s in self.frequency.items()},
+            "frequency": self.frequency if series else bands,
             "noise": {"floor": self.noise, "reason": self.noise_reason, "outputs": self.against_noise},
-            "residual_reference": REFERENCE,
         }
         if series:
             data |= {
