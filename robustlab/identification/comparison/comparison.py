@@ -199,7 +199,6 @@ def compare(
         free_run=run,
         linearisation=checked,
         sensor_noise=dict(zip(outputs, (1.0 / whole.weight).tolist(), strict=True)) if along else {},
-        left_out=_left_out(run, motions, inputs) if along else (),
         **found,
     )
     return replace(compared, pose=pose_of(plant, compared)) if along else compared
@@ -279,17 +278,6 @@ def _warnings(
             "no output in a unit of speed, length or angle: the error is not sorted by speed (name one with speed=)"
         )
     return texts
-
-
-def _left_out(run: FreeRun, motions: dict[str, Motion], inputs: Sequence[str]) -> tuple[str, ...]:
-    texts = []
-    if not run.whole:
-        texts.append("places in frequency: the free run does not reach the end of the record")
-    if len(inputs) > 1:
-        texts.append("error over the size of an input: several inputs")
-    if loose := [name for name, motion in motions.items() if motion.speed is None]:
-        texts.append(f"speed, direction and position of {', '.join(loose)}: not the motion of one joint")
-    return tuple(texts)
 
 
 # --- nonlinear plants -------------------------------------------------------------------------------------------------

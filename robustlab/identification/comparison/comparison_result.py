@@ -82,8 +82,6 @@ class Comparison(Tabular, Evidence):
     sensor_noise
         For a nonlinear plant: output name -> standard deviation of its samples about the smoothed motion, in its unit.
         Empty for a linear one.
-    left_out
-        Missing parts, and why.
     pose
         Of a machine with poses: its pose in the middle of the `worst` window, m and rad; else empty.
     """
@@ -113,7 +111,6 @@ class Comparison(Tabular, Evidence):
     free_run: FreeRun
     linearisation: Linearisation | None = None
     sensor_noise: Mapping[str, float] = field(default_factory=dict)
-    left_out: tuple[str, ...] = ()
     pose: Mapping[str, float] = field(default_factory=dict)
 
     quantities: ClassVar[Mapping[str, Any]] = {
@@ -131,7 +128,6 @@ class Comparison(Tabular, Evidence):
         "linearisation": Linearisation,
         "sensor_noise": Each("outputs", "*"),
         "window": "s",
-        "left_out": [str],
         "warnings": [str],
         **dict.fromkeys(("speed", "position", "frequency", "noise"), ...),
     }
@@ -179,7 +175,6 @@ class Comparison(Tabular, Evidence):
             ("worst of all", self._worst_in_words()),
             *self._missing(),
             ("noise floor", self._floor_in_words()),
-            *(("left out", text) for text in self.left_out),
             *(("warning", text) for text in self.warnings),
         ]
 

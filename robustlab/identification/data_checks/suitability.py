@@ -34,23 +34,11 @@ CLIPPED_SHARE = 1e-3
 
 
 @dataclass(frozen=True)
-class ChannelSummary:
-    """One channel: least and greatest value, root mean square, in ``unit``."""
-
-    name: str
-    side: str
-    unit: str
-    least: float
-    greatest: float
-    rms: float
-
-
-@dataclass(frozen=True)
 class RecordCheck(Evidence):
     """Content and peculiarities of a record; with a model, its fitness for effect identification."""
 
     record: Record
-    channels: tuple[ChannelSummary, ...]
+    channels: tuple[dict[str, Any], ...]  # name, side, unit, and in that unit least, greatest value, root mean square
     remarks: tuple[str, ...]
     suitability: Suitability | None = None
 
@@ -86,7 +74,7 @@ class RecordCheck(Evidence):
 
     def details(self) -> list[Part]:
         rows = [
-            (c.name, c.side, c.unit or "?", f"{c.least:.6g}", f"{c.greatest:.6g}", f"{c.rms:.6g}")
+            (c["name"], c["side"], c["unit"] or "?", *(f"{c[key]:.6g}" for key in ("least", "greatest", "rms")))
             for c in self.channels
         ]
         return [Part("", ("signal", "side", "unit", "least", "greatest", "rms"), rows)]
@@ -98,14 +86,14 @@ class RecordCheck(Evidence):
 
     def numbers(self) -> dict[str, Any]:
         """Return the time base, the remarks, and the range of each channel by name."""
-        return {"record": self._clock(), "remarks": self.remarks, "channels": {c.name: vars(c) for c in self.channels}}
+        return {"record": self._clock(), "remarks": self.remarks, "channels": {c["name"]: c for c in self.channels}}
 
     def _clock(self) -> dict[str, object]:
         return {name: getattr(self.record, name) for name in ("n", "duration", "dt", "is_uniform")}
 
     def to_json(self) -> dict[str, object]:
         """Return all but the samples."""
-        channels: dict[str, object] = {"channels": [vars(c) for c in self.channels], "remarks": self.remarks}
+        channels: dict[str, object] = {"channels": self.channels, "remarks": self.remarks}
         fit = {} if self.suitability is None else {"suitability": self.suitability.to_json()}
         return {"name": self.record.name, **self._clock(), **channels, **fit, "status": self.status}
 
@@ -125,7 +113,8 @@ def check_record(record: Record, plant: Any = None) -> RecordCheck:
     for side, group in (("input", record.inputs), ("output", record.outputs)):
         for name, x in group.items():
             rms = float(np.sqrt(np.mean(x**2)))
-            channels.append(ChannelSummary(name, side, record.units[name], float(x.min()), float(x.max()), rms))
+            sizes = {"least": float(x.min()), "greatest": float(x.max()), "rms": rms}
+            channels.append({"name": name, "side": side, "unit": record.units[name], **sizes})
             if not record.units[name]:
                 remarks.append(f"{name}: no unit stated")
     remarks.extend(channel_warnings(record, tuple(record.inputs), tuple(record.outputs)))
