@@ -6,7 +6,7 @@ it measures the linearisation error. Errors are sorted along the motion of the j
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -25,15 +25,13 @@ from robustlab.identification.comparison.error_analysis import (
     InputDisturbance,
     Linearisation,
     Motion,
-    NoiseGap,
-    OutputGap,
     input_disturbances,
     joint_disturbances,
     kept,
     localised,
     motion_of,
 )
-from robustlab.identification.comparison.repeats import NoiseFloor, noise_floor
+from robustlab.identification.comparison.repeats import Excess, NoiseFloor, noise_floor
 from robustlab.identification.data_checks.resampling import clock_step, refuse_gaps, uniform
 from robustlab.identification.data_checks.suitability import channel_warnings
 from robustlab.identification.greybox.disturbance_smoother import SmoothedRecord
@@ -195,7 +193,7 @@ def compare(
         ),
         noise=noise,
         noise_reason=noise_reason,
-        against_noise=_against_noise(noise, model, length, found["outputs"]) if noise else {},
+        against_noise=_against_noise(noise, model, length, outputs) if noise else {},
         free_run=run,
         linearisation=checked,
         sensor_noise=dict(zip(outputs, (1.0 / whole.weight).tolist(), strict=True)) if along else {},
@@ -225,18 +223,13 @@ def _sizes(matching: Matching) -> dict[str, Array]:
 
 
 def _against_noise(
-    floor: NoiseFloor, model: LinearResponse | MotionResponse, length: int, gaps: Mapping[str, OutputGap]
-) -> dict[str, NoiseGap]:
+    floor: NoiseFloor, model: LinearResponse | MotionResponse, length: int, names: Sequence[str]
+) -> dict[str, Excess]:
     """Compare the errors of every output with the noise floor, with windows at the same phases of every period."""
     n, error = floor.samples, model.whole.y.copy()
     for first in floor.first + n * np.arange(floor.count):
         error[first : first + n] -= windowed_simulation(model, first + window_edges(n, length)).y[first : first + n]
-    found: dict[str, NoiseGap] = {}
-    for k, (name, gap) in enumerate(gaps.items()):
-        std = floor.std[name]
-        percent = 100.0 * gap.windowed_rms / std if std else None
-        found[name] = NoiseGap(std, percent, floor.excess(error[:, k]))
-    return found
+    return {name: floor.excess(error[:, k]) for k, name in enumerate(names)}
 
 
 def _window_length(plant: Any, matching: Matching, window: float | None) -> int:

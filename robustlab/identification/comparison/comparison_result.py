@@ -13,14 +13,12 @@ from robustlab.identification.comparison.error_analysis import (
     InputDisturbance,
     Linearisation,
     Motion,
-    NoiseGap,
     OutputGap,
     ResidualTests,
     Spectrum,
     WindowErrors,
-    located,
 )
-from robustlab.identification.comparison.repeats import NoiseFloor
+from robustlab.identification.comparison.repeats import Excess, NoiseFloor
 from robustlab.identification.response.windowed_simulation import InitialState
 from robustlab.record import Record
 from robustlab.result import Evidence, Status
@@ -29,6 +27,8 @@ from robustlab.tables import Table, Tabular
 # Fields that become JSON in another form, or not at all.
 NOT_AS_IT_IS = ("motions", "measured", "simulated", "windowed", "noise_reason", "against_noise", "pose")
 POSE = ("tx", "ty", "tz", "ax", "ay", "az")
+EXPLAINS = 0.5  # share of the squared error that a located disturbance removes at least
+TIE = 2.0  # times the best: squared error that remains with another place that is as good
 ROUNDING = 1e-9  # a residual below this share of the range is rounding and is not tested
 
 
@@ -74,7 +74,8 @@ class Comparison(Tabular, Evidence):
     noise, noise_reason
         Noise floor where the record repeats, else None and the reason why there is none.
     against_noise
-        Output name -> `NoiseGap`; empty without a noise floor.
+        Output name -> `Excess` of the windowed error, with windows at the same phases of every period. Its ``noise`` is
+        larger than the sensor's in closed loop, where noise also enters at the input. Empty without a noise floor.
     free_run
         Extent of the free run.
     linearisation
@@ -107,7 +108,7 @@ class Comparison(Tabular, Evidence):
     amplitude: Mapping[str, Mapping[str, tuple[Bin, ...]]]
     noise: NoiseFloor | None
     noise_reason: str
-    against_noise: Mapping[str, NoiseGap]
+    against_noise: Mapping[str, Excess]
     free_run: FreeRun
     linearisation: Linearisation | None = None
     sensor_noise: Mapping[str, float] = field(default_factory=dict)
@@ -146,8 +147,11 @@ class Comparison(Tabular, Evidence):
 
     @property
     def located(self) -> tuple[InputDisturbance, ...]:
-        """Return the best disturbances that explain half of the error; inputs first."""
-        return located(self.disturbance)
+        """Return the best disturbances that explain half of the error, and equally good ones; inputs first."""
+        found = self.disturbance.values()
+        left = min((1.0 - d.explained_share for d in found), default=1.0)
+        good = [d for d in found if d.explained_share >= EXPLAINS and 1.0 - d.explained_share <= TIE * left]
+        return tuple(sorted(good, key=lambda d: (not d.place.startswith("input "), -d.explained_share)))
 
     def headline(self) -> str:
         """Report the output with the largest error, in free run where that is complete, else in windows."""
@@ -198,17 +202,17 @@ class Comparison(Tabular, Evidence):
 
     def _noise_in_words(self, name: str) -> str:
         """Report the windowed error in multiples of the noise: of the repeats, else of the sensor's scatter."""
-        g, gap, scatter = self.outputs[name], self.against_noise.get(name), self.sensor_noise.get(name)
-        if gap is None:
-            if not scatter:
-                return ""
-            return f"{number(scatter, g.unit, 3)}; the windowed error is {g.windowed_rms / scatter:.3g} times that"
-        e = gap.excess
-        if gap.windowed_rms_percent is None or e.F is None:
+        g, e, scatter = self.outputs[name], self.against_noise.get(name), self.sensor_noise.get(name)
+        std = self.noise.std[name] if self.noise else scatter
+        if not std:
+            return "none: the repeats are equal to the last bit" if e else ""
+        size = f"{number(std, g.unit, 3)}; the windowed error is {g.windowed_rms / std:.3g} times that"
+        if e is None:
+            return size
+        if e.F is None or e.p_value is None:
             return "none: the repeats are equal to the last bit"
-        verdict = "the model leaves something to explain" if (e.p_value or 0.0) < 0.01 else "nothing is left to explain"
-        size = f"{number(gap.std, g.unit, 3)}; the windowed error is {gap.windowed_rms_percent / 100:.3g} times that"
-        return f"{size}; {verdict} (F {e.F:.4g}, p {_p(e.p_value or 0.0)})"
+        verdict = "the model leaves something to explain" if e.p_value < 0.01 else "nothing is left to explain"
+        return f"{size}; {verdict} (F {e.F:.4g}, p {_p(e.p_value)})"
 
     def _residual_in_words(self, name: str) -> str:
         r, unit = self.residual[name], self.outputs[name].unit

@@ -18,7 +18,6 @@ from robustlab.display import Each
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.port_model import Port, linear_plant_of, port_model
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.identification.comparison.repeats import Excess
 from robustlab.identification.greybox.disturbance_smoother import SmoothedRecord, smooth_disturbance
 from robustlab.identification.response.response import Stretch
 from robustlab.identification.response.windowed_simulation import (
@@ -44,8 +43,6 @@ PER_DIRECTION, POSITION_BINS, AMPLITUDE_BINS = 5, 10, 6  # numbers of bins
 BAND_99 = 2.5758293035489004  # the 99.5 % point of the normal distribution: 99 % of white samples are within
 # Directions of the lagged input below this share of its largest eigenvalue are not excited.
 NOT_EXCITED = 1e-10
-EXPLAINS = 0.5  # share of the squared error that a located disturbance removes at least
-TIE = 2.0  # times the best: squared error that remains with another place that is as good
 SURE = 3.0  # standard errors from zero, from which a mean is significant
 LEAST_NOISE = 1e-7  # of a sensor, as a share of its range
 SHORTEST = 8  # samples to estimate the noise of a sensor
@@ -155,30 +152,19 @@ def directions(speed: Array, error: Array) -> dict[str, Bin]:
     return dict(zip(("backward", "rest", "forward"), bins(speed, error, edges), strict=True))
 
 
-def uniform_samples(t: Array, *signals: Array) -> tuple[float, list[Array]]:
-    """Return the mean sample time and the signals (n,), from a nonuniform time base interpolated to its mean step."""
-    dt = float(t[-1] - t[0]) / (len(t) - 1)
-    grid = t[0] + dt * np.arange(len(t))
-    if np.abs(t - grid).max() <= 1e-3 * dt:
-        return dt, list(signals)
-    return dt, [np.interp(grid, t, x) for x in signals]
-
-
-def welch_segments(n: int) -> tuple[int, float]:
-    """Return the length of half-overlapping Welch segments for n samples, and their effective number."""
-    segment = min(n, max(16, min(2 * n // (SEGMENTS + 1), LONGEST_SEGMENT)))
-    count = 1 + (n - segment) // (segment - segment // 2)
-    # Periodograms of half-overlapping Hann windows are correlated by 1/36: as good as so many independent ones.
-    return segment, count / (1.0 + (count - 1) / count / 18.0)
-
-
 def spectrum(t: Array, inputs: Mapping[str, Array], measured: Array, simulated: Array) -> Spectrum:
     """Compute the spectra of one output; see `Spectrum`."""
     from scipy.signal import coherence, welch
 
-    dt, (measured, simulated, *columns) = uniform_samples(t, measured, simulated, *inputs.values())
-    inputs = dict(zip(inputs, columns, strict=True))
-    segment, averages = welch_segments(len(t))
+    n, dt = len(t), float(t[-1] - t[0]) / (len(t) - 1)
+    grid = t[0] + dt * np.arange(n)
+    if np.abs(t - grid).max() > 1e-3 * dt:  # a nonuniform time base is interpolated to its mean step
+        measured, simulated = (np.interp(grid, t, x) for x in (measured, simulated))
+        inputs = {name: np.interp(grid, t, x) for name, x in inputs.items()}
+    segment = min(n, max(16, min(2 * n // (SEGMENTS + 1), LONGEST_SEGMENT)))
+    count = 1 + (n - segment) // (segment - segment // 2)
+    # Periodograms of half-overlapping Hann windows are correlated by 1/36: as good as so many independent ones.
+    averages = count / (1.0 + (count - 1) / count / 18.0)
     options: dict[str, Any] = {"fs": 1.0 / dt, "window": "hann", "nperseg": segment, "noverlap": segment // 2}
     error = measured - simulated
     densities = [welch(x, detrend=cast("Any", False), **options) for x in (measured, simulated, error)]
@@ -189,32 +175,12 @@ def spectrum(t: Array, inputs: Mapping[str, Array], measured: Array, simulated: 
             for name, x in inputs.items()
         }
     level = 1.0 - (1.0 - CONFIDENCE) ** (1.0 / (averages - 1.0)) if averages > 1 else 1.0
-    edges = np.array([0.0, *log_bands(1.5 * f[1], f[-1])[1:-1], f[-1]])
+    # Two bands a decade on round numbers (1, 3, 10, 30, ...).
+    decades = 10.0 ** np.arange(np.floor(np.log10(f[1])) - 1, np.ceil(np.log10(f[-1])) + 1)
+    rounded = np.sort(np.concatenate([decades, 3.0 * decades]))
+    edges = np.array([0.0, *rounded[(rounded > 1.5 * f[1]) & (rounded < 0.9 * f[-1])], f[-1]])
     of_error = np.bincount(bin_index(f, edges), weights=p_error, minlength=len(edges) - 1)
     return Spectrum(f, p_measured, p_simulated, p_error, shared, level, edges, of_error / (of_error.sum() or 1.0))
-
-
-def log_bands(lowest: float, highest: float) -> Array:
-    """Return edges from ``lowest`` to ``highest`` with two bands a decade on round numbers (1, 3, 10, 30, ...)."""
-    if not highest > lowest:
-        return np.array([lowest, lowest * (1.0 + 1e-9)])
-    decades = 10.0 ** np.arange(np.floor(np.log10(lowest)) - 1, np.ceil(np.log10(highest)) + 1)
-    rounded = np.sort(np.concatenate([decades, 3.0 * decades]))
-    inner = rounded[(rounded > lowest) & (rounded < 0.9 * highest)]
-    return np.concatenate([[lowest], inner, [highest]])
-
-
-@dataclass(frozen=True)
-class NoiseGap(Evidence):
-    """Model error of one output in multiples of its noise."""
-
-    std: float  # noise of a single sample of the output, in its unit (`NoiseFloor.std`)
-    # RMS of the windowed error in percent of ``std``: 100 is the best that the noise allows. None where the repeats are
-    # equal to the last bit.
-    windowed_rms_percent: float | None
-    # `Excess` of the windowed error, with windows at the same phases of every repeat. Its ``noise`` is the floor of the
-    # windowed error itself: larger than ``std`` in closed loop, where the noise also enters at the input.
-    excess: Excess
 
 
 @dataclass(frozen=True)
@@ -328,19 +294,20 @@ def localised(
     """
     keys = ("outputs", "windows", "speed", "direction", "position", "amplitude", "frequency", "residual")
     result: dict[str, dict[str, Any]] = {key: {} for key in keys}
-    t, u, y = whole.t, whole.u, whole.y
+    t, u, y, edges = whole.t, whole.u, whole.y, windows.edges
     for k, (name, unit) in enumerate(outputs):
         local, motion = y[:, k] - windows.y[:, k], motions[name]
         error = None if free is None else y[:, k] - free[:, k]
         result["outputs"][name] = _gap(Signal(name, unit), t, y[:, k], error, local)
-        result["windows"][name] = _window_errors(t, local, windows.edges)
+        rms = np.sqrt(np.add.reduceat(local**2, edges[:-1]) / np.diff(edges))
+        result["windows"][name] = WindowErrors(t[edges[:-1]], t[edges[1:] - 1], rms, int(rms.argmax()))
         if motion.speed is not None:
             result["speed"][name] = bins(motion.speed, local, speed_edges(motion.speed))
             result["direction"][name] = directions(motion.speed, local)
         if motion.position is not None:
             low, high = float(motion.position.min()), float(motion.position.max())
-            edges = np.linspace(low, high if high > low else low + 1.0, POSITION_BINS + 1)
-            result["position"][name] = bins(motion.position, local, edges)
+            places = np.linspace(low, high if high > low else low + 1.0, POSITION_BINS + 1)
+            result["position"][name] = bins(motion.position, local, places)
         result["amplitude"][name] = {
             key: bins(value, local, np.linspace(0.0, float(np.abs(value).max()) or 1.0, AMPLITUDE_BINS + 1))
             for key, value in size.items()
@@ -349,9 +316,9 @@ def localised(
             result["frequency"][name] = spectrum(t, u, y[:, k], free[:, k])
         residual = windows.residual[:, k]
         known = residual[np.isfinite(residual)]
-        rms = float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
+        size_left = float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
         against = {key: input_correlation(samples, residual, lags) for key, samples in u.items()}
-        result["residual"][name] = ResidualTests(rms, whiteness(residual, lags), against)
+        result["residual"][name] = ResidualTests(size_left, whiteness(residual, lags), against)
     return result
 
 
@@ -369,11 +336,6 @@ def _gap(signal: Signal, t: Array, y: Array, error: Array | None, local: Array) 
     free = none if error is None else sizes(error)
     at = np.nan if error is None else float(t[np.abs(error).argmax()])
     return OutputGap(signal.name, signal.unit, spread, *free, at, *sizes(local))
-
-
-def _window_errors(t: Array, local: Array, edges: NDArray[np.int_]) -> WindowErrors:
-    rms = np.sqrt(np.add.reduceat(local**2, edges[:-1]) / np.diff(edges))
-    return WindowErrors(t[edges[:-1]], t[edges[1:] - 1], rms, int(rms.argmax()))
 
 
 def kept(record: Record, inputs: Sequence[str], outputs: Sequence[str], y: Array, title: str) -> Record:
@@ -541,13 +503,6 @@ class InputDisturbance(Evidence):
 
     def to_json(self) -> dict[str, object]:
         return {key: v for key, v in vars(self).items() if key not in ("value", "std", "speed")}
-
-
-def located(found: Mapping[str, InputDisturbance]) -> tuple[InputDisturbance, ...]:
-    """Return the best disturbances that explain half of the error, and equally good ones; inputs first."""
-    left = min((1.0 - d.explained_share for d in found.values()), default=1.0)
-    good = [d for d in found.values() if d.explained_share >= EXPLAINS and 1.0 - d.explained_share <= TIE * left]
-    return tuple(sorted(good, key=lambda d: (not d.place.startswith("input "), -d.explained_share)))
 
 
 def input_disturbances(

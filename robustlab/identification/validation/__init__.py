@@ -2,7 +2,6 @@
 
 from robustlab.identification.validation.frequency_domain import FrequencyData
 from robustlab.identification.validation.model_validation import validate
-from robustlab.identification.validation.sampled_problem import NoiseNorm
-from robustlab.identification.validation.validation_result import BlockSize, Validation
+from robustlab.identification.validation.validation_result import Validation
 
-__all__ = ["BlockSize", "FrequencyData", "NoiseNorm", "Validation", "validate"]
+__all__ = ["FrequencyData", "Validation", "validate"]

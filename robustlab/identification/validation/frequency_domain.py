@@ -18,17 +18,19 @@ from robustlab.arrays import Array, ComplexArray
 from robustlab.display import Facts, listed, number
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.comparison.repeats import noise_floor
-from robustlab.identification.validation.cone_programme import (
+from robustlab.identification.validation.sampled_problem import (
     SLACK,
     ConeSolution,
     Multipliers,
     Rows,
     Search,
     largest_disproved,
+    noise_bounds,
+    prepared,
     solved_cones,
     sparse_matrices,
+    zero_order_hold,
 )
-from robustlab.identification.validation.sampled_problem import noise_bounds, prepared, zero_order_hold
 from robustlab.identification.validation.validation_result import (
     BlockSize,
     Validation,
@@ -224,7 +226,7 @@ class Spectrum:
 
 
 def spectrum_of_record(
-    uncertain: UncertainModel, record: Record, noise: Mapping[str, float], period: float | None
+    uncertain: UncertainModel, record: Record, noise: Mapping[str, ArrayLike], period: float | None
 ) -> Spectrum:
     """Compute the lines of a record's mean period; the noise bound is the root mean square over the periods used."""
     where = f"validate {record.name}"
@@ -385,7 +387,7 @@ def validate_by_lines(
         hint = 'domain="time" tests whether noise alone explains a record'
         raise InputError(f"validate {data.name}", "a set without blocks in the frequency domain", "a block", hint)
     if isinstance(data, Record):
-        spectrum = spectrum_of_record(uncertain, data, {k: float(np.asarray(v)) for k, v in noise.items()}, period)
+        spectrum = spectrum_of_record(uncertain, data, noise, period)
     else:
         spectrum = spectrum_of_response(uncertain, data, noise)
     problem = spectrum.problem

@@ -15,9 +15,8 @@ from robustlab.budget import MILLION, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.identification.comparison.envelope import require_linear_set
 from robustlab.identification.comparison.repeats import noise_floor
-from robustlab.identification.validation.cone_programme import Search
 from robustlab.identification.validation.frequency_domain import FrequencyData, fits_frequency_domain, validate_by_lines
-from robustlab.identification.validation.sampled_problem import NoiseNorm, prepared
+from robustlab.identification.validation.sampled_problem import NoiseNorm, Search, prepared
 from robustlab.identification.validation.time_domain import validate_by_samples
 from robustlab.identification.validation.validation_result import Validation
 from robustlab.record import Record
@@ -138,17 +137,9 @@ def validate(
         raise InputError("validate", f"period {period:g} s", "a period only in the frequency domain")
     norm: NoiseNorm = noise_norm or "peak"
     with one_thread():
-        bounds = _numbers(noise) if noise is not None else _estimated(uncertain, record, norm)
+        bounds = noise if noise is not None else _estimated(uncertain, record, norm)
         recorded = prepared(uncertain, record, bounds, norm=norm, window=window, at_rest=at_rest)
         return validate_by_samples(record, recorded, search, report, estimated)
-
-
-def _numbers(noise: Mapping[str, ArrayLike]) -> dict[str, float]:
-    for name, value in noise.items():
-        if np.ndim(value) or np.asarray(value).dtype.kind not in "biuf":
-            found = f"shape {np.shape(value)}" if np.ndim(value) else repr(value)
-            raise InputError(f"validate: noise of {name!r}", found, "one number")
-    return {name: float(np.asarray(value)) for name, value in noise.items()}
 
 
 def _estimated(uncertain: UncertainModel, record: Record, norm: NoiseNorm) -> dict[str, float]:

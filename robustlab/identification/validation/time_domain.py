@@ -16,13 +16,17 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
-from robustlab.identification.validation.cone_programme import SLACK, Rows, Search, solved_cones, sparse_matrices
 from robustlab.identification.validation.sampled_problem import (
+    SLACK,
     Recorded,
+    Rows,
     SampledProblem,
+    Search,
     at_nominal,
     observable_directions,
     sampled,
+    solved_cones,
+    sparse_matrices,
     states,
     zero_order_hold,
 )
