@@ -121,13 +121,6 @@ def _first_in(record: Record, units: tuple[str, ...]) -> str | None:
     return next((name for name in record.outputs if record.unit(name) in units), None)
 
 
-def speed_edges(speed: Array) -> Array:
-    """Return edges of speed bins, symmetric about a bin of standstill."""
-    top = float(np.abs(speed).max()) or 1.0
-    forward = np.linspace(REST * top, top, PER_DIRECTION + 1)
-    return np.concatenate([-forward[::-1], forward])
-
-
 def bin_index(value: Array, edges: Array) -> NDArray[np.int_]:
     """Return the bin of each value; values outside all edges belong to the outermost bins."""
     return np.clip(np.searchsorted(edges, value, side="right") - 1, 0, len(edges) - 2)
@@ -302,7 +295,9 @@ def localised(
         rms = np.sqrt(np.add.reduceat(local**2, edges[:-1]) / np.diff(edges))
         result["windows"][name] = WindowErrors(t[edges[:-1]], t[edges[1:] - 1], rms, int(rms.argmax()))
         if motion.speed is not None:
-            result["speed"][name] = bins(motion.speed, local, speed_edges(motion.speed))
+            top = float(np.abs(motion.speed).max()) or 1.0
+            forward = np.linspace(REST * top, top, PER_DIRECTION + 1)  # beyond a bin of standstill
+            result["speed"][name] = bins(motion.speed, local, np.concatenate([-forward[::-1], forward]))
             result["direction"][name] = directions(motion.speed, local)
         if motion.position is not None:
             low, high = float(motion.position.min()), float(motion.position.max())
@@ -518,7 +513,11 @@ def input_disturbances(
         return {}
     model = model.select(outputs=names)
     u = np.column_stack([whole.u[name] for name in model.input_names])
-    noise = _sensor_noise(whole.y)
+    spread, level = np.ptp(whole.y, axis=0), np.abs(whole.y).max(axis=0)
+    spread = np.where(spread > 0, spread, np.where(level > 0, level, 1.0))
+    # The variance of third differences is 20 times that of white noise.
+    third = np.median(np.abs(np.diff(whole.y, 3, axis=0)), axis=0) / 0.6745 / np.sqrt(20.0)
+    noise = np.maximum(third, LEAST_NOISE * spread)
     found: dict[str, InputDisturbance] = {}
     for key, place, unit, push in _places(plant, model):
         try:
@@ -614,11 +613,3 @@ def _disturbance(
         m, m_std, forward, forward_std, backward, backward_std, dict(zip(names, shares.tolist(), strict=True)),
         max(0.0, 1.0 - float(after.sum()) / total) if total else 0.0,
     )  # fmt: skip
-
-
-def _sensor_noise(y: Array) -> Array:
-    """Estimate the noise of each sensor from third differences, whose variance is 20 times that of white noise."""
-    spread, level = np.ptp(y, axis=0), np.abs(y).max(axis=0)
-    spread = np.where(spread > 0, spread, np.where(level > 0, level, 1.0))
-    third = np.median(np.abs(np.diff(y, 3, axis=0)), axis=0) / 0.6745 / np.sqrt(20.0)
-    return np.maximum(third, LEAST_NOISE * spread)

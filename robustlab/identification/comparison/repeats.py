@@ -51,11 +51,9 @@ class NoiseFloor(Evidence):
     count: int  # number of repeats
     # sample of the record at which the first period used starts: the last whole periods, without a start-up transient
     first: int
-    # output name -> standard deviation of the noise in a single sample, in the unit of the output
+    # output name -> standard deviation of the noise in a single sample, in the unit of the output; where a drift (an
+    # integrator in open loop) was removed, it holds no noise slower than a period
     std: Mapping[str, float]
-    # output name -> standard deviation of the level of the repeats where a drift (an integrator in open loop) was
-    # removed, else 0. ``std`` then holds no noise slower than a period.
-    level: Mapping[str, float]
     # input name -> as ``std`` for inputs that do not repeat exactly: noise that a controller feeds back
     input_std: Mapping[str, float]
     notes: tuple[str, ...]  # limits of the estimate
@@ -111,15 +109,13 @@ def noise_floor(record: Record, *, period: float | None = None, outputs: Sequenc
             "is not in the floor"
         )
     moving = {name: _spread(stacked[name])[0] for name in record.inputs if np.ptp(stacked[name])}
-    std, level = ({name: pair[k] for name, pair in spreads.items()} for k in (0, 1))
     return NoiseFloor(
         signal,
         samples * record.dt,
         samples,
         count - skipped,
         first + skipped * samples,
-        std,
-        level,
+        {name: std for name, (std, _) in spreads.items()},
         {name: s for name, s in moving.items() if s > EXACT * float(np.ptp(stacked[name]))},
         tuple(notes),
     )

@@ -54,13 +54,12 @@ def test_std_is_that_of_a_single_sample(count, tail):
     assert floor.period == pytest.approx(2000 * DT)
     # Relative standard deviation of the estimate: 1 / sqrt(2 (count - 1) 2000).
     assert floor.std["y"] == pytest.approx(0.1, rel=4 / np.sqrt(4000 * (count - 1)))
-    assert floor.level == {"y": 0.0}
     assert floor.input_std == {}
 
 
 @pytest.mark.parametrize("pole", [0.0, 0.9, 0.99])
 def test_p_values_are_uniform_for_coloured_noise_without_a_model_error(pole):
-    floor = NoiseFloor("u", 10.0, 1000, 3, 0, {"y": 1.0}, {"y": 0.0}, {}, ())
+    floor = NoiseFloor("u", 10.0, 1000, 3, 0, {"y": 1.0}, {}, ())
     found = [floor.excess(coloured((3, 1000), pole, seed).ravel()) for seed in range(300)]
     p = np.array([e.p_value for e in found])
     # 3 sigma of a binomial with n = 300, plus what an estimated number of degrees may be off.
