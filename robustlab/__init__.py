@@ -97,7 +97,7 @@ _PUBLIC = {
     # measurements
     "compare": "identification.comparison.comparison",
     "discover": "identification.missing_effects.discovery",
-    "watch": "identification.monitoring.watch",
+    "watch": "identification.monitoring",
     "data_cover": "identification.validation.data_cover",
     "uncertain_from": "identification.missing_effects.updated_plant",
     "validate": "identification.validation",

@@ -23,7 +23,7 @@ from robustlab.evidence.verification import verify as verify
 from robustlab.identification.comparison.comparison import compare as compare
 from robustlab.identification.missing_effects.discovery import discover as discover
 from robustlab.identification.missing_effects.updated_plant import uncertain_from as uncertain_from
-from robustlab.identification.monitoring.watch import watch as watch
+from robustlab.identification.monitoring import watch as watch
 from robustlab.identification.validation import FrequencyData as FrequencyData
 from robustlab.identification.validation import validate as validate
 from robustlab.identification.validation.data_cover import data_cover as data_cover

@@ -85,8 +85,8 @@ def discover(
     )
 
 
-@operation("data watch", "watch", result="identification.monitoring.watch.Watch", progress="lines",
-           calls="identification.monitoring.watch.watch")  # fmt: skip
+@operation("data watch", "watch", result="identification.monitoring.Watch", progress="lines",
+           calls="identification.monitoring.watch")  # fmt: skip
 def watch(
     model: Plant,
     records: Annotated[list[Any], RecordFile(many=True), "The log: one record, or its pieces in their order."],

@@ -33,7 +33,7 @@ def where_figure(comparison: Comparison, output: str | None = None) -> Figure:
     panels = _where_panels(comparison, output)
     spectrum = comparison.frequency.get(output)
     w, gap, unit = comparison.windows[output], comparison.outputs[output], comparison.outputs[output].unit
-    noise = comparison.against_noise.get(output)
+    noise = comparison.noise.std[output] if comparison.noise else None
     count = 1 + len(panels) + (spectrum is not None)
     figure, axes = style.new_figure((count + 1) // 2, 2, width=8.2, height=2.15)
     _worst_bars(axes[0], np.append(w.start, w.stop[-1]), w.windowed_rms)
@@ -53,8 +53,8 @@ def where_figure(comparison: Comparison, output: str | None = None) -> Figure:
     top = 1.1 * max(p.dataLim.y1 for p in used) or 1.0
     for panel in used:
         panel.set(ylabel=style.axis_label("rms error", unit), ylim=(0.0, top))
-        if noise is not None and noise.std > 0:
-            panel.axhline(noise.std, color=style.GOOD, lw=1.2, ls=(0, (4, 2)))
+        if noise:
+            panel.axhline(noise, color=style.GOOD, lw=1.2, ls=(0, (4, 2)))
     if spectrum is not None:
         share, edges = spectrum.error_share, spectrum.bands
         most = int(share.argmax())
@@ -64,7 +64,7 @@ def where_figure(comparison: Comparison, output: str | None = None) -> Figure:
         axes[count - 1].set(xlabel="frequency [Hz]", ylabel="share of square [%]", title=title)
     for panel in axes[count:]:
         panel.remove()
-    floor = "" if noise is None else f", noise {noise.std:.2g} {unit}"
+    floor = "" if noise is None else f", noise {noise:.2g} {unit}"
     where = f"{comparison.model} misses {output} of {comparison.record}: rms {gap.windowed_rms:.3g} {unit}{floor}"
     figure.suptitle(style.plain_label(where), x=0.01, ha="left", fontsize=10, fontweight="bold")
     return figure

@@ -68,9 +68,9 @@ def test_the_reference_tells_the_period_and_the_noise_floor(repeated):
     # The encoder's step is 5e-8 m: the spread is more than its rounding, and far below the gap.
     assert 1.4e-8 < noise.std["q"] < 1e-6
     gap = found.against_noise["q"]
-    assert gap.excess.p_value < 1e-6
-    assert gap.excess.repeatable == pytest.approx(found.outputs["q"].windowed_rms, rel=0.02)
-    assert gap.excess.noise < 0.02 * gap.excess.repeatable
+    assert gap.p_value < 1e-6
+    assert gap.repeatable == pytest.approx(found.outputs["q"].windowed_rms, rel=0.02)
+    assert gap.noise < 0.02 * gap.repeatable
 
 
 # --- validation -------------------------------------------------------------------------------------------------------

@@ -5,11 +5,9 @@ from robustlab.lazily import lazily
 __all__, __getattr__ = lazily(
     __name__,
     {
-        "comparison": "compare",
-        "error_analysis": "bins directions motion_of spectrum",
+        "comparison": "compare pose_of",
+        "error_analysis": "bins directions input_correlation motion_of spectrum whiteness",
         "envelope": "cover",
         "repeats": "NoiseFloor noise_floor period_of",
-        "residual_tests": "input_correlation whiteness",
-        "along_motion": "pose_of",
     },
 )

@@ -1,67 +1,83 @@
-"""`compare`: errors of a plant or model against a record, in free run and in windows."""
+"""`compare`: errors of a plant or model against a record, in free run and in windows.
+
+A nonlinear plant is linear about the measured motion, and nonlinear in free run; simulated from the same initial states
+it measures the linearisation error. Errors are sorted along the motion of the joint that each output belongs to.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from robustlab import checks
 from robustlab.arrays import Array
 from robustlab.budget import one_thread
 from robustlab.dynamics.fmu import FmuPlant
 from robustlab.dynamics.fmu import FreeRun as RunOfUnit
-from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
-from robustlab.errors import NoTrustworthyNumber, UsageError, error_context
-from robustlab.identification.comparison.along_motion import (
-    Matching,
-    free_run,
-    linearisation,
-    matching_along,
-    motions_of_joints,
-    motions_of_outputs,
-    pose_of,
-    unstable,
-)
-from robustlab.identification.comparison.comparison_result import Comparison
+from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant, SteppedPlant, input_signal
+from robustlab.dynamics.ports.motion_model import Course
+from robustlab.errors import InputError, NoTrustworthyNumber, UsageError, error_context
+from robustlab.identification.comparison.comparison_result import POSE, Comparison
 from robustlab.identification.comparison.error_analysis import (
     FreeRun,
+    InputDisturbance,
     Linearisation,
     Motion,
-    NoiseGap,
-    OutputGap,
+    input_disturbances,
+    joint_disturbances,
     kept,
     localised,
     motion_of,
-    samples_of,
 )
-from robustlab.identification.comparison.input_disturbance import (
-    InputDisturbance,
-    input_disturbances,
-    joint_disturbances,
-)
-from robustlab.identification.comparison.repeats import NoiseFloor, noise_floor
+from robustlab.identification.comparison.repeats import Excess, NoiseFloor, noise_floor
+from robustlab.identification.data_checks.resampling import clock_step, refuse_gaps, uniform
 from robustlab.identification.data_checks.suitability import channel_warnings
+from robustlab.identification.greybox.disturbance_smoother import SmoothedRecord
+from robustlab.identification.greybox.motion_smoother import smooth_motion
 from robustlab.identification.greybox.prepared_record import window_length
-from robustlab.identification.response.response import response_of
+from robustlab.identification.response.response import Stretch, matched, response_of, stretch_of, with_units
 from robustlab.identification.response.windowed_simulation import (
     InitialState,
     LinearResponse,
     MotionResponse,
+    WindowedSimulation,
     starting_state,
     window_edges,
     windowed_simulation,
 )
 from robustlab.record import Record
 from robustlab.result import Status
+from robustlab.statespace import Signal
 
 LAGS = 25
 SHORTEST_WINDOW = 20  # samples
 WINDOWS_AT_LEAST = 4  # in the record, for a default window
 WINDOWS_WITHOUT_TIME_CONSTANT = 50
 LARGEST_OUTPUT = 1e100  # squares of larger numbers overflow
+MOSTLY = 10.0  # times the coupling to any other joint: then an output belongs to this one
+POINTS = 60  # of the motion, at which the couplings of signals and joints and the instability are evaluated
+NO_MOTION = Motion(None, None, "", "", "", "")
+SHORTEST_RECORD = 40  # samples
+CHECKED = 6  # windows that are also simulated with the nonlinear plant
+LEAST_NOISE = 1e-6  # of an output's range: rounding does not set the weight of a record without noise
+DIVERGED = 10.0  # times the recorded range from the record: the free run ends there
+SECTION = 100  # samples that the free run simulates at once
+RTOL = 1e-9
+GROWN = 20.0  # times: a larger growth of an initial error gives a warning
+
+
+@dataclass(frozen=True, eq=False)
+class Matching:
+    """A plant or model matched with a record, at the signals that both have."""
+
+    model: LinearResponse | MotionResponse
+    record: Record  # as used: resampled, in the model's units
+    inputs: list[str]
+    outputs: tuple[Signal, ...]
+    warnings: tuple[str, ...]
+    smoothed: SmoothedRecord | None = None  # the motion of a nonlinear plant
 
 
 @one_thread()
@@ -71,12 +87,8 @@ def compare(
     record: Record,
     *,
     window: float | None = None,
-    start: float | None = None,
-    lags: int = LAGS,
     speed: str | None = None,
     position: str | None = None,
-    period: float | None = None,
-    repeats: Sequence[Record] = (),
 ) -> Comparison | RunOfUnit:
     """Compare a plant or model with a measured record at all outputs they share.
 
@@ -93,19 +105,9 @@ def compare(
         Length of the windows in s. Default: the model's slowest time constant, but at most a quarter of the record; a
         fiftieth of the record for a model of integrators only. For an unstable nonlinear plant, at most the time in
         which a deviation grows twentyfold.
-    start
-        Longest opening stretch in s to which the initial state of the free run is fitted; default ``window``
-        (see `robustlab.identification.response.windowed_simulation.starting_state`).
-    lags
-        Number of lags of the residual tests.
     speed, position
         Recorded outputs over which the error is sorted; by default chosen by their units. For a nonlinear plant the
         error of each output is sorted over the motion of its own joint.
-    period
-        Period of the record in s. Default: that with which an input, or a recorded signal that is not in the model
-        (the controller's reference), repeats exactly; required in closed loop without a recorded reference.
-    repeats
-        Further records with the same input, for the noise floor.
 
     Returns
     -------
@@ -115,11 +117,10 @@ def compare(
     Raises
     ------
     UsageError
-        Options for windows, period or repeats with a co-simulation unit.
+        Options with a co-simulation unit.
     InputError
-        An input of the model or every output is missing, a wrong sample time, a window that does not fit; a stated
-        period or repeat that the inputs contradict; a plant with effects; a position of a nonlinear plant that is not
-        recorded.
+        An input of the model or every output is missing, a wrong sample time, a window that does not fit; a plant with
+        effects; a position of a nonlinear plant that is not recorded.
     UnitMismatch
         Model and record state different units of a signal.
     NoTrustworthyNumber
@@ -135,9 +136,8 @@ def compare(
     >>> round(gap.peak, 3), round(gap.peak_percent, 2)
     (0.1, 9.09)
     """
-    checks.whole("compare: lags", lags, 1)
     if isinstance(plant, FmuPlant):
-        if repeats or (window, start, lags, speed, position, period) != (None, None, LAGS, None, None, None):
+        if (window, speed, position) != (None, None, None):
             found = f"options for the windows of {plant.name}"
             expected = "none: a co-simulation unit runs from its own initial state"
             raise UsageError(f"compare {record.name}", found, expected)
@@ -147,7 +147,7 @@ def compare(
     outputs = [s.name for s in matching.outputs]
     whole, along = model.whole, model if isinstance(model, MotionResponse) else None
     length = _window_length(plant, matching, window)
-    initial = starting_state(model, length if start is None else samples_of("start", start, record))
+    initial = starting_state(model, length)
     windows = windowed_simulation(model, window_edges(record.n, length))
     if isinstance(model, MotionResponse):
         run, free = free_run(model, initial.x0, outputs)
@@ -161,12 +161,11 @@ def compare(
     else:
         of_joints = [motion_of(record, speed, position, length)]
         motions = dict.fromkeys(outputs, of_joints[0])
-    whole_run, lags = free if run.whole else None, min(lags, record.n // 4)
-    found = localised(whole, matching.outputs, whole_run, windows, motions, _sizes(matching), lags)
-    others = [_matching(plant, other) for other in repeats]
+    lags = min(LAGS, record.n // 4)
+    found = localised(whole, matching.outputs, free if run.whole else None, windows, motions, _sizes(matching), lags)
     noise, noise_reason = None, ""
     try:
-        noise = noise_floor(record, period=period, repeats=tuple(other.record for other in others), outputs=outputs)
+        noise = noise_floor(record, outputs=outputs)
     except NoTrustworthyNumber as none:
         noise_reason = f"{none.found}; {none.hint}" if none.hint else none.found
     error = whole.y - windows.y
@@ -186,7 +185,6 @@ def compare(
         measured=kept(record, inputs, outputs, whole.y, record.name),
         simulated=kept(record, inputs, outputs, free, f"{record.name} (free run)") if len(free) > 1 else None,
         windowed=kept(record, inputs, outputs, windows.y, f"{record.name} (windowed simulation)"),
-        recursive={name: windows.residual[:, k] for k, name in enumerate(outputs)},
         disturbance=disturbance,
         warnings=(
             *matching.warnings,
@@ -195,11 +193,10 @@ def compare(
         ),
         noise=noise,
         noise_reason=noise_reason,
-        against_noise=_against_noise(noise, matching, others, length, found["outputs"]) if noise else {},
+        against_noise=_against_noise(noise, model, length, outputs) if noise else {},
         free_run=run,
         linearisation=checked,
         sensor_noise=dict(zip(outputs, (1.0 / whole.weight).tolist(), strict=True)) if along else {},
-        left_out=_left_out(run, motions, inputs) if along else (),
         **found,
     )
     return replace(compared, pose=pose_of(plant, compared)) if along else compared
@@ -226,28 +223,22 @@ def _sizes(matching: Matching) -> dict[str, Array]:
 
 
 def _against_noise(
-    floor: NoiseFloor, matching: Matching, others: Sequence[Matching], length: int, gaps: Mapping[str, OutputGap]
-) -> dict[str, NoiseGap]:
-    """Compare the errors of every output with the noise floor, with windows at the same phases of every repeat."""
-    n, errors = floor.samples, []
-    parts = [(one, 0) for one in (matching, *others)]
-    if floor.source == "periods":
-        parts = [(matching, floor.first + k * n) for k in range(floor.count)]
-    for one, first in parts:
-        windows = windowed_simulation(one.model, first + window_edges(n, length))
-        errors.append((one.model.whole.y - windows.y)[first : first + n])
-    found: dict[str, NoiseGap] = {}
-    for k, (name, gap) in enumerate(gaps.items()):
-        std = floor.std[name]
-        free, windowed = (100.0 * rms / std if std else None for rms in (gap.rms, gap.windowed_rms))
-        found[name] = NoiseGap(std, free, windowed, floor.excess(np.stack([e[:, k] for e in errors])))
-    return found
+    floor: NoiseFloor, model: LinearResponse | MotionResponse, length: int, names: Sequence[str]
+) -> dict[str, Excess]:
+    """Compare the errors of every output with the noise floor, with windows at the same phases of every period."""
+    n, error = floor.samples, model.whole.y.copy()
+    for first in floor.first + n * np.arange(floor.count):
+        error[first : first + n] -= windowed_simulation(model, first + window_edges(n, length)).y[first : first + n]
+    return {name: floor.excess(error[:, k]) for k, name in enumerate(names)}
 
 
 def _window_length(plant: Any, matching: Matching, window: float | None) -> int:
     record, model = matching.record, matching.model
     if window is not None:
-        return samples_of("window", window, record)
+        if not np.isfinite(window) or not 2 * record.dt <= window <= record.duration + record.dt:
+            expected = f"{2 * record.dt:g} s to {record.duration:g} s"
+            raise InputError(f"compare {record.name}: window", f"{window:g} s", expected)
+        return round(window / record.dt)
     if isinstance(model, MotionResponse):
         return window_length(plant, [record])
     seconds = model.response.slowest_time_constant() or record.duration / WINDOWS_WITHOUT_TIME_CONSTANT
@@ -282,12 +273,187 @@ def _warnings(
     return texts
 
 
-def _left_out(run: FreeRun, motions: dict[str, Motion], inputs: Sequence[str]) -> tuple[str, ...]:
-    texts = []
-    if not run.whole:
-        texts.append("places in frequency: the free run does not reach the end of the record")
-    if len(inputs) > 1:
-        texts.append("error over the size of an input: several inputs")
-    if loose := [name for name, motion in motions.items() if motion.speed is None]:
-        texts.append(f"speed, direction and position of {', '.join(loose)}: not the motion of one joint")
-    return tuple(texts)
+# --- nonlinear plants -------------------------------------------------------------------------------------------------
+
+
+def matching_along(plant: NonlinearPlant, record: Record) -> Matching:
+    """Match a nonlinear plant with a record, linear about the record's motion."""
+    outputs, warnings = matched(plant.inputs, plant.outputs, record)
+    where = f"compare {record.name}"
+    if record.n < SHORTEST_RECORD:
+        raise InputError(where, f"{record.n} samples", f"at least {SHORTEST_RECORD}")
+    if not record.is_uniform:
+        level = uniform(record, clock_step(record.t))
+        refuse_gaps(where, level.gaps, "compare")
+        record = level.record
+        warnings = (*warnings, f"the clock is not uniform: resampled in steps of {record.dt:.6g} s")
+    record = with_units(record, (*plant.inputs, *outputs))
+    inputs, names = [s.name for s in plant.inputs], [s.name for s in outputs]
+    for name in names:
+        if not np.ptp(record[name]):
+            found = f"{name} stands at {record[name][0]:.6g} {record.unit(name)}".rstrip() + " throughout"
+            raise InputError(where, found, "outputs that move", "remove a dead sensor from the record")
+    columns = tuple(k for k, s in enumerate(plant.outputs) if s.name in names)
+    u = np.column_stack([record.inputs[name] for name in inputs])
+    whole = stretch_of(record, inputs, names)
+    try:
+        smoothed = smooth_motion(plant, record.t, u, whole.y, columns)[0]
+    except InputError as wrong:  # its message refers to effect identification
+        raise InputError(where, wrong.found, wrong.expected, wrong.hint) from None
+    noise = np.maximum(smoothed.noise_std, LEAST_NOISE / whole.weight)
+    whole = Stretch(whole.t, whole.u, whole.y, 1.0 / noise)
+    model = MotionResponse(Course(plant, smoothed.x, u, record.dt), columns, whole)
+    return Matching(model, record, inputs, outputs, warnings, smoothed)
+
+
+# --- the motion of joints ---------------------------------------------------------------------------------------------
+
+
+def motions_of_outputs(model: MotionResponse, record: Record) -> dict[str, Motion]:
+    """Return output name -> motion of its joint, or `NO_MOTION` for an output without a unique joint.
+
+    An output that measures no position or speed (a current) belongs to the joint whose speed acts on it most.
+    """
+    plant, x, local = model.plant, model.course.x, _about(model)
+    joints = _joints(plant)
+    speeds = [v for _, v in joints]
+    found = {}
+    for k in model.columns:
+        state = int(np.abs(local.C[:, k]).mean(axis=0).argmax())
+        joint = next((j for j, pair in enumerate(joints) if state in pair), None)
+        if joint is None and joints:
+            ties = np.abs(local.A[:, state, speeds]).mean(axis=0) * np.sqrt((x[:, speeds] ** 2).mean(axis=0))
+            second, first = np.sort([0.0, *ties])[-2:]
+            joint = int(ties.argmax()) if first > 0 and first >= MOSTLY * second else None
+        found[plant.outputs[k].name] = NO_MOTION if joint is None else _motion(plant, joints[joint], x, record)
+    return found
+
+
+def motions_of_joints(model: MotionResponse, record: Record) -> list[Motion]:
+    """Return the motion of each joint, or `NO_MOTION` for each input of a plant without joints."""
+    plant = model.plant
+    found = [_motion(plant, joint, model.course.x, record) for joint in _joints(plant)]
+    return found or [NO_MOTION] * len(plant.inputs)
+
+
+def _about(model: MotionResponse) -> LocalModels:
+    x, u = model.course.x, model.course.u
+    at = np.unique(np.linspace(0, len(x) - 1, POINTS).astype(int))
+    return model.plant.local_models(x[at], u[at])
+
+
+def _joints(plant: NonlinearPlant) -> list[tuple[int, int]]:
+    """Return the indices of position (-1 without one) and velocity of each joint."""
+    names = [s.name for s in plant.states]
+    joints = [p for p in plant.port_places if p.kind == "joint"]
+    return [(names.index(p.position) if p.position else -1, names.index(p.name)) for p in joints]
+
+
+def _motion(plant: NonlinearPlant, joint: tuple[int, int], x: Array, record: Record) -> Motion:
+    q, v = joint
+    speed, unit = f"{plant.states[v].name} (smoothed)", plant.states[v].unit
+    if q < 0:
+        return Motion(x[:, v], None, unit, "", speed, "")
+    name = plant.states[q].name
+    if name in record.outputs:
+        return Motion(x[:, v], record[name], unit, record.unit(name), speed, name)
+    return Motion(x[:, v], x[:, q], unit, plant.states[q].unit, speed, f"{name} (smoothed)")
+
+
+def pose_of(plant: NonlinearPlant, found: Comparison) -> dict[str, float]:
+    """Return the pose of a machine in the middle of the worst window; empty where none can be proved."""
+    machine = getattr(plant, "plant", plant)  # without its effects
+    angles = [s.name for s in machine.outputs[:6]]
+    poses: Any = getattr(machine, "poses", None)
+    if poses is None or not all(name in found.measured.outputs for name in angles):
+        return {}
+    k = int(np.argmin(np.abs(found.measured.t - 0.5 * (found.worst["start"] + found.worst["stop"]))))
+    try:
+        pose = poses(np.array([found.measured[name][k] for name in angles]))
+    except NoTrustworthyNumber:  # the comparison does not depend on it
+        return {}
+    return dict(zip(POSE, pose.tolist(), strict=True))
+
+
+# --- simulations of the nonlinear plant ------------------------------------------------------------------------------
+
+
+def free_run(model: MotionResponse, x0: Array, names: Sequence[str]) -> tuple[FreeRun, Array]:
+    """Simulate the nonlinear plant from the start of the record, (m, n_y), until it diverges."""
+    t, y, plant = model.whole.t, model.whole.y, model.plant
+    spread = np.ptp(y, axis=0)
+    limit = np.where(spread > 0, DIVERGED * spread, np.inf)
+    u, states, reason = model.course.u, x0[None], ""
+    while len(states) < len(t) and not reason:
+        first = len(states) - 1
+        more, reason = _onward(model, states[-1], first, min(first + SECTION, len(t) - 1))
+        states = np.vstack([states, more])
+        made = plant.outputs_along(states[first:], u[first : len(states)])[:, list(model.columns)]
+        beyond = np.abs(made - y[first : len(states)]) > limit
+        if beyond.any():
+            k = int(beyond.any(axis=1).argmax())
+            worst = names[int(beyond[k].argmax())]
+            reason = f"{worst} is {DIVERGED:g} times its recorded range off"
+            states = states[: first + max(k, 1)]
+    made = plant.outputs_along(states, u[: len(states)])[:, list(model.columns)]
+    return FreeRun(float(t[len(states) - 1]), reason), made
+
+
+def _onward(model: MotionResponse, x: Array, first: int, last: int) -> tuple[Array, str]:
+    """Return the states after sample ``first`` up to ``last``, or to the last valid one with the reason."""
+    t, u, plant = model.whole.t, model.course.u, model.plant
+
+    def run(x: Array, a: int, b: int) -> Array:
+        middle = np.concatenate([t[a:b], [0.5 * (t[b - 1] + t[b]), t[b]]])  # three times at least
+        held = np.vstack([u[a:b], u[b - 1 : b], u[b : b + 1]])
+        found = np.delete(plant.trajectory(input_signal(middle, held, "zoh"), x, RTOL), -2, axis=0)[1:]
+        if not np.isfinite(found).all():
+            raise NoTrustworthyNumber(plant.name, "the free run overflows")
+        return found
+
+    try:
+        return run(x, first, last), ""
+    except NoTrustworthyNumber:
+        pass  # the sample and the reason are found sample by sample below
+    states, reason = [x], ""
+    for k in range(first, last):
+        try:
+            states.append(run(states[-1], k, k + 1)[0])
+        except NoTrustworthyNumber as end:
+            reason = end.found
+            break
+    return np.array(states)[1:], reason
+
+
+def linearisation(model: MotionResponse, windows: WindowedSimulation, names: Sequence[str]) -> Linearisation:
+    """Simulate some windows and the worst one with the nonlinear plant from the fitted initial states."""
+    whole, plant, edges, u = model.whole, model.plant, windows.edges, model.course.u
+    error = ((whole.y - windows.y) * whole.weight) ** 2
+    worst = int((np.add.reduceat(error.sum(axis=1), edges[:-1]) / np.diff(edges)).argmax())
+    different, missed, checked, broken = [], [], [], []
+    for k in np.unique([worst, *np.linspace(0, len(edges) - 2, CHECKED).astype(int)]):
+        a, b = int(edges[k]), int(edges[k + 1])
+        more, reason = _onward(model, windows.x0[k], a, b - 1)
+        if reason:
+            broken.append(whole.t[a])
+            continue
+        made = plant.outputs_along(np.vstack([windows.x0[k], more]), u[a:b])[:, list(model.columns)]
+        different.append(made - windows.y[a:b])
+        missed.append(whole.y[a:b] - windows.y[a:b])
+        checked.append(whole.t[a])
+    if not checked:
+        return Linearisation(np.zeros(0), {}, {}, np.array(broken))
+    rms, error_rms = (np.sqrt((np.vstack(x) ** 2).mean(axis=0)) for x in (different, missed))
+    share = np.divide(rms, error_rms, out=np.zeros_like(rms), where=error_rms > 0)
+    difference, part = (dict(zip(names, values.tolist(), strict=True)) for values in (rms, share))
+    return Linearisation(np.array(checked), difference, part, np.array(broken))
+
+
+def unstable(model: MotionResponse, run: FreeRun) -> list[str]:
+    """Return a warning if the free run is complete but dominated by the growth of its initial error."""
+    t, rates = model.whole.t, np.linalg.eigvals(_about(model).A).real.max(axis=1)
+    growth = float(np.maximum(rates, 0.0).mean() * (t[-1] - t[0]))
+    if not run.whole or growth < np.log(GROWN):
+        return []
+    size = f"an error of its start grows about {np.exp(min(growth, 700.0)):.2g} times over the free run"
+    return [f"the plant is unstable along the record: {size}, so the windows are more informative"]

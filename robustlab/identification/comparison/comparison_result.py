@@ -6,40 +6,30 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
-import numpy as np
-
-from robustlab.arrays import Array
-from robustlab.display import Each, Facts, Part, listed, number
+from robustlab.display import Each, Facts, listed, number
 from robustlab.identification.comparison.error_analysis import (
     Bin,
     FreeRun,
+    InputDisturbance,
     Linearisation,
     Motion,
-    NoiseGap,
     OutputGap,
     ResidualTests,
     Spectrum,
     WindowErrors,
 )
-from robustlab.identification.comparison.input_disturbance import InputDisturbance, located
-from robustlab.identification.comparison.repeats import NoiseFloor
+from robustlab.identification.comparison.repeats import Excess, NoiseFloor
 from robustlab.identification.response.windowed_simulation import InitialState
 from robustlab.record import Record
 from robustlab.result import Evidence, Status
 from robustlab.tables import Table, Tabular
 
 # Fields that become JSON in another form, or not at all.
-NOT_AS_IT_IS = frozenset((
-    "motions", "measured", "simulated", "windowed", "recursive",
-    "noise_reason", "against_noise", "pose",
-))  # fmt: skip
+NOT_AS_IT_IS = ("motions", "measured", "simulated", "windowed", "noise_reason", "against_noise", "pose")
 POSE = ("tx", "ty", "tz", "ax", "ay", "az")
+EXPLAINS = 0.5  # share of the squared error that a located disturbance removes at least
+TIE = 2.0  # times the best: squared error that remains with another place that is as good
 ROUNDING = 1e-9  # a residual below this share of the range is rounding and is not tested
-
-REFERENCE = (
-    "output-error model y = G(u) + e with white e independent of u; tested on the recursive residual of the windows "
-    "(each sample predicted from the samples of the same output before it in its window)"
-)
 
 
 @dataclass(frozen=True)
@@ -68,9 +58,8 @@ class Comparison(Tabular, Evidence):
         Initial state of the free run.
     window
         Length of the windows in s.
-    measured, simulated, windowed, recursive
-        The compared signals: measured, free run (None if it ends at once), windowed simulation, and the recursive
-        residual (n,) by output, NaN where a sample only fixes the state of its window.
+    measured, simulated, windowed
+        The compared signals: measured, free run (None if it ends at once), windowed simulation.
     disturbance
         Input name, or a joint as ``torque at omega`` -> the single `InputDisturbance` there with which the model
         reproduces the record best. Joints only for a nonlinear plant; empty for a discrete model and a nonuniform time
@@ -85,7 +74,8 @@ class Comparison(Tabular, Evidence):
     noise, noise_reason
         Noise floor where the record repeats, else None and the reason why there is none.
     against_noise
-        Output name -> `NoiseGap`; empty without a noise floor.
+        Output name -> `Excess` of the windowed error, with windows at the same phases of every period. Its ``noise`` is
+        larger than the sensor's in closed loop, where noise also enters at the input. Empty without a noise floor.
     free_run
         Extent of the free run.
     linearisation
@@ -93,8 +83,6 @@ class Comparison(Tabular, Evidence):
     sensor_noise
         For a nonlinear plant: output name -> standard deviation of its samples about the smoothed motion, in its unit.
         Empty for a linear one.
-    left_out
-        Missing parts, and why.
     pose
         Of a machine with poses: its pose in the middle of the `worst` window, m and rad; else empty.
     """
@@ -114,24 +102,20 @@ class Comparison(Tabular, Evidence):
     measured: Record
     simulated: Record | None
     windowed: Record
-    recursive: Mapping[str, Array]
     disturbance: Mapping[str, InputDisturbance]
     warnings: tuple[str, ...]
     direction: Mapping[str, Mapping[str, Bin]]
     amplitude: Mapping[str, Mapping[str, tuple[Bin, ...]]]
     noise: NoiseFloor | None
     noise_reason: str
-    against_noise: Mapping[str, NoiseGap]
+    against_noise: Mapping[str, Excess]
     free_run: FreeRun
     linearisation: Linearisation | None = None
     sensor_noise: Mapping[str, float] = field(default_factory=dict)
-    left_out: tuple[str, ...] = ()
     pose: Mapping[str, float] = field(default_factory=dict)
 
-    percent_of: ClassVar[str] = "measured range (max - min) of the output"
-    residual_reference: ClassVar[str] = REFERENCE
     quantities: ClassVar[Mapping[str, Any]] = {
-        **dict.fromkeys(("model", "record", "percent_of", "residual_reference"), str),
+        **dict.fromkeys(("model", "record"), str),
         "outputs": Each("outputs", OutputGap),
         "windows": Each("outputs", WindowErrors),
         "worst_window": Each("outputs", ("s", "s")),
@@ -145,7 +129,6 @@ class Comparison(Tabular, Evidence):
         "linearisation": Linearisation,
         "sensor_noise": Each("outputs", "*"),
         "window": "s",
-        "left_out": [str],
         "warnings": [str],
         **dict.fromkeys(("speed", "position", "frequency", "noise"), ...),
     }
@@ -164,8 +147,11 @@ class Comparison(Tabular, Evidence):
 
     @property
     def located(self) -> tuple[InputDisturbance, ...]:
-        """Return the best disturbances that explain half of the error; inputs first."""
-        return located(self.disturbance)
+        """Return the best disturbances that explain half of the error, and equally good ones; inputs first."""
+        found = self.disturbance.values()
+        left = min((1.0 - d.explained_share for d in found), default=1.0)
+        good = [d for d in found if d.explained_share >= EXPLAINS and 1.0 - d.explained_share <= TIE * left]
+        return tuple(sorted(good, key=lambda d: (not d.place.startswith("input "), -d.explained_share)))
 
     def headline(self) -> str:
         """Report the output with the largest error, in free run where that is complete, else in windows."""
@@ -193,7 +179,6 @@ class Comparison(Tabular, Evidence):
             ("worst of all", self._worst_in_words()),
             *self._missing(),
             ("noise floor", self._floor_in_words()),
-            *(("left out", text) for text in self.left_out),
             *(("warning", text) for text in self.warnings),
         ]
 
@@ -217,17 +202,17 @@ class Comparison(Tabular, Evidence):
 
     def _noise_in_words(self, name: str) -> str:
         """Report the windowed error in multiples of the noise: of the repeats, else of the sensor's scatter."""
-        g, gap, scatter = self.outputs[name], self.against_noise.get(name), self.sensor_noise.get(name)
-        if gap is None:
-            if not scatter:
-                return ""
-            return f"{number(scatter, g.unit, 3)}; the windowed error is {g.windowed_rms / scatter:.3g} times that"
-        e = gap.excess
-        if gap.windowed_rms_percent is None or e.F is None:
+        g, e, scatter = self.outputs[name], self.against_noise.get(name), self.sensor_noise.get(name)
+        std = self.noise.std[name] if self.noise else scatter
+        if not std:
+            return "none: the repeats are equal to the last bit" if e else ""
+        size = f"{number(std, g.unit, 3)}; the windowed error is {g.windowed_rms / std:.3g} times that"
+        if e is None:
+            return size
+        if e.F is None or e.p_value is None:
             return "none: the repeats are equal to the last bit"
-        verdict = "the model leaves something to explain" if (e.p_value or 0.0) < 0.01 else "nothing is left to explain"
-        size = f"{number(gap.std, g.unit, 3)}; the windowed error is {gap.windowed_rms_percent / 100:.3g} times that"
-        return f"{size}; {verdict} (F {e.F:.4g}, p {_p(e.p_value or 0.0)})"
+        verdict = "the model leaves something to explain" if e.p_value < 0.01 else "nothing is left to explain"
+        return f"{size}; {verdict} (F {e.F:.4g}, p {_p(e.p_value)})"
 
     def _residual_in_words(self, name: str) -> str:
         r, unit = self.residual[name], self.outputs[name].unit
@@ -251,11 +236,9 @@ class Comparison(Tabular, Evidence):
         n = self.noise
         if n is None:
             return f"none ({self.noise_reason})"
-        what = f"{n.count} records with the same input"
-        if n.period is not None:
-            what = f"{n.count} periods of {n.period:.6g} s ({n.signal or 'stated'})"
         spread = ", ".join(number(v, self.measured.units.get(u, ""), 3) + f" at {u}" for u, v in n.input_std.items())
-        return "; ".join([f"from {what}", *([f"fed back by a controller: {spread}"] if spread else []), *n.notes])
+        fed_back = [f"fed back by a controller: {spread}"] if spread else []
+        return "; ".join([f"from {n.count} periods of {n.period:.6g} s ({n.signal})", *fed_back, *n.notes])
 
     def _missing(self) -> Facts:
         if not self.disturbance:
@@ -271,17 +254,6 @@ class Comparison(Tabular, Evidence):
             share = f"{100 * d.explained_share:.0f} % of the squared error goes"
             found.append((f"missing: {d.place}", f"rms {number(d.rms, d.unit, 3)}; {mean_text}; {share}"))
         return found
-
-    def details(self) -> list[Part]:
-        tests = [
-            (name, u, _p(t.p_value), f"{100 * t.explained_share:.1f} %",
-             f"{np.abs(t.correlation).max():.3f}", f"{t.band:.3f}")
-            for name, r in self.residual.items() for u, t in r.inputs.items()
-        ]  # fmt: skip
-        return [
-            Part("residual against the inputs",
-                 ("output", "input", "p", "explained", "largest correlation", "99 % band"), tests),
-        ]  # fmt: skip
 
     def _worst_in_words(self) -> str:
         worst = self.worst
@@ -301,15 +273,14 @@ class Comparison(Tabular, Evidence):
 
     def to_json(self, series: bool = True) -> dict[str, object]:
         """Return all fields; without ``series`` no time series and no densities over frequency."""
+        bands = {name: {"bands": f.bands, "error_share": f.error_share} for name, f in self.frequency.items()}
         data: dict[str, object] = {
             **{key: value for key, value in vars(self).items() if key not in NOT_AS_IT_IS},
-            "percent_of": self.percent_of,
             "worst_window": self.worst_window,
             "speed": {**self._of_motions(signal="speed_source", unit="speed_unit"), "bins": self.speed},
             "position": {**self._of_motions(signal="position_name", unit="position_unit"), "bins": self.position},
-            "frequency": {name: s.to_json() if series else s.band_table() for name, s in self.frequency.items()},
+            "frequency": self.frequency if series else bands,
             "noise": {"floor": self.noise, "reason": self.noise_reason, "outputs": self.against_noise},
-            "residual_reference": REFERENCE,
         }
         if series:
             data |= {

@@ -1,28 +1,35 @@
-"""Sizes, places and tests of free-run and windowed errors, common to linear and nonlinear plants."""
+"""Sizes, places and tests of free-run and windowed errors, and the equivalent disturbance at an input or a joint.
+
+A disturbance is the random walk at one place with which the model reproduces the record best. Plotted over the speed, a
+friction that the model lacks appears as a friction curve with the opposite sign.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from robustlab.arrays import Array
-from robustlab.errors import InputError
-from robustlab.identification.comparison.repeats import Excess
-from robustlab.identification.comparison.residual_tests import (
-    InputCorrelation,
-    Whiteness,
-    input_correlation,
-    whiteness,
-)
+from robustlab.arrays import Array, Indices, Mask
+from robustlab.display import Each
+from robustlab.dynamics.linear_plant import LinearPlant
+from robustlab.dynamics.ports.port_model import Port, linear_plant_of, port_model
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.identification.greybox.disturbance_smoother import SmoothedRecord, smooth_disturbance
 from robustlab.identification.response.response import Stretch
-from robustlab.identification.response.windowed_simulation import WindowedSimulation
+from robustlab.identification.response.windowed_simulation import (
+    LinearResponse,
+    MotionResponse,
+    Windowed,
+    WindowedSimulation,
+    fit_windows,
+)
 from robustlab.record import Record
 from robustlab.result import Evidence
-from robustlab.statespace import Signal
+from robustlab.statespace import Signal, StateSpaceModel
 
 SPEED_UNITS = ("m/s", "rad/s", "mm/s", "deg/s", "rpm", "1/min")
 POSITION_UNITS = ("m", "rad", "mm", "deg")
@@ -33,6 +40,12 @@ CONFIDENCE = 0.99
 LINEAR_SHARE = 0.1  # of the error; a larger difference from the nonlinear plant gives a warning
 REST = 0.02  # speeds below this share of the largest count as standstill
 PER_DIRECTION, POSITION_BINS, AMPLITUDE_BINS = 5, 10, 6  # numbers of bins
+BAND_99 = 2.5758293035489004  # the 99.5 % point of the normal distribution: 99 % of white samples are within
+# Directions of the lagged input below this share of its largest eigenvalue are not excited.
+NOT_EXCITED = 1e-10
+SURE = 3.0  # standard errors from zero, from which a mean is significant
+LEAST_NOISE = 1e-7  # of a sensor, as a share of its range
+SHORTEST = 8  # samples to estimate the noise of a sensor
 
 
 @dataclass(frozen=True)
@@ -80,12 +93,6 @@ class Spectrum(Evidence):
     coherence_level: float  # 99 % of the coherences of independent signals are below this
     bands: Array  # edges of the bands in Hz, shape (n_bands + 1,)
     error_share: Array  # share of the squared error per band, shape (n_bands,), sum 1
-    # RMS of the free run's error over RMS of the measured output within each band, shape (n_bands,); 0 where nothing
-    # was measured
-    relative_error: Array
-
-    def band_table(self) -> dict[str, object]:
-        return {"bands": self.bands, "error_share": self.error_share, "relative_error": self.relative_error}
 
 
 def motion_of(record: Record, speed: str | None, position: str | None, window: int) -> Motion:
@@ -114,13 +121,6 @@ def _first_in(record: Record, units: tuple[str, ...]) -> str | None:
     return next((name for name in record.outputs if record.unit(name) in units), None)
 
 
-def speed_edges(speed: Array) -> Array:
-    """Return edges of speed bins, symmetric about a bin of standstill."""
-    top = float(np.abs(speed).max()) or 1.0
-    forward = np.linspace(REST * top, top, PER_DIRECTION + 1)
-    return np.concatenate([-forward[::-1], forward])
-
-
 def bin_index(value: Array, edges: Array) -> NDArray[np.int_]:
     """Return the bin of each value; values outside all edges belong to the outermost bins."""
     return np.clip(np.searchsorted(edges, value, side="right") - 1, 0, len(edges) - 2)
@@ -145,30 +145,19 @@ def directions(speed: Array, error: Array) -> dict[str, Bin]:
     return dict(zip(("backward", "rest", "forward"), bins(speed, error, edges), strict=True))
 
 
-def uniform_samples(t: Array, *signals: Array) -> tuple[float, list[Array]]:
-    """Return the mean sample time and the signals (n,), from a nonuniform time base interpolated to its mean step."""
-    dt = float(t[-1] - t[0]) / (len(t) - 1)
-    grid = t[0] + dt * np.arange(len(t))
-    if np.abs(t - grid).max() <= 1e-3 * dt:
-        return dt, list(signals)
-    return dt, [np.interp(grid, t, x) for x in signals]
-
-
-def welch_segments(n: int) -> tuple[int, float]:
-    """Return the length of half-overlapping Welch segments for n samples, and their effective number."""
-    segment = min(n, max(16, min(2 * n // (SEGMENTS + 1), LONGEST_SEGMENT)))
-    count = 1 + (n - segment) // (segment - segment // 2)
-    # Periodograms of half-overlapping Hann windows are correlated by 1/36: as good as so many independent ones.
-    return segment, count / (1.0 + (count - 1) / count / 18.0)
-
-
 def spectrum(t: Array, inputs: Mapping[str, Array], measured: Array, simulated: Array) -> Spectrum:
     """Compute the spectra of one output; see `Spectrum`."""
     from scipy.signal import coherence, welch
 
-    dt, (measured, simulated, *columns) = uniform_samples(t, measured, simulated, *inputs.values())
-    inputs = dict(zip(inputs, columns, strict=True))
-    segment, averages = welch_segments(len(t))
+    n, dt = len(t), float(t[-1] - t[0]) / (len(t) - 1)
+    grid = t[0] + dt * np.arange(n)
+    if np.abs(t - grid).max() > 1e-3 * dt:  # a nonuniform time base is interpolated to its mean step
+        measured, simulated = (np.interp(grid, t, x) for x in (measured, simulated))
+        inputs = {name: np.interp(grid, t, x) for name, x in inputs.items()}
+    segment = min(n, max(16, min(2 * n // (SEGMENTS + 1), LONGEST_SEGMENT)))
+    count = 1 + (n - segment) // (segment - segment // 2)
+    # Periodograms of half-overlapping Hann windows are correlated by 1/36: as good as so many independent ones.
+    averages = count / (1.0 + (count - 1) / count / 18.0)
     options: dict[str, Any] = {"fs": 1.0 / dt, "window": "hann", "nperseg": segment, "noverlap": segment // 2}
     error = measured - simulated
     densities = [welch(x, detrend=cast("Any", False), **options) for x in (measured, simulated, error)]
@@ -179,38 +168,12 @@ def spectrum(t: Array, inputs: Mapping[str, Array], measured: Array, simulated: 
             for name, x in inputs.items()
         }
     level = 1.0 - (1.0 - CONFIDENCE) ** (1.0 / (averages - 1.0)) if averages > 1 else 1.0
-    edges = np.array([0.0, *log_bands(1.5 * f[1], f[-1])[1:-1], f[-1]])
-    of_measured, of_error = (
-        np.bincount(bin_index(f, edges), weights=p, minlength=len(edges) - 1) * (f[1] - f[0])
-        for p in (p_measured, p_error)
-    )
-    relative = np.sqrt(np.divide(of_error, of_measured, out=np.zeros_like(of_error), where=of_measured > 0))
-    share = of_error / (of_error.sum() or 1.0)
-    return Spectrum(f, p_measured, p_simulated, p_error, shared, level, edges, share, relative)
-
-
-def log_bands(lowest: float, highest: float) -> Array:
-    """Return edges from ``lowest`` to ``highest`` with two bands a decade on round numbers (1, 3, 10, 30, ...)."""
-    if not highest > lowest:
-        return np.array([lowest, lowest * (1.0 + 1e-9)])
-    decades = 10.0 ** np.arange(np.floor(np.log10(lowest)) - 1, np.ceil(np.log10(highest)) + 1)
+    # Two bands a decade on round numbers (1, 3, 10, 30, ...).
+    decades = 10.0 ** np.arange(np.floor(np.log10(f[1])) - 1, np.ceil(np.log10(f[-1])) + 1)
     rounded = np.sort(np.concatenate([decades, 3.0 * decades]))
-    inner = rounded[(rounded > lowest) & (rounded < 0.9 * highest)]
-    return np.concatenate([[lowest], inner, [highest]])
-
-
-@dataclass(frozen=True)
-class NoiseGap(Evidence):
-    """Model error of one output in multiples of its noise."""
-
-    std: float  # noise of a single sample of the output, in its unit (`NoiseFloor.std`)
-    # rms_percent, windowed_rms_percent: RMS of the free run's and of the windowed error in percent of ``std``: 100 is
-    # the best that the noise allows. None where the repeats are equal to the last bit.
-    rms_percent: float | None
-    windowed_rms_percent: float | None
-    # `Excess` of the windowed error, with windows at the same phases of every repeat. Its ``noise`` is the floor of the
-    # windowed error itself: larger than ``std`` in closed loop, where the noise also enters at the input.
-    excess: Excess
+    edges = np.array([0.0, *rounded[(rounded > 1.5 * f[1]) & (rounded < 0.9 * f[-1])], f[-1]])
+    of_error = np.bincount(bin_index(f, edges), weights=p_error, minlength=len(edges) - 1)
+    return Spectrum(f, p_measured, p_simulated, p_error, shared, level, edges, of_error / (of_error.sum() or 1.0))
 
 
 @dataclass(frozen=True)
@@ -252,8 +215,6 @@ class WindowErrors(Evidence):
     # start, stop: first and last time of each window in s
     start: Array
     stop: Array
-    # rms, windowed_rms: of the free run's error (NaN where it does not reach the end of the record), and in windows
-    rms: Array
     windowed_rms: Array
     worst: int  # index of the window with the largest windowed RMS
 
@@ -326,19 +287,22 @@ def localised(
     """
     keys = ("outputs", "windows", "speed", "direction", "position", "amplitude", "frequency", "residual")
     result: dict[str, dict[str, Any]] = {key: {} for key in keys}
-    t, u, y = whole.t, whole.u, whole.y
+    t, u, y, edges = whole.t, whole.u, whole.y, windows.edges
     for k, (name, unit) in enumerate(outputs):
         local, motion = y[:, k] - windows.y[:, k], motions[name]
         error = None if free is None else y[:, k] - free[:, k]
         result["outputs"][name] = _gap(Signal(name, unit), t, y[:, k], error, local)
-        result["windows"][name] = _window_errors(t, error, local, windows.edges)
+        rms = np.sqrt(np.add.reduceat(local**2, edges[:-1]) / np.diff(edges))
+        result["windows"][name] = WindowErrors(t[edges[:-1]], t[edges[1:] - 1], rms, int(rms.argmax()))
         if motion.speed is not None:
-            result["speed"][name] = bins(motion.speed, local, speed_edges(motion.speed))
+            top = float(np.abs(motion.speed).max()) or 1.0
+            forward = np.linspace(REST * top, top, PER_DIRECTION + 1)  # beyond a bin of standstill
+            result["speed"][name] = bins(motion.speed, local, np.concatenate([-forward[::-1], forward]))
             result["direction"][name] = directions(motion.speed, local)
         if motion.position is not None:
             low, high = float(motion.position.min()), float(motion.position.max())
-            edges = np.linspace(low, high if high > low else low + 1.0, POSITION_BINS + 1)
-            result["position"][name] = bins(motion.position, local, edges)
+            places = np.linspace(low, high if high > low else low + 1.0, POSITION_BINS + 1)
+            result["position"][name] = bins(motion.position, local, places)
         result["amplitude"][name] = {
             key: bins(value, local, np.linspace(0.0, float(np.abs(value).max()) or 1.0, AMPLITUDE_BINS + 1))
             for key, value in size.items()
@@ -347,9 +311,9 @@ def localised(
             result["frequency"][name] = spectrum(t, u, y[:, k], free[:, k])
         residual = windows.residual[:, k]
         known = residual[np.isfinite(residual)]
-        rms = float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
+        size_left = float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
         against = {key: input_correlation(samples, residual, lags) for key, samples in u.items()}
-        result["residual"][name] = ResidualTests(rms, whiteness(residual, lags), against)
+        result["residual"][name] = ResidualTests(size_left, whiteness(residual, lags), against)
     return result
 
 
@@ -369,25 +333,283 @@ def _gap(signal: Signal, t: Array, y: Array, error: Array | None, local: Array) 
     return OutputGap(signal.name, signal.unit, spread, *free, at, *sizes(local))
 
 
-def _window_errors(t: Array, error: Array | None, local: Array, edges: NDArray[np.int_]) -> WindowErrors:
-    rms, local_rms = (
-        np.full(len(edges) - 1, np.nan) if e is None else np.sqrt(np.add.reduceat(e**2, edges[:-1]) / np.diff(edges))
-        for e in (error, local)
-    )
-    return WindowErrors(t[edges[:-1]], t[edges[1:] - 1], rms, local_rms, int(local_rms.argmax()))
-
-
-def samples_of(what: str, seconds: float, record: Record) -> int:
-    """Convert a stated length of time to samples."""
-    if not np.isfinite(seconds) or not 2 * record.dt <= seconds <= record.duration + record.dt:
-        expected = f"{2 * record.dt:g} s to {record.duration:g} s"
-        raise InputError(f"compare {record.name}: {what}", f"{seconds:g} s", expected)
-    return round(seconds / record.dt)
-
-
 def kept(record: Record, inputs: Sequence[str], outputs: Sequence[str], y: Array, title: str) -> Record:
     """Return a record of the compared signals with ``y`` (m, n_y) as outputs, over the first m samples."""
     n = len(y)
     seen = {name: record.inputs[name][:n] for name in inputs}
     made = {name: y[:, k] for k, name in enumerate(outputs)}
     return Record(record.t[:n], seen, made, {name: record.unit(name) for name in (*seen, *made)}, title)
+
+
+# --- tests of a residual ----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Whiteness(Evidence):
+    """Autocorrelation of a residual, not centred, and the Ljung-Box test Q = N (N + 2) sum r_k^2 / N_k of m lags.
+
+    N_k is the number of pairs at lag k. Q of a white residual has m degrees of freedom, as no parameter was fitted.
+    """
+
+    # lags, autocorrelation: lags 0..m in samples, and r_k with r_0 = 1, shape (m + 1,)
+    lags: NDArray[np.int_]
+    autocorrelation: Array
+    band: float  # 99 % of the r_k of a white residual are within ± this
+    # statistic, dof, p_value: Q, m, and the probability of a larger Q for a white residual
+    statistic: float
+    dof: int
+    p_value: float
+    predictable_share: float  # share of the variance that a linear predictor over the last m samples explains, 0..1
+    samples: int  # N
+
+
+@dataclass(frozen=True)
+class InputCorrelation(Evidence):
+    """Cross-correlation of one input, without its mean, with a residual, and the test of their independence.
+
+    Q = N_m R^2 with the R^2 of the regression of the residual on lags 0..m of the input at the N_m samples that have
+    all of them.
+    """
+
+    # lags, correlation: lags -m..m in samples (positive: the residual after the input), and r_k, shape (2 m + 1,).
+    # Correlation at negative lags means that the input was computed from the output (closed loop).
+    lags: NDArray[np.int_]
+    correlation: Array
+    # 99 % band of r_k, corrected for the colour of the residual and the input; 2.58 / sqrt(N) for white ones
+    band: float
+    # Q, the number of excited directions among the m + 1 lags, and the probability of a larger Q
+    statistic: float
+    dof: int
+    p_value: float
+    explained_share: float  # R²: share of the residual's variance that the input explains over lags 0..m, 0..1
+    samples: int  # N
+
+
+def autocorrelation(residual: ArrayLike, lags: int) -> tuple[Array, NDArray[np.int_]]:
+    """Compute r_0..r_lags of a residual (n,), not centred, without NaN samples, and the number of pairs at each lag."""
+    e = np.asarray(residual, dtype=float)
+    there = np.isfinite(e)
+    filled = np.where(there, e, 0.0)
+    n = len(e)
+    power = float(filled @ filled)
+    r = np.array([filled[k:] @ filled[: n - k] for k in range(lags + 1)]) / (power or 1.0)
+    r[0] = 1.0
+    pairs = np.array([int((there[k:] & there[: n - k]).sum()) for k in range(lags + 1)])
+    return r, pairs
+
+
+def whiteness(residual: ArrayLike, lags: int) -> Whiteness:
+    """Apply the Ljung-Box test to the first ``lags`` autocorrelations of a residual (n,) without its NaN samples."""
+    from scipy.linalg import toeplitz
+    from scipy.stats import chi2
+
+    r, pairs = autocorrelation(residual, lags)
+    n = int(pairs[0])
+    used = pairs[1:] > 0
+    statistic = float(n * (n + 2) * (r[1:][used] ** 2 / pairs[1:][used]).sum())
+    dof = int(used.sum())
+    predictor = np.linalg.lstsq(toeplitz(r[:-1]), r[1:])[0] if lags else np.zeros(0)
+    share = float(np.clip(predictor @ r[1:], 0.0, 1.0))
+    p_value = float(chi2.sf(statistic, dof)) if dof else 1.0
+    return Whiteness(np.arange(lags + 1), r, float(BAND_99 / np.sqrt(max(n, 1))), statistic, dof, p_value, share, n)
+
+
+def input_correlation(u: ArrayLike, residual: ArrayLike, lags: int) -> InputCorrelation:
+    """Compute the cross-correlation of an input (n,) with a residual (n,) over lags -``lags``..``lags``.
+
+    NaN samples of the residual are excluded.
+    """
+    from scipy.stats import chi2
+
+    e: Array = np.asarray(residual, dtype=np.float64)
+    v: Array = np.asarray(u, dtype=np.float64)
+    v = v - float(v.mean())
+    filled = np.nan_to_num(e)
+    n, total = int(np.isfinite(e).sum()), len(e)
+    size = float(np.sqrt((filled @ filled) * (v @ v)))
+    ahead = [filled[k:] @ v[: total - k] for k in range(lags + 1)]
+    behind = [filled[: total - k] @ v[k:] for k in range(lags, 0, -1)]
+    correlation: Array = np.array([*behind, *ahead], dtype=np.float64)
+    correlation /= size or 1.0
+    r_e, r_u = autocorrelation(e, lags)[0], autocorrelation(v, lags)[0]
+    # Variance of r_k for a coloured residual that is independent of a coloured input (Ljung 1999, eq. 16.64).
+    spread = max(1.0, float(1.0 + 2.0 * (r_e[1:] @ r_u[1:])))
+    share, dof, rows = _explained(v, e, lags)
+    statistic = rows * share
+    p_value = float(chi2.sf(statistic, dof)) if dof else 1.0
+    band = float(BAND_99 * np.sqrt(spread / max(n, 1)))
+    return InputCorrelation(np.arange(-lags, lags + 1), correlation, band, statistic, dof, p_value, share, n)
+
+
+def _explained(v: Array, e: Array, lags: int) -> tuple[float, int, int]:
+    """Return R² of the regression of ``e`` on ``v`` at lags 0..``lags``, excited directions, and samples used."""
+    rows = np.flatnonzero(np.isfinite(e))
+    rows = rows[rows >= lags]
+    target = e[rows]
+    power = float(target @ target)
+    if not power:
+        return 0.0, 0, len(rows)
+    lagged = np.column_stack([v[rows - k] for k in range(lags + 1)])
+    values, vectors = np.linalg.eigh(lagged.T @ lagged)
+    keep = values > NOT_EXCITED * max(values[-1], 0.0) if values[-1] > 0 else np.zeros(lags + 1, bool)
+    coordinates = vectors[:, keep].T @ (lagged.T @ target)
+    share = float(np.clip((coordinates**2 / values[keep]).sum() / power, 0.0, 1.0))
+    return share, int(keep.sum()), len(rows)
+
+
+# --- disturbance at an input or a joint -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class InputDisturbance(Evidence):
+    """Disturbance at a single place with which the model reproduces the record best."""
+
+    place: str  # ``input u``, or ``torque at omega``
+    unit: str
+    value: Array  # at each sample, (n,)
+    std: Array  # its standard deviation, (n,)
+    speed: Array | None  # measured speed at each sample, (n,), or None without one
+    speed_source: str
+    rms: float
+    # mean, forward, backward: over all samples and over those that move in one direction (NaN without any), with
+    # standard errors
+    mean: float
+    mean_std: float
+    forward: float
+    forward_std: float
+    backward: float
+    backward_std: float
+    shares: Mapping[str, float]  # output -> removed share of its squared windowed error; negative where it grows
+    explained_share: float  # the same over all outputs, 0..1, each in multiples of its noise
+
+    quantities: ClassVar[Mapping[str, Any]] = {
+        **dict.fromkeys(("rms", "mean", "mean_std", "forward", "forward_std", "backward", "backward_std"), "*"),
+        "shares": Each("outputs", float),
+        "explained_share": float,
+    }
+
+    @property
+    def sure_means(self) -> dict[str, tuple[float, float]]:
+        """Return the means, by direction or of all, that differ significantly from zero, with standard errors."""
+        ways = {"moving forward": (self.forward, self.forward_std), "backward": (self.backward, self.backward_std)}
+        if not np.isfinite([self.forward, self.backward]).any():
+            ways = {"over all": (self.mean, self.mean_std)}
+        return {way: (mean, std) for way, (mean, std) in ways.items() if abs(mean) > SURE * std}
+
+    def to_json(self) -> dict[str, object]:
+        return {key: v for key, v in vars(self).items() if key not in ("value", "std", "speed")}
+
+
+def input_disturbances(
+    plant: Any, response: LinearResponse, error: Array, edges: Indices, motion: Motion
+) -> dict[str, InputDisturbance]:
+    """Estimate a disturbance at each input (by name) and each joint without a direct input (``torque at omega``).
+
+    ``error``: of the windows between ``edges``, (n, n_y). Empty for a discrete model, a nonuniform time base and too
+    few samples.
+    """
+    model, whole, names = response.response.model, response.whole, response.response.output_names
+    if model.is_discrete or not whole.is_uniform or len(whole.t) < SHORTEST:
+        return {}
+    model = model.select(outputs=names)
+    u = np.column_stack([whole.u[name] for name in model.input_names])
+    spread, level = np.ptp(whole.y, axis=0), np.abs(whole.y).max(axis=0)
+    spread = np.where(spread > 0, spread, np.where(level > 0, level, 1.0))
+    # The variance of third differences is 20 times that of white noise.
+    third = np.median(np.abs(np.diff(whole.y, 3, axis=0)), axis=0) / 0.6745 / np.sqrt(20.0)
+    noise = np.maximum(third, LEAST_NOISE * spread)
+    found: dict[str, InputDisturbance] = {}
+    for key, place, unit, push in _places(plant, model):
+        try:
+            smoothed = smooth_disturbance(model, push[:, None], whole.t, u, whole.y, noise)
+        except (InputError, NoTrustworthyNumber):  # no output responds to it, or the record is too short
+            continue
+        left = _remaining(replace(response, pushes=push[:, None]), smoothed.d, error, edges)[0] / whole.weight
+        errors = [e / smoothed.noise_std for e in (error, left)]
+        found[key] = _disturbance(place, unit, smoothed, 0, motion, names, *errors)
+    return found
+
+
+def joint_disturbances(
+    response: MotionResponse, smoothed: SmoothedRecord, error: Array, edges: Indices, motions: Sequence[Motion]
+) -> dict[str, InputDisturbance]:
+    """Estimate a disturbance at each joint of a nonlinear plant, or at each input of one without joints.
+
+    ``error``: of the windows between ``edges``, (n, n_y). ``motions``: of each joint or input, or a single one.
+    """
+    plant = response.plant
+    joints = [(_force_at(p.name, next(s.unit for s in plant.states if s.name == p.name)), p.unit)
+              for p in plant.port_places if p.kind == "joint"]  # fmt: skip
+    places = joints or [(f"input {s.name}", s.unit) for s in plant.inputs]
+    motions = motions if len(motions) == len(places) else [motions[0]] * len(places)
+    left, before = _remaining(response, smoothed.d, error, edges), error * response.whole.weight
+    names = [plant.outputs[k].name for k in response.columns]
+    return {
+        place.removeprefix("input "): _disturbance(place, unit, smoothed, j, motions[j], names, before, left[j])
+        for j, (place, unit) in enumerate(places)
+    }
+
+
+def _remaining(model: Windowed, d: Array, error: Array, edges: Indices) -> Array:
+    """Return the weighted error with each force of d (n, n_forces), starts refitted: (n_forces, n, n_y)."""
+    left, sizes = np.empty((d.shape[1], *error.shape)), np.diff(edges)
+    for size in np.unique(sizes):
+        for windows in model.responses(edges[:-1][sizes == size], int(size), d):
+            at = windows.samples
+            for j in range(len(left)):
+                left[j][at] = fit_windows(model, windows, error[at] - windows.pushed[..., j]).left
+    return left
+
+
+def _places(plant: Any, model: StateSpaceModel) -> Iterable[tuple[str, str, str, Array]]:
+    """Yield key, text, unit and direction of each place, without inputs that have a direct feedthrough."""
+    inputs = [k for k in range(model.n_inputs) if not model.D[:, k].any()]
+    for k in inputs:
+        yield model.input_names[k], f"input {model.input_names[k]}", model.inputs[k].unit, model.B[:, k]
+    if not isinstance(plant, (LinearPlant, StateSpaceModel)):
+        return
+    try:
+        ports: Iterable[Port] = port_model(linear_plant_of(plant)).ports.values()
+    except (InputError, np.linalg.LinAlgError):
+        return
+    for port in ports:
+        if port.kind != "joint" or port.force.shape != (model.n_states,):
+            continue
+        if all(np.linalg.matrix_rank(np.stack([port.force, model.B[:, k]])) == 2 for k in inputs):
+            text = _force_at(port.name, port.speed_unit)
+            yield text, text, port.unit, port.force
+
+
+def _force_at(joint: str, speed_unit: str) -> str:
+    return f"{'torque' if speed_unit == 'rad/s' else 'force'} at {joint}"
+
+
+def _disturbance(
+    place: str, unit: str, smoothed: SmoothedRecord, j: int, motion: Motion, names: Sequence[str], error: Array,
+    left: Array,
+) -> InputDisturbance:  # fmt: skip
+    """Summarise a disturbance; ``error``, ``left``: without and with it, in multiples of each sensor's noise."""
+    d, std, dt = smoothed.d[:, j], smoothed.d_std[:, j], float(smoothed.t[1] - smoothed.t[0])
+    # Samples closer than half a period of the bandwidth are dependent.
+    independent = min(1.0, 2.0 * float(smoothed.bandwidth.min()) * dt)
+
+    def mean(chosen: Mask) -> tuple[float, float]:
+        n = int(chosen.sum())
+        if not n:
+            return np.nan, np.nan
+        spread = max(float(d[chosen].std()), float(np.sqrt((std[chosen] ** 2).mean())))
+        return float(d[chosen].mean()), spread / float(np.sqrt(max(1.0, independent * n)))
+
+    speed = motion.speed
+    rest = 0.0 if speed is None else REST * float(np.abs(speed).max())
+    none, every = np.zeros(len(d), dtype=bool), np.ones(len(d), dtype=bool)
+    ways = [every, none, none] if speed is None else [every, speed > rest, speed < -rest]
+    before, after = (error**2).sum(axis=0), (left**2).sum(axis=0)
+    shares = np.divide(before - after, before, out=np.zeros_like(before), where=before > 0)
+    total = float(before.sum())
+    (m, m_std), (forward, forward_std), (backward, backward_std) = (mean(way) for way in ways)
+    return InputDisturbance(
+        place, unit, d, std, speed, motion.speed_source, float(np.sqrt((d**2).mean())),
+        m, m_std, forward, forward_std, backward, backward_std, dict(zip(names, shares.tolist(), strict=True)),
+        max(0.0, 1.0 - float(after.sum()) / total) if total else 0.0,
+    )  # fmt: skip

@@ -5,7 +5,7 @@ Noise is coloured and changes along the period: Satterthwaite's rule gives the e
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import lcm
 
@@ -45,58 +45,28 @@ class Excess(Evidence):
 class NoiseFloor(Evidence):
     """Noise of the outputs of a record that repeats; see `noise_floor`."""
 
-    source: str  # ``"periods"`` of one record, or ``"repeated records"``
     signal: str  # the signal that repeats; empty for a stated period without a recorded signal that repeats exactly
-    period: float | None  # its period in s; None for repeated records
+    period: float  # its period in s
     samples: int  # of one repeat
     count: int  # number of repeats
     # sample of the record at which the first period used starts: the last whole periods, without a start-up transient
     first: int
-    # output name -> standard deviation of the noise in a single sample, in the unit of the output
+    # output name -> standard deviation of the noise in a single sample, in the unit of the output; where a drift (an
+    # integrator in open loop) was removed, it holds no noise slower than a period
     std: Mapping[str, float]
-    # output name -> standard deviation of the level of the repeats where a drift (an integrator in open loop) was
-    # removed, else 0. ``std`` then holds no noise slower than a period.
-    level: Mapping[str, float]
     # input name -> as ``std`` for inputs that do not repeat exactly: noise that a controller feeds back
     input_std: Mapping[str, float]
     notes: tuple[str, ...]  # limits of the estimate
 
-    def repeats(self, samples: ArrayLike) -> Array:
-        """Cut samples (n,) of the record into repeats, shape (count, samples); repeats are returned unchanged."""
-        x = np.asarray(samples, dtype=np.float64)
-        if x.ndim == 2 and x.shape == (self.count, self.samples):
-            return x
-        last = self.first + self.count * self.samples
-        if x.ndim != 1 or len(x) < last or self.source != "periods":
-            need = f"({self.count}, {self.samples})" + (f" or (n,), n >= {last}" if self.source == "periods" else "")
-            raise InputError("noise floor", f"samples of shape {x.shape}", need)
-        return x[self.first : last].reshape(self.count, self.samples)
+    def repeats(self, samples: Array) -> Array:
+        """Cut samples (n,) of the record into repeats, shape (count, samples)."""
+        return samples[self.first : self.first + self.count * self.samples].reshape(self.count, self.samples)
 
-    def periodic(self, samples: ArrayLike) -> Array:
-        """Return `repeats` without a drift from period to period: (count, samples).
-
-        A drifting output is a ramp plus a periodic part; the slope is the mean step of the levels of the periods.
-        """
-        x = self.repeats(samples)
-        if not _drifts(x):
-            return x
-        level = x.mean(axis=1, keepdims=True)
-        step = float(np.diff(level[:, 0]).mean()) if self.source == "periods" else 0.0
-        ramp = step * ((np.arange(self.samples) + 0.5) / self.samples - 0.5)
-        return x - level - ramp + level.mean()
-
-    def excess(self, residual: ArrayLike) -> Excess:
-        """Test whether anything repeats in a residual: (n,) as the record, or (count, samples).
-
-        Windows of a windowed simulation must be at the same phases of every period. Phases with NaN in any repeat are
-        excluded.
-        """
+    def excess(self, residual: Array) -> Excess:
+        """Test whether anything repeats in a residual (n,), with windows at the same phases of every period."""
         from scipy.stats import f as fisher
 
         r = self.repeats(residual)
-        r = r[:, np.isfinite(r).all(axis=0)]
-        if r.shape[1] < SHORTEST_PERIOD:
-            raise NoTrustworthyNumber("noise floor", f"{r.shape[1]} phases without NaN", f"at least {SHORTEST_PERIOD}")
         mean = r.mean(axis=0)
         deviation = r - mean
         power, variance = float(np.mean(mean**2)), float((deviation**2).sum() / ((self.count - 1) * r.shape[1]))
@@ -112,27 +82,19 @@ class NoiseFloor(Evidence):
         )
 
 
-def noise_floor(
-    record: Record, *, period: float | None = None, repeats: Sequence[Record] = (), outputs: Sequence[str] | None = None
-) -> NoiseFloor:
-    """Estimate the noise of the outputs of a record from its periods or from further records with the same input."""
-    names = list(record.outputs) if outputs is None else list(outputs)
-    for name in names:
-        record[name]
-    if repeats and period is not None:
-        raise InputError("noise floor", "both a period and repeated records", "one of the two")
-    if not all(r.is_uniform for r in (record, *repeats)):
-        raise NoTrustworthyNumber(f"noise floor of {record.name}", "the clock is not uniform", "a uniform clock")
-    if repeats:
-        return _from_records(record, repeats, names)
-    if period is None:
-        samples, signal = _found_period(record, names)
-    else:
-        samples, signal = _stated_period(record, period), ""
+def noise_floor(record: Record, *, period: float | None = None, outputs: Sequence[str] | None = None) -> NoiseFloor:
+    """Estimate the noise of the outputs of a record from its periods."""
+    where, names = f"noise floor of {record.name}", list(record.outputs) if outputs is None else list(outputs)
+    if not record.is_uniform:
+        raise NoTrustworthyNumber(where, "the clock is not uniform", "a uniform clock")
+    samples, signal = _found_period(record, names) if period is None else (_stated_period(record, period), "")
     count = record.n // samples
     first = record.n - count * samples
     stacked = {name: x[first:].reshape(count, samples) for name, x in (*record.inputs.items(), *record.outputs.items())}
-    _require_alike(record, stacked, f"a period of {samples * record.dt:.6g} s")
+    for name in record.inputs:
+        if not _alike(stacked[name]):
+            found = f"does not repeat with a period of {samples * record.dt:.6g} s"
+            raise InputError(f"{where}: {name}", found, "the same input in every repeat (to 10 % in closed loop)")
     skipped = _transient([stacked[name] for name in names])
     notes = []
     if skipped:
@@ -140,8 +102,23 @@ def noise_floor(
     elif count == 2 and first < samples // 2:
         notes.append("two periods only: a transient at the start would count as noise")
     stacked = {name: x[skipped:] for name, x in stacked.items()}
-    start = first + skipped * samples
-    return _floor("periods", signal, samples * record.dt, start, stacked, names, record.inputs, notes)
+    spreads = {name: _spread(stacked[name]) for name in names}
+    if drifting := [name for name, (_, level) in spreads.items() if level]:
+        notes.append(
+            f"{', '.join(drifting)} drifts from repeat to repeat: its level was removed, noise slower than a repeat "
+            "is not in the floor"
+        )
+    moving = {name: _spread(stacked[name])[0] for name in record.inputs if np.ptp(stacked[name])}
+    return NoiseFloor(
+        signal,
+        samples * record.dt,
+        samples,
+        count - skipped,
+        first + skipped * samples,
+        {name: std for name, (std, _) in spreads.items()},
+        {name: s for name, s in moving.items() if s > EXACT * float(np.ptp(stacked[name]))},
+        tuple(notes),
+    )
 
 
 def period_of(samples: ArrayLike, tolerance: float | None = None) -> int | None:
@@ -261,13 +238,6 @@ def _alike(stacked: Array) -> bool:
     return spread <= ROUGHLY * float(stacked.std())
 
 
-def _require_alike(record: Record, stacked: Mapping[str, Array], what: str) -> None:
-    for name in record.inputs:
-        if not _alike(stacked[name]):
-            expected = "the same input in every repeat (to 10 % in closed loop)"
-            raise InputError(f"noise floor of {record.name}: {name}", f"does not repeat with {what}", expected)
-
-
 def _transient(outputs: Sequence[Array]) -> int:
     """Count the first periods that differ from the later ones by more than these differ among themselves."""
     from scipy.stats import f as fisher
@@ -308,44 +278,3 @@ def _spread(x: Array) -> tuple[float, float]:
         deviation = deviation - (level - level.mean())[:, None]
     std = float(np.sqrt((deviation**2).sum() / ((count - 1) * (n - drifts))))
     return std, float(level.std(ddof=1)) if drifts else 0.0
-
-
-def _floor(
-    source: str,
-    signal: str,
-    period: float | None,
-    first: int,
-    stacked: Mapping[str, Array],
-    outputs: list[str],
-    inputs: Iterable[str],
-    notes: list[str],
-) -> NoiseFloor:
-    found = {name: _spread(stacked[name]) for name in outputs}
-    if drifting := [name for name, (_, level) in found.items() if level]:
-        notes.append(
-            f"{', '.join(drifting)} drifts from repeat to repeat: its level was removed, noise slower than a repeat "
-            "is not in the floor"
-        )
-    spreads = {name: _spread(stacked[name])[0] for name in inputs if np.ptp(stacked[name])}
-    spreads = {name: s for name, s in spreads.items() if s > EXACT * float(np.ptp(stacked[name]))}
-    count, samples = next(iter(stacked.values())).shape
-    std, level = ({name: pair[k] for name, pair in found.items()} for k in (0, 1))
-    return NoiseFloor(source, signal, period, samples, count, first, std, level, spreads, tuple(notes))
-
-
-def _from_records(record: Record, repeats: Sequence[Record], outputs: list[str]) -> NoiseFloor:
-    """Estimate the noise floor from records with the same input, cut to the shortest."""
-    n, names = min(r.n for r in (record, *repeats)), (*record.inputs, *outputs)
-    for number, other in enumerate(repeats, start=1):
-        where = f"repeat {number} ({other.name})"
-        if abs(other.dt - record.dt) > 1e-3 * record.dt:
-            raise InputError(where, f"sample time {other.dt:g} s", f"{record.dt:g} s")
-        if missing := [name for name in names if name not in (*other.inputs, *other.outputs)]:
-            raise InputError(where, f"no signal {missing[0]!r}", "the signals of the record")
-    if n < SHORTEST_PERIOD:
-        raise InputError(f"noise floor of {record.name}", f"{n} samples in common", f"at least {SHORTEST_PERIOD}")
-    stacked = {name: np.stack([r[name][:n] for r in (record, *repeats)]) for name in names}
-    _require_alike(record, stacked, "the repeats")
-    size = {name: np.ptp(stacked[name]) for name in record.inputs}
-    exact = [name for name, s in size.items() if s > 0 and np.ptp(stacked[name], axis=0).max() <= EXACT * s]
-    return _floor("repeated records", ", ".join(exact), None, 0, stacked, outputs, record.inputs, [])

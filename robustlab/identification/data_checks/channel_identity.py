@@ -23,6 +23,7 @@ from robustlab.identification.greybox.motion_smoother import smooth_motion
 from robustlab.identification.response.response import Stretch, rates, stretch_of
 from robustlab.identification.response.windowed_simulation import MotionResponse, fit_windows
 from robustlab.record import Record
+from robustlab.result import Evidence
 from robustlab.statespace import StateSpaceModel
 from robustlab.units import unit_family
 
@@ -98,15 +99,27 @@ SLOPE_MATCH = 1.3
 
 
 @dataclass(frozen=True)
-class Contradiction:
-    """A channel that contradicts the model."""
+class Finding(Evidence):
+    """A property of a record that is relevant for effect identification."""
 
-    kind: str  # "sign", "unit" or "swapped-outputs"
-    # the channel; two if they are swapped, or if one of two is wrong and the record does not determine which
-    channels: tuple[str, ...]
-    factor: float  # recorded values over expected ones (NaN for swapped channels)
-    unit: str  # unit in which a channel of kind "unit" seems to be recorded; empty if unknown
+    # too-short, unexcited, constant-output, sign, unit, swapped-outputs, motion: may be fatal; clipped, gaps, jitter,
+    # quantisation: never
+    kind: str
+    channel: str  # signal, or ``"t"`` for the time base; two signals are separated by a comma
+    found: str
+    expected: str
+    hint: str
+    fatal: bool  # effects must not be identified from this record
     evidence: dict[str, object]
+
+    @property
+    def message(self) -> str:
+        """``CHANNEL: FOUND, expected EXPECTED``."""
+        text = f"{self.channel}: {self.found}"
+        return f"{text}, expected {self.expected}" if self.expected else text
+
+    def to_json(self) -> dict[str, object]:
+        return {**vars(self), "message": self.message}
 
 
 def unit_factors(unit: str) -> dict[float, str]:
@@ -126,7 +139,7 @@ def unit_factors(unit: str) -> dict[float, str]:
 
 def contradictions(
     model: StateSpaceModel, outputs: tuple[str, ...], record: Record, good: Mask, factors: Sequence[Factors]
-) -> list[Contradiction]:
+) -> list[Finding]:
     """Find the channels of a uniformly sampled record that contradict the model, the most reliable test first.
 
     ``good``: measured samples, (n,). ``factors``: of each output.
@@ -134,7 +147,7 @@ def contradictions(
     signals = (*model.inputs, *(s for s in model.outputs if s.name in outputs))
     units = {s.name: record.unit(s.name) or s.unit for s in signals}
     found = _from_derivatives(model, outputs, record, good, units, factors)
-    taken = {name for one in found for name in one.channels}
+    taken = {name for one in found for name in one.channel.split(", ")}
     return found + _from_responses(model, outputs, units, factors, taken)
 
 
@@ -191,8 +204,8 @@ def derivative_slope(y_a: Array, y_b: Array, dt: float, good: Mask) -> tuple[flo
 def _from_derivatives(
     model: StateSpaceModel, outputs: tuple[str, ...], record: Record, good: Mask, units: dict[str, str],
     factors: Sequence[Factors],
-) -> list[Contradiction]:  # fmt: skip
-    found: list[Contradiction] = []
+) -> list[Finding]:  # fmt: skip
+    found: list[Finding] = []
     for a, b, kappa in derivative_pairs(model):
         if a not in outputs or b not in outputs:
             continue
@@ -203,7 +216,7 @@ def _from_derivatives(
         back, back_share = derivative_slope(record[b], kappa * record[a], record.dt, good)
         if back_share >= SLOPE_FIT and SLOPE_RANGE[0] <= back <= SLOPE_RANGE[1]:
             more = {"slope_swapped": back, "r2_swapped": back_share}
-            found.append(Contradiction("swapped-outputs", (a, b), math.nan, "", {**evidence, **more}))
+            found.append(_finding("swapped-outputs", (a, b), math.nan, "", {**evidence, **more}, units))
             continue
         if share < SLOPE_FIT:
             continue
@@ -212,7 +225,7 @@ def _from_derivatives(
         if slope < 0:  # the one that moves against the model's response; both if the record does not determine it
             known = s_a * s_b < 0 and max(sure_a, sure_b) >= 0.5
             wrong = (a, b) if not known else (a,) if s_a < 0 else (b,)
-            found.append(Contradiction("sign", wrong, -1.0, "", evidence))
+            found.append(_finding("sign", wrong, -1.0, "", evidence, units))
         size = abs(slope)
         if SLOPE_RANGE[0] <= size <= SLOPE_RANGE[1]:
             continue
@@ -226,7 +239,7 @@ def _from_derivatives(
             best.pop(b if abs(math.log(abs(s_a))) > abs(math.log(abs(s_b))) else a)
         if best:
             factor, unit = next(iter(best.values()))
-            found.append(Contradiction("unit", tuple(best), factor, unit if len(best) == 1 else "", evidence))
+            found.append(_finding("unit", tuple(best), factor, unit if len(best) == 1 else "", evidence, units))
     return found
 
 
@@ -235,20 +248,20 @@ def _from_derivatives(
 
 def _from_responses(
     model: StateSpaceModel, outputs: tuple[str, ...], units: dict[str, str], factors: Sequence[Factors], taken: set[str]
-) -> list[Contradiction]:
+) -> list[Finding]:
     """Find inputs whose factor is wrong in every output that determines it, else outputs with only wrong factors."""
     free = [j for j, name in enumerate(outputs) if name not in taken]
     sure, likely = np.full((2, len(free), model.n_inputs), np.nan)
     for k, j in enumerate(free):
         for i, name in enumerate(model.input_names):
             sure[k, i], likely[k, i] = _snapped(factors[j], i, units[outputs[j]], units[name])
-    found: list[Contradiction] = []
+    found: list[Finding] = []
     for i, name in enumerate(model.input_names):
         wrong = np.flatnonzero(np.isfinite(sure[:, i]) & (sure[:, i] != 1.0))
         own = likely[:, i][np.isfinite(likely[:, i])]
         if len(wrong) and np.allclose(own, own[0]) and (len(own) > 1 or (sure[wrong[0]] == 1.0).any()):
             figures = factors[free[wrong[0]]].evidence(i)
-            found += _sign_or_unit((name,), 1.0 / sure[wrong[0], i], unit_factors(units[name]), figures)
+            found += _sign_or_unit((name,), 1.0 / sure[wrong[0], i], figures, units)
     if found:
         return found
     for row, j in zip(sure, free, strict=True):
@@ -256,20 +269,48 @@ def _from_responses(
         if len(wrong) and np.allclose(row[np.isfinite(row)], row[wrong[0]]):
             channels = (outputs[j], *model.input_names) if np.isfinite(likely).sum() == 1 else (outputs[j],)
             figures = factors[j].evidence(int(wrong[0]))
-            found += _sign_or_unit(channels, row[wrong[0]], unit_factors(units[outputs[j]]), figures)
+            found += _sign_or_unit(channels, row[wrong[0]], figures, units)
     return found
 
 
 def _sign_or_unit(
-    channels: tuple[str, ...], factor: float, units: dict[float, str], evidence: dict[str, object]
-) -> list[Contradiction]:
+    channels: tuple[str, ...], factor: float, evidence: dict[str, object], units: dict[str, str]
+) -> list[Finding]:
     """Interpret a factor as a wrong sign, a wrong unit, or both."""
-    found = [Contradiction("sign", channels, -1.0, "", evidence)] if factor < 0 else []
+    found = [_finding("sign", channels, -1.0, "", evidence, units)] if factor < 0 else []
     size = abs(factor)
     if not math.isclose(size, 1.0):
-        unit = next((name for f, name in units.items() if abs(math.log(f / size)) < 1e-6), "")
-        found.append(Contradiction("unit", channels, float(size), unit, evidence))
+        known = unit_factors(units[channels[0]]).items()
+        unit = next((name for f, name in known if abs(math.log(f / size)) < 1e-6), "")
+        found.append(_finding("unit", channels, float(size), unit, evidence, units))
     return found
+
+
+def _finding(
+    kind: str, channels: tuple[str, ...], factor: float, unit: str, evidence: dict[str, object], units: dict[str, str]
+) -> Finding:
+    """State that a channel contradicts the model, or one of several; ``factor``: recorded values over expected ones."""
+    first, either, e = channels[0], " or ".join(channels), evidence
+    if "slope_swapped" in e:
+        because = f"{e['test']} exchanged has the slope {e['slope_swapped']:.3g}"
+    elif "slope" in e:
+        because = f"{e['test']}: slope {e['slope']:.3g} instead of 1, R² {e['r2']:.3g}"
+    else:
+        because = f"its response is {e['found']:.3g} times the model's, R² {e['r2']:.3g}"
+    if kind == "sign":
+        text = f"{either} seems to be measured with the other sign ({because})"
+        hint = f"check the wiring and the counting direction; if it is so, turn the sign of {either} in the record"
+        expected = "the model's sign"
+    elif kind == "unit":
+        expected = units[first] or "the model's unit"
+        as_if = f"seems to be recorded in {unit or 'another unit'}"
+        text = f"{either} {as_if}: its values are about {factor:.4g} times those in {expected} ({because})"
+        hint = f"if it is so, divide {first} by {factor:.6g}"
+    else:
+        text = f"{' and '.join(channels)} seem to be swapped ({because})"
+        hint = "exchange the two names in the record"
+        expected = "each signal under its own name"
+    return Finding(kind, ", ".join(channels), text, expected, hint, True, {**e, "factor": factor, "unit": unit})
 
 
 @dataclass(frozen=True)
@@ -344,7 +385,10 @@ def _factors(
     if not kept:
         return []
     u, y = (np.stack([x[k : k + length] for k in kept]) for x in (u, y))
-    n_u, n_x, ports, (phi, gamma) = model.n_inputs, model.n_states, _ports(model), _with_state_inputs(model, dt)
+    n_u, n_x, ports = model.n_inputs, model.n_states, _ports(model)
+    phi, gamma = model.A, np.hstack([model.B, np.eye(n_x)])  # with a further input on the equation of every state
+    if not model.is_discrete:
+        phi, gamma, _ = transition(StateSpaceModel(phi, gamma, model.C, np.zeros((len(model.C), gamma.shape[1]))), dt)
 
     def responses(signals: Array, columns: Sequence[int]) -> list[Array]:
         """Simulate outputs (windows, n, n_y_of_model) for each signal (windows, n, columns) from zero state.
@@ -414,14 +458,6 @@ def _orthonormal(columns: Array) -> Array:
         return np.zeros((len(columns), 0))
     left, sigma, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
     return left[:, sigma > RANK * sigma[0]]
-
-
-def _with_state_inputs(model: StateSpaceModel, dt: float) -> tuple[Array, Array]:
-    """Compute the transition over a sample, with a further input on the equation of every state."""
-    wide = np.hstack([model.B, np.eye(model.n_states)])
-    if model.is_discrete:
-        return model.A, wide
-    return transition(StateSpaceModel(model.A, wide, model.C, np.zeros((len(model.C), wide.shape[1]))), dt)[:2]
 
 
 def _ports(model: StateSpaceModel) -> list[int]:

@@ -18,7 +18,7 @@ from robustlab.display import Facts, Part
 from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.data_checks.channel_identity import (
-    Contradiction,
+    Finding,
     contradictions,
     response_factors,
     turned_channels,
@@ -34,23 +34,11 @@ CLIPPED_SHARE = 1e-3
 
 
 @dataclass(frozen=True)
-class ChannelSummary:
-    """One channel: least and greatest value, root mean square, in ``unit``."""
-
-    name: str
-    side: str
-    unit: str
-    least: float
-    greatest: float
-    rms: float
-
-
-@dataclass(frozen=True)
 class RecordCheck(Evidence):
     """Content and peculiarities of a record; with a model, its fitness for effect identification."""
 
     record: Record
-    channels: tuple[ChannelSummary, ...]
+    channels: tuple[dict[str, Any], ...]  # name, side, unit, and in that unit least, greatest value, root mean square
     remarks: tuple[str, ...]
     suitability: Suitability | None = None
 
@@ -86,7 +74,7 @@ class RecordCheck(Evidence):
 
     def details(self) -> list[Part]:
         rows = [
-            (c.name, c.side, c.unit or "?", f"{c.least:.6g}", f"{c.greatest:.6g}", f"{c.rms:.6g}")
+            (c["name"], c["side"], c["unit"] or "?", *(f"{c[key]:.6g}" for key in ("least", "greatest", "rms")))
             for c in self.channels
         ]
         return [Part("", ("signal", "side", "unit", "least", "greatest", "rms"), rows)]
@@ -98,14 +86,14 @@ class RecordCheck(Evidence):
 
     def numbers(self) -> dict[str, Any]:
         """Return the time base, the remarks, and the range of each channel by name."""
-        return {"record": self._clock(), "remarks": self.remarks, "channels": {c.name: vars(c) for c in self.channels}}
+        return {"record": self._clock(), "remarks": self.remarks, "channels": {c["name"]: c for c in self.channels}}
 
     def _clock(self) -> dict[str, object]:
         return {name: getattr(self.record, name) for name in ("n", "duration", "dt", "is_uniform")}
 
     def to_json(self) -> dict[str, object]:
         """Return all but the samples."""
-        channels: dict[str, object] = {"channels": [vars(c) for c in self.channels], "remarks": self.remarks}
+        channels: dict[str, object] = {"channels": self.channels, "remarks": self.remarks}
         fit = {} if self.suitability is None else {"suitability": self.suitability.to_json()}
         return {"name": self.record.name, **self._clock(), **channels, **fit, "status": self.status}
 
@@ -125,7 +113,8 @@ def check_record(record: Record, plant: Any = None) -> RecordCheck:
     for side, group in (("input", record.inputs), ("output", record.outputs)):
         for name, x in group.items():
             rms = float(np.sqrt(np.mean(x**2)))
-            channels.append(ChannelSummary(name, side, record.units[name], float(x.min()), float(x.max()), rms))
+            sizes = {"least": float(x.min()), "greatest": float(x.max()), "rms": rms}
+            channels.append({"name": name, "side": side, "unit": record.units[name], **sizes})
             if not record.units[name]:
                 remarks.append(f"{name}: no unit stated")
     remarks.extend(channel_warnings(record, tuple(record.inputs), tuple(record.outputs)))
@@ -188,30 +177,6 @@ RESPONDS = 0.3  # share of an output explained by the input, from which it is no
 MULTIPLE = 0.02  # distance from a whole multiple that rounding may cause
 STEPS_APART = 1000.0  # differences of more steps do not determine the step
 FEWEST_DIFFERENCES = 10
-
-
-@dataclass(frozen=True)
-class Finding(Evidence):
-    """A property of a record that is relevant for effect identification."""
-
-    # too-short, unexcited, constant-output, sign, unit, swapped-outputs, motion: may be fatal; clipped, gaps, jitter,
-    # quantisation: never
-    kind: str
-    channel: str  # signal, or ``"t"`` for the time base; two signals are separated by a comma
-    found: str
-    expected: str
-    hint: str
-    fatal: bool  # effects must not be identified from this record
-    evidence: dict[str, object]
-
-    @property
-    def message(self) -> str:
-        """``CHANNEL: FOUND, expected EXPECTED``."""
-        text = f"{self.channel}: {self.found}"
-        return f"{text}, expected {self.expected}" if self.expected else text
-
-    def to_json(self) -> dict[str, object]:
-        return {**vars(self), "message": self.message}
 
 
 @dataclass(frozen=True)
@@ -292,8 +257,7 @@ def suitability(plant: Any, record: Record) -> Suitability:
         unexcited = _unexcited(record, inputs, outputs, shown)
         findings += unexcited
         if not any(finding.fatal for finding in unexcited):
-            wrong = contradictions(response.model, outputs, level.record, good, factors)
-            findings += [_named(one, response, record) for one in wrong]
+            findings += contradictions(response.model, outputs, level.record, good, factors)
     order = sorted(findings, key=lambda finding: not finding.fatal)
     return Suitability(record.name, tuple(order))
 
@@ -473,29 +437,3 @@ def _along_motion(plant: NonlinearPlant, level: UniformRecord) -> list[Finding]:
         hint = f"check the wiring and the counting direction; if it is so, turn the sign of {name} in the record"
         found.append(Finding("sign", name, text, "the model's sign", hint, True, {"error_left": share}))
     return found
-
-
-def _named(one: Contradiction, response: Response, record: Record) -> Finding:
-    first, either, e = one.channels[0], " or ".join(one.channels), one.evidence
-    if "slope_swapped" in e:
-        because = f"{e['test']} exchanged has the slope {e['slope_swapped']:.3g}"
-    elif "slope" in e:
-        because = f"{e['test']}: slope {e['slope']:.3g} instead of 1, R² {e['r2']:.3g}"
-    else:
-        because = f"its response is {e['found']:.3g} times the model's, R² {e['r2']:.3g}"
-    if one.kind == "sign":
-        text = f"{either} seems to be measured with the other sign ({because})"
-        hint = f"check the wiring and the counting direction; if it is so, turn the sign of {either} in the record"
-        expected = "the model's sign"
-    elif one.kind == "unit":
-        units = {s.name: record.unit(s.name) or s.unit for s in (*response.model.inputs, *response.outputs)}
-        expected = units[first] or "the model's unit"
-        as_if = f"seems to be recorded in {one.unit or 'another unit'}"
-        text = f"{either} {as_if}: its values are about {one.factor:.4g} times those in {expected} ({because})"
-        hint = f"if it is so, divide {first} by {one.factor:.6g}"
-    else:
-        text = f"{' and '.join(one.channels)} seem to be swapped ({because})"
-        hint = "exchange the two names in the record"
-        expected = "each signal under its own name"
-    evidence = {**e, "factor": one.factor, "unit": one.unit}
-    return Finding(one.kind, ", ".join(one.channels), text, expected, hint, True, evidence)

@@ -1,8 +1,7 @@
 """Model validation: the smallest Delta with which an uncertain model explains a record, with proofs on both sides."""
 
+from robustlab.identification.validation.frequency_domain import FrequencyData
 from robustlab.identification.validation.model_validation import validate
-from robustlab.identification.validation.sampled_problem import NoiseNorm
-from robustlab.identification.validation.spectral_data import FrequencyData
-from robustlab.identification.validation.validation_result import BlockSize, Validation
+from robustlab.identification.validation.validation_result import Validation
 
-__all__ = ["BlockSize", "FrequencyData", "NoiseNorm", "Validation", "validate"]
+__all__ = ["FrequencyData", "Validation", "validate"]

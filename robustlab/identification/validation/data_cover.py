@@ -2,7 +2,7 @@ r"""Smallest unmodelled dynamics r Delta at the inputs with which a plant could 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +13,6 @@ from robustlab.display import Facts, listed, number
 from robustlab.dynamics.extended.effect_blocks import EffectLoads, NoiseInput, effect_loads
 from robustlab.errors import InputError, error_context
 from robustlab.identification.validation.model_validation import validate
-from robustlab.identification.validation.sampled_problem import NoiseNorm
 from robustlab.identification.validation.validation_result import Validation
 from robustlab.record import Record
 from robustlab.result import Evidence, Status
@@ -22,6 +21,7 @@ from robustlab.uncertainty.blocks import FullBlock
 from robustlab.uncertainty.lft import UncertainModel, product
 
 LEAST_RADIUS = 0.02  # of `data_cover`: no plant is known better than this at every frequency
+PRECISION = 0.02  # of each validation
 
 # Accuracy of loads along a record (means over its samples), over their bounds.
 LOAD_ACCURACY = 1e-3
@@ -38,7 +38,7 @@ class DataCover(Evidence):
     model
         The set; its inputs are the loads, each at most one, then the plant's. None if no radius explains a record.
     radius
-        Of the unmodelled dynamics in ``model``: ``margin`` times the smallest, at least ``least``.
+        Of the unmodelled dynamics in ``model``.
     needed, needed_lower
         The smallest radius that explains all records, from above and from below.
     held_out
@@ -46,8 +46,6 @@ class DataCover(Evidence):
     held_out_loads
         Largest load along those records, over its bound; NaN without such, 0 without loads. Above one the loads of the
         set are too small for them: the bound of a force without its own is that along ``records``, times ``margin``.
-    margin, least
-        As given.
     loads
         Name, bound, unit and origin of each load.
     validations
@@ -61,8 +59,6 @@ class DataCover(Evidence):
     needed_lower: float
     held_out: float
     held_out_loads: float
-    margin: float
-    least: float
     loads: tuple[NoiseInput, ...]
     validations: Mapping[str, Validation]
 
@@ -116,13 +112,9 @@ def data_cover(
     held_out: Sequence[Record] = (),
     margin: float = 1.1,
     least: float = LEAST_RADIUS,
-    sigmas: float = 2.0,
-    noise_norm: NoiseNorm = "peak",
     window: float | None = None,
     at_rest: bool = False,
-    precision: float = 0.02,
     time_limit: float | None = None,
-    progress: Callable[[str], None] | None = None,
     effort: float = 1.0,
 ) -> DataCover:
     """Construct the set of models around a plant, with or without effects, that explains its records.
@@ -140,9 +132,7 @@ def data_cover(
     margin, least
         The radius is ``margin`` times the smallest that explains the records, and at least ``least``; the bound of a
         load without its own is ``margin`` times the largest along the records.
-    sigmas
-        Half width of the range of a fitted value in its standard deviations.
-    noise_norm, window, at_rest, precision, time_limit, progress, effort
+    window, at_rest, time_limit, effort
         As in `validate`; time limit and effort are per record. Delta may vary with time, as friction does.
 
     Returns
@@ -173,7 +163,7 @@ def data_cover(
     names = [r.name for r in (*records, *held_out)]
     if len(set(names)) < len(names):
         raise InputError("data_cover", "two records of one name", "names of their own")
-    made = effect_loads(plant, sigmas, records, margin)
+    made = effect_loads(plant, records=records, margin=margin)
     seen = made.model.nominal.select([s.name for s in made.model.inputs], list(noise))
     bare = _unmodelled(UncertainModel(seen, []), made, 1.0)
     found: dict[str, Validation] = {}
@@ -182,8 +172,8 @@ def data_cover(
         driven = made.along(record)
         reached[record.name] = max((float(np.abs(driven[x.name]).max()) for x in made.loads), default=0.0)
         found[record.name] = validate(
-            bare, driven, noise, noise_norm=noise_norm, at_rest=at_rest,
-            window=window, precision=precision, time_limit=time_limit, progress=progress, effort=effort,
+            bare, driven, noise, at_rest=at_rest, window=window, precision=PRECISION, time_limit=time_limit,
+            effort=effort,
         )  # fmt: skip
     mine = [found[r.name] for r in records]
     needed = max(v.upper for v in mine)
@@ -197,8 +187,6 @@ def data_cover(
         needed_lower=max(v.lower for v in mine),
         held_out=max((found[r.name].upper for r in held_out), default=float("nan")),
         held_out_loads=max((reached[r.name] for r in held_out), default=float("nan")),
-        margin=margin,
-        least=least,
         loads=made.loads,
         validations=found,
     )

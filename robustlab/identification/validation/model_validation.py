@@ -15,10 +15,8 @@ from robustlab.budget import MILLION, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.identification.comparison.envelope import require_linear_set
 from robustlab.identification.comparison.repeats import noise_floor
-from robustlab.identification.validation.cone_programme import Search
-from robustlab.identification.validation.frequency_domain import fits_frequency_domain, validate_by_lines
-from robustlab.identification.validation.sampled_problem import NoiseNorm, prepared
-from robustlab.identification.validation.spectral_data import FrequencyData
+from robustlab.identification.validation.frequency_domain import FrequencyData, fits_frequency_domain, validate_by_lines
+from robustlab.identification.validation.sampled_problem import NoiseNorm, Search, prepared
 from robustlab.identification.validation.time_domain import validate_by_samples
 from robustlab.identification.validation.validation_result import Validation
 from robustlab.record import Record
@@ -133,26 +131,18 @@ def validate(
         fits_frequency_domain(record, domain, noise_norm, window, at_rest, noise)
         with one_thread():
             if isinstance(record, Record):
-                noise = noise if noise is not None else _estimated(uncertain, record, "rms", CONFIDENCE)
+                noise = noise if noise is not None else _estimated(uncertain, record, "rms")
             return validate_by_lines(uncertain, record, noise or {}, search, period, report, estimated)
     if period is not None:
         raise InputError("validate", f"period {period:g} s", "a period only in the frequency domain")
     norm: NoiseNorm = noise_norm or "peak"
     with one_thread():
-        bounds = _numbers(noise) if noise is not None else _estimated(uncertain, record, norm, CONFIDENCE)
+        bounds = noise if noise is not None else _estimated(uncertain, record, norm)
         recorded = prepared(uncertain, record, bounds, norm=norm, window=window, at_rest=at_rest)
         return validate_by_samples(record, recorded, search, report, estimated)
 
 
-def _numbers(noise: Mapping[str, ArrayLike]) -> dict[str, float]:
-    for name, value in noise.items():
-        if np.ndim(value) or np.asarray(value).dtype.kind not in "biuf":
-            found = f"shape {np.shape(value)}" if np.ndim(value) else repr(value)
-            raise InputError(f"validate: noise of {name!r}", found, "one number")
-    return {name: float(np.asarray(value)) for name, value in noise.items()}
-
-
-def _estimated(uncertain: UncertainModel, record: Record, norm: NoiseNorm, confidence: float) -> dict[str, float]:
+def _estimated(uncertain: UncertainModel, record: Record, norm: NoiseNorm) -> dict[str, float]:
     """Estimate noise bounds from the periods of the record."""
     from scipy import stats
 
@@ -166,7 +156,7 @@ def _estimated(uncertain: UncertainModel, record: Record, norm: NoiseNorm, confi
         ) from None
     count = record.n * max(len(names), 1)
     if norm == "peak":
-        factor = float(stats.norm.isf((1 - confidence) / (2 * count)))
+        factor = float(stats.norm.isf((1 - CONFIDENCE) / (2 * count)))
     else:
-        factor = float(np.sqrt(stats.chi2.ppf(confidence ** (1 / max(len(names), 1)), record.n) / record.n))
+        factor = float(np.sqrt(stats.chi2.ppf(CONFIDENCE ** (1 / max(len(names), 1)), record.n) / record.n))
     return {name: factor * floor.std[name] for name in names}

@@ -1,4 +1,4 @@
-r"""Model and record for a validation: sampled, matched by names, in units of the noise bounds.
+r"""Model and record for a validation: sampled, matched by names, in units of the noise bounds; cone programmes.
 
 With w = Delta z unknown, states, z and noise are affine in w and in the initial states. At the start of a window the
 observable state may jump; unobservable states start at zero, since a free one could make any w feasible.
@@ -6,14 +6,19 @@ observable state may jump; unobservable states start at zero, since a free one c
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from functools import cache
+from importlib import import_module
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
+from robustlab.budget import Budget
 from robustlab.checks import number
+from robustlab.conic import Cone, solve
 from robustlab.dynamics.simulation import transition
 from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
 from robustlab.identification.comparison.envelope import deviations
@@ -28,6 +33,14 @@ NoiseNorm = Literal["peak", "rms"]
 
 ROUNDING = 1e-12  # responses below this share of the largest one are rounding
 OBSERVABLE = 1e-9  # state directions count as observable above this share of the most observable one
+MOST_ITERATIONS = 200
+FEWEST_ITERATIONS = 20  # of any programme, independent of the remaining budget
+BUILDING_WORK = 2.0  # to set up a programme, per stored entry, as measured
+ITERATION_WORK = 0.5  # of an iteration, per stored entry, as measured
+HALVINGS = 24  # of the interval in which a disproved gamma is searched
+SLACK = 1e-9  # rounding in the noise of an explanation, over its bound
+
+INFEASIBLE = ("PrimalInfeasible", "AlmostPrimalInfeasible")
 
 
 @dataclass(frozen=True)
@@ -62,7 +75,7 @@ class Recorded:
 def prepared(
     uncertain: UncertainModel,
     record: Record,
-    noise: Mapping[str, float],
+    noise: Mapping[str, ArrayLike],
     *,
     norm: NoiseNorm = "peak",
     window: float | None = None,
@@ -253,24 +266,24 @@ def observable_directions(A: Array, C: Array) -> Array:
     return right[:rank].T
 
 
-def noise_bounds(noise: Mapping[str, float], names: tuple[str, ...], norm: str, where: str) -> Array:
+def noise_bounds(noise: Mapping[str, ArrayLike], names: tuple[str, ...], norm: str, where: str) -> Array:
     """Return noise bounds (n_y,) in the order of ``names``; a bound of zero is a singular noise model."""
     if norm not in ("peak", "rms"):
         raise InputError(where, f"noise norm {norm!r}", "'peak' or 'rms'")
     for name in noise:
         if name not in names:
             raise unknown_name(f"{where}: noise of {name!r}", "no such compared output", name, names)
+    found = []
     for name in names:
         if name not in noise:
             hint = f"noise={{{name!r}: ...}} in its unit: the error bound of the sensor"
             raise InputError(f"{where}: output {name!r}", "has no noise bound", "one for each compared output", hint)
-        value = noise[name]
-        number(f"{where}: noise of {name!r}", value, "a positive number", at_least=0)
-        if value == 0:
-            found = "singular noise model: with a bound of 0 the last digit of a sample would decide"
+        found.append(number(f"{where}: noise of {name!r}", noise[name], "a positive number", at_least=0))
+        if not found[-1]:
+            text = "singular noise model: with a bound of 0 the last digit of a sample would decide"
             hint = "at least the resolution of the sensor"
-            raise NoTrustworthyNumber(f"{where}: noise of {name!r}", found, "a positive bound", hint)
-    return np.array([float(noise[name]) for name in names])
+            raise NoTrustworthyNumber(f"{where}: noise of {name!r}", text, "a positive bound", hint)
+    return np.array(found)
 
 
 def _starts(window: float | None, record: Record, n_states: int, where: str) -> tuple[int, ...]:
@@ -286,3 +299,109 @@ def _starts(window: float | None, record: Record, n_states: int, where: str) -> 
 def states(A: Array, drive: Array, first: Array) -> Array:
     """Simulate ``x_{t+1} = A x_t + drive_t`` from ``x_0 = first``, shape (n, n_x); the last drive is not used."""
     return recursion(A[None], drive[None, :-1], first)[0]
+
+
+# --- cone programmes of both domains ----------------------------------------------------------------------------------
+
+
+@cache
+def sparse_matrices() -> Any:
+    """Import scipy.sparse untyped: its types take a minute to infer."""
+    return import_module("scipy.sparse")
+
+
+class Rows(NamedTuple):
+    """Rows ``offset - matrix x`` in cones of one kind: zero, nonnegative, or ``|(s_2 .. s_height)| <= s_1``.
+
+    Several second-order cones are stored with the first rows of all first, then the second rows of all, and so on.
+    """
+
+    matrix: Any
+    offset: Array
+    cone: Literal["zero", "positive", "second-order"]
+    height: int = 1
+    label: tuple[str, int] | None = None
+
+
+@dataclass(frozen=True)
+class Multipliers:
+    """Nonnegative multipliers of a certificate: D (n, blocks) of the energies, and noise (n, n_y)."""
+
+    D: Array
+    noise: Array
+
+    def arrays(self) -> dict[str, Array]:
+        return {"energy": self.D, "noise": self.noise}
+
+
+class Search(NamedTuple):
+    """Required relative width of the bounds, and the work budget."""
+
+    precision: float
+    budget: Budget
+
+
+@dataclass(frozen=True)
+class ConeSolution:
+    """The point x, and the multipliers (height, cones) of each labelled part of the rows."""
+
+    x: Array
+    dual: dict[tuple[str, int], Array]
+
+
+def solved_cones(cost: Array, rows: Sequence[Rows], budget: Budget) -> ConeSolution | None:
+    """Minimise ``cost x`` over all x whose rows are in their cones; None if infeasible.
+
+    The budget limits the iterations, and a time limit also the solver, which needs a second. The accuracy reported by
+    the solver is not used: only the replay and the certificate of an answer count.
+    """
+    matrices, offsets, turns = [], [], []
+    cones: list[Cone] = []
+    for part in rows:
+        turn = np.arange(part.matrix.shape[0]).reshape(part.height, -1).T
+        matrices.append(part.matrix.tocsr()[turn.ravel()])
+        offsets.append(part.offset[turn.ravel()])
+        turns.append(turn)
+        several = part.height > 1
+        whole: Cone = (part.cone, part.height if several else len(turn))
+        cones += [whole] * (len(turn) if several else 1)
+    A = sparse_matrices().vstack(matrices).tocsc()
+    each = 50 + ITERATION_WORK * A.nnz
+    most = min(max(budget.left / each, FEWEST_ITERATIONS), MOST_ITERATIONS)
+    seconds = max(budget.seconds_left, 1.0) if budget.seconds_left < 1e6 else None
+    found = solve(cost, A, np.concatenate(offsets), cones, steps=most, seconds=seconds)
+    if found is None:
+        raise NoTrustworthyNumber("validate", "the solver failed")
+    budget.spend(200 + BUILDING_WORK * A.nnz + found.iterations * each)
+    status = str(found.status)
+    if status == "MaxTime":
+        budget.strike()
+    if status in INFEASIBLE:
+        return None
+    x, dual = np.array(found.x), np.array(found.z)
+    if not (np.isfinite(x).all() and np.isfinite(dual).all()):
+        raise NoTrustworthyNumber("validate", f"the solver gave no answer ({status})")
+    parts = np.split(dual, np.cumsum([turn.size for turn in turns])[:-1])
+    labelled = [(r.label, part.reshape(t.shape).T) for r, t, part in zip(rows, turns, parts, strict=True)]
+    return ConeSolution(x, {label: part for label, part in labelled if label is not None})
+
+
+def largest_disproved(disproved: Callable[[float], bool], start: float, finest: float) -> float:
+    """Find the largest gamma below ``start`` that is disproved, to the relative width ``finest``; 0 for none.
+
+    A certificate that disproves a gamma disproves every smaller one: the search begins close to the start, then halves.
+    """
+    high = start
+    for share in (*(finest * 2.0**k for k in range(64) if finest * 2.0**k < 1), 1.0):
+        good = start * (1 - share)
+        if disproved(good):
+            break
+        high = good
+    else:
+        return 0.0
+    for _ in range(HALVINGS):
+        if high - good <= finest * high:
+            break
+        middle = 0.5 * (good + high)
+        good, high = (middle, high) if disproved(middle) else (good, middle)
+    return good

@@ -15,17 +15,17 @@ import numpy as np
 
 from robustlab.arrays import Array, Mask
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.identification.validation.cone_programme import (
+from robustlab.identification.validation.sampled_problem import (
     SLACK,
     ConeSolution,
     Multipliers,
     Rows,
+    SampledProblem,
     Search,
     largest_disproved,
     solved_cones,
     sparse_matrices,
 )
-from robustlab.identification.validation.sampled_problem import SampledProblem
 
 NOISE_MARGIN = 1e-7  # distance of the solver's target from the noise bound: larger is safer to replay, costs gamma
 VARYING_ROUNDS = 25  # convex-concave steps at most

@@ -11,7 +11,7 @@ import numpy as np
 from robustlab.arrays import AnyArray, Array
 from robustlab.display import Each, Facts, number
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.identification.validation.cone_programme import Search
+from robustlab.identification.validation.sampled_problem import Search
 from robustlab.result import Evidence, Status
 from robustlab.tables import Table, Tabular
 

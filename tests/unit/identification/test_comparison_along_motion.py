@@ -115,7 +115,6 @@ def test_an_unstable_plant_is_compared_in_windows_and_its_free_run_ends():
         gap = found.outputs[name]
         assert gap.windowed_rms == pytest.approx(NOISE, rel=0.06)
         assert np.isnan([gap.peak, gap.rms, gap.rms_percent, gap.fit, gap.peak_time]).all()
-        assert np.isnan(found.windows[name].rms).all()
     assert 0.5 < found.free_run.end < 4.7
     assert not found.free_run.whole
     assert "10 times its recorded range" in found.free_run.reason
@@ -146,16 +145,6 @@ def test_a_free_run_that_leaves_the_workspace_ends_there():
     assert not found.free_run.whole
     assert found.free_run.end < record.t[-1]
     assert np.isnan(found.outputs["phi_1"].rms)
-
-
-def test_repeats_give_the_error_in_multiples_of_the_noise():
-    first, second = (arm_record(seed=seed)[0] for seed in (2, 3))
-    second = rl.Record(second.t, first.inputs, second.outputs, second.units, "again")
-    found = rl.compare(arm(), first, repeats=[second])
-    gap = found.against_noise["q_2"]
-    assert gap.std == pytest.approx(NOISE, rel=0.05)
-    assert gap.windowed_rms_percent == pytest.approx(100, rel=0.06)
-    assert gap.excess.p_value > 1e-3
 
 
 # --- bad inputs ------------------------------------------------------------------------------------------------------

@@ -41,7 +41,7 @@ def test_a_gain_error_of_ten_percent_has_the_closed_form_gap():
     t = np.arange(2000) * 0.01
     u = excitation(len(t))
     y = rl.simulate(lag(1.1), t, u, [0.0])["w"]
-    found = compare(lag(), rl.Record(t, {"u": u}, {"w": y}, {"u": "V", "w": "rad/s"}), start=0.2)
+    found = compare(lag(), rl.Record(t, {"u": u}, {"w": y}, {"u": "V", "w": "rad/s"}))
     gap = found.outputs["w"]
     start = found.initial_state.x0
     error = y - (y / 1.1 + np.exp(-2 * t) * start)
@@ -91,7 +91,7 @@ def test_the_start_is_estimated_from_noise_with_the_stated_spread():
     for seed in range(40):
         noise = 1e-3 * np.random.default_rng(seed).standard_normal(len(t))
         record = rl.Record(t, {"u": u}, {"q": clean["q"] + noise}, {"u": "V", "q": "m"})
-        found = compare(axis(), record, start=2.0).initial_state
+        found = compare(axis(), record, window=2.0).initial_state
         errors.append(found.x0 - [0.1, 0.5])
         stds.append(found.std)
         lengths.append(found.samples)

@@ -25,8 +25,6 @@ def test_an_error_in_one_band_is_found_there():
     s = spectrum(t, {}, measured, measured - error)
     k = np.searchsorted(s.bands, 60.0) - 1
     assert s.error_share[k] == pytest.approx(0.01 / (0.01 + 0.0001), abs=0.005)
-    low = np.searchsorted(s.bands, 2.0) - 1
-    assert s.relative_error[low] == pytest.approx(0.01, rel=0.02)
 
 
 def test_coherence_is_one_for_an_error_made_by_the_input_and_low_otherwise():

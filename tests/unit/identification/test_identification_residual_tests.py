@@ -93,7 +93,7 @@ def test_perfect_model_with_noise_is_rejected_at_the_level_only():
         y = simulate(axis, t, u, [0.1, -0.2])
         q, v = y["q"] + 1e-3 * rng.standard_normal(600), y["v"] + 1e-2 * rng.standard_normal(600)
         record = Record(t, {"u": u}, {"q": q, "v": v}, {"u": "V", "q": "m", "v": "m/s"})
-        tests = compare(axis, record, window=0.5, lags=20).residual
+        tests = compare(axis, record, window=0.5).residual
         for name in "qv":
             rejected[name] += tests[name].whiteness.p_value < 0.05
         rejected["u"] += tests["q"].inputs["u"].p_value < 0.05

@@ -26,12 +26,7 @@ from robustlab.dynamics.ports.port_model import AnyPlant, PortModel
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context, unknown_name
 from robustlab.identification import tuning
 from robustlab.identification.data_checks.resampling import clock_step, uniform
-from robustlab.identification.greybox.candidates import (
-    candidates,
-    nuisance_parameters,
-    stated_tolerances,
-    with_absolute_tolerances,
-)
+from robustlab.identification.greybox.candidates import candidates, nuisance_parameters, stated_tolerances
 from robustlab.identification.greybox.effect_fit import (
     Candidate,
     Clock,
@@ -183,9 +178,7 @@ def watch(
     every: float | None = None,
     noise: Mapping[str, float],
     false_alarm: float = 0.01,
-    tolerances: Mapping[str, float] | None = None,
     exclude: Sequence[str] = (),
-    window: float | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Watch:
     r"""Detect when a model stops explaining a running log, and report what it lacks since then.
@@ -210,12 +203,8 @@ def watch(
         Output -> standard deviation of its noise in one sample, in its unit; for each recorded output.
     false_alarm
         Probability, at most, of an alarm in the whole log while the model explains it.
-    tolerances
-        Parameter -> relative tolerance within which the first piece may refit it, as in `discover`.
     exclude
         Effect ids that `discover` does not try.
-    window
-        Length of the windows in s; default as in `discover`.
     progress
         Called with a line of text for each piece.
 
@@ -236,20 +225,17 @@ def watch(
     Statistics 52 (2024).
     """
     checks.number("watch: false_alarm", false_alarm, "a probability between 0 and 1", above=0.0, below=1.0)
-    for word, value in (("every", every), ("window", window)):
-        if value is not None:
-            checks.number(f"watch: {word}", value, "a length in s above 0", above=0.0)
+    if every is not None:
+        checks.number("watch: every", every, "a length in s above 0", above=0.0)
     extended = isinstance(model, ExtendedEquations)
     plant, attached = (model.plant, tuple(model.effects)) if extended else (known_plant(model, "watch"), ())
-    stated = stated_tolerances(plant, tolerances)
-    plant = with_absolute_tolerances(plant, stated)
     left_out = tuple(effect(name).id for name in exclude)
     given = [records] if isinstance(records, Record) else records
     watched: _Watched | None = None
     alarm, highest = -np.log(false_alarm), -np.inf
     onsets: Array | None = None  # evidence of each onset once an alarm is clear
     for piece in _pieces(given, every):
-        watched = watched or _Watched(plant, attached, stated, noise, window, piece)
+        watched = watched or _Watched(plant, attached, noise, piece)
         evidence = watched.add(piece)
         if max(alarm, highest) <= evidence and highest < alarm + CLEAR:
             highest, onsets = evidence, watched.test.evidence()
@@ -270,11 +256,10 @@ def watch(
     began, lower, upper = onset(onsets)
     # A change may begin too late within a piece to be visible there.
     since, since_lower, since_upper = (pieces[k].start for k in (began, max(lower - 1, 0), upper))
-    known = {name: tolerance for name, (tolerance, assumed) in stated.items() if not assumed}
     found = None
     with suppress(InputError, NoTrustworthyNumber):  # too poor
         last = watched.records[max(began, len(watched.records) - MOST_DISCOVERED) :]
-        found = discover(plant, last, tolerances=known, exclude=left_out)
+        found = discover(plant, last, exclude=left_out)
     stop = next(p.stop for p in pieces if p.evidence >= alarm)
     return replace(
         result, verdict="changed", alarm=stop, since=since, since_lower=since_lower, since_upper=since_upper,
@@ -308,27 +293,21 @@ class _Watched:
     """The log so far: the model learned from its first piece, the test, and the pieces."""
 
     def __init__(
-        self,
-        plant: AnyPlant,
-        attached: Sequence[AttachedEffect],
-        stated: Mapping[str, tuple[float, bool]],
-        noise: Mapping[str, float],
-        window: float | None,
-        first: Record,
+        self, plant: AnyPlant, attached: Sequence[AttachedEffect], noise: Mapping[str, float], first: Record
     ) -> None:
         self.plant, self.dt = plant, clock_step(first.t)
         self.outputs = {s.name for s in plant.outputs} & set(first.outputs)
         least = tuning.FEWEST_WINDOWS * tuning.SHORTEST_WINDOW // 2
-        if window is None and first.n < least:
+        if first.n < least:
             raise InputError(f"watch {first.name}", f"{first.n} samples", f"at least {least} in a piece")
         record, _ = self._uniform(first)
         self.model: PortModel = ports_of(plant, record)
-        self.length = window_length(plant, [record], self.model) if window is None else round(window / self.dt)
+        self.length = window_length(plant, [record], self.model)
         prepared = self._prepared(first)
         self.thin = prepared.thin
         self.sizes = _noise_of([plant.outputs[k].name for k in prepared.columns], noise)
         self.noise = NoiseModel(np.array([*self.sizes.values()]) / np.sqrt(self.thin), np.zeros((0, len(self.sizes))))
-        nuisances = nuisance_parameters(plant, stated)
+        nuisances = nuisance_parameters(plant, stated_tolerances(plant, None))
         nuisances += clock_nuisances(tuple(s.name for s in plant.inputs), self.dt)
         pool = candidates(plant, self.model, [prepared])
         self.hypothesis = Hypothesis(tuple(_own(e, pool) for e in attached))
@@ -341,7 +320,11 @@ class _Watched:
         self.z = learned.z
         sizes, directions = np.linalg.eigh(np.linalg.inv(learned.hessian))
         self.spread = FAR * directions * np.sqrt(np.maximum(sizes, 0.0))
-        self.test = ChangeTest(_usual_changes(self.problem, self.hypothesis))
+        # A usual change of each standardised parameter: a log factor of one if it scales; 0 for clocks.
+        usual = [0.0 if n.input else 1.0 if n.additive else 1.0 / n.spread for n in self.problem.nuisances]
+        own = [p.prior for c in self.hypothesis.candidates for p in c.parameters]
+        usual += [1.0 / prior.spread if prior.kind == "log" else 1.0 for prior in own]
+        self.test = ChangeTest(np.array(usual))
         self.records: list[Record] = []
         self.windows = [0, 0]  # used by the test, and all
         self.pieces: list[WatchedPiece] = []
@@ -381,13 +364,6 @@ def _noise_of(names: Sequence[str], stated: Mapping[str, float]) -> dict[str, fl
             raise InputError("watch: noise", f"none of {name!r}", "one for each recorded output")
         checks.number(f"watch: noise of {name}", stated[name], "a standard deviation above 0", above=0.0)
     return {name: float(stated[name]) for name in names}
-
-
-def _usual_changes(problem: Problem, hypothesis: Hypothesis) -> Array:
-    """Return a usual change of each standardised parameter, (k,): a log factor of one if it scales; 0 for clocks."""
-    plant = [0.0 if n.input else 1.0 if n.additive else 1.0 / n.spread for n in problem.nuisances]
-    own = [1.0 / p.prior.spread if p.prior.kind == "log" else 1.0 for c in hypothesis.candidates for p in c.parameters]
-    return np.array([*plant, *own])
 
 
 def _own(there: AttachedEffect, pool: Sequence[Candidate]) -> Candidate:
