@@ -92,7 +92,7 @@ class Scales:
     lowest: float | None = None
     highest: float | None = None
     inertia: float = 1.0  # force per acceleration at the port
-    # possible load shares of a joint's inertia (`robustlab.dynamics.ports.split_joint.shares_behind`)
+    # possible load shares of a joint's inertia (`robustlab.dynamics.ports.port_model.shares_behind`)
     shares: tuple[float, ...] = ()
     input: float = 1.0  # largest absolute value of the site's input
     output: float = 1.0  # half the range of the site's output

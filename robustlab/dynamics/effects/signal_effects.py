@@ -11,7 +11,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Effect, Footprint, Prior, Scales, Site
-from robustlab.dynamics.effects.load_effects import order_prior
+from robustlab.dynamics.effects.friction_effects import order_prior
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel
 from robustlab.errors import InputError
 

@@ -12,8 +12,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Effect, Footprint, Law, Prior, Scales, Site
 from robustlab.dynamics.ports.law_kernel import GQ, GV, Q0, STEP, V0, Q, V, bracket, guess, is_open, law, narrowed
-from robustlab.dynamics.ports.port_model import PortModel
-from robustlab.dynamics.ports.split_joint import with_load_side
+from robustlab.dynamics.ports.port_model import PortModel, with_load_side
 
 
 @nb.njit(cache=True)

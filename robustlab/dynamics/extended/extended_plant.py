@@ -30,8 +30,7 @@ from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant, with_factors
 from robustlab.dynamics.parameters import Parameter
 from robustlab.dynamics.plant_contract import NonlinearPlant
-from robustlab.dynamics.ports.motion_model import local_port_model
-from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, linear_plant_of
+from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, linear_plant_of, local_port_model
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, error_context
 from robustlab.linear_analysis.structural import drop_unconnected
 from robustlab.statespace import Signal, StateSpaceModel, real_array

@@ -16,8 +16,7 @@ from robustlab.dynamics.effects.contract import Law
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.extended.simulator import Windows, step_laws
 from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant
-from robustlab.dynamics.ports.motion_model import Course, exponentials, local_port_model, times
-from robustlab.dynamics.ports.port_model import AnyPlant, PortModel
+from robustlab.dynamics.ports.port_model import AnyPlant, Course, PortModel, exponentials, local_port_model, times
 from robustlab.errors import InputError, NoTrustworthyNumber
 
 

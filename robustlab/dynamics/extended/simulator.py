@@ -17,15 +17,18 @@ from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Effect, Law, Site
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.plant_contract import NonlinearPlant
-from robustlab.dynamics.ports.motion_model import (
+from robustlab.dynamics.ports.port_model import (
+    AnyPlant,
     Course,
     MotionModel,
+    Port,
+    PortModel,
     exponentials,
     motion_model,
+    port_model,
     times,
     with_factors,
 )
-from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, port_model
 
 # Number of cached matrix exponentials and models.
 KEPT = 512

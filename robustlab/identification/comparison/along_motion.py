@@ -14,7 +14,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant, input_signal
-from robustlab.dynamics.ports.motion_model import Course
+from robustlab.dynamics.ports.port_model import Course
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.comparison.comparison_result import POSE, Comparison
 from robustlab.identification.comparison.error_analysis import FreeRun, Linearisation, Motion
