@@ -349,12 +349,8 @@ class Effect:
         names = self.names_of(values)
         for name in values:
             if name not in names:
-                raise InputError(
-                    f"effect {self.id}: {name!r}",
-                    "no such parameter",
-                    f"{', '.join(names)}",
-                    did_you_mean(name, list(names)),
-                )
+                hint = did_you_mean(name, list(names))
+                raise InputError(f"effect {self.id}: {name!r}", "no such parameter", ", ".join(names), hint)
         missing = [name for name in names if name not in values]
         if missing:
             raise InputError(f"effect {self.id}", f"no value for {missing[0]!r}", f"{', '.join(names)}")

@@ -46,14 +46,7 @@ class InputGain(SignalGain, row="input-gain"):
 
 
 class InputDelay(SignalDelay, row="input-delay"):
-    """Input delay: the input acts d seconds late."""
-
-    def input(self, signal: Array, values: Mapping[str, float], h: float) -> Array:
-        steps = values["d"] / h
-        whole = int(min(steps, len(signal)))
-        part = min(1.0, steps - whole)
-        k = np.arange(len(signal)) - whole  # the first value is held before the first sample
-        return (1.0 - part) * signal[np.maximum(k, 0)] + part * signal[np.maximum(k - 1, 0)]
+    """Input delay: the input acts d seconds late, by `Simulator`, which shifts the samples."""
 
 
 class InputDeadZone(Effect, row="input-dead-zone"):

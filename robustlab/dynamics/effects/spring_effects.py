@@ -110,16 +110,8 @@ class EndStop(Effect, row="end-stop"):
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
         # Soft stops within the record's travel, and hard ones near its extremes.
         lower, upper = travel(scales)
-        stiffness, damping = contact_scales(scales)
-        return tuple(
-            {
-                "q_min": lower + depth * (upper - lower),
-                "q_max": upper - depth * (upper - lower),
-                "kc": harder * stiffness,
-                "dc": math.sqrt(harder) * damping,
-            }
-            for depth, harder in ((0.02, 1.0), (0.003, 5.0))
-        )
+        contacts = contact_starts(scales)[:2]
+        return tuple({"q_min": lower + depth, "q_max": upper - depth, "kc": k, "dc": d} for depth, k, d in contacts)
 
     def visited(self, values: Mapping[str, float], scales: Scales) -> bool:
         if scales.lowest is None or scales.highest is None:
@@ -153,8 +145,11 @@ def contact_scales(scales: Scales) -> tuple[float, float]:
     return stiffness, 2.0 * 0.3 * math.sqrt(stiffness * scales.inertia)
 
 
-# Initial values of a spring: share of the travel from its end, and stiffness in units of `contact_scales`.
-STARTS = ((0.02, 1.0), (0.003, 5.0), (0.3, 0.03))
+def contact_starts(scales: Scales) -> list[tuple[float, float, float]]:
+    """Return initial values of a contact: depth from the end of the travel, stiffness and damping."""
+    (lower, upper), (stiffness, damping) = travel(scales), contact_scales(scales)
+    shares = ((0.02, 1.0), (0.003, 5.0), (0.3, 0.03))  # of the travel, of the stiffness
+    return [(depth * (upper - lower), k * stiffness, math.sqrt(k) * damping) for depth, k in shares]
 
 
 class OneSidedSpring(Effect, row="one-sided-spring"):
@@ -171,17 +166,11 @@ class OneSidedSpring(Effect, row="one-sided-spring"):
         return {"k": signed, "q0": limit_prior(scales, scales.side), "d": Prior("log", damping, 2.0)}
 
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
-        stiffness, damping = contact_scales(scales)
         lower, upper = travel(scales)
-        ends = {1: upper, -1: lower}
         return tuple(
-            {
-                "k": side * harder * stiffness,
-                "q0": ends[side] - side * depth * (upper - lower),
-                "d": math.sqrt(harder) * damping,
-            }
+            {"k": side * k, "q0": (upper if side > 0 else lower) - side * depth, "d": d}
             for side in ((scales.side,) if scales.side else (1, -1))
-            for depth, harder in STARTS
+            for depth, k, d in contact_starts(scales)
         )
 
     def arguments(self, values: Mapping[str, float]) -> tuple[float, ...]:

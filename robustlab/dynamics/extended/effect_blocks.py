@@ -327,52 +327,40 @@ def effect_blocks(
         errors = [(load, len(plant.inputs) + i) for i, (load, _) in enumerate(loads)]
         made = EffectBlocks(*_errors_first(whole, plant, errors), {})
     elif isinstance(plant, ExtendedPlant):
-        made = _of_extended(plant, width, dict(amplitude or {}), dry, pade, unnamed, tied)
+        amplitude = amplitude or {}
+        _check_amplitudes(plant, amplitude)
+        parts = _force_parts(plant, amplitude, dry, width)
+        levels = _signal_amplitudes(plant, amplitude)
+        linear = plant.linear_model(None, levels, replacements=parts.replacements)
+        point = linear.operating_point
+        assert point is not None
+        loads = [*parts.bounded, *_residual_force(plant.model, unnamed)]
+        inner = tied_plant(without_signals(plant, linear, width), tied)
+        ways = [*(s.port for s in parts.sectors), *(port for _, port in loads)]
+        whole = _with_origins(_with_forces(inner, ways, parts.sectors).uncertain(), inner)
+        whole, approximate = _with_sectors(whole, parts.sectors, len(plant.inputs))
+        signals = plant.signal_levels(point.x, point.u)
+        into, out = ([s for s in signals if s[0].site.kind == kind] for kind in ("input", "output"))
+        whole = with_signals(whole, signals, levels, width, pade)
+        errors = [(load, len(plant.inputs) + i) for i, (load, _) in enumerate(loads)]
+        for e, k, _ in into:
+            if e.site.name not in amplitude and _is_bounded_error(plant, e):  # the bound of its error on the input
+                words = f"{e.in_words} as a bounded error, for every motion; {e.values_in_words}"
+                errors.append((NoiseInput(e.load_name, e.input_error(width) or 0.0, plant.inputs[k].unit, words), k))
+        for e, k, _ in out:
+            if bound := e.largest_offset(width):
+                signal, words = plant.outputs[k], f"{e.in_words} as a bounded error; {e.values_in_words}"
+                noise = NoiseInput(f"noise {signal.name}: {e.effect.id}", bound, signal.unit, words)
+                errors.append((noise, len(plant.inputs) + len(loads) + k))
+        left = {f"{e!r}": "a bounded error of an input" for e, _, _ in into if (f := e.footprint()) and f.offset}
+        made = EffectBlocks(*_errors_first(whole, plant, errors), parts.left_out | left, tuple(approximate))
+        _check(plant.linear_model(None, levels, pade, replacements=parts.replacements), plant.name, made)
     else:
         raise InputError("effect_blocks", type(plant).__name__, "a linear plant, with or without effects")
     if outputs is None:
         return made
     kept = drop_unconnected(made.model.select(outputs=outputs).M)
     return dataclasses.replace(made, model=UncertainModel(kept, made.model.blocks))
-
-
-def _of_extended(
-    plant: ExtendedPlant,
-    width: float,
-    amplitude: dict[str, Amplitude],
-    dry: Dry | None,
-    pade: int,
-    unnamed: tuple[float, str] | None,
-    tied: Sequence[tuple[str, tuple[str, ...]]],
-) -> EffectBlocks:
-    _check_amplitudes(plant, amplitude)
-    parts = _force_parts(plant, amplitude, dry, width)
-    levels = _signal_amplitudes(plant, amplitude)
-    linear = plant.linear_model(None, levels, replacements=parts.replacements)
-    point = linear.operating_point
-    assert point is not None
-    loads = [*parts.bounded, *_residual_force(plant.model, unnamed)]
-    inner = tied_plant(without_signals(plant, linear, width), tied)
-    ways = [*(s.port for s in parts.sectors), *(port for _, port in loads)]
-    whole = _with_origins(_with_forces(inner, ways, parts.sectors).uncertain(), inner)
-    whole, approximate = _with_sectors(whole, parts.sectors, len(plant.inputs))
-    signals = plant.signal_levels(point.x, point.u)
-    into, out = ([s for s in signals if s[0].site.kind == kind] for kind in ("input", "output"))
-    whole = with_signals(whole, signals, levels, width, pade)
-    errors = [(load, len(plant.inputs) + i) for i, (load, _) in enumerate(loads)]
-    for e, k, _ in into:
-        if e.site.name not in amplitude and _is_bounded_error(plant, e):  # the bound of its error on the input
-            words = f"{e.in_words} as a bounded error, for every motion; {e.values_in_words}"
-            errors.append((NoiseInput(e.load_name, e.input_error(width) or 0.0, plant.inputs[k].unit, words), k))
-    for e, k, _ in out:
-        if bound := e.largest_offset(width):
-            signal, words = plant.outputs[k], f"{e.in_words} as a bounded error; {e.values_in_words}"
-            noise = NoiseInput(f"noise {signal.name}: {e.effect.id}", bound, signal.unit, words)
-            errors.append((noise, len(plant.inputs) + len(loads) + k))
-    left = {f"{e!r}": "a bounded error of an input" for e, _, _ in into if (f := e.footprint()) and f.offset}
-    made = EffectBlocks(*_errors_first(whole, plant, errors), {**parts.left_out, **left}, tuple(approximate))
-    _check(plant.linear_model(None, levels, pade, replacements=parts.replacements), plant.name, made)
-    return made
 
 
 def _signal_amplitudes(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude]) -> dict[str, float]:

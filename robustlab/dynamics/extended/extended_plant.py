@@ -246,22 +246,7 @@ def with_effects(
         attached.append(e)
     if not attached:
         raise InputError("with_effects", "no effect", "at least one")
-    return _extended(base, tuple(attached))
-
-
-def _checked(e: Any, base: AnyPlant, model: PortModel) -> AttachedEffect:
-    """Return the attached effect if the plant has its place."""
-    if not isinstance(e, AttachedEffect):
-        raise InputError("with_effects", f"{e!r}", "a table of effects, or attached effects")
-    names = [site.name for site in e.effect.sites(base, model) if site.kind == e.site.kind]
-    if e.site.name not in names:
-        hint = did_you_mean(e.site.name, names)
-        raise InputError(f"effect {e.effect.id}: site {e.site.name!r}", "no such place", ", ".join(names), hint)
-    return e
-
-
-def _extended(base: AnyPlant, effects: tuple[AttachedEffect, ...]) -> ExtendedPlant | ExtendedNonlinearPlant:
-    model, states = extended_model(base, effects), list(base.states)
+    model, states = extended_model(base, attached), list(base.states)
     for k in range(model.own, len(model.A)):  # added by effects, named after their ports
         unit = np.eye(len(model.A))[k]
         name, of = f"effect_state_{k - model.own + 1}", ""
@@ -273,8 +258,19 @@ def _extended(base: AnyPlant, effects: tuple[AttachedEffect, ...]) -> ExtendedPl
         states.append(Signal(name, of))
     signals = base.inputs, base.outputs, tuple(states)
     if isinstance(base, NonlinearPlant):
-        return ExtendedNonlinearPlant(base.name, base.parameters, *signals, base, effects)
-    return ExtendedPlant(base.name, base.parameters, *signals, base, effects)
+        return ExtendedNonlinearPlant(base.name, base.parameters, *signals, base, tuple(attached))
+    return ExtendedPlant(base.name, base.parameters, *signals, base, tuple(attached))
+
+
+def _checked(e: Any, base: AnyPlant, model: PortModel) -> AttachedEffect:
+    """Return the attached effect if the plant has its place."""
+    if not isinstance(e, AttachedEffect):
+        raise InputError("with_effects", f"{e!r}", "a table of effects, or attached effects")
+    names = [site.name for site in e.effect.sites(base, model) if site.kind == e.site.kind]
+    if e.site.name not in names:
+        hint = did_you_mean(e.site.name, names)
+        raise InputError(f"effect {e.effect.id}: site {e.site.name!r}", "no such place", ", ".join(names), hint)
+    return e
 
 
 def without_signals(plant: ExtendedPlant, linear: StateSpaceModel, width: float) -> LinearPlant:

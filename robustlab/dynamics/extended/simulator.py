@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,6 +110,10 @@ STEPS_A_PERIOD = 20  # of the plant's fastest oscillation
 LEAST_STEPS, MOST_STEPS = 2, 16  # per sample; electric time constants are shorter
 
 
+# Whole step, first and second half, n_points of each: phi, psi of the halves, gamma_u, drift; steps of each point.
+_Table = tuple[Array, Array, Array, Array, int]
+
+
 @dataclass(frozen=True)
 class Windows:
     """Equally long windows of a record: first sample of each, and their length in samples."""
@@ -127,16 +131,6 @@ class Motion:
     forces: Array
     about: MotionModel | None  # the nonlinear plant about its motion
     model: PortModel  # equations with effects
-
-
-class _Table(NamedTuple):
-    """Discretised plant without laws: whole step, first and second half, n_points of each."""
-
-    phi: Array
-    psi: Array
-    gamma_u: Array
-    drift: Array
-    stride: int
 
 
 @lru_cache(maxsize=64)
@@ -252,9 +246,7 @@ class Simulator:
         known = total if near is None else self._total(*near)
         key = tuple(sorted(known.items())), windows.starts.tobytes(), windows.length, self.sub
         about = _cached_model(self._course, *key)
-        if known == total:
-            return about
-        return with_factors(about, self._course, total)
+        return about if known == total else with_factors(about, self._course, total)
 
     def seen_input(
         self, values: Sequence[Mapping[str, float]], shift: Sequence[float] | None = None
@@ -340,12 +332,12 @@ class Simulator:
         return start
 
     def _table(self, model: PortModel, columns: int, about: MotionModel | None) -> _Table:
-        """Return the discretised plant for inputs of so many columns."""
+        """Return the discretised plant without laws for inputs of so many columns."""
         h, n_u = self.dt / self.sub, len(self._inputs)
         if about is None:
-            table = _in_steps(model.B, *_cached_exponential(model.A.tobytes(), 0.5 * h), columns > n_u)
-            nothing = np.zeros((3, 0, len(model.A)))
-            return _Table(table[0][:, None], table[1][None], table[2][:, None], nothing, 1)
+            halves = _cached_exponential(model.A.tobytes(), 0.5 * h)
+            phi, psi, gamma_u = _in_steps(model.B, *halves, columns > n_u)
+            return phi[:, None], psi[None], gamma_u[:, None], np.zeros((3, 0, len(model.A))), 1
         make = _cached_along if model is about.model else _table_along  # cached if no effect changes the plant
         return make(about, model, h, n_u, columns > n_u)
 
@@ -403,8 +395,7 @@ def _cached_exponential(a: bytes, h: float) -> tuple[Array, Array, Array]:
 
 @lru_cache(maxsize=32)
 def _cached_course(plant: NonlinearPlant, motion: bytes, u: bytes, dt: float, like: Course | None) -> Course:
-    n = len(plant.states), len(plant.inputs)
-    x, v = (np.frombuffer(b).reshape(-1, k) for b, k in zip((motion, u), n, strict=True))
+    x, v = np.frombuffer(motion).reshape(-1, len(plant.states)), np.frombuffer(u).reshape(-1, len(plant.inputs))
     return Course(plant, x, v, dt, like)
 
 
@@ -437,7 +428,7 @@ def _table_along(about: MotionModel, model: PortModel, h: float, n_u: int, risin
     phi, psi, gamma_u, entering = (_cached_steps if model is about.model else _steps_along)(model, h, n_u, rising)
     drift = np.empty((3, len(about.rates), phi.shape[-1]))
     drifts(entering, phi[1], about.steps, about.rates, drift)
-    return _Table(phi, psi, gamma_u, drift, about.stride)
+    return phi, psi, gamma_u, drift, about.stride
 
 
 _cached_along = lru_cache(maxsize=KEPT_MOTIONS)(_table_along)

@@ -121,7 +121,8 @@ def port_model(plant: LinearPlant, factors: Mapping[str, float] | None = None) -
     for k, (name, unit) in enumerate(plant.states):
         eye = np.eye(n)[k]
         if unit in SPEED_UNITS:
-            q = _integrating_state(a, b, k)
+            # the state whose rate is exactly the velocity
+            q = next((j for j, row in enumerate(a) if np.array_equal(row, eye) and not b[j].any()), None)
             position = None if q is None else np.eye(n)[q]
             position_unit = "" if q is None else plant.states[q].unit
             inertia = INERTIA_UNITS[unit]
@@ -131,15 +132,6 @@ def port_model(plant: LinearPlant, factors: Mapping[str, float] | None = None) -
         elif unit == "A":
             ports[name] = Port(name, "current", "V", "A", "", push[:, k], eye, None)
     return PortModel(a, b, c, d, ports, n)
-
-
-def _integrating_state(a: Array, b: Array, velocity: int) -> int | None:
-    """Return the index of the state whose rate is exactly the velocity state."""
-    unit = np.eye(len(a))[velocity]
-    for k, row in enumerate(a):
-        if np.array_equal(row, unit) and not b[k].any():
-            return k
-    return None
 
 
 @lru_cache(maxsize=64)
@@ -242,20 +234,18 @@ class Course:
     like: Course | None = None  # a similar course whose stride is used
 
     @cached_property
-    def _spline(self) -> tuple[Array, Array]:
+    def _slope(self) -> Array:
         """Slopes per sample of a not-a-knot spline at the samples."""
         from scipy.interpolate import make_interp_spline
 
         n = np.arange(len(self.x))
-        spline = make_interp_spline(n, self.x, k=min(3, len(self.x) - 1))
-        return self.x, np.asarray(spline(n, nu=1))
+        return np.asarray(make_interp_spline(n, self.x, k=min(3, len(self.x) - 1))(n, nu=1))
 
     def at(self, place: Array) -> tuple[Array, Array]:
         """Return states (k, n_x) and inputs (k, n_u) at fractional sample numbers."""
         k = np.clip(place.astype(int), 0, len(self.x) - 2)
         s = (place - k)[:, None]
-        x, slope = self._spline
-        a, b, da, db = x[k], x[k + 1], slope[k], slope[k + 1]
+        a, b, da, db = self.x[k], self.x[k + 1], self._slope[k], self._slope[k + 1]
         hermite = a + s * (da + s * (3.0 * (b - a) - 2.0 * da - db + s * (2.0 * (a - b) + da + db)))
         held = np.clip(place.astype(int), 0, len(self.u) - 1)
         return hermite, self.u[held]
