@@ -41,7 +41,6 @@ def effect(name: str) -> Effect:
     return known[name]
 
 
-Where = Literal["joint", "path", "sensor"]
 Quantity = Literal["level", "viscous", "stiffness", "force", "amplitude", "period", "delay", "factor"]
 
 MEANINGS: Mapping[Quantity, str] = {
@@ -62,7 +61,6 @@ class Kind:
 
     id: str
     title: str
-    where: Where
     wider: str | None = None
     quantities: tuple[Quantity, ...] = ()
     form: str = ""

@@ -205,20 +205,25 @@ def dry_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return dry_mean_force(seen[V0], seen[V], seen[GV], p[0], 0.0, 1.0)
 
 
-class RelayEffect(Effect):
-    """A force of constant size against the motion, or a voltage of constant size against the current."""
+class DryEffect(Effect):
+    """A force against the motion, or a voltage against the current, that holds at rest."""
 
     force = dry_force
 
+    def levels(self, values: Mapping[str, float], amplitude: float) -> tuple[float, float]:
+        """Return the level of the relay with the same first harmonic at an amplitude, and the largest level."""
+        (level,) = self.arguments(values)
+        return level, level
+
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # Describing function of the relay of level F for a sinusoidal signal of amplitude a: 4 F / (pi a).
-        (level,) = self.arguments(values)
+        level, most = self.levels(values, amplitude)
         gain = 4.0 * level / (math.pi * amplitude)
         signal = "current" if self.site_kind == "current" else "speed"
-        return Footprint(site.name, signal, 0.0, gain, offset=level, describing=gain)
+        return Footprint(site.name, signal, 0.0, gain, offset=most, describing=gain)
 
 
-class CoulombFriction(RelayEffect, row="coulomb-friction"):
+class CoulombFriction(DryEffect, row="coulomb-friction"):
     """Dry friction: a force of constant size against the motion that holds the joint at rest."""
 
 
@@ -234,7 +239,7 @@ def uneven_dry_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return sticks if abs(force - sticks) <= ROUNDING * level else force  # exactly at rest despite rounding of the load
 
 
-class AsymmetricCoulombFriction(Effect, row="asymmetric-coulomb-friction"):
+class AsymmetricCoulombFriction(DryEffect, row="asymmetric-coulomb-friction"):
     """Dry friction whose level differs between the directions."""
 
     force = uneven_dry_force
@@ -242,10 +247,8 @@ class AsymmetricCoulombFriction(Effect, row="asymmetric-coulomb-friction"):
     def unrefined(self, values: Mapping[str, float]) -> Mapping[str, float]:
         return {"Fc": 0.5 * (values["F_pos"] + values["F_neg"])}
 
-    def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
-        # First harmonic at the speed amplitude a: that of the mean level, 4 F / (pi a).
-        gain = 2.0 * (values["F_pos"] + values["F_neg"]) / (math.pi * amplitude)
-        return Footprint(site.name, "speed", 0.0, gain, offset=max(values["F_pos"], values["F_neg"]), describing=gain)
+    def levels(self, values: Mapping[str, float], amplitude: float) -> tuple[float, float]:
+        return 0.5 * (values["F_pos"] + values["F_neg"]), max(values["F_pos"], values["F_neg"])
 
 
 @law
@@ -254,7 +257,7 @@ def stribeck_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return dry_mean_force(seen[V0], seen[V], seen[GV], p[0], p[1], p[2])
 
 
-class StribeckFriction(Effect, row="stribeck-friction"):
+class StribeckFriction(DryEffect, row="stribeck-friction"):
     """Stribeck friction: dry friction whose level decreases with the speed, from breakaway to sliding."""
 
     # Armstrong-Helouvry, Dupont, Canudas de Wit, *A survey of models, analysis tools and compensation methods for the
@@ -265,15 +268,12 @@ class StribeckFriction(Effect, row="stribeck-friction"):
     def visited(self, values: Mapping[str, float], scales: Scales) -> bool:
         return values["vs"] <= scales.speed
 
-    def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
-        # Describing function at the speed amplitude a, with Dawson's integral D and r = a / vs:
-        # 4 (Fc + dF D(r) / r) / (pi a). The force always opposes the motion.
+    def levels(self, values: Mapping[str, float], amplitude: float) -> tuple[float, float]:
+        # Fc + dF D(r) / r, with Dawson's integral D and r = a / vs
         from scipy.special import dawsn
 
         ratio = amplitude / values["vs"]
-        gain = 4.0 * (values["Fc"] + values["dF"] * float(dawsn(ratio)) / ratio) / (math.pi * amplitude)
-        level = values["Fc"] + values["dF"]
-        return Footprint(site.name, "speed", 0.0, gain, offset=level, describing=gain)
+        return values["Fc"] + values["dF"] * float(dawsn(ratio)) / ratio, values["Fc"] + values["dF"]
 
 
 @nb.njit(cache=True)
@@ -490,7 +490,7 @@ class QuadraticDrag(Effect, row="quadratic-drag"):
         return Footprint(site.name, "speed", 0.0, values["c"] * amplitude)
 
 
-class BrushDrop(RelayEffect, row="brush-drop"):
+class BrushDrop(DryEffect, row="brush-drop"):
     """Voltage drop of brushes: a constant voltage against the current."""
 
 

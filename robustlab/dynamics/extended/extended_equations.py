@@ -248,7 +248,7 @@ class ExtendedEquations(SteppedPlant):
         x, u, holding = s[:n], s[n:], list[Holding]()
         for (e, law, port), force in zip(self.laws, self._forced(x, u)[2], strict=True):
             q, v = _motion(port, x)
-            if v == 0.0 and not law.memory and is_set_valued(law, q):
+            if v == 0.0 and is_set_valued(law, q):
                 holding.append(Holding(e.effect.id, port.name, float(force), *rest_band(law, q), port.unit))
         rate = float(np.abs(residual).max(initial=0.0))
         return HoldingTrim(self.name, x, u, self.output(x, u), rate, None, Status.CONVERGED, holding=tuple(holding))
@@ -260,7 +260,7 @@ class ExtendedEquations(SteppedPlant):
         _, ports, forces = self._forced(s[:n], s[n:])
         for (_, law, _), port, force in zip(self.laws, ports, forces, strict=True):
             q, v = _motion(port, s[:n])
-            if v != 0.0 or law.memory or not is_set_valued(law, q):
+            if v != 0.0 or not is_set_valued(law, q):
                 continue
             low, high = rest_band(law, q)
             within = 1.0 if low < force < high else CHEAP**-2

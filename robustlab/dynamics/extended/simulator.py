@@ -129,7 +129,6 @@ class Motion:
     states: Array
     outputs: Array
     forces: Array
-    about: MotionModel | None  # the nonlinear plant about its motion
     model: PortModel  # equations with effects
 
 
@@ -206,7 +205,7 @@ class Simulator:
                 k = [s.name for s in self.plant.outputs].index(site.name)
                 for run in runs:
                     run[:, :, k] = effect.output(run[:, :, k], v, self.dt)
-        return Motion(states, outputs, forces, about, model)
+        return Motion(states, outputs, forces, model)
 
     def laws(self, values: Sequence[Mapping[str, float]]) -> list[Law]:
         return [law for (e, site), v in zip(self.effects, values, strict=True) for law in e.laws(site, v)]
@@ -376,10 +375,8 @@ def _cached_input(samples: bytes, hold: Hold) -> SampledInput:
     return SampledInput(np.frombuffer(samples), hold)
 
 
-@lru_cache(maxsize=4 * KEPT_SIGNALS)
-def _cached_halves(signal: SampledInput, sub: int, shift: float) -> Array:
-    """Return the cached steps: mostly only one of several inputs is shifted anew."""
-    return signal.steps(sub, shift)
+# Mostly only one of several inputs is shifted anew.
+_cached_halves = lru_cache(maxsize=4 * KEPT_SIGNALS)(SampledInput.steps)
 
 
 @lru_cache(maxsize=KEPT)
@@ -447,10 +444,10 @@ def _outputs_along(about: MotionModel | None, model: PortModel, motion: Array) -
     """Return outputs of states (n_windows, length, n), without direct terms."""
     if about is None:
         return motion @ model.C.T
+    offsets = about.offsets.reshape(*motion.shape[:2], -1)
     if (model.C[0] == model.C).all():
-        return motion @ model.C[0].T + about.offsets.reshape(*motion.shape[:2], -1)
-    c = model.C[about.points].reshape(*motion.shape[:2], *model.C.shape[1:])
-    return times(c, motion) + about.offsets.reshape(*motion.shape[:2], -1)
+        return motion @ model.C[0].T + offsets
+    return times(model.C[about.points].reshape(*motion.shape[:2], *model.C.shape[1:]), motion) + offsets
 
 
 def exponential(a: Array, h: float) -> tuple[Array, Array, Array]:

@@ -145,12 +145,9 @@ def _mechanical(plant: LinearPlant) -> frozenset[int]:
 def _rows(plant: LinearPlant, name: str) -> frozenset[int]:
     """Return the equations that contain the parameter."""
     values = plant.values
-    other = {**values, name: values[name] * 1.25 + (values[name] == 0)}
-    changed = [
-        np.abs(there - here).sum(axis=1)
-        for there, here in zip(plant.matrices(other)[:3], plant.matrices(values)[:3], strict=True)
-    ]
-    return frozenset(int(k) for k in np.flatnonzero(np.sum(changed, axis=0)))
+    here, there = plant.matrices(values), plant.matrices({**values, name: values[name] * 1.25 + (values[name] == 0)})
+    changed = np.hstack([after - before for before, after in zip(here[:3], there[:3], strict=True)])
+    return frozenset(np.flatnonzero(changed.any(axis=1)).tolist())
 
 
 def parameter_groups(plant: AnyPlant) -> tuple[tuple[str, str, tuple[str, ...]], ...]:
@@ -158,10 +155,8 @@ def parameter_groups(plant: AnyPlant) -> tuple[tuple[str, str, tuple[str, ...]],
     groups: dict[tuple[str, frozenset[int] | str], list[str]] = {}
     for name, parameter in plant.parameters.items():
         if parameter.role and (parameter.value or parameter.role in COORDINATES):
-            if parameter.role in ("torque-constant", *COORDINATES):
-                where: frozenset[int] | str = ""
-            else:
-                where = _rows(plant, name) if isinstance(plant, LinearPlant) else name
+            one = parameter.role in ("torque-constant", *COORDINATES)
+            where = "" if one else _rows(plant, name) if isinstance(plant, LinearPlant) else name
             groups.setdefault((parameter.role, where), []).append(name)
     return tuple((role, "+".join(names), tuple(names)) for (role, _), names in groups.items())
 
@@ -492,22 +487,23 @@ def with_load_side(model: PortModel, joint: str, share: float, relative: str, wh
     number(f"{where}: share", share, "a share of the inertia between 0 and 1", above=0.0, below=1.0)
     if model.A.ndim > 2:
         return _with_carried_load(model, joint, share, relative)
-    split = _with_less_inertia(model, port, share)
-    n, drive = len(port.velocity), split.ports[joint]
+    n = len(port.velocity)
+    # the equations with (1 - s) J at the joint
+    change = np.eye(n) + share / (1.0 - share) * ((port.inertia * port.force)[:, None] * port.velocity)
+    lighter = {name: replace(p, force=(change @ p.force[:, None])[:, 0]) for name, p in model.ports.items()}
+    split = replace(model, A=change @ model.A, B=change @ model.B, ports=lighter)
     rows = np.zeros((2, n + 2))
     rows[0, n + 1] = 1.0
     wide = split.widened(rows)
     a, b = wide.A.copy(), wide.B.copy()
-    a[..., n + 1, :n] = drive.velocity @ split.A  # free load: the relative acceleration is the drive's
-    b[..., n + 1, :] = drive.velocity @ split.B
+    a[n + 1, :n] = port.velocity @ split.A  # free load: the relative acceleration is the drive's
+    b[n + 1] = port.velocity @ split.B
     ports = {}
     for name, p in wide.ports.items():
-        force = p.force.copy()
-        force[..., -1] = split.ports[name].force @ drive.velocity
-        ports[name] = replace(p, force=force)
+        ports[name] = replace(p, force=np.append(p.force[:-1], lighter[name].force @ port.velocity))
     drive = ports[joint]
-    load = _load(drive, -1.0 / (share * port.inertia[..., None]) * np.eye(n + 2)[-1])
-    gap = _relative_port(drive, load, f"{joint}.{relative}", (share * (1.0 - share) * port.inertia)[..., None])
+    load = _load(drive, -1.0 / (share * port.inertia) * np.eye(n + 2)[-1])
+    gap = _relative_port(drive, load, f"{joint}.{relative}", share * (1.0 - share) * port.inertia)
     return replace(wide, A=a, B=b, ports={**ports, load.name: load, gap.name: gap})
 
 
@@ -518,11 +514,3 @@ def _relative_port(drive: Port, load: Port, name: str, reduced: Array) -> Port:
         drive, name=name, kind="relative", unit=f"{unit}/s2", position_unit=unit,
         force=reduced * (drive.force - load.force), velocity=rate, position=delta,
     )  # fmt: skip
-
-
-def _with_less_inertia(model: PortModel, port: Port, share: float) -> PortModel:
-    """Return the equations with :math:`(1 - s) J` at the joint."""
-    pulled = (port.inertia[..., None] * port.force)[..., :, None] * port.velocity
-    change = np.eye(len(port.velocity)) + share / (1.0 - share) * pulled
-    ports = {name: replace(p, force=(change @ p.force[..., None])[..., 0]) for name, p in model.ports.items()}
-    return replace(model, A=change @ model.A, B=change @ model.B, ports=ports)
