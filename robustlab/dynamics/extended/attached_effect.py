@@ -275,8 +275,7 @@ class AttachedEffect:
     @property
     def delay(self) -> float:
         """Pure delay in s."""
-        found = self.footprint()
-        return 0.0 if found is None else found.delay
+        return self.values.get(self.effect.delay, 0.0)
 
     @property
     def time_constant(self) -> float:

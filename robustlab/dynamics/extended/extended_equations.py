@@ -29,7 +29,7 @@ from robustlab.dynamics.extended.attached_effect import (
     slopes,
     steady_force,
 )
-from robustlab.dynamics.extended.nonlinear_steps import About, factors_of, generic_model, with_linear_parts
+from robustlab.dynamics.extended.simulator import About, factors_of, generic_model, with_linear_parts
 from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant, Trim, point_of
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, port_model
 from robustlab.dynamics.rest import PASSES, trim_conditions

@@ -16,9 +16,11 @@ from robustlab.delays.approximation import checked_order
 from robustlab.delays.model import covering
 from robustlab.dynamics.extended.attached_effect import POSITION_STEP, AttachedEffect, attach
 from robustlab.dynamics.extended.extended_equations import NOMINAL_STEP, ExtendedEquations, extended_model
-from robustlab.dynamics.extended.nonlinear_steps import (
+from robustlab.dynamics.extended.simulator import (
     About,
     Drive,
+    Simulator,
+    Windows,
     factors_of,
     load_coordinates,
     march,
@@ -26,7 +28,6 @@ from robustlab.dynamics.extended.nonlinear_steps import (
     scaled,
     with_linear_parts,
 )
-from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant, with_factors
 from robustlab.dynamics.parameters import Parameter
 from robustlab.dynamics.plant_contract import NonlinearPlant
@@ -364,16 +365,13 @@ def _structure(plant: ExtendedPlant, linear: StateSpaceModel) -> Callable[[Mappi
 def _check(plant: ExtendedPlant, whole: UncertainModel, linear: StateSpaceModel, width: float) -> None:
     """Check that the set includes the nominal model, and the plant with every deviation at its upper end."""
     changed = {n: (p.value + p.radius, 0.0) for n, p in plant.parameters.items() if p.tolerance}
+    terms, effects = _joint_terms(plant, linear, width), []
     for e in plant.effects:
-        for name in factors_of(plant.plant, [e]) if e.scale_std else ():
+        scaled_by = factors_of(plant.plant, [e])
+        for name in scaled_by if e.scale_std else ():
             changed.pop(name, None)
-    terms = _joint_terms(plant, linear, width)
-    effects = []
-    for e in plant.effects:
-        scales = e.on_signal or bool(factors_of(plant.plant, [e]))
-        linear_ones = {n for n in e.std if (n == e.effect.scale and scales) or f"{e.key}.{n}" in terms}
-        up = {n: v + width * e.std[n] if n in linear_ones else v for n, v in e.values.items()}
-        effects.append(replace(e, values=up))
+        moved = {n for n in e.std if f"{e.key}.{n}" in terms or (n == e.effect.scale and (e.on_signal or scaled_by))}
+        effects.append(replace(e, values={n: v + width * e.std[n] if n in moved else v for n, v in e.values.items()}))
     rebuilt = with_effects(plant.plant.with_parameters(**changed), effects)
     point = linear.operating_point
     for delta, other in ((0.0, linear), (1.0, rebuilt.linear_model(point))):
