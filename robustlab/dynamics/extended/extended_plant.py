@@ -148,10 +148,8 @@ def _drive(plant: ExtendedNonlinearPlant, u: Array, dt: float, t0: float, parts:
         return Drive(fine[:-1] + rise, rise, h, t0)
     pairs, held = [(e.effect, e.site) for e in plant.effects], np.repeat(u, parts, axis=0)
     motion = np.zeros((2, len(plant.plant.states)))  # not simulated
-    mean, rise = Simulator(plant.plant, pairs, held, h, sub=1, motion=motion).seen_input(
-        [e.values for e in plant.effects]
-    )
-    return Drive(mean, rise, h, t0)
+    simulator = Simulator(plant.plant, pairs, held, h, sub=1, motion=motion)
+    return Drive(*simulator.seen_input([e.values for e in plant.effects]), h, t0)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

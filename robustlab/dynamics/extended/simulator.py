@@ -253,11 +253,9 @@ class Simulator:
         about = _cached_model(self._course, *key)
         return about if known == total else with_factors(about, self._course, total)
 
-    def seen_input(
-        self, values: Sequence[Mapping[str, float]], shift: Sequence[float] | None = None
-    ) -> tuple[Array, Array]:
+    def seen_input(self, values: Sequence[Mapping[str, float]]) -> tuple[Array, Array]:
         """Return effective inputs from each sample to the next as m + r (2 tau/dt - 1): m and r, (n, n_u) each."""
-        late = self._late(values, shift)
+        late = self._late(values, None)
         halves = [s.steps(1, d / self.dt).ravel() for s, d in zip(self._inputs, late, strict=True)]
         seen = np.column_stack(self._mapped(halves, values, 0.5 * self.dt))
         first, second = seen[::2], seen[1::2]
@@ -285,11 +283,10 @@ class Simulator:
         if not any(site.kind == "input" and not effect.delay for effect, site in self.effects):
             return steps
         n_u = len(self._inputs)
-        if steps.shape[1] == n_u:
-            return np.column_stack(self._mapped(list(steps.T), values, self.dt / self.sub))
-        halves = [np.ravel(steps[:, k::n_u]) for k in range(n_u)]
-        mapped = self._mapped(halves, values, 0.5 * self.dt / self.sub)
-        return np.hstack([np.column_stack([m[k::2] for m in mapped]) for k in (0, 1)])
+        parts = steps.shape[1] // n_u  # of a step
+        columns = [np.ravel(steps[:, k::n_u]) for k in range(n_u)]
+        mapped = self._mapped(columns, values, self.dt / self.sub / parts)
+        return np.hstack([np.column_stack([m[k::parts] for m in mapped]) for k in range(parts)])
 
     def _mapped(self, u: list[Array], values: Sequence[Mapping[str, float]], h: float) -> list[Array]:
         """Apply the effects on inputs in steps of h seconds, except delays (`_late`)."""

@@ -498,9 +498,8 @@ def with_load_side(model: PortModel, joint: str, share: float, relative: str, wh
     a, b = wide.A.copy(), wide.B.copy()
     a[n + 1, :n] = port.velocity @ split.A  # free load: the relative acceleration is the drive's
     b[n + 1] = port.velocity @ split.B
-    ports = {}
-    for name, p in wide.ports.items():
-        ports[name] = replace(p, force=np.append(p.force[:-1], lighter[name].force @ port.velocity))
+    rates = {name: p.force @ port.velocity for name, p in lighter.items()}
+    ports = {name: replace(p, force=np.append(p.force[:-1], rates[name])) for name, p in wide.ports.items()}
     drive = ports[joint]
     load = _load(drive, -1.0 / (share * port.inertia) * np.eye(n + 2)[-1])
     gap = _relative_port(drive, load, f"{joint}.{relative}", share * (1.0 - share) * port.inertia)
