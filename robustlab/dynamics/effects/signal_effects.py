@@ -22,9 +22,10 @@ class SignalGain(Effect):
     gain_like = True
     scale = "s"
 
-    def scaled(self, signal: Array, values: Mapping[str, float], h: float) -> Array:
-        """``s signal``."""
+    def input(self, signal: Array, values: Mapping[str, float], h: float) -> Array:
         return values["s"] * signal
+
+    output = input
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         return Footprint(site.name, self.site_kind, values["s"], values["s"])
@@ -41,8 +42,6 @@ class SignalDelay(Effect):
 
 class InputGain(SignalGain, row="input-gain"):
     """Input gain: a multiple of the commanded input acts."""
-
-    input = SignalGain.scaled
 
 
 class InputDelay(SignalDelay, row="input-delay"):
@@ -98,8 +97,6 @@ class ActuatorLag(Effect, row="actuator-lag"):
 
 class SensorGain(SignalGain, row="sensor-gain"):
     """Sensor gain: a wrong scale factor, gear ratio or calibration."""
-
-    output = SignalGain.scaled
 
 
 class SensorBias(Effect, row="sensor-bias"):

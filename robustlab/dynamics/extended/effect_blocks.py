@@ -37,7 +37,7 @@ from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.structural import drop_unconnected
 from robustlab.record import Record
 from robustlab.result import Status
-from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, real_array
+from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 
@@ -313,8 +313,7 @@ def effect_blocks(
     tied: Sequence[tuple[str, tuple[str, ...]]] = (),
 ) -> EffectBlocks:
     """Build the uncertain model of a plant with or without effects."""
-    width = float(real_array("sigmas", sigmas, 0, "effect_blocks"))
-    checks.number("effect_blocks: sigmas", width, "0 or more", at_least=0)
+    width = checks.number("effect_blocks: sigmas", sigmas, "0 or more", at_least=0)
     checks.whole("effect_blocks: pade", pade, 1, 8)
     if dry not in (None, *get_args(Dry)):
         raise InputError("effect_blocks: dry", f"{dry!r}", f"one of {', '.join(get_args(Dry))}")
@@ -408,10 +407,7 @@ def _residual_force(model: PortModel, given: tuple[float, str] | None) -> list[t
     port = next((p for p in model.ports.values() if p.kind == "joint"), None)
     if port is None:
         raise InputError("effect_blocks: unnamed", "a plant without joints", "a joint at which the force acts")
-    bound = float(real_array("unnamed", given[0], 0, "effect_blocks"))
-    if bound <= 0:
-        raise InputError("effect_blocks: unnamed", f"a force of {bound:g} {port.unit}", "a positive bound")
-    return [(NoiseInput(f"load {port.name}: unnamed", bound, port.unit, given[1]), port)]
+    return [(NoiseInput(f"load {port.name}: unnamed", given[0], port.unit, given[1]), port)]
 
 
 def _with_forces(plant: LinearPlant, ports: Sequence[Port], sectors: Sequence[ForceSector] = ()) -> LinearPlant:

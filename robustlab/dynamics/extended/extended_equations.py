@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
-from robustlab.checks import number
+from robustlab.checks import number, whole
 from robustlab.delays.approximation import pade as rational_delay
 from robustlab.display import AllFields, listed
 from robustlab.dynamics.effects.contract import Law
@@ -375,8 +375,7 @@ class ExtendedEquations(SteppedPlant):
             if name not in sites:
                 raise unknown_name(where, "no effect there", name, sites)
             number(where, value, "a positive number", above=0)
-        if isinstance(pade, bool) or not isinstance(pade, int) or not 0 <= pade <= HIGHEST_PADE:
-            raise InputError("linearise: pade", f"{pade!r}", f"an order from 0 to {HIGHEST_PADE}")
+        whole("linearise: pade", pade, 0, HIGHEST_PADE)
         return x, u, amplitude or {}
 
 
@@ -410,6 +409,6 @@ def _with_delays(
         stage = bank, names, np.asarray(-np.linalg.solve(bank.A, bank.B @ level), dtype=np.float64)
         stages.insert(len(stages) if kind == "delay_output" else 0, stage)
     models, states, x = zip(*stages, strict=True)
-    whole, point = reduce(series, models), OperatingPoint(np.concatenate(x), point.u, point.y)
+    m, point = reduce(series, models), OperatingPoint(np.concatenate(x), point.u, point.y)
     names = [name for part in states for name in part]
-    return StateSpaceModel(whole.A, whole.B, whole.C, whole.D, 0.0, model.inputs, model.outputs, names, point, "pade")
+    return StateSpaceModel(m.A, m.B, m.C, m.D, 0.0, model.inputs, model.outputs, names, point, "pade")

@@ -34,7 +34,7 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, linear_plant_of, local_port_model
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, error_context
 from robustlab.linear_analysis.structural import drop_unconnected
-from robustlab.statespace import Signal, StateSpaceModel, real_array
+from robustlab.statespace import Signal, StateSpaceModel
 from robustlab.uncertainty.blocks import FullBlock, ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel, product
 
@@ -182,8 +182,7 @@ class ExtendedPlant(ExtendedEquations):
         self, outputs: Sequence[str] | None = None, sigmas: float = 2.0
     ) -> UncertainModel:
         """Return all models within the tolerances as an exact LFT, without the effects in `left_out`."""
-        width = float(real_array("sigmas", sigmas, 0, "uncertain"))
-        number("uncertain: sigmas", width, "0 or more", at_least=0)
+        width = number("uncertain: sigmas", sigmas, "0 or more", at_least=0)
         linear = self.linear_model()
         point = linear.operating_point
         assert point is not None
