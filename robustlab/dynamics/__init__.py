@@ -26,7 +26,6 @@ _INNER = {
     "descriptor_elimination": "eliminated",
     "effects.catalogue": "KINDS KIND_OF MEANINGS add_effect catalogue effect upwards",
     "effects.contract": "Effect EffectParameter Footprint Law Prior Scales Site",
-    "effects.signal_effects": "SignalGain",
     "effects.spring_effects": "DAMPING",
     "extended.attached_effect": "AttachedEffect holding_force is_set_valued rest_band steady_force",
     "extended.effect_blocks": "Dry effect_blocks effect_loads",
