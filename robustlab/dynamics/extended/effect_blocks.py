@@ -13,7 +13,7 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar, Literal, NamedTuple, cast, get_args
+from typing import Any, ClassVar, Literal, cast, get_args
 
 import numpy as np
 
@@ -90,30 +90,24 @@ class NoiseInput(AllFields):
     origin: str
 
 
-class ForceParts(NamedTuple):
-    """Replacements of all laws of a plant."""
-
-    sectors: list[ForceSector]
-    bounded: list[tuple[NoiseInput, Port]]  # forces as inputs
-    replacements: dict[int, Array]  # index of a law -> row (n_x,) of ``f = -row x`` in the nominal member
-    left_out: dict[str, str]  # effect at its place -> reason why only its slope at the point is in the model
-
-
-def _force_parts(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude], dry: Dry | None, width: float) -> ForceParts:
-    """Choose the replacement of every force law."""
-    parts, missing = ForceParts([], [], {}, {}), dict[str, str]()
+def _force_parts(
+    plant: ExtendedPlant, amplitude: Mapping[str, Amplitude], dry: Dry | None, width: float
+) -> tuple[list[ForceSector], list[tuple[NoiseInput, Port]], dict[int, Array], dict[str, str]]:
+    """Return sectors, forces as inputs, law -> row of ``f = -row x`` in the nominal member, and effects left out."""
+    sectors, bounded = list[ForceSector](), list[tuple[NoiseInput, Port]]()
+    replacements, left_out, missing = dict[int, Array](), dict[str, str](), dict[str, str]()
     for j, (e, _, port) in enumerate(plant.laws):
         seen = e.footprint()
         reason = _why_omitted(e, seen, port)
         if reason or seen is None:
-            parts.left_out[f"{e!r}"] = reason
+            left_out[f"{e!r}"] = reason
             continue
         key = _signal_name(plant, port, seen.signal)
         as_gain, as_load = _as_gain_or_force(e, seen, key in amplitude, dry)
         everywhere = {(f.gain_lower, f.gain_upper) for a in STRETCHES if (f := e.footprint(a)) is not None}
         if as_gain and key not in amplitude and len(everywhere) != 1:
             if seen.signal == "position" and not seen.offset:
-                parts.left_out[f"{e!r}"] = f"only its slope at the point is in the model: give an amplitude of {key}"
+                left_out[f"{e!r}"] = f"only its slope at the point is in the model: give an amplitude of {key}"
             else:
                 missing[key] = e.effect.title
             continue
@@ -122,15 +116,15 @@ def _force_parts(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude], dry: 
             found = _sector(e, port, seen, amplitude.get(key), width)
             row = found.range.nominal * found.row
             if found.range.radius > 0:
-                parts.sectors.append(found)
+                sectors.append(found)
         if as_load:
-            (name,) = _free_names([e.load_name], [load.name for load, _ in parts.bounded])
+            (name,) = _free_names([e.load_name], [load.name for load, _ in bounded])
             words = f"{e.in_words} as a bounded force, for every motion; {e.values_in_words}"
-            parts.bounded.append((NoiseInput(name, e.largest_offset(width), port.unit, words), port))
-        parts.replacements[j] = row
+            bounded.append((NoiseInput(name, e.largest_offset(width), port.unit, words), port))
+        replacements[j] = row
     if missing:
         raise _no_amplitude(missing, '; dry="load" for friction needs none')
-    return parts
+    return sectors, bounded, replacements, left_out
 
 
 def _no_amplitude(missing: Mapping[str, str], more: str = "") -> InputError:
@@ -328,16 +322,16 @@ def effect_blocks(
     elif isinstance(plant, ExtendedPlant):
         amplitude = amplitude or {}
         _check_amplitudes(plant, amplitude)
-        parts = _force_parts(plant, amplitude, dry, width)
+        sectors, bounded, replacements, left_out = _force_parts(plant, amplitude, dry, width)
         levels = _signal_amplitudes(plant, amplitude)
-        linear = plant.linear_model(None, levels, replacements=parts.replacements)
+        linear = plant.linear_model(None, levels, replacements=replacements)
         point = linear.operating_point
         assert point is not None
-        loads = [*parts.bounded, *_residual_force(plant.model, unnamed)]
+        loads = [*bounded, *_residual_force(plant.model, unnamed)]
         inner = tied_plant(without_signals(plant, linear, width), tied)
-        ways = [*(s.port for s in parts.sectors), *(port for _, port in loads)]
-        whole = _with_origins(_with_forces(inner, ways, parts.sectors).uncertain(), inner)
-        whole, approximate = _with_sectors(whole, parts.sectors, len(plant.inputs))
+        ways = [*(s.port for s in sectors), *(port for _, port in loads)]
+        whole = _with_origins(_with_forces(inner, ways, sectors).uncertain(), inner)
+        whole, approximate = _with_sectors(whole, sectors, len(plant.inputs))
         signals = plant.signal_levels(point.x, point.u)
         into, out = ([s for s in signals if s[0].site.kind == kind] for kind in ("input", "output"))
         whole = with_signals(whole, signals, levels, width, pade)
@@ -352,8 +346,8 @@ def effect_blocks(
                 noise = NoiseInput(f"noise {signal.name}: {e.effect.id}", bound, signal.unit, words)
                 errors.append((noise, len(plant.inputs) + len(loads) + k))
         left = {f"{e!r}": "a bounded error of an input" for e, _, _ in into if (f := e.footprint()) and f.offset}
-        made = EffectBlocks(*_errors_first(whole, plant, errors), parts.left_out | left, tuple(approximate))
-        _check(plant.linear_model(None, levels, pade, replacements=parts.replacements), plant.name, made)
+        made = EffectBlocks(*_errors_first(whole, plant, errors), left_out | left, tuple(approximate))
+        _check(plant.linear_model(None, levels, pade, replacements=replacements), plant.name, made)
     else:
         raise InputError("effect_blocks", type(plant).__name__, "a linear plant, with or without effects")
     if outputs is None:

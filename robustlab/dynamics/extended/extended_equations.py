@@ -228,8 +228,13 @@ class ExtendedEquations(SteppedPlant):
             matrix = np.vstack([np.hstack([a, b]), np.hstack([c[rows], d[rows]])])[:, free]
             size = np.abs(matrix).max(axis=1, initial=0.0)
             scale = np.where(size > 0, size, 1.0)
-            holding = self._holding_columns(s) / scale[:n, None]
-            held = np.vstack([CHEAP * holding, np.zeros((len(rows), holding.shape[1]))])
+            # rates per unit of each holding force; those at the edge of their band have low weight
+            columns = [
+                (1.0 if low < force < high else CHEAP**-2) * (port.force / np.abs(port.force).max())
+                for _, port, force, low, high in self._holding(s[:n], s[n:])
+            ]
+            held = np.zeros((len(residual), len(columns)))
+            held[:n] = CHEAP * (np.reshape(columns, (len(columns), n)).T / scale[:n, None])
             step = np.linalg.lstsq(np.hstack([matrix / scale[:, None], held]), -residual / scale, rcond=1e-12)[0]
             step = step[: len(free)]
             # Rounding of Newton's steps must not move a joint that is held at rest.
@@ -245,27 +250,23 @@ class ExtendedEquations(SteppedPlant):
                 None,
                 "give an input within the limits of the holding forces, or leave it free",
             )
-        x, u, holding = s[:n], s[n:], list[Holding]()
-        for (e, law, port), force in zip(self.laws, self._forced(x, u)[2], strict=True):
-            q, v = _motion(port, x)
-            if v == 0.0 and is_set_valued(law, q):
-                holding.append(Holding(e.effect.id, port.name, float(force), *rest_band(law, q), port.unit))
+        x, u = s[:n], s[n:]
+        holding = tuple(
+            Holding(e.effect.id, port.name, force, low, high, port.unit)
+            for e, port, force, low, high in self._holding(x, u)
+        )
         rate = float(np.abs(residual).max(initial=0.0))
-        return HoldingTrim(self.name, x, u, self.output(x, u), rate, None, Status.CONVERGED, holding=tuple(holding))
+        return HoldingTrim(self.name, x, u, self.output(x, u), rate, None, Status.CONVERGED, holding=holding)
 
-    def _holding_columns(self, s: Array) -> Array:
-        """Return the scaled rates per unit of each holding force; those at the edge of their band have low weight."""
-        n = len(self.states)
-        columns = [np.zeros((n, 0))]
-        _, ports, forces = self._forced(s[:n], s[n:])
-        for (_, law, _), port, force in zip(self.laws, ports, forces, strict=True):
-            q, v = _motion(port, s[:n])
-            if v != 0.0 or not is_set_valued(law, q):
-                continue
-            low, high = rest_band(law, q)
-            within = 1.0 if low < force < high else CHEAP**-2
-            columns.append(within * (port.force / np.abs(port.force).max())[:, None])
-        return np.hstack(columns)
+    def _holding(self, x: Array, u: Array) -> list[tuple[AttachedEffect, Port, float, float, float]]:
+        """Return effect, port, force and band of possible forces of each law that is set-valued at rest there."""
+        _, ports, forces = self._forced(x, u)
+        return [
+            (e, port, float(force), *rest_band(law, q))
+            for (e, law, _), port, force in zip(self.laws, ports, forces, strict=True)
+            for q, v in [_motion(port, x)]
+            if v == 0.0 and is_set_valued(law, q)
+        ]
 
     def _is_equilibrium(self, s: Array, residual: Array) -> bool:
         """Return whether the rates are rounding errors of their terms and the outputs meet the conditions."""
