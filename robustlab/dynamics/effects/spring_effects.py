@@ -114,9 +114,8 @@ class EndStop(Effect, row="end-stop"):
         return tuple({"q_min": lower + depth, "q_max": upper - depth, "kc": k, "dc": d} for depth, k, d in contacts)
 
     def visited(self, values: Mapping[str, float], scales: Scales) -> bool:
-        if scales.lowest is None or scales.highest is None:
-            return True
-        return values["q_min"] > scales.lowest or values["q_max"] < scales.highest
+        lower, upper = scales.lowest, scales.highest
+        return lower is None or upper is None or values["q_min"] > lower or values["q_max"] < upper
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # Slope of the force over the position: 0 between the limits, kc beyond them (without damping).
@@ -272,9 +271,8 @@ class BoucWen(Effect, row="bouc-wen"):
 
         most = 1.0 - 1e-15
         reached = float(root_scalar(excess, bracket=(0.0, most)).root) if excess(most) > 0.0 else 1.0
-        return Footprint(
-            site.name, "position", 0.0, 4.0 / math.pi * values["Fy"] * reached / amplitude, offset=values["Fy"]
-        )
+        gain = 4.0 / math.pi * values["Fy"] * reached / amplitude
+        return Footprint(site.name, "position", 0.0, gain, offset=values["Fy"])
 
 
 DAMPING = 0.2

@@ -47,6 +47,8 @@ NOMINAL_EXACT = 1e-8
 # Amplitudes for the check whether a sector is independent of the amplitude.
 STRETCHES = (0.5, 1.0, 2.0)
 
+SLOPE_ONLY = "only its slope at the point is in the model"
+
 Amplitude = float | tuple[float, float]
 AnyLinear = LinearPlant | ExtendedPlant
 Dry = Literal["gain", "load", "both"]
@@ -98,16 +100,21 @@ def _force_parts(
     replacements, left_out, missing = dict[int, Array](), dict[str, str](), dict[str, str]()
     for j, (e, _, port) in enumerate(plant.laws):
         seen = e.footprint()
-        reason = _why_omitted(e, seen, port)
-        if reason or seen is None:
-            left_out[f"{e!r}"] = reason
+        if seen is None or seen.signal not in ("speed", "current", "position", "force", "time"):
+            left_out[f"{e!r}"] = SLOPE_ONLY
+            continue
+        if e.effect.structural:
+            left_out[f"{e!r}"] = "it divides the joint: it is no force at one joint"
+            continue
+        if seen.signal == "force" and np.count_nonzero(port.force) != 1:
+            left_out[f"{e!r}"] = f"{SLOPE_ONLY}: its joint shares its inertia with others"
             continue
         key = _signal_name(plant, port, seen.signal)
         as_gain, as_load = _as_gain_or_force(e, seen, key in amplitude, dry)
         everywhere = {(f.gain_lower, f.gain_upper) for a in STRETCHES if (f := e.footprint(a)) is not None}
         if as_gain and key not in amplitude and len(everywhere) != 1:
             if seen.signal == "position" and not seen.offset:
-                left_out[f"{e!r}"] = f"only its slope at the point is in the model: give an amplitude of {key}"
+                left_out[f"{e!r}"] = f"{SLOPE_ONLY}: give an amplitude of {key}"
             else:
                 missing[key] = e.effect.title
             continue
@@ -162,17 +169,6 @@ def _check_amplitudes(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude]) 
 
 def _pair(value: Amplitude) -> tuple[float, ...]:
     return tuple(value) if isinstance(value, (tuple, list)) else (value, value)
-
-
-def _why_omitted(e: AttachedEffect, seen: Footprint | None, port: Port) -> str:
-    """Return the reason why a law has no replacement, or an empty text."""
-    if seen is None or seen.signal not in ("speed", "current", "position", "force", "time"):
-        return "only its slope at the point is in the model"
-    if e.effect.structural:
-        return "it divides the joint: it is no force at one joint"
-    if seen.signal == "force" and np.count_nonzero(port.force) != 1:
-        return "only its slope at the point is in the model: its joint shares its inertia with others"
-    return ""
 
 
 def _as_gain_or_force(e: AttachedEffect, seen: Footprint, known: bool, dry: Dry | None) -> tuple[bool, bool]:
