@@ -170,19 +170,16 @@ def linear_plant_of(plant: LinearPlant | StateSpaceModel, where: str = "effects"
     if plant.is_discrete:
         raise InputError(where, f"a discrete model (dt = {plant.dt:g} s)", "a continuous model")
     speeds = [(k, s) for k, s in enumerate(plant.states) if s.unit in SPEED_UNITS]
-    parameters = {}
-    for name, _ in plant.inputs:
-        parameters[f"gain_{name}"] = Parameter(f"gain_{name}", 1.0, source=ASSUMED, role="input-gain")
+    made = [Parameter(f"gain_{name}", 1.0, source=ASSUMED, role="input-gain") for name, _ in plant.inputs]
     inertias = {name: _known_inertia(plant, k) for k, (name, _) in speeds}
     for k, (name, unit) in speeds:
         known = inertias[name]
-        parameters[f"inertia_{name}"] = Parameter(
-            f"inertia_{name}", known or 1.0, INERTIA_UNITS[unit] if known else "", 0.0, ASSUMED, role="inertia"
-        )
-        damping_unit = f"{SPEED_UNITS[unit]} s/{unit.removesuffix('/s')}" if known else "1/s"
-        parameters[f"damping_{name}"] = Parameter(
-            f"damping_{name}", -plant.A[k, k] * (known or 1.0), damping_unit, 0.0, ASSUMED, role="viscous-friction"
-        )
+        units = (INERTIA_UNITS[unit], f"{SPEED_UNITS[unit]} s/{unit.removesuffix('/s')}") if known else ("", "1/s")
+        damping = -plant.A[k, k] * (known or 1.0)
+        made += [
+            Parameter(f"inertia_{name}", known or 1.0, units[0], 0.0, ASSUMED, role="inertia"),
+            Parameter(f"damping_{name}", damping, units[1], 0.0, ASSUMED, role="viscous-friction"),
+        ]
 
     def equations(p: Mapping[str, float]) -> Descriptor:
         e, f = np.eye(plant.n_states), plant.A.copy()
@@ -194,6 +191,7 @@ def linear_plant_of(plant: LinearPlant | StateSpaceModel, where: str = "effects"
             f[k, k] = -p[f"damping_{name}"]
         return Descriptor(e, f, g, plant.C, plant.D)
 
+    parameters = {p.name: p for p in made}
     return LinearPlant("model", parameters, plant.inputs, plant.outputs, plant.states, equations=equations)
 
 
