@@ -8,9 +8,9 @@
        "possible": ["dry-friction", "load"]}}}
 
 ``verdict``: "named" (these kinds, and sure), "open" (among ``possible``, none of them sure or not all), "unknown"
-(something is missing that has no name here), "nothing". ``kind`` is one of `robustlab.dynamics.effects.kinds.KINDS`;
-``effect``, ``at`` (a joint's velocity, an input, an output) and ``probability`` may be left out. ``possible``: every
-kind that may be there. ``complete``: false where something remains beside what is named. ``seconds``: of CPU.
+(something is missing that has no name here), "nothing". ``kind`` is one of `robustlab.dynamics.KINDS`; ``effect``,
+``at`` (a joint's velocity, an input, an output) and ``probability`` may be left out. ``possible``: every kind that may
+be there. ``complete``: false where something remains beside what is named. ``seconds``: of CPU.
 """
 
 from __future__ import annotations

@@ -25,10 +25,8 @@ _INNER = {
     "control.platform": "LayeredController SineTrajectory closed_loop follow follow_with_torques measured torque_loop"
     " two_layer upper_layer",
     "descriptor_elimination": "eliminated",
-    "effects.catalogue": "add_effect catalogue effect",
+    "effects.catalogue": "KINDS KIND_OF MEANINGS add_effect catalogue effect upwards",
     "effects.contract": "Effect EffectParameter Footprint Law Prior Scales Site",
-    "effects.kinds": "KINDS KIND_OF MEANINGS upwards",
-    "effects.signal_effects": "SignalGain",
     "effects.spring_effects": "DAMPING",
     "extended.attached_effect": "AttachedEffect holding_force is_set_valued rest_band steady_force",
     "extended.effect_blocks": "Dry effect_blocks effect_loads",
@@ -38,9 +36,7 @@ _INNER = {
     "extended.simulator": "SampledInput Simulator Windows stepping",
     "plant_contract": "LocalModels PortPlace input_signal",
     "plants.linear": "linear_actuator",
-    "ports.split_joint": "shares_behind",
-    "ports.motion_model": "local_port_model",
-    "ports.port_model": "linear_plant_of parameter_groups port_model",
+    "ports.port_model": "linear_plant_of local_port_model parameter_groups port_model shares_behind",
     "symbolic.tape": "OPERATIONS Tape tape_of",
 }
 _, __getattr__ = lazily(__name__, _INNER)

@@ -10,7 +10,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import EffectParameter, Footprint, Prior, Scales, Site
-from robustlab.dynamics.effects.signal_effects import InputDeadZone
+from robustlab.dynamics.effects.parameter_effects import InputDeadZone
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.extended.extended_plant import ExtendedNonlinearPlant, with_effects
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant

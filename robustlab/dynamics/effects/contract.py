@@ -92,7 +92,7 @@ class Scales:
     lowest: float | None = None
     highest: float | None = None
     inertia: float = 1.0  # force per acceleration at the port
-    # possible load shares of a joint's inertia (`robustlab.dynamics.ports.split_joint.shares_behind`)
+    # possible load shares of a joint's inertia (`robustlab.dynamics.ports.port_model.shares_behind`)
     shares: tuple[float, ...] = ()
     input: float = 1.0  # largest absolute value of the site's input
     output: float = 1.0  # half the range of the site's output
@@ -233,11 +233,12 @@ class Effect:
         return self._of_rows(self.rows, scales)
 
     def _of_rows(self, rows: Mapping[str, tuple[Any, ...]], scales: Scales) -> tuple[EffectParameter, ...]:
-        own, found = self.priors(scales), []
-        for name, (kind, meaning, *prior) in rows.items():
-            unit, size = _measure(kind, scales)
-            found.append(EffectParameter(name, unit, meaning, own[name] if name in own else _prior(size, *prior)))
-        return tuple(found)
+        own = self.priors(scales)
+        return tuple(
+            EffectParameter(name, unit, meaning, own.get(name) or _prior(size, *prior))
+            for name, (kind, meaning, *prior) in rows.items()
+            for unit, size in [_measure(kind, scales)]
+        )
 
     def priors(self, scales: Scales) -> dict[str, Prior]:
         """Return priors of parameters whose rows have none."""
@@ -349,13 +350,9 @@ class Effect:
         names = self.names_of(values)
         for name in values:
             if name not in names:
-                raise InputError(
-                    f"effect {self.id}: {name!r}",
-                    "no such parameter",
-                    f"{', '.join(names)}",
-                    did_you_mean(name, list(names)),
-                )
-        missing = [name for name in names if name not in values]
-        if missing:
-            raise InputError(f"effect {self.id}", f"no value for {missing[0]!r}", f"{', '.join(names)}")
+                hint = did_you_mean(name, list(names))
+                raise InputError(f"effect {self.id}: {name!r}", "no such parameter", ", ".join(names), hint)
+        missing = next((name for name in names if name not in values), None)
+        if missing is not None:
+            raise InputError(f"effect {self.id}", f"no value for {missing!r}", ", ".join(names))
         return {name: float(values[name]) for name in names}

@@ -12,8 +12,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.dynamics.effects.contract import Effect, Footprint, Law, Prior, Scales, Site
 from robustlab.dynamics.ports.law_kernel import GQ, GV, Q0, STEP, V0, Q, V, bracket, guess, is_open, law, narrowed
-from robustlab.dynamics.ports.port_model import PortModel
-from robustlab.dynamics.ports.split_joint import with_load_side
+from robustlab.dynamics.ports.port_model import PortModel, with_load_side
 
 
 @nb.njit(cache=True)
@@ -111,21 +110,12 @@ class EndStop(Effect, row="end-stop"):
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
         # Soft stops within the record's travel, and hard ones near its extremes.
         lower, upper = travel(scales)
-        stiffness, damping = contact_scales(scales)
-        return tuple(
-            {
-                "q_min": lower + depth * (upper - lower),
-                "q_max": upper - depth * (upper - lower),
-                "kc": harder * stiffness,
-                "dc": math.sqrt(harder) * damping,
-            }
-            for depth, harder in ((0.02, 1.0), (0.003, 5.0))
-        )
+        contacts = contact_starts(scales)[:2]
+        return tuple({"q_min": lower + depth, "q_max": upper - depth, "kc": k, "dc": d} for depth, k, d in contacts)
 
     def visited(self, values: Mapping[str, float], scales: Scales) -> bool:
-        if scales.lowest is None or scales.highest is None:
-            return True
-        return values["q_min"] > scales.lowest or values["q_max"] < scales.highest
+        lower, upper = scales.lowest, scales.highest
+        return lower is None or upper is None or values["q_min"] > lower or values["q_max"] < upper
 
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # Slope of the force over the position: 0 between the limits, kc beyond them (without damping).
@@ -154,8 +144,11 @@ def contact_scales(scales: Scales) -> tuple[float, float]:
     return stiffness, 2.0 * 0.3 * math.sqrt(stiffness * scales.inertia)
 
 
-# Initial values of a spring: share of the travel from its end, and stiffness in units of `contact_scales`.
-STARTS = ((0.02, 1.0), (0.003, 5.0), (0.3, 0.03))
+def contact_starts(scales: Scales) -> list[tuple[float, float, float]]:
+    """Return initial values of a contact: depth from the end of the travel, stiffness and damping."""
+    (lower, upper), (stiffness, damping) = travel(scales), contact_scales(scales)
+    shares = ((0.02, 1.0), (0.003, 5.0), (0.3, 0.03))  # of the travel, of the stiffness
+    return [(depth * (upper - lower), k * stiffness, math.sqrt(k) * damping) for depth, k in shares]
 
 
 class OneSidedSpring(Effect, row="one-sided-spring"):
@@ -172,17 +165,11 @@ class OneSidedSpring(Effect, row="one-sided-spring"):
         return {"k": signed, "q0": limit_prior(scales, scales.side), "d": Prior("log", damping, 2.0)}
 
     def starts(self, scales: Scales) -> tuple[dict[str, float], ...]:
-        stiffness, damping = contact_scales(scales)
         lower, upper = travel(scales)
-        ends = {1: upper, -1: lower}
         return tuple(
-            {
-                "k": side * harder * stiffness,
-                "q0": ends[side] - side * depth * (upper - lower),
-                "d": math.sqrt(harder) * damping,
-            }
+            {"k": side * k, "q0": (upper if side > 0 else lower) - side * depth, "d": d}
             for side in ((scales.side,) if scales.side else (1, -1))
-            for depth, harder in STARTS
+            for depth, k, d in contact_starts(scales)
         )
 
     def arguments(self, values: Mapping[str, float]) -> tuple[float, ...]:
@@ -284,9 +271,8 @@ class BoucWen(Effect, row="bouc-wen"):
 
         most = 1.0 - 1e-15
         reached = float(root_scalar(excess, bracket=(0.0, most)).root) if excess(most) > 0.0 else 1.0
-        return Footprint(
-            site.name, "position", 0.0, 4.0 / math.pi * values["Fy"] * reached / amplitude, offset=values["Fy"]
-        )
+        gain = 4.0 / math.pi * values["Fy"] * reached / amplitude
+        return Footprint(site.name, "position", 0.0, gain, offset=values["Fy"])
 
 
 DAMPING = 0.2

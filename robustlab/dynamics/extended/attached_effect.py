@@ -275,8 +275,7 @@ class AttachedEffect:
     @property
     def delay(self) -> float:
         """Pure delay in s."""
-        found = self.footprint()
-        return 0.0 if found is None else found.delay
+        return self.values.get(self.effect.delay, 0.0)
 
     @property
     def time_constant(self) -> float:
@@ -359,21 +358,13 @@ def attach(key: str, given: Mapping[str, Any], plant: AnyPlant, model: PortModel
         values[parameter], std[parameter] = value
     values = effect.checked({n: _number(where, n, v) for n, v in values.items()})
     sites = [s for s in effect.sites(plant, model) if {p.name for p in _parameters(effect, s)} == set(values)]
-    return AttachedEffect(effect, _site(where, sites, place, plant), values, std)
-
-
-def _site(where: str, sites: list[Site], place: str, plant: AnyPlant) -> Site:
     names = [site.name for site in sites]
     if not sites:
         raise InputError(where, f"{plant.name} has no place for it", "a plant with such a joint, input or parameter")
-    if not place:
-        if len(sites) == 1:
-            return sites[0]
-        head, places = where.removeprefix("effect "), ", ".join(names)
-        raise InputError(
-            where, f"{len(sites)} places where it may sit: {places}", "one", f'name it: "{head}@{names[0]}"'
-        )
+    if not place and len(sites) > 1:
+        found = f"{len(sites)} places where it may sit: {', '.join(names)}"
+        raise InputError(where, found, "one", f'name it: "{name}@{names[0]}"')
     for site in sites:
-        if place == site.name or (site.kind == "parameter" and place in site.name.split("+")):
-            return site
+        if place in ("", site.name) or (site.kind == "parameter" and place in site.name.split("+")):
+            return AttachedEffect(effect, site, values, std)
     raise unknown_name(f"{where}: site {place!r}", "no such place", place, names)

@@ -13,7 +13,7 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar, Literal, NamedTuple, cast, get_args
+from typing import Any, ClassVar, Literal, cast, get_args
 
 import numpy as np
 
@@ -37,7 +37,7 @@ from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.structural import drop_unconnected
 from robustlab.record import Record
 from robustlab.result import Status
-from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, real_array
+from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 
@@ -46,6 +46,8 @@ NOMINAL_EXACT = 1e-8
 
 # Amplitudes for the check whether a sector is independent of the amplitude.
 STRETCHES = (0.5, 1.0, 2.0)
+
+SLOPE_ONLY = "only its slope at the point is in the model"
 
 Amplitude = float | tuple[float, float]
 AnyLinear = LinearPlant | ExtendedPlant
@@ -90,30 +92,29 @@ class NoiseInput(AllFields):
     origin: str
 
 
-class ForceParts(NamedTuple):
-    """Replacements of all laws of a plant."""
-
-    sectors: list[ForceSector]
-    bounded: list[tuple[NoiseInput, Port]]  # forces as inputs
-    replacements: dict[int, Array]  # index of a law -> row (n_x,) of ``f = -row x`` in the nominal member
-    left_out: dict[str, str]  # effect at its place -> reason why only its slope at the point is in the model
-
-
-def _force_parts(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude], dry: Dry | None, width: float) -> ForceParts:
-    """Choose the replacement of every force law."""
-    parts, missing = ForceParts([], [], {}, {}), dict[str, str]()
+def _force_parts(
+    plant: ExtendedPlant, amplitude: Mapping[str, Amplitude], dry: Dry | None, width: float
+) -> tuple[list[ForceSector], list[tuple[NoiseInput, Port]], dict[int, Array], dict[str, str]]:
+    """Return sectors, forces as inputs, law -> row of ``f = -row x`` in the nominal member, and effects left out."""
+    sectors, bounded = list[ForceSector](), list[tuple[NoiseInput, Port]]()
+    replacements, left_out, missing = dict[int, Array](), dict[str, str](), dict[str, str]()
     for j, (e, _, port) in enumerate(plant.laws):
         seen = e.footprint()
-        reason = _why_omitted(e, seen, port)
-        if reason or seen is None:
-            parts.left_out[f"{e!r}"] = reason
+        if seen is None or seen.signal not in ("speed", "current", "position", "force", "time"):
+            left_out[f"{e!r}"] = SLOPE_ONLY
+            continue
+        if e.effect.structural:
+            left_out[f"{e!r}"] = "it divides the joint: it is no force at one joint"
+            continue
+        if seen.signal == "force" and np.count_nonzero(port.force) != 1:
+            left_out[f"{e!r}"] = f"{SLOPE_ONLY}: its joint shares its inertia with others"
             continue
         key = _signal_name(plant, port, seen.signal)
         as_gain, as_load = _as_gain_or_force(e, seen, key in amplitude, dry)
         everywhere = {(f.gain_lower, f.gain_upper) for a in STRETCHES if (f := e.footprint(a)) is not None}
         if as_gain and key not in amplitude and len(everywhere) != 1:
             if seen.signal == "position" and not seen.offset:
-                parts.left_out[f"{e!r}"] = f"only its slope at the point is in the model: give an amplitude of {key}"
+                left_out[f"{e!r}"] = f"{SLOPE_ONLY}: give an amplitude of {key}"
             else:
                 missing[key] = e.effect.title
             continue
@@ -122,15 +123,15 @@ def _force_parts(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude], dry: 
             found = _sector(e, port, seen, amplitude.get(key), width)
             row = found.range.nominal * found.row
             if found.range.radius > 0:
-                parts.sectors.append(found)
+                sectors.append(found)
         if as_load:
-            (name,) = _free_names([e.load_name], [load.name for load, _ in parts.bounded])
+            (name,) = _free_names([e.load_name], [load.name for load, _ in bounded])
             words = f"{e.in_words} as a bounded force, for every motion; {e.values_in_words}"
-            parts.bounded.append((NoiseInput(name, e.largest_offset(width), port.unit, words), port))
-        parts.replacements[j] = row
+            bounded.append((NoiseInput(name, e.largest_offset(width), port.unit, words), port))
+        replacements[j] = row
     if missing:
         raise _no_amplitude(missing, '; dry="load" for friction needs none')
-    return parts
+    return sectors, bounded, replacements, left_out
 
 
 def _no_amplitude(missing: Mapping[str, str], more: str = "") -> InputError:
@@ -168,17 +169,6 @@ def _check_amplitudes(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude]) 
 
 def _pair(value: Amplitude) -> tuple[float, ...]:
     return tuple(value) if isinstance(value, (tuple, list)) else (value, value)
-
-
-def _why_omitted(e: AttachedEffect, seen: Footprint | None, port: Port) -> str:
-    """Return the reason why a law has no replacement, or an empty text."""
-    if seen is None or seen.signal not in ("speed", "current", "position", "force", "time"):
-        return "only its slope at the point is in the model"
-    if e.effect.structural:
-        return "it divides the joint: it is no force at one joint"
-    if seen.signal == "force" and np.count_nonzero(port.force) != 1:
-        return "only its slope at the point is in the model: its joint shares its inertia with others"
-    return ""
 
 
 def _as_gain_or_force(e: AttachedEffect, seen: Footprint, known: bool, dry: Dry | None) -> tuple[bool, bool]:
@@ -313,8 +303,7 @@ def effect_blocks(
     tied: Sequence[tuple[str, tuple[str, ...]]] = (),
 ) -> EffectBlocks:
     """Build the uncertain model of a plant with or without effects."""
-    width = float(real_array("sigmas", sigmas, 0, "effect_blocks"))
-    checks.number("effect_blocks: sigmas", width, "0 or more", at_least=0)
+    width = checks.number("effect_blocks: sigmas", sigmas, "0 or more", at_least=0)
     checks.whole("effect_blocks: pade", pade, 1, 8)
     if dry not in (None, *get_args(Dry)):
         raise InputError("effect_blocks: dry", f"{dry!r}", f"one of {', '.join(get_args(Dry))}")
@@ -327,52 +316,40 @@ def effect_blocks(
         errors = [(load, len(plant.inputs) + i) for i, (load, _) in enumerate(loads)]
         made = EffectBlocks(*_errors_first(whole, plant, errors), {})
     elif isinstance(plant, ExtendedPlant):
-        made = _of_extended(plant, width, dict(amplitude or {}), dry, pade, unnamed, tied)
+        amplitude = amplitude or {}
+        _check_amplitudes(plant, amplitude)
+        sectors, bounded, replacements, left_out = _force_parts(plant, amplitude, dry, width)
+        levels = _signal_amplitudes(plant, amplitude)
+        linear = plant.linear_model(None, levels, replacements=replacements)
+        point = linear.operating_point
+        assert point is not None
+        loads = [*bounded, *_residual_force(plant.model, unnamed)]
+        inner = tied_plant(without_signals(plant, linear, width), tied)
+        ways = [*(s.port for s in sectors), *(port for _, port in loads)]
+        whole = _with_origins(_with_forces(inner, ways, sectors).uncertain(), inner)
+        whole, approximate = _with_sectors(whole, sectors, len(plant.inputs))
+        signals = plant.signal_levels(point.x, point.u)
+        into, out = ([s for s in signals if s[0].site.kind == kind] for kind in ("input", "output"))
+        whole = with_signals(whole, signals, levels, width, pade)
+        errors = [(load, len(plant.inputs) + i) for i, (load, _) in enumerate(loads)]
+        for e, k, _ in into:
+            if e.site.name not in amplitude and _is_bounded_error(plant, e):  # the bound of its error on the input
+                words = f"{e.in_words} as a bounded error, for every motion; {e.values_in_words}"
+                errors.append((NoiseInput(e.load_name, e.input_error(width) or 0.0, plant.inputs[k].unit, words), k))
+        for e, k, _ in out:
+            if bound := e.largest_offset(width):
+                signal, words = plant.outputs[k], f"{e.in_words} as a bounded error; {e.values_in_words}"
+                noise = NoiseInput(f"noise {signal.name}: {e.effect.id}", bound, signal.unit, words)
+                errors.append((noise, len(plant.inputs) + len(loads) + k))
+        left = {f"{e!r}": "a bounded error of an input" for e, _, _ in into if (f := e.footprint()) and f.offset}
+        made = EffectBlocks(*_errors_first(whole, plant, errors), left_out | left, tuple(approximate))
+        _check(plant.linear_model(None, levels, pade, replacements=replacements), plant.name, made)
     else:
         raise InputError("effect_blocks", type(plant).__name__, "a linear plant, with or without effects")
     if outputs is None:
         return made
     kept = drop_unconnected(made.model.select(outputs=outputs).M)
     return dataclasses.replace(made, model=UncertainModel(kept, made.model.blocks))
-
-
-def _of_extended(
-    plant: ExtendedPlant,
-    width: float,
-    amplitude: dict[str, Amplitude],
-    dry: Dry | None,
-    pade: int,
-    unnamed: tuple[float, str] | None,
-    tied: Sequence[tuple[str, tuple[str, ...]]],
-) -> EffectBlocks:
-    _check_amplitudes(plant, amplitude)
-    parts = _force_parts(plant, amplitude, dry, width)
-    levels = _signal_amplitudes(plant, amplitude)
-    linear = plant.linear_model(None, levels, replacements=parts.replacements)
-    point = linear.operating_point
-    assert point is not None
-    loads = [*parts.bounded, *_residual_force(plant.model, unnamed)]
-    inner = tied_plant(without_signals(plant, linear, width), tied)
-    ways = [*(s.port for s in parts.sectors), *(port for _, port in loads)]
-    whole = _with_origins(_with_forces(inner, ways, parts.sectors).uncertain(), inner)
-    whole, approximate = _with_sectors(whole, parts.sectors, len(plant.inputs))
-    signals = plant.signal_levels(point.x, point.u)
-    into, out = ([s for s in signals if s[0].site.kind == kind] for kind in ("input", "output"))
-    whole = with_signals(whole, signals, levels, width, pade)
-    errors = [(load, len(plant.inputs) + i) for i, (load, _) in enumerate(loads)]
-    for e, k, _ in into:
-        if e.site.name not in amplitude and _is_bounded_error(plant, e):  # the bound of its error on the input
-            words = f"{e.in_words} as a bounded error, for every motion; {e.values_in_words}"
-            errors.append((NoiseInput(e.load_name, e.input_error(width) or 0.0, plant.inputs[k].unit, words), k))
-    for e, k, _ in out:
-        if bound := e.largest_offset(width):
-            signal, words = plant.outputs[k], f"{e.in_words} as a bounded error; {e.values_in_words}"
-            noise = NoiseInput(f"noise {signal.name}: {e.effect.id}", bound, signal.unit, words)
-            errors.append((noise, len(plant.inputs) + len(loads) + k))
-    left = {f"{e!r}": "a bounded error of an input" for e, _, _ in into if (f := e.footprint()) and f.offset}
-    made = EffectBlocks(*_errors_first(whole, plant, errors), {**parts.left_out, **left}, tuple(approximate))
-    _check(plant.linear_model(None, levels, pade, replacements=parts.replacements), plant.name, made)
-    return made
 
 
 def _signal_amplitudes(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude]) -> dict[str, float]:
@@ -420,10 +397,7 @@ def _residual_force(model: PortModel, given: tuple[float, str] | None) -> list[t
     port = next((p for p in model.ports.values() if p.kind == "joint"), None)
     if port is None:
         raise InputError("effect_blocks: unnamed", "a plant without joints", "a joint at which the force acts")
-    bound = float(real_array("unnamed", given[0], 0, "effect_blocks"))
-    if bound <= 0:
-        raise InputError("effect_blocks: unnamed", f"a force of {bound:g} {port.unit}", "a positive bound")
-    return [(NoiseInput(f"load {port.name}: unnamed", bound, port.unit, given[1]), port)]
+    return [(NoiseInput(f"load {port.name}: unnamed", given[0], port.unit, given[1]), port)]
 
 
 def _with_forces(plant: LinearPlant, ports: Sequence[Port], sectors: Sequence[ForceSector] = ()) -> LinearPlant:

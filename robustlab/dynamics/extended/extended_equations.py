@@ -9,16 +9,17 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from functools import reduce
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
-from robustlab.checks import number
+from robustlab.checks import number, whole
 from robustlab.delays.approximation import pade as rational_delay
 from robustlab.display import AllFields, listed
-from robustlab.dynamics.effects.contract import Footprint, Law
+from robustlab.dynamics.effects.contract import Law
 from robustlab.dynamics.extended.attached_effect import (
     DEFAULT_AMPLITUDE,
     AttachedEffect,
@@ -28,7 +29,7 @@ from robustlab.dynamics.extended.attached_effect import (
     slopes,
     steady_force,
 )
-from robustlab.dynamics.extended.nonlinear_steps import About, factors_of, generic_model, with_linear_parts
+from robustlab.dynamics.extended.simulator import About, factors_of, generic_model, with_linear_parts
 from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant, Trim, point_of
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, port_model
 from robustlab.dynamics.rest import PASSES, trim_conditions
@@ -70,17 +71,11 @@ class HoldingTrim(Trim):
     holding: tuple[Holding, ...] = ()
 
 
-@dataclass(frozen=True)
-class LeftOut:
-    """An effect that a linear model omits: reason, and footprint at an amplitude (None: unknown)."""
+class LeftOut(NamedTuple):
+    """An effect that a linear model omits, and why."""
 
     effect: AttachedEffect
     reason: str
-    footprint: Footprint | None
-
-    def to_json(self) -> dict[str, Any]:
-        seen = None if self.footprint is None else dict(vars(self.footprint))
-        return {"effect": self.effect.to_json(), "reason": self.reason, "footprint": seen}
 
 
 def extended_model(plant: AnyPlant, effects: Iterable[AttachedEffect]) -> PortModel:
@@ -163,10 +158,6 @@ class ExtendedEquations(SteppedPlant):
         (_, rates, _), ports, forces = self._forced(*self.point(x, u))
         return rates + sum((port.force * f for port, f in zip(ports, forces, strict=True)), 0.0 * rates)
 
-    def forces(self, x: ArrayLike, u: ArrayLike) -> Array:
-        """Return the forces of the laws at (x, u), in the order of `laws`."""
-        return self._forced(*self.point(x, u))[2]
-
     def output(self, x: ArrayLike, u: ArrayLike) -> Array:
         state, command = self.point(x, u)
         return self._mapped("output", self.about(state, self.mapped_input(command)).outputs)[0]
@@ -222,19 +213,9 @@ class ExtendedEquations(SteppedPlant):
 
     def equilibrium(self, **where: Any) -> HoldingTrim:
         """Return the smallest equilibrium with the named inputs, outputs or states at the given values."""
-        x, u, residual = self._equilibrium(where)
-        holding = []
-        for (e, law, port), force in zip(self.laws, self.forces(x, u), strict=True):
-            q, v = _motion(port, x)
-            if v == 0.0 and not law.memory and is_set_valued(law, q):
-                holding.append(Holding(e.effect.id, port.name, float(force), *rest_band(law, q), port.unit))
-        return HoldingTrim(self.name, x, u, self.output(x, u), residual, None, Status.CONVERGED, holding=tuple(holding))
-
-    def _equilibrium(self, where: Mapping[str, Any]) -> tuple[Array, Array, float]:
-        """Return state, input and the largest rate at the equilibrium."""
         n = len(self.states)
-        s, where = self.search_start(where)
-        held, wanted = trim_conditions(self, where)
+        s, conditions = self.search_start(where)
+        held, wanted = trim_conditions(self, conditions)
         s[list(held)] = list(held.values())
         free, rows = np.array([k for k in range(len(s)) if k not in held], dtype=np.intp), list(wanted)
         residual = np.zeros(n)
@@ -242,41 +223,50 @@ class ExtendedEquations(SteppedPlant):
             residual = np.concatenate([self.derivative(s[:n], s[n:]), self.output(s[:n], s[n:])[rows]])
             residual[n:] -= list(wanted.values())
             if self._is_equilibrium(s, residual):
-                return s[:n], s[n:], float(np.abs(residual).max(initial=0.0))
+                break
             a, b, c, d = self.jacobians(s[:n], s[n:])
             matrix = np.vstack([np.hstack([a, b]), np.hstack([c[rows], d[rows]])])[:, free]
             size = np.abs(matrix).max(axis=1, initial=0.0)
             scale = np.where(size > 0, size, 1.0)
-            holding = self._holding_columns(s) / scale[:n, None]
-            held = np.vstack([CHEAP * holding, np.zeros((len(rows), holding.shape[1]))])
+            # rates per unit of each holding force; those at the edge of their band have low weight
+            columns = [
+                (1.0 if low < force < high else CHEAP**-2) * (port.force / np.abs(port.force).max())
+                for _, port, force, low, high in self._holding(s[:n], s[n:])
+            ]
+            held = np.zeros((len(residual), len(columns)))
+            held[:n] = CHEAP * (np.reshape(columns, (len(columns), n)).T / scale[:n, None])
             step = np.linalg.lstsq(np.hstack([matrix / scale[:, None], held]), -residual / scale, rcond=1e-12)[0]
             step = step[: len(free)]
             # Rounding of Newton's steps must not move a joint that is held at rest.
             s[free] += np.where(np.abs(step) > 1e-14 * np.abs(s[free]), step, 0.0)
             s = np.where(np.abs(s) > 1e-12 * np.abs(s).max(initial=0.0), s, 0.0)
-        given = ", ".join(f"{name} = {value:g}" if np.ndim(value) == 0 else name for name, value in where.items())
-        moving = int(np.argmax(np.abs(residual[:n])))
-        name, rate = self.states[moving].name, residual[moving]
-        raise NoTrustworthyNumber(
-            f"{self.name}: trim",
-            f"no rest with {given or 'anything given'}: {name} keeps changing, at {rate:.3g}/s",
-            None,
-            "give an input within the limits of the holding forces, or leave it free",
+        else:
+            texts = (f"{name} = {v:g}" if np.ndim(v) == 0 else name for name, v in conditions.items())
+            moving = int(np.argmax(np.abs(residual[:n])))
+            raise NoTrustworthyNumber(
+                f"{self.name}: trim",
+                f"no rest with {', '.join(texts) or 'anything given'}: {self.states[moving].name} keeps changing, at"
+                f" {residual[moving]:.3g}/s",
+                None,
+                "give an input within the limits of the holding forces, or leave it free",
+            )
+        x, u = s[:n], s[n:]
+        holding = tuple(
+            Holding(e.effect.id, port.name, force, low, high, port.unit)
+            for e, port, force, low, high in self._holding(x, u)
         )
+        rate = float(np.abs(residual).max(initial=0.0))
+        return HoldingTrim(self.name, x, u, self.output(x, u), rate, None, Status.CONVERGED, holding=holding)
 
-    def _holding_columns(self, s: Array) -> Array:
-        """Return the scaled rates per unit of each holding force; those at the edge of their band have low weight."""
-        n = len(self.states)
-        columns = [np.zeros((n, 0))]
-        _, ports, forces = self._forced(s[:n], s[n:])
-        for (_, law, _), port, force in zip(self.laws, ports, forces, strict=True):
-            q, v = _motion(port, s[:n])
-            if v != 0.0 or law.memory or not is_set_valued(law, q):
-                continue
-            low, high = rest_band(law, q)
-            within = 1.0 if low < force < high else CHEAP**-2
-            columns.append(within * (port.force / np.abs(port.force).max())[:, None])
-        return np.hstack(columns)
+    def _holding(self, x: Array, u: Array) -> list[tuple[AttachedEffect, Port, float, float, float]]:
+        """Return effect, port, force and band of possible forces of each law that is set-valued at rest there."""
+        _, ports, forces = self._forced(x, u)
+        return [
+            (e, port, float(force), *rest_band(law, q))
+            for (e, law, _), port, force in zip(self.laws, ports, forces, strict=True)
+            for q, v in [_motion(port, x)]
+            if v == 0.0 and is_set_valued(law, q)
+        ]
 
     def _is_equilibrium(self, s: Array, residual: Array) -> bool:
         """Return whether the rates are rounding errors of their terms and the outputs meet the conditions."""
@@ -345,8 +335,7 @@ class ExtendedEquations(SteppedPlant):
         found: dict[int, LeftOut] = {}
 
         def note(e: AttachedEffect, reason: str) -> None:
-            footprint = e.footprint(amplitude.get(e.site.name, DEFAULT_AMPLITUDE))
-            found.setdefault(id(e), LeftOut(e, reason, footprint))
+            found.setdefault(id(e), LeftOut(e, reason))
 
         for e, law, port in self.laws:
             q, v = _motion(port, x)
@@ -387,8 +376,7 @@ class ExtendedEquations(SteppedPlant):
             if name not in sites:
                 raise unknown_name(where, "no effect there", name, sites)
             number(where, value, "a positive number", above=0)
-        if isinstance(pade, bool) or not isinstance(pade, int) or not 0 <= pade <= HIGHEST_PADE:
-            raise InputError("linearise: pade", f"{pade!r}", f"an order from 0 to {HIGHEST_PADE}")
+        whole("linearise: pade", pade, 0, HIGHEST_PADE)
         return x, u, amplitude or {}
 
 
@@ -404,30 +392,24 @@ def _with_delays(
     """Add rational delays of inputs and outputs, and first-order lags (input -> time constant in s) to a model."""
     point = model.operating_point
     assert point is not None
-    lagging = [StateSpaceModel([[-1 / T]], [[1 / T]], [[1.0]], [[0.0]]) if (T := lags.get(k)) else None
-               for k in range(model.n_inputs)]  # fmt: skip
-    late = {side: [rational_delay(d, order) if d else None for d in delays[side]] for side in delays}
-    banks = (
-        ("delay_input", late["input"], model.inputs, point.u),
+    lagging = {k: StateSpaceModel([[-1 / T]], [[1 / T]], [[1.0]], [[0.0]]) for k, T in lags.items()}
+    late = {side: {k: rational_delay(d, order) for k, d in enumerate(all_of) if d} for side, all_of in delays.items()}
+    through = StateSpaceModel([], [], [], [[1.0]])
+    stages = [(model, list[Any](model.states), point.x)]
+    for kind, made, signals, level in (
         ("lag", lagging, model.inputs, point.u),
+        ("delay_input", late["input"], model.inputs, point.u),
         ("delay_output", late["output"], model.outputs, point.y),
-    )
-    whole, states, x = None, [], list[Array]()
-    for kind, channels, signals, level in banks:
-        if kind == "delay_output":
-            whole, states = model if whole is None else series(whole, model), [*states, *model.states]
-            x.append(point.x)
-        if not any(channels):
+    ):
+        if not made:
             continue
-        bank = append(
-            *((m or StateSpaceModel([], [], [], [[1.0]])).renamed([f"u{k}"], [f"y{k}"]) for k, m in enumerate(channels))
-        )
-        whole = bank if whole is None else series(whole, bank)
-        for s, m in zip(signals, channels, strict=True):
-            count = 0 if m is None else m.n_states
-            lag = kind == "lag"
-            states += [(f"lag_{s.name}", s.unit) if lag else (f"{kind}_{s.name}_{i + 1}", "") for i in range(count)]
-        x.append(np.asarray(-np.linalg.solve(bank.A, bank.B @ level), dtype=np.float64))
-    assert whole is not None
-    point = OperatingPoint(np.concatenate(x), point.u, point.y)
-    return StateSpaceModel(whole.A, whole.B, whole.C, whole.D, 0.0, model.inputs, model.outputs, states, point, "pade")
+        bank = append(*(made.get(k, through).renamed([f"u{k}"], [f"y{k}"]) for k in range(len(signals))))
+        names: list[Any] = [(f"lag_{signals[k].name}", signals[k].unit) for k in sorted(made)]
+        if kind != "lag":
+            names = [(f"{kind}_{signals[k].name}_{i + 1}", "") for k in sorted(made) for i in range(made[k].n_states)]
+        stage = bank, names, np.asarray(-np.linalg.solve(bank.A, bank.B @ level), dtype=np.float64)
+        stages.insert(len(stages) if kind == "delay_output" else 0, stage)
+    models, states, x = zip(*stages, strict=True)
+    m, point = reduce(series, models), OperatingPoint(np.concatenate(x), point.u, point.y)
+    names = [name for part in states for name in part]
+    return StateSpaceModel(m.A, m.B, m.C, m.D, 0.0, model.inputs, model.outputs, names, point, "pade")

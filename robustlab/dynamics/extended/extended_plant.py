@@ -16,9 +16,11 @@ from robustlab.delays.approximation import checked_order
 from robustlab.delays.model import covering
 from robustlab.dynamics.extended.attached_effect import POSITION_STEP, AttachedEffect, attach
 from robustlab.dynamics.extended.extended_equations import NOMINAL_STEP, ExtendedEquations, extended_model
-from robustlab.dynamics.extended.nonlinear_steps import (
+from robustlab.dynamics.extended.simulator import (
     About,
     Drive,
+    Simulator,
+    Windows,
     factors_of,
     load_coordinates,
     march,
@@ -26,15 +28,13 @@ from robustlab.dynamics.extended.nonlinear_steps import (
     scaled,
     with_linear_parts,
 )
-from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant, with_factors
 from robustlab.dynamics.parameters import Parameter
 from robustlab.dynamics.plant_contract import NonlinearPlant
-from robustlab.dynamics.ports.motion_model import local_port_model
-from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, linear_plant_of
+from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, linear_plant_of, local_port_model
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, error_context
 from robustlab.linear_analysis.structural import drop_unconnected
-from robustlab.statespace import Signal, StateSpaceModel, real_array
+from robustlab.statespace import Signal, StateSpaceModel
 from robustlab.uncertainty.blocks import FullBlock, ParameterRange, RealScalar
 from robustlab.uncertainty.lft import UncertainModel, product
 
@@ -148,10 +148,8 @@ def _drive(plant: ExtendedNonlinearPlant, u: Array, dt: float, t0: float, parts:
         return Drive(fine[:-1] + rise, rise, h, t0)
     pairs, held = [(e.effect, e.site) for e in plant.effects], np.repeat(u, parts, axis=0)
     motion = np.zeros((2, len(plant.plant.states)))  # not simulated
-    mean, rise = Simulator(plant.plant, pairs, held, h, sub=1, motion=motion).seen_input(
-        [e.values for e in plant.effects]
-    )
-    return Drive(mean, rise, h, t0)
+    simulator = Simulator(plant.plant, pairs, held, h, sub=1, motion=motion)
+    return Drive(*simulator.seen_input([e.values for e in plant.effects]), h, t0)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -184,8 +182,7 @@ class ExtendedPlant(ExtendedEquations):
         self, outputs: Sequence[str] | None = None, sigmas: float = 2.0
     ) -> UncertainModel:
         """Return all models within the tolerances as an exact LFT, without the effects in `left_out`."""
-        width = float(real_array("sigmas", sigmas, 0, "uncertain"))
-        number("uncertain: sigmas", width, "0 or more", at_least=0)
+        width = number("uncertain: sigmas", sigmas, "0 or more", at_least=0)
         linear = self.linear_model()
         point = linear.operating_point
         assert point is not None
@@ -247,22 +244,7 @@ def with_effects(
         attached.append(e)
     if not attached:
         raise InputError("with_effects", "no effect", "at least one")
-    return _extended(base, tuple(attached))
-
-
-def _checked(e: Any, base: AnyPlant, model: PortModel) -> AttachedEffect:
-    """Return the attached effect if the plant has its place."""
-    if not isinstance(e, AttachedEffect):
-        raise InputError("with_effects", f"{e!r}", "a table of effects, or attached effects")
-    names = [site.name for site in e.effect.sites(base, model) if site.kind == e.site.kind]
-    if e.site.name not in names:
-        hint = did_you_mean(e.site.name, names)
-        raise InputError(f"effect {e.effect.id}: site {e.site.name!r}", "no such place", ", ".join(names), hint)
-    return e
-
-
-def _extended(base: AnyPlant, effects: tuple[AttachedEffect, ...]) -> ExtendedPlant | ExtendedNonlinearPlant:
-    model, states = extended_model(base, effects), list(base.states)
+    model, states = extended_model(base, attached), list(base.states)
     for k in range(model.own, len(model.A)):  # added by effects, named after their ports
         unit = np.eye(len(model.A))[k]
         name, of = f"effect_state_{k - model.own + 1}", ""
@@ -274,8 +256,19 @@ def _extended(base: AnyPlant, effects: tuple[AttachedEffect, ...]) -> ExtendedPl
         states.append(Signal(name, of))
     signals = base.inputs, base.outputs, tuple(states)
     if isinstance(base, NonlinearPlant):
-        return ExtendedNonlinearPlant(base.name, base.parameters, *signals, base, effects)
-    return ExtendedPlant(base.name, base.parameters, *signals, base, effects)
+        return ExtendedNonlinearPlant(base.name, base.parameters, *signals, base, tuple(attached))
+    return ExtendedPlant(base.name, base.parameters, *signals, base, tuple(attached))
+
+
+def _checked(e: Any, base: AnyPlant, model: PortModel) -> AttachedEffect:
+    """Return the attached effect if the plant has its place."""
+    if not isinstance(e, AttachedEffect):
+        raise InputError("with_effects", f"{e!r}", "a table of effects, or attached effects")
+    names = [site.name for site in e.effect.sites(base, model) if site.kind == e.site.kind]
+    if e.site.name not in names:
+        hint = did_you_mean(e.site.name, names)
+        raise InputError(f"effect {e.effect.id}: site {e.site.name!r}", "no such place", ", ".join(names), hint)
+    return e
 
 
 def without_signals(plant: ExtendedPlant, linear: StateSpaceModel, width: float) -> LinearPlant:
@@ -369,16 +362,13 @@ def _structure(plant: ExtendedPlant, linear: StateSpaceModel) -> Callable[[Mappi
 def _check(plant: ExtendedPlant, whole: UncertainModel, linear: StateSpaceModel, width: float) -> None:
     """Check that the set includes the nominal model, and the plant with every deviation at its upper end."""
     changed = {n: (p.value + p.radius, 0.0) for n, p in plant.parameters.items() if p.tolerance}
+    terms, effects = _joint_terms(plant, linear, width), []
     for e in plant.effects:
-        for name in factors_of(plant.plant, [e]) if e.scale_std else ():
+        scaled_by = factors_of(plant.plant, [e])
+        for name in scaled_by if e.scale_std else ():
             changed.pop(name, None)
-    terms = _joint_terms(plant, linear, width)
-    effects = []
-    for e in plant.effects:
-        scales = e.on_signal or bool(factors_of(plant.plant, [e]))
-        linear_ones = {n for n in e.std if (n == e.effect.scale and scales) or f"{e.key}.{n}" in terms}
-        up = {n: v + width * e.std[n] if n in linear_ones else v for n, v in e.values.items()}
-        effects.append(replace(e, values=up))
+        moved = {n for n in e.std if f"{e.key}.{n}" in terms or (n == e.effect.scale and (e.on_signal or scaled_by))}
+        effects.append(replace(e, values={n: v + width * e.std[n] if n in moved else v for n, v in e.values.items()}))
     rebuilt = with_effects(plant.plant.with_parameters(**changed), effects)
     point = linear.operating_point
     for delta, other in ((0.0, linear), (1.0, rebuilt.linear_model(point))):

@@ -17,7 +17,7 @@ from robustlab.budget import one_thread
 from robustlab.dynamics.fmu import FmuPlant
 from robustlab.dynamics.fmu import FreeRun as RunOfUnit
 from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant, SteppedPlant, input_signal
-from robustlab.dynamics.ports.motion_model import Course
+from robustlab.dynamics.ports.port_model import Course
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError, error_context
 from robustlab.identification.comparison.comparison_result import POSE, Comparison
 from robustlab.identification.comparison.error_analysis import (

@@ -16,7 +16,7 @@ import numpy as np
 
 from robustlab.arrays import Array, Mask
 from robustlab.dynamics.plant_contract import NonlinearPlant
-from robustlab.dynamics.ports.motion_model import Course
+from robustlab.dynamics.ports.port_model import Course
 from robustlab.dynamics.simulation import transition
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.greybox.motion_smoother import smooth_motion

@@ -14,8 +14,7 @@ from robustlab.dynamics.effects.catalogue import catalogue
 from robustlab.dynamics.effects.contract import Scales, Site
 from robustlab.dynamics.parameters import tolerance_of
 from robustlab.dynamics.plant_contract import NonlinearPlant
-from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, parameter_groups
-from robustlab.dynamics.ports.split_joint import shares_behind
+from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, parameter_groups, shares_behind
 from robustlab.errors import InputError, did_you_mean
 from robustlab.identification.greybox.effect_fit import UNIFORM, Candidate, Nuisance
 from robustlab.identification.greybox.prepared_record import PreparedRecord

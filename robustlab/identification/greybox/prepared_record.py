@@ -12,8 +12,7 @@ import numpy as np
 from robustlab.arrays import Array, Mask
 from robustlab.dynamics.extended.simulator import SampledInput, Windows, rising
 from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.dynamics.ports.motion_model import Course, motion_model
-from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, port_model
+from robustlab.dynamics.ports.port_model import AnyPlant, Course, PortModel, motion_model, port_model
 from robustlab.errors import InputError
 from robustlab.identification import tuning
 from robustlab.identification.greybox.disturbance_smoother import (

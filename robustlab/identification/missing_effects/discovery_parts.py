@@ -100,7 +100,7 @@ class KindMember(Evidence):
 class NamedKind(Evidence):
     """An effect class that is sure at one place."""
 
-    kind: str  # id in `robustlab.dynamics.effects.kinds`
+    kind: str  # id in `robustlab.dynamics.effects.catalogue`
     title: str
     place: str
     probability: float  # of all sets with a member of it there, 0..1

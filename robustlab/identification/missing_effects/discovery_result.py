@@ -8,9 +8,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robustlab.display import Each, Facts, Part
-from robustlab.dynamics.effects.catalogue import catalogue, effect
+from robustlab.dynamics.effects.catalogue import KINDS, catalogue, effect
 from robustlab.dynamics.effects.contract import Scales
-from robustlab.dynamics.effects.kinds import KINDS
 from robustlab.dynamics.effects.parameter_effects import GroundedEffect
 from robustlab.identification.missing_effects.discovery_parts import (
     LINEAR,

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.dynamics.effects.catalogue import KIND_OF, KINDS, MEANINGS, Kind, Quantity, upwards
 from robustlab.dynamics.effects.contract import Site
-from robustlab.dynamics.effects.kinds import KIND_OF, KINDS, MEANINGS, Kind, Quantity, upwards
 from robustlab.dynamics.effects.parameter_effects import GroundedEffect
 from robustlab.dynamics.extended.simulator import Windows
 from robustlab.dynamics.plant_contract import NonlinearPlant

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.dynamics.effects.kinds import KIND_OF
+from robustlab.dynamics.effects.catalogue import KIND_OF
 from robustlab.identification import tuning
 from robustlab.identification.greybox.candidates import FINEST_LINES
 from robustlab.identification.greybox.effect_fit import (

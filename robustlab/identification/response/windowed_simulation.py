@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from robustlab.arrays import Array, Indices
 from robustlab.dynamics.plant_contract import NonlinearPlant
-from robustlab.dynamics.ports.motion_model import Course, exponentials, motion_model
+from robustlab.dynamics.ports.port_model import Course, exponentials, motion_model
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.response.response import Response, Stretch
 from robustlab.result import Evidence
