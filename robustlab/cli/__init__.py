@@ -5,11 +5,11 @@ from robustlab.lazily import lazily
 __all__, __getattr__ = lazily(
     __name__,
     {
+        "console": "Display",
         "exit_codes": "main_guard",
         "groups": "GROUPS parser",
         "main": "help_text run_command",
-        "offers": "PLANTS",
-        "progress": "Display",
+        "completion": "PLANTS",
         "generated": "command_of",
     },
 )

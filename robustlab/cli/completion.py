@@ -1,10 +1,14 @@
-"""Shell completion, with typer's protocol and scripts.
+"""Completions of words at TAB, with typer's protocol and scripts; where there are none, the shell offers files.
 
-At TAB the script calls robustlab with the words so far in environment variables; only the group named there is loaded.
+The shell's script calls robustlab with the words so far in environment variables; only the group named there is loaded,
+and no numerical library, so that TAB is fast.
 """
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -16,6 +20,62 @@ from robustlab.cli.groups import GROUPS, parser
 
 # Set by the shell's script; typer derives it from the program's name.
 COMPLETING = "_ROBUSTLAB_COMPLETE"
+Offer = Callable[[str], list[str]]
+
+# Plants whose modules load numpy, with a line on each; a test compares the names with those modules.
+PLANTS = {
+    "dc-motor": "permanent-magnet DC motor of a published data sheet, linear",
+    "brushless-motor": "brushless DC motor from data-sheet values, with its drive, linear",
+    "servo-axis": "prismatic axis of the published EMPS benchmark, linear",
+    "mass-spring-damper": "chain of masses, springs and dampers, as many as are given, linear",
+    "two-mass": "motor and load on a flexible shaft, linear",
+    "linear-actuator": "DC motor with a belt that drives a cart, linear",
+    "stewart-platform": "platform on six legs, nonlinear; presets thesis and physical, with motors or without",
+}
+_PLANT_FILES = (".h5", ".mat", ".py", ".fmu")
+
+
+def one_of(*words: str) -> Offer:
+    """Return the completion of a choice."""
+
+    def offered(incomplete: str) -> list[str]:
+        return [word for word in words if word.startswith(incomplete)]
+
+    return offered
+
+
+def plant_or_file(incomplete: str) -> list[str]:
+    """Return the names of shipped plants, and files of plants or models."""
+    return _names_and_files(PLANTS, _PLANT_FILES, incomplete)
+
+
+def recipe_or_file(incomplete: str) -> list[str]:
+    """Return the names of shipped recipes, and files of recipes."""
+    from robustlab.recipe.shipped import shipped_recipes
+
+    return _names_and_files(shipped_recipes(), (".toml",), incomplete)
+
+
+def listed(offered: Iterable[str]) -> list[tuple[str, str]]:
+    """Return the possible values of a missing argument, with a line on each shipped one."""
+    from robustlab.recipe.shipped import shipped_titles
+
+    names = list(offered)
+    lines = {**PLANTS, **(shipped_titles() if not PLANTS.keys() & set(names) else {})}
+    return [(name, lines.get(name, "")) for name in names]
+
+
+def _names_and_files(names: Iterable[str], suffixes: tuple[str, ...], incomplete: str) -> list[str]:
+    """Return names and files; nothing where no name matches, so that the shell completes files."""
+    found = [name for name in names if name.startswith(incomplete)]
+    if not found:
+        return []
+    here = (path.name + "/" * path.is_dir() for path in Path().iterdir() if not path.name.startswith("."))
+    files = (name for name in here if name.startswith(incomplete) and name.endswith((*suffixes, "/")))
+    return found + sorted(name for name in files if re.fullmatch(r"[\w.,+@%/-]+", name))  # bash would not quote more
+
+
+# --- commands ---------------------------------------------------------------------------------------------------------
 
 
 class _Commands(TyperGroup):

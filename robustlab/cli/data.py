@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import robustlab as rl
-from robustlab.cli.console import FIGURE, SCHEMA, emit, note, save_figures
+from robustlab.cli.console import FIGURE, SCHEMA, emit, note, save_figures, shown
 from robustlab.cli.generated import (
     AS_JSON,
     PROGRESS,
@@ -23,7 +23,6 @@ from robustlab.cli.generated import (
     taking,
 )
 from robustlab.cli.options import RecordOptions
-from robustlab.cli.progress import shown
 from robustlab.errors import EXIT_INTERRUPTED, EnvironmentFault
 from robustlab.operations.declaration import COMMANDS
 

@@ -12,10 +12,9 @@ from typing import Annotated, Any, NamedTuple, get_args, get_type_hints
 import typer
 
 import robustlab as rl
-from robustlab.cli.console import FIGURE, emit, note, result_alone, save_figures
-from robustlab.cli.offers import one_of, plant_or_file
+from robustlab.cli.completion import one_of, plant_or_file
+from robustlab.cli.console import FIGURE, emit, note, result_alone, save_figures, shown
 from robustlab.cli.options import JsonOption, ProgressOption, RecordOptions, read_named, units_of
-from robustlab.cli.progress import shown
 from robustlab.display import text_table
 from robustlab.errors import EXIT_REQUIREMENT_NOT_MET, EnvironmentFault, NoTrustworthyNumber, RobustlabError, UsageError
 from robustlab.operations.declaration import COMMANDS, REQUIRED, InLoop, Operation, Parameter, load_family

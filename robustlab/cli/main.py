@@ -113,7 +113,7 @@ def run_command(arguments: Sequence[str]) -> int:
 
 def _raise_with_choices(error: Any) -> None:
     """Raise a UsageError with the possible values of a missing argument, where there are any."""
-    from robustlab.cli.offers import listed
+    from robustlab.cli.completion import listed
     from robustlab.errors import UsageError
 
     if error.param is None or error.ctx is None:

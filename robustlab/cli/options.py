@@ -9,8 +9,8 @@ from typing import Annotated, Any
 import typer
 
 import robustlab as rl
+from robustlab.cli.completion import one_of, recipe_or_file
 from robustlab.cli.console import note
-from robustlab.cli.offers import one_of, recipe_or_file
 from robustlab.errors import InputError, UsageError
 from robustlab.operations.kinds import comma_separated
 from robustlab.units import same_unit

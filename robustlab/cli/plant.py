@@ -8,8 +8,8 @@ from typing import Annotated, Any
 import typer
 
 import robustlab as rl
+from robustlab.cli.completion import PLANTS, plant_or_file
 from robustlab.cli.console import emit, named, note, result_alone
-from robustlab.cli.offers import PLANTS, plant_or_file
 from robustlab.cli.options import JsonOption
 from robustlab.display import text_table as table
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError

@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from robustlab.cli.console import emit, note, result_alone
-from robustlab.cli.offers import recipe_or_file
+from robustlab.cli.completion import recipe_or_file
+from robustlab.cli.console import emit, note, result_alone, shown
 from robustlab.cli.options import ChangesOption, JsonOption, ProgressOption
-from robustlab.cli.progress import shown
 from robustlab.display import text_table as table
 from robustlab.errors import UsageError
 

@@ -7,9 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from robustlab.cli.console import emit
+from robustlab.cli.console import emit, shown
 from robustlab.cli.options import JsonOption, ProgressOption
-from robustlab.cli.progress import shown
 
 app = typer.Typer(help="Verify files of results.", add_completion=False)
 
