@@ -11,7 +11,7 @@ import typer
 
 import robustlab as rl
 from robustlab.cli.console import emit
-from robustlab.cli.options import JsonOption
+from robustlab.cli.generated import JsonOption
 from robustlab.display import text_table as table
 from robustlab.errors import EnvironmentFault, RobustlabError
 

@@ -10,7 +10,7 @@ import typer
 import robustlab as rl
 from robustlab.cli.completion import PLANTS, plant_or_file
 from robustlab.cli.console import emit, named, note, result_alone
-from robustlab.cli.options import JsonOption
+from robustlab.cli.generated import JsonOption
 from robustlab.display import text_table as table
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError
 from robustlab.operations import reading

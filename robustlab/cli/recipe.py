@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from robustlab.cli.console import emit
-from robustlab.cli.options import ChangesOption, JsonOption, RecipeArgument
+from robustlab.cli.generated import ChangesOption, JsonOption, RecipeArgument
 from robustlab.display import text_table as table
 from robustlab.errors import UsageError, did_you_mean
 

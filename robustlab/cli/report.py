@@ -8,7 +8,7 @@ import typer
 from typer.core import TyperGroup
 
 from robustlab.cli.console import emit
-from robustlab.cli.options import JsonOption
+from robustlab.cli.generated import JsonOption
 from robustlab.display import text_table as table
 
 MOST_NUMBERS = 40  # of changed numbers in the list; --json has all

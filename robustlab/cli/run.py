@@ -8,7 +8,7 @@ import typer
 
 from robustlab.cli.completion import recipe_or_file
 from robustlab.cli.console import emit, note, result_alone, shown
-from robustlab.cli.options import ChangesOption, JsonOption, ProgressOption
+from robustlab.cli.generated import ChangesOption, JsonOption, ProgressOption
 from robustlab.display import text_table as table
 from robustlab.errors import UsageError
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from robustlab.cli.console import emit, shown
-from robustlab.cli.options import JsonOption, ProgressOption
+from robustlab.cli.generated import JsonOption, ProgressOption
 
 app = typer.Typer(help="Verify files of results.", add_completion=False)
 
