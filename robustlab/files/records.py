@@ -37,6 +37,7 @@ from robustlab.files.tree import (
     check_header,
     is_stamped,
     link_name,
+    one_number,
     signal_name,
     text_attr,
     type_name,
@@ -168,14 +169,13 @@ def read_record(
     return choose(_of_tree(path, tree, node, group), options)
 
 
-def encode_record(tree: Tree, keywords: Mapping[str, Any]) -> None:
-    """Write the arguments of a Record into ``tree``."""
-    units, meaning = keywords["units"], keywords["meaning"]
-    tree.attrs["name"] = keywords["name"]
-    tree.put("t", keywords["t"], unit="s", **({"meaning": meaning["t"]} if "t" in meaning else {}))
+def encode_record(tree: Tree, record: Any) -> None:
+    """Write a Record into ``tree``."""
+    tree.attrs["name"] = record.name
+    tree.put("t", record.t, unit="s", **({"meaning": record.meaning["t"]} if "t" in record.meaning else {}))
     for side in SIDES:
-        for position, (name, values) in enumerate(keywords[side].items()):
-            attrs = {"unit": units.get(name, ""), "meaning": meaning.get(name, ""), "position": position}
+        for position, (name, values) in enumerate(getattr(record, side).items()):
+            attrs = {"unit": record.units.get(name, ""), "meaning": record.meaning.get(name, ""), "position": position}
             tree.group(side).put(link_name(name), values, **attrs)
         tree.group(side)
 
@@ -192,10 +192,11 @@ def _stored(node: Tree, where: str) -> Source:
     source = Source(where, text_attr(node.attrs, "name") or "record", node.child_path(""), {})
     for side in SIDES:
         group = node.groups.get(side, Tree())
-        found, order = _datasets(group), {}
+        found, order = _datasets(group), list[tuple[float, str]]()
         for link, item in group.datasets.items():
-            order[link] = _one_number(item.attrs.get("position", np.inf), np.inf)
-        for link in sorted(order, key=lambda link: (order[link], link)):
+            position = one_number(item.attrs.get("position"))
+            order.append((np.inf if position is None else position, link))
+        for _, link in sorted(order):
             name = signal_name(link)
             if name in source.channels:
                 raise InputError(where, f"signal {name!r} is there twice", "unique names")
@@ -237,15 +238,10 @@ def _datasets(node: Tree) -> dict[str, Channel]:
 
 def _sample_time(attrs: Mapping[str, Any]) -> float:
     for name in ("Ts", "dt", "fs"):
-        number = _one_number(attrs.get(name), 0.0)
-        if number > 0:
+        number = one_number(attrs.get(name))
+        if number is not None and number > 0:
             return 1.0 / number if name == "fs" else number
     return 0.0
-
-
-def _one_number(value: Any, otherwise: float) -> float:
-    array = np.asarray(value)
-    return float(array.flat[0]) if array.dtype.kind in "fi" and array.size == 1 else otherwise
 
 
 # --- logs of Simulink and MATLAB --------------------------------------------------------------------------------------
@@ -315,9 +311,7 @@ def _columns(where: str, name: str, values: AnyArray | Unread, n: int) -> Iterat
 
 
 def _text(node: Tree, name: str) -> str:
-    values: Any = node.datasets[name].values if name in node.datasets else None
-    found = isinstance(values, np.ndarray) and values.dtype.kind == "U" and values.size == 1
-    return str(values.flat[0]).strip() if found else ""
+    return (text_attr({key: item.values for key, item in node.datasets.items()}, name) or "").strip()
 
 
 # --- choosing --------------------------------------------------------------------------------------------------------

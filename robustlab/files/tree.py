@@ -179,6 +179,12 @@ def text_attr(attrs: dict[str, Any], name: str) -> str | None:
     return str(value.flat[0]) if value.dtype.kind == "U" and value.size == 1 else None
 
 
+def one_number(value: Any) -> float | None:
+    """Return the one real number in an attribute or in the values of a dataset, or None."""
+    array = np.asarray(value)
+    return float(array.flat[0]) if array.dtype.kind in "fi" and array.size == 1 else None
+
+
 def stamp(tree: Tree, kind: str, provenance: Provenance) -> None:
     """Add provenance, header, hash, and the digest of the claims of a format 1 file to ``tree``."""
     group = tree.group("provenance")

@@ -5,7 +5,7 @@ from robustlab.lazily import lazily
 __all__, __getattr__ = lazily(
     __name__,
     {
-        "interchange": "Loaded load load_pair read save",
+        "interchange": "Loaded load read save",
         "controller_export": "back_calculation c_source",
         "expression_files": "load_parametric",
         "matrices": "Problems",

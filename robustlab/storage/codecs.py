@@ -5,8 +5,6 @@ Classes are identified by name, so a process loads only the modules of the objec
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -16,20 +14,18 @@ import numpy as np
 from robustlab.arrays import not_finite
 from robustlab.errors import InputError
 from robustlab.files.signature import Limits
-from robustlab.files.tree import Tree, Unread
+from robustlab.files.tree import Tree, Unread, one_number
 from robustlab.result import Status
 from robustlab.storage.matrices import (
     Problems,
     columns,
     decode_model,
     decode_signals,
-    decode_state_space,
-    encode_model,
     encode_signals,
+    encode_state_space,
     entries,
-    find_children,
+    need,
     put_columns,
-    real_attribute,
 )
 
 if TYPE_CHECKING:
@@ -37,12 +33,21 @@ if TYPE_CHECKING:
 
 
 class Codec(NamedTuple):
-    """A kind of file of format 1, and the class of its objects."""
+    """A kind of file of format 1, the class of its objects, and the module with its ``encode_`` and ``decode_``."""
 
     kind: str
     type: str  # of the class: its module's path below `robustlab` and its name
-    write: Callable[[Tree, Any], None]
-    read: Callable[[Tree, Problems, bool], Any]  # the bool: transpose the matrices
+    module: str = "codecs"
+
+    def write(self, tree: Tree, obj: Any) -> None:
+        self._called("encode", tree, obj)
+
+    def read(self, tree: Tree, problems: Problems, transpose: bool) -> Any:
+        return self._called("decode", tree, problems, transpose)
+
+    def _called(self, way: str, *given: Any) -> Any:
+        module = import_module(f"robustlab.storage.{self.module}")
+        return getattr(module, f"{way}_{self.kind.replace('-', '_')}")(*given)
 
 
 def codec_of(obj: Any) -> Codec | None:
@@ -52,40 +57,30 @@ def codec_of(obj: Any) -> Codec | None:
     return next((by_type[name] for name in names if name in by_type), None)
 
 
-def _later(module: str, kind: str) -> tuple[Callable[..., None], Callable[..., Any]]:
-    """Return the writer and the reader of a kind, in a module that is imported on use."""
-
-    def called(way: str, *given: Any) -> Any:
-        return getattr(import_module(f"robustlab.storage.{module}"), f"{way}_{kind}")(*given)
-
-    return partial(called, "encode"), partial(called, "decode")
-
-
-def _encode_delayed(tree: Tree, model: Any) -> None:
+def encode_delayed(tree: Tree, model: Any) -> None:
     """Write group ``H`` as a state-space model, dataset ``delays`` in s, of its first inputs and outputs."""
-    encode_model(tree.group("H"), model.H)
+    encode_state_space(tree.group("H"), model.H)
     tree.put("delays", np.asarray(model.delays, dtype=np.float64))
 
 
-def _decode_delayed(tree: Tree, problems: Problems, transpose: bool) -> Any:
+def decode_delayed(tree: Tree, problems: Problems, transpose: bool) -> Any:
+    """Invert `encode_delayed`."""
     from robustlab.delays.model import DelayedModel
 
-    find_children(tree, ("H",), problems, kind="group")
-    find_children(tree, ("delays",), problems, kind="dataset")
-    model = decode_model(tree.groups["H"], problems, transpose) if "H" in tree.groups else None
-    lengths = entries(tree, "delays", "fi", problems) if "delays" in tree.datasets else None
+    need(tree, problems, groups=("H",), datasets=("delays",))
+    model, lengths = decode_model(tree.groups["H"], problems, transpose), entries(tree, "delays", "fi", problems)
     return problems.built(DelayedModel, model, np.asarray(lengths, dtype=np.float64))
 
 
 # --- controllers ------------------------------------------------------------------------------------------------------
 
 
-def _encode_controller(tree: Tree, controller: Any) -> None:
+def encode_controller(tree: Tree, controller: Any) -> None:
     """Write K as a state-space model; ``gamma``, ``status``, ``method`` as attributes; the claims of its design."""
     from robustlab.evidence.verification import claims_of
     from robustlab.storage.results import encode_claims
 
-    encode_model(tree, controller.K)
+    encode_state_space(tree, controller.K)
     _put_design(tree, controller)
     claims = claims_of(controller.design)
     own = {f"K_{letter}": getattr(controller.K, letter) for letter in "ABCD"}
@@ -93,7 +88,7 @@ def _encode_controller(tree: Tree, controller: Any) -> None:
         encode_claims(tree, claims)
 
 
-def _decode_controller(tree: Tree, problems: Problems, transpose: bool) -> Any:
+def decode_controller(tree: Tree, problems: Problems, transpose: bool) -> Any:
     from robustlab.synthesis.problem.controller import Controller
 
     model = decode_model(tree, problems, transpose)
@@ -107,7 +102,9 @@ def _put_design(tree: Tree, controller: Any) -> None:
 
 
 def _design(tree: Tree, problems: Problems) -> tuple[float | None, Status, str]:
-    gamma = real_attribute(tree, "gamma", problems)
+    gamma = one_number(tree.attrs.get("gamma"))
+    if gamma is None and "gamma" in tree.attrs:
+        problems.add("attribute gamma is not one real number")
     text = str(np.asarray(tree.attrs.get("status", Status.INCONCLUSIVE.value)))
     if text not in list(Status):
         problems.add(f"attribute status is {text!r}, expected one of {', '.join(s.value for s in Status)}")
@@ -120,7 +117,7 @@ def _design(tree: Tree, problems: Problems) -> tuple[float | None, Status, str]:
 COLUMNS = {"name": "U", "unit": "U", "rate": "fi"}
 
 
-def _encode_lpv(tree: Tree, model: Any) -> None:
+def encode_lpv(tree: Tree, model: Any) -> None:
     """Write ``matrices`` [A B; C D] over the grid, ``deviation`` over its cells, parameters and signals."""
     tree.put("matrices", model.matrices)
     tree.put("deviation", model.deviation)
@@ -132,10 +129,8 @@ def _encode_lpv(tree: Tree, model: Any) -> None:
     encode_signals(tree, (model.states, model.inputs, model.outputs))
 
 
-def _decode_lpv(tree: Tree, problems: Problems, _transpose: bool = False) -> Any:
-    find_children(tree, ("matrices", "deviation"), problems, kind="dataset")
-    find_children(tree, ("parameters", "signals"), problems, kind="group")
-    problems.raise_any()
+def decode_lpv(tree: Tree, problems: Problems, _transpose: bool = False) -> Any:
+    need(tree, problems, groups=("parameters", "signals"), datasets=("matrices", "deviation"))
     for name in ("matrices", "deviation"):
         values = tree.datasets[name].values
         if isinstance(values, Unread) or values.dtype.kind not in "fi" or values.ndim < 3 or not_finite(values):
@@ -170,32 +165,32 @@ def _lpv_model(tree: Tree, found: dict[str, Any], points: list[float], sides: li
     return LPVModel.of(parameters, matrices, n, inputs, outputs, states, deviation, str(tree.attrs["known"]))
 
 
-def _encode_lpv_controller(tree: Tree, controller: Any) -> None:
+def encode_lpv_controller(tree: Tree, controller: Any) -> None:
     """Write an LPV model with the attributes of kind ``controller``."""
-    _encode_lpv(tree, controller.K)
+    encode_lpv(tree, controller.K)
     _put_design(tree, controller)
 
 
-def _decode_lpv_controller(tree: Tree, problems: Problems, _transpose: bool) -> Any:
+def decode_lpv_controller(tree: Tree, problems: Problems, _transpose: bool) -> Any:
     from robustlab.synthesis.scheduling.parameter_varying import LPVController
 
-    return problems.built(LPVController, _decode_lpv(tree, problems), *_design(tree, problems))
+    return problems.built(LPVController, decode_lpv(tree, problems), *_design(tree, problems))
 
 
 # --- records ----------------------------------------------------------------------------------------------------------
 
 
-def _encode_record(tree: Tree, record: Any) -> None:
+def encode_record(tree: Tree, record: Any) -> None:
     """Write dataset ``t``, and one for each signal in groups ``inputs`` and ``outputs``."""
-    from robustlab.files.records import encode_record
+    from robustlab.files.records import encode_record as put
 
-    encode_record(tree, {key: getattr(record, key) for key in ("t", "inputs", "outputs", "units", "name", "meaning")})
+    put(tree, record)
 
 
-def _decode_record(tree: Tree, _problems: Problems, _transpose: bool) -> Record:
-    from robustlab.files.records import decode_record
+def decode_record(tree: Tree, _problems: Problems, _transpose: bool) -> Record:
+    from robustlab.files.records import decode_record as keywords_of
 
-    return _record(decode_record(tree, tree.file), tree.file)
+    return _record(keywords_of(tree, tree.file), tree.file)
 
 
 def record_from(path: str | Path, group: str | None, limits: Limits | None, isolate: bool) -> Record:
@@ -219,17 +214,15 @@ def _record(keywords: dict[str, Any], where: str) -> Record:
 BY_KIND = {
     codec.kind: codec
     for codec in (
-        Codec("state-space", "statespace.StateSpaceModel", encode_model, decode_state_space),
-        Codec("uncertain", "uncertainty.lft.UncertainModel", *_later("uncertain_models", "uncertain")),
-        Codec("delayed", "delays.model.DelayedModel", _encode_delayed, _decode_delayed),
-        Codec("frequency-data", "uncertainty.frequency_responses.UncertainFrequencyData",
-              *_later("uncertain_models", "frequency_data")),
-        Codec("lpv", "synthesis.scheduling.parameter_varying.LPVModel", _encode_lpv, _decode_lpv),
-        Codec("lpv-controller", "synthesis.scheduling.parameter_varying.LPVController", _encode_lpv_controller,
-              _decode_lpv_controller),
-        Codec("controller", "synthesis.problem.controller.Controller", _encode_controller, _decode_controller),
-        Codec("record", "record.Record", _encode_record, _decode_record),
-        Codec("plant", "dynamics.plant_contract.Plant", *_later("plants", "plant")),
-        Codec("result", "result.Result", *_later("results", "result")),
+        Codec("state-space", "statespace.StateSpaceModel", "matrices"),
+        Codec("uncertain", "uncertainty.lft.UncertainModel", "uncertain_models"),
+        Codec("delayed", "delays.model.DelayedModel"),
+        Codec("frequency-data", "uncertainty.frequency_responses.UncertainFrequencyData", "uncertain_models"),
+        Codec("lpv", "synthesis.scheduling.parameter_varying.LPVModel"),
+        Codec("lpv-controller", "synthesis.scheduling.parameter_varying.LPVController"),
+        Codec("controller", "synthesis.problem.controller.Controller"),
+        Codec("record", "record.Record"),
+        Codec("plant", "dynamics.plant_contract.Plant", "plants"),
+        Codec("result", "result.Result", "results"),
     )
-}  # fmt: skip
+}

@@ -102,22 +102,12 @@ def load(
     """
     loaded = read(path, group=group, transpose=transpose, no_verify=no_verify, limits=limits, isolate=isolate)
     if loaded.kind == "pair":
-        hint = 'load_pair(path), or load(path, group="nominal")'
+        hint = 'load(path, group="nominal")'
         raise InputError(str(path), "two models, /nominal and /perturbed", "one object", hint)
     for text in loaded.warnings:
         if "content_sha256" in text:
             warnings.warn(f"{path}: {text}", stacklevel=2)
     return loaded.object
-
-
-def load_pair(
-    path: str | Path, *, transpose: bool = False, limits: Limits | None = None, isolate: bool = True
-) -> tuple[StateSpaceModel, StateSpaceModel]:
-    """The nominal and the perturbed model of one file with groups ``nominal`` and ``perturbed``, A B C D in each."""
-    from robustlab.storage.pairs import decode_pair
-
-    tree = read_tree(path, None, limits, isolate)
-    return decode_pair(tree, Problems(str(path)), transpose)
 
 
 def is_plant_file(name: str) -> bool:

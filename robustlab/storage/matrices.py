@@ -11,7 +11,7 @@ import numpy as np
 
 from robustlab.arrays import Array, not_finite
 from robustlab.errors import InputError, did_you_mean
-from robustlab.files.tree import Tree, Unread, type_name
+from robustlab.files.tree import Tree, Unread, one_number, type_name
 from robustlab.signals import COMPLEX, TAKES, Taken
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel
 
@@ -64,7 +64,7 @@ TYPES: dict[str, type] = {"U": np.str_, "i": np.int64, "fi": np.float64}  # kind
 COLUMN_MAJOR = "file looks column-major: use transpose=True"
 
 
-def encode_model(tree: Tree, model: StateSpaceModel) -> None:
+def encode_state_space(tree: Tree, model: StateSpaceModel) -> None:
     """Write ``model`` into ``tree`` in the layout of kind ``state-space``."""
     for name in NAMES:
         tree.put(name, getattr(model, name))
@@ -139,7 +139,7 @@ def _eliminated(
 
 
 def decode_state_space(tree: Tree, problems: Problems, transpose: bool = False) -> StateSpaceModel:
-    """Invert `encode_model`. Raises InputError: with all faults."""
+    """Invert `encode_state_space`. Raises InputError: with all faults."""
     model = decode_model(tree, problems, transpose)
     problems.raise_any()
     assert model is not None
@@ -168,6 +168,13 @@ def find_children(
             close = lower.get(name.lower()) or hint
             if close:
                 problems.add(f"unexpected {node.child_path(name)} (did you mean {node.child_path(close)}?)")
+
+
+def need(tree: Tree, problems: Problems, groups: Sequence[str] = (), datasets: Sequence[str] = ()) -> None:
+    """Raise where a group or a dataset is missing."""
+    find_children(tree, datasets, problems, kind="dataset")
+    find_children(tree, groups, problems, kind="group")
+    problems.raise_any()
 
 
 def _matrices(node: Tree, problems: Problems, transpose: bool) -> dict[str, Array]:
@@ -248,23 +255,12 @@ def sample_time(node: Tree, problems: Problems) -> float | None:
     held = {f"{node.path} attribute {name}": node.attrs[name] for name in ("dt", "Ts") if name in node.attrs}
     held |= {node.child_path(name): node.datasets[name].values for name in ("dt", "Ts") if name in node.datasets}
     for path, item in held.items():
-        value = np.zeros(0) if isinstance(item, Unread) else np.asarray(item)
-        number = float(value.flat[0]) if value.dtype.kind in "fi" and value.size == 1 else None
+        number = one_number(item)
         if number is None:
             problems.add(f"{path} is not one real number, expected a sample time in s (0 = continuous)")
         elif not np.isfinite(number) or number < 0:
             problems.add(f"{path} is {number:g}, expected 0 (continuous) or a positive sample time in s")
         return number
-    return None
-
-
-def real_attribute(node: Tree, name: str, problems: Problems) -> float | None:
-    """Return an attribute that is one real number, or None."""
-    value = np.asarray(node.attrs.get(name, ""))
-    if value.dtype.kind in "fi" and value.size == 1:
-        return float(value.flat[0])
-    if name in node.attrs:
-        problems.add(f"attribute {name} is not one real number")
     return None
 
 

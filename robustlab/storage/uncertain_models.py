@@ -16,11 +16,11 @@ from robustlab.storage.matrices import (
     decode_model,
     decode_point,
     decode_signals,
-    encode_model,
     encode_point,
     encode_signals,
+    encode_state_space,
     entries,
-    find_children,
+    need,
     put_columns,
 )
 from robustlab.uncertainty.blocks import KINDS, Block, ParameterRange
@@ -38,7 +38,7 @@ def encode_uncertain(tree: Tree, model: UncertainModel) -> None:
     Optional datasets: ``below`` (width of a range below its nominal value) if some range is not symmetric, ``origin``
     if some block has one, ``sign`` if physics limits some parameter's sign.
     """
-    encode_model(tree.group("M"), model.M)
+    encode_state_space(tree.group("M"), model.M)
     if model.operating_point is not None:
         encode_point(tree, model.operating_point)
     encode_blocks(tree, model.blocks)
@@ -60,17 +60,17 @@ def encode_blocks(tree: Tree, blocks: Sequence[Block]) -> None:
 
 def decode_uncertain(tree: Tree, problems: Problems, transpose: bool = False) -> UncertainModel:
     """Invert `encode_uncertain`. Raises InputError: with all faults."""
-    find_children(tree, ("M", "blocks"), problems, kind="group")
-    model = decode_model(tree.groups["M"], problems, transpose) if "M" in tree.groups else None
+    need(tree, problems, groups=("M", "blocks"))
+    model = decode_model(tree.groups["M"], problems, transpose)
     blocks = decode_blocks(tree, problems)
     return problems.built(UncertainModel, model, blocks, decode_point(tree, problems))
 
 
 def decode_blocks(tree: Tree, problems: Problems) -> tuple[Block, ...]:
     """Invert `encode_blocks`; add faults to ``problems``."""
-    group = tree.groups.get("blocks", Tree())
+    group = tree.groups["blocks"]
     kinds = {"name": "U", "kind": "U", "rows": "fi", "cols": "fi", **OF_RANGE, **RARE}
-    found = columns(group, kinds, problems, (*OF_RANGE, *RARE)) if "blocks" in tree.groups else {}
+    found = columns(group, kinds, problems, (*OF_RANGE, *RARE))
     if problems.lines:
         return ()
     rows = [dict(zip(found, row, strict=True)) for row in zip(*found.values(), strict=True)]
@@ -122,11 +122,9 @@ def decode_frequency_data(tree: Tree, problems: Problems, _transpose: bool = Fal
     """Invert `encode_frequency_data`."""
     from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
 
-    find_children(tree, ("omega", "M"), problems, kind="dataset")
-    find_children(tree, ("blocks",), problems, kind="group")
-    omega = entries(tree, "omega", "fi", problems) if "omega" in tree.datasets else None
-    values = tree.datasets["M"].values if "M" in tree.datasets else None
-    if isinstance(values, Unread) or (values is not None and values.dtype.kind not in "fic"):
+    need(tree, problems, groups=("blocks",), datasets=("omega", "M"))
+    omega, values = entries(tree, "omega", "fi", problems), tree.datasets["M"].values
+    if isinstance(values, Unread) or values.dtype.kind not in "fic":
         problems.add(f"{tree.child_path('M')} is not readable as complex numbers")
     blocks = decode_blocks(tree, problems)
     _, inputs, outputs = decode_signals(tree, problems)
