@@ -157,7 +157,7 @@ def steady_state(
     return computed(model, inputs, outputs)
 
 
-@operation("model diff", "difference", result="storage.pairs.Difference")
+@operation("model diff", "difference", result="storage.matrices.Difference")
 def diff(
     first: Annotated[Any, Thing(ANY, model=True, pair=True), "HDF5 or MATLAB file."],
     second: Annotated[
@@ -171,7 +171,7 @@ def diff(
 
     Example: robustlab model diff nominal.h5 perturbed.h5
     """
-    from robustlab.storage.pairs import difference
+    from robustlab.storage.matrices import difference
 
     return difference(*two_models(first, second))
 

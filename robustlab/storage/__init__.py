@@ -8,8 +8,7 @@ __all__, __getattr__ = lazily(
         "interchange": "Loaded load read save",
         "controller_export": "back_calculation c_source",
         "expression_files": "load_parametric",
-        "matrices": "Problems",
-        "pairs": "check_pair",
+        "matrices": "Problems check_pair",
         "plants": "decode_plant encode_plant",
     },
 )

@@ -5,6 +5,10 @@ Classes are identified by name, so a process loads only the modules of the objec
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping, Sequence
+from enum import Enum
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -14,13 +18,16 @@ import numpy as np
 from robustlab.arrays import not_finite
 from robustlab.errors import InputError
 from robustlab.files.signature import Limits
-from robustlab.files.tree import Tree, Unread, one_number
-from robustlab.result import Status
+from robustlab.files.tree import Tree, Unread, link_name, one_number, signal_name
+from robustlab.result import Result, Status
+from robustlab.statespace import StateSpaceModel
 from robustlab.storage.matrices import (
     Problems,
     columns,
     decode_model,
+    decode_point,
     decode_signals,
+    encode_point,
     encode_signals,
     encode_state_space,
     entries,
@@ -30,6 +37,9 @@ from robustlab.storage.matrices import (
 
 if TYPE_CHECKING:
     from robustlab.record import Record
+    from robustlab.uncertainty.blocks import Block, ParameterRange
+    from robustlab.uncertainty.lft import UncertainModel
+    from robustlab.verification.claim import Claim
 
 
 class Codec(NamedTuple):
@@ -72,13 +82,122 @@ def decode_delayed(tree: Tree, problems: Problems, transpose: bool) -> Any:
     return problems.built(DelayedModel, model, np.asarray(lengths, dtype=np.float64))
 
 
+# --- uncertain models and frequency responses -------------------------------------------------------------------------
+
+# Columns of a block, those of its range, and optional ones.
+OF_BLOCK = {"name": "U", "stored_as": "U", "rows": "i", "cols": "i"}
+OF_RANGE = {"nominal": "fi", "radius": "fi", "unit": "U"}
+RARE = {"below": "fi", "sign": "U", "origin": "U"}
+
+
+def encode_uncertain(tree: Tree, model: UncertainModel) -> None:
+    """Write group ``M`` as a state-space model, and group ``blocks`` with one entry per block in each dataset.
+
+    Optional datasets: ``below`` (width of a range below its nominal value) if some range is not symmetric, ``origin``
+    if some block has one, ``sign`` if physics limits some parameter's sign.
+    """
+    encode_state_space(tree.group("M"), model.M)
+    if model.operating_point is not None:
+        encode_point(tree, model.operating_point)
+    encode_blocks(tree, model.blocks)
+
+
+def encode_blocks(tree: Tree, blocks: Sequence[Block]) -> None:
+    """Write group ``blocks``; see `encode_uncertain`."""
+    group, ranges = tree.group("blocks"), [b.parameter for b in blocks]
+    put_columns(group, OF_BLOCK, blocks)
+    group.datasets["kind"] = group.datasets.pop("stored_as")
+    put_columns(group, OF_RANGE, ranges)
+    if any(p and p.below is not None for p in ranges):
+        put_columns(group, {"below": "fi"}, ranges)
+    if any(p and p.sign != "any" for p in ranges):
+        group.put("sign", np.array([p.sign if p else "any" for p in ranges], np.str_))
+    if any(b.origin for b in blocks):
+        put_columns(group, {"origin": "U"}, blocks)
+
+
+def decode_uncertain(tree: Tree, problems: Problems, transpose: bool = False) -> UncertainModel:
+    """Invert `encode_uncertain`. Raises InputError: with all faults."""
+    from robustlab.uncertainty.lft import UncertainModel
+
+    need(tree, problems, groups=("M", "blocks"))
+    model = decode_model(tree.groups["M"], problems, transpose)
+    blocks = decode_blocks(tree, problems)
+    return problems.built(UncertainModel, model, blocks, decode_point(tree, problems))
+
+
+def decode_blocks(tree: Tree, problems: Problems) -> tuple[Block, ...]:
+    """Invert `encode_blocks`; add faults to ``problems``."""
+    from robustlab.uncertainty.blocks import KINDS
+
+    group = tree.groups["blocks"]
+    kinds = {"name": "U", "kind": "U", "rows": "fi", "cols": "fi", **OF_RANGE, **RARE}
+    found = columns(group, kinds, problems, (*OF_RANGE, *RARE))
+    if problems.lines:
+        return ()
+    rows = [dict(zip(found, row, strict=True)) for row in zip(*found.values(), strict=True)]
+    blocks: list[Block] = []
+    for i, row in enumerate(rows):
+        name, kind, size = row["name"], row["kind"], (row["rows"], row["cols"])
+        if kind not in KINDS:
+            problems.add(f"{group.path}/kind[{i}] is {kind!r}, expected real, complex or full")
+        elif not all(math.isfinite(n) and n == int(n) >= 1 for n in size) or (
+            KINDS[kind].is_scalar and size[0] != size[1]
+        ):
+            found_size = f"block {name!r} ({kind}) is {size[0]:g} x {size[1]:g}"
+            problems.add(f"{group.path}: {found_size}, expected whole sizes, square for a scalar block")
+        else:
+            try:
+                span = _range(row, f"{group.path}: block {name!r}")
+                made: Any = KINDS[kind]
+                sizes = [int(n) for n in size][: 1 if made.is_scalar else 2]
+                known = {"parameter": span} if made.is_real else {}
+                blocks.append(made(name, *sizes, **known, origin=row.get("origin", "")))
+            except InputError as error:
+                problems.absorb(error)
+    return tuple(blocks)
+
+
+def _range(row: dict[str, Any], where: str) -> ParameterRange | None:
+    from robustlab.uncertainty.blocks import ParameterRange
+
+    nominal, radius = (row.get(name, math.nan) for name in ("nominal", "radius"))
+    if math.isnan(nominal) and math.isnan(radius):
+        return None
+    if not (math.isfinite(nominal) and math.isfinite(radius)):
+        raise InputError(where, f"nominal {nominal:g}, radius {radius:g}", "both finite or both NaN")
+    below = row.get("below", math.nan)
+    below = None if math.isnan(below) else below
+    return ParameterRange(nominal, radius, row.get("unit", ""), below, sign=row.get("sign", "any"))
+
+
+def encode_frequency_data(tree: Tree, data: Any) -> None:
+    """Write datasets ``omega`` and ``M``, group ``blocks`` as of an uncertain model, ``signals``."""
+    tree.put("omega", np.asarray(data.omega, dtype=np.float64))
+    tree.put("M", np.asarray(data.M, dtype=np.complex128))
+    encode_blocks(tree, data.blocks)
+    encode_signals(tree, ((), data.inputs, data.outputs))
+
+
+def decode_frequency_data(tree: Tree, problems: Problems, _transpose: bool = False) -> Any:
+    """Invert `encode_frequency_data`."""
+    from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
+
+    need(tree, problems, groups=("blocks",), datasets=("omega", "M"))
+    omega, values = entries(tree, "omega", "fi", problems), tree.datasets["M"].values
+    if isinstance(values, Unread) or values.dtype.kind not in "fic":
+        problems.add(f"{tree.child_path('M')} is not readable as complex numbers")
+    blocks = decode_blocks(tree, problems)
+    _, inputs, outputs = decode_signals(tree, problems)
+    return problems.built(UncertainFrequencyData, omega, values, blocks, inputs, outputs)
+
+
 # --- controllers ------------------------------------------------------------------------------------------------------
 
 
 def encode_controller(tree: Tree, controller: Any) -> None:
     """Write K as a state-space model; ``gamma``, ``status``, ``method`` as attributes; the claims of its design."""
     from robustlab.evidence.verification import claims_of
-    from robustlab.storage.results import encode_claims
 
     encode_state_space(tree, controller.K)
     _put_design(tree, controller)
@@ -211,18 +330,180 @@ def _record(keywords: dict[str, Any], where: str) -> Record:
         raise InputError(where, found, error.expected, error.hint) from None
 
 
+# --- results: nested groups of the values of ``to_json`` --------------------------------------------------------------
+
+LEAVES: dict[str, Any] = {
+    "text": str,
+    "bool": (bool, np.bool_),
+    "number": (int, float, np.integer, np.floating),
+    "complex": (complex, np.complexfloating),
+}
+
+
+def encode_result(tree: Tree, result: Any) -> None:
+    """Write attributes ``type`` and ``status``, and group ``data`` with a dataset per value and a group per table.
+
+    Evidence for `robustlab.verify` is in ``claims/0``, ``claims/1``, ..., with the kind in the attribute ``claim``.
+    """
+    from robustlab.evidence.verification import claims_of
+
+    data = dict(result.to_json())
+    if isinstance(result, Result):
+        data.pop("type")
+    data.pop("status", None)
+    tree.attrs.update(
+        type=result.type if isinstance(result, Result) else type(result).__name__, status=Status(result.status).value
+    )
+    _table(tree.group("data"), data)
+    encode_claims(tree, claims_of(result))
+
+
+def encode_claims(tree: Tree, claims: Sequence[Claim]) -> None:
+    """Write a group for each claim."""
+    for k, claim in enumerate(claims):
+        node = tree.group("claims").group(str(k))
+        node.attrs["claim"] = claim.kind
+        for name, values in claim.numbers.items():
+            node.put(name, values)
+
+
+def _table(tree: Tree, data: Mapping[Any, Any]) -> None:
+    for key, value in data.items():
+        _put(tree, link_name(str(key)), value)
+
+
+def _put(tree: Tree, link: str, value: Any) -> None:
+    """Write a rectangular list of numbers or texts as one dataset, another list as a group of numbered children."""
+    if hasattr(value, "to_json"):
+        value = value.to_json()
+    if isinstance(value, Enum):
+        value = value.value
+    if isinstance(value, (set, frozenset)) or (isinstance(value, np.ndarray) and value.dtype == object):
+        value = list(value)
+    if value is None:
+        tree.put(link, "", null=True)
+    elif isinstance(value, Mapping):
+        _table(tree.group(link), value)
+    elif not isinstance(value, (list, tuple)):
+        tree.put(link, value)
+    elif len(_kinds(value)) == 1 and _is_rectangular(value):
+        tree.put(link, np.asarray(value))
+    else:
+        group = tree.group(link)
+        group.attrs["sequence"] = len(value)
+        for i, item in enumerate(value):
+            _put(group, str(i), item)
+
+
+def _kinds(items: Sequence[Any]) -> set[str]:
+    """Return the kinds of values in a nested list: text, bool, number, complex; "" and "other" for anything else."""
+    kinds: set[str] = set()
+    for item in items:
+        if isinstance(item, (list, tuple)):
+            kinds |= _kinds(item)
+        else:
+            kind = next((word for word, types in LEAVES.items() if isinstance(item, types)), "other")
+            kinds |= {"", kind} if kind == "other" or isinstance(item, Enum) else {kind}
+    return kinds
+
+
+def _is_rectangular(items: Sequence[Any]) -> bool:
+    try:
+        return np.asarray(items).dtype != object
+    except ValueError:
+        return False
+
+
+class NotStored(InputError, AttributeError):
+    """An attribute of a result that is not in its file."""
+
+
+class LoadedResult(Result):
+    """A result from a file, with the stored values as attributes."""
+
+    def __getattr__(self, name: str) -> Any:
+        data = vars(self).get("data", {})
+        if name not in data:
+            raise NotStored(type(self).__name__, f"{name!r} is not in its file", f"one of {', '.join(data)}")
+        return _attribute(data[name])
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *self.data]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return restored, (self.type, self.status, self.data)
+
+
+def restored(kind: str, status: Status, data: Mapping[str, Any]) -> LoadedResult:
+    """Return a result whose class has the name of the saved one."""
+    return _class(kind)(kind, status, data)
+
+
+@cache
+def _class(name: str) -> type[LoadedResult]:
+    return type(name, (LoadedResult,), {"__doc__": LoadedResult.__doc__}) if name.isidentifier() else LoadedResult
+
+
+def _attribute(value: Any) -> Any:
+    if isinstance(value, list):
+        return tuple(map(_attribute, value))
+    if not isinstance(value, Mapping):
+        return value
+    if value.get("type") and value.get("status") in list(Status):
+        rest = {name: x for name, x in value.items() if name not in ("type", "status")}
+        return restored(str(value["type"]), Status(value["status"]), rest)
+    if {"A", "B", "C", "D", "dt", "inputs", "outputs", "states"} <= set(value):
+        A, B, C, D = (value[letter] for letter in "ABCD")
+        u, y, x = ([tuple(pair) for pair in value[side]] for side in ("inputs", "outputs", "states"))
+        return StateSpaceModel(A, B, C, D, value["dt"], u, y, x)
+    return {name: _attribute(x) for name, x in value.items()}
+
+
+def decode_result(tree: Tree, _problems: Problems, _transpose: bool = False) -> LoadedResult:
+    """Invert `encode_result`; lists of numbers become arrays."""
+    text = str(np.asarray(tree.attrs.get("status", "")))
+    if text not in list(Status):
+        raise InputError(tree.file, f"attribute status is {text!r}", f"one of {', '.join(Status)}")
+    data = _value(tree.groups["data"]) if "data" in tree.groups else None
+    if not isinstance(data, dict):
+        raise InputError(tree.file, "/data is a sequence" if data else "missing /data", "a table")
+    return restored(str(np.asarray(tree.attrs.get("type", ""))), Status(text), data)
+
+
+def _value(node: Tree) -> Any:
+    names = [*node.datasets, *node.groups]
+    if "sequence" not in node.attrs:
+        return {signal_name(link): _child(node, link) for link in names}
+    length = np.asarray(node.attrs["sequence"])
+    if length.dtype.kind != "i" or length.size != 1:
+        raise InputError(node.file, f"{node.path}: attribute sequence is no whole number", "the length of the list")
+    numbered = [str(i) for i in range(min(int(length.flat[0]), len(names)))]
+    return [_child(node, name) for name in numbered if name in names]
+
+
+def _child(node: Tree, link: str) -> Any:
+    if link not in node.datasets:
+        return _value(node.groups[link])
+    values = node.datasets[link].values
+    if isinstance(values, Unread):
+        raise InputError(node.file, f"{node.child_path(link)} has dtype {values.dtype}", "numbers or text")
+    if "null" in node.datasets[link].attrs:
+        return None
+    return values.tolist() if values.ndim == 0 or values.dtype.kind == "U" else values
+
+
 BY_KIND = {
     codec.kind: codec
     for codec in (
         Codec("state-space", "statespace.StateSpaceModel", "matrices"),
-        Codec("uncertain", "uncertainty.lft.UncertainModel", "uncertain_models"),
+        Codec("uncertain", "uncertainty.lft.UncertainModel"),
         Codec("delayed", "delays.model.DelayedModel"),
-        Codec("frequency-data", "uncertainty.frequency_responses.UncertainFrequencyData", "uncertain_models"),
+        Codec("frequency-data", "uncertainty.frequency_responses.UncertainFrequencyData"),
         Codec("lpv", "synthesis.scheduling.parameter_varying.LPVModel"),
         Codec("lpv-controller", "synthesis.scheduling.parameter_varying.LPVController"),
         Codec("controller", "synthesis.problem.controller.Controller"),
         Codec("record", "record.Record"),
         Codec("plant", "dynamics.plant_contract.Plant", "plants"),
-        Codec("result", "result.Result", "results"),
+        Codec("result", "result.Result"),
     )
 }

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from robustlab.errors import InputError, did_you_mean
-from robustlab.files.document import parse_document
+from robustlab.files.signature import parse_document
 from robustlab.uncertainty.blocks import ParameterRange
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.parametric import parametric

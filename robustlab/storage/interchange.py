@@ -19,7 +19,7 @@ from robustlab.provenance import BY_DIFFERENCES, NOT_VERIFIED, Provenance, Trace
 from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.storage.codecs import BY_KIND, codec_of, record_from
-from robustlab.storage.matrices import NAMES, SIGNAL, Problems, decode_state_space
+from robustlab.storage.matrices import NAMES, SIGNAL, Problems, decode_pair, decode_state_space, looks_like_a_pair
 
 if TYPE_CHECKING:
     from robustlab.delays.model import DelayedModel
@@ -162,11 +162,8 @@ def _plain(
 ) -> tuple[str, Any]:
     """Decode a file without header: a model by its matrices, a pair by its groups, a record by its times."""
     matrices = [name for name in NAMES if name in node.datasets]
-    if not matrices:
-        from robustlab.storage.pairs import decode_pair, looks_like_a_pair
-
-        if looks_like_a_pair(node):
-            return "pair", decode_pair(node, problems, transpose)
+    if not matrices and looks_like_a_pair(node):
+        return "pair", decode_pair(node, problems, transpose)
     from robustlab.files.records import CLOCK_NAMES
 
     clocked = any(name in node.datasets for name in CLOCK_NAMES) or {"inputs", "outputs"} & set(node.groups)
