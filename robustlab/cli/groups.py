@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
-# Command -> (module with its `app`, or the modules of operations with its commands; one line of help).
+# Command -> (module of its app, called `app` or as named; or modules of operations; one line of help).
 GROUPS: dict[str, tuple[str | tuple[str, ...], str]] = {
     "plant": ("robustlab.cli.plant", "List plants, show one; start one of your own in a file."),
     "model": ("robustlab.cli.model", "Build, show, check, compare and convert models."),
@@ -18,10 +18,10 @@ GROUPS: dict[str, tuple[str | tuple[str, ...], str]] = {
     "performance-margin": (("robustness",), "Robust performance margin of a set."),
     "synth": (("designs",), "Design a controller and verify its loop."),
     "data": ("robustlab.cli.data", "Check and compare records; name what a model lacks."),
-    "run": ("robustlab.cli.run", "Run a recipe: steps, requirements, report."),
-    "recipe": ("robustlab.cli.recipe", "Check a recipe, list kinds of steps, start a new one."),
-    "report": ("robustlab.cli.report", "Write a finished run's report again; compare two runs."),
-    "verify": ("robustlab.cli.verify", "Have results proved once more, from their files alone."),
+    "run": ("robustlab.cli.run:RUN", "Run a recipe: steps, requirements, report."),
+    "recipe": ("robustlab.cli.run:RECIPE", "Check a recipe, list kinds of steps, start a new one."),
+    "report": ("robustlab.cli.run:REPORT", "Write a finished run's report again; compare two runs."),
+    "verify": ("robustlab.cli.run:VERIFY", "Have results proved once more, from their files alone."),
     "doctor": ("robustlab.cli.doctor", "Say whether this installation can work."),
 }
 
@@ -32,7 +32,8 @@ def parser(name: str) -> Any:
 
     made, title = GROUPS[name]
     if isinstance(made, str):
-        app = import_module(made).app
+        module, _, app_name = made.partition(":")
+        app = getattr(import_module(module), app_name or "app")
     else:
         import typer
 

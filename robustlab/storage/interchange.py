@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +20,7 @@ from robustlab.provenance import BY_DIFFERENCES, NOT_VERIFIED, Provenance, Trace
 from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.storage.codecs import BY_KIND, codec_of, record_from
-from robustlab.storage.matrices import NAMES, SIGNAL, Problems, decode_pair, decode_state_space, looks_like_a_pair
+from robustlab.storage.matrices import NAMES, PAIR, SIGNAL, Problems, decode_pair, decode_state_space
 
 if TYPE_CHECKING:
     from robustlab.delays.model import DelayedModel
@@ -162,7 +163,7 @@ def _plain(
 ) -> tuple[str, Any]:
     """Decode a file without header: a model by its matrices, a pair by its groups, a record by its times."""
     matrices = [name for name in NAMES if name in node.datasets]
-    if not matrices and looks_like_a_pair(node):
+    if not matrices and any(get_close_matches(name.lower(), PAIR, n=1, cutoff=0.7) for name in node.groups):
         return "pair", decode_pair(node, problems, transpose)
     from robustlab.files.records import CLOCK_NAMES
 

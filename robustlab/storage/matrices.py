@@ -347,24 +347,15 @@ def decode_point(node: Tree, problems: Problems) -> OperatingPoint | None:
 
 # --- pairs of models with the same signals: nominal and perturbed in one file, and their difference ------------------
 
-GROUPS = ("nominal", "perturbed")
-
-
-def looks_like_a_pair(tree: Tree) -> bool:
-    """Return whether the root has no matrices, but groups with names close to ``nominal`` or ``perturbed``."""
-    import difflib
-
-    if any(name in tree.datasets for name in "ABCD"):
-        return False
-    return any(difflib.get_close_matches(name.lower(), GROUPS, n=1, cutoff=0.7) for name in tree.groups)
+PAIR = ("nominal", "perturbed")
 
 
 def decode_pair(tree: Tree, problems: Problems, transpose: bool = False) -> tuple[StateSpaceModel, StateSpaceModel]:
     """Return the models in groups ``nominal`` and ``perturbed``."""
-    find_children(tree, GROUPS, problems, kind="group")
+    find_children(tree, PAIR, problems, kind="group")
     dt = sample_time(tree, problems)
     models: dict[str, Any] = {}
-    for name in GROUPS:
+    for name in PAIR:
         if name in tree.groups and "E" in tree.groups[name].datasets:
             hint = "group='nominal', or group='perturbed', reads one model"
             problems.add(f"/{name}/E: a pair in descriptor form: its entries are no entries of A, B, C, D", hint)
