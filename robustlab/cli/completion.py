@@ -16,7 +16,7 @@ from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
 from robustlab.cli.exit_codes import answer
-from robustlab.cli.groups import GROUPS, parser
+from robustlab.cli.main import GROUPS, parser
 
 # Set by the shell's script; typer derives it from the program's name.
 COMPLETING = "_ROBUSTLAB_COMPLETE"

@@ -6,7 +6,7 @@ Classes are identified by name, so a process loads only the modules of the objec
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from enum import Enum
 from functools import cache
 from importlib import import_module
@@ -386,7 +386,7 @@ def _put(tree: Tree, link: str, value: Any) -> None:
         _table(tree.group(link), value)
     elif not isinstance(value, (list, tuple)):
         tree.put(link, value)
-    elif len(_kinds(value)) == 1 and _is_rectangular(value):
+    elif len(kinds := set(map(_kind, _leaves(value)))) == 1 and None not in kinds and _is_rectangular(value):
         tree.put(link, np.asarray(value))
     else:
         group = tree.group(link)
@@ -395,16 +395,14 @@ def _put(tree: Tree, link: str, value: Any) -> None:
             _put(group, str(i), item)
 
 
-def _kinds(items: Sequence[Any]) -> set[str]:
-    """Return the kinds of values in a nested list: text, bool, number, complex; "" and "other" for anything else."""
-    kinds: set[str] = set()
+def _leaves(items: Sequence[Any]) -> Iterator[Any]:
     for item in items:
-        if isinstance(item, (list, tuple)):
-            kinds |= _kinds(item)
-        else:
-            kind = next((word for word, types in LEAVES.items() if isinstance(item, types)), "other")
-            kinds |= {"", kind} if kind == "other" or isinstance(item, Enum) else {kind}
-    return kinds
+        yield from _leaves(item) if isinstance(item, (list, tuple)) else (item,)
+
+
+def _kind(value: Any) -> str | None:
+    words = (word for word, types in LEAVES.items() if isinstance(value, types))
+    return None if isinstance(value, Enum) else next(words, None)
 
 
 def _is_rectangular(items: Sequence[Any]) -> bool:
