@@ -75,9 +75,6 @@ def _names_and_files(names: Iterable[str], suffixes: tuple[str, ...], incomplete
     return found + sorted(name for name in files if re.fullmatch(r"[\w.,+@%/-]+", name))  # bash would not quote more
 
 
-# --- commands ---------------------------------------------------------------------------------------------------------
-
-
 class _Commands(TyperGroup):
     """The table of groups for typer; a group's parser is made when its words are completed."""
 

@@ -81,11 +81,7 @@ def named(signals: Iterable[rl.Signal]) -> list[str]:
 
 
 def save_figures(pictures: Mapping[str, Picture], path: str) -> list[str]:
-    """Write each figure as SVG and PNG; return the paths.
-
-    In a folder (one that exists, or a path that ends in a slash) each has its own name, else the first is ``path``
-    and the others have their own name added.
-    """
+    """Write each figure as SVG and PNG, in a folder or with names that begin as ``path``; return the paths."""
     from robustlab.report.style import save_figure
 
     target, made = Path(path), list[str]()
@@ -98,8 +94,6 @@ def save_figures(pictures: Mapping[str, Picture], path: str) -> list[str]:
         made += map(str, save_figure(picture.figure, *place))
     return made
 
-
-# --- progress ---------------------------------------------------------------------------------------------------------
 
 MODES = ("auto", "none")
 PATIENCE = 2.0  # s until the bar appears

@@ -59,9 +59,6 @@ def convert(
     emit("data convert", {"from": source, "to": target, "samples": record.n}, f"{target}: {record!r}", as_json)
 
 
-# --- discover: writes a folder instead of one file -------------------------------------------------------------------
-
-
 FILES: Options = (
     ("figures", str | None, typer.Option("--figure", metavar="PATH", help=FIGURE), None),
     ("folder", str | None, typer.Option("--out", "-o", metavar="PATH", help="Folder for report, result, figures and"

@@ -32,10 +32,8 @@ _NO_MEMORY = ("failed to map segment", "cannot allocate memory", "can't start ne
 
 
 def ready_streams() -> None:
-    """Treat SIGTERM as Ctrl-C, print warnings in one line, and replace closed streams.
-
-    A file opened later would otherwise get the number of a closed stream, and receive its output.
-    """
+    """Treat SIGTERM as Ctrl-C, print warnings in one line, and replace closed streams."""
+    # A file opened later would otherwise get the number of a closed stream, and receive its output.
     for number in (0, 1, 2):
         try:
             os.fstat(number)

@@ -316,8 +316,6 @@ def _draws(declared: Operation) -> bool:
     return declared.result.rpartition(".")[2] in DRAWINGS
 
 
-# --- records ----------------------------------------------------------------------------------------------------------
-
 HINT = "name the columns: --inputs u=COLUMN,... --outputs q=COLUMN,..."
 
 
@@ -344,14 +342,11 @@ def read_record(
 
 
 def _read_named(options: Mapping[str, Any], system: Any, named: str, files: list[str], remarks: bool) -> rl.Record:
-    """Return the record ``FILE`` or ``FILE#GROUP``, with the columns of a model where there is one.
-
-    The file is added to ``files``. A # may be part of a file's own name.
-    """
+    """Return the record ``FILE`` or ``FILE#GROUP``, with the columns of a model; add the file to ``files``."""
     from robustlab.statespace import as_model
 
     file, mark, group = named.rpartition("#")
-    if not mark or Path(named).exists():
+    if not mark or Path(named).exists():  # the mark may be part of a name
         file, group = named, None
     files.append(file)
     if system is None:
@@ -377,9 +372,6 @@ def _units_of(system: Any, side: str) -> dict[str, str]:
         return {p.name: p.unit for p in getattr(system, "parameters", {}).values()}
     every = (s for side in ("inputs", "outputs", "states") for s in getattr(system, side, ()))
     return {s.name: s.unit for s in every if hasattr(s, "unit")}
-
-
-# --- options ----------------------------------------------------------------------------------------------------------
 
 
 def _given(p: Parameter, alone: bool) -> Given:

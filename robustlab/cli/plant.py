@@ -111,8 +111,6 @@ def show(
         raise typer.Exit(problem.exit_code)
 
 
-# --- printing --------------------------------------------------------------------------------------------------------
-
 SIDES = ("inputs", "outputs", "states")
 FEW = 36  # characters of a plant's signals in a list
 ROUNDING = 1e-9  # poles below this, relative to the largest, count as zero

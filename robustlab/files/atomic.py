@@ -19,11 +19,7 @@ NO_FOLDER = (errno.ENOENT, errno.ENOTDIR)
 
 
 def atomic_write(path: str | Path, write: Callable[[Path], object]) -> Path:
-    """Call ``write(temporary_path)`` and replace ``path`` by the file written.
-
-    The temporary file is in the same folder; it is flushed to disk, renamed, and the folder is flushed. A link is
-    followed. Temporary files of killed processes in the folder are removed after an hour.
-    """
+    """Call ``write(temporary_path)``, a file in the same folder, and replace ``path``, where a link is followed."""
     old, temporary = None, None
     try:
         target = Path(path).resolve()

@@ -37,12 +37,10 @@ def read_tree(path: str | Path, group: str | None = None, limits: Limits | None 
 
 
 def write_tree(path: str | Path, tree: Tree) -> Path:
-    """Write ``tree`` to ``path`` atomically: datasets with fletcher32 checksums, texts as UTF-8.
-
-    The file is laid out in memory first, so that a full disk fails in one plain write.
-    """
+    """Write ``tree`` to ``path`` atomically: datasets with fletcher32 checksums, texts as UTF-8."""
     import h5py
 
+    # Laid out in memory first, so that a full disk fails in one plain write.
     with h5py.File("image.h5", "w", libver=("earliest", "v108"), driver="core", backing_store=False) as file:
         _write_group(file, tree)
         file.flush()

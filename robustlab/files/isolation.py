@@ -53,9 +53,6 @@ READERS = {
 }
 
 
-# --- messages ---------------------------------------------------------------------------------------------------------
-
-
 def send_tree(stream: BinaryIO, tree: Tree) -> None:
     """Write ``tree`` to ``stream``."""
     arrays: list[np.ndarray[Any, Any]] = []
@@ -130,9 +127,6 @@ def receive(stream: IO[bytes], file: str) -> Tree:
     return tree(header["tree"], "/")
 
 
-# --- the reader -------------------------------------------------------------------------------------------------------
-
-
 def limit_resources(kind: str, limits: Limits, size: int) -> None:
     """Limit memory and processor time of this process, and forbid writing files."""
     try:
@@ -195,9 +189,6 @@ def serve(requests: BinaryIO, answers: BinaryIO) -> None:
         if status:
             os._exit(status if status > 0 else 128 - status)
     return None
-
-
-# --- the parent's side ------------------------------------------------------------------------------------------------
 
 
 class ReaderServer:

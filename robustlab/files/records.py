@@ -135,9 +135,6 @@ def one_of(word: str, names: Sequence[str]) -> str:
     return f"{word} {shown}" if names else "a file with signals"
 
 
-# --- reading ----------------------------------------------------------------------------------------------------------
-
-
 def read_record(
     path: str | Path, options: RecordOptions, limits: Limits | None = None, isolate: bool = True
 ) -> dict[str, Any]:

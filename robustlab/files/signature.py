@@ -42,13 +42,7 @@ class Limits:
 
 
 def size_text(n: int) -> str:
-    """Return a number of bytes as text.
-
-    Examples
-    --------
-    >>> size_text(8 * 10**12), size_text(256 << 20)
-    ('8 TB', '256 MiB')
-    """
+    """Return a number of bytes as text, such as 8 TB or 256 MiB."""
     for unit, scale in (("GiB", 30), ("MiB", 20)):
         if 0 < n < 1 << (scale + 10) and n % (1 << scale) == 0:
             return f"{n >> scale} {unit}"

@@ -43,11 +43,7 @@ def read_table(
     limits: Limits | None = None,
     isolate: bool = True,
 ) -> TextTable:
-    """Read a table of numbers from a text file, in the reader process (see `robustlab.files.isolation`).
-
-    Lines that begin with ``#`` or ``%`` are comments; a first line without numbers is the header. Without one, a
-    comment directly above the numbers is used if it has a name for each column. Names may have units: ``q [m]``.
-    """
+    """Read a table of numbers from a text file, in the reader process (see `robustlab.files.isolation`)."""
     limits = limits or Limits()
     require_file(path, limits)
     if isolate:
@@ -88,7 +84,7 @@ def table_tree(path: str | Path, limits: Limits, delimiter: str | None, decimal:
     width = len(_cells(data[0][1], sign))
     if width > limits.objects:
         raise InputError(where, f"line {data[0][0]} has {width} cells", f"at most {limits.objects} columns")
-    names = _cells(rows[0][1], sign) if first else None
+    names = _cells(rows[0][1], sign) if first else None  # else a comment above with a name for each column
     if names is not None and len(names) != width:
         found = f"line {data[0][0]} has {width} cells, the header in line {rows[0][0]} has {len(names)}"
         hint = "if the numbers have decimal commas: decimal=',' and delimiter=';'" if sign == "," else None
@@ -181,9 +177,6 @@ def name_and_unit(text: str) -> tuple[str, str]:
             if found and name.strip() and closing not in unit:
                 return name.strip(), unit.strip()
     return text, ""
-
-
-# --- tables of responses ---------------------------------------------------------------------------------------------
 
 
 PARTS = ("real", "imag", "magnitude", "phase", "radius")

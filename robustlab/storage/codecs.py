@@ -82,8 +82,6 @@ def decode_delayed(tree: Tree, problems: Problems, transpose: bool) -> Any:
     return problems.built(DelayedModel, model, np.asarray(lengths, dtype=np.float64))
 
 
-# --- uncertain models and frequency responses -------------------------------------------------------------------------
-
 # Columns of a block, those of its range, and optional ones.
 OF_BLOCK = {"name": "U", "stored_as": "U", "rows": "i", "cols": "i"}
 OF_RANGE = {"nominal": "fi", "radius": "fi", "unit": "U"}
@@ -91,11 +89,7 @@ RARE = {"below": "fi", "sign": "U", "origin": "U"}
 
 
 def encode_uncertain(tree: Tree, model: UncertainModel) -> None:
-    """Write group ``M`` as a state-space model, and group ``blocks`` with one entry per block in each dataset.
-
-    Optional datasets: ``below`` (width of a range below its nominal value) if some range is not symmetric, ``origin``
-    if some block has one, ``sign`` if physics limits some parameter's sign.
-    """
+    """Write group ``M`` as a state-space model, and group ``blocks`` with one entry per block in each dataset."""
     encode_state_space(tree.group("M"), model.M)
     if model.operating_point is not None:
         encode_point(tree, model.operating_point)
@@ -103,7 +97,7 @@ def encode_uncertain(tree: Tree, model: UncertainModel) -> None:
 
 
 def encode_blocks(tree: Tree, blocks: Sequence[Block]) -> None:
-    """Write group ``blocks``; see `encode_uncertain`."""
+    """Write group ``blocks``; the columns of `RARE` only where some block needs them."""
     group, ranges = tree.group("blocks"), [b.parameter for b in blocks]
     put_columns(group, OF_BLOCK, blocks)
     group.datasets["kind"] = group.datasets.pop("stored_as")
@@ -190,9 +184,6 @@ def decode_frequency_data(tree: Tree, problems: Problems, _transpose: bool = Fal
     blocks = decode_blocks(tree, problems)
     _, inputs, outputs = decode_signals(tree, problems)
     return problems.built(UncertainFrequencyData, omega, values, blocks, inputs, outputs)
-
-
-# --- controllers ------------------------------------------------------------------------------------------------------
 
 
 def encode_controller(tree: Tree, controller: Any) -> None:
@@ -296,9 +287,6 @@ def decode_lpv_controller(tree: Tree, problems: Problems, _transpose: bool) -> A
     return problems.built(LPVController, decode_lpv(tree, problems), *_design(tree, problems))
 
 
-# --- records ----------------------------------------------------------------------------------------------------------
-
-
 def encode_record(tree: Tree, record: Any) -> None:
     """Write dataset ``t``, and one for each signal in groups ``inputs`` and ``outputs``."""
     from robustlab.files.records import encode_record as put
@@ -341,10 +329,7 @@ LEAVES: dict[str, Any] = {
 
 
 def encode_result(tree: Tree, result: Any) -> None:
-    """Write attributes ``type`` and ``status``, and group ``data`` with a dataset per value and a group per table.
-
-    Evidence for `robustlab.verify` is in ``claims/0``, ``claims/1``, ..., with the kind in the attribute ``claim``.
-    """
+    """Write attributes ``type`` and ``status``, group ``data`` of datasets and tables, and the claims."""
     from robustlab.evidence.verification import claims_of
 
     data = dict(result.to_json())
@@ -359,7 +344,7 @@ def encode_result(tree: Tree, result: Any) -> None:
 
 
 def encode_claims(tree: Tree, claims: Sequence[Claim]) -> None:
-    """Write a group for each claim."""
+    """Write groups ``claims/0``, ``claims/1``, ..., with the kind in the attribute ``claim``."""
     for k, claim in enumerate(claims):
         node = tree.group("claims").group(str(k))
         node.attrs["claim"] = claim.kind

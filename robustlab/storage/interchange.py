@@ -187,9 +187,6 @@ def _unit_warnings(kind: str, thing: Any) -> tuple[str, ...]:
     return (f"no unit stated for {', '.join(bare[:8])}{', ...' if len(bare) > 8 else ''}",) if bare else ()
 
 
-# --- saving ----------------------------------------------------------------------------------------------------------
-
-
 @error_context("save")
 def save(path: str | Path, obj: Any, provenance: Provenance | None = None) -> Path:
     """Write an object atomically: ``.h5`` or ``.hdf5`` as format 1, ``.mat`` as MATLAB version 5 (models, controllers).

@@ -148,9 +148,6 @@ def decode_state_space(tree: Tree, problems: Problems, transpose: bool = False) 
     return model
 
 
-# --- matrices --------------------------------------------------------------------------------------------------------
-
-
 def find_children(
     node: Tree, wanted: Sequence[str], problems: Problems, known: Sequence[str] = (), kind: str = ""
 ) -> None:
@@ -247,9 +244,6 @@ def _expected(shapes: Mapping[str, Shape]) -> dict[str, Shape]:
     m = b[1] if b[0] == n else d[1]
     p = c[0] if c[1] == n else d[0]
     return {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m)}
-
-
-# --- sample time, signals, operating point ---------------------------------------------------------------------------
 
 
 def sample_time(node: Tree, problems: Problems) -> float | None:

@@ -101,9 +101,6 @@ def decode_plant(tree: Tree, problems: Problems, _transpose: bool = False) -> Pl
     return plant
 
 
-# --- writing ---------------------------------------------------------------------------------------------------------
-
-
 def _options(base: Plant) -> dict[str, Any]:
     return {name: value for name in OPTIONS if (value := getattr(base, name, None)) is not None}
 
@@ -149,9 +146,6 @@ def _linear(obj: Plant, point: Any = None) -> StateSpaceModel:
         if point is not None or not isinstance(obj, NonlinearPlant):
             raise
         return linearise(obj, at=(np.zeros(len(obj.states)), np.zeros(len(obj.inputs))))
-
-
-# --- reading ---------------------------------------------------------------------------------------------------------
 
 
 def _plant(tree: Tree, problems: Problems) -> Plant:
