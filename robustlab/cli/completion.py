@@ -18,8 +18,6 @@ from typer.main import get_command
 from robustlab.cli.exit_codes import answer
 from robustlab.cli.main import GROUPS, parser
 
-# Set by the shell's script; typer derives it from the program's name.
-COMPLETING = "_ROBUSTLAB_COMPLETE"
 Offer = Callable[[str], list[str]]
 
 # Plants whose modules load numpy, with a line on each; a test compares the names with those modules.
@@ -56,15 +54,6 @@ def recipe_or_file(incomplete: str) -> list[str]:
     return _names_and_files(shipped_recipes(), (".toml",), incomplete)
 
 
-def listed(offered: Iterable[str]) -> list[tuple[str, str]]:
-    """Return the possible values of a missing argument, with a line on each shipped one."""
-    from robustlab.recipe.shipped import shipped_titles
-
-    names = list(offered)
-    lines = {**PLANTS, **(shipped_titles() if not PLANTS.keys() & set(names) else {})}
-    return [(name, lines.get(name, "")) for name in names]
-
-
 def _names_and_files(names: Iterable[str], suffixes: tuple[str, ...], incomplete: str) -> list[str]:
     """Return names and files; nothing where no name matches, so that the shell completes files."""
     found = [name for name in names if name.startswith(incomplete)]
@@ -97,11 +86,6 @@ def _options(version: Annotated[bool, typer.Option("--version", help="Print the 
     """Declare the options of the top level for completion; `main` reads them."""
 
 
-def complete() -> int:
-    """Print the completions of the word at the cursor."""
-    return answer(lambda: get_command(_top).main([], prog_name="robustlab", complete_var=COMPLETING))
-
-
-def install_or_show(option: str) -> int:
-    """Run typer's ``--install-completion`` or ``--show-completion`` for the calling shell."""
-    return answer(lambda: get_command(_top).main([option], prog_name="robustlab"))
+def run_top(*words: str) -> int:
+    """Print the completions of the word at the cursor, or run ``--install-completion`` or ``--show-completion``."""
+    return answer(lambda: get_command(_top).main([*words], prog_name="robustlab"))

@@ -122,9 +122,9 @@ def run_command(arguments: Sequence[str]) -> int:
         print(robustlab_version())
         return 0
     if name in ("--install-completion", "--show-completion"):
-        from robustlab.cli.completion import install_or_show
+        from robustlab.cli.completion import run_top
 
-        return install_or_show(name)
+        return run_top(name)
     if name not in GROUPS:
         from robustlab.errors import UsageError, did_you_mean
 
@@ -152,17 +152,18 @@ def run_command(arguments: Sequence[str]) -> int:
 
 def _raise_with_choices(error: Any) -> None:
     """Raise a UsageError with the possible values of a missing argument, where there are any."""
-    from robustlab.cli.completion import listed
+    from robustlab.cli.completion import PLANTS
     from robustlab.errors import UsageError
+    from robustlab.recipe.shipped import shipped_titles
 
     if error.param is None or error.ctx is None:
         return
-    rows = listed(item.value for item in error.param.shell_complete(error.ctx, ""))
-    if rows:
-        width = max(len(name) for name, _ in rows)
+    names = [item.value for item in error.param.shell_complete(error.ctx, "")]
+    if names:
+        titles = PLANTS if PLANTS.keys() & set(names) else shipped_titles()
         missing = f"{error.param.metavar or error.param.name.upper()} is missing"
-        lines = tuple(f"  {name:<{width}}  {line}".rstrip() for name, line in rows)
-        command = error.ctx.command_path
+        width, command = max(map(len, names)), error.ctx.command_path
+        lines = tuple(f"  {name:<{width}}  {titles.get(name, '')}".rstrip() for name in names)
         raise UsageError(command, missing, "a file, or one of these", f"{command} --help", lines) from None
 
 
@@ -173,9 +174,9 @@ def main() -> None:
     def command() -> int:
         ready_streams()
         if "_ROBUSTLAB_COMPLETE" in os.environ:  # called by a shell's completion
-            from robustlab.cli.completion import complete
+            from robustlab.cli.completion import run_top
 
-            return complete()
+            return run_top()
         return run_command(sys.argv[1:])
 
     # Objects made by loading live to the end and need no collection.

@@ -225,8 +225,13 @@ def save(path: str | Path, obj: Any, provenance: Provenance | None = None) -> Pa
     if suffix not in (".h5", ".hdf5"):
         raise UsageError(str(path), f"extension {suffix or 'missing'!r}", ".h5, .hdf5 or .mat")
     tree = Tree(file=str(path))
-    kind = _encode(tree, obj)
-    stamp(tree, kind, _origin(obj, provenance or Provenance.now("save", code_of(obj))))
+    codec, thing = codec_of(obj), obj
+    if codec is None and hasattr(obj, "status") and hasattr(obj, "to_json"):
+        codec = BY_KIND["result"]
+    if codec is None:
+        codec, thing = BY_KIND["state-space"], as_model(obj, "save")
+    codec.write(tree, thing)
+    stamp(tree, codec.kind, _origin(obj, provenance or Provenance.now("save", code_of(obj))))
     return write_tree(path, tree)
 
 
@@ -239,16 +244,6 @@ def _origin(obj: Any, given: Provenance) -> Provenance:
         if remark in source.note and remark not in given.note:
             given = replace(given, note=f"{given.note}; {text}".removeprefix("; "))
     return given
-
-
-def _encode(tree: Tree, obj: Any) -> str:
-    codec = codec_of(obj)
-    if codec is None and hasattr(obj, "status") and hasattr(obj, "to_json"):
-        codec = BY_KIND["result"]
-    if codec is None:
-        codec, obj = BY_KIND["state-space"], as_model(obj, "save")
-    codec.write(tree, obj)
-    return codec.kind
 
 
 def _save_matlab(path: str | Path, obj: Any) -> Path:

@@ -149,13 +149,13 @@ def decode_state_space(tree: Tree, problems: Problems, transpose: bool = False) 
 
 
 def find_children(
-    node: Tree, wanted: Sequence[str], problems: Problems, known: Sequence[str] = (), kind: str = ""
+    node: Tree, wanted: Sequence[str], problems: Problems, known: Sequence[str] = (), kind: str = "dataset"
 ) -> None:
     """Add a fault for every missing child, and for similar names; ``kind`` is ``dataset`` or ``group``."""
     present = [*node.datasets, *node.groups]
     missing = [name for name in wanted if name not in present]
     for name in wanted:
-        if name in present and kind and name not in (node.groups if kind == "group" else node.datasets):
+        if name in present and name not in (node.groups if kind == "group" else node.datasets):
             other = "dataset" if kind == "group" else "group"
             problems.add(f"{node.child_path(name)} is a {other}, expected a {kind}")
     for name in missing:
@@ -171,14 +171,14 @@ def find_children(
 
 def need(tree: Tree, problems: Problems, groups: Sequence[str] = (), datasets: Sequence[str] = ()) -> None:
     """Raise where a group or a dataset is missing."""
-    find_children(tree, datasets, problems, kind="dataset")
+    find_children(tree, datasets, problems)
     find_children(tree, groups, problems, kind="group")
     problems.raise_any()
 
 
 def _matrices(node: Tree, problems: Problems, transpose: bool) -> dict[str, Array]:
     """Return A, B, C, D, and E of a descriptor form (MATLAB writes [] for the identity)."""
-    find_children(node, NAMES, problems, known=("E",), kind="dataset")
+    find_children(node, NAMES, problems, known=("E",))
     matrices = {}
     for name in (*NAMES, "E"):
         values = node.datasets[name].values if name in node.datasets else np.zeros(0)
@@ -294,7 +294,7 @@ def columns(
     group: Tree, kinds: Mapping[str, str], problems: Problems, optional: Sequence[str] = (), one_length: bool = True
 ) -> dict[str, list[Any]]:
     """Invert `put_columns`; add faults for missing columns, wrong kinds, and lengths unlike the first."""
-    find_children(group, [name for name in kinds if name not in optional], problems, kind="dataset")
+    find_children(group, [name for name in kinds if name not in optional], problems)
     found: dict[str, list[Any]] = {}
     for name, kind in kinds.items():
         values = entries(group, name, kind, problems) if name in group.datasets else None
@@ -316,7 +316,7 @@ def entries(group: Tree, name: str, kinds: str, problems: Problems) -> list[Any]
     values = group.datasets[name].values
     if isinstance(values, Unread) or (values.dtype.kind not in kinds and values.size):
         wanted = "texts" if kinds == "U" else "real numbers"
-        problems.add(f"{group.child_path(name)} has dtype {values.dtype}, expected {wanted}")
+        problems.add(f"{group.child_path(name)} has dtype {type_name(values)}, expected {wanted}")
         return None
     return values.ravel().tolist()
 
@@ -326,17 +326,8 @@ def decode_point(node: Tree, problems: Problems) -> OperatingPoint | None:
     group = node.groups.get("operating_point")
     if group is None:
         return None
-    find_children(group, ("x", "u", "y"), problems)
-    vectors: dict[str, Any] = {}
-    for name in ("x", "u", "y"):
-        if name not in group.datasets:
-            return None
-        values = group.datasets[name].values
-        if isinstance(values, Unread) or values.dtype.kind not in "fi":
-            problems.add(f"{group.child_path(name)} has dtype {type_name(values)}, expected real numbers")
-            return None
-        vectors[name] = values.reshape(-1) if values.ndim == 2 and (1 in values.shape or not values.size) else values
-    return OperatingPoint(**vectors)
+    found = columns(group, dict.fromkeys("xuy", "fi"), problems, one_length=False)
+    return OperatingPoint(**{name: np.asarray(v, np.float64) for name, v in found.items()}) if len(found) == 3 else None
 
 
 # --- pairs of models with the same signals: nominal and perturbed in one file, and their difference ------------------
@@ -382,7 +373,7 @@ def check_pair(nominal: StateSpaceModel, perturbed: StateSpaceModel, where: str 
 
 
 @dataclass(frozen=True)
-class Change:
+class Change(AllFields):
     """One entry of A, B, C or D that differs."""
 
     matrix: str  # `"A"`, `"B"`, `"C"` or `"D"`
@@ -391,15 +382,7 @@ class Change:
     column: str
     first: float
     second: float
-
-    @property
-    def relative(self) -> float:
-        """``(second - first) / |first|``; infinite where the first value is zero."""
-        step = self.second - self.first
-        return step / abs(self.first) if self.first else np.copysign(np.inf, step)
-
-    def to_json(self) -> dict[str, object]:
-        return {**vars(self), "relative": self.relative}
+    relative: float  # `(second - first) / |first|`; infinite where the first value is zero
 
 
 @dataclass(frozen=True)
@@ -450,5 +433,7 @@ def difference(first: StateSpaceModel, second: StateSpaceModel) -> Difference:
     ):
         a, b = getattr(first, name), getattr(second, name)
         for i, j in np.argwhere(a != b):
-            changes.append(Change(name, rows[i], columns[j], float(a[i, j]), float(b[i, j])))
+            old, new = float(a[i, j]), float(b[i, j])
+            relative = (new - old) / abs(old) if old else float(np.copysign(np.inf, new))
+            changes.append(Change(name, rows[i], columns[j], old, new, relative))
     return Difference(tuple(changes), sum(getattr(first, name).size for name in "ABCD"))
