@@ -6,8 +6,7 @@ __all__, __getattr__ = lazily(
     __name__,
     {
         "completion": "PLANTS",
-        "console": "Display",
-        "exit_codes": "main_guard",
+        "console": "Display main_guard",
         "main": "GROUPS help_text parser run_command",
         "generated": "command_of",
     },

@@ -15,7 +15,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
-from robustlab.cli.exit_codes import answer
+from robustlab.cli.console import answer
 from robustlab.cli.main import GROUPS, parser
 
 Offer = Callable[[str], list[str]]

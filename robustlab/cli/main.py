@@ -131,7 +131,7 @@ def run_command(arguments: Sequence[str]) -> int:
         kind = "option" if name.startswith("-") else "command"
         hint = did_you_mean(name, list(GROUPS)) or "robustlab --help lists the commands"
         raise UsageError("robustlab", f"no such {kind} {name!r}", f"one of {', '.join(GROUPS)}", hint)
-    from robustlab.cli.exit_codes import answer
+    from robustlab.cli.console import answer
 
     for variable in _THREADS:
         os.environ.setdefault(variable, "1")
@@ -169,7 +169,7 @@ def _raise_with_choices(error: Any) -> None:
 
 def main() -> None:
     """Entry point of the ``robustlab`` script."""
-    from robustlab.cli.exit_codes import main_guard, ready_streams
+    from robustlab.cli.console import main_guard, ready_streams
 
     def command() -> int:
         ready_streams()

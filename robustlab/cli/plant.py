@@ -97,7 +97,7 @@ def show(
         sides = {"x": (made.states, trim.x), "u": (made.inputs, trim.u), "y": (made.outputs, trim.y)}
         values = {k: {s.name: float(v) for s, v in zip(*side, strict=True)} for k, side in sides.items()}
         point = {"residual": trim.residual, **values}
-    result = {
+    result: dict[str, Any] = {
         "plant": plant, "name": made.name, "made_of": made_of(plant, made),
         **{kind: [{"name": s.name, "unit": s.unit} for s in getattr(made, kind)] for kind in SIDES},
         "joints": _joints(made),
@@ -105,7 +105,16 @@ def show(
         "operating_point": point, "poles": None if model is None else model.poles(),
         "stable": None if model is None else model.is_stable(),
     }  # fmt: skip
-    emit("plant show", result, "\n".join(_text(plant, made, trim, model, problem)), as_json)
+    joints = [(j["name"], j["unit"], j["position"] or "-") for j in result["joints"]]
+    lines = [
+        f"plant {made.name}",
+        *(f"  made of {file}, SHA-256 {sha}" for file, sha in result["made_of"].items()),
+        *signal_lines(made),
+        "",
+        *(table(joints, ("joint", "acts there", "position")).splitlines() if joints else ["no joints"]),
+        *("", *parameter_lines(made), "", *_equilibrium_lines(made, trim, model, problem)),
+    ]
+    emit("plant show", result, "\n".join(lines), as_json)
     if problem is not None:
         note(f"no operating point: {problem}")
         raise typer.Exit(problem.exit_code)
@@ -176,17 +185,6 @@ def _joints(plant: Any) -> list[dict[str, str]]:
             for p, k in zip(ports, at, strict=True)
         ]
     return [dict(vars(place)) for place in base.port_places] if isinstance(base, NonlinearPlant) else []
-
-
-def _text(given: str, plant: Any, trim: Any, model: Any, problem: Any) -> list[str]:
-    lines = [
-        f"plant {plant.name}",
-        *(f"  made of {file}, SHA-256 {sha}" for file, sha in made_of(given, plant).items()),
-        *signal_lines(plant),
-    ]
-    joints = [(j["name"], j["unit"], j["position"] or "-") for j in _joints(plant)]
-    lines += ["", *table(joints, ("joint", "acts there", "position")).splitlines()] if joints else ["", "no joints"]
-    return [*lines, "", *parameter_lines(plant), "", *_equilibrium_lines(plant, trim, model, problem)]
 
 
 def signal_lines(thing: Any) -> list[str]:

@@ -40,7 +40,12 @@ def atomic_write(path: str | Path, write: Callable[[Path], object]) -> Path:
         os.umask(mask)
         temporary.chmod(stat.S_IMODE(old.st_mode) if old else 0o666 & ~mask)
         temporary.replace(target)
-        _flush(target.parent)
+        if os.name != "nt":  # which cannot flush a folder; it makes the renaming durable
+            handle = os.open(target.parent, os.O_RDONLY)
+            try:
+                os.fsync(handle)
+            finally:
+                os.close(handle)
     except EnvironmentFault:
         raise
     except OSError as error:
@@ -52,14 +57,3 @@ def atomic_write(path: str | Path, write: Callable[[Path], object]) -> Path:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
     return target
-
-
-def _flush(folder: Path) -> None:
-    """Flush the folder, which makes the renaming durable; Windows has no such call."""
-    if os.name == "nt":
-        return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

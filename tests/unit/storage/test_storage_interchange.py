@@ -142,14 +142,6 @@ def test_bad_uncertain_files(path, value, text, tmp_path):
         load(tmp_path / "p.h5")
 
 
-def test_a_file_without_the_width_below_is_symmetric(tmp_path):
-    m = StateSpaceModel([[-1.0]], [[-0.2, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
-    save(tmp_path / "p.h5", rl.UncertainModel(m, [rl.RealScalar("k", 1, rl.ParameterRange(1.0, 0.2))]))
-    with h5py.File(tmp_path / "p.h5", "r") as file:
-        assert "below" not in file["blocks"]
-    assert load(tmp_path / "p.h5").blocks[0].parameter == rl.ParameterRange(1.0, 0.2)
-
-
 def test_bad_controller_and_result_files(model, tmp_path):
     save(tmp_path / "c.h5", rl.Controller(model))
     with h5py.File(tmp_path / "c.h5", "a") as file:
