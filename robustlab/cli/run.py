@@ -386,8 +386,6 @@ def _files_in(given: str) -> list[Path]:
 
 DOCTOR = typer.Typer(help="Say whether this installation can work.", add_completion=False)
 
-_OK = "ok"
-
 
 @DOCTOR.command()
 def doctor(as_json: JsonOption = False) -> None:
@@ -399,7 +397,7 @@ def doctor(as_json: JsonOption = False) -> None:
 
     checks = {name: _outcome(check) for name, check in _CHECKS.items()}
     versions = library_versions()
-    healthy = all(found.startswith(_OK) for found in checks.values())
+    healthy = all(found.startswith("ok") for found in checks.values())
     verdict = "this installation can work" if healthy else "something needed is missing: see above"
     text = f"{table(list(checks.items()))}\n\n{table(list(versions.items()))}\n\n{verdict}"
     result: dict[str, Any] = {"healthy": healthy, "checks": checks, "versions": versions}
@@ -410,7 +408,7 @@ def doctor(as_json: JsonOption = False) -> None:
 
 def _outcome(check) -> str:  # pyright: ignore[reportMissingParameterType]
     try:
-        return f"{_OK}: {check()}"
+        return f"ok: {check()}"
     except (ImportError, OSError, AssertionError, RobustlabError) as error:
         return f"missing: {type(error).__name__}: {error}"
 

@@ -292,7 +292,7 @@ def expressions(file: Annotated[str, TextFile(), "TOML file with A, B, C, D in n
 
     Example: robustlab uncertain expressions springs.toml --out springs.h5
     """
-    from robustlab.storage.expression_files import load_parametric
+    from robustlab.storage.interchange import load_parametric
     from robustlab.uncertainty.elementwise import BuiltModel
 
     model = load_parametric(file)

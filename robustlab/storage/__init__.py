@@ -5,9 +5,8 @@ from robustlab.lazily import lazily
 __all__, __getattr__ = lazily(
     __name__,
     {
-        "interchange": "Loaded load read save",
+        "interchange": "Loaded load load_parametric read save",
         "controller_export": "back_calculation c_source",
-        "expression_files": "load_parametric",
         "matrices": "Problems check_pair",
         "plants": "decode_plant encode_plant",
     },
