@@ -7,7 +7,7 @@ and no numerical library, so that TAB is fast.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,7 +16,6 @@ from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
 from robustlab.cli.console import answer
-from robustlab.cli.main import GROUPS, parser
 
 Offer = Callable[[str], list[str]]
 
@@ -64,28 +63,26 @@ def _names_and_files(names: Iterable[str], suffixes: tuple[str, ...], incomplete
     return found + sorted(name for name in files if re.fullmatch(r"[\w.,+@%/-]+", name))  # bash would not quote more
 
 
-class _Commands(TyperGroup):
-    """The table of groups for typer; a group's parser is made when its words are completed."""
-
-    def list_commands(self, ctx: Any) -> list[str]:
-        return list(GROUPS)
-
-    def get_command(self, ctx: Any, cmd_name: str) -> TyperCommand | None:
-        return TyperCommand(cmd_name, short_help=GROUPS[cmd_name][1]) if cmd_name in GROUPS else None
-
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        name, *rest = args
-        return (name, parser(name), rest) if name in GROUPS else super().resolve_command(ctx, args)
-
-
-_top = typer.Typer(cls=_Commands)
-
-
-@_top.callback()
 def _options(version: Annotated[bool, typer.Option("--version", help="Print the version and leave.")] = False) -> None:
     """Declare the options of the top level for completion; `main` reads them."""
 
 
-def run_top(*words: str) -> int:
+def run_top(groups: Mapping[str, tuple[str, str]], parser: Callable[[str], Any], *words: str) -> int:
     """Print the completions of the word at the cursor, or run ``--install-completion`` or ``--show-completion``."""
-    return answer(lambda: get_command(_top).main([*words], prog_name="robustlab"))
+
+    class Commands(TyperGroup):
+        """The table of groups for typer; a group's parser is made when its words are completed."""
+
+        def list_commands(self, ctx: Any) -> list[str]:
+            return list(groups)
+
+        def get_command(self, ctx: Any, cmd_name: str) -> TyperCommand | None:
+            return TyperCommand(cmd_name, short_help=groups[cmd_name][1]) if cmd_name in groups else None
+
+        def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+            name, *rest = args
+            return (name, parser(name), rest) if name in groups else super().resolve_command(ctx, args)
+
+    top = typer.Typer(cls=Commands)
+    top.callback()(_options)
+    return answer(lambda: get_command(top).main([*words], prog_name="robustlab"))

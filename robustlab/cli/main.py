@@ -124,7 +124,7 @@ def run_command(arguments: Sequence[str]) -> int:
     if name in ("--install-completion", "--show-completion"):
         from robustlab.cli.completion import run_top
 
-        return run_top(name)
+        return run_top(GROUPS, parser, name)
     if name not in GROUPS:
         from robustlab.errors import UsageError, did_you_mean
 
@@ -176,7 +176,7 @@ def main() -> None:
         if "_ROBUSTLAB_COMPLETE" in os.environ:  # called by a shell's completion
             from robustlab.cli.completion import run_top
 
-            return run_top()
+            return run_top(GROUPS, parser)
         return run_command(sys.argv[1:])
 
     # Objects made by loading live to the end and need no collection.
