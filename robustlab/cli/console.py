@@ -133,11 +133,7 @@ def shown(
 
 
 class Display:
-    """The display of texts and counts of a command.
-
-    The remaining time is in proportion to known steps; of a search that counts its largest work, an upper estimate
-    (``at_most``); of a search in parts, that of the current part (``part``).
-    """
+    """The display of texts and counts of a command, and of the remaining time in proportion to known steps."""
 
     def __init__(self, command: str, mode: str, total: int | None = None) -> None:
         self.command, self.mode, self.total = command, mode, float(total or 0)

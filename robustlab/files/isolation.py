@@ -16,6 +16,7 @@ import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict
 from importlib import import_module
@@ -150,14 +151,19 @@ def limit_resources(kind: str, limits: Limits, size: int) -> None:
         resource.setrlimit(name, (value if hard == resource.RLIM_INFINITY else min(value, hard), hard))
 
 
+def reader(kind: str) -> Callable[..., Tree]:
+    """Return the function that reads a kind of file."""
+    module, name = READERS[kind]
+    return getattr(import_module(module), name)
+
+
 def answer(request: dict[str, Any], stream: BinaryIO) -> None:
     """Read one file and send its tree or an error."""
     path, shown, limits = request.pop("path"), request.pop("shown"), Limits(**request.pop("limits"))
     kind, _ = request.pop("kind"), request.pop("wait")
-    module, name = READERS[kind]
     try:
         limit_resources(kind, limits, os.stat(path).st_size)  # noqa: PTH116
-        tree = getattr(import_module(module), name)(path, limits, shown=shown, **request)
+        tree = reader(kind)(path, limits, shown=shown, **request)
     except InputError as error:
         send(stream, {"error": [error.where, error.found, error.expected, error.hint, list(error.more)]})
     except MemoryError:
@@ -172,7 +178,7 @@ def serve(requests: BinaryIO, answers: BinaryIO) -> None:
     """Answer requests until the end of the stream, or until a reader ends without an answer."""
     while line := requests.readline():
         request = json.loads(line)
-        import_module(READERS[request["kind"]][0])
+        reader(request["kind"])  # loaded before the fork
         if not hasattr(os, "fork"):
             return answer(request, answers)  # a process for each file
         child = os.fork()

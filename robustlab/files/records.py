@@ -1,8 +1,7 @@
 """Read measured records from HDF5, MATLAB and text files, as arguments of `robustlab.record.Record`.
 
 A `Source` has all channels of a file, each with a time base. Changes to the time base are noted in the meaning of
-``t``, a line each. In format 1 a record has ``t``, ``inputs/<name>``, ``outputs/<name>``; attributes ``unit``,
-``meaning``.
+``t``, a line each.
 
 Logs are structs with times and values, as of Simulink and MATLAB's timeseries, at any depth below the group read::
 

@@ -187,13 +187,7 @@ CHANNEL, ONLY = "OUTPUT from INPUT", "y1 from u1"
 def read_response(
     path: str | Path, units: Mapping[str, str] | None = None, delimiter: str | None = None, decimal: str = "."
 ) -> dict[str, Any]:
-    """Read a table of a response as ``given``, ``omega``, ``radius``, ``inputs``, ``outputs``.
-
-    The first column is the frequency, in rad/s or Hz. Each channel has the columns ``OUTPUT from INPUT real`` and
-    ``... imag``, or ``... magnitude`` (dB if that is its unit) and ``... phase`` (rad or deg), and optionally ``...
-    radius``, the uncertainty of the entry. A single channel needs no name. A column ``radius`` without a channel bounds
-    the largest singular value of the error of all channels.
-    """
+    """Read a table of a response, in the form that ``docs/analysis.md`` describes."""
     where, table = str(path), read_table(path, delimiter, decimal)
     if not table.has_header:
         raise InputError(where, "no header", f"names: frequency [Hz], {CHANNEL} real, {CHANNEL} imag")

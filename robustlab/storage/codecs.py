@@ -91,8 +91,7 @@ RARE = {"below": "fi", "sign": "U", "origin": "U"}
 def encode_uncertain(tree: Tree, model: UncertainModel) -> None:
     """Write group ``M`` as a state-space model, and group ``blocks`` with one entry per block in each dataset."""
     encode_state_space(tree.group("M"), model.M)
-    if model.operating_point is not None:
-        encode_point(tree, model.operating_point)
+    encode_point(tree, model.operating_point)
     encode_blocks(tree, model.blocks)
 
 

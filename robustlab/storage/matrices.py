@@ -72,8 +72,7 @@ def encode_state_space(tree: Tree, model: StateSpaceModel) -> None:
         tree.put(name, getattr(model, name))
     tree.attrs["dt"] = model.dt
     encode_signals(tree, (model.states, model.inputs, model.outputs))
-    if model.operating_point is not None:
-        encode_point(tree, model.operating_point)
+    encode_point(tree, model.operating_point)
 
 
 def encode_signals(tree: Tree, given: Sequence[Sequence[Signal]]) -> None:
@@ -83,9 +82,9 @@ def encode_signals(tree: Tree, given: Sequence[Sequence[Signal]]) -> None:
         put_columns(tree.group("signals").group(side), dict.fromkeys(SIGNAL if taken else SIGNAL[:2], "U"), signals)
 
 
-def encode_point(tree: Tree, point: OperatingPoint) -> None:
-    """Write an operating point into ``tree``."""
-    for name in ("x", "u", "y"):
+def encode_point(tree: Tree, point: OperatingPoint | None) -> None:
+    """Write an operating point into ``tree``, if there is one."""
+    for name in ("x", "u", "y") if point is not None else ():
         tree.group("operating_point").put(name, getattr(point, name))
 
 
