@@ -51,7 +51,7 @@ from robustlab.storage import interchange
 START = 4.0  # s of processor time that a reader process takes before it sees the file
 FAULTS = ("traceback", "hang", "memory", "silent", "unclear")
 SECONDS, WALL, MEMORY, BATCH = 5, 300, 1 << 30, 25
-ADDRESS_SPACE = 4096 << 20  # as robustlab.files.reader_process
+ADDRESS_SPACE = 4096 << 20  # as robustlab.files.isolation
 
 
 @dataclass(frozen=True)

@@ -139,7 +139,7 @@ def _api_page(path: str, obj: object) -> str:
 
 def commands() -> dict[tuple[str, ...], Any]:
     """Words of a command -> its parser, all commands that can be run."""
-    from robustlab.cli.groups import GROUPS, parser
+    from robustlab.cli.main import GROUPS, parser
 
     found: dict[tuple[str, ...], Any] = {}
 
@@ -157,8 +157,7 @@ def commands() -> dict[tuple[str, ...], Any]:
 
 def cli_pages() -> dict[str, str]:
     """A page for each word after ``robustlab``, and one with what all have in common."""
-    from robustlab.cli.groups import GROUPS
-    from robustlab.cli.main import help_text
+    from robustlab.cli.main import GROUPS, help_text
 
     top = (
         heading("Commands", "=")

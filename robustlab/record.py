@@ -200,7 +200,7 @@ class Record(Displayable, Traced):
         >>> list(frame.columns), frame.index.name, frame.attrs["units"]
         (['u', 'q'], 't', {'t': 's', 'u': '', 'q': 'm'})
         """
-        from robustlab.files.frames import frame_of
+        from robustlab.files.records import frame_of
 
         return frame_of(vars(self))
 
@@ -240,7 +240,7 @@ class Record(Displayable, Traced):
         >>> r.t.tolist(), r["phi"].round(6).tolist(), r.unit("phi")
         ([0.0, 0.002], [0.0, 3.141593], 'rad')
         """
-        from robustlab.files.frames import keywords_of_frame
+        from robustlab.files.records import keywords_of_frame
 
         return cls(**keywords_of_frame(frame, inputs, outputs, units))
 

@@ -36,7 +36,7 @@ class Tabular:
         DependencyMissing
             pandas is not installed.
         """
-        from robustlab.files.frames import need
+        from robustlab.files.records import need
 
         need(f"{type(self).__name__}.to_pandas", "pandas", "frames")
         import pandas

@@ -18,8 +18,8 @@ from robustlab.errors import InputError, UsageError, did_you_mean
 from robustlab.files.isolation import receive, send_tree
 from robustlab.files.tree import Tree, canonical, content_sha256
 from robustlab.provenance import robustlab_version
+from robustlab.storage.codecs import decode_uncertain, encode_uncertain
 from robustlab.storage.matrices import Problems
-from robustlab.storage.uncertain_models import decode_uncertain, encode_uncertain
 from robustlab.uncertainty.lft import UncertainModel
 
 KINDS = ("samples", "vertices", "search")

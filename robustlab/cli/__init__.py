@@ -1,15 +1,13 @@
-"""The command line: one file per command group; it parses, calls and prints, and contains no mathematics."""
+"""The command line: it parses, calls and prints, and contains no mathematics."""
 
 from robustlab.lazily import lazily
 
 __all__, __getattr__ = lazily(
     __name__,
     {
-        "exit_codes": "main_guard",
-        "groups": "GROUPS parser",
-        "main": "help_text run_command",
-        "offers": "PLANTS",
-        "progress": "Display",
+        "completion": "PLANTS",
+        "console": "Display main_guard",
+        "main": "GROUPS help_text parser run_command",
         "generated": "command_of",
     },
 )

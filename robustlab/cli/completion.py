@@ -1,50 +1,88 @@
-"""Shell completion, with typer's protocol and scripts.
+"""Completions of words at TAB, with typer's protocol and scripts; where there are none, the shell offers files.
 
-At TAB the script calls robustlab with the words so far in environment variables; only the group named there is loaded.
+The shell's script calls robustlab with the words so far in environment variables; only the group named there is loaded,
+and no numerical library, so that TAB is fast.
 """
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
-from robustlab.cli.exit_codes import answer
-from robustlab.cli.groups import GROUPS, parser
+from robustlab.cli.console import answer
 
-# Set by the shell's script; typer derives it from the program's name.
-COMPLETING = "_ROBUSTLAB_COMPLETE"
+Offer = Callable[[str], list[str]]
 
-
-class _Commands(TyperGroup):
-    """The table of groups for typer; a group's parser is made when its words are completed."""
-
-    def list_commands(self, ctx: Any) -> list[str]:
-        return list(GROUPS)
-
-    def get_command(self, ctx: Any, cmd_name: str) -> TyperCommand | None:
-        return TyperCommand(cmd_name, short_help=GROUPS[cmd_name][1]) if cmd_name in GROUPS else None
-
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        name, *rest = args
-        return (name, parser(name), rest) if name in GROUPS else super().resolve_command(ctx, args)
+# Plants whose modules load numpy, with a line on each; a test compares the names with those modules.
+PLANTS = {
+    "dc-motor": "permanent-magnet DC motor of a published data sheet, linear",
+    "brushless-motor": "brushless DC motor from data-sheet values, with its drive, linear",
+    "servo-axis": "prismatic axis of the published EMPS benchmark, linear",
+    "mass-spring-damper": "chain of masses, springs and dampers, as many as are given, linear",
+    "two-mass": "motor and load on a flexible shaft, linear",
+    "linear-actuator": "DC motor with a belt that drives a cart, linear",
+    "stewart-platform": "platform on six legs, nonlinear; presets thesis and physical, with motors or without",
+}
+_PLANT_FILES = (".h5", ".mat", ".py", ".fmu")
 
 
-_top = typer.Typer(cls=_Commands)
+def one_of(*words: str) -> Offer:
+    """Return the completion of a choice."""
+
+    def offered(incomplete: str) -> list[str]:
+        return [word for word in words if word.startswith(incomplete)]
+
+    return offered
 
 
-@_top.callback()
+def plant_or_file(incomplete: str) -> list[str]:
+    """Return the names of shipped plants, and files of plants or models."""
+    return _names_and_files(PLANTS, _PLANT_FILES, incomplete)
+
+
+def recipe_or_file(incomplete: str) -> list[str]:
+    """Return the names of shipped recipes, and files of recipes."""
+    from robustlab.recipe.shipped import shipped_recipes
+
+    return _names_and_files(shipped_recipes(), (".toml",), incomplete)
+
+
+def _names_and_files(names: Iterable[str], suffixes: tuple[str, ...], incomplete: str) -> list[str]:
+    """Return names and files; nothing where no name matches, so that the shell completes files."""
+    found = [name for name in names if name.startswith(incomplete)]
+    if not found:
+        return []
+    here = (path.name + "/" * path.is_dir() for path in Path().iterdir() if not path.name.startswith("."))
+    files = (name for name in here if name.startswith(incomplete) and name.endswith((*suffixes, "/")))
+    return found + sorted(name for name in files if re.fullmatch(r"[\w.,+@%/-]+", name))  # bash would not quote more
+
+
 def _options(version: Annotated[bool, typer.Option("--version", help="Print the version and leave.")] = False) -> None:
     """Declare the options of the top level for completion; `main` reads them."""
 
 
-def complete() -> int:
-    """Print the completions of the word at the cursor."""
-    return answer(lambda: get_command(_top).main([], prog_name="robustlab", complete_var=COMPLETING))
+def run_top(groups: Mapping[str, tuple[str, str]], parser: Callable[[str], Any], *words: str) -> int:
+    """Print the completions of the word at the cursor, or run ``--install-completion`` or ``--show-completion``."""
 
+    class Commands(TyperGroup):
+        """The table of groups for typer; a group's parser is made when its words are completed."""
 
-def install_or_show(option: str) -> int:
-    """Run typer's ``--install-completion`` or ``--show-completion`` for the calling shell."""
-    return answer(lambda: get_command(_top).main([option], prog_name="robustlab"))
+        def list_commands(self, ctx: Any) -> list[str]:
+            return list(groups)
+
+        def get_command(self, ctx: Any, cmd_name: str) -> TyperCommand | None:
+            return TyperCommand(cmd_name, short_help=groups[cmd_name][1]) if cmd_name in groups else None
+
+        def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+            name, *rest = args
+            return (name, parser(name), rest) if name in groups else super().resolve_command(ctx, args)
+
+    top = typer.Typer(cls=Commands)
+    top.callback()(_options)
+    return answer(lambda: get_command(top).main([*words], prog_name="robustlab"))

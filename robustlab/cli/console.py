@@ -1,16 +1,37 @@
-"""Output of all commands: results on stdout, progress and notes on stderr, errors as exit codes."""
+"""Output of all commands: results on stdout, notes and the progress display on stderr.
+
+``--progress auto`` is on a terminal a bar with elapsed and remaining time, from two seconds to the end; elsewhere only
+the lines that some commands always print.
+"""
 
 from __future__ import annotations
 
+import errno
+import io
 import json
 import os
+import signal
 import sys
-from collections.abc import Iterable, Mapping
+import threading
+import time
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import FrameType
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import robustlab as rl
-from robustlab.errors import InputError, plain_text
+from robustlab.errors import (
+    EXIT_BUG,
+    EXIT_INTERRUPTED,
+    EnvironmentFault,
+    InputError,
+    RobustlabError,
+    UsageError,
+    plain_text,
+    rewritten,
+)
 
 if TYPE_CHECKING:
     from robustlab.report.drawings import Picture
@@ -74,11 +95,7 @@ def named(signals: Iterable[rl.Signal]) -> list[str]:
 
 
 def save_figures(pictures: Mapping[str, Picture], path: str) -> list[str]:
-    """Write each figure as SVG and PNG; return the paths.
-
-    In a folder (one that exists, or a path that ends in a slash) each has its own name, else the first is ``path``
-    and the others have their own name added.
-    """
+    """Write each figure as SVG and PNG, in a folder or with names that begin as ``path``; return the paths."""
     from robustlab.report.style import save_figure
 
     target, made = Path(path), list[str]()
@@ -90,3 +107,292 @@ def save_figures(pictures: Mapping[str, Picture], path: str) -> list[str]:
         place = (target, name) if alone else (target.parent, f"{stem}-{name}" if made else stem)
         made += map(str, save_figure(picture.figure, *place))
     return made
+
+
+MODES = ("auto", "none")
+PATIENCE = 2.0  # s until the bar appears
+EVERY = 0.25  # s between two updates of the bar
+
+
+@contextmanager
+def shown(
+    progress: str, command: str, total: int | None = None, *,
+    lines: bool = False, verbose: bool = False, budgets: bool = True,
+) -> Iterator[Display]:  # fmt: skip
+    """Yield the display in the mode of ``--progress``."""
+    from robustlab.budget import listening
+
+    if progress not in MODES:
+        raise UsageError(f"--progress {progress}", "no such mode", f"one of {', '.join(MODES)}")
+    mode = progress
+    if mode == "auto":
+        mode = "lines" if verbose else "bar" if sys.stderr.isatty() else "lines" if lines else "none"
+    display = Display(command, mode, total)
+    with listening(display.work if budgets and mode == "bar" else None), display:
+        yield display
+
+
+class Display:
+    """The display of texts and counts of a command, and of the remaining time in proportion to known steps."""
+
+    def __init__(self, command: str, mode: str, total: int | None = None) -> None:
+        self.command, self.mode, self.total = command, mode, float(total or 0)
+        self._text, self._done, self._from, self._at_most, self._part = "", 0.0, 0.0, False, False
+        self._kept: list[str] = []  # lines above the bar
+        self._began = self._base = time.monotonic()
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._bar, daemon=True)
+
+    def __enter__(self) -> Display:
+        if self.mode == "bar":
+            self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        for text in self._kept:
+            note(text)
+
+    def __call__(self, text: str) -> None:
+        """Show the current activity."""
+        self._text = text
+        if self.mode == "lines":
+            note(text)
+
+    def done(self, text: str) -> None:
+        """Keep a line on a terminal; elsewhere it was printed at the start of the step."""
+        if self.mode == "bar":
+            self._kept.append(text)
+
+    def step(self, done: float, text: str = "") -> None:
+        """Set the number of finished steps."""
+        self._done = done
+        if text:
+            self(text)
+
+    def resumed(self, done: float) -> None:
+        """Set the number of steps finished before this run, which do not count for its speed."""
+        self._from = self._done = done
+
+    def work(self, done: float, whole: float) -> None:
+        """Set the work done and its largest amount; a new amount starts a new count."""
+        if whole != self.total:
+            self._base, self._from = time.monotonic(), 0.0
+        self._done, self.total, self._at_most = done, whole, True
+
+    @property
+    def listener(self) -> Display | Callable[[str], None]:
+        """Return the listener of a search in parts: the display where it shows numbers, else a printer of lines."""
+        return self if self.mode == "bar" else self.__call__
+
+    def part(self, done: float, expected: float, text: str) -> None:
+        """Set the work done and expected in the current part of a search; a smaller count starts the next part."""
+        if done < self._done or expected <= 0 or not self._part:
+            self._base, self._from = time.monotonic(), done
+        self._done, self.total, self._text, self._part = done, expected, text, True
+
+    def times(self) -> str:
+        """Return the elapsed time, and the estimated remaining time where it is known."""
+        now, done = time.monotonic(), self._done - self._from
+        passed = _duration(now - self._began)
+        if done <= 0 or self.total < self._done:
+            return passed
+        remaining = _duration((now - self._base) * (self.total - self._done) / done)
+        return f"{passed}, {'at most' if self._at_most else 'about'} {remaining} to go{' in this part' * self._part}"
+
+    def _bar(self) -> None:
+        """Show the bar after a while (run in the thread)."""
+        if self._over.wait(PATIENCE):
+            return
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn
+
+        columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(bar_width=24),
+                   TextColumn("{task.fields[times]}", markup=False))  # fmt: skip
+        with Progress(*columns, console=Console(stderr=True), transient=True, redirect_stdout=False) as bar:
+            task = bar.add_task(self.command, total=None, times="")
+            while True:
+                while self._kept:
+                    bar.console.print(plain_text(self._kept.pop(0)), markup=False, highlight=False)
+                text = plain_text(f"{self.command}: {self._text}" if self._text else self.command)[-80:]
+                bar.update(task, description=text, completed=self._done, total=self.total or None, times=self.times())
+                if self._over.wait(EVERY):
+                    return
+
+
+def _duration(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    if minutes >= 60:
+        return f"{minutes // 60} h {minutes % 60} min"
+    return f"{minutes} min {rest} s" if minutes else f"{rest} s"
+
+
+# --- exit codes: each way that a command can end gives one, and a line on stderr --------------------------------------
+# 5 if stdout is closed or full or memory is used up, 130 after Ctrl-C and SIGTERM, 141 without a line if the reader of
+# stdout has closed it, 3 if a user's plant file raised, 70 with a report file for a bug in robustlab.
+
+EXIT_READER_GONE = 141  # 128 + SIGPIPE
+
+# Errors of the machine: the disk is full, the folder is read-only, a quota or the memory is used up.
+_MACHINE_FAULTS = {
+    errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.EMFILE, errno.ENOMEM,
+    errno.EAGAIN, errno.EBADF,
+}  # fmt: skip
+# Messages of the loader, numpy and the threading library when memory is used up.
+_MORE = "more memory, a higher ulimit -v, or a smaller task"
+_NO_MEMORY = ("failed to map segment", "cannot allocate memory", "can't start new thread", "out of memory")
+
+
+def ready_streams() -> None:
+    """Treat SIGTERM as Ctrl-C, print warnings in one line, and replace closed streams."""
+    # A file opened later would otherwise get the number of a closed stream, and receive its output.
+    for number in (0, 1, 2):
+        try:
+            os.fstat(number)
+        except OSError:
+            opened = os.open(os.devnull, os.O_RDWR)
+            if opened != number:
+                os.dup2(opened, number)
+                os.close(opened)
+            os.set_inheritable(number, True)  # a child process needs the three as well
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115, PTH123  for the rest of the process
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # for terminals that lack a character
+    if hasattr(signal, "SIGTERM") and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+        signal.signal(signal.SIGTERM, _interrupt)
+    warnings.showwarning = _print_warning
+    if sys.stdout is None:
+        raise EnvironmentFault("robustlab", "stdout is closed", "somewhere to print the result (> /dev/null)")
+
+
+def _print_warning(message: Warning | str, *_where: object, **_more: object) -> None:
+    """Print a warning without the source line that Python would show."""
+    _print_error(f"warning: {plain_text(str(message))}")
+
+
+def _interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
+    raise KeyboardInterrupt
+
+
+def main_guard(run: Callable[[], int | None]) -> int:
+    """Run a command and return its exit code, also of an error."""
+    try:
+        code = int(run() or 0)
+        sys.stdout.flush()
+        return code
+    except BaseException as error:  # noqa: BLE001  the outermost handler
+        code = _code_of(error)
+        _silence()
+        return code
+
+
+def answer(command: Callable[[], int | None]) -> int:
+    """Return the exit code of a command that returns or raises the parser's Exit."""
+    try:
+        return int(command() or 0)
+    except SystemExit as stop:
+        return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
+    except Exception as stop:
+        code = getattr(stop, "exit_code", None)  # Exit: its class is click's, or typer's own copy of it
+        if isinstance(stop, RobustlabError) or hasattr(stop, "show") or not isinstance(code, int):
+            raise
+        return code
+
+
+def _code_of(error: BaseException) -> int:
+    if isinstance(error, RobustlabError):
+        if error.hint:
+            from robustlab.operations.declaration import reading_option
+
+            error.hint = rewritten(error.hint, reading_option)
+        _print_error(f"error: {error}")
+        return error.exit_code
+    if isinstance(error, KeyboardInterrupt) or type(error).__name__ == "Abort":  # the parser's, likewise
+        _print_error(str(error) or "interrupted")
+        return EXIT_INTERRUPTED
+    if isinstance(error, BrokenPipeError):
+        return EXIT_READER_GONE
+    fault = _user_fault(error) or _machine_fault(error)
+    if fault is not None:
+        _print_error(f"error: {fault}")
+        return fault.exit_code
+    show, code = getattr(error, "show", None), getattr(error, "exit_code", None)
+    if callable(show) and isinstance(code, int):
+        show(sys.stderr)  # a usage error of the parser
+        return code
+    _print_error(f"internal error: {plain_text(f'{type(error).__name__}: {error}')}; {_bug_report()}")
+    return EXIT_BUG
+
+
+def _user_fault(error: BaseException) -> RobustlabError | None:
+    """Return the fault of a user's plant file that caused the error, or None."""
+    loader = sys.modules.get("robustlab.dynamics.plant_file")  # no such file was run where it is not loaded
+    if loader is None or not isinstance(error, Exception) or isinstance(error, MemoryError):
+        return None
+    return loader.fault_of_user_code(error)
+
+
+def _machine_fault(error: BaseException) -> EnvironmentFault | None:
+    words = plain_text(next(iter(str(error).strip().splitlines()), ""))
+    if isinstance(error, MemoryError):
+        return EnvironmentFault("robustlab", f"not enough memory{f' ({words})' if words else ''}", _MORE)
+    text = "\n".join(str(cause).lower() for cause in _causes(error))
+    sign = next((sign for sign in _NO_MEMORY if sign in text), None)
+    if sign and isinstance(error, (ImportError, OSError, RuntimeError)):
+        return EnvironmentFault("robustlab", f"not enough memory ({sign})", _MORE)
+    if isinstance(error, ImportError) and error.name and error.name.split(".")[0] != "robustlab":
+        return EnvironmentFault(
+            "robustlab", f"{error.name} cannot be loaded ({words})", "a sound installation (robustlab doctor)"
+        )
+    if not isinstance(error, OSError) or error.errno not in _MACHINE_FAULTS:
+        return None
+    if error.filename is None:
+        return EnvironmentFault("robustlab", str(error.strerror))
+    return EnvironmentFault(str(error.filename), f"{error.strerror}; what was there before is kept")
+
+
+def _causes(error: BaseException | None) -> list[BaseException]:
+    found: list[BaseException] = []
+    while error is not None and error not in found:
+        found.append(error)
+        error = error.__cause__ or error.__context__
+    return found
+
+
+def _print_error(text: str) -> None:
+    with suppress(OSError):  # stderr may be closed or full, too
+        print(text, file=sys.stderr, flush=True)
+
+
+def _silence() -> None:
+    """Replace streams that cannot be written: Python flushes them once more at exit."""
+    for stream in (sys.stdout, sys.stderr):
+        if stream is None:
+            continue
+        try:
+            stream.flush()
+        except OSError:
+            null = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(null, stream.fileno())
+            os.close(null)
+
+
+def _bug_report() -> str:
+    import tempfile
+    import traceback
+
+    from robustlab.provenance import library_versions
+
+    text = f"command: {sys.argv}\nversions: {library_versions()}\n\n{traceback.format_exc()}"
+    try:
+        with tempfile.NamedTemporaryFile(
+            "w", prefix="robustlab-bug-", suffix=".txt", delete=False, encoding="utf-8"
+        ) as file:
+            file.write(text)
+        return f"please report it with {file.name}"
+    except OSError:
+        return f"please report it:\n{text}"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import robustlab as rl
-from robustlab.cli.console import FIGURE, SCHEMA, emit, note, save_figures
+from robustlab.cli.console import FIGURE, SCHEMA, emit, note, save_figures, shown
 from robustlab.cli.generated import (
     AS_JSON,
     PROGRESS,
@@ -20,10 +20,9 @@ from robustlab.cli.generated import (
     add_commands,
     command_of,
     provenance_of,
+    read_record,
     taking,
 )
-from robustlab.cli.options import RecordOptions
-from robustlab.cli.progress import shown
 from robustlab.errors import EXIT_INTERRUPTED, EnvironmentFault
 from robustlab.operations.declaration import COMMANDS
 
@@ -54,14 +53,10 @@ def convert(
 
     Example: robustlab data convert run3.csv run3.h5 --inputs u --outputs q --unit q=rad
     """
-    options = RecordOptions(**reading)
     with shown(progress, "data convert"):
-        record = options.read(source, options.inputs)
+        record = read_record(source, reading, reading["inputs"])
         rl.save(target, record, provenance_of("data convert", [source], {}))
     emit("data convert", {"from": source, "to": target, "samples": record.n}, f"{target}: {record!r}", as_json)
-
-
-# --- discover: writes a folder instead of one file -------------------------------------------------------------------
 
 
 FILES: Options = (

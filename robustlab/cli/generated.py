@@ -3,37 +3,51 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
 from inspect import Parameter as Given
 from inspect import Signature, signature
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, get_args, get_type_hints
+from typing import Annotated, Any, NamedTuple, get_args
 
 import typer
 
 import robustlab as rl
-from robustlab.cli.console import FIGURE, emit, note, result_alone, save_figures
-from robustlab.cli.offers import one_of, plant_or_file
-from robustlab.cli.options import JsonOption, ProgressOption, RecordOptions, read_named, units_of
-from robustlab.cli.progress import shown
+from robustlab.cli.completion import one_of, plant_or_file, recipe_or_file
+from robustlab.cli.console import FIGURE, emit, note, result_alone, save_figures, shown
 from robustlab.display import text_table
-from robustlab.errors import EXIT_REQUIREMENT_NOT_MET, EnvironmentFault, NoTrustworthyNumber, RobustlabError, UsageError
+from robustlab.errors import (
+    EXIT_REQUIREMENT_NOT_MET,
+    EnvironmentFault,
+    InputError,
+    NoTrustworthyNumber,
+    RobustlabError,
+    UsageError,
+)
 from robustlab.operations.declaration import COMMANDS, REQUIRED, InLoop, Operation, Parameter, load_family
-from robustlab.operations.kinds import Choice, Feedback, Flag, Kind, RecordFile, Table, TextFile, Thing
+from robustlab.operations.kinds import Choice, Feedback, Flag, Kind, RecordFile, Table, TextFile, Thing, comma_separated
 from robustlab.operations.reading import runs_code
+from robustlab.units import same_unit
+
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
+ProgressOption = Annotated[
+    str,
+    typer.Option(
+        "--progress", metavar="WORD", help="auto: a bar on terminals; none.", autocompletion=one_of("auto", "none"),
+    ),
+]  # fmt: skip
+RecipeArgument = Annotated[
+    str,
+    typer.Argument(help="A recipe file, or the name of one that comes with robustlab.", autocompletion=recipe_or_file),
+]
+ChangesOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="NAME=VALUE", help="Change a value: a top-level key or STEP.KEY; repeatable."),
+]
 
 # Options that all commands share.
 OUT = ("out", str | None, typer.Option("--out", "-o", metavar="PATH", help="File to write."), None)
 AS_JSON = ("as_json", *get_args(JsonOption), False)
 PROGRESS = ("progress", *get_args(ProgressOption), "auto")
 Options = tuple[tuple[str, Any, Any, Any], ...]  # name, type, option, default
-
-
-def options_of(group: type) -> Options:
-    """Return the options declared as fields of a dataclass."""
-    hints = get_type_hints(group, include_extras=True)
-    return tuple((f.name, *get_args(hints[f.name]), f.default) for f in fields(group))
-
 
 # Options for reading files, by `robustlab.operations.kinds.Thing.reading`.
 READ: Mapping[str, Options] = {
@@ -48,7 +62,20 @@ READ: Mapping[str, Options] = {
         ("settings", list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Parameter of the plant."),
          None),
     ),
-    "record": options_of(RecordOptions),
+    "record": (
+        ("unit", list[str] | None, typer.Option(metavar="NAME=UNIT", help="Unit that a signal or column is in, phi=deg:"
+         " converted to SI."), None),
+        ("delimiter", str | None, typer.Option(metavar="SIGN", help="Of a text file: , ; \\t or a blank."), None),
+        ("decimal", str, typer.Option(metavar="SIGN", help="Decimal sign of a text file."), "."),
+        ("group", str | None, typer.Option(metavar="NAME", help="HDF5 group or MATLAB struct."), None),
+        ("inputs", str | None, typer.Option(metavar="NAME,...", help="Inputs: u or u,w; with a model its own if left"
+         " out. u=voltage takes the column voltage as u."), None),
+        ("outputs", str | None, typer.Option(metavar="NAME,...", help="Outputs likewise, q,i=current; all others if"
+         " left out."), None),
+        ("dt", float | None, typer.Option(help="Sample time in s."), None),
+        ("clock", str | None, typer.Option(metavar="NAME", help="Signal with the times."), None),
+        ("allow_gaps", bool, typer.Option("--allow-gaps", help="Accept a clock with missing samples."), False),
+    ),
 }  # fmt: skip
 VERBOSE = ("verbose", bool, typer.Option("--verbose", help="A line on stderr for each step of the search."), False)
 DRAWN = ("figure", str | None, typer.Option(metavar="PATH", help=FIGURE), None)
@@ -212,7 +239,8 @@ def _values(chosen: Operation, given: Mapping[str, Any], shared: Mapping[str, An
         if isinstance(p.kind, (Thing, TextFile)):
             value = _read(p, given[p.name], shared, files, found)
         elif isinstance(p.kind, Table) and p.kind.of in things:
-            value = p.kind.read(p.options[0], given[p.name], units_of(found.get(things[p.kind.of].name), p.kind.side))
+            units = _units_of(found.get(things[p.kind.of].name), p.kind.side)
+            value = p.kind.read(p.options[0], given[p.name], units)
         else:
             value = p.kind.read(p.options[0], given[p.name])
         if value is not None or p.needed:  # else the function's own default
@@ -249,7 +277,7 @@ def _read(p: Parameter, given: Any, shared: Mapping[str, Any], files: list[str],
         raise UsageError(f"--set {reading['settings'][0]}", f"no {option}", f"{option} PLANT with it")
     if isinstance(kind, RecordFile):
         beside = next((v for v in found.values() if hasattr(v, "outputs")), None)
-        records = [read_named(RecordOptions(**reading), beside, name, files, kind.remarks) for name in names]
+        records = [_read_named(reading, beside, name, files, kind.remarks) for name in names]
         return (records or None) if kind.many else records[0] if records else None
     files += [name for name in names if Path(name).is_file()]
     if (kind.reading == "plant" or "plant" in kind.gives) and any(map(runs_code, names)):
@@ -288,7 +316,62 @@ def _draws(declared: Operation) -> bool:
     return declared.result.rpartition(".")[2] in DRAWINGS
 
 
-# --- options ----------------------------------------------------------------------------------------------------------
+HINT = "name the columns: --inputs u=COLUMN,... --outputs q=COLUMN,..."
+
+
+def read_record(
+    file: str, options: Mapping[str, Any], inputs: str | None, group: str | None = None, remarks: bool = True
+) -> rl.Record:
+    """Return the record in a file with these inputs and of this group; note conversions of units."""
+    units = {}
+    for text in options["unit"] or []:
+        name, equals, unit = text.partition("=")
+        if not (name and equals):
+            raise UsageError(f"--unit {text}", "no name and unit", "NAME=UNIT")
+        units[name] = unit
+    taken, kept = (None if text is None else comma_separated(text) for text in (inputs, options["outputs"]))
+    same = {name: options[name] for name in ("clock", "delimiter", "decimal", "allow_gaps")}
+    record = rl.Record.read(file, group or options["group"], taken, kept, options["dt"], units=units, **same)
+    for name in record.units:
+        if name in units and not same_unit(units[name], record.unit(name)):
+            note(f"{file}: {name}: converted from {units[name]} to {record.unit(name)}")
+    if remarks:
+        for line in record.meaning.get("t", "").splitlines():
+            note(f"{file}: {line}")
+    return record
+
+
+def _read_named(options: Mapping[str, Any], system: Any, named: str, files: list[str], remarks: bool) -> rl.Record:
+    """Return the record ``FILE`` or ``FILE#GROUP``, with the columns of a model; add the file to ``files``."""
+    from robustlab.statespace import as_model
+
+    file, mark, group = named.rpartition("#")
+    if not mark or Path(named).exists():  # the mark may be part of a name
+        file, group = named, None
+    files.append(file)
+    if system is None:
+        return read_record(file, options, options["inputs"], group, remarks)
+    model = system if hasattr(system, "inputs") else as_model(system)
+    inputs = options["inputs"] or ",".join(s.name for s in model.inputs)
+    try:
+        record = read_record(file, options, inputs, group, remarks)
+    except InputError as error:
+        if options["inputs"] is None and error.found.startswith("missing "):
+            error.hint = HINT
+        raise
+    wanted = [s.name for s in model.outputs]
+    if options["outputs"] is None and wanted and not set(wanted) & set(record.outputs):
+        found = f"no output of the model among {', '.join(record.outputs) or 'none'}"
+        raise InputError(file, found, ", ".join(wanted), HINT)
+    return record
+
+
+def _units_of(system: Any, side: str) -> dict[str, str]:
+    """Return the units of the parameters of a plant, or of all signals of a plant or model; none of anything else."""
+    if side == "parameters":
+        return {p.name: p.unit for p in getattr(system, "parameters", {}).values()}
+    every = (s for side in ("inputs", "outputs", "states") for s in getattr(system, side, ()))
+    return {s.name: s.unit for s in every if hasattr(s, "unit")}
 
 
 def _given(p: Parameter, alone: bool) -> Given:

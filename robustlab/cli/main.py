@@ -9,9 +9,29 @@ import gc
 import os
 import sys
 from collections.abc import Sequence
+from functools import cache
+from importlib import import_module
 from typing import Any
 
-from robustlab.cli.groups import GROUPS, parser
+# Command -> (module:app of commands written by hand, and the modules of operations with its commands; a line of help).
+GROUPS: dict[str, tuple[str, str]] = {
+    "plant": ("plant:PLANT", "List plants, show one; start one of your own in a file."),
+    "model": ("plant:MODEL designs models robustness", "Build, show, check, compare and convert models."),
+    "uncertain": ("models members", "Build, show and sample uncertain models."),
+    "worst-case": ("members", "Search the worst member of an uncertain model."),
+    "violation-probability": ("members", "How probable random members violate a limit."),
+    "campaign": ("members", "Run samples and searches of any size, resumable."),
+    "mu": ("robustness", "Robust stability margin with proved mu bounds."),
+    "worst-gain": ("robustness", "Proved worst-case gain of an uncertain model."),
+    "performance-margin": ("robustness", "Robust performance margin of a set."),
+    "synth": ("designs", "Design a controller and verify its loop."),
+    "data": ("data:app", "Check and compare records; name what a model lacks."),
+    "run": ("run:RUN", "Run a recipe: steps, requirements, report."),
+    "recipe": ("run:RECIPE", "Check a recipe, list kinds of steps, start a new one."),
+    "report": ("run:REPORT", "Write a finished run's report again; compare two runs."),
+    "verify": ("run:VERIFY", "Have results proved once more, from their files alone."),
+    "doctor": ("run:DOCTOR", "Say whether this installation can work."),
+}
 
 # One BLAS thread unless the user sets another number: matrices are small, threads made a run several times slower on a
 # busy machine, and one thread gives repeatable bits. Read when numpy is loaded.
@@ -61,6 +81,25 @@ robustlab --help lists the commands; docs/words.md says what the words of a resu
 """
 
 
+@cache
+def parser(name: str) -> Any:
+    """Return typer's command or group that parses the words after ``robustlab NAME``."""
+    import typer
+    from typer.main import get_command
+
+    made, title = GROUPS[name]
+    app, families = typer.Typer(help=title, no_args_is_help=True, add_completion=False), made.split()
+    if ":" in made:
+        module, _, app_name = families.pop(0).partition(":")
+        app = getattr(import_module(f"robustlab.cli.{module}"), app_name)
+    if families:
+        from robustlab.cli.generated import add_commands
+
+        add_commands(app, name, *families)
+    app.rich_markup_mode = None  # plain text, as in the documentation
+    return get_command(app)
+
+
 def help_text() -> str:
     """Return the text of ``robustlab --help``."""
     width = max(map(len, GROUPS))
@@ -83,16 +122,16 @@ def run_command(arguments: Sequence[str]) -> int:
         print(robustlab_version())
         return 0
     if name in ("--install-completion", "--show-completion"):
-        from robustlab.cli.completion import install_or_show
+        from robustlab.cli.completion import run_top
 
-        return install_or_show(name)
+        return run_top(GROUPS, parser, name)
     if name not in GROUPS:
         from robustlab.errors import UsageError, did_you_mean
 
         kind = "option" if name.startswith("-") else "command"
         hint = did_you_mean(name, list(GROUPS)) or "robustlab --help lists the commands"
         raise UsageError("robustlab", f"no such {kind} {name!r}", f"one of {', '.join(GROUPS)}", hint)
-    from robustlab.cli.exit_codes import answer
+    from robustlab.cli.console import answer
 
     for variable in _THREADS:
         os.environ.setdefault(variable, "1")
@@ -113,30 +152,31 @@ def run_command(arguments: Sequence[str]) -> int:
 
 def _raise_with_choices(error: Any) -> None:
     """Raise a UsageError with the possible values of a missing argument, where there are any."""
-    from robustlab.cli.offers import listed
+    from robustlab.cli.completion import PLANTS
     from robustlab.errors import UsageError
+    from robustlab.recipe.shipped import shipped_titles
 
     if error.param is None or error.ctx is None:
         return
-    rows = listed(item.value for item in error.param.shell_complete(error.ctx, ""))
-    if rows:
-        width = max(len(name) for name, _ in rows)
+    names = [item.value for item in error.param.shell_complete(error.ctx, "")]
+    if names:
+        titles = PLANTS if PLANTS.keys() & set(names) else shipped_titles()
         missing = f"{error.param.metavar or error.param.name.upper()} is missing"
-        lines = tuple(f"  {name:<{width}}  {line}".rstrip() for name, line in rows)
-        command = error.ctx.command_path
+        width, command = max(map(len, names)), error.ctx.command_path
+        lines = tuple(f"  {name:<{width}}  {titles.get(name, '')}".rstrip() for name in names)
         raise UsageError(command, missing, "a file, or one of these", f"{command} --help", lines) from None
 
 
 def main() -> None:
     """Entry point of the ``robustlab`` script."""
-    from robustlab.cli.exit_codes import main_guard, ready_streams
+    from robustlab.cli.console import main_guard, ready_streams
 
     def command() -> int:
         ready_streams()
         if "_ROBUSTLAB_COMPLETE" in os.environ:  # called by a shell's completion
-            from robustlab.cli.completion import complete
+            from robustlab.cli.completion import run_top
 
-            return complete()
+            return run_top(GROUPS, parser)
         return run_command(sys.argv[1:])
 
     # Objects made by loading live to the end and need no collection.

@@ -1,4 +1,4 @@
-"""``robustlab plant``: list plants, show one, start one of your own."""
+"""``robustlab plant`` and ``model``: list, show and start plants; build, show, check, compare and convert models."""
 
 from __future__ import annotations
 
@@ -8,24 +8,21 @@ from typing import Annotated, Any
 import typer
 
 import robustlab as rl
+from robustlab.cli.completion import PLANTS, plant_or_file
 from robustlab.cli.console import emit, named, note, result_alone
-from robustlab.cli.offers import PLANTS, plant_or_file
-from robustlab.cli.options import JsonOption
+from robustlab.cli.generated import AS_JSON, READ, JsonOption, taking
 from robustlab.display import text_table as table
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError
 from robustlab.operations import reading
-from robustlab.operations.kinds import Number, Table
+from robustlab.operations.kinds import Ends, Number, Table
 from robustlab.operations.reading import made_of, plant_settings
 
-app = typer.Typer(
+PLANT = typer.Typer(
     help="List plants, show one; start one of your own in a file.", no_args_is_help=True, add_completion=False
 )
 
 
-# --- commands --------------------------------------------------------------------------------------------------------
-
-
-@app.command("list")
+@PLANT.command("list")
 def list_plants(as_json: JsonOption = False) -> None:
     """List the plants that come with robustlab, with their inputs and outputs.
 
@@ -40,7 +37,7 @@ def list_plants(as_json: JsonOption = False) -> None:
     emit("plant list", {"plants": plants}, table(rows, ("plant", "inputs", "outputs", "")), as_json)
 
 
-@app.command()
+@PLANT.command()
 def new(
     name: Annotated[str, typer.Argument(help="Name of the machine, or folder/name; the file is NAME.py.")],
     as_json: JsonOption = False,
@@ -51,14 +48,15 @@ def new(
 
     Example: robustlab plant new mymachine && robustlab plant show mymachine.py:axis
     """
-    from robustlab.dynamics.plant_file import PLANT, write_template
+    from robustlab.dynamics.plant_file import PLANT as FIRST
+    from robustlab.dynamics.plant_file import write_template
 
     path = write_template(name)
-    text = f"{path}\nlook at it with: robustlab plant show {path}:{PLANT}"
-    emit("plant new", {"file": str(path), "plant": f"{path}:{PLANT}"}, text, as_json)
+    text = f"{path}\nlook at it with: robustlab plant show {path}:{FIRST}"
+    emit("plant new", {"file": str(path), "plant": f"{path}:{FIRST}"}, text, as_json)
 
 
-@app.command()
+@PLANT.command()
 def show(
     plant: Annotated[
         str,
@@ -99,7 +97,7 @@ def show(
         sides = {"x": (made.states, trim.x), "u": (made.inputs, trim.u), "y": (made.outputs, trim.y)}
         values = {k: {s.name: float(v) for s, v in zip(*side, strict=True)} for k, side in sides.items()}
         point = {"residual": trim.residual, **values}
-    result = {
+    result: dict[str, Any] = {
         "plant": plant, "name": made.name, "made_of": made_of(plant, made),
         **{kind: [{"name": s.name, "unit": s.unit} for s in getattr(made, kind)] for kind in SIDES},
         "joints": _joints(made),
@@ -107,13 +105,20 @@ def show(
         "operating_point": point, "poles": None if model is None else model.poles(),
         "stable": None if model is None else model.is_stable(),
     }  # fmt: skip
-    emit("plant show", result, "\n".join(_text(plant, made, trim, model, problem)), as_json)
+    joints = [(j["name"], j["unit"], j["position"] or "-") for j in result["joints"]]
+    lines = [
+        f"plant {made.name}",
+        *(f"  made of {file}, SHA-256 {sha}" for file, sha in result["made_of"].items()),
+        *signal_lines(made),
+        "",
+        *(table(joints, ("joint", "acts there", "position")).splitlines() if joints else ["no joints"]),
+        *("", *parameter_lines(made), "", *_equilibrium_lines(made, trim, model, problem)),
+    ]
+    emit("plant show", result, "\n".join(lines), as_json)
     if problem is not None:
         note(f"no operating point: {problem}")
         raise typer.Exit(problem.exit_code)
 
-
-# --- printing --------------------------------------------------------------------------------------------------------
 
 SIDES = ("inputs", "outputs", "states")
 FEW = 36  # characters of a plant's signals in a list
@@ -182,17 +187,6 @@ def _joints(plant: Any) -> list[dict[str, str]]:
     return [dict(vars(place)) for place in base.port_places] if isinstance(base, NonlinearPlant) else []
 
 
-def _text(given: str, plant: Any, trim: Any, model: Any, problem: Any) -> list[str]:
-    lines = [
-        f"plant {plant.name}",
-        *(f"  made of {file}, SHA-256 {sha}" for file, sha in made_of(given, plant).items()),
-        *signal_lines(plant),
-    ]
-    joints = [(j["name"], j["unit"], j["position"] or "-") for j in _joints(plant)]
-    lines += ["", *table(joints, ("joint", "acts there", "position")).splitlines()] if joints else ["", "no joints"]
-    return [*lines, "", *parameter_lines(plant), "", *_equilibrium_lines(plant, trim, model, problem)]
-
-
 def signal_lines(thing: Any) -> list[str]:
     """Return a line each for inputs, outputs and states of a plant or model."""
     return [f"  {side}: {', '.join(named(getattr(thing, side))) or 'none'}" for side in SIDES]
@@ -214,3 +208,110 @@ def parameter_lines(plant: Any) -> list[str]:
             lines.append(f"  {name} = {v['value']:.6g}{spread} {v['unit']}".rstrip())
         lines += [f"  from {e.source}"] if e.source else []
     return lines
+
+
+# --- models -----------------------------------------------------------------------------------------------------------
+
+MODEL = typer.Typer(help="Build, show, check, compare and convert models.", no_args_is_help=True, add_completion=False)
+
+SHOWN_STATES = 12
+
+
+def _read(file: str, reading: Mapping[str, Any]) -> Any:
+    from robustlab.storage import read
+
+    loaded = read(file, **reading)
+    for text in loaded.warnings:
+        note(f"warning: {file}: {text}")
+    return loaded
+
+
+@MODEL.command("show")
+@taking(*READ["model"], AS_JSON)
+def show_file(
+    file: Annotated[str, typer.Argument(help="HDF5 or MATLAB file.", metavar="FILE")], as_json: bool, **reading: Any
+) -> None:
+    """Print what a file holds.
+
+    Example: robustlab model show motor.h5
+    """
+    loaded = _read(file, reading)
+    pair = loaded.kind == "pair"
+    named = dict(zip(("nominal", "perturbed"), loaded.object, strict=True)) if pair else {"": loaded.object}
+    parts = [line for name, thing in named.items() for line in _describe(f"{name}: " if name else "", thing)]
+    origin = loaded.provenance
+    if origin is not None and (origin.created_by or origin.created):
+        parts.append(
+            f"made by {origin.created_by or 'unknown'} on {origin.created or 'an unknown day'} {origin.note}".rstrip()
+        )
+    kind = f"{loaded.kind}, {'' if loaded.verified else 'not '}verified by a content hash"
+    content = named if pair else loaded.object
+    result = {name: getattr(loaded, name) for name in ("kind", "verified", "warnings", "provenance")}
+    text = "\n".join([f"{file}: {kind}", *parts])
+    emit("model show", {"file": file, **result, "content": content}, text, as_json)
+
+
+@MODEL.command()
+@taking(*READ["model"], AS_JSON)
+def convert(
+    source: Annotated[str, typer.Argument(help="HDF5 or MATLAB file.", metavar="IN")],
+    target: Annotated[
+        str,
+        typer.Argument(
+            help="File to write: .h5 (format 1), .mat (MATLAB version 5), or .c (a discrete controller as C99).",
+            metavar="OUT",
+        ),
+    ],
+    prefix: Annotated[str, typer.Option(metavar="NAME", help="Of the names in a .c file.")] = "controller",
+    saturation: Annotated[
+        list[str] | None, typer.Option(metavar="NAME=LOW:HIGH", help="Limits of a control signal in .c; repeatable.")
+    ] = None,
+    anti_windup: Annotated[
+        float | None,
+        typer.Option(
+            help="With --saturation in .c: time in s in which the states recover; inf: none.  [default: 10 samples]"
+        ),
+    ] = None,
+    as_json: bool = False,
+    **reading: Any,
+) -> None:
+    """Write a model in another format: HDF5, MATLAB version 5, JSON; a discrete controller as C99.
+
+    Example: robustlab model convert plant.mat plant.h5
+    """
+    from robustlab.provenance import Provenance, file_sha256
+
+    loaded = _read(source, reading)
+    if loaded.kind == "pair":
+        raise UsageError(source, "two models, /nominal and /perturbed", "one", "--group nominal, or --group perturbed")
+    origin = Provenance.now("model convert", inputs={source: file_sha256(source)})
+    limits = Table(Ends(), words="NAME=LOW:HIGH").read("--saturation", saturation)
+    if limits is not None or anti_windup is not None or target.lower().endswith(".c"):
+        rl.export_controller(
+            target, loaded.object, prefix=prefix, saturation=limits, anti_windup=anti_windup, provenance=origin
+        )
+    else:
+        rl.save(target, loaded.object, origin)
+    emit("model convert", {"from": source, "to": target, "kind": loaded.kind}, f"{target}: {loaded.object!r}", as_json)
+
+
+def _describe(name: str, thing: Any) -> list[str]:
+    from robustlab.dynamics.plant_contract import Plant
+
+    if isinstance(thing, rl.DelayedModel):
+        lengths = ", ".join(f"{t:.6g}" for t in thing.delays.tolist())
+        return [repr(thing), f"  delays: {lengths} s", *_describe("between them: ", thing.H)]
+    if isinstance(thing, rl.StateSpaceModel):
+        large = max(thing.n_states, thing.n_inputs, thing.n_outputs) > SHOWN_STATES
+        matrices = (
+            [f"  matrices larger than {SHOWN_STATES}: --json prints them"] if large else str(thing).splitlines()[1:]
+        )
+        return [f"{name}{thing!r}", *signal_lines(thing), *matrices]
+    if isinstance(thing, Plant):
+        return [f"plant {thing.name}", *parameter_lines(thing), *signal_lines(thing)]
+    if isinstance(thing, rl.Controller):
+        gamma = "none" if thing.gamma is None else f"{thing.gamma:.6g}"
+        return [f"method {thing.method or 'unknown'}, gamma {gamma} ({thing.status})", *_describe(name, thing.K)]
+    if isinstance(thing, rl.UncertainModel):
+        return [thing.report(), *_describe("nominal: ", thing.nominal)]
+    return [repr(thing)]

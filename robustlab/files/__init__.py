@@ -5,13 +5,12 @@ from robustlab.lazily import lazily
 __all__, __getattr__ = lazily(
     __name__,
     {
-        "signature": "Limits content_of size_text",
+        "signature": "Limits MAX_DEPTH content_of parse_document size_text",
         "isolation": "ReaderServer",
         "text_table": "read_response read_table",
         "hdf5": "read_tree write_tree",
         "tree": "Dataset KINDS Tree Unread content_sha256 link_name signal_name stamp",
         "atomic": "atomic_write",
-        "document": "MAX_DEPTH parse_document",
         "records": "Channel RecordOptions Source choose",
     },
 )

@@ -19,11 +19,7 @@ NO_FOLDER = (errno.ENOENT, errno.ENOTDIR)
 
 
 def atomic_write(path: str | Path, write: Callable[[Path], object]) -> Path:
-    """Call ``write(temporary_path)`` and replace ``path`` by the file written.
-
-    The temporary file is in the same folder; it is flushed to disk, renamed, and the folder is flushed. A link is
-    followed. Temporary files of killed processes in the folder are removed after an hour.
-    """
+    """Call ``write(temporary_path)``, a file in the same folder, and replace ``path``, where a link is followed."""
     old, temporary = None, None
     try:
         target = Path(path).resolve()
@@ -44,7 +40,12 @@ def atomic_write(path: str | Path, write: Callable[[Path], object]) -> Path:
         os.umask(mask)
         temporary.chmod(stat.S_IMODE(old.st_mode) if old else 0o666 & ~mask)
         temporary.replace(target)
-        _flush(target.parent)
+        if os.name != "nt":  # which cannot flush a folder; it makes the renaming durable
+            handle = os.open(target.parent, os.O_RDONLY)
+            try:
+                os.fsync(handle)
+            finally:
+                os.close(handle)
     except EnvironmentFault:
         raise
     except OSError as error:
@@ -56,14 +57,3 @@ def atomic_write(path: str | Path, write: Callable[[Path], object]) -> Path:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
     return target
-
-
-def _flush(folder: Path) -> None:
-    """Flush the folder, which makes the renaming durable; Windows has no such call."""
-    if os.name == "nt":
-        return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

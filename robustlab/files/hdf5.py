@@ -10,8 +10,8 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError
 from robustlab.files.atomic import atomic_write
-from robustlab.files.isolation import read_isolated
-from robustlab.files.matlab import from_matlab73, read_matlab5
+from robustlab.files.isolation import read_isolated, reader
+from robustlab.files.matlab import from_matlab73
 from robustlab.files.signature import MIB, Limits, content_of
 from robustlab.files.tree import Dataset, Tree, Unread, canonical
 
@@ -25,24 +25,16 @@ def read_tree(path: str | Path, group: str | None = None, limits: Limits | None 
     kind = content_of(path, limits)
     if kind == "text":
         raise InputError(str(path), "a text file", "an HDF5 or MATLAB file")
-    if isolate:
-        tree = read_isolated(kind, path, limits, **({"group": group} if kind == "hdf5" else {}))
-    elif kind == "hdf5":
-        from robustlab.files.hdf5_reader import read_hdf5
-
-        tree = read_hdf5(str(path), limits, group)
-    else:
-        tree = read_matlab5(str(path), limits)
+    options = {"group": group} if kind == "hdf5" else {}
+    tree = read_isolated(kind, path, limits, **options) if isolate else reader(kind)(str(path), limits, **options)
     return from_matlab73(tree) if kind == "hdf5" else tree
 
 
 def write_tree(path: str | Path, tree: Tree) -> Path:
-    """Write ``tree`` to ``path`` atomically: datasets with fletcher32 checksums, texts as UTF-8.
-
-    The file is laid out in memory first, so that a full disk fails in one plain write.
-    """
+    """Write ``tree`` to ``path`` atomically: datasets with fletcher32 checksums, texts as UTF-8."""
     import h5py
 
+    # Laid out in memory first, so that a full disk fails in one plain write.
     with h5py.File("image.h5", "w", libver=("earliest", "v108"), driver="core", backing_store=False) as file:
         _write_group(file, tree)
         file.flush()

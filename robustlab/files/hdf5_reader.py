@@ -90,9 +90,6 @@ def _short(error: BaseException) -> str:
     return (inner.group(1) if inner else text)[:120] or type(error).__name__
 
 
-# --- groups and links ------------------------------------------------------------------------------------------------
-
-
 def _group(walk: _Walk, gid: h5g.GroupID, path: str, depth: int) -> Tree:
     tree = Tree(path=path, file=walk.file)
     info = h5o.get_info(gid)
@@ -145,9 +142,6 @@ def _link(walk: _Walk, gid: h5g.GroupID, raw: bytes, tree: Tree, depth: int) -> 
 
 def _target(raw: bytes) -> str:
     return repr(raw.decode("utf-8", "backslashreplace"))
-
-
-# --- datasets --------------------------------------------------------------------------------------------------------
 
 
 def _dataset(walk: _Walk, did: h5d.DatasetID, path: str) -> Dataset:
@@ -216,9 +210,6 @@ def _may_be_read(walk: _Walk, did: h5d.DatasetID, plist: Any, path: str, kind: s
             return False
     walk.total = total
     return True
-
-
-# --- types -----------------------------------------------------------------------------------------------------------
 
 
 READ = ("number", "bool", "complex", "text")

@@ -1,8 +1,7 @@
 """Read measured records from HDF5, MATLAB and text files, as arguments of `robustlab.record.Record`.
 
 A `Source` has all channels of a file, each with a time base. Changes to the time base are noted in the meaning of
-``t``, a line each. In format 1 a record has ``t``, ``inputs/<name>``, ``outputs/<name>``; attributes ``unit``,
-``meaning``.
+``t``, a line each.
 
 Logs are structs with times and values, as of Simulink and MATLAB's timeseries, at any depth below the group read::
 
@@ -15,22 +14,37 @@ Values of several columns become channels numbered as in MATLAB: ``q(1)``, ``q(2
 
 from __future__ import annotations
 
+import importlib.util
 import warnings
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from robustlab.arrays import AnyArray, Array, not_finite
 from robustlab.clocks import clock_step, common_clock, held, interpolated, summarise_clock
-from robustlab.errors import InputError, UnitMismatch, did_you_mean
+from robustlab.errors import DependencyMissing, InputError, UnitMismatch, did_you_mean
 from robustlab.files.hdf5 import read_tree
 from robustlab.files.signature import Limits, content_of
 from robustlab.files.text_table import read_table
-from robustlab.files.tree import Tree, Unread, check_header, is_stamped, link_name, signal_name, text_attr, type_name
+from robustlab.files.tree import (
+    Tree,
+    Unread,
+    canonical,
+    check_header,
+    is_stamped,
+    link_name,
+    one_number,
+    signal_name,
+    text_attr,
+    type_name,
+)
 from robustlab.units import factor_to_si, same_unit
+
+if TYPE_CHECKING:
+    import pandas
 
 CLOCK_NAMES = ("t", "time", "Time", "TIME", "T", "timestamp", "tout", "zeit", "Zeit")
 SIDES = ("inputs", "outputs")
@@ -120,9 +134,6 @@ def one_of(word: str, names: Sequence[str]) -> str:
     return f"{word} {shown}" if names else "a file with signals"
 
 
-# --- reading ----------------------------------------------------------------------------------------------------------
-
-
 def read_record(
     path: str | Path, options: RecordOptions, limits: Limits | None = None, isolate: bool = True
 ) -> dict[str, Any]:
@@ -154,14 +165,13 @@ def read_record(
     return choose(_of_tree(path, tree, node, group), options)
 
 
-def encode_record(tree: Tree, keywords: Mapping[str, Any]) -> None:
-    """Write the arguments of a Record into ``tree``."""
-    units, meaning = keywords["units"], keywords["meaning"]
-    tree.attrs["name"] = keywords["name"]
-    tree.put("t", keywords["t"], unit="s", **({"meaning": meaning["t"]} if "t" in meaning else {}))
+def encode_record(tree: Tree, record: Any) -> None:
+    """Write a Record into ``tree``."""
+    tree.attrs["name"] = record.name
+    tree.put("t", record.t, unit="s", **({"meaning": record.meaning["t"]} if "t" in record.meaning else {}))
     for side in SIDES:
-        for position, (name, values) in enumerate(keywords[side].items()):
-            attrs = {"unit": units.get(name, ""), "meaning": meaning.get(name, ""), "position": position}
+        for position, (name, values) in enumerate(getattr(record, side).items()):
+            attrs = {"unit": record.units.get(name, ""), "meaning": record.meaning.get(name, ""), "position": position}
             tree.group(side).put(link_name(name), values, **attrs)
         tree.group(side)
 
@@ -178,10 +188,11 @@ def _stored(node: Tree, where: str) -> Source:
     source = Source(where, text_attr(node.attrs, "name") or "record", node.child_path(""), {})
     for side in SIDES:
         group = node.groups.get(side, Tree())
-        found, order = _datasets(group), {}
+        found, order = _datasets(group), list[tuple[float, str]]()
         for link, item in group.datasets.items():
-            order[link] = _one_number(item.attrs.get("position", np.inf), np.inf)
-        for link in sorted(order, key=lambda link: (order[link], link)):
+            position = one_number(item.attrs.get("position"))
+            order.append((np.inf if position is None else position, link))
+        for _, link in sorted(order):
             name = signal_name(link)
             if name in source.channels:
                 raise InputError(where, f"signal {name!r} is there twice", "unique names")
@@ -223,15 +234,10 @@ def _datasets(node: Tree) -> dict[str, Channel]:
 
 def _sample_time(attrs: Mapping[str, Any]) -> float:
     for name in ("Ts", "dt", "fs"):
-        number = _one_number(attrs.get(name), 0.0)
-        if number > 0:
+        number = one_number(attrs.get(name))
+        if number is not None and number > 0:
             return 1.0 / number if name == "fs" else number
     return 0.0
-
-
-def _one_number(value: Any, otherwise: float) -> float:
-    array = np.asarray(value)
-    return float(array.flat[0]) if array.dtype.kind in "fi" and array.size == 1 else otherwise
 
 
 # --- logs of Simulink and MATLAB --------------------------------------------------------------------------------------
@@ -301,9 +307,7 @@ def _columns(where: str, name: str, values: AnyArray | Unread, n: int) -> Iterat
 
 
 def _text(node: Tree, name: str) -> str:
-    values: Any = node.datasets[name].values if name in node.datasets else None
-    found = isinstance(values, np.ndarray) and values.dtype.kind == "U" and values.size == 1
-    return str(values.flat[0]).strip() if found else ""
+    return (text_attr({key: item.values for key, item in node.datasets.items()}, name) or "").strip()
 
 
 # --- choosing --------------------------------------------------------------------------------------------------------
@@ -528,3 +532,86 @@ def _clock(source: Source, name: str, note: bool) -> Array:
             source.notes.append(f"t counts from {name} = {int(raw[0])} {channel.unit or 's'} on")
         t = (raw - raw[0]).astype(np.float64)
     return t / round(1 / factor) if factor < 1 else t * factor
+
+
+# --- tables of pandas -------------------------------------------------------------------------------------------------
+# The frame's ``attrs`` hold inputs, outputs, units, meanings and the record's name, so that no information is lost.
+
+
+def need(where: str, package: str, extra: str) -> None:
+    """Raise where an optional package is not installed."""
+    if importlib.util.find_spec(package) is None:
+        raise DependencyMissing(where, f"needs the package {package}", None, f"pip install 'robustlab[{extra}]'")
+
+
+def frame_of(keywords: Mapping[str, Any]) -> pandas.DataFrame:
+    """Return a data frame with index ``t`` in s; see `robustlab.record.Record.to_pandas`."""
+    need("Record.to_pandas", "pandas", "frames")
+    import pandas
+
+    inputs, outputs = keywords["inputs"], keywords["outputs"]
+    frame = pandas.DataFrame({**inputs, **outputs}, index=pandas.Index(keywords["t"], name="t"))
+    frame.attrs = {
+        "name": keywords["name"],
+        "units": {"t": "s", **keywords["units"]},
+        "meaning": dict(keywords["meaning"]),
+        "inputs": list(inputs),
+        "outputs": list(outputs),
+    }
+    return frame
+
+
+def keywords_of_frame(
+    frame: Any, inputs: Sequence[str] | None, outputs: Sequence[str] | None, units: Mapping[str, str] | None
+) -> dict[str, Any]:
+    """Invert `frame_of`; see `robustlab.record.Record.from_pandas`."""
+    where = "Record.from_pandas"
+    need(where, "pandas", "frames")
+    import pandas
+
+    if not isinstance(frame, pandas.DataFrame):
+        raise InputError(where, f"a {type(frame).__name__}", "a pandas DataFrame")
+    if isinstance(frame.columns, pandas.MultiIndex) or isinstance(frame.index, pandas.MultiIndex):
+        raise InputError(where, "nested columns or rows (a MultiIndex)", "one name a column, one time a row")
+    names = [str(name) for name in frame.columns]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise InputError(where, f"column name {twice[0]!r} is used twice", "unique names")
+    attrs = {key: value for key, value in frame.attrs.items() if isinstance(key, str)}
+    stated, meaning = (attrs[key] if isinstance(attrs.get(key), dict) else {} for key in ("units", "meaning"))
+    source = Source(where, str(attrs.get("name", "frame")), "", {})
+    for k, name in enumerate(names):
+        values, unit = _values(frame.iloc[:, k])
+        source.channels[name] = Channel(values, unit or str(stated.get(name, "")), str(meaning.get(name, "")))
+    for side in ("inputs", "outputs"):
+        given = attrs.get(side)
+        getattr(source, side).extend([n for n in given if n in names] if isinstance(given, list) else [])
+    if "t" in meaning:
+        source.notes += str(meaning["t"]).splitlines()
+    if not isinstance(frame.index, pandas.RangeIndex):
+        (values, unit), name = _values(frame.index), str(frame.index.name or "index")
+        source.add_clock(name, Channel(values, unit or str(stated.get(name, ""))))
+    elif not any(name in names for name in CLOCK_NAMES):
+        hint = "frame.index = dt * numpy.arange(len(frame)), or a column t"
+        raise InputError(where, "rows are numbered, and no column is a clock", "an index of times in s", hint)
+    # Gaps are allowed; `check_record` reports them.
+    return choose(source, RecordOptions(None, inputs, outputs, units=units, allow_gaps=True))
+
+
+def _values(column: Any) -> tuple[AnyArray | Unread, str]:
+    """Return numbers; dates and durations as whole numbers with their unit; anything else as `Unread`."""
+    kind = column.dtype
+    code = getattr(kind, "kind", "O")
+    if code in "mM":
+        raw = np.asarray(column)
+        if raw.dtype.kind == "O":  # with a time zone
+            raw = np.asarray(column, dtype="datetime64[ns]")
+        if np.isnat(raw).any():
+            return Unread(f"{kind} with times that are none (NaT)", (len(column),)), ""
+        return np.ascontiguousarray(raw).view(np.int64), str(np.datetime_data(raw.dtype)[0])
+    if code not in "fiub":
+        return Unread(str(kind), (len(column),)), ""
+    if isinstance(kind, np.dtype):
+        return canonical(np.asarray(column), "column"), ""
+    whole = code in "iu" and not column.isna().any()
+    return canonical(column.to_numpy(np.int64) if whole else column.to_numpy(np.float64, na_value=np.nan), "column"), ""

@@ -43,11 +43,7 @@ def read_table(
     limits: Limits | None = None,
     isolate: bool = True,
 ) -> TextTable:
-    """Read a table of numbers from a text file, in the reader process (see `robustlab.files.isolation`).
-
-    Lines that begin with ``#`` or ``%`` are comments; a first line without numbers is the header. Without one, a
-    comment directly above the numbers is used if it has a name for each column. Names may have units: ``q [m]``.
-    """
+    """Read a table of numbers from a text file, in the reader process (see `robustlab.files.isolation`)."""
     limits = limits or Limits()
     require_file(path, limits)
     if isolate:
@@ -88,7 +84,7 @@ def table_tree(path: str | Path, limits: Limits, delimiter: str | None, decimal:
     width = len(_cells(data[0][1], sign))
     if width > limits.objects:
         raise InputError(where, f"line {data[0][0]} has {width} cells", f"at most {limits.objects} columns")
-    names = _cells(rows[0][1], sign) if first else None
+    names = _cells(rows[0][1], sign) if first else None  # else a comment above with a name for each column
     if names is not None and len(names) != width:
         found = f"line {data[0][0]} has {width} cells, the header in line {rows[0][0]} has {len(names)}"
         hint = "if the numbers have decimal commas: decimal=',' and delimiter=';'" if sign == "," else None
@@ -183,9 +179,6 @@ def name_and_unit(text: str) -> tuple[str, str]:
     return text, ""
 
 
-# --- tables of responses ---------------------------------------------------------------------------------------------
-
-
 PARTS = ("real", "imag", "magnitude", "phase", "radius")
 # The names of a channel's columns, and the default channel.
 CHANNEL, ONLY = "OUTPUT from INPUT", "y1 from u1"
@@ -194,13 +187,7 @@ CHANNEL, ONLY = "OUTPUT from INPUT", "y1 from u1"
 def read_response(
     path: str | Path, units: Mapping[str, str] | None = None, delimiter: str | None = None, decimal: str = "."
 ) -> dict[str, Any]:
-    """Read a table of a response as ``given``, ``omega``, ``radius``, ``inputs``, ``outputs``.
-
-    The first column is the frequency, in rad/s or Hz. Each channel has the columns ``OUTPUT from INPUT real`` and
-    ``... imag``, or ``... magnitude`` (dB if that is its unit) and ``... phase`` (rad or deg), and optionally ``...
-    radius``, the uncertainty of the entry. A single channel needs no name. A column ``radius`` without a channel bounds
-    the largest singular value of the error of all channels.
-    """
+    """Read a table of a response, in the form that ``docs/analysis.md`` describes."""
     where, table = str(path), read_table(path, delimiter, decimal)
     if not table.has_header:
         raise InputError(where, "no header", f"names: frequency [Hz], {CHANNEL} real, {CHANNEL} imag")

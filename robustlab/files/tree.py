@@ -1,7 +1,4 @@
-"""The content of a file as plain arrays (groups, datasets, attributes), its hash, and the header of format 1.
-
-The root of a format 1 file has its format, version and kind, the content hash and the provenance.
-"""
+"""The content of a file as plain arrays (groups, datasets, attributes), its hash, and the header of format 1."""
 
 from __future__ import annotations
 
@@ -154,13 +151,7 @@ def _array(values: AnyArray) -> bytes:
 
 
 def link_name(name: str) -> str:
-    """Return ``name`` as an HDF5 link name: ``%`` and ``/`` are written ``%25`` and ``%2F``; a leading dot ``%2E``.
-
-    Examples
-    --------
-    >>> link_name("dq/dt"), signal_name(link_name("100 %"))
-    ('dq%2Fdt', '100 %')
-    """
+    """Return ``name`` as an HDF5 link name: ``%`` and ``/`` are written ``%25`` and ``%2F``; a leading dot ``%2E``."""
     escaped = name.replace("%", "%25").replace("/", "%2F")
     return "%2E" + escaped[1:] if escaped.startswith(".") else escaped or "%"
 
@@ -177,6 +168,12 @@ def text_attr(attrs: dict[str, Any], name: str) -> str | None:
     """Return the text attribute ``name``, or None where it is absent or no text."""
     value = np.asarray(attrs[name]) if name in attrs else np.zeros(0)
     return str(value.flat[0]) if value.dtype.kind == "U" and value.size == 1 else None
+
+
+def one_number(value: Any) -> float | None:
+    """Return the one real number in an attribute or in the values of a dataset, or None."""
+    array = np.asarray(value)
+    return float(array.flat[0]) if array.dtype.kind in "fi" and array.size == 1 else None
 
 
 def stamp(tree: Tree, kind: str, provenance: Provenance) -> None:

@@ -157,7 +157,7 @@ def steady_state(
     return computed(model, inputs, outputs)
 
 
-@operation("model diff", "difference", result="storage.pairs.Difference")
+@operation("model diff", "difference", result="storage.matrices.Difference")
 def diff(
     first: Annotated[Any, Thing(ANY, model=True, pair=True), "HDF5 or MATLAB file."],
     second: Annotated[
@@ -171,7 +171,7 @@ def diff(
 
     Example: robustlab model diff nominal.h5 perturbed.h5
     """
-    from robustlab.storage.pairs import difference
+    from robustlab.storage.matrices import difference
 
     return difference(*two_models(first, second))
 
@@ -292,7 +292,7 @@ def expressions(file: Annotated[str, TextFile(), "TOML file with A, B, C, D in n
 
     Example: robustlab uncertain expressions springs.toml --out springs.h5
     """
-    from robustlab.storage.expression_files import load_parametric
+    from robustlab.storage.interchange import load_parametric
     from robustlab.uncertainty.elementwise import BuiltModel
 
     model = load_parametric(file)

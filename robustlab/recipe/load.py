@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 from pydantic import ValidationError
 
 from robustlab.errors import InputError, UsageError, did_you_mean
-from robustlab.files.document import parse_document
+from robustlab.files.signature import parse_document
 from robustlab.operations.vocabulary import RefersTo
 from robustlab.recipe.schema import Recipe, Requirement, recipe_model
 from robustlab.recipe.shipped import shipped_folder, shipped_recipes

@@ -28,8 +28,7 @@ from robustlab.errors import (
     RobustlabError,
 )
 from robustlab.files.atomic import atomic_write
-from robustlab.files.document import parse_document
-from robustlab.files.signature import require_file
+from robustlab.files.signature import parse_document, require_file
 from robustlab.provenance import Provenance, file_sha256
 from robustlab.recipe.check import at_step, look_through, step_hint
 from robustlab.recipe.load import LoadedRecipe, references

@@ -5,11 +5,9 @@ from robustlab.lazily import lazily
 __all__, __getattr__ = lazily(
     __name__,
     {
-        "interchange": "Loaded load load_pair read save",
+        "interchange": "Loaded load load_parametric read save",
         "controller_export": "back_calculation c_source",
-        "expression_files": "load_parametric",
-        "matrices": "Problems",
-        "pairs": "check_pair",
+        "matrices": "Problems check_pair",
         "plants": "decode_plant encode_plant",
     },
 )

@@ -4,22 +4,23 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from robustlab.errors import InputError, UsageError, error_context
+from robustlab.errors import InputError, UsageError, did_you_mean, error_context
 from robustlab.files.atomic import atomic_write
 from robustlab.files.hdf5 import read_tree, write_tree
-from robustlab.files.signature import Limits, content_of
+from robustlab.files.signature import Limits, content_of, parse_document
 from robustlab.files.tree import Tree, check_header, decode_provenance, is_stamped, stamp
 from robustlab.provenance import BY_DIFFERENCES, NOT_VERIFIED, Provenance, Traced, code_of
 from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.storage.codecs import BY_KIND, codec_of, record_from
-from robustlab.storage.matrices import NAMES, SIGNAL, Problems, decode_state_space
+from robustlab.storage.matrices import NAMES, PAIR, SIGNAL, Problems, decode_pair, decode_state_space
 
 if TYPE_CHECKING:
     from robustlab.delays.model import DelayedModel
@@ -102,22 +103,12 @@ def load(
     """
     loaded = read(path, group=group, transpose=transpose, no_verify=no_verify, limits=limits, isolate=isolate)
     if loaded.kind == "pair":
-        hint = 'load_pair(path), or load(path, group="nominal")'
+        hint = 'load(path, group="nominal")'
         raise InputError(str(path), "two models, /nominal and /perturbed", "one object", hint)
     for text in loaded.warnings:
         if "content_sha256" in text:
             warnings.warn(f"{path}: {text}", stacklevel=2)
     return loaded.object
-
-
-def load_pair(
-    path: str | Path, *, transpose: bool = False, limits: Limits | None = None, isolate: bool = True
-) -> tuple[StateSpaceModel, StateSpaceModel]:
-    """The nominal and the perturbed model of one file with groups ``nominal`` and ``perturbed``, A B C D in each."""
-    from robustlab.storage.pairs import decode_pair
-
-    tree = read_tree(path, None, limits, isolate)
-    return decode_pair(tree, Problems(str(path)), transpose)
 
 
 def is_plant_file(name: str) -> bool:
@@ -172,11 +163,8 @@ def _plain(
 ) -> tuple[str, Any]:
     """Decode a file without header: a model by its matrices, a pair by its groups, a record by its times."""
     matrices = [name for name in NAMES if name in node.datasets]
-    if not matrices:
-        from robustlab.storage.pairs import decode_pair, looks_like_a_pair
-
-        if looks_like_a_pair(node):
-            return "pair", decode_pair(node, problems, transpose)
+    if not matrices and any(get_close_matches(name.lower(), PAIR, n=1, cutoff=0.7) for name in node.groups):
+        return "pair", decode_pair(node, problems, transpose)
     from robustlab.files.records import CLOCK_NAMES
 
     clocked = any(name in node.datasets for name in CLOCK_NAMES) or {"inputs", "outputs"} & set(node.groups)
@@ -197,9 +185,6 @@ def _unit_warnings(kind: str, thing: Any) -> tuple[str, ...]:
         outer = thing[0] if kind == "pair" else thing.K if kind in ("controller", "lpv-controller") else thing
         bare = [s.name for s in (*outer.inputs, *outer.outputs) if not s.unit]
     return (f"no unit stated for {', '.join(bare[:8])}{', ...' if len(bare) > 8 else ''}",) if bare else ()
-
-
-# --- saving ----------------------------------------------------------------------------------------------------------
 
 
 @error_context("save")
@@ -240,8 +225,13 @@ def save(path: str | Path, obj: Any, provenance: Provenance | None = None) -> Pa
     if suffix not in (".h5", ".hdf5"):
         raise UsageError(str(path), f"extension {suffix or 'missing'!r}", ".h5, .hdf5 or .mat")
     tree = Tree(file=str(path))
-    kind = _encode(tree, obj)
-    stamp(tree, kind, _origin(obj, provenance or Provenance.now("save", code_of(obj))))
+    codec, thing = codec_of(obj), obj
+    if codec is None and hasattr(obj, "status") and hasattr(obj, "to_json"):
+        codec = BY_KIND["result"]
+    if codec is None:
+        codec, thing = BY_KIND["state-space"], as_model(obj, "save")
+    codec.write(tree, thing)
+    stamp(tree, codec.kind, _origin(obj, provenance or Provenance.now("save", code_of(obj))))
     return write_tree(path, tree)
 
 
@@ -254,16 +244,6 @@ def _origin(obj: Any, given: Provenance) -> Provenance:
         if remark in source.note and remark not in given.note:
             given = replace(given, note=f"{given.note}; {text}".removeprefix("; "))
     return given
-
-
-def _encode(tree: Tree, obj: Any) -> str:
-    codec = codec_of(obj)
-    if codec is None and hasattr(obj, "status") and hasattr(obj, "to_json"):
-        codec = BY_KIND["result"]
-    if codec is None:
-        codec, obj = BY_KIND["state-space"], as_model(obj, "save")
-    codec.write(tree, obj)
-    return codec.kind
 
 
 def _save_matlab(path: str | Path, obj: Any) -> Path:
@@ -290,3 +270,80 @@ def _save_matlab(path: str | Path, obj: Any) -> Path:
             savemat(stream, variables, appendmat=False, do_compression=True)  # zlib adds a checksum, which 5 lacks
 
     return atomic_write(path, write)
+
+
+# --- parametric models in TOML: matrices of expressions, ranges of parameters, names of signals -----------------------
+#
+#   A = [[0, 1], ["-k/m", "-c/m"]]
+#   B = [[0], ["1/m"]]
+#   C = [[1, 0]]
+#   D = [[0]]
+#   inputs = [["F", "N"]]                # optional, as outputs, states and dt: a name, or a name and its unit
+#   [parameters]
+#   m = [3.0, 0.4]                       # nominal value, relative tolerance
+#   k = [2.0, 1.4, 3.0]                  # nominal, low, high
+#   c = {nominal = 1.0, low = 0.8, high = 1.5, unit = "N s/m"}
+#   g = 9.81                             # exact
+
+MAX_BYTES = 1 << 20
+SIGNALS = ("inputs", "outputs", "states")
+KEYS = (*NAMES, "parameters", "dt", *SIGNALS)
+RANGE = ("nominal", "low", "high", "unit")
+
+
+def load_parametric(path: str | Path) -> UncertainModel:
+    """Return the uncertain model of a file of expressions; see `robustlab.uncertainty.parametric.parametric`."""
+    from robustlab.uncertainty.parametric import parametric
+
+    where = str(path)
+    if not Path(path).is_file():
+        raise InputError(where, "no such file", "a .toml file with matrices of expressions")
+    raw = Path(path).read_bytes()
+    if len(raw) > MAX_BYTES:
+        raise InputError(where, f"{len(raw)} bytes", f"at most {MAX_BYTES}")
+    data = parse_document("toml", raw, where)
+    unknown = [key for key in data if key not in KEYS]
+    if unknown:
+        hint = did_you_mean(unknown[0], KEYS)
+        raise InputError(where, f"key {unknown[0]!r}", f"some of {', '.join(KEYS)}", hint)
+    missing = [key for key in (*NAMES, "parameters") if key not in data]
+    if missing:
+        raise InputError(where, f"no {missing[0]}", "A, B, C, D and a table [parameters]")
+    if not isinstance(data["parameters"], dict):
+        raise InputError(where, "parameters is no table", "a table [parameters]")
+    try:
+        ranges = {name: _range(name, given) for name, given in data["parameters"].items()}
+        options = {key: data[key] for key in ("dt", *SIGNALS) if key in data}
+        for key in SIGNALS:
+            _check_names(key, options.get(key, []))
+        return parametric(data["A"], data["B"], data["C"], data["D"], ranges, **options)
+    except InputError as error:
+        found = f"{error.where}: {error.found}"
+        raise type(error)(where, found, error.expected, error.hint, error.more) from None
+
+
+def _range(name: str, given: Any) -> Any:
+    from robustlab.uncertainty.blocks import ParameterRange
+
+    if not isinstance(given, dict):
+        return given
+    where = f"parameter {name!r}"
+    unknown = [key for key in given if key not in RANGE]
+    if unknown or "low" not in given or "high" not in given:
+        found = f"key {unknown[0]!r}" if unknown else f"keys {', '.join(given) or 'none'}"
+        hint = did_you_mean(unknown[0], RANGE) if unknown else None
+        raise InputError(where, found, "low and high, and where wanted nominal and unit", hint)
+    numbers = [given[key] for key in ("low", "high", "nominal") if key in given]
+    if any(isinstance(v, bool) or not isinstance(v, (int, float)) for v in numbers):
+        raise InputError(where, f"{given!r}", "numbers for low, high and nominal")
+    unit = given.get("unit", "")
+    if not isinstance(unit, str):
+        raise InputError(where, f"unit {unit!r}", "a text")
+    nominal = float(given["nominal"]) if "nominal" in given else None
+    return ParameterRange.between(float(given["low"]), float(given["high"]), nominal, unit)
+
+
+def _check_names(key: str, given: Any) -> None:
+    pairs = [item if isinstance(item, list) else [item] for item in given] if isinstance(given, list) else [[given, 0]]
+    if not all(len(pair) <= 2 and all(isinstance(part, str) for part in pair) for pair in pairs):
+        raise InputError(key, f"{given!r}"[:80], "a list of names, or of [name, unit]")

@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
 from robustlab.arrays import Array, not_finite
-from robustlab.errors import InputError, did_you_mean
-from robustlab.files.tree import Tree, Unread, type_name
+from robustlab.display import AllFields, Displayable, Facts, Part
+from robustlab.errors import InputError, UnitMismatch, did_you_mean
+from robustlab.files.tree import Tree, Unread, one_number, type_name
+from robustlab.result import Status
 from robustlab.signals import COMPLEX, TAKES, Taken
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel
 
@@ -64,14 +66,13 @@ TYPES: dict[str, type] = {"U": np.str_, "i": np.int64, "fi": np.float64}  # kind
 COLUMN_MAJOR = "file looks column-major: use transpose=True"
 
 
-def encode_model(tree: Tree, model: StateSpaceModel) -> None:
+def encode_state_space(tree: Tree, model: StateSpaceModel) -> None:
     """Write ``model`` into ``tree`` in the layout of kind ``state-space``."""
     for name in NAMES:
         tree.put(name, getattr(model, name))
     tree.attrs["dt"] = model.dt
     encode_signals(tree, (model.states, model.inputs, model.outputs))
-    if model.operating_point is not None:
-        encode_point(tree, model.operating_point)
+    encode_point(tree, model.operating_point)
 
 
 def encode_signals(tree: Tree, given: Sequence[Sequence[Signal]]) -> None:
@@ -81,9 +82,9 @@ def encode_signals(tree: Tree, given: Sequence[Sequence[Signal]]) -> None:
         put_columns(tree.group("signals").group(side), dict.fromkeys(SIGNAL if taken else SIGNAL[:2], "U"), signals)
 
 
-def encode_point(tree: Tree, point: OperatingPoint) -> None:
-    """Write an operating point into ``tree``."""
-    for name in ("x", "u", "y"):
+def encode_point(tree: Tree, point: OperatingPoint | None) -> None:
+    """Write an operating point into ``tree``, if there is one."""
+    for name in ("x", "u", "y") if point is not None else ():
         tree.group("operating_point").put(name, getattr(point, name))
 
 
@@ -139,24 +140,21 @@ def _eliminated(
 
 
 def decode_state_space(tree: Tree, problems: Problems, transpose: bool = False) -> StateSpaceModel:
-    """Invert `encode_model`. Raises InputError: with all faults."""
+    """Invert `encode_state_space`. Raises InputError: with all faults."""
     model = decode_model(tree, problems, transpose)
     problems.raise_any()
     assert model is not None
     return model
 
 
-# --- matrices --------------------------------------------------------------------------------------------------------
-
-
 def find_children(
-    node: Tree, wanted: Sequence[str], problems: Problems, known: Sequence[str] = (), kind: str = ""
+    node: Tree, wanted: Sequence[str], problems: Problems, known: Sequence[str] = (), kind: str = "dataset"
 ) -> None:
     """Add a fault for every missing child, and for similar names; ``kind`` is ``dataset`` or ``group``."""
     present = [*node.datasets, *node.groups]
     missing = [name for name in wanted if name not in present]
     for name in wanted:
-        if name in present and kind and name not in (node.groups if kind == "group" else node.datasets):
+        if name in present and name not in (node.groups if kind == "group" else node.datasets):
             other = "dataset" if kind == "group" else "group"
             problems.add(f"{node.child_path(name)} is a {other}, expected a {kind}")
     for name in missing:
@@ -170,9 +168,16 @@ def find_children(
                 problems.add(f"unexpected {node.child_path(name)} (did you mean {node.child_path(close)}?)")
 
 
+def need(tree: Tree, problems: Problems, groups: Sequence[str] = (), datasets: Sequence[str] = ()) -> None:
+    """Raise where a group or a dataset is missing."""
+    find_children(tree, datasets, problems)
+    find_children(tree, groups, problems, kind="group")
+    problems.raise_any()
+
+
 def _matrices(node: Tree, problems: Problems, transpose: bool) -> dict[str, Array]:
     """Return A, B, C, D, and E of a descriptor form (MATLAB writes [] for the identity)."""
-    find_children(node, NAMES, problems, known=("E",), kind="dataset")
+    find_children(node, NAMES, problems, known=("E",))
     matrices = {}
     for name in (*NAMES, "E"):
         values = node.datasets[name].values if name in node.datasets else np.zeros(0)
@@ -240,31 +245,17 @@ def _expected(shapes: Mapping[str, Shape]) -> dict[str, Shape]:
     return {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m)}
 
 
-# --- sample time, signals, operating point ---------------------------------------------------------------------------
-
-
 def sample_time(node: Tree, problems: Problems) -> float | None:
     """Return ``dt`` in s from an attribute or a scalar dataset (``dt`` or ``Ts``), or None."""
     held = {f"{node.path} attribute {name}": node.attrs[name] for name in ("dt", "Ts") if name in node.attrs}
     held |= {node.child_path(name): node.datasets[name].values for name in ("dt", "Ts") if name in node.datasets}
     for path, item in held.items():
-        value = np.zeros(0) if isinstance(item, Unread) else np.asarray(item)
-        number = float(value.flat[0]) if value.dtype.kind in "fi" and value.size == 1 else None
+        number = one_number(item)
         if number is None:
             problems.add(f"{path} is not one real number, expected a sample time in s (0 = continuous)")
         elif not np.isfinite(number) or number < 0:
             problems.add(f"{path} is {number:g}, expected 0 (continuous) or a positive sample time in s")
         return number
-    return None
-
-
-def real_attribute(node: Tree, name: str, problems: Problems) -> float | None:
-    """Return an attribute that is one real number, or None."""
-    value = np.asarray(node.attrs.get(name, ""))
-    if value.dtype.kind in "fi" and value.size == 1:
-        return float(value.flat[0])
-    if name in node.attrs:
-        problems.add(f"attribute {name} is not one real number")
     return None
 
 
@@ -302,7 +293,7 @@ def columns(
     group: Tree, kinds: Mapping[str, str], problems: Problems, optional: Sequence[str] = (), one_length: bool = True
 ) -> dict[str, list[Any]]:
     """Invert `put_columns`; add faults for missing columns, wrong kinds, and lengths unlike the first."""
-    find_children(group, [name for name in kinds if name not in optional], problems, kind="dataset")
+    find_children(group, [name for name in kinds if name not in optional], problems)
     found: dict[str, list[Any]] = {}
     for name, kind in kinds.items():
         values = entries(group, name, kind, problems) if name in group.datasets else None
@@ -324,7 +315,7 @@ def entries(group: Tree, name: str, kinds: str, problems: Problems) -> list[Any]
     values = group.datasets[name].values
     if isinstance(values, Unread) or (values.dtype.kind not in kinds and values.size):
         wanted = "texts" if kinds == "U" else "real numbers"
-        problems.add(f"{group.child_path(name)} has dtype {values.dtype}, expected {wanted}")
+        problems.add(f"{group.child_path(name)} has dtype {type_name(values)}, expected {wanted}")
         return None
     return values.ravel().tolist()
 
@@ -334,14 +325,114 @@ def decode_point(node: Tree, problems: Problems) -> OperatingPoint | None:
     group = node.groups.get("operating_point")
     if group is None:
         return None
-    find_children(group, ("x", "u", "y"), problems)
-    vectors: dict[str, Any] = {}
-    for name in ("x", "u", "y"):
-        if name not in group.datasets:
-            return None
-        values = group.datasets[name].values
-        if isinstance(values, Unread) or values.dtype.kind not in "fi":
-            problems.add(f"{group.child_path(name)} has dtype {type_name(values)}, expected real numbers")
-            return None
-        vectors[name] = values.reshape(-1) if values.ndim == 2 and (1 in values.shape or not values.size) else values
-    return OperatingPoint(**vectors)
+    found = columns(group, dict.fromkeys("xuy", "fi"), problems, one_length=False)
+    return OperatingPoint(**{name: np.asarray(v, np.float64) for name, v in found.items()}) if len(found) == 3 else None
+
+
+# --- pairs of models with the same signals: nominal and perturbed in one file, and their difference ------------------
+
+PAIR = ("nominal", "perturbed")
+
+
+def decode_pair(tree: Tree, problems: Problems, transpose: bool = False) -> tuple[StateSpaceModel, StateSpaceModel]:
+    """Return the models in groups ``nominal`` and ``perturbed``."""
+    find_children(tree, PAIR, problems, kind="group")
+    dt = sample_time(tree, problems)
+    models: dict[str, Any] = {}
+    for name in PAIR:
+        if name in tree.groups and "E" in tree.groups[name].datasets:
+            hint = "group='nominal', or group='perturbed', reads one model"
+            problems.add(f"/{name}/E: a pair in descriptor form: its entries are no entries of A, B, C, D", hint)
+        elif name in tree.groups:
+            models[name] = decode_model(tree.groups[name], problems, transpose, models.get("nominal"), dt)
+    problems.raise_any()
+    check_pair(models["nominal"], models["perturbed"], tree.file)
+    return models["nominal"], models["perturbed"]
+
+
+def check_pair(nominal: StateSpaceModel, perturbed: StateSpaceModel, where: str = "nominal and perturbed") -> None:
+    """Raise where two models differ in size, sample time, names or units; a missing unit agrees with every unit."""
+    sizes = [(m.n_states, m.n_inputs, m.n_outputs) for m in (nominal, perturbed)]
+    if sizes[0] != sizes[1]:
+        found = "perturbed has {} states, {} inputs, {} outputs".format(*sizes[1])
+        raise InputError(where, found, "{}, {}, {} as nominal".format(*sizes[0]))
+    if nominal.dt != perturbed.dt:
+        found = f"nominal has dt = {nominal.dt:g} s, perturbed dt = {perturbed.dt:g} s"
+        raise InputError(where, found, "equal sample times")
+    names, units = list[str](), list[str]()
+    for side in ("states", "inputs", "outputs"):
+        for a, b in zip(getattr(nominal, side), getattr(perturbed, side), strict=True):
+            if a.name != b.name:
+                names.append(f"{side[:-1]} {a.name!r} of nominal is {b.name!r} in perturbed")
+            elif a.unit and b.unit and a.unit != b.unit:
+                units.append(f"{side[:-1]} {a.name}: nominal [{a.unit}], perturbed [{b.unit}]")
+    error, expected = (InputError, "the same signals in the same order") if names else (UnitMismatch, "equal units")
+    if lines := names or units:
+        raise error(where, lines[0], expected, None, tuple(f"{where}: {line}" for line in lines[1:]))
+
+
+@dataclass(frozen=True)
+class Change(AllFields):
+    """One entry of A, B, C or D that differs."""
+
+    matrix: str  # `"A"`, `"B"`, `"C"` or `"D"`
+    # row, column: names of the signals; the entry is the gain from `column` to `row` (to its derivative, in A and B)
+    row: str
+    column: str
+    first: float
+    second: float
+    relative: float  # `(second - first) / |first|`; infinite where the first value is zero
+
+
+@dataclass(frozen=True)
+class Difference(AllFields, Displayable):
+    """The entries in which two models differ."""
+
+    changes: tuple[Change, ...]  # one for each entry that differs
+    entries: int  # number of entries of A, B, C and D
+    status: Status = Status.CONVERGED  # all entries were compared
+
+    quantities: ClassVar[Mapping[str, Any]] = {"count": "1", "entries": "1", "largest": "1"}
+
+    @property
+    def count(self) -> int:
+        """Number of entries that differ."""
+        return len(self.changes)
+
+    @property
+    def largest(self) -> float:
+        """Largest relative change."""
+        return max((abs(c.relative) for c in self.changes), default=0.0)
+
+    def headline(self) -> str:
+        return f"{self.count} of {self.entries} entries differ"
+
+    def facts(self) -> Facts:
+        change = f"{100 * self.largest:.4g} %" if self.changes else ""
+        return [("differ", f"{self.count} of {self.entries} entries"), ("largest change", change)]
+
+    def details(self) -> list[Part]:
+        """Every entry that differs."""
+        rows = [
+            (f"{c.matrix}[{c.row}, {c.column}]", f"{c.first:.9g}", f"{c.second:.9g}", f"{100 * c.relative:+.4g} %")
+            for c in self.changes
+        ]
+        return [Part("", ("entry", "first", "second", "change"), rows)]
+
+
+def difference(first: StateSpaceModel, second: StateSpaceModel) -> Difference:
+    """Return the entries that differ."""
+    check_pair(first, second, "difference of two models")
+    changes = []
+    for name, rows, columns in (
+        ("A", first.state_names, first.state_names),
+        ("B", first.state_names, first.input_names),
+        ("C", first.output_names, first.state_names),
+        ("D", first.output_names, first.input_names),
+    ):
+        a, b = getattr(first, name), getattr(second, name)
+        for i, j in np.argwhere(a != b):
+            old, new = float(a[i, j]), float(b[i, j])
+            relative = (new - old) / abs(old) if old else float(np.copysign(np.inf, new))
+            changes.append(Change(name, rows[i], columns[j], old, new, relative))
+    return Difference(tuple(changes), sum(getattr(first, name).size for name in "ABCD"))

@@ -20,9 +20,10 @@ from robustlab.storage.matrices import (
     Problems,
     columns,
     decode_model,
-    encode_model,
+    encode_state_space,
     entries,
     find_children,
+    need,
     put_columns,
 )
 from robustlab.uncertainty.blocks import Sign
@@ -63,7 +64,7 @@ def encode_plant(tree: Tree, obj: Plant) -> None:
             "a plant as from plant(name), a LinearPlant, PlantEquations(...).plant(), or a model",
             "to keep its linear model alone: save(path, linearise(plant))",
         )
-    encode_model(tree, _linear(obj))
+    encode_state_space(tree, _linear(obj))
     group = tree.group("plant")
     group.attrs.update(name=base.name, **_options(base))
     put_columns(group.group("parameters"), PARAMETERS | (MORE if own else {}), list(base.parameters.values()))
@@ -79,7 +80,7 @@ def encode_plant(tree: Tree, obj: Plant) -> None:
                 held.group(name).put(row, getattr(getattr(tapes, name), row))
         put_columns(held.group("places"), PLACE, tapes.places)
     if own or base.name == BARE:
-        encode_model(group.group("base"), _linear(base) if own else _bare_model(base))
+        encode_state_space(group.group("base"), _linear(base) if own else _bare_model(base))
     for k, e in enumerate(obj.effects if isinstance(obj, ExtendedEquations) else ()):
         one = tree.group("effects").group(str(k))
         one.attrs.update(id=e.effect.id, site=e.site.name, site_kind=e.site.kind, source=e.source)
@@ -98,9 +99,6 @@ def decode_plant(tree: Tree, problems: Problems, _transpose: bool = False) -> Pl
     assert model is not None
     _check_model(plant, model, problems.file)
     return plant
-
-
-# --- writing ---------------------------------------------------------------------------------------------------------
 
 
 def _options(base: Plant) -> dict[str, Any]:
@@ -150,9 +148,6 @@ def _linear(obj: Plant, point: Any = None) -> StateSpaceModel:
         return linearise(obj, at=(np.zeros(len(obj.states)), np.zeros(len(obj.inputs))))
 
 
-# --- reading ---------------------------------------------------------------------------------------------------------
-
-
 def _plant(tree: Tree, problems: Problems) -> Plant:
     group, effects = tree.groups["plant"], tree.groups.get("effects", Tree())
     held = next((name for name in ("equations", "tapes") if name in group.groups), "")
@@ -164,8 +159,7 @@ def _own_plant(group: Tree, held: str, problems: Problems) -> Plant:
     """Return a user's plant from its equations and the signals of its model."""
     from robustlab.dynamics.parameters import Parameter, Role
 
-    find_children(group, ("parameters", held, "base"), problems, kind="group")
-    problems.raise_any()
+    need(group, problems, groups=("parameters", held, "base"))
     model = decode_model(group.groups["base"], problems)
     found = columns(group.groups["parameters"], PARAMETERS | MORE, problems)
     words = {"sign": get_args(Sign), "role": get_args(Role)}
@@ -189,8 +183,7 @@ def _own_plant(group: Tree, held: str, problems: Problems) -> Plant:
 def _coefficients(held: Tree, parameters: Mapping[str, Parameter], problems: Problems) -> AffineEquations:
     from robustlab.dynamics.linear_plant import AffineEquations
 
-    find_children(held, ("parameters", *MATRICES), problems, kind="dataset")
-    problems.raise_any()
+    need(held, problems, datasets=("parameters", *MATRICES))
     names = entries(held, "parameters", "U", problems) or []
     arrays = {key: held.datasets[key].values for key in MATRICES}
     for key, values in arrays.items():
@@ -211,8 +204,7 @@ def _tapes(held: Tree, n_moving: int, n_parameters: int, problems: Problems) -> 
     from robustlab.dynamics.symbolic.symbolic_plant import Equations
     from robustlab.dynamics.symbolic.tape import Tape
 
-    find_children(held, (*TAPES, "places"), problems, kind="group")
-    problems.raise_any()
+    need(held, problems, groups=(*TAPES, "places"))
     group = held.groups["places"]
     found = columns(group, PLACE, problems)
     _check_rows(group, "a place", found, {"kind": KINDS}, problems)
@@ -254,8 +246,7 @@ def _from_name(group: Tree, problems: Problems) -> Plant:
     name = text_attr(group.attrs, "name")
     if name is None:
         problems.add(f"{group.path}: attribute name is missing or no text")
-    find_children(group, ("parameters", "base") if name == BARE else ("parameters",), problems, kind="group")
-    problems.raise_any()
+    need(group, problems, groups=("parameters", "base") if name == BARE else ("parameters",))
     found = columns(group.groups["parameters"], PARAMETERS, problems)
     model = decode_model(group.groups["base"], problems) if name == BARE else None
     problems.raise_any()

@@ -99,7 +99,7 @@ def test_every_command_that_can_take_long_shows_its_progress():
 
 def test_parts_of_a_search_are_counted_and_timed_one_by_one(monkeypatch):
     now = [50.0]
-    monkeypatch.setattr("robustlab.cli.progress.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("robustlab.cli.console.time.monotonic", lambda: now[0])
     display = Display("data discover", "none")
     assert display.times() == "0 s"
     display.part(1, 9, "first")
@@ -129,7 +129,7 @@ def test_a_budget_tells_all_that_is_spent_in_it_once():
 
 def test_what_earlier_runs_did_is_no_measure_of_speed(monkeypatch):
     now = [50.0]
-    monkeypatch.setattr("robustlab.cli.progress.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("robustlab.cli.console.time.monotonic", lambda: now[0])
     display = Display("campaign resume", "none", 100)
     display.resumed(80)
     assert display.times() == "0 s"

@@ -607,8 +607,6 @@ def test_lengths_of_matlab_files(tmp_path):
 
 
 def test_numbers_count_as_they_stand_in_memory(tmp_path):
-    import h5py
-
     with h5py.File(tmp_path / "p.h5", "w") as file:
         file.create_dataset("A", (8000, 8000), "i1", chunks=(1000, 1000), compression=9)[...] = 1
     with pytest.raises(InputError, match=r"/A: declares 8000 x 8000 \(512 MB\), limit 256 MiB"):

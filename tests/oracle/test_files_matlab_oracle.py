@@ -10,7 +10,7 @@ from record_files import matlab73
 import robustlab as rl
 from robustlab.errors import InputError
 from robustlab.files import read_tree
-from robustlab.storage import load_pair
+from robustlab.storage import read
 
 A = np.array([[-1.0, 2.0, 0.0], [0.0, -3.0, 1.0], [0.5, 0.0, -2.0]])
 B = np.array([[1.0, 0.0], [0.0, 2.0], [3.0, 4.0]])
@@ -34,7 +34,7 @@ def test_matlab_73(name, isolate, tmp_path):
 
 def test_matlab_73_pair_group_and_text(tmp_path):
     path = matlab73(tmp_path / "p.mat", {"nominal": MATRICES, "perturbed": {**MATRICES, "A": 2 * A}})
-    nominal, perturbed = load_pair(path)
+    nominal, perturbed = read(path).object
     assert_model(nominal)
     np.testing.assert_array_equal(perturbed.A, 2 * A)
     assert_model(rl.load(path, group="nominal"))
@@ -64,7 +64,7 @@ def test_matlab_5_in(compress, tmp_path):
     scipy.io.savemat(tmp_path / "p.mat", {**MATRICES, "dt": 0.5}, do_compression=compress)
     assert_model(rl.load(tmp_path / "p.mat"), 0.5)
     scipy.io.savemat(tmp_path / "q.mat", {"nominal": MATRICES, "perturbed": MATRICES}, do_compression=compress)
-    for model in load_pair(tmp_path / "q.mat", isolate=False):
+    for model in read(tmp_path / "q.mat", isolate=False).object:
         assert_model(model)
 
 

@@ -13,7 +13,7 @@ from robustlab.files import Limits, ReaderServer, read_table, read_tree
 LIMITS = Limits(seconds=20.0)  # no reader here comes near it
 TREE = """h = b'{"tree": {"attrs": {"x": ["<f8", null, [1]]}, "datasets": {}, "groups": {}}}'
 w(b'RLTREE1\\n' + len(h).to_bytes(8, 'little') + h + bytes(8))"""
-FORKED = """from robustlab.files import reader_process as r
+FORKED = """from robustlab.files import isolation as r
 def answer(request, stream):
     os.kill(os.getpid(), 11) if request['kind'] == 'hdf5' else time.sleep(60)
 r.answer = answer

@@ -17,7 +17,7 @@ from matplotlib.axes import Axes
 import robustlab as rl
 from robustlab.display import LINES, Displayable
 from robustlab.errors import DependencyMissing, InputError
-from robustlab.files import frames
+from robustlab.files import records
 from robustlab.report import DRAWINGS
 from robustlab.result import Result, Status, plain
 from robustlab.synthesis import Design
@@ -208,7 +208,7 @@ def test_tables_become_frames(name, make):
 
 
 def test_without_pandas_the_error_has_the_command_to_install_it(make, monkeypatch):
-    monkeypatch.setattr(frames.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(records.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(DependencyMissing, match="needs the package") as error:
         make("Margin").to_pandas()
     assert "robustlab[frames]" in str(error.value)

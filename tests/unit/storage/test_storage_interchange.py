@@ -8,7 +8,7 @@ import robustlab as rl
 from robustlab.errors import InputError, UnitMismatch
 from robustlab.provenance import NOT_VERIFIED
 from robustlab.statespace import StateSpaceModel
-from robustlab.storage import check_pair, load_pair, read, save
+from robustlab.storage import check_pair, read, save
 
 A, B, C, D = np.diag([-1.0, -2.0]), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1))
 
@@ -93,13 +93,13 @@ def pair_file(path, nominal, perturbed):
 def test_pairs(model, tmp_path):
     other = StateSpaceModel(2 * A, B, C, D)
     path = pair_file(tmp_path / "p.h5", model, other)
-    nominal, perturbed = load_pair(path, isolate=False)
+    nominal, perturbed = read(path, isolate=False).object
     np.testing.assert_array_equal(perturbed.A, 2 * nominal.A)
-    with pytest.raises(InputError, match=r"two models, /nominal and /perturbed.*\nhint: load_pair"):
+    with pytest.raises(InputError, match=r"two models, /nominal and /perturbed.*\nhint: load\("):
         load(path)
     np.testing.assert_array_equal(load(path, group="perturbed").A, 2 * A)
     with pytest.raises(InputError, match=r"nominal has dt = 0 s, perturbed dt = 0\.5 s"):
-        load_pair(pair_file(tmp_path / "q.h5", model, StateSpaceModel(A, B, C, D, 0.5)), isolate=False)
+        read(pair_file(tmp_path / "q.h5", model, StateSpaceModel(A, B, C, D, 0.5)), isolate=False)
 
 
 def test_check_pair(model):
@@ -140,14 +140,6 @@ def test_bad_uncertain_files(path, value, text, tmp_path):
         del file.attrs["content_sha256"]
     with pytest.raises(InputError, match=text):
         load(tmp_path / "p.h5")
-
-
-def test_a_file_without_the_width_below_is_symmetric(tmp_path):
-    m = StateSpaceModel([[-1.0]], [[-0.2, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
-    save(tmp_path / "p.h5", rl.UncertainModel(m, [rl.RealScalar("k", 1, rl.ParameterRange(1.0, 0.2))]))
-    with h5py.File(tmp_path / "p.h5", "r") as file:
-        assert "below" not in file["blocks"]
-    assert load(tmp_path / "p.h5").blocks[0].parameter == rl.ParameterRange(1.0, 0.2)
 
 
 def test_bad_controller_and_result_files(model, tmp_path):
