@@ -3,8 +3,6 @@
 What it prints has to be the same to the last bit. The loaded process has another number of BLAS threads as well.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import os

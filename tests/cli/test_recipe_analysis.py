@@ -1,7 +1,5 @@
 """Recipe steps of margins and sets, on models whose answers are closed forms."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

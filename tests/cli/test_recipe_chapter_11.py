@@ -1,7 +1,5 @@
 """The recipe on chapter 11, and the code of its page."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

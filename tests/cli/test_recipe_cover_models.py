@@ -1,7 +1,5 @@
 """The recipe step that makes the smallest uncertain model around a set of models."""
 
-from __future__ import annotations
-
 import pytest
 
 import robustlab as rl

@@ -1,7 +1,5 @@
 """The recipe step that identifies missing effects, and the steps that use the updated plant."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The recipe that identifies the missing effects of a linear model of EMPS; its record is not shipped."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

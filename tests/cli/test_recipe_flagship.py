@@ -1,7 +1,5 @@
 """From a record to a better controller: the steps on a small problem, and the recipe as shipped."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Recipes that identify missing effects of measured machines; the records are not shipped."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

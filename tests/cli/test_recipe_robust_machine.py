@@ -1,7 +1,5 @@
 """The recipe robust-machine in parts (actuator without D-K, the platform's PID), and its kinds of steps elsewhere."""
 
-from __future__ import annotations
-
 import math
 import re
 import shutil

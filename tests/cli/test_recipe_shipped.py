@@ -1,7 +1,5 @@
 """The shipped recipes meet their requirements: first-light, motor-models, and emps where its record is available."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The recipes of the thesis and of the platform's models run and meet their requirements."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

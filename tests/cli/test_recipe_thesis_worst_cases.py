@@ -1,7 +1,5 @@
 """The thesis' cases 1, 2a, 2b, 2c as a recipe: every requirement, every figure; and steps that make no sense."""
 
-from __future__ import annotations
-
 import pytest
 
 import robustlab as rl

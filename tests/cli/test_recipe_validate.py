@@ -1,7 +1,5 @@
 """The recipe step ``validate``: its numbers, its part of the report, and its outcome without a number."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Input that plants and simulation reject, and its message."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Values that an argument cannot have are refused in one clear line."""
 
-from __future__ import annotations
-
 import pytest
 import shown_objects as made
 

@@ -1,7 +1,5 @@
 """Linear models in time and frequency against scipy and python-control."""
 
-from __future__ import annotations
-
 import control
 import numpy as np
 import pytest

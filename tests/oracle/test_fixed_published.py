@@ -1,7 +1,5 @@
 """Static output feedback on COMPleib plants against HIFOO 3.501 and the best static norm that is known."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import h5py

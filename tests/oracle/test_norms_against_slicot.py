@@ -1,7 +1,5 @@
 """Norms against SLICOT's AB13DD, which is right on well-scaled models, and reductions against AB09AD."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The sampled-data norm: closed forms, brute force over a finite horizon, sinusoids, delays, and its own bracket."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.linalg import expm

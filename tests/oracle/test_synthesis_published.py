@@ -1,7 +1,5 @@
 """Published H-infinity designs and benchmark plants: gamma against the best that is known."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Arithmetic of models and of sets of them: identities, python-control as the judge, and what is refused."""
 
-from __future__ import annotations
-
 import control
 import numpy as np
 import pytest

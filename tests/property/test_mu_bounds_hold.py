@@ -1,7 +1,5 @@
 """What holds for every matrix: order of the bounds, evidence that re-checks, invariances, no successful attack."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

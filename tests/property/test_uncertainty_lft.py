@@ -1,7 +1,5 @@
 """Upper LFTs: state space against the formula in the frequency domain, and the reduction of repeated blocks."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """Parametric models: the LFT gives the matrices back, with few repetitions; what is no rational function is named."""
 
-from __future__ import annotations
-
 import ast
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Exact delays against closed forms: responses, rational approximations, their errors, and weights."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 from math import comb, factorial
 

@@ -1,7 +1,5 @@
 """Responses of models with delays against closed forms: the method of steps by hand, superposition, and shifts."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

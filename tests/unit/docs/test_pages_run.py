@@ -1,7 +1,5 @@
 """Code and commands of the pages run, in their order, and the numbers printed beside them are right."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import shutil

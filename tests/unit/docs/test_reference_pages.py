@@ -1,7 +1,5 @@
 """The site: every public name, every command with its options, every key of a recipe has its place; links hold."""
 
-from __future__ import annotations
-
 import re
 from importlib import import_module
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The public docstrings, and the page that explains the packages."""
 
-from __future__ import annotations
-
 import enum
 import inspect
 import re

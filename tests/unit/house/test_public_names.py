@@ -1,7 +1,5 @@
 """The public interface: the names of DESIGN, each importable, no numerical library loaded at import."""
 
-from __future__ import annotations
-
 import doctest
 import json
 import pickle

@@ -1,7 +1,5 @@
 """Results do not depend on the machine's load: budgets count work, and a time limit that is reached is reported."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from repeatable import same_under_load

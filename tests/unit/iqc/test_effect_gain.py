@@ -1,7 +1,5 @@
 """Loops with effects of the catalogue: proved gains against simulations with the effects themselves."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

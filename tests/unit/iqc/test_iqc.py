@@ -1,7 +1,5 @@
 """Integral quadratic constraints: each class against closed forms, mu, simulations; proofs that can fail."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Riccati and Lyapunov equations against their residuals and closed forms."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

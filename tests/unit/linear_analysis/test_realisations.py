@@ -1,7 +1,5 @@
 """`rl.tf`, `rl.zpk` and `rl.ss` against the polynomials in exact arithmetic and the converted objects."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 
 import control as ct

@@ -1,7 +1,5 @@
 """StateSpaceModel: accepted and refused input, its parts, and its exchange with python-control."""
 
-from __future__ import annotations
-
 import control
 import numpy as np
 import pytest

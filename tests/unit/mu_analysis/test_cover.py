@@ -1,7 +1,5 @@
 """Covers of a set of models: every model is a member, proved by its own delta; the cover is tight."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """Disk margins: published values, python-control's grid, perturbed loops with a pole on the axis, invalid inputs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Robust stability over the whole axis: published margins, closed forms, edges, refusals."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

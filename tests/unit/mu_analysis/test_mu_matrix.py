@@ -1,7 +1,5 @@
 """mu of constant matrices: closed forms, published numbers, edges, bad input."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

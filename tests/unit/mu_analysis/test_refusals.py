@@ -1,7 +1,5 @@
 """What the analysis of sets and loops refuses: requests that make no sense, and questions without an answer."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from unit.mu_analysis.test_cover import LAGS

@@ -1,7 +1,5 @@
 """H-infinity and H2 norms against closed forms, and at the edges."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 
 import numpy as np

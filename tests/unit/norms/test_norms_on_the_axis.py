@@ -1,7 +1,5 @@
 """L-infinity and H2 norms against closed forms, mirrored models and dense grids."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from attack_cases import make_case

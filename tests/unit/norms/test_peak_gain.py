@@ -1,7 +1,5 @@
 """`rl.peak_gain` of every kind of system: the class of the result, and refused options with their hints."""
 
-from __future__ import annotations
-
 import pytest
 import shown_objects as made
 

@@ -1,7 +1,5 @@
 """Reduction of controllers: measures, scalings, unstable controllers, the requested order, refusals."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

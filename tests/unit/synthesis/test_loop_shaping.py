@@ -1,7 +1,5 @@
 """Normalised-coprime-factor loop shaping: gamma_min, sign of K, discrete time, weights, refusals."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are

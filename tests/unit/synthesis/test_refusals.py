@@ -1,7 +1,5 @@
 """What synthesis refuses: requests that make no sense, and problems without a trustworthy answer, each by its name."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

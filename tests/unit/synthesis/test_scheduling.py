@@ -1,7 +1,5 @@
 """Gain scheduling against closed forms, frozen norms, and trajectories against proved bounds."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import h5py

@@ -1,7 +1,5 @@
 """H-infinity synthesis against closed forms, at the edges, and its refusals."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Figures of covers: weights over the errors, the effect of each block."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

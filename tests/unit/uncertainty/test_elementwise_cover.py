@@ -1,7 +1,5 @@
 """The cover of an element-wise set: each member of the set is one of the cover, with a Delta of norm at most one."""
 
-from __future__ import annotations
-
 import numpy as np
 
 import robustlab as rl

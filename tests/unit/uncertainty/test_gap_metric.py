@@ -1,7 +1,5 @@
 """The nu-gap: closed forms, published values, independent computations, bad inputs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

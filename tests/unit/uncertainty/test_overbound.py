@@ -1,7 +1,5 @@
 """Over-bounding weights: exact for the bound of a weight, never below it, as close as an independent search."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

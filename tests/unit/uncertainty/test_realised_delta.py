@@ -1,7 +1,5 @@
 """A complex Delta at one frequency as stable systems: value, norm, sizes, edges, and its pole on the axis."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """Blocks of Delta: mussv's notation, sizes, and Delta from values."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Element-wise uncertainty: names, errors, the thesis' column form, noise, the generalised plant."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Unstructured uncertainty: members against the defining formulas, the thesis' M, weights, bad inputs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
