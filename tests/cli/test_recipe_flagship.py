@@ -141,10 +141,3 @@ def test_before_and_after_have_the_same_requirement():
     assert before == after
     before, after = (steps[word].model_dump(exclude={"of", "title", "start"}) for word in ("before", "after"))
     assert before == after
-
-
-@pytest.mark.slow
-def test_flagship(tmp_path):
-    result = run_recipe(load_recipe(recipe_path("flagship")), tmp_path / "out")
-    assert [q["text"] for q in result.data["requirements"] if not q["met"]] == []
-    assert result.exit_code == 0

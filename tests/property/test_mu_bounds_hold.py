@@ -10,7 +10,7 @@ import robustlab as rl
 from robustlab import FullBlock, RealScalar
 from robustlab.budget import listening
 from robustlab.mu_analysis import delta_norm, proves, smallest_step
-from robustlab.uncertainty import as_blocks, block_slices, structure_size
+from robustlab.uncertainty import as_blocks, block_slices, delta_matrix, delta_values, structure_size
 
 ROWS = st.sampled_from([[-1, 0], [1, 0], [-2, 0], [2, 0], [1, 2], [2, 1], [2, 2]])
 
@@ -50,6 +50,7 @@ def check_evidence(M, blocks, bounds):
     if bounds.upper > 0:
         assert proves(M, bounds.D, bounds.D_z, bounds.G, bounds.upper)
     if bounds.lower > 0:
+        assert np.array_equal(bounds.delta, delta_matrix(blocks, delta_values(blocks, bounds.delta)))
         values = np.linalg.svd(np.eye(len(M)) - M @ bounds.delta, compute_uv=False)
         assert values[-1] <= 1e-8 * (1 + values[0])
         assert abs(delta_norm(blocks, bounds.delta) * bounds.lower - 1) <= 1e-8

@@ -206,6 +206,7 @@ def test_zeros_poles_and_gains_of_several_channels():
         (([], [np.inf], 1), "finite numbers"),
         (([], "s", 1), "numbers"),
         (([], [-1], [[1, 2]]), "gain: of shape"),
+        (([], [-1], np.nan), r"gain\[0,0\] is NaN"),
         (([[[]]], [[[-1], [-2]]], [[1.0]]), "different lengths"),
         (([], [[-1]], 1), "nested"),
     ],

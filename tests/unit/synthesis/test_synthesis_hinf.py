@@ -7,9 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import robustlab as rl
 from robustlab import Controller, RealScalar, UncertainModel, frequency_response, generalized_plant, h2, hinf, mixsyn
-from robustlab.errors import InputError
 from robustlab.norms import bilinear_to_discrete, h2_norm, hinf_norm
 from robustlab.result import Status, plain
 from robustlab.statespace import StateSpaceModel, lower_lft
@@ -224,24 +222,6 @@ def test_closing_the_generalised_plant_is_closing_the_uncertain_model():
     )
     omega = np.geomspace(1e-2, 1e2, 20)
     np.testing.assert_allclose(frequency_response(loop, omega), frequency_response(direct, omega), atol=1e-12)
-
-
-@pytest.mark.parametrize(("n_w", "n_z", "missing"), [(0, 0, "w and no performance"), (0, 1, "w"), (1, 0, "output z")])
-@pytest.mark.parametrize("design", ["hinf", "h2", "fixed", "fixed of two", "sampled norm"])
-def test_a_plant_without_performance_channels_is_refused(design, n_w, n_z, missing):
-    """Every norm of its loop is zero."""
-    P = StateSpaceModel(
-        np.diag([1.0, -2.0]), np.ones((2, n_w + 1)), np.ones((n_z + 1, 2)), np.zeros((n_z + 1, n_w + 1))
-    )
-    calls = {
-        "hinf": lambda: rl.hinf(P, 1, 1),
-        "h2": lambda: rl.h2(P, 1, 1),
-        "fixed": lambda: rl.fixed_structure(P, 1, n_meas=1, n_con=1),
-        "fixed of two": lambda: rl.fixed_structure([P, P], 1, n_meas=1, n_con=1),
-        "sampled norm": lambda: rl.sampled_data_norm(P, StateSpaceModel([], [], [], [[-5.0]], 0.01)),
-    }
-    with pytest.raises(InputError, match=f"no .*{missing}.* beside 1 controls and 1 measurements"):
-        calls[design]()
 
 
 # --- H2 synthesis -----------------------------------------------------------------------------------------------------

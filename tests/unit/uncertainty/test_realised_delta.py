@@ -74,12 +74,3 @@ def test_bad_inputs_are_named(delta, omega, dt, text):
     blocks = [rl.ComplexScalar("d"), rl.RealScalar("r"), rl.FullBlock("f", 1, 2)]
     with pytest.raises(rl.InputError, match=text):
         realise_delta(blocks, delta, omega, dt)
-
-
-def test_the_critical_delta_of_a_margin_is_simulated():
-    M = rl.StateSpaceModel([[0, 1], [-1, -0.2]], [[0, 0], [1, 1]], [[1, 0.5], [1, 0]], np.zeros((2, 2)))
-    model = rl.UncertainModel(M, [rl.ComplexScalar("d")])
-    margin = rl.robust_stability(model)
-    loop = model.evaluate(realise_delta(model.blocks, margin.delta, margin.frequency))
-    assert np.abs(loop.poles() - 1j * margin.frequency).min() <= 1e-7
-    assert loop.spectral_abscissa() <= 1e-7
