@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recipe_runs import entry
 
 import robustlab as rl
 from robustlab.dynamics import catalogue
@@ -64,10 +65,6 @@ def run(folder, tmp_path, monkeypatch, real):
         return run_recipe(load_recipe(path), tmp_path / "out")
 
     return call
-
-
-def entry(result, name):
-    return next(s for s in result.data["steps"] if s["name"] == name)
 
 
 def require(that, condition):
