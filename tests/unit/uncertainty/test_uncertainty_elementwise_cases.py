@@ -25,14 +25,6 @@ def motor(a=A, b=B, c=C, d=D, dt=0.0, **signals):
     return StateSpaceModel(a, b, c, d, dt, **{**SIGNALS, **signals})
 
 
-def changed(*entries, **matrices):
-    """Motor with some entries 10 % larger."""
-    out = {"a": A.copy(), "b": B.copy(), "c": C.copy(), "d": D.copy(), **matrices}
-    for name, i, j in entries:
-        out[name][i, j] = out[name][i, j] * 1.1 + 0.1
-    return motor(**out)
-
-
 def test_columns_are_the_thesis_form():
     """Equation 10.13: M12 = I (the changed columns of it), M21 = A_D, M11 = 0."""
     perturbed = motor(a=A * [[1.1], [0.9]] + [[0.0, 1.0], [2.0, 0.0]])

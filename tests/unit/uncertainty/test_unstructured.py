@@ -103,15 +103,6 @@ def test_scalar_and_diagonal_weights():
     assert each.response(omega, {"unmodelled": delta}) == pytest.approx(g + 2 * delta * scale)
 
 
-def test_a_delta_may_be_a_system():
-    G, W = model(3, 2, 2, 5), rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.1]])
-    E = model(2, 2, 2, 6)
-    made = unstructured(G, W, "output-multiplicative").evaluate({"unmodelled": E})
-    for w in (0.2, 3.0):
-        g, weight, e = (rl.frequency_response(s, [w])[0] for s in (G, W, E))
-        assert rl.frequency_response(made, [w])[0] == pytest.approx((np.eye(2) + e * weight) @ g)
-
-
 LAG = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
 UNSTABLE = rl.StateSpaceModel([[1.2]], [[1.0]], [[1.0]], [[0.0]])
 
