@@ -134,29 +134,3 @@ def test_discrete_models_through_the_bilinear_map():
     assert nu_gap(k, bilinear_to_discrete(first_order(4, 0), 0.1)).frequency == pytest.approx(
         2 / 0.1 * np.arctan(2.0 * 0.05), rel=1e-3
     )
-
-
-def test_a_discrete_pole_at_minus_one_is_refused():
-    one = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], 0.1)
-    with pytest.raises(rl.NoTrustworthyNumber, match="z = -1"):
-        nu_gap(one, rl.StateSpaceModel([[-0.5]], [[1.0]], [[2.0]], [[0.0]], 0.1))
-
-
-# --- bad inputs ------------------------------------------------------------------------------------------------------
-
-
-def test_bad_inputs_are_named():
-    one = first_order(1, -1)
-    with pytest.raises(rl.InputError, match="equal sizes"):
-        nu_gap(one, random_model(2, 2, 1, 0))
-    with pytest.raises(rl.InputError, match="common sample time"):
-        nu_gap(one, rl.StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1))
-    hidden = rl.StateSpaceModel(np.diag([-1.0, 2.0]), [[1.0], [0.0]], [[1.0, 1.0]], [[0.0]])
-    with pytest.raises(rl.NoTrustworthyNumber, match="unstable mode 2 rad/s in x2: no input moves it"):
-        nu_gap(one, hidden)
-    with pytest.raises(rl.InputError, match="K is 1 x 1"):
-        coprime_margin(random_model(2, 2, 1, 0), one)
-    with pytest.raises(rl.InputError, match="sign"):
-        coprime_margin(one, one, sign=0)
-    with pytest.raises(rl.InputError, match="inputs and outputs"):
-        nu_gap(*[rl.StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((0, 0)), np.zeros((0, 1)))] * 2)

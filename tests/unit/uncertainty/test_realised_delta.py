@@ -55,22 +55,3 @@ def test_any_complex_number_at_any_frequency(phase, size, omega):
     # Poles stay near omega, so that neither the eigenvalues nor a simulation of the loop suffer.
     assert all(omega * 1e-3 <= -p.real <= omega * 1e3 for p in made.poles())
     assert abs(np.abs(rl.frequency_response(made, [0.0, omega / 3, np.inf])) - size).max() <= 1e-12 * size
-
-
-@pytest.mark.parametrize(
-    ("delta", "omega", "dt", "text"),
-    [
-        ({"d": 0.4j}, -1.0, 0.0, "omega = -1"),
-        ({"d": 0.4j}, np.nan, 0.0, "omega = nan"),
-        ({"d": 0.4j}, 40.0, 0.1, "between 0 and 31.4"),
-        ({"d": 0.4j}, 1.0, -0.1, "dt: -0.1"),
-        ({"d": np.nan}, 1.0, 0.0, "NaN"),
-        ({"e": 0.4j}, 1.0, 0.0, "no such block"),
-        ({"r": 0.4j}, 1.0, 0.0, "a real number"),
-        ({"f": np.ones((2, 2))}, 1.0, 0.0, r"shape \(2, 2\)"),
-    ],
-)
-def test_bad_inputs_are_named(delta, omega, dt, text):
-    blocks = [rl.ComplexScalar("d"), rl.RealScalar("r"), rl.FullBlock("f", 1, 2)]
-    with pytest.raises(rl.InputError, match=text):
-        realise_delta(blocks, delta, omega, dt)
