@@ -14,6 +14,7 @@ from robustlab.delays import DelayedModel, error_weight, pade, phase_bound
 from robustlab.errors import InputError, NoTrustworthyNumber
 
 OMEGA = np.geomspace(1e-3, 1e3, 301)
+TIMES, ONES = np.linspace(0, 1, 11), np.ones(11)
 LAG = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
 
 
@@ -81,6 +82,9 @@ def test_a_discrete_delay_is_a_chain_of_states():
         (lambda: rl.delay(1.0) @ rl.delay(1.0).uncertain(2), "cover the delays first"),
         (lambda: rl.delay(1.0).pade(-1), "from 0 to 40"),
         (lambda: rl.frequency_response(rl.delay(1.0), [np.inf]), "finite"),
+        (lambda: rl.simulate(rl.delay(0.1) @ LAG, TIMES, ONES, [0.0, 0.0]), "x0 has 2 entries"),
+        (lambda: rl.simulate(rl.delay(0.1), TIMES, ONES, step=0.1), "step for a model with delays"),
+        (lambda: rl.simulate(rl.delay(0.1), TIMES, ONES, rtol=2.0), "rtol"),
     ],
 )
 def test_invalid_requests_are_rejected(wrong, message):
@@ -88,13 +92,25 @@ def test_invalid_requests_are_rejected(wrong, message):
         wrong()
 
 
-def test_a_loop_without_delay_that_is_not_well_posed_is_rejected():
-    one = rl.StateSpaceModel([], [], [], [[0.0, 1.0], [1.0, -1.0]])
-    direct = rl.DelayedModel(one, [0.3])
-    with pytest.raises(NoTrustworthyNumber, match="without delay"):
-        direct.feedback()
-    with pytest.raises(NoTrustworthyNumber, match="delay of zero"):
-        rl.DelayedModel(rl.StateSpaceModel([], [], [], [[1.0, 1.0], [1.0, 0.0]]), [0.0])
+def direct(rows, delay):
+    return rl.DelayedModel(rl.StateSpaceModel([], [], [], rows), [delay])
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: direct([[0.0, 1.0], [1.0, -1.0]], 0.3).feedback(), "without delay"),
+        (lambda: direct([[1.0, 1.0], [1.0, 0.0]], 0.0), "delay of zero"),
+        (lambda: rl.simulate((LAG @ rl.delay(1e-6)).feedback(), TIMES, ONES), "cells"),
+        (
+            lambda: rl.simulate((-1e9 * LAG @ rl.delay(0.05)).feedback(), 0.05 * np.arange(201), np.ones(201)),
+            "outgrows",
+        ),
+    ],
+)
+def test_loops_without_an_answer_are_rejected(call, message):
+    with pytest.raises(NoTrustworthyNumber, match=message):
+        call()
 
 
 # --- Padé -------------------------------------------------------------------------------------------------------------
@@ -290,20 +306,6 @@ def test_two_delays_in_loops_against_runge_kutta(seed):
     y = np.column_stack(list(record.outputs.values()))
     expected = integrated(A, B, C, d, delays, t)
     assert np.abs(y - expected).max() < 1e-9 * max(1.0, np.abs(expected).max())
-
-
-def test_invalid_simulations_are_rejected():
-    t = np.linspace(0, 1, 11)
-    with pytest.raises(InputError, match="x0 has 2 entries"):
-        rl.simulate(rl.delay(0.1) @ LAG, t, np.ones(11), [0.0, 0.0])
-    with pytest.raises(InputError, match="step for a model with delays"):
-        rl.simulate(rl.delay(0.1), t, np.ones(11), step=0.1)
-    with pytest.raises(InputError, match="rtol"):
-        rl.simulate(rl.delay(0.1), t, np.ones(11), rtol=2.0)
-    with pytest.raises(NoTrustworthyNumber, match="cells"):
-        rl.simulate((LAG @ rl.delay(1e-6)).feedback(), t, np.ones(11))
-    with pytest.raises(NoTrustworthyNumber, match="outgrows"):
-        rl.simulate((-1e9 * LAG @ rl.delay(0.05)).feedback(), np.linspace(0, 10, 201), np.ones(201))
 
 
 @pytest.mark.parametrize("late", [0.025, 0.001, 0.0999])
