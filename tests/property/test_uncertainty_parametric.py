@@ -201,42 +201,33 @@ def test_entries_that_are_none(entry, match):
     assert "D[0,1]" in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("given_range", "match"),
-    [
-        ((1.0, 2.0, 3.0), "low < nominal < high"),
-        ((1.0, 0.5, 0.7), "low < nominal < high"),
-        ((1.0, -0.1), "relative tolerance -0.1"),
-        ((0.0, 0.1), "relative tolerance 0.1 of 0"),
-        ((1.0, np.nan), "finite numbers"),
-        ((1.0, 0.1, 0.2, 0.3), "4 numbers"),
-        ("1 +- 10 %", "a ParameterRange"),
-        (True, "a ParameterRange"),
-        (ParameterRange(np.inf, 1.0), "finite numbers"),
-        (ParameterRange(1.0, -1.0), "not negative"),
-    ],
-)
-def test_ranges_that_are_none(given_range, match):
-    with pytest.raises(InputError, match=match):
-        gain([["a"]], {"a": given_range})
+RANGES = [
+    ((1.0, 2.0, 3.0), "low < nominal < high"),
+    ((1.0, 0.5, 0.7), "low < nominal < high"),
+    ((1.0, -0.1), "relative tolerance -0.1"),
+    ((0.0, 0.1), "relative tolerance 0.1 of 0"),
+    ((1.0, np.nan), "finite numbers"),
+    ((1.0, 0.1, 0.2, 0.3), "4 numbers"),
+    ("1 +- 10 %", "a ParameterRange"),
+    (True, "a ParameterRange"),
+    (ParameterRange(np.inf, 1.0), "finite numbers"),
+    (ParameterRange(1.0, -1.0), "not negative"),
+]
 
 
 @pytest.mark.parametrize(
-    ("matrices", "match"),
+    ("matrices", "given_range", "match"),
     [
-        (([["a"]], [[1]], [[1, 2]], [[0]]), "C is 1 x 2, expected 1 x 1"),
-        (([["a", 1]], [[1]], [[1]], [[0]]), "A is 1 x 2"),
-        (([["a"], [1, 2]], [[1]], [[1]], [[0]]), "A is 2 x 1/2"),
-        (([["a"]], [], [[1]], [[0]]), "B is 0 x 0"),
-        (("a", [[1]], [[1]], [[0]]), "A is str"),
-        (([["a"]], [[1]], [[1]], [0]), "D is list"),
+        *((([], [], [], [["a"]]), given_range, match) for given_range, match in RANGES),
+        (([["a"]], [[1]], [[1, 2]], [[0]]), (1.0, 0.1), "C is 1 x 2, expected 1 x 1"),
+        (([["a", 1]], [[1]], [[1]], [[0]]), (1.0, 0.1), "A is 1 x 2"),
+        (([["a"], [1, 2]], [[1]], [[1]], [[0]]), (1.0, 0.1), "A is 2 x 1/2"),
+        (([["a"]], [], [[1]], [[0]]), (1.0, 0.1), "B is 0 x 0"),
+        (("a", [[1]], [[1]], [[0]]), (1.0, 0.1), "A is str"),
+        (([["a"]], [[1]], [[1]], [0]), (1.0, 0.1), "D is list"),
+        (([], [], [], [["(1e200*a)**3"]]), (1.0, 0.1), "overflow"),
     ],
 )
-def test_shapes_that_do_not_fit(matrices, match):
+def test_ranges_and_shapes_that_are_none(matrices, given_range, match):
     with pytest.raises(InputError, match=match):
-        parametric(*matrices, {"a": (1.0, 0.1)})
-
-
-def test_numbers_that_overflow_are_named():
-    with pytest.raises(InputError, match="overflow"):
-        gain([["(1e200*a)**3"]], {"a": (1.0, 0.1)})
+        parametric(*matrices, {"a": given_range})

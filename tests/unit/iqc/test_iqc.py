@@ -263,6 +263,9 @@ def stability(block, natures):
         (lambda: stability(rl.RealScalar("f"), {"g": rl.Varying(1.0)}), "no such block"),
         (lambda: stability(rl.RealScalar("f"), {"f": rl.Nonlinearity((0, 1))}), "own range"),
         (lambda: rl.robust_stability(_discrete(), natures={}), "a discrete model"),
+        (lambda: gain_of(FRICTION), r"sector \[0, inf\): no strict inequality holds"),
+        (lambda: gain_of(FRICTION, stick_speed={"q": 0.01}), "no Coulomb friction there"),
+        (lambda: rl.peak_gain(AXIS, K), "controller: given for a model, expected it for a plant with effects"),
     ],
 )  # fmt: skip
 def test_invalid_input_is_rejected_in_one_line(ask, text):
@@ -281,6 +284,7 @@ def _discrete():
 
 K = rl.StateSpaceModel([[-300.0]], [[1.0]], [[-90000.0]], [[320.0]])
 AXIS = rl.plant("servo-axis")
+FRICTION = {"coulomb-friction": {"Fc": 20.0}}
 
 
 def gain_of(effects, **options):
@@ -330,7 +334,7 @@ def test_no_input_of_a_saturated_axis_reaches_more():
 
 @pytest.mark.slow
 def test_friction_with_a_stick_speed_is_a_monotone_law():
-    found = gain_of({"coulomb-friction": {"Fc": 20.0}}, stick_speed={"v": 0.01})
+    found = gain_of(FRICTION, stick_speed={"v": 0.01})
     assert found.status is Status.CERTIFIED
     (text,) = found.nature.values()
     assert text == "odd nonlinearity, sector [0, 2000], slope [0, 2000]"
@@ -341,15 +345,6 @@ def test_friction_with_a_stick_speed_is_a_monotone_law():
         d = size * attacks(t)
         q, _ = simulated(d, dt, friction=(20.0, 0.01))
         assert (np.linalg.norm(q, axis=0) / np.linalg.norm(d, axis=0)).max() <= found.upper
-
-
-def test_friction_without_a_stick_speed_is_rejected_with_a_reason():
-    with pytest.raises(InputError, match=r"sector \[0, inf\): no strict inequality holds"):
-        gain_of({"coulomb-friction": {"Fc": 20.0}})
-    with pytest.raises(InputError, match="no Coulomb friction there"):
-        gain_of({"coulomb-friction": {"Fc": 20.0}}, stick_speed={"q": 0.01})
-    with pytest.raises(InputError, match="controller: given for a model, expected it for a plant with effects"):
-        rl.peak_gain(AXIS, K)
 
 
 def test_any_other_sector_may_vary_arbitrarily_fast():

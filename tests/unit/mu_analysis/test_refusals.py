@@ -67,6 +67,8 @@ REQUESTS = [
     (lambda: rl.robust_stability(rl.delay(1.0), order=4), "order: given for a model with exact delays"),
     (lambda: rl.robust_stability(rl.delay(1.0), pole=1.0), "pole: given for a model with exact delays"),
     (lambda: rl.violation_probability(oscillator(rl.RealScalar), "hinf", 1.0, probability=2.0), "between 0 and 1"),
+    (lambda: rl.robust_gain(oscillator(rl.RealScalar), -1.0), "level"),
+    (lambda: rl.robust_gain(LAG, 1.0), "UncertainModel"),
     # frequency data
     (lambda: rl.frequency_data([1.0], [0.0, 1.0]), "UncertainFrequencyData|frequency_data: M"),
     (lambda: rl.frequency_data([1.0, 2.0], [1.0, 0.5]), "do not increase"),

@@ -77,6 +77,7 @@ REQUESTS = [
     # distances
     (lambda: nu_gap(LAG, TWO), "equal sizes"),
     (lambda: nu_gap(LAG, SAMPLED), "common sample time"),
+    (lambda: rl.gap(LAG, SAMPLED), "sample time"),
     (lambda: nu_gap(SILENT, SILENT), "inputs and outputs"),
     (lambda: coprime_margin(TWO, LAG), "K is 1 x 1"),
     (lambda: coprime_margin(LAG, LAG, sign=0), "sign"),
