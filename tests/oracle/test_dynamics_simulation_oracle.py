@@ -62,15 +62,9 @@ def test_motor_against_an_integrator():
 # --- discretisation ---------------------------------------------------------------------------------------------------
 
 
-def model(n, m, p):
-    rng = np.random.default_rng(0)
-    A = rng.normal(size=(n, n)) - 1.5 * np.eye(n)
-    return rl.StateSpaceModel(A, rng.normal(size=(n, m)), rng.normal(size=(p, n)), rng.normal(size=(p, m)))
-
-
 @pytest.mark.parametrize(("n", "m", "p"), [(1, 1, 1), (4, 2, 3), (8, 3, 1)])
 def test_scipy(n, m, p):
-    G = model(n, m, p)
+    G = random_model(0, n, m, p)
     a, b, c, d, _ = cont2discrete((G.A, G.B, G.C, G.D), 0.1, "bilinear")
     omega = np.linspace(0, 30, 20)
     expected = rl.frequency_response(rl.StateSpaceModel(a, b, c, d, 0.1), omega)
@@ -78,7 +72,7 @@ def test_scipy(n, m, p):
 
 
 def test_python_control_prewarp():
-    G = model(4, 1, 1)
+    G = random_model(0, 4, 1, 1)
     z = np.exp(0.1j * np.linspace(0.1, 30, 20))
     warped = control.sample_system(G.to_control(), 0.1, "bilinear", prewarp_frequency=3.0)
     found = rl.discretise(G, 0.1, "tustin-prewarp", prewarp=3.0).to_control()
