@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robustlab as rl
-from robustlab.report import cover_figures, weight_figure
+from robustlab.report import weight_figure
 from robustlab.uncertainty import FORMS, error_sizes
 
 
@@ -311,4 +311,3 @@ def test_the_weight_is_above_every_drawn_error():
     np.testing.assert_allclose(drawn[0], errors[0], atol=1e-6 * errors.max())
     assert all((drawn[-1] >= y * (1 - 1e-9)).all() for y in drawn[:-1])
     assert below.lines[0].get_ydata().max() == pytest.approx(100 * found.fit.excess, rel=1e-6)
-    assert set(cover_figures(found, LAGS)) == {"weight"}
