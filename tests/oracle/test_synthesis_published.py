@@ -7,6 +7,7 @@ import control
 import h5py
 import numpy as np
 import pytest
+from characterisation.designs import plant as plant_of
 
 import robustlab as rl
 from robustlab import h2, hinf, mixsyn, performance_weight
@@ -92,12 +93,8 @@ def test_mass_damper_spring():
 
 def compleib(name, best="gamma_full_best_verified"):
     with h5py.File(COMPLEIB) as file:
-        m = {key: file[name][key][()] for key in file[name]}
-        attributes = dict(file[name].attrs)
-    n_y, n_u = int(attributes["ny"]), int(attributes["nu"])
-    D = np.block([[m["D11"], m["D12"]], [m["D21"], np.zeros((n_y, n_u))]])
-    plant = StateSpaceModel(m["A"], np.hstack([m["B1"], m["B"]]), np.vstack([m["C1"], m["C"]]), D)
-    return plant, n_y, n_u, float(attributes.get(best, np.nan))
+        known = float(file[name].attrs.get(best, np.nan))
+    return *plant_of(name), known
 
 
 @pytest.mark.slow
