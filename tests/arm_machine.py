@@ -4,8 +4,6 @@ The equations are Lagrange's, written out for two links with geared rotors; dry 
 steep saturated line (its slope holds a joint within 1e-5 rad/s), which no force law of robustlab is.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Records of unstable plants: a controller holds them, and every sample is one step of the plant's own integrator."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Nonlinear plants for tests: written in numpy, with derivatives by complex steps; nothing of the house is in them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any

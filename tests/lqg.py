@@ -1,7 +1,5 @@
 """The H2 design of a plant with quadratic costs and white noises."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Small records of an event-driven integrator, and what `discover` says of them with few effects."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Energies of the Stewart platform, summed over its bodies apart from its equations of motion."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 

@@ -4,8 +4,6 @@ The judge uses nothing of robustlab: it evaluates both models as stored in balls
 pole, and at the ends of what the result leaves out. False: a certified error that is exceeded by 1e-9 of it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

@@ -3,8 +3,6 @@
 What it prints has to be the same to the last bit. The loaded process has another number of BLAS threads as well.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import os
@@ -17,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["answer", "digest", "same_compiled_and_cached", "same_under_load"]
+__all__ = ["answer", "digest", "same_under_load"]
 
 # Fields that hold how long something took: they are no part of an answer.
 TIMES = {"seconds"}
@@ -54,14 +52,9 @@ finally:
 """
 
 
-def answer(snippet: str, *, loaded: bool = False, seconds: float = 600.0, cache: Path | None = None) -> str:
-    """What a snippet prints; it finds ``rl``, ``np`` and ``digest``.
-
-    ``cache``: a folder for compiled code, instead of the usual one.
-    """
+def answer(snippet: str, *, loaded: bool = False, seconds: float = 600.0) -> str:
+    """What a snippet prints; it finds ``rl``, ``np`` and ``digest``."""
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
-    if cache is not None:
-        environment["NUMBA_CACHE_DIR"] = str(cache)
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         environment.pop(name, None)
         if loaded:
@@ -80,14 +73,6 @@ def same_under_load(snippet: str, seconds: float = 600.0) -> str:
     assert idle == loaded
     assert idle.strip()
     return idle
-
-
-def same_compiled_and_cached(snippet: str, folder: Path) -> str:
-    """What the snippet prints, once it has printed the same with kernels compiled for it and with those kept then."""
-    compiled, cached = (answer(snippet, cache=folder) for _ in range(2))
-    assert list(folder.rglob("*.nbc")), "nothing was compiled"
-    assert compiled == cached
-    return compiled
 
 
 def digest(*values: Any) -> str:

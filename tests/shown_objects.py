@@ -1,7 +1,5 @@
 """One small object of every class that shows itself; each is made when it is asked for."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 from typing import Any

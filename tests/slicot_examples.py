@@ -1,7 +1,5 @@
 """Models of the examples in SLICOT's documentation (5.0)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 import robustlab as rl

@@ -1,7 +1,5 @@
 """Records whose smallest gamma is known, for `rl.validate`."""
 
-from __future__ import annotations
-
 import numpy as np
 
 import robustlab as rl

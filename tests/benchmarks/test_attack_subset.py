@@ -1,10 +1,15 @@
 """A small fixed part of the attack on certificates, the judge on closed forms, and lies that it has to catch."""
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 pytest.importorskip("flint")
 
+import attack_zeros
+import zeros_judge
 from attack import call, claim_of, run_case
 from attack_cases import FAMILIES, FUNCTIONS, Case, make_case
 from attack_verdicts import judge
@@ -12,6 +17,8 @@ from exact_delta import Part, distance_to_singular, proves, singular_inside
 from exact_loops import Model, exact, is_stable, with_precision
 from verify_claims import MAKERS
 from verify_judge import judge as judge_of_checker
+
+import robustlab as rl
 
 # Half of a round through all families and functions, like a chess board; the first two rows have every function.
 SUBSET = [
@@ -48,12 +55,6 @@ HELD = [
 @pytest.mark.parametrize(("seed", "index"), HELD)
 def test_what_was_false_holds(seed, index):
     assert run_case(make_case(seed, index))["outcome"] == "held"
-
-
-def test_h2_next_to_an_ill_posed_loop_is_not_verified():
-    """1 - D22 D_K = 1e-7: one unit in the last place of D_K leaves a direct term, and the exact norm is infinite."""
-    record = run_case(make_case(11, 578))
-    assert record["outcome"] in ("not certified", "refused")
 
 
 def test_mu_below_the_inverse_of_the_largest_float():
@@ -212,3 +213,43 @@ def test_a_level_that_is_too_low_is_found(kind):
         assert judge_of_checker(kind, lie, True, case.hints).startswith(("false", "unjustified"))
         found += 1
     assert found
+
+
+# --- zeros and crossings: nothing that is vouched for is wrong, in exact arithmetic -----------------------------------
+
+# The first cases of every family, and what the attack has found: a slow zero on the right that was taken for a hidden
+# mode, products of matched zeros that overflow, poles that rounding moves over the axis.
+ZEROS = {
+    "zeros": range(12 * len(attack_zeros.FAMILIES)),
+    "crossings": range(7 * len(attack_zeros.LOOPS)),
+}
+
+
+@pytest.mark.parametrize("what", ZEROS)
+def test_nothing_that_is_vouched_for_is_wrong(what):
+    found = [attack_zeros.CASES[what](i) for i in ZEROS[what]]
+    assert [r for r in found if r["wrong"]] == []
+    vouched = sum(r["status"] in ("converged", "certified") for r in found)
+    assert vouched >= 0.97 * len(found)
+
+
+def test_the_judge_on_closed_forms():
+    assert zeros_judge.invariant_zeros([[-1e-6]], [[1.0]], [[1.0]], [[1.0]]) == ([pytest.approx(-1 - 1e-6)], 1)
+    lag = zeros_judge.Loop([[1.0]], [[1.0]], [[4.0]], [[0.0]])  # 4/(s - 1): |L| = 1 at sqrt(15)
+    gain, phase = lag.crossings()
+    assert gain == [(pytest.approx(15**0.5), pytest.approx(math.acos(0.25)))]
+    assert (phase, lag.stable_closed(), lag.above_one(3.8), lag.above_one(3.9)) == ([], True, True, False)
+
+
+def test_the_judge_catches_what_is_missing():
+    parts = tuple(map(np.array, ([[0.0, 1.0], [-6.0, -5.0]], [[0.0], [1.0]], [[2.0, 1.0]], [[0.0]])))
+    found = rl.zeros(rl.StateSpaceModel(*parts))
+    rng = np.random.default_rng(0)
+    assert attack_zeros.zeros_fault(parts, found, rng) == ""
+    for lie in (replace(found, values=found.values[:0]), replace(found, values=found.values * (1 + 1e-8))):
+        assert attack_zeros.zeros_fault(parts, lie, rng)
+    unstable = ([[1.0]], [[1.0]], [[4.0]], [[0.0]])
+    loop, margin = zeros_judge.Loop(*unstable), rl.classical_margins(rl.StateSpaceModel(*unstable)).channels["y1"]
+    assert attack_zeros.crossings_fault(loop, margin) == ""
+    assert attack_zeros.crossings_fault(loop, replace(margin, gain_crossings=()))
+    assert attack_zeros.crossings_fault(loop, replace(margin, phase_margin=margin.phase_margin * 1.001))

@@ -6,8 +6,6 @@ again, best with OPENBLAS_CORETYPE=Nehalem and another number of threads, and wr
 more than its tolerance: that becomes its tolerance, three times over.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys

@@ -1,7 +1,5 @@
 """mu of matrices of every kind of structure."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

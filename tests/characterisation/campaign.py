@@ -1,7 +1,5 @@
 """A campaign that is killed twice and resumed, beside the same one left alone: the command's numbers, bit by bit."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

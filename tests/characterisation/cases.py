@@ -10,8 +10,6 @@ An answer is a tree of mappings. Its leaves are compared by what they are:
 - Words, verdicts, statuses, truth values, counts in text: exactly.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

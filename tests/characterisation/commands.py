@@ -3,8 +3,6 @@
 The chapters are in ``data/commands.txt``.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shlex

@@ -1,7 +1,5 @@
 """H-infinity and H2 designs of the COMPleib plants, and whether their evidence is proved."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

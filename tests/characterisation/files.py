@@ -1,7 +1,5 @@
 """One HDF5 file of each kind, written by 3842bc3f: each loads for ever, to the same numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Robust stability and worst-case gain of models, with their gaps; margins of loops."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

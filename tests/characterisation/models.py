@@ -1,7 +1,5 @@
 """Norms and reductions of random models of many kinds."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -3,8 +3,6 @@
 More cases: a line each in ``HIDDEN``, then ``python tests/characterisation naming --all --record --case NAME``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

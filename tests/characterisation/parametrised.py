@@ -1,7 +1,5 @@
 """A test a recorded case; nothing of a subject is imported before its first case is run."""
 
-from __future__ import annotations
-
 import warnings
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Exit code, requirements and numbers of the recipes that stay, from their ``result.json``."""
 
-from __future__ import annotations
-
 import json
 import tempfile
 from collections.abc import Iterator

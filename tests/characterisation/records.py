@@ -1,7 +1,5 @@
 """Records against models: comparison with three of them, and sets validated by twelve."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

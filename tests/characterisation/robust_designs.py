@@ -1,7 +1,5 @@
 """D-K designs of small plants."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from typing import Any

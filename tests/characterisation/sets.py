@@ -1,7 +1,5 @@
 """Sets of models: element by element, covers; samples, worst members, probabilities."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

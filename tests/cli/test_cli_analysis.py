@@ -1,7 +1,5 @@
 """``mu``, ``model margins`` and ``worst-case``: exit codes, keys, files."""
 
-from __future__ import annotations
-
 import pytest
 from command_files import write_models
 from shell import robustlab

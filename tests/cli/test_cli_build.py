@@ -1,7 +1,5 @@
 """``model build|show|check|diff|convert`` and ``uncertain``: exit codes, keys, content of the files."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import h5py

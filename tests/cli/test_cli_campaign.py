@@ -1,7 +1,5 @@
 """``robustlab campaign``: the commands on its page run and print the output shown there."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

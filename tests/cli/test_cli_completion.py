@@ -1,7 +1,5 @@
 """Completion by TAB: bash as a user runs it."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

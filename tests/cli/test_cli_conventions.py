@@ -1,7 +1,5 @@
 """The sign of feedback through the real commands: the certified loop is the intended one."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

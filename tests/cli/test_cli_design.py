@@ -1,7 +1,5 @@
 """``synth`` and ``model reduce``: exit codes, keys, files; the loop of the stored controller has the printed number."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from command_files import write_models

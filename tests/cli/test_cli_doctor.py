@@ -1,7 +1,5 @@
 """``robustlab doctor``: working and missing parts."""
 
-from __future__ import annotations
-
 import numpy as np
 from shell import robustlab
 

@@ -1,7 +1,5 @@
 """Exit codes of the real command when pipes, streams or memory fail, and after signals."""
 
-from __future__ import annotations
-
 import os
 import resource
 import signal

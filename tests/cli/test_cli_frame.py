@@ -1,7 +1,5 @@
 """The frame of the command line: table of groups, laziness, exit codes."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

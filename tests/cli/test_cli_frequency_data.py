@@ -1,7 +1,5 @@
 """Frequency-response data and given frequencies, from the shell: tables, files, `mu`, margins, a recipe."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from shell import robustlab

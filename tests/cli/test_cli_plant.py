@@ -1,7 +1,5 @@
 """Plants of the user's own on the command line and in recipes: file.py:name, plant show, plant new."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,7 +1,5 @@
 """``robustlab report compare`` and where runs write by default, through the real command."""
 
-from __future__ import annotations
-
 import copy
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``robustlab run``, ``recipe`` and ``report`` as commands: exit codes, files, JSON, files of a failed run."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

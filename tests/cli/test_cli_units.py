@@ -1,7 +1,5 @@
 """Units and percentages on the command line and in recipes: ``5%``, ``42V``, ``--unit phi=deg``."""
 
-from __future__ import annotations
-
 import json
 import math
 

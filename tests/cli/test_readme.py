@@ -1,7 +1,5 @@
 """The commands in README and docs/commands.md run and print the output shown there."""
 
-from __future__ import annotations
-
 import math
 import re
 import shutil

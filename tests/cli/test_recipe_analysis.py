@@ -1,15 +1,14 @@
 """Recipe steps of margins and sets, on models whose answers are closed forms."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from recipe_runs import run_text
 
 import robustlab as rl
-from robustlab.recipe import KINDS, load_recipe, run_recipe
+from robustlab.recipe import KINDS
 
 ROOT = Path(__file__).parents[2]
 FILES = ("g", "h", "p", "k", "set", "r")
@@ -63,8 +62,7 @@ def ran(tmp_path_factory):
     for name, thing in made.items():
         rl.save(folder / f"{name}.h5", thing)
     loads = "".join(f'[step.{name}]\ndo = "load"\npath = "{name}.h5"\n' for name in FILES)
-    (folder / "a.toml").write_text(f'schema = "robustlab.recipe/1"\nname = "a"\n{loads}{STEPS}', encoding="utf-8")
-    result = run_recipe(load_recipe(folder / "a.toml"), folder / "out")
+    result = run_text(folder, f'schema = "robustlab.recipe/1"\nname = "a"\n{loads}{STEPS}')
     return {step["name"]: step for step in result.data["steps"]}
 
 

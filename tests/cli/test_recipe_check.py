@@ -1,7 +1,5 @@
 """``robustlab recipe check`` reports all faults that can be found before the first step, and nothing else."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

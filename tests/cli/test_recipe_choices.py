@@ -1,7 +1,5 @@
 """Choices of a plant in a recipe: a preset, motors, a chain of masses."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

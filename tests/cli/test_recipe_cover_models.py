@@ -1,12 +1,11 @@
 """The recipe step that makes the smallest uncertain model around a set of models."""
 
-from __future__ import annotations
-
 import pytest
+from recipe_runs import entry, run_text
 
 import robustlab as rl
 from robustlab.errors import InputError
-from robustlab.recipe import load_recipe, parse_recipe, run_recipe
+from robustlab.recipe import parse_recipe
 
 HEAD = """schema = "robustlab.recipe/1"
 name = "units"
@@ -26,13 +25,7 @@ MODELS = 'models = ["a", "b", "c"]\noutputs = ["v"]\n'
 
 
 def run(tmp_path, rest):
-    path = tmp_path / "units.toml"
-    path.write_text(HEAD + rest, encoding="utf-8")
-    return run_recipe(load_recipe(path), tmp_path / "out")
-
-
-def entry(result, name):
-    return next(s for s in result.data["steps"] if s["name"] == name)
+    return run_text(tmp_path, HEAD + rest)
 
 
 def test_covers_of_three_units(tmp_path):

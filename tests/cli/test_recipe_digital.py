@@ -1,7 +1,5 @@
 """Steps discretise and export in a small recipe: the numbers are those of the library, the files are all there."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """The recipe step that identifies missing effects, and the steps that use the updated plant."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace
@@ -9,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recipe_runs import entry
 
 import robustlab as rl
 from robustlab.dynamics import catalogue
@@ -66,10 +65,6 @@ def run(folder, tmp_path, monkeypatch, real):
         return run_recipe(load_recipe(path), tmp_path / "out")
 
     return call
-
-
-def entry(result, name):
-    return next(s for s in result.data["steps"] if s["name"] == name)
 
 
 def require(that, condition):

@@ -1,13 +1,12 @@
 """The recipe that identifies the missing effects of a linear model of EMPS; its record is not shipped."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
+from recipe_runs import run_on, unmet
 
 import robustlab as rl
-from robustlab.recipe import load_recipe, recipe_path, run_recipe
+from robustlab.recipe import load_recipe, recipe_path
 
 ROOT = Path(__file__).parents[2]
 EMPS = ROOT.parent / "shared" / "data" / "emps.h5"
@@ -15,18 +14,6 @@ EMPS = ROOT.parent / "shared" / "data" / "emps.h5"
 # one is met one day, docs/measured.md, discover.md and from_data_to_controller.md are to be put right with this.
 MISSED = {"naming.dry-friction.level", "naming.gaps.q.updated", "naming.nominal.Fv"}
 FLAGSHIP_MISSED = {"proved_after.controllers.after.mu_upper", "referee.controllers.after.worst_error"}
-
-
-def run_on_emps(name, folder):
-    if not EMPS.is_file():
-        pytest.skip("the measured record is not at hand")
-    recipe = load_recipe(recipe_path(name))
-    at = [f"{step}.path={EMPS}" for step, s in recipe.recipe.step.items() if s.kind == "record"]
-    return run_recipe(load_recipe(recipe_path(name), at), folder)
-
-
-def unmet(result):
-    return {q["that"] for q in result.data["requirements"] if not q["met"]}
 
 
 def test_the_flagship_keeps_its_bars():
@@ -53,7 +40,7 @@ def test_the_texts_list_unmet_requirements():
 @pytest.mark.slow
 @pytest.mark.shared
 def test_flagship_emps_ends_with_unmet_requirements(tmp_path):
-    result = run_on_emps("flagship-emps", tmp_path / "out")
+    result = run_on("flagship-emps", EMPS, tmp_path)
     assert unmet(result) == FLAGSHIP_MISSED
     assert result.exit_code == 1
     numbers = {s["name"]: s["numbers"] for s in result.data["steps"]}
@@ -65,7 +52,7 @@ def test_flagship_emps_ends_with_unmet_requirements(tmp_path):
 @pytest.mark.shared
 def test_emps(tmp_path):
     """Published by Janot, Gautier and Brunot: 166.71 N s/m forwards and 240.42 N s/m backwards."""
-    result = run_on_emps("emps-discover", tmp_path / "out")
+    result = run_on("emps-discover", EMPS, tmp_path)
     assert unmet(result) == MISSED
     assert result.exit_code == 1
     found = next(s["numbers"] for s in result.data["steps"] if s["name"] == "naming")

@@ -1,14 +1,13 @@
 """From a record to a better controller: the steps on a small problem, and the recipe as shipped."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pytest
+from recipe_runs import numbers, run_text
 
 import robustlab as rl
-from robustlab.recipe import load_recipe, recipe_path, run_recipe
+from robustlab.recipe import load_recipe, recipe_path
 
 ROOT = Path(__file__).parents[2]
 
@@ -90,13 +89,7 @@ def write_records(folder):
 
 def run_small(folder, text=SMALL):
     write_records(folder)
-    path = folder / "small.toml"
-    path.write_text(text, encoding="utf-8")
-    return run_recipe(load_recipe(path), folder / "out")
-
-
-def numbers(result, step):
-    return next(s["numbers"] for s in result.data["steps"] if s["name"] == step)
+    return run_text(folder, text)
 
 
 @pytest.mark.slow
@@ -132,8 +125,7 @@ def test_decimation_averages_the_input(tmp_path, keep):
     (tmp_path / "run.csv").write_text("\n".join(["t [s],u [V],q [m]", *lines]) + "\n", encoding="utf-8")
     head = SMALL[: SMALL.index("[step.held]")]
     cover = '[step.wide]\ndo = "data-cover"\nof = "plain"\nrecords = ["run"]\nnoise = { q = 1e-4 }\nat_rest = true\n'
-    (tmp_path / "small.toml").write_text(f"{head}{cover}decimate = {keep}\n", encoding="utf-8")
-    result = run_recipe(load_recipe(tmp_path / "small.toml"), tmp_path / "out")
+    result = run_text(tmp_path, f"{head}{cover}decimate = {keep}\n")
     assert numbers(result, "wide")["needed"] < 0.05
 
 
@@ -143,10 +135,3 @@ def test_before_and_after_have_the_same_requirement():
     assert before == after
     before, after = (steps[word].model_dump(exclude={"of", "title", "start"}) for word in ("before", "after"))
     assert before == after
-
-
-@pytest.mark.slow
-def test_flagship(tmp_path):
-    result = run_recipe(load_recipe(recipe_path("flagship")), tmp_path / "out")
-    assert [q["text"] for q in result.data["requirements"] if not q["met"]] == []
-    assert result.exit_code == 0

@@ -1,7 +1,5 @@
 """A new kind of step is one class with a decorator: recipes check it, run it, and the schema contains it."""
 
-from __future__ import annotations
-
 from typing import ClassVar, Literal
 
 import pytest

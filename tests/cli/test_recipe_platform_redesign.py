@@ -1,7 +1,5 @@
 """The redesign on an updated machine, by the real command: a saved plant with friction, its loads, the referee."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,14 +1,12 @@
 """Recipes that identify missing effects of measured machines; the records are not shipped."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pytest
+from recipe_runs import numbers, run_on, run_text, unmet
 
 import robustlab as rl
-from robustlab.recipe import load_recipe, recipe_path, run_recipe
 
 ROOT = Path(__file__).parents[2]
 DATA = Path(__file__).parents[3] / "shared" / "data"
@@ -25,22 +23,6 @@ MISSED = {
 }
 
 
-def run(name, folder):
-    if not (DATA / FILES[name]).is_file():
-        pytest.skip("the measured record is not at hand")
-    recipe = load_recipe(recipe_path(name))
-    at = [f"{step}.path={DATA / FILES[name]}" for step, s in recipe.recipe.step.items() if s.kind == "record"]
-    return run_recipe(load_recipe(recipe_path(name), at), folder / "out")
-
-
-def numbers(result, step):
-    return next(s["numbers"] for s in result.data["steps"] if s["name"] == step)
-
-
-def unmet(result):
-    return {q["that"] for q in result.data["requirements"] if not q["met"]}
-
-
 @pytest.mark.shared
 @pytest.mark.parametrize(
     "name",
@@ -48,7 +30,7 @@ def unmet(result):
 )
 def test_what_the_other_records_say(name, tmp_path):
     """hsm150 takes minutes: it is not run here."""
-    result = run(name, tmp_path)
+    result = run_on(name, DATA / FILES[name], tmp_path)
     assert unmet(result) <= MISSED[name]
     if name == "coupled-drives" and unmet(result):
         assert "magnitude-sensor" in numbers(result, "naming")["names"]
@@ -96,8 +78,7 @@ equals = 3.0
 def test_two_loggers_are_joined_in_a_recipe(tmp_path):
     (tmp_path / "a.csv").write_text("ta,f\n0.05,1\n0.15,2\n0.25,3\n0.35,4\n0.45,5\n0.55,6\n0.65,7\n")
     (tmp_path / "b.csv").write_text("tb,v\n0.0,0\n0.2,1\n0.4,2\n0.6,3\n")
-    (tmp_path / "two.toml").write_text(TWO_LOGGERS)
-    result = run_recipe(load_recipe(tmp_path / "two.toml"), tmp_path / "out")
+    result = run_text(tmp_path, TWO_LOGGERS)
     assert unmet(result) == set()
     assert numbers(result, "both")["dt"] == pytest.approx(0.2)
     assert result.exit_code == 0

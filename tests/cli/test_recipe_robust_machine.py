@@ -1,17 +1,16 @@
 """The recipe robust-machine in parts (actuator without D-K, the platform's PID), and its kinds of steps elsewhere."""
 
-from __future__ import annotations
-
 import math
 import re
 import shutil
 from pathlib import Path
 
 import pytest
+from recipe_runs import numbers, run_text
 
 import robustlab as rl
 from robustlab.errors import InputError
-from robustlab.recipe import load_recipe, recipe_path, run_recipe
+from robustlab.recipe import recipe_path
 
 ROOT = Path(__file__).parents[2]
 HEAD = 'schema = "robustlab.recipe/1"\nname = "part"\nseed = 1\n'
@@ -26,15 +25,6 @@ def part_of_recipe(steps: list[str], changes: dict[str, str]) -> str:
         assert old in made, old
         made = made.replace(old, new)
     return made
-
-
-def run_text(tmp_path, text):
-    (tmp_path / "r.toml").write_text(text, encoding="utf-8")
-    return run_recipe(load_recipe(tmp_path / "r.toml"), tmp_path / "out")
-
-
-def numbers(result, step):
-    return next(s["numbers"] for s in result.data["steps"] if s["name"] == step)
 
 
 @pytest.fixture(scope="module")

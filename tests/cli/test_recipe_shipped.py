@@ -1,13 +1,12 @@
 """The shipped recipes meet their requirements: first-light, motor-models, and emps where its record is available."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from recipe_runs import numbers, run_on, unmet
 from shell import robustlab
 
 import robustlab as rl
@@ -22,13 +21,9 @@ def first_light(tmp_path_factory):
     return run_recipe(load_recipe(recipe_path("first-light")), tmp_path_factory.mktemp("first-light"))
 
 
-def numbers(result, step):
-    return next(s["numbers"] for s in result.data["steps"] if s["name"] == step)
-
-
 @pytest.mark.slow
 def test_first_light_meets_its_requirements(first_light):
-    assert [q["text"] for q in first_light.data["requirements"] if not q["met"]] == []
+    assert unmet(first_light) == set()
     assert [s["name"] for s in first_light.data["steps"] if not s["trustworthy"]] == []
     assert first_light.exit_code == 0
 
@@ -116,10 +111,9 @@ def test_the_committed_models_are_those_of_their_recipe(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.shared
-@pytest.mark.skipif(not EMPS.is_file(), reason="the measured record is not at hand")
 def test_emps_states_the_known_disagreement(tmp_path):
-    result = run_recipe(load_recipe(recipe_path("emps"), [f"record.path={EMPS}"]), tmp_path / "out")
-    assert [q["text"] for q in result.data["requirements"] if not q["met"]] == []
+    result = run_on("emps", EMPS, tmp_path)
+    assert unmet(result) == set()
     assert result.exit_code == 0
     gap = numbers(result, "gap")["outputs"]["q"]
     assert gap["rms_percent"] > 10  # the free run of a frictionless model drifts away

@@ -1,11 +1,10 @@
 """The recipes of the thesis and of the platform's models run and meet their requirements."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pytest
+from recipe_runs import unmet
 
 import robustlab as rl
 from robustlab.recipe import load_recipe, recipe_path, run_recipe
@@ -21,7 +20,7 @@ def test_thesis_meets_its_requirements(tmp_path):
     short = tmp_path / "thesis.toml"
     short.write_text(text[: text.index(CHAPTER_11)] + text[text.index(REQUIREMENTS) :], encoding="utf-8")
     result = run_recipe(load_recipe(short, ["numbers.n=4"]), tmp_path / "out")
-    assert [q["text"] for q in result.data["requirements"] if not q["met"]] == []
+    assert unmet(result) == set()
     assert result.exit_code == 0
     (step,) = [s for s in result.data["steps"] if s["name"] == "numbers"]
     judged = {q["that"] for q in result.data["requirements"]}

@@ -1,8 +1,7 @@
 """The thesis' cases 1, 2a, 2b, 2c as a recipe: every requirement, every figure; and steps that make no sense."""
 
-from __future__ import annotations
-
 import pytest
+from recipe_runs import numbers, run_text, unmet
 
 import robustlab as rl
 from robustlab.errors import InputError
@@ -16,20 +15,14 @@ MOTOR = (
 
 
 def run(tmp_path, text):
-    file = tmp_path / "r.toml"
-    file.write_text(HEAD + MOTOR + text, encoding="utf-8")
-    return run_recipe(load_recipe(file), tmp_path / "out")
-
-
-def numbers(result, step):
-    return next(s["numbers"] for s in result.data["steps"] if s["name"] == step)
+    return run_text(tmp_path, HEAD + MOTOR + text)
 
 
 @pytest.mark.slow
 def test_the_thesis_worst_cases(tmp_path):
     fewer = ["entries_worst.n=8", "entries_probability.n=400"]
     result = run_recipe(load_recipe(recipe_path("thesis-worst-cases"), fewer), tmp_path / "out")
-    assert [q["text"] for q in result.data["requirements"] if not q["met"]] == []
+    assert unmet(result) == set()
     assert result.exit_code == 0
     # Published +-1.13, 0.014, 0.060, 2.54 %; an independent model has 1.013 (at the end), 0.0122, 0.0486, 2.529.
     expected = {"1": 0.995, "2a": 0.0122, "2b": 0.0486, "2c": 2.529}

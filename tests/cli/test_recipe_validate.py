@@ -1,12 +1,10 @@
 """The recipe step ``validate``: its numbers, its part of the report, and its outcome without a number."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
+from recipe_runs import entry, run_text
 
 import robustlab as rl
-from robustlab.recipe import load_recipe, run_recipe
 
 RECIPE = """
 schema = "robustlab.recipe/1"
@@ -49,10 +47,8 @@ def run(folder, delta, noise=1.0):
     bound = 0.01 * np.abs(q).max()
     q = q + bound * np.random.default_rng(0).uniform(-1, 1, len(t))
     rl.save(folder / "run.h5", rl.Record(t, {"f": f}, {"q": q}, {"f": "N", "q": "m"}))
-    path = folder / "held-out.toml"
-    path.write_text(RECIPE.format(path=folder / "run.h5", bound=float(noise * bound)), encoding="utf-8")
-    done = run_recipe(load_recipe(path), folder / "out")
-    return done, next(s for s in done.data["steps"] if s["name"] == "held")
+    done = run_text(folder, RECIPE.format(path=folder / "run.h5", bound=float(noise * bound)))
+    return done, entry(done, "held")
 
 
 def test_a_set_that_explains_the_record_meets_the_requirement(tmp_path):

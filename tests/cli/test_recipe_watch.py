@@ -1,7 +1,5 @@
 """The recipe step that watches a log: an axis with dry friction, whose friction rises in one of two logs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

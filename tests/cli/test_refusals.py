@@ -1,7 +1,5 @@
 """Rejected input of commands: the exit code, nothing on stdout, and the hint."""
 
-from __future__ import annotations
-
 import shlex
 
 import pytest

@@ -1,7 +1,5 @@
 """The output of commands, word for word: the numbers, tested in the unit tests, are replaced by #."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A co-simulation unit made by pythonfmu against its closed form; docs/fmu.md."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 import shutil

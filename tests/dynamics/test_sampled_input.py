@@ -1,7 +1,5 @@
 """Inputs between their samples and shifted in time, against closed forms and scipy's integrator."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Accuracy of the shared steps: laws on a lightly damped resonance with few samples a period, against scipy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

@@ -1,7 +1,5 @@
 """Campaigns under bad stores, bad folders, crashing and hanging samples, two runs at once, Ctrl-C."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """Input that plants and simulation reject, and its message."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -134,6 +132,7 @@ MOTOR = rl.plant("dc-motor")
     [
         (lambda: rl.simulate(MOTOR, [0, 1, 0.5], np.ones(3)), "runs backwards"),
         (lambda: rl.simulate(MOTOR, [0, 1, 1], np.ones(3)), "repeats the stamp"),
+        (lambda: rl.simulate(MOTOR, [0, np.nan], np.ones(2)), r"t\[1\] is NaN"),
         (lambda: rl.simulate(MOTOR, T, ONES, [0, 0]), "x0 has 2 entries, expected 3"),
         (lambda: rl.simulate(MOTOR, T, ONES, hold="spline"), "zoh"),
         (lambda: rl.simulate("dc-motor", T, ONES), "StateSpaceModel"),

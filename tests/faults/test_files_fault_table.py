@@ -1,7 +1,5 @@
 """Bad files, rows 1 to 17 of the fault table: one clear message, exit code 3, and nothing else."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

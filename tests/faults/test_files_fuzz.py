@@ -1,7 +1,5 @@
 """A few hundred spoiled files of every kind; benchmarks/fuzz.py runs thousands, and its figures are committed."""
 
-from __future__ import annotations
-
 import sys
 
 import fuzz

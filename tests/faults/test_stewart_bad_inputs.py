@@ -1,7 +1,5 @@
 """Input that the Stewart platform rejects, with message and exit code."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

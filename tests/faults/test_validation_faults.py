@@ -1,7 +1,5 @@
 """``robustlab data validate`` on bad input: a status and exit code 4, never a number."""
 
-from __future__ import annotations
-
 import json
 from types import SimpleNamespace
 

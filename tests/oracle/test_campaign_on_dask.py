@@ -1,7 +1,5 @@
 """A campaign on a Dask cluster of two workers gives the samples of a local one, and survives the death of a worker."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """The published frictionless model of the EMPS axis against the measured record (Janot, Gautier, Brunot 2019)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

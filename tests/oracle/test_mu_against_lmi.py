@@ -1,7 +1,5 @@
 """The D-G upper bound against a semidefinite program solved by another code (cvxpy with Clarabel)."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Norms against SLICOT's AB13DD, which is right on well-scaled models, and reductions against AB09AD."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -82,16 +80,20 @@ def test_slicot_is_never_called_with_what_it_does_not_return_from(wrong):
 # --- balanced truncation, and the Hankel norm of an optimal error -----------------------------------------------------
 
 
-@pytest.mark.parametrize("dt", [0.0, 0.1])
-@pytest.mark.parametrize(("n", "m", "p", "order"), [(5, 1, 1, 2), (8, 2, 3, 4), (14, 3, 1, 6)])
-def test_balanced_truncation_is_slicots(dt, n, m, p, order):
+def stable_model(n, m, p, dt):
     rng = np.random.default_rng(n)
     A = rng.normal(size=(n, n))
     poles = np.linalg.eigvals(A)
     A = A / np.abs(poles).max() * 0.95 if dt else A - (poles.real.max() + 0.2) * np.eye(n)
-    G = rl.StateSpaceModel(A, rng.normal(size=(n, m)), rng.normal(size=(p, n)), rng.normal(size=(p, m)), dt)
+    return rl.StateSpaceModel(A, rng.normal(size=(n, m)), rng.normal(size=(p, n)), rng.normal(size=(p, m)), dt)
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+@pytest.mark.parametrize(("n", "m", "p", "order"), [(5, 1, 1, 2), (8, 2, 3, 4), (14, 3, 1, 6)])
+def test_balanced_truncation_is_slicots(dt, n, m, p, order):
+    G = stable_model(n, m, p, dt)
     found = rl.reduce_model(G, order)
-    reduced, a, b, c, values = slycot.ab09ad("D" if dt else "C", "B", "N", n, m, p, A, G.B, G.C, order)[:5]
+    reduced, a, b, c, values = slycot.ab09ad("D" if dt else "C", "B", "N", n, m, p, G.A, G.B, G.C, order)[:5]
     assert reduced == order
     np.testing.assert_allclose(found.hankel, values, rtol=1e-9, atol=1e-13 * values[0])
     omega = np.linspace(0, 20, 30)
@@ -103,11 +105,7 @@ def test_balanced_truncation_is_slicots(dt, n, m, p, order):
 @pytest.mark.parametrize("dt", [0.0, 0.1])
 @pytest.mark.parametrize(("n", "m", "p", "order"), [(5, 1, 1, 2), (8, 2, 3, 4), (11, 3, 1, 0)])
 def test_slicot_finds_the_next_value_as_the_hankel_norm_of_an_optimal_error(dt, n, m, p, order):
-    rng = np.random.default_rng(n)
-    A = rng.normal(size=(n, n))
-    poles = np.linalg.eigvals(A)
-    A = A / np.abs(poles).max() * 0.95 if dt else A - (poles.real.max() + 0.2) * np.eye(n)
-    G = rl.StateSpaceModel(A, rng.normal(size=(n, m)), rng.normal(size=(p, n)), rng.normal(size=(p, m)), dt)
+    G = stable_model(n, m, p, dt)
     found = rl.reduce_model(G, order, method="hankel")
     assert found.status is rl.Status.CERTIFIED
     gap = G - found.model

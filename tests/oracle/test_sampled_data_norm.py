@@ -1,7 +1,5 @@
 """The sampled-data norm: closed forms, brute force over a finite horizon, sinusoids, delays, and its own bracket."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -157,20 +155,3 @@ def test_disturbances_that_reach_the_sampler_are_held_or_filtered():
     x = corner * 0.5 / 2
     assert filtered.held == ()
     assert filtered.lower * (1 - 1e-9) <= np.sqrt(x / np.tanh(x)) <= filtered.upper
-
-
-@pytest.mark.parametrize(
-    ("K", "options", "message"),
-    [
-        (rl.StateSpaceModel([], [], [], [[1.0]]), {}, "sample time: 0"),
-        (gain(1.0, 0.1), {"delay": -0.1}, "delay is -0.1"),
-        (gain(1.0, 0.1), {"delay": float("inf")}, "delay is inf"),
-        (gain(1.0, 0.1), {"rtol": 0.0}, "rtol is 0"),
-        (gain(1.0, 0.1), {"antialiasing": -1.0}, "antialiasing is -1"),
-        (gain(1.0, 0.1), {"n_meas": 2}, "K is 1 x 1, expected 1 x 2"),
-    ],
-)
-def test_bad_requests_are_named(K, options, message):
-    P, _ = loop_of_two()
-    with pytest.raises(rl.InputError, match=message):
-        rl.sampled_data_norm(P, K, **({"n_meas": 1, "n_con": 1} | options))

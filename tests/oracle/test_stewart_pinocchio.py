@@ -3,8 +3,6 @@
 First the oracle itself is judged by the published numbers. Then it judges the plant through the public functions.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

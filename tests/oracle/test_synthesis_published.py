@@ -1,14 +1,15 @@
-"""Published H-infinity designs and benchmark plants: gamma against the best that is known."""
-
-from __future__ import annotations
+"""Published designs and benchmark plants: gamma against the best that is known, HIFOO 3.501 among them."""
 
 import json
 from pathlib import Path
 
 import control
+import h5py
 import numpy as np
 import pytest
+from characterisation.designs import plant as plant_of
 
+import robustlab as rl
 from robustlab import h2, hinf, mixsyn, performance_weight
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.norms import h2_norm, hinf_norm
@@ -91,15 +92,9 @@ def test_mass_damper_spring():
 
 
 def compleib(name, best="gamma_full_best_verified"):
-    import h5py
-
     with h5py.File(COMPLEIB) as file:
-        m = {key: file[name][key][()] for key in file[name]}
-        attributes = dict(file[name].attrs)
-    n_y, n_u = int(attributes["ny"]), int(attributes["nu"])
-    D = np.block([[m["D11"], m["D12"]], [m["D21"], np.zeros((n_y, n_u))]])
-    plant = StateSpaceModel(m["A"], np.hstack([m["B1"], m["B"]]), np.vstack([m["C1"], m["C"]]), D)
-    return plant, n_y, n_u, float(attributes.get(best, np.nan))
+        known = float(file[name].attrs.get(best, np.nan))
+    return *plant_of(name), known
 
 
 @pytest.mark.slow
@@ -148,3 +143,18 @@ def test_a_plant_whose_direct_term_no_controller_cancels_is_refused():
     plant, n_y, n_u, _ = compleib("NN13")
     with pytest.raises(NoTrustworthyNumber, match="infinite for every controller"):
         h2(plant, n_y, n_u)
+
+
+# --- static output feedback -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.shared
+@pytest.mark.skipif(not COMPLEIB.exists(), reason="measured data not beside the checkout")
+@pytest.mark.parametrize("name", ["NN15", "AC17", "AC5"])
+def test_static_output_feedback_reaches_the_best_known(name):
+    P, n_y, n_u, best = compleib(name, "static_hinf_best")
+    *_, hifoo = compleib(name, "static_hinf_hifoo3501_measured")
+    design = rl.fixed_structure(P, "static", n_meas=n_y, n_con=n_u, starts=2)
+    norm = hinf_norm(lower_lft(P, design.K))
+    assert norm.upper == pytest.approx(design.gamma, rel=1e-9)
+    assert norm.upper <= 1.001 * min(best, hifoo)

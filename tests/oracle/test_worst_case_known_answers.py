@@ -1,7 +1,5 @@
 """Worst cases that are known: closed forms, vertices, interior maxima, the thesis' motor, brute force."""
 
-from __future__ import annotations
-
 import itertools
 
 import control

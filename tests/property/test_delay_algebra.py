@@ -1,7 +1,5 @@
 """The response of an interconnection of delayed models is that of their responses, at every frequency."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -1,7 +1,5 @@
 """The uncertain model of a plant equals the plant rebuilt with those parameter values, for any deltas."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

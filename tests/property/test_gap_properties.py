@@ -1,7 +1,5 @@
 """The nu-gap is a metric, and it bounds the remaining stability margin."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -1,7 +1,5 @@
 """What holds for every matrix: order of the bounds, evidence that re-checks, invariances, no successful attack."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,7 +10,7 @@ import robustlab as rl
 from robustlab import FullBlock, RealScalar
 from robustlab.budget import listening
 from robustlab.mu_analysis import delta_norm, proves, smallest_step
-from robustlab.uncertainty import as_blocks, block_slices, structure_size
+from robustlab.uncertainty import as_blocks, block_slices, delta_matrix, delta_values, structure_size
 
 ROWS = st.sampled_from([[-1, 0], [1, 0], [-2, 0], [2, 0], [1, 2], [2, 1], [2, 2]])
 
@@ -52,6 +50,7 @@ def check_evidence(M, blocks, bounds):
     if bounds.upper > 0:
         assert proves(M, bounds.D, bounds.D_z, bounds.G, bounds.upper)
     if bounds.lower > 0:
+        assert np.array_equal(bounds.delta, delta_matrix(blocks, delta_values(blocks, bounds.delta)))
         values = np.linalg.svd(np.eye(len(M)) - M @ bounds.delta, compute_uv=False)
         assert values[-1] <= 1e-8 * (1 + values[0])
         assert abs(delta_norm(blocks, bounds.delta) * bounds.lower - 1) <= 1e-8
@@ -131,7 +130,10 @@ def counted(model, blocks):
     return margin.lower, margin.upper, max(done)
 
 
-@pytest.mark.parametrize(("seed", "discrete", "one_sided"), [(0, False, False), (1, False, True), (2, True, True)])
+@pytest.mark.parametrize(
+    ("seed", "discrete", "one_sided"),
+    [(0, False, False), (2, True, True), pytest.param(1, False, True, marks=pytest.mark.slow)],
+)
 def test_the_same_loop_gets_the_same_bounds_for_the_same_work(seed, discrete, one_sided):
     rng = np.random.default_rng(seed)
     w, zeta = 10 ** rng.uniform(-0.5, 0.5, 2), 10 ** rng.uniform(-3, -1, 2)
@@ -160,47 +162,3 @@ def test_real_mu_jumps_and_its_lower_bound_with_it(eps):
     M = np.array([[a, a], [-a, a * (1 + 1j * eps)]])
     assert rl.mu(M, [[-1, 0], [-1, 0]]).lower <= a * (1 + 1e-7)
     assert rl.mu(M.real, [[-1, 0], [-1, 0]]).lower > 1.4 * a
-
-
-def nasty_matrices():
-    """A fixed part of the campaign in benchmarks/attack.py."""
-    rng = np.random.default_rng(2026)
-    for rows in ([[-1, 0]] * 6, [[-2, 0], [1, 0], [2, 2]], [[1, 2], [2, 1], [-1, 0]], [[3, 0], [-3, 0]]):
-        blocks = as_blocks(rows)
-        q, p = structure_size(blocks)
-        m = rng.standard_normal((p, q)) + 1j * rng.standard_normal((p, q))
-        u, _, vh = np.linalg.svd(m)
-        scale = 10 ** rng.uniform(-6, 6, max(p, q))
-        yield m * scale[:p, None] / scale[None, :q], blocks
-        yield (u * 10.0 ** -np.linspace(0, 12, len(u))) @ vh[:p], blocks
-        yield np.outer(m[:, 0], m[0]), blocks
-        yield m * np.triu(1e4 * np.ones((p, q))) + 1e-4 * m, blocks
-        yield m.real + 1e-13j * m.imag, blocks
-        if p == q:
-            yield m + m.conj().T, blocks
-            yield m @ (np.eye(p) + np.eye(p, k=1)) @ np.linalg.inv(m), blocks
-
-
-def test_bounds_of_nasty_matrices():
-    from scipy.optimize import least_squares
-
-    rng = np.random.default_rng(7)
-    for M, blocks in nasty_matrices():
-        bounds = rl.mu(M, blocks)
-        assert bounds.lower <= bounds.upper < np.inf
-        check_evidence(M, blocks, bounds)
-        # Newton's method of another author, inside the proved ball: scalar blocks move, full ones keep a random shape.
-        radius = (1 - 1e-6) / bounds.upper if bounds.upper > 0 else 1e3 / np.abs(M).max()
-        shape = random_delta(blocks, rng)
-
-        def residual(v, M=M, blocks=blocks, radius=radius, shape=shape):
-            scaled = shape.astype(complex)
-            for (w, z), value in zip(block_slices(blocks), v, strict=True):
-                scaled[w, z] *= radius * np.clip(value, -1, 1)
-            values = np.linalg.eigvals(np.eye(len(M)) - M @ scaled)
-            value = values[np.abs(values).argmin()]
-            return [value.real, value.imag]
-
-        for _ in range(3):
-            end = least_squares(residual, rng.uniform(-1, 1, len(blocks)), max_nfev=30)
-            assert np.hypot(*end.fun) > 1e-12

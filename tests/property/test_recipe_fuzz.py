@@ -3,8 +3,6 @@
 Recipes with bytes flipped, cut and put in are in tests/faults/test_files_fuzz.py.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

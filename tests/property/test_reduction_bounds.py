@@ -1,7 +1,5 @@
 """Reduction of random models: bound, stability, sizes; the reported loss of a controller."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """Whatever a name contains, the report shows it as text: no markup, script, address, control or bidi characters."""
 
-from __future__ import annotations
-
 import html.parser
 from xml.etree import ElementTree as ET
 

@@ -1,7 +1,5 @@
 """Hidden modes stay hidden, and visible ones visible, whatever coordinates and units the model comes in."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st

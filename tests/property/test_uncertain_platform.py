@@ -1,7 +1,5 @@
 """The uncertain platform at parameter values is the linear model of the platform built with them, at the same pose."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

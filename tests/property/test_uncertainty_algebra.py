@@ -1,7 +1,5 @@
 """Every operation on sets, evaluated at a Delta, is the same operation on the two members, in the frequency domain."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings

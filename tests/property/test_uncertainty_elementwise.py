@@ -1,7 +1,5 @@
 """Element-wise uncertainty: end points to 1e-12, minimal sizes, zeros kept, over random models and zero patterns."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st

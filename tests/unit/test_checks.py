@@ -1,7 +1,5 @@
 """The checks of arguments: accepted values are returned in their type, others are refused by name."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 from math import inf, nan
 

@@ -1,7 +1,5 @@
 """Backlash against fine contact simulations of another integrator, closed forms of free flight, and balances."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

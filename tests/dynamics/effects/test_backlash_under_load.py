@@ -1,7 +1,5 @@
 """Backlash with a hanging load: closed forms of one mass, and an arm of separate bodies."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

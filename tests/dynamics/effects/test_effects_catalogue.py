@@ -1,7 +1,5 @@
 """Properties of every effect of the catalogue."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 
 import numpy as np

@@ -1,7 +1,5 @@
 """docs/effects.md: its code runs, the effect built in it is right, its table is that of the catalogue."""
 
-from __future__ import annotations
-
 import re
 import sys
 from pathlib import Path

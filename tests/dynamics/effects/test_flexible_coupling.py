@@ -1,7 +1,5 @@
 """The flexible coupling against the two-mass plant of the registry, and against matrices by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

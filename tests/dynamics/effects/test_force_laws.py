@@ -1,7 +1,5 @@
 """Force laws evaluated directly (each solves its own equation at any stiffness and step), and closed forms."""
 
-from __future__ import annotations
-
 import ctypes
 import itertools
 import math

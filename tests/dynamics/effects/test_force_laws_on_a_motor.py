@@ -1,7 +1,5 @@
 """Every force law on a DC motor with current, against an event-driven integration by scipy of the same physics."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

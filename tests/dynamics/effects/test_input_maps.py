@@ -1,7 +1,5 @@
 """Input maps in closed form, and delays against shifted responses."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st

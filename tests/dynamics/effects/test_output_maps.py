@@ -1,7 +1,5 @@
 """Output maps in closed form, and where they can be seen at all."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Parameter effects against plants rebuilt with the scaled values."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

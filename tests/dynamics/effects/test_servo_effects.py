@@ -1,7 +1,5 @@
 """Gravity, lag, directional friction, ripple over time and one-sided contacts against closed forms."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

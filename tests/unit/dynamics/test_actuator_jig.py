@@ -1,7 +1,5 @@
 """linear-actuator: reflected inertia by energy, the numbers of chapter 11, its uncertain model."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

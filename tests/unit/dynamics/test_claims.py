@@ -1,7 +1,5 @@
 """Simulated records are called simulated in the recipes."""
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Nonlinear plants under feedback: loop algebra, slopes by differences, friction in the loop."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Plants under feedback: loop algebra, members, dry friction; any upper layer above the platform's torque loops."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """rl.descriptor: transfer functions by hand, C (sE - A)^-1 B + D at random points, indices, files, refusals."""
 
-from __future__ import annotations
-
 import h5py
 import numpy as np
 import pytest

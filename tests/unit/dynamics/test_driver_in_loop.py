@@ -1,7 +1,5 @@
 """A driver with a dead zone between controller and plant, against an independent integrator."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The linear plants against equations derived by hand and published numbers."""
 
-from __future__ import annotations
-
 import math
 import pickle
 

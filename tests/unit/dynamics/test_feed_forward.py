@@ -1,7 +1,5 @@
 """Feed-forward of named effects against the laws themselves, against formulas, and as compiled C."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 import shutil

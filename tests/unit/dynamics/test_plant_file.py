@@ -1,7 +1,5 @@
 """Plants by the name ``file.py:name``: construction and provenance."""
 
-from __future__ import annotations
-
 import hashlib
 import sys
 

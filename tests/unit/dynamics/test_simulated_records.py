@@ -1,7 +1,5 @@
 """Records in recipes/data: labelled as simulated, reproducible, made without robustlab."""
 
-from __future__ import annotations
-
 import ast
 import importlib.util
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Dynamics of the Stewart platform against laws of mechanics, the thesis' numbers, and independent derivatives."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from platform_energy import kinetic_energy, potential_energy

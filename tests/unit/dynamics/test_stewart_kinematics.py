@@ -1,7 +1,5 @@
 """Kinematics of the Stewart platform: published points and lengths, closed forms, derivatives, direct kinematics."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

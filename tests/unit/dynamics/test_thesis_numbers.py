@@ -1,7 +1,5 @@
 """The thesis' numbers: rows R within the fair tolerances, the others at the values of an independent model."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

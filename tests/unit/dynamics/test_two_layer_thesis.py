@@ -1,7 +1,5 @@
 """Two-layer control: gains by their polynomials, and section 9.1.3 of the thesis (THESIS items 20-25)."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

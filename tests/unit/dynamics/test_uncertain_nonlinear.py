@@ -1,7 +1,5 @@
 """Uncertain models of nonlinear plants at a trim, against linear models of the plant rebuilt and trimmed again."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import complex_step_plant as plants

@@ -1,7 +1,5 @@
 """The checker proves the claims of results, and does not prove them for wrong numbers."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import h5py

@@ -1,7 +1,5 @@
 """Claims in files, as JSON, on the command line and in recipes."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """The sign of feedback and the order of signals travel with the controller, into files and into every loop."""
 
-from __future__ import annotations
-
 import pickle
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Every public object is displayed: repr, HTML, text, drawings, tables."""
 
-from __future__ import annotations
-
 import inspect
 import json
 import typing

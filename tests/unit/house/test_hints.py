@@ -1,7 +1,5 @@
 """Hints of errors: stored in Python syntax, shown in that of the interface in use."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

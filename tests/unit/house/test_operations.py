@@ -1,7 +1,5 @@
 """One declaration, three interfaces: a command and a step offer the parameters of their function."""
 
-from __future__ import annotations
-
 import inspect
 import subprocess
 import sys

@@ -1,8 +1,8 @@
-"""The public interface: the names of DESIGN, each importable, no numerical library loaded at import."""
-
-from __future__ import annotations
+"""The public interface: names, docstrings, examples, errors; no numerical library loaded at import."""
 
 import doctest
+import enum
+import inspect
 import json
 import pickle
 import re
@@ -115,3 +115,44 @@ def test_no_control_character_reaches_the_terminal(text):
     shown = str(RobustlabError(text, text, text, text, (text,)))
     assert all(ch.isprintable() for line in shown.split("\n") for ch in line)
     assert not set("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069\u200e\u200f\x1b") & set(shown)
+
+
+# --- docstrings -------------------------------------------------------------------------------------------------------
+
+
+def sections(doc: str) -> set[str]:
+    return set(re.findall(r"(?m)^(\w+(?: \w+)?)\n-{3,}$", doc))
+
+
+def lacking(obj: object) -> list[str]:
+    """What the docstring of a public name does not have."""
+    doc = inspect.cleandoc(obj.__doc__ or "")
+    found = sections(doc)
+    if inspect.isclass(obj):
+        exempt = issubclass(obj, (enum.Enum, BaseException))
+        return [] if exempt or found & {"Parameters", "Attributes"} else ["Parameters or Attributes"]
+    arguments = list(inspect.signature(obj).parameters)
+    described = doc.split("Parameters\n----------")[-1] if "Parameters" in found else ""
+    lack = [
+        name for name in arguments if not re.search(rf"(?m)^[\w*, ]*\b{re.escape(name)}\b[\w*, ]*( :.*)?$", described)
+    ]
+    return lack + [s for s in ("Returns", "Raises") if s not in found]
+
+
+@pytest.mark.parametrize("name", rl._PUBLIC)
+def test_public_docstrings_describe_parameters_returns_and_errors(name):
+    assert lacking(getattr(rl, name)) == []
+
+
+def test_the_test_of_docstrings_can_fail():
+    def undocumented(first: int, second: int) -> int:
+        """Add.
+
+        Parameters
+        ----------
+        first
+            A number.
+        """
+        return first + second
+
+    assert lacking(undocumented) == ["second", "Returns", "Raises"]

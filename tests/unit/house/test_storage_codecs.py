@@ -1,7 +1,5 @@
 """The table of codecs: every row exists, and a process loads only the modules of the objects it reads and writes."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

@@ -1,7 +1,5 @@
 """What one asks of any kind of model: loops, values, poles and zeros, step responses, numbers in print."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

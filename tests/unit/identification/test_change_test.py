@@ -1,7 +1,5 @@
 """The sequential test against densities of scipy, and its detection of changes."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The smallest unmodelled dynamics of records, and effects as loads that are known along them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

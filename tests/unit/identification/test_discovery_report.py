@@ -1,7 +1,5 @@
 """Text and numbers of a discovery, from constructed results."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Effects as blocks: members are the plants with the effects' gains, delays lie inside their weights, origins stay."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """Coverage of a record by the envelope of an uncertain model's members: closed forms of a first-order lag."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

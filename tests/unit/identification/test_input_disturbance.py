@@ -4,8 +4,6 @@ The machines are the textbook equations written out here, integrated by Runge-Ku
 the records. The hidden force is dry friction, smooth over a narrow range of speed.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Naming on nonlinear plants: simulation about a measured motion, states from the sensors, effects at their joints."""
 
-from __future__ import annotations
-
 import runpy
 from functools import cache
 from pathlib import Path

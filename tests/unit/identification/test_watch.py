@@ -1,7 +1,5 @@
 """Watching a log of an axis whose dry friction rises, simulated exactly between its switches."""
 
-from __future__ import annotations
-
 import json
 import math
 

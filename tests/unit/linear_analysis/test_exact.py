@@ -1,7 +1,5 @@
 """Polynomials in whole numbers against Leibniz' formula in fractions, and against given roots."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from fractions import Fraction

@@ -1,7 +1,5 @@
 """Models of extreme magnitude: the right number, or an error about the model under the name of the function called."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

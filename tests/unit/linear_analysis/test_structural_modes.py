@@ -1,7 +1,5 @@
 """Controllability and observability of models whose hidden modes are known by construction."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,13 +1,12 @@
 """Covers of a set of models: every model is a member, proved by its own delta; the cover is tight."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robustlab as rl
+from robustlab.report import weight_figure
 from robustlab.uncertainty import FORMS, error_sizes
 
 
@@ -299,3 +298,16 @@ def test_models_whose_relative_degree_changes_by_rounding_are_covered():
     found = rl.cover(models, "inverse-input-multiplicative", gain=False)
     assert found.status is rl.Status.CERTIFIED
     assert found.fit.magnitude.max() < 0.3
+
+
+# --- figures ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_weight_is_above_every_drawn_error():
+    found = rl.cover(LAGS, "additive", gain=False)
+    errors = error_sizes(tuple(LAGS), found.model.nominal, "additive", found.fit.omega)
+    (above, below) = weight_figure(found, LAGS).axes
+    drawn = [line.get_ydata() for line in above.lines]
+    np.testing.assert_allclose(drawn[0], errors[0], atol=1e-6 * errors.max())
+    assert all((drawn[-1] >= y * (1 - 1e-9)).all() for y in drawn[:-1])
+    assert below.lines[0].get_ydata().max() == pytest.approx(100 * found.fit.excess, rel=1e-6)

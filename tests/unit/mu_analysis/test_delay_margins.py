@@ -1,7 +1,5 @@
 """Loops with exact delays: verdicts against closed forms, proved margins and gains against the exact responses."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

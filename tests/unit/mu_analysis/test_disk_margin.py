@@ -1,7 +1,5 @@
 """Disk margins: published values, python-control's grid, perturbed loops with a pole on the axis, invalid inputs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -9,12 +7,6 @@ import robustlab as rl
 from robustlab import disk_margin
 from robustlab.mu_analysis import gain_and_phase
 from robustlab.statespace import append, feedback, series
-
-
-def tf(numerator: list[float], denominator: list[float]) -> rl.StateSpaceModel:
-    import control
-
-    return rl.StateSpaceModel.from_control(control.tf(numerator, denominator))
 
 
 def satellite(c: float = 10.0) -> tuple[rl.StateSpaceModel, rl.StateSpaceModel]:
@@ -30,7 +22,7 @@ PAPER = [25], [1, 10, 10, 10]
 
 def test_the_example_of_the_paper():
     """Seiler, Packard, Gahinet 2020, 25 / (s^3 + 10 s^2 + 10 s + 10): 0.46 at 1.94 rad/s, [0.63, 1.59], 25.8 deg."""
-    margin = disk_margin(tf(*PAPER)).simultaneous
+    margin = disk_margin(rl.tf(*PAPER)).simultaneous
     assert margin.status is rl.Status.CERTIFIED
     assert round(margin.value, 2) == 0.46
     assert margin.gain_margin == pytest.approx((0.63, 1.59), abs=0.005)
@@ -79,7 +71,7 @@ def test_one_loop_against_the_grid_of_python_control(skew):
     import control
 
     for numerator, denominator in (PAPER, ([3, 1], [1, 0.2, 4, 0.5]), ([10], [1, 3, 2, 0])):
-        L = tf(numerator, denominator)
+        L = rl.tf(numerator, denominator)
         omega = np.geomspace(1e-2, 1e2, 4001)
         loop = feedback(L, rl.StateSpaceModel([], [], [], [[1.0]]))
         if not loop.is_stable():

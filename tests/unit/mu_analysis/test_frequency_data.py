@@ -1,7 +1,5 @@
 """Uncertain frequency-response data: closed forms, members against models."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What the analysis of sets and loops refuses: requests that make no sense, and questions without an answer."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from unit.mu_analysis.test_cover import LAGS
@@ -59,12 +57,18 @@ REQUESTS = [
     (lambda: disk_margin(rl.DelayedModel(rl.StateSpaceModel([], [], [], np.zeros((0, 0))), [])), "0 x 0"),
     (lambda: disk_margin(LAG, EYE), "1 x 1"),
     (lambda: disk_margin(LAG, at="everywhere"), "input, output or both"),
+    (lambda: rl.classical_margins(LAG, at="z"), "input, output or both"),
+    (lambda: rl.frequency_response(LAG, [np.nan]), "omega is not finite"),
+    (lambda: rl.peak_gain(LAG, tolerance=-1.0), "rtol: -1.0"),
     (lambda: disk_margin(LAG, skew=np.nan), "skew"),
     (lambda: disk_margin(LAG, sign=0), "sign"),
     (lambda: disk_margin(LAG, SAMPLED), "sample time"),
     (lambda: disk_margin(MOTORS, frequency=[1.0]), "without blocks"),
     (lambda: rl.robust_stability(rl.delay(1.0), order=4), "order: given for a model with exact delays"),
     (lambda: rl.robust_stability(rl.delay(1.0), pole=1.0), "pole: given for a model with exact delays"),
+    (lambda: rl.violation_probability(oscillator(rl.RealScalar), "hinf", 1.0, probability=2.0), "between 0 and 1"),
+    (lambda: rl.robust_gain(oscillator(rl.RealScalar), -1.0), "level"),
+    (lambda: rl.robust_gain(LAG, 1.0), "UncertainModel"),
     # frequency data
     (lambda: rl.frequency_data([1.0], [0.0, 1.0]), "UncertainFrequencyData|frequency_data: M"),
     (lambda: rl.frequency_data([1.0, 2.0], [1.0, 0.5]), "do not increase"),

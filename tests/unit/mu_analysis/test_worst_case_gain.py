@@ -1,7 +1,5 @@
 """Worst-case gain and robust performance: closed forms, members inside the bounds, edges, refusals."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Loading recipes: accepted files, and every fault by its dotted key (fault rows 31-33)."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

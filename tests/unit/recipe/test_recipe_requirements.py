@@ -1,7 +1,5 @@
 """Judging requirements."""
 
-from __future__ import annotations
-
 import pytest
 
 from robustlab.errors import InputError

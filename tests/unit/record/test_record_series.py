@@ -1,7 +1,5 @@
 """Record: accepted and refused times and channels, and the messages."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Figures: deterministic files, plain labels, and that they show what they are given."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

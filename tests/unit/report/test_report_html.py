@@ -1,7 +1,5 @@
 """The page: verdict first, marks and colours, no external resources, faults of a run folder."""
 
-from __future__ import annotations
-
 import copy
 import re
 import shutil

@@ -1,7 +1,5 @@
 """Figures of the Stewart platform show what they are given."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

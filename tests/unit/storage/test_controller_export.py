@@ -1,7 +1,5 @@
 """Controllers for other programs: the compiled C gives back the simulation, MATLAB and HDF5 give back every bit."""
 
-from __future__ import annotations
-
 import ctypes
 import shutil
 import subprocess

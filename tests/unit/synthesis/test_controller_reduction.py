@@ -1,9 +1,6 @@
 """Reduction of controllers: measures, scalings, unstable controllers, the requested order, refusals."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +12,6 @@ from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis import GeneralizedPlant, ReducedController, plant_with_scalings, sampled_norm
 from robustlab.synthesis.problem import partition
 from robustlab.uncertainty import distances
-from robustlab.verification import Claim, check
 
 PLANT = rl.StateSpaceModel(
     [[-1, 1, 0], [0, -3, 2], [0, 0, -20]], [[0, 0, 0], [1, 0, 0], [0, 0, 10]], [[1, 0, 0], [0, 0, 0], [1, 0, 0]],
@@ -145,25 +141,17 @@ def test_the_measure_of_a_bare_plant_is_the_four_block_gain_of_its_loop():
     assert digital.gamma == pytest.approx(four_block_gain(K), rel=0.05)
 
 
-# --- a wrong rebuilt loop is detected by the checker ------------------------------------------------------------------
+# --- a wrong rebuilt loop is detected ---------------------------------------------------------------------------------
 
 
 HOSTILE = Path(__file__).resolve().parents[4] / "shared" / "data" / "hostile" / "hinf_r150.npz"
-
-
-def loop_norm_proved(P: StateSpaceModel, K: StateSpaceModel, gamma: float) -> bool:
-    """Prove the norm by the checker alone."""
-    numbers: dict[str, Any] = {f"P_{x}": getattr(P, x) for x in "ABCD"} | {f"K_{x}": getattr(K, x) for x in "ABCD"}
-    sizes = {"n_meas": np.array(K.n_inputs), "n_con": np.array(K.n_outputs)}
-    claim = Claim("loop-norm", numbers | sizes | {"dt": np.array(P.dt), "gamma": np.array(gamma)})
-    return check(claim).outcome.value == "proved"
 
 
 @pytest.mark.slow
 @pytest.mark.shared
 @pytest.mark.skipif(not HOSTILE.exists(), reason="measured data are missing")
 def test_the_plant_of_a_false_certificate() -> None:
-    """An earlier version certified 16.2949 for this K, whose norm is 17.25; the present design is proved."""
+    """An earlier version certified 16.2949 for this K, whose norm is 17.25."""
     d = np.load(HOSTILE)
     _, _, n_y, n_u = (int(x) for x in d["dims"])
     P = StateSpaceModel(d["A"], d["B"], d["C"], d["D"])
@@ -171,9 +159,6 @@ def test_the_plant_of_a_false_certificate() -> None:
     assert rl.peak_gain(lower_lft(P, K)).upper < 16.3
     with pytest.raises(NoTrustworthyNumber, match=r"closed exactly have the norm 17\.25"):
         rl.reduce_controller(P, K, n_meas=n_y, n_con=n_u)
-    design = rl.hinf(P, n_y, n_u)
-    assert design.status is Status.CERTIFIED
-    assert loop_norm_proved(P, design.K, design.gamma * (1 + 2e-6))
 
 
 # --- every synthesis uses the checker ---------------------------------------------------------------------------------

@@ -1,7 +1,5 @@
 """Controller structures: names, units, matrices against transfer functions, derivatives, bad input."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """From continuous to discrete: closed forms, exactness, pathological sampling, bad requests."""
 
-from __future__ import annotations
-
 import control
 import numpy as np
 import pytest

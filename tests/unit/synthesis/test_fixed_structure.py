@@ -1,7 +1,5 @@
 """Fixed-structure design: closed forms, several plants, limits, discrete time, infeasible designs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar

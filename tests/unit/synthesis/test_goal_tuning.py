@@ -1,7 +1,5 @@
 """Goals for structured controllers against closed forms, frequency responses and independent margins."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Normalised-coprime-factor loop shaping: gamma_min, sign of K, discrete time, weights, refusals."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
@@ -166,7 +164,7 @@ def test_a_mixed_sensitivity_design_is_within_its_bounds():
     rng = np.random.default_rng(5)
     G = random_model(rng, 4, 2, 3)
     weights = performance_weight(1.0), control_weight(10.0, 50.0), complementary_weight(20.0)
-    design = mixsyn(G, *weights, gamma_rel=1.0)
+    design = mixsyn(G, *weights)
     loop = loop_functions(design)
     assert loop.is_stable()
     assert loop.S.n_states == G.n_states + design.K.n_states  # without states of the weights

@@ -1,7 +1,5 @@
 """Reduction of models: closed forms, published Hankel values, modes kept apart, weights, bad requests, edge sizes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

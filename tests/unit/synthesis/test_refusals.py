@@ -1,7 +1,5 @@
 """What synthesis refuses: requests that make no sense, and problems without a trustworthy answer, each by its name."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np
@@ -80,11 +78,34 @@ def smaller(**options):
     return rl.reduce_controller(design(), **options)
 
 
+def sampled(K, **options):
+    return rl.sampled_data_norm(LOW, K, **({"n_meas": 1, "n_con": 1} | options))
+
+
 def digital(K=None, dt=0.1, **options):
     return rl.discretise(K or gain([-1.0]), dt, plant=LOW, **options)
 
 
+def bare(n_w, n_z):
+    """A plant without disturbances or without performance: every norm of its loop is zero."""
+    n = np.diag([1.0, -2.0]), np.ones((2, n_w + 1)), np.ones((n_z + 1, 2)), np.zeros((n_z + 1, n_w + 1))
+    return StateSpaceModel(*n)
+
+
+DESIGNS = (
+    lambda P: rl.hinf(P, 1, 1),
+    lambda P: rl.h2(P, 1, 1),
+    lambda P: rl.fixed_structure(P, 1, n_meas=1, n_con=1),
+    lambda P: rl.fixed_structure([P, P], 1, n_meas=1, n_con=1),
+    lambda P: rl.sampled_data_norm(P, gain([-5.0], dt=0.01)),
+)
+ABSENT = ((0, 0, "w and no performance"), (0, 1, "w"), (1, 0, "output z"))
 REQUESTS = [
+    *(
+        (lambda make=make, w=w, z=z: make(bare(w, z)), f"no .*{missing}.* beside 1 controls and 1 measurements")
+        for make in DESIGNS
+        for w, z, missing in ABSENT
+    ),
     # scheduled models
     (lambda: rl.LPVModel({}, []), "no parameter"),
     (lambda: points(lpv.lag(1.0), points=[1.0]), "at least two"),
@@ -246,6 +267,12 @@ REQUESTS = [
     (lambda: rl.discretise(LAG, 0.1, "tustin-prewarp"), "prewarp with 'tustin-prewarp' alone"),
     (lambda: rl.discretise(LAG, 0.1, "zoh", prewarp=1.0), "prewarp with 'tustin-prewarp' alone"),
     (lambda: rl.discretise(LAG, 0.1, "tustin-prewarp", prewarp=32.0), "Nyquist"),
+    (lambda: sampled(gain([1.0])), "sample time: 0"),
+    (lambda: sampled(gain([1.0], dt=0.1), delay=-0.1), "delay is -0.1"),
+    (lambda: sampled(gain([1.0], dt=0.1), delay=float("inf")), "delay is inf"),
+    (lambda: sampled(gain([1.0], dt=0.1), rtol=0.0), "rtol is 0"),
+    (lambda: sampled(gain([1.0], dt=0.1), antialiasing=-1.0), "antialiasing is -1"),
+    (lambda: sampled(gain([1.0], dt=0.1), n_meas=2), "K is 1 x 1, expected 1 x 2"),
     (lambda: digital(dt=0.0), "sample time: 0"),
     (lambda: digital(gain([-1.0], dt=0.1)), "dt = 0.1 s already"),
     (lambda: digital(gain([1.0] * 4)), "n_meas is 4"),
@@ -261,6 +288,14 @@ def test_a_request_that_makes_no_sense_is_refused_in_one_line(call, text):
     with pytest.raises(InputError, match=text) as caught:
         call()
     assert "\n" not in caught.value.line
+
+
+def test_what_a_function_of_the_user_raises_is_not_swallowed():
+    def progress(*_):
+        raise TypeError("mine")
+
+    with pytest.raises(TypeError, match="mine"):
+        rl.fixed_structure(fixed.lag(1, 1), "static", n_meas=1, n_con=1, starts=1, progress=progress)
 
 
 def hidden(pole, B2, C2):

@@ -1,7 +1,5 @@
 """Gain scheduling against closed forms, frozen norms, and trajectories against proved bounds."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import h5py
@@ -258,6 +256,7 @@ def test_a_scheduled_loop_keeps_its_bound_along_trajectories():
         assert finite_gain(design.closed_loop, places, 0.1) <= design.gamma
 
 
+@pytest.mark.slow
 def test_a_varying_control_matrix_is_bounded_between_the_points():
     def gained(b: float) -> rl.StateSpaceModel:
         m = vertex(-1.0)

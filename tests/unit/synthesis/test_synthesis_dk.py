@@ -1,7 +1,5 @@
 """Robust-performance synthesis: closed forms, scaled loops recomputed by hand, AB13MD, and bad inputs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Mixed sensitivity: structure of the plant, sign of K, weights."""
 
-from __future__ import annotations
-
 import control
 import numpy as np
 import pytest

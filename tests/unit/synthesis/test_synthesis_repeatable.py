@@ -1,7 +1,5 @@
 """Designs do not depend on the machine's load: searches count their work, and report a time limit that ends one."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Tracking problems: the weighted loop against loop algebra at single frequencies, sets of models, sizes, faults."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

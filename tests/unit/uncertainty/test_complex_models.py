@@ -1,7 +1,5 @@
 """Complex entries: rejected with the reason by every source of models; the real model of twice the size is right."""
 
-from __future__ import annotations
-
 import h5py
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """rl.connect: against python-control's interconnect, closed forms, and errors in one line."""
 
-from __future__ import annotations
-
 import control
 import numpy as np
 import pytest

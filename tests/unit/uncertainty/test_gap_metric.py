@@ -1,7 +1,5 @@
 """The nu-gap: closed forms, published values, independent computations, bad inputs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -13,12 +11,6 @@ from robustlab.norms import bilinear_to_discrete
 def first_order(gain: float, pole: float, direct: float = 0.0) -> rl.StateSpaceModel:
     """``gain / (s - pole) + direct``."""
     return rl.StateSpaceModel([[pole]], [[1.0]], [[gain]], [[direct]])
-
-
-def tf(numerator: list[float], denominator: list[float]) -> rl.StateSpaceModel:
-    import control
-
-    return rl.StateSpaceModel.from_control(control.tf(numerator, denominator))
 
 
 def random_model(n: int, p: int, m: int, seed: int, spread: float = 1.0) -> rl.StateSpaceModel:
@@ -53,7 +45,7 @@ def test_static_gains_are_the_sine_of_an_angle(k1, k2):
 
 def test_the_winding_condition_decides_where_the_curves_are_close():
     """A right-half-plane pole that nearly cancels: invisible at all frequencies, and no controller suits both."""
-    one, two = first_order(1, -1), tf([1, -1.01], [1, 0, -1])
+    one, two = first_order(1, -1), rl.tf([1, -1.01], [1, 0, -1])
     result = nu_gap(one, two)
     assert result.chordal < 0.01
     assert result.winding != 0
@@ -67,8 +59,8 @@ def test_the_winding_condition_decides_where_the_curves_are_close():
 def test_values_published_by_mathworks_for_gapmetric():
     """Printed to four digits; the documentation of an older release gives the same first two nu-gaps."""
     assert round(nu_gap(first_order(1, 0.001), first_order(1, -0.001)).value, 4) == 0.0020
-    assert round(nu_gap(tf([50], [1, 50]), tf([400], [1, 58, 400])).value, 4) == 0.6147
-    one, two, k = tf([1, 2], [1, 5, 10]), tf([1, 1], [1, 3, 10]), tf([4.4], [1, 0])
+    assert round(nu_gap(rl.tf([50], [1, 50]), rl.tf([400], [1, 58, 400])).value, 4) == 0.6147
+    one, two, k = rl.tf([1, 2], [1, 5, 10]), rl.tf([1, 1], [1, 3, 10]), rl.tf([4.4], [1, 0])
     assert round(nu_gap(one, two).value, 4) == 0.1390
     assert round(coprime_margin(one, k).value, 4) == 0.1961
 
@@ -136,29 +128,3 @@ def test_discrete_models_through_the_bilinear_map():
     assert nu_gap(k, bilinear_to_discrete(first_order(4, 0), 0.1)).frequency == pytest.approx(
         2 / 0.1 * np.arctan(2.0 * 0.05), rel=1e-3
     )
-
-
-def test_a_discrete_pole_at_minus_one_is_refused():
-    one = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], 0.1)
-    with pytest.raises(rl.NoTrustworthyNumber, match="z = -1"):
-        nu_gap(one, rl.StateSpaceModel([[-0.5]], [[1.0]], [[2.0]], [[0.0]], 0.1))
-
-
-# --- bad inputs ------------------------------------------------------------------------------------------------------
-
-
-def test_bad_inputs_are_named():
-    one = first_order(1, -1)
-    with pytest.raises(rl.InputError, match="equal sizes"):
-        nu_gap(one, random_model(2, 2, 1, 0))
-    with pytest.raises(rl.InputError, match="common sample time"):
-        nu_gap(one, rl.StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1))
-    hidden = rl.StateSpaceModel(np.diag([-1.0, 2.0]), [[1.0], [0.0]], [[1.0, 1.0]], [[0.0]])
-    with pytest.raises(rl.NoTrustworthyNumber, match="unstable mode 2 rad/s in x2: no input moves it"):
-        nu_gap(one, hidden)
-    with pytest.raises(rl.InputError, match="K is 1 x 1"):
-        coprime_margin(random_model(2, 2, 1, 0), one)
-    with pytest.raises(rl.InputError, match="sign"):
-        coprime_margin(one, one, sign=0)
-    with pytest.raises(rl.InputError, match="inputs and outputs"):
-        nu_gap(*[rl.StateSpaceModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((0, 0)), np.zeros((0, 1)))] * 2)

@@ -1,7 +1,5 @@
 """Over-bounding weights: exact for the bound of a weight, never below it, as close as an independent search."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -75,24 +73,3 @@ def test_a_discrete_weight_bounds_on_the_unit_circle():
     size = np.abs(rl.frequency_response(fit.weight, omega)[:, 0, 0])
     assert (size >= bound).all()
     assert (size <= 1.02 * bound).all()
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"omega": [1.0]}, "two vectors"),
-        ({"omega": [2.0, 1.0]}, "do not increase"),
-        ({"omega": [0.0, 1.0]}, "positive, increasing"),
-        ({"bound": [1.0, 0.0]}, "finite positive"),
-        ({"bound": [1.0, np.nan]}, "finite positive"),
-        ({"order": -1}, "0 to 12"),
-        ({"order": 2.5}, "0 to 12"),
-        ({"tolerance": 0.0}, "positive"),
-        ({"dt": 4.0}, "Nyquist"),
-        ({"exact": lambda w: -w}, "positive bound"),
-    ],
-)
-def test_bad_inputs_are_named(changes, words):
-    given_ = {"omega": [1.0, 2.0], "bound": [1.0, 1.0], **changes}
-    with pytest.raises(rl.InputError, match=words):
-        overbound(**given_)

@@ -1,7 +1,5 @@
 """A complex Delta at one frequency as stable systems: value, norm, sizes, edges, and its pole on the axis."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -57,31 +55,3 @@ def test_any_complex_number_at_any_frequency(phase, size, omega):
     # Poles stay near omega, so that neither the eigenvalues nor a simulation of the loop suffer.
     assert all(omega * 1e-3 <= -p.real <= omega * 1e3 for p in made.poles())
     assert abs(np.abs(rl.frequency_response(made, [0.0, omega / 3, np.inf])) - size).max() <= 1e-12 * size
-
-
-@pytest.mark.parametrize(
-    ("delta", "omega", "dt", "text"),
-    [
-        ({"d": 0.4j}, -1.0, 0.0, "omega = -1"),
-        ({"d": 0.4j}, np.nan, 0.0, "omega = nan"),
-        ({"d": 0.4j}, 40.0, 0.1, "between 0 and 31.4"),
-        ({"d": 0.4j}, 1.0, -0.1, "dt: -0.1"),
-        ({"d": np.nan}, 1.0, 0.0, "NaN"),
-        ({"e": 0.4j}, 1.0, 0.0, "no such block"),
-        ({"r": 0.4j}, 1.0, 0.0, "a real number"),
-        ({"f": np.ones((2, 2))}, 1.0, 0.0, r"shape \(2, 2\)"),
-    ],
-)
-def test_bad_inputs_are_named(delta, omega, dt, text):
-    blocks = [rl.ComplexScalar("d"), rl.RealScalar("r"), rl.FullBlock("f", 1, 2)]
-    with pytest.raises(rl.InputError, match=text):
-        realise_delta(blocks, delta, omega, dt)
-
-
-def test_the_critical_delta_of_a_margin_is_simulated():
-    M = rl.StateSpaceModel([[0, 1], [-1, -0.2]], [[0, 0], [1, 1]], [[1, 0.5], [1, 0]], np.zeros((2, 2)))
-    model = rl.UncertainModel(M, [rl.ComplexScalar("d")])
-    margin = rl.robust_stability(model)
-    loop = model.evaluate(realise_delta(model.blocks, margin.delta, margin.frequency))
-    assert np.abs(loop.poles() - 1j * margin.frequency).min() <= 1e-7
-    assert loop.spectral_abscissa() <= 1e-7

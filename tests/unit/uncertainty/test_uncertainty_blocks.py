@@ -1,12 +1,9 @@
 """Blocks of Delta: mussv's notation, sizes, and Delta from values."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from robustlab import ComplexScalar, FullBlock, ParameterRange, RealScalar, UncertainModel
-from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty import as_blocks, block_slices, delta_matrix, delta_values, structure_size
 
@@ -26,41 +23,6 @@ def test_mussv_rows():
     assert block_slices(blocks)[4] == (slice(7, 9), slice(7, 10))
     assert as_blocks(np.array([[-2, 0]])) == (RealScalar("delta1", 2),)
     assert as_blocks(RealScalar("k")) == (RealScalar("k"),)
-
-
-ROWS = ([[0, 0]], [[-2, 3]], [[1.5, 0]], [["a", 0]], [[1, 2, 3]], [3], "text", 7, [[-2, -2]])
-WIDTHS = ((0.5, 0.0), (0.5, -0.1), (0.0, 0.5), (np.inf, 0.5), (0.5, np.nan), (0.5, True))
-ENDS = ((1.0, 2.0, 1.0), (1.0, 2.0, 3.0), (2.0, 1.0, None), (np.nan, 1.0, 0.5), (0, np.inf, 1))
-
-
-@pytest.mark.parametrize(
-    ("make", "text"),
-    [
-        *((lambda rows=rows: as_blocks(rows), "blocks") for rows in ROWS),
-        *((lambda name=name: ComplexScalar(name), "1 to 200") for name in ("", "x" * 201, 3)),
-        *((lambda w=w: ParameterRange(1.0, w[0], below=w[1]), "width") for w in WIDTHS),
-        *((lambda ends=ends: ParameterRange.between(*ends), "low < nominal < high") for ends in ENDS),
-    ],
-)
-def test_invalid_input_is_named(make, text):
-    with pytest.raises(InputError, match=text):
-        make()
-
-
-@pytest.mark.parametrize(
-    ("values", "text"),
-    [
-        ({"q": 1.0}, "no such block"),
-        ({"r": 1j}, "real number"),
-        ({"r": [1.0, 2.0]}, "one number"),
-        ({"r": np.nan}, "NaN"),
-        ({"f": 1.0}, r"\(1, 2\)"),
-        ({"f": [[1.0], [2.0]]}, r"\(1, 2\)"),
-    ],
-)
-def test_values_that_do_not_fit(values, text):
-    with pytest.raises(InputError, match=text):
-        delta_matrix([RealScalar("r", 2), FullBlock("f", 1, 2)], values)
 
 
 def test_a_range_wider_above_than_below():

@@ -1,7 +1,5 @@
 """Element-wise uncertainty: names, errors, the thesis' column form, noise, the generalised plant."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
@@ -12,7 +10,7 @@ from robustlab import elementwise, frequency_response, generalized_plant
 from robustlab.cli import main
 from robustlab.errors import InputError, UnitMismatch
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty import STRUCTURES, endpoint_residual
+from robustlab.uncertainty import STRUCTURES, elementwise_cover, endpoint_residual
 
 A = np.array([[-6.0, 7200.0], [-84.0, -3300.0]])
 B, C, D = np.array([[0.0], [1600.0]]), np.eye(2), np.zeros((2, 1))
@@ -25,14 +23,6 @@ SIGNALS = {
 
 def motor(a=A, b=B, c=C, d=D, dt=0.0, **signals):
     return StateSpaceModel(a, b, c, d, dt, **{**SIGNALS, **signals})
-
-
-def changed(*entries, **matrices):
-    """Motor with some entries 10 % larger."""
-    out = {"a": A.copy(), "b": B.copy(), "c": C.copy(), "d": D.copy(), **matrices}
-    for name, i, j in entries:
-        out[name][i, j] = out[name][i, j] * 1.1 + 0.1
-    return motor(**out)
 
 
 def test_columns_are_the_thesis_form():
@@ -180,3 +170,48 @@ def test_a_doubtful_pair_gives_a_warning(pole, gain, remark, tmp_path, capsys):
     rl.save(files[1], perturbed)
     assert main.run_command(["uncertain", "build", *files[:2], "--out", files[2]]) == 0
     assert re.search(f"warning: {remark}", capsys.readouterr().err)
+
+
+# --- the cover: each member of the set is one of it, with a Delta of norm at most one ---------------------------------
+
+
+def pair():
+    rng = np.random.default_rng(3)
+    shapes = ((4, 4), (4, 2), (3, 4), (3, 2))
+    first = [rng.standard_normal(s) for s in shapes]
+    change = [0.3 * rng.standard_normal(s) * (rng.random(s) < 0.6) for s in shapes]
+    change[0][1], change[2][:, 0] = 0.0, 0.0
+    return StateSpaceModel(*first), StateSpaceModel(*(a + b for a, b in zip(first, change, strict=True)))
+
+
+def test_every_member_of_the_set_is_in_the_cover():
+    nominal, perturbed = pair()
+    entries, cover = rl.elementwise(nominal, perturbed, "elements"), elementwise_cover(nominal, perturbed)
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        member = entries.evaluate({b.name: rng.choice([-1.0, 1.0, 0.3]) for b in entries.blocks})
+        delta = {}
+        for b in cover.blocks:
+            kind = b.name
+            size = np.abs(getattr(perturbed, kind) - getattr(nominal, kind))
+            rows, columns = np.flatnonzero(size.any(axis=1)), np.flatnonzero(size.any(axis=0))
+            change = (getattr(member, kind) - getattr(nominal, kind))[np.ix_(rows, columns)]
+            delta[kind] = change / np.linalg.norm(size, 2)
+            assert np.linalg.norm(delta[kind], 2) <= 1 + 1e-12
+        again = cover.evaluate(delta)
+        for kind in "ABCD":
+            np.testing.assert_allclose(getattr(again, kind), getattr(member, kind), atol=1e-12)
+
+
+def test_equal_models_have_no_block():
+    nominal, _ = pair()
+    assert elementwise_cover(nominal, nominal).blocks == ()
+
+
+def test_mu_of_the_cover_is_above_that_of_the_set():
+    A = [[-1.0, 0.5], [0.0, -2.0]]
+    nominal = StateSpaceModel(A, [[1.0], [1.0]], [[1.0, 0.0]], [[0.0]])
+    perturbed = StateSpaceModel([[-0.8, 0.7], [0.1, -1.7]], [[1.0], [1.1]], [[1.0, 0.0]], [[0.0]])
+    small = rl.robust_performance(rl.elementwise(nominal, perturbed, "elements"))
+    large = rl.robust_performance(elementwise_cover(nominal, perturbed))
+    assert large.lower <= small.upper

@@ -1,7 +1,5 @@
 """Unstructured uncertainty: members against the defining formulas, the thesis' M, weights, bad inputs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -103,36 +101,3 @@ def test_scalar_and_diagonal_weights():
     each = unstructured(G, [1.0, lag, 0.5], "additive", W1=2.0)
     scale = np.stack([np.ones(3), one, np.full(3, 0.5)], axis=1)[:, None, :]
     assert each.response(omega, {"unmodelled": delta}) == pytest.approx(g + 2 * delta * scale)
-
-
-def test_a_delta_may_be_a_system():
-    G, W = model(3, 2, 2, 5), rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.1]])
-    E = model(2, 2, 2, 6)
-    made = unstructured(G, W, "output-multiplicative").evaluate({"unmodelled": E})
-    for w in (0.2, 3.0):
-        g, weight, e = (rl.frequency_response(s, [w])[0] for s in (G, W, E))
-        assert rl.frequency_response(made, [w])[0] == pytest.approx((np.eye(2) + e * weight) @ g)
-
-
-LAG = rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
-UNSTABLE = rl.StateSpaceModel([[1.2]], [[1.0]], [[1.0]], [[0.0]])
-
-
-@pytest.mark.parametrize(
-    ("call", "text"),
-    [
-        (lambda: unstructured(LAG, 1.0, "multiplicative"), "did you mean|input-multiplicative"),
-        (lambda: unstructured(LAG, UNSTABLE), r"unstable weight \(pole 1.2"),
-        (lambda: unstructured(LAG, rl.StateSpaceModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1)), "sample times"),
-        (lambda: unstructured(LAG, np.ones((2, 2))), "1 inputs"),
-        (lambda: unstructured(LAG, 1.0, W1=np.ones((2, 2))), "1 outputs"),
-        (lambda: unstructured(LAG, [1.0, 2.0]), "2 channels"),
-        (lambda: unstructured(LAG, [np.ones((2, 2))]), "one input and one output"),
-        (lambda: unstructured(LAG, np.nan), "NaN"),
-        (lambda: unstructured("lag", 1.0), "unstructured: G"),
-        (lambda: unstructured(LAG.renamed(["d.w1"]), name="d"), "another name"),
-    ],
-)  # fmt: skip
-def test_bad_inputs_are_named(call, text):
-    with pytest.raises(rl.InputError, match=text):
-        call()

@@ -1,7 +1,5 @@
 """Files with wrong numbers that earlier versions certified: the command proves none of them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import h5py

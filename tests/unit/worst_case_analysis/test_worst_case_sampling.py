@@ -1,7 +1,5 @@
 """Samples and their responses: seeds, vertices, envelopes against a model-by-model simulation."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.signal
