@@ -46,7 +46,7 @@ NEAR_PEAK = 0.9  # sections of all factors are spread over the band in which mu 
 MAX_SECTIONS = 8  # of a factor
 BAND_LEVEL = 0.3  # new sections are placed where mu is above this share of its peak ...
 BEYOND = 30.0  # ... and up to this factor beyond; larger: slower and faster sections
-PROOF_ACCURACY = 9e-4  # of the proof by intervals; smaller: more intervals
+PROOF_ACCURACY = 1e-3  # of the proof by intervals; smaller: more intervals
 START_POINTS, LOWER_POINTS = 16, 4  # frequencies of mu of real blocks of the first loop, and of the last lower bound
 FINE = 0.03  # share of the loop's gain that regularisation may cost; smaller: stiffer
 
