@@ -52,7 +52,7 @@ def by_hand(design: DKSynthesis, omega: np.ndarray) -> np.ndarray:
     """Largest singular value of the scaled loop from the numbers in to_json, without a realisation."""
     M = frequency_response(design.plant.close(design.K), omega)
     s, left, right = 1j * omega, [], []
-    for block, data in zip(design.blocks, design.to_json()["scalings"], strict=True):
+    for block, data in zip(design.blocks, design.scalings.to_json(), strict=True):
         assert not data["mixing"]
         factors = data["factors"] or [{"log_gain": 0.0, "sections": ()}]
         d = np.ones(len(omega), dtype=complex) * np.exp(factors[0]["log_gain"])
