@@ -44,9 +44,10 @@ PROGRESS = 2e-3  # relative progress of an enlargement of the scalings below whi
 FALLS = 2  # consecutive enlargements of that kind that end the search
 NEAR_PEAK = 0.9  # sections of all factors are spread over the band in which mu of the first loop is above this share
 MAX_SECTIONS = 8  # of a factor
+FEW_SECTIONS = 3  # in every factor, up to which they are placed one by one as well
 BAND_LEVEL = 0.3  # new sections are placed where mu is above this share of its peak ...
 BEYOND = 30.0  # ... and up to this factor beyond; larger: slower and faster sections
-PROOF_ACCURACY = 9e-4  # of the proof by intervals; smaller: more intervals
+PROOF_ACCURACY = 1e-3  # of the proof by intervals; smaller: more intervals
 START_POINTS, LOWER_POINTS = 16, 4  # frequencies of mu of real blocks of the first loop, and of the last lower bound
 FINE = 0.03  # share of the loop's gain that regularisation may cost; smaller: stiffer
 
@@ -247,12 +248,14 @@ class _Search:
             self._grow(DynamicScalings(self.real, tuple(parts)), "D-G-K")
             return
         low, high = np.log(self._band(NEAR_PEAK))
+        few = False  # sections fit the largest order: then their places decide
         for k in range(1, MAX_SECTIONS + 1):
             scalings = constant.spread((low + (high - low) * (np.arange(k) + 0.5) / k).tolist())
+            few = scalings.n_states > self.max_states and k <= FEW_SECTIONS
             if scalings.n_states > self.max_states or self._settled(levels):
                 break
             levels.append(self._taken(minimised(self.problem.search, scalings, self.best.level), "direct"))
-        if levels[-1] > min(levels) * (1 + PROGRESS):  # other local minima each time
+        if few or levels[-1] > min(levels) * (1 + PROGRESS):  # other local minima each time
             self._grow(constant, "direct")
 
     def _grow(self, scalings: DynamicScalings, stage: str) -> None:
