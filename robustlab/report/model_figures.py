@@ -155,8 +155,9 @@ def _drawn(shown: Any, n: int, seed: int, most: int = MOST) -> tuple[list[StateS
         corners: Any = "all" if len(shown.blocks) <= ALL_VERTICES else VERTICES
         deltas = sample(shown, n, seed, corners).deltas
     real = [{key: np.real(v) if np.iscomplexobj(v) else v for key, v in delta.items()} for delta in deltas]
+    members = [whole.evaluate(delta) for delta in real]
     model = whole if isinstance(whole, DelayedModel) else as_model(whole, "plot")
-    every = [model, *(whole.evaluate(delta) for delta in real)]
+    every = [model, *members]
     if not model.n_outputs or not model.n_inputs:
         raise InputError("plot", f"a model of {model.n_outputs} x {model.n_inputs}", "inputs and outputs")
     if model.n_outputs <= most and model.n_inputs <= most:

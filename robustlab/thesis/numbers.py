@@ -115,7 +115,8 @@ def published_numbers() -> PublishedNumbers:
     for key, row in table.items():
         row["why"] = row.get("why", "").format(**found)
         ours = float(found[key]) if key in found else None
-        rows[key] = PublishedNumber(**{"key": key, "published": None, "ours": ours, **row})
+        given: dict[str, Any] = {"key": key, "published": None, "ours": ours, **row}
+        rows[key] = PublishedNumber(**given)
     return PublishedNumbers(rows, sines, varied, tracking)
 
 

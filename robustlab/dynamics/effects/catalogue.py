@@ -61,6 +61,7 @@ class Kind:
 
     id: str
     title: str
+    where: Literal["joint", "path", "sensor"]
     wider: str | None = None
     quantities: tuple[Quantity, ...] = ()
     form: str = ""
