@@ -1,11 +1,11 @@
 # Written by benchmarks/stub.py from the table in __init__.py; do not edit.
 from robustlab.analysis.designs import gap as gap
 from robustlab.analysis.designs import hinf as hinf
+from robustlab.analysis.gains_and_margins import classical_margins as classical_margins
+from robustlab.analysis.gains_and_margins import disk_margin as disk_margin
+from robustlab.analysis.gains_and_margins import peak_gain as peak_gain
+from robustlab.analysis.gains_and_margins import robust_stability as robust_stability
 from robustlab.analysis.performance import robust_gain as robust_gain
-from robustlab.analysis.questions import classical_margins as classical_margins
-from robustlab.analysis.questions import disk_margin as disk_margin
-from robustlab.analysis.questions import peak_gain as peak_gain
-from robustlab.analysis.questions import robust_stability as robust_stability
 from robustlab.delays.model import DelayedModel as DelayedModel
 from robustlab.delays.model import delay as delay
 from robustlab.delays.model import with_delays as with_delays

@@ -12,7 +12,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from robustlab.analysis.questions import peak_gain
+from robustlab.analysis.gains_and_margins import peak_gain
 from robustlab.display import Displayable, Facts, Part, bracket, member, number
 from robustlab.errors import InputError, error_context
 from robustlab.mu_analysis import Margin, WorstCaseGain, robust_performance, worst_case_gain

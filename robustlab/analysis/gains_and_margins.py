@@ -30,7 +30,7 @@ NATURES, FREQUENCIES, LPV, EFFECTS = "blocks with natures", "given frequencies",
 
 OWN = "mu_analysis.margins."
 GAIN = {
-    MODEL: ("analysis.questions.gain_of_model", "norm band inputs outputs tolerance"),
+    MODEL: ("analysis.gains_and_margins.gain_of_model", "norm band inputs outputs tolerance"),
     DELAYED: (f"{OWN}delay_margins.delay_gain", "inputs outputs effort"),
     SET: ("mu_analysis.worst_case_gain", "inputs outputs omega tolerance seed effort time_limit"),
     FREQUENCIES: (f"{OWN}at_frequencies.worst_case_gain_at", "frequency inputs outputs seed"),
