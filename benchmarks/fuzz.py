@@ -47,6 +47,7 @@ from robustlab.files import isolation
 from robustlab.files.tree import Tree, content_sha256
 from robustlab.result import Result
 from robustlab.storage import interchange
+from robustlab.storage.codecs import BY_KIND, codec_of
 
 START = 4.0  # s of processor time that a reader process takes before it sees the file
 FAULTS = ("traceback", "hang", "memory", "silent", "unclear")
@@ -87,7 +88,7 @@ def read_stored(path: Path, isolate: bool) -> tuple[Any, bool]:
 def digest(thing: Any) -> str:
     """Hash of all numbers and names of an object that came from a file."""
     tree = Tree()
-    interchange._encode(tree, thing)
+    (codec_of(thing) or BY_KIND["result"]).write(tree, thing)
     return content_sha256(tree)
 
 
