@@ -74,7 +74,13 @@ def run(
     Example: robustlab run first-light --set seed=7 --out out/first-light
     """
     if listed or recipe is None:
-        _list_recipes(listed, as_json)
+        from robustlab.recipe.shipped import shipped_titles
+
+        titles = list(shipped_titles().items())
+        if not listed:
+            lines, hint = tuple(f"  {line}" for line in table(titles).splitlines()), "robustlab run first-light"
+            raise UsageError("robustlab run", "RECIPE is missing", "a recipe file, or one of these", hint, lines)
+        emit("run", {"recipes": dict(titles)}, table(titles, ("recipe", "title")), as_json)
         return
     from robustlab.recipe.load import load_recipe, recipe_path
     from robustlab.recipe.run import default_folder, read_result, replaced, run_recipe
@@ -111,18 +117,6 @@ def run(
         note(f"note: {replacing}")
     emit("run", {**result.data, "folder": str(result.folder)}, _text(result), as_json)
     raise typer.Exit(result.exit_code)
-
-
-def _list_recipes(requested: bool, as_json: bool) -> None:
-    """Print the shipped recipes, or raise with them as choices where no list was requested."""
-    from robustlab.recipe.shipped import shipped_titles
-
-    titles = shipped_titles()
-    if not requested:
-        lines = tuple(f"  {line}" for line in table(list(titles.items())).splitlines())
-        hint = "robustlab run first-light"
-        raise UsageError("robustlab run", "RECIPE is missing", "a recipe file, or one of these", hint, lines)
-    emit("run", {"recipes": titles}, table(list(titles.items()), ("recipe", "title")), as_json)
 
 
 def _text(result: RunResult) -> str:
@@ -244,8 +238,7 @@ class _FolderOrCommand(TyperGroup):
     """``robustlab report RUN_DIR`` is short for ``robustlab report write RUN_DIR``."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        known = (*self.commands, "--help")
-        if args and not any(a in known for a in args[:1]):
+        if args and args[0] not in (*self.commands, "--help"):
             args = ["write", *args]
         return super().parse_args(ctx, args)
 
