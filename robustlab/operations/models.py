@@ -228,7 +228,7 @@ def elementwise(
         warnings.simplefilter("ignore")  # repeated in the notes
         model = rl.elementwise(first, second, structure)
     residual = endpoint_residual(model, second)
-    status = rl.Status.CERTIFIED if residual.largest <= EXACT else rl.Status.INACCURATE
+    status = rl.Status.CERTIFIED if residual <= EXACT else rl.Status.INACCURATE
     found = BuiltModel(model, structure, status, residual, ends=(first, second))
     return InLoop(found, notes=notes if model.blocks or notes else (NOTHING,))
 

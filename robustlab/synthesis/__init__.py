@@ -17,7 +17,7 @@ __all__, __getattr__ = lazily(
         "problem.design": "Design Synthesis HinfSynthesis",
         "scheduling.parameter_varying": "LPVController",
         "scheduling.scheduled_synthesis": "closed_loop",
-        "problem.certify": "MeasureName plant_with_scalings",
+        "problem.certify": "MeasureName",
         "problem.limits": "gamma_bound",
         "hinf.loop_shaping": "mixed_sensitivity_plant",
         "specifications.weight_design": "error_weight",

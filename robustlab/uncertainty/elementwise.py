@@ -140,38 +140,20 @@ def pair_remarks(nominal: StateSpaceModel, perturbed: StateSpaceModel) -> list[s
     return remarks
 
 
-@dataclass(frozen=True)
-class EndpointResidual:
-    """Distances of the ends of a set from its two source models."""
-
-    absolute: dict[str, float]  # for each of A, B, C, D the largest `|F_u(M, I) - perturbed|`
-    # The same divided by the largest magnitude of that matrix in either model (0 for a matrix that is met exactly).
-    relative: dict[str, float]
-
-    @property
-    def largest(self) -> float:
-        """Return the largest relative residual."""
-        return max(self.relative.values())
-
-    def to_json(self) -> dict[str, object]:
-        return {"absolute": self.absolute, "relative": self.relative, "largest": self.largest}
-
-
-def endpoint_residual(uncertain: UncertainModel, perturbed: Any) -> EndpointResidual:
-    """Evaluate the set at ``Delta = I`` and compare with the perturbed model, matrix by matrix."""
+def endpoint_residual(uncertain: UncertainModel, perturbed: Any) -> float:
+    """Compare the set at ``Delta = I`` with the perturbed model by `misses`."""
     target = as_model(perturbed, "endpoint_residual: perturbed")
     return misses(uncertain.evaluate({b.name: 1.0 for b in uncertain.blocks}), target, uncertain.nominal)
 
 
-def misses(reached: StateSpaceModel, wanted: StateSpaceModel, *others: StateSpaceModel) -> EndpointResidual:
-    """Return the largest differences of entries, absolute and relative to the largest one in ``wanted`` and others."""
-    absolute, relative = dict[str, float](), dict[str, float]()
+def misses(reached: StateSpaceModel, wanted: StateSpaceModel, *others: StateSpaceModel) -> float:
+    """Return the largest difference of an entry, relative to the largest of its matrix in ``wanted`` and others."""
+    shares = [0.0]
     for name in "ABCD":
-        miss = float(np.abs(getattr(reached, name) - getattr(wanted, name)).max(initial=0.0))
-        size = max(float(np.abs(getattr(m, name)).max(initial=0.0)) for m in (wanted, *others))
-        absolute[name] = miss
-        relative[name] = 0.0 if miss == 0 else (miss / size if size else np.inf)
-    return EndpointResidual(absolute, relative)
+        if miss := float(np.abs(getattr(reached, name) - getattr(wanted, name)).max(initial=0.0)):
+            size = max(float(np.abs(getattr(m, name)).max(initial=0.0)) for m in (wanted, *others))
+            shares.append(miss / size if size else np.inf)
+    return max(shares)
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,18 +165,13 @@ class BuiltModel(Displayable):
     #: CERTIFIED: the set is proved to contain its source models. CONVERGED: to a chosen accuracy. None: it is defined
     #: by its parameters, and there is nothing to prove.
     status: Status | None
-    #: Distance of its end from the perturbed model; None where it was not made of two models
-    residual: EndpointResidual | None = None
+    #: Largest relative difference to the perturbed model at Delta = I; None where it was not made of two models
+    endpoint_residual: float | None = None
     notes: tuple[str, ...] = ()  #: Remarks for the reader
     #: The nominal and the perturbed model of its construction, for `robustlab.verify`
     ends: tuple[StateSpaceModel, StateSpaceModel] | None = None
 
     quantities: ClassVar[Mapping[str, Any]] = {**UncertainModel.quantities, "endpoint_residual": "1"}
-
-    @property
-    def endpoint_residual(self) -> float | None:
-        """Return the largest relative difference to the perturbed model at Delta = I."""
-        return None if self.residual is None else self.residual.largest
 
     def numbers(self) -> dict[str, Any]:
         residual = self.endpoint_residual
@@ -205,7 +182,8 @@ class BuiltModel(Displayable):
         return f"{'sampled' if self.model.sampled else 'exact'} uncertain model ({self.structure}); uncertain: {names}"
 
     def facts(self) -> Facts:
-        off = "" if self.residual is None else f"{self.residual.largest:.2g} of each matrix's largest entry"
+        residual = self.endpoint_residual
+        off = "" if residual is None else f"{residual:.2g} of each matrix's largest entry"
         return [
             ("structure", self.structure),
             ("off the perturbed model at Delta = I", off),
@@ -216,7 +194,7 @@ class BuiltModel(Displayable):
         return self.model.details()
 
     def to_json(self) -> dict[str, object]:
-        more = {"structure": self.structure, "residual": self.residual}
+        more = {"structure": self.structure, "residual": self.endpoint_residual}
         return {**self.model.to_json(), **more, "status": self.status}
 
 

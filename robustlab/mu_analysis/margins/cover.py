@@ -235,7 +235,7 @@ def _parametric(
     models: tuple[StateSpaceModel, ...], form: Any, nominal: StateSpaceModel | None, tolerance: float, directions: Any
 ) -> Cover:
     model, deltas, spread = covers.parametric_cover(models, form, nominal, tolerance, directions)
-    off = tuple(misses(model.evaluate(d), m).largest for d, m in zip(deltas, models, strict=True))
+    off = tuple(misses(model.evaluate(d), m) for d, m in zip(deltas, models, strict=True))
     sizes = tuple(max((abs(v) for v in d.values()), default=0.0) for d in deltas)
     met = max(sizes) <= 1.0 and max(off) <= max(2.0 * tolerance, EXACT)
     reason = "" if met else f"model {int(np.argmax(off)) + 1} is missed by {max(off):.2g}"

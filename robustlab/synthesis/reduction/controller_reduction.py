@@ -66,7 +66,7 @@ class ReducedController(Tabular, Synthesis):
     allowed_loss: float
     orders: tuple[OrderTried, ...]  # the loss of each order, the highest first: the evidence for the order chosen
     evidence: Evidence  # the proof of `gamma`: a norm's bracket, or the margin with its scalings
-    scaled: GeneralizedPlant | None = None  # the plant with the scalings given, whose loop has the norm `gamma`
+    scaled: GeneralizedPlant | None = None  # the plant with the scalings of the design, whose loop has the norm `gamma`
 
     @property
     def original_order(self) -> int:
@@ -104,7 +104,6 @@ def reduce_controller(
     order: int | None = None,
     measure: MeasureName | None = None,
     blocks: Sequence[Block] | None = None,
-    scalings: Any = None,
     n_meas: int | None = None,
     n_con: int | None = None,
     time_limit: float | None = None,
@@ -132,13 +131,11 @@ def reduce_controller(
         Largest loss allowed, as a share; or the requested order, whose loss is then reported.
     measure
         J: ``"hinf"`` or ``"h2"`` norm of the closed loop, or ``"mu"``: robust performance at all frequencies. Where
-        left out: ``"mu"`` where scalings are given or the design has them, ``"h2"`` for an H2 design, else
-        ``"hinf"``.
-    blocks, scalings
+        left out: ``"mu"`` where the design has scalings, ``"h2"`` for an H2 design, else ``"hinf"``.
+    blocks
         For ``"mu"``: perturbation blocks of the plant's first channels (those of the design or the plant where left
-        out); the pair of stable models ``(D_z, D_w^-1)`` that commute with the perturbation, whose scaled norm then is
-        J (quick). Without scalings the mu analysis finds its own for every candidate (slow), also for a design whose
-        scalings include G for real blocks.
+        out). J is the scaled norm with the scalings of a design (quick); where it has none, or they include G for real
+        blocks, the mu analysis finds its own for every candidate (slow).
     n_meas, n_con
         Numbers of measurements and controls, where a plain plant is given.
     time_limit, effort
@@ -176,7 +173,8 @@ def reduce_controller(
     budget = design_budget(WHERE, WORK, effort, time_limit)
     if order is not None:
         whole(f"{WHERE}: order", order, 0, full.n_states)
-    if scalings is None and measure in (None, "mu"):
+    scalings = None
+    if measure in (None, "mu"):
         scalings = getattr(design_or_plant, "scalings", None)
         if getattr(scalings, "mixed", False):  # they include G, and bound no norm
             scalings, blocks = None, vars(design_or_plant)["blocks"] if blocks is None else blocks

@@ -255,8 +255,6 @@ REQUESTS = [
     (lambda: smaller(measure="l1"), "'hinf', 'h2' or 'mu'"),
     (lambda: smaller(measure="hinf", blocks=(rl.ComplexScalar("d"),)), "measure='mu'"),
     (lambda: smaller(measure="mu"), "blocks of 0 inputs"),
-    (lambda: smaller(scalings=3), "the pair"),
-    (lambda: smaller(scalings=(gain([1.0]),) * 2), "D_z is 1 x 1, expected 2 x 2"),
     (lambda: smaller(time_limit=0.0), "time_limit is 0"),
     (lambda: smaller(K=gain([1.0], [1.0])), "K is 2 x 1, expected 1 x 1"),
     # sampling
