@@ -35,7 +35,7 @@ GAIN = {
     SET: ("mu_analysis.worst_case_gain", "inputs outputs omega tolerance seed effort time_limit"),
     FREQUENCIES: (f"{OWN}at_frequencies.worst_case_gain_at", "frequency inputs outputs seed"),
     NATURES: ("iqc.analysis.iqc_gain", "natures inputs outputs order pole effort time_limit"),
-    LPV: ("synthesis.scheduling.induced_gain.lpv_gain", "lyapunov effort time_limit"),
+    LPV: ("synthesis.scheduling.scheduled_synthesis.lpv_gain", "lyapunov effort time_limit"),
     EFFECTS: (
         "iqc.analysis.effect_gain", "controller outputs amplitude stick_speed sign order effort time_limit"
     ),

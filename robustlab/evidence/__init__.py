@@ -9,6 +9,6 @@ __all__, __getattr__ = lazily(
     __name__,
     {
         "verification": "Verified claims_of verify",
-        "models": "h2_claims hinf_claims",
+        "claims": "h2_claims hinf_claims",
     },
 )

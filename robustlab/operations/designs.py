@@ -133,7 +133,7 @@ def h2(
     return _design(rl.h2(P, progress=progress, **vars(search)), system, drawn=drawn)
 
 
-@operation("synth dk", "dk", result="synthesis.dk.dk_design.DKSynthesis", gives="controller", made="controller")
+@operation("synth dk", "dk", result="synthesis.dk.dk_iteration.DKSynthesis", gives="controller", made="controller")
 def dk(
     system: Plant,
     *,

@@ -10,7 +10,7 @@ __all__, __getattr__ = lazily(
     __name__,
     {
         "structures.laws": "PID Decentralised FixedOrder FixedPoles MultichannelPID Part StaticGain",
-        "structures.problem": "Bandwidth Damping Decay RollOff StableController",
+        "structures.search": "Bandwidth Damping Decay RollOff StableController descend",
         "goal_tuning": "GainGoal MarginGoal SensitivityGoal TrackingGoal VarianceGoal",
         "problem.partition": "GeneralizedPlant PlantMatrices",
         "problem.controller": "Controller",
@@ -23,10 +23,8 @@ __all__, __getattr__ = lazily(
         "specifications.weight_design": "error_weight",
         "specifications.tracking": "TrackingLoop tracking_loop tracking_problem with_law",
         "structures.loops": "LoopFamily",
-        "structures.search": "descend",
-        "dk.dk_design": "DKSynthesis RobustProblem mu_floor",
+        "dk.dk_iteration": "DKSynthesis RobustProblem mu_floor structure_with_performance",
         "dk.scalings": "BlockScaling Factor unit_scalings",
-        "dk.dk_iteration": "structure_with_performance",
         "reduction.controller_reduction": "ReducedController",
     },
 )

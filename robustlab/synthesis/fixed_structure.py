@@ -27,12 +27,15 @@ from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.problem.certify import Certificate, certified
 from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status, limiting_channels
 from robustlab.synthesis.problem.limits import require_stabilisable
-from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant, require_performance
-from robustlab.synthesis.problem.scaling import common_scaling
+from robustlab.synthesis.problem.partition import (
+    GeneralizedPlant,
+    as_generalized_plant,
+    common_scaling,
+    require_performance,
+)
 from robustlab.synthesis.reduction.model_reduction import reduce_model
 from robustlab.synthesis.structures.laws import FixedOrder, Law, as_structure
-from robustlab.synthesis.structures.problem import DesignProblem, Limit
-from robustlab.synthesis.structures.search import Start, law_around, multi_start
+from robustlab.synthesis.structures.search import DesignProblem, Limit, Start, law_around, multi_start
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import realise_delta

@@ -28,8 +28,7 @@ from robustlab.synthesis.problem.limits import gamma_bound
 from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.specifications.weight_design import performance_weight
 from robustlab.synthesis.structures.laws import Law
-from robustlab.synthesis.structures.problem import DesignProblem, Limit
-from robustlab.synthesis.structures.search import multi_start, refined
+from robustlab.synthesis.structures.search import DesignProblem, Limit, multi_start, refined
 from robustlab.tables import Table
 
 INPUTS = ("reference", "disturbance", "noise")

@@ -31,10 +31,12 @@ from robustlab.synthesis.problem.partition import (
     GeneralizedPlant,
     PlantMatrices,
     Realisation,
+    Scaling,
     as_generalized_plant,
+    equilibrated,
+    paths_first,
     require_performance,
 )
-from robustlab.synthesis.problem.scaling import Scaling, equilibrated, paths_first
 
 WORK = 60 * MILLION  # work of a design at effort 1
 # Sizes of added penalties and noises, scaled. Longer: singular plants get closer to their infimum, K faster.

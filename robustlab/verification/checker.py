@@ -14,9 +14,16 @@ from robustlab.verification.balls import PRECISIONS, precision, rounded_down
 from robustlab.verification.claim import Claim, Verdict, Verification, Work, not_proved
 from robustlab.verification.delay_weights import prove_delay_weight
 from robustlab.verification.iqc import prove_multipliers
-from robustlab.verification.members import ALLOWANCE, prove_mu_lower, prove_set, prove_unstable_member
 from robustlab.verification.models import difference, loop, model_of, static, stored
-from robustlab.verification.mu import as_performance, prove_mu_axis, prove_mu_upper
+from robustlab.verification.mu import (
+    ALLOWANCE,
+    as_performance,
+    prove_mu_axis,
+    prove_mu_lower,
+    prove_mu_upper,
+    prove_set,
+    prove_unstable_member,
+)
 from robustlab.verification.norms import prove_bounded_real, prove_gramian, prove_norm, prove_stable
 from robustlab.verification.parameters import prove_parameters
 

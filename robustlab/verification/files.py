@@ -29,8 +29,8 @@ from robustlab.files.tree import (
 from robustlab.verification.balls import PRECISIONS, precision
 from robustlab.verification.checker import KINDS
 from robustlab.verification.claim import Claim, Outcome, Verification
-from robustlab.verification.members import ALLOWANCE
 from robustlab.verification.models import gain_exceeds, model_of
+from robustlab.verification.mu import ALLOWANCE
 
 GROUP = "claims"
 

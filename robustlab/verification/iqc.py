@@ -63,8 +63,7 @@ from numpy.typing import NDArray
 from robustlab.errors import InputError
 from robustlab.verification.balls import Matrix, definite, exact, identity, part, stack, zeros
 from robustlab.verification.claim import PROVED, Claim, Verdict, Work, not_proved, real, scalar, symmetric, whole
-from robustlab.verification.forms import FULL, REAL, Block, placed, read_shapes
-from robustlab.verification.models import Model, model_of
+from robustlab.verification.models import FULL, REAL, Block, Model, model_of, placed, read_shapes
 from robustlab.verification.mu import within_box
 from robustlab.verification.norms import climb, stable
 

@@ -33,10 +33,12 @@ from robustlab.synthesis.problem.partition import (
     GeneralizedPlant,
     PlantMatrices,
     Realisation,
+    Scaling,
     as_generalized_plant,
+    equilibrated,
+    paths_first,
     require_performance,
 )
-from robustlab.synthesis.problem.scaling import Scaling, equilibrated, paths_first
 from robustlab.synthesis.structures.loops import ModalLoop, largest_gain
 
 # Work of a design at effort 1; most plants need less than a tenth. More: longer searches on hard plants.

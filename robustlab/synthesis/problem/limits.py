@@ -17,8 +17,14 @@ from robustlab.arrays import AnyArray, Array
 from robustlab.display import AllFields
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.linear_analysis import slicot
-from robustlab.synthesis.problem.partition import GeneralizedPlant, PlantMatrices, dual
-from robustlab.synthesis.problem.scaling import Scaling, equilibrated, paths_first
+from robustlab.synthesis.problem.partition import (
+    GeneralizedPlant,
+    PlantMatrices,
+    Scaling,
+    dual,
+    equilibrated,
+    paths_first,
+)
 
 # sigma_min of the Popov-Belevitch-Hautus matrix below this share of its norm counts as rank loss.
 PBH_TOLERANCE = 1e-11
