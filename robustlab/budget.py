@@ -49,11 +49,7 @@ def dense(n: int, times: int = 1) -> int:
 
 
 class Budget:
-    """The work left of a search, and perhaps a time limit; checked between steps.
-
-    ``work``: units of work (see `MILLION`); inf for a search that ends by itself.
-    ``time_limit``: in s from now; None for no limit.
-    """
+    """The work left of a search, and perhaps a time limit; checked between steps."""
 
     def __init__(self, work: float = inf, time_limit: float | None = None) -> None:
         self._work = float(work)

@@ -21,10 +21,7 @@ def number(
     below: float = inf,
     at_most: float = inf,
 ) -> float:
-    """Return a finite real number with ``above < value < below`` and ``at_least <= value <= at_most`` as a float.
-
-    ``expected``: text of the expectation with unit or meaning; by default that of the range.
-    """
+    """Return a finite real number with ``above < value < below`` and ``at_least <= value <= at_most`` as a float."""
     try:
         real = inf if isinstance(value, (bool, str, bytes)) or getattr(value, "ndim", 0) else float(value)
     except (TypeError, ValueError, OverflowError):

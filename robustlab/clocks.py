@@ -62,11 +62,7 @@ def summarise_clock(t: Array) -> ClockSummary:
 
 
 def common_clock(where: str, clocks: Mapping[str, Array], dt: float | None = None) -> tuple[Array, str]:
-    """Return one time base for signals of several, over their common time, and the name of the coarsest one.
-
-    Without ``dt`` it has the stamps of the coarsest time base (the first of equal ones) if they are uniform, else
-    stamps in steps of its sample time.
-    """
+    """Return one time base for signals of several, over their common time, and the name of the coarsest one."""
     steps = {name: clock_step(t) for name, t in clocks.items()}
     coarse = next(name for name, step in steps.items() if step >= (1 - SAME_TIME) * max(steps.values()))
     start, stop = max(float(t[0]) for t in clocks.values()), min(float(t[-1]) for t in clocks.values())

@@ -26,11 +26,7 @@ def triangle(matrix: AnyArray) -> AnyArray:
 
 
 def solve(cost: Array, rows: Any, right: Array, cones: Sequence[Cone], *, steps: float, seconds: float | None) -> Any:
-    r"""Minimise ``cost x`` with ``right - rows x`` in the cones; None where the solver panics.
-
-    ``rows``: dense or sparse; symmetric matrices as `triangle`.
-    ``steps``, ``seconds``: limits of the solver; None: no limit.
-    """
+    """Minimise ``cost x`` with ``right - rows x`` in the cones; None where the solver panics."""
     import clarabel
     from scipy import sparse
 

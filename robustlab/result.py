@@ -53,11 +53,7 @@ def least_trusted(statuses: Sequence[Status]) -> Status:
 
 
 def plain(value: Any) -> Any:
-    """Convert ``value`` to JSON types: arrays become nested lists, complex numbers ``{"re": .., "im": ..}``.
-
-    Infinities and NaN become the strings ``"inf"``, ``"-inf"``, ``"nan"``: JSON has no such numbers, and null would
-    hide them.
-    """
+    """Convert ``value`` to JSON types: arrays become nested lists, complex numbers ``{"re": .., "im": ..}``."""
     if isinstance(value, Enum):
         return value.value
     if value is None or isinstance(value, (bool, str, int)):

@@ -371,10 +371,7 @@ def _of_loop(claim: Claim, numbers: Numbers) -> Claim:
 
 
 def dk_claims(found: DKSynthesis) -> list[Claim]:
-    """Return the claim that mu of the loop is at most ``gamma`` at all frequencies, by constant D, G on intervals.
-
-    For scalings that depend on the frequency, or a discrete loop, new intervals are computed at this level.
-    """
+    """Return the claim that mu of the loop is at most ``gamma`` at all frequencies, by constant D, G on intervals."""
     level, pieces = found.gamma * ABOVE, found.pieces
     if not pieces:
         loop = found.plant.close(found.K)
@@ -413,10 +410,7 @@ def _difference(found: ReducedModel, norm: HinfNorm) -> list[Claim]:
 
 
 def _weighted(found: ReducedModel) -> list[Claim]:
-    """Return the claim about the weighted difference: all models as one u = K y, around a plant of wires.
-
-    The first weight (or w) drives both models, their difference drives the second.
-    """
+    """Return the claim about the weighted difference: all models as one u = K y, around a plant of wires."""
     full, small = found.full, found.model
     m, p, dt = full.n_inputs, full.n_outputs, full.dt
     first, last = (

@@ -270,10 +270,7 @@ def _interval(expression: Laurent, box: Mapping[str, tuple[float, float]], algeb
 def _lft(
     expressions: Sequence[Sequence[Laurent]], algebra: Algebra, ranges: Mapping[str, ParameterRange]
 ) -> ConstantLft:
-    """Return the LFT of a matrix in the parameters; a variable and its inverse are taken out each by itself.
-
-    A denominator is a variable, too, which has an LFT of its own.
-    """
+    """Return the LFT of a matrix in the parameters; a variable and its inverse are taken out each by itself."""
     from flint import fmpq
 
     entries = [((i, j), entry) for i, row in enumerate(expressions) for j, entry in enumerate(row)]

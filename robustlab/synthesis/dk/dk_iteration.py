@@ -331,10 +331,7 @@ class RobustProblem:
     def certified(
         self, iterate: Iterate, blocks: tuple[Block, ...], cover: AxisCover
     ) -> tuple[float, tuple[Piece, ...], str]:
-        """Prove mu by the checker: the level of the cover's intervals, or else that of the iterate's scalings.
-
-        Return it with the intervals that prove it (none: the norm of the scaled loop) and the reason of a failed proof.
-        """
+        """Prove mu by the checker: the level of the cover's intervals, or else that of the iterate's scalings."""
         plant, K, doubt, best = self.plant, iterate.K, "", iterate.level
         if cover.pieces and not cover.open and cover.beta < iterate.level:
             best, doubt = cover.beta, "pieces of the proof could not be joined"

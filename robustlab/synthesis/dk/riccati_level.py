@@ -97,10 +97,7 @@ class LevelSearch:
         return None if found is None or not found[2] else Level(found[0], found[1], pairs[found[0]])
 
     def branches(self, theta: AnyArray, level: Level, moves: AnyArray | None = None) -> Branches | None:
-        """Return the largest eigenvalues of X Y at and slightly below the level, with their slopes; None: not smooth.
-
-        The slopes are those along ``moves``, each of length STEP: by default every parameter by itself.
-        """
+        """Return the largest eigenvalues of X Y at and slightly below the level, with slopes; None: not smooth."""
         if not level.smooth:
             return None
         n, moves = len(self.scaling.states), STEP * np.eye(len(theta)) if moves is None else moves

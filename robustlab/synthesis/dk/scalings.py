@@ -208,10 +208,7 @@ class DynamicScalings:
         return replace(self, parts=tuple(parts))
 
     def enlarged(self, places: Sequence[float], apart: float) -> Iterator[tuple[DynamicScalings, DynamicScalings]]:
-        """Yield scalings of the same level with one section more, of a factor or of a G, at each of these places.
-
-        The second of each pair has the two frequencies of that section, which cancel at first, this far apart.
-        """
+        """Yield scalings of the same level with one section more, of a factor or of a G, at each of these places."""
         for i, part in enumerate(self.parts):
             for k, at in product(range(len(part.factors) + len(part.g)), places):
                 flat, tilted = (part.with_section(k, at + move, at) for move in (0.0, apart))

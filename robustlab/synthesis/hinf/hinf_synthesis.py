@@ -248,10 +248,7 @@ def smallest(candidates: list[Candidate]) -> Candidate | None:
 def portfolio(
     matrices: PlantMatrices, scalings: tuple[Scaling, Scaling], budget: Budget, floor: float, D22: Array
 ) -> list[Search]:
-    """Search both scalings coarsely, refine the better one, and try its best loop in the other one; the better first.
-
-    That trial is made in any case: the Riccati test may have failed by rounding alone.
-    """
+    """Search both scalings coarsely, refine the better one, and try its best loop in the other; the better first."""
 
     def gamma(search: Search) -> float:
         return np.inf if search.best is None else search.best.gamma
@@ -311,10 +308,7 @@ def _slowest_poles(search: Search, start: Candidate, gamma: float, x: float) -> 
 
 
 def channel_gains(loop: Realisation, sizes: tuple[int, int, int, int, int]) -> Regularisation | None:
-    """Return peak gains on a grid: w to each u, noise on y to z, w to x, disturbance of x to z; None if unstable.
-
-    ``sizes``: those of the plant, whose channels come before [u; x] and [noise on y; x].
-    """
+    """Return peak gains on a grid: w to each u, noise on y to z, w to x, disturbance of x to z; None if unstable."""
     if not all(np.isfinite(part).all() for part in loop):
         return None
     _, n_w, n_u, n_z, n_y = sizes
@@ -346,10 +340,7 @@ def trial_loop(p: PlantMatrices, K: Realisation) -> Realisation:
 
 
 class Closed(NamedTuple):
-    """A controller in the units and the time domain of the plant as given, D22 included, and its loop.
-
-    The loop of P and K has at most the norm ``gamma``, proved by the checker where ``doubt`` is empty.
-    """
+    """A controller in the units and the time domain of the plant as given, D22 included, and its loop."""
 
     candidate: Candidate
     K: StateSpaceModel

@@ -111,18 +111,7 @@ def _transposed(m: StateSpaceModel) -> StateSpaceModel:
 
 
 def split_stable(model: StateSpaceModel) -> SplitModel:
-    r"""Split a model into stable and other modes in parallel: ordered real Schur form, then a Sylvester equation.
-
-    .. math:: A = Q \begin{bmatrix} A_{11} & A_{12} \\ 0 & A_{22} \end{bmatrix} Q^T, \qquad
-       A_{11} X - X A_{22} + A_{12} = 0, \qquad T = Q \begin{bmatrix} I & X \\ 0 & I \end{bmatrix}
-
-    A pole that rounding may move to the boundary does not count as stable. Unstable modes that are uncontrollable or
-    unobservable are removed before.
-
-    References
-    ----------
-    Safonov, Jonckheere, Verma, Limebeer, "Synthesis of positive real multivariable feedback systems" (1987).
-    """
+    """Split a model into stable and other modes in parallel: ordered real Schur form, then a Sylvester equation."""
     n, dt, D = model.n_states, model.dt, model.D
     poles = model.poles()
     scale = balancing_factors(model.A)
@@ -191,11 +180,7 @@ class Balancing:
         return cls(values, reach @ vt[:m].T / root, (see @ u[:, :m] / root).T)
 
     def reduced(self, model: StateSpaceModel, order: int, projection: Projection) -> StateSpaceModel:
-        """Return the model of this order, at most the number of states above NEGLIGIBLE.
-
-        Residualisation sets the derivatives of the other states to zero (discrete: their change), which keeps the gain
-        at zero frequency exactly.
-        """
+        """Return the model of this order, at most the number of states above NEGLIGIBLE."""
         if projection == "truncation" or not len(self.left):
             t, back = self.right[:, :order], self.left[:order]
             return StateSpaceModel(back @ model.A @ t, back @ model.B, model.C @ t, model.D, model.dt)
@@ -285,10 +270,7 @@ def way_of(full: StateSpaceModel, method: str, weights: Weights = (None, None), 
 
 
 def _dilated(m: StateSpaceModel, values: AnyArray, k: int, unitary: bool = False) -> tuple[StateSpaceModel, AnyArray]:
-    """Return the dilation of a balanced model without the (repeated) value at index k, and the other values.
-
-    Its states are scaled by the root of ``|Gamma|``; U may be completed to a unitary matrix for a square model.
-    """
+    """Return the dilation of a balanced model without the (repeated) value at index k, and the other values."""
     level = values[k]
     cut = np.abs(values - level) <= REPEATED * level
     u = -np.linalg.pinv(m.C[:, cut].T) @ m.B[cut]
@@ -325,10 +307,7 @@ def nearest_in_hankel_norm(model: StateSpaceModel, balancing: Balancing, order: 
 
 
 def _constant_near(unstable: StateSpaceModel) -> AnyArray:
-    """Return a constant no farther from a strictly proper antistable model than the sum of its Hankel values.
-
-    They are removed one by one, the smallest first, each at the price of its value, as U is unitary.
-    """
+    """Return a constant no farther from a strictly proper antistable model than the sum of its Hankel values."""
     mirrored = StateSpaceModel(-unstable.A, -unstable.B, unstable.C, unstable.D)
     balancing = Balancing.of(*gramian_factors(mirrored))
     values = balancing.values[: len(balancing.left)]

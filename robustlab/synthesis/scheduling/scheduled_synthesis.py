@@ -213,11 +213,7 @@ def holds(claim: Claim) -> bool:
 def _lmis(
     model: LPVModel, varies: list[bool], size: float, guess: Array | None, budget: Budget
 ) -> tuple[Callable[[float | None], tuple[float | None, Any, str]], int, float]:
-    """Return the solver of the LMIs over whole cells, the number of inequalities, and the unit of the outputs.
-
-    The solver minimises the level (None), or maximises the margin of P at a level, and returns both and the reason of a
-    failure. It works in states in which a guess of P is the identity.
-    """
+    """Return the solver of the LMIs over whole cells, the number of inequalities, and the unit of the outputs."""
     import cvxpy as cp
 
     n = model.n_states

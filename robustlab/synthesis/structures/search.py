@@ -33,10 +33,7 @@ LimitAt = tuple[float, AnyArray]  # the c of a limit for a packed controller, wi
 
 @dataclass(frozen=True)
 class Limit:
-    """Base of all limits: a dimensionless c that must be negative, -1 far inside.
-
-    Poles s are in rad/s, of a sampled loop ``log(z)/dt``.
-    """
+    """Base of all limits: a dimensionless c that must be negative, -1 far inside."""
 
     of_controller: ClassVar[bool] = False  # True for a limit of the controller alone, with one value for all plants
     words: ClassVar[str]
@@ -259,10 +256,7 @@ class DesignProblem:
     # --- variables, parameters, controllers --------------------------------------------------------------------------
 
     def parameters(self, v: AnyArray) -> tuple[AnyArray, AnyArray]:
-        """Return all parameters, and the derivatives of the free ones with respect to v.
-
-        Between two bounds a parameter, or its logarithm, is a sine of v; above or below one it is a hyperbola.
-        """
+        """Return all parameters, and the derivatives of the free ones with respect to v."""
         angle, root = v * self._unit, np.sqrt(1 + v * v)
         inside, by_inside = self._first + self._half * (1 + np.sin(angle)), self._half * np.cos(angle) * self._unit
         powers = np.exp(inside, where=self.logarithmic, out=np.ones_like(inside))
@@ -328,10 +322,7 @@ class DesignProblem:
         return [self._one(family, kind, theta, np.inf)[0] / self.gain for family, kind in self._each]
 
     def norm(self, v: AnyArray, give_up_above: float = np.inf, mu: float = 0.0) -> Valued:
-        """Return the largest norm of the scaled loops, or, with mu, its logarithm and a barrier of the limits.
-
-        The barrier is the sum of all ``-mu ln(-c)``; the value is infinite where a limit is violated.
-        """
+        """Return the largest norm of the scaled loops, or, with mu, its logarithm and a barrier of the limits."""
         p, slopes = self.parameters(v)
         value, G = self._norm_at(p, np.exp(give_up_above) if mu and give_up_above < 300 else give_up_above, mu)
         if mu:
