@@ -80,7 +80,6 @@ class DKStep(AllFields):
     gamma: float  # bound of mu at all frequencies proved by the scalings of the iterate
     mu: float  # largest upper bound of mu at single frequencies, complex blocks; NaN where not computed
     order: int  # states of the controller
-    scaling_orders: tuple[int, ...]  # orders of D (and G) of each block
     work: float  # work since the start in the units of `robustlab.budget`
 
 
@@ -640,8 +639,8 @@ class _Search:
 
     def _keep(self, iterate: Iterate, stage: str, mu: float = float("nan")) -> None:
         self.iterates.append(iterate)
-        orders, work = iterate.scalings.orders, self.whole - self.budget.left
-        self.history.append(DKStep(stage, iterate.level, mu, iterate.K.n_states, orders, work))
+        work = self.whole - self.budget.left
+        self.history.append(DKStep(stage, iterate.level, mu, iterate.K.n_states, work))
         self.say(f"iteration {len(self.history)} ({stage}): mu <= {iterate.level:.4f}, {iterate.K.n_states} states")
 
     def _chosen(self, order_rel: float) -> Iterate:
