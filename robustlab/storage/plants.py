@@ -49,7 +49,7 @@ AGREEMENT = 1e-6  # of the stored linear model with the rebuilt plant's, relativ
 
 def encode_plant(tree: Tree, obj: Plant) -> None:
     """Write A B C D and signals as of kind ``state-space`` at an equilibrium, and groups ``plant`` and ``effects``."""
-    from robustlab.dynamics.extended.extended_equations import ExtendedEquations
+    from robustlab.dynamics.extended.extended_plant import ExtendedEquations
 
     base = obj.plant if isinstance(obj, ExtendedEquations) else obj
     own = not _is_rebuilt(base)
