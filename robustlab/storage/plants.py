@@ -201,8 +201,7 @@ def _coefficients(held: Tree, parameters: Mapping[str, Parameter], problems: Pro
 
 def _tapes(held: Tree, n_moving: int, n_parameters: int, problems: Problems) -> Equations:
     """Return the equations of rows of numbers, for a number of states and inputs, and of parameters."""
-    from robustlab.dynamics.symbolic.symbolic_plant import Equations
-    from robustlab.dynamics.symbolic.tape import Tape
+    from robustlab.dynamics.symbolic.symbolic_plant import Equations, Tape
 
     need(held, problems, groups=(*TAPES, "places"))
     group = held.groups["places"]

@@ -624,21 +624,10 @@ def _load(
     raise InputError(where, "neither linear nor bounded whatever the motion", expected, hint)
 
 
-# --- the linear part with its tolerances as an exact LFT --------------------------------------------------------------
+# --- the linear part with its tolerances ------------------------------------------------------------------------------
 
 # Allowed difference of entries of an exact form, relative to the largest of the matrix.
 FORM_ROUNDING = 1e-9
-
-
-def exact_set(plant: ExtendedPlant, outputs: Sequence[str] | None, width: float) -> UncertainModel:
-    """Return the result of `ExtendedPlant.uncertain`."""
-    linear = plant.linear_model()
-    point = linear.operating_point
-    assert point is not None
-    signals = plant.signal_levels(point.x, point.u)
-    whole = with_signals(without_signals(plant, linear, width).uncertain(), signals, {}, width)
-    _check_exact(plant, whole, linear, width)
-    return with_outputs(UncertainModel(whole.M, whole.blocks, point), outputs)
 
 
 def without_signals(plant: ExtendedPlant, linear: StateSpaceModel, width: float) -> LinearPlant:
@@ -727,31 +716,6 @@ def _structure(plant: ExtendedPlant, linear: StateSpaceModel) -> Callable[[Mappi
         return [e, f, g, np.hstack([c0, np.zeros((len(c0), size - own))]), d0]
 
     return matrices
-
-
-def _check_exact(plant: ExtendedPlant, whole: UncertainModel, linear: StateSpaceModel, width: float) -> None:
-    """Check that the set includes the nominal model, and the plant with every deviation at its upper end."""
-    changed = {n: (p.value + p.radius, 0.0) for n, p in plant.parameters.items() if p.tolerance}
-    terms, effects = _joint_terms(plant, linear, width), []
-    for e in plant.effects:
-        scaled_by = factors_of(plant.plant, [e])
-        for name in scaled_by if e.scale_std else ():
-            changed.pop(name, None)
-        moved = {n for n in e.std if f"{e.key}.{n}" in terms or (n == e.effect.scale and (e.on_signal or scaled_by))}
-        effects.append(replace(e, values={n: v + width * e.std[n] if n in moved else v for n, v in e.values.items()}))
-    rebuilt = with_effects(plant.plant.with_parameters(**changed), effects)
-    point = linear.operating_point
-    for delta, other in ((0.0, linear), (1.0, rebuilt.linear_model(point))):
-        found = whole.evaluate({block.name: delta for block in whole.blocks})
-        for name in "ABCD":
-            off = np.abs(getattr(found, name) - getattr(other, name)).max(initial=0.0)
-            if off > FORM_ROUNDING * np.abs(getattr(other, name)).max(initial=0.0):
-                raise NoTrustworthyNumber(
-                    f"{plant.name}: uncertain",
-                    f"the form is not exact: {name} is off by {off:.2g} at delta = {delta:g}",
-                    None,
-                    "take the tolerances off the parameters that act together with an effect, or take it off",
-                )
 
 
 def _lag_block(time: float, spread: float, name: str, origin: str) -> UncertainModel:

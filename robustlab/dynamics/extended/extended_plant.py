@@ -7,10 +7,10 @@ r"""Plants with effects: rates, equilibrium, linear model about a point, simulat
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import reduce
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -52,7 +52,6 @@ from robustlab.dynamics.simulation import CLOCK_JITTER
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, error_context, unknown_name
 from robustlab.result import Status
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, append, series
-from robustlab.uncertainty.lft import UncertainModel
 
 # Longest step of the laws in s; longer samples are divided. Larger: faster, less accurate reversals.
 NOMINAL_STEP = 1e-3
@@ -566,13 +565,8 @@ class ExtendedPlant(ExtendedEquations):
     def to_model(self) -> StateSpaceModel:
         return self.linear_model()
 
-    def uncertain(  # pyright: ignore[reportIncompatibleMethodOverride]
-        self, outputs: Sequence[str] | None = None, sigmas: float = 2.0
-    ) -> UncertainModel:
-        """Return all models within the tolerances as an exact LFT, without the effects in `left_out`."""
-        from robustlab.dynamics.extended.effect_blocks import exact_set
-
-        return exact_set(self, outputs, number("uncertain: sigmas", sigmas, "0 or more", at_least=0))
+    def uncertain(self, *_: Any, **__: Any) -> NoReturn:
+        raise InputError("uncertain", f"{self.name} carries effects", "a plant without", "rl.uncertain_from takes it")
 
 
 @error_context("with_effects")

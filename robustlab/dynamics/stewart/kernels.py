@@ -10,9 +10,9 @@ import numpy as np
 
 from robustlab.dynamics.integrator.steps import entry, leaf
 
-# Columns of a leg's row; the order of `robustlab.dynamics.stewart.geometry.Geometry.legs`.
+# Columns of a leg's row; the order of `robustlab.dynamics.stewart.stewart_platform.Geometry.legs`.
 HOME, MOUNT_Z, MOUNT_N = 9, 10, 11
-# Places in the constants; the order of `robustlab.dynamics.stewart.geometry.CONSTANTS`.
+# Places in the constants; the order of `robustlab.dynamics.stewart.stewart_platform.CONSTANTS`.
 TURNS, C, GRAVITY, RATIO, MASS, IX, IY, IZ = 0, 1, 2, 3, 4, 5, 6, 7
 M0, M1, M2, X1, X2, XZ, SCREW, SCREW_CG = 8, 9, 10, 11, 12, 13, 14, 15
 LEG_I, LEG_J, LEG_K, NUT_I, NUT_J, NUT_K, ROTOR = 16, 17, 18, 19, 20, 21, 22
