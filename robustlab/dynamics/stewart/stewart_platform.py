@@ -177,24 +177,12 @@ def _circle(radius: float, angle: Array, z: float) -> Array:
 
 # --- kinematics -------------------------------------------------------------------------------------------------------
 
-HERE = Path(__file__).parent
-TEXT = "stewart-platform: compiling the equations of motion (once on this machine, a minute or two) ..."
-
 
 @cache
 def kernels() -> ModuleType:
-    """Load the compiled kinematics and dynamics."""
-    return compiled(HERE / "kernels.py", "robustlab.dynamics.stewart.kernels", (), TEXT)
-
-
-@cache
-def motion_kernels() -> ModuleType:
-    """Load the compiled integrators."""
-    from robustlab.dynamics.integrator.steps import TABLE
-
-    steps = HERE.parent / "integrator" / "steps.py"
-    leaves = (HERE / "kernels.py", steps, TABLE)
-    return compiled(HERE / "motion_kernels.py", "robustlab.dynamics.stewart.motion_kernels", leaves, TEXT)
+    """Load the compiled equations and their integrator."""
+    text = "stewart-platform: compiling the equations of motion (once on this machine, a minute or two) ..."
+    return compiled("stewart.kernels", text)
 
 
 # Limit of Newton steps of the direct kinematics; a pose needs four or five.
@@ -533,7 +521,7 @@ class StewartPlatform(PlantAlong):
     def trajectory(self, signal: InputSignal, x0: Array, rtol: float) -> Array:
         pose, twist = motion(self.geometry, x0[None])
         start = np.concatenate([pose[0], twist[0], x0[12:]])
-        z, code = np.empty((len(signal.t), len(x0))), motion_kernels()
+        z, code = np.empty((len(signal.t), len(x0))), kernels()
         inputs = code.Inputs(np.array(signal.t), np.ascontiguousarray(signal.coefficients), signal.broken)
         machine = code.machine(self.geometry.legs, np.array(self.constants), self.motors)
         outcome, time, count, _ = code.integrate(start, inputs, machine, rtol, z)

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -105,12 +104,9 @@ def _within(name: str, places: Places, limit: Any) -> None:
 @cache
 def tape_kernels() -> ModuleType:
     """Load the compiled kernels, which are common to all plants."""
-    from robustlab.dynamics.integrator.steps import TABLE
-
-    here = Path(__file__).parent
-    leaves = (here.parent / "integrator" / "steps.py", TABLE)
-    text = "compiling the evaluation of plants (once on this machine, some seconds) ..."
-    return compiled(here / "tape_kernels.py", "robustlab.dynamics.symbolic.tape_kernels", leaves, text)
+    return compiled(
+        "symbolic.tape_kernels", "compiling the evaluation of plants (once on this machine, some seconds) ..."
+    )
 
 
 @cache
