@@ -116,7 +116,6 @@ def _request(
 
 
 def _answer(folder: Path) -> None:
-    """Execute request.json; write answer.json (and found.npy)."""
     request = json.loads((folder / "request.json").read_text(encoding="utf-8"))
     if hasattr(signal, "alarm"):
         signal.alarm(math.ceil(request["seconds"]) + 5)  # in case the parent has died

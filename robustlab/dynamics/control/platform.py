@@ -211,7 +211,6 @@ class TrajectoryFollowing:
 
     @property
     def within_limits(self) -> bool:
-        """True if no sample exceeds the motors' torque or voltage."""
         within = self.largest_torque().max() <= MOST_TORQUE
         return bool(within and self.largest_voltage().max(initial=0.0) <= MOST_VOLTAGE)
 
@@ -274,7 +273,6 @@ def torque_loop(
 
 
 def _within(plant: StewartPlatform, trajectory: SineTrajectory, clock: Array) -> Array:
-    """Return the reference poses (n, 6), checked against the workspace."""
     reference = trajectory.pose(clock)
     within = inside(plant.geometry, reference)
     if not within.all():
@@ -442,7 +440,6 @@ def follow_sine(
 def _with_effects(
     loop: Any, plant: Any, effects: Mapping[str, Mapping[str, float]], member: Mapping[str, float]
 ) -> Any:
-    """Return the loop of a sampled model with effects; those at a control act on the controller's command."""
     made, own = (p.with_parameters(**member) if member else p for p in (loop, plant))
     at_controls = [f"input-dead-zone@{s.name}" for s in plant.inputs]
     rest = {key: values for key, values in effects.items() if key not in at_controls}

@@ -137,7 +137,6 @@ def _force_parts(
 
 
 def _no_amplitude(missing: Mapping[str, str], more: str = "") -> InputError:
-    """Return the error for places of effects (place -> title) that need an amplitude."""
     name, title = next(iter(missing.items()))
     return InputError(
         "effect_blocks", f"{title} at {name} without an amplitude", f"amplitude for {', '.join(missing)}",
@@ -249,7 +248,6 @@ class EffectBlocks(Displayable):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Limitations of the set."""
         names = ", ".join(self.approximate)
         harmonic = f"{names}: holds by harmonic balance, for oscillations that its line names, not for every motion."
         notes = {
@@ -276,7 +274,6 @@ class EffectBlocks(Displayable):
         )
 
     def facts(self) -> Facts:
-        """Return the set, its inputs for errors, and the omitted effects."""
         return [
             ("set", repr(self.model)),
             ("blocks", listed(self.origins)),
@@ -368,7 +365,6 @@ def _signal_amplitudes(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude])
 
 
 def _is_bounded_error(plant: ExtendedPlant, e: AttachedEffect) -> bool:
-    """Return whether a driver only adds a bounded error to an unscaled input."""
     others = [o for o in plant.effects if o.site == e.site and o is not e and o.scale is not None]
     return e.site.kind == "input" and e.input_error() is not None and not others
 
@@ -390,7 +386,6 @@ def _errors_first(
 
 
 def _residual_force(model: PortModel, given: tuple[float, str] | None) -> list[tuple[NoiseInput, Port]]:
-    """Return an input for the residual force, at the first joint."""
     if given is None:
         return []
     port = next((p for p in model.ports.values() if p.kind == "joint"), None)
@@ -426,7 +421,6 @@ def _with_forces(plant: LinearPlant, ports: Sequence[Port], sectors: Sequence[Fo
 
 
 def _with_origins(uncertain: UncertainModel, plant: LinearPlant) -> UncertainModel:
-    """Return the model with an origin for every parameter."""
     blocks = []
     for b in uncertain.blocks:
         p = plant.parameters[b.name]

@@ -138,12 +138,10 @@ class ExtendedEquations(SteppedPlant):
         return np.zeros(len(self.states) + len(self.inputs)), where
 
     def with_parameters(self, **given: Any) -> Any:
-        """Return the effects on the plant with other values, or (value, relative tolerance), of its parameters."""
         plant = self.plant.with_parameters(**given)
         return replace(self, plant=plant, parameters=plant.parameters)
 
     def to_json(self) -> dict[str, Any]:
-        """Return plant, parameters and effects."""
         return {
             "plant": self.plant.name,
             "parameters": [p.to_json() for p in self.parameters.values()],
@@ -154,7 +152,6 @@ class ExtendedEquations(SteppedPlant):
         return f"{type(self).__name__}({self.plant!r} with {listed(map(repr, self.effects), 3)})"
 
     def mapped_input(self, u: Array) -> Array:
-        """Return the effective inputs for constant inputs u, (n_u,)."""
         return self._mapped("input", u)[0]
 
     def signal_levels(self, x: Array, u: Array) -> list[tuple[AttachedEffect, int, float]]:
@@ -387,7 +384,6 @@ class ExtendedEquations(SteppedPlant):
     def _checked_point(
         self, at: Any, amplitude: Mapping[str, float] | None, pade: int
     ) -> tuple[Array, Array, Mapping[str, float]]:
-        """Check and return state, input and amplitudes."""
         found = point_of(self, at, "linearise: at")
         x, u = (found.x, found.u) if isinstance(found, Trim) else found
         sites = tuple(dict.fromkeys(e.site.name for e in self.effects))
@@ -497,7 +493,6 @@ class ExtendedNonlinearPlant(ExtendedEquations):
         )
 
     def _stepped(self, drive: Drive, x0: Array, guess: Array | None) -> tuple[Array, Array]:
-        """Return states and outputs at all steps of a drive."""
         own = len(self.plant.states)
         states = march(self.changed, self.effects, drive, self.whole_state(x0), guess)
         outputs = self.changed.outputs_along(states[:, :own], drive.mean - drive.rise).copy()
@@ -526,7 +521,6 @@ class ExtendedNonlinearPlant(ExtendedEquations):
 
 
 def _drive(plant: ExtendedNonlinearPlant, u: Array, dt: float, t0: float, parts: int, hold: str) -> Drive:
-    """Return the effective inputs in steps, ``parts`` per sample."""
     h = dt / parts
     if hold == "foh":  # of a loop, whose effects are not on its inputs
         between = np.arange(len(u) * parts + 1) / parts
@@ -636,7 +630,6 @@ def with_effects(
 
 
 def _checked(e: Any, base: AnyPlant, model: PortModel) -> AttachedEffect:
-    """Return the attached effect if the plant has its place."""
     if not isinstance(e, AttachedEffect):
         raise InputError("with_effects", f"{e!r}", "a table of effects, or attached effects")
     names = [site.name for site in e.effect.sites(base, model) if site.kind == e.site.kind]

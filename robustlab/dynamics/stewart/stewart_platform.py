@@ -180,7 +180,6 @@ def _circle(radius: float, angle: Array, z: float) -> Array:
 
 @cache
 def kernels() -> ModuleType:
-    """Load the compiled equations and their integrator."""
     text = "stewart-platform: compiling the equations of motion (once on this machine, a minute or two) ..."
     return compiled("stewart.kernels", text)
 
@@ -555,7 +554,6 @@ def _equations(shape: Geometry, numbers: Array, poses: Any, twists: Any) -> _Bod
 
 
 def _force(of: _Bodies, push: Array) -> Array:
-    """Return the accelerating force of the platform under torques at the nuts (n, 6)."""
     return (np.swapaxes(of.jacobian, 1, 2) @ push[..., None])[..., 0] - of.force
 
 

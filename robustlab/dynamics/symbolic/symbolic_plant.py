@@ -103,7 +103,6 @@ def _within(name: str, places: Places, limit: Any) -> None:
 
 @cache
 def tape_kernels() -> ModuleType:
-    """Load the compiled kernels, which are common to all plants."""
     return compiled(
         "symbolic.tape_kernels", "compiling the evaluation of plants (once on this machine, some seconds) ..."
     )
@@ -199,7 +198,6 @@ def _grouped(steps: list[tuple[int, Source, Source]], n_moving: int) -> list[int
 
 
 def _concerned(outputs: Any, label: Callable[[int], str], wrong: Callable[[Any, int], bool]) -> str:
-    """Return the label of the first expression with a wrong instruction (function, number)."""
     import casadi as ca
 
     for k in range(outputs.numel()):
