@@ -21,23 +21,21 @@ if TYPE_CHECKING:
 _INNER = {
     "control.controlled_plant": "TorqueGains actuator_cascade controlled_nonlinear controlled_plant driver_in_loop"
     " torque_gains",
-    "control.controlled_runs": "follow_sine",
-    "control.platform": "LayeredController SineTrajectory closed_loop follow follow_with_torques measured torque_loop"
-    " two_layer upper_layer",
+    "control.platform": "LayeredController SineTrajectory closed_loop follow follow_sine follow_with_torques measured"
+    " torque_loop two_layer upper_layer",
     "descriptor_elimination": "eliminated",
     "effects.catalogue": "KINDS KIND_OF MEANINGS add_effect catalogue effect upwards",
     "effects.contract": "Effect EffectParameter Footprint Law Prior Scales Site",
     "effects.spring_effects": "DAMPING",
     "extended.attached_effect": "AttachedEffect holding_force is_set_valued rest_band steady_force",
-    "extended.effect_blocks": "Dry effect_blocks effect_loads",
-    "extended.extended_equations": "extended_model",
-    "extended.extended_plant": "ExtendedPlant delay_block",
+    "extended.effect_blocks": "Dry delay_block effect_blocks effect_loads",
+    "extended.extended_plant": "ExtendedPlant extended_model",
     "extended.feed_forward": "DryLevel FeedForward Wave feed_forward",
     "extended.simulator": "SampledInput Simulator Windows stepping",
     "plant_contract": "LocalModels PortPlace input_signal",
     "plants.linear": "linear_actuator",
     "ports.port_model": "linear_plant_of local_port_model parameter_groups port_model shares_behind",
-    "symbolic.tape": "OPERATIONS Tape tape_of",
+    "symbolic.symbolic_plant": "OPERATIONS Tape tape_of",
 }
 _, __getattr__ = lazily(__name__, _INNER)
 

@@ -194,7 +194,6 @@ def _turned(e: Array, given: StateSpaceModel, where: str) -> tuple[tuple[Array, 
 
 
 def _points(model: StateSpaceModel) -> AnyArray:
-    """Return evaluation points s or z away from the poles."""
     if model.is_discrete:
         return 1.37 * np.exp(1j * np.linspace(0.1, 3.0, POINTS))
     rates = np.abs(model.poles())

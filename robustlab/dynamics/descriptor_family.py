@@ -102,7 +102,6 @@ def uncertain_family(
 
 
 def _of_the_remainder(rest: _Remainder, affine: bool) -> str:
-    """Return the origin of the remainder's block in words."""
     proved = f"proved on the hull of {rest.samples}" if affine else f"proved for {rest.samples}"
     fresh = f"{rest.fresh} fresh ones need {rest.fresh_size:.2f} of it"
     return f"{SAMPLED}: {proved} linear models only; {fresh}; complex and dynamic members come in"
@@ -143,7 +142,7 @@ class _Family:
     values: Values
     names: tuple[str, ...]
     ranges: tuple[ParameterRange, ...]
-    factors: tuple[tuple[int, str | int], ...] = ()
+    factors: tuple[tuple[int, str], ...] = ()  # rows that are multiplied by a parameter
 
     def raw(self, point: Mapping[str, float]) -> Array:
         """Return N at these parameter values, the others nominal."""
@@ -160,11 +159,10 @@ class _Family:
         """Return `raw` with each row multiplied by its factors."""
         found, values = self.raw(point), {**self.values, **point}
         for row, by in self.factors:
-            found[row] = found[row] * (values[by] if isinstance(by, str) else 1.0 / found[row, by])
+            found[row] *= values[by]
         return found
 
     def inside(self, s: Array) -> Array:
-        """Return N at normalised values s (k, number of names) in [-1, 1]."""
         return np.array([self.at(self.point(row)) for row in s])
 
     def point(self, s: Array) -> dict[str, float]:
@@ -201,36 +199,23 @@ def _with_row_factors(family: _Family, free: Sequence[int]) -> tuple[_Family, di
         except RobustlabError:
             scans[name] = None
     known = {name: scan for name, scan in scans.items() if scan is not None}
-    width = max((scan.shape[2] for scan in known.values()), default=0)
-    factors: list[tuple[int, str | int]] = []
+    factors: list[tuple[int, str]] = []
+    values = {**family.values, **base}
     for row in free if known else ():
         rows = {name: scan[:, row] for name, scan in known.items()}
-        values = {**family.values, **base}
         best = _complexity(rows)
-        for group in (tuple(known), tuple(range(width))):  # parameters come first
-            while best[0]:
-                tries = [(by, made) for by in group if (made := _times(rows, by, nodes, values))]
-                judged = [(_complexity(made), k) for k, (_, made) in enumerate(tries)]
-                least, k = min(judged, default=(best, 0))
-                if least >= best:
-                    break
-                best, (by, rows) = least, tries[k]
-                factors.append((row, by))
+        while best[0]:
+            tries = [
+                {n: each * (nodes[n][:, None] if n == by else values[by]) for n, each in rows.items()} for by in known
+            ]
+            least, k = min((_complexity(made), k) for k, made in enumerate(tries))
+            if least >= best:
+                break
+            best, rows = least, tries[k]
+            factors.append((row, list(known)[k]))
         for name, scan in known.items():
             scan[:, row] = rows[name]
     return replace(family, factors=tuple(factors)), scans
-
-
-def _times(
-    rows: Mapping[str, Array], by: str | int, nodes: Mapping[str, Array], base: Values
-) -> dict[str, Array] | None:
-    """Multiply one row by a parameter, or divide it by one of its entries; None if that entry may be zero."""
-    if isinstance(by, str):
-        return {n: row * (nodes[n][:, None] if n == by else base[by]) for n, row in rows.items()}
-    entry = np.concatenate([row[:, by] for row in rows.values()])
-    if not (entry * entry[0] > 0).all():
-        return None
-    return {n: row / row[:, [by]] for n, row in rows.items()}
 
 
 def _complexity(rows: Mapping[str, Array]) -> tuple[int, int]:

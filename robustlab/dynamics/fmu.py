@@ -20,55 +20,15 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.budget import NOT_REPEATABLE, child_environment
 from robustlab.checks import number
-from robustlab.display import Displayable, Facts
 from robustlab.dynamics.parameters import Parameter, overridden
 from robustlab.dynamics.plant_contract import SteppedPlant
-from robustlab.dynamics.simulation import simulate
-from robustlab.errors import DependencyMissing, InputError, NativeTimeout, NoTrustworthyNumber, UnitMismatch
+from robustlab.errors import DependencyMissing, InputError, NativeTimeout, NoTrustworthyNumber
 from robustlab.provenance import BY_UNIT, Provenance, file_sha256
-from robustlab.record import Record
-from robustlab.result import Status
 from robustlab.statespace import Signal
-from robustlab.units import same_unit
 
 MOST_BYTES = 1 << 31  # of the unpacked archive
 EVEN = 1e-6  # allowed relative difference of steps for a unit that requires equal ones
 NO_STATE = "a co-simulation unit steps itself: it shows no rates, and no state of it can be set"
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class FreeRun(Displayable):
-    """A record and the simulation of its inputs from the unit's own initial state.
-
-    Attributes
-    ----------
-    record, simulated
-        Measured, and simulated.
-    gaps
-        Output -> "rms", "peak" in its unit, and "fit" in %, 100 where they are equal.
-    status
-        CONVERGED: the unit ran to the end; the accuracy of its own solver is unknown.
-    """
-
-    record: Record
-    simulated: Record
-    gaps: Mapping[str, Mapping[str, float]]
-    status: Status = Status.CONVERGED
-
-    def facts(self) -> Facts:
-        """Return one row for each output."""
-        rows = [("", f"{self.simulated.name} against {self.record.name}: free run from the unit's own initial state")]
-        for name, gap in self.gaps.items():
-            unit = self.simulated.unit(name)
-            rms, peak = (f"{gap[key]:.4g} {unit}".rstrip() for key in ("rms", "peak"))
-            rows.append((name, f"rms {rms}, peak {peak}, fit {gap['fit']:.4g} %"))
-        return rows
-
-    def to_json(self, *, series: bool = True) -> dict[str, Any]:
-        gaps = {name: dict(gap) for name, gap in self.gaps.items()}
-        found = {"record": self.record.name, "model": self.simulated.name, "gaps": gaps, "status": self.status}
-        over_time = {"t": self.simulated.t, "simulated": dict(self.simulated.outputs)}
-        return {**found, **over_time} if series else found
 
 
 def fmu(path: str | Path, *, time_limit: float = 60.0, **parameters: Any) -> FmuPlant:
@@ -117,28 +77,6 @@ class FmuPlant(SteppedPlant):
             raise NoTrustworthyNumber(self.name, f"{self.outputs[j].name} is {y[k, j]:g} at t = {t[k]:.9g} s")
         return np.zeros((len(t), 0)), y
 
-    def compare(self, record: Record) -> FreeRun:
-        """Compare the record with the simulation of its inputs from the unit's own initial state; nothing is fitted."""
-        where = f"compare {record.name}"
-        missing = [s.name for s in self.inputs if s.name not in record.inputs]
-        shared = [s for s in self.outputs if s.name in record.outputs]
-        if missing:
-            raise InputError(where, f"no input {missing[0]!r} in the record", "every input of the unit")
-        if not shared:
-            raise InputError(where, "no output in common", f"one of {', '.join(s.name for s in self.outputs)}")
-        for name, unit in (*self.inputs, *shared):
-            measured = record.unit(name)
-            if unit and measured and not same_unit(unit, measured):
-                raise UnitMismatch(f"{where}: {name}", f"recorded in {measured}", f"{unit} as in the unit")
-        simulated = simulate(self, record.t, {s.name: record.inputs[s.name] for s in self.inputs})
-        gaps = {}
-        for name, _ in shared:
-            error, spread = record.outputs[name] - simulated.outputs[name], float(np.std(record.outputs[name]))
-            rms = float(np.sqrt(np.mean(error**2)))
-            fit = 100.0 * (1.0 - rms / spread) if spread else float("nan")
-            gaps[name] = {"rms": rms, "peak": float(np.abs(error).max()), "fit": fit}
-        return FreeRun(record, simulated, gaps)
-
     def _refused(self, *_: Any, **__: Any) -> NoReturn:
         raise InputError(self.name, NO_STATE, "a plant with equations", "identify a model from rl.simulate")
 
@@ -178,7 +116,6 @@ def _request(
 
 
 def _answer(folder: Path) -> None:
-    """Execute request.json; write answer.json (and found.npy)."""
     request = json.loads((folder / "request.json").read_text(encoding="utf-8"))
     if hasattr(signal, "alarm"):
         signal.alarm(math.ceil(request["seconds"]) + 5)  # in case the parent has died

@@ -107,7 +107,6 @@ class LinearPlant(Plant):
         return matrices
 
     def affine_equations(self) -> AffineEquations:
-        """Return the equations as numbers."""
         cleared = {name: value if name in self.exact else 0.0 for name, value in self.values.items()}
         names = tuple(name for name in self.parameters if name not in self.exact)
         constant, *at_units = (self.matrices(p) for p in (cleared, *({**cleared, name: 1.0} for name in names)))

@@ -72,12 +72,10 @@ class Parameter:
 
     @property
     def tolerance_text(self) -> str:
-        """Tolerance as text: ``"35 %"``, for the value 0 ``"0.2 N s/m"``."""
         return f"{100 * self.tolerance:g} %" if self.value else f"{self.tolerance:g} {self.unit}".rstrip()
 
     @property
     def range(self) -> ParameterRange:
-        """Range for an uncertain block, with the physical sign."""
         return ParameterRange(self.value, self.radius, self.unit, sign=self.sign)
 
     def to_json(self) -> dict[str, object]:

@@ -132,7 +132,6 @@ class Plant(Displayable, Traced, ABC):
         return vectors
 
     def facts(self) -> Facts:
-        """Return parameters and signals with units."""
         return [
             ("plant", self.name),
             ("parameters", listed(f"{p.name} = {number(p.value, p.unit)}" for p in self.parameters.values())),
@@ -179,7 +178,6 @@ class Trim(Displayable, AllFields):
 
     @property
     def operating_point(self) -> OperatingPoint:
-        """The point as stored in models."""
         return OperatingPoint(self.x, self.u, self.y)
 
     def facts(self) -> Facts:
@@ -245,7 +243,6 @@ class NonlinearPlant(Plant):
 
     @property
     def start(self) -> Array:
-        """Default initial state (n_x,) of a simulation."""
         return np.zeros(len(self.states))
 
     def trimmed_descriptor(

@@ -206,7 +206,6 @@ def _arguments(target: Callable[..., Any]) -> Mapping[str, Parameter]:
 
 
 def _check_shapes(plant: Plant, label: str) -> None:
-    """Check the shapes of rates and outputs of a plant class written by the user."""
     if type(plant).__module__.startswith("robustlab."):
         return  # checked where the plant is made
     x, u = np.zeros(len(plant.states)), np.zeros(len(plant.inputs))

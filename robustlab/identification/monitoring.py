@@ -21,7 +21,7 @@ from robustlab.display import Facts, listed, number
 from robustlab.dynamics.effects.catalogue import effect
 from robustlab.dynamics.effects.contract import EffectParameter, Scales
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
-from robustlab.dynamics.extended.extended_equations import ExtendedEquations
+from robustlab.dynamics.extended.extended_plant import ExtendedEquations
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context, unknown_name
 from robustlab.identification import tuning

@@ -269,18 +269,17 @@ def uncertain(
     for name in shares:
         if name not in nominal and name not in plant.parameters:
             raise UsageError(f"tolerance {name}", f"no such parameter of {plant.name}", f"one of {', '.join(nominal)}")
-    if ends and hasattr(plant, "effects"):
-        raise UsageError("range", f"{plant.name} carries effects", "tolerances")
+    if hasattr(plant, "effects"):
+        raise UsageError("uncertain plant", f"{plant.name} carries effects", "uncertain discovery, which takes it")
     exact = {} if own else {name: (p.value, 0.0) for name, p in plant.parameters.items()}
     made: Any = plant.with_parameters(**{**exact, **{n: (nominal.get(n, 1.0), share) for n, share in shares.items()}})
     options: dict[str, Any] = {"at": at_rest(made, at, pose), "hold": hold, "ranges": ends}
     if hold and (not isinstance(made, NonlinearPlant) or isinstance(made, SteppedPlant)):
         raise UsageError("hold", f"{plant.name} has one linear model", "it for a nonlinear plant only")
     model = made.uncertain(outputs, **{name: value for name, value in options.items() if value})
-    missing = getattr(made, "left_out", tuple)()
-    notes = [*left_out(missing), *model.remarks]
+    notes = [*model.remarks]
     without = {*shares, *ends} - {b.name for b in model.blocks}
-    if without and not hasattr(made, "effects"):
+    if without:
         notes.append(f"without effect on the linear model: {', '.join(sorted(without))}")
     notes += [] if model.blocks else [NOTHING]
     return InLoop(BuiltModel(model, "parameters", None), notes=tuple(notes))

@@ -21,7 +21,7 @@ from robustlab.uncertainty.lft import UncertainModel
 
 if TYPE_CHECKING:
     from robustlab.analysis.performance import PerformanceComparison
-    from robustlab.dynamics.control.controlled_runs import ControlledRuns
+    from robustlab.dynamics.control.platform import ControlledRuns
     from robustlab.synthesis.problem.design import Synthesis
     from robustlab.synthesis.specifications.loop_functions import LoopFunctions
     from robustlab.synthesis.specifications.tracking import TrackingLoop

@@ -49,7 +49,7 @@ AGREEMENT = 1e-6  # of the stored linear model with the rebuilt plant's, relativ
 
 def encode_plant(tree: Tree, obj: Plant) -> None:
     """Write A B C D and signals as of kind ``state-space`` at an equilibrium, and groups ``plant`` and ``effects``."""
-    from robustlab.dynamics.extended.extended_equations import ExtendedEquations
+    from robustlab.dynamics.extended.extended_plant import ExtendedEquations
 
     base = obj.plant if isinstance(obj, ExtendedEquations) else obj
     own = not _is_rebuilt(base)
@@ -201,8 +201,7 @@ def _coefficients(held: Tree, parameters: Mapping[str, Parameter], problems: Pro
 
 def _tapes(held: Tree, n_moving: int, n_parameters: int, problems: Problems) -> Equations:
     """Return the equations of rows of numbers, for a number of states and inputs, and of parameters."""
-    from robustlab.dynamics.symbolic.symbolic_plant import Equations
-    from robustlab.dynamics.symbolic.tape import Tape
+    from robustlab.dynamics.symbolic.symbolic_plant import Equations, Tape
 
     need(held, problems, groups=(*TAPES, "places"))
     group = held.groups["places"]

@@ -12,8 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from robustlab.arrays import Array
 from robustlab.dynamics.control.platform import MOST_TORQUE, MOST_VOLTAGE, TrajectoryFollowing
 from robustlab.dynamics.simulation import simulate
-from robustlab.dynamics.stewart.kinematics import inverse_kinematics
-from robustlab.dynamics.stewart.stewart_platform import stewart_platform
+from robustlab.dynamics.stewart.stewart_platform import inverse_kinematics, stewart_platform
 from robustlab.report.drawings import Picture
 from robustlab.report.style import COLOURS, house_style, new_figure, plain_label
 from robustlab.thesis.numbers import PublishedNumbers

@@ -21,8 +21,7 @@ from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.linearisation import linearise, trim
 from robustlab.dynamics.plants.linear import dc_motor, linear_actuator
 from robustlab.dynamics.simulation import simulate
-from robustlab.dynamics.stewart.kinematics import inverse_kinematics
-from robustlab.dynamics.stewart.stewart_platform import StewartPlatform, stewart_platform
+from robustlab.dynamics.stewart.stewart_platform import StewartPlatform, inverse_kinematics, stewart_platform
 from robustlab.linear_analysis.structural import controllability, drop_unconnected, observability
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel

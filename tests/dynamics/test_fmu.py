@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import robustlab as rl
-from robustlab.errors import NativeTimeout, UsageError
+from robustlab.errors import NativeTimeout
 
 pytest.importorskip("fmpy")
 pytest.importorskip("pythonfmu")
@@ -78,26 +78,12 @@ def test_it_follows_its_closed_form_and_outputs_see_the_input_of_their_sample(mo
     np.testing.assert_allclose(answer.y[:, :, 0], [speed(T, 0.016), speed(T, 0.024)], atol=1e-14)
 
 
-def test_a_record_is_compared_from_the_initial_state(motor):
-    measured = rl.Record(T, {"u": 2 * np.ones(101)}, {"omega": speed(T) + 0.01}, {}, "run 1")
-    found = rl.compare(motor, measured)
-    assert found.gaps["omega"]["rms"] == pytest.approx(0.01)
-    assert found.to_json()["gaps"]["omega"]["fit"] < 100
-    assert "free run from the unit's own initial state" in found.summary()
-    assert found._repr_html_().startswith("<table>")
-    with pytest.raises(rl.InputError, match="no input 'u'"):
-        rl.compare(motor, rl.Record(T, {"F": T}, {"omega": T}))
-    with pytest.raises(rl.InputError, match="no output in common"):
-        rl.compare(motor, rl.Record(T, {"u": T}, {"phi": T}))
-    with pytest.raises(UsageError, match="runs from its own initial state"):
-        rl.compare(motor, measured, window=0.1)
-
-
 @pytest.mark.parametrize(
     ("call", "match"),
     [
         (rl.linearise, "shows no rates"),
         (rl.trim, "shows no rates"),
+        (lambda motor: rl.compare(motor, rl.Record(T, {"u": T}, {"omega": T})), "nonlinear plant"),
         (lambda motor: rl.simulate(motor, T, T, hold="foh"), "'zoh'"),
         (lambda motor: rl.save("never.h5", motor), "a program"),
         (lambda motor: rl.plant(str(motor.path), mass=1.0), "mass"),

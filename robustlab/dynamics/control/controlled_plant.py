@@ -137,7 +137,6 @@ class ControlledNonlinearPlant(PlantAlong):
         cls, name: str, plant: NonlinearPlant, K: StateSpaceModel, controlled: Sequence[int], measured: Sequence[int],
         at: Trim,
     ) -> ControlledNonlinearPlant:  # fmt: skip
-        """Build the loop of a controller of checked size."""
         references = tuple(Signal(f"{plant.outputs[i].name}_ref", plant.outputs[i].unit) for i in controlled)
         states = (*plant.states, *(Signal(f"controller_{k + 1}") for k in range(K.n_states)))
         offset = np.concatenate([at.y, at.x])[[*controlled, *measured]]

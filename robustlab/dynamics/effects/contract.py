@@ -165,7 +165,6 @@ def _measure(kind: str, s: Scales) -> tuple[str, float]:
 
 
 def _prior(size: float, kind: Any, centre: float, spread: float) -> Prior:
-    """Return the prior of a row of `effects.toml`, whose numbers are in units of the size."""
     if kind == "share":
         return Prior(kind, centre * size, spread, top=size)
     return Prior(kind, centre * size, spread * size if kind == "linear" else spread)

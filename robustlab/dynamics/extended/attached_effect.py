@@ -201,12 +201,10 @@ class AttachedEffect:
 
     @property
     def in_words(self) -> str:
-        """Title and site."""
         return f"{self.effect.title} at {self.site.name}"
 
     @property
     def values_in_words(self) -> str:
-        """Equation, values and source."""
         values = ", ".join(f"{name} = {value:.6g}" for name, value in self.values.items())
         if self.amplitude is not None:
             values += f", {self.amplitude[0]} = {self.amplitude[1]:.6g}"
@@ -233,7 +231,6 @@ class AttachedEffect:
 
     @property
     def scale_std(self) -> float:
-        """Standard deviation of `scale`; 0 if not fitted."""
         return self.std.get(self.effect.scale, 0.0)
 
     def laws(self) -> tuple[Law, ...]:
@@ -274,7 +271,6 @@ class AttachedEffect:
 
     @property
     def delay(self) -> float:
-        """Pure delay in s."""
         return self.values.get(self.effect.delay, 0.0)
 
     @property
@@ -299,14 +295,12 @@ class AttachedEffect:
             yield {**self.values, **least}
 
     def footprints(self, amplitude: float, width: float) -> Iterator[Footprint]:
-        """Yield the footprints at the `corners`."""
         for values in self.corners(width):
             found = self.effect.footprint(self.site, values, amplitude)
             if found is not None:
                 yield found
 
     def largest_offset(self, width: float) -> float:
-        """Return the largest `Footprint.offset` over the ranges of fitted values."""
         return max((f.offset for f in self.footprints(DEFAULT_AMPLITUDE, width)), default=0.0)
 
     def largest_gain(self, width: float) -> float:
@@ -315,7 +309,6 @@ class AttachedEffect:
         return max(gains, default=0.0)
 
     def to_json(self) -> dict[str, Any]:
-        """Return id, texts, site, source, and parameters with value, standard deviation and unit."""
         parameters = {
             p.name: {"value": self.values[p.name], "std": self.std.get(p.name), "unit": p.unit, "meaning": p.meaning}
             for p in self.parameters

@@ -9,37 +9,39 @@ r"""Effects as uncertainty: the linear model of a plant with effects, and blocks
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar, Literal, cast, get_args
 
 import numpy as np
 
 from robustlab import checks
 from robustlab.arrays import Array
+from robustlab.delays.approximation import checked_order
+from robustlab.delays.model import covering
 from robustlab.display import AllFields, Displayable, Facts, Part, listed, number
+from robustlab.dynamics.descriptor_elimination import with_outputs
 from robustlab.dynamics.effects.contract import Footprint, Law
 from robustlab.dynamics.extended.attached_effect import AttachedEffect, is_set_valued, rest_band, steady_force
 from robustlab.dynamics.extended.extended_plant import (
     ExtendedNonlinearPlant,
     ExtendedPlant,
+    extended_model,
     with_effects,
-    with_signals,
-    without_signals,
 )
-from robustlab.dynamics.linear_plant import Descriptor, LinearPlant, tied_plant
+from robustlab.dynamics.extended.simulator import factors_of
+from robustlab.dynamics.linear_plant import Descriptor, LinearPlant, tied_plant, with_factors
+from robustlab.dynamics.parameters import Parameter
 from robustlab.dynamics.plant_contract import Trim
 from robustlab.dynamics.ports.port_model import Port, PortModel, port_model
 from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
 from robustlab.linear_analysis.frequency import frequency_response
-from robustlab.linear_analysis.structural import drop_unconnected
 from robustlab.record import Record
 from robustlab.result import Status
 from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel
-from robustlab.uncertainty.blocks import ParameterRange, RealScalar
-from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.blocks import FullBlock, ParameterRange, RealScalar
+from robustlab.uncertainty.lft import UncertainModel, product
 
 # Allowed difference between the nominal member of a set and the plant's linear model, relative to its response.
 NOMINAL_EXACT = 1e-8
@@ -135,7 +137,6 @@ def _force_parts(
 
 
 def _no_amplitude(missing: Mapping[str, str], more: str = "") -> InputError:
-    """Return the error for places of effects (place -> title) that need an amplitude."""
     name, title = next(iter(missing.items()))
     return InputError(
         "effect_blocks", f"{title} at {name} without an amplitude", f"amplitude for {', '.join(missing)}",
@@ -247,7 +248,6 @@ class EffectBlocks(Displayable):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Limitations of the set."""
         names = ", ".join(self.approximate)
         harmonic = f"{names}: holds by harmonic balance, for oscillations that its line names, not for every motion."
         notes = {
@@ -274,7 +274,6 @@ class EffectBlocks(Displayable):
         )
 
     def facts(self) -> Facts:
-        """Return the set, its inputs for errors, and the omitted effects."""
         return [
             ("set", repr(self.model)),
             ("blocks", listed(self.origins)),
@@ -346,10 +345,7 @@ def effect_blocks(
         _check(plant.linear_model(None, levels, pade, replacements=replacements), plant.name, made)
     else:
         raise InputError("effect_blocks", type(plant).__name__, "a linear plant, with or without effects")
-    if outputs is None:
-        return made
-    kept = drop_unconnected(made.model.select(outputs=outputs).M)
-    return dataclasses.replace(made, model=UncertainModel(kept, made.model.blocks))
+    return replace(made, model=with_outputs(made.model, outputs))
 
 
 def _signal_amplitudes(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude]) -> dict[str, float]:
@@ -369,7 +365,6 @@ def _signal_amplitudes(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude])
 
 
 def _is_bounded_error(plant: ExtendedPlant, e: AttachedEffect) -> bool:
-    """Return whether a driver only adds a bounded error to an unscaled input."""
     others = [o for o in plant.effects if o.site == e.site and o is not e and o.scale is not None]
     return e.site.kind == "input" and e.input_error() is not None and not others
 
@@ -391,7 +386,6 @@ def _errors_first(
 
 
 def _residual_force(model: PortModel, given: tuple[float, str] | None) -> list[tuple[NoiseInput, Port]]:
-    """Return an input for the residual force, at the first joint."""
     if given is None:
         return []
     port = next((p for p in model.ports.values() if p.kind == "joint"), None)
@@ -427,13 +421,12 @@ def _with_forces(plant: LinearPlant, ports: Sequence[Port], sectors: Sequence[Fo
 
 
 def _with_origins(uncertain: UncertainModel, plant: LinearPlant) -> UncertainModel:
-    """Return the model with an origin for every parameter."""
     blocks = []
     for b in uncertain.blocks:
         p = plant.parameters[b.name]
         text = f"parameter {b.name} = {p.value:.6g} {p.unit}".rstrip()
         text += f", {p.meaning}" if p.meaning else ""
-        blocks.append(dataclasses.replace(cast("Any", b), origin=text + (f"; {p.source}" if p.source else "")))
+        blocks.append(replace(cast("Any", b), origin=text + (f"; {p.source}" if p.source else "")))
     return UncertainModel(uncertain.M, blocks, uncertain.operating_point)
 
 
@@ -554,7 +547,7 @@ def effect_loads(plant: Any, sigmas: float = 2.0, records: Sequence[Record] = ()
     for k in free:
         (load, way), e = made[k], effects[k]
         size = margin * max(_largest(plant, e, signals[k], states, sigmas) for signals, states in runs)
-        made[k] = dataclasses.replace(load, bound=size, origin=f"{load.origin}; {within}"), way
+        made[k] = replace(load, bound=size, origin=f"{load.origin}; {within}"), way
     pushed = [way for _, way in made if isinstance(way, Port)]
     forces = iter(range(len(plant.inputs), len(plant.inputs) + len(pushed)))
     at = [(load, way if isinstance(way, int) else next(forces)) for load, way in made]
@@ -623,3 +616,175 @@ def _load(
     hint = "rl.uncertain_from has sectors and weights for such effects"
     where, expected = f"effect_loads: {e.in_words}", "effects that are one of these"
     raise InputError(where, "neither linear nor bounded whatever the motion", expected, hint)
+
+
+# --- the linear part with its tolerances ------------------------------------------------------------------------------
+
+# Allowed difference of entries of an exact form, relative to the largest of the matrix.
+FORM_ROUNDING = 1e-9
+
+
+def without_signals(plant: ExtendedPlant, linear: StateSpaceModel, width: float) -> LinearPlant:
+    """Return the linear model as a plant in descriptor form, affine in the parameters with tolerances."""
+    base, scaled = plant.plant, _scaled_values(plant)
+    parameters = {name: replace(p, value=scaled[name]) for name, p in base.parameters.items()}
+    tied: dict[str, list[str]] = {}
+    for e in plant.effects:
+        names = list(factors_of(base, [e]))
+        if not (names and e.scale and e.scale_std):
+            continue
+        tolerance = width * e.scale_std / e.scale
+        for name in names:
+            parameters[name] = replace(parameters[name], tolerance=tolerance if len(names) == 1 else 0.0)
+        if len(names) > 1:
+            label = f"{e.effect.id}({e.site.name})"
+            parameters[label] = Parameter(
+                label, 1.0, "", tolerance, e.source, f"{e.effect.title}, over the fitted value"
+            )
+            tied[label] = names
+    terms = _joint_terms(plant, linear, width)
+    parameters |= {label: parameter for label, (parameter, _) in terms.items()}
+    structure = _structure(plant, linear)
+    nominal = structure(scaled)
+    constant = nominal[0] @ linear.A - nominal[1]
+    matrices = with_factors(structure, base.parameters, scaled, tied)
+
+    def equations(p: Mapping[str, float]) -> Descriptor:
+        e, f, g, c, d = matrices(p)
+        for label, (parameter, per_unit) in terms.items():
+            f = f + (p[label] - parameter.value) * per_unit
+        return Descriptor(e, f + constant, g, c, d)
+
+    return LinearPlant(plant.name, parameters, plant.inputs, plant.outputs, plant.states, equations, base.exact)
+
+
+def _scaled_values(plant: ExtendedPlant) -> dict[str, float]:
+    base, factors = plant.plant, factors_of(plant.plant, plant.effects)
+    return base.values | {name: base.parameters[name].reference * factor for name, factor in factors.items()}
+
+
+def _joint_terms(plant: ExtendedPlant, linear: StateSpaceModel, width: float) -> dict[str, tuple[Parameter, Array]]:
+    """Return fitted springs and dampers at joints: parameter, and the entries of F per unit of it."""
+    found: dict[str, tuple[Parameter, Array]] = {}
+    inertia = _structure(plant, linear)(_scaled_values(plant))[0]
+    for e in plant.effects:
+        if e.site.kind not in ("joint", "current") or e.laws() or e.effect.structural:  # a split joint stays nominal
+            continue
+        for parameter in e.parameters:
+            value, std = e.values[parameter.name], e.std.get(parameter.name, 0.0)
+            if not std:
+                continue
+            first, second = (
+                extended_model(plant.plant, [other if item is e else item for item in plant.effects]).A - plant.model.A
+                for share in (1.25, 1.5)
+                for other in [replace(e, values={**e.values, parameter.name: share * value})]
+            )
+            if not np.allclose(second, 2.0 * first, rtol=FORM_ROUNDING, atol=0.0):
+                continue
+            label = f"{e.key}.{parameter.name}"
+            tolerance = width * std / abs(value)
+            per_unit = inertia @ first / (0.25 * value)
+            found[label] = Parameter(label, value, parameter.unit, tolerance, e.source, e.effect.title), per_unit
+    return found
+
+
+def _structure(plant: ExtendedPlant, linear: StateSpaceModel) -> Callable[[Mapping[str, float]], list[Array]]:
+    """Return a function from parameter values to E, F, G, C, D of all states, without a constant part of F."""
+    base, own, size = plant.plant, plant.model.own, len(plant.states)
+    inertia = base.matrices(_scaled_values(plant))[0]
+    split: list[tuple[int, int, float]] = []  # joint, its relative position, the load's share
+    for name, port in plant.model.ports.items():
+        if name.endswith(".load"):
+            joint = [s.name for s in plant.states].index(name.removesuffix(".load"))
+            rate = int(np.flatnonzero(port.velocity[own:])[0]) + own
+            split.append((joint, rate - 1, 1.0 / (float(port.velocity @ port.force) * inertia[joint, joint])))
+
+    def matrices(values: Mapping[str, float]) -> list[Array]:
+        e0, f0, g0, c0, d0 = base.matrices(values)
+        e, f, g = np.eye(size), np.zeros((size, size)), np.zeros((size, g0.shape[1]))
+        e[:own, :own], f[:own, :own], g[:own] = e0, f0, g0
+        for joint, first, share in split:
+            e[joint, joint] = (1.0 - share) * e0[joint, joint]
+            f[joint, first : first + 2] = e[joint, joint] * linear.A[joint, first : first + 2]
+            e[first + 1, joint] = -1.0
+        return [e, f, g, np.hstack([c0, np.zeros((len(c0), size - own))]), d0]
+
+    return matrices
+
+
+def _lag_block(time: float, spread: float, name: str, origin: str) -> UncertainModel:
+    """Return the exact set of all lags :math:`1 / (1 + s T)` with T within ``spread`` of ``time``, in s."""
+    if not 0.0 <= spread < time:
+        raise InputError(f"lag {name}", f"{time:g} s +- {spread:g} s", "a time constant that stays positive")
+    a = -1.0 / time
+    if not spread:
+        return UncertainModel(StateSpaceModel([[a]], [[-a]], [[1.0]], [[0.0]]), [])
+    model = StateSpaceModel([[a]], [[a * spread, -a]], [[a], [1.0]], [[a * spread, -a], [0.0, 0.0]])
+    return UncertainModel(model, [RealScalar(name, 1, ParameterRange(time, spread, "s"), origin=origin)])
+
+
+def delay_block(delay: float, spread: float, pade: int, name: str, origin: str = "") -> UncertainModel:
+    r"""Return a cover :math:`P + w \Delta` of all delays from ``delay - spread`` (at least 0) to ``delay + spread``."""
+    n = checked_order(pade, "delay_block", 1)
+    # With a spread the error's slope changes from 1 to 2 n + 1: a weight of lower order fits better.
+    made = covering(delay, spread, n, n + 1 if spread else min(n + 2, 2 * n + 1))
+    return UncertainModel(made.M, [FullBlock(name, 1, 1, origin=origin, covers=made.blocks[0].covers)])
+
+
+def with_signals(
+    whole: UncertainModel,
+    signals: Sequence[tuple[AttachedEffect, int, float]],
+    amplitude: Mapping[str, float],
+    width: float,
+    pade: int = 0,
+) -> UncertainModel:
+    """Add uncertain gains of effects (effect, index of signal, level), and with ``pade`` their delays and lags."""
+    into, out = ([s for s in signals if s[0].site.kind == kind] for kind in ("input", "output"))
+    for e, k, level in [*reversed(into), *out]:  # the effect next to the plant first
+        for block in _signal_blocks(e, level, amplitude, width, pade):
+            if e.site.kind == "input":
+                whole = product(whole, _at_channel(block, whole.inputs, k, e.key))
+            else:
+                whole = product(_at_channel(block, whole.outputs, k, e.key), whole)
+    return whole
+
+
+def _signal_blocks(
+    e: AttachedEffect, level: float, amplitude: Mapping[str, float], width: float, pade: int
+) -> list[UncertainModel]:
+    """Return the blocks of an effect in its signal: an uncertain gain, a delay, a lag."""
+    found: list[UncertainModel] = []
+    gain, seen = e.gain(level, amplitude), e.sector(amplitude, ("input", "output"))
+    reach = width * e.scale_std if seen is None else 0.5 * (seen.gain_upper - seen.gain_lower)
+    if reach:
+        words = f"{e.in_words}" + ("" if seen is None else " as a sector") + f"; {e.values_in_words}"
+        block = RealScalar(e.key, 1, ParameterRange(gain, reach), origin=words)
+        found.append(UncertainModel(StateSpaceModel([], [], [], [[0.0, reach], [1.0, gain]]), [block]))
+    elif gain != 1.0:
+        found.append(UncertainModel(StateSpaceModel([], [], [], [[gain]]), []))
+    if e.delay and pade:
+        spread = width * e.std.get(e.effect.delay, 0.0)
+        words = f"{e.in_words}, {e.delay:.6g} s +- {spread:.3g} s, as Padé of order {pade} and a weight proved to cover"
+        words = f"{words} what that misses; {e.values_in_words}"
+        found.append(delay_block(e.delay, spread, pade, e.key, words))
+    if e.time_constant and pade:
+        spread = width * e.std.get(e.effect.time_constant, 0.0)
+        words = f"{e.in_words}, {e.time_constant:.6g} s +- {spread:.3g} s; {e.values_in_words}"
+        found.append(_lag_block(e.time_constant, spread, e.key, words))
+    return found
+
+
+def _at_channel(block: UncertainModel, signals: Sequence[Signal], k: int, name: str) -> UncertainModel:
+    """Return the block of this name in signal k, with identity in all others."""
+    g, (q, p), n = block.M, block.delta_shape, len(signals)
+    into, out = np.zeros((q + 1, q + n)), np.zeros((p + n, p + 1))
+    into[:q, :q], into[q, q + k] = np.eye(q), 1.0
+    out[:p, :p], out[p + k, p] = np.eye(p), 1.0
+    passed = np.zeros((p + n, q + n))
+    passed[p:, q:] = np.diag(np.arange(n) != k)
+    model = StateSpaceModel(
+        g.A, g.B @ into, out @ g.C, out @ g.D @ into + passed, 0.0,
+        [*(f"w_{name}" for _ in range(q)), *signals], [*(f"z_{name}" for _ in range(p)), *signals],
+        [f"{name} {i + 1}" for i in range(g.n_states)], where="effect_blocks",
+    )  # fmt: skip
+    return UncertainModel(model, block.blocks)

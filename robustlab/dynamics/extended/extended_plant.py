@@ -1,51 +1,434 @@
-"""Plants with effects as plants; the linear part of a linear one with its tolerances as an exact LFT."""
-# Uncertain delays: Wang, Lundström, Skogestad, "Representation of uncertain time delays in the H-infinity framework",
-# Int. J. Control 59 (1994).
+r"""Plants with effects: rates, equilibrium, linear model about a point, simulation.
+
+.. math::
+    \dot x = A x + B\,m(u) + \sum_j b_j f_j, \qquad y = s(C x + D\,m(u)), \qquad f_j \in F_j(q_j, v_j)
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from abc import abstractmethod
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from functools import reduce
+from typing import Any, Literal, NamedTuple, NoReturn
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
-from robustlab.checks import number
-from robustlab.delays.approximation import checked_order
-from robustlab.delays.model import covering
-from robustlab.dynamics.extended.attached_effect import POSITION_STEP, AttachedEffect, attach
-from robustlab.dynamics.extended.extended_equations import NOMINAL_STEP, ExtendedEquations, extended_model
+from robustlab.checks import number, whole
+from robustlab.delays.approximation import pade as rational_delay
+from robustlab.display import AllFields, listed
+from robustlab.dynamics.effects.contract import Law
+from robustlab.dynamics.extended.attached_effect import (
+    DEFAULT_AMPLITUDE,
+    POSITION_STEP,
+    AttachedEffect,
+    attach,
+    holding_force,
+    is_set_valued,
+    rest_band,
+    slopes,
+    steady_force,
+)
 from robustlab.dynamics.extended.simulator import (
     About,
     Drive,
     Simulator,
     Windows,
     factors_of,
+    generic_model,
     load_coordinates,
     march,
     point_model,
     scaled,
     with_linear_parts,
 )
-from robustlab.dynamics.linear_plant import Descriptor, LinearPlant, with_factors
-from robustlab.dynamics.parameters import Parameter
-from robustlab.dynamics.plant_contract import NonlinearPlant
-from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, linear_plant_of, local_port_model
-from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, error_context
-from robustlab.linear_analysis.structural import drop_unconnected
-from robustlab.statespace import Signal, StateSpaceModel
-from robustlab.uncertainty.blocks import FullBlock, ParameterRange, RealScalar
-from robustlab.uncertainty.lft import UncertainModel, product
+from robustlab.dynamics.linear_plant import LinearPlant
+from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant, Trim, point_of
+from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, linear_plant_of, local_port_model, port_model
+from robustlab.dynamics.rest import PASSES, trim_conditions
+from robustlab.dynamics.simulation import CLOCK_JITTER
+from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, error_context, unknown_name
+from robustlab.result import Status
+from robustlab.statespace import OperatingPoint, Signal, StateSpaceModel, append, series
 
+# Longest step of the laws in s; longer samples are divided. Larger: faster, less accurate reversals.
+NOMINAL_STEP = 1e-3
+# A rate below this share of the sum of its terms counts as zero.
+STILL = 1e-11
+# Largest number of sweeps over joints at rest, and their convergence relative to the largest force.
+REST_SWEEPS = 200
+REST_AGREED = 1e-13
+# Weight ratio by which a Newton step to the equilibrium prefers holding forces to inputs and positions.
+CHEAP = 1e4
+# Largest Padé order of delays.
+HIGHEST_PADE = 8
 # Steps of a nonlinear plant are halved until the states change by less than this share of their RMS, and largest number
 # of halvings.
 HALVED = 1e-4
 MOST_HALVINGS = 5
-# Allowed difference of entries of an exact form, relative to the largest of the matrix.
-FORM_ROUNDING = 1e-9
+LEAST_SIZE = 1e-6  # rad, m, rad/s, m/s, A: smallest reference of relative differences
 
-STILL = 1e-6  # rad, m, rad/s, m/s, A: smallest reference of relative differences
+
+@dataclass(frozen=True)
+class Holding(AllFields):
+    """A force that keeps a joint at rest: ``force`` is needed, ``lower`` to ``upper`` is possible."""
+
+    effect: str
+    site: str
+    force: float
+    lower: float
+    upper: float
+    unit: str
+
+
+@dataclass(frozen=True, eq=False)
+class HoldingTrim(Trim):
+    """A trim with the dry friction and contacts that hold it."""
+
+    # one for each law that is set-valued there; if not empty, the point is one of a band of equilibria
+    holding: tuple[Holding, ...] = ()
+
+
+class LeftOut(NamedTuple):
+    """An effect that a linear model omits, and why."""
+
+    effect: AttachedEffect
+    reason: str
+
+
+def extended_model(plant: AnyPlant, effects: Iterable[AttachedEffect]) -> PortModel:
+    """Return linear equations and ports of the plant with the effects; of a nonlinear one at a generic point."""
+    attached = list(effects)
+    if isinstance(plant, NonlinearPlant):
+        return generic_model(plant, attached)
+    return with_linear_parts(port_model(plant, factors_of(plant, attached)), attached)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ExtendedEquations(SteppedPlant):
+    """Equations of a plant with effects."""
+
+    plant: AnyPlant  # without effects
+    effects: tuple[AttachedEffect, ...]  # in the order of attachment
+    model: PortModel = field(init=False)  # with the linear effects; of a nonlinear plant about a generic point
+    laws: tuple[tuple[AttachedEffect, Law, Port], ...] = field(init=False)  # ports as of that model
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        model = extended_model(self.plant, self.effects)
+        object.__setattr__(self, "model", model)
+        object.__setattr__(self, "laws", tuple((e, f, model.ports[f.port]) for e in self.effects for f in e.laws()))
+
+    @abstractmethod
+    def about(self, x: Array, seen: Array) -> About:
+        """Return the plant with its linear effects at a state and effective inputs."""
+
+    @abstractmethod
+    def motion(self, u: Array, dt: float, t0: float, x0: Array, step: float | None) -> tuple[Array, Array]:
+        """Return states and outputs for inputs (n, n_u) held for dt seconds each; x0: the plant's own states."""
+
+    def inertia_jacobian(self, x: Array, seen: Array, forces: Mapping[str, float]) -> Array:
+        """Return the part of A from the derivative of a nonlinear plant's inertia under forces at ports."""
+        return np.zeros((len(x), len(x)))
+
+    def search_start(self, where: Mapping[str, Any]) -> tuple[Array, Mapping[str, Any]]:
+        """Return the initial state and input of the search for an equilibrium, and its conditions."""
+        return np.zeros(len(self.states) + len(self.inputs)), where
+
+    def with_parameters(self, **given: Any) -> Any:
+        plant = self.plant.with_parameters(**given)
+        return replace(self, plant=plant, parameters=plant.parameters)
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "plant": self.plant.name,
+            "parameters": [p.to_json() for p in self.parameters.values()],
+            "effects": [e.to_json() for e in self.effects],
+        }
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.plant!r} with {listed(map(repr, self.effects), 3)})"
+
+    def mapped_input(self, u: Array) -> Array:
+        return self._mapped("input", u)[0]
+
+    def signal_levels(self, x: Array, u: Array) -> list[tuple[AttachedEffect, int, float]]:
+        """Return effects on inputs and outputs, the index of their signal, and its value before the effect."""
+        seen, into = self._mapped("input", u)
+        outof = self._mapped("output", self.about(x, seen).outputs)[1]
+        return [found for e in self.effects for found in (*into, *outof) if found[0] is e]
+
+    def _mapped(self, kind: str, levels: Array) -> tuple[Array, list[tuple[AttachedEffect, int, float]]]:
+        """Apply the effects to constant inputs or outputs; return these, and each effect, signal and level."""
+        after, met = levels.copy(), []
+        names = [s.name for s in (self.inputs if kind == "input" else self.outputs)]
+        for e in self.effects:
+            if e.site.kind == kind:
+                k = names.index(e.site.name)
+                met.append((e, k, float(after[k])))
+                after[k] = e.mapped(after[k])
+        return after, met
+
+    def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
+        (_, rates, _), ports, forces = self._forced(*self.point(x, u))
+        return rates + sum((port.force * f for port, f in zip(ports, forces, strict=True)), 0.0 * rates)
+
+    def output(self, x: ArrayLike, u: ArrayLike) -> Array:
+        state, command = self.point(x, u)
+        return self._mapped("output", self.about(state, self.mapped_input(command)).outputs)[0]
+
+    def _forced(self, x: Array, u: Array) -> tuple[About, list[Port], Array]:
+        """Return the plant at (x, u), and the ports and forces of the laws."""
+        about = self.about(x, self.mapped_input(u))
+        rates, ports = about.rates, [about.model.ports[port.name] for _, _, port in self.laws]
+        forces, resting = np.zeros(len(self.laws)), []
+        for j, (_, law, port) in enumerate(self.laws):
+            q, v = _motion(port, x)
+            if v != 0.0:
+                forces[j] = steady_force(law, q, v)
+            elif law.memory or is_set_valued(law, q):
+                resting.append(j)
+            else:
+                forces[j] = sum(rest_band(law, q)) / 2.0
+        for _ in range(REST_SWEEPS if len(resting) > 1 else len(resting)):
+            before = forces.copy()
+            for j in resting:
+                law, port = self.laws[j][1], ports[j]
+                others = ((p, f) for i, (p, f) in enumerate(zip(ports, forces, strict=True)) if i != j)
+                total = rates + sum(p.force * f for p, f in others)
+                mobility = float(port.velocity @ port.force)
+                forces[j] = holding_force(law, _motion(port, x)[0], float(port.velocity @ total), mobility)
+            if np.abs(forces - before).max() <= REST_AGREED * np.abs(forces).max():
+                break
+        return about, ports, forces
+
+    def whole_state(self, x: Array) -> Array:
+        """Append zeros for the states of effects where they are missing."""
+        return np.append(x, np.zeros(len(self.states) - len(x))) if len(x) == self.model.own else x
+
+    def stepped(self, t: Array, u: Array, x0: Array, step: float | None = None) -> tuple[Array, Array]:
+        """Return states and outputs at equally spaced times, the inputs held between them."""
+        steps = np.diff(t)
+        dt = float(steps.mean()) if len(steps) else NOMINAL_STEP
+        if len(steps) and np.abs(steps - dt).max() > CLOCK_JITTER * dt:
+            k = int(np.argmax(np.abs(steps - dt)))
+            raise InputError(
+                "simulate",
+                f"t[{k + 1}] - t[{k}] = {steps[k]:.9g} s, mean {dt:.9g} s",
+                "equal steps: delays and force laws step with the clock",
+                "resample the input on an equally spaced clock",
+            )
+        own = self.model.own
+        if x0[own:].any():
+            extra = ", ".join(s.name for s in self.states[own:])
+            raise InputError(
+                "simulate: x0", f"{extra} start at {x0[own:].tolist()}", "zero: states of effects start so"
+            )
+        return self.motion(u, dt, float(t[0]), x0[:own], step)
+
+    def equilibrium(self, **where: Any) -> HoldingTrim:
+        """Return the smallest equilibrium with the named inputs, outputs or states at the given values."""
+        n = len(self.states)
+        s, conditions = self.search_start(where)
+        held, wanted = trim_conditions(self, conditions)
+        s[list(held)] = list(held.values())
+        free, rows = np.array([k for k in range(len(s)) if k not in held], dtype=np.intp), list(wanted)
+        residual = np.zeros(n)
+        for _ in range(PASSES):
+            residual = np.concatenate([self.derivative(s[:n], s[n:]), self.output(s[:n], s[n:])[rows]])
+            residual[n:] -= list(wanted.values())
+            if self._is_equilibrium(s, residual):
+                break
+            a, b, c, d = self.jacobians(s[:n], s[n:])
+            matrix = np.vstack([np.hstack([a, b]), np.hstack([c[rows], d[rows]])])[:, free]
+            size = np.abs(matrix).max(axis=1, initial=0.0)
+            scale = np.where(size > 0, size, 1.0)
+            # rates per unit of each holding force; those at the edge of their band have low weight
+            columns = [
+                (1.0 if low < force < high else CHEAP**-2) * (port.force / np.abs(port.force).max())
+                for _, port, force, low, high in self._holding(s[:n], s[n:])
+            ]
+            held = np.zeros((len(residual), len(columns)))
+            held[:n] = CHEAP * (np.reshape(columns, (len(columns), n)).T / scale[:n, None])
+            step = np.linalg.lstsq(np.hstack([matrix / scale[:, None], held]), -residual / scale, rcond=1e-12)[0]
+            step = step[: len(free)]
+            # Rounding of Newton's steps must not move a joint that is held at rest.
+            s[free] += np.where(np.abs(step) > 1e-14 * np.abs(s[free]), step, 0.0)
+            s = np.where(np.abs(s) > 1e-12 * np.abs(s).max(initial=0.0), s, 0.0)
+        else:
+            texts = (f"{name} = {v:g}" if np.ndim(v) == 0 else name for name, v in conditions.items())
+            moving = int(np.argmax(np.abs(residual[:n])))
+            raise NoTrustworthyNumber(
+                f"{self.name}: trim",
+                f"no rest with {', '.join(texts) or 'anything given'}: {self.states[moving].name} keeps changing, at"
+                f" {residual[moving]:.3g}/s",
+                None,
+                "give an input within the limits of the holding forces, or leave it free",
+            )
+        x, u = s[:n], s[n:]
+        holding = tuple(
+            Holding(e.effect.id, port.name, force, low, high, port.unit)
+            for e, port, force, low, high in self._holding(x, u)
+        )
+        rate = float(np.abs(residual).max(initial=0.0))
+        return HoldingTrim(self.name, x, u, self.output(x, u), rate, None, Status.CONVERGED, holding=holding)
+
+    def _holding(self, x: Array, u: Array) -> list[tuple[AttachedEffect, Port, float, float, float]]:
+        """Return effect, port, force and band of possible forces of each law that is set-valued at rest there."""
+        _, ports, forces = self._forced(x, u)
+        return [
+            (e, port, float(force), *rest_band(law, q))
+            for (e, law, _), port, force in zip(self.laws, ports, forces, strict=True)
+            for q, v in [_motion(port, x)]
+            if v == 0.0 and is_set_valued(law, q)
+        ]
+
+    def _is_equilibrium(self, s: Array, residual: Array) -> bool:
+        """Return whether the rates are rounding errors of their terms and the outputs meet the conditions."""
+        n, seen = len(self.states), self.mapped_input(s[len(self.states) :])
+        (model, rates, _), ports, forces = self._forced(s[:n], s[n:])
+        terms = np.abs(model.A) @ np.abs(s[:n]) + np.abs(model.B) @ np.abs(seen)
+        terms += np.abs(rates - model.A @ s[:n] - model.B @ seen)  # nonlinear part
+        for port, force in zip(ports, forces, strict=True):
+            terms = terms + np.abs(port.force * force)
+        size = np.full(len(residual) - n, 1.0 + float(np.abs(s).max(initial=0.0)))
+        return bool((np.abs(residual) <= STILL * np.concatenate([terms, size])).all())
+
+    def jacobians(self, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array, Array]:
+        model = self.linear_model((x, u))
+        return model.A, model.B, model.C, model.D
+
+    def linear_model(
+        self,
+        at: Any = None,
+        amplitude: Mapping[str, float] | None = None,
+        pade: int = 0,
+        *,
+        replacements: Mapping[int, Array] | None = None,
+    ) -> StateSpaceModel:
+        """Return the result of `robustlab.linearise`; ``replacements``: index of a law -> row of ``f = -row x``."""
+        x, u, amplitude = self._checked_point(at, amplitude, pade)
+        (model, _, _), _, forces = self._forced(x, u)
+        a, acting = model.A.copy(), dict[str, float]()
+        for j, (e, law, port) in enumerate(self.laws):
+            port = model.ports[port.name]
+            if replacements is not None and j in replacements:
+                a -= np.outer(port.force, replacements[j])
+                continue
+            q, v = _motion(port, x)
+            middle = e.sector(amplitude, ("speed", "current"))
+            if middle is not None:
+                a -= np.outer(port.force, port.velocity) * 0.5 * (middle.gain_lower + middle.gain_upper)
+                continue
+            if v == 0.0 and is_set_valued(law, q):
+                continue
+            acting[port.name] = acting.get(port.name, 0.0) + forces[j]
+            stiffness, damping = slopes(law, q, v)
+            a += np.outer(port.force, damping * port.velocity)
+            if port.position is not None:
+                a += np.outer(port.force, stiffness * port.position)
+        a += self.inertia_jacobian(x, self.mapped_input(u), acting)
+        into, out = np.ones(len(self.inputs)), np.ones(len(self.outputs))
+        delays, lags = {"input": [0.0] * len(into), "output": [0.0] * len(out)}, dict[int, float]()
+        for e, k, level in self.signal_levels(x, u):
+            gains = into if e.site.kind == "input" else out
+            gains[k] *= e.gain(level, amplitude)
+            delays[e.site.kind][k] += e.delay
+            if e.time_constant:
+                lags[k] = e.time_constant
+        linear = StateSpaceModel(
+            a, model.B * into, out[:, None] * model.C, out[:, None] * model.D * into, 0.0, self.inputs, self.outputs,
+            self.states, OperatingPoint(x, u, self.output(x, u)), self.name,
+        )  # fmt: skip
+        return _with_delays(linear, pade, delays, lags) if pade and (lags or any(map(any, delays.values()))) else linear
+
+    def left_out(
+        self, at: Any = None, amplitude: Mapping[str, float] | None = None, pade: int = 0
+    ) -> tuple[LeftOut, ...]:
+        """Return the effects that `linear_model` omits, with footprints at the amplitudes (default 1)."""
+        x, u, amplitude = self._checked_point(at, amplitude, pade)
+        found: dict[int, LeftOut] = {}
+
+        def note(e: AttachedEffect, reason: str) -> None:
+            found.setdefault(id(e), LeftOut(e, reason))
+
+        for e, law, port in self.laws:
+            q, v = _motion(port, x)
+            if e.sector(amplitude, ("speed", "current")) is not None:
+                note(e, "replaced by the middle of its sector at this amplitude")
+            elif law.memory:
+                note(e, "it has memory: the model has its slopes at the point only")
+            elif v == 0.0 and is_set_valued(law, q):
+                note(e, "set-valued at rest: the model is that of free motion")
+            else:
+                note(e, "nonlinear: the model has its slopes at the point only")
+        for e, _, level in self.signal_levels(x, u):
+            seen_by = e.footprint(amplitude.get(e.site.name, DEFAULT_AMPLITUDE))
+            if e.delay:
+                words = f"as a Padé approximation of order {pade}" if pade else "left out"
+                note(e, f"a delay of {e.delay:g} s, {words}")
+            elif e.time_constant:
+                if not pade:
+                    note(e, f"a lag of {e.time_constant:g} s, left out")
+            elif seen_by is not None and e.constant_gain is None:
+                chosen = e.site.name in amplitude
+                dead = not chosen and e.slope(level) == 0.0
+                gain = "the middle of its sector" if chosen else "its slope"
+                note(e, "no gain at the point: replaced by 1" if dead else f"nonlinear: replaced by {gain}")
+            elif seen_by is not None and seen_by.offset:
+                note(e, "a bounded error that is no gain")
+        return tuple(found.values())
+
+    def _checked_point(
+        self, at: Any, amplitude: Mapping[str, float] | None, pade: int
+    ) -> tuple[Array, Array, Mapping[str, float]]:
+        found = point_of(self, at, "linearise: at")
+        x, u = (found.x, found.u) if isinstance(found, Trim) else found
+        sites = tuple(dict.fromkeys(e.site.name for e in self.effects))
+        for name, value in (amplitude or {}).items():
+            where = f"linearise: amplitude {name!r}"
+            if name not in sites:
+                raise unknown_name(where, "no effect there", name, sites)
+            number(where, value, "a positive number", above=0)
+        whole("linearise: pade", pade, 0, HIGHEST_PADE)
+        return x, u, amplitude or {}
+
+
+def _motion(port: Port, x: Array) -> tuple[float, float]:
+    """Return position (0 without one) and velocity at a port."""
+    q = 0.0 if port.position is None else float(port.position @ x)
+    return q, float(port.velocity @ x)
+
+
+def _with_delays(
+    model: StateSpaceModel, order: int, delays: Mapping[str, list[float]], lags: Mapping[int, float]
+) -> StateSpaceModel:
+    """Add rational delays of inputs and outputs, and first-order lags (input -> time constant in s) to a model."""
+    point = model.operating_point
+    assert point is not None
+    lagging = {k: StateSpaceModel([[-1 / T]], [[1 / T]], [[1.0]], [[0.0]]) for k, T in lags.items()}
+    late = {side: {k: rational_delay(d, order) for k, d in enumerate(all_of) if d} for side, all_of in delays.items()}
+    through = StateSpaceModel([], [], [], [[1.0]])
+    stages = [(model, list[Any](model.states), point.x)]
+    for kind, made, signals, level in (
+        ("lag", lagging, model.inputs, point.u),
+        ("delay_input", late["input"], model.inputs, point.u),
+        ("delay_output", late["output"], model.outputs, point.y),
+    ):
+        if not made:
+            continue
+        bank = append(*(made.get(k, through).renamed([f"u{k}"], [f"y{k}"]) for k in range(len(signals))))
+        names: list[Any] = [(f"lag_{signals[k].name}", signals[k].unit) for k in sorted(made)]
+        if kind != "lag":
+            names = [(f"{kind}_{signals[k].name}_{i + 1}", "") for k in sorted(made) for i in range(made[k].n_states)]
+        stage = bank, names, np.asarray(-np.linalg.solve(bank.A, bank.B @ level), dtype=np.float64)
+        stages.insert(len(stages) if kind == "delay_output" else 0, stage)
+    models, states, x = zip(*stages, strict=True)
+    m, point = reduce(series, models), OperatingPoint(np.concatenate(x), point.u, point.y)
+    names = [name for part in states for name in part]
+    return StateSpaceModel(m.A, m.B, m.C, m.D, 0.0, model.inputs, model.outputs, names, point, "pade")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -98,7 +481,7 @@ class ExtendedNonlinearPlant(ExtendedEquations):
             found = states[::parts]
             size, off_by = (np.sqrt(np.mean(x**2, axis=0)) for x in (found, found - coarse[:: parts // 2]))
             # RMS difference, relative to the largest state of the same unit
-            shares = [off_by[units == unit].max() / max(size[units == unit].max(), STILL) for unit in set(units)]
+            shares = [off_by[units == unit].max() / max(size[units == unit].max(), LEAST_SIZE) for unit in set(units)]
             off = float(max(shares, default=0.0))
             if off <= HALVED:
                 return found, outputs[::parts]
@@ -110,7 +493,6 @@ class ExtendedNonlinearPlant(ExtendedEquations):
         )
 
     def _stepped(self, drive: Drive, x0: Array, guess: Array | None) -> tuple[Array, Array]:
-        """Return states and outputs at all steps of a drive."""
         own = len(self.plant.states)
         states = march(self.changed, self.effects, drive, self.whole_state(x0), guess)
         outputs = self.changed.outputs_along(states[:, :own], drive.mean - drive.rise).copy()
@@ -139,7 +521,6 @@ class ExtendedNonlinearPlant(ExtendedEquations):
 
 
 def _drive(plant: ExtendedNonlinearPlant, u: Array, dt: float, t0: float, parts: int, hold: str) -> Drive:
-    """Return the effective inputs in steps, ``parts`` per sample."""
     h = dt / parts
     if hold == "foh":  # of a loop, whose effects are not on its inputs
         between = np.arange(len(u) * parts + 1) / parts
@@ -178,20 +559,8 @@ class ExtendedPlant(ExtendedEquations):
     def to_model(self) -> StateSpaceModel:
         return self.linear_model()
 
-    def uncertain(  # pyright: ignore[reportIncompatibleMethodOverride]
-        self, outputs: Sequence[str] | None = None, sigmas: float = 2.0
-    ) -> UncertainModel:
-        """Return all models within the tolerances as an exact LFT, without the effects in `left_out`."""
-        width = number("uncertain: sigmas", sigmas, "0 or more", at_least=0)
-        linear = self.linear_model()
-        point = linear.operating_point
-        assert point is not None
-        signals = self.signal_levels(point.x, point.u)
-        whole = with_signals(without_signals(self, linear, width).uncertain(), signals, {}, width)
-        _check(self, whole, linear, width)
-        if outputs is None:
-            return UncertainModel(whole.M, whole.blocks, point)
-        return UncertainModel(drop_unconnected(whole.select(outputs=outputs).M), whole.blocks)
+    def uncertain(self, *_: Any, **__: Any) -> NoReturn:
+        raise InputError("uncertain", f"{self.name} carries effects", "a plant without", "rl.uncertain_from takes it")
 
 
 @error_context("with_effects")
@@ -261,7 +630,6 @@ def with_effects(
 
 
 def _checked(e: Any, base: AnyPlant, model: PortModel) -> AttachedEffect:
-    """Return the attached effect if the plant has its place."""
     if not isinstance(e, AttachedEffect):
         raise InputError("with_effects", f"{e!r}", "a table of effects, or attached effects")
     names = [site.name for site in e.effect.sites(base, model) if site.kind == e.site.kind]
@@ -269,194 +637,3 @@ def _checked(e: Any, base: AnyPlant, model: PortModel) -> AttachedEffect:
         hint = did_you_mean(e.site.name, names)
         raise InputError(f"effect {e.effect.id}: site {e.site.name!r}", "no such place", ", ".join(names), hint)
     return e
-
-
-def without_signals(plant: ExtendedPlant, linear: StateSpaceModel, width: float) -> LinearPlant:
-    """Return the linear model as a plant in descriptor form, affine in the parameters with tolerances."""
-    base, scaled = plant.plant, _scaled_values(plant)
-    parameters = {name: replace(p, value=scaled[name]) for name, p in base.parameters.items()}
-    tied: dict[str, list[str]] = {}
-    for e in plant.effects:
-        names = list(factors_of(base, [e]))
-        if not (names and e.scale and e.scale_std):
-            continue
-        tolerance = width * e.scale_std / e.scale
-        for name in names:
-            parameters[name] = replace(parameters[name], tolerance=tolerance if len(names) == 1 else 0.0)
-        if len(names) > 1:
-            label = f"{e.effect.id}({e.site.name})"
-            parameters[label] = Parameter(
-                label, 1.0, "", tolerance, e.source, f"{e.effect.title}, over the fitted value"
-            )
-            tied[label] = names
-    terms = _joint_terms(plant, linear, width)
-    parameters |= {label: parameter for label, (parameter, _) in terms.items()}
-    structure = _structure(plant, linear)
-    nominal = structure(scaled)
-    constant = nominal[0] @ linear.A - nominal[1]
-    matrices = with_factors(structure, base.parameters, scaled, tied)
-
-    def equations(p: Mapping[str, float]) -> Descriptor:
-        e, f, g, c, d = matrices(p)
-        for label, (parameter, per_unit) in terms.items():
-            f = f + (p[label] - parameter.value) * per_unit
-        return Descriptor(e, f + constant, g, c, d)
-
-    return LinearPlant(plant.name, parameters, plant.inputs, plant.outputs, plant.states, equations, base.exact)
-
-
-def _scaled_values(plant: ExtendedPlant) -> dict[str, float]:
-    base, factors = plant.plant, factors_of(plant.plant, plant.effects)
-    return base.values | {name: base.parameters[name].reference * factor for name, factor in factors.items()}
-
-
-def _joint_terms(plant: ExtendedPlant, linear: StateSpaceModel, width: float) -> dict[str, tuple[Parameter, Array]]:
-    """Return fitted springs and dampers at joints: parameter, and the entries of F per unit of it."""
-    found: dict[str, tuple[Parameter, Array]] = {}
-    inertia = _structure(plant, linear)(_scaled_values(plant))[0]
-    for e in plant.effects:
-        if e.site.kind not in ("joint", "current") or e.laws() or e.effect.structural:  # a split joint stays nominal
-            continue
-        for parameter in e.parameters:
-            value, std = e.values[parameter.name], e.std.get(parameter.name, 0.0)
-            if not std:
-                continue
-            first, second = (
-                extended_model(plant.plant, [other if item is e else item for item in plant.effects]).A - plant.model.A
-                for share in (1.25, 1.5)
-                for other in [replace(e, values={**e.values, parameter.name: share * value})]
-            )
-            if not np.allclose(second, 2.0 * first, rtol=FORM_ROUNDING, atol=0.0):
-                continue
-            label = f"{e.key}.{parameter.name}"
-            tolerance = width * std / abs(value)
-            per_unit = inertia @ first / (0.25 * value)
-            found[label] = Parameter(label, value, parameter.unit, tolerance, e.source, e.effect.title), per_unit
-    return found
-
-
-def _structure(plant: ExtendedPlant, linear: StateSpaceModel) -> Callable[[Mapping[str, float]], list[Array]]:
-    """Return a function from parameter values to E, F, G, C, D of all states, without a constant part of F."""
-    base, own, size = plant.plant, plant.model.own, len(plant.states)
-    inertia = base.matrices(_scaled_values(plant))[0]
-    split: list[tuple[int, int, float]] = []  # joint, its relative position, the load's share
-    for name, port in plant.model.ports.items():
-        if name.endswith(".load"):
-            joint = [s.name for s in plant.states].index(name.removesuffix(".load"))
-            rate = int(np.flatnonzero(port.velocity[own:])[0]) + own
-            split.append((joint, rate - 1, 1.0 / (float(port.velocity @ port.force) * inertia[joint, joint])))
-
-    def matrices(values: Mapping[str, float]) -> list[Array]:
-        e0, f0, g0, c0, d0 = base.matrices(values)
-        e, f, g = np.eye(size), np.zeros((size, size)), np.zeros((size, g0.shape[1]))
-        e[:own, :own], f[:own, :own], g[:own] = e0, f0, g0
-        for joint, first, share in split:
-            e[joint, joint] = (1.0 - share) * e0[joint, joint]
-            f[joint, first : first + 2] = e[joint, joint] * linear.A[joint, first : first + 2]
-            e[first + 1, joint] = -1.0
-        return [e, f, g, np.hstack([c0, np.zeros((len(c0), size - own))]), d0]
-
-    return matrices
-
-
-def _check(plant: ExtendedPlant, whole: UncertainModel, linear: StateSpaceModel, width: float) -> None:
-    """Check that the set includes the nominal model, and the plant with every deviation at its upper end."""
-    changed = {n: (p.value + p.radius, 0.0) for n, p in plant.parameters.items() if p.tolerance}
-    terms, effects = _joint_terms(plant, linear, width), []
-    for e in plant.effects:
-        scaled_by = factors_of(plant.plant, [e])
-        for name in scaled_by if e.scale_std else ():
-            changed.pop(name, None)
-        moved = {n for n in e.std if f"{e.key}.{n}" in terms or (n == e.effect.scale and (e.on_signal or scaled_by))}
-        effects.append(replace(e, values={n: v + width * e.std[n] if n in moved else v for n, v in e.values.items()}))
-    rebuilt = with_effects(plant.plant.with_parameters(**changed), effects)
-    point = linear.operating_point
-    for delta, other in ((0.0, linear), (1.0, rebuilt.linear_model(point))):
-        found = whole.evaluate({block.name: delta for block in whole.blocks})
-        for name in "ABCD":
-            off = np.abs(getattr(found, name) - getattr(other, name)).max(initial=0.0)
-            if off > FORM_ROUNDING * np.abs(getattr(other, name)).max(initial=0.0):
-                raise NoTrustworthyNumber(
-                    f"{plant.name}: uncertain",
-                    f"the form is not exact: {name} is off by {off:.2g} at delta = {delta:g}",
-                    None,
-                    "take the tolerances off the parameters that act together with an effect, or take it off",
-                )
-
-
-def _lag_block(time: float, spread: float, name: str, origin: str) -> UncertainModel:
-    """Return the exact set of all lags :math:`1 / (1 + s T)` with T within ``spread`` of ``time``, in s."""
-    if not 0.0 <= spread < time:
-        raise InputError(f"lag {name}", f"{time:g} s +- {spread:g} s", "a time constant that stays positive")
-    a = -1.0 / time
-    if not spread:
-        return UncertainModel(StateSpaceModel([[a]], [[-a]], [[1.0]], [[0.0]]), [])
-    model = StateSpaceModel([[a]], [[a * spread, -a]], [[a], [1.0]], [[a * spread, -a], [0.0, 0.0]])
-    return UncertainModel(model, [RealScalar(name, 1, ParameterRange(time, spread, "s"), origin=origin)])
-
-
-def delay_block(delay: float, spread: float, pade: int, name: str, origin: str = "") -> UncertainModel:
-    r"""Return a cover :math:`P + w \Delta` of all delays from ``delay - spread`` (at least 0) to ``delay + spread``."""
-    n = checked_order(pade, "delay_block", 1)
-    # With a spread the error's slope changes from 1 to 2 n + 1: a weight of lower order fits better.
-    made = covering(delay, spread, n, n + 1 if spread else min(n + 2, 2 * n + 1))
-    return UncertainModel(made.M, [FullBlock(name, 1, 1, origin=origin, covers=made.blocks[0].covers)])
-
-
-def with_signals(
-    whole: UncertainModel,
-    signals: Sequence[tuple[AttachedEffect, int, float]],
-    amplitude: Mapping[str, float],
-    width: float,
-    pade: int = 0,
-) -> UncertainModel:
-    """Add uncertain gains of effects (effect, index of signal, level), and with ``pade`` their delays and lags."""
-    into, out = ([s for s in signals if s[0].site.kind == kind] for kind in ("input", "output"))
-    for e, k, level in [*reversed(into), *out]:  # the effect next to the plant first
-        for block in _signal_blocks(e, level, amplitude, width, pade):
-            if e.site.kind == "input":
-                whole = product(whole, _at_channel(block, whole.inputs, k, e.key))
-            else:
-                whole = product(_at_channel(block, whole.outputs, k, e.key), whole)
-    return whole
-
-
-def _signal_blocks(
-    e: AttachedEffect, level: float, amplitude: Mapping[str, float], width: float, pade: int
-) -> list[UncertainModel]:
-    """Return the blocks of an effect in its signal: an uncertain gain, a delay, a lag."""
-    found: list[UncertainModel] = []
-    gain, seen = e.gain(level, amplitude), e.sector(amplitude, ("input", "output"))
-    reach = width * e.scale_std if seen is None else 0.5 * (seen.gain_upper - seen.gain_lower)
-    if reach:
-        words = f"{e.in_words}" + ("" if seen is None else " as a sector") + f"; {e.values_in_words}"
-        block = RealScalar(e.key, 1, ParameterRange(gain, reach), origin=words)
-        found.append(UncertainModel(StateSpaceModel([], [], [], [[0.0, reach], [1.0, gain]]), [block]))
-    elif gain != 1.0:
-        found.append(UncertainModel(StateSpaceModel([], [], [], [[gain]]), []))
-    if e.delay and pade:
-        spread = width * e.std.get(e.effect.delay, 0.0)
-        words = f"{e.in_words}, {e.delay:.6g} s +- {spread:.3g} s, as Padé of order {pade} and a weight proved to cover"
-        words = f"{words} what that misses; {e.values_in_words}"
-        found.append(delay_block(e.delay, spread, pade, e.key, words))
-    if e.time_constant and pade:
-        spread = width * e.std.get(e.effect.time_constant, 0.0)
-        words = f"{e.in_words}, {e.time_constant:.6g} s +- {spread:.3g} s; {e.values_in_words}"
-        found.append(_lag_block(e.time_constant, spread, e.key, words))
-    return found
-
-
-def _at_channel(block: UncertainModel, signals: Sequence[Signal], k: int, name: str) -> UncertainModel:
-    """Return the block of this name in signal k, with identity in all others."""
-    g, (q, p), n = block.M, block.delta_shape, len(signals)
-    into, out = np.zeros((q + 1, q + n)), np.zeros((p + n, p + 1))
-    into[:q, :q], into[q, q + k] = np.eye(q), 1.0
-    out[:p, :p], out[p + k, p] = np.eye(p), 1.0
-    passed = np.zeros((p + n, q + n))
-    passed[p:, q:] = np.diag(np.arange(n) != k)
-    model = StateSpaceModel(
-        g.A, g.B @ into, out @ g.C, out @ g.D @ into + passed, 0.0,
-        [*(f"w_{name}" for _ in range(q)), *signals], [*(f"z_{name}" for _ in range(p)), *signals],
-        [f"{name} {i + 1}" for i in range(g.n_states)], where="effect_blocks",
-    )  # fmt: skip
-    return UncertainModel(model, block.blocks)

@@ -64,7 +64,6 @@ class FeedForward:
         return sum(math.hypot(c, s) for c, s, _ in self.waves) + sum(abs(level) + abs(b) for level, b, _ in self.dry)
 
     def facts(self) -> Facts:
-        """Return its terms."""
         unit, per = self.input.unit, f"1/{self.position.unit}"
         waves = [f"{number(math.hypot(c, s), unit)} at {number(k, per)}" for c, s, k in self.waves]
         dry = [number(level, unit) for level, _, _ in self.dry]

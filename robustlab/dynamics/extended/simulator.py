@@ -67,7 +67,6 @@ class SampledInput:
         return found.reshape(-1, 2)
 
     def samples(self, shift: float = 0.0) -> Array:
-        """Return the shifted input at the samples, (n,)."""
         first = int(np.floor(-shift))
         return self._after(first) @ (-shift - first) ** np.arange(self._pieces.shape[1])
 
@@ -190,7 +189,6 @@ class Simulator:
         shift: Sequence[float] | None = None,
         near: tuple[Mapping[str, float], Sequence[Mapping[str, float]]] | None = None,
     ) -> Motion:
-        """Simulate all windows."""
         about = self._about(factors, values, windows, near) if self._course else None
         model = self._with_effects(about.model, values) if about else self.model(factors, values)
         late = self._late(values, shift)
@@ -408,7 +406,6 @@ def _course(plant: NonlinearPlant, motion: Array, u: Array, dt: float, like: Cou
 def _cached_model(
     course: Course, factors: tuple[tuple[str, float], ...], starts: bytes, length: int, sub: int
 ) -> MotionModel:
-    """Return the cached `motion_model` for these parameter values."""
     return motion_model(course, dict(factors), np.frombuffer(starts, dtype=np.int64), length, sub)
 
 
@@ -422,7 +419,6 @@ _cached_steps = lru_cache(maxsize=KEPT_MOTIONS)(_steps_along)
 
 
 def _table_along(about: MotionModel, model: PortModel, h: float, n_u: int, rising: bool) -> _Table:
-    """Return the steps of a nonlinear plant about its motion."""
     from robustlab.dynamics.ports.law_kernel import drifts
 
     phi, psi, gamma_u, entering = (_cached_steps if model is about.model else _steps_along)(model, h, n_u, rising)
@@ -492,7 +488,6 @@ def factors_of(plant: AnyPlant, effects: Iterable[AttachedEffect]) -> dict[str, 
 
 
 def scaled(plant: NonlinearPlant, effects: Iterable[AttachedEffect]) -> NonlinearPlant:
-    """Return the plant with the parameters scaled by the effects."""
     changed = {name: plant.parameters[name].reference * f for name, f in factors_of(plant, effects).items()}
     return plant.with_parameters(**changed) if changed else plant
 
@@ -701,7 +696,6 @@ class _Block:
 
 
 def _with_differences(values: Array) -> tuple[Array, Array, Array]:
-    """Return values (m, ...) and their first and second differences."""
     if len(values) < 3:
         return values, np.zeros_like(values), np.zeros_like(values)
     first = np.gradient(values, axis=0, edge_order=2)

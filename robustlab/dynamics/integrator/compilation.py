@@ -12,16 +12,19 @@ from types import ModuleType
 PATIENCE = 6.0
 
 
-def compiled(module: Path, name: str, leaves: tuple[str | Path, ...], text: str) -> ModuleType:
-    """Import the module of kernels in the file ``module`` with the dotted ``name``."""
-    newest = max(Path(leaf).stat().st_mtime for leaf in (*leaves, Path(__file__).with_name("steps.py")))
-    for index in (module.parent / "__pycache__").glob(f"{module.stem}.*.nbi"):
+def compiled(name: str, text: str) -> ModuleType:
+    """Import the kernels ``robustlab.dynamics.NAME``, compiled again where the integrator in them is newer."""
+    from robustlab.dynamics.integrator import steps
+
+    newest = max(Path(leaf).stat().st_mtime for leaf in (str(steps.__file__), steps.TABLE))
+    folder, _, stem = name.rpartition(".")
+    for index in (Path(__file__).parents[1] / folder / "__pycache__").glob(f"{stem}.*.nbi"):
         if index.stat().st_mtime < newest:
             index.unlink(missing_ok=True)
     timer = threading.Timer(PATIENCE, lambda: print(text, file=sys.stderr, flush=True))
     timer.daemon = True
     timer.start()
     try:
-        return import_module(name)
+        return import_module(f"robustlab.dynamics.{name}")
     finally:
         timer.cancel()

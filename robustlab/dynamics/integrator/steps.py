@@ -77,7 +77,6 @@ def _input_between(t, span, k, inputs, u):
 
 @leaf
 def _norm(a, scale):
-    """Return the root mean square of a / scale, both (n,)."""
     total = 0.0
     for i in range(a.shape[0]):
         total += (a[i] / scale[i]) ** 2
@@ -147,7 +146,6 @@ def _error(h, stages, scale):
 
 @leaf
 def _not_finite(stages, found):
-    """Return the first state with a rate that is not finite in the 13 stages, else ``found``."""
     for s in range(13):
         for i in range(stages.shape[1]):
             if not np.isfinite(stages[s, i]):

@@ -73,7 +73,6 @@ class Port:
 
 
 def _padded(array: Array, extra: int) -> Array:
-    """Return the array with ``extra`` zeros at the end of its last axis."""
     return np.concatenate([array, np.zeros((*array.shape[:-1], extra))], axis=-1)
 
 
@@ -143,7 +142,6 @@ def _mechanical(plant: LinearPlant) -> frozenset[int]:
 
 
 def _rows(plant: LinearPlant, name: str) -> frozenset[int]:
-    """Return the equations that contain the parameter."""
     values = plant.values
     here, there = plant.matrices(values), plant.matrices({**values, name: values[name] * 1.25 + (values[name] == 0)})
     changed = np.hstack([after - before for before, after in zip(here[:3], there[:3], strict=True)])
@@ -308,7 +306,6 @@ def _values(plant: NonlinearPlant, factors: Mapping[str, float]) -> dict[str, fl
 
 
 def times(matrices: Array, vectors: Array) -> Array:
-    """Return the products (..., p) of matrices (..., p, q) and vectors (..., q)."""
     return (matrices @ vectors[..., None])[..., 0]
 
 

@@ -5,7 +5,7 @@ from robustlab.lazily import lazily
 __all__, __getattr__ = lazily(
     __name__,
     {
-        "kinematics": "direct_kinematics inside inverse_kinematics nut_angles singularity velocity_jacobian",
-        "stewart_platform": "StewartPlatform bias_torque mass_matrix",
+        "stewart_platform": "StewartPlatform bias_torque direct_kinematics inside inverse_kinematics mass_matrix"
+        " nut_angles singularity velocity_jacobian",
     },
 )

@@ -12,8 +12,7 @@ import numpy as np
 
 from robustlab.dynamics.parameters import Parameter, Role, Sign, overridden
 from robustlab.dynamics.plant_contract import PortPlace
-from robustlab.dynamics.symbolic.symbolic_plant import Equations, SymbolicPlant, labels
-from robustlab.dynamics.symbolic.tape import tape_of
+from robustlab.dynamics.symbolic.symbolic_plant import Equations, SymbolicPlant, labels, tape_of
 from robustlab.errors import DependencyMissing, InputError, did_you_mean
 from robustlab.signals import MAX_NAME
 from robustlab.statespace import Signal

@@ -30,7 +30,7 @@ class Code(NamedTuple):
 
 @leaf
 def _operate(op, a, b):
-    """Evaluate one elementary operation of `robustlab.dynamics.symbolic.tape.OPERATIONS`."""
+    """Evaluate one elementary operation of `robustlab.dynamics.symbolic.symbolic_plant.OPERATIONS`."""
     if op == 0:
         return a + b
     elif op == 1:

@@ -14,11 +14,9 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.budget import one_thread
-from robustlab.dynamics.fmu import FmuPlant
-from robustlab.dynamics.fmu import FreeRun as RunOfUnit
 from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant, SteppedPlant, input_signal
 from robustlab.dynamics.ports.port_model import Course
-from robustlab.errors import InputError, NoTrustworthyNumber, UsageError, error_context
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.identification.comparison.comparison_result import POSE, Comparison
 from robustlab.identification.comparison.error_analysis import (
     FreeRun,
@@ -89,7 +87,7 @@ def compare(
     window: float | None = None,
     speed: str | None = None,
     position: str | None = None,
-) -> Comparison | RunOfUnit:
+) -> Comparison:
     """Compare a plant or model with a measured record at all outputs they share.
 
     Parameters
@@ -97,8 +95,7 @@ def compare(
     plant
         A `Plant`, a `StateSpaceModel` or a ``control.StateSpace``; all its inputs must be in the record. Inputs are
         held between samples. A nonlinear plant, whose positions must all be recorded, is linear in each window about
-        the recorded motion; its free run is nonlinear and may end early (``free_run``). A co-simulation unit runs from
-        its own initial state only, and takes none of the options.
+        the recorded motion; its free run is nonlinear and may end early (``free_run``).
     record
         The measurement; it may hold any subset of the outputs, and further signals.
     window
@@ -112,15 +109,13 @@ def compare(
     Returns
     -------
     Comparison
-        A large model error is a result, not an exception. For a co-simulation unit the result of `FmuPlant.compare`.
+        A large model error is a result, not an exception.
 
     Raises
     ------
-    UsageError
-        Options with a co-simulation unit.
     InputError
         An input of the model or every output is missing, a wrong sample time, a window that does not fit; a plant with
-        effects; a position of a nonlinear plant that is not recorded.
+        effects or a co-simulation unit; a position of a nonlinear plant that is not recorded.
     UnitMismatch
         Model and record state different units of a signal.
     NoTrustworthyNumber
@@ -136,12 +131,6 @@ def compare(
     >>> round(gap.peak, 3), round(gap.peak_percent, 2)
     (0.1, 9.09)
     """
-    if isinstance(plant, FmuPlant):
-        if (window, speed, position) != (None, None, None):
-            found = f"options for the windows of {plant.name}"
-            expected = "none: a co-simulation unit runs from its own initial state"
-            raise UsageError(f"compare {record.name}", found, expected)
-        return plant.compare(record)
     matching = _matching(plant, record)
     model, record, inputs = matching.model, matching.record, matching.inputs
     outputs = [s.name for s in matching.outputs]

@@ -282,7 +282,7 @@ class SimulateControlStep(Step):
         return Inferred(leaves={"controllers": dict.fromkeys(self.controllers, row)})
 
     def run(self, work: Workspace) -> Outcome:
-        from robustlab.dynamics.control.controlled_runs import follow_sine
+        from robustlab.dynamics.control.platform import follow_sine
 
         controllers = {name: work.values[name] for name in self.controllers}
         own = {*Step.model_fields, "do", "of", "controllers", "controlled", "measured"}
@@ -322,7 +322,7 @@ class FollowTrajectoryStep(Step):
         return Inferred(leaves={"controllers": dict.fromkeys(self.controllers, row)})
 
     def run(self, work: Workspace) -> Outcome:
-        from robustlab.dynamics.control.controlled_runs import follow_path
+        from robustlab.dynamics.control.platform import follow_path
 
         controllers = {name: work.values[name] for name in self.controllers}
         own = {*Step.model_fields, "do", "of", "controllers"}

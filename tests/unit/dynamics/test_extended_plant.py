@@ -131,7 +131,7 @@ def test_the_uncertain_model_is_the_rebuilt_plant():
             "sensor-gain@phi": {"s": (1.05, 0.01)},
         },
     )
-    uncertain = plant.uncertain()
+    uncertain = rl.uncertain_from(plant).model
     names = [b.name for b in uncertain.blocks]
     assert set(names) == {
         "R", "J", "Kf", "torque-constant(Km+Kb)", "stiffness@omega.k", "input-gain@u", "sensor-gain@phi"
