@@ -17,7 +17,7 @@ from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.mu_analysis.axis.axis_model import model_frequency
 from robustlab.mu_analysis.axis.intervals import Piece, interval_scalings, joined_scalings
 from robustlab.mu_analysis.axis.margin import PERFORMANCE, Margin, WorstCaseGain
-from robustlab.mu_analysis.axis.robustness import margin_within
+from robustlab.mu_analysis.axis.robustness import robust_stability
 from robustlab.mu_analysis.margins.delay_margins import DelayGain, DelayProof, DelayStability, covering_set
 from robustlab.mu_analysis.margins.disk_margin import DiskMargin, DiskMargins
 from robustlab.mu_analysis.matrix.bounds import BoxProof, MuBounds
@@ -213,7 +213,7 @@ def one_disk_claims(found: DiskMargin) -> list[Claim]:
         norm = HinfNorm(0.0, 1 / found.lower, np.nan, found.status, system=system.delta_channels)
         return norm_claims(norm)
     budget = search_budget("verify", WORK, 1.0, None)
-    margin = margin_within(system, budget, accuracy=1e-4)
+    margin = robust_stability(system, accuracy=1e-4, budget=budget)
     return [claim for claim in margin_claims(margin) if claim.kind == "mu-axis"]
 
 

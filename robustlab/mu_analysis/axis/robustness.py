@@ -216,6 +216,7 @@ class _Search:
 
 
 @error_context("robust_stability")
+@one_thread()
 def robust_stability(
     uncertain: UncertainModel,
     omega: ArrayLike | None = None,
@@ -224,23 +225,15 @@ def robust_stability(
     seed: int = 0,
     tolerance: float = 0.01,
     effort: float = 1.0,
+    *,
+    budget: Budget | None = None,
 ) -> Margin:
-    r"""Robust stability margin :math:`1 / \sup_\omega \mu(M_{11}(j \omega))` over the whole axis."""
+    r"""Robust stability margin :math:`1 / \sup_\omega \mu(M_{11}(j \omega))` over the whole axis.
+
+    ``budget``: that of a larger search, in the place of an effort and a time limit.
+    """
     compile_kernels()
-    budget = search_budget("robust_stability", WORK, effort, time_limit)
-    with one_thread():
-        return margin_within(uncertain, budget, omega, accuracy, seed, tolerance)
-
-
-def margin_within(
-    uncertain: UncertainModel,
-    budget: Budget,
-    omega: ArrayLike | None = None,
-    accuracy: float = 3e-5,
-    seed: int = 0,
-    tolerance: float = 0.01,
-) -> Margin:
-    """Compute `robust_stability` within the budget of a larger search."""
+    budget = budget or search_budget("robust_stability", WORK, effort, time_limit)
     check_nominal(uncertain, "robust_stability")
     if not FINEST <= accuracy < 1 or not tolerance > 0:
         found = f"accuracy {accuracy}, tolerance {tolerance}"
@@ -257,12 +250,9 @@ def margin_within(
     response = frequency_response(uncertain.delta_channels, grid)
     mu_lower = np.array([value for value, _ in lower_bounds(response, blocks, seed, restarts=4, steps=24)])
     mu_upper = np.array([b.beta for b in upper_bounds(response, blocks, 1e-3)])
-    return search.answer(grid, mu_lower, mu_upper, _SYMMETRIC_CURVES if len(grid) and not search.symmetric else "")
-
-
-_SYMMETRIC_CURVES = (
-    "the curves over frequency are those of ranges as wide below as above; the margin itself takes ranges as they are"
-)
+    symmetric = "the curves over frequency are those of ranges as wide below as above; the margin itself takes ranges "
+    note = f"{symmetric}as they are" if len(grid) and not search.symmetric else ""
+    return search.answer(grid, mu_lower, mu_upper, note)
 
 
 @dataclass
@@ -528,6 +518,7 @@ def with_performance(uncertain: UncertainModel) -> UncertainModel:
 
 
 @error_context("worst_case_gain")
+@one_thread()
 def worst_case_gain(
     uncertain: UncertainModel,
     omega: ArrayLike | None = None,
@@ -535,22 +526,12 @@ def worst_case_gain(
     time_limit: float | None = None,
     seed: int = 0,
     effort: float = 1.0,
+    *,
+    budget: Budget | None = None,
 ) -> WorstCaseGain:
-    """`robustlab.peak_gain` of an uncertain model."""
+    """`robustlab.peak_gain` of an uncertain model; ``budget`` as in `robust_stability`."""
     compile_kernels()
-    budget = search_budget("worst_case_gain", WORK, effort, time_limit)
-    with one_thread():
-        return gain_within(uncertain, budget, omega, tolerance, seed)
-
-
-def gain_within(
-    uncertain: UncertainModel,
-    budget: Budget,
-    omega: ArrayLike | None = None,
-    tolerance: float = 0.01,
-    seed: int = 0,
-) -> WorstCaseGain:
-    """Compute `worst_case_gain` within the budget of a larger search."""
+    budget = budget or search_budget("worst_case_gain", WORK, effort, time_limit)
     check_nominal(uncertain, "worst_case_gain")
     if not tolerance > 0:
         raise InputError("worst_case_gain", f"tolerance {tolerance}", "tolerance > 0")

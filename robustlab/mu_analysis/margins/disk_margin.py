@@ -20,7 +20,7 @@ from robustlab.display import Facts, Part, bracket, number
 from robustlab.errors import InputError, error_context
 from robustlab.feedback import closing
 from robustlab.linear_analysis.frequency import modes_apart
-from robustlab.mu_analysis.axis.robustness import margin_within
+from robustlab.mu_analysis.axis.robustness import robust_stability
 from robustlab.mu_analysis.matrix.upper import WORK, compile_kernels
 from robustlab.result import Bracket, Status
 from robustlab.statespace import StateSpaceModel, as_model
@@ -200,7 +200,7 @@ def disk_margin(
 
     def bounds(M: StateSpaceModel, names: Sequence[str]) -> DiskMargin:
         uncertain = UncertainModel(M, [ComplexScalar(name) for name in names])
-        found = margin_within(uncertain, budget, seed=seed, accuracy=ACCURACY)
+        found = robust_stability(uncertain, accuracy=ACCURACY, seed=seed, budget=budget)
         delta = {name: complex(value) for name, value in found.delta.items()}
         made = with_factors((found.lower, found.upper), found.frequency, found.status, uncertain, delta, skew)
         return replace(made, notes=(budget.remark, *made.notes)) if budget.remark else made
