@@ -93,8 +93,9 @@ QUIET, LOSSY = 1e-9, 1e-3
 MARGIN = 10.0
 # Most levels, and frequencies next to poles at which rounding is computed besides the peak.
 LEVELS, NEAR_POLES = 60, 3
-# Share of an eigenvalue of the Hamiltonian by which it may lie left of the axis to count with its mirror image.
-MIRRORED = 0.1
+# Shares of an eigenvalue of the Hamiltonian, and of the largest, by which it may lie left of the axis to count with its
+# mirror image.
+MIRRORED, BLUR = 0.1, 1e-6
 # A doubtful bracket, or one wider than the first share, is proved in ball arithmetic up to so many states: 0.1 s.
 WIDE, BALL_STATES = 1e-4, 40
 SHARES = (1e-5, 1e-4, 5e-4, 1e-3)  # of the norm, by which levels in ball arithmetic exceed it
@@ -417,8 +418,9 @@ def crossings(m: StateSpaceModel, level: float, band: Band | None = None) -> Any
     eigenvalues = balanced_eigenvalues(hamiltonian)
     if eigenvalues is None:
         raise NoTrustworthyNumber("hinf_norm", "the Hamiltonian overflows")
-    # H(g) has -conj(p) with each p: of two far from the axis, which do not cross it, one gives the frequency.
-    eigenvalues = eigenvalues[eigenvalues.real > -MIRRORED * np.abs(eigenvalues)]
+    # H(g) has -conj(p) with each p: of two far from the axis, beyond rounding, one gives the frequency.
+    size = np.abs(eigenvalues)
+    eigenvalues = eigenvalues[eigenvalues.real > -MIRRORED * size - BLUR * size.max(initial=0.0)]
     crossing = np.unique(np.append(np.abs(np.imag(eigenvalues)), 0.0))
     if band is not None:
         crossing = _within(crossing, band)
