@@ -47,13 +47,13 @@ def mu_claims(found: MuBounds) -> list[Claim]:
     stacks = [np.reshape(a, (len(every), *np.shape(a)[-2:])) for a in (found.D, found.D_z, found.G, found.delta)]
     for k, M in enumerate(every):
         D, D_z, G, delta = (stack[k] for stack in stacks)
-        scaled, lower = (float(np.ravel(x)[k]) for x in (found.scaled, found.lower))
+        upper, lower = (float(np.ravel(x)[k]) for x in (found.upper, found.lower))
         if found.proof and (proof := found.proof[k]):
-            claims.append(_boxes_claim(M, found.blocks, float(np.ravel(found.upper)[k]), proof))
-        elif np.isfinite(scaled) and scaled > 0:
-            levels = _kept_levels(found, scaled * ABOVE)
+            claims.append(_boxes_claim(M, found.blocks, upper, proof))
+        elif np.isfinite(upper) and upper > 0:
+            levels = _kept_levels(found, upper * ABOVE)
             if found.fixed:  # G is that of M with its inputs divided by the level
-                G = np.repeat(_kept_levels(found, scaled), [b.rows for b in found.blocks])[:, None] * G
+                G = np.repeat(_kept_levels(found, upper), [b.rows for b in found.blocks])[:, None] * G
             numbers = {"M": M, "blocks": rows, "level": levels, "D_w": D, "D_z": D_z, "G": G}
             claims.append(Claim("mu-upper", numbers))
         if lower > 0:
