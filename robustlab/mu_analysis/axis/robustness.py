@@ -110,7 +110,7 @@ class _Search:
 
     uncertain: UncertainModel
     model: StateSpaceModel
-    blocks: Sequence[Block]
+    blocks: tuple[Block, ...]
     budget: Budget
     seed: int = 0
     attained: float = 0.0
