@@ -121,12 +121,21 @@ class _Search:
     boxes: list[tuple[Box, Piece]] = field(default_factory=list)
     hot: float | None = None  # where branch and bound begins
 
-    # Proves a level by constant D, G; the set of a level; a worse member in a region, and by another method.
-    over_the_axis: ClassVar[Callable[[Any, Array, float], None]]
-    root: ClassVar[Callable[[Any, float], Region]]
-    attack: ClassVar[Callable[[Any, Region, float, Budget], Improved | None]]
-    take_member: ClassVar[Callable[[Any, Any], None]]
-    better_member: ClassVar[Callable[[Any, Budget], Improved | None] | None] = None
+    # Proves a level by constant D, G; takes a member that branch and bound has found.
+    over_the_axis: ClassVar[Callable[..., None]]
+    take_member: ClassVar[Callable[..., None]]
+
+    def root(self, level: float) -> Region:
+        """Return the set of a level on the whole axis."""
+        raise NotImplementedError
+
+    def attack(self, region: Region, level: float, budget: Budget) -> Improved | None:
+        """Search for a worse member in a region."""
+        raise NotImplementedError
+
+    def better_member(self, budget: Budget) -> Improved | None:
+        """Search for a worse member by another method, if there is one."""
+        return None
 
     def prove(self, first: Array, accuracy: float, tolerance: float) -> None:
         """Cover the axis, more closely where that may suffice, then branch if the bounds are farther apart."""
