@@ -420,7 +420,7 @@ def crossings(m: StateSpaceModel, level: float, band: Band | None = None) -> Any
         raise NoTrustworthyNumber("hinf_norm", "the Hamiltonian overflows")
     # H(g) has -conj(p) with each p: of two far from the axis, beyond rounding, one gives the frequency.
     size = np.abs(eigenvalues)
-    eigenvalues = eigenvalues[eigenvalues.real > -MIRRORED * size - BLUR * size.max(initial=0.0)]
+    eigenvalues = eigenvalues[np.real(eigenvalues) > -MIRRORED * size - BLUR * size.max(initial=0.0)]
     crossing = np.unique(np.append(np.abs(np.imag(eigenvalues)), 0.0))
     if band is not None:
         crossing = _within(crossing, band)
