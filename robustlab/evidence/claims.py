@@ -23,7 +23,7 @@ from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.mu_analysis.axis.axis_model import continuous, model_frequency, seed_frequencies
 from robustlab.mu_analysis.axis.intervals import Piece, cover_axis, interval_scalings, joined_scalings, loop_axis_claims
 from robustlab.mu_analysis.axis.margin import PERFORMANCE, Margin, WorstCaseGain
-from robustlab.mu_analysis.axis.robustness import margin_within
+from robustlab.mu_analysis.axis.robustness import robust_stability
 from robustlab.mu_analysis.margins.cover import Cover
 from robustlab.mu_analysis.margins.delay_margins import DelayGain, DelayProof, DelayStability, covering_set
 from robustlab.mu_analysis.margins.disk_margin import DiskMargin, DiskMargins
@@ -74,13 +74,13 @@ def mu_claims(found: MuBounds) -> list[Claim]:
     stacks = [np.reshape(a, (len(every), *np.shape(a)[-2:])) for a in (found.D, found.D_z, found.G, found.delta)]
     for k, M in enumerate(every):
         D, D_z, G, delta = (stack[k] for stack in stacks)
-        scaled, lower = (float(np.ravel(x)[k]) for x in (found.scaled, found.lower))
+        upper, lower = (float(np.ravel(x)[k]) for x in (found.upper, found.lower))
         if found.proof and (proof := found.proof[k]):
-            claims.append(_boxes_claim(M, found.blocks, float(np.ravel(found.upper)[k]), proof))
-        elif np.isfinite(scaled) and scaled > 0:
-            levels = _kept_levels(found, scaled * ABOVE)
+            claims.append(_boxes_claim(M, found.blocks, upper, proof))
+        elif np.isfinite(upper) and upper > 0:
+            levels = _kept_levels(found, upper * ABOVE)
             if found.fixed:  # G is that of M with its inputs divided by the level
-                G = np.repeat(_kept_levels(found, scaled), [b.rows for b in found.blocks])[:, None] * G
+                G = np.repeat(_kept_levels(found, upper), [b.rows for b in found.blocks])[:, None] * G
             numbers = {"M": M, "blocks": rows, "level": levels, "D_w": D, "D_z": D_z, "G": G}
             claims.append(Claim("mu-upper", numbers))
         if lower > 0:
@@ -240,7 +240,7 @@ def one_disk_claims(found: DiskMargin) -> list[Claim]:
         norm = HinfNorm(0.0, 1 / found.lower, np.nan, found.status, system=system.delta_channels)
         return norm_claims(norm)
     budget = search_budget("verify", WORK, 1.0, None)
-    margin = margin_within(system, budget, accuracy=1e-4)
+    margin = robust_stability(system, accuracy=1e-4, budget=budget)
     return [claim for claim in margin_claims(margin) if claim.kind == "mu-axis"]
 
 

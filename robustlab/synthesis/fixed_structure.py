@@ -18,7 +18,7 @@ from robustlab.checks import choice, whole
 from robustlab.display import Facts
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.mu_analysis.axis.margin import WorstCaseGain
-from robustlab.mu_analysis.axis.robustness import gain_within
+from robustlab.mu_analysis.axis.robustness import worst_case_gain
 from robustlab.norms import H2Norm, HinfNorm, h2_by_gramians, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, lower_lft
@@ -430,7 +430,7 @@ def _for_worst_member(
                 break
             raise
         loop = UncertainModel(lower_lft(uncertain.M, found.K), uncertain.blocks)
-        worst = gain_within(loop, budget.share(SEARCH_SHARE), tolerance=0.02)
+        worst = worst_case_gain(loop, tolerance=0.02, budget=budget.share(SEARCH_SHARE))
         done.append((replace(found, worst=worst, scenarios=tuple(deltas), plants=(plant,)), worst))
         say(f"{len(members)} scenarios: gain {found.gamma:.5g}, worst member {worst.lower:.5g}")
         member = _member(uncertain, worst) if worst.lower > ENOUGH * found.gamma else None

@@ -18,7 +18,7 @@ import numpy as np
 from robustlab.arrays import AnyArray, Array, ComplexArray, Mask
 from robustlab.budget import Budget
 from robustlab.display import Displayable, Facts, in_words, number
-from robustlab.linear_analysis.frequency import frequency_response
+from robustlab.linear_analysis.frequency import frequency_response, solved_response
 from robustlab.linear_analysis.matrices import balancing_factors
 from robustlab.linear_analysis.structural import strong_components
 from robustlab.mu_analysis.axis.axis_model import acting, continuous, coupled_blocks, model_frequency, typical_speed
@@ -205,7 +205,7 @@ def extend(model: StateSpaceModel, bound: UpperBound, beta: float, omega: float)
     G = hermitian(into) @ np.linalg.solve(out.T, bound.G.T).T
 
     def holds(omega: Array) -> Mask:
-        M = out @ frequency_response(model, omega) @ into
+        M = out @ solved_response(model, omega) @ into
         product = G @ M
         level = hermitian(M) @ M + 1j * (product - hermitian(product))
         finite = np.isfinite(level).all(axis=(1, 2))

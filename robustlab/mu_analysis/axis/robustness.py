@@ -6,15 +6,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array, ComplexArray
-from robustlab.budget import Budget, one_thread, search_budget
+from robustlab.budget import Budget, dense, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.mu_analysis.axis.axis_model import (
@@ -24,14 +24,30 @@ from robustlab.mu_analysis.axis.axis_model import (
     frequencies,
     model_frequency,
     seed_frequencies,
+    typical_speed,
 )
-from robustlab.mu_analysis.axis.axis_problems import GainProblem, MarginProblem, member_size, smaller_destabilising
-from robustlab.mu_analysis.axis.intervals import AxisCover, Piece, cover_axis, cover_parts
+from robustlab.mu_analysis.axis.intervals import (
+    AxisCover,
+    Piece,
+    cover_axis,
+    cover_parts,
+    extend,
+    extend_work,
+    next_points,
+    remaining,
+)
 from robustlab.mu_analysis.axis.margin import PERFORMANCE, Margin, PerformanceMargin, WorstCaseGain
 from robustlab.mu_analysis.axis.pole_migration import (
+    REACH,
     Destabilising,
+    ascended,
     directions,
     first_crossing,
+    member_poles,
+    member_size,
+    member_work,
+    shrunk,
+    smaller_destabilising,
     smallest_destabilising,
 )
 from robustlab.mu_analysis.matrix.branch_and_bound import (
@@ -39,6 +55,7 @@ from robustlab.mu_analysis.matrix.branch_and_bound import (
     Improved,
     Region,
     block_entries,
+    block_weights,
     box_model,
     centre_matrix,
     lowest,
@@ -49,7 +66,14 @@ from robustlab.mu_analysis.matrix.certificate import SINGULAR, delta_norm, singu
 from robustlab.mu_analysis.matrix.lower import lower_bounds
 from robustlab.mu_analysis.matrix.skew import Gain, ascend, gain_at, gain_curves, largest_gain
 from robustlab.mu_analysis.matrix.structure import delta_layout
-from robustlab.mu_analysis.matrix.upper import WORK, UpperBound, compile_kernels, upper_bounds
+from robustlab.mu_analysis.matrix.upper import (
+    WORK,
+    UpperBound,
+    compile_kernels,
+    points_below,
+    points_work,
+    upper_bounds,
+)
 from robustlab.norms import QUIET, gain_rounding, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
@@ -69,6 +93,14 @@ WIDEST, NARROWER, NARROWEST, NEIGHBOURHOODS = 0.1, 5.0, 8e-4, 60
 SIZES = 12  # sizes of an asymmetric set that are tried to find the largest one that D, G prove
 LARGE = 1e3  # the first of them if no destabilising member is known
 FINEST_SIDE = 1e-5  # smallest accuracy of a cover in a box, for its narrower side
+# Of branch and bound over the axis. A region is proved where intervals with constant D, G cover its open frequencies; a
+# proof for an ancestor also holds in it.
+INSIDE = 0.98  # level aimed at in a region; smaller: wider intervals, more cuts
+PROVED = 0.9999  # a level below this proves the point
+MISSES = 3  # consecutive unproved frequencies after which a region is cut; more: fewer repeated, more useless proofs
+ASCENT_WORK = 200  # measured work of a step of an ascent without its eigenvalues
+CORNERS = 4  # steps of the ascent of a gain from the centre of a region
+NEAR_MISS = 0.01  # log width around a missed frequency in which no other is tried before the cut
 BLURRED = 1e-3  # share of the gain beyond which the rounding bound omits modes that a zero nearly cancels
 
 
@@ -78,25 +110,27 @@ class _Search:
 
     uncertain: UncertainModel
     model: StateSpaceModel
-    blocks: Sequence[Block]
+    blocks: tuple[Block, ...]
     budget: Budget
     seed: int = 0
     attained: float = 0.0
     level: float = np.inf
     cover: AxisCover = field(default_factory=lambda: AxisCover(open=[]))
     proof: tuple[Piece, ...] | tuple[Region, ...] = ()
-    boxes: tuple[tuple[Box, Piece], ...] = ()
+    # Each box with an interval that branch and bound has proved in it: the evidence of the whole proof.
+    boxes: list[tuple[Box, Piece]] = field(default_factory=list)
+    hot: float | None = None  # where branch and bound begins
 
-    def problem(self) -> MarginProblem | GainProblem:
-        """Return the problem for branch and bound."""
+    # Proves a level by constant D, G; takes a member that branch and bound has found.
+    over_the_axis: ClassVar[Callable[..., None]]
+    take_member: ClassVar[Callable[..., None]]
+
+    def root(self, level: float) -> Region:
+        """Return the set of a level on the whole axis."""
         raise NotImplementedError
 
-    def over_the_axis(self, first: Array, accuracy: float) -> None:
-        """Prove a level by constant D, G."""
-        raise NotImplementedError
-
-    def take_member(self, values: Any) -> None:
-        """Take a member that branch and bound has found."""
+    def attack(self, region: Region, level: float, budget: Budget) -> Improved | None:
+        """Search for a worse member in a region."""
         raise NotImplementedError
 
     def better_member(self, budget: Budget) -> Improved | None:
@@ -121,13 +155,57 @@ class _Search:
 
     def cut(self, tolerance: float) -> None:
         """Reduce the gap of the D, G bounds by branch and bound over the real parameters."""
-        problem = self.problem()
-        found = tighten(problem, self.attained, self.level, tolerance, self.budget, self.better_member)
+        found = tighten(self, self.attained, self.level, tolerance, self.budget, self.better_member)
         if found.upper < self.level:
-            self.level, self.proof, self.boxes = found.upper, tuple(found.leaves), tuple(problem.proved)
+            self.level, self.proof = found.upper, tuple(found.leaves)
             self.cover.open.clear()
+        else:
+            self.boxes.clear()
         if found.values is not None:
             self.take_member(found.values)
+
+    def work(self, count: int) -> int:
+        """Return the work of a D-G bound and an interval of each region, and the eigenvalues of a few members."""
+        each = dense(self.model.n_states) // 2 + extend_work(self.model)
+        return points_work(self.blocks, count) // 4 + count * each
+
+    def examine(self, regions: list[Region]) -> list[Array | None]:
+        """Try to prove an interval around one frequency of each region."""
+        for region in regions:
+            region.model = region.model or box_model(self.model, self.blocks, region.box)
+        models = [r.model for r in regions]
+        places = [self._frequency(r) for r in regions]
+        sound = {k: m for k, m in enumerate(models) if m is not None}
+        result: list[Array | None] = [np.ones(len(self.blocks)) for _ in regions]
+        if not sound:
+            return result
+        responses = np.concatenate([frequency_response(m, np.array([places[k]])) for k, m in sound.items()])
+        bounds = points_below(responses, self.blocks, INSIDE, thorough=False)
+        for (k, model), M, bound in zip(sound.items(), responses, bounds, strict=True):
+            region, result[k] = regions[k], None
+            piece = extend(model, bound, 1.0, places[k]) if bound.beta < PROVED else None
+            if piece is not None and piece.low <= places[k] <= piece.high:
+                self.boxes.append((region.box, piece))
+                region.open, region.in_a_row = remaining(region.open, piece.low, piece.high), 0
+            else:
+                region.missed.append((bound.beta, places[k], block_weights(M, bound, self.blocks)))
+                region.in_a_row += 1
+            if region.open and (region.in_a_row == MISSES or not self._open_parts(region)):
+                _, region.hot, result[k] = max(region.missed, key=lambda miss: miss[0])
+        return result
+
+    def _open_parts(self, region: Region) -> list[tuple[float, float]]:
+        """Return the open frequencies that are not next to a missed one."""
+        near, left = np.exp(NEAR_MISS), region.open
+        for _, omega, _ in region.missed:
+            left = remaining(left, omega / near, omega * near)
+        return left
+
+    def _frequency(self, region: Region) -> float:
+        """Return the frequency missed in the parent first, then the middle of the widest part."""
+        if not region.missed and region.hot is not None and any(a <= region.hot <= b for a, b in region.open):
+            return region.hot
+        return float(next_points(self._open_parts(region), typical_speed(self.model), 1)[0])
 
     def fields(self, delta: Mapping[str, Any], notes: Sequence[str], last: str = "") -> dict[str, Any]:
         """Return the fields of every result about its proof and its Delta; empty notes are omitted."""
@@ -138,7 +216,7 @@ class _Search:
         every = [*notes, self.budget.remark, last, *uncertain.impossible(delta), *uncertain.remarks]
         return {
             "delta": delta, "physical": uncertain.physical(delta) if delta else {}, "intervals": intervals,
-            "open": left_open, "proof": self.proof, "boxes": self.boxes, "system": uncertain,
+            "open": left_open, "proof": self.proof, "boxes": tuple(self.boxes), "system": uncertain,
             "notes": tuple(note for note in every if note),
         }  # fmt: skip
 
@@ -147,6 +225,7 @@ class _Search:
 
 
 @error_context("robust_stability")
+@one_thread()
 def robust_stability(
     uncertain: UncertainModel,
     omega: ArrayLike | None = None,
@@ -155,23 +234,15 @@ def robust_stability(
     seed: int = 0,
     tolerance: float = 0.01,
     effort: float = 1.0,
+    *,
+    budget: Budget | None = None,
 ) -> Margin:
-    r"""Robust stability margin :math:`1 / \sup_\omega \mu(M_{11}(j \omega))` over the whole axis."""
+    r"""Robust stability margin :math:`1 / \sup_\omega \mu(M_{11}(j \omega))` over the whole axis.
+
+    ``budget``: that of a larger search, in the place of an effort and a time limit.
+    """
     compile_kernels()
-    budget = search_budget("robust_stability", WORK, effort, time_limit)
-    with one_thread():
-        return margin_within(uncertain, budget, omega, accuracy, seed, tolerance)
-
-
-def margin_within(
-    uncertain: UncertainModel,
-    budget: Budget,
-    omega: ArrayLike | None = None,
-    accuracy: float = 3e-5,
-    seed: int = 0,
-    tolerance: float = 0.01,
-) -> Margin:
-    """Compute `robust_stability` within the budget of a larger search."""
+    budget = budget or search_budget("robust_stability", WORK, effort, time_limit)
     check_nominal(uncertain, "robust_stability")
     if not FINEST <= accuracy < 1 or not tolerance > 0:
         found = f"accuracy {accuracy}, tolerance {tolerance}"
@@ -188,12 +259,9 @@ def margin_within(
     response = frequency_response(uncertain.delta_channels, grid)
     mu_lower = np.array([value for value, _ in lower_bounds(response, blocks, seed, restarts=4, steps=24)])
     mu_upper = np.array([b.beta for b in upper_bounds(response, blocks, 1e-3)])
-    return search.answer(grid, mu_lower, mu_upper, _SYMMETRIC_CURVES if len(grid) and not search.symmetric else "")
-
-
-_SYMMETRIC_CURVES = (
-    "the curves over frequency are those of ranges as wide below as above; the margin itself takes ranges as they are"
-)
+    symmetric = "the curves over frequency are those of ranges as wide below as above; the margin itself takes ranges "
+    note = f"{symmetric}as they are" if len(grid) and not search.symmetric else ""
+    return search.answer(grid, mu_lower, mu_upper, note)
 
 
 @dataclass
@@ -207,10 +275,6 @@ class _Stability(_Search):
         """Whether every range is symmetric."""
         return bool((lowest(self.blocks) == -1).all())
 
-    def problem(self) -> MarginProblem:
-        pole = complex(np.inf) if self.worst is None else self.worst.pole
-        return MarginProblem(self.model, self.blocks, abs(pole.imag) if np.isfinite(pole) else None)
-
     def take(self, found: Destabilising | None) -> bool:
         """Keep a destabilising Delta that is smaller than the one known; return whether it is."""
         size = np.inf if found is None else member_size(self.blocks, found)
@@ -221,6 +285,7 @@ class _Stability(_Search):
         if np.isfinite(found.pole) and found.pole.imag < 0:
             found = Destabilising(found.norm, np.conj(found.delta), np.conj(found.pole))
         self.worst, self.attained = found, 1 / size
+        self.hot = abs(found.pole.imag) if np.isfinite(found.pole) else None
         return True
 
     def find_member(self) -> Array:
@@ -233,8 +298,7 @@ class _Stability(_Search):
             self._sharpen()
         else:
             self._smallest_asymmetric(seeds)
-        pole = complex(np.inf) if self.worst is None else self.worst.pole
-        return np.append(seeds, abs(pole.imag)) if np.isfinite(pole) else seeds
+        return seeds if self.hot is None else np.append(seeds, self.hot)
 
     def _solve_one_full_block(self) -> bool:
         """Use the H-infinity norm if there is one full block; return whether it does."""
@@ -334,6 +398,25 @@ class _Stability(_Search):
                 break
             if self.proof:
                 size = float(np.sqrt(failed / self.level))
+
+    def root(self, level: float) -> Region:
+        """All Delta of size ``1 / level`` on the whole axis."""
+        return Region(root_box(self.blocks, 1 / level), [(0.0, float("inf"))], self.hot)
+
+    def attack(self, region: Region, level: float, budget: Budget) -> Improved | None:
+        """Ascend from the centre along the mode next to the missed frequency, in a smaller box."""
+        values, blocks, aim = region.box.centre, self.blocks, 1j * (region.hot or 0.0)
+        if (member_poles(self.model, blocks, values).real < 0).all():
+            found = ascended(self.model, blocks, values, REACH / level, aim)
+            looks = 1 if found is None else found.looks
+            budget.spend(looks * ASCENT_WORK + member_work(self.model, looks))
+            if found is None or found.pole.real <= 0:
+                return None
+            values = found.values
+        whole = Destabilising(np.inf, centre_matrix(blocks, values).astype(complex), complex(np.inf))
+        found = shrunk(self.model, blocks, values, whole, budget)
+        size = member_size(blocks, found)
+        return Improved(1 / size, block_entries(blocks, found.delta)) if size > 0 else None
 
     def better_member(self, budget: Budget) -> Improved | None:
         # The gap may be due to the search: modes that meet inside the box may give a smaller Delta.
@@ -444,6 +527,7 @@ def with_performance(uncertain: UncertainModel) -> UncertainModel:
 
 
 @error_context("worst_case_gain")
+@one_thread()
 def worst_case_gain(
     uncertain: UncertainModel,
     omega: ArrayLike | None = None,
@@ -451,22 +535,12 @@ def worst_case_gain(
     time_limit: float | None = None,
     seed: int = 0,
     effort: float = 1.0,
+    *,
+    budget: Budget | None = None,
 ) -> WorstCaseGain:
-    """`robustlab.peak_gain` of an uncertain model."""
+    """`robustlab.peak_gain` of an uncertain model; ``budget`` as in `robust_stability`."""
     compile_kernels()
-    budget = search_budget("worst_case_gain", WORK, effort, time_limit)
-    with one_thread():
-        return gain_within(uncertain, budget, omega, tolerance, seed)
-
-
-def gain_within(
-    uncertain: UncertainModel,
-    budget: Budget,
-    omega: ArrayLike | None = None,
-    tolerance: float = 0.01,
-    seed: int = 0,
-) -> WorstCaseGain:
-    """Compute `worst_case_gain` within the budget of a larger search."""
+    budget = budget or search_budget("worst_case_gain", WORK, effort, time_limit)
     check_nominal(uncertain, "worst_case_gain")
     if not tolerance > 0:
         raise InputError("worst_case_gain", f"tolerance {tolerance}", "tolerance > 0")
@@ -490,7 +564,8 @@ def gain_within(
         search.attained, search.delta, search.frequency = np.inf, delta_values(uncertain.blocks, unstable.delta), at
         return search.answer(nominal.value, grid, "a member of the set is unstable")
     search.find_member(seeds, nominal.frequency)
-    search.prove(np.append(seeds, search.peak), GAIN_ACCURACY, tolerance)
+    search.hot = search.mapped(search.frequency or 0.0)
+    search.prove(np.append(seeds, search.hot), GAIN_ACCURACY, tolerance)
     search.level = max(search.level, search.attained)
     with np.errstate(all="ignore"):
         error = search.rounding()
@@ -507,22 +582,14 @@ class _Gain(_Search):
     delta: Mapping[str, Any] = field(default_factory=dict)
     frequency: float | None = None
 
-    @property
-    def peak(self) -> float:
-        """Frequency of the member's gain on the axis of the continuous model."""
-        return self._mapped(self.frequency or 0.0)
-
-    def problem(self) -> GainProblem:
-        return GainProblem(self.model, self.blocks, self.peak)
-
-    def _mapped(self, omega: float) -> float:
+    def mapped(self, omega: float) -> float:
         """Map a frequency of the given model to the axis of the continuous one."""
         return float(np.tan(omega * self.uncertain.dt / 2)) if self.uncertain.M.is_discrete else float(omega)
 
     def find_member(self, seeds: Array, nominal_peak: float) -> None:
         """Ascend to large gains at many frequencies; maximise the best ones over frequency."""
         rng, box = np.random.default_rng(self.seed), root_box(self.blocks)
-        omega = np.unique(np.concatenate([[0.0], seeds, [self._mapped(nominal_peak)]]))
+        omega = np.unique(np.concatenate([[0.0], seeds, [self.mapped(nominal_peak)]]))
         omega = omega[np.isfinite(omega)]
         met = [
             (gain, float(w))
@@ -542,7 +609,7 @@ class _Gain(_Search):
             reached = self._member(higher.delta, omega)
             if reached[0] <= best[0] * (1 + 1e-9):
                 break
-            best, omega = reached, self._mapped(reached[2])
+            best, omega = reached, self.mapped(reached[2])
             if np.isfinite(omega):
                 M = frequency_response(self.model, np.array([omega]))[0]
                 higher = ascend(M, self.blocks, higher.delta, box)
@@ -573,6 +640,20 @@ class _Gain(_Search):
                 model, self.blocks, self.attained, first=first, budget=self.budget, accuracy=accuracy, varying=varying
             )
         self.proof, self.level = tuple(self.cover.pieces), np.inf if self.cover.open else self.cover.beta
+
+    def root(self, level: float) -> Region:
+        """The unit set, and a performance block of size ``1 / level``."""
+        whole = root_box(self.blocks)
+        half = whole.half.copy()
+        half[-1] = 1 / level
+        return Region(Box(whole.centre, half), [(0.0, float("inf"))], self.hot)
+
+    def attack(self, region: Region, level: float, budget: Budget) -> Improved | None:
+        """Ascend from the centre to a larger gain at the missed frequency; return the Delta and that frequency."""
+        omega = region.hot if region.hot is not None else typical_speed(self.model)
+        M, centre = frequency_response(self.model, np.array([omega]))[0], region.box.centre[:-1]
+        best = ascend(M, self.blocks, centre_matrix(self.blocks[:-1], centre) + 0j, region.box, CORNERS)
+        return None if best is None else Improved(best.value, (best.delta, omega))
 
     def take_member(self, values: tuple[ComplexArray, float]) -> None:
         self._take(*self._member(*values))

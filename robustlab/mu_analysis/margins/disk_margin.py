@@ -20,13 +20,12 @@ from robustlab.display import Facts, Part, bracket, number
 from robustlab.errors import InputError, error_context
 from robustlab.feedback import closing
 from robustlab.linear_analysis.frequency import modes_apart
-from robustlab.mu_analysis.axis.robustness import margin_within
+from robustlab.mu_analysis.axis.robustness import robust_stability
 from robustlab.mu_analysis.matrix.upper import WORK, compile_kernels
 from robustlab.result import Bracket, Status
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.uncertainty.blocks import ComplexScalar
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.uncertainty.realised_delta import realise_delta
 
 ACCURACY = 1e-4  # of the proof of several loops; that of one loop is its H-infinity norm
 
@@ -102,9 +101,6 @@ class DiskMargin(DiskBounds):
     """
 
     factor: Mapping[str, complex]  # the critical factors f by the name of the loop; inf where f is infinite
-    # Models of these: stable (of first order, second at most, per loop) where (1 + sigma) |delta| < 2. Empty where a
-    # factor is infinite, or where only complex numbers at frequency zero are critical.
-    perturbation: Mapping[str, StateSpaceModel]
     system: Any = None  # the loop at the deltas of its factors, for `robustlab.verify`
     proof: Any = None  # with exact delays the scalings
 
@@ -200,7 +196,7 @@ def disk_margin(
 
     def bounds(M: StateSpaceModel, names: Sequence[str]) -> DiskMargin:
         uncertain = UncertainModel(M, [ComplexScalar(name) for name in names])
-        found = margin_within(uncertain, budget, seed=seed, accuracy=ACCURACY)
+        found = robust_stability(uncertain, accuracy=ACCURACY, seed=seed, budget=budget)
         delta = {name: complex(value) for name, value in found.delta.items()}
         made = with_factors((found.lower, found.upper), found.frequency, found.status, uncertain, delta, skew)
         return replace(made, notes=(budget.remark, *made.notes)) if budget.remark else made
@@ -260,24 +256,10 @@ def with_factors(
     skew: float,
     proof: Any = None,
 ) -> DiskMargin:
-    """Return a margin with its critical factors, and models of them where real systems have these values."""
+    """Return a margin with its critical factors."""
     half = 0.5 * (1.0 + skew)
     factor = {n: 1.0 + d / (1.0 - half * d) if abs(1 - half * d) > 1e-12 else complex(np.inf) for n, d in delta.items()}
-    perturbation, note = dict[str, StateSpaceModel](), ""
-    if delta and frequency is not None:
-        try:
-            made = realise_delta([ComplexScalar(name) for name in delta], delta, frequency, system.dt)
-        except InputError:
-            note = f"the critical deltas are complex at {frequency:.3g} rad/s, where systems with real coefficients "
-            note += "are real: no such system takes them there"
-        else:
-            models = {name: as_model(made[name]) for name in delta}
-            if all(abs(1 - half * d.D[0, 0]) > 1e-12 for d in models.values()):
-                perturbation = {name: 1.0 + d.feedback(half, sign=1) for name, d in models.items()}
-            else:
-                note = "a critical factor is infinite: no model of it is given"
-    notes = (note,) if note else ()
-    return DiskMargin(*bounds, frequency, status, skew, dict(delta), notes, factor, perturbation, system, proof)
+    return DiskMargin(*bounds, frequency, status, skew, dict(delta), (), factor, system, proof)
 
 
 def gain_and_phase(alpha: float, skew: float = 0.0) -> tuple[float, float, float]:

@@ -45,8 +45,6 @@ class MuBounds(Tabular, Displayable):
         matrix. TIMEOUT: the time limit ended branch and bound; both bounds hold.
     blocks
         The blocks of Delta.
-    scaled
-        The bound proved by D and G: equal to ``upper``, unless branch and bound has lowered that.
     boxes
         Number of boxes of the real parameters that branch and bound has proved for ``upper``; 0 without it.
     notes
@@ -66,16 +64,11 @@ class MuBounds(Tabular, Displayable):
     D_z: ComplexArray
     status: Status
     blocks: tuple[Block, ...]
-    scaled: Any = None
     boxes: Any = 0
     notes: tuple[str, ...] = ()
     M: ComplexArray | None = None
     fixed: tuple[str, ...] = ()
     proof: tuple[BoxProof, ...] = ()
-
-    def __post_init__(self) -> None:
-        if self.scaled is None:
-            object.__setattr__(self, "scaled", self.upper)
 
     def facts(self) -> Facts:
         lower, upper = np.atleast_1d(self.lower), np.atleast_1d(self.upper)
@@ -96,7 +89,7 @@ class MuBounds(Tabular, Displayable):
 
     def to_json(self) -> dict[str, Any]:
         names = [b.name for b in self.blocks]
-        keys = ("lower", "upper", "delta", "D", "G", "D_z", "status", "scaled", "boxes", "notes")
+        keys = ("lower", "upper", "delta", "D", "G", "D_z", "status", "boxes", "notes")
         return {"type": "MuBounds", **{key: getattr(self, key) for key in keys}, "blocks": names}
 
 
@@ -197,7 +190,7 @@ def mu(
             proof = _close(stack, parts, structure, tolerance, budget)
             parts["boxes"] = np.array([len(boxes) for boxes in proof], dtype=int)
     if single:
-        numbers = ("lower", "upper", "scaled", "boxes")
+        numbers = ("lower", "upper", "boxes")
         parts = {key: value[0].item() if key in numbers else value[0] for key, value in parts.items()}
     given = stack[0] if single else stack
     for value in (*parts.values(), given):
@@ -236,7 +229,6 @@ def _bounds(
     parts: dict[str, Any] = {
         "lower": lower,
         "upper": upper,
-        "scaled": upper.copy(),
         "delta": np.array([zero if d is None else d for _, d in lowers], dtype=complex).reshape(k, q, p),
         "D": np.array([b.Dw for b in uppers], dtype=complex).reshape(k, q, q),
         "G": np.array([b.G for b in uppers], dtype=complex).reshape(k, q, p),

@@ -1,6 +1,6 @@
 """Boxes of perturbations, and branch and bound over the real parameters.
 
-Of one matrix here, over the frequency axis in `axis.axis_problems`. Newlin, Young, "Mixed mu problems and branch and
+Of one matrix here, over the frequency axis in `axis.robustness`. Newlin, Young, "Mixed mu problems and branch and
 bound techniques" (1997).
 """
 

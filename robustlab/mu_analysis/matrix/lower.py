@@ -27,8 +27,6 @@ FEW, FEWEST = 5, 24  # largest number of real blocks alone with at least so many
 SCATTERED = 96  # number of these: without them 2 of 16 random matrices lose more than a quarter
 FARTHEST = 2.0**500  # largest scaling of rows and columns; two such factors must not overflow
 STACK = 4_000_000  # numbers that one stack of paths may hold: memory, not the answer
-OUTSIDE = 1e-9  # share by which a block of a new kind may change a candidate that counts as one of its own
-NEWTON_STEPS = 12  # that lead another candidate back to its structure
 
 Found = tuple[float, ComplexArray | None]
 
@@ -71,7 +69,7 @@ def _verified(
 ) -> Found:
     """Return the smallest candidate that is better than ``best`` and singular to rounding, for the whole M."""
     part = [blocks[i] for i in component.members]
-    exact = [d for c in candidates if (d := _of_the_structure(component.matrix, part, c)) is not None]
+    exact = [project(part, candidate) for candidate in candidates]
     for norm, candidate in sorted(((delta_norm(part, c), c) for c in exact), key=lambda pair: pair[0]):
         if not 0 < norm < np.inf:
             continue
@@ -86,26 +84,6 @@ def _verified(
         if close and _singular_nearby(component.matrix, delta_layout(part), candidate):
             return 1 / delta_norm(blocks, delta), delta
     return best
-
-
-def _of_the_structure(M: ComplexArray, blocks: Sequence[Block], candidate: ComplexArray) -> ComplexArray | None:
-    """Return a singular Delta of the structure near the candidate, by Newton steps of least change, or None."""
-    delta = project(blocks, candidate)
-    if np.abs(delta - candidate).max() <= OUTSIDE * np.abs(candidate).max():
-        return delta
-    for _ in range(NEWTON_STEPS):
-        u, sigma, vh = np.linalg.svd(np.eye(len(M)) - M @ delta)
-        if sigma[-1] <= EPS * sigma[0]:
-            break
-        row, x = np.conj(u[:, -1]) @ M, np.conj(vh[-1])
-        along = np.outer(np.conj(row), np.conj(x))
-        moves = [project(blocks, along), project(blocks, 1j * along)]
-        gains = np.array([row @ move @ x for move in moves])
-        parts = np.linalg.lstsq(np.stack([np.real(gains), np.imag(gains)]), np.array([sigma[-1], 0.0]), rcond=1e-8)[0]
-        delta = delta + parts[0] * moves[0] + parts[1] * moves[1]
-        if not np.isfinite(delta).all():
-            return None
-    return delta
 
 
 def _singular_nearby(M: ComplexArray, layout: DeltaLayout, delta: ComplexArray) -> bool:

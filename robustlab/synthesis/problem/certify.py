@@ -18,7 +18,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.frequency import default_grid, frequency_response, in_states
 from robustlab.linear_analysis.matrices import balancing_factors, refuse_overflow
 from robustlab.mu_analysis.axis.margin import PERFORMANCE, Margin
-from robustlab.mu_analysis.axis.robustness import margin_within, with_performance
+from robustlab.mu_analysis.axis.robustness import robust_stability, with_performance
 from robustlab.mu_analysis.matrix.bounds import mu
 from robustlab.mu_analysis.matrix.upper import points_work
 from robustlab.norms import H2Norm, HinfNorm, bilinear_to_discrete, h2_by_gramians, hinf_norm
@@ -252,7 +252,9 @@ class PerformanceMeasure:
         if self.name == "mu" and self.scaled is None:
             part = self.budget.share(min(1.0, MARGIN_WORK / max(self.budget.left, 1.0)))
             with suppress(NoTrustworthyNumber):  # the nominal loop is not stable
-                margin = margin_within(with_performance(UncertainModel(loop, self.blocks)), part, tolerance=1e-3)
+                margin = robust_stability(
+                    with_performance(UncertainModel(loop, self.blocks)), tolerance=1e-3, budget=part
+                )
         else:
             self.budget.spend(dense(loop.n_states, 2 if self.name == "h2" else 12))
         norm = h2_by_gramians(loop) if self.name == "h2" else hinf_norm(loop)
