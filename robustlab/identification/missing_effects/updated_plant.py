@@ -17,7 +17,8 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, parameter_groups
 from robustlab.errors import InputError, error_context
 from robustlab.identification.greybox.effect_fit import Candidate, Fit, Problem
-from robustlab.identification.missing_effects.discovery_parts import INTERVAL, NamedKind
+from robustlab.identification.missing_effects.discovery_result import INTERVAL, NamedKind
+from robustlab.identification.missing_effects.posterior import place_of
 
 ONE_FACTOR = "scaled by one factor"
 SIGMAS = 2.0  # standard deviations in a refitted parameter's tolerance
@@ -49,8 +50,12 @@ def updated_plant(problem: Problem, fit: Fit, source: str, kinds: Sequence[Named
 def _spread_of(kinds: Sequence[NamedKind], candidate: Candidate) -> float:
     """Return the relative standard deviation of an open class's size, if it is that of the effect's first parameter."""
     for kind in kinds:
-        own = any((m.name, m.site) == (candidate.effect.id, candidate.site.name) for m in kind.members)
-        if own and not kind.settled and kind.values and kind.values[0].unit == candidate.parameters[0].unit:
+        if (
+            place_of(candidate) in kind.members
+            and not kind.settled
+            and kind.values
+            and kind.values[0].unit == candidate.parameters[0].unit
+        ):
             size = kind.values[0]
             return 0.5 * (size.upper - size.lower) / (INTERVAL * abs(size.value)) if size.value else 0.0
     return 0.0
