@@ -343,9 +343,7 @@ class Discovery(Tabular, Evidence):
             confidence[key] = e.confidence
         plain = ("verdict", "complete", "gap_before", "gap_refitted", "gap_after", "seconds")
         gaps = {"gap_ratio": self.gap_before, "refitted_ratio": self.gap_refitted}
-        run = dict(
-            zip(("before", "refitted", "after"), (overall(self.free_run, model) for model in MODELS), strict=True)
-        )
+        run = {"before": "nominal", "refitted": "refitted", "after": "updated"}
         coming = self.next_experiment
         return {
             **_kinds(self),
@@ -357,7 +355,10 @@ class Discovery(Tabular, Evidence):
             "kinds": [k.kind for k in self.kinds],
             "count": len(self.effects),
             "gaps": {name: gap.to_json() for name, gap in self.gaps.items()},
-            "free_run": {**run, "outputs": {name: gap.to_json() for name, gap in self.free_run.items()}},
+            "free_run": {
+                **{key: overall(self.free_run, model) for key, model in run.items()},
+                "outputs": {name: gap.to_json() for name, gap in self.free_run.items()},
+            },
             "effects": effects,
             "lower": lower,
             "upper": upper,

@@ -50,12 +50,8 @@ def updated_plant(problem: Problem, fit: Fit, source: str, kinds: Sequence[Named
 def _spread_of(kinds: Sequence[NamedKind], candidate: Candidate) -> float:
     """Return the relative standard deviation of an open class's size, if it is that of the effect's first parameter."""
     for kind in kinds:
-        if (
-            place_of(candidate) in kind.members
-            and not kind.settled
-            and kind.values
-            and kind.values[0].unit == candidate.parameters[0].unit
-        ):
+        own = place_of(candidate) in kind.members and not kind.settled
+        if own and kind.values and kind.values[0].unit == candidate.parameters[0].unit:
             size = kind.values[0]
             return 0.5 * (size.upper - size.lower) / (INTERVAL * abs(size.value)) if size.value else 0.0
     return 0.0
