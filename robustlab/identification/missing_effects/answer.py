@@ -15,7 +15,6 @@ from robustlab.identification.data_checks.suitability import Finding
 from robustlab.identification.greybox.effect_fit import Candidate, Fit, FitPlan, Hypothesis, Prior, Problem
 from robustlab.identification.greybox.noise import settled
 from robustlab.identification.missing_effects.discovery_result import (
-    INTERVAL,
     MODELS,
     Discovery,
     EffectValue,
@@ -228,7 +227,7 @@ def _parts(problem: Problem, fit: Fit, candidate: Candidate) -> tuple[str, str, 
     own = next(own for c, own in problem.slices(fit.hypothesis) if c.key == candidate.key)
     values = []
     for p, centre, spread in zip(candidate.parameters, fit.z[own], fit.std[own], strict=True):
-        ends = sorted(p.prior.value(float(centre + side * INTERVAL * spread)) for side in (-1.0, 1.0))
+        ends = sorted(p.prior.value(float(centre + side * tuning.INTERVAL * spread)) for side in (-1.0, 1.0))
         values.append(EffectValue(p.name, p.prior.value(float(centre)), p.unit, *ends))
     return candidate.effect.id, candidate.effect.title, candidate.site.name, tuple(values)
 
@@ -260,7 +259,7 @@ def _opened_above(problem: Problem, fit: Fit, candidate: Candidate) -> tuple[Eff
     there = problem.fit(fit.hypothesis, fit.noise, z, fit.starts, FitPlan(tuning.LAST), prior=Prior(mean, precision))
     if there.cost + there.z[at] ** 2 - fit.cost >= tuning.CANNOT_TELL**2:
         return values
-    upper = max(values[own].upper, prior.value(INTERVAL))
+    upper = max(values[own].upper, prior.value(tuning.INTERVAL))
     return tuple(replace(v, upper=upper) if v.name == name else v for v in values)
 
 
@@ -278,7 +277,7 @@ def _nominal(problem: Problem, fit: Fit, stated: Mapping[str, tuple[float, bool]
     for nuisance, z, std in zip(problem.nuisances, fit.z, fit.std, strict=False):
         for name in nuisance.names:
             centre = z if name in factors else 0.0  # a parameter with a named shift has it there
-            factor = [nuisance.factor(float(centre + side * INTERVAL * std)) for side in (-1.0, 0.0, 1.0)]
+            factor = [nuisance.factor(float(centre + side * tuning.INTERVAL * std)) for side in (-1.0, 0.0, 1.0)]
             moved[name] = [problem.plant.parameters[name].reference * f for f in factor]
     for candidate in fit.hypothesis.candidates:
         if candidate.site.kind == "parameter" and candidate.effect.scale:  # value of a parameter named as misjudged

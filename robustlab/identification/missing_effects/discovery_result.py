@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 LINEAR = "linear about the recorded motion"
 Verdict = Literal["no missing effect", "named", "ambiguous", "unknown"]
-INTERVAL = 1.96  # standard deviations of a 95 % interval
 WAVES = (("Ac", "As"), ("Pc", "Ps"), ("c", "s"))  # cosine and sine part of effects periodic in the position
 SHOWN_SETS = 6  # in the facts
 SHOWN_SEARCH = 12  # most probable sets of the search

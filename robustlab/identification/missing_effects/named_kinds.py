@@ -20,7 +20,7 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, port_model
 from robustlab.identification import tuning
 from robustlab.identification.greybox.effect_fit import Candidate, Fit, Hypothesis, Problem
-from robustlab.identification.missing_effects.discovery_result import INTERVAL, EffectValue, NamedKind, wave_amplitude
+from robustlab.identification.missing_effects.discovery_result import EffectValue, NamedKind, wave_amplitude
 from robustlab.identification.missing_effects.posterior import Posterior, place_of
 
 MOST_MEMBERS = 4  # that contribute to a class's quantities: smaller shares would change no digit
@@ -165,7 +165,7 @@ def _mixture(name: Quantity, members: Sequence[tuple[float, Estimates]]) -> Effe
         return None
     mean = sum(weight / total * value for weight, value, *_ in own)
     variance = sum(weight / total * (std**2 + (value - mean) ** 2) for weight, value, std, _ in own)
-    half = INTERVAL * math.sqrt(variance)
+    half = tuning.INTERVAL * math.sqrt(variance)
     return EffectValue(name, mean, own[0][3], mean - half, mean + half)
 
 
