@@ -43,7 +43,7 @@ def robustlab(folder: Path) -> dict[str, Any]:
         seconds = time.process_time() - began
     verdict = {"no missing effect": "nothing", "ambiguous": "open"}.get(found.verdict, found.verdict)
     kinds = [
-        {"kind": k.kind, "at": k.place, "effect": k.members[0].name if k.settled else None,
+        {"kind": k.kind, "at": k.place, "effect": next(iter(k.members)).partition("@")[0] if k.settled else None,
          "probability": k.probability}
         for k in found.kinds
     ]  # fmt: skip

@@ -10,9 +10,10 @@ __all__, __getattr__ = lazily(
         "comparison.comparison_result": "Comparison OutputGap",
         "comparison.envelope": "cover",
         "missing_effects.discovery": "discover",
-        "missing_effects.discovery_result": "Discovery",
+        "missing_effects.discovery_result": (
+            "Discovery EffectValue Gap InputClock NamedEffect NominalValue Rival SetProbability"
+        ),
         "missing_effects.residual_force": "residual_force force_curves ForceCurve ResidualForce",
-        "missing_effects.discovery_parts": ("EffectValue Gap InputClock NamedEffect NominalValue Rival SetProbability"),
         "greybox.prepared_record": "prepare ports_of window_length",
         "greybox.disturbance_smoother": "smooth_disturbance",
         "greybox.motion_smoother": "smooth_motion",

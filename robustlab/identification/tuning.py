@@ -17,6 +17,7 @@ LAST = 8
 FULL = 15
 LEAST_STEPS = 1  # per sample
 SURE = 0.95  # probability at which a set is named, and total probability of the sets in an answer
+INTERVAL = 1.96  # standard deviations of a 95 % interval
 CANNOT_TELL = 3.0  # refit distance in noise sigmas below which these records cannot distinguish two effects
 FAR_BEHIND = 40.0  # log evidence beyond which no refit distance is computed
 MOST_NOISE = 1.5  # error over noise and random force, beyond which a systematic error remains

@@ -14,8 +14,7 @@ from matplotlib.ticker import MaxNLocator
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError
-from robustlab.identification.missing_effects.discovery_parts import LINEAR, Gap, chance, overall, with_interval
-from robustlab.identification.missing_effects.discovery_result import Discovery
+from robustlab.identification.missing_effects.discovery_result import Discovery, Gap, chance, overall, with_interval
 from robustlab.identification.missing_effects.residual_force import ForceCurve, ResidualForce
 from robustlab.provenance import Provenance
 from robustlab.report import style
@@ -28,7 +27,6 @@ DASHES: dict[str, Any] = {"nominal": (0, (4, 1.5)), "refitted": (0, (1, 1)), "up
 STRETCH = 4  # windows shown of a held-out stretch
 SHOWN = 9  # sets of effects
 BEYOND = 0.6  # of the measured range, drawn above and below it
-ALONG = "one run, linear about the recorded motion"
 ORDER = ("speed", "position", "time", "input")  # of the panels
 ASIDE = 0.03  # share of the bands' ends outside the vertical axis on either side
 
@@ -39,7 +37,7 @@ def gap_figure(discovery: Discovery) -> Figure:
     d = discovery
     sides = [(d.gaps, f"windows of {d.window:.3g} s")]
     if d.free_run:
-        sides.append((d.free_run, "one linear run" if LINEAR in d.free_run_on else "free run"))
+        sides.append((d.free_run, d.whole_run))
     figure, axes = style.new_figure(len(d.gaps), len(sides), 8.4, 1.9)
     for k, name in enumerate(d.gaps):
         for panel, (gaps, how) in zip(axes[len(sides) * k :], sides, strict=False):
@@ -77,8 +75,7 @@ def free_run_figure(discovery: Discovery, output: str | None = None) -> Figure:
     d, run = discovery, discovery.series.get("free_run", {})
     output = style.chosen([name for name in run.get("outputs", {}) if name in d.free_run], output, "output")
     signals = {key: np.asarray(values) for key, values in run["outputs"][output].items()}
-    how = ALONG if LINEAR in d.free_run_on else "one run from the record's start"
-    title = f"{output} of {run['record']}: {how}"
+    title = f"{output} of {run['record']}: {d.whole_run} from the record's start"
     return _signals_and_errors(np.asarray(run["t"]), signals, d.free_run[output], title)
 
 
@@ -251,8 +248,8 @@ def story(d: Discovery) -> list[tuple[str, str, str]]:
     """Return label, value and remark of place, effect, probability, and error before and after."""
     places = list(dict.fromkeys(e.site for e in d.effects))
     open_forms = [k for k in d.kinds if not k.settled]
-    members = {m.name for k in open_forms for m in k.members}
-    own = [e for e in d.effects if e.name not in members]
+    members = {place for k in open_forms for place in k.members}
+    own = [e for e in d.effects if f"{e.name}@{e.site}" not in members]
     what = [(k.title, "; ".join(f"{v.name} {with_interval(v)}" for v in k.values)) for k in open_forms]
     what += [(e.title, "; ".join(with_interval(p) for p in e.parameters)) for e in own]
     of_each = [(k.probability, k.title) for k in open_forms] + [(e.confidence, e.title) for e in own]

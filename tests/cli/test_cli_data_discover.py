@@ -124,7 +124,7 @@ def test_a_group_of_a_file_is_taken_by_its_name(tmp_path, answer, real):
 @pytest.mark.parametrize("verdict", ["ambiguous", "unknown"])
 def test_an_open_verdict_is_reported_in_full_and_exits_with_4(files, answer, real, verdict):
     effect = real.effects[0]
-    rival = Rival("presliding", "Presliding", "v", effect.name, 1.2, -0.3, 0.4, effect.parameters)
+    rival = Rival("presliding", "Presliding", "v", effect.parameters, 0.4, -0.3, effect.name, 1.2)
     rivals = (rival,) if verdict == "ambiguous" else ()
     answer(replace(real, status=rl.Status.INCONCLUSIVE, verdict=verdict, rivals=rivals, complete=False))
     code, text, err = run("discover", "servo-axis", files / "run7.h5", "--json")

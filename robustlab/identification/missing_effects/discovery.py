@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from robustlab.arrays import Array
 from robustlab.budget import one_thread
 from robustlab.checks import number
 from robustlab.dynamics.effects.catalogue import effect
@@ -18,7 +17,13 @@ from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, linear_plant_of, parameter_groups
 from robustlab.errors import InputError, error_context
 from robustlab.identification import tuning
-from robustlab.identification.data_checks.resampling import UniformRecord, clock_step, uniform
+from robustlab.identification.data_checks.resampling import (
+    UniformRecord,
+    clock_step,
+    counted_from,
+    position_datum,
+    uniform,
+)
 from robustlab.identification.data_checks.suitability import Finding, suitability
 from robustlab.identification.greybox.candidates import (
     FEWEST_PERIODS,
@@ -50,13 +55,25 @@ def admissible(
 ) -> Callable[[Problem, Fit], bool]:
     """Return the test of a set: its parameter effects exceed their tolerances, its ripples have enough periods."""
     limits = {label: max(stated[n][0] for n in names) for _, label, names in parameter_groups(plant)}
-    positions = _positions(plant, fitted)
+    model = fitted.simulators(Hypothesis(()))[0].model({}, [])
+    shown = model.C.reshape(-1, *model.C.shape[-2:])[0]
+    # Rows over the states of the outputs and of the joints' positions.
+    positions = {s.name: row for s, row in zip(plant.outputs, shown, strict=True)}
+    positions |= {name: port.position for name, port in model.ports.items() if port.position is not None}
+
+    def beyond(candidate: Candidate, factors: Mapping[str, float], values: Mapping[str, float]) -> bool:
+        own, parameters = candidate.effect.factors(plant, candidate.site, values), plant.parameters
+        if not candidate.effect.scale:  # shifts: the tolerance of a coordinate of value 0 is in its unit
+            each = ((parameters[n], factor) for n, factor in own.items())
+            return any(abs(p.reference * factor - p.value) > p.radius for p, factor in each)
+        name = next(iter(own))
+        return bool(abs(np.log(factors.get(name, 1.0) * own[name])) > np.log1p(limits[candidate.site.name]))
 
     def allowed(problem: Problem, fit: Fit) -> bool:
-        _, values = problem.split(fit.hypothesis, fit.z)
+        factors, values = problem.split(fit.hypothesis, fit.z)
         seen = problem.setting(fit.hypothesis, fit.z).values  # a delay common to all sensors is one of the inputs
         for candidate, own, simulated in zip(fit.hypothesis.candidates, values, seen, strict=True):
-            if not beyond_tolerance(problem, fit, candidate, limits):
+            if candidate.site.kind == "parameter" and not beyond(candidate, factors, own):
                 return False
             window = problem.records[0].windows.length * problem.records[0].record.dt
             if not candidate.effect.visited(own, candidate.scales):
@@ -70,29 +87,6 @@ def admissible(
         return True
 
     return allowed
-
-
-def beyond_tolerance(problem: Problem, fit: Fit, candidate: Candidate, limits: Mapping[str, float]) -> bool:
-    """Return False for a parameter effect whose factor lies within the parameter's tolerance."""
-    if candidate.site.kind != "parameter":
-        return True
-    factors, values = problem.split(fit.hypothesis, fit.z)
-    k = next(i for i, c in enumerate(fit.hypothesis.candidates) if c.key == candidate.key)
-    own = candidate.effect.factors(problem.plant, candidate.site, values[k])
-    if not candidate.effect.scale:  # shifts: the tolerance of a coordinate of value 0 is in its unit
-        p = problem.plant.parameters
-        return any(abs(p[n].reference * f - p[n].value) > p[n].radius for n, f in own.items())
-    name = next(iter(own))
-    total = np.log(factors.get(name, 1.0) * own[name])
-    return bool(abs(total) > np.log1p(limits[candidate.site.name]))
-
-
-def _positions(plant: AnyPlant, problem: Problem) -> dict[str, Array]:
-    """Return the row over the states of each joint's position and of each output."""
-    model = problem.simulators(Hypothesis(()))[0].model({}, [])
-    shown = model.C.reshape(-1, *model.C.shape[-2:])[0]
-    rows = {s.name: row for s, row in zip(plant.outputs, shown, strict=True)}
-    return rows | {name: port.position for name, port in model.ports.items() if port.position is not None}
 
 
 def _reporter(progress: Callable[[str], None] | None) -> Callable[[float, float, str], None]:
@@ -166,15 +160,28 @@ def discover(
     kept_out = [] if held_out is None else [held_out] if isinstance(held_out, Record) else list(held_out)
     if not measured:
         raise InputError("discover", "no record", "at least one")
-    findings = _checked(known, [*measured, *kept_out])
-    signals = (*known.inputs, *known.outputs)
-    findings += tuple(
+    findings, signals, everything = list[Finding](), (*known.inputs, *known.outputs), [*measured, *kept_out]
+    for record in everything:
+        checked = suitability(known, record)
+        checked.require()
+        findings.extend(checked.findings)
+    findings += [
         Finding("unit", name, said, "", f"in {r.name}", False, {})
-        for r in (*measured, *kept_out) for name, said in converted(r, signals).items()
-    )  # fmt: skip
-    measured, kept_out = ([with_units(r, signals) for r in rows] for rows in (measured, kept_out))
-    measured, kept_out, shifted = _from_datum(known, measured, kept_out)
-    findings += shifted
+        for r in everything for name, said in converted(r, signals).items()
+    ]  # fmt: skip
+    everything = [with_units(r, signals) for r in everything]
+    # Positions far from zero are shifted to a datum within the stroke.
+    datum = position_datum(known, everything) if isinstance(known, LinearPlant) else {}
+    findings += [
+        Finding(
+            "datum", name, f"far from zero: counted from {at:.9g} here, in the updated plant as well", "",
+            f"take {at:.9g} off {name} where the updated plant is compared with records", False, {"datum": at},
+        )
+        for name, at in datum.items()
+    ]  # fmt: skip
+    if datum:
+        everything = [counted_from(r, datum) for r in everything]
+    measured, kept_out = everything[: len(measured)], everything[len(measured) :]
     stated = stated_tolerances(known, tolerances)
     known = with_absolute_tolerances(known, stated)
     model = ports_of(known, _uniform(measured)[0].record)
@@ -182,9 +189,12 @@ def discover(
     pool = [c for c in candidates(known, model, problem.records) if c.effect.id not in left_out]
     report = _reporter(progress)
     allowed = admissible(known, stated, problem, held)
-    most, held_most = _most_windows(problem)
-    few, some = _spread(problem, most), _spread(held, held_most)
-    found = search_sets(few, some, pool, allowed, report)
+    most, held_most = MOST_WINDOWS, MOST_HELD
+    if not isinstance(known, LinearPlant):  # expensive
+        length = problem.records[0].windows.length
+        most = min(MOST_WINDOWS, max(2 * tuning.FEWEST_WINDOWS, MOST_SAMPLES // length))
+        held_most = min(MOST_HELD, max(tuning.FEWEST_WINDOWS, most // 2))
+    found = search_sets(_spread(problem, most), _spread(held, held_most), pool, allowed, report)
     report(0.0, 0.0, "what remains")
     tried = tuple(dict.fromkeys(c.effect.id for c in pool))
     names = tuple(r.name for r in measured)
@@ -200,35 +210,6 @@ def known_plant(plant: Any, where: str) -> AnyPlant:
         hint = "give its plant: the effects are found anew, and their parameters with them"
         raise InputError(where, f"{plant.name} with effects", "a plant without", hint)
     return plant if isinstance(plant, NonlinearPlant) else linear_plant_of(as_model(plant, where), where)
-
-
-def _checked(plant: AnyPlant, records: Sequence[Record]) -> tuple[Finding, ...]:
-    """Return the findings on the records; raise if one makes them unsuitable."""
-    findings: list[Finding] = []
-    for record in records:
-        found = suitability(plant, record)
-        found.require()
-        findings.extend(found.findings)
-    return tuple(findings)
-
-
-def _from_datum(
-    plant: AnyPlant, measured: list[Record], kept_out: list[Record]
-) -> tuple[list[Record], list[Record], tuple[Finding, ...]]:
-    """Shift positions far from zero to a datum within the stroke; return the records and a finding on each shift."""
-    from robustlab.identification.data_checks.resampling import counted_from, position_datum
-
-    datum = position_datum(plant, [*measured, *kept_out]) if isinstance(plant, LinearPlant) else {}
-    shifted = tuple(
-        Finding(
-            "datum", name, f"far from zero: counted from {at:.9g} here, in the updated plant as well", "",
-            f"take {at:.9g} off {name} where the updated plant is compared with records", False, {"datum": at},
-        )
-        for name, at in datum.items()
-    )  # fmt: skip
-    if not datum:
-        return measured, kept_out, ()
-    return [counted_from(r, datum) for r in measured], [counted_from(r, datum) for r in kept_out], shifted
 
 
 def _problems(
@@ -285,15 +266,6 @@ def _uniform(records: Sequence[Record]) -> list[UniformRecord]:
     """Resample the records to uniform time bases."""
     dt = clock_step(records[0].t)  # the mean step of a record with gaps is no sample time
     return [uniform(r, None if r.is_uniform else dt) for r in records]
-
-
-def _most_windows(problem: Problem) -> tuple[int, int]:
-    """Return the numbers of fitted and held-out windows of the search, fewer for an expensive nonlinear plant."""
-    length = problem.records[0].windows.length
-    if isinstance(problem.plant, LinearPlant):
-        return MOST_WINDOWS, MOST_HELD
-    most = min(MOST_WINDOWS, max(2 * tuning.FEWEST_WINDOWS, MOST_SAMPLES // length))
-    return most, min(MOST_HELD, max(tuning.FEWEST_WINDOWS, most // 2))
 
 
 def _spread(problem: Problem, most: int) -> Problem:

@@ -1,32 +1,16 @@
-"""Result of `discover`, and its numbers for requirements."""
+"""Result of `discover`: named effects, errors, sets with probabilities; its numbers for requirements and its texts."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from robustlab.display import Each, Facts, Part
+from robustlab.display import Each, Facts, Part, listed, number
 from robustlab.dynamics.effects.catalogue import KINDS, catalogue, effect
-from robustlab.dynamics.effects.contract import Scales
+from robustlab.dynamics.effects.contract import Effect, Scales
 from robustlab.dynamics.effects.parameter_effects import GroundedEffect
-from robustlab.identification.missing_effects.discovery_parts import (
-    LINEAR,
-    Gap,
-    InputClock,
-    NamedEffect,
-    NamedKind,
-    NominalValue,
-    Rival,
-    SetProbability,
-    Verdict,
-    details_of,
-    facts_of,
-    headline_of,
-    overall,
-    wave_amplitude,
-)
 from robustlab.identification.tuning import SURE
 from robustlab.result import Evidence, Status
 from robustlab.tables import Table, Tabular
@@ -37,23 +21,166 @@ if TYPE_CHECKING:
     from robustlab.identification.missing_effects.residual_force import ResidualForce
     from robustlab.uncertainty.lft import UncertainModel
 
+LINEAR = "linear about the recorded motion"
+Verdict = Literal["no missing effect", "named", "ambiguous", "unknown"]
+WAVES = (("Ac", "As"), ("Pc", "Ps"), ("c", "s"))  # cosine and sine part of effects periodic in the position
+SHOWN_SETS = 6  # in the facts
+SHOWN_SEARCH = 12  # most probable sets of the search
+MODELS = ("nominal", "refitted", "updated")
+ENDS = {"": "value", "_lower": "lower", "_upper": "upper"}  # suffix of a class's quantity -> field
+
+
+@dataclass(frozen=True)
+class EffectValue(Evidence):
+    """One fitted parameter with its 95 % interval (posterior, given the effect)."""
+
+    name: str
+    value: float
+    unit: str
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True)
+class NominalValue(EffectValue):
+    """One refitted nominal parameter."""
+
+    nominal: float
+    tolerance: float  # relative, absolute if the nominal value is 0; 0: held fixed
+    assumed: bool  # the plant has no tolerance
+    beyond: bool  # the value exceeds the tolerance
+
+
+@dataclass(frozen=True)
+class NamedEffect(Evidence):
+    """One effect identified from the records."""
+
+    name: str  # id in the catalogue
+    title: str
+    site: str
+    parameters: tuple[EffectValue, ...]
+    confidence: float  # probability of all sets of effects that contain it; of a rival, of the most probable one
+    evidence: float  # log evidence over the model without it; of a rival, over the named effect
+
+
+@dataclass(frozen=True)
+class Rival(NamedEffect):
+    """An effect that these records cannot separate from a named one."""
+
+    # id of the named effect that it could replace; "none" if nothing was named, but this effect is about as probable as
+    # none: the tolerances of other parameters may hide it
+    instead_of: str
+    # refit distance in standard deviations of the noise between its best fit and the prediction of the named effect for
+    # these records: below 3 indistinguishable
+    distance: float
+
+
+@dataclass(frozen=True)
+class NamedKind(Evidence):
+    """An effect class that is sure at one place."""
+
+    kind: str  # id in `robustlab.dynamics.effects.catalogue`
+    place: str
+    probability: float  # of all sets with a member of it there, 0..1
+    values: tuple[EffectValue, ...]  # quantities of every member, with 95 % intervals over all members
+    members: Mapping[str, float]  # effect with its site -> share of the probability, the most probable first
+    misfit: bool  # whether more than noise remains, which may come from a wrong form of the effect
+
+    @property
+    def title(self) -> str:
+        return KINDS[self.kind].title
+
+    @property
+    def words(self) -> str:
+        """Return class and place: ``dry friction at omega``, ``a lateness from u to q``."""
+        return f"{self.title} {'from' if ' to ' in self.place else 'at'} {self.place}"
+
+    @property
+    def settled(self) -> bool:
+        """Return whether one member alone has 95 % of the probability, without a misfit."""
+        return [s >= SURE for s in self.members.values() if s > 1.0 - SURE] == [True] and not self.misfit
+
+    @property
+    def open_form(self) -> str:
+        """Return why the form is open: several members at once, a misfit, or records that do not determine it."""
+        if sum(share >= SURE for share in self.members.values()) > 1:
+            return "more than one at once"
+        return "not settled beside what remains" if self.misfit else "not settled"
+
+
+@dataclass(frozen=True)
+class Gap(Evidence):
+    """Simulation error (RMS) of one output: in windows, or in one run from the record's start."""
+
+    output: str
+    unit: str
+    range: float  # measured on that data
+    # of these models; infinite if the simulation diverges
+    nominal: float
+    refitted: float
+    updated: float
+
+    quantities: ClassVar[Mapping[str, Any]] = dict.fromkeys(("range", *MODELS), "*")
+
+
+def overall(gaps: Mapping[str, Gap], model: str) -> float:
+    """Return the RMS error over the outputs of ``nominal``, ``refitted`` or ``updated`` in percent of the range."""
+    shares = [getattr(g, model) / (g.range or 1.0) for g in gaps.values()]
+    return 100.0 * math.sqrt(sum(share**2 for share in shares) / len(shares)) if shares else math.nan
+
+
+@dataclass(frozen=True)
+class SetProbability(Evidence):
+    """A set of effects and its probability among all that the search evaluated."""
+
+    effects: tuple[str, ...]  # effects with their places, ``"coulomb-friction@omega"``
+    probability: float  # 0..1; the sum over all sets is one
+    evidence: float  # log evidence including the set's prior, relative to the most probable set
+    # refit distance from the most probable set in standard deviations of the noise; NaN if not computed
+    distance: float = math.nan
+    unnamed: str = ""  # the residual force of the set (``"force over speed"``)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the ids in the catalogue."""
+        return tuple(place.partition("@")[0] for place in self.effects)
+
+
+@dataclass(frozen=True)
+class InputClock(Evidence):
+    """Hold of an input between its samples, and its time shift against the outputs in s."""
+
+    input: str
+    hold: Literal["held", "linear", "smooth"]
+    shift: float
+    std: float
+
+
+# --- numbers ----------------------------------------------------------------------------------------------------------
+
+
+def wave_amplitude(values: Mapping[str, float]) -> float | None:
+    """Return the amplitude of a periodic effect from its cosine and sine part; None for any other."""
+    pair = next(((c, s) for c, s in WAVES if c in values and s in values), None)
+    return math.hypot(values[pair[0]], values[pair[1]]) if pair else None
+
+
+def _units(kind: Effect) -> dict[str, Any]:
+    """Return the unit of each parameter of an effect, with the amplitude of a periodic one."""
+    units: dict[str, Any] = {p.name: p.unit for p in kind.parameters(Scales())}
+    return units if wave_amplitude(dict.fromkeys(units, 0.0)) is None else {**units, "amplitude": float}
+
 
 def units_of_effects(exclude: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Return effect id, alone and with its place -> parameters with their units."""
     left_out = {effect(name).id for name in exclude}
     effects: dict[str, dict[str, Any]] = {}
     for name, kind in catalogue().items():
-        units: dict[str, Any] = {p.name: p.unit for p in kind.parameters(Scales())}
-        if wave_amplitude(dict.fromkeys(units, 0.0)) is not None:
-            units["amplitude"] = float
-        if isinstance(kind, GroundedEffect):  # at a joint that has no such parameter
-            units[kind.symbol] = float
+        # At a joint without the plant's parameter the effect has one of its own.
+        units = _units(kind) | ({kind.symbol: float} if isinstance(kind, GroundedEffect) else {})
         if name not in left_out:
             effects |= {name: units, f"{name}@*": units}
     return effects
-
-
-ENDS = {"": "value", "_lower": "lower", "_upper": "upper"}  # suffix of a quantity -> field
 
 
 def quantities_of(kind: str) -> dict[str, Any]:
@@ -115,7 +242,7 @@ class Discovery(Tabular, Evidence):
     records: tuple[str, ...]
     window: float
     candidates: tuple[str, ...]
-    structure: Mapping[str, Any]
+    structure: Mapping[str, float]
     kinds: tuple[NamedKind, ...] = ()
     also_detectable: tuple[NamedEffect, ...] = ()
     posterior: tuple[SetProbability, ...] = ()
@@ -194,42 +321,41 @@ class Discovery(Tabular, Evidence):
         """Return whether the user stopped the search."""
         return any(f.kind == "interrupted" for f in self.findings)
 
-    def headline(self) -> str:
-        return headline_of(self)
-
     def numbers(self) -> dict[str, Any]:
         # An evaluated effect that is not named has confidence 0 and NaN parameters: a requirement on it is not met,
         # while a misspelt one is an error.
-        effects, lower, upper, confidence = (_absent(self) for _ in range(4))
-        confidence = dict.fromkeys(confidence, 0.0)
-        for e in self.effects:
+        known = catalogue()
+        absent = {known[name].id: _units(known[name]) for name in self.candidates if name in known}
+        effects, lower, upper = (
+            {name: {p: 0.0 if p == "amplitude" else math.nan for p in units} for name, units in absent.items()}
+            for _ in range(3)
+        )
+        confidence = dict.fromkeys(absent, 0.0)
+        for k, e in enumerate(self.effects):
             # A second effect of the same id has its place in the key.
-            key = e.name if e.name not in self.names[: self.effects.index(e)] else f"{e.name}@{e.site}"
-            effects[key] = {p.name: p.value for p in e.parameters}
+            key = f"{e.name}@{e.site}" if e.name in self.names[:k] else e.name
+            effects[key], lower[key], upper[key] = (
+                {p.name: getattr(p, end) for p in e.parameters} for end in ("value", "lower", "upper")
+            )
             if (amplitude := wave_amplitude(effects[key])) is not None:
                 effects[key]["amplitude"] = amplitude
-            lower[key] = {p.name: p.lower for p in e.parameters}
-            upper[key] = {p.name: p.upper for p in e.parameters}
             confidence[key] = e.confidence
+        plain = ("verdict", "complete", "gap_before", "gap_refitted", "gap_after", "seconds")
+        gaps = {"gap_ratio": self.gap_before, "refitted_ratio": self.gap_refitted}
+        run = {"before": "nominal", "refitted": "refitted", "after": "updated"}
+        coming = self.next_experiment
         return {
             **_kinds(self),
-            "verdict": self.verdict,
-            "complete": self.complete,
+            **{name: getattr(self, name) for name in plain},
+            **{name: gap / self.gap_after if self.gap_after > 0 else math.inf for name, gap in gaps.items()},
             "names": list(self.names),
             "places": [f"{e.name}@{e.site}" for e in self.effects],
             "answer": list(self.answer),
             "kinds": [k.kind for k in self.kinds],
             "count": len(self.effects),
-            "gap_before": self.gap_before,
-            "gap_refitted": self.gap_refitted,
-            "gap_after": self.gap_after,
-            "gap_ratio": self.gap_before / self.gap_after if self.gap_after > 0 else math.inf,
-            "refitted_ratio": self.gap_refitted / self.gap_after if self.gap_after > 0 else math.inf,
             "gaps": {name: gap.to_json() for name, gap in self.gaps.items()},
             "free_run": {
-                "before": overall(self.free_run, "nominal"),
-                "refitted": overall(self.free_run, "refitted"),
-                "after": overall(self.free_run, "updated"),
+                **{key: overall(self.free_run, model) for key, model in run.items()},
                 "outputs": {name: gap.to_json() for name, gap in self.free_run.items()},
             },
             "effects": effects,
@@ -238,35 +364,100 @@ class Discovery(Tabular, Evidence):
             "confidence": confidence,
             "nominal": {p.name: p.value for p in self.nominal},
             "next_experiment": {
-                "name": self.next_experiment.name if self.next_experiment else "none",
-                "separation": self.next_experiment.separation if self.next_experiment else math.nan,
+                "name": coming.name if coming else "none", "separation": coming.separation if coming else math.nan,
             },
             "structure": dict(self.structure),
             "remaining_lines": [dict(line) for line in self.remaining_lines],
             "line": {over: _strongest_line(self, over) for over in ("position", "time")},
-            "seconds": self.seconds,
-        }
-
-    def facts(self) -> Facts:
-        return facts_of(self)
-
-    def details(self) -> list[Part]:
-        return details_of(self)
+        }  # fmt: skip
 
     def table(self) -> Table:
         """Return a row for each parameter of a named effect, with its 95 % interval."""
         rows = [(e, p) for e in self.effects for p in e.parameters]
         columns = {"effect": [e.name for e, _ in rows], "site": [e.site for e, _ in rows]}
         values = {key: [getattr(p, key) for _, p in rows] for key in ("value", "lower", "upper", "unit")}
-        probability = {"probability": [e.confidence for e, _ in rows]}
-        return Table(("parameter", [p.name for _, p in rows]), {**columns, **values, **probability})
+        return Table(
+            ("parameter", [p.name for _, p in rows]),
+            {**columns, **values, "probability": [e.confidence for e, _ in rows]},
+        )
 
     def to_json(self, series: bool = False) -> dict[str, object]:
         """Return all fields but the plant object; the time series only on request."""
         excluded = {"model", "findings"} | (set() if series else {"series"})
         data: dict[str, object] = {key: value for key, value in vars(self).items() if key not in excluded}
-        data.update(names=self.names, answer=self.answer, findings=[vars(f) for f in self.findings])
-        return data
+        return data | {"names": self.names, "answer": self.answer, "findings": [vars(f) for f in self.findings]}
+
+    def headline(self) -> str:
+        early = "Interrupted; by then: " if self.interrupted else ""
+        errors = [percent(overall(self.gaps, model)) for model in MODELS]
+        them = {0: "with the best set", 1: "with it"}.get(len(self.effects), "with them")
+        change = f"error on held-out data {errors[0]} of the range as given, {errors[1]} refitted, {errors[2]} {them}"
+        if self.free_run:
+            run = [overall(self.free_run, model) for model in MODELS]
+            worse = ", worse than as given" if run[2] > run[0] else ""
+            change += f"; in {self.whole_run} {' -> '.join(map(percent, run))}{worse}"
+        named = _in_a_row(_sure_titles(self))
+        also = "" if self.complete else "; incomplete: something else remains"
+        if self.verdict == "no missing effect":
+            shows = "matters" if self.also_detectable else "these records show"
+            hidden = _in_a_row((r.title for r in self.rivals), "or")
+            lacks = f"no effect that {shows}: refitted its error on held-out data is {errors[2]} of the range"
+            lacks += f"; but they do not exclude {hidden}" if hidden else ""
+        elif self.verdict == "named":
+            lacks = f"{named}: {change}{also}"
+        elif self.verdict == "unknown":
+            beyond = f" beyond {named}" if self.effects else ""
+            lacks = f"something{beyond} that no effect of the catalogue explains ({change})"
+        elif not self.rivals and len(self.collection) == 1:
+            return f"{early}{self.plant} may lack {named}, which is not sure ({change}{also})"
+        else:
+            sets = [_in_a_row(map(_title, [*p.effects, *filter(None, [p.unnamed])])) for p in self.collection]
+            either = _in_a_row((words or "nothing" for words in sets), "or")
+            lacks = f"either {either}: these records cannot tell which ({change}{also})"
+        return f"{early}{self.plant} lacks {lacks}"
+
+    def facts(self) -> Facts:
+        found = [("verdict", self.verdict if self.complete else f"{self.verdict}, incomplete: structure remains")]
+        for kind in self.kinds:
+            if not kind.settled:
+                found += [(kind.words, kind_words(kind)), ("what would tell its form", KINDS[kind.kind].form)]
+        for e in self.effects:
+            found.append((in_words(e), f"probability {_values(e)}{_wave(e)}"))
+            found += [(f"{e.name} or", _rival(r)) for r in self.rivals if r.instead_of == e.name]
+        hint = "; next to nothing on held-out data: not in the updated plant"
+        found += [(f"also seen: {in_words(e)}", f"{_values(e)}{hint}") for e in self.also_detectable]
+        found += [("not excluded", _rival(r)) for r in self.rivals if r.instead_of == "none"]
+        for gaps, how in ((self.gaps, f"windows of {self.window:.3g} s"), (self.free_run, self.whole_run)):
+            found += [(f"{g.output}: {how}", _sizes(g)) for g in gaps.values()]
+        found.append(("remains", _remaining(self)))
+        found += [("line", _line(line)) for line in self.remaining_lines]
+        found += [(p.name, _nominal(p)) for p in self.nominal if p.beyond or not self.effects]
+        on = "" if self.free_run_on in ("", self.held_out) else f"; {self.whole_run}: {self.free_run_on}"
+        return [
+            *found,
+            ("next", _next(self)),
+            ("held out", self.held_out + on),
+            ("plant", self.plant),
+            ("records", listed(self.records)),
+            ("time", number(self.seconds, "s", 3)),
+        ]
+
+    def details(self) -> list[Part]:
+        known, searched = catalogue(), sorted(self.search, key=lambda e: -e[1])[:SHOWN_SEARCH]
+        visited = f"search: {len(self.search)} sets visited, {len(self.candidates)} effects tried"
+        return [
+            Part("evidence", ("effect", "equation", "log evidence"),
+                 [(e.name, known[e.name].equation, f"{e.evidence:+.4g}") for e in self.effects]),
+            Part("nominal parameters, refitted", ("parameter", "value"), [(p.name, _nominal(p)) for p in self.nominal]),
+            Part("inputs between their samples", ("input", "hold"), [(c.input, _clock(c)) for c in self.clocks]),
+            Part("sets of effects (3 noise sigmas tell)", ("set", "probability"),
+                 [_set_words(p) for p in self.collection[:SHOWN_SETS]]),
+            Part("next experiment", ("", ""), self.next_experiment.facts() if self.next_experiment else []),
+            Part("what remains", ("", ""), [(key, f"{v:.4g}") for key, v in self.structure.items()]),
+            Part("findings on the records", ("kind", "finding"), [(f.kind, f.message) for f in self.findings]),
+            Part(visited, ("log evidence", "effects"),
+                 [(f"{v:.4g}", " + ".join(own) or "none") for own, v in searched]),
+        ]  # fmt: skip
 
 
 def _kinds(d: Discovery) -> dict[str, dict[str, float]]:
@@ -282,16 +473,153 @@ def _kinds(d: Discovery) -> dict[str, dict[str, float]]:
 
 def _strongest_line(d: Discovery, over: str) -> dict[str, float]:
     """Return period and amplitude of the strongest remaining line over a coordinate; NaN without one."""
-    line = next((line for line in d.remaining_lines if line["over"] == over), None)
-    return {name: math.nan if line is None else float(line[name]) for name in ("period", "amplitude")}
+    line = next((line for line in d.remaining_lines if line["over"] == over), {})
+    return {name: float(line.get(name, math.nan)) for name in ("period", "amplitude")}
 
 
-def _absent(d: Discovery) -> dict[str, dict[str, float]]:
-    """Return every evaluated effect with NaN parameters."""
-    known = catalogue()
-    tried = [known[name] for name in d.candidates if name in known]
-    found = {effect.id: {p.name: math.nan for p in effect.parameters(Scales())} for effect in tried}
-    for values in found.values():
-        if wave_amplitude(values) is not None:
-            values["amplitude"] = 0.0
-    return found
+# --- texts ------------------------------------------------------------------------------------------------------------
+
+
+def in_words(e: NamedEffect) -> str:
+    """Return title, id and place: ``Coulomb (dry) friction, coulomb-friction at omega``."""
+    return f"{e.title}, {e.name} at {e.site}"
+
+
+def with_interval(p: EffectValue) -> str:
+    """Return value and 95 % interval with significant digits; an interval of no width is "held fixed"."""
+    unit = f" {p.unit}" if p.unit and p.unit != "1" else ""
+    if p.lower == p.upper:
+        return f"{p.value:.4g}{unit} (held fixed)"
+    digits = _digits(p.value, p.upper - p.lower)
+    return f"{p.value:.{digits}g}{unit} (95 %: {p.lower:.{digits}g} to {p.upper:.{digits}g})"
+
+
+def chance(probability: float) -> str:
+    """Return a probability in percent, near 0 and 1 as a bound."""
+    if probability > 0.999:
+        return "> 99.9 %"
+    return "< 0.1 %" if probability < 0.001 else f"{100 * probability:.3g} %"
+
+
+def _sure_titles(d: Discovery) -> list[str]:
+    """Return titles of the sure classes, with their size if the form is open; without any, of the best set."""
+    if not d.kinds:
+        return [e.title for e in d.effects]
+    words: list[str] = []
+    for kind in d.kinds:
+        sure = [_title(name) for name, share in kind.members.items() if share >= SURE and kind.settled]
+        size = f" of {number(kind.values[0].value, kind.values[0].unit)}" if kind.values else ""
+        words += sure or [f"{kind.title}{size}"]
+    return list(dict.fromkeys(words))
+
+
+def kind_words(kind: NamedKind) -> str:
+    """Return probability, quantities and possible forms of a class whose form is open."""
+    values = [f"{v.name} {with_interval(v)}" for v in kind.values]
+    shares = [f"{_small_first(_title(e))} {chance(share)}" for e, share in kind.members.items() if share >= 0.01]
+    form = f"its form is {kind.open_form}: {', '.join(shares[:SHOWN_SETS])}"
+    return "; ".join([chance(kind.probability), *values, form])
+
+
+def _title(place: str) -> str:
+    """Return the title of ``"coulomb-friction@omega"`` or of an unnamed force."""
+    name = place.partition("@")[0]
+    return catalogue()[name].title if name in catalogue() else f"an unnamed {name}"
+
+
+def _values(e: NamedEffect) -> str:
+    return "; ".join([chance(e.confidence), *(f"{p.name} = {with_interval(p)}" for p in e.parameters)])
+
+
+def _wave(e: NamedEffect) -> str:
+    values = {p.name: p.value for p in e.parameters}
+    amplitude = wave_amplitude(values)
+    if amplitude is None or not values.get("k"):
+        return ""
+    (unit,) = (p.unit for p in e.parameters if p.name == "k")
+    turns = f", {values['k']:.4g} a turn" if "rad" in unit else ""
+    period = number(2.0 * math.pi / values["k"], unit.rpartition("/")[2])
+    return f"; amplitude {number(amplitude, e.parameters[0].unit)}, period {period}{turns}"
+
+
+def _rival(r: Rival) -> str:
+    apart = f"; {number(r.distance)} noise sigmas apart (3 tell)" if math.isfinite(r.distance) else ""
+    return f"{in_words(r)}; probability {_values(r)}{apart}"
+
+
+def _set_words(p: SetProbability) -> tuple[str, str]:
+    names = [*p.effects, *([f"unnamed {p.unnamed}"] if p.unnamed else [])]
+    apart = f", {number(p.distance)} noise sigmas from the first" if p.distance > 0.0 else ""
+    return " + ".join(names) or "nothing missing", f"{chance(p.probability)}{apart}"
+
+
+def _sizes(g: Gap) -> str:
+    def size(value: float) -> str:
+        share = f" ({percent(100 * value / g.range)})" if g.range > 0 else ""
+        return "diverges" if math.isinf(value) else f"{number(value, g.unit)}{share}"
+
+    return f"rms {' -> '.join(size(getattr(g, model)) for model in MODELS)}"
+
+
+def _remaining(d: Discovery) -> str:
+    if d.complete:
+        return "nothing systematic was found"
+    text = "unexplained"
+    if d.effects:
+        share = percent(100.0 * d.structure.get("explained", math.nan))
+        text = f"the named effects explain {share} of the mean-square error as given"
+    force = d.residual_force
+    if force is None:
+        return text
+    shares = [f"{100 * c.share:.3g} % follow {c.coordinate}" for c in force.curves.values()]
+    return "; ".join([text, f"a force of {number(force.rms, force.unit)} (rms)", *shares])
+
+
+def _line(line: Mapping[str, Any]) -> str:
+    size, period = number(line["amplitude"], line["force_unit"]), number(line["period"], line["unit"])
+    return f"{size} over {line['over']}, period {period} (log evidence {line['evidence']:.3g})"
+
+
+def _nominal(p: NominalValue) -> str:
+    if p.lower == p.upper:
+        return with_interval(p)
+    change = f", {100 * (p.value / p.nominal - 1):+.3g} %" if p.nominal else ""
+    size = f"{100 * p.tolerance:.3g} %" if p.nominal else number(p.tolerance, p.unit)
+    limit = f"{'BEYOND its' if p.beyond else 'within its'} tolerance of {size} ({'assumed' if p.assumed else 'stated'})"
+    return f"{number(p.nominal)} -> {with_interval(p)}{change}: {limit}"
+
+
+def _clock(c: InputClock) -> str:
+    between = "held from sample to sample" if c.hold == "held" else f"{c.hold} between samples"
+    late = f"late by {1e3 * c.shift:.3g} ms (standard deviation {1e3 * c.std:.2g} ms)" if c.std else "clock not fitted"
+    return f"{between}; {late}"
+
+
+def _next(d: Discovery) -> str:
+    if d.next_experiment is not None:
+        return f"measure what tells them apart: {d.next_experiment.description}"
+    if not d.complete:
+        return "look at the force that remains, over speed, position, time and input (figure 'force')"
+    return "use the updated plant (.model)" if d.effects else "the model can stay as it is, refitted"
+
+
+def _in_a_row(texts: Iterable[str], last: str = "and") -> str:
+    """Join as ``a``, ``a and b``, ``a, b and c``, each once, first letters in lower case."""
+    words = list(dict.fromkeys(map(_small_first, texts)))
+    return f" {last} ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
+
+
+def _small_first(text: str) -> str:
+    people = tuple(e.person for e in catalogue().values() if e.person)
+    return text if text.startswith(people) else text[:1].lower() + text[1:]
+
+
+def _digits(value: float, width: float) -> int:
+    """Return the digits of the value that show two of the interval's width."""
+    if not (math.isfinite(value) and math.isfinite(width)) or width <= 0.0 or value == 0.0:
+        return 4
+    return min(max(math.floor(math.log10(abs(value))) - math.floor(math.log10(width)) + 2, 3), 8)
+
+
+def percent(value: float) -> str:
+    return "diverges" if math.isinf(value) else f"{value:.3g} %"

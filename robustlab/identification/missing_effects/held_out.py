@@ -7,7 +7,7 @@ its force is such a share of the force at its joint, or if only parameters beyon
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,7 +20,7 @@ from robustlab.identification import tuning
 from robustlab.identification.greybox.effect_fit import Fit, FitPlan, Problem, simulated_outputs
 from robustlab.identification.greybox.noise import clearly_larger, in_phase, restarted, spans, window_errors
 from robustlab.identification.greybox.prepared_record import PreparedRecord
-from robustlab.identification.missing_effects.discovery_parts import LINEAR, Gap, overall
+from robustlab.identification.missing_effects.discovery_result import LINEAR, Gap
 from robustlab.identification.missing_effects.set_search import without
 
 MOST_CLOCK = 3.0  # standard deviations of an input's clock
@@ -28,20 +28,14 @@ LIKELY = 0.999  # joint probability of the parameters beyond which they are impr
 TOGETHER = "all parameters together"
 
 
-@dataclass(frozen=True, eq=False)
-class Gaps:
+class Gaps(NamedTuple):
     """Errors by output in windows and in free run, whether the updated model is clearly worse, and signals."""
 
     windows: Mapping[str, Gap]
     free_run: Mapping[str, Gap]
     free_run_on: str
-    worse: bool
+    worse: bool  # than the refitted one, in windows
     series: Mapping[str, Any]
-
-    @property
-    def worse_than_given(self) -> bool:
-        """Return whether the free run of the updated model has a larger error than that of the given model."""
-        return overall(self.free_run, "updated") > overall(self.free_run, "nominal")
 
 
 class Simulated(NamedTuple):
@@ -139,14 +133,6 @@ def _series(
     return {"t": record.record.t[samples], "record": record.record.name, "inputs": inputs, "outputs": signals}
 
 
-@dataclass(frozen=True)
-class Relevance:
-    """Whether an effect is relevant, and the error of held-out windows without it in percent of the range."""
-
-    material: bool
-    error_without: float
-
-
 def without_effects(problem: Problem, fit: Fit, keys: Collection[str]) -> Fit:
     """Refit the set without these effects, from the parameters of the whole set."""
     while (k := next((k for k, c in enumerate(fit.hypothesis.candidates) if c.key in keys), None)) is not None:
@@ -158,33 +144,24 @@ def without_effects(problem: Problem, fit: Fit, keys: Collection[str]) -> Fit:
 def at_limits(problem: Problem, fit: Fit) -> frozenset[str]:
     """Return labels of the nuisances that a fit moved beyond their limits, and `TOGETHER` if all are improbable."""
     moving = problem.moving(fit.hypothesis)
-    own = [(n, float(z)) for n, moves, z in zip(problem.nuisances, moving, fit.z, strict=False) if moves]
-    found = set()
-    for nuisance, z in own:
-        low, high = (-MOST_CLOCK, MOST_CLOCK) if nuisance.input else nuisance.ends
-        if not low <= z <= high:
-            found.add(nuisance.label)
-    if sum(z**2 for _, z in own) > chi2.ppf(LIKELY, max(1, len(own))):
+    own = [
+        (n, float(z), (-MOST_CLOCK, MOST_CLOCK) if n.input else n.ends)
+        for n, moves, z in zip(problem.nuisances, moving, fit.z, strict=False) if moves
+    ]  # fmt: skip
+    found = {n.label for n, z, (low, high) in own if not low <= z <= high}
+    if sum(z**2 for _, z, _ in own) > chi2.ppf(LIKELY, max(1, len(own))):
         found.add(TOGETHER)
     return frozenset(found)
 
 
-def relevance_of(held: Problem, whole: Simulated, less: Simulated, needed: bool) -> Relevance:
-    """Compare ``whole`` with the set ``less`` an effect; ``needed``: relevant whatever the errors."""
-    ranges, (windows, runs) = spans(held.records), _measured(held)
-    seen = ranges > 0.0
-    share = _rms(windows, windows, less.windows)[seen] / ranges[seen]
-    resolution = np.max([r.resolution for r in held.records], axis=0)
-    material = needed or any(
-        _is_relevant(y, ours, theirs, resolution)
-        for y, ours, theirs in ((windows, whole.windows, less.windows), (runs, whole.runs, less.runs))
-    )
-    return Relevance(material, 100.0 * float(np.sqrt(np.mean(share**2))))
-
-
-def _is_relevant(measured: Sequence[Array], ours: Sequence[Array], theirs: Sequence[Array], resolution: Array) -> bool:
-    own, other = _rms(measured, measured, ours), _rms(measured, measured, theirs)
-    with np.errstate(all="ignore"):
-        worse = ~(other - own < tuning.MATERIAL * own)  # true for a diverged model
-        apart = _rms(measured, ours, theirs)
-        return bool(np.any(worse & (own < np.inf) & ~(apart < 0.5 * resolution) & ~(other <= own)))
+def is_relevant(held: Problem, whole: Simulated, less: Simulated) -> bool:
+    """Return whether the errors on held-out data are larger with the set ``less`` an effect than with the whole one."""
+    resolution, runs = np.max([r.resolution for r in held.records], axis=0), _measured(held)
+    for measured, ours, theirs in zip(runs, (whole.windows, whole.runs), (less.windows, less.runs), strict=True):
+        own, other = _rms(measured, measured, ours), _rms(measured, measured, theirs)
+        with np.errstate(all="ignore"):
+            worse = ~(other - own < tuning.MATERIAL * own)  # true for a diverged model
+            apart = _rms(measured, ours, theirs)
+            if np.any(worse & (own < np.inf) & ~(apart < 0.5 * resolution) & ~(other <= own)):
+                return True
+    return False

@@ -8,12 +8,11 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
-from typing import NamedTuple
 
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.dynamics.effects.catalogue import KIND_OF, KINDS, MEANINGS, Kind, Quantity, upwards
+from robustlab.dynamics.effects.catalogue import KIND_OF, KINDS, Kind, Quantity, upwards
 from robustlab.dynamics.effects.contract import Site
 from robustlab.dynamics.effects.parameter_effects import GroundedEffect
 from robustlab.dynamics.extended.simulator import Windows
@@ -21,14 +20,8 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, port_model
 from robustlab.identification import tuning
 from robustlab.identification.greybox.effect_fit import Candidate, Fit, Hypothesis, Problem
-from robustlab.identification.missing_effects.discovery_parts import (
-    INTERVAL,
-    EffectValue,
-    KindMember,
-    NamedKind,
-    wave_amplitude,
-)
-from robustlab.identification.missing_effects.posterior import Posterior, Weighted
+from robustlab.identification.missing_effects.discovery_result import EffectValue, NamedKind, wave_amplitude
+from robustlab.identification.missing_effects.posterior import Posterior, place_of
 
 MOST_MEMBERS = 4  # that contribute to a class's quantities: smaller shares would change no digit
 OF_JOINT: tuple[Quantity, ...] = ("level", "viscous", "stiffness", "force")
@@ -37,6 +30,7 @@ DIVIDES = ("inertia", "resistance")  # factors whose inverse scales the path fro
 APART = 0.2  # finite difference of a parameter, in standard deviations
 
 Place = tuple[str, str]  # class, place
+Values = dict[Quantity, tuple[float, str]]  # quantity -> value, unit
 Places = Callable[[Site, str], str]  # site of an effect, where its class acts
 
 
@@ -142,65 +136,49 @@ class Kinds:
         return tuple(self._named(problem, *node, remains or self.posterior.coarse) for node in nodes)
 
     def _named(self, problem: Problem, kind: str, place: str, misfit: bool) -> NamedKind:
-        holding = [(w, own) for w in self.posterior.sets if (own := self._members(w, kind, place))]
+        holding = []
+        for w in self.posterior.sets:
+            each = enumerate(w.fit.hypothesis.candidates)
+            if own := [k for k, c in each if c.key not in self.ignored and (kind, place) in self.above(c)]:
+                holding.append((w, own))
         shares: dict[str, float] = defaultdict(float)
-        sites: dict[str, Candidate] = {}
         whole = sum(w.probability for w, _ in holding)
         for w, own in holding:
             for k in own:
-                c = w.fit.hypothesis.candidates[k]
-                shares[c.key] += w.probability / whole
-                sites[c.key] = c
-        members = tuple(
-            KindMember(c.effect.id, c.effect.title, c.site.name, min(1.0, share))
-            for share, c in sorted(((s, sites[key]) for key, s in shares.items()), key=lambda m: -m[0])
-        )
+                shares[place_of(w.fit.hypothesis.candidates[k])] += w.probability / whole
+        members = {name: min(1.0, share) for name, share in sorted(shares.items(), key=lambda m: -m[1])}
         main = sorted(holding, key=lambda h: -h[0].probability)[:MOST_MEMBERS]
         parts = [(w.probability, quantities(problem, w.fit, own, KINDS[kind])) for w, own in main]
         values = [v for name in KINDS[kind].quantities if (v := _mixture(name, parts)) is not None]
-        return NamedKind(
-            kind, KINDS[kind].title, place, min(1.0, self.probability[kind, place]), tuple(values), members,
-            KINDS[kind].form, misfit,
-        )  # fmt: skip
-
-    def _members(self, entry: Weighted, kind: str, place: str) -> list[int]:
-        own = enumerate(entry.fit.hypothesis.candidates)
-        return [k for k, c in own if c.key not in self.ignored and (kind, place) in self.above(c)]
+        return NamedKind(kind, place, min(1.0, self.probability[kind, place]), tuple(values), members, misfit)
 
 
-def _mixture(name: Quantity, members: Sequence[tuple[float, Mapping[Quantity, Estimate]]]) -> EffectValue | None:
+Estimates = Mapping[Quantity, tuple[float, float, str]]  # quantity of one member -> value, standard deviation, unit
+
+
+def _mixture(name: Quantity, members: Sequence[tuple[float, Estimates]]) -> EffectValue | None:
     """Return mean and 95 % interval of a quantity over the members that have it in the first one's unit."""
-    own = [(weight, values[name]) for weight, values in members if name in values]
-    own = [(weight, t) for weight, t in own if t.unit == own[0][1].unit]
-    total = sum(weight for weight, _ in own)
+    own = [(weight, *values[name]) for weight, values in members if name in values]
+    own = [part for part in own if part[3] == own[0][3]]
+    total = sum(weight for weight, *_ in own)
     if not own or not total > 0.0:
         return None
-    parts = [(weight / total, t) for weight, t in own]
-    mean = sum(weight * t.value for weight, t in parts)
-    half = INTERVAL * math.sqrt(sum(weight * (t.std**2 + (t.value - mean) ** 2) for weight, t in parts))
-    return EffectValue(name, mean, parts[0][1].unit, mean - half, mean + half, MEANINGS[name])
+    mean = sum(weight / total * value for weight, value, *_ in own)
+    variance = sum(weight / total * (std**2 + (value - mean) ** 2) for weight, value, std, _ in own)
+    half = tuning.INTERVAL * math.sqrt(variance)
+    return EffectValue(name, mean, own[0][3], mean - half, mean + half)
 
 
 # --- quantities: from the parameters, or from the force f along the records' motion, with speed v and position q ------
 #     level -sum(f v) / sum|v|, viscous -sum(f v) / sum(v^2), stiffness -cov(f, q) / var(q), force -mean(f)
 
 
-class Estimate(NamedTuple):
-    """A quantity of one member: value, standard deviation, unit."""
-
-    value: float
-    std: float
-    unit: str
-
-
-def quantities(problem: Problem, fit: Fit, members: Sequence[int], kind: Kind) -> dict[Quantity, Estimate]:
+def quantities(problem: Problem, fit: Fit, members: Sequence[int], kind: Kind) -> Estimates:
     """Return the combined quantities of the effects of one class (indices ``members``) in a fitted set."""
-    # Forces and times add up, factors multiply; amplitude and period are defined for one effect only.
     places = problem.slices(fit.hypothesis)
     own = np.concatenate([np.arange(len(fit.z))[places[k][1]] for k in members])
     middle = _together(problem, fit, fit.z, members, kind)
     whole = np.linalg.pinv(fit.hessian) if fit.covariance is None else fit.covariance
-    covariance = whole[own][:, own]
     slopes = {name: np.zeros(len(own)) for name in middle}
     for j, at in enumerate(own):
         step = max(APART * float(fit.std[at]), 1e-6)
@@ -210,77 +188,66 @@ def quantities(problem: Problem, fit: Fit, members: Sequence[int], kind: Kind) -
             slopes[name][j] = (value - middle[name][0]) / step
     found = {}
     for name, (value, unit) in middle.items():
-        variance = float(slopes[name] @ covariance @ slopes[name])
+        variance = float(slopes[name] @ whole[own][:, own] @ slopes[name])
         if math.isfinite(value) and math.isfinite(variance):
-            found[name] = Estimate(value, math.sqrt(max(variance, 0.0)), unit)
+            found[name] = value, math.sqrt(max(variance, 0.0)), unit
     return found
 
 
-def _together(
-    problem: Problem, fit: Fit, z: Array, members: Sequence[int], kind: Kind
-) -> dict[Quantity, tuple[float, str]]:
-    """Return value and unit of each combined quantity at the parameters z."""
-    found: dict[Quantity, tuple[float, str]] = {}
+def _together(problem: Problem, fit: Fit, z: Array, members: Sequence[int], kind: Kind) -> Values:
+    """Return the combined quantities at the parameters z: forces and times add up, factors multiply."""
+    each = [_of_effect(problem, fit, z, k, kind) for k in members]
+    found: Values = {}
     for name in kind.quantities:
-        each = [t for k in members if (t := _of_member(problem, fit, z, k, name)) is not None]
-        if len(each) < len(members) or len({unit for _, unit in each}) > 1:
+        own = [values[name] for values in each if name in values]
+        if len(own) < len(each) or len({unit for _, unit in own}) > 1:
             continue
-        if len(each) == 1:
-            found[name] = each[0]
-        elif name not in OF_ONE:
-            values = [value for value, _ in each]
-            found[name] = (math.prod(values) if name == "factor" else sum(values)), each[0][1]
+        if len(own) == 1 or name not in OF_ONE:
+            values = [value for value, _ in own]
+            found[name] = (math.prod(values) if name == "factor" else sum(values)), own[0][1]
     return found
 
 
-def _of_member(problem: Problem, fit: Fit, z: Array, k: int, name: Quantity) -> tuple[float, str] | None:
-    """Return value and unit of one effect's quantity; None if it has none."""
-    candidate = fit.hypothesis.candidates[k]
-    own = problem.split(fit.hypothesis, z)[1][k]
-    if name in OF_JOINT:
-        return _coefficient(problem, candidate, own, name) or _along(problem, fit, z, k, name)
-    return _of_parameters(candidate, own, name)
-
-
-def _coefficient(
-    problem: Problem, candidate: Candidate, values: Mapping[str, float], name: Quantity
-) -> tuple[float, str] | None:
-    """Return the coefficient of a linear effect at a joint, or the change of the plant's parameter."""
-    effect = candidate.effect
-    if not isinstance(effect, GroundedEffect):
-        return None
-    if name != ("stiffness" if effect.of == "position" else "viscous"):
-        return None
-    if candidate.site.kind == "joint":
-        return values[effect.symbol], candidate.parameters[0].unit
-    name_of, factor = next(iter(effect.factors(problem.plant, candidate.site, values).items()))
-    p = problem.plant.parameters[name_of]
-    return p.reference * factor - p.value, p.unit
-
-
-def _of_parameters(candidate: Candidate, values: Mapping[str, float], name: Quantity) -> tuple[float, str] | None:
-    effect = candidate.effect
-    units = {p.name: p.unit for p in candidate.parameters}
-    if name == "delay":
-        parts = [values[p] for p in (effect.delay, effect.time_constant) if p]
-        return (sum(parts), "s") if parts else None
-    if name == "factor":
-        if not effect.scale:
-            return None
-        s = values[effect.scale]
-        return (1.0 / s if effect.id in DIVIDES else s), "1"
-    if name == "amplitude":
-        size = wave_amplitude(values)
-        if size is None and len(values) >= 2 and not effect.spatial:  # a pendulum: horizontal and vertical part
-            size = math.hypot(*list(values.values())[:2])
-        return None if size is None else (size, candidate.parameters[0].unit)
-    if name == "period":
+def _of_effect(problem: Problem, fit: Fit, z: Array, k: int, kind: Kind) -> Values:
+    """Return the quantities of one effect, at least those of the class that it has."""
+    candidate, found = fit.hypothesis.candidates[k], Values()
+    effect, own = candidate.effect, problem.split(fit.hypothesis, z)[1][k]
+    unit = candidate.parameters[0].unit
+    if set(OF_JOINT) & set(kind.quantities) and (motion := _motion(problem, fit, z, k)) is not None:
+        f, v, q, (force, speed, position) = motion
+        found["level"] = _over(-float(f @ v), float(np.abs(v).sum())), force
+        found["viscous"] = _over(-float(f @ v), float(v @ v)), f"{force} s/{speed.removesuffix('/s')}" if force else ""
+        found["force"] = -float(f.mean()), force
+        if q is not None:
+            q = q - q.mean()
+            found["stiffness"] = _over(-float(f @ q), float(q @ q)), f"{force}/{position}" if force else ""
+    if isinstance(effect, GroundedEffect):
+        # The coefficient at a joint, or the change of the plant's parameter.
+        value = own.get(effect.symbol, 0.0), unit
+        if candidate.site.kind != "joint":
+            name, factor = next(iter(effect.factors(problem.plant, candidate.site, own).items()))
+            p = problem.plant.parameters[name]
+            value = p.reference * factor - p.value, p.unit
+        found["stiffness" if effect.of == "position" else "viscous"] = value
+    if late := [own[p] for p in (effect.delay, effect.time_constant) if p]:
+        found["delay"] = sum(late), "s"
+    if effect.scale:
+        s = own[effect.scale]
+        found["factor"] = (1.0 / s if effect.id in DIVIDES else s), "1"
+    if "amplitude" in kind.quantities:
+        size = wave_amplitude(own)
+        if size is None and len(own) >= 2 and not effect.spatial:  # a pendulum: horizontal and vertical part
+            size = math.hypot(*list(own.values())[:2])
+        if size is not None:
+            found["amplitude"] = size, unit
+    if "period" in kind.quantities:
+        found["period"] = 2.0 * math.pi, "rad"
         if effect.timed:
-            return 1.0 / values[effect.timed], "s"
-        if "k" in values:
-            return 2.0 * math.pi / values["k"], units["k"].rpartition("/")[2]
-        return 2.0 * math.pi, "rad"
-    return None
+            found["period"] = 1.0 / own[effect.timed], "s"
+        elif "k" in own:
+            (per,) = (p.unit for p in candidate.parameters if p.name == "k")
+            found["period"] = 2.0 * math.pi / own["k"], per.rpartition("/")[2]
+    return found
 
 
 def force_share(problem: Problem, fit: Fit, k: int) -> float:
@@ -294,19 +261,14 @@ def force_share(problem: Problem, fit: Fit, k: int) -> float:
         size = abs(values[candidate.effect.symbol]) * float(np.sqrt(np.mean((x @ row) ** 2)))
         return size / candidate.scales.force
     motion = _motion(problem, fit, fit.z, k)
-    return 0.0 if motion is None else float(np.sqrt(np.mean(motion.force**2))) / candidate.scales.force
+    return 0.0 if motion is None else float(np.sqrt(np.mean(motion[0] ** 2))) / candidate.scales.force
 
 
-class _Motion(NamedTuple):
-    """Over all simulated windows: the effect's force, speed and position (or None) of its joint, units."""
-
-    force: Array
-    speed: Array
-    position: Array | None
-    units: tuple[str, str, str]
+# Over all simulated windows: an effect's force, speed and position (or None) of its joint, their units.
+Motion = tuple[Array, Array, Array | None, tuple[str, str, str]]
 
 
-def _motion(problem: Problem, fit: Fit, z: Array, k: int) -> _Motion | None:
+def _motion(problem: Problem, fit: Fit, z: Array, k: int) -> Motion | None:
     """Simulate the force of an effect with a force law at a joint; None for any other."""
     if fit.hypothesis.candidates[k].site.kind != "joint":
         return None
@@ -335,25 +297,7 @@ def _motion(problem: Problem, fit: Fit, z: Array, k: int) -> _Motion | None:
             places.append((0.5 * (q[:, 1:] + q[:, :-1])).ravel())
         units = port.unit, port.speed_unit, port.position_unit
     q = np.concatenate(places) if places else None
-    return _Motion(np.concatenate(forces), np.concatenate(speeds), q, units)
-
-
-def _along(problem: Problem, fit: Fit, z: Array, k: int, name: Quantity) -> tuple[float, str] | None:
-    """Return the quantity of an effect with a force law from its force over the simulated windows."""
-    motion = _motion(problem, fit, z, k)
-    if motion is None:
-        return None
-    f, v, q, units = motion
-    if name == "level":
-        return _over(-float(f @ v), float(np.abs(v).sum())), units[0]
-    if name == "viscous":
-        return _over(-float(f @ v), float(v @ v)), f"{units[0]} s/{units[1].removesuffix('/s')}" if units[0] else ""
-    if name == "force":
-        return -float(f.mean()), units[0]
-    if q is None:
-        return None
-    q = q - q.mean()
-    return _over(-float(f @ q), float(q @ q)), f"{units[0]}/{units[2]}" if units[0] else ""
+    return np.concatenate(forces), np.concatenate(speeds), q, units
 
 
 def _over(a: float, b: float) -> float:

@@ -61,54 +61,47 @@ class Weighted:
         return self.visited.key
 
 
-@dataclass(frozen=True, eq=False)
-class Alternative:
-    """An effect of another set of the answer that replaces one of the best set (None: added to it)."""
-
-    candidate: Candidate
-    instead_of: Candidate | None
-    weighed: Weighted
-    evidence: float
+def place_of(candidate: Candidate) -> str:
+    """Return the effect with its site: ``coulomb-friction@omega``."""
+    return f"{candidate.effect.id}@{candidate.site.name}"
 
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
     """Sets of effects, the most probable first."""
 
-    # collection: the smallest with probability `tuning.SURE`, and sets indistinguishable from the best; weight: that of
-    # the best set; coarse: log evidence is divided because of a residual force.
-
     sets: tuple[Weighted, ...]
-    collection: tuple[Weighted, ...]
+    collection: tuple[Weighted, ...]  # the smallest that is sure, and sets indistinguishable from the best
     generalises: bool  # False if every more probable set than the empty one fails on held-out data
-    weight: Weight | None
-    coarse: bool = False
+    weight: Weight | None  # of the best set
+    coarse: bool  # whether log evidence is divided because of a residual force
+
+    @property
+    def left(self) -> tuple[Unnamed, ...]:
+        """Return the residual force of the best set by place; nothing if it is unknown."""
+        return self.weight.left if self.weight else ()
 
     @property
     def noise_ratio(self) -> float:
         """Return the error of the best set over noise and random force, the largest over the places; NaN if unknown."""
-        return max((u.noise_ratio for u in self.weight.left), default=np.nan) if self.weight else np.nan
-
-    @property
-    def random_share(self) -> float:
-        """Return the best set's random force over the force that moves the port, the largest over the places."""
-        return max((u.random_share for u in self.weight.left), default=np.nan) if self.weight else np.nan
+        return max((u.noise_ratio for u in self.left), default=np.nan)
 
     @property
     def best(self) -> Weighted:
         return self.sets[0]
 
-    def alternatives(self) -> list[Alternative]:
-        """Return the effects of the collection that the best set lacks, each once."""
+    def alternatives(self) -> list[tuple[Candidate, Candidate | None, Weighted]]:
+        """Return each effect of the collection that the best set lacks, the effect of that set which it replaces (None:
+        added to it), and its set.
+        """
         here = {c.key: c for c in self.best.fit.hypothesis.candidates}
-        found: dict[str, Alternative] = {}
+        found: dict[str, tuple[Candidate, Candidate | None, Weighted]] = {}
         for other in self.collection[1:]:
             missing = [c for key, c in here.items() if key not in other.key]
-            behind = other.evidence - self.best.evidence
             for candidate in other.fit.hypothesis.candidates:
                 if candidate.key not in here and candidate.key not in found:
                     place = next((m for m in missing if m.site == candidate.site), missing[0] if missing else None)
-                    found[candidate.key] = Alternative(candidate, place, other, behind)
+                    found[candidate.key] = candidate, place, other
         return list(found.values())
 
 
@@ -158,10 +151,10 @@ def weigh(found: Found) -> Posterior:
         level = max(v.evidence for v in ordered if v.key in weights)
         again = max(w.log_likelihood + v.prior for v in ordered if (w := weights.get(v.key)) is not None)
         # Sets too far behind for a second evaluation keep their distance.
-        evidence = {key: value - level + again for key, value in evidence.items()}
-        for v in ordered:
-            if v.key in weights:
-                evidence[v.key] = weights[v.key].log_likelihood + v.prior
+        evidence = {
+            v.key: w.log_likelihood + v.prior if (w := weights.get(v.key)) else v.evidence - level + again
+            for v in ordered
+        }
     evidence = {v.key: evidence[v.key] + _within(problem, v.fit) for v in ordered}
     forces = _forces(ordered, evidence, weights)
     if near:
@@ -180,8 +173,12 @@ def weigh(found: Found) -> Posterior:
     if sets[0].key not in weights and (weight := weight_of(found, sets[0].fit)) is not None:
         weights[sets[0].key] = weight
         sets[0] = replace(sets[0], unnamed=weight.force)
-    twins = {key for key, d in distance.items() if d < tuning.CANNOT_TELL}
-    collection = tuple(_collected(sets, tuning.SURE, twins))
+    # The smallest collection that is sure, and the sets indistinguishable from the best.
+    before = np.cumsum([0.0, *(w.probability for w in sets)])
+    collection = tuple(
+        w for w, total in zip(sets, before.tolist(), strict=False)
+        if total < tuning.SURE or distance.get(w.key, np.inf) < tuning.CANNOT_TELL
+    )  # fmt: skip
     return Posterior(tuple(sets), collection, generalises, weights.get(sets[0].key), temperature > TEMPERATURE)
 
 
@@ -196,8 +193,8 @@ def _temperature(best: Scored, weights: Mapping[Key, Weight]) -> float:
     """Return the divisor of log evidence: that of the residual force over that of a sure effect."""
     # A line over position or time does not count: it cannot come from a wrong form of another effect.
     left = weights[best.key].left if best.key in weights else ()
-    smooth = [f for u in left for f in u.forces if f.wins and not np.isfinite(f.period)]
-    gain = max((_gain(f) for f in smooth), default=0.0)
+    smooth = (_gain(f) for u in left for f in u.forces if f.wins and not np.isfinite(f.period))
+    gain = max(smooth, default=0.0)
     return max(TEMPERATURE, gain / float(np.log(tuning.SURE / (1.0 - tuning.SURE))))
 
 
@@ -210,44 +207,37 @@ def _weights(found: Found, ordered: Sequence[Scored], close: Sequence[Scored]) -
     while close:
         tried |= {v.key for v in close}
         weights |= {v.key: weight for v in close if (weight := weight_of(found, v.fit)) is not None}
-        plausible = _with_plausible_force(weights, tuning.MOST_RANDOM)
+        # A larger random force is not noise: it replaces a missing effect, and predicts the next sample better than any
+        # law.
+        plausible = {k: w for k, w in weights.items() if w.random_share < tuning.MOST_RANDOM} or weights
         rated = [(plausible[v.key].log_likelihood + v.prior, v) for v in ordered if v.key in plausible]
         best = max(rated, key=lambda r: r[0])[1] if rated else None
         close = [v for v in _one_apart(best, ordered)[0] if v.key not in tried] if best else []
     return plausible
 
 
-def _with_plausible_force(weights: dict[Key, Weight], most: float) -> dict[Key, Weight]:
-    """Return the sets whose random force is not larger than ``most``, or all if there are none."""
-    # A larger one is not noise: it replaces a missing effect, and predicts the next sample better than any law.
-    own = {key: weight for key, weight in weights.items() if weight.random_share < most}
-    return own or weights
-
-
 def _lift(problem: Problem, ordered: Sequence[Scored], evidence: dict[Key, float]) -> dict[Key, float]:
     """Raise the evidence of sets indistinguishable from the best one; return refit distances from the best."""
+
+    def raised(best: Scored, others: Sequence[Scored]) -> dict[Key, float]:
+        distance = {other.key: refit_distance(problem, best.fit, other.fit) for other in others}
+        for other in others:
+            d = distance[other.key]
+            if d < tuning.CANNOT_TELL:
+                change = other.prior + _within(problem, other.fit) - best.prior - _within(problem, best.fit)
+                evidence[other.key] = max(evidence[other.key], evidence[best.key] - 0.5 * d**2 + change)
+        return distance
+
     # A set with one effect less that becomes more probable replaces the best one.
     best = ordered[0]
     while True:
         near = [v for v in ordered if v is not best and best.evidence - v.evidence <= tuning.FAR_BEHIND]
         less, exchanged = _one_apart(best, near)
-        distance = {best.key: 0.0} | _raise(problem, best, less, evidence)
+        distance = {best.key: 0.0} | raised(best, less)
         ahead = max([best, *less], key=lambda v: evidence[v.key])
         if ahead is best:
-            return distance | _raise(problem, best, exchanged[:MOST_RIVALS], evidence)
+            return distance | raised(best, exchanged[:MOST_RIVALS])
         best = ahead
-
-
-def _raise(problem: Problem, best: Scored, others: Sequence[Scored], evidence: dict[Key, float]) -> dict[Key, float]:
-    """Return distances of sets from the best one; raise the evidence of indistinguishable sets to its bound."""
-    distance = {other.key: refit_distance(problem, best.fit, other.fit) for other in others}
-    for other in others:
-        d = distance[other.key]
-        if d < tuning.CANNOT_TELL:
-            change = other.prior + _within(problem, other.fit) - best.prior - _within(problem, best.fit)
-            least = evidence[best.key] - 0.5 * d**2 + change
-            evidence[other.key] = max(evidence[other.key], least)
-    return distance
 
 
 def _without_undecided(
@@ -278,20 +268,10 @@ def _without_undecided(
 
 
 def weight_of(found: Found, fit: Fit) -> Weight | None:
-    """Evaluate a set under a random force; None with too little motion."""
-    held, price = in_phase(found.held, fit, found.problem.records)
-    both, fit = _all_windows(found, held, fit)
-    try:
-        with np.errstate(all="ignore"):
-            weight = Weight(fitted_windows(both, fit), price)
-    except SINGULAR:
-        return None
-    return weight if np.isfinite(weight.log_likelihood) else None
-
-
-def _all_windows(found: Found, held: Problem, fit: Fit) -> tuple[Problem, Fit]:
-    """Join fitted and held-out windows by record in order of time; return the problem and its fit."""
+    """Evaluate a set on all windows under a random force; None with too little motion."""
     problem = found.problem
+    held, price = in_phase(found.held, fit, problem.records)
+    # Fitted and held-out windows of a record are joined in order of time.
     records, chosen, starts = list(problem.records), list(problem.chosen), list(fit.starts)
     placed = held_out_fit(held, fit, found.noise).starts
     for record, more, theirs in zip(held.records, held.chosen, placed, strict=True):
@@ -300,7 +280,13 @@ def _all_windows(found: Found, held: Problem, fit: Fit) -> tuple[Problem, Fit]:
         order = np.argsort(every := np.append(own, more))
         records[k : k + 1], chosen[k : k + 1] = [record], [every[order]]
         starts[k : k + 1] = [np.concatenate([at, theirs])[order]]
-    return problem.on(records, chosen), replace(fit, starts=tuple(starts))
+    try:
+        with np.errstate(all="ignore"):
+            whole = fitted_windows(problem.on(records, chosen), replace(fit, starts=tuple(starts)))
+            weight = Weight(whole, price)
+    except SINGULAR:
+        return None
+    return weight if np.isfinite(weight.log_likelihood) else None
 
 
 def _forces(
@@ -347,13 +333,3 @@ def _one_apart(best: Scored, others: Iterable[Scored]) -> tuple[list[Scored], li
         elif not related(new[0], out[0]):
             exchanged.append(other)
     return less, exchanged
-
-
-def _collected(sets: Sequence[Weighted], sure: float, twins: set[Key]) -> list[Weighted]:
-    """Return the smallest collection with this probability, and the twins of the best."""
-    total, found = 0.0, []
-    for entry in sets:
-        if total < sure or entry.key in twins:
-            found.append(entry)
-        total += entry.probability
-    return found

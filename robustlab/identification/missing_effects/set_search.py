@@ -313,8 +313,8 @@ class _Search:
         pool = [c for c in pool if may_be_added(c, less.hypothesis)]
         pool = [c for c in pool if key_of(less.hypothesis) | {c.key} not in self.visited]
         plan = FitPlan(tuning.FULL, 0.05)
-        for start in promising(self.problem, less, pool, 0.0, lambda done, expected: None):
-            self._keep(self.problem.fit(start.hypothesis, self.noise, start.z, fit.starts, plan))
+        for hypothesis, z in promising(self.problem, less, pool, 0.0, lambda done, expected: None):
+            self._keep(self.problem.fit(hypothesis, self.noise, z, fit.starts, plan))
 
     def _expand(self, key: Key) -> None:
         """Fit the most promising effects on top of a set."""
@@ -328,11 +328,10 @@ class _Search:
         ceiling = min(base.cost - 2.0 * PROMISING, best.cost + 2.0 * tuning.FAR_BEHIND)
         pool = [c for c in self.pool if may_be_added(c, base.hypothesis)]
         starts = promising(self.problem, base, pool, base.cost - ceiling, report)
-        for done, start in enumerate(starts, 1):
-            most = np.inf if start.candidate.effect.gain_like else ceiling
+        for done, (hypothesis, z) in enumerate(starts, 1):
+            most = np.inf if hypothesis.candidates[-1].effect.gain_like else ceiling
             plan = FitPlan(tuning.FULL if self.noise_known else ROUGH, 0.05, ceiling=most)
-            fit = self.problem.fit(start.hypothesis, self.noise, start.z, base.starts, plan)
-            self._keep(fit)
+            self._keep(self.problem.fit(hypothesis, self.noise, z, base.starts, plan))
             self.progress(done, len(starts), f"full fits of what could be added to {text}")
         self.expanded.add(key)
         self.expansions += 1
@@ -401,13 +400,7 @@ class _Search:
 # --- additions and removals ------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class Start:
-    """An effect on top of a set, and the initial parameters of their fit."""
-
-    candidate: Candidate
-    hypothesis: Hypothesis
-    z: Array
+Start = tuple[Hypothesis, Array]  # a set with an effect added last, and the initial parameters of their fit
 
 
 def promising(
@@ -421,13 +414,12 @@ def promising(
     for done, start in enumerate(jobs, start=1):
         scores.append(_score(quick, base, residual, own, start))
         report(done, len(jobs))
-    order = sorted(range(len(jobs)), key=lambda k: -scores[k])
-    first = list(dict.fromkeys(jobs[k].candidate.key for k in order if MOST_FALL * scores[k] > wanted))[:KEPT]
-    gains = [jobs[k].candidate for k in order if jobs[k].candidate.effect.gain_like]
-    further = list(dict.fromkeys(c.key for c in gains if c.key not in first))[:KEPT_GAINS]
+    order, added = sorted(range(len(jobs)), key=lambda k: -scores[k]), [h.candidates[-1] for h, _ in jobs]
+    first = list(dict.fromkeys(added[k].key for k in order if MOST_FALL * scores[k] > wanted))[:KEPT]
+    gains = [added[k].key for k in order if added[k].effect.gain_like and added[k].key not in first]
     found = []
-    for key in (*first, *further):
-        own = [k for k in order if jobs[k].candidate.key == key]
+    for key in (*first, *list(dict.fromkeys(gains))[:KEPT_GAINS]):
+        own = [k for k in order if added[k].key == key]
         second = [k for k in own if AS_GOOD * scores[own[0]] < scores[k] < ALIKE * scores[own[0]]]
         found += [jobs[k] for k in (own[0], *second[:1])]
     return found
@@ -437,20 +429,22 @@ def _score(
     problem: Problem, base: Fit, residual: Sequence[Array], own: Sequence[tuple[Array, Array]], start: Start
 ) -> float:
     """Return the expected fall of V by an addition; a single negative strength does not count."""
-    simulators, step, n = problem.simulators(start.hypothesis), tuning.STEP, len(base.z)
+    hypothesis, begun = start
+    simulators, step, n = problem.simulators(hypothesis), tuning.STEP, len(base.z)
+    parameters = hypothesis.candidates[-1].parameters
 
     def there(z: Array) -> list[Array]:
-        return problem.whitened(problem.errors(start.hypothesis, z, base.starts, simulators), base.noise)
+        return problem.whitened(problem.errors(hypothesis, z, base.starts, simulators), base.noise)
 
     with np.errstate(all="ignore"):
-        at = there(start.z)
+        at = there(begun)
         fall = sum(float(r.ravel() @ r.ravel() - a.ravel() @ a.ravel()) for r, a in zip(residual, at, strict=True))
-        fall += float(base.z @ base.z - start.z @ start.z)
+        fall += float(base.z @ base.z - begun @ begun)
         columns = [[a - r for a, r in zip(at, residual, strict=True)]]
-        first = len(start.z) - len(start.candidate.parameters)
-        for i, p in enumerate(start.candidate.parameters):
+        first = len(begun) - len(parameters)
+        for i, p in enumerate(parameters):
             if p.prior.kind == "linear":
-                moved = there(start.z + step * np.eye(len(start.z))[first + i])
+                moved = there(begun + step * np.eye(len(begun))[first + i])
                 columns.append([(m - a) / step for m, a in zip(moved, at, strict=True)])
         hessian, gradient = np.zeros((n + len(columns),) * 2), np.zeros(n + len(columns))
         for k, (over_z, over_x) in enumerate(own):
@@ -486,7 +480,7 @@ def may_be_added(candidate: Candidate, base: Hypothesis) -> bool:
     return True
 
 
-def without(problem: Problem, fit: Fit, k: int) -> tuple[Hypothesis, Array]:
+def without(problem: Problem, fit: Fit, k: int) -> Start:
     """Return the hypothesis without its k-th effect, and its standardised parameters."""
     candidates = fit.hypothesis.candidates
     removed = problem.slices(fit.hypothesis)[k][1]
@@ -514,7 +508,7 @@ def _starts(problem: Problem, base: Fit, candidate: Candidate) -> list[Start]:
     effect, site, count = candidate.effect, candidate.site, len(problem.nuisances)
 
     def at(start: Mapping[str, float]) -> Start:
-        return Start(candidate, *extended(problem, base.hypothesis, base.z, candidate, start))
+        return extended(problem, base.hypothesis, base.z, candidate, start)
 
     found = [at(start) for start in candidate.starts]
     pairs = list(zip(problem.nuisances, base.z[:count].tolist(), strict=True))
@@ -526,10 +520,10 @@ def _starts(problem: Problem, base: Fit, candidate: Candidate) -> list[Start]:
         likely = max(stretch, key=lambda s: abs(s) if abs(s) < MOST_STRETCHED else 0.0, default=0.0)
         for sign in (1.0, -1.0) if pairs else ():
             found.append(at({candidate.parameters[0].name: float(np.exp(sign * likely))}))
-            found[-1].z[:count] = 0.0
+            found[-1][1][:count] = 0.0
     if effect.delay:  # the shift of an input's clock, which is reset
         for k, (clock, z) in enumerate(pairs):
             if clock.input and z > LATE and (site.kind != "input" or clock.input == site.name):
                 found.append(at({effect.delay: clock.spread * z}))
-                found[-1].z[k] = 0.0
+                found[-1][1][k] = 0.0
     return found

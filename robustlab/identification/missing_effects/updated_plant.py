@@ -16,8 +16,9 @@ from robustlab.dynamics.parameters import Parameter
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, parameter_groups
 from robustlab.errors import InputError, error_context
+from robustlab.identification import tuning
 from robustlab.identification.greybox.effect_fit import Candidate, Fit, Problem
-from robustlab.identification.missing_effects.discovery_parts import INTERVAL, NamedKind
+from robustlab.identification.missing_effects.posterior import place_of
 
 ONE_FACTOR = "scaled by one factor"
 SIGMAS = 2.0  # standard deviations in a refitted parameter's tolerance
@@ -25,7 +26,7 @@ MOST = 0.99  # largest relative tolerance
 TIMES_RMS = 3.0  # bound of the residual force: nearly all of a normal distribution
 
 
-def updated_plant(problem: Problem, fit: Fit, source: str, kinds: Sequence[NamedKind] = ()) -> Any:
+def updated_plant(problem: Problem, fit: Fit, source: str, kinds: Sequence[Any] = ()) -> Any:
     """Return the plant with fitted parameters and tolerances, and every other effect attached."""
     # The size of an effect whose form is open has the interval of its class.
     plant = problem.plant
@@ -46,13 +47,13 @@ def updated_plant(problem: Problem, fit: Fit, source: str, kinds: Sequence[Named
     return with_effects(base, attached) if attached else base
 
 
-def _spread_of(kinds: Sequence[NamedKind], candidate: Candidate) -> float:
+def _spread_of(kinds: Sequence[Any], candidate: Candidate) -> float:
     """Return the relative standard deviation of an open class's size, if it is that of the effect's first parameter."""
     for kind in kinds:
-        own = any((m.name, m.site) == (candidate.effect.id, candidate.site.name) for m in kind.members)
-        if own and not kind.settled and kind.values and kind.values[0].unit == candidate.parameters[0].unit:
+        own = place_of(candidate) in kind.members and not kind.settled
+        if own and kind.values and kind.values[0].unit == candidate.parameters[0].unit:
             size = kind.values[0]
-            return 0.5 * (size.upper - size.lower) / (INTERVAL * abs(size.value)) if size.value else 0.0
+            return 0.5 * (size.upper - size.lower) / (tuning.INTERVAL * abs(size.value)) if size.value else 0.0
     return 0.0
 
 

@@ -113,7 +113,7 @@ def test_bristle_friction_is_dry_friction_of_its_level():
     (level,) = kind.values
     assert level.lower < level.value < level.upper
     assert level.value == pytest.approx(20.0, rel=0.05)  # without the stored energy of the bristles
-    assert sum(m.share for m in kind.members) == pytest.approx(1.0, abs=1e-6)
+    assert sum(kind.members.values()) == pytest.approx(1.0, abs=1e-6)
 
 
 # --- indistinguishable effects ---------------------------------------------------------------------------------------

@@ -20,9 +20,9 @@ from robustlab.identification import (
     SetProbability,
 )
 
-FC = EffectValue("Fc", 20.39, "N", 20.31, 20.47, "friction level")
-COULOMB = NamedEffect("coulomb-friction", "Coulomb (dry) friction", "f = -Fc sgn(v)", "v", (FC,), 0.985, 512.0, ())
-RIVAL = Rival("presliding", "Presliding", "v", "coulomb-friction", 1.4, -0.7, 0.21, (replace(FC, name="Fb"),))
+FC = EffectValue("Fc", 20.39, "N", 20.31, 20.47)
+COULOMB = NamedEffect("coulomb-friction", "Coulomb (dry) friction", "v", (FC,), 0.985, 512.0)
+RIVAL = Rival("presliding", "Presliding", "v", (replace(FC, name="Fb"),), 0.21, -0.7, "coulomb-friction", 1.4)
 WINDOWS, LENGTH, DT = 5, 40, 0.01
 
 
@@ -43,10 +43,10 @@ def series():
 
 
 def made(**changes):
-    mass = NominalValue("M", 95.1, 96.0, "kg", 95.7, 96.3, 0.05, True)
-    gain = NominalValue("gain", 35.15, 35.15, "N/V", 35.15, 35.15, 0.0, False)
-    best = SetProbability(("coulomb-friction@v",), ("coulomb-friction",), 0.985, 0.0, 0.0)
-    other = SetProbability(("presliding@v",), ("presliding",), 0.015, -4.2, 1.4)
+    mass = NominalValue("M", 96.0, "kg", 95.7, 96.3, 95.1, 0.05, True, False)
+    gain = NominalValue("gain", 35.15, "N/V", 35.15, 35.15, 35.15, 0.0, False, False)
+    best = SetProbability(("coulomb-friction@v",), 0.985, 0.0, 0.0)
+    other = SetProbability(("presliding@v",), 0.015, -4.2, 1.4)
     found = Discovery(
         status=Status.CONVERGED, verdict="named", complete=True, effects=(COULOMB,), rivals=(), nominal=(mass, gain),
         gap_before=3.0, gap_refitted=0.9, gap_after=0.1, gaps={"q": Gap("q", "m", 2.0, 0.06, 0.018, 0.002)},
@@ -60,9 +60,9 @@ def made(**changes):
 
 
 def ambiguous(**changes):
-    effects = (replace(COULOMB, confidence=0.6, rivals=("presliding",)),)
+    effects = (replace(COULOMB, confidence=0.6),)
     sets = (("coulomb-friction", 0.6, 0.0), ("presliding", 0.38, 1.4), ("cogging", 0.02, 5.0))
-    posterior = tuple(SetProbability((f"{name}@v",), (name,), p, math.log(p / 0.6), d) for name, p, d in sets)
+    posterior = tuple(SetProbability((f"{name}@v",), p, math.log(p / 0.6), d) for name, p, d in sets)
     fields = {"status": Status.INCONCLUSIVE, "verdict": "ambiguous", "effects": effects, "rivals": (RIVAL,)}
     fields["posterior"] = posterior
     return made(**{**fields, **changes})
@@ -118,8 +118,8 @@ def test_the_facts_have_verdict_effects_errors_and_next_step():
 
 def test_periodic_effects_have_amplitude_and_period():
     values = {"Ac": (3.0, "N m"), "As": (-4.0, "N m"), "k": (7.0, "1/rad")}
-    parts = tuple(EffectValue(name, x, unit, x - 0.1, x + 0.1, "") for name, (x, unit) in values.items())
-    ripple = NamedEffect("cogging", "Cogging", "f = ...", "omega", parts, 1.0, 9.0, ())
+    parts = tuple(EffectValue(name, x, unit, x - 0.1, x + 0.1) for name, (x, unit) in values.items())
+    ripple = NamedEffect("cogging", "Cogging", "omega", parts, 1.0, 9.0)
     d = made(effects=(ripple,), candidates=("cogging", "coulomb-friction"))
     assert "amplitude 5 N m, period 0.8976 rad, 7 a turn" in d.summary()
     assert d.numbers()["effects"]["cogging"]["amplitude"] == pytest.approx(5.0)
