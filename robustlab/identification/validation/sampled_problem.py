@@ -7,9 +7,10 @@ observable state may jump; unobservable states start at zero, since a free one c
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib import import_module
+from itertools import pairwise
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -147,16 +148,15 @@ class SampledProblem:
         x = states(self.A, drive, first)
         return self.z0 + x @ self.C1.T + w @ self.D11.T, self.e - x @ self.C2.T - w @ self.D21.T
 
-    def free_response(self) -> Array:
-        """Compute the response of -noise to the jumps, (n, n_y, k m), for the m free starts in turn."""
-        k, starts = self.free.shape[1], self.free_starts
-        found = np.zeros((*self.e.shape, k * len(starts)))
-        rest = np.zeros((self.n, len(self.A)))
-        moved = [states(self.A, rest, x0) @ self.C2.T for x0 in self.free.T] if starts else []
-        for i, start in enumerate(starts):
-            for j, y in enumerate(moved):
-                found[start:, :, i * k + j] = y[: self.n - start]
-        return found
+    def free_response(self) -> Any:
+        """Return the response of -noise to the free states of each window, sparse, (n n_y, all free states)."""
+        cuts = list(pairwise([*self.starts, self.n]))
+        longest, k = max(b - a for a, b in cuts), self.free.shape[1]
+        moved = [states(self.A, np.zeros((longest, len(self.A))), x0) @ self.C2.T for x0 in self.free.T]
+        rows = np.stack(moved, axis=2).reshape(-1, k) if moved else np.zeros((longest * self.e.shape[1], 0))
+        ends = [(b - a) * self.e.shape[1] for a, b in cuts]
+        parts = [rows[:end, : k if a in self.free_starts else 0] for (a, _), end in zip(cuts, ends, strict=True)]
+        return sparse_matrices().block_diag(parts, format="csr")
 
     def z_is_known(self) -> bool:
         """Check that z depends neither on w nor on a free state: then the test is convex."""
@@ -332,6 +332,26 @@ class Multipliers:
 
     def arrays(self) -> dict[str, Array]:
         return {"energy": self.D, "noise": self.noise}
+
+
+@dataclass(frozen=True)
+class Found:
+    """Bounds of gamma with the explanation of the record, in the scaled signals of its problem."""
+
+    lower: float
+    upper: float  # inf if nothing explains the record
+    # noise, excess: remaining noise (n, n_y), and its largest part over the bound; without an explanation the smallest
+    noise: Array
+    excess: float
+    multipliers: Multipliers | None = None  # of the lower bound
+    label: str = ""
+    certified: bool = True
+    values: Mapping[str, float] = field(default_factory=dict)  # of the constants
+    problem: SampledProblem | None = None  # of the dynamic blocks, with their signals and the jumps of the states:
+    w: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    z: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    states: Mapping[int, Array] = field(default_factory=dict)
+    recheck: Callable[[], float] | None = None
 
 
 class Search(NamedTuple):

@@ -7,8 +7,7 @@ proof.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.validation.sampled_problem import (
     SLACK,
     ConeSolution,
+    Found,
     Multipliers,
     Rows,
     SampledProblem,
@@ -125,25 +125,7 @@ def disproved_by(problem: SampledProblem, multipliers: Multipliers, search: Sear
 # --- the search ------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Contractions:
-    """Result of `smallest_contractions`; signals in the scaled units of the problem."""
-
-    # lower, upper: bounds of gamma; the upper one is that of w and z below, recomputed by simulation (inf for none)
-    lower: float
-    upper: float
-    multipliers: Multipliers  # of the lower bound
-    # noise, excess: remaining noise (n, n_y), and its largest part over the bound; without an explanation, the smallest
-    # excess over all w
-    noise: Array
-    excess: float
-    # w, z: shapes (n, q), (n, p); empty if nothing explains the record
-    w: Array
-    z: Array
-    states: Mapping[int, Array]  # start of window -> jump of its state
-
-
-def smallest_contractions(problem: SampledProblem, search: Search) -> Contractions:
+def smallest_contractions(problem: SampledProblem, search: Search) -> Found:
     """Compute bounds of the smallest gamma over all blocks."""
     programme = _Programme(problem, search)
     if not problem.blocks:
@@ -155,7 +137,7 @@ def smallest_contractions(problem: SampledProblem, search: Search) -> Contractio
         z = problem.respond(*programme.signals(guess.x))[0]
     solution, before = None, np.inf
     nothing = Multipliers(np.zeros((problem.n, len(problem.blocks))), np.zeros(problem.e.shape))
-    best = _unexplained(0.0, nothing, 1.0)
+    best = Found(0.0, np.inf, NONE, 1.0, nothing, problem=problem)
     for _ in range(1 if programme.convex else VARYING_ROUNDS):
         found = programme.smallest(z, known=programme.convex)
         if found is None:
@@ -195,7 +177,7 @@ def _silent(problem: SampledProblem, z: Array, cols: slice) -> Mask:
     return silent
 
 
-def _by_noise(programme: _Programme) -> Contractions:
+def _by_noise(programme: _Programme) -> Found:
     """Minimise the noise over any w, and test whether its multipliers disprove every gamma.
 
     Where z is known, w is zero before z moves: its multipliers there are unbounded.
@@ -212,13 +194,10 @@ def _by_noise(programme: _Programme) -> Contractions:
     z, noise = problem.respond(w, jumps)
     excess = problem.excess(noise)
     if not problem.blocks and excess <= 1 + SLACK:
-        return Contractions(0.0, 0.0, multipliers, noise, excess, w, z, jumps)
+        return Found(0.0, 0.0, noise, excess, multipliers, problem=problem, w=w, z=z, states=jumps)
     # w is free where D is zero, and z is zero elsewhere: L is the same for every gamma.
-    return _unexplained(disproved_by(problem, multipliers, programme.search, np.inf), multipliers, excess)
-
-
-def _unexplained(lower: float, multipliers: Multipliers, excess: float) -> Contractions:
-    return Contractions(lower, np.inf, multipliers, NONE, excess, NONE, NONE, {})
+    lower = disproved_by(problem, multipliers, programme.search, np.inf)
+    return Found(lower, np.inf, NONE, excess, multipliers, problem=problem)
 
 
 # --- the programme ---------------------------------------------------------------------------------------------------
