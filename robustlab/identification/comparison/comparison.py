@@ -7,7 +7,7 @@ it measures the linearisation error. Errors are sorted along the motion of the j
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from robustlab.dynamics.fmu import FreeRun as RunOfUnit
 from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant, SteppedPlant, input_signal
 from robustlab.dynamics.ports.port_model import Course
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError, error_context
-from robustlab.identification.comparison.comparison_result import POSE, Comparison
+from robustlab.identification.comparison.comparison_result import Comparison
 from robustlab.identification.comparison.error_analysis import (
     FreeRun,
     InputDisturbance,
@@ -162,7 +162,7 @@ def compare(
         of_joints = [motion_of(record, speed, position, length)]
         motions = dict.fromkeys(outputs, of_joints[0])
     lags = min(LAGS, record.n // 4)
-    found = localised(whole, matching.outputs, free if run.whole else None, windows, motions, _sizes(matching), lags)
+    found = localised(whole, matching.outputs, free if run.whole else None, windows, motions, lags)
     noise, noise_reason = None, ""
     try:
         noise = noise_floor(record, outputs=outputs)
@@ -175,7 +175,7 @@ def compare(
     elif matching.smoothed:
         disturbance = joint_disturbances(model, matching.smoothed, error, windows.edges, of_joints)
     checked = linearisation(along, windows, outputs) if along else None
-    compared = Comparison(
+    return Comparison(
         status=Status.CONVERGED,
         model=str(getattr(plant, "name", None) or repr(plant)),
         record=record.name,
@@ -199,7 +199,6 @@ def compare(
         sensor_noise=dict(zip(outputs, (1.0 / whole.weight).tolist(), strict=True)) if along else {},
         **found,
     )
-    return replace(compared, pose=pose_of(plant, compared)) if along else compared
 
 
 def _matching(plant: Any, record: Record) -> Matching:
@@ -210,16 +209,6 @@ def _matching(plant: Any, record: Record) -> Matching:
     record = response.with_units(record)
     model = LinearResponse(response, response.stretch(record))
     return Matching(model, record, list(response.model.input_names), response.outputs, response.warnings)
-
-
-def _sizes(matching: Matching) -> dict[str, Array]:
-    """Return |deviation from the operating point| (n,) of each moving input; for a nonlinear plant of a single one."""
-    moving = {name: x for name, x in matching.model.whole.u.items() if np.ptp(x)}
-    if isinstance(matching.model, MotionResponse):
-        return {name: np.abs(x) for name, x in moving.items()} if len(matching.inputs) == 1 else {}
-    point = matching.model.response.model.operating_point
-    offset = dict(zip(matching.inputs, point.u, strict=True)) if point else {}
-    return {name: np.abs(x - offset.get(name, 0.0)) for name, x in moving.items()}
 
 
 def _against_noise(
@@ -358,21 +347,6 @@ def _motion(plant: NonlinearPlant, joint: tuple[int, int], x: Array, record: Rec
     if name in record.outputs:
         return Motion(x[:, v], record[name], unit, record.unit(name), speed, name)
     return Motion(x[:, v], x[:, q], unit, plant.states[q].unit, speed, f"{name} (smoothed)")
-
-
-def pose_of(plant: NonlinearPlant, found: Comparison) -> dict[str, float]:
-    """Return the pose of a machine in the middle of the worst window; empty where none can be proved."""
-    machine = getattr(plant, "plant", plant)  # without its effects
-    angles = [s.name for s in machine.outputs[:6]]
-    poses: Any = getattr(machine, "poses", None)
-    if poses is None or not all(name in found.measured.outputs for name in angles):
-        return {}
-    k = int(np.argmin(np.abs(found.measured.t - 0.5 * (found.worst["start"] + found.worst["stop"]))))
-    try:
-        pose = poses(np.array([found.measured[name][k] for name in angles]))
-    except NoTrustworthyNumber:  # the comparison does not depend on it
-        return {}
-    return dict(zip(POSE, pose.tolist(), strict=True))
 
 
 # --- simulations of the nonlinear plant ------------------------------------------------------------------------------

@@ -39,7 +39,7 @@ LONGEST_SEGMENT = 8192
 CONFIDENCE = 0.99
 LINEAR_SHARE = 0.1  # of the error; a larger difference from the nonlinear plant gives a warning
 REST = 0.02  # speeds below this share of the largest count as standstill
-PER_DIRECTION, POSITION_BINS, AMPLITUDE_BINS = 5, 10, 6  # numbers of bins
+PER_DIRECTION, POSITION_BINS = 5, 10  # numbers of bins
 BAND_99 = 2.5758293035489004  # the 99.5 % point of the normal distribution: 99 % of white samples are within
 # Directions of the lagged input below this share of its largest eigenvalue are not excited.
 NOT_EXCITED = 1e-10
@@ -277,15 +277,13 @@ def localised(
     free: Array | None,
     windows: WindowedSimulation,
     motions: Mapping[str, Motion],
-    size: Mapping[str, Array],
     lags: int,
 ) -> dict[str, Any]:
-    """Compute errors over windows, speed, direction, position, amplitude and frequency, and residual tests.
+    """Compute errors over windows, speed, direction, position and frequency, and residual tests.
 
-    ``free``: the free run (n, n_y); None where it does not reach the end of the record. ``size``: input name ->
-    magnitude (n,) over which the error is sorted.
+    ``free``: the free run (n, n_y); None where it does not reach the end of the record.
     """
-    keys = ("outputs", "windows", "speed", "direction", "position", "amplitude", "frequency", "residual")
+    keys = ("outputs", "windows", "speed", "direction", "position", "frequency", "residual")
     result: dict[str, dict[str, Any]] = {key: {} for key in keys}
     t, u, y, edges = whole.t, whole.u, whole.y, windows.edges
     for k, (name, unit) in enumerate(outputs):
@@ -303,10 +301,6 @@ def localised(
             low, high = float(motion.position.min()), float(motion.position.max())
             places = np.linspace(low, high if high > low else low + 1.0, POSITION_BINS + 1)
             result["position"][name] = bins(motion.position, local, places)
-        result["amplitude"][name] = {
-            key: bins(value, local, np.linspace(0.0, float(np.abs(value).max()) or 1.0, AMPLITUDE_BINS + 1))
-            for key, value in size.items()
-        }
         if free is not None:
             result["frequency"][name] = spectrum(t, u, y[:, k], free[:, k])
         residual = windows.residual[:, k]

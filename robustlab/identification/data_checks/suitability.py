@@ -253,7 +253,7 @@ def suitability(plant: Any, record: Record) -> Suitability:
         findings += _too_short(response, record)
         good = np.logical_and.reduce([level.valid[name] for name in outputs])
         factors = response_factors(response.model, outputs, level.record, good)
-        shown = {name: found.responds for name, found in zip(outputs, factors, strict=True)}
+        shown = {name: found.share for name, found in zip(outputs, factors, strict=True)}
         unexcited = _unexcited(record, inputs, outputs, shown)
         findings += unexcited
         if not any(finding.fatal for finding in unexcited):
