@@ -214,8 +214,8 @@ def residual_figure(comparison: Comparison, output: str | None = None) -> Figure
     drawn = {name: test for name, test in tests.inputs.items() if name in most}
     figure, axes = style.new_figure(1, 1 + len(drawn), width=4.4 * (1 + len(drawn)), height=3.2)
     w = tests.whiteness
-    _stems(axes[0], w.lags, w.autocorrelation, w.band)
-    bottom = min(-0.1, 1.1 * float(w.autocorrelation.min()))
+    _stems(axes[0], w.lags, w.correlation, w.band)
+    bottom = min(-0.1, 1.1 * float(w.correlation.min()))
     axes[0].set(title=f"residual of {name} with itself", ylabel="correlation", ylim=(bottom, 1.05))
     for panel, (u, test) in zip(axes[1:], drawn.items(), strict=True):
         _stems(panel, test.lags, test.correlation, test.band)

@@ -25,7 +25,7 @@ from robustlab.result import Evidence, Status
 from robustlab.tables import Table, Tabular
 
 # Fields that become JSON in another form, or not at all.
-NOT_AS_IT_IS = ("motions", "measured", "simulated", "windowed", "noise_reason", "against_noise")
+NOT_AS_IT_IS = ("measured", "simulated", "windowed", "noise_reason", "against_noise")
 EXPLAINS = 0.5  # share of the squared error that a located disturbance removes at least
 TIE = 2.0  # times the best: squared error that remains with another place that is as good
 ROUNDING = 1e-9  # a residual below this share of the range is rounding and is not tested
@@ -211,7 +211,7 @@ class Comparison(Tabular, Evidence):
             return f"zero to rounding (rms {number(r.rms, unit, 1)})"
         left = sorted((u for u, test in r.inputs.items() if test.p_value < 0.01), key=lambda u: r.inputs[u].p_value)
         white = "white" if r.whiteness.p_value >= 0.01 else "not white"
-        share = f"{100 * r.whiteness.predictable_share:.1f} % of its variance is predictable from its past"
+        share = f"{100 * r.whiteness.explained_share:.1f} % of its variance is predictable from its past"
         rest = f"{listed(left)} still in it" if left else "independent of the inputs"
         return f"{white} (p {_p(r.whiteness.p_value)}), {share}; {rest}"
 
@@ -262,8 +262,7 @@ class Comparison(Tabular, Evidence):
         data: dict[str, object] = {
             **{key: value for key, value in vars(self).items() if key not in NOT_AS_IT_IS},
             "worst_window": self.worst_window,
-            "speed": {**self._of_motions(signal="speed_source", unit="speed_unit"), "bins": self.speed},
-            "position": {**self._of_motions(signal="position_name", unit="position_unit"), "bins": self.position},
+            "motions": {name: m.named() for name, m in self.motions.items()},
             "frequency": self.frequency if series else bands,
             "noise": {"floor": self.noise, "reason": self.noise_reason, "outputs": self.against_noise},
         }
@@ -276,12 +275,6 @@ class Comparison(Tabular, Evidence):
                 "windowed": self.windowed.outputs,
             }
         return data
-
-    def _of_motions(self, **fields: str) -> dict[str, object]:
-        """Return these fields of the motion, by output name where the motions differ."""
-        alike = all(m is next(iter(self.motions.values())) for m in self.motions.values())
-        by_output = {key: {y: getattr(m, name) for y, m in self.motions.items()} for key, name in fields.items()}
-        return {key: next(iter(by.values())) if alike else by for key, by in by_output.items()}
 
 
 def _errors(gap: OutputGap, of: str) -> str:

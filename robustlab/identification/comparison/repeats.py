@@ -94,7 +94,8 @@ def noise_floor(record: Record, *, period: float | None = None, outputs: Sequenc
     for name in record.inputs:
         if not _alike(stacked[name]):
             found = f"does not repeat with a period of {samples * record.dt:.6g} s"
-            raise InputError(f"{where}: {name}", found, "the same input in every repeat (to 10 % in closed loop)")
+            error = NoTrustworthyNumber if period is None else InputError
+            raise error(f"{where}: {name}", found, "the same input in every repeat (to 10 % in closed loop)")
     skipped = _transient([stacked[name] for name in names])
     notes = []
     if skipped:
@@ -211,11 +212,6 @@ def _found_period(record: Record, names: list[str]) -> tuple[int, str]:
         raise NoTrustworthyNumber(
             where, f"the common period of {each} is {common * record.dt:.4g} s", "two common periods in the record"
         )
-    still = [
-        n for n, x in record.inputs.items() if n not in found and not _alike(x[record.n % common :].reshape(-1, common))
-    ]
-    if still:
-        raise NoTrustworthyNumber(where, f"{signal} repeats, input {', '.join(still)} does not", "one common period")
     return common, signal
 
 

@@ -21,6 +21,7 @@ from robustlab.identification.comparison.repeats import noise_floor
 from robustlab.identification.validation.sampled_problem import (
     SLACK,
     ConeSolution,
+    Found,
     Multipliers,
     Rows,
     Search,
@@ -50,6 +51,7 @@ from robustlab.uncertainty.lft import UncertainModel
 SILENT = 1e-10
 LINE_ROUNDS = 30  # convex-concave steps at most
 LINE_MARGIN = 1e-9  # distance of the programmes' target from the noise bound
+NO_NOISE = np.zeros((0, 0))  # the noise of an explanation is that of its w
 FINEST = 1e-7  # relative, of a disproved gamma
 FLOOR = 1e-9  # a multiplier of this share of the largest makes the Lagrangian of a line strictly concave
 
@@ -399,21 +401,20 @@ def validate_by_lines(
         require_replay(error, data.name)
         explained, sizes = _explained(spectrum, found.w), problem.sizes(found.w)
     w, z = in_own_units(found.w, problem.z(found.w), problem.blocks, problem.scale)
-    exact = "exact" if found.known else "lower bound exact where the Lagrangian is concave"
     return Validation(
         status=concluded(found.lower, found.upper, search),
         notes=(search.budget.remark,) if search.budget.remark else (),
         record=data.name,
         lower=found.lower,
         upper=found.upper,
-        label=f"time-invariant systems at {problem.n} lines ({exact})",
+        label=found.label,
         blocks={
             block: BlockSize(block, "time-invariant", float(size))
             for block, size in zip(problem.names, sizes.max(axis=0), strict=True)
         },
         noise_bound=spectrum.bound,
         noise_norm="rms" if problem.total else "peak",
-        excess=found.least_noise if np.isinf(found.upper) else problem.excess(problem.noise(found.w)),
+        excess=found.excess,
         replay_error=error,
         assumptions=(
             *spectrum.assumptions,
@@ -427,8 +428,7 @@ def validate_by_lines(
         outputs=tuple((s.name, s.unit) for s in spectrum.outputs),
         w=w,
         z=z,
-        multipliers=found.multipliers.arrays(),
-        recheck=found.recheck,
+        multipliers=found.multipliers.arrays() if found.multipliers else {},
         domain="frequency",
         omega=problem.omega,
         line_sizes=np.nan_to_num(sizes),
@@ -469,33 +469,23 @@ def _explained(spectrum: Spectrum, w: ComplexArray) -> Array:
 # --- the smallest gamma over all lines -------------------------------------------------------------------------------
 
 
-class _Sizes(NamedTuple):
-    """Bounds of gamma; both inf if no Delta of any size explains the data."""
-
-    lower: float
-    upper: float
-    w: ComplexArray  # (n, q); zeros if nothing was found
-    multipliers: Multipliers  # of the lower bound; noise is the same over all lines for a total bound
-    least_noise: float  # factor on the noise bound with which some Delta explains the data; at most 1: no increase
-    known: bool  # whether z is known, and the test thereby convex
-    recheck: Callable[[], float] | None  # recomputes the lower bound from the multipliers alone
-
-
-def _smallest(problem: SpectralProblem, search: Search) -> _Sizes:
+def _smallest(problem: SpectralProblem, search: Search) -> Found:
     programme = _Programme(problem, search)
     known = not np.abs(problem.M11).max(initial=0.0)
+    exact = "exact" if known else "lower bound exact where the Lagrangian is concave"
+    label = f"time-invariant systems at {problem.n} lines ({exact})"
     none = np.zeros((problem.n, problem.M21.shape[2]), dtype=complex)
     empty = Multipliers(np.zeros((problem.n, len(problem.blocks))), np.zeros(problem.e.shape))
     nominal = problem.excess(problem.noise(none))
     if nominal <= 1:
-        return _Sizes(0.0, 0.0, none, empty, nominal, known, None)
+        return Found(0.0, 0.0, NO_NOISE, nominal, empty, label, w=none)
     free = programme.least_noise()
     least = problem.excess(problem.noise(free.w))
     if least > 1 + SLACK:
         multipliers = Multipliers(empty.D, programme.multipliers(free).noise)
         if not line_lagrangian(problem, multipliers, 1.0) < 0:
             raise NoTrustworthyNumber("validate", f"the noise bound is missed by {least - 1:.1e} of itself, unproved")
-        return _Sizes(np.inf, np.inf, none, multipliers, least, known, None)
+        return Found(np.inf, np.inf, NO_NOISE, least, multipliers, label, w=none)
 
     def disproved(by: Multipliers, start: float) -> float:
         return largest_disproved(lambda gamma: line_lagrangian(problem, by, gamma) < 0, start, FINEST)
@@ -513,8 +503,8 @@ def _smallest(problem: SpectralProblem, search: Search) -> _Sizes:
             best, at = gamma, w
         if known or lower >= best * (1 - search.precision):
             break
-    recheck = (lambda: disproved(multipliers, lower * (1 + 1e-6))) if lower > 0 else None
-    return _Sizes(lower, best, at, multipliers, min(least, 1.0), known, recheck)
+    excess = problem.excess(problem.noise(at)) if np.isfinite(best) else min(least, 1.0)
+    return Found(lower, best, NO_NOISE, excess, multipliers, label, w=at)
 
 
 def _descend(programme: _Programme, z: ComplexArray, known: bool) -> tuple[float, ComplexArray, _Solved | None]:

@@ -348,10 +348,9 @@ class Found:
     certified: bool = True
     values: Mapping[str, float] = field(default_factory=dict)  # of the constants
     problem: SampledProblem | None = None  # of the dynamic blocks, with their signals and the jumps of the states:
-    w: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    w: Any = field(default_factory=lambda: np.zeros((0, 0)))
     z: Array = field(default_factory=lambda: np.zeros((0, 0)))
     states: Mapping[int, Array] = field(default_factory=dict)
-    recheck: Callable[[], float] | None = None
 
 
 class Search(NamedTuple):

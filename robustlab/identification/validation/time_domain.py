@@ -28,7 +28,7 @@ from robustlab.identification.validation.sampled_problem import (
     solved_cones,
     sparse_matrices,
 )
-from robustlab.identification.validation.time_varying import disproved_by, smallest_contractions
+from robustlab.identification.validation.time_varying import smallest_contractions
 from robustlab.identification.validation.validation_result import (
     SMALLEST,
     BlockSize,
@@ -95,7 +95,6 @@ def validate_by_samples(
         w=w,
         z=z,
         multipliers=found.multipliers.arrays() if found.multipliers else {},
-        recheck=found.recheck,
         notes=(search.budget.remark,) if search.budget.remark else (),
     )
 
@@ -110,7 +109,7 @@ def _bounds(recorded: Recorded, search: Search) -> Found:
     else:
         found, what = _dynamic(recorded, search), "constants and systems; upper bound with the constants at nominal"
         values = {b.name: 0.0 for b in blocks if b.interval} if np.isfinite(found.upper) else {}
-        found = replace(found, lower=0.0, values=values, multipliers=None, recheck=None, certified=False)
+        found = replace(found, lower=0.0, values=values, multipliers=None, certified=False)
     if not recorded.uncertain.dt or not found.upper:
         return replace(found, label=f"{what}, {NO_BOUND if found.upper else RELAXATION}")
     # Valid for constants in discrete time only: in continuous time w = delta z is not held between samples.
@@ -136,11 +135,7 @@ def _dynamic(recorded: Recorded, search: Search) -> Found:
     if long:
         label = f"lower bound from the first {LONGEST_PROGRAMME} samples (time-varying), no explanation sought"
         c = replace(c, upper=np.inf, problem=None, w=c.w[:0], z=c.z[:0])
-    known = c.multipliers
-    if known is None or not c.lower > 0:
-        return replace(c, label=label)
-    start = c.lower * (1 + search.precision) if np.isfinite(c.lower) else np.inf
-    return replace(c, label=label, recheck=lambda: disproved_by(problem, known, search, start))
+    return replace(c, label=label)
 
 
 def _block(block: Block, found: Found, sizes: Mapping[str, float]) -> BlockSize:

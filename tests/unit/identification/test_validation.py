@@ -28,7 +28,6 @@ def check(case, gamma, within=0.006, **more):
 def test_time_varying_systems_of_known_size(seed, n, blocks):
     found = check(benchmark.varying_case(seed, n, blocks, 0.8), 0.8)
     assert found.status is rl.Status.CERTIFIED
-    assert found.recheck() == pytest.approx(found.lower, rel=2e-3)
     assert len(found.blocks) == blocks
 
 
@@ -206,7 +205,6 @@ def test_without_blocks_noise_alone_explains_a_record_or_nothing_does(norm, boun
     far_record = rl.Record(t, {"u": np.sin(t)}, {"y": y + 0.018 * noise})
     far = rl.validate(alone, far_record, {"y": bound}, noise_norm=norm)
     assert far.status is rl.Status.INFEASIBLE
-    assert far.recheck() == np.inf
     assert far.excess == pytest.approx(2 * near.excess, rel=1e-3)  # affine in the noise, free states included
     with pytest.raises(InputError, match="without blocks"):
         rl.validate(alone, far_record, {"y": bound}, domain="frequency")
