@@ -87,8 +87,6 @@ def compare(
     record: Record,
     *,
     window: float | None = None,
-    speed: str | None = None,
-    position: str | None = None,
 ) -> Comparison | RunOfUnit:
     """Compare a plant or model with a measured record at all outputs they share.
 
@@ -98,16 +96,13 @@ def compare(
         A `Plant`, a `StateSpaceModel` or a ``control.StateSpace``; all its inputs must be in the record. Inputs are
         held between samples. A nonlinear plant, whose positions must all be recorded, is linear in each window about
         the recorded motion; its free run is nonlinear and may end early (``free_run``). A co-simulation unit runs from
-        its own initial state only, and takes none of the options.
+        its own initial state only, and takes no window.
     record
         The measurement; it may hold any subset of the outputs, and further signals.
     window
         Length of the windows in s. Default: the model's slowest time constant, but at most a quarter of the record; a
         fiftieth of the record for a model of integrators only. For an unstable nonlinear plant, at most the time in
         which a deviation grows twentyfold.
-    speed, position
-        Recorded outputs over which the error is sorted; by default chosen by their units. For a nonlinear plant the
-        error of each output is sorted over the motion of its own joint.
 
     Returns
     -------
@@ -137,7 +132,7 @@ def compare(
     (0.1, 9.09)
     """
     if isinstance(plant, FmuPlant):
-        if (window, speed, position) != (None, None, None):
+        if window is not None:
             found = f"options for the windows of {plant.name}"
             expected = "none: a co-simulation unit runs from its own initial state"
             raise UsageError(f"compare {record.name}", found, expected)
@@ -156,10 +151,10 @@ def compare(
         if np.abs(free).max() > LARGEST_OUTPUT:
             hint = "compare a shorter stretch (Record.between)"
             raise NoTrustworthyNumber(f"compare {record.name}", "the free run overflows", "a stable model", hint)
-    if isinstance(model, MotionResponse) and not (speed or position):
+    if isinstance(model, MotionResponse):
         motions, of_joints = motions_of_outputs(model, record), motions_of_joints(model, record)
     else:
-        of_joints = [motion_of(record, speed, position, length)]
+        of_joints = [motion_of(record, length)]
         motions = dict.fromkeys(outputs, of_joints[0])
     lags = min(LAGS, record.n // 4)
     found = localised(whole, matching.outputs, free if run.whole else None, windows, motions, lags)
@@ -256,9 +251,7 @@ def _warnings(
     if not record.is_uniform:
         texts.append("the clock is not uniform: spectra are of interpolated signals, lags count samples")
     if next(iter(motions.values())).speed is None:
-        texts.append(
-            "no output in a unit of speed, length or angle: the error is not sorted by speed (name one with speed=)"
-        )
+        texts.append("no output in a unit of speed, length or angle: the error is not sorted by speed")
     return texts
 
 

@@ -99,13 +99,12 @@ class Spectrum(Evidence):
     error_share: Array  # share of the squared error per band, shape (n_bands,), sum 1
 
 
-def motion_of(record: Record, speed: str | None, position: str | None, window: int) -> Motion:
-    """Return speed and position of a record: the named outputs, else the first ones in such units.
+def motion_of(record: Record, window: int) -> Motion:
+    """Return speed and position of a record: the first outputs in such units.
 
     Without a speed it is the derivative of the position by a Savitzky-Golay filter over a tenth of the window.
     """
-    position = position or _first_in(record, POSITION_UNITS)
-    speed = speed or _first_in(record, SPEED_UNITS)
+    position, speed = _first_in(record, POSITION_UNITS), _first_in(record, SPEED_UNITS)
     q = record[position] if position else None
     q_unit = record.unit(position) if position else ""
     if speed:

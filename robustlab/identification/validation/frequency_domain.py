@@ -227,15 +227,13 @@ class Spectrum:
     assumptions: tuple[str, ...]
 
 
-def spectrum_of_record(
-    uncertain: UncertainModel, record: Record, noise: Mapping[str, ArrayLike], period: float | None
-) -> Spectrum:
+def spectrum_of_record(uncertain: UncertainModel, record: Record, noise: Mapping[str, ArrayLike]) -> Spectrum:
     """Compute the lines of a record's mean period; the noise bound is the root mean square over the periods used."""
     where = f"validate {record.name}"
     _refused_blocks(uncertain, where)
-    recorded = prepared(uncertain, record, noise, norm="rms", at_rest=True)
+    recorded = prepared(uncertain, record, noise, at_rest=True)
     try:
-        floor = noise_floor(record, period=period, outputs=[s.name for s in recorded.outputs])
+        floor = noise_floor(record, outputs=[s.name for s in recorded.outputs])
     except NoTrustworthyNumber as error:
         hint = 'domain="time" accepts any uniformly sampled record'
         raise NoTrustworthyNumber(where, f"no steady periods: {error.found}", "whole periods", hint) from None
@@ -310,7 +308,7 @@ def spectrum_of_response(uncertain: UncertainModel, data: FrequencyData, noise: 
         if given.shape not in ((), (n,)):
             raise InputError(f"{where}: noise of {name!r}", f"shape {given.shape}", f"one number, or ({n},)")
         lowest = {name: float(given.min())} if name in noise else {}
-        noise_bounds(lowest, (name,), "peak", where)
+        noise_bounds(lowest, (name,), where)
         if not np.isfinite(given).all():
             raise InputError(f"{where}: noise of {name!r}", "numbers that are not finite", "positive numbers")
         bound[:, j] = given
@@ -351,28 +349,14 @@ def _refused_blocks(uncertain: UncertainModel, where: str) -> None:
 # --- the result -------------------------------------------------------------------------------------------------------
 
 
-def fits_frequency_domain(
-    data: Record | FrequencyData,
-    domain: str,
-    norm: str | None,
-    window: float | None,
-    at_rest: bool,
-    noise: Mapping[str, ArrayLike] | None,
-) -> None:
+def fits_frequency_domain(data: Record | FrequencyData, domain: str, window: float | None, at_rest: bool) -> None:
     """Refuse options without a meaning in the frequency domain."""
     where = f"validate {data.name}"
     if domain == "time":
         raise InputError(where, "a frequency response in the time domain", 'domain="frequency"')
-    if norm == "peak" and isinstance(data, Record):
-        hint = 'noise_norm="rms"; a transform keeps the energy of the noise, not its peak'
-        raise InputError(where, "a peak bound of the noise in the frequency domain", "an rms bound", hint)
-    if norm == "rms" and isinstance(data, FrequencyData):
-        raise InputError(where, "an rms bound on a frequency response", "a bound at each line")
     for name, given in (("windows", window), ("at_rest", at_rest)):
         if given:
             raise InputError(where, f"{name} in the frequency domain", "whole periods in steady state", 'domain="time"')
-    if noise is None and isinstance(data, FrequencyData):
-        raise NoTrustworthyNumber(where, "no noise bound was given", None, "noise={output: bound}, in its unit")
 
 
 def validate_by_lines(
@@ -380,16 +364,14 @@ def validate_by_lines(
     data: Record | FrequencyData,
     noise: Mapping[str, ArrayLike],
     search: Search,
-    period: float | None,
     progress: Callable[[str], None],
-    estimated: bool,
 ) -> Validation:
     """Compute bounds of the smallest gamma over the lines; see `robustlab.identification.validation.validate`."""
     if not uncertain.blocks:
         hint = 'domain="time" tests whether noise alone explains a record'
         raise InputError(f"validate {data.name}", "a set without blocks in the frequency domain", "a block", hint)
     if isinstance(data, Record):
-        spectrum = spectrum_of_record(uncertain, data, noise, period)
+        spectrum = spectrum_of_record(uncertain, data, noise)
     else:
         spectrum = spectrum_of_response(uncertain, data, noise)
     problem = spectrum.problem
@@ -418,7 +400,6 @@ def validate_by_lines(
         replay_error=error,
         assumptions=(
             *spectrum.assumptions,
-            *(("the noise bound was estimated from the record's own periods",) if estimated else ()),
             "complex and full blocks are causal stable time-invariant systems",
         ),
         t=spectrum.t,

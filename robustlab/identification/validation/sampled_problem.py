@@ -30,8 +30,6 @@ from robustlab.uncertainty.blocks import Block, block_slices
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.members import recursion
 
-NoiseNorm = Literal["peak", "rms"]
-
 ROUNDING = 1e-12  # responses below this share of the largest one are rounding
 OBSERVABLE = 1e-9  # state directions count as observable above this share of the most observable one
 MOST_ITERATIONS = 200
@@ -54,11 +52,7 @@ class Recorded:
     u: Array
     y: Array
     outputs: tuple[Signal, ...]  # compared outputs with their units
-    bound: Array  # noise bound of each output, shape (n_y,): largest value, or root mean square
-    norm: NoiseNorm
-    # samples over which a root mean square is bounded: those of the whole record, also for a part of it, as the noise
-    # of a part may be larger than that of the whole
-    count: int
+    bound: Array  # noise bound of each output, shape (n_y,)
     starts: tuple[int, ...]  # first sample of each window
     at_rest: bool  # whether the first window starts at zero state; all others have a free state
 
@@ -78,7 +72,6 @@ def prepared(
     record: Record,
     noise: Mapping[str, ArrayLike],
     *,
-    norm: NoiseNorm = "peak",
     window: float | None = None,
     at_rest: bool = False,
 ) -> Recorded:
@@ -92,14 +85,14 @@ def prepared(
         raise NoTrustworthyNumber(where, found, reason, "resample the record, or cut it where samples are missing")
     response = response_of(uncertain.nominal, record)
     names = response.output_names
-    bound = noise_bounds(noise, names, norm, where)
+    bound = noise_bounds(noise, names, where)
     shifted, _ = deviations(response.with_units(record), uncertain, names)
     chosen = uncertain.select(outputs=names)
     n = record.n
     u = np.column_stack([np.zeros((n, 0)), *(shifted.inputs[s.name] for s in chosen.inputs)])
     y = np.column_stack([shifted.outputs[name] for name in names])
     starts = _starts(window, record, uncertain.M.n_states, where)
-    return Recorded(chosen, record.t, u, y, response.outputs, bound, norm, n, starts, at_rest)
+    return Recorded(chosen, record.t, u, y, response.outputs, bound, starts, at_rest)
 
 
 @dataclass(frozen=True)
@@ -116,8 +109,6 @@ class SampledProblem:
     # z0, e: shape (n, p) and (n, n_y)
     z0: Array
     e: Array
-    norm: NoiseNorm
-    radius: float  # bound of the noise of an output in its scaled unit: 1 for peaks, root of the count for rms
     # starts, at_rest: as in `Recorded`
     starts: tuple[int, ...]
     at_rest: bool
@@ -170,9 +161,7 @@ class SampledProblem:
 
     def excess(self, noise: Array) -> float:
         """Return the largest noise over its bound: at most 1 if explained."""
-        if self.norm == "peak":
-            return float(np.abs(noise).max(initial=0.0))
-        return float(np.linalg.norm(noise, axis=0).max(initial=0.0) / self.radius)
+        return float(np.abs(noise).max(initial=0.0))
 
     def sizes(self, w: Array, z: Array) -> Array:
         r"""Compute for each block the smallest gain of a causal time-varying system that maps z to w.
@@ -221,8 +210,6 @@ def sampled(recorded: Recorded, M: StateSpaceModel, blocks: Sequence[Block]) -> 
         D[p:, :q] * scale_w / recorded.bound[:, None],
         z0 / scale_z,
         (recorded.y - y0) / recorded.bound,
-        recorded.norm,
-        1.0 if recorded.norm == "peak" else float(np.sqrt(recorded.count)),
         recorded.starts,
         recorded.at_rest,
         observable_directions(A, np.vstack(observed)),
@@ -266,10 +253,8 @@ def observable_directions(A: Array, C: Array) -> Array:
     return right[:rank].T
 
 
-def noise_bounds(noise: Mapping[str, ArrayLike], names: tuple[str, ...], norm: str, where: str) -> Array:
+def noise_bounds(noise: Mapping[str, ArrayLike], names: tuple[str, ...], where: str) -> Array:
     """Return noise bounds (n_y,) in the order of ``names``; a bound of zero is a singular noise model."""
-    if norm not in ("peak", "rms"):
-        raise InputError(where, f"noise norm {norm!r}", "'peak' or 'rms'")
     for name in noise:
         if name not in names:
             raise unknown_name(f"{where}: noise of {name!r}", "no such compared output", name, names)

@@ -57,7 +57,7 @@ MARGIN = 1e-7  # distance of the programmes' target from the noise bound
 
 
 def validate_by_samples(
-    record: Record, recorded: Recorded, search: Search, progress: Callable[[str], None], estimated: bool
+    record: Record, recorded: Recorded, search: Search, progress: Callable[[str], None]
 ) -> Validation:
     """Compute bounds of the smallest gamma over the samples; see `robustlab.identification.validation.validate`."""
     found = _bounds(recorded, search)
@@ -83,10 +83,10 @@ def validate_by_samples(
         label=found.label,
         blocks={b.name: _block(b, found, sizes) for b in recorded.uncertain.blocks},
         noise_bound={s.name: float(b) for s, b in zip(recorded.outputs, recorded.bound, strict=True)},
-        noise_norm=recorded.norm,
+        noise_norm="peak",
         excess=found.excess,
         replay_error=error,
-        assumptions=_assumptions(recorded, estimated),
+        assumptions=_assumptions(recorded),
         t=record.t,
         measured=measured,
         nominal=measured - _without_starts(recorded, recorded.uncertain.nominal) * recorded.bound,
@@ -180,16 +180,9 @@ def _without_starts(recorded: Recorded, M: StateSpaceModel, error: Array | None 
     return found
 
 
-def _assumptions(recorded: Recorded, estimated: bool) -> tuple[str, ...]:
+def _assumptions(recorded: Recorded) -> tuple[str, ...]:
     dynamic = not all(b.interval for b in recorded.uncertain.blocks)
-    peak, windows = recorded.norm == "peak", len(recorded.starts)
-    texts = [
-        "no sample of the noise is beyond its bound"
-        if peak
-        else "the root mean square of the noise over the record is within its bound"
-    ]
-    if estimated:
-        texts.append("the noise bound was estimated from the record's own periods")
+    windows, texts = len(recorded.starts), ["no sample of the noise is beyond its bound"]
     if dynamic:
         texts.append("complex and full blocks are causal time-varying systems with zero initial state")
     if recorded.uncertain.dt == 0:
@@ -306,14 +299,9 @@ def _move(at: _Member, slope: Array, search: Search, radius: float) -> tuple[Arr
     change, size, over = every[:m], every[m : m + 1], every[m + 1 : m + 2]
     ones = sparse.csr_matrix(np.ones((m, 1)))
     aim, rows = 1 - MARGIN, []
-    if problem.norm == "peak":
-        spare = sparse.csr_matrix(np.ones((2 * n, 1))) @ over
-        e = problem.e.ravel()
-        rows.append(Rows(sparse.vstack([noise, -noise]) - spare, aim + np.concatenate([-e, e]), "positive"))
-    else:
-        for j, e in enumerate(problem.e.T):
-            cone = -sparse.vstack([problem.radius * over, noise[j :: problem.e.shape[1]]])
-            rows.append(Rows(cone, np.concatenate([[problem.radius * aim], e]), "second-order", 1 + len(e)))
+    spare = sparse.csr_matrix(np.ones((2 * n, 1))) @ over
+    e = problem.e.ravel()
+    rows.append(Rows(sparse.vstack([noise, -noise]) - spare, aim + np.concatenate([-e, e]), "positive"))
     held = np.zeros(2 * m) + radius
     sized = np.concatenate([-at.delta, at.delta])
     rows += [

@@ -53,11 +53,6 @@ def lagrangian_maximum(problem: SampledProblem, multipliers: Multipliers, gamma:
     """Maximise L over all w and free states; +inf if L is not bounded above. A negative value is a proof."""
     n_x, q = problem.B.shape
     D, noise = multipliers.D, multipliers.noise
-    if problem.norm == "rms":  # one multiplier for an output
-        noise = np.tile(noise.max(axis=0), (problem.n, 1))
-        constant = float(noise[0].sum() * problem.radius**2)
-    else:
-        constant = float(noise.sum())
     p, n_y = len(problem.C1), len(problem.C2)
     # Rows of (x, w, 1) to z, w and n; their last columns change with t.
     to_z = np.hstack([problem.C1, problem.D11, np.zeros((p, 1))])
@@ -86,7 +81,7 @@ def lagrangian_maximum(problem: SampledProblem, multipliers: Multipliers, gamma:
             if reduced is None:
                 return np.inf
             value = reduced
-    return float(value[n_x, n_x] + constant)
+    return float(value[n_x, n_x] + noise.sum())
 
 
 def _maximised(H: Array, keep: list[int], move: list[int]) -> Array | None:
@@ -243,13 +238,8 @@ class _Programme:
         head = self.last * (0.0 if radius is not None else 1.0)
         for j, e in enumerate(p.e.T):
             rows = outputs[j :: p.e.shape[1]]
-            if p.norm == "peak":
-                both = sparse.vstack([rows, -rows]) - sparse.csr_matrix(np.ones((2 * p.n, 1))) @ head
-                found.append(Rows(both, np.concatenate([e, -e]) + (radius or 0.0), "positive", 1, ("noise", j)))
-            else:
-                offset = np.concatenate([[p.radius * (radius or 0.0)], e])
-                cone = sparse.vstack([-p.radius * head, rows])
-                found.append(Rows(cone, offset, "second-order", 1 + p.n, ("noise", j)))
+            both = sparse.vstack([rows, -rows]) - sparse.csr_matrix(np.ones((2 * p.n, 1))) @ head
+            found.append(Rows(both, np.concatenate([e, -e]) + (radius or 0.0), "positive", 1, ("noise", j)))
         return found
 
     def _energies(self, z: Array, known: bool, ahead: float) -> list[Rows]:
@@ -325,8 +315,6 @@ class _Programme:
         for (kind, k), part in solved.dual.items():
             if kind == "energy":
                 D[:, k] = np.cumsum(np.pad(part[0], (p.n - part.size, 0))[::-1])[::-1] / g
-            elif p.norm == "peak":  # at n = +-1 the slope of 1 - n^2 is twice that of 1 -+ n
+            else:  # at n = +-1 the slope of 1 - n^2 is twice that of 1 -+ n
                 noise[:, k] = 0.5 * np.abs(part[0, : p.n] - part[0, p.n :])
-            else:
-                noise[:, k] = 0.5 * abs(part[0, 0]) / p.radius
         return _cleaned(D, noise)
