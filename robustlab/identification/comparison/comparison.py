@@ -367,29 +367,15 @@ def free_run(model: MotionResponse, x0: Array, names: Sequence[str]) -> tuple[Fr
 
 
 def _onward(model: MotionResponse, x: Array, first: int, last: int) -> tuple[Array, str]:
-    """Return the states after sample ``first`` up to ``last``, or to the last valid one with the reason."""
+    """Return the states after sample ``first`` up to ``last``, or none with the reason."""
     t, u, plant = model.whole.t, model.course.u, model.plant
-
-    def run(x: Array, a: int, b: int) -> Array:
-        middle = np.concatenate([t[a:b], [0.5 * (t[b - 1] + t[b]), t[b]]])  # three times at least
-        held = np.vstack([u[a:b], u[b - 1 : b], u[b : b + 1]])
-        found = np.delete(plant.trajectory(input_signal(middle, held, "zoh"), x, RTOL), -2, axis=0)[1:]
-        if not np.isfinite(found).all():
-            raise NoTrustworthyNumber(plant.name, "the free run overflows")
-        return found
-
+    middle = np.concatenate([t[first:last], [0.5 * (t[last - 1] + t[last]), t[last]]])  # three times at least
+    held = np.vstack([u[first:last], u[last - 1 : last], u[last : last + 1]])
     try:
-        return run(x, first, last), ""
-    except NoTrustworthyNumber:
-        pass  # the sample and the reason are found sample by sample below
-    states, reason = [x], ""
-    for k in range(first, last):
-        try:
-            states.append(run(states[-1], k, k + 1)[0])
-        except NoTrustworthyNumber as end:
-            reason = end.found
-            break
-    return np.array(states)[1:], reason
+        found = np.delete(plant.trajectory(input_signal(middle, held, "zoh"), x, RTOL), -2, axis=0)[1:]
+    except NoTrustworthyNumber as end:
+        return np.zeros((0, len(x))), end.found
+    return (found, "") if np.isfinite(found).all() else (found[:0], "the free run overflows")
 
 
 def linearisation(model: MotionResponse, windows: WindowedSimulation, names: Sequence[str]) -> Linearisation:

@@ -100,7 +100,7 @@ SLOPE_MATCH = 1.3
 class Finding(Evidence):
     """A property of a record that is relevant for effect identification."""
 
-    # too-short, unexcited, constant-output, sign, unit, motion: may be fatal; clipped, gaps, jitter,
+    # too-short, unexcited, constant-output, sign, unit, motion: may be fatal; clipped, gaps,
     # quantisation: never
     kind: str
     channel: str  # signal, or ``"t"`` for the time base; two signals are separated by a comma

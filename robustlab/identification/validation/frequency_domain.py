@@ -7,7 +7,7 @@ disproves gamma (Smith, Doyle 1992; Huang, Zhang 2007, theorem 2.1).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -106,11 +106,6 @@ class FrequencyData(Tabular, Evidence):
             G = np.array(response, dtype=np.complex128)
         except (TypeError, ValueError):
             raise InputError(name, f"response: {response!r}", "complex numbers") from None
-        for word, given in (("input", input), ("name", name)):
-            if not isinstance(given, str):
-                raise InputError(f"FrequencyData: {word}", repr(given), "a word")
-        if isinstance(outputs, str) or not isinstance(outputs, Sequence):
-            raise InputError("FrequencyData: outputs", repr(outputs), "a list of names")
         G = G[:, None] if G.ndim == 1 else G
         if w.ndim != 1 or not len(w) or not np.isfinite(w).all() or (np.diff(w) <= 0).any() or w[0] < 0:
             raise InputError(name, "omega", "finite increasing frequencies in rad/s, shape (n,)")

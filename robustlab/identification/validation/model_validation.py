@@ -77,16 +77,6 @@ def validate(
     Validation
         With both bounds, the Delta and the noise that explain the record, and the certificate of the lower bound.
 
-        ============================  =======================================  =====================================
-        blocks                        upper bound                              lower bound
-        ============================  =======================================  =====================================
-        frequency domain              w by cone programmes, loop closed again  multipliers, re-checked line by line
-        time-varying                  w by convex-concave procedure, replayed  multipliers, re-checked by a sweep
-        constant                      values by descent, replayed              of time-varying ones, in discrete time
-        constant and dynamic          constants at nominal                     of time-varying ones, in discrete time
-        none                          0 where noise alone explains the record  infinite elsewhere, weights re-checked
-        ============================  =======================================  =====================================
-
     Raises
     ------
     InputError

@@ -7,7 +7,7 @@ observable state may jump; unobservable states start at zero, since a free one c
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
 from importlib import import_module
 from itertools import pairwise
@@ -60,11 +60,6 @@ class Recorded:
     def dt(self) -> float:
         """Sample time in s."""
         return float(self.t[-1] - self.t[0]) / (len(self.t) - 1)
-
-    def first(self, n: int) -> Recorded:
-        """Return the first n samples."""
-        starts = tuple(s for s in self.starts if s < n)
-        return replace(self, t=self.t[:n], u=self.u[:n], y=self.y[:n], starts=starts)
 
 
 def prepared(

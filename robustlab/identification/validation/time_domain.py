@@ -42,11 +42,11 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block
 
 MEET = 1e-4  # relative distance by which a lower bound may exceed the upper one
-# Samples of a cone programme over all of them, and of a relaxation: only the beginning of longer records is used.
-LONGEST_PROGRAMME, LONGEST_RELAXED = 8000, 4000
+# Samples of a cone programme over all of them.
+LONGEST = 8000
 RELAXED_SHARE = 0.5  # of the work, for the lower bound of constants
 RELAXATION = "lower bound with all blocks time-varying (relaxation)"
-NO_BOUND = "no lower bound (a constant in continuous time)"
+NO_BOUND = "no lower bound (a constant in continuous time, or a long record)"
 WIDEST = 1e3  # parameters beyond this many times their range are not tried
 MOVES = 40  # of a descent
 CREEP, CREEPS = 0.995, 3  # stop after so many moves that leave more than this share of the noise beyond its bound
@@ -110,10 +110,10 @@ def _bounds(recorded: Recorded, search: Search) -> Found:
         found, what = _dynamic(recorded, search), "constants and systems; upper bound with the constants at nominal"
         values = {b.name: 0.0 for b in blocks if b.interval} if np.isfinite(found.upper) else {}
         found = replace(found, lower=0.0, values=values, multipliers=None, certified=False)
-    if not recorded.uncertain.dt or not found.upper:
+    if not recorded.uncertain.dt or not found.upper or len(recorded.t) > LONGEST:
         return replace(found, label=f"{what}, {NO_BOUND if found.upper else RELAXATION}")
     # Valid for constants in discrete time only: in continuous time w = delta z is not held between samples.
-    problem = sampled(recorded.first(LONGEST_RELAXED), recorded.uncertain.M, blocks)
+    problem = sampled(recorded, recorded.uncertain.M, blocks)
     relaxed = smallest_contractions(problem, search._replace(budget=search.budget.share(RELAXED_SHARE)))
     upper = np.inf if np.isinf(relaxed.lower) else found.upper
     label = f"{what}, {RELAXATION}"
@@ -123,8 +123,10 @@ def _bounds(recorded: Recorded, search: Search) -> Found:
 def _dynamic(recorded: Recorded, search: Search) -> Found:
     """Bound gamma with real blocks at nominal; without a block noise alone must explain the record."""
     M, blocks = at_nominal(recorded.uncertain)
-    long = len(recorded.t) > LONGEST_PROGRAMME and bool(blocks)
-    problem = sampled(recorded.first(LONGEST_PROGRAMME) if long else recorded, M, blocks)
+    if len(recorded.t) > LONGEST and blocks:
+        hint = "take the beginning (Record.between): its lower bound holds for the whole record"
+        raise InputError("validate", f"{len(recorded.t)} samples", f"at most {LONGEST} with systems in Delta", hint)
+    problem = sampled(recorded, M, blocks)
     if any(repeated for _, _, repeated in problem.blocks):
         found, wanted = "a repeated complex scalar as a time-varying system", "full blocks and complex scalars"
         raise InputError("validate", found, wanted, 'domain="frequency", where blocks are time-invariant')
@@ -132,9 +134,6 @@ def _dynamic(recorded: Recorded, search: Search) -> Found:
     label = "time-varying contractions (lower bound exact where the Lagrangian is concave)"
     if problem.z_is_known():
         label = "time-varying contractions (exact)" if blocks else "noise alone: the set has no block"
-    if long:
-        label = f"lower bound from the first {LONGEST_PROGRAMME} samples (time-varying), no explanation sought"
-        c = replace(c, upper=np.inf, problem=None, w=c.w[:0], z=c.z[:0])
     return replace(c, label=label)
 
 
