@@ -188,6 +188,6 @@ def test_a_record_check_finds_an_inverted_channel(name):
 def test_validate_and_cover_require_a_linear_set():
     from robustlab.identification import cover
 
-    for call in (rl.validate, cover):
+    for call in (lambda plant, record: rl.validate(plant, record, {"q_1": 1e-3}), cover):
         with pytest.raises(rl.InputError, match="an uncertain linear model about a trim"):
             call(arm(), arm_record()[0])
