@@ -17,7 +17,6 @@ Tolerances = Annotated[
     Named(option="--tolerance"),
     "Relative tolerance of a parameter, over the one that the plant states: Km=0.05 or Km=5%.",
 ]
-Column = Annotated[str | None, Names("outputs", "record", one=True)]
 Exclude = Annotated[list[str] | None, Names(repeated=True), "Id of an effect not to be tried."]
 
 
@@ -47,15 +46,13 @@ def compare(
     model: Annotated[Any, Machine(("plant", "model", "uncertain", "any")), "Model file, plant, or file.py:name."],
     record: Measured,
     window: Window = None,
-    speed: Annotated[Column, "Output over which the error is sorted by speed."] = None,
-    position: Annotated[Column, "Output over which the error is sorted by position."] = None,
 ) -> Any:
     """Simulate a model with a recorded input and report where it disagrees with the recorded outputs.
 
     Example: robustlab data compare servo-axis emps.h5 --group train --outputs q --window 0.48
     Example: robustlab data compare mymachine.py:axis run3.csv --outputs q
     """
-    return rl.compare(model, record, window=window, speed=speed, position=position)
+    return rl.compare(model, record, window=window)
 
 
 @operation(
@@ -118,17 +115,13 @@ def validate(
     record: Measured,
     *,
     noise: Annotated[
-        dict[str, float] | None,
+        dict[str, float],
         Table(Number(least=0), "outputs"),
-        "Noise bound of an output, in its unit; from the record's own repeats where all are left out.",
-    ] = None,
+        "Noise bound of an output, in its unit: largest, or rms in the frequency domain; of each compared output.",
+    ],
     domain: Annotated[
         Literal["time", "frequency"], "time, or frequency: whole periods in steady state, line by line."
     ] = "time",
-    period: Annotated[float | None, Number(above=0), "Frequency domain: period in s where no signal shows it."] = None,
-    noise_norm: Annotated[
-        Literal["peak", "rms"] | None, "What the bound is of: peak or rms (frequency domain: rms)."
-    ] = None,
     at_rest: Annotated[bool, "The record starts at rest; otherwise its initial state is free."] = False,
     precision: Annotated[float, Number(least=1e-4, most=0.2), "Relative width of the bounds."] = 0.01,
     search: Search,

@@ -24,7 +24,7 @@ FREE_RUN: dict[str, Any] = {"color": FREE, "ls": style.DASHED, "label": "simulat
 
 @style.house_style()
 def where_figure(comparison: Comparison, output: str | None = None) -> Figure:
-    """RMS of the windowed error over time, direction, speed, position and input, on one scale; and frequency.
+    """RMS of the windowed error over time, direction, speed and position, on one scale; and frequency.
 
     The largest of each panel is orange; the green line is the noise of a sample where the record repeats. Panels that
     need a speed or a position which is not recorded are left out.
@@ -79,8 +79,7 @@ def _where_panels(comparison: Comparison, output: str) -> list[tuple[str, str, t
         panels.append(("speed", motion.speed_unit, comparison.speed[output]))
     if output in comparison.position:
         panels.append((motion.position_name, motion.position_unit, comparison.position[output]))
-    amplitudes = comparison.amplitude[output].items()
-    return [*panels, *((f"|{name}|", comparison.measured.unit(name), bins) for name, bins in amplitudes)]
+    return panels
 
 
 def _worst_bars(axes: Axes, edges: Array, rms: Array) -> None:
@@ -215,8 +214,8 @@ def residual_figure(comparison: Comparison, output: str | None = None) -> Figure
     drawn = {name: test for name, test in tests.inputs.items() if name in most}
     figure, axes = style.new_figure(1, 1 + len(drawn), width=4.4 * (1 + len(drawn)), height=3.2)
     w = tests.whiteness
-    _stems(axes[0], w.lags, w.autocorrelation, w.band)
-    bottom = min(-0.1, 1.1 * float(w.autocorrelation.min()))
+    _stems(axes[0], w.lags, w.correlation, w.band)
+    bottom = min(-0.1, 1.1 * float(w.correlation.min()))
     axes[0].set(title=f"residual of {name} with itself", ylabel="correlation", ylim=(bottom, 1.05))
     for panel, (u, test) in zip(axes[1:], drawn.items(), strict=True):
         _stems(panel, test.lags, test.correlation, test.band)

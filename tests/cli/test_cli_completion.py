@@ -129,7 +129,7 @@ def test_choices_are_those_of_the_library():
         (("model", "reduce"), "--method", rl.reduce_model, "method"),
         (("synth", "reduce"), "--measure", rl.reduce_controller, "measure"),
         (("uncertain", "discovery"), "--dry", rl.uncertain_from, "dry"),
-        (("data", "validate"), "--noise-norm", rl.validate, "noise_norm"),
+        (("data", "validate"), "--domain", rl.validate, "domain"),
         (("campaign", "run"), "--kind", CampaignSettings, "kind"),
     ]:
         assert set(offered(*words)[option]) == literals(function, argument), (words, option)

@@ -109,7 +109,6 @@ def checked(tmp_path, monkeypatch):
             HEAD + MOTOR + RECORD + GAP + require("gap.outputs.i.rms", "at_most = 1.0", "V"),
             "require.0.unit: V, expected A, that of gap.outputs.i.rms",
         ),
-        (HEAD + MOTOR + RECORD + GAP + 'speed = "omega"\n', "step.gap.speed: 'omega': record has no such output"),
         (
             HEAD + MOTOR + RECORD + NAMING + require("naming.effects.coulomb-fricton.Fc", "at_most = 1.0"),
             "naming.effects has no 'coulomb-fricton'",

@@ -2,16 +2,11 @@
 
 import json
 from pathlib import Path
-from types import SimpleNamespace
 
-import numpy as np
 import pytest
 from shell import robustlab
 
 import robustlab as rl
-from robustlab.dynamics import stewart
-from robustlab.identification import Comparison
-from robustlab.identification.comparison import pose_of
 
 ROOT = Path(__file__).parents[2]
 
@@ -91,22 +86,3 @@ def test_a_machine_that_cannot_be_followed_is_refused(tmp_path):
     (tmp_path / "wrong.toml").write_text(text.replace('of = "updated"', 'of = "axis"'), encoding="utf-8")
     ending = robustlab("run", tmp_path / "wrong.toml", "--out", tmp_path / "out", code=3)
     assert "no Stewart platform" in ending.err + ending.out
-
-
-def test_the_pose_of_the_worst_window_is_reported():
-    """The platform 5 mm up in the middle of the window that is furthest off."""
-    machine = rl.plant("stewart-platform")
-    t = np.linspace(0.0, 1.0, 101)
-    height = machine.geometry.home[2] + 0.01 * t
-    phi = stewart.nut_angles(machine.geometry, np.array([[0.0, 0.0, z, 0.0, 0.0, 0.0] for z in height]))
-    outputs = {f"phi_{i + 1}": phi[:, i] for i in range(6)}
-    gaps = {name: SimpleNamespace(name=name, windowed_rms_percent=float(name[-1] == "4")) for name in outputs}
-    windows = SimpleNamespace(start=[0.0, 0.4], stop=[0.4, 0.6], worst=1)
-    found = SimpleNamespace(
-        outputs=gaps, windows=dict.fromkeys(outputs, windows), measured=rl.Record(t, {}, outputs, {}, "lift"),
-        worst={"output": "phi_4", "start": 0.4, "stop": 0.6},
-    )  # fmt: skip
-    found.pose = pose_of(machine, found)
-    assert found.pose["tz"] == pytest.approx(machine.geometry.home[2] + 0.005)
-    assert Comparison._worst_in_words(found).startswith("phi_4, 0.4 to 0.6 s, at the pose tx ")
-    assert pose_of(rl.plant("servo-axis"), found) == {}

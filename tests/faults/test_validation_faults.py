@@ -72,7 +72,7 @@ def test_a_record_that_is_not_of_this_plant(call, domain):
 
 
 def test_a_singular_noise_model(call):
-    for options in ((), ("--domain", "frequency"), ("--noise-norm", "rms")):
+    for options in ((), ("--domain", "frequency")):
         code, out, err = call(rl.unstructured(LAG, 0.3), record(), *options, bound="y=0")
         assert (code, out) == (4, "")
         assert "singular noise model" in err

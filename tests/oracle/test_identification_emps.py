@@ -46,7 +46,7 @@ def test_the_residual_is_far_from_white_and_no_warning_is_made_up(comparison):
     _, found = comparison
     tests = found.residual["q"]
     assert tests.whiteness.p_value < 1e-6
-    assert tests.whiteness.predictable_share > 0.9
+    assert tests.whiteness.explained_share > 0.9
     assert found.warnings == ()
     assert np.isfinite(found.frequency["q"].error_share).all()
 

@@ -5,7 +5,7 @@ from robustlab.lazily import lazily
 __all__, __getattr__ = lazily(
     __name__,
     {
-        "comparison": "compare pose_of",
+        "comparison": "compare",
         "error_analysis": "bins directions input_correlation motion_of spectrum whiteness",
         "envelope": "cover",
         "repeats": "NoiseFloor noise_floor period_of",

@@ -7,7 +7,7 @@ it measures the linearisation error. Errors are sorted along the motion of the j
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from robustlab.budget import one_thread
 from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant, SteppedPlant, input_signal
 from robustlab.dynamics.ports.port_model import Course
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
-from robustlab.identification.comparison.comparison_result import POSE, Comparison
+from robustlab.identification.comparison.comparison_result import Comparison
 from robustlab.identification.comparison.error_analysis import (
     FreeRun,
     InputDisturbance,
@@ -85,8 +85,6 @@ def compare(
     record: Record,
     *,
     window: float | None = None,
-    speed: str | None = None,
-    position: str | None = None,
 ) -> Comparison:
     """Compare a plant or model with a measured record at all outputs they share.
 
@@ -102,9 +100,6 @@ def compare(
         Length of the windows in s. Default: the model's slowest time constant, but at most a quarter of the record; a
         fiftieth of the record for a model of integrators only. For an unstable nonlinear plant, at most the time in
         which a deviation grows twentyfold.
-    speed, position
-        Recorded outputs over which the error is sorted; by default chosen by their units. For a nonlinear plant the
-        error of each output is sorted over the motion of its own joint.
 
     Returns
     -------
@@ -145,13 +140,13 @@ def compare(
         if np.abs(free).max() > LARGEST_OUTPUT:
             hint = "compare a shorter stretch (Record.between)"
             raise NoTrustworthyNumber(f"compare {record.name}", "the free run overflows", "a stable model", hint)
-    if isinstance(model, MotionResponse) and not (speed or position):
+    if isinstance(model, MotionResponse):
         motions, of_joints = motions_of_outputs(model, record), motions_of_joints(model, record)
     else:
-        of_joints = [motion_of(record, speed, position, length)]
+        of_joints = [motion_of(record, length)]
         motions = dict.fromkeys(outputs, of_joints[0])
     lags = min(LAGS, record.n // 4)
-    found = localised(whole, matching.outputs, free if run.whole else None, windows, motions, _sizes(matching), lags)
+    found = localised(whole, matching.outputs, free if run.whole else None, windows, motions, lags)
     noise, noise_reason = None, ""
     try:
         noise = noise_floor(record, outputs=outputs)
@@ -164,7 +159,7 @@ def compare(
     elif matching.smoothed:
         disturbance = joint_disturbances(model, matching.smoothed, error, windows.edges, of_joints)
     checked = linearisation(along, windows, outputs) if along else None
-    compared = Comparison(
+    return Comparison(
         status=Status.CONVERGED,
         model=str(getattr(plant, "name", None) or repr(plant)),
         record=record.name,
@@ -188,7 +183,6 @@ def compare(
         sensor_noise=dict(zip(outputs, (1.0 / whole.weight).tolist(), strict=True)) if along else {},
         **found,
     )
-    return replace(compared, pose=pose_of(plant, compared)) if along else compared
 
 
 def _matching(plant: Any, record: Record) -> Matching:
@@ -199,16 +193,6 @@ def _matching(plant: Any, record: Record) -> Matching:
     record = response.with_units(record)
     model = LinearResponse(response, response.stretch(record))
     return Matching(model, record, list(response.model.input_names), response.outputs, response.warnings)
-
-
-def _sizes(matching: Matching) -> dict[str, Array]:
-    """Return |deviation from the operating point| (n,) of each moving input; for a nonlinear plant of a single one."""
-    moving = {name: x for name, x in matching.model.whole.u.items() if np.ptp(x)}
-    if isinstance(matching.model, MotionResponse):
-        return {name: np.abs(x) for name, x in moving.items()} if len(matching.inputs) == 1 else {}
-    point = matching.model.response.model.operating_point
-    offset = dict(zip(matching.inputs, point.u, strict=True)) if point else {}
-    return {name: np.abs(x - offset.get(name, 0.0)) for name, x in moving.items()}
 
 
 def _against_noise(
@@ -256,9 +240,7 @@ def _warnings(
     if not record.is_uniform:
         texts.append("the clock is not uniform: spectra are of interpolated signals, lags count samples")
     if next(iter(motions.values())).speed is None:
-        texts.append(
-            "no output in a unit of speed, length or angle: the error is not sorted by speed (name one with speed=)"
-        )
+        texts.append("no output in a unit of speed, length or angle: the error is not sorted by speed")
     return texts
 
 
@@ -349,21 +331,6 @@ def _motion(plant: NonlinearPlant, joint: tuple[int, int], x: Array, record: Rec
     return Motion(x[:, v], x[:, q], unit, plant.states[q].unit, speed, f"{name} (smoothed)")
 
 
-def pose_of(plant: NonlinearPlant, found: Comparison) -> dict[str, float]:
-    """Return the pose of a machine in the middle of the worst window; empty where none can be proved."""
-    machine = getattr(plant, "plant", plant)  # without its effects
-    angles = [s.name for s in machine.outputs[:6]]
-    poses: Any = getattr(machine, "poses", None)
-    if poses is None or not all(name in found.measured.outputs for name in angles):
-        return {}
-    k = int(np.argmin(np.abs(found.measured.t - 0.5 * (found.worst["start"] + found.worst["stop"]))))
-    try:
-        pose = poses(np.array([found.measured[name][k] for name in angles]))
-    except NoTrustworthyNumber:  # the comparison does not depend on it
-        return {}
-    return dict(zip(POSE, pose.tolist(), strict=True))
-
-
 # --- simulations of the nonlinear plant ------------------------------------------------------------------------------
 
 
@@ -389,29 +356,15 @@ def free_run(model: MotionResponse, x0: Array, names: Sequence[str]) -> tuple[Fr
 
 
 def _onward(model: MotionResponse, x: Array, first: int, last: int) -> tuple[Array, str]:
-    """Return the states after sample ``first`` up to ``last``, or to the last valid one with the reason."""
+    """Return the states after sample ``first`` up to ``last``, or none with the reason."""
     t, u, plant = model.whole.t, model.course.u, model.plant
-
-    def run(x: Array, a: int, b: int) -> Array:
-        middle = np.concatenate([t[a:b], [0.5 * (t[b - 1] + t[b]), t[b]]])  # three times at least
-        held = np.vstack([u[a:b], u[b - 1 : b], u[b : b + 1]])
-        found = np.delete(plant.trajectory(input_signal(middle, held, "zoh"), x, RTOL), -2, axis=0)[1:]
-        if not np.isfinite(found).all():
-            raise NoTrustworthyNumber(plant.name, "the free run overflows")
-        return found
-
+    middle = np.concatenate([t[first:last], [0.5 * (t[last - 1] + t[last]), t[last]]])  # three times at least
+    held = np.vstack([u[first:last], u[last - 1 : last], u[last : last + 1]])
     try:
-        return run(x, first, last), ""
-    except NoTrustworthyNumber:
-        pass  # the sample and the reason are found sample by sample below
-    states, reason = [x], ""
-    for k in range(first, last):
-        try:
-            states.append(run(states[-1], k, k + 1)[0])
-        except NoTrustworthyNumber as end:
-            reason = end.found
-            break
-    return np.array(states)[1:], reason
+        found = np.delete(plant.trajectory(input_signal(middle, held, "zoh"), x, RTOL), -2, axis=0)[1:]
+    except NoTrustworthyNumber as end:
+        return np.zeros((0, len(x))), end.found
+    return (found, "") if np.isfinite(found).all() else (found[:0], "the free run overflows")
 
 
 def linearisation(model: MotionResponse, windows: WindowedSimulation, names: Sequence[str]) -> Linearisation:

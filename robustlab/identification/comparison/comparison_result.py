@@ -25,8 +25,7 @@ from robustlab.result import Evidence, Status
 from robustlab.tables import Table, Tabular
 
 # Fields that become JSON in another form, or not at all.
-NOT_AS_IT_IS = ("motions", "measured", "simulated", "windowed", "noise_reason", "against_noise", "pose")
-POSE = ("tx", "ty", "tz", "ax", "ay", "az")
+NOT_AS_IT_IS = ("measured", "simulated", "windowed", "noise_reason", "against_noise")
 EXPLAINS = 0.5  # share of the squared error that a located disturbance removes at least
 TIE = 2.0  # times the best: squared error that remains with another place that is as good
 ROUNDING = 1e-9  # a residual below this share of the range is rounding and is not tested
@@ -68,9 +67,6 @@ class Comparison(Tabular, Evidence):
         Limits of the numbers.
     direction
         Output name -> windowed error moving backward, at standstill, moving forward; empty without a known speed.
-    amplitude
-        Output name -> input name -> bins of the windowed error over the magnitude of the input (its deviation from the
-        operating point); without constant inputs.
     noise, noise_reason
         Noise floor where the record repeats, else None and the reason why there is none.
     against_noise
@@ -83,8 +79,6 @@ class Comparison(Tabular, Evidence):
     sensor_noise
         For a nonlinear plant: output name -> standard deviation of its samples about the smoothed motion, in its unit.
         Empty for a linear one.
-    pose
-        Of a machine with poses: its pose in the middle of the `worst` window, m and rad; else empty.
     """
 
     status: Status
@@ -105,24 +99,21 @@ class Comparison(Tabular, Evidence):
     disturbance: Mapping[str, InputDisturbance]
     warnings: tuple[str, ...]
     direction: Mapping[str, Mapping[str, Bin]]
-    amplitude: Mapping[str, Mapping[str, tuple[Bin, ...]]]
     noise: NoiseFloor | None
     noise_reason: str
     against_noise: Mapping[str, Excess]
     free_run: FreeRun
     linearisation: Linearisation | None = None
     sensor_noise: Mapping[str, float] = field(default_factory=dict)
-    pose: Mapping[str, float] = field(default_factory=dict)
 
     quantities: ClassVar[Mapping[str, Any]] = {
         **dict.fromkeys(("model", "record"), str),
         "outputs": Each("outputs", OutputGap),
         "windows": Each("outputs", WindowErrors),
         "worst_window": Each("outputs", ("s", "s")),
-        "worst": {"output": str, "start": "s", "stop": "s", "pose": dict.fromkeys(POSE, float)},
+        "worst": {"output": str, "start": "s", "stop": "s"},
         "residual": Each("outputs", ResidualTests),
         "direction": Each("outputs", {"*": Bin}),
-        "amplitude": Each("outputs", {"*": [Bin]}),
         "disturbance": Each("inputs", InputDisturbance, ("torque at *", "force at *")),
         "initial_state": InitialState,
         "free_run": FreeRun,
@@ -140,10 +131,10 @@ class Comparison(Tabular, Evidence):
 
     @property
     def worst(self) -> dict[str, Any]:
-        """Return the output with the largest windowed error over its range, its worst window in s, and the pose."""
+        """Return the output with the largest windowed error over its range, its and its worst window in s."""
         name = max(self.outputs.values(), key=lambda gap: gap.windowed_rms_percent).name
         start, stop = self.worst_window[name]
-        return {"output": name, "start": start, "stop": stop, **({"pose": self.pose} if self.pose else {})}
+        return {"output": name, "start": start, "stop": stop}
 
     @property
     def located(self) -> tuple[InputDisturbance, ...]:
@@ -176,7 +167,7 @@ class Comparison(Tabular, Evidence):
             ("free run", end),
             ("windows linear about the motion", self._linear_in_words()),
             *(fact for name in self.outputs for fact in self._more(name)),
-            ("worst of all", self._worst_in_words()),
+            ("worst of all", "{output}, {start:.3g} to {stop:.3g} s".format(**self.worst)),
             *self._missing(),
             ("noise floor", self._floor_in_words()),
             *(("warning", text) for text in self.warnings),
@@ -220,7 +211,7 @@ class Comparison(Tabular, Evidence):
             return f"zero to rounding (rms {number(r.rms, unit, 1)})"
         left = sorted((u for u, test in r.inputs.items() if test.p_value < 0.01), key=lambda u: r.inputs[u].p_value)
         white = "white" if r.whiteness.p_value >= 0.01 else "not white"
-        share = f"{100 * r.whiteness.predictable_share:.1f} % of its variance is predictable from its past"
+        share = f"{100 * r.whiteness.explained_share:.1f} % of its variance is predictable from its past"
         rest = f"{listed(left)} still in it" if left else "independent of the inputs"
         return f"{white} (p {_p(r.whiteness.p_value)}), {share}; {rest}"
 
@@ -255,12 +246,6 @@ class Comparison(Tabular, Evidence):
             found.append((f"missing: {d.place}", f"rms {number(d.rms, d.unit, 3)}; {mean_text}; {share}"))
         return found
 
-    def _worst_in_words(self) -> str:
-        worst = self.worst
-        text = f"{worst['output']}, {worst['start']:.3g} to {worst['stop']:.3g} s"
-        axes = [f"{axis} {1e3 * v:.3g} {'mm' if axis[0] == 't' else 'mrad'}" for axis, v in self.pose.items()]
-        return f"{text}, at the pose {', '.join(axes)}" if axes else text
-
     def numbers(self) -> dict[str, Any]:
         """Return all but the time series, and the `worst`."""
         return {**self.to_json(series=False), "worst": self.worst}
@@ -277,8 +262,7 @@ class Comparison(Tabular, Evidence):
         data: dict[str, object] = {
             **{key: value for key, value in vars(self).items() if key not in NOT_AS_IT_IS},
             "worst_window": self.worst_window,
-            "speed": {**self._of_motions(signal="speed_source", unit="speed_unit"), "bins": self.speed},
-            "position": {**self._of_motions(signal="position_name", unit="position_unit"), "bins": self.position},
+            "motions": {name: m.named() for name, m in self.motions.items()},
             "frequency": self.frequency if series else bands,
             "noise": {"floor": self.noise, "reason": self.noise_reason, "outputs": self.against_noise},
         }
@@ -291,12 +275,6 @@ class Comparison(Tabular, Evidence):
                 "windowed": self.windowed.outputs,
             }
         return data
-
-    def _of_motions(self, **fields: str) -> dict[str, object]:
-        """Return these fields of the motion, by output name where the motions differ."""
-        alike = all(m is next(iter(self.motions.values())) for m in self.motions.values())
-        by_output = {key: {y: getattr(m, name) for y, m in self.motions.items()} for key, name in fields.items()}
-        return {key: next(iter(by.values())) if alike else by for key, by in by_output.items()}
 
 
 def _errors(gap: OutputGap, of: str) -> str:

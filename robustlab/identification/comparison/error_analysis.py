@@ -39,7 +39,7 @@ LONGEST_SEGMENT = 8192
 CONFIDENCE = 0.99
 LINEAR_SHARE = 0.1  # of the error; a larger difference from the nonlinear plant gives a warning
 REST = 0.02  # speeds below this share of the largest count as standstill
-PER_DIRECTION, POSITION_BINS, AMPLITUDE_BINS = 5, 10, 6  # numbers of bins
+PER_DIRECTION, POSITION_BINS = 5, 10  # numbers of bins
 BAND_99 = 2.5758293035489004  # the 99.5 % point of the normal distribution: 99 % of white samples are within
 # Directions of the lagged input below this share of its largest eigenvalue are not excited.
 NOT_EXCITED = 1e-10
@@ -59,6 +59,10 @@ class Motion(Evidence):
     position_unit: str
     speed_source: str  # ``"v"``, or ``"derivative of q (Savitzky-Golay, order 3, 49 samples)"``
     position_name: str  # name of the position signal
+
+    def named(self) -> dict[str, str]:
+        """Return the signals and their units without their samples."""
+        return {key: text for key, text in vars(self).items() if isinstance(text, str)}
 
 
 @dataclass(frozen=True)
@@ -95,13 +99,12 @@ class Spectrum(Evidence):
     error_share: Array  # share of the squared error per band, shape (n_bands,), sum 1
 
 
-def motion_of(record: Record, speed: str | None, position: str | None, window: int) -> Motion:
-    """Return speed and position of a record: the named outputs, else the first ones in such units.
+def motion_of(record: Record, window: int) -> Motion:
+    """Return speed and position of a record: the first outputs in such units.
 
     Without a speed it is the derivative of the position by a Savitzky-Golay filter over a tenth of the window.
     """
-    position = position or _first_in(record, POSITION_UNITS)
-    speed = speed or _first_in(record, SPEED_UNITS)
+    position, speed = _first_in(record, POSITION_UNITS), _first_in(record, SPEED_UNITS)
     q = record[position] if position else None
     q_unit = record.unit(position) if position else ""
     if speed:
@@ -224,8 +227,8 @@ class ResidualTests(Evidence):
     """Tests of one output's recursive residual (see `robustlab.identification.response.windowed_simulation`)."""
 
     rms: float  # RMS of the residual in the unit of the output
-    whiteness: Whiteness
-    inputs: Mapping[str, InputCorrelation]
+    whiteness: Correlation
+    inputs: Mapping[str, Correlation]
 
 
 @dataclass(frozen=True)
@@ -277,15 +280,13 @@ def localised(
     free: Array | None,
     windows: WindowedSimulation,
     motions: Mapping[str, Motion],
-    size: Mapping[str, Array],
     lags: int,
 ) -> dict[str, Any]:
-    """Compute errors over windows, speed, direction, position, amplitude and frequency, and residual tests.
+    """Compute errors over windows, speed, direction, position and frequency, and residual tests.
 
-    ``free``: the free run (n, n_y); None where it does not reach the end of the record. ``size``: input name ->
-    magnitude (n,) over which the error is sorted.
+    ``free``: the free run (n, n_y); None where it does not reach the end of the record.
     """
-    keys = ("outputs", "windows", "speed", "direction", "position", "amplitude", "frequency", "residual")
+    keys = ("outputs", "windows", "speed", "direction", "position", "frequency", "residual")
     result: dict[str, dict[str, Any]] = {key: {} for key in keys}
     t, u, y, edges = whole.t, whole.u, whole.y, windows.edges
     for k, (name, unit) in enumerate(outputs):
@@ -303,10 +304,6 @@ def localised(
             low, high = float(motion.position.min()), float(motion.position.max())
             places = np.linspace(low, high if high > low else low + 1.0, POSITION_BINS + 1)
             result["position"][name] = bins(motion.position, local, places)
-        result["amplitude"][name] = {
-            key: bins(value, local, np.linspace(0.0, float(np.abs(value).max()) or 1.0, AMPLITUDE_BINS + 1))
-            for key, value in size.items()
-        }
         if free is not None:
             result["frequency"][name] = spectrum(t, u, y[:, k], free[:, k])
         residual = windows.residual[:, k]
@@ -345,44 +342,17 @@ def kept(record: Record, inputs: Sequence[str], outputs: Sequence[str], y: Array
 
 
 @dataclass(frozen=True)
-class Whiteness(Evidence):
-    """Autocorrelation of a residual, not centred, and the Ljung-Box test Q = N (N + 2) sum r_k^2 / N_k of m lags.
+class Correlation(Evidence):
+    """Correlations of a residual with its own past or with an input, and the test that there are none."""
 
-    N_k is the number of pairs at lag k. Q of a white residual has m degrees of freedom, as no parameter was fitted.
-    """
-
-    # lags, autocorrelation: lags 0..m in samples, and r_k with r_0 = 1, shape (m + 1,)
-    lags: NDArray[np.int_]
-    autocorrelation: Array
-    band: float  # 99 % of the r_k of a white residual are within ± this
-    # statistic, dof, p_value: Q, m, and the probability of a larger Q for a white residual
+    lags: NDArray[np.int_]  # in samples; positive: the residual after the input
+    correlation: Array  # at these lags; at negative ones it shows that the input was computed from the output
+    band: float  # 99 % of the correlations are within ± this if the test's hypothesis is true
+    # statistic, dof, p_value: chi-square distributed if there are none, and the probability of a larger one
     statistic: float
     dof: int
     p_value: float
-    predictable_share: float  # share of the variance that a linear predictor over the last m samples explains, 0..1
-    samples: int  # N
-
-
-@dataclass(frozen=True)
-class InputCorrelation(Evidence):
-    """Cross-correlation of one input, without its mean, with a residual, and the test of their independence.
-
-    Q = N_m R^2 with the R^2 of the regression of the residual on lags 0..m of the input at the N_m samples that have
-    all of them.
-    """
-
-    # lags, correlation: lags -m..m in samples (positive: the residual after the input), and r_k, shape (2 m + 1,).
-    # Correlation at negative lags means that the input was computed from the output (closed loop).
-    lags: NDArray[np.int_]
-    correlation: Array
-    # 99 % band of r_k, corrected for the colour of the residual and the input; 2.58 / sqrt(N) for white ones
-    band: float
-    # Q, the number of excited directions among the m + 1 lags, and the probability of a larger Q
-    statistic: float
-    dof: int
-    p_value: float
-    explained_share: float  # R²: share of the residual's variance that the input explains over lags 0..m, 0..1
-    samples: int  # N
+    explained_share: float  # share of the residual's variance that is linear in its past or in the input, 0..1
 
 
 def autocorrelation(residual: ArrayLike, lags: int) -> tuple[Array, NDArray[np.int_]]:
@@ -398,8 +368,11 @@ def autocorrelation(residual: ArrayLike, lags: int) -> tuple[Array, NDArray[np.i
     return r, pairs
 
 
-def whiteness(residual: ArrayLike, lags: int) -> Whiteness:
-    """Apply the Ljung-Box test to the first ``lags`` autocorrelations of a residual (n,) without its NaN samples."""
+def whiteness(residual: ArrayLike, lags: int) -> Correlation:
+    """Apply the Ljung-Box test to the first ``lags`` autocorrelations of a residual (n,) without its NaN samples.
+
+    Q = N (N + 2) sum r_k^2 / N_k with N_k pairs at lag k, not centred: no parameter was fitted.
+    """
     from scipy.linalg import toeplitz
     from scipy.stats import chi2
 
@@ -411,13 +384,13 @@ def whiteness(residual: ArrayLike, lags: int) -> Whiteness:
     predictor = np.linalg.lstsq(toeplitz(r[:-1]), r[1:])[0] if lags else np.zeros(0)
     share = float(np.clip(predictor @ r[1:], 0.0, 1.0))
     p_value = float(chi2.sf(statistic, dof)) if dof else 1.0
-    return Whiteness(np.arange(lags + 1), r, float(BAND_99 / np.sqrt(max(n, 1))), statistic, dof, p_value, share, n)
+    return Correlation(np.arange(lags + 1), r, float(BAND_99 / np.sqrt(max(n, 1))), statistic, dof, p_value, share)
 
 
-def input_correlation(u: ArrayLike, residual: ArrayLike, lags: int) -> InputCorrelation:
+def input_correlation(u: ArrayLike, residual: ArrayLike, lags: int) -> Correlation:
     """Compute the cross-correlation of an input (n,) with a residual (n,) over lags -``lags``..``lags``.
 
-    NaN samples of the residual are excluded.
+    NaN samples of the residual are excluded. Q = N R^2 of the regression of the residual on lags 0.. of the input.
     """
     from scipy.stats import chi2
 
@@ -438,7 +411,7 @@ def input_correlation(u: ArrayLike, residual: ArrayLike, lags: int) -> InputCorr
     statistic = rows * share
     p_value = float(chi2.sf(statistic, dof)) if dof else 1.0
     band = float(BAND_99 * np.sqrt(spread / max(n, 1)))
-    return InputCorrelation(np.arange(-lags, lags + 1), correlation, band, statistic, dof, p_value, share, n)
+    return Correlation(np.arange(-lags, lags + 1), correlation, band, statistic, dof, p_value, share)
 
 
 def _explained(v: Array, e: Array, lags: int) -> tuple[float, int, int]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import NoTrustworthyNumber
 from robustlab.record import Record
 from robustlab.result import Evidence
 
@@ -45,7 +45,7 @@ class Excess(Evidence):
 class NoiseFloor(Evidence):
     """Noise of the outputs of a record that repeats; see `noise_floor`."""
 
-    signal: str  # the signal that repeats; empty for a stated period without a recorded signal that repeats exactly
+    signal: str  # the signal that repeats
     period: float  # its period in s
     samples: int  # of one repeat
     count: int  # number of repeats
@@ -82,19 +82,21 @@ class NoiseFloor(Evidence):
         )
 
 
-def noise_floor(record: Record, *, period: float | None = None, outputs: Sequence[str] | None = None) -> NoiseFloor:
+def noise_floor(record: Record, *, outputs: Sequence[str] | None = None) -> NoiseFloor:
     """Estimate the noise of the outputs of a record from its periods."""
     where, names = f"noise floor of {record.name}", list(record.outputs) if outputs is None else list(outputs)
     if not record.is_uniform:
         raise NoTrustworthyNumber(where, "the clock is not uniform", "a uniform clock")
-    samples, signal = _found_period(record, names) if period is None else (_stated_period(record, period), "")
+    samples, signal = _found_period(record, names)
     count = record.n // samples
     first = record.n - count * samples
     stacked = {name: x[first:].reshape(count, samples) for name, x in (*record.inputs.items(), *record.outputs.items())}
     for name in record.inputs:
         if not _alike(stacked[name]):
             found = f"does not repeat with a period of {samples * record.dt:.6g} s"
-            raise InputError(f"{where}: {name}", found, "the same input in every repeat (to 10 % in closed loop)")
+            raise NoTrustworthyNumber(
+                f"{where}: {name}", found, "the same input in every repeat (to 10 % in closed loop)"
+            )
     skipped = _transient([stacked[name] for name in names])
     notes = []
     if skipped:
@@ -202,8 +204,7 @@ def _found_period(record: Record, names: list[str]) -> tuple[int, str]:
     periods |= {name: period_of(x, 0.0) for name, x in record.outputs.items() if name not in names}
     found = {name: p for name, p in periods.items() if p}
     if not found:
-        hint = "if the machine was commanded periodically, state the period"
-        raise NoTrustworthyNumber(where, "no recorded input or reference repeats", None, hint)
+        raise NoTrustworthyNumber(where, "no recorded input or reference repeats")
     common = lcm(*found.values())
     signal = ", ".join(found)
     if record.n < 2 * common:
@@ -211,25 +212,7 @@ def _found_period(record: Record, names: list[str]) -> tuple[int, str]:
         raise NoTrustworthyNumber(
             where, f"the common period of {each} is {common * record.dt:.4g} s", "two common periods in the record"
         )
-    still = [
-        n for n, x in record.inputs.items() if n not in found and not _alike(x[record.n % common :].reshape(-1, common))
-    ]
-    if still:
-        raise NoTrustworthyNumber(where, f"{signal} repeats, input {', '.join(still)} does not", "one common period")
     return common, signal
-
-
-def _stated_period(record: Record, period: float) -> int:
-    where = f"noise floor of {record.name}: period"
-    shortest, longest = SHORTEST_PERIOD * record.dt, record.n * record.dt / 2
-    if not np.isfinite(period) or not shortest * (1 - 1e-9) <= period <= longest * (1 + 1e-9):
-        raise InputError(where, f"{period:g} s", f"{shortest:.4g} s to half the record, {longest:.6g} s")
-    samples = round(period / record.dt)
-    slip = abs(period / record.dt - samples) * (record.n // samples)
-    if slip > 0.5:
-        hint = "resample the record to a fraction of the period"
-        raise InputError(where, f"{period:g} s is {period / record.dt:.4f} samples", "a whole number of samples", hint)
-    return samples
 
 
 def _alike(stacked: Array) -> bool:

@@ -2,15 +2,15 @@ r"""Checks of the sign, unit and name of every recorded channel against the mode
 
 Outputs that are derivatives of one another are compared directly. All others are checked by the factors s of the
 inputs' responses, :math:`y_j \approx \sum_i s_{ji} G_{ji} u_i`, in windows with free initial state, constant
-disturbance and sensor error, and the responses to springs, damping and dry friction: wrong is an s near -1 or near the
-factor of a unit, if the response to the inputs is needed.
+disturbance and sensor error: wrong is an s near -1 or near the factor of a unit, if the response explains the output.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -84,14 +84,12 @@ def _error(plant: NonlinearPlant, whole: Stretch, u: Array, y: Array, columns: S
 
 # For a channel in no known unit: thousands, hundreds, degrees, turns, turns per minute.
 ANY_FACTORS = tuple(both for f in (1e3, 1e2, 180 / math.pi, 2 * math.pi, 30 / math.pi) for both in (f, 1.0 / f))
-MOST_PORTS = 6
 RANK = 1e-8
 GROWTH = 1e6  # windows over which an unstable model grows by more are not simulated
 EXPLAINED = 0.8  # share of an output that must be explained
 NEEDED = 0.25  # share of the error without an input that may remain with it
 NEAR, NEAR_SMALL, SMALL = 2.5, 1.45, 20.0  # tolerance of a factor about -1 or a unit; of units that differ by less
-ALONE = 0.99  # share explained by the inputs alone, above which effects are not considered
-LIKELY = 0.3  # share explained by the inputs alone, with which one of two channels is blamed
+LIKELY = 0.3  # share explained, with which one of two channels is blamed
 RAW_SHARE = 0.5  # share of the raw response that determines a sign
 SLOPE_FIT = 0.9  # R² from which the slope of a derivative relation is used
 SLOPE_RANGE = (0.6, 1.6)  # of a correct slope with sensor gains and filters
@@ -102,7 +100,7 @@ SLOPE_MATCH = 1.3
 class Finding(Evidence):
     """A property of a record that is relevant for effect identification."""
 
-    # too-short, unexcited, constant-output, sign, unit, swapped-outputs, motion: may be fatal; clipped, gaps, jitter,
+    # too-short, unexcited, constant-output, sign, unit, motion: may be fatal; clipped, gaps,
     # quantisation: never
     kind: str
     channel: str  # signal, or ``"t"`` for the time base; two signals are separated by a comma
@@ -212,16 +210,11 @@ def _from_derivatives(
         slope, share = derivative_slope(record[a], kappa * record[b], record.dt, good)
         if share >= SLOPE_FIT and SLOPE_RANGE[0] <= slope <= SLOPE_RANGE[1]:
             continue
-        evidence: dict[str, object] = {"test": f"{a} against the integral of {b}", "slope": slope, "r2": share}
-        back, back_share = derivative_slope(record[b], kappa * record[a], record.dt, good)
-        if back_share >= SLOPE_FIT and SLOPE_RANGE[0] <= back <= SLOPE_RANGE[1]:
-            more = {"slope_swapped": back, "r2_swapped": back_share}
-            found.append(_finding("swapped-outputs", (a, b), math.nan, "", {**evidence, **more}, units))
-            continue
         if share < SLOPE_FIT:
             continue
+        evidence: dict[str, object] = {"test": f"{a} against the integral of {b}", "slope": slope, "r2": share}
         own = [factors[outputs.index(n)] for n in (a, b)]
-        (s_a, sure_a), (s_b, sure_b) = ((f.plain[0], f.plain_share) for f in own)
+        (s_a, sure_a), (s_b, sure_b) = ((f.s[0], f.share) for f in own)
         if slope < 0:  # the one that moves against the model's response; both if the record does not determine it
             known = s_a * s_b < 0 and max(sure_a, sure_b) >= 0.5
             wrong = (a, b) if not known else (a,) if s_a < 0 else (b,)
@@ -291,9 +284,7 @@ def _finding(
 ) -> Finding:
     """State that a channel contradicts the model, or one of several; ``factor``: recorded values over expected ones."""
     first, either, e = channels[0], " or ".join(channels), evidence
-    if "slope_swapped" in e:
-        because = f"{e['test']} exchanged has the slope {e['slope_swapped']:.3g}"
-    elif "slope" in e:
+    if "slope" in e:
         because = f"{e['test']}: slope {e['slope']:.3g} instead of 1, R² {e['r2']:.3g}"
     else:
         because = f"its response is {e['found']:.3g} times the model's, R² {e['r2']:.3g}"
@@ -301,30 +292,22 @@ def _finding(
         text = f"{either} seems to be measured with the other sign ({because})"
         hint = f"check the wiring and the counting direction; if it is so, turn the sign of {either} in the record"
         expected = "the model's sign"
-    elif kind == "unit":
+    else:
         expected = units[first] or "the model's unit"
         as_if = f"seems to be recorded in {unit or 'another unit'}"
         text = f"{either} {as_if}: its values are about {factor:.4g} times those in {expected} ({because})"
         hint = f"if it is so, divide {first} by {factor:.6g}"
-    else:
-        text = f"{' and '.join(channels)} seem to be swapped ({because})"
-        hint = "exchange the two names in the record"
-        expected = "each signal under its own name"
     return Finding(kind, ", ".join(channels), text, expected, hint, True, {**e, "factor": factor, "unit": unit})
 
 
-@dataclass(frozen=True)
-class Factors:
+class Factors(NamedTuple):
     """Factors s (n_u,) of the inputs' responses in one output, in the windows of ``window`` s with the best fit."""
 
     s: Array
-    share: float  # of the output that these and effects explain
+    share: float  # of the output that these explain
     left: Array  # squared error with each input over that without it, (n_u,)
-    plain: Array  # factors without effects, (n_u,), and the share that they explain
-    plain_share: float
     raw: Array  # signs of the raw responses, 0 if undetermined, (n_u,)
     window: float
-    responds: float = 0.0  # the largest share without effects over all window lengths
 
     def evidence(self, i: int) -> dict[str, object]:
         return {"test": "response in windows", "found": float(self.s[i]), "r2": self.share, "window": self.window}
@@ -333,15 +316,15 @@ class Factors:
 def _snapped(found: Factors, i: int, output_unit: str, input_unit: str) -> tuple[float, float]:
     """Round the factor of input i to 1, -1 or the factor of a unit: the certain value and the likely one, else NaN.
 
-    The likely one is from the response without effects; it decides which of two channels is wrong.
+    The likely one decides which of two channels is wrong.
     """
     sizes = [1.0, *unit_factors(output_unit), *(1.0 / f for f in unit_factors(input_unit))]
 
     def nearest(s: float) -> float:
         return math.copysign(min(sizes, key=lambda f: abs(math.log(abs(s) / f))), s)
 
-    s, plain = float(found.s[i]), float(found.plain[i])
-    likely = nearest(plain) if plain and found.plain_share >= LIKELY else math.nan
+    s = float(found.s[i])
+    likely = nearest(s) if s and found.share >= LIKELY else math.nan
     if found.share < EXPLAINED or found.left[i] > NEEDED or not s or s < 0 < found.raw[i]:
         return math.nan, likely
     size = nearest(s)
@@ -368,44 +351,29 @@ def response_factors(
     found = [each for n in lengths if (each := _factors(model, outputs, record.dt, u, y, good, n))]
     none = np.zeros(model.n_inputs)
     if not found:
-        return (Factors(none, 0.0, none + 1, none, 0.0, none, 0.0),) * len(outputs)
-    return tuple(
-        replace(max(each, key=lambda f: f.share), responds=max(f.plain_share for f in each))
-        for each in zip(*found, strict=True)
-    )
+        return (Factors(none, 0.0, none + 1, none, 0.0),) * len(outputs)
+    return tuple(max(each, key=lambda f: f.share) for each in zip(*found, strict=True))
 
 
 def _factors(
     model: StateSpaceModel, outputs: tuple[str, ...], dt: float, u: Array, y: Array, good: Mask, length: int
 ) -> list[Factors]:
-    """Fit the factors of each output, with springs, damping and friction, in windows of one length."""
-    from scipy.signal import savgol_filter
-
+    """Fit the factors of each output in windows of one length."""
     kept = [k for k in range(0, len(u) - length + 1, length) if good[k : k + length].all()]
     if not kept:
         return []
     u, y = (np.stack([x[k : k + length] for k in kept]) for x in (u, y))
-    n_u, n_x, ports = model.n_inputs, model.n_states, _ports(model)
-    phi, gamma = model.A, np.hstack([model.B, np.eye(n_x)])  # with a further input on the equation of every state
+    n_u, n_x = model.n_inputs, model.n_states
+    phi, gamma = model.A, np.hstack([model.B, np.eye(n_x)])  # with a constant input on the equation of every state
     if not model.is_discrete:
         phi, gamma, _ = transition(StateSpaceModel(phi, gamma, model.C, np.zeros((len(model.C), gamma.shape[1]))), dt)
-
-    def responses(signals: Array, columns: Sequence[int]) -> list[Array]:
-        """Simulate outputs (windows, n, n_y_of_model) for each signal (windows, n, columns) from zero state.
-
-        Column k < n_u of the inputs is input k; column n_u + i drives the equation of state i.
-        """
-        force, push = signals.transpose(1, 2, 0), gamma[:, list(columns)].T[:, None, :]  # (n, columns, windows)
-        states = np.zeros((length + 1, len(columns), len(kept), n_x))
+    forced = []  # outputs (windows, n, n_y_of_model) of each input from zero state
+    for i in range(n_u):
+        x = np.zeros((length + 1, len(kept), n_x))
         for k in range(length):
-            states[k + 1] = states[k] @ phi.T + force[k][:, :, None] * push
-        return [
-            states[:-1, c].transpose(1, 0, 2) @ model.C.T
-            + signals[..., c : c + 1] * (model.D[:, column] if column < n_u else 0.0)
-            for c, column in enumerate(columns)
-        ]
-
-    forced, found = responses(u, range(n_u)), []
+            x[k + 1] = x[k] @ phi.T + u[:, k, i, None] * gamma[:, i]
+        forced.append(x[:-1].transpose(1, 0, 2) @ model.C.T + u[..., i : i + 1] * model.D[:, i])
+    found = []
     for row, y_j in zip([model.output_names.index(name) for name in outputs], np.moveaxis(y, 2, 0), strict=True):
         free = np.empty((length, n_x))  # output over a window from a unit of each state at its start
         line = model.C[row]
@@ -415,21 +383,13 @@ def _factors(
         constant = _orthonormal(np.column_stack([free, held, np.ones(length)]))
         target = _projected(y_j, constant)
         inputs = np.column_stack([_projected(f[..., row], constant) for f in forced])
-        width = min(length - 1 + length % 2, max(5, (length // 40) | 1))
-        rate = np.asarray(savgol_filter(y_j, width, min(3, width - 1), deriv=1, delta=dt, axis=1), dtype=np.float64)
-        drives = np.stack([y_j - y_j.mean(axis=1, keepdims=True), rate, np.sign(y_j), np.sign(rate)], axis=2)
-        moved = responses(np.tile(drives, len(ports)), np.repeat(ports, drives.shape[2]).tolist()) if ports else []
-        effects = np.column_stack([target[:, None][:, :0], *(_projected(a[..., row], constant) for a in moved)])
-        s, share = _fit(target, np.hstack([inputs, effects]))
-        without = [_fit(target, np.hstack([np.delete(inputs, i, axis=1), effects]))[1] for i in range(n_u)]
+        s, share = _fit(target, inputs)
+        without = [_fit(target, np.delete(inputs, i, axis=1))[1] for i in range(n_u)]
         left = np.array([(1.0 - share) / max(1.0 - part, 1e-300) for part in without])
         start = _orthonormal(free)  # includes the response to a steady input
         signs, fit = _fit(_projected(y_j, start), np.column_stack([_projected(f[..., row], start) for f in forced]))
         raw = np.sign(signs) if fit >= RAW_SHARE else np.zeros(n_u)
-        plain, plain_share = _fit(target, inputs)
-        alone = (left > NEEDED) & (plain_share >= ALONE)  # in closed loop effects can replace the input
-        s, left = np.where(alone, plain, s[:n_u]), np.where(alone, 0.0, left)
-        found.append(Factors(s, share, left, plain, plain_share, raw, length * dt))
+        found.append(Factors(s, share, left, raw, length * dt))
     return found
 
 
@@ -458,13 +418,3 @@ def _orthonormal(columns: Array) -> Array:
         return np.zeros((len(columns), 0))
     left, sigma, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
     return left[:, sigma > RANK * sigma[0]]
-
-
-def _ports(model: StateSpaceModel) -> list[int]:
-    """Return where effects act: states that are not integrals of single others; in large models the inputs."""
-    n_u = model.n_inputs
-    states = [
-        n_u + k for k in range(model.n_states)
-        if model.B[k].any() or np.count_nonzero(model.A[k]) != 1 or model.A[k, k]
-    ]  # fmt: skip
-    return states if len(states) <= MOST_PORTS else list(range(min(n_u, MOST_PORTS)))

@@ -238,7 +238,7 @@ def suitability(plant: Any, record: Record) -> Suitability:
         record = with_units(record, (*plant.inputs, *shared))
         level = uniform(record)
         inputs, outputs = tuple(s.name for s in plant.inputs), tuple(s.name for s in shared)
-        findings = [*_clock(record, level), *_samples(record, outputs)]
+        findings = [*_clock(level), *_samples(record, outputs)]
         # A dead sensor would indicate a joint at standstill.
         findings += [replace(f, fatal=True) for f in _dead(record, outputs)]
         findings += _unexcited(record, inputs, outputs, {})
@@ -249,11 +249,11 @@ def suitability(plant: Any, record: Record) -> Suitability:
         record = response.with_units(record)
         level = uniform(record)
         outputs, inputs = response.output_names, response.model.input_names
-        findings = [*_clock(record, level), *_samples(record, outputs), *_dead(record, outputs)]
+        findings = [*_clock(level), *_samples(record, outputs), *_dead(record, outputs)]
         findings += _too_short(response, record)
         good = np.logical_and.reduce([level.valid[name] for name in outputs])
         factors = response_factors(response.model, outputs, level.record, good)
-        shown = {name: found.responds for name, found in zip(outputs, factors, strict=True)}
+        shown = {name: found.share for name, found in zip(outputs, factors, strict=True)}
         unexcited = _unexcited(record, inputs, outputs, shown)
         findings += unexcited
         if not any(finding.fatal for finding in unexcited):
@@ -296,9 +296,8 @@ def quantisation_step(y: Array) -> float | None:
 # --- time base and samples -------------------------------------------------------------------------------------------
 
 
-def _clock(record: Record, level: UniformRecord) -> list[Finding]:
+def _clock(level: UniformRecord) -> list[Finding]:
     found: list[Finding] = []
-    steps, dt = np.diff(record.t), level.record.dt
     if level.gaps:
         lost = sum(gap.missing for gap in level.gaps)
         longest = max(level.gaps, key=lambda gap: gap.missing)
@@ -308,13 +307,6 @@ def _clock(record: Record, level: UniformRecord) -> list[Finding]:
         )
         evidence: dict[str, object] = {"missing": lost, "gaps": [gap._asdict() for gap in level.gaps]}
         found.append(Finding("gaps", "t", text, "", "only windows without gaps are used", False, evidence))
-    near = steps[steps <= 1.5 * dt]
-    spread = float(np.abs(near / dt - 1.0).max())
-    if spread > 1e-3:
-        text = f"steps of {near.min():.6g} s to {near.max():.6g} s around a sample time of {dt:.6g} s"
-        evidence = {"dt": dt, "rms": float(np.sqrt(np.mean((near - dt) ** 2)))}
-        hint = "resampled on a uniform clock where required"
-        found.append(Finding("jitter", "t", text, "", hint, False, evidence))
     return found
 
 

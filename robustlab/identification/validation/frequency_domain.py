@@ -7,7 +7,7 @@ disproves gamma (Smith, Doyle 1992; Huang, Zhang 2007, theorem 2.1).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -21,6 +21,7 @@ from robustlab.identification.comparison.repeats import noise_floor
 from robustlab.identification.validation.sampled_problem import (
     SLACK,
     ConeSolution,
+    Found,
     Multipliers,
     Rows,
     Search,
@@ -50,6 +51,7 @@ from robustlab.uncertainty.lft import UncertainModel
 SILENT = 1e-10
 LINE_ROUNDS = 30  # convex-concave steps at most
 LINE_MARGIN = 1e-9  # distance of the programmes' target from the noise bound
+NO_NOISE = np.zeros((0, 0))  # the noise of an explanation is that of its w
 FINEST = 1e-7  # relative, of a disproved gamma
 FLOOR = 1e-9  # a multiplier of this share of the largest makes the Lagrangian of a line strictly concave
 
@@ -104,11 +106,6 @@ class FrequencyData(Tabular, Evidence):
             G = np.array(response, dtype=np.complex128)
         except (TypeError, ValueError):
             raise InputError(name, f"response: {response!r}", "complex numbers") from None
-        for word, given in (("input", input), ("name", name)):
-            if not isinstance(given, str):
-                raise InputError(f"FrequencyData: {word}", repr(given), "a word")
-        if isinstance(outputs, str) or not isinstance(outputs, Sequence):
-            raise InputError("FrequencyData: outputs", repr(outputs), "a list of names")
         G = G[:, None] if G.ndim == 1 else G
         if w.ndim != 1 or not len(w) or not np.isfinite(w).all() or (np.diff(w) <= 0).any() or w[0] < 0:
             raise InputError(name, "omega", "finite increasing frequencies in rad/s, shape (n,)")
@@ -225,15 +222,13 @@ class Spectrum:
     assumptions: tuple[str, ...]
 
 
-def spectrum_of_record(
-    uncertain: UncertainModel, record: Record, noise: Mapping[str, ArrayLike], period: float | None
-) -> Spectrum:
+def spectrum_of_record(uncertain: UncertainModel, record: Record, noise: Mapping[str, ArrayLike]) -> Spectrum:
     """Compute the lines of a record's mean period; the noise bound is the root mean square over the periods used."""
     where = f"validate {record.name}"
     _refused_blocks(uncertain, where)
-    recorded = prepared(uncertain, record, noise, norm="rms", at_rest=True)
+    recorded = prepared(uncertain, record, noise, at_rest=True)
     try:
-        floor = noise_floor(record, period=period, outputs=[s.name for s in recorded.outputs])
+        floor = noise_floor(record, outputs=[s.name for s in recorded.outputs])
     except NoTrustworthyNumber as error:
         hint = 'domain="time" accepts any uniformly sampled record'
         raise NoTrustworthyNumber(where, f"no steady periods: {error.found}", "whole periods", hint) from None
@@ -308,7 +303,7 @@ def spectrum_of_response(uncertain: UncertainModel, data: FrequencyData, noise: 
         if given.shape not in ((), (n,)):
             raise InputError(f"{where}: noise of {name!r}", f"shape {given.shape}", f"one number, or ({n},)")
         lowest = {name: float(given.min())} if name in noise else {}
-        noise_bounds(lowest, (name,), "peak", where)
+        noise_bounds(lowest, (name,), where)
         if not np.isfinite(given).all():
             raise InputError(f"{where}: noise of {name!r}", "numbers that are not finite", "positive numbers")
         bound[:, j] = given
@@ -349,28 +344,14 @@ def _refused_blocks(uncertain: UncertainModel, where: str) -> None:
 # --- the result -------------------------------------------------------------------------------------------------------
 
 
-def fits_frequency_domain(
-    data: Record | FrequencyData,
-    domain: str,
-    norm: str | None,
-    window: float | None,
-    at_rest: bool,
-    noise: Mapping[str, ArrayLike] | None,
-) -> None:
+def fits_frequency_domain(data: Record | FrequencyData, domain: str, window: float | None, at_rest: bool) -> None:
     """Refuse options without a meaning in the frequency domain."""
     where = f"validate {data.name}"
     if domain == "time":
         raise InputError(where, "a frequency response in the time domain", 'domain="frequency"')
-    if norm == "peak" and isinstance(data, Record):
-        hint = 'noise_norm="rms"; a transform keeps the energy of the noise, not its peak'
-        raise InputError(where, "a peak bound of the noise in the frequency domain", "an rms bound", hint)
-    if norm == "rms" and isinstance(data, FrequencyData):
-        raise InputError(where, "an rms bound on a frequency response", "a bound at each line")
     for name, given in (("windows", window), ("at_rest", at_rest)):
         if given:
             raise InputError(where, f"{name} in the frequency domain", "whole periods in steady state", 'domain="time"')
-    if noise is None and isinstance(data, FrequencyData):
-        raise NoTrustworthyNumber(where, "no noise bound was given", None, "noise={output: bound}, in its unit")
 
 
 def validate_by_lines(
@@ -378,16 +359,14 @@ def validate_by_lines(
     data: Record | FrequencyData,
     noise: Mapping[str, ArrayLike],
     search: Search,
-    period: float | None,
     progress: Callable[[str], None],
-    estimated: bool,
 ) -> Validation:
     """Compute bounds of the smallest gamma over the lines; see `robustlab.identification.validation.validate`."""
     if not uncertain.blocks:
         hint = 'domain="time" tests whether noise alone explains a record'
         raise InputError(f"validate {data.name}", "a set without blocks in the frequency domain", "a block", hint)
     if isinstance(data, Record):
-        spectrum = spectrum_of_record(uncertain, data, noise, period)
+        spectrum = spectrum_of_record(uncertain, data, noise)
     else:
         spectrum = spectrum_of_response(uncertain, data, noise)
     problem = spectrum.problem
@@ -399,25 +378,23 @@ def validate_by_lines(
         require_replay(error, data.name)
         explained, sizes = _explained(spectrum, found.w), problem.sizes(found.w)
     w, z = in_own_units(found.w, problem.z(found.w), problem.blocks, problem.scale)
-    exact = "exact" if found.known else "lower bound exact where the Lagrangian is concave"
     return Validation(
         status=concluded(found.lower, found.upper, search),
         notes=(search.budget.remark,) if search.budget.remark else (),
         record=data.name,
         lower=found.lower,
         upper=found.upper,
-        label=f"time-invariant systems at {problem.n} lines ({exact})",
+        label=found.label,
         blocks={
             block: BlockSize(block, "time-invariant", float(size))
             for block, size in zip(problem.names, sizes.max(axis=0), strict=True)
         },
         noise_bound=spectrum.bound,
         noise_norm="rms" if problem.total else "peak",
-        excess=found.least_noise if np.isinf(found.upper) else problem.excess(problem.noise(found.w)),
+        excess=found.excess,
         replay_error=error,
         assumptions=(
             *spectrum.assumptions,
-            *(("the noise bound was estimated from the record's own periods",) if estimated else ()),
             "complex and full blocks are causal stable time-invariant systems",
         ),
         t=spectrum.t,
@@ -427,8 +404,7 @@ def validate_by_lines(
         outputs=tuple((s.name, s.unit) for s in spectrum.outputs),
         w=w,
         z=z,
-        multipliers=found.multipliers.arrays(),
-        recheck=found.recheck,
+        multipliers=found.multipliers.arrays() if found.multipliers else {},
         domain="frequency",
         omega=problem.omega,
         line_sizes=np.nan_to_num(sizes),
@@ -469,33 +445,23 @@ def _explained(spectrum: Spectrum, w: ComplexArray) -> Array:
 # --- the smallest gamma over all lines -------------------------------------------------------------------------------
 
 
-class _Sizes(NamedTuple):
-    """Bounds of gamma; both inf if no Delta of any size explains the data."""
-
-    lower: float
-    upper: float
-    w: ComplexArray  # (n, q); zeros if nothing was found
-    multipliers: Multipliers  # of the lower bound; noise is the same over all lines for a total bound
-    least_noise: float  # factor on the noise bound with which some Delta explains the data; at most 1: no increase
-    known: bool  # whether z is known, and the test thereby convex
-    recheck: Callable[[], float] | None  # recomputes the lower bound from the multipliers alone
-
-
-def _smallest(problem: SpectralProblem, search: Search) -> _Sizes:
+def _smallest(problem: SpectralProblem, search: Search) -> Found:
     programme = _Programme(problem, search)
     known = not np.abs(problem.M11).max(initial=0.0)
+    exact = "exact" if known else "lower bound exact where the Lagrangian is concave"
+    label = f"time-invariant systems at {problem.n} lines ({exact})"
     none = np.zeros((problem.n, problem.M21.shape[2]), dtype=complex)
     empty = Multipliers(np.zeros((problem.n, len(problem.blocks))), np.zeros(problem.e.shape))
     nominal = problem.excess(problem.noise(none))
     if nominal <= 1:
-        return _Sizes(0.0, 0.0, none, empty, nominal, known, None)
+        return Found(0.0, 0.0, NO_NOISE, nominal, empty, label, w=none)
     free = programme.least_noise()
     least = problem.excess(problem.noise(free.w))
     if least > 1 + SLACK:
         multipliers = Multipliers(empty.D, programme.multipliers(free).noise)
         if not line_lagrangian(problem, multipliers, 1.0) < 0:
             raise NoTrustworthyNumber("validate", f"the noise bound is missed by {least - 1:.1e} of itself, unproved")
-        return _Sizes(np.inf, np.inf, none, multipliers, least, known, None)
+        return Found(np.inf, np.inf, NO_NOISE, least, multipliers, label, w=none)
 
     def disproved(by: Multipliers, start: float) -> float:
         return largest_disproved(lambda gamma: line_lagrangian(problem, by, gamma) < 0, start, FINEST)
@@ -513,8 +479,8 @@ def _smallest(problem: SpectralProblem, search: Search) -> _Sizes:
             best, at = gamma, w
         if known or lower >= best * (1 - search.precision):
             break
-    recheck = (lambda: disproved(multipliers, lower * (1 + 1e-6))) if lower > 0 else None
-    return _Sizes(lower, best, at, multipliers, min(least, 1.0), known, recheck)
+    excess = problem.excess(problem.noise(at)) if np.isfinite(best) else min(least, 1.0)
+    return Found(lower, best, NO_NOISE, excess, multipliers, label, w=at)
 
 
 def _descend(programme: _Programme, z: ComplexArray, known: bool) -> tuple[float, ComplexArray, _Solved | None]:

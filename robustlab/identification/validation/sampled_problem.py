@@ -7,9 +7,10 @@ observable state may jump; unobservable states start at zero, since a free one c
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from functools import cache
 from importlib import import_module
+from itertools import pairwise
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -28,8 +29,6 @@ from robustlab.statespace import Signal, StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.members import recursion
-
-NoiseNorm = Literal["peak", "rms"]
 
 ROUNDING = 1e-12  # responses below this share of the largest one are rounding
 OBSERVABLE = 1e-9  # state directions count as observable above this share of the most observable one
@@ -53,11 +52,7 @@ class Recorded:
     u: Array
     y: Array
     outputs: tuple[Signal, ...]  # compared outputs with their units
-    bound: Array  # noise bound of each output, shape (n_y,): largest value, or root mean square
-    norm: NoiseNorm
-    # samples over which a root mean square is bounded: those of the whole record, also for a part of it, as the noise
-    # of a part may be larger than that of the whole
-    count: int
+    bound: Array  # noise bound of each output, shape (n_y,)
     starts: tuple[int, ...]  # first sample of each window
     at_rest: bool  # whether the first window starts at zero state; all others have a free state
 
@@ -66,18 +61,12 @@ class Recorded:
         """Sample time in s."""
         return float(self.t[-1] - self.t[0]) / (len(self.t) - 1)
 
-    def first(self, n: int) -> Recorded:
-        """Return the first n samples."""
-        starts = tuple(s for s in self.starts if s < n)
-        return replace(self, t=self.t[:n], u=self.u[:n], y=self.y[:n], starts=starts)
-
 
 def prepared(
     uncertain: UncertainModel,
     record: Record,
     noise: Mapping[str, ArrayLike],
     *,
-    norm: NoiseNorm = "peak",
     window: float | None = None,
     at_rest: bool = False,
 ) -> Recorded:
@@ -91,14 +80,14 @@ def prepared(
         raise NoTrustworthyNumber(where, found, reason, "resample the record, or cut it where samples are missing")
     response = response_of(uncertain.nominal, record)
     names = response.output_names
-    bound = noise_bounds(noise, names, norm, where)
+    bound = noise_bounds(noise, names, where)
     shifted, _ = deviations(response.with_units(record), uncertain, names)
     chosen = uncertain.select(outputs=names)
     n = record.n
     u = np.column_stack([np.zeros((n, 0)), *(shifted.inputs[s.name] for s in chosen.inputs)])
     y = np.column_stack([shifted.outputs[name] for name in names])
     starts = _starts(window, record, uncertain.M.n_states, where)
-    return Recorded(chosen, record.t, u, y, response.outputs, bound, norm, n, starts, at_rest)
+    return Recorded(chosen, record.t, u, y, response.outputs, bound, starts, at_rest)
 
 
 @dataclass(frozen=True)
@@ -115,8 +104,6 @@ class SampledProblem:
     # z0, e: shape (n, p) and (n, n_y)
     z0: Array
     e: Array
-    norm: NoiseNorm
-    radius: float  # bound of the noise of an output in its scaled unit: 1 for peaks, root of the count for rms
     # starts, at_rest: as in `Recorded`
     starts: tuple[int, ...]
     at_rest: bool
@@ -147,16 +134,15 @@ class SampledProblem:
         x = states(self.A, drive, first)
         return self.z0 + x @ self.C1.T + w @ self.D11.T, self.e - x @ self.C2.T - w @ self.D21.T
 
-    def free_response(self) -> Array:
-        """Compute the response of -noise to the jumps, (n, n_y, k m), for the m free starts in turn."""
-        k, starts = self.free.shape[1], self.free_starts
-        found = np.zeros((*self.e.shape, k * len(starts)))
-        rest = np.zeros((self.n, len(self.A)))
-        moved = [states(self.A, rest, x0) @ self.C2.T for x0 in self.free.T] if starts else []
-        for i, start in enumerate(starts):
-            for j, y in enumerate(moved):
-                found[start:, :, i * k + j] = y[: self.n - start]
-        return found
+    def free_response(self) -> Any:
+        """Return the response of -noise to the free states of each window, sparse, (n n_y, all free states)."""
+        cuts = list(pairwise([*self.starts, self.n]))
+        longest, k = max(b - a for a, b in cuts), self.free.shape[1]
+        moved = [states(self.A, np.zeros((longest, len(self.A))), x0) @ self.C2.T for x0 in self.free.T]
+        rows = np.stack(moved, axis=2).reshape(-1, k) if moved else np.zeros((longest * self.e.shape[1], 0))
+        ends = [(b - a) * self.e.shape[1] for a, b in cuts]
+        parts = [rows[:end, : k if a in self.free_starts else 0] for (a, _), end in zip(cuts, ends, strict=True)]
+        return sparse_matrices().block_diag(parts, format="csr")
 
     def z_is_known(self) -> bool:
         """Check that z depends neither on w nor on a free state: then the test is convex."""
@@ -170,9 +156,7 @@ class SampledProblem:
 
     def excess(self, noise: Array) -> float:
         """Return the largest noise over its bound: at most 1 if explained."""
-        if self.norm == "peak":
-            return float(np.abs(noise).max(initial=0.0))
-        return float(np.linalg.norm(noise, axis=0).max(initial=0.0) / self.radius)
+        return float(np.abs(noise).max(initial=0.0))
 
     def sizes(self, w: Array, z: Array) -> Array:
         r"""Compute for each block the smallest gain of a causal time-varying system that maps z to w.
@@ -221,8 +205,6 @@ def sampled(recorded: Recorded, M: StateSpaceModel, blocks: Sequence[Block]) -> 
         D[p:, :q] * scale_w / recorded.bound[:, None],
         z0 / scale_z,
         (recorded.y - y0) / recorded.bound,
-        recorded.norm,
-        1.0 if recorded.norm == "peak" else float(np.sqrt(recorded.count)),
         recorded.starts,
         recorded.at_rest,
         observable_directions(A, np.vstack(observed)),
@@ -266,10 +248,8 @@ def observable_directions(A: Array, C: Array) -> Array:
     return right[:rank].T
 
 
-def noise_bounds(noise: Mapping[str, ArrayLike], names: tuple[str, ...], norm: str, where: str) -> Array:
+def noise_bounds(noise: Mapping[str, ArrayLike], names: tuple[str, ...], where: str) -> Array:
     """Return noise bounds (n_y,) in the order of ``names``; a bound of zero is a singular noise model."""
-    if norm not in ("peak", "rms"):
-        raise InputError(where, f"noise norm {norm!r}", "'peak' or 'rms'")
     for name in noise:
         if name not in names:
             raise unknown_name(f"{where}: noise of {name!r}", "no such compared output", name, names)
@@ -332,6 +312,25 @@ class Multipliers:
 
     def arrays(self) -> dict[str, Array]:
         return {"energy": self.D, "noise": self.noise}
+
+
+@dataclass(frozen=True)
+class Found:
+    """Bounds of gamma with the explanation of the record, in the scaled signals of its problem."""
+
+    lower: float
+    upper: float  # inf if nothing explains the record
+    # noise, excess: remaining noise (n, n_y), and its largest part over the bound; without an explanation the smallest
+    noise: Array
+    excess: float
+    multipliers: Multipliers | None = None  # of the lower bound
+    label: str = ""
+    certified: bool = True
+    values: Mapping[str, float] = field(default_factory=dict)  # of the constants
+    problem: SampledProblem | None = None  # of the dynamic blocks, with their signals and the jumps of the states:
+    w: Any = field(default_factory=lambda: np.zeros((0, 0)))
+    z: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    states: Mapping[int, Array] = field(default_factory=dict)
 
 
 class Search(NamedTuple):

@@ -8,9 +8,9 @@ change both at once, first to meet the noise bound, then to minimise the size.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,19 +18,17 @@ from robustlab.arrays import Array
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.validation.sampled_problem import (
     SLACK,
+    Found,
     Recorded,
     Rows,
     SampledProblem,
     Search,
     at_nominal,
-    observable_directions,
     sampled,
     solved_cones,
     sparse_matrices,
-    states,
-    zero_order_hold,
 )
-from robustlab.identification.validation.time_varying import disproved_by, smallest_contractions
+from robustlab.identification.validation.time_varying import smallest_contractions
 from robustlab.identification.validation.validation_result import (
     SMALLEST,
     BlockSize,
@@ -44,11 +42,11 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block
 
 MEET = 1e-4  # relative distance by which a lower bound may exceed the upper one
-# Samples of a cone programme over all of them, and of a relaxation: only the beginning of longer records is used.
-LONGEST_PROGRAMME, LONGEST_RELAXED = 8000, 4000
+# Samples of a cone programme over all of them.
+LONGEST = 8000
 RELAXED_SHARE = 0.5  # of the work, for the lower bound of constants
 RELAXATION = "lower bound with all blocks time-varying (relaxation)"
-NO_BOUND = "no lower bound (a constant in continuous time)"
+NO_BOUND = "no lower bound (a constant in continuous time, or a long record)"
 WIDEST = 1e3  # parameters beyond this many times their range are not tried
 MOVES = 40  # of a descent
 CREEP, CREEPS = 0.995, 3  # stop after so many moves that leave more than this share of the noise beyond its bound
@@ -58,27 +56,8 @@ SIMULATION_WORK = 500.0  # of a simulation, besides its samples
 MARGIN = 1e-7  # distance of the programmes' target from the noise bound
 
 
-@dataclass(frozen=True)
-class _Found:
-    """Bounds of gamma with the explanation of the record."""
-
-    lower: float
-    upper: float
-    label: str
-    certified: bool
-    noise: Array
-    excess: float
-    values: Mapping[str, float] = field(default_factory=dict)  # of the constants
-    problem: SampledProblem | None = None  # of the dynamic blocks, with their signals and states:
-    w: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    z: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    states: Mapping[int, Array] = field(default_factory=dict)
-    multipliers: Mapping[str, Array] = field(default_factory=dict)
-    recheck: Callable[[], float] | None = None
-
-
 def validate_by_samples(
-    record: Record, recorded: Recorded, search: Search, progress: Callable[[str], None], estimated: bool
+    record: Record, recorded: Recorded, search: Search, progress: Callable[[str], None]
 ) -> Validation:
     """Compute bounds of the smallest gamma over the samples; see `robustlab.identification.validation.validate`."""
     found = _bounds(recorded, search)
@@ -104,10 +83,10 @@ def validate_by_samples(
         label=found.label,
         blocks={b.name: _block(b, found, sizes) for b in recorded.uncertain.blocks},
         noise_bound={s.name: float(b) for s, b in zip(recorded.outputs, recorded.bound, strict=True)},
-        noise_norm=recorded.norm,
+        noise_norm="peak",
         excess=found.excess,
         replay_error=error,
-        assumptions=_assumptions(recorded, estimated),
+        assumptions=_assumptions(recorded),
         t=record.t,
         measured=measured,
         nominal=measured - _without_starts(recorded, recorded.uncertain.nominal) * recorded.bound,
@@ -115,42 +94,39 @@ def validate_by_samples(
         outputs=tuple((s.name, s.unit) for s in recorded.outputs),
         w=w,
         z=z,
-        multipliers=found.multipliers,
-        recheck=found.recheck,
+        multipliers=found.multipliers.arrays() if found.multipliers else {},
         notes=(search.budget.remark,) if search.budget.remark else (),
     )
 
 
-def _bounds(recorded: Recorded, search: Search) -> _Found:
+def _bounds(recorded: Recorded, search: Search) -> Found:
     """Bound gamma: systems by their signals, constants by their values, both together with nominal constants."""
     blocks = recorded.uncertain.blocks
     if not any(b.interval for b in blocks):
         return _dynamic(recorded, search)
     if all(b.interval for b in blocks):
-        best = smallest_parameters(recorded, search)
-        values = {b.name: float(v) for b, v in zip(blocks, best.delta, strict=True)} if np.isfinite(best.upper) else {}
-        what = "constants; upper bound by descent, replayed"
-        found = _Found(0.0, best.upper, "", not best.upper, best.noise, best.excess, values)
+        found, what = smallest_parameters(recorded, search), "constants; upper bound by descent, replayed"
     else:
-        found = _dynamic(recorded, search)
+        found, what = _dynamic(recorded, search), "constants and systems; upper bound with the constants at nominal"
         values = {b.name: 0.0 for b in blocks if b.interval} if np.isfinite(found.upper) else {}
-        what = "constants and systems; upper bound with the constants at nominal"
-        found = replace(found, lower=0.0, values=values, multipliers={}, recheck=None, certified=False)
-    if not recorded.uncertain.dt or not found.upper:
+        found = replace(found, lower=0.0, values=values, multipliers=None, certified=False)
+    if not recorded.uncertain.dt or not found.upper or len(recorded.t) > LONGEST:
         return replace(found, label=f"{what}, {NO_BOUND if found.upper else RELAXATION}")
     # Valid for constants in discrete time only: in continuous time w = delta z is not held between samples.
-    problem = sampled(recorded.first(LONGEST_RELAXED), recorded.uncertain.M, blocks)
+    problem = sampled(recorded, recorded.uncertain.M, blocks)
     relaxed = smallest_contractions(problem, search._replace(budget=search.budget.share(RELAXED_SHARE)))
-    lower, multipliers = relaxed.lower, relaxed.multipliers.arrays()
-    upper = np.inf if np.isinf(lower) else found.upper
-    return replace(found, lower=lower, upper=upper, label=f"{what}, {RELAXATION}", multipliers=multipliers)
+    upper = np.inf if np.isinf(relaxed.lower) else found.upper
+    label = f"{what}, {RELAXATION}"
+    return replace(found, lower=relaxed.lower, upper=upper, label=label, multipliers=relaxed.multipliers)
 
 
-def _dynamic(recorded: Recorded, search: Search) -> _Found:
+def _dynamic(recorded: Recorded, search: Search) -> Found:
     """Bound gamma with real blocks at nominal; without a block noise alone must explain the record."""
     M, blocks = at_nominal(recorded.uncertain)
-    long = len(recorded.t) > LONGEST_PROGRAMME and bool(blocks)
-    problem = sampled(recorded.first(LONGEST_PROGRAMME) if long else recorded, M, blocks)
+    if len(recorded.t) > LONGEST and blocks:
+        hint = "take the beginning (Record.between): its lower bound holds for the whole record"
+        raise InputError("validate", f"{len(recorded.t)} samples", f"at most {LONGEST} with systems in Delta", hint)
+    problem = sampled(recorded, M, blocks)
     if any(repeated for _, _, repeated in problem.blocks):
         found, wanted = "a repeated complex scalar as a time-varying system", "full blocks and complex scalars"
         raise InputError("validate", found, wanted, 'domain="frequency", where blocks are time-invariant')
@@ -158,20 +134,10 @@ def _dynamic(recorded: Recorded, search: Search) -> _Found:
     label = "time-varying contractions (lower bound exact where the Lagrangian is concave)"
     if problem.z_is_known():
         label = "time-varying contractions (exact)" if blocks else "noise alone: the set has no block"
-    recheck = None
-    if c.lower > 0:
-        start = c.lower * (1 + search.precision) if np.isfinite(c.lower) else np.inf
-        recheck = lambda: disproved_by(problem, c.multipliers, search, start)  # noqa: E731
-    if long:
-        label = f"lower bound from the first {LONGEST_PROGRAMME} samples (time-varying), no explanation sought"
-        return _Found(
-            c.lower, np.inf, label, True, c.noise, c.excess, multipliers=c.multipliers.arrays(), recheck=recheck
-        )
-    arrays = c.multipliers.arrays()
-    return _Found(c.lower, c.upper, label, True, c.noise, c.excess, {}, problem, c.w, c.z, c.states, arrays, recheck)
+    return replace(c, label=label)
 
 
-def _block(block: Block, found: _Found, sizes: Mapping[str, float]) -> BlockSize:
+def _block(block: Block, found: Found, sizes: Mapping[str, float]) -> BlockSize:
     if not block.interval:
         return BlockSize(block.name, "time-varying", sizes.get(block.name, np.nan))
     value = found.values.get(block.name)
@@ -182,7 +148,7 @@ def _block(block: Block, found: _Found, sizes: Mapping[str, float]) -> BlockSize
     return BlockSize(block.name, "constant", abs(value), value, physical, impossible)
 
 
-def _replay_error(recorded: Recorded, found: _Found) -> float:
+def _replay_error(recorded: Recorded, found: Found) -> float:
     """Recompute the explanation independently and compare its noise, over the bound."""
     if found.problem is not None:
         _, noise = found.problem.respond(found.w, found.states)
@@ -201,21 +167,21 @@ def _without_starts(recorded: Recorded, M: StateSpaceModel, error: Array | None 
     """Remove the response of free initial states from the error of a model without Delta, or ``error``, (n, n_y)."""
     problem = sampled(recorded, M, ())
     error = problem.e if error is None else error
-    free = problem.free_response().reshape(error.size, -1)
-    x = np.linalg.lstsq(free, error.ravel())[0] if free.shape[1] else np.zeros(0)
-    return error - (free @ x).reshape(error.shape)
+    found, at = error.copy(), 0
+    free = problem.free_response()
+    for a, b in pairwise([*problem.starts, problem.n]):
+        if a in problem.free_starts:
+            k = problem.free.shape[1]
+            own = free[a * error.shape[1] : b * error.shape[1], at : at + k].toarray()
+            at += k
+            left = found[a:b].ravel()
+            found[a:b] -= (own @ np.linalg.lstsq(own, left)[0]).reshape(found[a:b].shape)
+    return found
 
 
-def _assumptions(recorded: Recorded, estimated: bool) -> tuple[str, ...]:
+def _assumptions(recorded: Recorded) -> tuple[str, ...]:
     dynamic = not all(b.interval for b in recorded.uncertain.blocks)
-    peak, windows = recorded.norm == "peak", len(recorded.starts)
-    texts = [
-        "no sample of the noise is beyond its bound"
-        if peak
-        else "the root mean square of the noise over the record is within its bound"
-    ]
-    if estimated:
-        texts.append("the noise bound was estimated from the record's own periods")
+    windows, texts = len(recorded.starts), ["no sample of the noise is beyond its bound"]
     if dynamic:
         texts.append("complex and full blocks are causal time-varying systems with zero initial state")
     if recorded.uncertain.dt == 0:
@@ -230,78 +196,73 @@ def _assumptions(recorded: Recorded, estimated: bool) -> tuple[str, ...]:
 # --- constants --------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Parameters:
-    """Result of `smallest_parameters`."""
-
-    upper: float  # largest ``|delta|`` of the best delta; inf if none explains the record
-    delta: Array  # normalised values of the real blocks, in order
-    noise: Array  # remaining noise (n, n_y), over its bound
-    excess: float  # smallest noise over its bound over all trials
-
-
-@dataclass(frozen=True)
-class _Windows:
-    """Noise (n, n_y) with delta in windows from zero state, and the response of -noise to free states (n n_y, k)."""
+class _Member(NamedTuple):
+    """A member of the set: noise (n, n_y) from the free states x, and the response of -noise to them (n n_y, k)."""
 
     delta: Array
-    e: Array
+    problem: SampledProblem
     free: Any
 
     def noise(self, x: Array) -> Array:
-        return self.e - (self.free @ x).reshape(self.e.shape)
+        return self.problem.e - (self.free @ x).reshape(self.problem.e.shape)
+
+    def found(self, x: Array) -> Found:
+        noise, size = self.noise(x), float(np.abs(self.delta).max())
+        excess = self.problem.excess(noise)
+        return Found(0.0, size if excess <= 1 + SLACK and size <= WIDEST else np.inf, noise, excess)
 
 
-def smallest_parameters(recorded: Recorded, search: Search) -> Parameters:
+def smallest_parameters(recorded: Recorded, search: Search) -> Found:
     """Search the smallest ``|delta|`` that explains the record, all blocks real."""
-    m = len(recorded.uncertain.blocks)
-    rng = np.random.default_rng(0)
-    starts = [np.zeros(m), *(rng.uniform(-1, 1, m) for _ in range(STARTS if m > 1 else 1))]
-    found: list[Parameters] = []
-    for start in starts:
-        found.append(_descend(recorded, start, search))
-        if not found[-1].upper:
+    blocks, rng = recorded.uncertain.blocks, np.random.default_rng(0)
+    m = len(blocks)
+    best: tuple[Found, Array] = Found(0.0, np.inf, np.zeros(recorded.y.shape), np.inf), np.zeros(m)
+    for start in (np.zeros(m), *(rng.uniform(-1, 1, m) for _ in range(STARTS if m > 1 else 1))):
+        best = min(best, _descend(recorded, start, search), key=_rank)
+        if not best[0].upper:
             break
-    return min(found, key=_rank)
+    found, delta = best
+    values = dict(zip([b.name for b in blocks], delta.tolist(), strict=True)) if np.isfinite(found.upper) else {}
+    return replace(found, values=values, certified=not found.upper)
 
 
-def _rank(found: Parameters) -> tuple[float, float]:
-    return found.upper, found.excess
+def _rank(found: tuple[Found, Array]) -> tuple[float, float]:
+    return found[0].upper, found[0].excess
 
 
-def _descend(recorded: Recorded, start: Array, search: Search) -> Parameters:
-    """Solve successive programmes with a trust region."""
+def _descend(recorded: Recorded, start: Array, search: Search) -> tuple[Found, Array]:
+    """Solve successive programmes with a trust region; return the best member and its delta."""
     m, radius, creeps = len(start), 0.5, 0
-    at = _windows(recorded, start, search)
-    fitted = None if at is None else _move(recorded, at, np.zeros((at.e.size, m)), search, 0.0)
+    at = _member(recorded, start, search)
+    fitted = None if at is None else _move(at, np.zeros((recorded.y.size, m)), search, 0.0)
     if at is None or fitted is None:
-        return Parameters(np.inf, start, np.zeros(recorded.y.shape), np.inf)
+        return Found(0.0, np.inf, np.zeros(recorded.y.shape), np.inf), start
     x = fitted[1]
-    best = _sized(recorded, at, x)
+    here = at.found(x)
+    best = here, start
     for _ in range(MOVES):
-        if creeps >= CREEPS or search.budget.over or not best.upper:
+        if creeps >= CREEPS or search.budget.over or not best[0].upper:
             break
-        here = _sized(recorded, at, x)
         step = 1e-5 * max(1.0, float(np.abs(at.delta).max()))
-        sides = [_windows(recorded, at.delta + s * step * unit, search) for unit in np.eye(m) for s in (1, -1)]
+        sides = [_member(recorded, at.delta + s * step * unit, search) for unit in np.eye(m) for s in (1, -1)]
         known = [side.noise(x).ravel() for side in sides if side is not None]
         if len(known) < len(sides):
             break
         slope = np.column_stack([(a - b) / (2 * step) for a, b in zip(known[::2], known[1::2], strict=True)])
-        moved = _move(recorded, at, slope, search, radius)
+        moved = _move(at, slope, search, radius)
         if moved is None:
             break
-        new = _windows(recorded, at.delta + moved[0], search)
+        new = _member(recorded, at.delta + moved[0], search)
         if new is None:
             radius /= 4
             continue
-        there = _sized(recorded, new, moved[1])
+        there = new.found(moved[1])
         was, now = max(here.excess - 1, 0.0) * PRICE, max(there.excess - 1, 0.0) * PRICE
         creeps = creeps + 1 if now > CREEP * was > 0 else 0
-        best = min(best, there, key=_rank)
+        best = min(best, (there, new.delta), key=_rank)
         if was + np.abs(at.delta).max() > now + np.abs(new.delta).max():
             length, size = float(np.abs(moved[0]).max()), float(np.abs(new.delta).max())
-            at, x, radius = new, moved[1], min(2 * radius, max(4 * length, 1e-3), WIDEST)
+            at, x, here, radius = new, moved[1], there, min(2 * radius, max(4 * length, 1e-3), WIDEST)
             if length < 0.02 * search.precision * max(size, 1e-9) and (there.excess <= 1 + SLACK or length < 1e-9):
                 break
         else:
@@ -311,62 +272,35 @@ def _descend(recorded: Recorded, start: Array, search: Search) -> Parameters:
     return best
 
 
-def _windows(recorded: Recorded, delta: Array, search: Search) -> _Windows | None:
-    """Simulate the windows at delta; None if it is ill-posed or overflows."""
+def _member(recorded: Recorded, delta: Array, search: Search) -> _Member | None:
+    """Simulate the member at delta; None if it is ill-posed or overflows."""
     search.budget.spend(SIMULATION_WORK + 0.3 * recorded.y.size)
     uncertain = recorded.uncertain
     try:
         model = uncertain.evaluate(dict(zip([b.name for b in uncertain.blocks], delta.tolist(), strict=True)))
-        A, B = zero_order_hold(model, recorded.dt)
+        problem = sampled(recorded, model, ())
     except NoTrustworthyNumber:
         return None
-    C, sparse = model.C / recorded.bound[:, None], sparse_matrices()
-    cuts = list(pairwise([*recorded.starts, len(recorded.t)]))
-    longest = max(b - a for a, b in cuts)
-    moved = [states(A, np.zeros((longest, len(A))), x0) @ C.T for x0 in observable_directions(A, C).T]
-    columns = np.stack(moved, axis=2) if moved else np.zeros((longest, recorded.y.shape[1], 0))
-    e, free = np.empty_like(recorded.y), []
-    for a, b in cuts:
-        u = recorded.u[a:b]
-        e[a:b] = (recorded.y[a:b] - u @ model.D.T) / recorded.bound - states(A, u @ B.T, np.zeros(len(A))) @ C.T
-        part = columns[: b - a].reshape((b - a) * e.shape[1], -1)
-        free.append(sparse.csr_matrix(part[:, :0] if a == 0 and recorded.at_rest else part))
-    together = sparse.block_diag(free, format="csr")
-    return _Windows(delta, e, together) if np.isfinite(e).all() and np.isfinite(together.data).all() else None
+    free = problem.free_response()
+    return _Member(delta, problem, free) if np.isfinite(free.data).all() else None
 
 
-def _sized(recorded: Recorded, at: _Windows, x: Array) -> Parameters:
-    """Return the size of delta and the noise that remains with these free states."""
-    noise = at.noise(x)
-    if recorded.norm == "peak":
-        excess = float(np.abs(noise).max())
-    else:
-        excess = float(np.linalg.norm(noise, axis=0).max() / np.sqrt(recorded.count))
-    size = float(np.abs(at.delta).max())
-    return Parameters(size if excess <= 1 + SLACK and size <= WIDEST else np.inf, at.delta, noise, excess)
-
-
-def _move(recorded: Recorded, at: _Windows, slope: Array, search: Search, radius: float) -> tuple[Array, Array] | None:
+def _move(at: _Member, slope: Array, search: Search, radius: float) -> tuple[Array, Array] | None:
     """Solve the linearised problem for the change of delta and the free states; None without an answer.
 
     Variables: change of delta, size of delta, excess of the noise, free states of each window.
     """
-    sparse, m, n = sparse_matrices(), len(at.delta), at.e.size
+    sparse, problem = sparse_matrices(), at.problem
+    m, n = len(at.delta), problem.e.size
     noise = sparse.hstack([sparse.csr_matrix(slope), sparse.csr_matrix((n, 2)), -at.free]).tocsr()
     width = noise.shape[1]
     every = sparse.identity(width, format="csr")
     change, size, over = every[:m], every[m : m + 1], every[m + 1 : m + 2]
     ones = sparse.csr_matrix(np.ones((m, 1)))
     aim, rows = 1 - MARGIN, []
-    if recorded.norm == "peak":
-        spare = sparse.csr_matrix(np.ones((2 * n, 1))) @ over
-        e = at.e.ravel()
-        rows.append(Rows(sparse.vstack([noise, -noise]) - spare, aim + np.concatenate([-e, e]), "positive"))
-    else:
-        root = float(np.sqrt(recorded.count))
-        for j, e in enumerate(at.e.T):
-            cone = -sparse.vstack([root * over, noise[j :: at.e.shape[1]]])
-            rows.append(Rows(cone, np.concatenate([[root * aim], e]), "second-order", 1 + len(e)))
+    spare = sparse.csr_matrix(np.ones((2 * n, 1))) @ over
+    e = problem.e.ravel()
+    rows.append(Rows(sparse.vstack([noise, -noise]) - spare, aim + np.concatenate([-e, e]), "positive"))
     held = np.zeros(2 * m) + radius
     sized = np.concatenate([-at.delta, at.delta])
     rows += [

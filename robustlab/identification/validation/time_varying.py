@@ -7,8 +7,7 @@ proof.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.validation.sampled_problem import (
     SLACK,
     ConeSolution,
+    Found,
     Multipliers,
     Rows,
     SampledProblem,
@@ -53,11 +53,6 @@ def lagrangian_maximum(problem: SampledProblem, multipliers: Multipliers, gamma:
     """Maximise L over all w and free states; +inf if L is not bounded above. A negative value is a proof."""
     n_x, q = problem.B.shape
     D, noise = multipliers.D, multipliers.noise
-    if problem.norm == "rms":  # one multiplier for an output
-        noise = np.tile(noise.max(axis=0), (problem.n, 1))
-        constant = float(noise[0].sum() * problem.radius**2)
-    else:
-        constant = float(noise.sum())
     p, n_y = len(problem.C1), len(problem.C2)
     # Rows of (x, w, 1) to z, w and n; their last columns change with t.
     to_z = np.hstack([problem.C1, problem.D11, np.zeros((p, 1))])
@@ -86,7 +81,7 @@ def lagrangian_maximum(problem: SampledProblem, multipliers: Multipliers, gamma:
             if reduced is None:
                 return np.inf
             value = reduced
-    return float(value[n_x, n_x] + constant)
+    return float(value[n_x, n_x] + noise.sum())
 
 
 def _maximised(H: Array, keep: list[int], move: list[int]) -> Array | None:
@@ -125,25 +120,7 @@ def disproved_by(problem: SampledProblem, multipliers: Multipliers, search: Sear
 # --- the search ------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Contractions:
-    """Result of `smallest_contractions`; signals in the scaled units of the problem."""
-
-    # lower, upper: bounds of gamma; the upper one is that of w and z below, recomputed by simulation (inf for none)
-    lower: float
-    upper: float
-    multipliers: Multipliers  # of the lower bound
-    # noise, excess: remaining noise (n, n_y), and its largest part over the bound; without an explanation, the smallest
-    # excess over all w
-    noise: Array
-    excess: float
-    # w, z: shapes (n, q), (n, p); empty if nothing explains the record
-    w: Array
-    z: Array
-    states: Mapping[int, Array]  # start of window -> jump of its state
-
-
-def smallest_contractions(problem: SampledProblem, search: Search) -> Contractions:
+def smallest_contractions(problem: SampledProblem, search: Search) -> Found:
     """Compute bounds of the smallest gamma over all blocks."""
     programme = _Programme(problem, search)
     if not problem.blocks:
@@ -155,7 +132,7 @@ def smallest_contractions(problem: SampledProblem, search: Search) -> Contractio
         z = problem.respond(*programme.signals(guess.x))[0]
     solution, before = None, np.inf
     nothing = Multipliers(np.zeros((problem.n, len(problem.blocks))), np.zeros(problem.e.shape))
-    best = _unexplained(0.0, nothing, 1.0)
+    best = Found(0.0, np.inf, NONE, 1.0, nothing, problem=problem)
     for _ in range(1 if programme.convex else VARYING_ROUNDS):
         found = programme.smallest(z, known=programme.convex)
         if found is None:
@@ -195,7 +172,7 @@ def _silent(problem: SampledProblem, z: Array, cols: slice) -> Mask:
     return silent
 
 
-def _by_noise(programme: _Programme) -> Contractions:
+def _by_noise(programme: _Programme) -> Found:
     """Minimise the noise over any w, and test whether its multipliers disprove every gamma.
 
     Where z is known, w is zero before z moves: its multipliers there are unbounded.
@@ -212,13 +189,10 @@ def _by_noise(programme: _Programme) -> Contractions:
     z, noise = problem.respond(w, jumps)
     excess = problem.excess(noise)
     if not problem.blocks and excess <= 1 + SLACK:
-        return Contractions(0.0, 0.0, multipliers, noise, excess, w, z, jumps)
+        return Found(0.0, 0.0, noise, excess, multipliers, problem=problem, w=w, z=z, states=jumps)
     # w is free where D is zero, and z is zero elsewhere: L is the same for every gamma.
-    return _unexplained(disproved_by(problem, multipliers, programme.search, np.inf), multipliers, excess)
-
-
-def _unexplained(lower: float, multipliers: Multipliers, excess: float) -> Contractions:
-    return Contractions(lower, np.inf, multipliers, NONE, excess, NONE, NONE, {})
+    lower = disproved_by(problem, multipliers, programme.search, np.inf)
+    return Found(lower, np.inf, NONE, excess, multipliers, problem=problem)
 
 
 # --- the programme ---------------------------------------------------------------------------------------------------
@@ -264,13 +238,8 @@ class _Programme:
         head = self.last * (0.0 if radius is not None else 1.0)
         for j, e in enumerate(p.e.T):
             rows = outputs[j :: p.e.shape[1]]
-            if p.norm == "peak":
-                both = sparse.vstack([rows, -rows]) - sparse.csr_matrix(np.ones((2 * p.n, 1))) @ head
-                found.append(Rows(both, np.concatenate([e, -e]) + (radius or 0.0), "positive", 1, ("noise", j)))
-            else:
-                offset = np.concatenate([[p.radius * (radius or 0.0)], e])
-                cone = sparse.vstack([-p.radius * head, rows])
-                found.append(Rows(cone, offset, "second-order", 1 + p.n, ("noise", j)))
+            both = sparse.vstack([rows, -rows]) - sparse.csr_matrix(np.ones((2 * p.n, 1))) @ head
+            found.append(Rows(both, np.concatenate([e, -e]) + (radius or 0.0), "positive", 1, ("noise", j)))
         return found
 
     def _energies(self, z: Array, known: bool, ahead: float) -> list[Rows]:
@@ -346,8 +315,6 @@ class _Programme:
         for (kind, k), part in solved.dual.items():
             if kind == "energy":
                 D[:, k] = np.cumsum(np.pad(part[0], (p.n - part.size, 0))[::-1])[::-1] / g
-            elif p.norm == "peak":  # at n = +-1 the slope of 1 - n^2 is twice that of 1 -+ n
+            else:  # at n = +-1 the slope of 1 - n^2 is twice that of 1 -+ n
                 noise[:, k] = 0.5 * np.abs(part[0, : p.n] - part[0, p.n :])
-            else:
-                noise[:, k] = 0.5 * abs(part[0, 0]) / p.radius
         return _cleaned(D, noise)

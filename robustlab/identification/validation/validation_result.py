@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
@@ -74,8 +74,6 @@ class Validation(Tabular, Evidence):
         Signals of the dynamic blocks in the explanation, in their own units: w = Delta z.
     multipliers
         The certificate of the lower bound: arrays by name.
-    recheck
-        Recomputes the lower bound from the certificate, without a solver.
     domain
         ``"time"`` or ``"frequency"``. In the frequency domain t is one mean period of the record, or holds the
         frequencies of a measured response (then the outputs are magnitudes); w and z are complex, one row for a line.
@@ -105,7 +103,6 @@ class Validation(Tabular, Evidence):
     w: AnyArray = field(default_factory=lambda: np.zeros((0, 0)))
     z: AnyArray = field(default_factory=lambda: np.zeros((0, 0)))
     multipliers: Mapping[str, Array] = field(default_factory=dict)
-    recheck: Callable[[], float] | None = None
     domain: Literal["time", "frequency"] = "time"
     omega: Array = field(default_factory=lambda: np.zeros(0))
     line_sizes: Array = field(default_factory=lambda: np.zeros((0, 0)))
@@ -166,20 +163,15 @@ class Validation(Tabular, Evidence):
             ("caution", "Not invalidated is not proved: another record may still invalidate the set."),
         ]
 
-    def numbers(self) -> dict[str, Any]:
-        return {**self.to_json(series=False), "gamma": self.gamma}
-
     def table(self) -> Table:
         """Return a row for each block: its size in the explanation."""
         columns = {key: [getattr(b, key) for b in self.blocks.values()] for key in ("kind", "size")}
         return Table(("block", list(self.blocks)), columns)
 
     def to_json(self, series: bool = True) -> dict[str, object]:
-        """Return all fields but the re-check; without ``series`` no time series and no multipliers."""
-        data = {k: v for k, v in vars(self).items() if k != "recheck"}
-        if not series:
-            long = ("t", "measured", "nominal", "explained", "w", "z", "multipliers", "omega", "line_sizes")
-            data = {k: v for k, v in data.items() if k not in long}
+        """Return all fields; without ``series`` no time series and no multipliers."""
+        long = ("t", "measured", "nominal", "explained", "w", "z", "multipliers", "omega", "line_sizes")
+        data = {k: v for k, v in vars(self).items() if series or k not in long}
         return {**data, "verdict": self.verdict, "invalidated": self.invalidated}
 
 

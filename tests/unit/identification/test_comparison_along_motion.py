@@ -121,7 +121,6 @@ def test_an_unstable_plant_is_compared_in_windows_and_its_free_run_ends():
     assert found.simulated.t[-1] == found.free_run.end
     assert found.frequency == {}
     assert "x: free run" not in found.summary()
-    assert set(found.amplitude["x"]) == {"F"}
     json.dumps(plain(found.to_json()), allow_nan=False)
 
 
@@ -189,6 +188,6 @@ def test_a_record_check_finds_an_inverted_channel(name):
 def test_validate_and_cover_require_a_linear_set():
     from robustlab.identification import cover
 
-    for call in (rl.validate, cover):
+    for call in (lambda plant, record: rl.validate(plant, record, {"q_1": 1e-3}), cover):
         with pytest.raises(rl.InputError, match="an uncertain linear model about a trim"):
             call(arm(), arm_record()[0])

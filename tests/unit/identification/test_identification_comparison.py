@@ -5,7 +5,7 @@ import pytest
 
 import robustlab as rl
 from robustlab.identification import compare
-from robustlab.identification.comparison import bins, directions
+from robustlab.identification.comparison import directions
 from robustlab.statespace import OperatingPoint, StateSpaceModel
 
 UNITS = {"u": "V", "q": "m", "v": "m/s"}
@@ -154,7 +154,7 @@ def test_operating_point_is_subtracted_and_added_back():
     assert found.initial_state.x0 == pytest.approx([0.4])
 
 
-def test_direction_and_amplitude_bins_are_direct_sums():
+def test_direction_bins_are_direct_sums():
     speed = np.array([-1.0, -0.5, 0.0, 0.01, 0.4, 1.0])
     error = np.array([1.0, 1.0, 5.0, 5.0, 2.0, 4.0])
     found = directions(speed, error)
@@ -169,10 +169,6 @@ def test_direction_and_amplitude_bins_are_direct_sums():
     u = np.repeat([0.0, 1.0, -2.0, 3.0], 150)
     y = rl.simulate(model, t, u, [0.0])["y"] * 1.1
     c = rl.compare(model, rl.Record(t, {"u": u}, {"y": y}))
-    local = c.measured["y"] - c.windowed["y"]
-    groups = c.amplitude["y"]["u"]
-    assert groups == bins(np.abs(u), local, np.linspace(0, 3, 7))
-    assert sum(b.samples for b in groups) == 600
     assert c.noise is None
     assert "repeats" in c.noise_reason
     assert c.against_noise == {}

@@ -39,15 +39,14 @@ def test_coherence_is_one_for_an_error_made_by_the_input_and_low_otherwise():
 def test_speed_is_the_measured_one_else_the_derivative_of_the_position():
     t = np.arange(500) * 0.01
     q = Record(t, outputs={"q": np.sin(t), "c": t}, units={"q": "m"})
-    found = motion_of(q, None, None, 100)
+    found = motion_of(q, 100)
     assert found.speed_source.startswith("derivative of q")
     assert found.speed_unit == "m/s"
     np.testing.assert_allclose(found.speed, np.cos(t), atol=1e-4)
     both = Record(t, outputs={"q": np.sin(t), "v": np.cos(t)}, units={"q": "rad", "v": "rad/s"})
-    assert motion_of(both, None, None, 100).speed_source == "v"
-    assert motion_of(both, "q", None, 100).speed_source == "q"
-    assert motion_of(Record(t, outputs={"c": t}), None, None, 100).speed is None
-    assert motion_of(Record(t[:3], outputs={"q": t[:3]}, units={"q": "m"}), None, None, 3).speed is None
+    assert motion_of(both, 100).speed_source == "v"
+    assert motion_of(Record(t, outputs={"c": t}), 100).speed is None
+    assert motion_of(Record(t[:3], outputs={"q": t[:3]}, units={"q": "m"}), 3).speed is None
 
 
 def test_clipping_is_distinguished_from_standstill_and_from_two_levels():

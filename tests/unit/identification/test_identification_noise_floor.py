@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robustlab as rl
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.comparison import NoiseFloor, noise_floor, period_of
 from robustlab.record import Record
 
@@ -114,19 +114,3 @@ def test_a_perfect_model_leaves_nothing_to_explain_and_a_wrong_one_does():
     wrong = rl.compare(rl.plant("servo-axis", Fv=260.0), r, window=1.0)
     assert wrong.against_noise["q"].p_value < 1e-6
     assert "leaves something to explain" in wrong.summary()
-
-
-@pytest.mark.parametrize(
-    ("period", "message"),
-    [
-        (7.0, "does not repeat with a period of 7 s"),
-        (0.0, "half the record"),
-        (-1.0, "half the record"),
-        (1000.0, "half the record"),
-        (float("nan"), "half the record"),
-        (9.9975, "whole number of samples"),
-    ],
-)
-def test_wrong_stated_periods(period, message):
-    with pytest.raises(InputError, match=message):
-        noise_floor(record(periodic(1000, 4)), period=period)

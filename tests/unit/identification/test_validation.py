@@ -28,7 +28,6 @@ def check(case, gamma, within=0.006, **more):
 def test_time_varying_systems_of_known_size(seed, n, blocks):
     found = check(benchmark.varying_case(seed, n, blocks, 0.8), 0.8)
     assert found.status is rl.Status.CERTIFIED
-    assert found.recheck() == pytest.approx(found.lower, rel=2e-3)
     assert len(found.blocks) == blocks
 
 
@@ -62,11 +61,8 @@ def test_a_system_in_the_loop_is_bracketed_too():
 @settings(max_examples=12)
 def test_a_true_model_is_never_invalidated(seed):
     model, inputs, y, noise, bound = benchmark.plausible(seed, 40)
-    for norm, size in (("peak", bound), ("rms", float(np.sqrt(np.mean(noise**2))) * (1 + 1e-9))):
-        found = rl.validate(
-            model, benchmark.record_of(inputs, {"y": y + noise}), {"y": size}, noise_norm=norm, at_rest=True
-        )
-        assert not found.invalidated
+    record = benchmark.record_of(inputs, {"y": y + noise})
+    assert not rl.validate(model, record, {"y": bound}, at_rest=True).invalidated
 
 
 def test_a_wrong_constant_is_undecided():
@@ -123,7 +119,6 @@ def test_invalid_input_is_refused():
     for measured, noise, options, error, message in [
         (uneven, {"y": 0.1}, {}, rl.NoTrustworthyNumber, "irregular sampling"),
         (record, {"y": 0.0}, {}, rl.NoTrustworthyNumber, "singular noise model"),
-        (record, None, {}, rl.NoTrustworthyNumber, "no noise bound was given"),
         (record, {}, {}, rl.InputError, "no noise bound"),
         (record, {"y": 0.1, "x": 0.1}, {}, rl.InputError, "no such compared output"),
         (record, {"y": -1.0}, {}, rl.InputError, "positive number"),
@@ -194,19 +189,17 @@ def test_constants_over_windows():
     assert (far.status, far.upper, far.excess > 10) == (rl.Status.INCONCLUSIVE, np.inf, True)
 
 
-@pytest.mark.parametrize(("norm", "bound"), [("peak", 0.01), ("rms", 0.006)])
-def test_without_blocks_noise_alone_explains_a_record_or_nothing_does(norm, bound):
+def test_without_blocks_noise_alone_explains_a_record_or_nothing_does():
     alone = rl.UncertainModel(rl.StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], 0.0, ["u"], ["y"]), [])
     t = np.arange(100) * 0.1
     noise = np.random.default_rng(0).uniform(-1, 1, 100)
     y = rl.simulate(alone.nominal, t, np.sin(t), [0.7])["y"]
-    near = rl.validate(alone, rl.Record(t, {"u": np.sin(t)}, {"y": y + 0.009 * noise}), {"y": bound}, noise_norm=norm)
+    near = rl.validate(alone, rl.Record(t, {"u": np.sin(t)}, {"y": y + 0.009 * noise}), {"y": 0.01})
     assert (near.lower, near.upper, near.status) == (0.0, 0.0, rl.Status.CERTIFIED)
     assert 0.8 < near.excess <= 1
     far_record = rl.Record(t, {"u": np.sin(t)}, {"y": y + 0.018 * noise})
-    far = rl.validate(alone, far_record, {"y": bound}, noise_norm=norm)
+    far = rl.validate(alone, far_record, {"y": 0.01})
     assert far.status is rl.Status.INFEASIBLE
-    assert far.recheck() == np.inf
     assert far.excess == pytest.approx(2 * near.excess, rel=1e-3)  # affine in the noise, free states included
     with pytest.raises(InputError, match="without blocks"):
-        rl.validate(alone, far_record, {"y": bound}, domain="frequency")
+        rl.validate(alone, far_record, {"y": 0.01}, domain="frequency")

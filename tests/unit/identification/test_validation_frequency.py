@@ -38,7 +38,6 @@ def test_one_block_against_every_noise_in_its_disk(form):
     assert found.status is rl.Status.CERTIFIED
     assert found.lower <= wanted * (1 + 1e-9)
     assert found.upper == pytest.approx(wanted, rel=1e-4)
-    assert found.recheck() == pytest.approx(found.lower, rel=1e-5)
     assert found.replay_error < 1e-6
 
 
@@ -175,18 +174,15 @@ def test_invalid_input_is_refused():
     moving = rl.Record(record.t, {"u": record["u"] + 0.3 * np.sin(record.t**1.3)}, record.outputs)
     refused = [
         ((model, record, {"y": 0.1}), {"domain": "both"}, rl.InputError, "domain"),
-        ((model, record, {"y": 0.1}), {"period": 1.0}, rl.InputError, "only in the frequency"),
-        ((model, record, {"y": 0.1}), {"noise_norm": "peak", **lines}, rl.InputError, "peak bound"),
         ((model, record, {"y": 0.1}), {"window": 3.0, **lines}, rl.InputError, "windows"),
         ((model, record, {"y": 0.0}), lines, rl.NoTrustworthyNumber, "singular noise model"),
         ((model, start, {"y": 0.01}), lines, rl.NoTrustworthyNumber, "not in steady state"),
         ((model, moving, {"y": 0.1}), lines, rl.NoTrustworthyNumber, "no steady periods"),
         ((model, data, {"y": 0.1}), {}, rl.InputError, "in the time domain"),
-        ((model, data, None), lines, rl.NoTrustworthyNumber, "no noise bound"),
+        ((model, data, {}), lines, rl.InputError, "no noise bound"),
         ((model, data, {"x": 0.1}), lines, rl.InputError, "no such output"),
         ((model, data, {"y": np.zeros(9)}), lines, rl.NoTrustworthyNumber, "singular noise model"),
         ((model, data, {"y": np.ones(3)}), lines, rl.InputError, "shape"),
-        ((model, data, {"y": 0.1}), {"noise_norm": "rms", **lines}, rl.InputError, "rms bound"),
     ]  # fmt: skip
     for arguments, options, error, words in refused:
         with pytest.raises(error, match=words):
