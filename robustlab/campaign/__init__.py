@@ -4,7 +4,7 @@ Each sample is stored when computed; an interrupted or killed run can be resumed
 """
 
 from robustlab.campaign.campaign_result import CampaignResult
-from robustlab.campaign.evaluation import TILE, Evaluator, Rows
+from robustlab.campaign.evaluation import TILE, CampaignSettings, Evaluator, Identity, Rows
 from robustlab.campaign.runs import (
     Crew,
     read_campaign,
@@ -12,7 +12,6 @@ from robustlab.campaign.runs import (
     run_campaign,
     saved_samples,
 )
-from robustlab.campaign.settings import CampaignSettings, Identity
 from robustlab.campaign.store import Store
 
 __all__ = [

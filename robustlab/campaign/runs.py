@@ -18,8 +18,16 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from robustlab.campaign.campaign_result import CampaignResult, result_of
-from robustlab.campaign.evaluation import Evaluator, Rows, compute
-from robustlab.campaign.settings import CampaignSettings, Identity, code_identity, differences, model_from_bytes
+from robustlab.campaign.evaluation import (
+    CampaignSettings,
+    Evaluator,
+    Identity,
+    Rows,
+    code_identity,
+    compute,
+    differences,
+    model_from_bytes,
+)
 from robustlab.campaign.store import Store, locked
 from robustlab.errors import DependencyMissing, EnvironmentFault, InputError, NoTrustworthyNumber
 from robustlab.uncertainty.lft import UncertainModel

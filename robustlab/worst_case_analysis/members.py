@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,7 +32,6 @@ MAX_LISTED = 16
 # Members are computed in blocks that begin at its multiples: a sample's value must not depend on the number of samples.
 BLOCK = 512
 BLOCK_NUMBERS = 2_000_000  # limit that gives large models smaller blocks
-TABLE = 4_000_000  # largest size of the stored products L_k R_k
 
 Hold = Literal["zoh", "foh"]
 
@@ -40,8 +39,7 @@ Hold = Literal["zoh", "foh"]
 SAMPLE_TIME_TOLERANCE = 1e-6
 
 
-@dataclass(frozen=True)
-class Excitation:
+class Excitation(NamedTuple):
     """Times ``t (n_t,)`` in s, their step ``h``, and input samples ``u (n_t, n_u)``."""
 
     t: Array
@@ -116,15 +114,7 @@ class Deltas(Sequence[Mapping[str, Any]]):
 
     def numbers(self, part: slice) -> Array:
         """Return the coordinates of some samples, shape (k, d)."""
-        if len(self._reals) < len(self.blocks):
-            return np.array([encoded(self.blocks, values) for values in self[part]])
-        inside = np.arange(part.start, max(part.start, min(part.stop, self.n)))
-        drawn = np.array([_generator(self.seed, int(i)).uniform(-1.0, 1.0, len(self.blocks)) for i in inside])
-        drawn = drawn.reshape(len(inside), len(self.blocks))
-        for k, block in enumerate(self.blocks):
-            if not block.is_symmetric:
-                drawn[:, k] = [block.in_range(place) for place in drawn[:, k].tolist()]
-        return np.concatenate([drawn, self.signs[max(part.start - self.n, 0) : max(part.stop - self.n, 0)]])
+        return np.array([encoded(self.blocks, values) for values in self[part]])
 
     def to_json(self) -> list[Mapping[str, Any]]:
         return list(self)
@@ -147,12 +137,8 @@ def delta_of_sample(blocks: Sequence[Block], seed: int, index: int, *, boundary:
     ``boundary``: complex scalars and full blocks on their boundary, as at vertices (from a separate random sequence).
     """
     key = (index, 1) if boundary else (index,)
-    rng = _generator(seed, *key)
+    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=key)))
     return {block.name: block.draw(rng, boundary) for block in blocks}
-
-
-def _generator(seed: int, *key: int) -> np.random.Generator:
-    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=key)))
 
 
 def vertex_signs(k: int, count: int | Literal["all"], seed: int) -> Array:
@@ -243,13 +229,6 @@ class MemberSet:
         if self.n_states:
             self._scale = np.asarray(matrix_balance(m.A, permute=False, separate=True)[1][0], dtype=float)
         self.block = max(1, min(BLOCK, BLOCK_NUMBERS // max(1, self._nominal.size)))
-        self._table: Array | None = None
-        if self.all_real and not self._d11.any() and self.block == BLOCK and self.size * self._nominal.size <= TABLE:
-            self.below = np.array([-b.interval[0] for b in self.blocks if b.interval])
-            products = self._left.T[:, :, None] * self._right[:, None, :]
-            table = np.zeros((self.size, *self._nominal.shape))
-            np.add.at(table, np.repeat(np.arange(self.size), [b.rows for b in self.blocks]), products)
-            self._table = table.reshape(self.size, self._nominal.size)
 
     def deltas(self, theta: Array) -> NDArray[Any]:
         """Return Deltas (k, q, p) at coordinates (k, d); blocks outside their ball are projected onto it."""
@@ -263,12 +242,6 @@ class MemberSet:
         """Return the members at coordinates (k, d)."""
         k = len(theta)
         ill_posed = np.zeros(k, dtype=bool)
-        if self._table is not None:
-            # Padded to whole blocks: a product of another shape may round differently.
-            numbers = np.zeros((-(-k // BLOCK) * BLOCK, self.size))
-            numbers[:k] = np.where(theta < 0, theta * self.below, theta)
-            change = np.concatenate([numbers[i : i + BLOCK] @ self._table for i in range(0, len(numbers), BLOCK)])
-            return self._split(self._nominal + change[:k].reshape(k, *self._nominal.shape), ill_posed)
         delta, right = self.deltas(theta), self._right[None]
         if self._d11.any():
             loop = np.eye(len(self._d11)) - self._d11 @ delta
@@ -276,10 +249,7 @@ class MemberSet:
             loop[ill_posed] = np.eye(len(self._d11))
             delta = np.where(ill_posed[:, None, None], 0.0, delta)
             right = np.linalg.solve(loop, np.broadcast_to(self._right, (k, *self._right.shape)))
-        return self._split(self._nominal + self._left @ delta @ right, ill_posed)
-
-    def _split(self, whole: NDArray[Any], ill_posed: Mask) -> Ensemble:
-        n = self.n_states
+        whole, n = self._nominal + self._left @ delta @ right, self.n_states
         blocks = whole[:, :n, :n], whole[:, :n, n:], whole[:, n:, :n], whole[:, n:, n:]
         return Ensemble(*blocks, self.dt, ill_posed, self._scale)
 

@@ -53,66 +53,32 @@ class WorstResponse(Evidence):
 
 @dataclass(frozen=True)
 class WorstCase(Displayable, AllFields):
-    """The worst member that a search found.
-
-    Attributes
-    ----------
-    value
-        The metric at ``delta``, re-evaluated by another method than the search's; infinite where it is unbounded.
-    delta
-        Block name -> value.
-    metric
-        Which metric.
-    nominal_value
-        The metric at Delta = 0, by the same method as ``value``.
-    status
-        CONVERGED; INACCURATE where search and re-evaluation disagree or digits were lost; INCONCLUSIVE where the work
-        budget ended the search, TIMEOUT where the time limit did.
-    label
-        Meaning of the value, and the reason for an early end of the search.
-    evaluations
-        Number of members that were evaluated.
-    physical
-        Block name -> (parameter value, unit), for blocks of a physical parameter.
-    at
-        Time in s or frequency in rad/s at which the value is attained; NaN where there is none.
-    location
-        Quantity of ``at``.
-    search_value
-        Value of the search at ``delta``.
-    unit
-        Unit of the value.
-    input, output
-        Signals that the metric was restricted to; None for all.
-    spectral_abscissa
-        Of the member at ``delta``, all states.
-    seed
-        Seed of the search.
-    response
-        Response of the metric's output, nominal and at ``delta``; None for other metrics, and where it overflows.
-    """
+    """The worst member that a search found."""
 
     quantities: ClassVar[Mapping[str, Any]] = {
         "value": float, "nominal_value": float, "evaluations": "1", "delta": {"*": ...}, "percent": "%",
     }  # fmt: skip
 
-    value: float
-    delta: Mapping[str, Any]
+    value: float  # the metric at `delta`, by another method than the search's; infinite where it is unbounded
+    delta: Mapping[str, Any]  # block -> value
     metric: str
-    nominal_value: float
+    nominal_value: float  # the metric at Delta = 0, by the same method as `value`
+    # CONVERGED; INACCURATE where search and re-evaluation disagree or digits were lost; INCONCLUSIVE where the work
+    # budget ended the search, TIMEOUT where the time limit did
     status: Status
-    label: str
-    evaluations: int
-    physical: Mapping[str, tuple[float, str]]
-    at: float
-    location: str
-    search_value: float
+    label: str  # meaning of the value, and the reason for an early end of the search
+    evaluations: int  # members that were evaluated
+    physical: Mapping[str, tuple[float, str]]  # block -> (value, unit), for blocks of a physical parameter
+    at: float  # time in s or frequency in rad/s at which the value is attained; NaN where there is none
+    location: str  # quantity of `at`
+    search_value: float  # value of the search at `delta`
     unit: str
+    # input, output: signals that the metric was restricted to; None for all
     input: str | None
     output: str | None
-    spectral_abscissa: float
+    spectral_abscissa: float  # of the member at `delta`, all states
     seed: int
-    response: WorstResponse | None = None
+    response: WorstResponse | None = None  # of the metric's output; None for other metrics, and where it overflows
 
     @property
     def percent(self) -> float | None:
