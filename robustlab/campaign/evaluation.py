@@ -229,41 +229,32 @@ class Evaluator:
 
     def rows(self, first: int, last: int) -> Rows:
         """Compute samples ``first .. last - 1`` below n, multiples of the tile; a failed tile sample by sample."""
-        parts = [part for start in range(first, last, self.tile) for part in self._tile(start)]
-        n = self.settings.n
-        values, deltas, seconds = (
-            np.concatenate([getattr(part, name) for part in parts])[: n - first]
-            for name in ("values", "deltas", "seconds")
-        )
-        return Rows(first, values, deltas, seconds, {i: why for part in parts for i, why in part.lost.items() if i < n})
+        theta, count, lost = self._theta(first, last), min(last, self.settings.n) - first, dict[int, str]()
+        values, seconds = np.full((2, last - first), np.nan)
+        for start in range(0, last - first, self.tile):
+            part, started = slice(start, start + self.tile), time.perf_counter()
+            if self.tile > 1:
+                try:
+                    values[part] = self._values(theta[part])
+                except Exception:  # noqa: BLE001  one sample fails the tile; it is found below
+                    values[part] = np.nan
+            if np.isnan(values[part]).any():
+                for k in range(start, min(start + self.tile, count)):
+                    values[k], theta[k], reason = self._alone(first + k, theta[k])
+                    lost |= {first + k: reason} if reason else {}
+            seconds[part] = (time.perf_counter() - started) / self.tile
+        return Rows(first, values[:count], theta[:count], seconds[:count], lost)
 
-    def _tile(self, first: int) -> list[Rows]:
-        indices = range(first, first + self.tile)
-        if self.tile > 1:
-            started, theta = time.perf_counter(), self._theta(first, indices.stop)
-            try:
-                values = self._values(theta)
-            except Exception:  # noqa: BLE001  one sample fails the tile; it is found below
-                values = np.full(len(theta), np.nan)
-            if not np.isnan(values).any():
-                return [Rows(first, values, theta, np.full(len(theta), (time.perf_counter() - started) / len(theta)))]
-        return [self._alone(index) for index in indices]
-
-    def _alone(self, index: int) -> Rows:
-        """Compute one sample; its exception becomes the reason of a lost sample."""
-        started, theta, value, reason = time.perf_counter(), self._theta(index, index + 1), np.nan, ""
+    def _alone(self, index: int, theta: Array) -> tuple[float, Array, str]:
+        """Compute the value and coordinates of one sample; its exception becomes the reason of a lost sample."""
         try:
             if self.settings.kind == "search":
                 value, delta = self._search(index)
-                theta = encoded(self.uncertain.blocks, delta)[None]
-            else:
-                value = float(self._values(theta)[0])
+                return value, encoded(self.uncertain.blocks, delta), ""
+            value = float(self._values(theta[None])[0])
         except Exception as error:  # noqa: BLE001  any failure concerns this sample alone
-            reason = plain_text(f"{type(error).__name__}: {error}")[:500]
-        if not reason and np.isnan(value):
-            reason = "the metric is not a number"
-        seconds = np.array([time.perf_counter() - started])
-        return Rows(index, np.array([value]), theta, seconds, {index: reason} if reason else {})
+            return np.nan, theta, plain_text(f"{type(error).__name__}: {error}")[:500]
+        return value, theta, "the metric is not a number" if np.isnan(value) else ""
 
     def _values(self, theta: Array) -> Array:
         return self.metric.of(self.metric.set.members(theta))
