@@ -1,7 +1,4 @@
-"""Campaigns: samples and worst-case searches of any size, in worker processes on one or many machines.
-
-Each sample is stored when computed; an interrupted or killed run can be resumed, with the same result.
-"""
+"""Campaigns: samples and searches of any size in worker processes; an interrupted run is resumed to the same result."""
 
 from robustlab.campaign.campaign_result import CampaignResult
 from robustlab.campaign.evaluation import TILE, CampaignSettings, Evaluator, Identity, Rows

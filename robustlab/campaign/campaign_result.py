@@ -40,11 +40,7 @@ class Quantile(AllFields):
 
 @dataclass(frozen=True)
 class Violation(AllFields):
-    """Number of samples worse than a limit; a lost sample counts as worse.
-
-    ``lower`` and ``upper`` are Clopper-Pearson bounds of the probability, each one-sided at CONFIDENCE; lost samples
-    count as not worse for ``lower`` and as worse for ``upper``.
-    """
+    """Number of samples worse than a limit, lost ones counted, and Clopper-Pearson bounds, each at CONFIDENCE."""
 
     limit: float
     count: int

@@ -1,7 +1,4 @@
-"""Running, resuming and reading campaigns.
-
-The executors are processes on this machine, or the workers of a Dask cluster (``robustlab[cluster]``).
-"""
+"""Running, resuming and reading campaigns, by processes on this machine or the workers of a Dask cluster."""
 
 from __future__ import annotations
 

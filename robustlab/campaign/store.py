@@ -1,7 +1,4 @@
-"""The store of a campaign: one SQLite file, one row per sample, each piece of work written in one transaction.
-
-Only the process that holds the operating system's lock writes; others may read at the same time.
-"""
+"""The store of a campaign: one SQLite file with a row per sample, written by the process that holds its lock."""
 
 from __future__ import annotations
 
@@ -11,8 +8,9 @@ import sqlite3
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -39,7 +37,8 @@ _TABLES = (
 )
 
 
-class Sample(NamedTuple):
+@dataclass(frozen=True)
+class Sample:
     """A row: index, status (DONE or LOST), value (NaN where lost), Delta as numbers, reason."""
 
     index: int

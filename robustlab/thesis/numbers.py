@@ -105,10 +105,7 @@ def _first_time(t: Array, values: Array, level: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A case of section 10.3.1: nominal and perturbed linear models and holding torques.
-
-    They are connected by one real parameter, Delta = delta I: nominal at 0, perturbed at +I, mirrored at -I.
-    """
+    """A case of section 10.3.1: nominal (Delta = 0) and perturbed (Delta = +I) linear models and holding torques."""
 
     # for example ``"2a"``, and the change
     name: str
@@ -138,10 +135,7 @@ class Case:
         return t, np.column_stack([sine, np.full(len(t), float(self.held if held is None else held))])
 
     def changes(self, held: bool | None = None) -> tuple[float, float]:
-        """Return the signed largest change of the angle of nut 1 at Delta = +I and -I, in percent of the nominal one.
-
-        ``held``: default: the case's own interpretation.
-        """
+        """Return the signed largest change of the angle of nut 1 at Delta = +I and -I, in percent."""
         (nominal, perturbed), (t, u) = self.with_gravity(), self.excitation(held)
         a, b, c, d = (2 * getattr(nominal, m) - getattr(perturbed, m) for m in "ABCD")
         mirrored = StateSpaceModel(a, b, c, d, nominal.dt, nominal.inputs, nominal.outputs, nominal.states)

@@ -1,8 +1,4 @@
-r"""Many members of an uncertain model at once: random Deltas and vertices, matrices, poles, responses and gains.
-
-Sample i depends only on the seed and i. A Delta is given by its coordinates: one number for a real scalar, real and
-imaginary parts of the entries of other blocks.
-"""
+"""Many members of an uncertain model at once: random Deltas and vertices, matrices, poles, responses and gains."""
 
 from __future__ import annotations
 
@@ -15,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array, Mask
-from robustlab.clocks import UNIFORM_TOLERANCE
+from robustlab.clocks import is_uniform
 from robustlab.dynamics.simulation import sampled_inputs
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.matrices import refuse_overflow
@@ -59,9 +55,8 @@ def excitation(
     n, names = len(clock), [s.name for s in inputs]
     if n < 2:
         raise InputError(where, f"t has {n} samples", "at least 2")
-    step = np.diff(clock)
-    h = float((clock[-1] - clock[0]) / len(step))
-    if h <= 0 or np.abs(step - h).max() > UNIFORM_TOLERANCE * h:
+    h = float((clock[-1] - clock[0]) / (n - 1))
+    if h <= 0 or not is_uniform(clock):
         raise InputError(where, "t is not uniform", "increasing times with one step", "use numpy.linspace(0, t_end, n)")
     if dt and abs(h - dt) > SAMPLE_TIME_TOLERANCE * dt:
         raise InputError(where, f"t has a step of {h:.9g} s", f"the discrete model's sample time {dt:.9g} s")
@@ -87,10 +82,7 @@ def is_count(value: Any, least: int) -> bool:
 
 
 class Deltas(Sequence[Mapping[str, Any]]):
-    """The Deltas of n random samples, then of vertices, as a sequence of mappings computed on access.
-
-    ``signs``: vertices (n_v, k) of the k real scalars; complex and full blocks are at random on their boundary there.
-    """
+    """The Deltas of n random samples, then of vertices with ``signs (n_v, k)`` of k reals, computed on access."""
 
     def __init__(self, blocks: Sequence[Block], n: int, seed: int, signs: Array | None = None) -> None:
         self.blocks, self.n, self.seed = tuple(blocks), n, seed
@@ -132,10 +124,7 @@ def decoded(blocks: Sequence[Block], numbers: Array) -> dict[str, Any]:
 
 
 def delta_of_sample(blocks: Sequence[Block], seed: int, index: int, *, boundary: bool = False) -> dict[str, Any]:
-    """Return the Delta of one sample, which depends only on the blocks, the seed and the sample's index.
-
-    ``boundary``: complex scalars and full blocks on their boundary, as at vertices (from a separate random sequence).
-    """
+    """Return the Delta of a sample; with ``boundary`` complex and full blocks are on theirs, as at vertices."""
     key = (index, 1) if boundary else (index,)
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=key)))
     return {block.name: block.draw(rng, boundary) for block in blocks}
@@ -258,10 +247,7 @@ class MemberSet:
 
 
 def time_responses(ensemble: Ensemble, drive: Excitation, x0: Array, hold: Hold = "zoh") -> Array:
-    """Return the exact outputs (k, n_t, n_y) of all (real) members for one held or linear input on a uniform grid.
-
-    A member that overflows gives infinite or NaN samples. ``x0``: initial state, shape (n_x,).
-    """
+    """Return the exact outputs (k, n_t, n_y) of all real members from x0; infinite or NaN where a member overflows."""
     h, u = drive.h, drive.u
     k, n_t = len(ensemble), len(u)
     y = np.empty((k, n_t, ensemble.C.shape[1]))
@@ -278,10 +264,7 @@ def time_responses(ensemble: Ensemble, drive: Excitation, x0: Array, hold: Hold 
 
 
 def recursion(phi: Array, forced: Array, x0: Array) -> Array:
-    """Compute ``x[j+1] = phi x[j] + forced[j]`` for every member, shape (k, n_t, n_x).
-
-    A scan by doubling in log2(n_t) passes: after that with stride s every x[j] has the last 2 s terms of its sum.
-    """
+    """Compute ``x[j+1] = phi x[j] + forced[j]`` of every member, shape (k, n_t, n_x), by doubling."""
     k, steps, n = forced.shape
     x = np.concatenate([np.broadcast_to(x0, (k, 1, n)), forced], axis=1)
     power, stride = phi, 1
@@ -293,10 +276,7 @@ def recursion(phi: Array, forced: Array, x0: Array) -> Array:
 
 
 def transitions(ensemble: Ensemble, h: float, hold: Hold, used: NDArray[np.intp]) -> tuple[Array, Array, Array]:
-    """Return Phi, Gamma, Gamma_1 of every member: x_{j+1} = Phi x_j + Gamma u_j + Gamma_1 (u_{j+1} - u_j).
-
-    Gamma_1 is zero for ``hold = "zoh"``; ``used``: the inputs of Gamma and Gamma_1.
-    """
+    """Return Phi, Gamma, Gamma_1: x_{j+1} = Phi x_j + Gamma u_j + Gamma_1 (u_{j+1} - u_j), of ``used`` inputs."""
     from scipy.linalg import expm
 
     a, b = ensemble.A, ensemble.B[:, :, used]

@@ -1,9 +1,4 @@
-"""Metrics for the worst case, each with two methods of evaluation, and their values at seeded samples.
-
-``of`` gives the value of many members at once, for searches and samples; ``evaluate`` re-evaluates one Delta through
-`UncertainModel.evaluate` and the public routines. The control
-effort of a closed loop is the peak or the RMS of its control signal, which is an output of the loop.
-"""
+"""Metrics for the worst case: ``of`` many members at once, and ``evaluate`` at one Delta by the public routines."""
 
 from __future__ import annotations
 
@@ -166,13 +161,13 @@ class HinfGain(Metric):
         """As `Metric.evaluate`; of a complex Delta the gain at the search's frequency, stability from the poles."""
         if not np.iscomplexobj(delta_matrix(self.uncertain.blocks, delta)):
             return super().evaluate(delta)
-        ensemble = self.set.members(encoded(self.uncertain.blocks, delta)[None])
-        if not ensemble.spectral_abscissa()[0] < 0 and self.uncertain.M.n_states:
+        values, places = peak_gains(self.set.members(encoded(self.uncertain.blocks, delta)[None]), self._grid)
+        if np.isinf(values[0]):
             return Evaluation(np.inf)
-        omega = float(peak_gains(ensemble, self._grid)[1][0])
+        omega = float(places[0])
         # At a negative frequency M is the conjugate of itself at the positive one; so the gain is that of conj(Delta).
-        values = delta if omega >= 0 else {name: np.conj(value) for name, value in delta.items()}
-        response = self.uncertain.response([abs(omega)], values)[0]
+        turned = delta if omega >= 0 else {name: np.conj(value) for name, value in delta.items()}
+        response = self.uncertain.response([abs(omega)], turned)[0]
         return Evaluation(float(np.linalg.norm(response, 2)) if response.size else 0.0, omega)
 
 
@@ -207,10 +202,7 @@ class H2Gain(Metric):
 
 
 class PoleMetric(Metric):
-    """Largest real part of the poles, or smallest damping ratio -Re(s)/|s|; a pole at s = 0 has damping 0.
-
-    Of a discrete model the largest modulus minus one, and the damping ratio of ``s = log(z) / dt``.
-    """
+    """Largest real part of the poles (discrete: modulus minus one), or smallest damping ratio -Re(s)/|s|."""
 
     def __init__(self, uncertain: UncertainModel, damping: bool) -> None:
         if not uncertain.M.n_states:
@@ -278,9 +270,7 @@ class UserMetric(Metric):
 
 
 class Measure(NamedTuple):
-    """Measure of responses: (times (n_t,), responses (k, n_t), final values (k,), band) -> values (k,), and the samples
-    at which they are attained, if any.
-    """
+    """Measure of responses: times, responses (k, n_t), final values (k,), band -> values (k,), their samples."""
 
     of: Callable[[Array, Array, Array, float], tuple[Array, NDArray[np.intp] | None]]
     unit: str = ""  # empty: that of the output
@@ -303,10 +293,7 @@ def _overshoot(t: Array, y: Array, final: Array, band: float) -> tuple[Array, ND
 
 
 def settling_times(t: Array, y: Array, final: Array, band: float) -> Array:
-    """Return the times (k,) from which responses y (k, n_t) stay within ``band * |final|`` of their final values (k,).
-
-    Interpolated between samples; infinite where a response is still outside at the end.
-    """
+    """Return the times (k,) from which responses y stay within ``band`` of their final values; infinite where never."""
     gap = y - final[:, None]
     edge = band * np.abs(final)
     outside: NDArray[Any] = ~(np.abs(gap) <= edge[:, None])
@@ -438,11 +425,7 @@ def make_metric(
     band: float = 0.02,
     where: str = "worst_case",
 ) -> Metric:
-    """Build a metric of a set; see `robustlab.worst_case_analysis.worst_case` for the arguments.
-
-    Raises UsageError: unknown metric, or several outputs and none named; InputError, NoTrustworthyNumber: signals,
-    times or models that the metric cannot work with.
-    """
+    """Build a metric of a set; see `robustlab.worst_case_analysis.worst_case` for the arguments and errors."""
     if not isinstance(uncertain, UncertainModel):
         raise InputError(where, type(uncertain).__name__, "an UncertainModel")
     if not isinstance(metric, str):

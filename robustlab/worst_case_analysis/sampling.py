@@ -156,10 +156,7 @@ class Samples(Tabular, Displayable):
         ]
 
     def table(self) -> Table:
-        """A row for each sample: parameters in their units where known, else normalised values.
-
-        A block that is a matrix has a column for each entry, ``NAME[row,column]`` counted from 1.
-        """
+        """A row for each sample, parameters in their units where known; matrices as ``NAME[row,column]``."""
         known = {b.name: b.parameter for b in self.deltas.blocks if b.parameter is not None}
         rows = list(self.deltas)
         columns: dict[str, AnyArray] = {}

@@ -80,16 +80,6 @@ class Influence(Tabular, Displayable):
             if self.matters[k]
         ]
 
-    def facts(self) -> Facts:
-        shares = [f"{self.names[k]} {100 * self.first_order[k]:.0f} %" for k in self.order]
-        return [
-            ("share of the spread", listed(shares)),
-            ("may be chance up to", f"{100 * self.noise:.2g} %"),
-            ("worst sample", number(self.worst_value, self.unit)),
-            ("nominal", number(self.nominal_value, self.unit)),
-            ("samples", str(self.n)),
-        ]
-
     def table(self) -> Table:
         """A row for each parameter: share of the spread, and the metric without its change."""
         columns = {"first_order": self.first_order, "restored": self.restored}
@@ -100,10 +90,7 @@ class Influence(Tabular, Displayable):
 
 
 def influence_of(judge: Metric, theta: Array, values: Array, worst: int) -> Influence:
-    """Return the influence of the parameters of a set of real scalars on a metric.
-
-    ``theta`` (n, d), ``values`` (n,): samples and the metric there; ``worst``: index of the worst.
-    """
+    """Return the influence of real scalars on a metric from samples ``theta`` (n, d) and their ``values`` (n,)."""
     from scipy.stats import f
 
     n, d = theta.shape
@@ -161,10 +148,7 @@ def clopper_pearson(violations: int, n: int, confidence: float = 0.95) -> tuple[
 
 
 class Quantile(NamedTuple):
-    """Quantile of the samples, and bounds of the distribution's quantile at the confidence.
-
-    The bounds are order statistics, valid for any distribution; infinite with too few samples.
-    """
+    """Quantile of the samples, and order statistics that bound the distribution's quantile at the confidence."""
 
     share: float
     value: float

@@ -1,7 +1,4 @@
-"""Search for the worst member: centre, vertices, Sobol points, then ascents by difference quotients or compass.
-
-The reported value is attained, not a proved bound; for bounds see `robustlab.mu_analysis`.
-"""
+"""Search for the worst member; the value is attained, not a proved bound (`robustlab.mu_analysis` has those)."""
 
 from __future__ import annotations
 
@@ -326,10 +323,7 @@ class _Search:
             minimize(falling, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": CLIMB_STEPS})
 
     def _compass(self, theta: Array, score: float, step: float) -> None:
-        """Compass search in the box: steps along every coordinate, along the projected slope, and all gains together.
-
-        The first steps are as wide as ``step`` (2: a vertex's neighbours), the last ones as small as SMALLEST_STEP.
-        """
+        """Search along every coordinate, the projected slope, and all gains together, in smaller and smaller steps."""
         d = len(theta)
         while step > SMALLEST_STEP and not self.ended and not np.isposinf(score):
             ahead = np.clip(theta + step * np.eye(d), -1.0, 1.0)
