@@ -1,10 +1,7 @@
-"""Campaigns: samples and worst-case searches of any size, in worker processes on one or many machines.
-
-Each sample is stored when computed; an interrupted or killed run can be resumed, with the same result.
-"""
+"""Campaigns: samples and searches of any size in worker processes; an interrupted run is resumed to the same result."""
 
 from robustlab.campaign.campaign_result import CampaignResult
-from robustlab.campaign.evaluation import TILE, Evaluator, Rows
+from robustlab.campaign.evaluation import TILE, CampaignSettings, Evaluator, Identity, Rows
 from robustlab.campaign.runs import (
     Crew,
     read_campaign,
@@ -12,7 +9,6 @@ from robustlab.campaign.runs import (
     run_campaign,
     saved_samples,
 )
-from robustlab.campaign.settings import CampaignSettings, Identity
 from robustlab.campaign.store import Store
 
 __all__ = [

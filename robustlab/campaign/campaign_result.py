@@ -1,9 +1,9 @@
-"""Summary of a campaign's store; samples are streamed, and lost ones count as the worst."""
+"""Summary of a campaign's store; lost samples count as the worst."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +18,7 @@ from robustlab.errors import InputError
 from robustlab.result import Status
 from robustlab.tables import Table, Tabular
 from robustlab.worst_case_analysis.members import decoded
-from robustlab.worst_case_analysis.statistics import clopper_pearson
+from robustlab.worst_case_analysis.statistics import clopper_pearson, quantile_bounds
 from robustlab.worst_case_analysis.worst_case_search import LABEL, LABEL_SMALLEST, UNBOUNDED
 
 CONFIDENCE = 0.95  # of each bound of a probability
@@ -26,6 +26,7 @@ TWO_SIDED = 2.0 * CONFIDENCE - 1.0  # of both together
 SHARES = (0.5, 0.9, 0.99, 0.999)
 SHOWN_LOST = 100
 LISTED_LOST = 10  # of these in a text
+_COUNTED = {"samples": ("sample", "samples"), "vertices": ("vertex", "vertices"), "search": ("search", "searches")}
 
 
 @dataclass(frozen=True)
@@ -39,11 +40,7 @@ class Quantile(AllFields):
 
 @dataclass(frozen=True)
 class Violation(AllFields):
-    """Number of samples worse than a limit; a lost sample counts as worse.
-
-    ``lower`` and ``upper`` are Clopper-Pearson bounds of the probability, each one-sided at CONFIDENCE; lost samples
-    count as not worse for ``lower`` and as worse for ``upper``.
-    """
+    """Number of samples worse than a limit, lost ones counted, and Clopper-Pearson bounds, each at CONFIDENCE."""
 
     limit: float
     count: int
@@ -61,25 +58,13 @@ class LostSample(AllFields):
     delta: Mapping[str, Any]
 
 
-def _quantiles(store: Store, sense: int, n: int) -> tuple[Quantile, ...]:
+def _quantiles(store: Store, sense: int, lost: int) -> tuple[Quantile, ...]:
     """Return the quantiles that the number of samples allows; lost samples count as worst."""
-    from scipy.stats import binom
-
+    scores = np.append(sense * np.fromiter(store.values(), dtype=float), np.full(lost, np.inf))
     # Where fewer than one sample is expected above a share, the worst sample has the same information.
-    shares = [share for share in SHARES if n * (1.0 - share) >= 1.0 or share <= 0.5]
-    # The smallest rank r with P(Binomial(n, share) < r) >= CONFIDENCE bounds a quantile from above.
-    plan = [(s, max(1, math.ceil(s * n)), int(binom.ppf(CONFIDENCE, n, s)) + 1) for s in shares]
-    values = _at_ranks(store.sorted_values(sense), [rank for _, *both in plan for rank in both], sense)
-    return tuple(Quantile(share, values[rank], values[upper]) for share, rank, upper in plan)
-
-
-def _at_ranks(values: Iterable[float], ranks: Iterable[int], sense: int) -> dict[int, float]:
-    """Return order statistics, counted from 1, of values from the best to the worst; infinite beyond the last."""
-    found = dict.fromkeys(sorted(set(ranks)), sense * math.inf)
-    for i, value in enumerate(values, 1):
-        if i in found:
-            found[i] = value
-    return found
+    shares = [share for share in SHARES if len(scores) * (1.0 - share) >= 1.0 or share <= 0.5]
+    found = [quantile_bounds(scores, share, TWO_SIDED) for share in shares]
+    return tuple(Quantile(q.share, sense * q.value, sense * q.upper) for q in found)
 
 
 @dataclass(frozen=True)
@@ -90,8 +75,7 @@ class CampaignResult(Tabular, Displayable, AllFields):
     # INCONCLUSIVE: samples are missing.
     status: Status
     store: str  # the file
-    # kind, metric, unit: type of samples, metric and unit
-    kind: str
+    kind: str  # of samples
     metric: str
     unit: str
     # n, done, lost: samples requested, with a value, and without one
@@ -122,14 +106,14 @@ class CampaignResult(Tabular, Displayable, AllFields):
     label: str  # meaning of the worst value
 
     def facts(self) -> Facts:
-        one = {"samples": "sample", "vertices": "vertex"}.get(self.kind, self.kind)
+        one, many = _COUNTED[self.kind]
         worst = f"{number(self.worst, self.unit, 9)} in {one} {self.worst_index}"
         what, _, unit = self.location.partition(" ")
         if what and not math.isnan(self.at):
             worst += f", at {what} = {number(self.at, unit.strip('[]'), 6)}"
         missing = self.n - self.done - self.lost
         words = ((self.lost, "lost"), (missing, "missing yet"), (self.unbounded, "without a bounded value"))
-        counts = [f"{self.done} of {self.n} {_counted(self.kind)}", *(f"{c} {word}" for c, word in words if c)]
+        counts = [f"{self.done} of {self.n} {many}", *(f"{c} {word}" for c, word in words if c)]
         limit, v = "", self.violation
         if v is not None:
             bounds = f"probability {v.lower:.4g} .. {v.upper:.4g}, each side with 95 % confidence"
@@ -140,7 +124,7 @@ class CampaignResult(Tabular, Displayable, AllFields):
             ("through the second path", number(self.again, self.unit, 9)),
             ("nominal", number(self.nominal, self.unit, 9)),
             ("worst member", member(self.delta, self.physical)),
-            (_counted(self.kind), ", ".join([*counts, f"seed {self.seed}"])),
+            (many, ", ".join([*counts, f"seed {self.seed}"])),
             ("members worse than all of these", "" if math.isnan(self.unseen) else unseen),
             ("worse than", limit),
             ("meaning", self.label),
@@ -206,7 +190,7 @@ def result_of(store: Store, evaluator: Evaluator, limit: float | None = None) ->
         location=evaluator.metric.location,
         again=float(facts.get("again", math.nan)),
         nominal=float(facts.get("nominal", math.nan)),
-        quantiles=_quantiles(store, sense, n) if sampled and complete else (),
+        quantiles=_quantiles(store, sense, lost) if sampled and complete else (),
         unseen=clopper_pearson(lost, n, TWO_SIDED)[1] if sampled else math.nan,
         violation=violation,
         lost_samples=tuple(
@@ -217,7 +201,3 @@ def result_of(store: Store, evaluator: Evaluator, limit: float | None = None) ->
         seed=settings.seed,
         label=UNBOUNDED if worst and not math.isfinite(worst.value) else label,
     )
-
-
-def _counted(kind: str) -> str:
-    return "searches" if kind == "search" else kind

@@ -1,7 +1,4 @@
-"""Running, resuming and reading campaigns.
-
-The executors are processes on this machine, or the workers of a Dask cluster (``robustlab[cluster]``).
-"""
+"""Running, resuming and reading campaigns, by processes on this machine or the workers of a Dask cluster."""
 
 from __future__ import annotations
 
@@ -18,8 +15,16 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from robustlab.campaign.campaign_result import CampaignResult, result_of
-from robustlab.campaign.evaluation import Evaluator, Rows, compute
-from robustlab.campaign.settings import CampaignSettings, Identity, code_identity, differences, model_from_bytes
+from robustlab.campaign.evaluation import (
+    CampaignSettings,
+    Evaluator,
+    Identity,
+    Rows,
+    code_identity,
+    compute,
+    differences,
+    model_from_bytes,
+)
 from robustlab.campaign.store import Store, locked
 from robustlab.errors import DependencyMissing, EnvironmentFault, InputError, NoTrustworthyNumber
 from robustlab.uncertainty.lft import UncertainModel

@@ -1,7 +1,4 @@
-"""The store of a campaign: one SQLite file, one row per sample, each piece of work written in one transaction.
-
-Only the process that holds the operating system's lock writes; others may read at the same time.
-"""
+"""The store of a campaign: one SQLite file with a row per sample, written by the process that holds its lock."""
 
 from __future__ import annotations
 
@@ -18,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.campaign.evaluation import DONE, LOST, Rows
-from robustlab.campaign.settings import CampaignSettings, Identity, model_to_bytes
+from robustlab.campaign.evaluation import DONE, LOST, CampaignSettings, Identity, Rows, model_to_bytes
 from robustlab.errors import EnvironmentFault, InputError
 from robustlab.uncertainty.lft import UncertainModel
 
@@ -43,13 +39,12 @@ _TABLES = (
 
 @dataclass(frozen=True)
 class Sample:
-    """A row: index, status (DONE or LOST), value (NaN where lost), Delta as numbers, seconds, reason."""
+    """A row: index, status (DONE or LOST), value (NaN where lost), Delta as numbers, reason."""
 
     index: int
     status: int
     value: float
     delta: bytes
-    seconds: float
     reason: str
 
     @property
@@ -217,9 +212,9 @@ class Store:
         unbounded, beyond, seconds = next(self._asked(question, np.inf, sense, worse))
         return int(unbounded), int(beyond), seconds
 
-    def sorted_values(self, sense: int) -> Iterator[float]:
-        """Stream the values from the best to the worst; SQLite sorts many of them on disk."""
-        for (value,) in self._asked("SELECT value FROM sample WHERE status = ? ORDER BY value * ?", DONE, sense):
+    def values(self) -> Iterator[float]:
+        """Stream the values."""
+        for (value,) in self._asked("SELECT value FROM sample WHERE status = ?", DONE):
             yield value
 
     def digest(self) -> str:
@@ -233,9 +228,9 @@ class Store:
 
     def samples(self, condition: str = "ORDER BY idx", *values: Any) -> Iterator[Sample]:
         """Stream rows, all by index where no condition is given."""
-        question = f"SELECT idx, status, value, delta, seconds, reason FROM sample {condition}"  # noqa: S608  our own texts
-        for index, status, value, delta, seconds, reason in self._asked(question, *values):
-            yield Sample(index, status, np.nan if value is None else value, delta, seconds, reason or "")
+        question = f"SELECT idx, status, value, delta, reason FROM sample {condition}"  # noqa: S608  our own texts
+        for index, status, value, delta, reason in self._asked(question, *values):
+            yield Sample(index, status, np.nan if value is None else value, delta, reason or "")
 
     def _asked(self, question: str, *values: Any) -> Iterator[Any]:
         """Stream the answer to a question."""

@@ -54,16 +54,9 @@ def _polynomial(order: int) -> fmpz_poly:
     return last if order else before
 
 
-class PhaseBound(NamedTuple):
-    r"""``theta_n(x) <= coefficient * x**power`` for all x >= 0, proved."""
-
-    coefficient: float
-    power: int
-
-
 @cache
-def phase_bound(order: int) -> PhaseBound:
-    r"""Return the bound :math:`\theta_n(x) \le c_n x^{2n+1}`; check its two conditions in whole numbers."""
+def phase_bound(order: int) -> float:
+    r"""Return c_n of the bound :math:`\theta_n(x) \le c_n x^{2n+1}`, proved for all x >= 0 in whole numbers."""
     from flint import fmpz_poly
 
     p, minus = _polynomial(order), fmpz_poly([0, -1])
@@ -73,7 +66,7 @@ def phase_bound(order: int) -> PhaseBound:
     if rate != fmpz_poly([0] * (2 * order) + [(-1) ** order]) or not positive:
         raise NoTrustworthyNumber("pade", f"the error bound of order {order} could not be proved")
     ratio = Fraction(factorial(order), factorial(2 * order))
-    return PhaseBound(float(ratio * ratio / (2 * order + 1)), 2 * order + 1)
+    return float(ratio * ratio / (2 * order + 1))
 
 
 def phase_error(x: ArrayLike, order: int) -> Array:
@@ -113,9 +106,7 @@ def checked_order(order: int, where: str, least: int = 0) -> int:
 
 
 class ErrorWeight(NamedTuple):
-    r"""A high-pass above the error for a delay of 1 s: :math:`|W|^2 = \frac{g^2 x^{2k} + r^2 a^{2k} x^2}{x^{2k} +
-    a^{2k}}`, of slope r for the spread of the delay, and k above.
-    """
+    """A weight for a delay of 1 s: :math:`|W|^2 = (g^2 x^{2k} + r^2 a^{2k} x^2) / (x^{2k} + a^{2k})`."""
 
     gain: float
     corner: float
@@ -140,14 +131,13 @@ def error_weight(order: int, weight_order: int, spread: float = 0.0) -> ErrorWei
     beginning and E at its end :math:`a^{2k} (r^2 x^2 - E^2) + x^{2k} (g^2 - E^2) \ge 0`. Where the phase has reached
     :math:`\pi` the error is bounded by 2, and the left side still rises.
     """
-    bound, s = phase_bound(order), spread
+    c, power, s = phase_bound(order), 2 * order + 1, spread
     if s and not order:  # no approximation: the error is that of the longest delay
         shape = error_weight(0, weight_order)
         return shape._replace(corner=shape.corner / (1.0 + s))
     k, least = weight_order, 2 if s else 1
-    if isinstance(k, bool) or not isinstance(k, int) or not least <= k <= bound.power:
-        raise InputError("uncertain: weight_order", f"{k!r}", f"a whole number from {least} to {bound.power}")
-    c, power = bound.coefficient, bound.power
+    if isinstance(k, bool) or not isinstance(k, int) or not least <= k <= power:
+        raise InputError("uncertain: weight_order", f"{k!r}", f"a whole number from {least} to {power}")
     first, slope = (FIRST_PHASE / c) ** (1.0 / power), 0.0
     if s:
         first = min(first, (FIRST_SHARE * s / c) ** (1.0 / (power - 1)))

@@ -138,9 +138,7 @@ class DelayedModel(TransferMatrix, Displayable, Traced):
     is_discrete: ClassVar[bool] = False
 
     def response_at(self, omega: ArrayLike) -> ComplexArray:
-        """Exact frequency response, shape (n_omega, n_y, n_u). States and delays are solved for together, so that poles
-        of open-loop parts, such as integrators, are no poles here.
-        """
+        """Exact frequency response, shape (n_omega, n_y, n_u); poles of open-loop parts are no poles here."""
         w = real_array("omega", np.atleast_1d(omega), 1, "frequency_response")
         if not len(self.delays):
             return frequency_response(self.H, w)
@@ -290,10 +288,6 @@ class DelayedModel(TransferMatrix, Displayable, Traced):
     def to_json(self) -> dict[str, object]:
         return {"H": self.H, "delays": self.delays}
 
-    def headline(self) -> str:
-        states = f"{self.H.n_states} states, {len(self.inputs)} inputs, {len(self.outputs)} outputs"
-        return f"model with {len(self.delays)} exact delays, {states}"
-
     def facts(self) -> Facts:
         return [
             ("time", "continuous"),
@@ -346,9 +340,9 @@ def covering(tau: float, spread: float, order: int, weight_order: int, name: str
         words = f"a delay of {tau:g} s +- {spread:g} s, covered at all frequencies: proved"
         block: Block = FullBlock(f"{name}spread 1 of {tau!r} s +- {spread!r} s", 1, 1, origin=words, covers=covers)
     else:
-        bound, name = phase_bound(order), f"delay of {tau!r} s (order {order}, slope {weight.n_states})"
+        name = f"delay of {tau!r} s (order {order}, slope {weight.n_states})"
         words = f"what Padé's approximation of order {order} of a delay of {tau:g} s misses, at most min(2,"
-        words += f" {bound.coefficient:.3g} (w {tau:g} s)^{bound.power}) for all w: proved"
+        words += f" {phase_bound(order):.3g} (w {tau:g} s)^{2 * order + 1}) for all w: proved"
         block = ComplexScalar(name, origin=words, covers=covers)
     side = append(*(m.renamed([f"i{k}"], [f"o{k}"]) for k, m in enumerate((weight, rational))))
     into = np.array([[0.0, 1.0], [0.0, 1.0]])  # (w, z) into both
@@ -510,13 +504,11 @@ def _shifts(delays: list[tuple[float, float]], dt: float) -> StateSpaceModel:
 
 # --- responses over time ----------------------------------------------------------------------------------------------
 #
-# The method of steps. On a mesh of all samples and all their delayed times signals are smooth between the points: the
-# input is a polynomial, and the signals in the delays are interpolated by polynomials. Between two points
-# x(a + h) = e^(A h) x(a) + int_0^h e^(A (h - s)) (B1 w(a + s) + B2 u(a + s)) ds, w_i(t) = z_i(t - tau_i), is evaluated
-# by matrix exponentials for these polynomials, without error (Van Loan 1978). With delays of inputs and outputs only,
-# the whole response is exact. The signal in a delay inside a loop, or between two dynamic parts, is no polynomial: it
-# is stored at Chebyshev points of each cell. Cells that do not resolve it are halved, and at the end all of them, until
-# the response at the samples no longer changes. Bellen, Zennaro, Numerical Methods for Delay Differential Equations.
+# The method of steps on a mesh of samples and their delayed times, between which signals are smooth: polynomials
+# of inputs and of signals in the delays go through matrix exponentials without error (Van Loan 1978). A signal in a
+# delay inside a loop, or between two dynamic parts, is no polynomial: it is stored at Chebyshev points of each cell.
+# Cells that do not resolve it are halved, and at the end all of them, until the response at the samples no longer
+# changes. Bellen, Zennaro, Numerical Methods for Delay Differential Equations.
 
 
 def delayed_response(model: DelayedModel, t: Array, u: Array, x0: Array, hold: Hold, rtol: float) -> Array:
@@ -586,10 +578,7 @@ def _cut(points: Array, longest: float) -> Array:
 def _run(
     model: DelayedModel, t: Array, u: Array, x0: Array, hold: Hold, mesh: Array, degree: int, moving: Mask
 ) -> tuple[Array, Array]:
-    """Return the outputs just after each sample, and of each cell the last coefficients of the signals in its delays.
-
-    The latter are relative to the largest value of each signal.
-    """
+    """Return the outputs after each sample, and of each cell the last relative coefficients of delayed signals."""
     H, n, cells = model.H, len(model.delays), len(mesh) - 1
     C1, D11, D12 = H.C[:n], H.D[:n, :n], H.D[:n, n:]
     nodes = 0.5 - 0.5 * np.cos(np.pi * np.arange(degree + 1) / degree)

@@ -357,10 +357,7 @@ def posed(
 
 
 def _opened(model: Any, laws: Mapping[tuple[str, str], Nonlinearity]) -> UncertainModel:
-    """Return the model with a real block ``output:input`` for each law, the gain between them.
-
-    The outputs are kept; the inputs are driven by the laws alone.
-    """
+    """Return the model with a real block ``output:input`` for each law, whose input the law alone drives."""
     given = model if isinstance(model, UncertainModel) else UncertainModel(as_model(model, "iqc"), [])
     M, (q, p) = given.M, given.delta_shape
     ins, outs = M.input_names[q:], M.output_names[p:]

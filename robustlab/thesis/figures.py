@@ -6,17 +6,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
 from robustlab.arrays import Array
-from robustlab.dynamics.control.platform import MOST_TORQUE, MOST_VOLTAGE, TrajectoryFollowing
+from robustlab.dynamics.control.platform import TrajectoryFollowing
 from robustlab.dynamics.simulation import simulate
 from robustlab.dynamics.stewart.stewart_platform import inverse_kinematics, stewart_platform
 from robustlab.report.drawings import Picture
 from robustlab.report.style import COLOURS, house_style, new_figure, plain_label
-from robustlab.thesis.numbers import PublishedNumbers
-from robustlab.thesis.runs import UP_TO, Case, SineRun
+from robustlab.thesis.numbers import UP_TO, Case, PublishedNumbers, SineRun
 from robustlab.uncertainty.elementwise import elementwise
 from robustlab.worst_case_analysis.sampling import sample
 
@@ -86,9 +85,7 @@ def percent_figure(t: Array, bands: Mapping[str, Array], published: float) -> Fi
             axes.fill_between(t, low, high, color=COLOURS["band"], alpha=0.25, lw=0, label="all members")
             for i, curve in enumerate(curves):
                 axes.plot(t, curve, color=COLOURS["sample"], lw=0.6, label="member" if i == 0 else None)
-            for i, edge in enumerate((-published, published)):
-                label = f"thesis: ±{published:g} %" if i == 0 else None
-                axes.axhline(edge, color=COLOURS["worst"], ls=(0, (5, 2)), lw=1.3, label=label)
+            _published_band(axes, published, COLOURS["worst"])
             axes.set(xlabel="time [s]", ylabel=f"change of {plain_label(name)} [%]")
         panels[-1].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure
@@ -108,12 +105,11 @@ def case_figure(
     ``t``: times in s, shape (n_t,). ``members``, ``nominal``, ``worst``: responses, shapes (n_members, n_t, n_y), (n_t,
     n_y), (n_t, n_y). ``outputs``: n_y names and units. ``published``: published band of the change in percent.
     """
-    figure, panels = new_figure(len(outputs), 3, width=11.6, height=2.7)
-    before = 1e3 * (t - t[-1])
+    figure, panels = new_figure(len(outputs), 2, width=9.4, height=2.7)
     label = f"{len(members)} random members"
     with house_style():
         for k, (name, unit) in enumerate(outputs):
-            whole, end, change = panels[3 * k : 3 * k + 3]
+            whole, change = panels[2 * k : 2 * k + 2]
             scale = 100 / np.abs(nominal[:, k]).max()
             thin = [(member, "sample", "-", 0.6, None if i else label) for i, member in enumerate(members[:, :, k])]
             wide: list[Any] = [
@@ -121,30 +117,23 @@ def case_figure(
                 (worst[:, k], "worst", (0, (4, 2)), 1.3, "worst Δ"),
             ]
             for curve, key, dashes, width, word in [*thin, *wide]:
-                gap = scale * (curve - nominal[:, k])
-                for axes, x, y in ((whole, t, curve), (end, before, curve), (change, t, gap)):
-                    axes.plot(x, y, color=COLOURS[key], ls=dashes, lw=width, label=word)
-            for i, edge in enumerate((-published, published)):
-                text = f"thesis: ±{published:g} %" if i == 0 else None
-                change.axhline(edge, color=COLOURS["reference"], ls=":", lw=1.2, label=text)
-            # Zoom to the end so that the members' spread is visible against the nominal response.
-            final, slope = nominal[-1, k], (nominal[-1, k] - nominal[-2, k]) / (before[-1] - before[-2])
-            spread = np.abs(np.append(members[:, -1, k], worst[-1, k]) - final).max()
-            window = min(6 * spread / max(abs(slope), 1e-300), -before[0])
-            edges = sorted((final - slope * window, final))
-            end.xaxis.set_major_locator(MaxNLocator(3))
-            end.set_xlim(-window, 0.0)
-            end.set_ylim(edges[0] - 1.2 * spread, edges[1] + 1.2 * spread)
+                for axes, y in ((whole, curve), (change, scale * (curve - nominal[:, k]))):
+                    axes.plot(t, y, color=COLOURS[key], ls=dashes, lw=width, label=word)
+            _published_band(change, published, COLOURS["reference"])
             whole.set_ylabel(plain_label(f"{name} [{unit}]"))
             change.set_ylabel("minus nominal [%]")
-        panels[0].set_title("response")
-        panels[1].set_title("its end, enlarged")
-        panels[2].set_title("change, % of largest nominal")
-        for axes, text in zip(panels[-3:], ("time [s]", "time before the end [ms]", "time [s]"), strict=True):
-            axes.set_xlabel(text)
+        for axes, words in zip(panels, ("response", "change, % of largest nominal"), strict=False):
+            axes.set_title(words)
+        for axes in panels[-2:]:
+            axes.set_xlabel("time [s]")
         figure.suptitle(plain_label(title), x=0.01, ha="left", fontsize=10.5, fontweight="bold")
-        figure.legend(*panels[2].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+        figure.legend(*panels[1].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return figure
+
+
+def _published_band(axes: Axes, published: float, colour: str) -> None:
+    for edge, label in ((-published, f"thesis: ±{published:g} %"), (published, None)):
+        axes.axhline(edge, color=colour, ls=(0, (5, 2)), lw=1.3, label=label)
 
 
 LINKS = [f"link {i + 1}" for i in range(6)]
@@ -167,17 +156,11 @@ def tracking_path_figure(run: TrajectoryFollowing, lengths: Array) -> Figure:
 
 def tracking_error_figure(run: TrajectoryFollowing) -> Figure:
     """Draw errors of position and orientation over time, and torques and voltages of the six motors."""
-    torque, voltage = lines(run.torque, LINKS), lines(run.voltage, LINKS, 1.0)
-    for curves, limit in ((torque, 1e3 * MOST_TORQUE), (voltage, MOST_VOLTAGE)):
-        if np.abs(curves[0][0]).max() > 0.4 * limit:  # a far limit would flatten the curves
-            look = {"color": COLOURS["reference"], "ls": ":", "lw": 1.3}
-            curves.append((np.full(len(run.t), limit), {**look, "label": "motor's limit"}))
-            curves.append((np.full(len(run.t), -limit), look))
     panels: list[tuple[str, Curves]] = [
         ("position error [mm]", lines(run.error[:, :3], ["x", "y", "z"])),
         ("orientation error [mrad]", lines(run.error[:, 3:], ["about x", "about y", "about z"])),
-        ("torque [mN m]", torque),
-        ("voltage [V]", voltage),
+        ("torque [mN m]", lines(run.torque, LINKS)),
+        ("voltage [V]", lines(run.voltage, LINKS, 1.0)),
     ]
     return over_time(run.t, panels)
 

@@ -225,10 +225,6 @@ class Block:
         matrix *= radius * (1 - 1e-15) / np.linalg.norm(matrix, 2)
         return complex(matrix[0, 0]) if self.is_scalar else matrix
 
-    def in_range(self, place: float) -> float:
-        """Return the value at a relative position in `interval` (ends -1 and 1, middle 0), for uniform draws."""
-        return place
-
     # --- real coordinates of a value, for searches and tables --------------------------------------------------------
 
     @property
@@ -480,9 +476,7 @@ class RealScalar(ScalarBlock):
         return self.delta(float(part[0, 0].real))
 
     def draw(self, rng: np.random.Generator, boundary: bool = False) -> float:
-        return self.in_range(float(rng.uniform(-1.0, 1.0)))
-
-    def in_range(self, place: float) -> float:
+        place = float(rng.uniform(-1.0, 1.0))
         if self.ratio == 1:
             return place
         delta = self.delta(0.5 * ((1.0 - self.ratio) + (1.0 + self.ratio) * place))

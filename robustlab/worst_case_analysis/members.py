@@ -1,21 +1,17 @@
-r"""Many members of an uncertain model at once: random Deltas and vertices, matrices, poles, responses and gains.
-
-Sample i depends only on the seed and i. A Delta is given by its coordinates: one number for a real scalar, real and
-imaginary parts of the entries of other blocks.
-"""
+"""Many members of an uncertain model at once: random Deltas and vertices, matrices, poles, responses and gains."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array, Mask
-from robustlab.clocks import UNIFORM_TOLERANCE
+from robustlab.clocks import is_uniform
 from robustlab.dynamics.simulation import sampled_inputs
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.matrices import refuse_overflow
@@ -32,7 +28,6 @@ MAX_LISTED = 16
 # Members are computed in blocks that begin at its multiples: a sample's value must not depend on the number of samples.
 BLOCK = 512
 BLOCK_NUMBERS = 2_000_000  # limit that gives large models smaller blocks
-TABLE = 4_000_000  # largest size of the stored products L_k R_k
 
 Hold = Literal["zoh", "foh"]
 
@@ -40,8 +35,7 @@ Hold = Literal["zoh", "foh"]
 SAMPLE_TIME_TOLERANCE = 1e-6
 
 
-@dataclass(frozen=True)
-class Excitation:
+class Excitation(NamedTuple):
     """Times ``t (n_t,)`` in s, their step ``h``, and input samples ``u (n_t, n_u)``."""
 
     t: Array
@@ -61,9 +55,8 @@ def excitation(
     n, names = len(clock), [s.name for s in inputs]
     if n < 2:
         raise InputError(where, f"t has {n} samples", "at least 2")
-    step = np.diff(clock)
-    h = float((clock[-1] - clock[0]) / len(step))
-    if h <= 0 or np.abs(step - h).max() > UNIFORM_TOLERANCE * h:
+    h = float((clock[-1] - clock[0]) / (n - 1))
+    if h <= 0 or not is_uniform(clock):
         raise InputError(where, "t is not uniform", "increasing times with one step", "use numpy.linspace(0, t_end, n)")
     if dt and abs(h - dt) > SAMPLE_TIME_TOLERANCE * dt:
         raise InputError(where, f"t has a step of {h:.9g} s", f"the discrete model's sample time {dt:.9g} s")
@@ -89,10 +82,7 @@ def is_count(value: Any, least: int) -> bool:
 
 
 class Deltas(Sequence[Mapping[str, Any]]):
-    """The Deltas of n random samples, then of vertices, as a sequence of mappings computed on access.
-
-    ``signs``: vertices (n_v, k) of the k real scalars; complex and full blocks are at random on their boundary there.
-    """
+    """The Deltas of n random samples, then of vertices with ``signs (n_v, k)`` of k reals, computed on access."""
 
     def __init__(self, blocks: Sequence[Block], n: int, seed: int, signs: Array | None = None) -> None:
         self.blocks, self.n, self.seed = tuple(blocks), n, seed
@@ -116,15 +106,7 @@ class Deltas(Sequence[Mapping[str, Any]]):
 
     def numbers(self, part: slice) -> Array:
         """Return the coordinates of some samples, shape (k, d)."""
-        if len(self._reals) < len(self.blocks):
-            return np.array([encoded(self.blocks, values) for values in self[part]])
-        inside = np.arange(part.start, max(part.start, min(part.stop, self.n)))
-        drawn = np.array([_generator(self.seed, int(i)).uniform(-1.0, 1.0, len(self.blocks)) for i in inside])
-        drawn = drawn.reshape(len(inside), len(self.blocks))
-        for k, block in enumerate(self.blocks):
-            if not block.is_symmetric:
-                drawn[:, k] = [block.in_range(place) for place in drawn[:, k].tolist()]
-        return np.concatenate([drawn, self.signs[max(part.start - self.n, 0) : max(part.stop - self.n, 0)]])
+        return np.array([encoded(self.blocks, values) for values in self[part]])
 
     def to_json(self) -> list[Mapping[str, Any]]:
         return list(self)
@@ -142,17 +124,10 @@ def decoded(blocks: Sequence[Block], numbers: Array) -> dict[str, Any]:
 
 
 def delta_of_sample(blocks: Sequence[Block], seed: int, index: int, *, boundary: bool = False) -> dict[str, Any]:
-    """Return the Delta of one sample, which depends only on the blocks, the seed and the sample's index.
-
-    ``boundary``: complex scalars and full blocks on their boundary, as at vertices (from a separate random sequence).
-    """
+    """Return the Delta of a sample; with ``boundary`` complex and full blocks are on theirs, as at vertices."""
     key = (index, 1) if boundary else (index,)
-    rng = _generator(seed, *key)
+    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=key)))
     return {block.name: block.draw(rng, boundary) for block in blocks}
-
-
-def _generator(seed: int, *key: int) -> np.random.Generator:
-    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=key)))
 
 
 def vertex_signs(k: int, count: int | Literal["all"], seed: int) -> Array:
@@ -243,13 +218,6 @@ class MemberSet:
         if self.n_states:
             self._scale = np.asarray(matrix_balance(m.A, permute=False, separate=True)[1][0], dtype=float)
         self.block = max(1, min(BLOCK, BLOCK_NUMBERS // max(1, self._nominal.size)))
-        self._table: Array | None = None
-        if self.all_real and not self._d11.any() and self.block == BLOCK and self.size * self._nominal.size <= TABLE:
-            self.below = np.array([-b.interval[0] for b in self.blocks if b.interval])
-            products = self._left.T[:, :, None] * self._right[:, None, :]
-            table = np.zeros((self.size, *self._nominal.shape))
-            np.add.at(table, np.repeat(np.arange(self.size), [b.rows for b in self.blocks]), products)
-            self._table = table.reshape(self.size, self._nominal.size)
 
     def deltas(self, theta: Array) -> NDArray[Any]:
         """Return Deltas (k, q, p) at coordinates (k, d); blocks outside their ball are projected onto it."""
@@ -263,12 +231,6 @@ class MemberSet:
         """Return the members at coordinates (k, d)."""
         k = len(theta)
         ill_posed = np.zeros(k, dtype=bool)
-        if self._table is not None:
-            # Padded to whole blocks: a product of another shape may round differently.
-            numbers = np.zeros((-(-k // BLOCK) * BLOCK, self.size))
-            numbers[:k] = np.where(theta < 0, theta * self.below, theta)
-            change = np.concatenate([numbers[i : i + BLOCK] @ self._table for i in range(0, len(numbers), BLOCK)])
-            return self._split(self._nominal + change[:k].reshape(k, *self._nominal.shape), ill_posed)
         delta, right = self.deltas(theta), self._right[None]
         if self._d11.any():
             loop = np.eye(len(self._d11)) - self._d11 @ delta
@@ -276,10 +238,7 @@ class MemberSet:
             loop[ill_posed] = np.eye(len(self._d11))
             delta = np.where(ill_posed[:, None, None], 0.0, delta)
             right = np.linalg.solve(loop, np.broadcast_to(self._right, (k, *self._right.shape)))
-        return self._split(self._nominal + self._left @ delta @ right, ill_posed)
-
-    def _split(self, whole: NDArray[Any], ill_posed: Mask) -> Ensemble:
-        n = self.n_states
+        whole, n = self._nominal + self._left @ delta @ right, self.n_states
         blocks = whole[:, :n, :n], whole[:, :n, n:], whole[:, n:, :n], whole[:, n:, n:]
         return Ensemble(*blocks, self.dt, ill_posed, self._scale)
 
@@ -288,10 +247,7 @@ class MemberSet:
 
 
 def time_responses(ensemble: Ensemble, drive: Excitation, x0: Array, hold: Hold = "zoh") -> Array:
-    """Return the exact outputs (k, n_t, n_y) of all (real) members for one held or linear input on a uniform grid.
-
-    A member that overflows gives infinite or NaN samples. ``x0``: initial state, shape (n_x,).
-    """
+    """Return the exact outputs (k, n_t, n_y) of all real members from x0; infinite or NaN where a member overflows."""
     h, u = drive.h, drive.u
     k, n_t = len(ensemble), len(u)
     y = np.empty((k, n_t, ensemble.C.shape[1]))
@@ -308,10 +264,7 @@ def time_responses(ensemble: Ensemble, drive: Excitation, x0: Array, hold: Hold 
 
 
 def recursion(phi: Array, forced: Array, x0: Array) -> Array:
-    """Compute ``x[j+1] = phi x[j] + forced[j]`` for every member, shape (k, n_t, n_x).
-
-    A scan by doubling in log2(n_t) passes: after that with stride s every x[j] has the last 2 s terms of its sum.
-    """
+    """Compute ``x[j+1] = phi x[j] + forced[j]`` of every member, shape (k, n_t, n_x), by doubling."""
     k, steps, n = forced.shape
     x = np.concatenate([np.broadcast_to(x0, (k, 1, n)), forced], axis=1)
     power, stride = phi, 1
@@ -323,10 +276,7 @@ def recursion(phi: Array, forced: Array, x0: Array) -> Array:
 
 
 def transitions(ensemble: Ensemble, h: float, hold: Hold, used: NDArray[np.intp]) -> tuple[Array, Array, Array]:
-    """Return Phi, Gamma, Gamma_1 of every member: x_{j+1} = Phi x_j + Gamma u_j + Gamma_1 (u_{j+1} - u_j).
-
-    Gamma_1 is zero for ``hold = "zoh"``; ``used``: the inputs of Gamma and Gamma_1.
-    """
+    """Return Phi, Gamma, Gamma_1: x_{j+1} = Phi x_j + Gamma u_j + Gamma_1 (u_{j+1} - u_j), of ``used`` inputs."""
     from scipy.linalg import expm
 
     a, b = ensemble.A, ensemble.B[:, :, used]

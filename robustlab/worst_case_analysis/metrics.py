@@ -1,9 +1,4 @@
-"""Metrics for the worst case, each with two methods of evaluation, and their values at seeded samples.
-
-``of`` gives the value of many members at once, for searches and samples; ``evaluate`` re-evaluates one Delta through
-`UncertainModel.evaluate` and the public routines. The control
-effort of a closed loop is the peak or the RMS of its control signal, which is an output of the loop.
-"""
+"""Metrics for the worst case: ``of`` many members at once, and ``evaluate`` at one Delta by the public routines."""
 
 from __future__ import annotations
 
@@ -37,7 +32,6 @@ from robustlab.worst_case_analysis.members import (
 )
 
 UserFunction = Callable[[StateSpaceModel], float]
-DOUBLINGS = 46  # of the Smith iteration; converges for poles down to 1e-12 of their size from the boundary
 GRID_POINTS = 48  # frequencies for the gain of every member, in addition to those of its own poles
 NO_FINAL_VALUE = 1e-9  # share of a response's size below which a final value is zero
 
@@ -142,29 +136,6 @@ def need_stable(nominal: StateSpaceModel, what: str) -> None:
 # --- metrics of a model ----------------------------------------------------------------------------------------------
 
 
-def _gramians(ensemble: Ensemble) -> Array:
-    """Return controllability Gramians (k, n_x, n_x) of stable members by doubling (Smith, SIAM J. Appl. Math., 1968).
-
-    A continuous equation is made discrete by the Cayley map, A_d = (p I + A)(p I - A)^-1.
-    """
-    a, n = ensemble.A, ensemble.A.shape[1]
-    q = ensemble.B @ ensemble.B.transpose(0, 2, 1)
-    if n and not ensemble.dt:
-        size = np.abs(np.linalg.eigvals(ensemble.A))
-        rate = np.sqrt(size.min(axis=1) * size.max(axis=1))[:, None, None]
-        inverse = np.linalg.inv(rate * np.eye(n) - a)
-        q = 2.0 * rate * inverse @ q @ inverse.transpose(0, 2, 1)
-        a = (rate * np.eye(n) + a) @ inverse
-    power, total = a, q
-    with np.errstate(under="ignore"):
-        for _ in range(DOUBLINGS):
-            total = total + power @ total @ power.transpose(0, 2, 1)
-            power = power @ power
-            # Subnormal numbers are slow.
-            power = np.where(np.abs(power) < 1e-150, 0.0, power)
-    return 0.5 * (total + total.transpose(0, 2, 1))
-
-
 class HinfGain(Metric):
     """H-infinity norm of the members from all or one input to all or one output; ``inf`` where unstable."""
 
@@ -190,13 +161,13 @@ class HinfGain(Metric):
         """As `Metric.evaluate`; of a complex Delta the gain at the search's frequency, stability from the poles."""
         if not np.iscomplexobj(delta_matrix(self.uncertain.blocks, delta)):
             return super().evaluate(delta)
-        ensemble = self.set.members(encoded(self.uncertain.blocks, delta)[None])
-        if not ensemble.spectral_abscissa()[0] < 0 and self.uncertain.M.n_states:
+        values, places = peak_gains(self.set.members(encoded(self.uncertain.blocks, delta)[None]), self._grid)
+        if np.isinf(values[0]):
             return Evaluation(np.inf)
-        omega = float(peak_gains(ensemble, self._grid)[1][0])
+        omega = float(places[0])
         # At a negative frequency M is the conjugate of itself at the positive one; so the gain is that of conj(Delta).
-        values = delta if omega >= 0 else {name: np.conj(value) for name, value in delta.items()}
-        response = self.uncertain.response([abs(omega)], values)[0]
+        turned = delta if omega >= 0 else {name: np.conj(value) for name, value in delta.items()}
+        response = self.uncertain.response([abs(omega)], turned)[0]
         return Evaluation(float(np.linalg.norm(response, 2)) if response.size else 0.0, omega)
 
 
@@ -214,14 +185,13 @@ class H2Gain(Metric):
             raise NoTrustworthyNumber("worst_case", "the model has a direct term: its H2 norm is infinite", None, hint)
 
     def of(self, ensemble: Ensemble) -> Array:
+        from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
+
         value = np.full(len(ensemble), np.inf)
-        good = np.flatnonzero(ensemble.is_stable() & (bool(ensemble.dt) | ~ensemble.D.any(axis=(1, 2))))
-        some = ensemble.part(good)
-        reach = _gramians(some)
-        square = np.einsum("kij,kjl,kil->k", some.C, reach, some.C)
-        if ensemble.dt:
-            square = square + (some.D**2).sum(axis=(1, 2))
-        value[good] = np.sqrt(np.maximum(square, 0.0))
+        for k in np.flatnonzero(ensemble.is_stable() & (bool(ensemble.dt) | ~ensemble.D.any(axis=(1, 2)))):
+            a, b, c, d = (matrix[k] for matrix in (ensemble.A, ensemble.B, ensemble.C, ensemble.D))
+            reach = solve_discrete_lyapunov(a, b @ b.T) if ensemble.dt else solve_continuous_lyapunov(a, -b @ b.T)
+            value[k] = math.sqrt(max(float(np.einsum("ij,jl,il->", c, reach, c) + (d**2).sum()), 0.0))
         return value
 
     def of_model(self, model: StateSpaceModel) -> Evaluation:
@@ -232,14 +202,12 @@ class H2Gain(Metric):
 
 
 class PoleMetric(Metric):
-    """Largest real part of the poles, or smallest damping ratio -Re(s)/|s|; a pole at s = 0 has damping 0.
-
-    Of a discrete model the largest modulus minus one, and the damping ratio of ``s = log(z) / dt``.
-    """
+    """Largest real part of the poles (discrete: modulus minus one), or smallest damping ratio -Re(s)/|s|."""
 
     def __init__(self, uncertain: UncertainModel, damping: bool) -> None:
         if not uncertain.M.n_states:
             raise InputError("worst_case", "a model without states", "states: a static gain has no poles")
+        need_real(uncertain, "its poles")
         self.uncertain, self._damping = uncertain, damping
         self.sense = -1.0 if damping else 1.0
         self.unit = "" if damping or uncertain.dt else "rad/s"
@@ -259,15 +227,6 @@ class PoleMetric(Metric):
 
     def of_model(self, model: StateSpaceModel) -> Evaluation:
         return Evaluation(float(self._worst(model.poles())))
-
-    def evaluate(self, delta: Mapping[str, Any]) -> Evaluation:
-        """As `Metric.evaluate`, also for complex Deltas."""
-        d = delta_matrix(self.uncertain.blocks, delta)
-        if not np.iscomplexobj(d):
-            return super().evaluate(delta)
-        m11 = self.uncertain.delta_channels
-        a = m11.A + m11.B @ d @ np.linalg.solve(np.eye(d.shape[1]) - m11.D @ d, m11.C)
-        return Evaluation(float(self._worst(np.linalg.eigvals(a))))
 
     def slack(self, value: float) -> float:
         """Return the tolerance relative to the largest pole, or to 1 for damping ratios."""
@@ -311,9 +270,7 @@ class UserMetric(Metric):
 
 
 class Measure(NamedTuple):
-    """Measure of responses: (times (n_t,), responses (k, n_t), final values (k,), band) -> values (k,), and the samples
-    at which they are attained, if any.
-    """
+    """Measure of responses: times, responses (k, n_t), final values (k,), band -> values (k,), their samples."""
 
     of: Callable[[Array, Array, Array, float], tuple[Array, NDArray[np.intp] | None]]
     unit: str = ""  # empty: that of the output
@@ -336,10 +293,7 @@ def _overshoot(t: Array, y: Array, final: Array, band: float) -> tuple[Array, ND
 
 
 def settling_times(t: Array, y: Array, final: Array, band: float) -> Array:
-    """Return the times (k,) from which responses y (k, n_t) stay within ``band * |final|`` of their final values (k,).
-
-    Interpolated between samples; infinite where a response is still outside at the end.
-    """
+    """Return the times (k,) from which responses y stay within ``band`` of their final values; infinite where never."""
     gap = y - final[:, None]
     edge = band * np.abs(final)
     outside: NDArray[Any] = ~(np.abs(gap) <= edge[:, None])
@@ -471,11 +425,7 @@ def make_metric(
     band: float = 0.02,
     where: str = "worst_case",
 ) -> Metric:
-    """Build a metric of a set; see `robustlab.worst_case_analysis.worst_case` for the arguments.
-
-    Raises UsageError: unknown metric, or several outputs and none named; InputError, NoTrustworthyNumber: signals,
-    times or models that the metric cannot work with.
-    """
+    """Build a metric of a set; see `robustlab.worst_case_analysis.worst_case` for the arguments and errors."""
     if not isinstance(uncertain, UncertainModel):
         raise InputError(where, type(uncertain).__name__, "an UncertainModel")
     if not isinstance(metric, str):

@@ -40,24 +40,12 @@ LABEL = "sampled: the true envelope may be wider"
 
 @dataclass(frozen=True, eq=False)
 class Samples(Tabular, Displayable):
-    """Members of an uncertain model, or of a nonlinear plant with tolerances: random ones first, then vertices.
+    """Members of an uncertain model, or of a nonlinear plant with tolerances: random ones first, then vertices."""
 
-    Attributes
-    ----------
-    uncertain
-        The model or plant that was sampled; of a plant a parameter with a tolerance is a block.
-    deltas
-        One mapping of block names to values for each sample, computed on access.
-    seed
-        Sample i was drawn from ``SeedSequence(seed, spawn_key=(i,))``: it does not depend on the number of samples.
-    vertices
-        Number of vertices (every real delta is -1 or +1), which are the last samples.
-    """
-
-    uncertain: UncertainModel | NonlinearPlant
-    deltas: Deltas
-    seed: int
-    vertices: int
+    uncertain: UncertainModel | NonlinearPlant  # of a plant a parameter with a tolerance is a block
+    deltas: Deltas  # a mapping of block names to values for each sample, computed on access
+    seed: int  # sample i was drawn from ``SeedSequence(seed, spawn_key=(i,))``: it does not depend on their number
+    vertices: int  # (every real delta is -1 or +1), which are the last samples
 
     def __len__(self) -> int:
         return len(self.deltas)
@@ -168,10 +156,7 @@ class Samples(Tabular, Displayable):
         ]
 
     def table(self) -> Table:
-        """A row for each sample: parameters in their units where known, else normalised values.
-
-        A block that is a matrix has a column for each entry, ``NAME[row,column]`` counted from 1.
-        """
+        """A row for each sample, parameters in their units where known; matrices as ``NAME[row,column]``."""
         known = {b.name: b.parameter for b in self.deltas.blocks if b.parameter is not None}
         rows = list(self.deltas)
         columns: dict[str, AnyArray] = {}

@@ -7,7 +7,6 @@ They hold for independent parameters uniform in their ranges, and do not bound t
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, NamedTuple
@@ -19,11 +18,12 @@ from robustlab import checks
 from robustlab.arrays import Array
 from robustlab.budget import one_thread
 from robustlab.display import Displayable, Facts, Part, listed, member, number
-from robustlab.errors import InputError, UnitMismatch, error_context
+from robustlab.errors import InputError, error_context
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.lft import UncertainModel
+from robustlab.units import amount
 from robustlab.worst_case_analysis.members import Deltas, is_count
 from robustlab.worst_case_analysis.metrics import Metric, make_metric, name_of, values_at
 
@@ -80,16 +80,6 @@ class Influence(Tabular, Displayable):
             if self.matters[k]
         ]
 
-    def facts(self) -> Facts:
-        shares = [f"{self.names[k]} {100 * self.first_order[k]:.0f} %" for k in self.order]
-        return [
-            ("share of the spread", listed(shares)),
-            ("may be chance up to", f"{100 * self.noise:.2g} %"),
-            ("worst sample", number(self.worst_value, self.unit)),
-            ("nominal", number(self.nominal_value, self.unit)),
-            ("samples", str(self.n)),
-        ]
-
     def table(self) -> Table:
         """A row for each parameter: share of the spread, and the metric without its change."""
         columns = {"first_order": self.first_order, "restored": self.restored}
@@ -100,10 +90,7 @@ class Influence(Tabular, Displayable):
 
 
 def influence_of(judge: Metric, theta: Array, values: Array, worst: int) -> Influence:
-    """Return the influence of the parameters of a set of real scalars on a metric.
-
-    ``theta`` (n, d), ``values`` (n,): samples and the metric there; ``worst``: index of the worst.
-    """
+    """Return the influence of real scalars on a metric from samples ``theta`` (n, d) and their ``values`` (n,)."""
     from scipy.stats import f
 
     n, d = theta.shape
@@ -161,10 +148,7 @@ def clopper_pearson(violations: int, n: int, confidence: float = 0.95) -> tuple[
 
 
 class Quantile(NamedTuple):
-    """Quantile of the samples, and bounds of the distribution's quantile at the confidence.
-
-    The bounds are order statistics, valid for any distribution; infinite with too few samples.
-    """
+    """Quantile of the samples, and order statistics that bound the distribution's quantile at the confidence."""
 
     share: float
     value: float
@@ -186,68 +170,35 @@ def quantile_bounds(values: ArrayLike, share: float, confidence: float = 0.95) -
 
 @dataclass(frozen=True)
 class ViolationProbability(Tabular, Displayable):
-    """Probability that a sampled member violates a limit.
-
-    Attributes
-    ----------
-    metric, unit
-        The metric and its unit.
-    limit, sense
-        Values above (sense 1) or below (sense -1) it violate.
-    n, violations
-        Samples, and those that violate; a member without a bounded value does (``unbounded`` of them).
-    probability
-        Their share.
-    lower, upper
-        Two-sided Clopper-Pearson bounds at ``confidence``.
-    at_most
-        One-sided bound at ``confidence``.
-    wanted, shown
-        The required probability, and whether ``at_most`` confirms it; None where none was stated.
-    samples_needed
-        Samples without a violation that would confirm it; None where none was stated.
-    quantiles
-        Of the metric, with distribution-free bounds.
-    worst_value, worst_index, worst_delta
-        Of the worst sample, re-evaluated by another method.
-    values
-        The metric of each sample, (n,).
-    influence
-        Influence of the parameters; None for fewer than 32 samples or blocks that are not real scalars.
-    seed
-        Sample i was drawn from ``SeedSequence(seed, spawn_key=(i,))``.
-    status
-        CONVERGED, or INACCURATE where the worst sample's re-evaluation disagrees.
-    notes
-        Remarks for the reader.
-    label
-        Meaning of the probability.
-    """
+    """Probability that a sampled member violates a limit."""
 
     metric: str
     unit: str
     limit: float
-    sense: float
-    n: int
-    violations: int
-    unbounded: int
-    probability: float
+    sense: float  # values above (1) or below (-1) the limit violate it
+    n: int  # samples
+    violations: int  # of these; a member without a bounded value violates the limit ...
+    unbounded: int  # ... and these are such
+    probability: float  # violations / n
+    # lower, upper: two-sided Clopper-Pearson bounds of the probability at `confidence`; at_most: the one-sided bound
     lower: float
     upper: float
     at_most: float
     confidence: float
+    # wanted, shown: the required probability, and whether `at_most` confirms it; samples_needed: samples without a
+    # violation that would; all None where none was required
     wanted: float | None
     shown: bool | None
     samples_needed: int | None
-    quantiles: tuple[Quantile, ...]
+    quantiles: tuple[Quantile, ...]  # of the metric
+    # the worst sample, re-evaluated by another method
     worst_value: float
     worst_index: int
     worst_delta: Mapping[str, Any]
-    values: Array
-    influence: Influence | None
-    seed: int
-    status: Status
-    notes: tuple[str, ...] = ()
+    values: Array  # the metric of each sample, (n,)
+    influence: Influence | None  # None for fewer than 32 samples or blocks that are not real scalars
+    seed: int  # sample i was drawn from ``SeedSequence(seed, spawn_key=(i,))``
+    status: Status  # CONVERGED, or INACCURATE where the worst sample's re-evaluation disagrees
     label: str = LABEL
 
     quantities: ClassVar[Mapping[str, Any]] = {
@@ -297,7 +248,6 @@ class ViolationProbability(Tabular, Displayable):
             ("without a bounded value", f"{self.unbounded} (unstable, or not settled)" if self.unbounded else ""),
             ("worst sample", f"number {self.worst_index}: {worst}: {member(self.worst_delta)}"),
             ("quantiles", listed(f"{q.share:g}: {number(q.value, self.unit)}" for q in self.quantiles)),
-            *(("note", note) for note in self.notes),
             ("said", self.label),
         ]
 
@@ -339,7 +289,7 @@ def violation_probability(
     metric, output, input, t, u, hold, band
         As in `worst_case`.
     limit
-        A number in the metric's unit, or a text with its unit such as ``"0.5 rad"``.
+        A number in the metric's unit, or a text with a unit that converts to it such as ``"0.5 rad"``.
     probability
         Required upper bound of P(violation).
     confidence
@@ -359,8 +309,6 @@ def violation_probability(
 
     Raises
     ------
-    UnitMismatch
-        The limit has another unit than the metric.
     UsageError, InputError, NoTrustworthyNumber
         As in `worst_case`; a limit that is no number, shares that are none, a model without uncertainty.
 
@@ -388,14 +336,15 @@ def violation_probability(
         checks.number("probability", probability, "a number between 0 and 1", above=SMALLEST_SHARE, below=1)
         # Without a violation n samples show p at confidence c where (1 - p)^n <= 1 - c.
         needed = max(1, math.ceil(math.log1p(-confidence) / math.log1p(-probability) * (1 - 1e-12)))
-    number, notes = _limit(limit, judge.unit, where)
+    expected = "a finite number, or one with its unit such as '0.5 rad'"
+    value = checks.number(f"{where}: limit", amount(f"{where}: limit", limit, judge.unit), expected)
     count = n if n is not None else needed or DEFAULT_SAMPLES
     if not is_count(count, 1) or count > MOST_SAMPLES:
         raise InputError("n", f"{count!r}", f"a whole number of samples from 1 to {MOST_SAMPLES}")
     deltas = Deltas(uncertain.blocks, int(count), seed)
     values = values_at(judge, deltas)
     scores = judge.sense * values
-    violations = int((scores > judge.sense * number).sum())
+    violations = int((scores > judge.sense * value).sum())
     worst = int(scores.argmax())
     delta = dict(deltas[worst])
     again = judge.evaluate(delta)
@@ -405,7 +354,7 @@ def violation_probability(
     return ViolationProbability(
         name_of(metric),
         judge.unit,
-        number,
+        value,
         judge.sense,
         len(values),
         violations,
@@ -426,21 +375,4 @@ def violation_probability(
         influence_of(judge, deltas.numbers(slice(0, len(values))), values, worst) if real else None,
         int(seed),
         Status.CONVERGED if judge.agrees(float(values[worst]), again.value) and again.accurate else Status.INACCURATE,
-        notes,
     )
-
-
-def _limit(limit: float | str, unit: str, where: str) -> tuple[float, tuple[str, ...]]:
-    """Return the limit's number, and a note if it has no unit but the metric has."""
-    match = re.fullmatch(r"\s*(\S+)\s*(.*?)\s*", limit) if isinstance(limit, str) else None
-    text, given = match.groups() if match else (limit, "")
-    try:
-        number = float(text)
-    except (TypeError, ValueError):
-        expected = "a number, or one with its unit such as '0.5 rad'"
-        raise InputError(f"{where}: limit", f"{limit!r}", expected) from None
-    if not math.isfinite(number) or isinstance(limit, bool):
-        raise InputError(f"{where}: limit", f"{limit!r}", "a finite number")
-    if given and given != unit:
-        raise UnitMismatch(f"{where}: limit", f"in {given}", f"{unit or 'no unit'}: that of the metric")
-    return number, (f"the limit {number:g} came without a unit and was taken in {unit}",) if unit and not given else ()

@@ -1,11 +1,9 @@
-"""Search for the worst member: centre, vertices, Sobol points, then ascents by difference quotients or compass.
-
-The reported value is attained, not a proved bound; for bounds see `robustlab.mu_analysis`.
-"""
+"""Search for the worst member; the value is attained, not a proved bound (`robustlab.mu_analysis` has those)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
@@ -29,10 +27,8 @@ UNBOUNDED = "attained: this member has no bounded value"
 WORK = 60 * MILLION  # the usual work at effort 1, in units of about a microsecond
 CLIMBING = 0.5  # share of it for the ascents, in equal parts
 VERTICES = 1024  # at most, in addition to the Sobol points
-CLIMBS = 8  # local searches along gradients; more: more local maxima found
+CLIMBS, CLIMB_STEPS = 8, 40  # ascents along gradients; more: more local maxima found. Steps of each
 STARTS = 4  # compass searches where there are no gradients
-JUMPS = 6  # towards the vertex of the gradient's signs, at the beginning of an ascent
-CLIMB_STEPS = 40  # of the quasi-Newton method after them
 SMALLEST_STEP = 1e-7  # of a compass search
 APART = 0.2  # smallest distance of starting points, in the maximum norm
 STEP = 1e-6  # of the difference quotients, in the box [-1, 1]
@@ -54,66 +50,32 @@ class WorstResponse(Evidence):
 
 @dataclass(frozen=True)
 class WorstCase(Displayable, AllFields):
-    """The worst member that a search found.
-
-    Attributes
-    ----------
-    value
-        The metric at ``delta``, re-evaluated by another method than the search's; infinite where it is unbounded.
-    delta
-        Block name -> value.
-    metric
-        Which metric.
-    nominal_value
-        The metric at Delta = 0, by the same method as ``value``.
-    status
-        CONVERGED; INACCURATE where search and re-evaluation disagree or digits were lost; INCONCLUSIVE where the work
-        budget ended the search, TIMEOUT where the time limit did.
-    label
-        Meaning of the value, and the reason for an early end of the search.
-    evaluations
-        Number of members that were evaluated.
-    physical
-        Block name -> (parameter value, unit), for blocks of a physical parameter.
-    at
-        Time in s or frequency in rad/s at which the value is attained; NaN where there is none.
-    location
-        Quantity of ``at``.
-    search_value
-        Value of the search at ``delta``.
-    unit
-        Unit of the value.
-    input, output
-        Signals that the metric was restricted to; None for all.
-    spectral_abscissa
-        Of the member at ``delta``, all states.
-    seed
-        Seed of the search.
-    response
-        Response of the metric's output, nominal and at ``delta``; None for other metrics, and where it overflows.
-    """
+    """The worst member that a search found."""
 
     quantities: ClassVar[Mapping[str, Any]] = {
         "value": float, "nominal_value": float, "evaluations": "1", "delta": {"*": ...}, "percent": "%",
     }  # fmt: skip
 
-    value: float
-    delta: Mapping[str, Any]
+    value: float  # the metric at `delta`, by another method than the search's; infinite where it is unbounded
+    delta: Mapping[str, Any]  # block -> value
     metric: str
-    nominal_value: float
+    nominal_value: float  # the metric at Delta = 0, by the same method as `value`
+    # CONVERGED; INACCURATE where search and re-evaluation disagree or digits were lost; INCONCLUSIVE where the work
+    # budget ended the search, TIMEOUT where the time limit did
     status: Status
-    label: str
-    evaluations: int
-    physical: Mapping[str, tuple[float, str]]
-    at: float
-    location: str
-    search_value: float
+    label: str  # meaning of the value, and the reason for an early end of the search
+    evaluations: int  # members that were evaluated
+    physical: Mapping[str, tuple[float, str]]  # block -> (value, unit), for blocks of a physical parameter
+    at: float  # time in s or frequency in rad/s at which the value is attained; NaN where there is none
+    location: str  # quantity of `at`
+    search_value: float  # value of the search at `delta`
     unit: str
+    # input, output: signals that the metric was restricted to; None for all
     input: str | None
     output: str | None
-    spectral_abscissa: float
+    spectral_abscissa: float  # of the member at `delta`, all states
     seed: int
-    response: WorstResponse | None = None
+    response: WorstResponse | None = None  # of the metric's output; None for other metrics, and where it overflows
 
     @property
     def percent(self) -> float | None:
@@ -271,7 +233,7 @@ class _Ended(Exception):
 
 
 class _Search:
-    """The search; scores are ``sense * value``: the larger the worse."""
+    """A search from the centre, vertices and Sobol points; scores are ``sense * value``: the larger the worse."""
 
     def __init__(self, metric: Metric, budget: Budget) -> None:
         self.metric, self.budget = metric, budget
@@ -281,43 +243,36 @@ class _Search:
 
     def run(self, n: int, seed: int) -> tuple[Array, float]:
         """Return the worst vector and its score."""
-        points = self._start_points(n, seed)
+        d, blocks = self.metric.set.size, self.metric.set.blocks
+        points = np.zeros((1, d))
+        if d:
+            real = [part.start for part, b in zip(self.metric.set.parts, blocks, strict=True) if b.interval]
+            signs = vertex_signs(len(real), VERTICES, seed) if real else np.zeros((0, 0))
+            vertices = np.zeros((len(signs), d))
+            vertices[:, real] = signs
+            points = np.vstack([points, vertices, 2.0 * _sobol(n, d, seed) - 1.0])
         scores = self._scores(points)
         order = np.argsort(-scores, kind="stable")
         self._keep(points[order[0]], float(scores[order[0]]))
-        if not self.metric.set.size or np.isposinf(self.top) or self.ended:
+        if not d or np.isposinf(self.top) or self.ended:
             return self.best, self.top
         if self.metric.set.all_real and self.metric.smooth:
-            starts = _spaced(points[order], CLIMBS, APART)
+            starts = list[Array]()
+            for point in points[order]:
+                if len(starts) < CLIMBS and all(np.abs(point - other).max() >= APART for other in starts):
+                    starts.append(point)
             share = CLIMBING * self.budget.left / len(starts)
             for start in starts:
                 self._climb(start, share)
-            self._keep(*self._compass(self.best, self.top, 0.25))
+            self._compass(self.best, self.top, 0.25)
         else:
             for index in order[:STARTS]:
-                self._keep(*self._compass(points[index], float(scores[index]), 2.0))
+                self._compass(points[index], float(scores[index]), 2.0)
         return self.best, self.top
 
     def _keep(self, theta: Array, score: float) -> None:
         if score > self.top:
             self.best, self.top = theta.copy(), score
-
-    def _start_points(self, n: int, seed: int) -> Array:
-        """Return the centre, vertices and Sobol points (k, d)."""
-        d, blocks = self.metric.set.size, self.metric.set.blocks
-        if d == 0:
-            return np.zeros((1, 0))
-        real = [part.start for part, b in zip(self.metric.set.parts, blocks, strict=True) if b.interval]
-        signs = vertex_signs(len(real), VERTICES, seed) if real else np.zeros((0, 0))
-        vertices = np.zeros((len(signs), d))
-        vertices[:, real] = signs
-        return np.vstack([np.zeros((1, d)), vertices, 2.0 * _sobol(n, d, seed) - 1.0])
-
-    def _measure(self, theta: Array) -> Array:
-        """Return the scores at vectors (k, d) and count their work."""
-        self.budget.spend(self.metric.work(len(theta)))
-        self.evaluations += len(theta)
-        return self.metric.sense * self.metric.of(self.metric.set.members(theta))
 
     def _scores(self, theta: Array) -> Array:
         """Return the scores at vectors (k, d); -inf beyond the budget."""
@@ -330,94 +285,64 @@ class _Search:
             scores[part] = self._measure(theta[part])
         return scores
 
-    # -- ascent along gradients --
+    def _measure(self, theta: Array) -> Array:
+        """Return the scores at vectors (k, d) and count their work."""
+        self.budget.spend(self.metric.work(len(theta)))
+        self.evaluations += len(theta)
+        return self.metric.sense * self.metric.of(self.metric.set.members(theta))
 
     def _climb(self, start: Array, work: float) -> None:
-        """Jump towards the vertex of the gradient's signs, then use L-BFGS-B; the best point is kept."""
+        """Ascend by L-BFGS-B; the best point is kept. It ends early where this much work is done."""
         from scipy.optimize import minimize
 
-        last, theta, best = self.budget.left - work, start, -np.inf
-        try:
-            for _ in range(JUMPS):
-                best, slope = self._score_and_slope(theta, last)
-                vertex = np.where(slope != 0, np.sign(slope), theta)
-                trials = theta + np.array([1.0, 0.5, 0.25, 0.1, 0.03])[:, None] * (vertex - theta)
-                scores = self._measure(trials)
-                top = int(np.argmax(scores))
-                self._keep(trials[top], float(scores[top]))
-                if np.isposinf(scores[top]):
-                    return
-                if not scores[top] > best + 1e-9 * abs(best):
-                    break
-                theta, best = trials[top], float(scores[top])
-            size = max(abs(best), 1e-300)
+        last, sizes = self.budget.left - work, list[float]()
 
-            def falling(theta: Array) -> tuple[float, Array]:
-                score, slope = self._score_and_slope(theta, last)
-                return -score / size, -slope / size
+        def falling(theta: Array) -> tuple[float, Array]:
+            """Difference quotients are on the same side of 0 (at 0 upwards), within the box."""
+            if self.budget.over or self.budget.left <= last:
+                self.ended = True
+                if not self.budget.struck:
+                    self.budget.use_up()
+            if self.ended or np.isposinf(self.top):  # also one that another ascent found
+                raise _Ended
+            step = np.where(theta < 0.0, -STEP, STEP)
+            step = np.where(np.abs(theta + step) > 1.0, -step, step)
+            points = np.vstack([theta, theta + np.diag(step)])
+            scores = self._measure(points)
+            worst = int(scores.argmax()) if np.isposinf(scores).any() else 0
+            self._keep(points[worst], float(scores[worst]))
+            if np.isposinf(scores[worst]):
+                raise _Ended
+            score, change = float(scores[0]), scores[1:] - scores[0]
+            sizes.append(max(abs(score), 1e-300))
+            slope = np.where(np.abs(change) > ROUNDING * abs(score), change, 0.0) / step
+            return -score / sizes[0], -slope / sizes[0]
 
-            bounds = [(-1.0, 1.0)] * self.metric.set.size
-            options = {"maxiter": CLIMB_STEPS}
-            minimize(falling, theta, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
-        except _Ended:
-            pass
+        with suppress(_Ended):
+            bounds = [(-1.0, 1.0)] * len(start)
+            minimize(falling, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": CLIMB_STEPS})
 
-    def _score_and_slope(self, theta: Array, last: float) -> tuple[float, Array]:
-        """Return the score and its difference quotients on the same side of 0 (at 0 upwards), within the box.
-
-        Raises _Ended where less work than ``last`` is left.
-        """
-        if np.isposinf(self.top):
-            raise _Ended
-        if self.budget.over or self.budget.left <= last:
-            self.ended = True
-            if not self.budget.struck:
-                self.budget.use_up()
-            raise _Ended
-        step = np.where(theta < 0.0, -STEP, STEP)
-        step = np.where(np.abs(theta + step) > 1.0, -step, step)
-        points = np.vstack([theta, theta + np.diag(step)])
-        scores = self._measure(points)
-        if np.isposinf(scores).any():
-            self._keep(points[int(scores.argmax())], np.inf)
-            raise _Ended
-        score = float(scores[0])
-        self._keep(theta, score)
-        change = scores[1:] - score
-        return score, np.where(np.abs(change) > ROUNDING * abs(score), change, 0.0) / step
-
-    # -- compass search --
-
-    def _compass(self, theta: Array, score: float, step: float) -> tuple[Array, float]:
-        """Compass search in the box: steps along every coordinate, along the projected slope, and all gains together.
-
-        The first steps are as wide as ``step`` (2: a vertex's neighbours), the last ones as small as SMALLEST_STEP.
-        """
+    def _compass(self, theta: Array, score: float, step: float) -> None:
+        """Search along every coordinate, the projected slope, and all gains together, in smaller and smaller steps."""
+        d = len(theta)
         while step > SMALLEST_STEP and not self.ended and not np.isposinf(score):
-            trials = self._trials(theta, score, step)
-            scores = self._scores(trials)
+            ahead = np.clip(theta + step * np.eye(d), -1.0, 1.0)
+            behind = np.clip(theta - step * np.eye(d), -1.0, 1.0)
+            up, down = np.split(self._scores(np.vstack([ahead, behind])), 2)
+            width = np.diag(ahead) - np.diag(behind)
+            finite = np.isfinite(up) & np.isfinite(down)
+            slope = np.subtract(up, down, where=finite, out=np.zeros(d)) / np.where(width > 0, width, 1.0)
+            slope /= max(float(np.abs(slope).max()), np.finfo(float).tiny)
+            along = np.clip(theta + step * np.exp2([[-2.0], [-1.0], [0.0], [1.0], [2.0]]) * slope, -1.0, 1.0)
+            gain = np.where((up > score) & (up >= down), np.diag(ahead), np.where(down > score, np.diag(behind), theta))
+            more = np.vstack([along, gain])
+            trials, scores = np.vstack([ahead, behind, more]), np.concatenate([up, down, self._scores(more)])
             best = int(scores.argmax())
             if scores[best] > score + 1e-12 * abs(score):
                 theta, score = trials[best], float(scores[best])
             else:
                 step /= 4.0
-        return theta, score
-
-    def _trials(self, theta: Array, score: float, step: float) -> Array:
-        d = len(theta)
-        ahead = np.clip(theta + step * np.eye(d), -1.0, 1.0)
-        behind = np.clip(theta - step * np.eye(d), -1.0, 1.0)
-        up, down = self._scores(ahead), self._scores(behind)
-        if np.isposinf([*up, *down]).any():
-            return np.vstack([ahead, behind])[np.isposinf([*up, *down])][:1]
-        width = np.diag(ahead) - np.diag(behind)
-        finite = np.isfinite(up) & np.isfinite(down)
-        slope = np.subtract(up, down, where=finite, out=np.zeros(d)) / np.where(width > 0, width, 1.0)
-        slope /= max(float(np.abs(slope).max()), np.finfo(float).tiny)
-        along = np.clip(theta + step * np.exp2([[-2.0], [-1.0], [0.0], [1.0], [2.0]]) * slope, -1.0, 1.0)
-        gains = np.where((up > score) & (up >= down), np.diag(ahead), np.where(down > score, np.diag(behind), theta))
-        best = ahead[np.argmax(up)] if up.max() >= down.max() else behind[np.argmax(down)]
-        return np.vstack([along, gains[None], best[None]])
+        self._keep(theta, score)
 
 
 def _sobol(n: int, d: int, seed: int) -> Array:
@@ -430,14 +355,3 @@ def _sobol(n: int, d: int, seed: int) -> Array:
     # The oldest supported scipy has the argument "seed", the newest "rng".
     settings: dict[str, Any] = {"seed": rng}
     return qmc.Sobol(d, scramble=True, **settings).random_base2(max(0, int(np.ceil(np.log2(n)))))[:n]
-
-
-def _spaced(points: Array, count: int, distance: float) -> Array:
-    """Return at most ``count`` first points with at least ``distance`` between each other."""
-    taken: list[Array] = []
-    for point in points:
-        if all(np.abs(point - other).max() >= distance for other in taken):
-            taken.append(point)
-        if len(taken) == count:
-            break
-    return np.array(taken)

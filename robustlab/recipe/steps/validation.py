@@ -81,7 +81,7 @@ class ThesisCaseStep(Step):
     def run(self, work: Workspace) -> Outcome:
         from robustlab.dynamics.stewart.stewart_platform import stewart_platform
         from robustlab.thesis.figures import case_picture
-        from robustlab.thesis.runs import cases
+        from robustlab.thesis.numbers import cases
 
         (case,) = [c for c in cases(stewart_platform()) if c.name == self.case]
         model = rl.elementwise(*case.with_gravity(), self.structure)

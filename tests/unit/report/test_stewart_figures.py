@@ -9,16 +9,12 @@ T = np.linspace(0.0, 1.0, 51)
 
 
 def test_case_figure_has_nominal_worst_and_all_members():
-    """The enlarged end is so near that the members are told apart there, however little they differ."""
     members = (1 + 1e-4 * np.linspace(-1, 1, 20))[:, None, None] * np.stack([T, 3 * T], axis=1)
     nominal, worst = members.mean(axis=0), members[-1]
     figure = case_figure(T, members, nominal, worst, [("phi_1", "rad"), ("phidot_1", "rad/s")], 0.014, "worst Δ = -I")
     assert figure._suptitle.get_text() == "worst Δ = -I"
-    for k, row in enumerate((figure.axes[:3], figure.axes[3:])):
-        for axes in row[:2]:
-            assert [line.get_label() for line in axes.lines[-2:]] == ["nominal", "worst Δ"]
-            assert len(axes.lines) == 22
-            np.testing.assert_array_equal(axes.lines[-1].get_ydata(), worst[:, k])
-        low, high = row[1].get_ylim()
-        assert np.ptp(members[:, -1, k]) > 0.1 * (high - low)
-        assert row[2].lines[21].get_ydata()[-1] == pytest.approx(0.01, rel=1e-6)
+    for k, (whole, change) in enumerate((figure.axes[:2], figure.axes[2:])):
+        assert [line.get_label() for line in whole.lines[-2:]] == ["nominal", "worst Δ"]
+        assert len(whole.lines) == 22
+        np.testing.assert_array_equal(whole.lines[-1].get_ydata(), worst[:, k])
+        assert change.lines[21].get_ydata()[-1] == pytest.approx(0.01, rel=1e-6)
