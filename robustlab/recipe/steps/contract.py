@@ -213,15 +213,6 @@ def facts_of(found: Any) -> tuple[Fact, ...]:
     )
 
 
-def outcome_of(found: Any, value: Any, summary: str, work: Workspace) -> Outcome:
-    """Return the outcome of a `Displayable` result: its pictures, numbers, facts and tables."""
-    for name, picture in work.pictures(found):
-        work.draw(picture.figure, name, getattr(found, "caption", picture.caption))
-    numbers = {name: number for name, number in found.numbers().items() if number is not None}
-    status, notes = getattr(found, "status", None), getattr(found, "notes", ())
-    return Outcome(value, summary, numbers, facts_of(found), status, notes, found.tables())
-
-
 # --- names that requirements may refer to ---------------------------------------------------------------------------
 # Nested tables of units: a text is the unit of a number, "1" of a pure one; ``{name: ...}`` a table, where ``*`` in a
 # name matches any text; `Each` a table by signals; a class its fields; anything else is not checked.
