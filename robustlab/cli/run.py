@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import tempfile
 import time
@@ -437,27 +436,9 @@ def _hdf5() -> str:
     return "HDF5 is written, and read in a process of its own, with checksums"
 
 
-def _recipes() -> str:
-    from robustlab.recipe.shipped import shipped_recipes
-
-    found = shipped_recipes()
-    assert found, "no shipped recipe was found beside the package"
-    return ", ".join(found)
-
-
-def _threads() -> str:
-    from threadpoolctl import threadpool_info
-
-    import_module("numpy.linalg")  # loads BLAS
-    pools = ", ".join(f"{pool['internal_api']} {pool['num_threads']}" for pool in threadpool_info())
-    return f"{os.cpu_count()} cores; threads: {pools or 'one'}"
-
-
 _CHECKS = {
     "mu, scipy": _solvers,
     "cvxpy": _cvxpy,
     "h5py": _hdf5,
     "matplotlib": lambda: f"matplotlib {import_module('matplotlib').__version__}",
-    "recipes": _recipes,
-    "threads": _threads,
 }
