@@ -47,8 +47,8 @@ class InLoop(NamedTuple):
     loop: str = ""  # description of the loop
     notes: tuple[str, ...] = ()
     beside: Mapping[str, Any] = {}  # name -> a text, or a further result, whose status is checked, too
-    numbers: Mapping[str, Any] = {}  # further ones, for the requirements of a recipe
     parts: tuple[Any, ...] = ()  # requested tables, each a `robustlab.display.Part`
+    numbers: Mapping[str, Any] = {}  # further ones, for the requirements of a recipe
 
 
 @dataclass(frozen=True)

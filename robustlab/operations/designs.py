@@ -411,7 +411,7 @@ def _sizes_of(given: Any, known: Sequence[str]) -> Any:
     return sizes
 
 
-@operation("", "cascade", result="synthesis.problem.controller.Controller", gives="controller")
+@operation("", "cascade", result="statespace.StateSpaceModel", gives="controller")
 def cascade(
     plant: Annotated[Any, Thing(("plant",)), "A linear actuator, or a Stewart platform with motors."],
     p_up: Annotated[float, Number(above=0), "Triple pole of the upper layer in 1/s."] = 236.0,
@@ -426,8 +426,7 @@ def cascade(
     from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
 
     platform = isinstance(plant, StewartPlatform)
-    K = two_layer(plant, p_up, p_low).upper if platform else actuator_cascade(plant, p_up, p_low)
-    return rl.Controller(K, method="cascade")
+    return two_layer(plant, p_up, p_low).upper if platform else actuator_cascade(plant, p_up, p_low)
 
 
 @operation("", "feed-forward", result="dynamics.extended.feed_forward.FeedForward", gives="feed-forward",
