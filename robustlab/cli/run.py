@@ -82,13 +82,12 @@ def run(
         emit("run", {"recipes": dict(titles)}, table(titles, ("recipe", "title")), as_json)
         return
     from robustlab.recipe.load import load_recipe, recipe_path
-    from robustlab.recipe.run import default_folder, read_result, replaced, run_recipe
+    from robustlab.recipe.run import default_folder, read_result, run_recipe
     from robustlab.report.html import ending_of
 
     path = recipe_path(recipe)
     loaded = load_recipe(path, changes or [])
     folder = Path(out) if out else default_folder(loaded)
-    replacing = replaced(folder, loaded)
     count = len(loaded.recipe.step)
     begun, since = list[str](), [0.0]
     result_alone()  # the recipe may run a user's code
@@ -112,8 +111,6 @@ def run(
                     note(f"report of what was run: {folder.resolve() / 'report.html'}")
             raise
         ended()
-    if replacing:
-        note(f"note: {replacing}")
     emit("run", {**result.data, "folder": str(result.folder)}, _text(result), as_json)
     raise typer.Exit(result.exit_code)
 

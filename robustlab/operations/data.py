@@ -158,16 +158,12 @@ def data_cover(
     *,
     held_out: Annotated[Records, "Records on which the set is checked; they do not change it."] = (),
     noise: Annotated[
-        dict[str, float],
-        Table(Number(above=0), "outputs"),
-        "Output that is compared -> largest noise, in its unit.",
+        dict[str, float], Table(Number(above=0), "outputs"), "Output that is compared -> largest noise, in its unit."
     ],
     margin: Annotated[float, Number(least=1), "Radius over the smallest that explains the records."] = 1.1,
     least: Annotated[float, Number(least=0, below=1), "Smallest radius of any set."] = 0.02,
     window: Annotated[
-        float | None,
-        Number(above=0),
-        "s; each window with a free initial state. The whole record where left out.",
+        float | None, Number(above=0), "s; each window with a free initial state. The whole record where left out."
     ] = None,
     at_rest: Annotated[bool, "The records start at rest."] = False,
     decimate: Annotated[int, Whole(1, 100), "Keep every n-th sample; inputs are averaged in between."] = 1,

@@ -10,18 +10,7 @@ from typing import Annotated, Any, Literal
 import robustlab as rl
 from robustlab.errors import InputError, UsageError
 from robustlab.operations.declaration import InLoop, Named, operation
-from robustlab.operations.kinds import (
-    ByNumber,
-    Keyed,
-    Names,
-    Number,
-    Numbers,
-    Sizes,
-    Table,
-    Thing,
-    Weight,
-    Whole,
-)
+from robustlab.operations.kinds import ByNumber, Keyed, Names, Number, Numbers, Sizes, Table, Thing, Weight, Whole
 from robustlab.operations.words import Controller, Design, Model, Moved, SampleTime, Search, Seed, Sign, Signals, System
 
 DESIGN, HINF = "synthesis.problem.design.", "synthesis.hinf."
@@ -165,11 +154,7 @@ def dk(
 
 
 @operation(
-    "synth fixed",
-    "fixed",
-    result="synthesis.fixed_structure.FixedSynthesis",
-    gives="controller",
-    made="controller",
+    "synth fixed", "fixed", result="synthesis.fixed_structure.FixedSynthesis", gives="controller", made="controller"
 )
 def fixed_structure(
     system: Plant,
@@ -501,9 +486,7 @@ def follow_path(
     *,
     p_low: Annotated[float, Number(above=0), "Triple pole of the motors' torque loops in 1/s."] = 3000.0,
     at: Annotated[
-        Any,
-        Numbers("", 6),
-        "Pose at which the path begins; home, the trim point of the controllers, where left out.",
+        Any, Numbers("", 6), "Pose at which the path begins; home, the trim point of the controllers, where left out."
     ] = None,
     scale: Annotated[float, Number(above=0), "Of the path: at 1 a lift of 5 mm, sines of 5 mm and 20 mrad."] = 1.0,
     rise_time: Annotated[float, Number(least=0), "s, in which the sines grow."] = 0.0,

@@ -128,13 +128,6 @@ class Ends(Number):
         return tuple(given) if isinstance(given, list) else given
 
 
-class NumberInUnit(Kind):
-    """A number; a command passes it as a text with its unit, which the function reads."""
-
-    def field(self) -> Any:
-        return float
-
-
 @dataclass(frozen=True)
 class Whole(Kind):
     """A whole number."""
@@ -366,7 +359,7 @@ class Weight(Kind):
 
 @dataclass(frozen=True)
 class Keyed(Kind):
-    """A value of a type that a recipe alone can write."""
+    """A value of its own type in a recipe; the text of a command as it is."""
 
     type: Any
 

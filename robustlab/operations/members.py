@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import robustlab as rl
 from robustlab.errors import InputError, UsageError
 from robustlab.operations.declaration import InLoop, Named, operation
-from robustlab.operations.kinds import Choice, Names, Number, NumberInUnit, Table, TextFile, Whole
+from robustlab.operations.kinds import Choice, Keyed, Names, Number, Table, TextFile, Whole
 from robustlab.operations.words import Search, Seed, Uncertain
 
 METRICS = (
@@ -112,7 +112,7 @@ def worst_case(
 def violation_probability(
     uncertain: Uncertain,
     *,
-    limit: Annotated[Any, NumberInUnit(), "Limit whose violations are counted, such as '0.5 rad'."],
+    limit: Annotated[Any, Keyed(float), "Limit whose violations are counted, such as '0.5 rad'."],
     judged: Judged,
     unit: Annotated[str | None, "Unit of the limit, which must be that of the metric.", Named(only="step")] = None,
     probability: Annotated[

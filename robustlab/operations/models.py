@@ -311,19 +311,13 @@ def _inferred_cover(step: Any, ahead: Any) -> Any:
            made="model", infer=_inferred_cover)  # fmt: skip
 def cover(
     models: Annotated[
-        Any,
-        Thing(ANY, model=True, many=True, positional=True),
-        "Models to cover; at least two.",
-        Named(key="models"),
+        Any, Thing(ANY, model=True, many=True, positional=True), "Models to cover; at least two.", Named(key="models")
     ] = None,
     plant: Annotated[
         Any, Thing(("plant", "any")), "A mechanism, linearised at each of `poses`.", Named(key="of", only="step")
     ] = None,
     poses: Annotated[
-        Any,
-        Keyed(list[list[float]]),
-        "Operating points: tx, ty, tz in m, ax, ay, az in rad.",
-        Named(only="step"),
+        Any, Keyed(list[list[float]]), "Operating points: tx, ty, tz in m, ax, ay, az in rad.", Named(only="step")
     ] = (),
     *,
     form: Annotated[str, Choice(COVERS), "Of the cover."] = "elements",

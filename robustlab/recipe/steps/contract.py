@@ -144,9 +144,7 @@ class Workspace:
 
     folder: Path  # the output folder; `files` lists the files written, relative to it
     seed: int  # seed of the recipe
-    # Step name -> value of each finished step, and its numbers for requirements.
-    values: dict[str, Any] = field(default_factory=dict)
-    numbers: dict[str, Mapping[str, Any]] = field(default_factory=dict)
+    values: dict[str, Any] = field(default_factory=dict)  # step name -> value of each finished step
     files: list[str] = field(default_factory=list)
     inputs: dict[str, str] = field(default_factory=dict)
     # Step name -> its figures as (file stem, caption).
