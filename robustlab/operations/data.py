@@ -190,8 +190,12 @@ def data_cover(
     return found
 
 
-@operation("", "with-loads", result="record.Record", gives="record",
-           infer=lambda step, ahead: replace(ahead[None], outputs=ahead[step.record].outputs))  # fmt: skip
+def _inferred_loads(step: Any, ahead: Any) -> Any:
+    leaves = {**type(step).leaves, "largest": {"*": "1"}, "bound": {"*": float}}
+    return replace(ahead[None], outputs=ahead[step.record].outputs, leaves=leaves)
+
+
+@operation("", "with-loads", result="record.Record", gives="record", infer=_inferred_loads)
 def with_loads(
     plant: Moved,
     record: Measured,
@@ -204,7 +208,10 @@ def with_loads(
     from robustlab.dynamics.extended.effect_blocks import effect_loads
 
     made = effect_loads(plant, sigmas, [record])
-    return InLoop(made.along(record), notes=tuple(load.in_words for load in made.loads))
+    found = made.along(record)
+    largest = {load.name: float(abs(found[load.name]).max()) for load in made.loads}
+    numbers = {"largest": largest, "bound": {load.name: load.bound for load in made.loads}}
+    return InLoop(found, notes=tuple(load.in_words for load in made.loads), numbers=numbers)
 
 
 def _joined(step: Any, ahead: Any) -> Any:

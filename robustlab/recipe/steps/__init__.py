@@ -1,6 +1,10 @@
 """The kinds of steps: classes marked with `contract.step` in the files here, and those made of operations."""
 
-from robustlab.recipe.steps import models, records, samples, validation  # noqa: F401  they register their steps
-from robustlab.recipe.steps.generated import add_steps
+from importlib import import_module
+
+for _name in ("models", "records", "samples", "validation"):
+    import_module(f"{__name__}.{_name}")
+
+from robustlab.recipe.steps.generated import add_steps  # noqa: E402
 
 add_steps()
